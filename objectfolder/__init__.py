@@ -1,0 +1,22 @@
+"""Object Files: implicit multisensory objects that can be seen, struck and touched.
+
+>>> from objectfolder import ObjectFile                        # doctest: +SKIP
+>>> mug = ObjectFile.load("build/mug/ObjectFile.safetensors")  # doctest: +SKIP
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from objectfolder.objectfile import ObjectFile
+
+__version__ = "0.1.0"
+__all__ = ["ObjectFile", "__version__"]
+
+
+def __getattr__(name: str) -> Any:
+    # Lazy, so that a stage that imports one corner of the library does not load torch,
+    # and does not depend on the query code.
+    if name == "ObjectFile":
+        return import_module("objectfolder.objectfile").ObjectFile
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

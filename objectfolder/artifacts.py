@@ -1,0 +1,174 @@
+"""Where artifacts live, and how they are written and read.
+
+The only module that names a path under ``build/``. Every writer goes through `atomic`, so a file is
+either absent or complete; every reader checks what it needs and names the file when something is wrong.
+"""
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from objectfolder.errors import ObjectFolderError
+
+SPLITS = ("train", "val", "test")
+
+
+class Build:
+    """Paths of one object's artifacts.
+
+    Parameters
+    ----------
+    key : str
+        Object key.
+    root : Path
+        Workspace, the directory that holds ``dvc.yaml``.
+    """
+
+    def __init__(self, key: str, root: str | Path = "."):
+        self.key = key
+        self.root = Path(root)
+        self.dir = self.root / "build" / key
+        self.visual = self.dir / "visual.glb"
+        self.surface = self.dir / "surface.ply"
+        self.normalize = self.dir / "normalize.json"
+        self.solid = self.dir / "solid.npz"
+        self.sdf = self.dir / "sdf.npz"
+        self.modes = self.dir / "modes.npz"
+        self.modal = self.dir / "modal.json"
+        self.views_sheet = self.dir / "views.png"
+        self.touch_sheet = self.dir / "touch.png"
+        self.object_file = self.dir / "ObjectFile.safetensors"
+        self.metrics = self.root / "metrics" / f"{key}.json"
+
+    def views(self, split: str) -> Path:
+        """Archive of rendered views of one split."""
+        return self.dir / "views" / f"{split}.npz"
+
+    def touch(self, split: str) -> Path:
+        """Archive of tactile images of one split."""
+        return self.dir / "touch" / f"{split}.npz"
+
+    def net(self, modality: str) -> Path:
+        """Trained net of one modality: ``vision``, ``audio`` or ``touch``."""
+        return self.dir / f"{modality}.safetensors"
+
+    def curve(self, modality: str) -> Path:
+        """Training curve of one net (CSV)."""
+        return self.dir / f"{modality}_curve.csv"
+
+
+@contextmanager
+def atomic(path: str | Path) -> Iterator[Path]:
+    """Give a temporary path next to ``path``; on success fsync it and rename it into place.
+
+    The temporary name keeps the suffix, because writers choose the format by it.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the directory cannot be written.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.touch()
+    except OSError as error:
+        raise ObjectFolderError(
+            f"cannot write {path}: {error.strerror}; make the directory {path.parent} writable"
+        ) from error
+    try:
+        yield temporary
+        with temporary.open("rb") as stream:
+            os.fsync(stream.fileno())
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_json(path: str | Path, value: Any) -> None:
+    """Write JSON with sorted keys."""
+    with atomic(path) as temporary:
+        temporary.write_text(json.dumps(value, indent=2, sort_keys=True) + "\n")
+
+
+def write_npz(path: str | Path, **arrays: Any) -> None:
+    """Write a compressed ``.npz`` whose bytes depend on the arrays only."""
+    with atomic(path) as temporary:
+        np.savez_compressed(temporary, allow_pickle=False, **arrays)
+
+
+def write_safetensors(path: str | Path, tensors: dict[str, Any], header: dict[str, Any]) -> None:
+    """Write numpy tensors and a JSON header (stored under one metadata key, so the bytes are stable)."""
+    from safetensors.numpy import save_file
+
+    with atomic(path) as temporary:
+        contiguous = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
+        save_file(contiguous, temporary, metadata={"objectfolder": json.dumps(header, sort_keys=True)})
+
+
+def write_png(path: str | Path, image: np.ndarray) -> None:
+    """Write an (H, W, 3) uint8 image."""
+    from PIL import Image
+
+    with atomic(path) as temporary:
+        Image.fromarray(image).save(temporary)
+
+
+def read_json(path: str | Path) -> Any:
+    """Read a JSON file."""
+    return json.loads(_existing(path).read_text())
+
+
+def read_npz(path: str | Path, *required: str) -> dict[str, np.ndarray]:
+    """Read an ``.npz`` and check that it holds the required arrays.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the file is missing, damaged, or lacks an array.
+    """
+    path = _existing(path)
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+    except Exception as error:
+        raise ObjectFolderError(f"{path} is damaged ({error}); delete it and rebuild") from error
+    missing = set(required) - set(arrays)
+    if missing:
+        raise ObjectFolderError(
+            f"{path} lacks {', '.join(sorted(missing))} (it holds {', '.join(sorted(arrays))}); rebuild it"
+        )
+    return arrays
+
+
+def read_safetensors(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Read tensors and JSON header written by `write_safetensors`.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the file is missing, damaged, or not one of ours.
+    """
+    from safetensors import safe_open
+
+    path = _existing(path)
+    try:
+        with safe_open(str(path), framework="numpy") as stream:
+            tensors = {name: stream.get_tensor(name) for name in stream.keys()}  # noqa: SIM118
+            header = (stream.metadata() or {}).get("objectfolder")
+        return tensors, json.loads(header) if header is not None else {}
+    except Exception as error:
+        raise ObjectFolderError(f"{path} is not a readable safetensors file: {error}") from error
+
+
+def _existing(path: str | Path) -> Path:
+    path = Path(path)
+    if not path.is_file():
+        raise ObjectFolderError(f"{path} does not exist; build it with `objectfolder build`")
+    return path

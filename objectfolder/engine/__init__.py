@@ -1,0 +1,1 @@
+"""Parallel build over DVC's own graph; `objectfolder.engine.local.build` is the entry."""

@@ -1,0 +1,112 @@
+"""The part of DVC's graph that some targets want, in a deterministic order."""
+
+import difflib
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import networkx as nx
+from dvc.repo import Repo
+from dvc.repo.reproduce import get_active_graph
+from dvc.stage import PipelineStage, Stage
+
+from objectfolder.errors import ObjectFolderError
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Stages to look at.
+
+    Parameters
+    ----------
+    stages : dict of str to Stage
+        DVC stages by address, upstream first.
+    upstream : dict of str to set of str
+        Addresses of the direct upstream stages of every stage, in the same order.
+    """
+
+    stages: dict[str, Stage]
+    upstream: dict[str, set[str]]
+
+
+def plan(repo: Repo, root: str | Path = ".", targets: Sequence[str] = ()) -> Plan:
+    """Collect the targets and everything upstream of them.
+
+    Parameters
+    ----------
+    repo : Repo
+        Open DVC repository.
+    root : Path
+        Workspace, the directory that holds ``dvc.yaml``; targets are relative to it.
+    targets : sequence of str
+        Stage addresses (``modal@mug``), stage names (``modal``), object keys (``mug``) or paths of outputs,
+        tried in that order; none means every stage of the workspace's ``dvc.yaml``.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there is no ``dvc.yaml``, or a target names nothing.
+    """
+    root = Path(root).absolute()
+    if not (root / "dvc.yaml").is_file():
+        raise ObjectFolderError(
+            f"{root} has no dvc.yaml; run this in the workspace, the directory that holds dvc.yaml"
+        )
+    graph = get_active_graph(repo.index.graph)  # edges go from a stage to what it depends on
+    addresses = {address_of(stage, root): stage for stage in graph}
+    if targets:
+        wanted = set().union(*(_match(target, addresses, root) for target in targets))
+    else:
+        wanted = {name for name, stage in addresses.items() if Path(stage.path) == root / "dvc.yaml"}
+    names = {stage: address for address, stage in addresses.items()}
+    named = nx.relabel_nodes(graph, names)
+    named = named.subgraph(wanted.union(*(nx.descendants(named, address) for address in wanted)))
+    order = list(nx.lexicographical_topological_sort(named.reverse()))
+    return Plan(
+        stages={address: addresses[address] for address in order},
+        upstream={address: set(named.successors(address)) for address in order},
+    )
+
+
+def address_of(stage: Stage, root: Path) -> str:
+    """Address of a stage relative to the workspace (DVC's own is relative to the current directory)."""
+    path = os.path.relpath(stage.path, root)
+    if not isinstance(stage, PipelineStage):
+        return path
+    return str(stage.name) if path == "dvc.yaml" else f"{path}:{stage.name}"
+
+
+def _match(target: str, addresses: dict[str, Stage], root: Path) -> set[str]:
+    if target in addresses:
+        return {target}
+    by_stage = {address for address in addresses if address.partition("@")[0] == target}
+    if by_stage:
+        return by_stage
+    by_object = {address for address in addresses if address.partition("@")[2] == target}
+    if target and by_object:
+        return by_object
+    path = Path(os.path.normpath(root / target))
+    by_output = {
+        address
+        for address, stage in addresses.items()
+        for out in stage.outs
+        if Path(out.fs_path) in (path, *path.parents)
+    }
+    if by_output:
+        return by_output
+    raise ObjectFolderError(
+        f"unknown target {target!r}: expected a stage address, a stage name, an object key or the path of an "
+        f"output; {_suggest(target, _choices(addresses, root))}"
+    )
+
+
+def _choices(addresses: dict[str, Stage], root: Path) -> list[str]:
+    outputs = (os.path.relpath(out.fs_path, root) for stage in addresses.values() for out in stage.outs)
+    parts = (part for address in addresses for part in (address, *address.split("@")))
+    return sorted({*parts, *outputs})
+
+
+def _suggest(target: str, choices: Iterable[str]) -> str:
+    close = difflib.get_close_matches(target, list(choices), n=5)
+    return f"did you mean {', '.join(close)}?" if close else "`dvc stage list` lists the stages"

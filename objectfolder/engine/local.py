@@ -1,0 +1,263 @@
+"""Build on this machine: one owner of DVC's lock, many commands at a time."""
+
+import heapq
+import signal
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from queue import Empty, SimpleQueue
+
+from dvc.exceptions import DvcException
+
+from objectfolder.engine import steps
+from objectfolder.engine.graph import Plan, plan
+from objectfolder.engine.lockfile import LockFiles
+from objectfolder.engine.process import Children, Command, Outcome, describe_exit, tail
+from objectfolder.engine.schedule import Schedule
+from objectfolder.engine.summary import Finished, Listener, Planned, StageResult, Started, Status, Summary
+from objectfolder.engine.workspace import owned
+from objectfolder.errors import ObjectFolderError
+
+LOGS = Path("build/.logs")
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+def build(
+    targets: Sequence[str] = (),
+    jobs: int = 2,
+    root: str | Path = ".",
+    force: bool = False,
+    on_event: Listener = lambda event: None,
+) -> Summary:
+    """Bring targets and everything upstream of them up to date.
+
+    A stage that fails blocks what depends on it; the rest goes on. On SIGINT or SIGTERM the running commands
+    are killed and what had finished is kept.
+
+    Parameters
+    ----------
+    targets : sequence of str
+        Stage addresses, stage names, object keys or paths of outputs; none means everything.
+    jobs : int
+        Commands that run at the same time.
+    root : Path
+        Workspace, the directory that holds ``dvc.yaml``.
+    force : bool
+        Run every stage again, changed or not.
+    on_event : callable
+        Called in this thread with every `Planned`, `Started` and `Finished`.
+
+    Raises
+    ------
+    ObjectFolderError
+        If an argument is wrong, or the workspace is busy or cannot be read. A failed stage does not raise.
+    """
+    if jobs < 1:
+        raise ObjectFolderError(f"jobs is {jobs}, expected at least 1; use --jobs 1 for one at a time")
+    start = time.monotonic()
+    root = Path(root).absolute()
+    with owned(root) as repo:
+        try:
+            wanted = plan(repo, root, targets)
+        except DvcException as error:
+            raise ObjectFolderError(f"DVC cannot read the pipeline in {root}: {error}") from error
+        on_event(Planned(tuple(wanted.stages)))
+        results = _Build(wanted, jobs, root / LOGS, force, on_event).run()
+    ordered = {address: results[address] for address in wanted.stages}
+    return Summary(stages=ordered, seconds=time.monotonic() - start)
+
+
+class _Interrupted(Exception):
+    """A signal asked the build to stop; it is raised at a point where DVC's files are whole."""
+
+    def __init__(self, number: int):
+        super().__init__(number)
+        self.number = number
+
+
+class _Build:
+    """State of one build. All of DVC is called from one thread; the workers only run commands."""
+
+    def __init__(self, wanted: Plan, jobs: int, logs: Path, force: bool, on_event: Listener):
+        self.stages = wanted.stages
+        self.jobs = jobs
+        self.logs = logs
+        self.force = force
+        self.on_event = on_event
+        self.results: dict[str, StageResult] = {}
+        self.schedule = Schedule(wanted.upstream)
+        # Stages known to have changed, waiting for a free worker.
+        self.due: list[tuple[tuple[float, int], str]] = []
+        self.running: set[str] = set()
+        self.lockfiles = LockFiles()
+        self.children = Children()
+        # What the workers hand back; None only wakes this thread up.
+        self.finished: SimpleQueue[tuple[str, Outcome | OSError] | None] = SimpleQueue()
+        self.signal: int | None = None
+
+    def run(self) -> dict[str, StageResult]:
+        """Run until nothing is left, and return the results by address."""
+        with self._signals():
+            # A thread per worker that lives as long as the build, as `Children.run` requires.
+            pool = ThreadPoolExecutor(self.jobs, thread_name_prefix="stage")
+            try:
+                self._loop(pool)
+            finally:
+                self.children.kill()
+                pool.shutdown()
+                try:
+                    self._collect_finished()  # what ended on its own just before the kill is kept
+                finally:
+                    self.lockfiles.flush()
+        return self.results
+
+    def _loop(self, pool: ThreadPoolExecutor) -> None:
+        while True:
+            if self.signal is not None:
+                raise _Interrupted(self.signal)
+            if self.due and len(self.running) < self.jobs:
+                self._start(heapq.heappop(self.due)[1], pool)
+            elif (address := self.schedule.pop()) is not None:
+                self._examine(address)
+            elif self.running:
+                self._collect(timeout=self.lockfiles.seconds_until_due())
+            else:
+                return
+            self._collect_finished()
+            self.lockfiles.flush_if_due()
+
+    def _examine(self, address: str) -> None:
+        """Decide what a ready stage needs; only checks, so that it can be done ahead of a free worker."""
+        stage = self.stages[address]
+        try:
+            if not steps.has_command(stage):
+                self._pass_through(address)
+            elif self.force or stage.changed():
+                heapq.heappush(self.due, (self.schedule.rank[address], address))
+            else:
+                self._succeed(StageResult(address, Status.SKIPPED))
+        except (DvcException, OSError) as error:
+            self._fail(StageResult(address, Status.FAILED, error=_text(error)))
+
+    def _pass_through(self, address: str) -> None:
+        """Let DVC handle a stage without a command itself: it verifies data, or downloads an import."""
+        start = time.monotonic()
+        stage = self.stages[address]
+        if stage.reproduce(force=self.force) is None:
+            self._succeed(StageResult(address, Status.SKIPPED))
+            return
+        self.lockfiles.add(stage)
+        self._succeed(StageResult(address, Status.RAN, time.monotonic() - start))
+
+    def _start(self, address: str, pool: ThreadPoolExecutor) -> None:
+        """Restore a changed stage from the run cache, or hand its command to a worker.
+
+        Old outputs go only now that a worker is free, so that an interrupted build has removed few.
+        """
+        start = time.monotonic()
+        stage = self.stages[address]
+        log = self.logs / f"{address.replace('/', '_')}.log"
+        try:
+            if not self.force and steps.restore(stage):
+                self.lockfiles.add(stage)
+                self._succeed(StageResult(address, Status.RESTORED, time.monotonic() - start))
+                return
+            command = steps.prepare(stage, log)
+        except (DvcException, OSError) as error:
+            self._fail(StageResult(address, Status.FAILED, error=_text(error)))
+            return
+        self.running.add(address)
+        pool.submit(self._work, address, command)
+        self.on_event(Started(address, log))
+
+    def _work(self, address: str, command: Command) -> None:
+        try:
+            self.finished.put((address, self.children.run(command)))
+        except OSError as error:
+            self.finished.put((address, error))
+
+    def _collect_finished(self) -> None:
+        while not self.finished.empty():
+            self._collect(timeout=0.0)
+
+    def _collect(self, timeout: float | None) -> None:
+        """Take one finished command from the workers and save what it wrote."""
+        try:
+            item = self.finished.get(timeout=timeout)
+        except Empty:
+            return
+        if item is None:
+            return
+        address, outcome = item
+        self.running.discard(address)
+        log = self.logs / f"{address.replace('/', '_')}.log"
+        if isinstance(outcome, OSError):
+            self._fail(StageResult(address, Status.FAILED, error=f"cannot run the command: {outcome}"))
+            return
+        error = describe_exit(outcome.code) if outcome.code else ""
+        if not error:
+            try:
+                steps.save(self.stages[address])
+                self.lockfiles.add(self.stages[address])
+            except (DvcException, OSError) as problem:
+                error = _text(problem)
+        result = StageResult(
+            address=address,
+            status=Status.FAILED if error else Status.RAN,
+            seconds=outcome.seconds,
+            peak_mb=outcome.peak_mb,
+            log=log,
+            error=error,
+            tail=tail(log) if error else (),
+        )
+        if error:
+            self._fail(result)
+        else:
+            self._succeed(result)
+
+    def _succeed(self, result: StageResult) -> None:
+        self.schedule.finish(result.address)
+        self._report(result)
+
+    def _fail(self, result: StageResult) -> None:
+        self._report(result)
+        for address in self.schedule.downstream(result.address):
+            if address not in self.results:
+                self._report(StageResult(address, Status.BLOCKED, error=f"needs {result.address}"))
+
+    def _report(self, result: StageResult) -> None:
+        self.results[result.address] = result
+        self.on_event(Finished(result))
+
+    @contextmanager
+    def _signals(self) -> Iterator[None]:
+        """Turn the first signal into a clean stop; a second one stops at once."""
+        if threading.current_thread() is not threading.main_thread():
+            yield  # only the main thread may handle signals; its handler is the caller's business
+            return
+
+        def handle(number: int, frame: object) -> None:
+            if self.signal is not None:
+                raise KeyboardInterrupt
+            self.signal = number
+            self.finished.put(None)
+
+        before = {number: signal.signal(number, handle) for number in SIGNALS}
+        try:
+            yield
+        except _Interrupted as interrupted:
+            if interrupted.number == signal.SIGINT:
+                raise KeyboardInterrupt from None
+            raise SystemExit(128 + interrupted.number) from None
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+
+def _text(error: Exception) -> str:
+    """Give the message of a DVC or system error, with the cause that DVC often keeps to itself."""
+    cause = f": {error.__cause__}" if isinstance(error, DvcException) and error.__cause__ else ""
+    return f"{error}{cause}"

@@ -1,0 +1,161 @@
+"""Run the command of one stage in its own session, measured and logged; kill all that are running."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+SUPERVISOR = Path(__file__).with_name("supervisor.py")
+TAIL_LINES = 15
+TAIL_BYTES = 16_384
+
+
+@dataclass(frozen=True)
+class Command:
+    """What to run.
+
+    Parameters
+    ----------
+    lines : sequence of str
+        Shell commands, run one after another until one fails.
+    cwd : Path
+        Working directory.
+    env : mapping of str to str
+        Environment.
+    log : Path
+        File for standard output and standard error.
+    """
+
+    lines: Sequence[str]
+    cwd: Path
+    env: Mapping[str, str]
+    log: Path
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a command ended.
+
+    Parameters
+    ----------
+    code : int
+        Exit code; minus the signal's number if the shell was killed.
+    seconds : float
+        Wall time.
+    peak_mb : float
+        Peak resident memory of the largest process.
+    """
+
+    code: int
+    seconds: float
+    peak_mb: float
+
+
+class Children:
+    """Commands that are running now."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._groups: set[int] = set()
+        self._closed = False
+
+    def run(self, command: Command) -> Outcome:
+        """Run a command and wait for it.
+
+        Call it from a thread that outlives the command: the kernel takes the end of the thread that started
+        a child for the end of its parent.
+        """
+        command.log.parent.mkdir(parents=True, exist_ok=True)
+        read, write = os.pipe()
+        with os.fdopen(read, "rb") as report, command.log.open("wb") as log:
+            try:
+                with self._lock:
+                    if self._closed:
+                        return Outcome(-signal.SIGKILL, 0.0, 0.0)
+                    supervisor = subprocess.Popen(
+                        [
+                            sys.executable,
+                            "-I",
+                            "-S",
+                            SUPERVISOR,
+                            str(os.getpid()),
+                            str(write),
+                            *command.lines,
+                        ],
+                        cwd=command.cwd,
+                        env=command.env,
+                        stdin=subprocess.DEVNULL,
+                        stdout=log,
+                        stderr=subprocess.STDOUT,
+                        pass_fds=[write],
+                        start_new_session=True,
+                    )
+                    self._groups.add(supervisor.pid)
+            finally:
+                os.close(write)
+            # Wait without reaping, so that the group's id cannot be given to anyone else in the meantime.
+            os.waitid(os.P_PID, supervisor.pid, os.WEXITED | os.WNOWAIT)
+            with self._lock:
+                _kill(supervisor.pid)  # what the command left in the background
+                supervisor.wait()
+                self._groups.discard(supervisor.pid)
+            text = report.read()
+        return Outcome(**json.loads(text)) if text else Outcome(-signal.SIGKILL, 0.0, 0.0)
+
+    def kill(self) -> None:
+        """Kill every running command with all its processes, and start no more."""
+        with self._lock:
+            self._closed = True
+            for group in self._groups:
+                _kill(group)
+
+
+def environment(base: Mapping[str, str]) -> dict[str, str]:
+    """Environment of a stage: this interpreter's ``python`` first, one thread per numerical library.
+
+    The workers are the parallelism; libraries that each start a thread per core would only fight.
+    """
+    path = os.pathsep.join(filter(None, (str(Path(sys.executable).parent), base.get("PATH"))))
+    return {
+        **base,
+        "PATH": path,
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+        "MKL_NUM_THREADS": "1",
+        "PYTHONUNBUFFERED": "1",  # so that the log is complete up to the moment a stage is killed
+    }
+
+
+def tail(log: Path) -> tuple[str, ...]:
+    """Last lines of a log; empty if there is none."""
+    try:
+        with log.open("rb") as stream:
+            stream.seek(0, os.SEEK_END)
+            stream.seek(max(0, stream.tell() - TAIL_BYTES))
+            text = stream.read().decode(errors="replace")
+    except FileNotFoundError:
+        return ()
+    return tuple(text.splitlines()[-TAIL_LINES:])
+
+
+def describe_exit(code: int) -> str:
+    """Say in words how a command that did not succeed ended."""
+    # A shell reports a child's death by signal N as exit code 128 + N.
+    number = -code if code < 0 else code - 128
+    try:
+        name = signal.Signals(number).name
+    except ValueError:
+        return f"the command exited with code {code}"
+    hint = " (perhaps out of memory: build with fewer jobs)" if number == signal.SIGKILL else ""
+    return f"the command was killed by {name}{hint}"
+
+
+def _kill(group: int) -> None:
+    with suppress(ProcessLookupError, PermissionError):  # only a zombie is left
+        os.killpg(group, signal.SIGKILL)

@@ -1,0 +1,143 @@
+"""Show a build as it goes, and its summary: live on a terminal, one line per event elsewhere."""
+
+import time
+from types import TracebackType
+from typing import Self
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from objectfolder.engine.summary import Event, Finished, Planned, StageResult, Started, Status, Summary
+
+STYLES = {
+    Status.RAN: "green",
+    Status.RESTORED: "cyan",
+    Status.SKIPPED: "dim",
+    Status.FAILED: "bold red",
+    Status.BLOCKED: "yellow",
+}
+
+
+class Progress:
+    """Listener for `objectfolder.engine.local.build`, used as a context manager.
+
+    Parameters
+    ----------
+    console : Console, optional
+        Where to write; standard error by default.
+    """
+
+    def __init__(self, console: Console | None = None):
+        self.console = console or Console(stderr=True)
+        self.total = 0
+        self.counts = dict.fromkeys(Status, 0)
+        self.running: dict[str, float] = {}
+        self._live = (
+            Live(get_renderable=self._render, console=self.console, refresh_per_second=4, transient=True)
+            if self.console.is_terminal
+            else None
+        )
+
+    def __enter__(self) -> Self:
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def __call__(self, event: Event) -> None:
+        """Take one event of the build."""
+        match event:
+            case Planned(addresses):
+                self.total = len(addresses)
+                self._line(f"{self.total} stages")
+            case Started(address):
+                self.running[address] = time.monotonic()
+                if self._live is None:
+                    self._line(f"started  {address}")
+            case Finished(result):
+                self.running.pop(result.address, None)
+                self.counts[result.status] += 1
+                # A thousand unchanged stages are a number, not a thousand lines.
+                if result.status is not Status.SKIPPED:
+                    self._line(self._describe(result), STYLES[result.status])
+
+    @property
+    def done(self) -> int:
+        """Stages that have ended."""
+        return sum(self.counts.values())
+
+    def _describe(self, result: StageResult) -> str:
+        place = f"[{self.done}/{self.total}]"
+        detail = result.error or " ".join(filter(None, (_seconds(result), _peak(result))))
+        return f"{result.status:<8} {result.address} {place} {detail}".rstrip()
+
+    def _line(self, text: str, style: str = "") -> None:
+        self.console.print(Text(text, style=style), soft_wrap=True)
+
+    def _render(self) -> Group:
+        now = time.monotonic()
+        # Copied in one step, because this runs in the display's thread.
+        running = [
+            Text(f"  {address}  {now - start:.0f} s", style="bold")
+            for address, start in self.running.copy().items()
+        ]
+        counts = "  ".join(f"{count} {status}" for status, count in self.counts.copy().items() if count)
+        bar = Table.grid(padding=(0, 1))
+        bar.add_row(
+            ProgressBar(total=self.total or 1, completed=self.done, width=30),
+            f"{self.done}/{self.total}",
+            counts,
+        )
+        return Group(*running, bar)
+
+
+def print_summary(summary: Summary, console: Console | None = None) -> None:
+    """Print what ran or was restored, the totals, and what failed with the end of its log."""
+    console = console or Console()
+    shown = [result for result in summary.stages.values() if result.status in (Status.RAN, Status.RESTORED)]
+    if shown:
+        console.print(_table(shown))
+    for result in summary.failures:
+        console.print(_failure(result), soft_wrap=True)
+    counts = ", ".join(f"{count} {status}" for status, count in summary.counts().items() if count)
+    console.print(f"{counts or 'nothing to do'} in {summary.seconds:.1f} s", soft_wrap=True, highlight=False)
+
+
+def _table(results: list[StageResult]) -> Table:
+    table = Table("stage", "object", "", box=None)
+    table.add_column("wall s", justify="right")
+    table.add_column("peak MB", justify="right")
+    for result in results:
+        peak = "" if result.peak_mb is None else f"{result.peak_mb:.0f}"
+        status = Text(result.status, style=STYLES[result.status])
+        table.add_row(result.stage, result.object, status, f"{result.seconds:.1f}", peak)
+    return table
+
+
+def _failure(result: StageResult) -> Text:
+    place = f"{result.stage} of {result.object}" if result.object else result.stage
+    text = Text(f"{place} failed: {result.error}\n", style=STYLES[Status.FAILED])
+    for line in result.tail:
+        text.append(f"  | {line}\n", style="default")
+    if result.log is not None:
+        text.append(f"  log: {result.log}\n", style="default")
+    return text
+
+
+def _seconds(result: StageResult) -> str:
+    return f"{result.seconds:.1f} s" if result.seconds else ""
+
+
+def _peak(result: StageResult) -> str:
+    return "" if result.peak_mb is None else f"{result.peak_mb:.0f} MB"

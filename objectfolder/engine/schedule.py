@@ -1,0 +1,90 @@
+"""Which stage comes next: a ready queue ordered by the longest remaining path. Knows nothing of DVC."""
+
+import heapq
+from collections.abc import Callable, Mapping, Set
+
+# Rough CPU seconds per stage on one core, preset quick. Only their order matters: the longest chain of an
+# object should start first. A stage that is not listed weighs 1.
+WEIGHTS = {
+    "normalize": 5,
+    "voxelize": 4,
+    "modal": 30,
+    "render_views": 60,
+    "render_touch": 20,
+    "train_vision": 60,
+    "train_audio": 60,
+    "train_touch": 60,
+    "evaluate": 20,
+}
+
+
+def stage_weight(address: str) -> float:
+    """Rough cost of a stage from its name."""
+    return WEIGHTS.get(address.partition("@")[0], 1)
+
+
+def remaining_paths(
+    upstream: Mapping[str, Set[str]], weight: Callable[[str], float] = stage_weight
+) -> dict[str, float]:
+    """Length of the longest path from each stage to the end of the graph, the stage included.
+
+    Parameters
+    ----------
+    upstream : mapping of str to set of str
+        Direct upstream stages of every stage; the keys are in topological order.
+    weight : callable
+        Cost of a stage.
+    """
+    below = dict.fromkeys(upstream, 0.0)
+    for address in reversed(upstream):
+        for parent in upstream[address]:
+            below[parent] = max(below[parent], below[address] + weight(address))
+    return {address: below[address] + weight(address) for address in upstream}
+
+
+class Schedule:
+    """Stages whose upstream is done, the most urgent first.
+
+    Parameters
+    ----------
+    upstream : mapping of str to set of str
+        Direct upstream stages of every stage; the keys are in topological order.
+    """
+
+    def __init__(self, upstream: Mapping[str, Set[str]]):
+        self._waiting = {address: set(parents) for address, parents in upstream.items()}
+        self._downstream: dict[str, list[str]] = {address: [] for address in upstream}
+        for address, parents in upstream.items():
+            for parent in parents:
+                self._downstream[parent].append(address)
+        lengths = remaining_paths(upstream)
+        # Ties go to the topological order, so that a build is the same every time.
+        self.rank = {address: (-lengths[address], place) for place, address in enumerate(upstream)}
+        self._ready: list[tuple[tuple[float, int], str]] = []
+        for address, parents in self._waiting.items():
+            if not parents:
+                self._push(address)
+
+    def pop(self) -> str | None:
+        """Take the most urgent ready stage; None if there is none at the moment."""
+        return heapq.heappop(self._ready)[1] if self._ready else None
+
+    def finish(self, address: str) -> None:
+        """Record that a stage is done: what waited only for it becomes ready."""
+        for child in self._downstream[address]:
+            self._waiting[child].discard(address)
+            if not self._waiting[child]:
+                self._push(child)
+
+    def downstream(self, address: str) -> list[str]:
+        """All stages that depend on this one, directly or not, in topological order."""
+        found: set[str] = set()
+        stack = [address]
+        while stack:
+            new = set(self._downstream[stack.pop()]) - found
+            found |= new
+            stack.extend(new)
+        return sorted(found, key=lambda name: self.rank[name][1])
+
+    def _push(self, address: str) -> None:
+        heapq.heappush(self._ready, (self.rank[address], address))

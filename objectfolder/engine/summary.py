@@ -1,0 +1,117 @@
+"""What a build reports: events while it runs, and a summary at the end."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+
+class Status(StrEnum):
+    """How a stage ended."""
+
+    RAN = "ran"
+    RESTORED = "restored"  # outputs came back from DVC's run cache
+    SKIPPED = "skipped"  # nothing it depends on has changed
+    FAILED = "failed"
+    BLOCKED = "blocked"  # something upstream failed
+
+
+@dataclass(frozen=True)
+class StageResult:
+    """How one stage ended.
+
+    Parameters
+    ----------
+    address : str
+        Stage address, such as ``modal@mug``.
+    status : Status
+        How it ended.
+    seconds : float
+        Wall time of the command, or of the restore.
+    peak_mb : float, optional
+        Peak resident memory of the largest process of the command; None if no command ran.
+    log : Path, optional
+        Output of the command; None if no command ran.
+    error : str
+        What went wrong, empty unless failed or blocked.
+    tail : tuple of str
+        Last lines of the log of a failed command.
+    """
+
+    address: str
+    status: Status
+    seconds: float = 0.0
+    peak_mb: float | None = None
+    log: Path | None = None
+    error: str = ""
+    tail: tuple[str, ...] = ()
+
+    @property
+    def stage(self) -> str:
+        """Stage name without the object."""
+        return self.address.partition("@")[0]
+
+    @property
+    def object(self) -> str:
+        """Object key, empty for a stage that is not per object."""
+        return self.address.partition("@")[2]
+
+
+@dataclass(frozen=True)
+class Summary:
+    """How a build ended.
+
+    Parameters
+    ----------
+    stages : mapping of str to StageResult
+        Result of every wanted stage, by address, in topological order.
+    seconds : float
+        Wall time of the whole build.
+    """
+
+    stages: Mapping[str, StageResult]
+    seconds: float
+
+    @property
+    def ok(self) -> bool:
+        """Whether no stage failed (then none is blocked either)."""
+        return not self.failures
+
+    @property
+    def failures(self) -> tuple[StageResult, ...]:
+        """Results of the stages that failed."""
+        return self.with_status(Status.FAILED)
+
+    def with_status(self, status: Status) -> tuple[StageResult, ...]:
+        """Results of the stages that ended in one way."""
+        return tuple(result for result in self.stages.values() if result.status is status)
+
+    def counts(self) -> dict[Status, int]:
+        """Count the stages by how they ended."""
+        return {status: len(self.with_status(status)) for status in Status}
+
+
+@dataclass(frozen=True)
+class Planned:
+    """The graph is known: these stages will be looked at, in topological order."""
+
+    addresses: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Started:
+    """A command was handed to a worker."""
+
+    address: str
+    log: Path
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A stage has ended, in whatever way."""
+
+    result: StageResult
+
+
+Event = Planned | Started | Finished
+Listener = Callable[[Event], None]

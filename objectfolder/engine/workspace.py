@@ -1,0 +1,99 @@
+"""Open a DVC workspace as its only owner, quietly."""
+
+import json
+import logging
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import psutil
+from dvc.exceptions import DvcException, NotDvcRepoError
+from dvc.lock import LockError
+from dvc.repo import Repo, lock_repo
+from dvc.rwlock import RWLOCK_FILE
+
+from objectfolder.errors import ObjectFolderError
+
+LOGGERS = ("dvc", "dvc_data", "dvc_objects")
+
+
+@contextmanager
+def owned(root: str | Path = ".") -> Iterator[Repo]:
+    """Open the DVC repository of a workspace and hold its lock.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it is not a DVC workspace, another process uses it, or DVC cannot read it.
+    """
+    with _quiet():
+        try:
+            repo = Repo(str(root))
+        except NotDvcRepoError as error:
+            raise ObjectFolderError(
+                f"{Path(root).absolute()} is not inside a DVC repository; run `dvc init` there"
+            ) from error
+        except DvcException as error:
+            raise ObjectFolderError(f"DVC cannot open {Path(root).absolute()}: {error}") from error
+        with repo, _locked(repo):
+            _refuse_if_busy(repo)
+            with repo.scm_context(quiet=True):
+                yield repo
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    # Above ERROR, DVC disables its progress bars too.
+    levels = {name: logging.getLogger(name).level for name in LOGGERS}
+    for name in LOGGERS:
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        for name, level in levels.items():
+            logging.getLogger(name).setLevel(level)
+
+
+@contextmanager
+def _locked(repo: Repo) -> Iterator[None]:
+    guard = lock_repo(repo)
+    try:
+        guard.__enter__()
+    except LockError as error:
+        raise ObjectFolderError(
+            f"another DVC process{_holder(repo)} holds the lock of {repo.root_dir}; "
+            "wait until it ends, or stop it, and build again"
+        ) from error
+    try:
+        yield
+    finally:
+        guard.__exit__(None, None, None)
+
+
+def _holder(repo: Repo) -> str:
+    try:
+        return f" (process {int((Path(repo.tmp_dir) / 'lock').read_text())})"
+    except (OSError, ValueError):
+        return ""
+
+
+def _refuse_if_busy(repo: Repo) -> None:
+    # While `dvc repro` runs a command it gives the lock back and keeps only entries in this file.
+    path = Path(repo.tmp_dir) / RWLOCK_FILE
+    try:
+        entries = json.loads(path.read_text())
+    except FileNotFoundError:
+        return
+    except json.JSONDecodeError:
+        # Torn by a process that was killed while it wrote: nobody can be writing now, the lock is ours.
+        path.unlink()
+        return
+    holders = [*entries.get("write", {}).values(), *sum(entries.get("read", {}).values(), [])]
+    for holder in holders:
+        pid = int(holder["pid"])
+        if pid != os.getpid() and psutil.pid_exists(pid):
+            raise ObjectFolderError(
+                f"process {pid} (`{holder['cmd']}`) is running a stage in {repo.root_dir}; wait until it ends, "
+                f"or stop it, and build again (if it is not a DVC process, remove {path})"
+            )

@@ -1,0 +1,116 @@
+"""From a solid and a material to modal data at points of the surface."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from objectfolder.fem.cutcell import CutCells, assemble, cut_cells, interpolate, node_count
+from objectfolder.fem.eigen import solve_modes
+from objectfolder.materials import Material
+
+MIN_FREQUENCY = 20.0  # Hz, the lower end of hearing (supplementary C)
+
+
+@dataclass(frozen=True)
+class ModalData:
+    """What ``modes.npz`` holds, SI units."""
+
+    eigenvalues: np.ndarray  #: (M,) rad^2/s^2
+    damping: np.ndarray  #: (M,) decay rates, 1/s
+    damped_frequency: np.ndarray  #: (M,) angular, rad/s
+    shapes: np.ndarray  #: (P, 3, M) float32 mode shapes at the points, kg^-1/2
+    residuals: np.ndarray  #: (M,)
+    report: dict  #: what ``modal.json`` holds
+
+
+def adaptive_cut_cells(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    resolutions: list[int],
+    subdivisions: int,
+    max_degrees_of_freedom: int,
+) -> CutCells:
+    """Cut a surface at the first resolution whose model stays under a size.
+
+    Solid blocks fill the grid and need no fine one; the coarsest resolution is taken as it is.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array, unit frame
+    faces : (F, 3) int array
+    resolutions : list of int
+        Finest first.
+    subdivisions : int
+        Sub-cells along each side of a cell.
+    max_degrees_of_freedom : int
+    """
+    for resolution in resolutions:
+        cells = cut_cells(vertices, faces, resolution, subdivisions)
+        if 3 * node_count(cells) <= max_degrees_of_freedom:
+            break
+    return cells
+
+
+def modal_analysis(
+    cells: CutCells,
+    points: np.ndarray,
+    material: Material,
+    scale: float,
+    max_frequency: float,
+    max_modes: int,
+    name: str = "object",
+) -> ModalData:
+    """Modes of a solid, evaluated at points.
+
+    Parameters
+    ----------
+    cells : CutCells
+    points : (P, 3) array, unit frame
+    material : Material
+    scale : float
+        Longest side, metres.
+    max_frequency : float
+        Hz.
+    max_modes : int
+    name : str
+        Named in errors.
+
+    Notes
+    -----
+    Rayleigh damping (supplementary Table 1): a mode decays with rate c = (alpha + beta lambda) / 2 and
+    rings at sqrt(lambda - c^2). Overdamped modes make no tone and are dropped.
+    """
+    fem = assemble(cells, material, scale)
+    modes = solve_modes(fem, max_frequency, max_modes, name)
+    damping = (material.alpha + material.beta * modes.eigenvalues) / 2
+    rings = (modes.eigenvalues > damping**2) & (modes.eigenvalues > (2 * np.pi * MIN_FREQUENCY) ** 2)
+    eigenvalues, damping = modes.eigenvalues[rings], damping[rings]
+    nodal = modes.shapes[:, rings].reshape(len(fem.nodes), -1)
+    shapes = interpolate(cells, fem.connectivity, nodal, points).reshape(len(points), 3, -1)
+    frequencies = np.sqrt(eigenvalues) / (2 * np.pi)
+    report = {
+        "element": "hex20 cut cells",
+        "resolution": cells.resolution,
+        "elements": len(cells.index),
+        "degrees_of_freedom": int(fem.stiffness.shape[0]),
+        "material": material.name,
+        "scale_m": scale,
+        "mass_kg": float(cells.volume * scale**3 * material.density),
+        "dropped_volume_share": cells.dropped_volume,
+        "modes": len(eigenvalues),
+        "modes_below_8_kHz": int((frequencies < 8000).sum()),
+        "count_below_max_frequency": modes.count_below,
+        "truncated": modes.truncated,
+        "max_frequency_hz": max_frequency,
+        "lowest_hz": frequencies[:8].round(2).tolist(),
+        "rigid_hz": modes.rigid_frequencies.round(4).tolist(),
+        "residual_max": float(modes.residuals.max(initial=0.0)),
+    }
+    return ModalData(
+        eigenvalues=eigenvalues,
+        damping=damping,
+        damped_frequency=np.sqrt(eigenvalues - damping**2),
+        shapes=shapes.astype(np.float32),
+        residuals=modes.residuals[rings],
+        report=report,
+    )

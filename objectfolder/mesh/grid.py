@@ -1,0 +1,57 @@
+"""The stored geometry: a band-limited signed distance on a cubic grid, as int8."""
+
+import math
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+
+BOUND = 0.52  #: the grid spans [-BOUND, BOUND]^3 of the unit frame
+BAND_VOXELS = 2.5  #: distances are clipped to this many voxels
+
+
+class DistanceGrid:
+    """Signed distance (negative inside) in the unit frame, trilinear between samples.
+
+    Parameters
+    ----------
+    values : (R, R, R) int8 array, indexed x, y, z
+        ``127`` stands for ``band``.
+    band : float
+        Distances are clipped to +-band.
+    """
+
+    def __init__(self, values: np.ndarray, band: float):
+        self.values = np.asarray(values, np.int8)
+        self.band = float(band)
+        self.spacing = 2 * BOUND / (len(self.values) - 1)
+        volume = torch.from_numpy(self.values.astype(np.float32) * np.float32(self.band / 127))
+        # grid_sample wants (batch, channel, z, y, x).
+        self._volume = volume.permute(2, 1, 0).contiguous()[None, None]
+
+    def distance(self, points: torch.Tensor) -> torch.Tensor:
+        """Signed distance at (N, 3) points; (N,)."""
+        grid = (points.to(torch.float32) / BOUND).view(1, -1, 1, 1, 3)
+        return F.grid_sample(self._volume, grid, align_corners=True, padding_mode="border").view(-1)
+
+    def normals(self, points: torch.Tensor) -> torch.Tensor:
+        """Outward unit normals at (N, 3) points, from tetrahedral differences half a voxel wide; (N, 3)."""
+        corner = points.new_tensor([[1.0, -1, -1], [-1, -1, 1], [-1, 1, -1], [1, 1, 1]])
+        taps = (points[None] + corner[:, None] * (self.spacing / 2)).reshape(-1, 3)
+        difference = self.distance(taps).view(4, -1)
+        return F.normalize((difference[..., None] * corner[:, None]).sum(0), dim=-1, eps=1e-20)
+
+
+def quantise(distance: np.ndarray, band: float) -> np.ndarray:
+    """Signed distances as int8, 127 for the band."""
+    return np.clip(np.rint(distance * (127 / band)), -127, 127).astype(np.int8)
+
+
+def band_width(resolution: int) -> float:
+    """Distance at which a grid of this resolution is clipped."""
+    return BAND_VOXELS * 2 * BOUND / (resolution - 1)
+
+
+def coarse_spacing(resolution: int, step: int) -> tuple[int, float]:
+    """Samples and spacing of a grid ``step`` times coarser that covers the fine one."""
+    return math.ceil((resolution - 1) / step) + 1, step * 2 * BOUND / (resolution - 1)

@@ -1,0 +1,146 @@
+"""A wooden die with rounded edges and drilled pips, in metres, standing on z = 0."""
+
+import numpy as np
+
+from objectfolder.mesh.procedural.atlas import Chart, pack
+from objectfolder.mesh.procedural.parameters import require_between, require_positive
+from objectfolder.mesh.procedural.revolution import arc, disc
+from objectfolder.mesh.procedural.solid import Patch, textured, weld
+from objectfolder.mesh.procedural.texture import over, rgb, smoothstep, wood
+from objectfolder.mesh.textured import TexturedMesh
+
+SEED = 6
+PIP_RADIUS = 0.088  #: of the dent's rim, in sizes of the die
+PIP_DEPTH = 0.036  #: in sizes of the die
+PIP_PITCH = 0.24  #: from the middle of a face to its outer pips, in sizes of the die
+FLAT_CELLS, FILLET_CELLS = 18, 5  #: across the flat of a face, and from there to the middle of an edge
+
+#: Right, up and outward axis of each face, as columns; opposite faces sum to seven.
+FACES: dict[int, np.ndarray] = {
+    1: np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1]]).T,
+    2: np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]]).T,
+    3: np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]]).T,
+    4: np.array([[0, -1, 0], [0, 0, 1], [-1, 0, 0]]).T,
+    5: np.array([[-1, 0, 0], [0, 0, 1], [0, 1, 0]]).T,
+    6: np.array([[1, 0, 0], [0, -1, 0], [0, 0, -1]]).T,
+}
+#: Places of the pips in units of the pitch.
+PIPS: dict[int, list[tuple[int, int]]] = {
+    1: [(0, 0)],
+    2: [(-1, -1), (1, 1)],
+    3: [(-1, 1), (0, 0), (1, -1)],
+    4: [(-1, -1), (-1, 1), (1, -1), (1, 1)],
+    5: [(-1, -1), (-1, 1), (1, -1), (1, 1), (0, 0)],
+    6: [(-1, -1), (-1, 0), (-1, 1), (1, -1), (1, 0), (1, 1)],
+}
+
+
+def die(size: float = 0.05, fillet: float = 0.006, texture_size: int = 1024) -> TexturedMesh:
+    """Build a wooden die.
+
+    Parameters
+    ----------
+    size : float
+        Edge of the bounding cube, m.
+    fillet : float
+        Radius of the rounded edges and corners, m.
+    texture_size : int
+        Texels on a side.
+
+    Returns
+    -------
+    TexturedMesh
+        One closed surface of genus 0; x and y from -size / 2 to size / 2, z from 0 to size.
+
+    Raises
+    ------
+    ObjectFolderError
+        If a dimension is not positive or the fillets would reach the pips.
+    """
+    require_positive("die", size=size, fillet=fillet, texture_size=texture_size)
+    room = 0.5 - PIP_PITCH - 1.08 * PIP_RADIUS
+    require_between("die", 0.01 * size, room * size, "so that the pips stay on the flat", fillet=fillet)
+    require_between("die", 64, 8192, "texels", texture_size=texture_size)
+
+    block, charts = [], []
+    lift = np.array([0, 0, size / 2])
+    flat, border = size / 2 - fillet, size / 2 - fillet + fillet * np.pi / 4
+    pips = _pip_centres(size)
+
+    def paint(points: np.ndarray) -> np.ndarray:
+        nearest = np.min([np.sum((points - centre) ** 2, axis=1) for centre in pips], axis=0)
+        distance = np.sqrt(nearest) / (PIP_RADIUS * size)
+        grain = wood(points - lift, size, SEED)
+        burnt = over(grain, grain * rgb("c9a98c"), 0.7 * smoothstep(1.22, 1.0, distance))
+        return over(burnt, rgb("2a1a12") * (0.8 + 0.4 * grain), smoothstep(1.02, 0.97, distance))
+
+    for k, axes in enumerate(FACES.values()):
+
+        def locate(xy: np.ndarray, axes: np.ndarray = axes) -> np.ndarray:
+            return lift + _rounded_face(xy - border, flat, fillet) @ axes.T
+
+        lines = np.concatenate(
+            [
+                np.linspace(-border, -flat, FILLET_CELLS, endpoint=False),
+                np.linspace(-flat, flat, FLAT_CELLS, endpoint=False),
+                np.linspace(flat, border, FILLET_CELLS + 1),
+            ]
+        )
+        n = len(lines)
+        xy = np.stack(np.meshgrid(lines, lines, indexing="ij"), 2).reshape(-1, 2) + border
+        i, j = (m.ravel() for m in np.meshgrid(np.arange(n - 1), np.arange(n - 1), indexing="ij"))
+        a, b = i * n + j, (i + 1) * n + j
+        faces = np.concatenate([np.stack([a, b, b + 1], 1), np.stack([a, b + 1, a + 1], 1)])
+        block.append(Patch(locate(xy), faces, xy, k))
+        charts.append(Chart((2 * border, 2 * border), locate, paint))
+
+    atlas = pack(charts, texture_size)
+    solid = weld(block, atlas)
+    for k, (value, axes) in enumerate(FACES.items()):
+        for place in PIPS[value]:
+            solid -= weld(_drill(size, np.multiply(place, PIP_PITCH * size), axes, border, k), atlas)
+    return textured(solid, atlas, roughness=0.55)
+
+
+def _rounded_face(xy: np.ndarray, flat: float, fillet: float) -> np.ndarray:
+    """Points (N, 3) of the face about +z of a rounded cube; `xy` (N, 2) is in arc length from its middle.
+
+    The twelve edges are split at 45 degrees, so that faces meet where their maps have the same spacing.
+    """
+    core = np.clip(xy, -flat, flat)
+    angle = np.clip((xy - core) / fillet, -1.4, 1.4)
+    direction = np.concatenate([np.tan(angle), np.ones((len(xy), 1))], 1)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return np.concatenate([core, np.full((len(xy), 1), flat)], 1) + fillet * direction
+
+
+def _pip_centres(size: float) -> np.ndarray:
+    """Middles (21, 3) of the pips' rims, m."""
+    return np.array(
+        [
+            axes @ [PIP_PITCH * size * x, PIP_PITCH * size * y, size / 2] + [0, 0, size / 2]
+            for value, axes in FACES.items()
+            for x, y in PIPS[value]
+        ]
+    )
+
+
+def _drill(size: float, place: np.ndarray, axes: np.ndarray, border: float, chart: int) -> list[Patch]:
+    """Return the closed tool that cuts one pip: a ball's cap below the face and a flat lid above it.
+
+    Its chart is the face's own, seen straight on, which leaves no seam at the rim of the pip.
+    """
+    rim, depth = PIP_RADIUS * size, PIP_DEPTH * size
+    ball = (rim**2 + depth**2) / (2 * depth)
+    opening = np.arcsin(rim / ball)
+    # Twelve steps' worth of slope to the rim and one past it, above the face.
+    cap = arc((0.0, ball - depth), ball, -np.pi / 2, -np.pi / 2 + opening * 8 / 7, 8)
+    cap[0, 0] = 0.0
+    lid = np.array([cap[-1], [0.0, cap[-1, 1]]])
+    tool = []
+    for profile in (cap, lid):
+        patch, _ = disc(profile, chart, lambda points: points, segments=32)
+        local = patch.vertices + [*place, size / 2]
+        xy = local[:, :2] + border
+        tool.append(Patch(local @ axes.T + [0, 0, size / 2], patch.faces, xy, chart))
+    return tool

@@ -1,0 +1,134 @@
+"""Surfaces of revolution about z: profiles, meshes, and the two charts that suit them.
+
+A profile is an (N, 2) polyline of radius and height, m, that runs so that the solid lies to its left:
+up an outer wall, down an inner one.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from objectfolder.mesh.procedural.atlas import Chart
+from objectfolder.mesh.procedural.solid import Patch
+
+SEGMENTS = 120  #: facets round the full circle; a multiple of 8, so that bounds are exact
+
+
+def arc(centre: tuple[float, float], radius: float, start: float, stop: float, pieces: int) -> np.ndarray:
+    """Points (pieces + 1, 2) on a circle from angle `start` to `stop`, rad."""
+    angle = np.linspace(start, stop, pieces + 1)
+    return np.asarray(centre) + radius * np.stack([np.cos(angle), np.sin(angle)], 1)
+
+
+def polyline(*parts: np.ndarray, step: float) -> np.ndarray:
+    """Join parts end to end, without repeated points, and divide segments longer than `step`."""
+    points = np.concatenate(parts)
+    gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    points = points[np.append(True, gaps > 1e-6 * gaps.sum())]
+    pieces = np.ceil(np.linalg.norm(np.diff(points, axis=0), axis=1) / step).astype(int)
+    divided = [
+        a + np.linspace(0, 1, n, endpoint=False)[:, None] * (b - a)
+        for a, b, n in zip(points[:-1], points[1:], pieces)
+    ]
+    return np.concatenate([*divided, points[-1:]])
+
+
+def _arc_length(profile: np.ndarray) -> np.ndarray:
+    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(profile, axis=0), axis=1)))
+
+
+def spin(rz: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Points (N, 3) of radius and height `rz` (N, 2) at an angle (N,) about z."""
+    return np.stack([rz[:, 0] * np.cos(angle), rz[:, 0] * np.sin(angle), rz[:, 1]], 1)
+
+
+def _profile_at(profile: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Radius and height (M, 2) at arc length `s` (M,), held at both ends."""
+    length = _arc_length(profile)
+    return np.stack([np.interp(s, length, profile[:, k]) for k in (0, 1)], 1)
+
+
+def sleeve(
+    profile: np.ndarray, chart: int, paint: Callable[[np.ndarray], np.ndarray]
+) -> tuple[Patch, Chart]:
+    """Revolve a profile that keeps off the axis; the chart is angle by arc length, cut open at angle 0."""
+    rows, n = len(profile), SEGMENTS
+    length = _arc_length(profile)
+    # The mean radius, weighted by area, is the one that makes texels square on average.
+    radius = np.average(profile[:, 0], weights=np.gradient(length) * profile[:, 0])
+    width = 2 * np.pi * radius
+    turn = np.arange(n + 1) / n
+    # The last column repeats the first exactly: the cut must close.
+    angle = 2 * np.pi * (np.arange(n + 1) % n) / n
+    vertices = spin(np.repeat(profile, n + 1, axis=0), np.tile(angle, rows))
+    xy = np.stack([np.tile(turn * width, rows), np.repeat(length, n + 1)], 1)
+    i, j = (k.ravel() for k in np.meshgrid(np.arange(rows - 1), np.arange(n), indexing="ij"))
+    a, d = i * (n + 1) + j, (i + 1) * (n + 1) + j
+    faces = np.concatenate([np.stack([a, a + 1, d + 1], 1), np.stack([a, d + 1, d], 1)])
+
+    def locate(at: np.ndarray) -> np.ndarray:
+        return spin(_profile_at(profile, at[:, 1]), 2 * np.pi * at[:, 0] / width)
+
+    return Patch(vertices, faces, xy, chart), Chart((width, length[-1]), locate, paint)
+
+
+def disc(
+    profile: np.ndarray, chart: int, paint: Callable[[np.ndarray], np.ndarray], segments: int = SEGMENTS
+) -> tuple[Patch, Chart]:
+    """Revolve a profile that starts or ends near or on the axis; the chart is polar, with no cut.
+
+    Rings halve their number of facets towards the axis, which keeps triangles from becoming needles.
+    """
+    outward = profile[0, 0] < profile[-1, 0]
+    spokes = profile if outward else profile[::-1]  # from the axis out
+    along = spokes[0, 0] + _arc_length(spokes)
+    # Seen from outside, the angle runs the other way on a surface whose profile leaves the axis.
+    sense = -1.0 if outward else 1.0
+    reach = along[-1]
+
+    counts = [segments]
+    for r in spokes[-2::-1, 0]:
+        coarse = counts[-1] % 2 == 0 and counts[-1] >= 16 and r < 0.55 * spokes[-1, 0] * counts[-1] / segments
+        counts.append(counts[-1] // 2 if coarse else counts[-1])
+    counts = counts[::-1]
+    if spokes[0, 0] == 0:
+        counts[0] = 1
+    starts = np.cumsum([0, *counts])
+    angle = np.concatenate([2 * np.pi * np.arange(n) / n for n in counts])
+    ring = np.repeat(np.arange(len(counts)), counts)
+    xy = reach + along[ring, None] * np.stack([np.cos(sense * angle), np.sin(sense * angle)], 1)
+    if spokes[0, 0] == 0:
+        xy[0] = reach
+
+    faces = [
+        _strip(inner, outer, start, start + inner) for inner, outer, start in zip(counts, counts[1:], starts)
+    ]
+    triangles = np.concatenate(faces)
+
+    def locate(at: np.ndarray) -> np.ndarray:
+        x, y = (at - reach).T
+        s = np.hypot(x, y) - spokes[0, 0]
+        return spin(_profile_at(spokes, s), np.arctan2(sense * y, x))
+
+    patch = Patch(spin(spokes[ring], angle), triangles if outward else triangles[:, ::-1], xy, chart)
+    return patch, Chart((2 * reach, 2 * reach), locate, paint)
+
+
+def _strip(inner: int, outer: int, a: int, b: int) -> np.ndarray:
+    """Triangles between a ring of `inner` vertices from index `a` and one of `outer` from `b`."""
+    j = np.arange(inner)
+    if inner == 1:
+        k = np.arange(outer)
+        return np.stack([np.full(outer, a), b + (k + 1) % outer, b + k], 1)
+    after = a + (j + 1) % inner
+    if inner == outer:
+        far = b + (j + 1) % outer
+        return np.concatenate([np.stack([a + j, after, far], 1), np.stack([a + j, far, b + j], 1)])
+    first, middle, last = (b + (2 * j + k) % outer for k in range(3))
+    return np.concatenate(
+        [
+            np.stack([a + j, middle, first], 1),
+            np.stack([a + j, after, middle], 1),
+            np.stack([after, last, middle], 1),
+        ]
+    )

@@ -1,0 +1,91 @@
+"""Solid textures: colours and patterns as functions of the point on the surface.
+
+Charts that meet along a seam evaluate the same function at the same points there, so that the seam does
+not show.
+"""
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+LATTICE = 32  #: period of the noise, cells
+
+
+def rgb(code: str) -> np.ndarray:
+    """Colour (3,) in [0, 1] of a hexadecimal sRGB code such as `e8dcc4`."""
+    return np.frombuffer(bytes.fromhex(code), np.uint8) / 255
+
+
+def smoothstep(low: float, high: float, x: np.ndarray) -> np.ndarray:
+    """Rise from 0 at `low` to 1 at `high` with no slope at either; `low` > `high` falls instead."""
+    t = np.clip((x - low) / (high - low), 0, 1)
+    return t * t * (3 - 2 * t)
+
+
+def over(base: np.ndarray, colour: np.ndarray, cover: np.ndarray) -> np.ndarray:
+    """Lay `colour` (3,) or (N, 3) over `base` (N, 3) with opacity `cover` (N,) in [0, 1]."""
+    return base + cover[:, None] * (colour - base)
+
+
+def stroke(distance: np.ndarray, half_width: float, soft: float) -> np.ndarray:
+    """Opacity (N,) of a band of `half_width` about `distance` 0, its edges `soft` wide; all in m."""
+    return smoothstep(half_width + soft / 2, half_width - soft / 2, np.abs(distance))
+
+
+def lattice(seed: int) -> np.ndarray:
+    """Random values (LATTICE, LATTICE, LATTICE) of unit variance for `noise`."""
+    return np.random.default_rng(seed).standard_normal((LATTICE,) * 3)
+
+
+def noise(points: np.ndarray, values: np.ndarray, octaves: int = 1) -> np.ndarray:
+    """Fractal value noise (N,) of zero mean and about unit spread.
+
+    Parameters
+    ----------
+    points : ndarray, shape (N, 3)
+        In cells of the coarsest octave.
+    values : ndarray
+        From `lattice`.
+    octaves : int
+        Each has twice the frequency and half the amplitude of the one before.
+    """
+    total = np.zeros(len(points))
+    for k in range(octaves):
+        at = points * 2**k + 7.31 * k  # the shift keeps the octaves' lattice planes apart
+        cell = np.floor(at)
+        t = at - cell
+        total += map_coordinates(values, (cell + t * t * (3 - 2 * t)).T, order=1, mode="grid-wrap") / 2**k
+    return total * 1.7 / np.sqrt(sum(0.25**k for k in range(octaves)))
+
+
+def wood(points: np.ndarray, scale: float, seed: int) -> np.ndarray:
+    """Colour (N, 3) of a block of wood with growth rings, fibres and pores.
+
+    Parameters
+    ----------
+    points : ndarray, shape (N, 3)
+        m.
+    scale : float
+        Size of the block, m: some nine rings cross it.
+    seed : int
+        Which block.
+    """
+    values = lattice(seed)
+    axis = np.array([0.93, 0.30, 0.21])
+    axis /= np.linalg.norm(axis)
+    side = np.cross(axis, [0.0, 0.0, 1.0])
+    side /= np.linalg.norm(side)
+    frame = np.stack([side, np.cross(axis, side), axis], 1)
+    trunk = points / scale @ frame  # across, across, along the grain
+    warp = noise(trunk * [1.6, 1.6, 0.7], values, 2)
+    radius = np.hypot(trunk[:, 0] + 0.62, trunk[:, 1] - 0.50) + 0.022 * warp
+    ring = 9.0 * radius + 0.12 * noise(trunk * [3.0, 3.0, 1.0] + 11, values)
+    year, phase = np.floor(ring), ring % 1.0
+    # Late wood darkens slowly through the season and ends at once where the next spring begins.
+    late = smoothstep(0.15, 0.92, phase) * smoothstep(1.0, 0.95, phase)
+    vigour = noise(np.stack([year * 0.77, year * 0.31, year * 0.13], 1), values)
+    fibre = noise(trunk * [70.0, 70.0, 3.0], values, 2)
+    pore = smoothstep(1.5, 2.4, noise(trunk * [110.0, 110.0, 5.0] + 3, values))
+    light, dark, deep = rgb("e2b97f"), rgb("a8683a"), rgb("5f3517")
+    colour = over(np.broadcast_to(light, points.shape), dark, np.clip(late * (0.72 + 0.13 * vigour), 0, 1))
+    colour = colour * (1 + 0.045 * fibre + 0.03 * warp)[:, None]
+    return over(colour, deep, 0.35 * pore)

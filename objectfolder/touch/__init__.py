@@ -1,0 +1,1 @@
+"""Tactile images of a vision-based sensor pressed on an object."""

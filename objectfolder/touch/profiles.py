@@ -1,0 +1,197 @@
+"""Vision-based tactile sensors, described by numbers."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+from objectfolder.errors import ObjectFolderError
+
+_PROFILES = Path(__file__).with_suffix("")
+
+Vector = tuple[float, float, float]
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True)
+class Light:
+    """A point light inside the sensor."""
+
+    position: Vector  #: m, camera frame
+    color: Vector  #: linear RGB, 0 to 1
+    intensity: float  #: radiant intensity; the gel receives intensity / distance^2 (distance in m)
+
+
+@dataclass(frozen=True)
+class SensorProfile:
+    """One vision-based tactile sensor.
+
+    Camera frame: origin at the pinhole, +x along the optical axis towards the gel, +z up in the image,
+    +y left in the image.
+
+    Raises
+    ------
+    ObjectFolderError
+        If a value is outside its range.
+    """
+
+    name: str
+    source: str  #: where the numbers come from
+    height: int  #: image rows
+    width: int  #: image columns
+    vertical_fov_deg: float  #: full vertical field of view, degrees; pixels are square
+    camera_to_gel: float  #: m, pinhole to the apex of the undeformed gel surface
+    gel_curvature: float  #: 1/m, at the apex of the paraboloid gel surface; 0 is a flat gel
+    elastomer_thickness: float  #: m
+    max_indentation: float  #: m, less than the thickness; deeper penetration is clipped
+    gel_smoothing: tuple[float, ...]  #: m, Gaussian deviations, long to short; empty is a rigid imprint
+    press_depth: tuple[float, float]  #: m, default range of press depths
+    lights: tuple[Light, ...]
+    ambient: float  #: radiance that reaches the camera from everywhere on the gel
+    albedo: float  #: base colour of the gel's coating, grey, 0 to 1
+    metallic: float  #: of the coating, 0 to 1
+    roughness: float  #: of the coating, 0 to 1
+    gamma: float  #: display value = radiance^(1/gamma)
+    gain: float  #: of the difference to the undeformed gel
+    image_smoothing: float  #: m on the gel, Gaussian deviation of the optical blur; 0 is none
+    background_color: Vector  #: display RGB of the untouched gel away from the lights, 0 to 1
+    background_glow: float  #: display value that each light adds where it is nearest, 0 to 1
+    background_falloff: float  #: m on the gel, at which the glow has halved
+    noise_std: float  #: grey levels (0 to 255) of Gaussian pixel noise; 0 is none
+
+    def __post_init__(self) -> None:
+        """Check every range."""
+        positive = (
+            *("height", "width", "vertical_fov_deg", "camera_to_gel", "elastomer_thickness"),
+            *("max_indentation", "gel_smoothing", "roughness", "gamma", "gain", "background_falloff"),
+        )
+        non_negative = (
+            *("gel_curvature", "ambient", "albedo", "metallic", "image_smoothing", "press_depth"),
+            *("background_color", "background_glow", "noise_std"),
+        )
+        at_most_one = ("albedo", "metallic", "roughness", "background_color", "background_glow")
+        for name in positive + non_negative:
+            for value in _flat(getattr(self, name)):
+                self._require(math.isfinite(value), name, "finite")
+                self._require(value > 0 or name in non_negative, name, "positive")
+                self._require(value >= 0, name, "zero or positive")
+                self._require(value <= 1 or name not in at_most_one, name, "at most 1")
+        self._require(min(self.height, self.width) >= 2, "height and width", "at least 2")
+        self._require(self.vertical_fov_deg < 180, "vertical_fov_deg", "less than 180")
+        self._require(
+            self.elastomer_thickness < self.camera_to_gel, "elastomer_thickness", "less than camera_to_gel"
+        )
+        self._require(
+            self.max_indentation < self.elastomer_thickness,
+            "max_indentation",
+            "less than elastomer_thickness",
+        )
+        low, high = self.press_depth
+        self._require(low <= high <= self.max_indentation, "press_depth", "[low, high] up to max_indentation")
+        self._require(len(self.lights) > 0, "lights", "at least one light")
+        for light in self.lights:
+            self._require(all(map(math.isfinite, light.position)), "lights", "at finite positions")
+            self._require(all(0 <= c <= 1 for c in light.color), "lights", "of colors between 0 and 1")
+            self._require(0 < light.intensity < math.inf, "lights", "of positive intensity")
+
+    def _require(self, condition: bool, name: str, expected: str) -> None:
+        if not condition:
+            value = getattr(self, name, None)
+            raise ObjectFolderError(f"sensor profile {self.name!r}: {name} = {value} must be {expected}")
+
+    @property
+    def half_extent(self) -> tuple[float, float]:
+        """Tangents of half the vertical and half the horizontal field of view."""
+        vertical = math.tan(math.radians(self.vertical_fov_deg) / 2)
+        return vertical, vertical * self.width / self.height
+
+    @property
+    def pixel_pitch(self) -> float:
+        """Distance between pixel centres on the gel at its apex, in metres."""
+        return 2 * self.half_extent[0] * self.camera_to_gel / self.height
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready dictionary; `from_dict` reads it."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> "SensorProfile":
+        """Inverse of `to_dict`; also accepts what JSON or YAML made of it (lists, whole numbers).
+
+        Raises
+        ------
+        ObjectFolderError
+            If a field is missing, unknown, of the wrong type or outside its range.
+        """
+        return _from_mapping(cls, values, "sensor profile")
+
+
+def load_profile(name_or_path: str | Path) -> SensorProfile:
+    """Read a profile from YAML.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        Name of a profile that comes with the package, or path of a ``.yaml`` file.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there is no such profile, or it is not valid.
+    """
+    from ruamel.yaml import YAML, YAMLError
+
+    path = Path(name_or_path)
+    if path.suffix not in (".yaml", ".yml"):
+        path = _PROFILES / f"{name_or_path}.yaml"
+    if not path.is_file():
+        available = ", ".join(sorted(p.stem for p in _PROFILES.glob("*.yaml")))
+        raise ObjectFolderError(
+            f"unknown sensor profile {str(name_or_path)!r}: expected one of {available}, or a .yaml file"
+        )
+    try:
+        values = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
+    except (YAMLError, UnicodeDecodeError) as error:
+        raise ObjectFolderError(f"{path} is not valid YAML: {error}") from error
+    try:
+        return SensorProfile.from_dict(values)
+    except ObjectFolderError as error:
+        raise ObjectFolderError(f"{path}: {error}") from error
+
+
+def _from_mapping(cls: type[_T], values: Any, what: str) -> _T:
+    if not isinstance(values, Mapping):
+        raise ObjectFolderError(f"{what}: expected named fields, got {values!r}")
+    declared = {field.name: field.type for field in fields(cls)}  # type: ignore[arg-type]
+    missing, unknown = declared.keys() - values.keys(), values.keys() - declared.keys()
+    if missing or unknown:
+        problems = [f"lacks {', '.join(sorted(missing))}"] if missing else []
+        problems += [f"has unknown fields {', '.join(sorted(map(str, unknown)))}"] if unknown else []
+        raise ObjectFolderError(f"{what} {' and '.join(problems)}; the fields are {', '.join(declared)}")
+    return cls(**{name: _coerce(values[name], kind, f"{what}: {name}") for name, kind in declared.items()})
+
+
+def _coerce(value: Any, kind: Any, what: str) -> Any:
+    """Check a YAML or JSON value against the declared type of its field."""
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    sequence = isinstance(value, list | tuple)
+    if kind is str and isinstance(value, str):
+        return value
+    if kind is int and number and float(value).is_integer():
+        return int(value)
+    if kind is float and number:
+        return float(value)
+    if kind == tuple[Light, ...] and sequence:
+        return tuple(_from_mapping(Light, item, what) for item in value)
+    lengths = {Vector: 3, tuple[float, float]: 2}
+    if kind in (*lengths, tuple[float, ...]) and sequence and len(value) == lengths.get(kind, len(value)):
+        return tuple(_coerce(item, float, what) for item in value)
+    expected = {str: "text", int: "a whole number", float: "a number"}.get(kind, "a list of numbers")
+    if kind in lengths:
+        expected = f"{lengths[kind]} numbers"
+    raise ObjectFolderError(f"{what} = {value!r} must be {expected}")
+
+
+def _flat(value: float | tuple[float, ...]) -> tuple[float, ...]:
+    return value if isinstance(value, tuple) else (value,)

@@ -1,0 +1,107 @@
+import json
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.touch.profiles import SensorProfile, load_profile
+
+DIGIT = load_profile("digit")
+POSITIVE = (
+    *("height", "width", "vertical_fov_deg", "camera_to_gel", "elastomer_thickness", "max_indentation"),
+    *("roughness", "gamma", "gain", "background_falloff"),
+)
+NON_NEGATIVE = ("gel_curvature", "ambient", "albedo", "metallic", "image_smoothing", "noise_std")
+
+
+def test_digit_is_the_sensor_of_the_paper():
+    assert (DIGIT.height, DIGIT.width) == (160, 120)
+    # 2 · 22 mm · tan 30° over 160 rows
+    assert DIGIT.pixel_pitch == pytest.approx(0.15877e-3, rel=1e-4)
+
+
+def test_round_trip_through_json_is_exact():
+    assert SensorProfile.from_dict(json.loads(json.dumps(DIGIT.to_dict()))) == DIGIT
+    assert hash(SensorProfile.from_dict(DIGIT.to_dict())) == hash(DIGIT)
+
+
+def test_file_path_is_accepted(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text(json.dumps(DIGIT.to_dict() | {"name": "mine"}))
+    assert load_profile(path) == replace(DIGIT, name="mine")
+
+
+def test_unknown_profile_lists_the_available_ones():
+    with pytest.raises(ObjectFolderError, match=r"'gelsite'.*digit"):
+        load_profile("gelsite")
+
+
+@pytest.mark.parametrize("text", ["name: [", "", "- 1", "name: a\nname: b"])
+def test_file_that_is_no_profile_is_named(tmp_path, text):
+    path = tmp_path / "broken.yaml"
+    path.write_text(text)
+    with pytest.raises(ObjectFolderError, match=r"broken\.yaml"):
+        load_profile(path)
+
+
+@settings(deadline=None)
+@given(st.sampled_from(sorted(DIGIT.to_dict())))
+def test_missing_field_is_named(name):
+    values = DIGIT.to_dict()
+    del values[name]
+    with pytest.raises(ObjectFolderError, match=f"lacks {name}"):
+        SensorProfile.from_dict(values)
+
+
+def test_unknown_fields_are_named():
+    with pytest.raises(ObjectFolderError, match="unknown fields lense"):
+        SensorProfile.from_dict(DIGIT.to_dict() | {"lense": 1})
+    lights = [DIGIT.to_dict()["lights"][0] | {"power": 1}]
+    with pytest.raises(ObjectFolderError, match=r"lights.*unknown fields power"):
+        SensorProfile.from_dict(DIGIT.to_dict() | {"lights": lights})
+
+
+@settings(deadline=None)
+@given(st.sampled_from(POSITIVE), st.floats(max_value=0) | st.just(float("nan")))
+def test_positive_fields_reject_the_rest(name, value):
+    with pytest.raises(ObjectFolderError, match=name):
+        SensorProfile.from_dict(DIGIT.to_dict() | {name: value})
+
+
+@settings(deadline=None)
+@given(st.sampled_from(NON_NEGATIVE), st.floats(max_value=-1e-300) | st.just(float("inf")))
+def test_non_negative_fields_reject_the_rest(name, value):
+    with pytest.raises(ObjectFolderError, match=name):
+        SensorProfile.from_dict(DIGIT.to_dict() | {name: value})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("name", 3),
+        ("height", 160.5),
+        ("height", True),
+        ("height", 1),
+        ("gamma", "2.2"),
+        ("vertical_fov_deg", 180),
+        ("roughness", 1.5),
+        ("gel_smoothing", 0.001),
+        ("gel_smoothing", [0.001, 0]),
+        ("background_color", [0.1, 0.2]),
+        ("background_color", [0.1, 0.2, 3]),
+        ("press_depth", [0.002, 0.001]),
+        ("press_depth", [0.001, 0.1]),
+        ("press_depth", [0.001]),
+        ("elastomer_thickness", 0.03),
+        ("max_indentation", 0.01),
+        ("lights", []),
+        ("lights", [3]),
+        ("lights", [{"position": [0, 0, 0], "color": [0, 0, 2], "intensity": 1}]),
+        ("lights", [{"position": [0, 0, 0], "color": [0, 0, 1], "intensity": 0}]),
+    ],
+)
+def test_wrong_value_is_named(name, value):
+    with pytest.raises(ObjectFolderError, match=name):
+        SensorProfile.from_dict(DIGIT.to_dict() | {name: value})
