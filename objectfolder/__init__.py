@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from objectfolder.objectfile import ObjectFile
 
-__version__ = "0.1.0"
-__all__ = ["ObjectFile", "__version__"]
+__all__ = ["ObjectFile"]
 
 
 def __getattr__(name: str) -> Any:

@@ -4,6 +4,7 @@ The only module that names a path under ``build/``. Every writer goes through `a
 either absent or complete; every reader checks what it needs and names the file when something is wrong.
 """
 
+import hashlib
 import json
 import os
 from collections.abc import Iterator
@@ -118,6 +119,22 @@ def write_png(path: str | Path, image: np.ndarray) -> None:
 
     with atomic(path) as temporary:
         Image.fromarray(image).save(temporary)
+
+
+def write_curve(path: str | Path, curve: list[Any]) -> None:
+    """Write a training curve (`objectfolder.nets.fit.CurvePoint`) as CSV.
+
+    The wall-clock column is left out: the same inputs must give the same bytes.
+    """
+    rows = [f"{p.step},{p.train_loss:.9g},{p.val_loss:.9g}" for p in curve]
+    with atomic(path) as temporary:
+        temporary.write_text("\n".join(["step,train_loss,val_loss", *rows]) + "\n")
+
+
+def file_digest(path: str | Path) -> str:
+    """SHA-256 of a file, hexadecimal."""
+    with _existing(path).open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def read_json(path: str | Path) -> Any:

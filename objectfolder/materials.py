@@ -15,20 +15,18 @@ class Material:
     poisson_ratio: float
     alpha: float  #: mass-proportional Rayleigh damping, 1/s
     beta: float  #: stiffness-proportional Rayleigh damping, s
-    roughness: float  #: of the principled BSDF; ours, the paper names none
-    metallic: float = 0.0  #: of the principled BSDF; scanned textures already hold the highlights' colour
 
 
 MATERIALS: dict[str, Material] = {
     m.name: m
     for m in (
-        Material("ceramic", 2700.0, 7.2e10, 0.19, 6.0, 1e-7, 0.5),
-        Material("glass", 2600.0, 6.2e10, 0.20, 1.0, 1e-7, 0.3),
-        Material("wood", 750.0, 1.1e10, 0.25, 60.0, 2e-6, 0.6),
-        Material("plastic", 1070.0, 1.4e9, 0.35, 30.0, 1e-6, 0.5),
-        Material("iron", 8000.0, 2.1e11, 0.28, 5.0, 1e-7, 0.5),
-        Material("polycarbonate", 1190.0, 2.4e9, 0.37, 0.5, 4e-7, 0.4),
-        Material("steel", 7850.0, 2.0e11, 0.29, 5.0, 3e-8, 0.4),
+        Material("ceramic", 2700.0, 7.2e10, 0.19, 6.0, 1e-7),
+        Material("glass", 2600.0, 6.2e10, 0.20, 1.0, 1e-7),
+        Material("wood", 750.0, 1.1e10, 0.25, 60.0, 2e-6),
+        Material("plastic", 1070.0, 1.4e9, 0.35, 30.0, 1e-6),
+        Material("iron", 8000.0, 2.1e11, 0.28, 5.0, 1e-7),
+        Material("polycarbonate", 1190.0, 2.4e9, 0.37, 0.5, 4e-7),
+        Material("steel", 7850.0, 2.0e11, 0.29, 5.0, 3e-8),
     )
 }
 

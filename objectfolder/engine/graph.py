@@ -48,7 +48,7 @@ def plan(repo: Repo, root: str | Path = ".", targets: Sequence[str] = ()) -> Pla
     ObjectFolderError
         If there is no ``dvc.yaml``, or a target names nothing.
     """
-    root = Path(root).absolute()
+    root = Path(root).resolve()  # as DVC does
     if not (root / "dvc.yaml").is_file():
         raise ObjectFolderError(
             f"{root} has no dvc.yaml; run this in the workspace, the directory that holds dvc.yaml"

@@ -58,7 +58,7 @@ def build(
     if jobs < 1:
         raise ObjectFolderError(f"jobs is {jobs}, expected at least 1; use --jobs 1 for one at a time")
     start = time.monotonic()
-    root = Path(root).absolute()
+    root = Path(root).resolve()
     with owned(root) as repo:
         try:
             wanted = plan(repo, root, targets)
@@ -97,6 +97,7 @@ class _Build:
         # What the workers hand back; None only wakes this thread up.
         self.finished: SimpleQueue[tuple[str, Outcome | OSError] | None] = SimpleQueue()
         self.signal: int | None = None
+        self.stopping = False
 
     def run(self) -> dict[str, StageResult]:
         """Run until nothing is left, and return the results by address."""
@@ -106,9 +107,10 @@ class _Build:
             try:
                 self._loop(pool)
             finally:
+                self.stopping = True
                 self.children.kill()
-                pool.shutdown()
                 try:
+                    pool.shutdown()
                     self._collect_finished()  # what ended on its own just before the kill is kept
                 finally:
                     self.lockfiles.flush()
@@ -159,7 +161,7 @@ class _Build:
         """
         start = time.monotonic()
         stage = self.stages[address]
-        log = self.logs / f"{address.replace('/', '_')}.log"
+        log = self._log(address)
         try:
             if not self.force and steps.restore(stage):
                 self.lockfiles.add(stage)
@@ -193,7 +195,9 @@ class _Build:
             return
         address, outcome = item
         self.running.discard(address)
-        log = self.logs / f"{address.replace('/', '_')}.log"
+        if self.stopping and not (isinstance(outcome, Outcome) and outcome.code == 0):
+            return  # killed by us: not a failure of the stage
+        log = self._log(address)
         if isinstance(outcome, OSError):
             self._fail(StageResult(address, Status.FAILED, error=f"cannot run the command: {outcome}"))
             return
@@ -217,6 +221,9 @@ class _Build:
             self._fail(result)
         else:
             self._succeed(result)
+
+    def _log(self, address: str) -> Path:
+        return self.logs / f"{address.replace('/', '_')}.log"
 
     def _succeed(self, result: StageResult) -> None:
         self.schedule.finish(result.address)
@@ -245,7 +252,9 @@ class _Build:
             self.signal = number
             self.finished.put(None)
 
-        before = {number: signal.signal(number, handle) for number in SIGNALS}
+        # A signal that is ignored (nohup, background jobs) stays ignored.
+        heeded = [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
+        before = {number: signal.signal(number, handle) for number in heeded}
         try:
             yield
         except _Interrupted as interrupted:

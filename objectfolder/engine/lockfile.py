@@ -36,7 +36,8 @@ class LockFiles:
             return
         path = Path(stage.dvcfile.path).with_suffix(".lock")
         if path not in self._contents:
-            self._contents[path] = load_yaml(path) if path.exists() else {"schema": "2.0"}
+            written = load_yaml(path) if path.exists() else {}
+            self._contents[path] = {"schema": "2.0", **written}
         self._contents[path].setdefault("stages", {}).update(to_lockfile(stage))
         stage.repo.scm_context.track_file(os.path.relpath(path))
         if not self._dirty:

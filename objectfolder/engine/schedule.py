@@ -36,7 +36,7 @@ def remaining_paths(
         Cost of a stage.
     """
     below = dict.fromkeys(upstream, 0.0)
-    for address in reversed(upstream):
+    for address in reversed(list(upstream)):
         for parent in upstream[address]:
             below[parent] = max(below[parent], below[address] + weight(address))
     return {address: below[address] + weight(address) for address in upstream}

@@ -1,10 +1,11 @@
 """Open a DVC workspace as its only owner, quietly."""
 
+import itertools
 import json
 import logging
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, chdir, contextmanager
 from pathlib import Path
 
 import psutil
@@ -22,20 +23,25 @@ LOGGERS = ("dvc", "dvc_data", "dvc_objects")
 def owned(root: str | Path = ".") -> Iterator[Repo]:
     """Open the DVC repository of a workspace and hold its lock.
 
+    The process works in ``root`` meanwhile: DVC resolves the outputs of its run cache against the current
+    directory.
+
     Raises
     ------
     ObjectFolderError
         If it is not a DVC workspace, another process uses it, or DVC cannot read it.
     """
-    with _quiet():
+    if not Path(root).is_dir():
+        raise ObjectFolderError(f"{root} is not a directory; give the one that holds dvc.yaml")
+    with _quiet(), chdir(root):
         try:
-            repo = Repo(str(root))
+            repo = Repo()
         except NotDvcRepoError as error:
             raise ObjectFolderError(
-                f"{Path(root).absolute()} is not inside a DVC repository; run `dvc init` there"
+                f"{Path.cwd()} is not inside a DVC repository; run `dvc init` there"
             ) from error
         except DvcException as error:
-            raise ObjectFolderError(f"DVC cannot open {Path(root).absolute()}: {error}") from error
+            raise ObjectFolderError(f"DVC cannot open {Path.cwd()}: {error}") from error
         with repo, _locked(repo):
             _refuse_if_busy(repo)
             with repo.scm_context(quiet=True):
@@ -57,18 +63,15 @@ def _quiet() -> Iterator[None]:
 
 @contextmanager
 def _locked(repo: Repo) -> Iterator[None]:
-    guard = lock_repo(repo)
-    try:
-        guard.__enter__()
-    except LockError as error:
-        raise ObjectFolderError(
-            f"another DVC process{_holder(repo)} holds the lock of {repo.root_dir}; "
-            "wait until it ends, or stop it, and build again"
-        ) from error
-    try:
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(lock_repo(repo))
+        except LockError as error:
+            raise ObjectFolderError(
+                f"another DVC process{_holder(repo)} holds the lock of {repo.root_dir}; "
+                "wait until it ends, or stop it, and build again"
+            ) from error
         yield
-    finally:
-        guard.__exit__(None, None, None)
 
 
 def _holder(repo: Repo) -> str:
@@ -89,11 +92,12 @@ def _refuse_if_busy(repo: Repo) -> None:
         # Torn by a process that was killed while it wrote: nobody can be writing now, the lock is ours.
         path.unlink()
         return
-    holders = [*entries.get("write", {}).values(), *sum(entries.get("read", {}).values(), [])]
+    readers = itertools.chain.from_iterable(entries.get("read", {}).values())
+    holders = [*entries.get("write", {}).values(), *readers]
     for holder in holders:
         pid = int(holder["pid"])
         if pid != os.getpid() and psutil.pid_exists(pid):
             raise ObjectFolderError(
-                f"process {pid} (`{holder['cmd']}`) is running a stage in {repo.root_dir}; wait until it ends, "
-                f"or stop it, and build again (if it is not a DVC process, remove {path})"
+                f"process {pid} (`{holder['cmd']}`) is running a stage in {repo.root_dir}; wait until it "
+                f"ends, or stop it, and build again (if it is not a DVC process, remove {path})"
             )

@@ -36,6 +36,16 @@ class CutCells:
     resolution: int  #: cells along each axis of the grid
     dropped_volume: float  #: share of the volume in pieces that touch the main one nowhere
 
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> "CutCells":
+        """Return the cells that ``solid.npz`` holds."""
+        return cls(
+            arrays["index"],
+            arrays["occupancy"].astype(np.float32),
+            int(arrays["resolution"]),
+            float(arrays["dropped_volume"]),
+        )
+
     @property
     def cell_size(self) -> float:
         """Side of a cell."""

@@ -22,6 +22,10 @@ class ModalData:
     residuals: np.ndarray  #: (M,)
     report: dict  #: what ``modal.json`` holds
 
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return the arrays without the report."""
+        return {name: value for name, value in vars(self).items() if name != "report"}
+
 
 def adaptive_cut_cells(
     vertices: np.ndarray,

@@ -5,10 +5,12 @@ and is flagged. All lengths are in the unit frame (longest side 1).
 """
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import igl
 import manifold3d
 import numpy as np
+import trimesh
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -94,6 +96,26 @@ def close_surface(vertices: np.ndarray, faces: np.ndarray, name: str = "mesh") -
     return Surface(out_v, out_f, steps, tolerance, float(distance.max()), float(distance.mean()))
 
 
+def write_surface(path: str | Path, surface: Surface) -> None:
+    """Write a surface as binary PLY."""
+    mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
+    Path(path).write_bytes(mesh.export(file_type="ply", vertex_normal=False))
+
+
+def read_surface(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (V, 3) and faces (F, 3) of a surface, unit frame.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the file is missing or not a mesh.
+    """
+    if not Path(path).is_file():
+        raise ObjectFolderError(f"{path} does not exist; build it with `objectfolder build`")
+    mesh = trimesh.load_mesh(path, process=False)
+    return np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
+
+
 def signed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
     """Volume enclosed by oriented triangles (divergence theorem)."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
@@ -174,8 +196,8 @@ def _cap(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarra
         following = np.roll(loop, -1)
         new_vertices.append(vertices[loop].mean(0, keepdims=True))
         fan = np.stack([following, loop, np.full(len(loop), count)], 1)
-        directed = {(int(i), int(j)) for i, j in zip(*np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).T)}
-        if (int(fan[0, 0]), int(fan[0, 1])) in directed:
+        directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+        if (directed == fan[0, :2]).all(1).any():  # a closed edge is walked once in each direction
             fan = fan[:, [1, 0, 2]]
         new_faces.append(fan)
         count += 1

@@ -12,6 +12,9 @@ from objectfolder.touch.profiles import SensorProfile
 #: Up direction of the image before it is turned. No face of a usual object is perpendicular to it.
 UP = np.array([1.0, 2.0, 4.0]) / np.sqrt(21.0)
 
+#: Radius of `contact_normals` in the unit frame: two voxels of a 192^3 distance grid, and within its band.
+NORMAL_RADIUS = 0.01
+
 # A ray goes on this far behind a surface it has crossed, so that it does not meet the surface again.
 _SKIP = 1e-6  # m
 

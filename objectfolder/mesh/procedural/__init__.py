@@ -33,11 +33,11 @@ def generate(generator: str, **parameters: Any) -> TexturedMesh:
     """
     build = GENERATORS.get(generator)
     if build is None:
-        raise ObjectFolderError(
-            f"unknown generator {generator!r}: expected one of {', '.join(GENERATORS)}"
-        )
+        raise ObjectFolderError(f"unknown generator {generator!r}: expected one of {', '.join(GENERATORS)}")
     known = inspect.signature(build).parameters
     for name in parameters:
         if name not in known:
-            raise ObjectFolderError(f"{generator}: unknown parameter {name!r}: expected one of {', '.join(known)}")
+            raise ObjectFolderError(
+                f"{generator}: unknown parameter {name!r}: expected one of {', '.join(known)}"
+            )
     return build(**parameters)

@@ -5,7 +5,7 @@ from scipy.interpolate import CubicSpline
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.procedural.atlas import pack
-from objectfolder.mesh.procedural.parameters import require_between, require_positive
+from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
 from objectfolder.mesh.procedural.revolution import arc, disc, polyline, sleeve
 from objectfolder.mesh.procedural.solid import textured, weld
 from objectfolder.mesh.procedural.texture import lattice, noise, over, rgb, smoothstep, stroke
@@ -43,10 +43,10 @@ def bell(
     ObjectFolderError
         If a dimension is not positive or the shell could not have that wall.
     """
-    require_positive("bell", height=height, radius=radius, wall=wall, texture_size=texture_size)
+    require_positive("bell", height=height, radius=radius, wall=wall)
     require_between("bell", 1.4 * radius, 4.0 * radius, "1.4 to 4 radii", height=height)
     require_between("bell", 0.02 * radius, 0.10 * radius, "2 % to 10 % of the radius", wall=wall)
-    require_between("bell", 64, 8192, "texels", texture_size=texture_size)
+    require_texture_size("bell", texture_size)
 
     decor = _Decor(height, radius)
     dome, inside, outside, crown, stem, ball = profiles(height, radius, wall)
@@ -88,7 +88,7 @@ def profiles(height: float, radius: float, wall: float) -> list[np.ndarray]:
     chord = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(knots, axis=0), axis=1)))
     # Upright at the lip, level on the axis: there the wall's two sides meet rim and axis squarely.
     curve = CubicSpline(chord, knots, bc_type=((1, [0.0, 1.0]), (1, [-1.0, 0.0])))
-    t = np.linspace(0, chord[-1], 57)
+    t = np.linspace(0, chord[-1], 29)
     outer, slope = curve(t), curve(t, 1)
     slope /= np.linalg.norm(slope, axis=1, keepdims=True)
     normal = np.stack([-slope[:, 1], slope[:, 0]], 1)  # to the left: into the metal
@@ -119,8 +119,8 @@ def profiles(height: float, radius: float, wall: float) -> list[np.ndarray]:
         np.concatenate([inner[: shoulder + 1][::-1], rim[1 : len(rim) // 2 + 1]]),
         np.concatenate([rim[len(rim) // 2 : -1], outer[: shoulder + 1]]),
         outer[shoulder : foot + 1],
-        polyline(collar, arc((0.0, middle), grip, join - np.pi / 2, 0, 10), step=0.05 * height),
-        np.concatenate([arc((0.0, middle), grip, 0, np.pi / 2, 10)[:-1], [[0.0, height]]]),
+        polyline(collar, arc((0.0, middle), grip, join - np.pi / 2, 0, 7), step=0.03 * height),
+        np.concatenate([arc((0.0, middle), grip, 0, np.pi / 2, 8)[:-1], [[0.0, height]]]),
     ]
 
 
@@ -142,23 +142,25 @@ class _Decor:
         r = np.hypot(points[:, 0], points[:, 1]) / self.radius
         z = points[:, 2] / self.height
         turn = points[:, :2] / np.maximum(np.hypot(points[:, 0], points[:, 1]), 1e-9)[:, None]
-        lathe = np.column_stack([1.5 * turn * np.minimum(r, 1)[:, None] ** 0.5, 95 * z + 70 * r])
+        lathe = np.column_stack(
+            [1.5 * turn * np.minimum(r, 1)[:, None] ** 0.5, 130 * z - 100 * r]
+        )  # r falls as z rises
         marks = noise(lathe, self.values, 3)
         cloud = noise(points / self.radius * 1.7, self.values, 4)
-        colour = base * (1 + 0.040 * marks + 0.02 * cloud)[:, None]
-        return over(colour, rgb("8f7a5c"), 0.34 * smoothstep(0.2, 2.2, cloud))
+        colour = base * (1 + 0.065 * marks + 0.03 * cloud)[:, None]
+        return over(colour, rgb("6f6250"), 0.38 * smoothstep(0.2, 2.2, cloud))
 
     def inside(self, points: np.ndarray) -> np.ndarray:
         """Darker and duller than the outside, but the same at the lip."""
         deep = smoothstep(0.0, 0.25 * self.height, points[:, 2])
-        base = over(np.broadcast_to(rgb("b4babf"), points.shape), rgb("6e7071"), deep)
+        base = over(np.broadcast_to(rgb("9ba2a9"), points.shape), rgb("5c5e61"), deep)
         return self._brushed(points, base)
 
     def outside(self, points: np.ndarray) -> np.ndarray:
         """Engraved rings, and a frieze of lozenges between two of them."""
         z = points[:, 2] / (SHELL * self.height)
         angle = np.arctan2(points[:, 1], points[:, 0])
-        colour = self._brushed(points, np.broadcast_to(rgb("b4babf"), points.shape))
+        colour = self._brushed(points, np.broadcast_to(rgb("9ba2a9"), points.shape))
         groove, glint = rgb("35363a"), rgb("e4e7ea")
         for level, half in ((0.085, 0.006), (0.115, 0.004), (0.33, 0.005), (0.50, 0.005), (0.84, 0.006)):
             colour = over(colour, glint, 0.7 * stroke(z - level - 1.7 * half, 0.6 * half, half))

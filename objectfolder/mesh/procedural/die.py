@@ -3,7 +3,7 @@
 import numpy as np
 
 from objectfolder.mesh.procedural.atlas import Chart, pack
-from objectfolder.mesh.procedural.parameters import require_between, require_positive
+from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
 from objectfolder.mesh.procedural.revolution import arc, disc
 from objectfolder.mesh.procedural.solid import Patch, textured, weld
 from objectfolder.mesh.procedural.texture import over, rgb, smoothstep, wood
@@ -57,10 +57,10 @@ def die(size: float = 0.05, fillet: float = 0.006, texture_size: int = 1024) -> 
     ObjectFolderError
         If a dimension is not positive or the fillets would reach the pips.
     """
-    require_positive("die", size=size, fillet=fillet, texture_size=texture_size)
+    require_positive("die", size=size, fillet=fillet)
     room = 0.5 - PIP_PITCH - 1.08 * PIP_RADIUS
     require_between("die", 0.01 * size, room * size, "so that the pips stay on the flat", fillet=fillet)
-    require_between("die", 64, 8192, "texels", texture_size=texture_size)
+    require_texture_size("die", texture_size)
 
     block, charts = [], []
     lift = np.array([0, 0, size / 2])
@@ -133,14 +133,14 @@ def _drill(size: float, place: np.ndarray, axes: np.ndarray, border: float, char
     rim, depth = PIP_RADIUS * size, PIP_DEPTH * size
     ball = (rim**2 + depth**2) / (2 * depth)
     opening = np.arcsin(rim / ball)
-    # Twelve steps' worth of slope to the rim and one past it, above the face.
+    # Seven steps to the rim and one past it, above the face.
     cap = arc((0.0, ball - depth), ball, -np.pi / 2, -np.pi / 2 + opening * 8 / 7, 8)
     cap[0, 0] = 0.0
     lid = np.array([cap[-1], [0.0, cap[-1, 1]]])
     tool = []
     for profile in (cap, lid):
         patch, _ = disc(profile, chart, lambda points: points, segments=32)
-        local = patch.vertices + [*place, size / 2]
+        local = patch.vertices + np.append(place, size / 2)
         xy = local[:, :2] + border
         tool.append(Patch(local @ axes.T + [0, 0, size / 2], patch.faces, xy, chart))
     return tool

@@ -1,9 +1,11 @@
 """A ceramic mug: a hollow cup with a swept handle, in metres, standing on z = 0."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from objectfolder.mesh.procedural.atlas import Chart, pack
-from objectfolder.mesh.procedural.parameters import require_between, require_positive
+from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
 from objectfolder.mesh.procedural.revolution import arc, disc, polyline, sleeve
 from objectfolder.mesh.procedural.solid import Patch, textured, weld
 from objectfolder.mesh.procedural.texture import (
@@ -63,16 +65,17 @@ def mug(
         wall=wall,
         bottom=bottom,
         handle_reach=handle_reach,
-        texture_size=texture_size,
     )
-    require_between("mug", 0.03 * radius, 0.3 * radius, "3 % to 30 % of the radius", wall=wall)
+    require_between("mug", 0.03 * radius, 0.2 * radius, "3 % to 20 % of the radius", wall=wall)
     require_between("mug", 0.08 * radius, 0.25 * height, "a floor above the foot", bottom=bottom)
     require_between("mug", 1.2 * radius, 6.0 * radius, "1.2 to 6 radii", height=height)
     # The flared ends of the handle must stop inside the wall, which curves away from them.
     grip = np.sqrt(radius * wall - wall**2 / 4) / (0.20 * (1 + FLARE)) * 0.95
-    widest = min(grip, 0.6 * height)
+    # Their upper and lower edges keep clear of the rounded lip and base.
+    upright = 0.9 * min(0.17 * height - wall / 2, 0.23 * height - 0.2 * radius) / (0.12 * (1 + FLARE))
+    widest = min(grip, upright)
     require_between("mug", 0.3 * radius, widest, "a handle that the wall can hold", handle_reach=handle_reach)
-    require_between("mug", 64, 8192, "texels", texture_size=texture_size)
+    require_texture_size("mug", texture_size)
 
     edge = 0.2 * radius  # rounding outside, where the wall meets the base
     foot = min(FOOT * radius / 0.041, 0.3 * bottom)
@@ -109,7 +112,12 @@ def mug(
 
 
 def _handle(
-    radius: float, height: float, wall: float, reach: float, chart: int, paint
+    radius: float,
+    height: float,
+    wall: float,
+    reach: float,
+    chart: int,
+    paint: Callable[[np.ndarray], np.ndarray],
 ) -> tuple[list[Patch], Chart]:
     """Sweep an ellipse along a D-shaped path whose ends lie in the middle of the wall."""
     thick, wide = 0.12 * reach, 0.20 * reach  # half axes of the section
@@ -132,7 +140,9 @@ def _handle(
         s = np.clip(s, 0, total)
         centre = np.stack([np.interp(s, length, path[:, k]) for k in (0, 1)], 1)
         near = np.clip(np.stack([s - 0.01 * total, s + 0.01 * total]), 0, total)
-        chord = [np.interp(near[1], length, path[:, k]) - np.interp(near[0], length, path[:, k]) for k in (0, 1)]
+        chord = [
+            np.interp(near[1], length, path[:, k]) - np.interp(near[0], length, path[:, k]) for k in (0, 1)
+        ]
         normal = np.stack([chord[1], -chord[0]], 1)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         distance = np.minimum(s, total - s) - wall / 2
@@ -147,7 +157,9 @@ def _handle(
 
     around = np.pi * (3 * (thick + wide) - np.sqrt((3 * thick + wide) * (thick + 3 * wide)))  # Ramanujan
     rows, n = STATIONS + 1, ROUND
-    s, turn = (k.ravel() for k in np.meshgrid(np.linspace(0, total, rows), np.arange(n + 1) / n, indexing="ij"))
+    s, turn = (
+        k.ravel() for k in np.meshgrid(np.linspace(0, total, rows), np.arange(n + 1) / n, indexing="ij")
+    )
     vertices = surface(s, turn % 1.0)
     i, j = (k.ravel() for k in np.meshgrid(np.arange(rows - 1), np.arange(n), indexing="ij"))
     a, d = i * (n + 1) + j, (i + 1) * (n + 1) + j
@@ -203,10 +215,9 @@ class _Decor:
         return self._rim(self._glaze(points, colour), points)
 
     def handle(self, points: np.ndarray) -> np.ndarray:
-        """Plain glaze with a teal line down the back."""
+        """Plain glaze with a teal line down the back and another inside the grip."""
         u = self.unit
         colour = self._glaze(points, np.broadcast_to(GLAZE, points.shape))
-        # Distance from the middle of the section tells the back from the inside of the grip.
         return over(colour, TEAL, stroke(points[:, 1], 0.0016 * u, 0.0005 * u))
 
     def outside(self, points: np.ndarray) -> np.ndarray:
@@ -219,7 +230,11 @@ class _Decor:
 
         crest = max(3, round(around / 0.0215))
         for level, ink, shift in ((0.0265, SAGE, 0.9), (0.0225, TEAL, 0.0), (0.0165, DEEP, 2.1)):
-            wave = level + 0.0019 * np.sin(crest * angle + shift) + 0.0006 * np.sin(2 * crest * angle + 1.7 * shift)
+            wave = (
+                level
+                + 0.0019 * np.sin(crest * angle + shift)
+                + 0.0006 * np.sin(2 * crest * angle + 1.7 * shift)
+            )
             colour = over(colour, GLAZE, smoothstep(soft / u, -soft / u, z - wave - 0.0008))
             colour = over(colour, self._glaze(points, ink), smoothstep(soft / u, -soft / u, z - wave))
 

@@ -21,3 +21,11 @@ def require_between(generator: str, low: float, high: float, why: str, **dimensi
                 f"{generator}: {name}={value!r}: expected {low:.4g} to {high:.4g}, {why}; "
                 f"change {name} or the dimensions beside it"
             )
+
+
+def require_texture_size(generator: str, texture_size: int) -> None:
+    """Raise `ObjectFolderError` unless `texture_size` is a whole number of texels from 64 to 8192."""
+    if not isinstance(texture_size, int) or isinstance(texture_size, bool) or not 64 <= texture_size <= 8192:
+        raise ObjectFolderError(
+            f"{generator}: texture_size={texture_size!r}: expected a whole number of texels, 64 to 8192"
+        )

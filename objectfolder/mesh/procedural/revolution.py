@@ -48,9 +48,7 @@ def _profile_at(profile: np.ndarray, s: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(s, length, profile[:, k]) for k in (0, 1)], 1)
 
 
-def sleeve(
-    profile: np.ndarray, chart: int, paint: Callable[[np.ndarray], np.ndarray]
-) -> tuple[Patch, Chart]:
+def sleeve(profile: np.ndarray, chart: int, paint: Callable[[np.ndarray], np.ndarray]) -> tuple[Patch, Chart]:
     """Revolve a profile that keeps off the axis; the chart is angle by arc length, cut open at angle 0."""
     rows, n = len(profile), SEGMENTS
     length = _arc_length(profile)
@@ -77,7 +75,8 @@ def disc(
 ) -> tuple[Patch, Chart]:
     """Revolve a profile that starts or ends near or on the axis; the chart is polar, with no cut.
 
-    Rings halve their number of facets towards the axis, which keeps triangles from becoming needles.
+    Rings that close on the axis halve their number of facets on the way, which keeps triangles from
+    becoming needles; an open ring keeps its number, so that its neighbours fit.
     """
     outward = profile[0, 0] < profile[-1, 0]
     spokes = profile if outward else profile[::-1]  # from the axis out
@@ -86,18 +85,20 @@ def disc(
     sense = -1.0 if outward else 1.0
     reach = along[-1]
 
+    closed = spokes[0, 0] == 0
     counts = [segments]
     for r in spokes[-2::-1, 0]:
-        coarse = counts[-1] % 2 == 0 and counts[-1] >= 16 and r < 0.55 * spokes[-1, 0] * counts[-1] / segments
-        counts.append(counts[-1] // 2 if coarse else counts[-1])
+        crowded = r < 0.55 * spokes[-1, 0] * counts[-1] / segments
+        halve = closed and crowded and counts[-1] % 2 == 0 and counts[-1] >= 16
+        counts.append(counts[-1] // 2 if halve else counts[-1])
     counts = counts[::-1]
-    if spokes[0, 0] == 0:
+    if closed:
         counts[0] = 1
     starts = np.cumsum([0, *counts])
     angle = np.concatenate([2 * np.pi * np.arange(n) / n for n in counts])
     ring = np.repeat(np.arange(len(counts)), counts)
     xy = reach + along[ring, None] * np.stack([np.cos(sense * angle), np.sin(sense * angle)], 1)
-    if spokes[0, 0] == 0:
+    if closed:
         xy[0] = reach
 
     faces = [

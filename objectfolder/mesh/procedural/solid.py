@@ -31,7 +31,8 @@ def weld(patches: Sequence[Patch], atlas: Atlas) -> manifold3d.Manifold:
     starts = np.cumsum([0, *(len(p.vertices) for p in patches)])
     faces = np.concatenate([p.faces + start for p, start in zip(patches, starts)])
 
-    grain = 1e-7 * np.ptp(positions, axis=0).max()
+    # An odd factor, so that round dimensions do not fall on the border between two grains.
+    grain = 1.234567e-7 * np.ptp(positions, axis=0).max()
     _, first, group = np.unique(np.round(positions / grain), axis=0, return_index=True, return_inverse=True)
     twin = first[group.ravel()]
     copies = np.flatnonzero(twin != np.arange(len(twin)))

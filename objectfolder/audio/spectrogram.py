@@ -1,0 +1,14 @@
+"""The paper's spectrogram: window 25 ms, hop 10 ms, FFT 512 at 16 kHz (supplementary E)."""
+
+import torch
+
+WINDOW, HOP, FFT = 400, 160, 512
+SAMPLE_RATE = 16000
+DURATION = 2.0
+
+
+def spectrogram(sounds: torch.Tensor) -> torch.Tensor:
+    """Complex spectrograms; (N, samples) -> (N, 257, frames), 201 frames for two seconds."""
+    return torch.stft(
+        sounds, FFT, hop_length=HOP, win_length=WINDOW, window=torch.hann_window(WINDOW), return_complex=True
+    )

@@ -1,0 +1,23 @@
+"""Random points on a triangle surface."""
+
+import numpy as np
+
+
+def sample_surface(vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Points distributed uniformly by area; (count, 3) float64."""
+    a, b, c = (np.asarray(vertices, np.float64)[faces[:, i]] for i in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    face = rng.choice(len(faces), count, p=area / area.sum())
+    u, v = rng.random((2, count, 1))
+    outside = u + v > 1
+    u, v = np.where(outside, 1 - u, u), np.where(outside, 1 - v, v)
+    return a[face] + u * (b[face] - a[face]) + v * (c[face] - a[face])
+
+
+def split_rows(count: int, rng: np.random.Generator, val: float = 0.1, test: float = 0.1) -> np.ndarray:
+    """Assign rows to splits at random; (count,) int8: 0 train, 1 val, 2 test."""
+    order = rng.permutation(count)
+    split = np.zeros(count, np.int8)
+    split[order[: round(val * count)]] = 1
+    split[order[round(val * count) : round(val * count) + round(test * count)]] = 2
+    return split

@@ -1,0 +1,50 @@
+"""How far an answer is from the ground truth."""
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+
+
+def psnr(error: float | np.ndarray, peak: float = 1.0) -> float | np.ndarray:
+    """Peak signal-to-noise ratio of a mean squared error, dB (supplementary F; 200 dB is the ceiling)."""
+    return 10 * np.log10(peak**2 / np.maximum(error, 1e-20 * peak**2))
+
+
+def awgn_psnr(shape: tuple[int, ...], sigma: float, rng: np.random.Generator) -> float:
+    """PSNR of data in [0, 1] of this shape, corrupted by white Gaussian noise: the paper's reference row.
+
+    The noise is not clipped, so the data itself does not matter.
+    """
+    return float(psnr(np.mean(rng.normal(0, sigma, shape) ** 2)))
+
+
+def ssim(image: np.ndarray, reference: np.ndarray) -> float:
+    """Structural similarity of two (H, W, 3) images in [0, 1] (Wang et al. 2004; 11x11 Gaussian)."""
+    x, y = (torch.from_numpy(np.asarray(i, np.float32)).permute(2, 0, 1)[:, None] for i in (image, reference))
+    axis = torch.arange(11, dtype=torch.float32) - 5
+    kernel = torch.exp(-(axis**2) / (2 * 1.5**2))
+    window = torch.outer(kernel, kernel)[None, None] / kernel.sum() ** 2
+    mx, my, xx, yy, xy = (F.conv2d(v, window) for v in (x, y, x * x, y * y, x * y))
+    c1, c2 = 0.01**2, 0.03**2
+    numerator = (2 * mx * my + c1) * (2 * (xy - mx * my) + c2)
+    denominator = (mx * mx + my * my + c1) * (xx - mx * mx + yy - my * my + c2)
+    return float((numerator / denominator).mean())
+
+
+def gain_errors(predicted: np.ndarray, shapes: np.ndarray, energy: np.ndarray, gain: np.ndarray) -> dict:
+    """Relative errors of mode shapes (P, 3, M).
+
+    Parameters
+    ----------
+    energy : (M,) array
+        Weight of a squared shape error in the energy-weighted error.
+    gain : (M,) array
+        Gain of a unit shape value; its square weighs the Frobenius error.
+    """
+    squared, truth = (predicted - shapes) ** 2, shapes**2
+
+    def relative(weight: np.ndarray) -> float:
+        total = float((truth * weight).sum())
+        return float(np.sqrt((squared * weight).sum() / total)) if total > 0 else 0.0
+
+    return {"gain_error": relative(energy), "gain_error_frobenius": relative(gain**2)}

@@ -1,0 +1,90 @@
+"""Multiresolution hash encoding (Mueller et al. 2022) in torch, with a sparse product as its lookup.
+
+Interpolating a table is a product with a sparse matrix of eight weights per row. `embedding_bag`'s
+backward dominates training on a CPU; the transposed product is four times faster.
+"""
+
+import math
+
+import numpy as np
+import scipy.sparse as sp
+import torch
+from torch import nn
+
+_PRIMES = (1, 2654435761, 805459861)
+
+
+class HashGrid(nn.Module):
+    """Features at points of the unit cube [0, 1]^3.
+
+    Parameters
+    ----------
+    levels : int
+        Grids, from ``coarsest`` to ``finest`` cells along a side, in geometric progression.
+    features : int
+        Per level.
+    table_bits : int
+        A level with more than 2**table_bits vertices is hashed into that many entries.
+    """
+
+    def __init__(self, levels: int, features: int, table_bits: int, coarsest: int, finest: int):
+        super().__init__()
+        self.config = {
+            "levels": levels,
+            "features": features,
+            "table_bits": table_bits,
+            "coarsest": coarsest,
+            "finest": finest,
+        }
+        growth = (finest / coarsest) ** (1 / max(levels - 1, 1))
+        self.resolutions = [math.floor(coarsest * growth**level + 1e-9) for level in range(levels)]
+        capacity = 2**table_bits
+        self._hashed = [(r + 1) ** 3 > capacity for r in self.resolutions]
+        sizes = [capacity if h else (r + 1) ** 3 for r, h in zip(self.resolutions, self._hashed)]
+        self.offsets = [0, *np.cumsum(sizes).tolist()]
+        self.width = levels * features
+        self.table = nn.Parameter(torch.empty(self.offsets[-1], features).uniform_(-1e-4, 1e-4))
+
+    def corners(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Table rows and trilinear weights around (N, 3) points; both (N, levels * 8).
+
+        Compute them once for points that are looked up often.
+        """
+        rows, weights = [], []
+        bits = torch.tensor([[(c >> axis) & 1 for axis in range(3)] for c in range(8)])
+        for level, resolution in enumerate(self.resolutions):
+            position = x.clamp(0, 1) * resolution
+            base = position.floor().clamp(max=resolution - 1)
+            fraction = (position - base)[:, None, :]
+            corner = base.long()[:, None, :] + bits
+            if self._hashed[level]:
+                mixed = corner[..., 0] * _PRIMES[0] ^ corner[..., 1] * _PRIMES[1] ^ corner[..., 2] * _PRIMES[2]
+                row = mixed & (2 ** self.config["table_bits"] - 1)
+            else:
+                row = corner[..., 0] + (resolution + 1) * (corner[..., 1] + (resolution + 1) * corner[..., 2])
+            rows.append((row + self.offsets[level]).int())
+            weights.append(torch.where(bits.bool(), fraction, 1 - fraction).prod(-1))
+        return torch.cat(rows, 1), torch.cat(weights, 1)
+
+    def lookup(self, rows: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+        """Interpolated features for `corners`' output; (N, levels * features)."""
+        return _SparseLookup.apply(self.table, rows.reshape(-1), weights.reshape(-1).float()).view(len(rows), -1)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Features at (N, 3) points; (N, levels * features)."""
+        return self.lookup(*self.corners(x))
+
+
+class _SparseLookup(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, table: torch.Tensor, rows: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+        count = len(rows) // 8
+        ctx.matrix = sp.csr_matrix(
+            (weights.numpy(), rows.numpy(), np.arange(0, len(rows) + 1, 8, dtype=np.int32)),
+            shape=(count, len(table)),
+        )
+        return torch.from_numpy(ctx.matrix @ table.detach().numpy())
+
+    @staticmethod
+    def backward(ctx, *gradients: torch.Tensor):
+        return torch.from_numpy(ctx.matrix.T @ np.ascontiguousarray(gradients[0].numpy())), None, None

@@ -1,0 +1,215 @@
+"""The Object File: one safetensors file that answers how an object looks, sounds and feels.
+
+The format is described in docs/objectfile.md. Reading it needs no mesh, no pickle and no network.
+"""
+
+import lzma
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from objectfolder import query
+from objectfolder.artifacts import read_safetensors, write_safetensors
+from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.grid import DistanceGrid
+from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.mesh.sampling import sample_surface
+from objectfolder.nets.audio_gains import GainsNet
+from objectfolder.nets.touch_geometric import GeometricTouch
+from objectfolder.nets.vision_surface import SurfaceNet
+from objectfolder.vision.cameras import Intrinsics
+
+SCHEMA = 1
+MODALITIES = ("vision", "audio", "touch")
+_KINDS = {"vision": "surface", "audio": "gains", "touch": "geometric"}
+_REQUIRED = ("schema", "key", "material", "scale", "geometry", "vision", "audio", "touch")
+
+
+class ObjectFile:
+    """One object. Points of contacts and strikes are in the object frame (metres), cameras and lights in
+    the unit frame (the object's longest side is 1); docs/conventions.md draws both.
+
+    Parameters
+    ----------
+    header : dict
+    tensors : dict of arrays
+        Named ``geometry.*``, ``vision.*``, ``audio.*``, ``touch.*``.
+    path : path, optional
+        Named in errors.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the header is not that of an Object File this version can read.
+    """
+
+    def __init__(self, header: dict[str, Any], tensors: dict[str, np.ndarray], path: str | Path = "Object File"):
+        missing = [name for name in _REQUIRED if name not in header]
+        if missing:
+            raise ObjectFolderError(f"{path} is not an Object File: its header lacks {', '.join(missing)}")
+        if header["schema"] != SCHEMA:
+            raise ObjectFolderError(
+                f"{path} has schema {header['schema']}, this version reads {SCHEMA}; update objectfolder"
+            )
+        for modality, kind in _KINDS.items():
+            if header[modality].get("kind") != kind:
+                raise ObjectFolderError(
+                    f"{path}: {modality} net of kind {header[modality].get('kind')!r}, expected {kind!r}"
+                )
+        self.header = header
+        self.tensors = tensors
+
+    @classmethod
+    def load(cls, path: str | Path) -> "ObjectFile":
+        """Read an Object File.
+
+        Raises
+        ------
+        ObjectFolderError
+            If the file is missing, damaged, or not an Object File.
+        """
+        tensors, header = read_safetensors(path)
+        return cls(header, tensors, path)
+
+    def save(self, path: str | Path) -> None:
+        """Write the Object File; the same object gives the same bytes."""
+        write_safetensors(path, self.tensors, self.header)
+
+    @property
+    def key(self) -> str:
+        """Object key."""
+        return self.header["key"]
+
+    @property
+    def material(self) -> str:
+        """Material name."""
+        return self.header["material"]
+
+    @property
+    def scale(self) -> float:
+        """Longest side, metres."""
+        return float(self.header["scale"])
+
+    @property
+    def frequencies(self) -> np.ndarray:
+        """Frequencies of the modes, Hz; (M,)."""
+        return self._audio.damped_frequency.numpy() / (2 * np.pi)
+
+    def view(
+        self,
+        camera: np.ndarray,
+        light: np.ndarray,
+        resolution: int = 256,
+        intrinsics: Intrinsics | None = None,
+    ) -> np.ndarray:
+        """Render the object on white; see `objectfolder.query.view`."""
+        return query.view(self.surface, self._vision, camera, light, intrinsics or Intrinsics.square(resolution))
+
+    def impact(
+        self,
+        points: np.ndarray,
+        forces: np.ndarray,
+        sample_rate: int = 16000,
+        duration: float = 2.0,
+        response: str = "displacement",
+        tolerance: float = query.TOLERANCE,
+    ) -> np.ndarray:
+        """Strike the object; see `objectfolder.query.impact`."""
+        return query.impact(
+            self.surface, self._audio, self.scale, points, forces, sample_rate, duration, response, tolerance
+        )
+
+    def touch(
+        self,
+        points: np.ndarray,
+        depth: np.ndarray | float = 0.001,
+        angle: np.ndarray | float = 0.0,
+        tilt: np.ndarray | float = 0.0,
+        azimuth: np.ndarray | float = 0.0,
+        tolerance: float = query.TOLERANCE,
+    ) -> np.ndarray:
+        """Press the tactile sensor on the object; see `objectfolder.query.touch`."""
+        return query.touch(self._touch, points, depth, angle, tilt, azimuth, tolerance)
+
+    def sample_surface(self, count: int, seed: int = 0) -> np.ndarray:
+        """Random surface points, uniform by area; (count, 3), object frame, metres."""
+        rng = np.random.default_rng(seed)
+        return sample_surface(self.surface.vertices, self.surface.faces, count, rng) * self.scale
+
+    @cached_property
+    def surface(self) -> Isosurface:
+        """The stored surface, unit frame; extracted at first use."""
+        config = self.header["geometry"]
+        resolution = int(config["resolution"])
+        packed = self._tensor("geometry.sdf_lzma").tobytes()
+        try:
+            # The limit stops a hostile file from filling the memory.
+            raw = lzma.LZMADecompressor(memlimit=2**30).decompress(packed, resolution**3)
+            values = np.frombuffer(raw, np.int8).reshape((resolution,) * 3)
+        except (lzma.LZMAError, ValueError) as error:
+            raise ObjectFolderError(f"{self.key}: stored distance grid is damaged ({error})") from error
+        return Isosurface(DistanceGrid(values, config["band"]))
+
+    @cached_property
+    def _vision(self) -> SurfaceNet:
+        return SurfaceNet.from_tensors(self._group("vision"), self.header["vision"]["net"])
+
+    @cached_property
+    def _audio(self) -> GainsNet:
+        return GainsNet.from_tensors(self._group("audio"), self.header["audio"]["net"])
+
+    @cached_property
+    def _touch(self) -> GeometricTouch:
+        return GeometricTouch.from_config(self.surface, self.scale, self.header["touch"]["net"])
+
+    def _group(self, prefix: str) -> dict[str, np.ndarray]:
+        start = prefix + "."
+        return {name[len(start) :]: value for name, value in self.tensors.items() if name.startswith(start)}
+
+    def _tensor(self, name: str) -> np.ndarray:
+        if name not in self.tensors:
+            raise ObjectFolderError(f"{self.key}: the Object File lacks tensor {name}")
+        return self.tensors[name]
+
+
+def pack(
+    key: str,
+    material: str,
+    normalize: dict[str, Any],
+    sdf: dict[str, np.ndarray],
+    nets: dict[str, tuple[dict[str, np.ndarray], dict[str, Any]]],
+    provenance: dict[str, str],
+) -> ObjectFile:
+    """Join geometry and the three nets.
+
+    Parameters
+    ----------
+    key, material : str
+    normalize : dict
+        ``normalize.json``: scale and the transform to the source mesh.
+    sdf : dict
+        ``values`` int8 and ``band``.
+    nets : dict
+        Per modality its tensors and header, as the training stages wrote them.
+    provenance : dict
+        SHA-256 of each input, by name.
+    """
+    # xz's default; a preset of 9 saves under 1 %.
+    packed = lzma.compress(sdf["values"].tobytes(), preset=6)
+    tensors = {"geometry.sdf_lzma": np.frombuffer(packed, np.uint8)}
+    header: dict[str, Any] = {
+        "schema": SCHEMA,
+        "key": key,
+        "material": material,
+        "scale": normalize["scale_m"],
+        "source": {name: normalize[name] for name in ("source_centre", "source_size", "source_up")},
+        "geometry": {"resolution": len(sdf["values"]), "band": float(sdf["band"])},
+        "provenance": provenance,
+    }
+    for modality in MODALITIES:
+        net_tensors, net_header = nets[modality]
+        tensors.update({f"{modality}.{name}": value for name, value in net_tensors.items()})
+        header[modality] = net_header
+    return ObjectFile(header, tensors, key)

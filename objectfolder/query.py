@@ -1,0 +1,212 @@
+"""The three questions: how does it look, how does it sound, what does a touch feel.
+
+Batches in, batches out. Every row is answered by the same operations whatever else is in the batch.
+"""
+
+import logging
+
+import numpy as np
+import torch
+
+from objectfolder.audio.synthesis import audible, gains, sinusoid_bank
+from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.nets.audio_gains import GainsNet
+from objectfolder.nets.touch_geometric import GeometricTouch
+from objectfolder.nets.vision_surface import SurfaceNet
+from objectfolder.touch.contact import sensor_frames
+from objectfolder.vision.cameras import Intrinsics, look_at
+from objectfolder.vision.color import on_white
+from objectfolder.vision.view import draw
+
+TOLERANCE = 0.02  #: points further than this from the surface (fraction of the size) are refused
+_BLOCK = 16  # sounds mixed at once, always: a row's bits must not depend on its batch
+
+log = logging.getLogger(__name__)
+
+
+def view(
+    surface: Isosurface, net: SurfaceNet, camera: np.ndarray, light: np.ndarray, intrinsics: Intrinsics
+) -> np.ndarray:
+    """Render the object on white.
+
+    Parameters
+    ----------
+    camera : (N, 3) array or (N, 4, 4) array
+        Positions of cameras that look at the centre with z up, or camera-to-world matrices (OpenGL axes);
+        unit frame. One row may be given without its first axis.
+    light : (N, 3) or (3,) array
+        Point light, unit frame. A white Lambertian surface that faces it at distance 1 has radiance 1.
+    intrinsics : Intrinsics
+
+    Returns
+    -------
+    (N, H, W, 3) float32, sRGB in [0, 1]
+
+    Raises
+    ------
+    ObjectFolderError
+        If shapes do not fit or values are not finite.
+    """
+    camera = np.asarray(camera, np.float64)
+    if camera.shape[-2:] == (4, 4):
+        poses = camera.reshape(-1, 4, 4)
+    elif camera.ndim in (1, 2) and camera.shape[-1] == 3:
+        poses = look_at(camera)
+    else:
+        raise ObjectFolderError(f"camera has shape {camera.shape}, expected (N, 3) or (N, 4, 4)")
+    lights = _rows("light", light, len(poses), 3)
+    if not np.isfinite(poses).all():
+        raise ObjectFolderError("camera holds values that are not finite")
+    images = [
+        on_white(torch.from_numpy(draw(surface, net, pose, point, intrinsics))).numpy()
+        for pose, point in zip(poses, lights)
+    ]
+    return np.stack(images) if images else np.zeros((0, intrinsics.height, intrinsics.width, 3), np.float32)
+
+
+def impact(
+    surface: Isosurface,
+    net: GainsNet,
+    scale: float,
+    points: np.ndarray,
+    forces: np.ndarray,
+    sample_rate: int,
+    duration: float,
+    response: str,
+    tolerance: float,
+) -> np.ndarray:
+    """Strike the object with impulses.
+
+    Parameters
+    ----------
+    points : (N, 3) array
+        Object frame, metres; snapped to the surface.
+    forces : (N, 3) array
+        Impulse vectors, N s, object frame; the sound is linear in them.
+    sample_rate : int
+        Hz. Modes above half of it are left out.
+    duration : float
+        Seconds.
+    response : {"displacement", "velocity", "acceleration"}
+        Of the surface; metres and their time derivatives.
+    tolerance : float
+        Refuse points further from the surface, fraction of the size.
+
+    Returns
+    -------
+    (N, samples) float32, absolute amplitude
+    """
+    points = _rows("points", points, None, 3)
+    forces = _rows("forces", forces, len(points), 3)
+    snapped = snap(surface, points / scale, tolerance)
+    bank = sinusoid_bank(net.damped_frequency, net.damping, sample_rate, duration, response)
+    if not bool(audible(net.damped_frequency, sample_rate).any()):
+        log.warning(
+            "silent: none of the object's %d modes lies below the Nyquist frequency of %d Hz",
+            len(net.damping),
+            sample_rate // 2,
+        )
+    g = gains(net.shapes(torch.from_numpy(snapped)), torch.from_numpy(forces).float())
+    sounds = np.empty((len(points), bank.shape[1]), np.float32)
+    for start in range(0, len(points), _BLOCK):
+        block = torch.zeros(_BLOCK, g.shape[1])
+        rows = g[start : start + _BLOCK]
+        block[: len(rows)] = rows
+        sounds[start : start + _BLOCK] = (block @ bank)[: len(rows)].numpy()
+    return sounds
+
+
+def touch(
+    net: GeometricTouch,
+    points: np.ndarray,
+    depth: np.ndarray | float,
+    angle: np.ndarray | float,
+    tilt: np.ndarray | float,
+    azimuth: np.ndarray | float,
+    tolerance: float,
+) -> np.ndarray:
+    """Press the tactile sensor on the object.
+
+    Parameters
+    ----------
+    points : (N, 3) array
+        Object frame, metres; snapped to the surface.
+    depth : float or (N,) array
+        How far the gel's apex is pressed past the surface, metres.
+    angle : float or (N,) array
+        Rotation of the sensor about the outward contact normal, radians.
+    tilt, azimuth : float or (N,) array
+        Lean of the sensor from the contact normal, and its direction in the tangent plane (from image up
+        towards image right), radians.
+    tolerance : float
+        Refuse points further from the surface, fraction of the size.
+
+    Returns
+    -------
+    (N, H, W, 3) uint8, RGB
+    """
+    points = _rows("points", points, None, 3)
+    depths, angles, tilts, azimuths = (
+        _scalars(name, value, len(points))
+        for name, value in (("depth", depth), ("angle", angle), ("tilt", tilt), ("azimuth", azimuth))
+    )
+    limit = net.profile.max_indentation
+    if len(depths) and not (depths.min() >= 0 and depths.max() <= limit):
+        raise ObjectFolderError(
+            f"press depths from {depths.min():g} to {depths.max():g} m; the sensor {net.profile.name!r} takes 0 "
+            f"to {limit:g} m"
+        )
+    snapped = snap(net.surface, points / net.scale, tolerance) * net.scale
+    normals = net.normals(snapped)
+    if tilts.any():
+        frames = sensor_frames(normals, angles)
+        lean = np.cos(azimuths)[:, None] * frames[:, :, 2] - np.sin(azimuths)[:, None] * frames[:, :, 1]
+        normals = np.cos(tilts)[:, None] * normals + np.sin(tilts)[:, None] * lean
+    return net.images(snapped, normals, angles, depths)
+
+
+def snap(surface: Isosurface, points: np.ndarray, tolerance: float) -> np.ndarray:
+    """Move points to the surface; both (N, 3), unit frame.
+
+    Raises
+    ------
+    ObjectFolderError
+        If a point is further away than the tolerance.
+    """
+    if len(points) == 0:
+        return points
+    snapped, distance = surface.nearest(points)
+    far = np.flatnonzero(distance > tolerance)
+    if len(far):
+        raise ObjectFolderError(
+            f"{len(far)} of {len(points)} points are off the surface, the first is row {far[0]} at "
+            f"{points[far[0]].round(4).tolist()} (unit frame), {distance[far[0]]:.3g} of the object's size away; "
+            f"expected at most {tolerance:g}. Points are in metres, centred on the bounding box: "
+            "ObjectFile.sample_surface gives valid ones"
+        )
+    return snapped
+
+
+def _rows(name: str, values: np.ndarray, count: int | None, width: int) -> np.ndarray:
+    """Check an (N, width) array of finite numbers; one row is repeated to ``count``."""
+    array = np.asarray(values, np.float64)
+    if array.ndim == 1 and len(array) == width:
+        array = array[None]
+    if array.ndim != 2 or array.shape[1] != width:
+        raise ObjectFolderError(f"{name} has shape {np.shape(values)}, expected (N, {width})")
+    if not np.isfinite(array).all():
+        row = int(np.flatnonzero(~np.isfinite(array).all(1))[0])
+        raise ObjectFolderError(f"{name}: row {row} is {array[row].tolist()}, expected finite numbers")
+    if count is not None and len(array) != count:
+        if len(array) != 1:
+            raise ObjectFolderError(f"{name} has {len(array)} rows, expected {count} or 1")
+        array = np.repeat(array, count, 0)
+    return array
+
+
+def _scalars(name: str, values: np.ndarray | float, count: int) -> np.ndarray:
+    array = np.asarray(values, np.float64)
+    if array.ndim > 1 or array.size not in (1, count) or not np.isfinite(array).all():
+        raise ObjectFolderError(f"{name} must be one finite number or {count} of them, got {values!r}")
+    return np.broadcast_to(array.reshape(-1), (count,)) if array.size == 1 else array

@@ -1,0 +1,95 @@
+"""Ground-truth touches of an object: contacts on its exact surface."""
+
+from collections.abc import Callable, Iterable
+
+import igl
+import numpy as np
+
+from objectfolder.mesh.raycast import RayCaster
+from objectfolder.mesh.sampling import sample_surface, split_rows
+from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals
+from objectfolder.touch.optics import Optics
+from objectfolder.touch.profiles import SensorProfile
+from objectfolder.touch.simulate import touch_images
+
+_BATCH = 16
+
+
+def contact_points(
+    vertices: np.ndarray, faces: np.ndarray, locations: str, counts: list[int], rng: np.random.Generator
+) -> list[np.ndarray]:
+    """Choose where to touch, per split.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array, unit frame
+    faces : (F, 3) int array
+    locations : {"surface", "vertices"}
+        Random points by area, or every vertex, split 80/10/10 (the paper touches vertices).
+    counts : list of int
+        Points of each split; ignored for vertices.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    list of (N, 3) arrays, unit frame
+    """
+    if locations == "vertices":
+        split = split_rows(len(vertices), rng)
+        return [vertices[split == index] for index in range(len(counts))]
+    points = sample_surface(vertices, faces, sum(counts), rng)
+    return np.split(points, np.cumsum(counts)[:-1])
+
+
+def render_contacts(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    scale: float,
+    points: np.ndarray,
+    profile: SensorProfile,
+    rng: np.random.Generator,
+    progress: Callable[[Iterable], Iterable] = iter,
+) -> dict[str, np.ndarray]:
+    """Press the sensor at points of a closed surface, at random depths and angles.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array, unit frame
+    faces : (F, 3) int array
+    scale : float
+        Longest side, metres.
+    points : (N, 3) array, unit frame
+        On the surface.
+    profile : SensorProfile
+    rng : numpy.random.Generator
+    progress : callable
+        Wraps the iteration over batches.
+
+    Returns
+    -------
+    dict
+        ``images`` (N, H, W, 3) uint8; ``points`` (N, 3) and ``depths`` (N,) in metres, ``normals`` (N, 3)
+        and ``angles`` (N,) in radians, object frame; ``obstructed`` (N,) fraction of the image.
+    """
+    vertices, faces = np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int64)
+    normals = contact_normals(
+        lambda p: igl.signed_distance(np.ascontiguousarray(p), vertices, faces)[0], points, NORMAL_RADIUS
+    )
+    low, high = profile.press_depth
+    depths, angles = rng.uniform(low, high, len(points)), rng.uniform(0, 2 * np.pi, len(points))
+    caster, optics = RayCaster(vertices, faces), Optics(profile)
+    images = np.empty((len(points), profile.height, profile.width, 3), np.uint8)
+    obstructed = np.empty(len(points))
+    for start in progress(range(0, len(points), _BATCH)):
+        part = slice(start, start + _BATCH)
+        images[part], _, obstructed[part] = touch_images(
+            caster, points[part] * scale, normals[part], angles[part], depths[part], profile, optics, scale
+        )
+    return {
+        "images": images,
+        "points": points * scale,
+        "normals": normals,
+        "depths": depths,
+        "angles": angles,
+        "obstructed": obstructed,
+    }

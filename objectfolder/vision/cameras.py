@@ -1,0 +1,101 @@
+"""Cameras and lights, in the unit frame (OpenGL axes: x right, y up, the camera looks along -z)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from objectfolder.errors import ObjectFolderError
+
+CAMERA_RADIUS = 2.5  #: training cameras sit on this sphere (supplementary C)
+LIGHT_RADIUS = 1.0
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """A pinhole camera with square pixels and a centred principal point."""
+
+    width: int = 256
+    height: int = 256
+    focal: float = 355.56  #: pixels
+
+    def __post_init__(self):
+        if self.width < 1 or self.height < 1 or not self.focal > 0:
+            raise ObjectFolderError(f"intrinsics {self}: width, height and focal length must be positive")
+
+    @classmethod
+    def square(cls, resolution: int) -> "Intrinsics":
+        """Return the default field of view at another resolution."""
+        return cls(resolution, resolution, 355.56 * resolution / 256)
+
+
+def sphere_points(count: int, radius: float, rng: np.random.Generator) -> np.ndarray:
+    """Uniformly random points on a sphere; (count, 3)."""
+    points = rng.normal(size=(count, 3))
+    return radius * points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+def look_at(positions: np.ndarray, target: np.ndarray | tuple = (0.0, 0.0, 0.0)) -> np.ndarray:
+    """Camera-to-world matrices of cameras that look at a target with z up.
+
+    Cameras within 11.5 degrees of the poles take y as up.
+
+    Parameters
+    ----------
+    positions : (N, 3) array
+
+    Returns
+    -------
+    (N, 4, 4) array
+
+    Raises
+    ------
+    ObjectFolderError
+        If a camera is at the target or not finite.
+    """
+    positions = np.asarray(positions, np.float64).reshape(-1, 3)
+    backward = positions - np.asarray(target, np.float64)
+    distance = np.linalg.norm(backward, axis=1, keepdims=True)
+    if not np.isfinite(positions).all() or (distance <= 1e-9).any():
+        raise ObjectFolderError("camera positions must be finite and away from the point they look at")
+    backward = backward / distance
+    polar = np.abs(backward[:, 2:]) >= 0.98
+    up = np.where(polar, [0.0, 1.0, 0.0], [0.0, 0.0, 1.0])
+    right = np.cross(up, backward)
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    pose = np.tile(np.eye(4), (len(positions), 1, 1))
+    pose[:, :3, :] = np.stack([right, np.cross(backward, right), backward, positions], 2)
+    return pose
+
+
+def camera_rays(
+    camera_to_world: np.ndarray, intrinsics: Intrinsics, pixels: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rays through image positions.
+
+    Parameters
+    ----------
+    camera_to_world : (4, 4) array
+    pixels : (P, 2) array
+        Column and row; the centre of the upper left pixel is (0.5, 0.5).
+
+    Returns
+    -------
+    origins, directions : (P, 3) float32, directions of unit length
+    """
+    x = (pixels[:, 0] - intrinsics.width / 2) / intrinsics.focal
+    y = (intrinsics.height / 2 - pixels[:, 1]) / intrinsics.focal
+    local = np.stack([x, y, -np.ones_like(x)], 1)
+    directions = local @ camera_to_world[:3, :3].T
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    origins = np.broadcast_to(camera_to_world[:3, 3], directions.shape)
+    return origins.astype(np.float32), directions.astype(np.float32)
+
+
+def project(points: np.ndarray, camera_to_world: np.ndarray, intrinsics: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
+    """Image positions (P, 2) and depths (P,) of points; the inverse of `camera_rays`."""
+    local = (np.asarray(points) - camera_to_world[:3, 3]) @ camera_to_world[:3, :3]
+    depth = -local[:, 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x = intrinsics.width / 2 + intrinsics.focal * local[:, 0] / depth
+        y = intrinsics.height / 2 - intrinsics.focal * local[:, 1] / depth
+    return np.stack([x, y], 1), depth

@@ -1,0 +1,13 @@
+"""From linear radiance with coverage to the image that is shown and scored."""
+
+import torch
+
+
+def linear_to_srgb(x: torch.Tensor) -> torch.Tensor:
+    """Gamma of IEC 61966-2-1; values are expected in [0, 1]."""
+    return torch.where(x <= 0.0031308, 12.92 * x, 1.055 * x.clamp(min=1e-6) ** (1 / 2.4) - 0.055)
+
+
+def on_white(rgba: torch.Tensor) -> torch.Tensor:
+    """Composite premultiplied linear RGBA (..., 4) on white and encode; (..., 3) in [0, 1]."""
+    return linear_to_srgb((rgba[..., :3] + (1 - rgba[..., 3:])).clamp(0, 1))

@@ -1,0 +1,49 @@
+"""What camera rays see of a stored surface: hit points, normals, and whether the light reaches them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from objectfolder.mesh.isosurface import Isosurface
+
+SHADOW_OFFSET = 1.5  # voxels along the normal where shadow rays start, clear of the surface's own facets
+
+
+@dataclass(frozen=True)
+class SurfaceSamples:
+    """Visible points of a surface; tensors share their first dimension S."""
+
+    ray: torch.Tensor  #: (S,) int64, which ray saw the point
+    points: torch.Tensor  #: (S, 3) float32, unit frame
+    normals: torch.Tensor  #: (S, 3) float32, outward
+    directions: torch.Tensor  #: (S, 3) float32, from the camera
+    lit: torch.Tensor  #: (S,) bool, faces the light and is not in shadow
+
+
+def trace(surface: Isosurface, origins: np.ndarray, directions: np.ndarray, light: np.ndarray) -> SurfaceSamples:
+    """Cast rays against a surface and shadow rays to a point light.
+
+    Parameters
+    ----------
+    origins, directions : (N, 3) float32 arrays, unit frame; directions of unit length
+    light : (3,) array, unit frame
+    """
+    distance, face = surface.caster.first_hit(origins, directions)
+    ray = np.flatnonzero(face >= 0)
+    points = origins[ray] + directions[ray] * distance[ray, None]
+    normals = surface.grid.normals(torch.from_numpy(points)).numpy()
+    light = np.asarray(light, np.float32)
+    lit = ((light - points) * normals).sum(1) > 0
+    facing = np.flatnonzero(lit)
+    start = points[facing] + normals[facing] * np.float32(SHADOW_OFFSET * surface.grid.spacing)
+    to_light = light - start
+    length = np.linalg.norm(to_light, axis=1)
+    lit[facing] = ~surface.caster.occluded(start, to_light / length[:, None], length)
+    return SurfaceSamples(
+        ray=torch.from_numpy(ray),
+        points=torch.from_numpy(points),
+        normals=torch.from_numpy(normals),
+        directions=torch.from_numpy(directions[ray]),
+        lit=torch.from_numpy(lit),
+    )

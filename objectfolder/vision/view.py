@@ -1,0 +1,131 @@
+"""Draw a stored surface: rays, shading, and extra samples where the picture has edges."""
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from scipy.ndimage import maximum_filter, minimum_filter
+
+from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.vision.cameras import Intrinsics, camera_rays, project
+from objectfolder.vision.trace import SurfaceSamples, trace
+
+SHADE_SIDE = 2  # shading samples per side of an edge pixel
+COVER_SIDE = 8  # coverage samples per side of a silhouette pixel
+
+Shader = Callable[[SurfaceSamples, torch.Tensor], torch.Tensor]
+
+
+@torch.no_grad()
+def draw(
+    surface: Isosurface, shade: Shader, camera_to_world: np.ndarray, light: np.ndarray, intrinsics: Intrinsics
+) -> np.ndarray:
+    """Render one view of a stored surface.
+
+    One ray through every pixel that the object may cover; where silhouettes, shadow edges or creases
+    cross a pixel, `SHADE_SIDE`^2 shading samples, and on silhouettes `COVER_SIDE`^2 coverage rays.
+
+    Parameters
+    ----------
+    surface : Isosurface
+    shade : callable
+        Samples and light (3,) -> linear radiance (S, 3).
+    camera_to_world : (4, 4) array
+    light : (3,) array
+    intrinsics : Intrinsics
+
+    Returns
+    -------
+    (H, W, 4) float32, linear, premultiplied by alpha
+    """
+    height, width = intrinsics.height, intrinsics.width
+    candidate = _covered_box(surface, camera_to_world, intrinsics)
+    light_tensor = torch.from_numpy(np.asarray(light, np.float32))
+    centre = _cast(surface, camera_to_world, light, intrinsics, candidate, np.full((1, 2), 0.5))
+    state = np.zeros(height * width, np.int8)
+    seen = candidate[centre.ray.numpy()]
+    state[seen] = 1 + centre.lit.numpy()
+    plane = np.zeros((height * width, 3), np.float32)
+    plane[seen] = centre.normals.numpy()
+    edge = _varies(state, height, width, 0) | _varies(plane, height, width, 0.35)
+    edge_pixels = candidate[edge[candidate]]
+    inner = np.flatnonzero(~edge[seen])
+    fine = _cast(surface, camera_to_world, light, intrinsics, edge_pixels, _offsets(SHADE_SIDE))
+    samples = _concatenate(_select(centre, inner), fine)
+    pixel = np.concatenate([seen[inner], edge_pixels[fine.ray.numpy() // SHADE_SIDE**2]])
+    radiance = shade(samples, light_tensor).numpy() if len(pixel) else np.zeros((0, 3), np.float32)
+    hits = np.bincount(pixel, minlength=height * width)
+    color = np.stack(
+        [np.bincount(pixel, weights=radiance[:, c], minlength=height * width) for c in range(3)], 1
+    ) / np.maximum(hits, 1)[:, None]
+    alpha = np.where(edge, hits / SHADE_SIDE**2, hits)
+    silhouette = np.flatnonzero(_varies(alpha, height, width, 0))
+    alpha[silhouette] = _coverage(surface, camera_to_world, intrinsics, silhouette)
+    # A pixel that coverage rays alone have found takes no colour: it is nearly white anyway.
+    alpha = np.where(hits > 0, alpha, 0)[:, None]
+    return np.concatenate([color * alpha, alpha], 1).astype(np.float32).reshape(height, width, 4)
+
+
+def _covered_box(surface: Isosurface, camera_to_world: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
+    """Flat indices of the pixels that the object's bounding box may cover."""
+    lower, upper = surface.vertices.min(0), surface.vertices.max(0)
+    corners = np.array(np.meshgrid(*zip(lower, upper))).reshape(3, -1).T
+    pixels, depth = project(corners, camera_to_world, intrinsics)
+    if (depth <= 1e-6).any():
+        return np.arange(intrinsics.height * intrinsics.width)
+    size = [intrinsics.width, intrinsics.height]
+    first = np.clip(np.floor(pixels.min(0)).astype(int) - 1, 0, size)
+    last = np.clip(np.ceil(pixels.max(0)).astype(int) + 1, 0, size)
+    rows, columns = np.meshgrid(np.arange(first[1], last[1]), np.arange(first[0], last[0]), indexing="ij")
+    return (rows * intrinsics.width + columns).ravel()
+
+
+def _offsets(side: int) -> np.ndarray:
+    """Regular sample positions within a pixel; (side^2, 2)."""
+    axis = (np.arange(side) + 0.5) / side
+    return np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
+
+
+def _pixel_rays(
+    camera_to_world: np.ndarray, intrinsics: Intrinsics, pixels: np.ndarray, offsets: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    corner = np.stack([pixels % intrinsics.width, pixels // intrinsics.width], 1)
+    positions = (corner[:, None, :] + offsets).reshape(-1, 2)
+    return camera_rays(camera_to_world, intrinsics, positions)
+
+
+def _cast(
+    surface: Isosurface,
+    camera_to_world: np.ndarray,
+    light: np.ndarray,
+    intrinsics: Intrinsics,
+    pixels: np.ndarray,
+    offsets: np.ndarray,
+) -> SurfaceSamples:
+    return trace(surface, *_pixel_rays(camera_to_world, intrinsics, pixels, offsets), light)
+
+
+def _coverage(
+    surface: Isosurface, camera_to_world: np.ndarray, intrinsics: Intrinsics, pixels: np.ndarray
+) -> np.ndarray:
+    """Share of each pixel that the surface covers; (P,)."""
+    rays = _pixel_rays(camera_to_world, intrinsics, pixels, _offsets(COVER_SIDE))
+    return (surface.caster.first_hit(*rays)[1] >= 0).reshape(len(pixels), -1).mean(1)
+
+
+def _varies(values: np.ndarray, height: int, width: int, tolerance: float) -> np.ndarray:
+    """Pixels whose 3x3 neighbourhood differs by more than a tolerance; (H*W,) bool."""
+    image = values.reshape(height, width, -1)
+    window = (3, 3, 1)
+    spread = maximum_filter(image, window) - minimum_filter(image, window)
+    return (spread > tolerance).any(-1).ravel()
+
+
+def _select(samples: SurfaceSamples, index: np.ndarray) -> SurfaceSamples:
+    rows = torch.from_numpy(index)
+    return SurfaceSamples(*(getattr(samples, name)[rows] for name in SurfaceSamples.__dataclass_fields__))
+
+
+def _concatenate(a: SurfaceSamples, b: SurfaceSamples) -> SurfaceSamples:
+    fields = SurfaceSamples.__dataclass_fields__
+    return SurfaceSamples(*(torch.cat([getattr(a, name), getattr(b, name)]) for name in fields))

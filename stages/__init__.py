@@ -1,0 +1,46 @@
+"""The edge of the pipeline: each stage reads declared inputs, calls the library, writes declared outputs."""
+
+import argparse
+import logging
+import sys
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from rich.console import Console
+from rich.progress import track
+from threadpoolctl import threadpool_limits
+
+from objectfolder.errors import ObjectFolderError
+
+_console = Console(stderr=True)
+
+
+def run(stage: Callable[[str], None], description: str | None) -> None:
+    """Run a stage for the object named on the command line.
+
+    One thread, so that the same inputs give the same bytes whoever runs the stage beside what else.
+    """
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("key", help="object key, as in params.yaml")
+    key = parser.parse_args().key
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    try:
+        with threadpool_limits(1):
+            if "torch" in sys.modules:
+                sys.modules["torch"].set_num_threads(1)
+            stage(key)
+    except ObjectFolderError as error:
+        sys.exit(f"{stage.__module__.rpartition('.')[2]} {key}: {error}")
+
+
+def progress(description: str) -> Callable[[Iterable], Iterable]:
+    """Return a function that wraps an iteration in a progress bar, where somebody watches."""
+    return lambda items: track(items, description, console=_console, disable=not _console.is_terminal)
+
+
+def log_point(point: Any) -> None:
+    """Print one point of a training curve."""
+    print(
+        f"step {point.step:6d}  train {point.train_loss:.3e}  val {point.val_loss:.3e}  {point.seconds:6.1f} s",
+        flush=True,
+    )

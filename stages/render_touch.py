@@ -1,0 +1,36 @@
+"""render_touch: surface.ply, sensor profile -> touch/{train,val,test}.npz, touch.png (a contact sheet)."""
+
+from objectfolder.artifacts import SPLITS, Build, write_npz, write_png
+from objectfolder.contact_sheet import tile
+from objectfolder.mesh.surface import read_surface
+from objectfolder.params import stage_params
+from objectfolder.seeding import numpy_generator
+from objectfolder.touch.dataset import contact_points, render_contacts
+from objectfolder.touch.profiles import load_profile
+from stages import progress, run
+
+
+def main(key: str) -> None:
+    params = stage_params("render_touch", key)
+    build, section = Build(key), params.section
+    vertices, faces = read_surface(build.surface)
+    profile = load_profile(section.sensor)
+    counts = [getattr(section, split) for split in SPLITS]
+    rng = numpy_generator(params.seed, key, "render_touch")
+    points = contact_points(vertices, faces, section.locations, counts, rng)
+    for split, split_points in zip(SPLITS, points):
+        contacts = render_contacts(
+            vertices,
+            faces,
+            params.object.scale,
+            split_points,
+            profile,
+            numpy_generator(params.seed, key, "render_touch", split),
+            progress(f"{key}: {split} touches"),
+        )
+        write_npz(build.touch(split), **contacts)
+    write_png(build.touch_sheet, tile(contacts["images"][:36], columns=12))
+
+
+if __name__ == "__main__":
+    run(main, __doc__)

@@ -1,0 +1,37 @@
+"""render_views: visual.glb -> views/{train,val,test}.npz, views.png (a contact sheet to look at)."""
+
+import numpy as np
+import torch
+
+from objectfolder.artifacts import SPLITS, Build, write_npz, write_png
+from objectfolder.contact_sheet import tile
+from objectfolder.mesh.load import load_mesh
+from objectfolder.params import stage_params
+from objectfolder.seeding import numpy_generator
+from objectfolder.vision.cameras import Intrinsics
+from objectfolder.vision.color import on_white
+from objectfolder.vision.dataset import render_split
+from objectfolder.vision.renderers.mitsuba import MitsubaRenderer
+from stages import progress, run
+
+
+def main(key: str) -> None:
+    params = stage_params("render_views", key)
+    build, section = Build(key), params.section
+    renderer = MitsubaRenderer(load_mesh(build.visual, up="y"))
+    for split in SPLITS:
+        views = render_split(
+            renderer,
+            getattr(section, split),
+            section.train_samples if split == "train" else section.test_samples,
+            Intrinsics.square(section.resolution),
+            numpy_generator(params.seed, key, "render_views", split),
+            progress(f"{key}: {split} views"),
+        )
+        write_npz(build.views(split), **views)
+    shown = on_white(torch.from_numpy(views["rgba"][:24].astype(np.float32)))
+    write_png(build.views_sheet, tile((shown.numpy() * 255).round().astype(np.uint8), columns=6))
+
+
+if __name__ == "__main__":
+    run(main, __doc__)

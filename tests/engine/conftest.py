@@ -1,0 +1,151 @@
+"""A small DVC workspace: three objects, and the chain prepare -> solve -> pack for each."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from ruamel.yaml import YAML
+
+PIPELINE = r"""
+stages:
+  prepare:
+    foreach: ${objects}
+    do:
+      cmd: python -m steps prepare ${key}
+      deps: [steps.py]
+      params: ["objects.${key}.size"]
+      outs: ["build/${key}/prepare.txt"]
+  solve:
+    foreach: ${objects}
+    do:
+      cmd: python -m steps solve ${key}
+      deps: ["build/${key}/prepare.txt"]
+      params: ["objects.${key}.material"]
+      outs: ["build/${key}/solve"]
+  pack:
+    foreach: ${objects}
+    do:
+      cmd: python -m steps pack ${key}
+      deps: ["build/${key}/prepare.txt", "build/${key}/solve"]
+      outs: ["build/${key}/pack.txt"]
+      metrics:
+        - metrics/${key}.json:
+            cache: false
+"""
+
+# `calls` records what really ran; the files under `control` make a stage of an object fail or wait.
+STEPS = r"""
+import os, sys, time
+from pathlib import Path
+
+stage, key = sys.argv[1:]
+print("hello from", stage, key)
+with open("calls", "a") as stream:
+    stream.write(f"{stage}@{key} start {time.monotonic()} {os.getpid()} {os.environ['OMP_NUM_THREADS']}\n")
+control = Path("control") / f"{stage}@{key}"
+if control.exists():
+    if control.read_text() == "fail":
+        print("the reason of the failure", file=sys.stderr)
+        sys.exit(3)
+    time.sleep(float(control.read_text()))
+build = Path("build") / key
+build.mkdir(parents=True, exist_ok=True)
+lines = [line for line in Path("params.yaml").read_text().splitlines() if line.startswith(f"  {key}:")]
+if stage == "prepare":
+    (build / "prepare.txt").write_text(lines[0].split("size: ")[1].split(",")[0])
+elif stage == "solve":
+    (build / "solve").mkdir()
+    (build / "solve" / "a.txt").write_text((build / "prepare.txt").read_text() + lines[0])
+else:
+    (build / "pack.txt").write_text((build / "solve" / "a.txt").read_text())
+    Path("metrics").mkdir(exist_ok=True)
+    (Path("metrics") / f"{key}.json").write_text('{"score": 1}\n')
+with open("calls", "a") as stream:
+    stream.write(f"{stage}@{key} end {time.monotonic()} {os.getpid()} -\n")
+"""
+
+KEYS = ("bell", "bowl", "mug")
+
+
+class Workspace:
+    """A workspace and the means to change and inspect it."""
+
+    def __init__(self, root: Path):
+        self.root = root
+
+    def params(self, **objects: dict[str, object]) -> None:
+        """Write params.yaml; objects that are not given keep their defaults."""
+        lines = ["objects:"]
+        for key in KEYS:
+            entry = {"size": 1, "material": "steel"} | objects.get(key, {})
+            lines.append(f"  {key}: {{size: {entry['size']}, material: {entry['material']}}}")
+        (self.root / "params.yaml").write_text("\n".join(lines) + "\n")
+
+    def control(self, address: str, value: str | None) -> None:
+        """Make a stage fail ("fail"), wait (seconds) or behave (None)."""
+        path = self.root / "control" / address
+        path.parent.mkdir(exist_ok=True)
+        path.unlink(missing_ok=True)
+        if value is not None:
+            path.write_text(value)
+
+    def calls(self) -> list[list[str]]:
+        """Starts and ends of stage commands so far, as (address, start or end, time, pid, threads)."""
+        path = self.root / "calls"
+        return [line.split() for line in path.read_text().splitlines()] if path.exists() else []
+
+    def ran(self) -> list[str]:
+        """Addresses that ran since the last call of this method, sorted."""
+        started = sorted(call[0] for call in self.calls() if call[1] == "start")
+        (self.root / "calls").unlink(missing_ok=True)
+        return started
+
+    def dvc(self, *arguments: str) -> str:
+        """Run the real `dvc` command line and return what it printed."""
+        done = subprocess.run(
+            [sys.executable, "-m", "dvc", *arguments],
+            cwd=self.root,
+            env=os.environ
+            | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}", "OMP_NUM_THREADS": "1"},
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    def locked(self) -> set[str]:
+        """Addresses in dvc.lock."""
+        return set(YAML(typ="safe").load(self.root / "dvc.lock")["stages"])
+
+
+def everything(*stages: str) -> list[str]:
+    """Addresses of stages for all objects, sorted."""
+    return sorted(f"{stage}@{key}" for stage in stages or ("prepare", "solve", "pack") for key in KEYS)
+
+
+@pytest.fixture
+def make_workspace(tmp_path: Path) -> Callable[[str], Workspace]:
+    def make(pipeline: str) -> Workspace:
+        from dvc.repo import Repo
+
+        root = tmp_path / "workspace"
+        root.mkdir()
+        subprocess.run(["git", "init", "-q", root], check=True)
+        with Repo.init(str(root)) as repo, repo.config.edit("repo") as config:
+            config["core"].update({"analytics": False, "check_update": False})
+        (root / "dvc.yaml").write_text(pipeline)
+        (root / ".gitignore").write_text("/build/\n/metrics/\n")
+        (root / "steps.py").write_text(STEPS)
+        workspace = Workspace(root)
+        workspace.params()
+        return workspace
+
+    return make
+
+
+@pytest.fixture
+def workspace(make_workspace: Callable[[str], Workspace]) -> Workspace:
+    return make_workspace(PIPELINE)

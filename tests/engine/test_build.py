@@ -1,0 +1,179 @@
+import shutil
+
+import pytest
+
+from objectfolder.engine.local import build
+from objectfolder.engine.summary import Finished, Planned, Started, Status
+from objectfolder.errors import ObjectFolderError
+
+from .conftest import everything
+
+
+def statuses(summary):
+    return {address: str(result.status) for address, result in summary.stages.items()}
+
+
+def test_builds_once_and_leaves_dvc_content(workspace):
+    events = []
+    summary = build(root=workspace.root, on_event=events.append)
+    assert summary.ok
+    assert workspace.ran() == everything()
+    assert isinstance(events[0], Planned)
+    assert sum(isinstance(event, Started) for event in events) == 9
+    assert sum(isinstance(event, Finished) for event in events) == 9
+    result = summary.stages["solve@mug"]
+    assert (result.stage, result.object, result.status) == ("solve", "mug", Status.RAN)
+    assert result.seconds > 0
+    assert 1 < result.peak_mb < 60
+    assert result.log == workspace.root / "build/.logs/solve@mug.log"
+    assert "hello from solve mug" in result.log.read_text()
+
+    assert "up to date" in workspace.dvc("status")
+    lock = (workspace.root / "dvc.lock").read_bytes()
+    assert "up to date" in workspace.dvc("repro")
+    assert workspace.ran() == []
+
+    again = build(root=workspace.root)
+    assert set(statuses(again).values()) == {"skipped"}
+    assert workspace.ran() == []
+    assert (workspace.root / "dvc.lock").read_bytes() == lock
+
+    forced = build(["prepare@mug"], root=workspace.root, force=True)
+    assert statuses(forced) == {"prepare@mug": "ran"}
+
+
+def test_lock_file_is_the_one_dvc_writes(workspace):
+    build(root=workspace.root)
+    ours = (workspace.root / "dvc.lock").read_text()
+    workspace.dvc("commit", "-f")
+    assert (workspace.root / "dvc.lock").read_text() == ours
+
+
+def test_change_of_one_object_reruns_only_what_depends_on_it(workspace):
+    build(root=workspace.root)
+    workspace.ran()
+    workspace.params(mug={"material": "glass"})
+    summary = build(root=workspace.root)
+    assert workspace.ran() == ["pack@mug", "solve@mug"]
+    assert summary.counts()[Status.SKIPPED] == 7
+    assert "up to date" in workspace.dvc("status")
+
+
+def test_stage_whose_input_comes_out_the_same_is_skipped(workspace):
+    build(root=workspace.root)
+    workspace.ran()
+    with (workspace.root / "steps.py").open("a") as stream:
+        stream.write("# a comment\n")
+    build(root=workspace.root)
+    assert workspace.ran() == everything("prepare")
+
+
+def test_failure_blocks_its_branch_only_and_the_fix_resumes(workspace):
+    workspace.control("solve@bowl", "fail")
+    summary = build(root=workspace.root)
+    assert not summary.ok
+    (failure,) = summary.failures
+    assert failure.address == "solve@bowl"
+    assert "code 3" in failure.error
+    assert failure.tail[-1] == "the reason of the failure"
+    assert failure.log.is_file()
+    assert [result.address for result in summary.with_status(Status.BLOCKED)] == ["pack@bowl"]
+    assert summary.counts()[Status.RAN] == 7
+    assert workspace.locked() == set(everything()) - {"solve@bowl", "pack@bowl"}
+    workspace.ran()
+
+    workspace.control("solve@bowl", None)
+    assert build(root=workspace.root).ok
+    assert workspace.ran() == ["pack@bowl", "solve@bowl"]
+
+
+def test_missing_output_and_missing_dependency_are_failures(make_workspace):
+    workspace = make_workspace(
+        "stages:\n"
+        "  lazy: {cmd: 'true', outs: [never.txt]}\n"
+        "  orphan: {cmd: 'true', deps: [nowhere.txt], outs: [x.txt]}\n"
+    )
+    summary = build(root=workspace.root)
+    assert "never.txt" in summary.stages["lazy"].error
+    assert "nowhere.txt" in summary.stages["orphan"].error
+    assert not (workspace.root / "dvc.lock").exists()
+
+
+def test_outputs_come_back_from_the_run_cache(workspace):
+    build(root=workspace.root)
+    workspace.ran()
+    metrics = (workspace.root / "metrics/mug.json").read_bytes()
+
+    shutil.rmtree(workspace.root / "build/mug")
+    (workspace.root / "metrics/mug.json").unlink()
+    summary = build(root=workspace.root)
+    assert [result.address for result in summary.with_status(Status.RESTORED)] == [
+        "prepare@mug",
+        "solve@mug",
+        "pack@mug",
+    ]
+
+    # An older state that the lock file no longer knows.
+    workspace.params(mug={"material": "glass"})
+    build(root=workspace.root)
+    workspace.ran()
+    workspace.params()
+    (workspace.root / "dvc.lock").unlink()
+    summary = build(root=workspace.root)
+    assert summary.ok
+    assert workspace.ran() == []
+    assert "steel" in (workspace.root / "build/mug/pack.txt").read_text()
+    assert (workspace.root / "metrics/mug.json").read_bytes() == metrics
+    assert "up to date" in workspace.dvc("status")
+
+
+@pytest.mark.parametrize(
+    ("target", "expected"),
+    [
+        ("solve@mug", ["prepare@mug", "solve@mug"]),
+        ("solve", everything("prepare", "solve")),
+        ("mug", ["pack@mug", "prepare@mug", "solve@mug"]),
+        ("build/mug/solve/a.txt", ["prepare@mug", "solve@mug"]),
+        ("build/mug/prepare.txt", ["prepare@mug"]),
+    ],
+)
+def test_targets(workspace, target, expected):
+    assert sorted(build([target], root=workspace.root).stages) == expected
+    assert workspace.ran() == expected
+
+
+@pytest.mark.parametrize(
+    ("target", "suggestion"),
+    [
+        ("solve@mugg", "solve@mug"),
+        ("sovle", "solve"),
+        ("mog", "mug"),
+        ("build/mug/pack.tx", "build/mug/pack.txt"),
+    ],
+)
+def test_unknown_target_suggests_close_ones(workspace, target, suggestion):
+    with pytest.raises(ObjectFolderError, match=f"unknown target '{target}'.*did you mean.*{suggestion}"):
+        build([target], root=workspace.root)
+
+
+def test_two_jobs_overlap(workspace):
+    for key in ("bell", "mug"):
+        workspace.control(f"prepare@{key}", "1.5")
+    build(["prepare@bell", "prepare@mug"], jobs=2, root=workspace.root)
+    kinds = [call[1] for call in workspace.calls()]
+    assert kinds == ["start", "start", "end", "end"]
+
+
+def test_wrong_arguments_and_workspaces(workspace, tmp_path):
+    with pytest.raises(ObjectFolderError, match="jobs is 0"):
+        build(jobs=0, root=workspace.root)
+    with pytest.raises(ObjectFolderError, match="not a directory"):
+        build(root=tmp_path / "nowhere")
+    with pytest.raises(ObjectFolderError, match="dvc init"):
+        build(root=tmp_path)
+    (workspace.root / "dvc.yaml").write_text("stages: 3\n")
+    with pytest.raises(ObjectFolderError, match="cannot read the pipeline"):
+        build(root=workspace.root)
+    (workspace.root / "dvc.yaml").unlink()
+    with pytest.raises(ObjectFolderError, match=r"no dvc\.yaml"):
+        build(root=workspace.root)

@@ -1,0 +1,108 @@
+"""The engine as a process of its own: killed, interrupted, or kept out by another DVC process."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from objectfolder.engine.local import build
+from objectfolder.errors import ObjectFolderError
+
+from .conftest import everything
+
+ENGINE = "from objectfolder.engine.local import build; build(jobs=2)"
+PATH = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+
+
+def start(workspace, *command):
+    log = (workspace.root / "process.log").open("wb")
+    environment = os.environ | {"PATH": PATH, "OMP_NUM_THREADS": "1"}
+    with log:
+        return subprocess.Popen(
+            [sys.executable, *command], cwd=workspace.root, env=environment, stdout=log, stderr=log
+        )
+
+
+def wait_for(condition, seconds=20):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(0.05)
+
+
+def started(workspace, address):
+    return next((int(call[3]) for call in workspace.calls() if call[:2] == [address, "start"]), None)
+
+
+def alive(pid):
+    return psutil.pid_exists(pid) and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+
+
+def start_and_hang(workspace):
+    """Start a build that hangs in solve@mug after everything else is done; give engine and stage."""
+    workspace.control("solve@mug", "60")
+    engine = start(workspace, "-c", ENGINE)
+    done = len(everything()) - 2
+    wait_for(lambda: started(workspace, "solve@mug"))
+    wait_for(lambda: sum(call[1] == "end" for call in workspace.calls()) == done)
+    return engine, started(workspace, "solve@mug")
+
+
+def resume(workspace):
+    workspace.ran()
+    workspace.control("solve@mug", None)
+    summary = build(root=workspace.root)
+    assert summary.ok
+    assert workspace.ran() == ["pack@mug", "solve@mug"]
+    assert "up to date" in workspace.dvc("status")
+
+
+def test_killed_engine_leaves_no_child_and_the_next_build_completes(workspace):
+    engine, stage = start_and_hang(workspace)
+    time.sleep(1)  # for the engine to save what has ended; the run cache keeps it even without dvc.lock
+    engine.kill()
+    engine.wait()
+    wait_for(lambda: not alive(stage), seconds=5)
+    resume(workspace)
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, -signal.SIGINT), (signal.SIGTERM, 143)])
+def test_interrupted_engine_keeps_what_has_finished(workspace, number, code):
+    engine, stage = start_and_hang(workspace)
+    engine.send_signal(number)
+    assert engine.wait(10) == code
+    assert not alive(stage)
+    assert workspace.locked() == set(everything()) - {"solve@mug", "pack@mug"}
+    resume(workspace)
+
+
+def test_second_engine_is_kept_out(workspace):
+    engine, _ = start_and_hang(workspace)
+    with pytest.raises(ObjectFolderError, match=rf"\(process {engine.pid}\) holds the lock"):
+        build(root=workspace.root)
+    engine.terminate()
+    engine.wait()
+
+
+def test_running_dvc_repro_keeps_the_engine_out(workspace):
+    workspace.control("prepare@mug", "60")
+    repro = start(workspace, "-m", "dvc", "repro", "prepare@mug")
+    try:
+        wait_for(lambda: started(workspace, "prepare@mug"))
+        with pytest.raises(ObjectFolderError, match=f"process {repro.pid} .*is running a stage"):
+            build(root=workspace.root)
+    finally:
+        repro.kill()
+        repro.wait()
+        os.kill(started(workspace, "prepare@mug"), signal.SIGKILL)  # dvc leaves its child running
+
+
+def test_torn_rwlock_file_is_replaced(workspace):
+    (workspace.root / ".dvc/tmp").mkdir(exist_ok=True)
+    (workspace.root / ".dvc/tmp/rwlock").write_text('{"write": {')
+    assert build(["prepare@mug"], root=workspace.root).ok

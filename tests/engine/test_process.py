@@ -1,0 +1,57 @@
+import os
+import sys
+import threading
+import time
+
+from objectfolder.engine.process import Children, Command, describe_exit, environment, tail
+
+
+def command(tmp_path, *lines):
+    return Command(lines=lines, cwd=tmp_path, env=environment(os.environ), log=tmp_path / "logs" / "x.log")
+
+
+def test_measures_time_and_memory(tmp_path):
+    small = Children().run(command(tmp_path, "python -S -c 'import time; time.sleep(0.3)'"))
+    large = Children().run(command(tmp_path, "python -S -c 'x = b\"1\" * 100_000_000'; true"))
+    assert small.code == large.code == 0
+    assert small.seconds >= 0.3
+    # Smaller than this process: the engine's own memory is not counted.
+    assert 1 < small.peak_mb < 40
+    assert large.peak_mb > 95
+
+
+def test_log_holds_both_streams_and_tail_its_end(tmp_path):
+    run = command(tmp_path, "for i in $(seq 30); do echo line $i; done; echo oops >&2; exit 5", "echo never")
+    assert Children().run(run).code == 5
+    lines = tail(run.log)
+    assert len(lines) == 15
+    assert lines[-2:] == ("line 30", "oops")
+    assert tail(tmp_path / "absent.log") == ()
+
+
+def test_python_is_this_interpreter_and_libraries_get_one_thread(tmp_path):
+    run = command(tmp_path, "command -v python; echo $OMP_NUM_THREADS $OPENBLAS_NUM_THREADS $MKL_NUM_THREADS")
+    assert Children().run(run).code == 0
+    python, threads = tail(run.log)[1:]
+    assert os.path.dirname(python) == os.path.dirname(sys.executable)  # noqa: PTH120
+    assert threads == "1 1 1"
+
+
+def test_kill_reaches_grandchildren(tmp_path):
+    children = Children()
+    outcomes = []
+    run = command(tmp_path, "(sleep 60; echo late) | cat; true")
+    thread = threading.Thread(target=lambda: outcomes.append(children.run(run)))
+    thread.start()
+    while not run.log.exists() or not run.log.read_text():
+        time.sleep(0.02)
+    children.kill()
+    thread.join(5)
+    assert outcomes[0].code < 0
+    assert children.run(run).code < 0  # and nothing starts afterwards
+
+
+def test_exit_in_words():
+    assert "code 3" in describe_exit(3)
+    assert "SIGKILL" in describe_exit(-9)
+    assert "memory" in describe_exit(137)

@@ -1,0 +1,48 @@
+import io
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from objectfolder.engine.progress import Progress, print_summary
+from objectfolder.engine.summary import Finished, Planned, StageResult, Started, Status, Summary
+
+RAN = StageResult("modal@mug", Status.RAN, 12.34, 654.0, Path("/w/build/.logs/modal@mug.log"))
+FAILED = StageResult(
+    "modal@bell",
+    Status.FAILED,
+    1.0,
+    9.0,
+    Path("/w/bell.log"),
+    "the command exited with code 3",
+    ("[a]", "no mesh"),
+)
+BLOCKED = StageResult("pack@bell", Status.BLOCKED, error="needs modal@bell")
+SKIPPED = StageResult("pack@mug", Status.SKIPPED)
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_every_event_is_shown_but_skips(terminal):
+    console = Console(file=io.StringIO(), force_terminal=terminal, width=100)
+    with Progress(console) as progress:
+        progress(Planned(("modal@mug", "pack@mug", "modal@bell", "pack@bell")))
+        progress(Started("modal@mug", Path("x.log")))
+        for result in (RAN, SKIPPED, FAILED, BLOCKED):
+            progress(Finished(result))
+    text = console.file.getvalue()
+    assert "ran      modal@mug [1/4] 12.3 s 654 MB" in text
+    assert "failed   modal@bell [3/4] the command exited with code 3" in text
+    assert "blocked  pack@bell [4/4] needs modal@bell" in text
+    assert "pack@mug" not in text
+    assert (progress.done, progress.running) == (4, {})
+
+
+def test_summary_names_what_ran_and_what_failed():
+    console = Console(file=io.StringIO(), width=100)
+    results = {result.address: result for result in (RAN, SKIPPED, FAILED, BLOCKED)}
+    print_summary(Summary(results, 20.0), console)
+    text = console.file.getvalue()
+    assert "modal  mug     ran    12.3      654" in " ".join(text.split("\n"))
+    assert "modal of bell failed: the command exited with code 3" in text
+    assert "| [a]\n  | no mesh\n  log: /w/bell.log" in text
+    assert "1 ran, 1 skipped, 1 failed, 1 blocked in 20.0 s" in text

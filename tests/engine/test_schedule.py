@@ -1,0 +1,31 @@
+from objectfolder.engine.schedule import Schedule, remaining_paths
+
+DIAMOND = {"a": set(), "x": set(), "b": {"a"}, "c": {"a"}, "d": {"b", "c"}}
+
+
+def test_remaining_path_counts_the_stage_itself():
+    weight = {"a": 1, "b": 10, "c": 2, "d": 5, "x": 3}
+    assert remaining_paths(DIAMOND, weight.__getitem__) == {"a": 16, "x": 3, "b": 15, "c": 7, "d": 5}
+
+
+def test_longest_path_comes_first():
+    schedule = Schedule(
+        {"normalize@a": set(), "pack@z": set(), "modal@b": set(), "train_audio@b": {"modal@b"}}
+    )
+    assert [schedule.pop() for _ in range(4)] == ["modal@b", "normalize@a", "pack@z", None]
+
+
+def test_ready_only_when_all_upstream_is_done():
+    schedule = Schedule(DIAMOND)
+    assert [schedule.pop(), schedule.pop(), schedule.pop()] == ["a", "x", None]
+    schedule.finish("a")
+    assert [schedule.pop(), schedule.pop()] == ["b", "c"]
+    schedule.finish("b")
+    assert schedule.pop() is None
+    schedule.finish("c")
+    assert schedule.pop() == "d"
+
+
+def test_downstream_is_transitive_and_ordered():
+    assert Schedule(DIAMOND).downstream("a") == ["b", "c", "d"]
+    assert Schedule(DIAMOND).downstream("x") == []
