@@ -92,6 +92,13 @@ def atomic(path: str | Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def check_writable(directory: Path) -> None:
+    """Raise ObjectFolderError unless files can be made in a directory."""
+    with atomic(directory / ".writable"):
+        pass
+    (directory / ".writable").unlink()
+
+
 def write_json(path: str | Path, value: Any) -> None:
     """Write JSON with sorted keys."""
     with atomic(path) as temporary:
@@ -138,8 +145,18 @@ def file_digest(path: str | Path) -> str:
 
 
 def read_json(path: str | Path) -> Any:
-    """Read a JSON file."""
-    return json.loads(_existing(path).read_text())
+    """Read a JSON file.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the file is missing or damaged.
+    """
+    path = _existing(path)
+    try:
+        return json.loads(path.read_text())
+    except ValueError as error:
+        raise ObjectFolderError(f"{path} is damaged ({error}); delete it and rebuild") from error
 
 
 def read_npz(path: str | Path, *required: str) -> dict[str, np.ndarray]:

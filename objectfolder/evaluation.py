@@ -95,7 +95,9 @@ def evaluate_audio(
     }
 
 
-def evaluate_touch(file: ObjectFile, contacts: dict[str, np.ndarray], mean_image: np.ndarray) -> dict[str, float]:
+def evaluate_touch(
+    file: ObjectFile, contacts: dict[str, np.ndarray], mean_image: np.ndarray
+) -> dict[str, float]:
     """PSNR of tactile images at held-out contacts.
 
     Contacts where the object reaches behind the gel (a handle, the inside of a cup) are impossible for a
@@ -123,7 +125,9 @@ def evaluate_touch(file: ObjectFile, contacts: dict[str, np.ndarray], mean_image
     return scores
 
 
-def evaluate_awgn(shapes: dict[str, tuple[int, ...]], rng: np.random.Generator) -> dict[str, dict[str, float]]:
+def evaluate_awgn(
+    shapes: dict[str, tuple[int, ...]], rng: np.random.Generator
+) -> dict[str, dict[str, float]]:
     """PSNR of ground truth corrupted by white Gaussian noise, per convention and modality.
 
     In data scaled to [0, 1] it is a property of the noise alone: 26.0 dB for sigma 0.05, 13.0 dB for

@@ -15,7 +15,7 @@ def awgn_psnr(shape: tuple[int, ...], sigma: float, rng: np.random.Generator) ->
 
     The noise is not clipped, so the data itself does not matter.
     """
-    return float(psnr(np.mean(rng.normal(0, sigma, shape) ** 2)))
+    return float(psnr(float(np.mean(rng.normal(0, sigma, shape) ** 2))))
 
 
 def ssim(image: np.ndarray, reference: np.ndarray) -> float:

@@ -45,7 +45,9 @@ class ObjectFile:
         If the header is not that of an Object File this version can read.
     """
 
-    def __init__(self, header: dict[str, Any], tensors: dict[str, np.ndarray], path: str | Path = "Object File"):
+    def __init__(
+        self, header: dict[str, Any], tensors: dict[str, np.ndarray], path: str | Path = "Object File"
+    ):
         missing = [name for name in _REQUIRED if name not in header]
         if missing:
             raise ObjectFolderError(f"{path} is not an Object File: its header lacks {', '.join(missing)}")
@@ -105,7 +107,9 @@ class ObjectFile:
         intrinsics: Intrinsics | None = None,
     ) -> np.ndarray:
         """Render the object on white; see `objectfolder.query.view`."""
-        return query.view(self.surface, self._vision, camera, light, intrinsics or Intrinsics.square(resolution))
+        return query.view(
+            self.surface, self._vision, camera, light, intrinsics or Intrinsics.square(resolution)
+        )
 
     def impact(
         self,

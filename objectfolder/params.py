@@ -295,6 +295,7 @@ def _validate(model: type[BaseModel], value: Any, where: str) -> Any:
         return model.model_validate(value)
     except ValidationError as error:
         problems = "; ".join(
-            f"{'.'.join(map(str, e['loc'])) or 'entry'}: {e['msg']}, got {e['input']!r}" for e in error.errors()
+            f"{'.'.join(map(str, e['loc'])) or 'entry'}: {e['msg']}, got {e['input']!r}"
+            for e in error.errors()
         )
         raise ObjectFolderError(f"{where}: {problems}") from error

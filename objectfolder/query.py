@@ -154,8 +154,8 @@ def touch(
     limit = net.profile.max_indentation
     if len(depths) and not (depths.min() >= 0 and depths.max() <= limit):
         raise ObjectFolderError(
-            f"press depths from {depths.min():g} to {depths.max():g} m; the sensor {net.profile.name!r} takes 0 "
-            f"to {limit:g} m"
+            f"press depths from {depths.min():g} to {depths.max():g} m; "
+            f"the sensor {net.profile.name!r} takes 0 to {limit:g} m"
         )
     snapped = snap(net.surface, points / net.scale, tolerance) * net.scale
     normals = net.normals(snapped)
@@ -181,7 +181,7 @@ def snap(surface: Isosurface, points: np.ndarray, tolerance: float) -> np.ndarra
     if len(far):
         raise ObjectFolderError(
             f"{len(far)} of {len(points)} points are off the surface, the first is row {far[0]} at "
-            f"{points[far[0]].round(4).tolist()} (unit frame), {distance[far[0]]:.3g} of the object's size away; "
+            f"{points[far[0]].round(4).tolist()} (unit frame), {distance[far[0]]:.3g} of the size away; "
             f"expected at most {tolerance:g}. Points are in metres, centred on the bounding box: "
             "ObjectFile.sample_surface gives valid ones"
         )

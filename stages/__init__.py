@@ -41,6 +41,7 @@ def progress(description: str) -> Callable[[Iterable], Iterable]:
 def log_point(point: Any) -> None:
     """Print one point of a training curve."""
     print(
-        f"step {point.step:6d}  train {point.train_loss:.3e}  val {point.val_loss:.3e}  {point.seconds:6.1f} s",
+        f"step {point.step:6d}  train {point.train_loss:.3e}  val {point.val_loss:.3e}  "
+        f"{point.seconds:6.1f} s",
         flush=True,
     )

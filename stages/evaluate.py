@@ -18,10 +18,16 @@ def main(key: str) -> None:
     views = read_npz(build.views("test"), "rgba", "camera_to_world", "light", "focal")
     modes = read_npz(build.modes, "points", "split", "shapes", "damped_frequency", "damping")
     contacts = read_npz(build.touch("test"), "images", "points", "depths", "angles", "obstructed")
-    shapes = {"vision": views["rgba"].shape[1:3] + (3,), "audio": (257, 201, 2), "touch": contacts["images"].shape[1:]}
+    shapes = {
+        "vision": (*views["rgba"].shape[1:3], 3),
+        "audio": (257, 201, 2),
+        "touch": contacts["images"].shape[1:],
+    }
     metrics = {
         "vision": evaluate_vision(file, views),
-        "audio": evaluate_audio(file, modes, np.flatnonzero(modes["split"] == 2), params.section.impacts, rng),
+        "audio": evaluate_audio(
+            file, modes, np.flatnonzero(modes["split"] == 2), params.section.impacts, rng
+        ),
         "touch": evaluate_touch(file, contacts, file.tensors["touch.mean_image"]),
         "awgn": evaluate_awgn(shapes, rng),
         "file_bytes": build.object_file.stat().st_size,

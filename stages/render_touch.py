@@ -14,7 +14,7 @@ def main(key: str) -> None:
     params = stage_params("render_touch", key)
     build, section = Build(key), params.section
     vertices, faces = read_surface(build.surface)
-    profile = load_profile(section.sensor)
+    profile = load_profile(params.sensor)
     counts = [getattr(section, split) for split in SPLITS]
     rng = numpy_generator(params.seed, key, "render_touch")
     points = contact_points(vertices, faces, section.locations, counts, rng)

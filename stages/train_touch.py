@@ -14,7 +14,7 @@ from stages import log_point, run
 def main(key: str) -> None:
     params = stage_params("train_touch", key)
     build, section = Build(key), params.section
-    surface = Isosurface(DistanceGrid(**read_npz(build.sdf, "values", "band")))
+    surface = Isosurface(DistanceGrid.from_arrays(read_npz(build.sdf, "values", "band")))
     net = GeometricTouch(surface, params.object.scale, load_profile(params.sensor))
     train, val = (
         {name: rows[: section.contacts] for name, rows in read_npz(build.touch(split), "images").items()}

@@ -12,7 +12,7 @@ from stages import log_point, run
 def main(key: str) -> None:
     params = stage_params("train_vision", key)
     build, section = Build(key), params.section
-    surface = Isosurface(DistanceGrid(**read_npz(build.sdf, "values", "band")))
+    surface = Isosurface(DistanceGrid.from_arrays(read_npz(build.sdf, "values", "band")))
     train, val = (
         read_npz(build.views(s), "rgba", "camera_to_world", "light", "focal") for s in ("train", "val")
     )

@@ -149,7 +149,9 @@ def assemble(cells: CutCells, material: Material, scale: float) -> FiniteElement
     )
 
 
-def interpolate(cells: CutCells, connectivity: np.ndarray, values: np.ndarray, points: np.ndarray) -> np.ndarray:
+def interpolate(
+    cells: CutCells, connectivity: np.ndarray, values: np.ndarray, points: np.ndarray
+) -> np.ndarray:
     """Evaluate a nodal field at points with the elements' own shape functions.
 
     A point in a cell that holds no element (on its boundary, or in a dropped speck) takes the nearest

@@ -5,6 +5,7 @@ factorisation serves. The number of modes below the wanted frequency is counted 
 law of inertia, so that one solve finds exactly those.
 """
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,7 @@ from objectfolder.fem.cutcell import FiniteElements
 SHIFT_HZ = 300.0  # of the negative shift
 CLUSTER = 1e-6  # eigenvalues closer than this (relative) span one subspace
 SPARE = 4  # modes beyond the wanted ones, which let the wanted ones converge
+MIN_SUBSPACE = 60  # Lanczos vectors; fewer miss copies of the sixfold rigid eigenvalue
 
 
 @dataclass(frozen=True)
@@ -82,9 +84,11 @@ def solve_modes(fem: FiniteElements, max_frequency: float, max_modes: int, name:
     shift = -((2 * np.pi * SHIFT_HZ) ** 2)
     factor = Factorisation((fem.stiffness - shift * fem.mass).tocsr(), fem.nodal_mass)
     size = fem.stiffness.shape[0]
+    count = min(wanted + SPARE, size - 2)
     values, vectors = sla.eigsh(
         fem.stiffness,
-        k=min(wanted + SPARE, size - 2),
+        k=count,
+        ncv=min(max(2 * count + 1, MIN_SUBSPACE), size),
         M=fem.mass,
         sigma=shift,
         OPinv=sla.LinearOperator((size, size), matvec=factor.solve, dtype=np.float64),
@@ -95,7 +99,8 @@ def solve_modes(fem: FiniteElements, max_frequency: float, max_modes: int, name:
     values, vectors = values[order], vectors[:, order]
     _check_rigid(fem, values, vectors, name)
     keep = np.flatnonzero((np.arange(len(values)) >= 6) & (values < limit))[:max_modes]
-    elastic = canonical(values[keep], vectors[:, keep], fem)
+    # Before the cut: it may part the modes of a repeated eigenvalue.
+    elastic = canonical(values[6:], vectors[:, 6:], fem)[:, keep - 6]
     inertia = elastic * values[keep]
     residual = np.linalg.norm(fem.stiffness @ elastic - fem.mass @ inertia, axis=0)
     count = len(keep) if below is None else below - 6
@@ -127,8 +132,8 @@ def canonical(values: np.ndarray, vectors: np.ndarray, fem: FiniteElements) -> n
     probes = fem.mass @ _probe_fields(fem.nodes)
     out = vectors.copy()
     root = np.sqrt(np.abs(values))
-    starts = np.flatnonzero(np.diff(root, prepend=-np.inf) > CLUSTER * root) if len(values) else []
-    for start, stop in zip(starts, [*starts[1:], len(values)]):
+    bounds = [*np.flatnonzero(np.diff(root, prepend=-np.inf) > CLUSTER * root), len(values)]
+    for start, stop in itertools.pairwise(bounds):
         size = stop - start
         product = vectors[:, start:stop].T @ probes[:, :size]
         rotation, triangle = np.linalg.qr(product)

@@ -29,6 +29,11 @@ class DistanceGrid:
         # grid_sample wants (batch, channel, z, y, x).
         self._volume = volume.permute(2, 1, 0).contiguous()[None, None]
 
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> "DistanceGrid":
+        """Return the grid that ``sdf.npz`` holds."""
+        return cls(arrays["values"], float(arrays["band"]))
+
     def distance(self, points: torch.Tensor) -> torch.Tensor:
         """Signed distance at (N, 3) points; (N,)."""
         grid = (points.to(torch.float32) / BOUND).view(1, -1, 1, 1, 3)

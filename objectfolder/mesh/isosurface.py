@@ -24,9 +24,7 @@ class Isosurface:
 
     def __init__(self, grid: DistanceGrid):
         self.grid = grid
-        v, f, _, _ = marching_cubes(
-            grid.values.astype(np.float32), 0.0, allow_degenerate=False
-        )
+        v, f, _, _ = marching_cubes(grid.values.astype(np.float32), 0.0, allow_degenerate=False)
         self.vertices = v.astype(np.float64) * grid.spacing - BOUND
         self.faces = f.astype(np.int64)
         self.caster = RayCaster(self.vertices, self.faces)

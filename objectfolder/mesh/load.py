@@ -1,6 +1,7 @@
 """Read a mesh with its appearance from the formats that people have."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -46,7 +47,7 @@ def load_mesh(path: str | Path, up: str = "z", texture_size: int = 1024) -> Text
     try:
         scene = trimesh.load_scene(path, process=False)
         # A scan's colour is one texture; several materials are packed into one atlas.
-        mesh = scene.to_mesh() if scene.geometry else None
+        mesh: Any = scene.to_mesh() if scene.geometry else None
     except Exception as error:  # the readers raise whatever their format's parser raises
         raise ObjectFolderError(f"{path} cannot be read as a mesh: {error}") from error
     faces = None if mesh is None else getattr(mesh, "faces", None)
@@ -65,7 +66,7 @@ def load_mesh(path: str | Path, up: str = "z", texture_size: int = 1024) -> Text
 
 
 def _appearance(mesh: trimesh.Trimesh, texture_size: int) -> dict:
-    visual = mesh.visual
+    visual: Any = mesh.visual
     if visual.kind != "texture" or visual.uv is None:
         colors = np.asarray(visual.vertex_colors)[:, :3] if visual.kind is not None else None
         return {"vertex_colors": colors}

@@ -3,7 +3,9 @@
 import numpy as np
 
 
-def sample_surface(vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+def sample_surface(
+    vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.random.Generator
+) -> np.ndarray:
     """Points distributed uniformly by area; (count, 3) float64."""
     a, b, c = (np.asarray(vertices, np.float64)[faces[:, i]] for i in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)

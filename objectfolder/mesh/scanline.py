@@ -67,16 +67,22 @@ def crossings(
     return column, height, sign
 
 
-def inside(vertices: np.ndarray, faces: np.ndarray, count: int, lower: np.ndarray, spacing: float) -> np.ndarray:
+def inside(
+    vertices: np.ndarray, faces: np.ndarray, count: int, lower: np.ndarray, spacing: float
+) -> np.ndarray:
     """Whether each sample of a cubic grid is inside a closed surface; (count,)*3 bool."""
     column, height, sign = crossings(vertices, faces, count, lower, spacing)
     first_above = np.clip(np.ceil(height), 0, count).astype(np.int64)
-    winding = np.bincount(column * (count + 1) + first_above, weights=sign, minlength=count * count * (count + 1))
+    winding = np.bincount(
+        column * (count + 1) + first_above, weights=sign, minlength=count * count * (count + 1)
+    )
     winding = np.cumsum(winding.reshape(count * count, count + 1).astype(np.int8), axis=1, dtype=np.int8)
     return (winding[:, :count] > 0).reshape(count, count, count)
 
 
-def coverage(vertices: np.ndarray, faces: np.ndarray, count: int, lower: np.ndarray, spacing: float) -> np.ndarray:
+def coverage(
+    vertices: np.ndarray, faces: np.ndarray, count: int, lower: np.ndarray, spacing: float
+) -> np.ndarray:
     """Fraction of each voxel that is inside a closed surface.
 
     Exact along z; across, the mean over four shifted lattices (a rotated grid), because one lattice

@@ -6,6 +6,7 @@ and is flagged. All lengths are in the unit frame (longest side 1).
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import igl
 import manifold3d
@@ -99,7 +100,8 @@ def close_surface(vertices: np.ndarray, faces: np.ndarray, name: str = "mesh") -
 def write_surface(path: str | Path, surface: Surface) -> None:
     """Write a surface as binary PLY."""
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
-    Path(path).write_bytes(mesh.export(file_type="ply", vertex_normal=False))
+    data: Any = mesh.export(file_type="ply", vertex_normal=False)
+    Path(path).write_bytes(data)
 
 
 def read_surface(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
@@ -112,8 +114,11 @@ def read_surface(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
     """
     if not Path(path).is_file():
         raise ObjectFolderError(f"{path} does not exist; build it with `objectfolder build`")
-    mesh = trimesh.load_mesh(path, process=False)
-    return np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
+    try:
+        mesh = trimesh.load_mesh(path, process=False)
+        return np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
+    except Exception as error:  # the reader raises whatever its parser raises
+        raise ObjectFolderError(f"{path} is damaged ({error}); delete it and rebuild") from error
 
 
 def signed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
@@ -230,10 +235,11 @@ def _join(pieces: list[tuple[np.ndarray, np.ndarray]], steps: list[str]) -> tupl
     for cavity in cavities:
         union = union - _manifold(*cavity)
     # Specks (thin rims that the scan broke off) are below any modality's resolution.
+    # A cavity is a part of its own, of negative volume.
     parts = sorted(union.decompose(), key=lambda part: -part.volume())
     if not parts:
         return pieces[0][0], np.empty((0, 3), np.int64)
-    large = [part for part in parts if part.volume() > 1e-3 * parts[0].volume()]
+    large = [part for part in parts if abs(part.volume()) > 1e-3 * parts[0].volume()]
     steps.append(f"union {len(solids)} pieces, {len(cavities)} cavities -> {len(large)}")
     mesh = manifold3d.Manifold.compose(large).to_mesh64()
     return _compact(np.asarray(mesh.vert_properties)[:, :3].copy(), np.asarray(mesh.tri_verts, np.int64))

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -38,7 +39,7 @@ class TexturedMesh:
                 roughnessFactor=self.roughness,
                 metallicFactor=self.metallic,
             )
-            visual = trimesh.visual.TextureVisuals(uv=self.uv, material=material)
+            visual: Any = trimesh.visual.TextureVisuals(uv=self.uv, material=material)
         else:
             visual = trimesh.visual.ColorVisuals(vertex_colors=self.vertex_colors)
         return trimesh.Trimesh(self.vertices, self.faces, visual=visual, process=False)

@@ -64,7 +64,7 @@ class GainsNet(nn.Module):
 
     def forward(self, points: torch.Tensor) -> torch.Tensor:
         """Mode shapes over amplitude at (N, 3) points of the unit frame; (N, 3, M)."""
-        return self.siren(2 * points).view(len(points), 3, -1)
+        return self.siren(2 * points).view(len(points), 3, len(self.damping))
 
     @torch.no_grad()
     def shapes(self, points: torch.Tensor) -> torch.Tensor:

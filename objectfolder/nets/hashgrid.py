@@ -58,7 +58,9 @@ class HashGrid(nn.Module):
             fraction = (position - base)[:, None, :]
             corner = base.long()[:, None, :] + bits
             if self._hashed[level]:
-                mixed = corner[..., 0] * _PRIMES[0] ^ corner[..., 1] * _PRIMES[1] ^ corner[..., 2] * _PRIMES[2]
+                mixed = (
+                    corner[..., 0] * _PRIMES[0] ^ corner[..., 1] * _PRIMES[1] ^ corner[..., 2] * _PRIMES[2]
+                )
                 row = mixed & (2 ** self.config["table_bits"] - 1)
             else:
                 row = corner[..., 0] + (resolution + 1) * (corner[..., 1] + (resolution + 1) * corner[..., 2])
@@ -68,7 +70,9 @@ class HashGrid(nn.Module):
 
     def lookup(self, rows: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
         """Interpolated features for `corners`' output; (N, levels * features)."""
-        return _SparseLookup.apply(self.table, rows.reshape(-1), weights.reshape(-1).float()).view(len(rows), -1)
+        return _SparseLookup.apply(self.table, rows.reshape(-1), weights.reshape(-1).float()).view(
+            len(rows), -1
+        )
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Features at (N, 3) points; (N, levels * features)."""

@@ -1,5 +1,6 @@
 """Sinusoidal representation network (Sitzmann et al. 2020)."""
 
+import itertools
 import math
 
 import torch
@@ -22,7 +23,7 @@ class Siren(nn.Module):
         super().__init__()
         self.frequency = frequency
         sizes = [inputs] + [width] * depth
-        self.hidden = nn.ModuleList(nn.Linear(a, b) for a, b in zip(sizes[:-1], sizes[1:]))
+        self.hidden = nn.ModuleList(nn.Linear(a, b) for a, b in itertools.pairwise(sizes))
         self.output = nn.Linear(width, outputs)
         with torch.no_grad():
             for i, layer in enumerate([*self.hidden, self.output]):

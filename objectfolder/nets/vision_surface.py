@@ -5,6 +5,7 @@ shaded analytically with its shadow ray; a small MLP adds what bounces and what 
 factors are learned together from images.
 """
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -167,13 +168,27 @@ def _light_features(
     nh = (n * F.normalize(l - view, dim=-1)).sum(-1, keepdim=True).clamp(0, 1)
     nv = -(n * view).sum(-1, keepdim=True)
     received = nl.clamp(min=0) / squared
-    columns = [n, view, l, nl, received, nh, nh**8, nh**32, nv, 1 / squared, lit, lit * received, lit * nh**32]
+    columns = [
+        n,
+        view,
+        l,
+        nl,
+        received,
+        nh,
+        nh**8,
+        nh**32,
+        nv,
+        1 / squared,
+        lit,
+        lit * received,
+        lit * nh**32,
+    ]
     return torch.cat(columns, -1)
 
 
 def _mlp(inputs: int, width: int, outputs: int, depth: int) -> nn.Sequential:
     sizes = [inputs] + [width] * depth
-    hidden = [layer for a, b in zip(sizes[:-1], sizes[1:]) for layer in (nn.Linear(a, b), nn.ReLU())]
+    hidden = [layer for a, b in itertools.pairwise(sizes) for layer in (nn.Linear(a, b), nn.ReLU())]
     return nn.Sequential(*hidden, nn.Linear(width, outputs))
 
 
@@ -188,7 +203,9 @@ class _Pixels:
 
     def loss(self, net: SurfaceNet, index: torch.Tensor | slice) -> torch.Tensor:
         s = self.samples
-        part = SurfaceSamples(s.ray[index], s.points[index], s.normals[index], s.directions[index], s.lit[index])
+        part = SurfaceSamples(
+            s.ray[index], s.points[index], s.normals[index], s.directions[index], s.lit[index]
+        )
         radiance = net(part, self.light[index], (self.corners[0][index], self.corners[1][index]))
         clipped = radiance.clamp(0, 1)
         # The small linear term lets overexposed samples learn.

@@ -91,7 +91,9 @@ def camera_rays(
     return origins.astype(np.float32), directions.astype(np.float32)
 
 
-def project(points: np.ndarray, camera_to_world: np.ndarray, intrinsics: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
+def project(
+    points: np.ndarray, camera_to_world: np.ndarray, intrinsics: Intrinsics
+) -> tuple[np.ndarray, np.ndarray]:
     """Image positions (P, 2) and depths (P,) of points; the inverse of `camera_rays`."""
     local = (np.asarray(points) - camera_to_world[:3, 3]) @ camera_to_world[:3, :3]
     depth = -local[:, 2]

@@ -46,5 +46,5 @@ def render_split(
         "rgba": rgba,
         "camera_to_world": camera_to_world,
         "light": light,
-        "focal": np.float64(intrinsics.focal),
+        "focal": np.asarray(intrinsics.focal, np.float64),
     }

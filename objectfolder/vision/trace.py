@@ -21,7 +21,9 @@ class SurfaceSamples:
     lit: torch.Tensor  #: (S,) bool, faces the light and is not in shadow
 
 
-def trace(surface: Isosurface, origins: np.ndarray, directions: np.ndarray, light: np.ndarray) -> SurfaceSamples:
+def trace(
+    surface: Isosurface, origins: np.ndarray, directions: np.ndarray, light: np.ndarray
+) -> SurfaceSamples:
     """Cast rays against a surface and shadow rays to a point light.
 
     Parameters

@@ -55,9 +55,10 @@ def draw(
     pixel = np.concatenate([seen[inner], edge_pixels[fine.ray.numpy() // SHADE_SIDE**2]])
     radiance = shade(samples, light_tensor).numpy() if len(pixel) else np.zeros((0, 3), np.float32)
     hits = np.bincount(pixel, minlength=height * width)
-    color = np.stack(
-        [np.bincount(pixel, weights=radiance[:, c], minlength=height * width) for c in range(3)], 1
-    ) / np.maximum(hits, 1)[:, None]
+    color = (
+        np.stack([np.bincount(pixel, weights=radiance[:, c], minlength=height * width) for c in range(3)], 1)
+        / np.maximum(hits, 1)[:, None]
+    )
     alpha = np.where(edge, hits / SHADE_SIDE**2, hits)
     silhouette = np.flatnonzero(_varies(alpha, height, width, 0))
     alpha[silhouette] = _coverage(surface, camera_to_world, intrinsics, silhouette)
@@ -110,7 +111,7 @@ def _coverage(
 ) -> np.ndarray:
     """Share of each pixel that the surface covers; (P,)."""
     rays = _pixel_rays(camera_to_world, intrinsics, pixels, _offsets(COVER_SIDE))
-    return (surface.caster.first_hit(*rays)[1] >= 0).reshape(len(pixels), -1).mean(1)
+    return (surface.caster.first_hit(*rays)[1] >= 0).reshape(len(pixels), COVER_SIDE**2).mean(1)
 
 
 def _varies(values: np.ndarray, height: int, width: int, tolerance: float) -> np.ndarray:

@@ -93,7 +93,7 @@ class MitsubaRenderer:
         )
         self._parameters["light.position"] = mi.ScalarPoint3f(*map(float, light))
         self._parameters.update()
-        return np.array(mi.render(self._scene, sensor=sensor, seed=seed, spp=samples))
+        return np.array(mi.render(self._scene, sensor=sensor, seed=mi.UInt32(seed), spp=samples))
 
 
 def _base_color(mesh: TexturedMesh) -> dict:
@@ -108,24 +108,26 @@ def _shape(mesh: TexturedMesh, bsdf: "mi.BSDF") -> "mi.Mesh":
     properties = mi.Properties()
     properties["bsdf"] = bsdf
     properties["face_normals"] = True
-    textured = mesh.uv is not None
+    uv = mesh.uv
     shape = mi.Mesh(
         "object",
         len(mesh.vertices),
         len(mesh.faces),
         has_vertex_normals=False,
-        has_vertex_texcoords=textured,
+        has_vertex_texcoords=uv is not None,
         props=properties,
     )
     if mesh.vertex_colors is not None:
         linear = _srgb_to_linear(mesh.vertex_colors / 255.0)
-        shape.add_attribute("vertex_color", 3, linear.astype(np.float32).ravel())
+        shape.add_attribute("vertex_color", 3, linear.astype(np.float32).ravel().tolist())
     parameters = mi.traverse(shape)
     parameters["vertex_positions"] = mesh.vertices.astype(np.float32).ravel()
     parameters["faces"] = mesh.faces.astype(np.uint32).ravel()
-    if textured:
+    if uv is not None:
         # Mitsuba's images start at the top, texture coordinates at the bottom.
-        parameters["vertex_texcoords"] = (mesh.uv * [1, -1] + [0, 1]).astype(np.float32).ravel()
+        parameters["vertex_texcoords"] = (
+            (uv * np.array([1, -1]) + np.array([0, 1])).astype(np.float32).ravel()
+        )
     parameters.update()
     return shape
 

@@ -1,0 +1,51 @@
+"""Draw docs/starter.png from built Object Files: `python docs/picture.py [KEY...]`."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+
+from objectfolder import ObjectFile
+from objectfolder.artifacts import Build, atomic
+from objectfolder.audio.spectrogram import spectrogram
+
+CAMERAS = np.array([[1.9, -1.2, 1.1], [-1.6, -1.6, 1.2], [0.6, 2.0, 1.5]])
+LIGHTS = np.array([[0.5, -0.6, 0.75], [-0.2, -0.9, 0.5], [0.6, 0.4, 0.8]])
+
+
+def main(keys: list[str]) -> None:
+    figure = Figure(figsize=(13, 2.6 * len(keys)), dpi=110, layout="constrained")
+    axes = figure.subplots(len(keys), 6, squeeze=False, width_ratios=[1, 1, 1, 0.75, 0.75, 1.5])
+    for row, key in zip(axes, keys):
+        obj = ObjectFile.load(Build(key).object_file)
+        for ax, image in zip(row, obj.view(CAMERAS, LIGHTS)):
+            ax.imshow(image)
+        points = obj.sample_surface(200, seed=4)
+        images = obj.touch(points, depth=0.0012)
+        contrast = images.astype(float).std((1, 2)).sum(1)
+        for ax, image in zip(row[3:5], images[np.argsort(contrast)[[-1, -40]]]):
+            ax.imshow(image)
+        sound = obj.impact(points[:1], [[0.6, 0.5, 0.7]])
+        level = 20 * np.log10(spectrogram(torch.from_numpy(sound))[0].abs().numpy() + 1e-20)
+        row[5].imshow(
+            level[:, :100],
+            origin="lower",
+            aspect="auto",
+            extent=(0, 1, 0, 8),
+            vmin=level.max() - 80,
+            cmap="magma",
+        )
+        row[5].set(xlabel="s", ylabel="kHz")
+        row[0].set_ylabel(f"{key}: {obj.material}, {obj.scale * 100:.0f} cm")
+        for ax in row[:5]:
+            ax.set(xticks=[], yticks=[])
+    for ax, title in zip(axes[0], ("look", "", "", "feel", "", "sound")):
+        ax.set_title(title)
+    with atomic(Path(__file__).parent / "starter.png") as path:
+        figure.savefig(path)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:] or ["mug", "die", "bell"])

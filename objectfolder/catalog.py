@@ -1,0 +1,199 @@
+"""Objects and presets in ``params.yaml``: adding them keeps comments and order, and is all or nothing."""
+
+import json
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from ruamel.yaml import YAML
+
+from objectfolder import params
+from objectfolder.artifacts import atomic
+from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.load import default_up, load_mesh
+
+MIN_SCALE, MAX_SCALE = 0.001, 20  # metres; outside, a unit is probably mistaken
+
+
+def add_mesh(
+    mesh: Path, key: str, material: str, scale: float | None, up: str | None, root: Path = Path()
+) -> dict[str, Any]:
+    """Copy a mesh into the workspace, track it with DVC and enter it in ``params.yaml``.
+
+    Parameters
+    ----------
+    mesh : Path
+        ``.obj`` with its ``.mtl`` and textures, ``.glb``, ``.gltf`` with its buffers and images, ``.ply``.
+    key : str
+        Object key.
+    material : str
+    scale : float or None
+        Longest side, metres; None takes the mesh's own longest side as metres.
+    up : {"y", "z"} or None
+        None takes the format's default.
+
+    Returns
+    -------
+    dict
+        The new entry.
+
+    Raises
+    ------
+    ObjectFolderError
+        If anything is wrong with the arguments or the mesh; nothing is changed then.
+    """
+    from dvc.repo import Repo
+
+    params_path = root / params.PARAMS_FILE
+    document, values = _editable(params_path)
+    params.check_key(key)
+    home = root / "data" / "objects" / key
+    if key in values["objects"] or home.exists():
+        raise ObjectFolderError(
+            f"object {key!r} exists already ({params_path} or {home}); choose another name, or remove it"
+        )
+    up = up or default_up(mesh)
+    lower, upper = load_mesh(mesh, up).bounds
+    size = float((upper - lower).max()) if scale is None else scale
+    if not MIN_SCALE <= size <= MAX_SCALE:
+        raise ObjectFolderError(
+            f"scale of {key} is {size:g} m, expected the longest side in metres, {MIN_SCALE} to {MAX_SCALE}; "
+            + ("the mesh is in other units: give --scale" if scale is None else "give it in metres")
+        )
+    entry = {
+        "mesh": f"data/objects/{key}/mesh{mesh.suffix.lower()}",
+        "material": material,
+        "scale": size,
+        "up": up,
+    }
+    entry = params.object_entry(key, {"objects": {key: entry}}, params_path).model_dump()
+    sources = {mesh: PurePosixPath("mesh" + mesh.suffix.lower())}
+    sources |= {mesh.parent / name: name for name in _references(mesh)}
+    for source in sources:
+        if not source.is_file():
+            raise ObjectFolderError(f"{mesh} refers to {source}, which does not exist; put it there")
+    staging = home.with_name(f".{key}.tmp")
+    shutil.rmtree(staging, ignore_errors=True)
+    try:
+        for source, target in sources.items():
+            copy = staging / target
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source, copy)
+        staging.rename(home)
+        with Repo(str(root)) as repo:
+            repo.add(str(home))
+        document["objects"][key] = entry
+        _write(params_path, document)
+    except BaseException:
+        shutil.rmtree(home, ignore_errors=True)
+        home.with_name(f"{key}.dvc").unlink(missing_ok=True)
+        raise
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+    return entry
+
+
+def add_catalogue(catalogue: Path, root: Path = Path()) -> list[str]:
+    """Enter a catalogue's procedural objects and object entries in ``params.yaml``.
+
+    Entries that are there already, unchanged, are left alone.
+
+    Returns
+    -------
+    Keys that were added.
+
+    Raises
+    ------
+    ObjectFolderError
+        If an entry is invalid, or another one has its key.
+    """
+    params_path = root / params.PARAMS_FILE
+    document, values = _editable(params_path)
+    new = params.read(catalogue)
+    for key in new["objects"]:
+        params.object_entry(key, new, catalogue)
+    added = []
+    for group in ("procedural", "objects"):
+        for key, entry in new[group].items():
+            present = values[group].get(key)
+            if present is None:
+                document[group][key] = entry
+                added += [key] if group == "objects" else []
+            elif present != entry:
+                raise ObjectFolderError(
+                    f"{catalogue}: {group}.{key} differs from the one in {params_path}; rename or remove one"
+                )
+    _write(params_path, document)
+    return added
+
+
+def apply_preset(name: str, root: Path = Path()) -> list[str]:
+    """Merge ``params/<name>.yaml`` into the stage sections of ``params.yaml``.
+
+    Returns
+    -------
+    Sections that changed.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there is no such preset, or the result is invalid.
+    """
+    folder = root / "params"
+    path = folder / f"{name}.yaml"
+    if not path.is_file():
+        known = ", ".join(sorted(p.stem for p in folder.glob("*.yaml"))) or "none"
+        raise ObjectFolderError(f"no preset {name!r} in {folder}/; expected one of {known}")
+    params_path = root / params.PARAMS_FILE
+    document, values = _editable(params_path)
+    preset = YAML(typ="safe").load(path.read_text())
+    changed = [section for section, content in preset.items() if values.get(section) != content]
+    params.check_all({**values, **preset}, path)
+    for section in changed:
+        document[section] = preset[section]
+    _write(params_path, document)
+    return changed
+
+
+def _editable(path: Path) -> tuple[Any, dict[str, Any]]:
+    values = params.read(path)
+    return YAML().load(path.read_text()), values
+
+
+def _write(path: Path, document: Any) -> None:
+    yaml = YAML()
+    yaml.width = 110
+    with atomic(path) as temporary, temporary.open("w") as stream:
+        yaml.dump(document, stream)
+
+
+def _references(mesh: Path) -> Iterator[PurePosixPath]:
+    """Files that a mesh refers to, relative to it."""
+    if mesh.suffix.lower() == ".obj":
+        for library in _mtl_names(mesh):
+            yield _inside(mesh, library)
+            if (mesh.parent / library).is_file():
+                text = (mesh.parent / library).read_text(errors="replace")
+                for match in re.finditer(r"^\s*map_\w+\s+(.+?)\s*$", text, re.MULTILINE):
+                    # Options such as `-s 1 1 1` come before the name.
+                    yield _inside(mesh, re.sub(r"^(-\w+(\s+(-?[\d.]+|on|off))*\s+)*", "", match[1]))
+    elif mesh.suffix.lower() == ".gltf":
+        content = json.loads(mesh.read_text())
+        for item in content.get("buffers", []) + content.get("images", []):
+            uri = item.get("uri", "")
+            if uri and not uri.startswith("data:"):
+                yield _inside(mesh, uri)
+
+
+def _mtl_names(mesh: Path) -> list[str]:
+    with mesh.open(errors="replace") as stream:
+        return sorted({line.split(None, 1)[1].strip() for line in stream if line.startswith("mtllib ")})
+
+
+def _inside(mesh: Path, name: str) -> PurePosixPath:
+    path = PurePosixPath(name.replace("\\", "/"))
+    if path.is_absolute() or ".." in path.parts:
+        raise ObjectFolderError(f"{mesh} refers to {name}, outside its folder; put that file beside the mesh")
+    return path

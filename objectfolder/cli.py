@@ -1,0 +1,259 @@
+"""The `objectfolder` command."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from objectfolder.errors import ObjectFolderError
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="markdown",
+    help="Build and query **Object Files**: objects that can be seen, struck and touched.\n\n"
+    "In a workspace (a folder with dvc.yaml): `objectfolder add MESH ...`, then `objectfolder build`.\n\n"
+    "Anywhere: `objectfolder info FILE`, `objectfolder query vision|audio|touch FILE QUERIES.npy OUT/`.",
+)
+query_app = typer.Typer(no_args_is_help=True, help="Ask an Object File: `vision`, `audio` or `touch`.")
+app.add_typer(query_app, name="query")
+console = Console()
+
+FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="An ObjectFile.safetensors.")]
+OutArgument = Annotated[Path, typer.Argument(metavar="OUT", help="Folder for 1.png, 2.png ... or 1.wav ...")]
+
+
+def main() -> None:
+    """Run the command line; user errors are one line, not a traceback."""
+    try:
+        app()
+    except ObjectFolderError as error:
+        Console(stderr=True).print(
+            f"[bold red]error:[/] {error}", markup=True, highlight=False, soft_wrap=True
+        )
+        sys.exit(1)
+    except ModuleNotFoundError as error:
+        if (error.name or "").split(".")[0] == "objectfolder":
+            raise
+        sys.exit(f"error: {error.name} is not installed; this needs: pip install 'objectfolder[build]'")
+
+
+@app.command()
+def build(
+    targets: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[TARGET]...", help="`modal@mug`, `train_audio` or `mug`; default: all."),
+    ] = None,
+    jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, help="Stages that run at once.")] = 2,
+    force: Annotated[bool, typer.Option("--force", "-f", help="Run even what is up to date.")] = False,
+) -> None:
+    """Build what is out of date, in parallel, through DVC's graph and cache.
+
+    Examples: `objectfolder build -j 2`, `objectfolder build mug`, `objectfolder build modal@mug`.
+    Logs of stages are in build/.logs. `dvc status`, `dvc repro` and `dvc metrics show` work as usual.
+    """
+    from objectfolder import params
+    from objectfolder.artifacts import check_writable
+    from objectfolder.engine.local import build as run_build
+    from objectfolder.engine.progress import Progress, print_summary
+
+    values = params.read()
+    params.check_all(values)
+    check_writable(Path("build"))
+    with Progress() as progress:
+        summary = run_build(targets or (), jobs, force=force, on_event=progress)
+    print_summary(summary)
+    evaluated = [a.partition("@")[2] for a in summary.stages if a.startswith("evaluate@")]
+    if summary.ok and evaluated:
+        _print_metrics(sorted(evaluated))
+    raise typer.Exit(not summary.ok)
+
+
+@app.command()
+def add(
+    mesh: Annotated[Path, typer.Argument(help=".obj, .glb, .gltf or .ply; or a catalogue (.yaml).")],
+    name: Annotated[str | None, typer.Option(help="Object key, such as `blue_mug`.")] = None,
+    material: Annotated[str | None, typer.Option(help="ceramic, glass, wood, plastic, iron, ...")] = None,
+    scale: Annotated[
+        float | None, typer.Option(help="Longest side in metres; default: the mesh's own size.")
+    ] = None,
+    up: Annotated[str | None, typer.Option(help="Up axis, y or z; default: y for glTF, else z.")] = None,
+) -> None:
+    """Add your own mesh, or a catalogue of objects, to the workspace.
+
+    The mesh and the files that it refers to are copied to data/objects/NAME, tracked with DVC and entered
+    in params.yaml. Then: `objectfolder build NAME`.
+    """
+    from objectfolder.catalog import add_catalogue, add_mesh
+
+    if mesh.suffix in (".yaml", ".yml"):
+        added = add_catalogue(mesh)
+        console.print(f"added {', '.join(added) or 'nothing new'}; next: objectfolder build")
+        return
+    if name is None or material is None:
+        raise ObjectFolderError("a mesh needs --name and --material; see objectfolder add --help")
+    entry = add_mesh(mesh, name, material, scale, up)
+    console.print(
+        f"added {name}: {entry['material']}, longest side {entry['scale']:.4g} m, {entry['up']} up; "
+        f"next: objectfolder build {name}"
+    )
+
+
+@app.command()
+def preset(name: Annotated[str, typer.Argument(help="quick, standard or paper (files in params/).")]) -> None:
+    """Merge a preset into params.yaml: how many views, how fine the FEM, how long to train."""
+    from objectfolder.catalog import apply_preset
+
+    changed = apply_preset(name)
+    console.print(f"preset {name}: changed {', '.join(changed) or 'nothing'}; next: objectfolder build")
+
+
+@app.command()
+def inspect(
+    target: Annotated[str, typer.Argument(metavar="STAGE@OBJECT", help="Such as `modal@mug`.")],
+    vtu: Annotated[bool, typer.Option(help="Export the solid for ParaView (voxelize).")] = False,
+) -> None:
+    """Show what a stage's artifacts hold: a table, and a picture beside them."""
+    from objectfolder.inspection import inspect as run_inspect
+    from objectfolder.inspection import print_inspection
+
+    stage, at, key = target.partition("@")
+    if not at:
+        raise ObjectFolderError(f"{target!r} is not STAGE@OBJECT, such as modal@mug")
+    print_inspection(run_inspect(stage, key, vtu=vtu), console)
+
+
+@app.command()
+def info(file: FileArgument) -> None:
+    """Show what an Object File holds."""
+    from objectfolder.objectfile import ObjectFile
+
+    obj = ObjectFile.load(file)
+    frequencies = obj.frequencies
+    table = Table(title=f"{obj.key} ({file.stat().st_size / 1024:.0f} KB)", show_header=False)
+    rows = {
+        "material": obj.material,
+        "longest side": f"{obj.scale:g} m",
+        "geometry": f"{obj.header['geometry']['resolution']}^3 distance grid",
+        "vision": f"{obj.header['vision']['kind']}, {_parameters(obj, 'vision'):,} parameters",
+        "audio": f"{obj.header['audio']['kind']}, {len(frequencies)} modes"
+        + (
+            f" from {frequencies.min():.0f} to {frequencies.max():.0f} Hz"
+            if len(frequencies)
+            else " (silent)"
+        ),
+        "touch": f"{obj.header['touch']['kind']}, sensor {obj.header['touch']['net']['sensor']['name']}",
+        "schema": str(obj.header["schema"]),
+    }
+    for row in rows.items():
+        table.add_row(*row)
+    console.print(table)
+
+
+@query_app.command()
+def vision(
+    file: FileArgument,
+    queries: Annotated[Path, typer.Argument(metavar="QUERIES.npy", help="(N, 6): camera xyz, light xyz.")],
+    out: OutArgument,
+    resolution: Annotated[int, typer.Option(min=1, help="Pixels along a side.")] = 256,
+) -> None:
+    """Render views. Positions are in the unit frame: the object's longest side is 1."""
+    from objectfolder.artifacts import write_png
+    from objectfolder.objectfile import ObjectFile
+
+    obj, rows = ObjectFile.load(file), _load_array(queries, 6)
+    for i, row in enumerate(rows, 1):
+        image = obj.view(row[:3], row[3:], resolution)[0]
+        write_png(out / f"{i}.png", (image * 255).round().astype(np.uint8))
+    console.print(f"{len(rows)} views in {out}/")
+
+
+@query_app.command()
+def audio(
+    file: FileArgument,
+    vertices: Annotated[Path, typer.Argument(metavar="VERTICES.npy", help="(N, 3) metres, or (N, 6).")],
+    out: OutArgument,
+    forces: Annotated[Path | None, typer.Option(help="(N, 3) impulses; else columns 4 to 6.")] = None,
+    sample_rate: Annotated[int, typer.Option(min=1, help="Hz.")] = 16000,
+    duration: Annotated[float, typer.Option(help="Seconds.")] = 2.0,
+    response: Annotated[str, typer.Option(help="displacement, velocity or acceleration.")] = "displacement",
+    normalize: Annotated[bool, typer.Option(help="Scale all sounds by their common peak.")] = False,
+) -> None:
+    """Strike the object; writes float WAV at absolute amplitude (metres): --normalize makes it audible."""
+    import soundfile
+
+    from objectfolder.artifacts import atomic
+    from objectfolder.objectfile import ObjectFile
+
+    points = _load_array(vertices, 3 if forces else 6)
+    impulse = _load_array(forces, 3) if forces else points[:, 3:]
+    sounds = ObjectFile.load(file).impact(points[:, :3], impulse, sample_rate, duration, response)
+    peak = float(np.abs(sounds).max(initial=0))
+    if normalize and peak > 0:
+        sounds = sounds / peak * 0.9
+    for i, sound in enumerate(sounds, 1):
+        with atomic(out / f"{i}.wav") as path:
+            soundfile.write(path, sound, sample_rate, subtype="FLOAT")
+    console.print(f"{len(sounds)} sounds in {out}/, peak {peak:.3g}" + ("" if peak else ": silent"))
+
+
+@query_app.command()
+def touch(
+    file: FileArgument,
+    vertices: Annotated[Path, typer.Argument(metavar="VERTICES.npy", help="(N, 3) contact points, metres.")],
+    out: OutArgument,
+    gelinfo: Annotated[
+        Path | None, typer.Option(help="(N, 3): tilt theta, its direction phi (radians), depth (metres).")
+    ] = None,
+    depth: Annotated[float, typer.Option(help="Press depth in metres, without --gelinfo.")] = 0.001,
+) -> None:
+    """Press the tactile sensor on the object."""
+    from objectfolder.artifacts import write_png
+    from objectfolder.objectfile import ObjectFile
+
+    points = _load_array(vertices, 3)
+    tilt, azimuth, depths = _load_array(gelinfo, 3).T if gelinfo else (0.0, 0.0, depth)
+    images = ObjectFile.load(file).touch(points, depths, tilt=tilt, azimuth=azimuth)
+    for i, image in enumerate(images, 1):
+        write_png(out / f"{i}.png", image)
+    console.print(f"{len(images)} tactile images in {out}/")
+
+
+def _load_array(path: Path, width: int) -> np.ndarray:
+    if not path.is_file():
+        raise ObjectFolderError(f"{path} does not exist; expected a .npy file of shape (N, {width})")
+    try:
+        array = np.load(path, allow_pickle=False)
+    except (ValueError, OSError, EOFError) as error:
+        raise ObjectFolderError(f"{path} is not a .npy file of numbers: {error}") from error
+    if not isinstance(array, np.ndarray) or array.ndim != 2 or array.shape[1] != width:
+        shape = getattr(array, "shape", None)
+        raise ObjectFolderError(f"{path} has shape {shape}, expected (N, {width})")
+    return np.asarray(array, np.float64)
+
+
+def _parameters(obj, modality: str) -> int:
+    return sum(v.size for name, v in obj.tensors.items() if name.startswith(modality + "."))
+
+
+def _print_metrics(keys: list[str]) -> None:
+    """Print the metrics table, and where to look."""
+    from objectfolder.artifacts import Build, read_json
+    from objectfolder.evaluation import summary_row
+
+    rows = [summary_row(key, read_json(Build(key).metrics)) for key in keys]
+    table = Table(title="Held-out PSNR (dB), each beside a baseline that knows nothing")
+    for name in rows[0]:
+        table.add_column(name, justify="left" if name == "object" else "right")
+    for row in rows:
+        table.add_row(*row.values())
+    console.print(table)
+    for key in keys:
+        b = Build(key)
+        console.print(
+            f"{b.object_file}   look at {b.views_sheet} {b.touch_sheet}", soft_wrap=True, highlight=False
+        )

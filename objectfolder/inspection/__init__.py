@@ -1,0 +1,84 @@
+"""What an artifact holds: a table for the terminal, and a picture beside the artifact.
+
+Pictures go to ``build/<key>/inspect/``, which no stage declares, so looking never makes a stage stale.
+"""
+
+from collections.abc import Callable
+from difflib import get_close_matches
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from objectfolder.artifacts import Build
+from objectfolder.errors import ObjectFolderError
+from objectfolder.inspection.data import inspect_render_touch, inspect_render_views
+from objectfolder.inspection.geometry import export_vtu, inspect_normalize, inspect_voxelize
+from objectfolder.inspection.nets import inspect_evaluate, inspect_net, inspect_pack
+from objectfolder.inspection.record import Inspection
+from objectfolder.inspection.sound import inspect_modal
+from objectfolder.params import check_key
+
+__all__ = ["STAGES", "Inspection", "inspect", "print_inspection"]
+
+STAGES: dict[str, Callable[[Build], Inspection]] = {
+    "normalize": inspect_normalize,
+    "voxelize": inspect_voxelize,
+    "modal": inspect_modal,
+    "render_views": inspect_render_views,
+    "render_touch": inspect_render_touch,
+    "train_vision": lambda build: inspect_net(build, "vision"),
+    "train_audio": lambda build: inspect_net(build, "audio"),
+    "train_touch": lambda build: inspect_net(build, "touch"),
+    "pack": inspect_pack,
+    "evaluate": inspect_evaluate,
+}
+
+
+def inspect(stage: str, key: str, root: str | Path = ".", vtu: bool = False) -> Inspection:
+    """Summarise what a stage wrote for an object, and draw it.
+
+    Parameters
+    ----------
+    stage : str
+        One of `STAGES`.
+    key : str
+        Object key.
+    root : path
+        Workspace, the directory that holds ``dvc.yaml``.
+    vtu : bool
+        Also write the solid for ParaView (voxelize only).
+
+    Raises
+    ------
+    ObjectFolderError
+        For an unknown stage, artifacts that are not built, ``vtu`` for another stage than voxelize, or a
+        machine that cannot draw in three dimensions.
+    """
+    if stage not in STAGES:
+        close = get_close_matches(stage, STAGES)
+        hint = f"did you mean {' or '.join(close)}?" if close else f"expected one of {', '.join(STAGES)}"
+        raise ObjectFolderError(f"there is nothing to inspect in stage {stage!r}; {hint}")
+    build = Build(check_key(key), root)
+    if vtu and stage != "voxelize":
+        raise ObjectFolderError(
+            f"{stage}@{key} holds no solid to export; use `objectfolder inspect voxelize@{key} --vtu`"
+        )
+    inspection = STAGES[stage](build)
+    if vtu:
+        inspection.files.append(export_vtu(build))
+    return inspection
+
+
+def print_inspection(inspection: Inspection, console: Console) -> None:
+    """Print the table, and where the pictures and exported files are."""
+    table = Table(title=inspection.title, show_header=False, title_justify="left")
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(overflow="fold")
+    for name, value in inspection.rows:
+        table.add_row(Text(name), Text(value))  # as text: brackets in values are no markup
+    console.print(table)
+    for kind, paths in (("picture", inspection.pictures), ("file", inspection.files)):
+        for path in paths:
+            console.print(Text(f"{kind}: {path}"), soft_wrap=True)

@@ -1,0 +1,154 @@
+"""Inspections of render_views and render_touch: the images that nets learn from and are scored on."""
+
+import numpy as np
+import torch
+
+from objectfolder.artifacts import SPLITS, Build, read_json, read_npz
+from objectfolder.inspection.figure import page, save, show_image
+from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
+from objectfolder.inspection.scene import CLAY, VIEW_FROM, draw, triangles
+from objectfolder.mesh.surface import read_surface
+from objectfolder.vision.cameras import Intrinsics, project
+from objectfolder.vision.color import on_white
+
+COLORS = {"train": ("blue", "#2563eb"), "val": ("orange", "#f59e0b"), "test": ("green", "#16a34a")}
+COVERED = 0.999  # alpha of a pixel that the object fills
+LIT = 0.01  # radiance, relative to white
+
+
+def inspect_render_views(build: Build) -> Inspection:
+    """Views with their lights, and where cameras and lights are."""
+    paths = [build.views(split) for split in SPLITS]
+    require(build, "render_views", *paths, build.views_sheet)
+    splits = {
+        split: read_npz(path, "rgba", "camera_to_world", "light", "focal")
+        for split, path in zip(SPLITS, paths)
+    }
+    rows = []
+    for (split, views), path in zip(splits.items(), paths):
+        rgba = views["rgba"].astype(np.float32)
+        color, alpha = rgba[..., :3], rgba[..., 3]
+        covered = alpha >= COVERED
+        lit = covered & (color.max(-1) > LIT)
+        broken = np.count_nonzero(~np.isfinite(rgba))
+        rows += [
+            (split, f"{len(rgba)} views, {_size(rgba)} pixels RGBA {views['rgba'].dtype}, {kilobytes(path)}"),
+            ("  radiance", span(color) + (f", {broken} values are not finite" if broken else "")),
+            (
+                "  pixels",
+                f"object covers {covered.mean():.1%} of the image; {lit.sum() / max(covered.sum(), 1):.1%} of that "
+                "is lit",
+            ),
+            ("  camera distance", span(np.linalg.norm(views["camera_to_world"][:, :3, 3], axis=1), "sizes")),
+            ("  light distance", span(np.linalg.norm(views["light"], axis=1), "sizes")),
+            ("  focal length", f"{float(views['focal']):g} pixels"),
+        ]
+    figure = page(15, 13, f"render_views@{build.key}")
+    top, bottom = figure.subfigures(2, 1, height_ratios=(3, 1.4))
+    top.suptitle("training views, on white; yellow: the light (filled: before the object, ring: behind it)")
+    _show_views(top.subplots(3, 6).flat, splits["train"])
+    for axes, name in zip(bottom.subplots(1, 2), ("camera", "light")):
+        for split, views in splits.items():
+            position = views["camera_to_world"][:, :3, 3] if name == "camera" else views["light"]
+            axes.scatter(*_angles(position), s=14, color=COLORS[split][1], label=f"{split} ({len(position)})")
+        axes.set(
+            title=f"{name} directions (equal areas)",
+            xlabel="azimuth [°]",
+            ylabel="sine of elevation",
+            xlim=(-180, 180),
+            ylim=(-1, 1),
+        )
+        axes.legend(loc="upper right")
+        axes.grid(alpha=0.3)
+    picture = save(figure, picture_path(build, "render_views"))
+    return Inspection(f"render_views@{build.key}", rows, [picture, build.views_sheet])
+
+
+def inspect_render_touch(build: Build) -> Inspection:
+    """Tactile images with their depths, and where the sensor touched."""
+    paths = [build.touch(split) for split in SPLITS]
+    require(build, "render_touch", *paths, build.touch_sheet, build.surface, build.normalize)
+    names = ("images", "points", "normals", "depths", "angles", "obstructed")
+    splits = {split: read_npz(path, *names) for split, path in zip(SPLITS, paths)}
+    rows = []
+    for (split, contacts), path in zip(splits.items(), paths):
+        images = contacts["images"]
+        rows += [
+            (split, f"{len(images)} contacts, {_size(images)} pixels RGB {images.dtype}, {kilobytes(path)}"),
+            ("  grey levels", f"{span(images)}, mean {images.mean():.1f}"),
+            ("  press depths", span(contacts["depths"] * 1000, "mm")),
+            ("  angles", span(np.degrees(contacts["angles"]), "°")),
+            ("  from the centre", span(np.linalg.norm(contacts["points"], axis=1) * 1000, "mm")),
+            ("  obstructed", f"{np.mean(contacts['obstructed'] > 0):.1%} of the contacts"),
+        ]
+    figure = page(15, 10.5, f"render_touch@{build.key}")
+    left, right = figure.subfigures(1, 2, width_ratios=(2.4, 1))
+    left.suptitle("training contacts: press depth [mm]; red: the object reaches behind the gel")
+    _show_touches(left.subplots(4, 8).flat, splits["train"])
+    surface, scale = read_surface(build.surface), read_json(build.normalize)["scale_m"]
+    right.suptitle(", ".join(f"{split} {name}" for split, (name, _) in COLORS.items()))
+    for axes, view_from in zip(right.subplots(2, 1), (VIEW_FROM, tuple(-x for x in VIEW_FROM))):
+        show_image(axes, _draw_contacts(*surface, scale, splits, view_from))
+    picture = save(figure, picture_path(build, "render_touch"))
+    return Inspection(f"render_touch@{build.key}", rows, [picture, build.touch_sheet])
+
+
+def _show_views(panels, views: dict[str, np.ndarray]) -> None:
+    rgba = views["rgba"]
+    intrinsics = Intrinsics(rgba.shape[2], rgba.shape[1], float(views["focal"]))
+    azimuth, elevation = _angles(views["camera_to_world"][:, :3, 3])
+    for index, axes in enumerate(panels):
+        axes.set_axis_off()
+        if index >= len(rgba):
+            continue
+        image = on_white(torch.from_numpy(rgba[index].astype(np.float32))).numpy()
+        pose, light = views["camera_to_world"][index], views["light"][index]
+        show_image(
+            axes, image, f"az {azimuth[index]:.0f}°, el {np.degrees(np.arcsin(elevation[index])):.0f}°"
+        )
+        place, depth = project(light[None], pose, intrinsics)
+        before = depth[0] < np.linalg.norm(pose[:3, 3])
+        axes.scatter(
+            *np.clip(place[0], 4, np.array([intrinsics.width, intrinsics.height]) - 4),
+            s=45,
+            facecolors="#facc15" if before else "none",
+            edgecolors="#a16207",
+        )
+
+
+def _show_touches(panels, contacts: dict[str, np.ndarray]) -> None:
+    for index, axes in enumerate(panels):
+        axes.set_axis_off()
+        if index < len(contacts["images"]):
+            blocked = contacts["obstructed"][index] > 0
+            show_image(axes, contacts["images"][index])
+            depth = f"{contacts['depths'][index] * 1000:.2f}"
+            axes.set_title(depth, fontsize=10, color="#dc2626" if blocked else "black")
+
+
+def _draw_contacts(
+    vertices: np.ndarray, faces: np.ndarray, scale: float, splits: dict, view_from
+) -> np.ndarray:
+    def add(plotter) -> None:
+        plotter.add_mesh(triangles(vertices, faces), color=CLAY)
+        for split, contacts in splits.items():
+            if len(contacts["points"]):
+                plotter.add_points(
+                    contacts["points"] / scale,
+                    color=COLORS[split][1],
+                    point_size=9,
+                    render_points_as_spheres=True,
+                )
+
+    return draw(add, view_from)
+
+
+def _angles(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Azimuth in degrees and sine of elevation of (N, 3) positions around the origin."""
+    return np.degrees(np.arctan2(positions[:, 1], positions[:, 0])), positions[:, 2] / np.linalg.norm(
+        positions, axis=1
+    )
+
+
+def _size(images: np.ndarray) -> str:
+    return f"{images.shape[2]}x{images.shape[1]}"

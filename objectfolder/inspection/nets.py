@@ -1,0 +1,137 @@
+"""Inspections of the trained nets, the Object File and its metrics."""
+
+import csv
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from objectfolder.artifacts import Build, read_json, read_safetensors
+from objectfolder.inspection.figure import page, save, show_image, show_spectrogram
+from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
+from objectfolder.objectfile import ObjectFile
+from objectfolder.vision.cameras import CAMERA_RADIUS
+
+LOSSES = {
+    "vision": "squared error of sRGB",
+    "audio": "relative squared error of the gains",
+    "touch": "squared error of images in [0, 1]",
+}
+STEPS = {"vision": "step", "audio": "step", "touch": "round of the depth offset's search"}
+CAMERAS = np.array([[0.8, -2.1, 1.1], [2.2, 0.9, 0.7], [-1.7, 1.5, 1.0], [0.3, -1.2, -2.1]])
+LIGHT_OFFSET = np.array([-0.3, -0.3, 0.5])  # beside the camera, so that what it sees is lit
+TOUCHES = 4
+PRESS = 0.001  # m
+
+
+def inspect_net(build: Build, modality: str) -> Inspection:
+    """Training curve and tensors of one net."""
+    stage, net, curve = f"train_{modality}", build.net(modality), build.curve(modality)
+    require(build, stage, net, curve)
+    tensors, header = read_safetensors(net)
+    rows = [
+        ("kind", str(header.get("kind"))),
+        *((f"  {name}", value) for name, value in _leaves(header.get("net", {}))),
+        *_tensor_rows(tensors),
+        ("file", kilobytes(net)),
+    ]
+    with curve.open() as stream:
+        points = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(stream)]
+    if not points:
+        return Inspection(f"{stage}@{build.key}", [*rows, ("curve", "empty: there was nothing to learn")])
+    best, last = min(points, key=lambda point: point["val_loss"]), points[-1]
+    rows += [
+        ("loss", LOSSES[modality]),
+        ("steps", f"{last['step']:.0f}, {len(points)} evaluations"),
+        ("last training loss", f"{last['train_loss']:.4g}"),
+        ("best validation loss", f"{best['val_loss']:.4g} at step {best['step']:.0f}"),
+    ]
+    figure = page(8, 5, f"{stage}@{build.key}")
+    axes = figure.subplots()
+    steps = [point["step"] for point in points]
+    for name, label in (("train_loss", "training"), ("val_loss", "validation")):
+        axes.plot(steps, [point[name] for point in points], marker="o", markersize=4, label=label)
+    axes.scatter(best["step"], best["val_loss"], s=130, facecolors="none", edgecolors="black", label="kept")
+    axes.set(xlabel=STEPS[modality], ylabel=LOSSES[modality])
+    if all(point[name] > 0 for point in points for name in ("train_loss", "val_loss")):
+        axes.set_yscale("log")
+    axes.grid(alpha=0.3, which="both")
+    axes.legend()
+    return Inspection(f"{stage}@{build.key}", rows, [save(figure, picture_path(build, stage))])
+
+
+def inspect_pack(build: Build) -> Inspection:
+    """Header and tensors of the Object File, and what it answers."""
+    require(build, "pack", build.object_file)
+    file = ObjectFile.load(build.object_file)
+    header = {name: value for name, value in file.header.items() if name != "provenance"}
+    rows = [
+        *_leaves(header),
+        *((f"made from {name}", digest[:12]) for name, digest in file.header.get("provenance", {}).items()),
+        *_tensor_rows(file.tensors),
+        ("modes", f"{len(file.frequencies)}, {span(file.frequencies, 'Hz')}"),
+        ("file", kilobytes(build.object_file)),
+    ]
+    return Inspection(f"pack@{build.key}", rows, [_pack_picture(build, file)])
+
+
+def inspect_evaluate(build: Build) -> Inspection:
+    """Metrics, one per row."""
+    require(build, "evaluate", build.metrics)
+    return Inspection(f"evaluate@{build.key}", list(_leaves(read_json(build.metrics))))
+
+
+def _pack_picture(build: Build, file: ObjectFile):
+    points = file.sample_surface(TOUCHES)
+    title = f"pack@{build.key}: answers of the Object File ({file.material}, {file.scale * 1000:g} mm)"
+    figure = page(14, 12, title)
+    views, touches, sounds = figure.subfigures(3, 1, height_ratios=(1.1, 1.1, 1))
+    lights = CAMERAS / CAMERA_RADIUS + LIGHT_OFFSET
+    for axes, image, camera in zip(views.subplots(1, len(CAMERAS)), file.view(CAMERAS, lights), CAMERAS):
+        show_image(axes, image, f"camera at {_triple(camera)} sizes")
+    for axes, point, image in zip(touches.subplots(1, TOUCHES), points, _touches(file, points)):
+        show_image(axes, image, f"touch at {_triple(point * 1000)} mm")
+    sound = file.impact(points[:1], np.array([[0.0, 0.0, 1.0]]))[0]
+    left, right = sounds.subplots(1, 2)
+    left.plot(np.arange(len(sound)) / 16000, sound * 1e6, linewidth=0.5)
+    left.set(
+        title=f"struck at {_triple(points[0] * 1000)} mm with 1 N s along z",
+        xlabel="time [s]",
+        ylabel="displacement [µm]",
+    )
+    left.grid(alpha=0.3)
+    show_spectrogram(right, sound, "its spectrogram")
+    return save(figure, picture_path(build, "pack"))
+
+
+def _touches(file: ObjectFile, points: np.ndarray) -> np.ndarray:
+    limit = file.header["touch"]["net"]["sensor"]["max_indentation"]
+    return file.touch(points, depth=min(PRESS, limit))
+
+
+def _tensor_rows(tensors: dict[str, np.ndarray]) -> list[tuple[str, str]]:
+    rows = [
+        (
+            f"  {name}",
+            f"{value.dtype} {'x'.join(map(str, value.shape)) or 'scalar'}, {value.nbytes / 1024:,.1f} KB",
+        )
+        for name, value in sorted(tensors.items())
+    ]
+    total = sum(value.nbytes for value in tensors.values())
+    size = sum(value.size for value in tensors.values())
+    return [("tensors", f"{len(tensors)}: {size:,} numbers, {total / 1024:,.1f} KB"), *rows]
+
+
+def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, str]]:
+    """Nested values as dotted names and short texts."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from _leaves(item, f"{name}.{key}" if name else str(key))
+    elif isinstance(value, float):
+        yield name, f"{value:.6g}"
+    else:
+        yield name, str(value)
+
+
+def _triple(values: np.ndarray) -> str:
+    return "(" + ", ".join(f"{value:.1f}" for value in values) + ")"

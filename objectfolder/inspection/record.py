@@ -1,0 +1,51 @@
+"""What an inspection returns, and how its rows are worded."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from objectfolder.artifacts import Build
+from objectfolder.errors import ObjectFolderError
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """Summary of one stage's artifacts."""
+
+    title: str
+    rows: list[tuple[str, str]]  #: name and value
+    pictures: list[Path] = field(default_factory=list)
+    files: list[Path] = field(default_factory=list)  #: what was exported for other programs
+
+
+def require(build: Build, stage: str, *paths: Path) -> None:
+    """Check that a stage's artifacts exist.
+
+    Raises
+    ------
+    ObjectFolderError
+        If one is missing.
+    """
+    for path in paths:
+        if not path.is_file():
+            raise ObjectFolderError(
+                f"{stage}@{build.key}: {path} does not exist; run `objectfolder build {stage}@{build.key}`"
+            )
+
+
+def picture_path(build: Build, stage: str) -> Path:
+    """Where a stage's picture goes: in a directory that no stage declares."""
+    return build.dir / "inspect" / f"{stage}.png"
+
+
+def kilobytes(*paths: Path) -> str:
+    """Size of files together."""
+    return f"{sum(path.stat().st_size for path in paths) / 1024:,.1f} KB"
+
+
+def span(values: np.ndarray, unit: str = "") -> str:
+    """Smallest and largest value."""
+    if np.size(values) == 0:
+        return "none"
+    return f"{np.min(values):.4g} to {np.max(values):.4g} {unit}".rstrip()

@@ -1,0 +1,110 @@
+"""Pictures of three-dimensional things, drawn off-screen with VTK."""
+
+import ctypes.util
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.textured import TexturedMesh
+
+if TYPE_CHECKING:
+    import pyvista
+
+VIEW_FROM = (0.55, -1.0, 0.55)  #: default direction from the object to the camera; z is up
+CLAY = "#c9ccd1"
+
+
+def draw(
+    add: Callable[["pyvista.Plotter"], None],
+    view_from: tuple[float, float, float] = VIEW_FROM,
+    size: tuple[int, int] = (640, 640),
+) -> np.ndarray:
+    """Draw a scene on white, fitted into the picture.
+
+    Parameters
+    ----------
+    add : callable
+        Adds meshes to the plotter.
+    view_from : (3,) tuple
+        Direction from the scene to the camera.
+    size : (2,) tuple
+        Width and height, pixels.
+
+    Returns
+    -------
+    (H, W, 3) uint8
+
+    Raises
+    ------
+    ObjectFolderError
+        If the machine has no OpenGL.
+    """
+    import pyvista
+    from vtkmodules.vtkCommonCore import vtkLogger
+
+    # Without an X server VTK warns, and then takes EGL.
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
+    plotter = pyvista.Plotter(off_screen=True, window_size=list(size), lighting="light kit")
+    try:
+        # VTK's last resort crashes the process where its library is missing.
+        software_only = plotter.render_window.GetClassName() == "vtkOSOpenGLRenderWindow"
+        if software_only and ctypes.util.find_library("OSMesa") is None:
+            raise ObjectFolderError(
+                "VTK finds no OpenGL on this machine, neither X nor EGL, to draw pictures with; install Mesa's "
+                "software renderer: `apt-get install libegl1 libgl1-mesa-dri`"
+            )
+        plotter.set_background("white")
+        add(plotter)
+        plotter.camera_position = [view_from, (0, 0, 0), (0, 0, 1)]
+        plotter.reset_camera()
+        plotter.camera.zoom(1.25)
+        plotter.enable_anti_aliasing("ssaa")
+        return np.asarray(plotter.screenshot(return_img=True))
+    finally:
+        plotter.close()
+
+
+def triangles(vertices: np.ndarray, faces: np.ndarray) -> "pyvista.PolyData":
+    """Return a VTK mesh of (V, 3) vertices and (F, 3) faces."""
+    import pyvista
+
+    return pyvista.PolyData.from_regular_faces(np.asarray(vertices, np.float64), faces)
+
+
+def add_textured(plotter: "pyvista.Plotter", mesh: TexturedMesh) -> None:
+    """Add a mesh with its texture or vertex colours."""
+    import pyvista
+
+    poly = triangles(mesh.vertices, mesh.faces)
+    if mesh.uv is not None and mesh.texture is not None:
+        poly.active_texture_coordinates = mesh.uv
+        plotter.add_mesh(poly, texture=pyvista.Texture(mesh.texture))
+    elif mesh.vertex_colors is not None:
+        poly.point_data["color"] = mesh.vertex_colors
+        plotter.add_mesh(poly, scalars="color", rgb=True)
+    else:
+        plotter.add_mesh(poly, color=CLAY)
+
+
+def hexahedra(index: np.ndarray, lower: np.ndarray, size: float) -> "pyvista.UnstructuredGrid":
+    """Cubic cells that share their corners.
+
+    Parameters
+    ----------
+    index : (E, 3) int array
+        Position of each cell in the grid.
+    lower : (3,) array
+        Lower corner of the grid.
+    size : float
+        Side of a cell.
+    """
+    import pyvista
+
+    # Corners in VTK's order: around the bottom, then around the top.
+    corner = np.array(
+        [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]]
+    )
+    nodes, cells = np.unique((index[:, None] + corner).reshape(-1, 3), axis=0, return_inverse=True)
+    return pyvista.UnstructuredGrid({pyvista.CellType.HEXAHEDRON: cells.reshape(-1, 8)}, nodes * size + lower)

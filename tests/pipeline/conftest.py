@@ -1,0 +1,121 @@
+"""A tiny workspace that runs the real DAG."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from ruamel.yaml import YAML
+
+ROOT = Path(__file__).parents[2]
+
+TINY = {
+    "normalize": {"texture_size": 64},
+    "voxelize": {
+        "resolutions": [8],
+        "subdivisions": 4,
+        "max_degrees_of_freedom": 20000,
+        "sdf_resolution": 48,
+    },
+    "modal": {"max_modes": 12, "surface_points": 300},
+    "render_views": {
+        "resolution": 32,
+        "train": 6,
+        "val": 2,
+        "test": 2,
+        "train_samples": 4,
+        "test_samples": 4,
+    },
+    "render_touch": {"train": 4, "val": 2, "test": 3},
+    "train_vision": {"table_bits": 10, "levels": 4, "finest": 64, "width": 16, "steps": 40, "batch": 512},
+    "train_audio": {"sizes": [{"modes": 100, "width": 32, "depth": 2, "frequency": 6.0}], "steps": 200},
+    "train_touch": {"rounds": 1, "contacts": 2},
+    "evaluate": {"impacts": 4},
+}
+TINY_OBJECTS = {
+    "procedural": {
+        "cube": {"generator": "die", "size": 0.16, "fillet": 0.02, "texture_size": 64},
+        "bell": {"generator": "bell", "texture_size": 64},
+    },
+    "objects": {
+        "cube": {"mesh": "data/objects/cube/mesh.glb", "material": "wood", "scale": 0.16, "up": "y"},
+        "bell": {"mesh": "data/objects/bell/mesh.glb", "material": "steel", "scale": 0.09, "up": "y"},
+    },
+}
+
+
+class Workspace:
+    """A copy of the pipeline with tiny parameters, in a git and DVC repository of its own."""
+
+    def __init__(self, root: Path):
+        self.root = root
+
+    def create(self) -> "Workspace":
+        self.root.mkdir(parents=True)
+        for name in ("objectfolder", "stages", "params"):
+            shutil.copytree(ROOT / name, self.root / name, ignore=shutil.ignore_patterns("__pycache__"))
+        for name in ("dvc.yaml", "params.yaml", ".gitignore"):
+            shutil.copy(ROOT / name, self.root)
+        (self.root / ".dvc").mkdir()
+        shutil.copy(ROOT / ".dvc" / "config", self.root / ".dvc")
+        subprocess.run(["git", "init", "-q"], cwd=self.root, check=True)
+        with self.edit() as values:
+            for section, content in TINY.items():
+                values[section] = {**values[section], **content}
+            values.update(TINY_OBJECTS)
+        return self
+
+    def edit(self):
+        return _Edit(self.root / "params.yaml")
+
+    def run(self, *command: str, ok: bool = True) -> subprocess.CompletedProcess:
+        """Run `objectfolder ...` or `python -m stages...` in the workspace, with its own copy of the code."""
+        done = subprocess.run(
+            [sys.executable, *command], cwd=self.root, capture_output=True, text=True, timeout=500
+        )
+        assert not ok or done.returncode == 0, f"{command}:\n{done.stdout}\n{done.stderr}"
+        return done
+
+    def cli(self, *arguments: str, ok: bool = True) -> subprocess.CompletedProcess:
+        return self.run("-c", "from objectfolder.cli import main; main()", *arguments, ok=ok)
+
+    def build(self, *targets: str) -> set[str]:
+        """Build; return the addresses of the stages that ran."""
+        output = self.cli("build", *targets, "-j", "2").stderr
+        return {line.split()[1] for line in output.splitlines() if line.startswith("ran ")}
+
+    def artifacts(self) -> dict[str, bytes]:
+        files = [p for folder in ("build", "metrics") for p in (self.root / folder).rglob("*")]
+        return {
+            p.relative_to(self.root).as_posix(): p.read_bytes()
+            for p in files
+            if p.is_file() and ".logs" not in p.parts
+        }
+
+
+class _Edit:
+    def __init__(self, path: Path):
+        self.path = path
+
+    def __enter__(self) -> dict:
+        self.values = YAML(typ="safe").load(self.path.read_text())
+        return self.values
+
+    def __exit__(self, *error) -> None:
+        with self.path.open("w") as stream:
+            YAML().dump(self.values, stream)
+
+
+@pytest.fixture(scope="session")
+def built(tmp_path_factory) -> Workspace:
+    """A workspace whose two objects are built."""
+    workspace = Workspace(tmp_path_factory.mktemp("tiny") / "workspace").create()
+    workspace.build()
+    return workspace
+
+
+@pytest.fixture
+def workspace(tmp_path) -> Workspace:
+    """A workspace that nothing was built in."""
+    return Workspace(tmp_path / "workspace").create()

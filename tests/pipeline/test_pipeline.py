@@ -1,0 +1,158 @@
+"""The real DAG on two tiny objects: what runs, what does not, and that it gives the same bytes twice."""
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from objectfolder import ObjectFile
+
+pytestmark = pytest.mark.xdist_group("pipeline")
+LANES = ("normalize", "voxelize", "modal", "render_views", "render_touch")
+NETS = ("train_vision", "train_audio", "train_touch", "pack", "evaluate")
+
+
+def test_everything_is_built_and_a_second_build_runs_nothing(built):
+    for key in ("cube", "bell"):
+        assert (built.root / f"build/{key}/ObjectFile.safetensors").stat().st_size > 10_000
+        metrics = json.loads((built.root / f"metrics/{key}.json").read_text())
+        assert metrics["vision"]["psnr"] > metrics["vision"]["baseline_white"]
+        assert metrics["audio"]["psnr"] > metrics["audio"]["baseline_silence"]
+        assert metrics["touch"]["psnr"] > metrics["touch"]["baseline_mean_image"]
+        assert metrics["awgn"]["sigma_0_05"]["vision"] == pytest.approx(26.02, abs=0.2)
+        assert metrics["awgn"]["variance_0_05"]["touch"] == pytest.approx(13.01, abs=0.2)
+    assert built.build() == set()
+    status = built.run("-m", "dvc", "status")
+    assert "up to date" in status.stdout, status.stdout
+
+
+def test_object_file_answers(built):
+    cube = ObjectFile.load(built.root / "build/cube/ObjectFile.safetensors")
+    points = cube.sample_surface(3)
+    assert cube.view([[2.5, 0, 0]], [0.5, 0, 0.8], resolution=32).shape == (1, 32, 32, 3)
+    sounds = cube.impact(points, np.eye(3))
+    assert sounds.shape == (3, 32000)
+    assert np.abs(sounds).max() > 0
+    assert cube.touch(points, depth=0.001).shape == (3, 160, 120, 3)
+
+
+def test_dvc_repro_of_one_stage_finds_it_up_to_date(built):
+    output = built.run("-m", "dvc", "repro", "train_audio@cube").stdout
+    assert "'train_audio@cube' didn't change, skipping" in output
+
+
+def test_changed_material_reruns_the_audio_lane_of_that_object_only(built):
+    with built.edit() as values:
+        values["objects"]["cube"]["material"] = "plastic"
+    assert built.build() == {f"{stage}@cube" for stage in ("modal", "train_audio", "pack", "evaluate")}
+    with built.edit() as values:
+        values["objects"]["cube"]["material"] = "wood"
+    assert built.build() == set()  # all restored from the run cache
+
+
+def test_changed_sensor_training_reruns_the_touch_lane_only(built):
+    with built.edit() as values:
+        values["train_touch"]["rounds"] = 2
+    ran = built.build("bell")
+    assert ran == {f"{stage}@bell" for stage in ("train_touch", "pack", "evaluate")}
+    with built.edit() as values:
+        values["train_touch"]["rounds"] = 1
+    built.build()
+
+
+@pytest.mark.parametrize("stage", [*LANES, *NETS])
+def test_stage_gives_the_same_bytes_twice(built, stage):
+    before = built.artifacts()
+    built.run("-m", f"stages.{stage}", "cube")
+    after = built.artifacts()
+    assert {name for name in before if before[name] != after[name]} == set()
+    assert after.keys() == before.keys()
+
+
+def test_generated_mesh_is_the_same_bytes_twice(built):
+    path = built.root / "data/objects/bell/mesh.glb"
+    before = path.read_bytes()
+    built.run("-m", "stages.generate", "bell")
+    assert path.read_bytes() == before
+
+
+def test_inspect_every_stage(built):
+    for stage in (*LANES, *NETS):
+        built.cli("inspect", f"{stage}@cube")
+    assert "build" in built.cli("inspect", "modal@nothing", ok=False).stderr
+
+
+def test_published_query_formats(built, tmp_path):
+    file = "build/cube/ObjectFile.safetensors"
+    cube = ObjectFile.load(built.root / file)
+    points = cube.sample_surface(2)
+    np.save(tmp_path / "v.npy", np.array([[2.5, 0, 0, 0, 0, 1], [0, 2.5, 0, 1, 0, 0]], np.float32))
+    np.save(tmp_path / "p.npy", points)
+    np.save(tmp_path / "f.npy", np.ones((2, 3)))
+    np.save(tmp_path / "g.npy", np.array([[0.1, 0.5, 0.001], [0, 0, 0.002]]))
+    built.cli("query", "vision", file, f"{tmp_path}/v.npy", f"{tmp_path}/out", "--resolution", "32")
+    built.cli("query", "audio", file, f"{tmp_path}/p.npy", f"{tmp_path}/out", "--forces", f"{tmp_path}/f.npy")
+    built.cli(
+        "query", "touch", file, f"{tmp_path}/p.npy", f"{tmp_path}/out", "--gelinfo", f"{tmp_path}/g.npy"
+    )
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"1.png", "2.png", "1.wav", "2.wav"}
+    assert "cube" in built.cli("info", file).stdout
+    np.save(tmp_path / "bad.npy", np.zeros((2, 5)))
+    refused = built.cli("query", "vision", file, f"{tmp_path}/bad.npy", f"{tmp_path}/out", ok=False)
+    assert refused.returncode == 1
+    assert "(2, 5), expected (N, 6)" in refused.stderr
+
+
+def test_killed_stage_leaves_nothing_half_written_and_the_next_build_resumes(workspace):
+    workspace.build("normalize@cube")
+    command = [sys.executable, "-c", "from objectfolder.cli import main; main()", "build", "voxelize@cube"]
+    engine = subprocess.Popen(command, cwd=workspace.root, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    log = workspace.root / "build/.logs/voxelize@cube.log"
+    deadline = time.monotonic() + 60
+    while not log.exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    engine.send_signal(signal.SIGKILL)
+    engine.communicate()
+    for name in ("solid.npz", "sdf.npz"):
+        path = workspace.root / "build/cube" / name
+        if path.exists():
+            np.load(path).close()  # whole, or not there
+    assert workspace.build("voxelize@cube") <= {"voxelize@cube"}
+    assert (workspace.root / "build/cube/sdf.npz").exists()
+
+
+def test_a_broken_object_does_not_stop_the_others(workspace):
+    home = workspace.root / "data/objects/cube"
+    home.mkdir(parents=True)
+    (home / "mesh.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n")
+    with workspace.edit() as values:
+        del values["procedural"]["cube"]
+        values["objects"]["cube"]["mesh"] = "data/objects/cube/mesh.obj"
+    done = workspace.cli("build", "normalize", ok=False)
+    assert done.returncode == 1
+    assert "NaN" in done.stdout + done.stderr
+    assert "data/objects/cube/mesh.obj" in done.stdout + done.stderr
+    assert (workspace.root / "build/bell/surface.ply").exists()
+
+
+def test_unwritable_build_directory_is_said_before_anything_runs(workspace):
+    (workspace.root / "build").write_text("a file where the folder should be")
+    done = workspace.cli("build", ok=False)
+    assert done.returncode == 1
+    assert "cannot write build" in done.stderr
+    assert not (workspace.root / "dvc.lock").exists()
+
+
+@pytest.mark.parametrize("key", [7, "a.b", "Mug", "modal"])
+def test_bad_object_keys_are_refused_with_the_reason(workspace, key):
+    with workspace.edit() as values:
+        values["objects"][key] = values["objects"]["cube"]
+    done = workspace.cli("build", ok=False)
+    assert done.returncode == 1
+    assert f"{key!r} is not a valid object key" in done.stderr.replace("\n", " ")
+    shutil.rmtree(workspace.root)
