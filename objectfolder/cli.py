@@ -14,6 +14,7 @@ from objectfolder.errors import ObjectFolderError
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
+    pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
     help="Build and query **Object Files**: objects that can be seen, struck and touched.\n\n"
     "In a workspace (a folder with dvc.yaml): `objectfolder add MESH ...`, then `objectfolder build`.\n\n"

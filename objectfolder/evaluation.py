@@ -108,9 +108,9 @@ def evaluate_touch(
     mean_image : (H, W, 3) array
         Mean of the training images in grey levels: the baseline.
     """
-    truth = contacts["images"]
+    truth = contacts["images"].astype(np.float32)
     images = file.touch(contacts["points"], contacts["depths"], contacts["angles"])
-    errors = np.square((images.astype(np.float32) - truth) / 255).mean((1, 2, 3))
+    errors = np.square((images - truth) / 255).mean((1, 2, 3))
     baseline = np.square((truth - mean_image) / 255).mean((1, 2, 3))
     free = contacts["obstructed"] == 0
     scores = {

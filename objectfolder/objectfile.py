@@ -4,6 +4,9 @@ The format is described in docs/objectfile.md. Reading it needs no mesh, no pick
 """
 
 import lzma
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -22,6 +25,7 @@ from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.vision.cameras import Intrinsics
 
 SCHEMA = 1
+MAX_RESOLUTION = 512  #: of the stored distance grid
 MODALITIES = ("vision", "audio", "touch")
 _KINDS = {"vision": "surface", "audio": "gains", "touch": "geometric"}
 _REQUIRED = ("schema", "key", "material", "scale", "geometry", "vision", "audio", "touch")
@@ -56,10 +60,12 @@ class ObjectFile:
                 f"{path} has schema {header['schema']}, this version reads {SCHEMA}; update objectfolder"
             )
         for modality, kind in _KINDS.items():
-            if header[modality].get("kind") != kind:
-                raise ObjectFolderError(
-                    f"{path}: {modality} net of kind {header[modality].get('kind')!r}, expected {kind!r}"
-                )
+            found = header[modality].get("kind") if isinstance(header[modality], dict) else None
+            if found != kind:
+                raise ObjectFolderError(f"{path}: {modality} net of kind {found!r}, expected {kind!r}")
+        scale = header["scale"]
+        if isinstance(scale, bool) or not isinstance(scale, int | float) or not 0 < scale < math.inf:
+            raise ObjectFolderError(f"{path}: scale is {scale!r}, expected the object's size in metres")
         self.header = header
         self.tensors = tensors
 
@@ -145,28 +151,42 @@ class ObjectFile:
     @cached_property
     def surface(self) -> Isosurface:
         """The stored surface, unit frame; extracted at first use."""
-        config = self.header["geometry"]
-        resolution = int(config["resolution"])
         packed = self._tensor("geometry.sdf_lzma").tobytes()
-        try:
-            # The limit stops a hostile file from filling the memory.
+        with self._checked("distance grid"):
+            config = self.header["geometry"]
+            resolution = int(config["resolution"])
+            # The limits stop a hostile file from filling the memory.
+            if not 2 <= resolution <= MAX_RESOLUTION:
+                raise ValueError(f"resolution {resolution}")
             raw = lzma.LZMADecompressor(memlimit=2**30).decompress(packed, resolution**3)
             values = np.frombuffer(raw, np.int8).reshape((resolution,) * 3)
-        except (lzma.LZMAError, ValueError) as error:
-            raise ObjectFolderError(f"{self.key}: stored distance grid is damaged ({error})") from error
-        return Isosurface(DistanceGrid(values, config["band"]))
+            return Isosurface(DistanceGrid(values, config["band"]))
 
     @cached_property
     def _vision(self) -> SurfaceNet:
-        return SurfaceNet.from_tensors(self._group("vision"), self.header["vision"]["net"])
+        with self._checked("vision net"):
+            return SurfaceNet.from_tensors(self._group("vision"), self.header["vision"]["net"])
 
     @cached_property
     def _audio(self) -> GainsNet:
-        return GainsNet.from_tensors(self._group("audio"), self.header["audio"]["net"])
+        with self._checked("audio net"):
+            return GainsNet.from_tensors(self._group("audio"), self.header["audio"]["net"])
 
     @cached_property
     def _touch(self) -> GeometricTouch:
-        return GeometricTouch.from_config(self.surface, self.scale, self.header["touch"]["net"])
+        surface = self.surface
+        with self._checked("touch net"):
+            return GeometricTouch.from_config(surface, self.scale, self.header["touch"]["net"])
+
+    @contextmanager
+    def _checked(self, what: str) -> Iterator[None]:
+        """Name the object and the part that its header or tensors do not describe."""
+        try:
+            yield
+        except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError, lzma.LZMAError) as error:
+            raise ObjectFolderError(
+                f"{self.key}: the stored {what} is damaged ({error}); rebuild it"
+            ) from error
 
     def _group(self, prefix: str) -> dict[str, np.ndarray]:
         start = prefix + "."

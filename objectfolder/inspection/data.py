@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from objectfolder.artifacts import SPLITS, Build, read_json, read_npz
-from objectfolder.inspection.figure import page, save, show_image
+from objectfolder.inspection.figure import columns, page, rows, save, show_image
 from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
 from objectfolder.inspection.scene import CLAY, VIEW_FROM, draw, triangles
 from objectfolder.mesh.surface import read_surface
@@ -24,27 +24,27 @@ def inspect_render_views(build: Build) -> Inspection:
         split: read_npz(path, "rgba", "camera_to_world", "light", "focal")
         for split, path in zip(SPLITS, paths)
     }
-    rows = []
+    table: list[tuple[str, str]] = []
     for (split, views), path in zip(splits.items(), paths):
         rgba = views["rgba"].astype(np.float32)
         color, alpha = rgba[..., :3], rgba[..., 3]
         covered = alpha >= COVERED
         lit = covered & (color.max(-1) > LIT)
         broken = np.count_nonzero(~np.isfinite(rgba))
-        rows += [
+        table += [
             (split, f"{len(rgba)} views, {_size(rgba)} pixels RGBA {views['rgba'].dtype}, {kilobytes(path)}"),
             ("  radiance", span(color) + (f", {broken} values are not finite" if broken else "")),
             (
                 "  pixels",
-                f"object covers {covered.mean():.1%} of the image; {lit.sum() / max(covered.sum(), 1):.1%} of that "
-                "is lit",
+                f"object covers {covered.mean():.1%} of the image; "
+                f"{lit.sum() / max(covered.sum(), 1):.1%} of that is lit",
             ),
             ("  camera distance", span(np.linalg.norm(views["camera_to_world"][:, :3, 3], axis=1), "sizes")),
             ("  light distance", span(np.linalg.norm(views["light"], axis=1), "sizes")),
             ("  focal length", f"{float(views['focal']):g} pixels"),
         ]
     figure = page(15, 13, f"render_views@{build.key}")
-    top, bottom = figure.subfigures(2, 1, height_ratios=(3, 1.4))
+    top, bottom = rows(figure, 3, 1.4)
     top.suptitle("training views, on white; yellow: the light (filled: before the object, ring: behind it)")
     _show_views(top.subplots(3, 6).flat, splits["train"])
     for axes, name in zip(bottom.subplots(1, 2), ("camera", "light")):
@@ -61,7 +61,7 @@ def inspect_render_views(build: Build) -> Inspection:
         axes.legend(loc="upper right")
         axes.grid(alpha=0.3)
     picture = save(figure, picture_path(build, "render_views"))
-    return Inspection(f"render_views@{build.key}", rows, [picture, build.views_sheet])
+    return Inspection(f"render_views@{build.key}", table, [picture, build.views_sheet])
 
 
 def inspect_render_touch(build: Build) -> Inspection:
@@ -70,10 +70,10 @@ def inspect_render_touch(build: Build) -> Inspection:
     require(build, "render_touch", *paths, build.touch_sheet, build.surface, build.normalize)
     names = ("images", "points", "normals", "depths", "angles", "obstructed")
     splits = {split: read_npz(path, *names) for split, path in zip(SPLITS, paths)}
-    rows = []
+    table: list[tuple[str, str]] = []
     for (split, contacts), path in zip(splits.items(), paths):
         images = contacts["images"]
-        rows += [
+        table += [
             (split, f"{len(images)} contacts, {_size(images)} pixels RGB {images.dtype}, {kilobytes(path)}"),
             ("  grey levels", f"{span(images)}, mean {images.mean():.1f}"),
             ("  press depths", span(contacts["depths"] * 1000, "mm")),
@@ -82,7 +82,7 @@ def inspect_render_touch(build: Build) -> Inspection:
             ("  obstructed", f"{np.mean(contacts['obstructed'] > 0):.1%} of the contacts"),
         ]
     figure = page(15, 10.5, f"render_touch@{build.key}")
-    left, right = figure.subfigures(1, 2, width_ratios=(2.4, 1))
+    left, right = columns(figure, 2.4, 1)
     left.suptitle("training contacts: press depth [mm]; red: the object reaches behind the gel")
     _show_touches(left.subplots(4, 8).flat, splits["train"])
     surface, scale = read_surface(build.surface), read_json(build.normalize)["scale_m"]
@@ -90,7 +90,7 @@ def inspect_render_touch(build: Build) -> Inspection:
     for axes, view_from in zip(right.subplots(2, 1), (VIEW_FROM, tuple(-x for x in VIEW_FROM))):
         show_image(axes, _draw_contacts(*surface, scale, splits, view_from))
     picture = save(figure, picture_path(build, "render_touch"))
-    return Inspection(f"render_touch@{build.key}", rows, [picture, build.touch_sheet])
+    return Inspection(f"render_touch@{build.key}", table, [picture, build.touch_sheet])
 
 
 def _show_views(panels, views: dict[str, np.ndarray]) -> None:
@@ -106,6 +106,8 @@ def _show_views(panels, views: dict[str, np.ndarray]) -> None:
         show_image(
             axes, image, f"az {azimuth[index]:.0f}°, el {np.degrees(np.arcsin(elevation[index])):.0f}°"
         )
+        axes.set_axis_on()  # a frame, so that a light at the border is seen to belong to its view
+        axes.set(xticks=[], yticks=[])
         place, depth = project(light[None], pose, intrinsics)
         before = depth[0] < np.linalg.norm(pose[:3, 3])
         axes.scatter(
@@ -136,7 +138,7 @@ def _draw_contacts(
                 plotter.add_points(
                     contacts["points"] / scale,
                     color=COLORS[split][1],
-                    point_size=9,
+                    point_size=14,
                     render_points_as_spheres=True,
                 )
 

@@ -10,7 +10,7 @@ from objectfolder.audio.spectrogram import HOP, SAMPLE_RATE, spectrogram
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, SubFigure
 
 DPI = 120
 DYNAMIC_RANGE = 80.0  # dB of a spectrogram that are shown
@@ -25,6 +25,16 @@ def page(width: float, height: float, title: str) -> "Figure":
     return figure
 
 
+def rows(figure: "Figure", *heights: float) -> list["SubFigure"]:
+    """Divide a page into rows of relative heights."""
+    return np.asarray(figure.subfigures(len(heights), 1, height_ratios=heights)).tolist()
+
+
+def columns(figure: "Figure", *widths: float) -> list["SubFigure"]:
+    """Divide a page into columns of relative widths."""
+    return np.asarray(figure.subfigures(1, len(widths), width_ratios=widths)).tolist()
+
+
 def save(figure: "Figure", path: Path) -> Path:
     """Write a page as PNG and return where it is."""
     with atomic(path) as temporary:
@@ -35,7 +45,8 @@ def save(figure: "Figure", path: Path) -> Path:
 def show_image(axes: "Axes", image: np.ndarray, title: str = "") -> None:
     """Show an (H, W, 3) image without axes."""
     axes.imshow(image)
-    axes.set_title(title, fontsize=10)
+    axes.set_anchor("N")  # images of different heights line up under their titles
+    axes.set_title(title, fontsize=11)
     axes.set_axis_off()
 
 

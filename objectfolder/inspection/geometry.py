@@ -1,19 +1,25 @@
 """Inspections of normalize and voxelize: the meshes, the solid and the distance grid."""
 
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import igl
 import numpy as np
 
 from objectfolder.artifacts import Build, atomic, read_json, read_npz
 from objectfolder.fem.cutcell import CutCells, node_count
-from objectfolder.inspection.figure import page, save, show_image
+from objectfolder.inspection.figure import page, rows, save, show_image
 from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
 from objectfolder.inspection.scene import CLAY, VIEW_FROM, add_textured, draw, hexahedra, triangles
 from objectfolder.mesh.grid import BOUND, DistanceGrid
 from objectfolder.mesh.load import load_mesh
 from objectfolder.mesh.surface import read_surface, signed_volume
 from objectfolder.mesh.textured import TexturedMesh
+
+if TYPE_CHECKING:
+    import pyvista
+    from matplotlib.figure import SubFigure
 
 FULL = 0.999  # cells with at least this much material count as full
 CUT_FROM = (0.35, -1.0, 0.45)  # looks at the cut through y = 0
@@ -32,7 +38,7 @@ def inspect_normalize(build: Build) -> Inspection:
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
     # A closed surface has 3/2 edges per face; Euler's formula then counts its handles.
     holes = report["components"] - (len(vertices) - len(faces) / 2) / 2
-    rows = [
+    table = [
         ("size", f"{sides[0]:.2f} x {sides[1]:.2f} x {sides[2]:.2f} mm (x, y, z)"),
         ("source", f"longest side {report['source_size']:.6g} of its units, {report['source_up']} up"),
         ("closed by", ", ".join(report["steps"])),
@@ -67,7 +73,7 @@ def inspect_normalize(build: Build) -> Inspection:
     figure = page(15, 5.6, title)
     for axes, (name, image) in zip(figure.subplots(1, 3), images.items()):
         show_image(axes, image, name)
-    return Inspection(f"normalize@{build.key}", rows, [save(figure, picture_path(build, "normalize"))])
+    return Inspection(f"normalize@{build.key}", table, [save(figure, picture_path(build, "normalize"))])
 
 
 def inspect_voxelize(build: Build) -> Inspection:
@@ -75,14 +81,14 @@ def inspect_voxelize(build: Build) -> Inspection:
     cells, scale = _solid(build)
     require(build, "voxelize", build.sdf)
     vertices, faces = read_surface(build.surface)
-    grid = DistanceGrid(**read_npz(build.sdf, "values", "band"))
+    grid = DistanceGrid.from_arrays(read_npz(build.sdf, "values", "band"))
     fill, volume = cells.fill, signed_volume(vertices, faces)
     inside = grid.values < 0
     inside_volume = np.count_nonzero(inside) * grid.spacing**3
     in_band = np.count_nonzero(np.abs(grid.values) < 127)
     side = cells.occupancy.shape[1]
     counts, edges = np.histogram(fill, np.linspace(0, 1, 6))
-    rows = [
+    table = [
         (
             "cells",
             f"{len(cells.index):,} of {cells.resolution}^3, {cells.cell_size * scale * 1000:.3f} mm wide",
@@ -111,7 +117,7 @@ def inspect_voxelize(build: Build) -> Inspection:
         ("files", f"solid {kilobytes(build.solid)}, sdf {kilobytes(build.sdf)}"),
     ]
     picture = _voxelize_picture(build, cells, grid, scale)
-    return Inspection(f"voxelize@{build.key}", rows, [picture])
+    return Inspection(f"voxelize@{build.key}", table, [picture])
 
 
 def export_vtu(build: Build) -> Path:
@@ -135,7 +141,7 @@ def _solid(build: Build) -> tuple[CutCells, float]:
 def _voxelize_picture(build: Build, cells: CutCells, grid: DistanceGrid, scale: float) -> Path:
     middle = (cells.index[:, 1].min() + cells.index[:, 1].max()) / 2
     figure = page(14, 9.5, f"voxelize@{build.key}")
-    top, bottom = figure.subfigures(2, 1)
+    top, bottom = rows(figure, 1, 1)
     left, centre, right = top.subplots(1, 3)
     for axes, keep, view_from, name in (
         (left, slice(None), VIEW_FROM, "solid.npz: cells by fill"),
@@ -143,10 +149,9 @@ def _voxelize_picture(build: Build, cells: CutCells, grid: DistanceGrid, scale: 
     ):
         part = hexahedra(cells.index[keep], cells.lower, cells.cell_size)
         part.cell_data["fill"] = cells.fill[keep]
-        options = {"cmap": "viridis", "clim": (0, 1), "show_edges": True, "line_width": 0.5}
-        image = draw(lambda p: p.add_mesh(part, show_scalar_bar=False, **options), view_from)  # noqa: B023
+        image = draw(partial(_add_cells, part), view_from)
         show_image(axes, image, name)
-    _, bins, bars = right.hist(cells.fill, bins=20, range=(0, 1), log=True)
+    _, bins, bars = right.hist(cells.fill, bins=20, range=(0, 1))
     for low, bar in zip(bins, bars.patches):
         bar.set_facecolor(_viridis(low + 0.025))
     right.set(
@@ -156,7 +161,21 @@ def _voxelize_picture(build: Build, cells: CutCells, grid: DistanceGrid, scale: 
     return save(figure, picture_path(build, "voxelize"))
 
 
-def _show_slices(figure, grid: DistanceGrid, scale: float) -> None:
+def _add_cells(cells: "pyvista.UnstructuredGrid", plotter: "pyvista.Plotter") -> None:
+    plotter.add_mesh(
+        cells,
+        scalars="fill",
+        cmap="viridis",
+        clim=(0, 1),
+        show_scalar_bar=False,
+        show_edges=True,
+        line_width=0.5,
+        ambient=0.45,
+        diffuse=0.6,
+    )
+
+
+def _show_slices(figure: "SubFigure", grid: DistanceGrid, scale: float) -> None:
     """Show the middle slices of the distance grid; axes in mm."""
     count = len(grid.values)
     half, limit = BOUND * scale * 1000, grid.band * scale * 1000

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from objectfolder.artifacts import Build, read_json, read_safetensors
-from objectfolder.inspection.figure import page, save, show_image, show_spectrogram
+from objectfolder.inspection.figure import page, rows, save, show_image, show_spectrogram
 from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
 from objectfolder.objectfile import ObjectFile
 from objectfolder.vision.cameras import CAMERA_RADIUS
@@ -29,7 +29,7 @@ def inspect_net(build: Build, modality: str) -> Inspection:
     stage, net, curve = f"train_{modality}", build.net(modality), build.curve(modality)
     require(build, stage, net, curve)
     tensors, header = read_safetensors(net)
-    rows = [
+    table = [
         ("kind", str(header.get("kind"))),
         *((f"  {name}", value) for name, value in _leaves(header.get("net", {}))),
         *_tensor_rows(tensors),
@@ -38,9 +38,9 @@ def inspect_net(build: Build, modality: str) -> Inspection:
     with curve.open() as stream:
         points = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(stream)]
     if not points:
-        return Inspection(f"{stage}@{build.key}", [*rows, ("curve", "empty: there was nothing to learn")])
+        return Inspection(f"{stage}@{build.key}", [*table, ("curve", "empty: there was nothing to learn")])
     best, last = min(points, key=lambda point: point["val_loss"]), points[-1]
-    rows += [
+    table += [
         ("loss", LOSSES[modality]),
         ("steps", f"{last['step']:.0f}, {len(points)} evaluations"),
         ("last training loss", f"{last['train_loss']:.4g}"),
@@ -51,13 +51,20 @@ def inspect_net(build: Build, modality: str) -> Inspection:
     steps = [point["step"] for point in points]
     for name, label in (("train_loss", "training"), ("val_loss", "validation")):
         axes.plot(steps, [point[name] for point in points], marker="o", markersize=4, label=label)
-    axes.scatter(best["step"], best["val_loss"], s=130, facecolors="none", edgecolors="black", label="kept")
+    axes.scatter(
+        best["step"],
+        best["val_loss"],
+        s=130,
+        facecolors="none",
+        edgecolors="black",
+        label="lowest validation",
+    )
     axes.set(xlabel=STEPS[modality], ylabel=LOSSES[modality])
     if all(point[name] > 0 for point in points for name in ("train_loss", "val_loss")):
         axes.set_yscale("log")
     axes.grid(alpha=0.3, which="both")
     axes.legend()
-    return Inspection(f"{stage}@{build.key}", rows, [save(figure, picture_path(build, stage))])
+    return Inspection(f"{stage}@{build.key}", table, [save(figure, picture_path(build, stage))])
 
 
 def inspect_pack(build: Build) -> Inspection:
@@ -65,14 +72,16 @@ def inspect_pack(build: Build) -> Inspection:
     require(build, "pack", build.object_file)
     file = ObjectFile.load(build.object_file)
     header = {name: value for name, value in file.header.items() if name != "provenance"}
-    rows = [
+    # `inspect train_touch` lists the sensor's numbers.
+    header["touch"] = {**header["touch"], "net": {**header["touch"]["net"], "sensor": _sensor(file)["name"]}}
+    table = [
         *_leaves(header),
         *((f"made from {name}", digest[:12]) for name, digest in file.header.get("provenance", {}).items()),
         *_tensor_rows(file.tensors),
         ("modes", f"{len(file.frequencies)}, {span(file.frequencies, 'Hz')}"),
         ("file", kilobytes(build.object_file)),
     ]
-    return Inspection(f"pack@{build.key}", rows, [_pack_picture(build, file)])
+    return Inspection(f"pack@{build.key}", table, [_pack_picture(build, file)])
 
 
 def inspect_evaluate(build: Build) -> Inspection:
@@ -85,12 +94,13 @@ def _pack_picture(build: Build, file: ObjectFile):
     points = file.sample_surface(TOUCHES)
     title = f"pack@{build.key}: answers of the Object File ({file.material}, {file.scale * 1000:g} mm)"
     figure = page(14, 12, title)
-    views, touches, sounds = figure.subfigures(3, 1, height_ratios=(1.1, 1.1, 1))
+    views, touches, sounds = rows(figure, 1.1, 1.1, 1)
     lights = CAMERAS / CAMERA_RADIUS + LIGHT_OFFSET
     for axes, image, camera in zip(views.subplots(1, len(CAMERAS)), file.view(CAMERAS, lights), CAMERAS):
         show_image(axes, image, f"camera at {_triple(camera)} sizes")
-    for axes, point, image in zip(touches.subplots(1, TOUCHES), points, _touches(file, points)):
-        show_image(axes, image, f"touch at {_triple(point * 1000)} mm")
+    depth = min(PRESS, _sensor(file)["max_indentation"])
+    for axes, point, image in zip(touches.subplots(1, TOUCHES), points, file.touch(points, depth)):
+        show_image(axes, image, f"pressed {depth * 1000:g} mm at {_triple(point * 1000)} mm")
     sound = file.impact(points[:1], np.array([[0.0, 0.0, 1.0]]))[0]
     left, right = sounds.subplots(1, 2)
     left.plot(np.arange(len(sound)) / 16000, sound * 1e6, linewidth=0.5)
@@ -104,13 +114,12 @@ def _pack_picture(build: Build, file: ObjectFile):
     return save(figure, picture_path(build, "pack"))
 
 
-def _touches(file: ObjectFile, points: np.ndarray) -> np.ndarray:
-    limit = file.header["touch"]["net"]["sensor"]["max_indentation"]
-    return file.touch(points, depth=min(PRESS, limit))
+def _sensor(file: ObjectFile) -> dict[str, Any]:
+    return file.header["touch"]["net"]["sensor"]
 
 
 def _tensor_rows(tensors: dict[str, np.ndarray]) -> list[tuple[str, str]]:
-    rows = [
+    listed = [
         (
             f"  {name}",
             f"{value.dtype} {'x'.join(map(str, value.shape)) or 'scalar'}, {value.nbytes / 1024:,.1f} KB",
@@ -119,7 +128,7 @@ def _tensor_rows(tensors: dict[str, np.ndarray]) -> list[tuple[str, str]]:
     ]
     total = sum(value.nbytes for value in tensors.values())
     size = sum(value.size for value in tensors.values())
-    return [("tensors", f"{len(tensors)}: {size:,} numbers, {total / 1024:,.1f} KB"), *rows]
+    return [("tensors", f"{len(tensors)}: {size:,} numbers, {total / 1024:,.1f} KB"), *listed]
 
 
 def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, str]]:

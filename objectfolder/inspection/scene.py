@@ -2,7 +2,7 @@
 
 import ctypes.util
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,11 +17,11 @@ CLAY = "#c9ccd1"
 
 
 def draw(
-    add: Callable[["pyvista.Plotter"], None],
+    add: Callable[["pyvista.Plotter"], Any],
     view_from: tuple[float, float, float] = VIEW_FROM,
-    size: tuple[int, int] = (640, 640),
+    size: tuple[int, int] = (800, 800),
 ) -> np.ndarray:
-    """Draw a scene on white, fitted into the picture.
+    """Draw a scene on white, and crop the picture to it.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def draw(
     view_from : (3,) tuple
         Direction from the scene to the camera.
     size : (2,) tuple
-        Width and height, pixels.
+        Width and height before cropping, pixels.
 
     Returns
     -------
@@ -46,22 +46,21 @@ def draw(
 
     # Without an X server VTK warns, and then takes EGL.
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
-    plotter = pyvista.Plotter(off_screen=True, window_size=list(size), lighting="light kit")
+    plotter: Any = pyvista.Plotter(off_screen=True, window_size=list(size), lighting="light kit")
     try:
         # VTK's last resort crashes the process where its library is missing.
         software_only = plotter.render_window.GetClassName() == "vtkOSOpenGLRenderWindow"
         if software_only and ctypes.util.find_library("OSMesa") is None:
             raise ObjectFolderError(
-                "VTK finds no OpenGL on this machine, neither X nor EGL, to draw pictures with; install Mesa's "
-                "software renderer: `apt-get install libegl1 libgl1-mesa-dri`"
+                "VTK finds no OpenGL on this machine, neither X nor EGL, to draw pictures with; install "
+                "Mesa's software renderer: `apt-get install libegl1 libgl1-mesa-dri`"
             )
         plotter.set_background("white")
         add(plotter)
         plotter.camera_position = [view_from, (0, 0, 0), (0, 0, 1)]
         plotter.reset_camera()
-        plotter.camera.zoom(1.25)
         plotter.enable_anti_aliasing("ssaa")
-        return np.asarray(plotter.screenshot(return_img=True))
+        return _crop(np.asarray(plotter.screenshot(return_img=True)))
     finally:
         plotter.close()
 
@@ -108,3 +107,13 @@ def hexahedra(index: np.ndarray, lower: np.ndarray, size: float) -> "pyvista.Uns
     )
     nodes, cells = np.unique((index[:, None] + corner).reshape(-1, 3), axis=0, return_inverse=True)
     return pyvista.UnstructuredGrid({pyvista.CellType.HEXAHEDRON: cells.reshape(-1, 8)}, nodes * size + lower)
+
+
+def _crop(image: np.ndarray, margin: int = 10) -> np.ndarray:
+    """Leave out the white around what is drawn."""
+    drawn = np.any(image < 255, axis=-1)
+    rows, columns = np.flatnonzero(drawn.any(1)), np.flatnonzero(drawn.any(0))
+    if len(rows) == 0:
+        return image
+    top, left = max(rows[0] - margin, 0), max(columns[0] - margin, 0)
+    return image[top : rows[-1] + margin + 1, left : columns[-1] + margin + 1]

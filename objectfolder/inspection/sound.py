@@ -6,7 +6,7 @@ import torch
 from objectfolder.artifacts import Build, read_json, read_npz
 from objectfolder.audio.spectrogram import SAMPLE_RATE
 from objectfolder.audio.synthesis import gains, sinusoid_bank
-from objectfolder.inspection.figure import page, save, show_image, show_spectrogram
+from objectfolder.inspection.figure import page, rows, save, show_image, show_spectrogram
 from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
 from objectfolder.inspection.scene import draw, triangles
 from objectfolder.mesh.surface import read_surface
@@ -34,7 +34,7 @@ def inspect_modal(build: Build) -> Inspection:
         )
         for i in range(min(count, LISTED))
     ]
-    rows = [
+    table = [
         ("material", f"{report['material']}, {report['mass_kg'] * 1000:.4g} g"),
         ("model", f"{report['element']}, resolution {report['resolution']}, {report['elements']:,} elements"),
         ("degrees of freedom", f"{report['degrees_of_freedom']:,}"),
@@ -54,14 +54,14 @@ def inspect_modal(build: Build) -> Inspection:
         ("files", kilobytes(build.modes, build.modal)),
     ]
     pictures = [_modal_picture(build, modes, frequency, decay, report["scale_m"])] if count else []
-    return Inspection(f"modal@{build.key}", rows, pictures)
+    return Inspection(f"modal@{build.key}", table, pictures)
 
 
 def _modal_picture(build: Build, modes: dict, frequency: np.ndarray, decay: np.ndarray, scale: float):
     vertices, faces = read_surface(build.surface)
     shapes = modes["shapes"][: len(vertices)]  # the surface's vertices are the first points
     figure = page(15, 13.5, f"modal@{build.key}: first mode shapes, exaggerated (colour: amplitude)")
-    top, bottom = figure.subfigures(2, 1, height_ratios=(2, 1))
+    top, bottom = rows(figure, 2, 1)
     for mode, axes in enumerate(top.subplots(2, DRAWN // 2).flat):
         axes.set_axis_off()
         if mode < len(frequency):
@@ -90,8 +90,11 @@ def _draw_shape(vertices: np.ndarray, faces: np.ndarray, shape: np.ndarray) -> n
     largest = max(float(amplitude.max()), 1e-30)
     moved = triangles(vertices + shape * (DISPLACEMENT / largest), faces)
     moved.point_data["amplitude"] = amplitude / largest
-    options = {"cmap": "inferno", "clim": (0, 1), "show_scalar_bar": False, "smooth_shading": True}
-    return draw(lambda plotter: plotter.add_mesh(moved, scalars="amplitude", **options), size=(640, 520))
+    return draw(
+        lambda plotter: plotter.add_mesh(
+            moved, scalars="amplitude", cmap="YlOrRd", clim=(0, 1), show_scalar_bar=False, smooth_shading=True
+        )
+    )
 
 
 def _loudest_strike(modes: dict[str, np.ndarray], count: int) -> tuple[int, int, np.ndarray]:

@@ -59,6 +59,7 @@ def load_mesh(path: str | Path, up: str = "z", texture_size: int = 1024) -> Text
         raise ObjectFolderError(f"{path}: {bad.sum()} of its vertices are NaN or infinite; repair the mesh")
     if np.ptp(vertices[np.unique(faces)], axis=0).max() <= 0:
         raise ObjectFolderError(f"{path}: all of its vertices are in one point; expected a solid object")
+    vertices = np.where(np.isfinite(vertices).all(1, keepdims=True), vertices, 0)  # of no face
     if up == "y":
         vertices = np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], 1)
     appearance = _appearance(mesh, texture_size)

@@ -210,39 +210,41 @@ def _cap(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _join(pieces: list[tuple[np.ndarray, np.ndarray]], steps: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Union of outward pieces; a piece turned inward that lies inside another is its cavity."""
+    """Union of the pieces; one that lies inside another, and is oriented the other way, is its cavity."""
     if len(pieces) == 1:
         v, f = pieces[0]
         if is_closed(f) and signed_volume(v, f) < 0:
             steps.append("flip")
             f = f[:, ::-1]
         return v, np.ascontiguousarray(f)
-    solids, cavities = [], []
+    closed = []
     for i, (v, f) in enumerate(pieces):
-        if not is_closed(f):
+        if is_closed(f):
+            closed.append((v, f, signed_volume(v, f)))
+        else:
             steps.append(f"drop open piece {i} ({len(f)} faces)")
-            continue
-        if signed_volume(v, f) < 0:
-            others = [p for j, p in enumerate(pieces) if j != i]
-            if any(_contains(other, v[0]) for other in others):
-                cavities.append((v, f[:, ::-1]))
-                continue
-            f = f[:, ::-1]
-        solids.append((v, f))
+    solids, cavities = [], []
+    for v, f, volume in closed:
+        # Not by the sign alone: many meshes are inside out as a whole.
+        hollow = any(_contains((w, g), v) for w, g, other in closed if volume * other < 0)
+        (cavities if hollow else solids).append((v, f if volume > 0 else f[:, ::-1]))
     if not solids:
         return pieces[0][0], np.empty((0, 3), np.int64)
     union = manifold3d.Manifold.batch_boolean([_manifold(*s) for s in solids], manifold3d.OpType.Add)
     for cavity in cavities:
         union = union - _manifold(*cavity)
-    # Specks (thin rims that the scan broke off) are below any modality's resolution.
-    # A cavity is a part of its own, of negative volume.
-    parts = sorted(union.decompose(), key=lambda part: -part.volume())
-    if not parts:
+    if union.is_empty():
         return pieces[0][0], np.empty((0, 3), np.int64)
-    large = [part for part in parts if abs(part.volume()) > 1e-3 * parts[0].volume()]
-    steps.append(f"union {len(solids)} pieces, {len(cavities)} cavities -> {len(large)}")
-    mesh = manifold3d.Manifold.compose(large).to_mesh64()
-    return _compact(np.asarray(mesh.vert_properties)[:, :3].copy(), np.asarray(mesh.tri_verts, np.int64))
+    mesh = union.to_mesh64()
+    v, f = np.asarray(mesh.vert_properties)[:, :3].copy(), np.asarray(mesh.tri_verts, np.int64)
+    # Specks (thin rims that the scan broke off) are below any modality's resolution. A cavity is a part of
+    # its own, of negative volume; manifold's own decompose and compose would fill it.
+    part = face_components(f, len(v))
+    a, b, c = (v[f[:, i]] for i in range(3))
+    volume = np.abs(np.bincount(part, weights=np.einsum("ij,ij->i", a, np.cross(b, c))))
+    large = volume > 1e-3 * volume.max()
+    steps.append(f"union {len(solids)} pieces, {len(cavities)} cavities -> {large.sum()}")
+    return _compact(v, f[large[part]])
 
 
 def _manifold(vertices: np.ndarray, faces: np.ndarray) -> manifold3d.Manifold:
@@ -251,9 +253,12 @@ def _manifold(vertices: np.ndarray, faces: np.ndarray) -> manifold3d.Manifold:
     )
 
 
-def _contains(piece: tuple[np.ndarray, np.ndarray], point: np.ndarray) -> bool:
+def _contains(piece: tuple[np.ndarray, np.ndarray], points: np.ndarray) -> bool:
+    """Whether a closed piece encloses all of the points."""
     v, f = piece
-    return bool(abs(igl.fast_winding_number(v, f, point[None].copy())[0]) > 0.5)
+    if (points.min(0) < v.min(0)).any() or (points.max(0) > v.max(0)).any():
+        return False
+    return bool((np.abs(igl.fast_winding_number(v, f, np.ascontiguousarray(points))) > 0.5).all())
 
 
 def _remesh_on_grid(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

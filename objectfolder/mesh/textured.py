@@ -45,5 +45,7 @@ class TexturedMesh:
         return trimesh.Trimesh(self.vertices, self.faces, visual=visual, process=False)
 
     def write_glb(self, path: str | Path) -> None:
-        """Write a binary glTF with the object's axes kept as they are."""
-        Path(path).write_bytes(trimesh.Scene(self.to_trimesh()).export(file_type="glb"))
+        """Write a binary glTF; turned y up, as the format demands and `load_mesh` expects of it."""
+        x, y, z = self.vertices.T
+        upright = self.with_vertices(np.stack([x, z, -y], 1))
+        Path(path).write_bytes(trimesh.Scene(upright.to_trimesh()).export(file_type="glb"))

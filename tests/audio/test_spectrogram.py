@@ -1,0 +1,41 @@
+import numpy as np
+import pytest
+import scipy.signal
+import torch
+
+from objectfolder.audio.spectrogram import DURATION, FFT, HOP, SAMPLE_RATE, WINDOW, spectrogram
+
+
+def tone(hertz):
+    return torch.sin(2 * np.pi * hertz * torch.arange(int(DURATION * SAMPLE_RATE)) / SAMPLE_RATE)[None]
+
+
+def test_two_seconds_give_257_by_201_complex_bins():
+    answer = spectrogram(tone(440))
+    assert answer.shape == (1, 257, 201)
+    assert answer.is_complex()
+
+
+@pytest.mark.parametrize("bin_", [10, 37, 128, 250])
+def test_a_tone_peaks_in_its_bin(bin_):
+    magnitude = spectrogram(tone(bin_ * SAMPLE_RATE / FFT)).abs()[0]
+    assert (magnitude[:, 5:-5].argmax(0) == bin_).all()
+    # Half the window's sum, for a sine of amplitude one.
+    np.testing.assert_allclose(magnitude[bin_, 5:-5], WINDOW / 4, rtol=1e-3)
+
+
+def test_it_is_linear(rng):
+    a, b = (torch.from_numpy(rng.standard_normal((2, 32000))) for _ in range(2))
+    a, b = a.float(), b.float()
+    torch.testing.assert_close(spectrogram(a - 2 * b), spectrogram(a) - 2 * spectrogram(b), atol=1e-4, rtol=0)
+
+
+def test_it_agrees_with_scipy(rng):
+    sound = rng.standard_normal(32000)
+    window = np.zeros(FFT)
+    window[(FFT - WINDOW) // 2 : (FFT + WINDOW) // 2] = scipy.signal.get_window("hann", WINDOW)
+    padded = np.pad(sound, FFT // 2, mode="reflect")
+    frames = np.stack([padded[i * HOP : i * HOP + FFT] * window for i in range(201)], 1)
+    np.testing.assert_allclose(
+        spectrogram(torch.from_numpy(sound)[None].float())[0], np.fft.rfft(frames, axis=0), atol=1e-3
+    )

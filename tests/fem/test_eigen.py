@@ -1,0 +1,222 @@
+import numpy as np
+import pytest
+import scipy.linalg
+from scipy.optimize import brentq
+from solids import box, sphere
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.fem.cutcell import CutCells, assemble, cut_cells
+from objectfolder.fem.eigen import Factorisation, canonical, rigid_motions, solve_modes
+from objectfolder.materials import Material
+
+BAR = Material("bar", 1000.0, 1e9, 0.0, 0.0, 0.0)  # no Poisson effect: a bar is one-dimensional
+STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
+THICK = 0.1
+
+
+def beam(resolution, material=STUFF, subdivisions=4):
+    return assemble(cut_cells(*box((1, THICK, THICK)), resolution, subdivisions), material, 1.0)
+
+
+def hertz(modes):
+    return np.sqrt(modes.eigenvalues) / (2 * np.pi)
+
+
+def timoshenko_lowest(material):
+    """First bending frequency of the free beam, from the determinant of Timoshenko's equations."""
+    e, rho, nu = material.youngs_modulus, material.density, material.poisson_ratio
+    area, inertia, shear = THICK**2, THICK**4 / 12, e / (2 * (1 + nu))
+    kappa = 10 * (1 + nu) / (12 + 11 * nu)
+
+    # Spectral elements are awkward by hand; Legendre polynomials converge to machine precision.
+    n = 16
+    x, w = np.polynomial.legendre.leggauss(2 * n)
+    values = np.stack([np.polynomial.legendre.legval(x, u) for u in np.eye(n)])
+    slopes = np.stack([np.polynomial.legendre.legval(x, np.polynomial.legendre.legder(u)) for u in np.eye(n)])
+    w, slopes = w / 2, slopes * 2  # length 1
+
+    def inner(a, b):
+        return (a * w) @ b.T
+
+    stiffness = np.block(
+        [
+            [kappa * shear * area * inner(slopes, slopes), -kappa * shear * area * inner(slopes, values)],
+            [
+                -kappa * shear * area * inner(values, slopes),
+                kappa * shear * area * inner(values, values) + e * inertia * inner(slopes, slopes),
+            ],
+        ]
+    )
+    mass = scipy.linalg.block_diag(rho * area * inner(values, values), rho * inertia * inner(values, values))
+    return np.sqrt(scipy.linalg.eigh(stiffness, mass, eigvals_only=True)[2]) / (2 * np.pi)
+
+
+def euler_bernoulli_lowest(material):
+    root = brentq(lambda x: np.cos(x) * np.cosh(x) - 1, 4, 5)
+    stiffness, mass = material.youngs_modulus * THICK**4 / 12, material.density * THICK**2
+    return root**2 / (2 * np.pi) * np.sqrt(stiffness / mass)
+
+
+def test_the_analytic_references_agree_in_the_slender_limit():
+    assert timoshenko_lowest(STUFF) < euler_bernoulli_lowest(STUFF)
+    assert timoshenko_lowest(STUFF) == pytest.approx(euler_bernoulli_lowest(STUFF), rel=0.05)
+
+
+def test_bending_of_a_free_beam_converges_to_timoshenko():
+    exact = timoshenko_lowest(STUFF)
+    errors = [abs(hertz(solve_modes(beam(r), 150, 4))[0] / exact - 1) for r in (5, 10, 20)]
+    assert errors[0] > errors[1] > errors[2]
+    assert errors[2] < 1.5e-3
+
+
+def test_bending_comes_as_a_pair():
+    f = hertz(solve_modes(beam(10), 150, 4))
+    assert len(f) == 2
+    assert f[1] == pytest.approx(f[0], rel=1e-4)
+
+
+def test_longitudinal_frequencies_of_a_bar():
+    f = hertz(solve_modes(beam(10, BAR), 2100, 60))
+    for order in (1, 2, 3):
+        exact = order / 2 * np.sqrt(1e9 / 1000)
+        assert np.abs(f / exact - 1).min() < 1e-4 * order**4
+
+
+def test_torsion_of_a_square_bar():
+    f = hertz(solve_modes(beam(20), 320, 20))
+    shear = 1e9 / 2.6
+    exact = 0.5 * np.sqrt(0.1406 * THICK**4 * shear / (1000 * THICK**4 / 6))  # Saint-Venant
+    assert np.abs(f / exact - 1).min() < 0.01
+
+
+def test_breathing_mode_of_a_sphere():
+    """Lamb's radial mode: tan x = x / (1 - (x c_l / 2 c_t)^2)."""
+    nu, radius = 0.3, 0.5
+    longitudinal = np.sqrt(1e9 * (1 - nu) / (1000 * (1 + nu) * (1 - 2 * nu)))
+    ratio = (1 - nu) / (1 - 2 * nu) / 2  # (c_l / 2 c_t)^2
+    x = brentq(lambda x: np.sin(x) * (1 - ratio * x * x) - x * np.cos(x), 2, 3)
+    exact = x * longitudinal / (2 * np.pi * radius)
+    fem = assemble(cut_cells(*sphere(0.5, 4), 6, 4), STUFF, 1.0)
+    modes = solve_modes(fem, 1.05 * exact, 80)
+    radial = (fem.nodes / np.maximum(np.linalg.norm(fem.nodes, axis=1, keepdims=True), 1e-9)).ravel()
+    radial *= np.repeat(np.linalg.norm(fem.nodes, axis=1), 3)
+    overlap = np.abs(modes.shapes.T @ (fem.mass @ radial))
+    breathing = overlap.argmax()
+    assert hertz(modes)[breathing] == pytest.approx(exact, rel=0.01)
+    assert overlap[breathing] > 3 * np.delete(overlap, breathing).max()
+
+
+@pytest.fixture(scope="module")
+def plate():
+    fem = assemble(cut_cells(*box((1, 0.62, 0.2)), 6, 4), STUFF, 1.0)
+    return fem, solve_modes(fem, 1500, 100)
+
+
+def test_modes_satisfy_the_eigenproblem_and_are_mass_normalised(plate):
+    fem, modes = plate
+    assert modes.residuals.max() < 1e-7
+    gram = modes.shapes.T @ fem.mass @ modes.shapes
+    np.testing.assert_allclose(gram, np.eye(len(gram)), atol=1e-9)
+    rayleigh = modes.shapes.T @ fem.stiffness @ modes.shapes
+    np.testing.assert_allclose(np.diag(rayleigh), modes.eigenvalues, rtol=1e-9)
+
+
+def test_rigid_modes_are_at_zero_and_elastic_modes_orthogonal_to_them(plate):
+    fem, modes = plate
+    assert modes.rigid_frequencies.shape == (6,)
+    assert modes.rigid_frequencies.max() < 1e-4 * hertz(modes)[0]
+    rigid = rigid_motions(fem.nodes)
+    rigid /= np.sqrt(np.einsum("ij,ij->j", rigid, fem.mass @ rigid))
+    assert np.abs(rigid.T @ fem.mass @ modes.shapes).max() < 1e-6
+
+
+def test_every_mode_that_inertia_counts_is_found(plate):
+    fem, modes = plate
+    values = scipy.linalg.eigh(fem.stiffness.toarray(), fem.mass.toarray(), eigvals_only=True)
+    elastic = values[6:][values[6:] < (2 * np.pi * 1500) ** 2]
+    assert modes.count_below == len(modes.eigenvalues) == len(elastic)
+    assert not modes.truncated
+    np.testing.assert_allclose(modes.eigenvalues, elastic, rtol=1e-8)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_keeping_fewer_modes_keeps_the_lowest_and_says_so(plate, count):
+    fem, modes = plate
+    fewer = solve_modes(fem, 1500, count)
+    assert fewer.truncated
+    assert fewer.count_below == modes.count_below
+    np.testing.assert_allclose(fewer.shapes, modes.shapes[:, :count], atol=1e-6 * np.abs(modes.shapes).max())
+
+
+def test_an_object_without_modes_in_range_has_none(plate):
+    modes = solve_modes(plate[0], 50, 10)
+    assert modes.shapes.shape == (plate[0].stiffness.shape[0], 0)
+    assert modes.count_below == 0
+    assert not modes.truncated
+
+
+def test_the_count_of_negative_pivots_is_the_count_of_eigenvalues_below(plate):
+    fem, modes = plate
+    for between in (3, 7):
+        shift = modes.eigenvalues[between : between + 2].mean()
+        factor = Factorisation((fem.stiffness - shift * fem.mass).tocsr(), fem.nodal_mass)
+        assert factor.negative_pivots() == 6 + between + 1
+
+
+def test_factorisation_solves(plate, rng):
+    fem, _ = plate
+    matrix = (fem.stiffness + 1e6 * fem.mass).tocsr()
+    right = rng.standard_normal(matrix.shape[0])
+    solution = Factorisation(matrix, fem.nodal_mass).solve(right)
+    assert np.linalg.norm(matrix @ solution - right) < 1e-9 * np.linalg.norm(right)
+
+
+@pytest.fixture(scope="module")
+def square_bar():
+    """A grid-aligned bar of square section: its bending modes are exactly repeated."""
+    grid = np.argwhere(np.ones((5, 1, 1))) + [0, 2, 2]
+    fem = assemble(CutCells(grid, np.ones((5, 1, 1, 1), np.float32), 5, 0.0), STUFF, 1.0)
+    return fem, solve_modes(fem, 1500, 20)
+
+
+def test_repeated_eigenvalues_are_found_and_get_the_same_basis_from_any_other(square_bar, rng):
+    fem, modes = square_bar
+    values, shapes = modes.eigenvalues, modes.shapes
+    pairs = np.flatnonzero(np.diff(values) < 1e-9 * values[1:])
+    assert len(pairs) >= 3
+    mixed = shapes * rng.choice([-1, 1], shapes.shape[1])
+    for i in pairs:
+        angle = rng.uniform(0, 2 * np.pi)
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        mixed[:, i : i + 2] = mixed[:, i : i + 2] @ turn
+    np.testing.assert_allclose(canonical(values, mixed, fem), shapes, atol=1e-8 * np.abs(shapes).max())
+    np.testing.assert_allclose(canonical(values, shapes, fem), shapes, atol=1e-8 * np.abs(shapes).max())
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("kept", [20, 1, 5])
+def test_two_solves_from_different_start_vectors_agree(square_bar, monkeypatch, seed, kept):
+    """Also where the number of modes kept parts a pair."""
+    fem, modes = square_bar
+    generator = np.random.default_rng
+    monkeypatch.setattr(np.random, "default_rng", lambda _: generator(seed))
+    other = solve_modes(fem, 1500, kept)
+    expected = modes.shapes[:, :kept]
+    np.testing.assert_allclose(other.shapes, expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_frequency_scales_as_one_over_size_and_with_the_speed_of_sound():
+    cells = cut_cells(*box((1, 0.62, 0.2)), 5, 4)
+    lowest = {}
+    for scale, modulus in ((1.0, 1e9), (0.1, 1e9), (1.0, 4e9)):
+        material = Material("m", 1000.0, modulus, 0.3, 0, 0)
+        lowest[scale, modulus] = hertz(solve_modes(assemble(cells, material, scale), 1000 / scale, 5))[0]
+    reference = lowest[1.0, 1e9]
+    assert lowest[0.1, 1e9] == pytest.approx(10 * reference, rel=1e-6)
+    assert lowest[1.0, 4e9] == pytest.approx(2 * reference, rel=1e-6)
+
+
+def test_a_solid_in_two_pieces_is_refused_by_name():
+    cells = CutCells(np.array([[0, 0, 0], [3, 3, 3]]), np.ones((2, 1, 1, 1), np.float32), 4, 0.0)
+    with pytest.raises(ObjectFolderError, match=r"^lamp: .*rigid modes.*expected 6"):
+        solve_modes(assemble(cells, STUFF, 1.0), 1e4, 10, "lamp")

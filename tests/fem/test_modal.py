@@ -1,0 +1,72 @@
+import numpy as np
+import pytest
+from solids import box
+
+from objectfolder.fem.cutcell import cut_cells
+from objectfolder.fem.modal import modal_analysis
+from objectfolder.materials import Material, material
+
+SOLID = box((1, 0.5, 0.2))
+
+
+@pytest.fixture(scope="module")
+def cells():
+    return cut_cells(*SOLID, 6, 4)
+
+
+def analyse(cells, stuff, max_frequency=20000.0, count=40, scale=0.1):
+    return modal_analysis(cells, SOLID[0], stuff, scale, max_frequency, count, "slab")
+
+
+def test_rayleigh_damping_and_damped_frequency(cells):
+    wood = material("wood")
+    data = analyse(cells, wood)
+    assert len(data.eigenvalues) > 5
+    np.testing.assert_allclose(data.damping, (60 + 2e-6 * data.eigenvalues) / 2)
+    np.testing.assert_allclose(data.damped_frequency**2 + data.damping**2, data.eigenvalues)
+    assert (np.diff(data.eigenvalues) >= 0).all()
+
+
+def test_overdamped_modes_are_dropped(cells):
+    heavy = Material("gum", 1000.0, 1e9, 0.3, 0.0, 1e-4)
+    data = analyse(cells, heavy)
+    everything = analyse(cells, Material("gum", 1000.0, 1e9, 0.3, 0.0, 0.0))
+    critical = 2 / 1e-4  # beta w / 2 = 1
+    expected = everything.eigenvalues[everything.eigenvalues < critical**2]
+    assert 0 < len(expected) < len(everything.eigenvalues)
+    np.testing.assert_allclose(data.eigenvalues, expected)
+    assert np.isfinite(data.damped_frequency).all()
+
+
+def test_shapes_at_points_have_the_scale_of_a_free_solid(cells):
+    """A mass-normalised mode of a mass m is of order 1 / sqrt(m)."""
+    steel = material("steel")
+    data = analyse(cells, steel)
+    mass = 7850 * 0.1 * 1e-3
+    assert data.report["mass_kg"] == pytest.approx(mass, rel=0.01)
+    assert data.shapes.shape == (8, 3, len(data.eigenvalues))
+    size = np.abs(data.shapes).max((0, 1)) * np.sqrt(mass)
+    assert ((size > 0.5) & (size < 5)).all()
+
+
+def test_corner_shapes_have_the_box_symmetry(cells):
+    data = analyse(cells, material("steel"))
+    # Reflections take corners to corners: a non-degenerate mode is even or odd, so magnitudes agree.
+    size = np.abs(data.shapes)
+    assert np.abs(size - size[:1]).max() < 0.02 * size.max()
+
+
+def test_report_counts(cells):
+    data = analyse(cells, material("steel"), count=3, scale=0.3)
+    assert data.report["modes"] == len(data.eigenvalues) == 3
+    assert data.report["truncated"]
+    assert data.report["count_below_max_frequency"] > 3
+    assert data.report["residual_max"] < 1e-7
+    assert len(data.report["lowest_hz"]) == 3
+
+
+def test_a_silent_object_has_no_modes(cells):
+    data = analyse(cells, material("steel"), scale=0.001)
+    assert data.shapes.shape == (8, 3, 0)
+    assert data.report["modes"] == 0
+    assert data.report["residual_max"] == 0

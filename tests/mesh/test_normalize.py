@@ -1,0 +1,40 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from solids import box
+
+from objectfolder.mesh.normalize import normalize
+from objectfolder.mesh.textured import TexturedMesh
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.floats(1e-3, 1e4), st.lists(st.floats(-100, 100), min_size=3, max_size=3))
+def test_the_object_fills_the_unit_frame_and_the_transform_leads_back(size, centre):
+    vertices, faces = box((0.4 * size, size, 0.2 * size), centre)
+    done = normalize(TexturedMesh(vertices, faces))
+    lower, upper = done.visual.bounds
+    tolerance = 1e-12 * (1 + np.abs(vertices).max() / size)
+    np.testing.assert_allclose(lower, -upper, atol=tolerance)
+    np.testing.assert_allclose(upper - lower, [0.4, 1, 0.2], atol=tolerance)
+    np.testing.assert_allclose(
+        done.visual.vertices * done.source_size + done.source_centre,
+        vertices,
+        atol=1e-12 * np.abs(vertices).max(),
+    )
+    assert done.surface.volume == pytest.approx(0.08, rel=1e-6)
+
+
+def test_report_is_in_metres():
+    done = normalize(TexturedMesh(*box((2, 4, 1))))
+    report = done.report(0.1, "y")
+    assert report["volume_m3"] == pytest.approx(8 * (0.1 / 4) ** 3)
+    assert report["scale_m"] == 0.1
+    assert report["source_up"] == "y"
+    assert report["source_size"] == 4
+
+
+def test_vertices_that_no_face_uses_do_not_count():
+    vertices, faces = box((1, 1, 1))
+    done = normalize(TexturedMesh(np.concatenate([vertices, [[50.0, 50, 50]]]), faces))
+    assert done.source_size == 1

@@ -1,0 +1,40 @@
+import numpy as np
+from solids import box
+
+from objectfolder.mesh.raycast import RayCaster
+
+UP = np.array([[0.0, 0, 1]])
+
+
+def test_distances_are_in_units_of_the_direction():
+    caster = RayCaster(*box((1, 1, 1)))
+    origin = np.array([[0.1, 0.2, -2.0]])
+    for length in (1, 2, 0.5):
+        distance, face = caster.first_hit(origin, length * UP)
+        assert distance.dtype == np.float32
+        np.testing.assert_allclose(distance, 1.5 / length, rtol=1e-6)
+        assert face[0] >= 0
+
+
+def test_a_miss_and_a_ray_that_ends_before():
+    caster = RayCaster(*box((1, 1, 1)))
+    origins = np.array([[0.1, 0.2, -2.0], [2.0, 2, -2], [0.1, 0.2, -2]])
+    distance, face = caster.first_hit(origins, UP.repeat(3, 0), np.array([1.4, 10, 1.6]))
+    assert distance.tolist()[:2] == [np.inf, np.inf]
+    assert face.tolist()[:2] == [-1, -1]
+    assert caster.occluded(origins, UP.repeat(3, 0), np.array([1.4, 10, 1.6])).tolist() == [
+        False,
+        False,
+        True,
+    ]
+
+
+def test_the_face_that_is_hit():
+    vertices, faces = box((1, 1, 1))
+    _, face = RayCaster(vertices, faces).first_hit(np.array([[0.1, 0.2, -2.0]]), UP)
+    assert (vertices[faces[face[0]]][:, 2] == -0.5).all()
+
+
+def test_no_rays():
+    distance, face = RayCaster(*box((1, 1, 1))).first_hit(np.zeros((0, 3)), np.zeros((0, 3)))
+    assert distance.shape == face.shape == (0,)

@@ -1,0 +1,88 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, project, sphere_points
+
+positions = st.lists(st.floats(-5, 5), min_size=3, max_size=3).filter(lambda p: np.linalg.norm(p) > 1e-2)
+
+
+@given(positions, st.integers(0, 2**31))
+def test_projection_inverts_rays(position, seed):
+    rng = np.random.default_rng(seed)
+    intrinsics = Intrinsics(320, 200, 250.0)
+    pose = look_at(np.array(position))[0]
+    pixels = rng.random((50, 2)) * [320, 200]
+    origins, directions = camera_rays(pose, intrinsics, pixels)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, atol=1e-6)
+    distance = rng.uniform(0.1, 10, (50, 1))
+    back, depth = project(origins.astype(float) + directions * distance, pose, intrinsics)
+    np.testing.assert_allclose(back, pixels, atol=0.02)
+    assert (depth > 0).all()
+
+
+@given(positions, positions)
+def test_look_at_is_a_rotation_that_looks_at_the_target(position, target):
+    position, target = np.array(position), np.array(target)
+    if np.linalg.norm(position - target) < 1e-3:
+        return
+    pose = look_at(position, target)[0]
+    np.testing.assert_allclose(pose[:3, :3].T @ pose[:3, :3], np.eye(3), atol=1e-12)
+    assert np.linalg.det(pose[:3, :3]) == pytest.approx(1)
+    np.testing.assert_array_equal(pose[:3, 3], position)
+    np.testing.assert_array_equal(pose[3], [0, 0, 0, 1])
+    pixel, depth = project(target[None], pose, Intrinsics())
+    np.testing.assert_allclose(pixel, [[128, 128]], atol=1e-6)
+    assert depth[0] == pytest.approx(np.linalg.norm(position - target))
+
+
+def test_z_is_up_in_the_image_and_x_to_the_right_seen_from_minus_y():
+    pose = look_at(np.array([0, -2.5, 0]))[0]
+    points = np.array([[0, 0, 0.3], [0.3, 0, 0]])
+    (above, right), _ = project(points, pose, Intrinsics())
+    assert above[0] == pytest.approx(128)
+    assert above[1] < 128
+    assert right[0] > 128
+    assert right[1] == pytest.approx(128)
+
+
+@pytest.mark.parametrize("z", [2.5, -2.5])
+def test_the_poles_take_y_as_up(z):
+    pose = look_at(np.array([0, 0, z]))[0]
+    (above,), _ = project(np.array([[0, 0.3, 0]]), pose, Intrinsics())
+    assert above[1] < 128
+    # 11.5 degrees away from it z is up again.
+    (above,), _ = project(np.array([[0, 0, 0.3]]), look_at(np.array([0.6, 0, z]))[0], Intrinsics())
+    assert (above[1] < 128) == (abs(above[0] - 128) < 1e-6)
+
+
+def test_the_default_camera_sees_the_whole_unit_cube():
+    assert 2 * np.degrees(np.arctan(128 / 355.56)) == pytest.approx(39.6, abs=0.1)
+    corners = np.array(np.meshgrid(*[[-0.5, 0.5]] * 3)).reshape(3, -1).T
+    for resolution in (64, 256):
+        for pose in look_at(sphere_points(50, 2.5, np.random.default_rng(0))):
+            pixels, _ = project(corners, pose, Intrinsics.square(resolution))
+            centre = np.abs(pixels / resolution - 0.5)
+            assert centre.max() < 0.65  # corners of the cube may stick out, the inscribed sphere does not
+
+
+def test_sphere_points_are_uniform(rng):
+    points = sphere_points(20000, 2.5, rng)
+    np.testing.assert_allclose(np.linalg.norm(points, axis=1), 2.5)
+    # Archimedes: each coordinate is uniform.
+    for coordinate in points.T:
+        np.testing.assert_allclose(np.quantile(coordinate, [0.1, 0.5, 0.9]), [-2, 0, 2], atol=0.07)
+
+
+@pytest.mark.parametrize("position", [[0, 0, 0], [np.nan, 0, 1], [np.inf, 0, 0]])
+def test_a_camera_at_its_target_or_nowhere_is_refused(position):
+    with pytest.raises(ObjectFolderError, match="finite and away from"):
+        look_at(np.array(position))
+
+
+@pytest.mark.parametrize("values", [(0, 1, 1.0), (1, -1, 1.0), (1, 1, 0.0), (1, 1, float("nan"))])
+def test_impossible_intrinsics_are_refused(values):
+    with pytest.raises(ObjectFolderError, match="must be positive"):
+        Intrinsics(*values)

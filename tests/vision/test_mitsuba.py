@@ -1,0 +1,127 @@
+import numpy as np
+import pytest
+from solids import box, join, sphere
+
+from objectfolder.mesh.raycast import RayCaster
+from objectfolder.mesh.textured import TexturedMesh
+from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, project
+from objectfolder.vision.dataset import render_split
+from objectfolder.vision.renderers.mitsuba import MitsubaRenderer
+
+FRONT = look_at(np.array([2.5, 0, 0]))[0]
+SMALL = Intrinsics.square(64)
+
+
+def painted(solid, color=(255, 255, 255), **material):
+    colors = np.tile(np.uint8(color), (len(solid[0]), 1))
+    return TexturedMesh(*solid, vertex_colors=colors, **material)
+
+
+def quad(texture=None, **material):
+    """A square in the plane x = 0 that faces +x; its texture's bottom is at z = -0.5, left at y = -0.5."""
+    vertices = np.array([[0, -0.5, -0.5], [0, 0.5, -0.5], [0, 0.5, 0.5], [0, -0.5, 0.5]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    uv = vertices[:, 1:] + 0.5
+    if texture is None:
+        return painted((vertices, faces), **material)
+    return TexturedMesh(vertices, faces, uv, texture, **material)
+
+
+def radiance(mesh, light, samples=16, pose=FRONT, intrinsics=SMALL):
+    return MitsubaRenderer(mesh).render(pose, np.asarray(light, float), intrinsics, samples, 1)
+
+
+def test_a_rough_white_surface_facing_the_light_at_distance_one_has_radiance_one():
+    """The convention is exact for a Lambertian; the principled BSDF adds its highlight and retroreflection."""
+    image = radiance(quad(roughness=1.0), [1, 0, 0], pose=look_at(np.array([1.5, 2.0, 0]))[0])
+    assert image[32, 32, 3] == 1
+    np.testing.assert_allclose(image[32, 32, :3], 1, atol=0.1)
+
+
+def test_radiance_falls_with_the_square_of_distance_and_the_cosine():
+    mesh, pose = quad(roughness=1.0), look_at(np.array([1.5, 2.0, 0]))[0]
+    one, two = (radiance(mesh, [d, 0, 0], pose=pose)[32, 32, 0] for d in (1, 2))
+    assert one / two == pytest.approx(4, rel=0.02)
+    slanted = radiance(mesh, [0.5, 0, np.sqrt(0.75)], pose=pose)[32, 32, 0]
+    assert slanted / one == pytest.approx(0.5, rel=0.1)
+
+
+def test_a_texture_is_srgb_and_upright():
+    texture = np.zeros((2, 2, 3), np.uint8)
+    texture[0, 0] = [188, 0, 0]  # upper left: 0.5 linear
+    texture[1, 1] = [0, 0, 255]
+    texture = texture.repeat(16, 0).repeat(16, 1)
+    image = radiance(quad(texture, roughness=1.0), [2, 0, 0])
+    # Seen from +x, y runs to the right and z up.
+    (upper_left, lower_right), _ = project(np.array([[0, -0.25, 0.25], [0, 0.25, -0.25]]), FRONT, SMALL)
+    red, blue = (image[int(p[1]), int(p[0]), :3] for p in (upper_left, lower_right))
+    assert red[0] > 5 * red[2]
+    assert blue[2] > 5 * blue[0]
+    specular = red[2]
+    assert (red[0] - specular) / (blue[2] - specular) == pytest.approx(0.5, rel=0.05)
+
+
+def test_vertex_colours_equal_a_texture_of_that_colour():
+    color = (200, 120, 40)
+    texture = np.full((4, 4, 3), color, np.uint8)
+    a = radiance(quad(texture), [1.5, 0.2, 0])
+    vertices = quad()
+    b = radiance(painted((vertices.vertices, vertices.faces), color), [1.5, 0.2, 0])
+    np.testing.assert_allclose(a[20:44, 20:44], b[20:44, 20:44], rtol=5e-3)
+
+
+def test_the_camera_is_that_of_camera_rays():
+    """Every pixel whose rays all hit or all miss has alpha one or zero."""
+    solid = join(box((0.3, 0.2, 0.1), (0.1, 0.25, 0.3)), sphere(0.1, 4, (-0.1, -0.3, -0.2)))
+    intrinsics = Intrinsics(60, 44, 70.0)
+    caster = RayCaster(*solid)
+    for position in ((2.5, 0, 0), (-1.2, 1.7, 1.1), (0, 0, -2.5)):
+        pose = look_at(np.array(position))[0]
+        alpha = radiance(painted(solid), [1, 1, 1], 16, pose, intrinsics)[..., 3]
+        rows, columns = np.mgrid[:44, :60]
+        axis = np.linspace(0, 1, 9)
+        offsets = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
+        pixels = np.stack([columns, rows], -1).reshape(-1, 1, 2) + offsets
+        _, face = caster.first_hit(*camera_rays(pose, intrinsics, pixels.reshape(-1, 2)))
+        share = (face >= 0).reshape(44, 60, -1).mean(-1)
+        assert (share == 1).sum() > 20
+        assert (alpha[share == 1] == 1).all()
+        assert (alpha[share == 0] == 0).all()
+        np.testing.assert_allclose(alpha, share, atol=0.3)
+        assert alpha.sum() == pytest.approx(share.sum(), rel=0.02)
+
+
+@pytest.mark.parametrize("solid", [sphere(0.4, 4), box((0.02, 0.8, 0.8))], ids=["sphere", "plate"])
+def test_a_light_behind_leaves_the_near_side_dark(solid):
+    image = radiance(painted(solid), [-1.0, 0, 0])
+    covered = image[..., 3] == 1
+    assert covered.sum() > 100
+    assert image[..., :3].max() == 0
+
+
+def test_the_light_can_be_moved_between_renders():
+    renderer = MitsubaRenderer(painted(sphere(0.4, 3)))
+    lights = np.array([[1.0, 0, 0], [0, 0, 1.0], [1.0, 0, 0]])
+    images = [renderer.render(FRONT, light, SMALL, 4, 3) for light in lights]
+    np.testing.assert_array_equal(images[0], images[2])
+    assert np.abs(images[0] - images[1]).max() > 0.1
+
+
+def test_unit_alpha_background_and_finite():
+    image = radiance(painted(sphere(0.3, 3), metallic=1.0, roughness=0.0), [1, 1, 1])
+    assert np.isfinite(image).all()
+    assert (image[:5] == 0).all()
+
+
+def test_a_split_is_the_same_bytes_twice():
+    def split():
+        renderer = MitsubaRenderer(painted(box((0.5, 0.4, 0.3))))
+        return render_split(renderer, 3, 4, Intrinsics.square(16), np.random.default_rng(3))
+
+    first, second = split(), split()
+    assert first["rgba"].dtype == np.float16
+    assert first["rgba"].shape == (3, 16, 16, 4)
+    np.testing.assert_allclose(np.linalg.norm(first["light"], axis=1), 1)
+    np.testing.assert_allclose(np.linalg.norm(first["camera_to_world"][:, :3, 3], axis=1), 2.5)
+    for name, value in first.items():
+        assert value.tobytes() == second[name].tobytes()
