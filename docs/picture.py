@@ -25,7 +25,7 @@ def main(keys: list[str]) -> None:
         points = obj.sample_surface(200, seed=4)
         images = obj.touch(points, depth=0.0012)
         contrast = images.astype(float).std((1, 2)).sum(1)
-        for ax, image in zip(row[3:5], images[np.argsort(contrast)[[-1, -40]]]):
+        for ax, image in zip(row[3:5], images[np.argsort(contrast)[[-1, -12]]]):
             ax.imshow(image)
         sound = obj.impact(points[:1], [[0.6, 0.5, 0.7]])
         level = 20 * np.log10(spectrogram(torch.from_numpy(sound))[0].abs().numpy() + 1e-20)

@@ -169,7 +169,8 @@ def read_npz(path: str | Path, *required: str) -> dict[str, np.ndarray]:
     """
     path = _existing(path)
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        # Opened here, because numpy leaves a damaged file open.
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
     except Exception as error:
         raise ObjectFolderError(f"{path} is damaged ({error}); delete it and rebuild") from error

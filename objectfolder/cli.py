@@ -247,7 +247,7 @@ def _print_metrics(keys: list[str]) -> None:
     from objectfolder.evaluation import summary_row
 
     rows = [summary_row(key, read_json(Build(key).metrics)) for key in keys]
-    table = Table(title="Held-out PSNR (dB), each beside a baseline that knows nothing")
+    table = Table(title="Held-out PSNR in dB / that of a baseline that knows nothing")
     for name in rows[0]:
         table.add_column(name, justify="left" if name == "object" else "right")
     for row in rows:
@@ -255,6 +255,4 @@ def _print_metrics(keys: list[str]) -> None:
     console.print(table)
     for key in keys:
         b = Build(key)
-        console.print(
-            f"{b.object_file}   look at {b.views_sheet} {b.touch_sheet}", soft_wrap=True, highlight=False
-        )
+        console.print(f"{b.object_file}  pictures: {b.views_sheet} {b.touch_sheet}", soft_wrap=True)

@@ -143,18 +143,15 @@ def summary_row(key: str, metrics: dict[str, Any]) -> dict[str, str]:
     """One line of the table that a build ends with."""
     v, a, t = metrics["vision"], metrics["audio"], metrics["touch"]
 
-    def dB(values: dict[str, Any], name: str) -> str:
-        return f"{values[name]:.1f}" if name in values else "-"
+    def beside(values: dict[str, Any], score: str, baseline: str) -> str:
+        return f"{values[score]:.1f} / {values[baseline]:.1f}" if score in values else "silent"
 
     return {
         "object": key,
-        "vision dB": dB(v, "psnr"),
-        "lit dB": dB(v, "psnr_lit_foreground"),
-        "white": dB(v, "baseline_white"),
-        "audio dB": dB(a, "psnr"),
-        "silence": dB(a, "baseline_silence"),
+        "vision / white": beside(v, "psnr", "baseline_white"),
+        "lit": f"{v['psnr_lit_foreground']:.1f}",
+        "audio / silence": beside(a, "psnr", "baseline_silence"),
         "gain error": f"{a['gain_error']:.1%}" if "gain_error" in a else "-",
-        "touch dB": dB(t, "psnr"),
-        "mean image": dB(t, "baseline_mean_image"),
-        "file KB": f"{metrics['file_bytes'] / 1024:.0f}",
+        "touch / mean": beside(t, "psnr", "baseline_mean_image"),
+        "KB": f"{metrics['file_bytes'] / 1024:.0f}",
     }

@@ -223,7 +223,8 @@ def _join(pieces: list[tuple[np.ndarray, np.ndarray]], steps: list[str]) -> tupl
             closed.append((v, f, signed_volume(v, f)))
         else:
             steps.append(f"drop open piece {i} ({len(f)} faces)")
-    solids, cavities = [], []
+    solids: list[tuple[np.ndarray, np.ndarray]] = []
+    cavities: list[tuple[np.ndarray, np.ndarray]] = []
     for v, f, volume in closed:
         # Not by the sign alone: many meshes are inside out as a whole.
         hollow = any(_contains((w, g), v) for w, g, other in closed if volume * other < 0)
@@ -241,8 +242,8 @@ def _join(pieces: list[tuple[np.ndarray, np.ndarray]], steps: list[str]) -> tupl
     # its own, of negative volume; manifold's own decompose and compose would fill it.
     part = face_components(f, len(v))
     a, b, c = (v[f[:, i]] for i in range(3))
-    volume = np.abs(np.bincount(part, weights=np.einsum("ij,ij->i", a, np.cross(b, c))))
-    large = volume > 1e-3 * volume.max()
+    volumes = np.abs(np.bincount(part, weights=np.einsum("ij,ij->i", a, np.cross(b, c))))
+    large = volumes > 1e-3 * volumes.max()
     steps.append(f"union {len(solids)} pieces, {len(cavities)} cavities -> {large.sum()}")
     return _compact(v, f[large[part]])
 

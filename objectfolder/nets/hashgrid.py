@@ -71,7 +71,7 @@ class HashGrid(nn.Module):
     def lookup(self, rows: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
         """Interpolated features for `corners`' output; (N, levels * features)."""
         return _SparseLookup.apply(self.table, rows.reshape(-1), weights.reshape(-1).float()).view(
-            len(rows), -1
+            len(rows), self.width
         )
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:

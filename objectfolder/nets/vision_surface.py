@@ -272,11 +272,10 @@ def _gather(surface: Isosurface, net: SurfaceNet, views: dict[str, np.ndarray]) 
     samples = SurfaceSamples(
         **{name: torch.cat([getattr(p, name) for p in parts]) for name in SurfaceSamples.__dataclass_fields__}
     )
-    with torch.no_grad():
-        corners = [net.grid.corners((block / BOUND + 1) / 2) for block in samples.points.split(100_000)]
-    return _Pixels(
-        samples,
-        torch.cat(lights),
-        torch.cat(targets),
-        (torch.cat([rows for rows, _ in corners]), torch.cat([weights.half() for _, weights in corners])),
-    )
+    # Looked up in every epoch, so computed once; preallocated, because they are most of the memory.
+    count, width = len(samples.points), 8 * len(net.grid.resolutions)
+    corners = torch.empty(count, width, dtype=torch.int32), torch.empty(count, width, dtype=torch.float16)
+    for start in range(0, count, 100_000):
+        part = slice(start, start + 100_000)
+        corners[0][part], corners[1][part] = net.grid.corners((samples.points[part] / BOUND + 1) / 2)
+    return _Pixels(samples, torch.cat(lights), torch.cat(targets), corners)

@@ -60,7 +60,7 @@ def test_nearest_is_idempotent_and_leaves_its_argument_alone(case, rng):
     given = points.copy()
     once, _ = surface.nearest(points)
     np.testing.assert_array_equal(points, given)
-    twice, moved = surface.nearest(once)
+    _, moved = surface.nearest(once)
     assert moved.max() < 0.1 * surface.grid.spacing
 
 

@@ -7,10 +7,16 @@ import subprocess
 import sys
 import time
 
+import igl
 import numpy as np
 import pytest
+import torch
 
 from objectfolder import ObjectFile
+from objectfolder.mesh.load import load_mesh
+from objectfolder.mesh.surface import read_surface
+from objectfolder.vision.cameras import Intrinsics
+from objectfolder.vision.view import draw
 
 pytestmark = pytest.mark.xdist_group("pipeline")
 LANES = ("normalize", "voxelize", "modal", "render_views", "render_touch")
@@ -39,6 +45,23 @@ def test_object_file_answers(built):
     assert sounds.shape == (3, 32000)
     assert np.abs(sounds).max() > 0
     assert cube.touch(points, depth=0.001).shape == (3, 160, 120, 3)
+
+
+def test_visual_mesh_surface_and_object_file_share_a_frame(built):
+    folder = built.root / "build/bell"
+    visual = load_mesh(folder / "visual.glb", up="y")
+    vertices, faces = read_surface(folder / "surface.ply")
+    apart = np.sqrt(igl.point_mesh_squared_distance(visual.vertices, vertices, faces)[0])
+    assert apart.max() < 1e-4
+    bell = ObjectFile.load(folder / "ObjectFile.safetensors")
+    apart = np.sqrt(igl.point_mesh_squared_distance(bell.surface.vertices, vertices, faces)[0])
+    assert apart.max() < bell.surface.grid.spacing
+    # And in the picture: object pixels of the ground truth are object pixels of the answer.
+    with np.load(folder / "views/test.npz") as views:
+        rgba, pose, light = views["rgba"][0], views["camera_to_world"][0], views["light"][0]
+        intrinsics = Intrinsics(*rgba.shape[:2], float(views["focal"]))
+    drawn = draw(bell.surface, lambda s, _: torch.zeros(len(s.points), 3), pose, light, intrinsics)
+    assert np.abs(drawn[..., 3] - rgba[..., 3]).mean() < 0.02
 
 
 def test_dvc_repro_of_one_stage_finds_it_up_to_date(built):

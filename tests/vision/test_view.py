@@ -86,7 +86,7 @@ def test_a_shadow_falls_where_geometry_puts_it():
     light = np.array([0.0, 0.0, 1.0])
     x, y = np.random.default_rng(1).uniform(-0.4, 0.4, (2, 4000))
     target = np.stack([x, y, np.full_like(x, -0.35)], 1)
-    origin = np.float32(target + [0, 0, 0.2])
+    origin = np.float32(target + np.array([0, 0, 0.2]))
     samples = trace(surface, origin, np.float32(np.tile([0.0, 0, -1], (4000, 1))), light)
     np.testing.assert_allclose(samples.points[:, 2], -0.35, atol=1e-3)
     grow = 1.35 / 1.02  # shadow of the lower rim is smaller: 1.35 / 1.02 at z = -0.02 from the light

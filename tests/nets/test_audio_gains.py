@@ -1,0 +1,115 @@
+import numpy as np
+import pytest
+import torch
+
+from objectfolder.artifacts import read_safetensors, write_safetensors
+from objectfolder.metrics import gain_errors
+from objectfolder.nets.audio_gains import AudioConfig, GainsNet, energy_weights, train_gains
+
+CONFIG = AudioConfig(width=48, depth=2, frequency=3.0, steps=400, batch=256, learning_rate=3e-3)
+FREQUENCY = 2 * np.pi * np.array([300.0, 900, 2500])
+DAMPING = np.array([3.0, 6, 20])
+
+
+@pytest.fixture(scope="module")
+def field():
+    """Smooth mode shapes of very different sizes."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-0.5, 0.5, (1200, 3))
+    x, y, z = points.T
+    one = np.stack([np.sin(3 * x), np.cos(4 * y) * z, x * y], 1)
+    two = np.stack([z * z, np.sin(5 * y + z), np.cos(3 * x)], 1)
+    three = np.stack([y, x, z], 1)
+    return points, np.stack([one, 30 * two, 0.1 * three], 2)
+
+
+def train(field, seed=0):
+    points, shapes = field
+    generator = torch.Generator().manual_seed(seed)
+    return train_gains(
+        points, shapes, FREQUENCY, DAMPING, np.arange(1000), np.arange(1000, 1100), CONFIG, generator
+    )
+
+
+@pytest.fixture(scope="module")
+def trained(field):
+    return train(field)
+
+
+def test_held_out_gains_are_close(field, trained):
+    points, shapes = field
+    predicted = trained[0].shapes(torch.from_numpy(points[1100:])).numpy()
+    errors = gain_errors(predicted, shapes[1100:], energy_weights(FREQUENCY, DAMPING), 1 / FREQUENCY)
+    assert errors["gain_error"] < 0.05
+    assert errors["gain_error_frobenius"] < 0.05
+    assert len(trained[1]) == 20
+
+
+def test_two_runs_are_equal_to_the_byte(tmp_path, field, trained):
+    again = train(field)
+    for i, (net, _) in enumerate((trained, again)):
+        write_safetensors(tmp_path / f"{i}.safetensors", *net.to_tensors())
+    assert (tmp_path / "0.safetensors").read_bytes() == (tmp_path / "1.safetensors").read_bytes()
+    assert [(p.train_loss, p.val_loss) for p in trained[1]] == [(p.train_loss, p.val_loss) for p in again[1]]
+
+
+def test_the_global_random_state_is_neither_read_nor_moved(field):
+    config = AudioConfig(8, 1, 3.0, 2, 16, 1e-3)
+    nets = []
+    for seed in (1, 2):
+        torch.manual_seed(seed)
+        before = torch.random.get_rng_state()
+        rows = np.arange(1000), np.arange(1000, 1100)
+        net, _ = train_gains(*field, FREQUENCY, DAMPING, *rows, config, torch.Generator().manual_seed(7))
+        assert torch.equal(torch.random.get_rng_state(), before)
+        nets.append(net.siren.output.weight)
+    assert torch.equal(*nets)
+
+
+def test_storing_changes_gains_by_half_precision_only(tmp_path, field, trained):
+    net = trained[0]
+    write_safetensors(tmp_path / "n.safetensors", *net.to_tensors())
+    back = GainsNet.from_tensors(*read_safetensors(tmp_path / "n.safetensors"))
+    points = torch.from_numpy(field[0][:300])
+    assert torch.equal(back.damped_frequency, net.damped_frequency)
+    difference = (back.shapes(points) - net.shapes(points)).abs().amax((0, 1)) / net.amplitude
+    assert 0 < difference.max() < 0.02
+    # Stored values survive storing again.
+    for name, value in back.to_tensors()[0].items():
+        np.testing.assert_array_equal(value, net.to_tensors()[0][name])
+
+
+@pytest.mark.parametrize("count", [0, 1, 5, 1023, 1024, 1025])
+def test_rows_do_not_depend_on_their_batch(trained, count):
+    points = torch.rand(count, 3, generator=torch.Generator().manual_seed(count)) - 0.5
+    whole = trained[0].shapes(points)
+    assert whole.shape == (count, 3, 3)
+    order = torch.randperm(count, generator=torch.Generator().manual_seed(1))
+    assert torch.equal(trained[0].shapes(points[order]), whole[order])
+    for i in range(min(count, 3)):
+        assert torch.equal(trained[0].shapes(points[i : i + 1])[0], whole[i])
+
+
+@pytest.mark.filterwarnings("ignore:Initializing zero-element tensors")
+def test_an_object_without_modes(tmp_path):
+    net, curve = train_gains(
+        np.zeros((4, 3)),
+        np.zeros((4, 3, 0)),
+        np.zeros(0),
+        np.zeros(0),
+        np.arange(2),
+        np.arange(2, 4),
+        CONFIG,
+        torch.Generator().manual_seed(0),
+    )
+    assert curve == []
+    write_safetensors(tmp_path / "n.safetensors", *net.to_tensors())
+    back = GainsNet.from_tensors(*read_safetensors(tmp_path / "n.safetensors"))
+    assert back.shapes(torch.zeros(2, 3)).shape == (2, 3, 0)
+
+
+def test_energy_weight_is_the_energy_of_the_displacement():
+    w, c = 2 * np.pi * 200, 4.0
+    t = np.linspace(0, 5, 2_000_001)
+    energy = np.trapezoid((np.exp(-c * t) * np.sin(w * t) / w) ** 2, t)
+    assert energy_weights(np.array([w]), np.array([c]))[0] == pytest.approx(energy, rel=1e-3)

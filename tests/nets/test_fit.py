@@ -1,0 +1,61 @@
+import itertools
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch import nn
+
+from objectfolder.nets.fit import fit, minibatches
+
+
+def test_the_net_is_left_at_its_best_validation_loss():
+    net = nn.Linear(1, 1, bias=False)
+    with torch.no_grad():
+        net.weight.fill_(0.0)
+    seen = []
+
+    def val_loss():  # best on the way, not at the end
+        seen.append((abs(net.weight.item() - 0.5), net.weight.item()))
+        return seen[-1][0]
+
+    curve = fit(net, lambda: (net.weight - 2).square().sum(), val_loss, steps=200, learning_rate=0.05)
+    assert len(curve) == len(seen) == 20
+    best = min(seen)
+    assert seen.index(best) < 19
+    assert net.weight.item() == best[1]
+    assert [p.step for p in curve] == list(range(10, 201, 10))
+    assert curve[-1].train_loss < curve[0].train_loss
+
+
+def test_it_minimises():
+    torch.manual_seed(0)
+    net = nn.Linear(3, 1)
+    x = torch.randn(100, 3)
+    y = x @ torch.tensor([[1.0], [2], [-1]]) + 0.5
+
+    def loss():
+        return (net(x) - y).square().mean()
+
+    reported = []
+    fit(net, loss, lambda: loss().item(), steps=500, learning_rate=0.05, report=reported.append)
+    assert loss().item() < 1e-5
+    assert len(reported) == 20
+
+
+@pytest.mark.parametrize("steps", [1, 3, 19])
+def test_few_steps_end_with_an_evaluation(steps):
+    net = nn.Linear(1, 1)
+    curve = fit(net, lambda: net.weight.square().sum(), lambda: 1.0, steps=steps, learning_rate=0.1)
+    assert curve[-1].step == steps
+
+
+@given(st.integers(1, 40), st.integers(1, 50), st.integers(0, 99))
+def test_an_epoch_takes_no_sample_twice(count, size, seed):
+    batches = minibatches(count, size, torch.Generator().manual_seed(seed))
+    per_epoch = count // min(size, count)
+    for _ in range(2):
+        epoch = torch.cat(list(itertools.islice(batches, per_epoch)))
+        assert len(epoch) == per_epoch * min(size, count)
+        assert len(epoch.unique()) == len(epoch)
+        assert epoch.max() < count

@@ -1,0 +1,33 @@
+import pytest
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.materials import MATERIALS, material
+
+
+def test_table_is_that_of_the_supplement():
+    assert set(MATERIALS) == {"ceramic", "glass", "wood", "plastic", "iron", "polycarbonate", "steel"}
+    steel = material("Steel")
+    assert (steel.density, steel.youngs_modulus, steel.poisson_ratio, steel.alpha, steel.beta) == (
+        7850,
+        2e11,
+        0.29,
+        5,
+        3e-8,
+    )
+
+
+@pytest.mark.parametrize("m", MATERIALS.values(), ids=MATERIALS)
+def test_materials_are_physical(m):
+    assert 100 < m.density < 20000
+    assert 1e8 < m.youngs_modulus < 1e12
+    assert 0 < m.poisson_ratio < 0.5
+    assert m.alpha > 0
+    assert m.beta > 0
+    # Sound travels at hundreds to thousands of metres per second.
+    assert 500 < (m.youngs_modulus / m.density) ** 0.5 < 7000
+
+
+@pytest.mark.parametrize("name", ["gold", "", None, 3])
+def test_an_unknown_material_lists_the_known_ones(name):
+    with pytest.raises(ObjectFolderError, match=r"unknown material .*ceramic, glass"):
+        material(name)

@@ -1,0 +1,74 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from skimage.metrics import structural_similarity
+
+from objectfolder.evaluation import evaluate_awgn
+from objectfolder.metrics import awgn_psnr, gain_errors, psnr, ssim
+
+
+def test_psnr_of_known_errors():
+    assert psnr(0.01) == pytest.approx(20)
+    assert psnr(1.0) == pytest.approx(0)
+    assert psnr(4.0, peak=20.0) == pytest.approx(20)
+    assert psnr(0.0) == pytest.approx(200)
+    np.testing.assert_allclose(psnr(np.array([0.1, 0.001])), [10, 30])
+
+
+def test_awgn_reference_row(rng):
+    assert awgn_psnr((300, 1000), 0.05, rng) == pytest.approx(26.02, abs=0.03)
+    assert awgn_psnr((300, 1000), 0.05**0.5, rng) == pytest.approx(13.01, abs=0.03)
+    rows = evaluate_awgn({"vision": (200, 500)}, rng)
+    assert rows["sigma_0_05"]["vision"] == pytest.approx(26.02, abs=0.05)
+    assert rows["variance_0_05"]["vision"] == pytest.approx(13.01, abs=0.05)
+
+
+def test_ssim(rng):
+    image = rng.random((40, 50, 3))
+    assert ssim(image, image) == pytest.approx(1, abs=1e-6)
+    noisy = [ssim(image, np.clip(image + rng.normal(0, s, image.shape), 0, 1)) for s in (0.02, 0.1, 0.5)]
+    assert 1 > noisy[0] > noisy[1] > noisy[2] > 0
+    other = rng.random((40, 50, 3))
+    assert ssim(image, other) == pytest.approx(ssim(other, image), abs=1e-6)
+
+
+def test_ssim_is_that_of_scikit_image(rng):
+    image = rng.random((40, 50, 3))
+    other = np.clip(image + rng.normal(0, 0.1, image.shape), 0, 1)
+    _, full = structural_similarity(
+        image,
+        other,
+        channel_axis=2,
+        data_range=1.0,
+        gaussian_weights=True,
+        sigma=1.5,
+        use_sample_covariance=False,
+        full=True,
+    )
+    assert ssim(other, image) == pytest.approx(full[5:-5, 5:-5].mean(), abs=2e-4)
+
+
+@given(st.floats(1e-6, 1e6), st.floats(1e-3, 1e3), st.integers(0, 99))
+def test_gain_errors_do_not_depend_on_scale(shape_scale, weight_scale, seed):
+    rng = np.random.default_rng(seed)
+    truth, predicted = rng.standard_normal((2, 6, 3, 4))
+    energy, gain = rng.random((2, 4)) + 0.1
+    a = gain_errors(predicted, truth, energy, gain)
+    b = gain_errors(shape_scale * predicted, shape_scale * truth, weight_scale * energy, weight_scale * gain)
+    assert a == pytest.approx(b)
+
+
+def test_gain_errors_of_known_predictions(rng):
+    truth, weights = rng.standard_normal((6, 3, 4)), np.ones(4)
+    assert gain_errors(truth, truth, weights, weights) == {"gain_error": 0, "gain_error_frobenius": 0}
+    assert gain_errors(0 * truth, truth, weights, weights) == pytest.approx(
+        {"gain_error": 1, "gain_error_frobenius": 1}
+    )
+    off = gain_errors(1.1 * truth, truth, weights, weights)
+    assert off == pytest.approx({"gain_error": 0.1, "gain_error_frobenius": 0.1})
+    # An error in a mode without weight does not count.
+    wrong = truth.copy()
+    wrong[:, :, 0] += 9
+    assert gain_errors(wrong, truth, np.array([0, 1, 1, 1]), weights)["gain_error"] == 0
+    assert gain_errors(truth, 0 * truth, weights, weights)["gain_error"] == 0

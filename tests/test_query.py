@@ -1,0 +1,284 @@
+import logging
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+from conftest import SCALE, SIDES, build_brick
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from objectfolder import query
+from objectfolder.errors import ObjectFolderError
+from objectfolder.nets.audio_gains import GainsNet
+from objectfolder.vision.cameras import Intrinsics, look_at, sphere_points
+
+TOP = np.array([[0.01, 0.005, SIDES[2] / 2 * SCALE]])
+UP = np.array([[0.0, 0, 1]])
+partitions = st.lists(st.integers(1, 20), min_size=1, max_size=4)
+reuse = settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+def in_parts(function, sizes, *arrays):
+    edges = np.cumsum([0, *sizes])
+    return np.concatenate([function(*(a[i:j] for a in arrays)) for i, j in pairwise(edges)])
+
+
+# Every row is answered alike, to the bit, whatever else is in the batch.
+
+
+@reuse
+@given(partitions, st.integers(0, 99))
+def test_a_sound_does_not_depend_on_its_batch(brick, sizes, seed):
+    rng = np.random.default_rng(seed)
+    count = sum(sizes)
+    points, forces = brick.sample_surface(count, seed), rng.standard_normal((count, 3))
+
+    def sounds(p, f):
+        return brick.impact(p, f, duration=0.05)
+
+    whole, order = sounds(points, forces), rng.permutation(count)
+    np.testing.assert_array_equal(in_parts(sounds, sizes, points, forces), whole)
+    np.testing.assert_array_equal(sounds(points[order], forces[order]), whole[order])
+
+
+def test_a_sound_does_not_depend_on_a_large_batch(brick, rng):
+    points, forces = brick.sample_surface(1500), rng.standard_normal((1500, 3))
+    whole = brick.impact(points, forces, duration=0.01)
+    for i in (0, 15, 16, 1023, 1024, 1499):
+        np.testing.assert_array_equal(brick.impact(points[i], forces[i], duration=0.01)[0], whole[i])
+
+
+@pytest.mark.parametrize("modes", [1, 7, 250])
+def test_a_sound_of_many_modes_does_not_depend_on_its_batch(brick, modes, rng):
+    torch.manual_seed(modes)
+    damped, damping = torch.rand(modes) * 4e4 + 1e3, torch.rand(modes) * 50 + 1
+    net = GainsNet(damped, damping, torch.rand(modes), 96, 2, 5.0).eval()
+    points, forces = brick.sample_surface(50) / SCALE, rng.standard_normal((50, 3))
+
+    def sounds(p, f):
+        return query.impact(brick.surface, net, 1.0, p, f, 16000, 0.1, "velocity", 0.02)
+
+    whole, order = sounds(points, forces), rng.permutation(50)
+    np.testing.assert_array_equal(sounds(points[order], forces[order]), whole[order])
+    np.testing.assert_array_equal(in_parts(sounds, [1, 2, 3, 17, 27], points, forces), whole)
+
+
+@settings(parent=reuse, max_examples=4)
+@given(st.lists(st.integers(1, 3), min_size=1, max_size=3), st.integers(0, 99))
+def test_a_touch_does_not_depend_on_its_batch(brick, sizes, seed):
+    rng = np.random.default_rng(seed)
+    count = sum(sizes)
+    points = brick.sample_surface(count, seed)
+    depth, angle = rng.uniform(0.0003, 0.0012, count), rng.uniform(0, 6, count)
+    tilt, azimuth = rng.choice([0, 0.1], count), rng.uniform(0, 6, count)
+    rows = (points, depth, angle, tilt, azimuth)
+    whole, order = brick.touch(*rows), rng.permutation(count)
+    np.testing.assert_array_equal(in_parts(brick.touch, sizes, *rows), whole)
+    np.testing.assert_array_equal(brick.touch(*(r[order] for r in rows)), whole[order])
+
+
+def test_a_view_does_not_depend_on_its_batch(brick, rng):
+    cameras, lights = sphere_points(5, 2.5, rng), sphere_points(5, 1.0, rng)
+
+    def views(c, l):
+        return brick.view(c, l, 20)
+
+    whole, order = views(cameras, lights), rng.permutation(5)
+    np.testing.assert_array_equal(in_parts(views, [1, 3, 1], cameras, lights), whole)
+    np.testing.assert_array_equal(views(cameras[order], lights[order]), whole[order])
+
+
+# Seeing
+
+
+def test_a_camera_is_a_position_or_a_pose(brick):
+    position, light = np.array([[2.0, 1, 1]]), np.array([0.5, 0.5, 1])
+    by_position = brick.view(position, light, 16)
+    assert by_position.shape == (1, 16, 16, 3)
+    assert by_position.dtype == np.float32
+    assert by_position.min() >= 0
+    assert by_position.max() <= 1
+    np.testing.assert_array_equal(brick.view(look_at(position), light[None], 16), by_position)
+    np.testing.assert_array_equal(brick.view(look_at(position)[0], light, 16), by_position)
+    np.testing.assert_array_equal(brick.view(position[0], light, 16), by_position)
+    wide = brick.view(position, light, intrinsics=Intrinsics(20, 10, 15.0))
+    assert wide.shape == (1, 10, 20, 3)
+    assert (by_position[0, 0] == by_position.max()).all()  # white around it
+
+
+def test_a_camera_that_does_not_see_the_object_sees_white(brick):
+    image = brick.view(look_at(np.array([2.5, 0, 0]), (5, 0, 0)), [1, 0, 0], 8)
+    np.testing.assert_allclose(image, 1, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("camera", "light", "message"),
+    [
+        (np.zeros((2, 4)), [1, 0, 0], r"camera has shape \(2, 4\), expected \(N, 3\) or \(N, 4, 4\)"),
+        (np.zeros(4), [1, 0, 0], "camera has shape"),
+        (3.0, [1, 0, 0], "camera has shape"),
+        (np.zeros((2, 3, 4)), [1, 0, 0], "camera has shape"),
+        ([[0, 0, 0]], [1, 0, 0], "away from the point"),
+        ([[np.nan, 0, 1]], [1, 0, 0], "finite"),
+        (np.full((1, 4, 4), np.inf), [1, 0, 0], "camera holds values that are not finite"),
+        ([[2, 0, 0]], [1, 0], r"light has shape \(2,\), expected \(N, 3\)"),
+        ([[2, 0, 0]], [np.nan, 0, 0], r"light: row 0 is \[nan"),
+        ([[2, 0, 0]] * 3, np.ones((2, 3)), "light has 2 rows, expected 3 or 1"),
+    ],
+)
+def test_a_view_of_nonsense_is_refused(brick, camera, light, message):
+    with pytest.raises(ObjectFolderError, match=message):
+        brick.view(camera, light, 8)
+
+
+# Hearing
+
+
+def test_a_sound_is_linear_in_the_force_and_keeps_its_scale(brick, rng):
+    points, a, b = brick.sample_surface(5), *rng.standard_normal((2, 5, 3))
+    both = brick.impact(points, 2 * a - b)
+    parts = 2 * brick.impact(points, a) - brick.impact(points, b)
+    assert both.shape == (5, 32000)
+    assert both.dtype == np.float32
+    np.testing.assert_allclose(both, parts, atol=1e-5 * np.abs(both).max())
+    # A power of two is exact (while no sample is subnormal).
+    louder, plain = (brick.impact(points, f * a, duration=0.02) for f in (4, 1))
+    np.testing.assert_array_equal(louder, 4 * plain)
+    assert not brick.impact(points, 0 * a).any()
+
+
+def test_one_force_serves_all_points(brick):
+    points = brick.sample_surface(3)
+    np.testing.assert_array_equal(brick.impact(points, UP), brick.impact(points, UP.repeat(3, 0)))
+    np.testing.assert_array_equal(brick.impact(points[0], UP[0]), brick.impact(points[:1], UP))
+
+
+def test_a_sound_holds_the_objects_frequencies(brick):
+    sound = brick.impact(TOP, UP, sample_rate=48000, duration=1.0)[0]
+    spectrum = np.abs(np.fft.rfft(sound * np.hanning(len(sound))))
+    heard = brick.frequencies[brick.frequencies < 24000]
+    assert np.abs(heard - spectrum.argmax()).min() < 3
+    assert sound[0] == 0
+    early, late = sound[:4800], sound[-4800:]
+    assert np.square(late).sum() < 1e-2 * np.square(early).sum()
+
+
+def test_a_point_near_the_surface_is_snapped(brick):
+    above = TOP + 0.5 * brick.surface.grid.spacing * SCALE * UP
+    expected = brick.impact(TOP, UP)
+    np.testing.assert_allclose(brick.impact(above, UP), expected, rtol=0, atol=1e-2 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("question", ["impact", "touch"])
+def test_a_point_off_the_surface_is_refused_with_row_and_distance(brick, question):
+    points = brick.sample_surface(6)
+    points[4] = [0, 0, SCALE]
+    arguments = (points, np.ones((6, 3))) if question == "impact" else (points,)
+    with pytest.raises(
+        ObjectFolderError, match=r"1 of 6 points .*row 4 at \[0.0, 0.0, 1.0\].* 0.85 .*at most 0.02"
+    ):
+        getattr(brick, question)(*arguments)
+    getattr(brick, question)(*arguments, tolerance=0.9)
+
+
+@pytest.mark.parametrize(
+    ("points", "forces", "message"),
+    [
+        (np.zeros((2, 2)), UP, r"points has shape \(2, 2\), expected \(N, 3\)"),
+        (np.zeros((1, 1, 3)), UP, "points has shape"),
+        (0.0, UP, "points has shape"),
+        ([[0, np.nan, 0]], UP, r"points: row 0 is \[0.0, nan, 0.0\], expected finite"),
+        (TOP.repeat(3, 0), np.ones((2, 3)), "forces has 2 rows, expected 3 or 1"),
+        (TOP, [[0, 0, np.inf]], r"forces: row 0 is"),
+        (TOP, [[0, 0]], "forces has shape"),
+    ],
+)
+def test_an_impact_of_nonsense_is_refused(brick, points, forces, message):
+    with pytest.raises(ObjectFolderError, match=message):
+        brick.impact(points, forces)
+
+
+def test_unknown_responses_and_rates_are_refused(brick):
+    with pytest.raises(ObjectFolderError, match="'loud' is not one of"):
+        brick.impact(TOP, UP, response="loud")
+    with pytest.raises(ObjectFolderError, match="must be positive"):
+        brick.impact(TOP, UP, sample_rate=0)
+
+
+def test_an_object_that_falls_silent_says_so(brick, caplog):
+    rate = int(brick.frequencies[0])  # Nyquist at half of its lowest mode
+    with caplog.at_level(logging.WARNING):
+        sound = brick.impact(TOP, UP, sample_rate=rate, duration=0.1)
+    assert not sound.any()
+    assert sound.shape == (1, round(rate * 0.1))
+    assert f"none of the object's 12 modes lies below the Nyquist frequency of {rate // 2} Hz" in caplog.text
+    caplog.clear()
+    brick.impact(TOP, UP, duration=0.1)
+    assert not caplog.text
+
+
+@pytest.mark.filterwarnings("ignore:Initializing zero-element tensors")
+def test_an_object_without_any_mode_is_silent(tmp_path, caplog):
+    tiny = build_brick(scale=0.002)
+    tiny.save(tmp_path / "tiny.safetensors")
+    tiny = type(tiny).load(tmp_path / "tiny.safetensors")
+    assert tiny.frequencies.shape == (0,)
+    sound = tiny.impact(tiny.sample_surface(2), UP, duration=0.1)
+    assert sound.shape == (2, 1600)
+    assert not sound.any()
+    assert "none of the object's 0 modes" in caplog.text
+
+
+# Feeling
+
+
+def test_a_touch_answers_with_images(brick):
+    images = brick.touch(TOP.repeat(2, 0), [0.0005, 0.001])
+    assert images.shape == (2, 160, 120, 3)
+    assert images.dtype == np.uint8
+    assert not np.array_equal(images[0], images[1])
+    np.testing.assert_array_equal(brick.touch(TOP[0]), brick.touch(TOP))
+    # The top is flat: turning the sensor about its normal changes nothing.
+    np.testing.assert_allclose(brick.touch(TOP, angle=0.7).astype(int), brick.touch(TOP).astype(int), atol=2)
+    assert np.abs(brick.touch(TOP, tilt=0.1).astype(int) - brick.touch(TOP)).max() > 5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"depth": -0.001}, r"press depths from -0.001 .*takes 0 to"),
+        ({"depth": 0.5}, r"to 0.5 m; the sensor .* takes 0 to"),
+        ({"depth": np.nan}, "depth must be one finite number or 1 of them"),
+        ({"depth": [0.001, 0.001]}, "depth must be one finite number or 1 of them"),
+        ({"angle": [[0.0]]}, "angle must be one finite number"),
+        ({"tilt": np.inf}, "tilt must be one finite number"),
+        ({"azimuth": np.nan}, "azimuth must be one finite number"),
+    ],
+)
+def test_a_touch_of_nonsense_is_refused(brick, arguments, message):
+    with pytest.raises(ObjectFolderError, match=message):
+        brick.touch(TOP, **arguments)
+
+
+def test_no_rows_no_answers(brick):
+    none = np.zeros((0, 3))
+    assert brick.view(none, [1, 0, 0], 8).shape == (0, 8, 8, 3)
+    assert brick.view(np.zeros((0, 4, 4)), none, 8).shape == (0, 8, 8, 3)
+    assert brick.impact(none, none, duration=0.1).shape == (0, 1600)
+    assert brick.impact(none, UP, duration=0.1).shape == (0, 1600)
+    assert brick.touch(none).shape == (0, 160, 120, 3)
+    assert brick.touch(none, none[:, 0], none[:, 0]).shape == (0, 160, 120, 3)
+
+
+def test_queries_leave_their_arguments_and_the_random_state_alone(brick):
+    points, forces = brick.sample_surface(3), np.ones((3, 3))
+    kept = points.copy(), forces.copy()
+    before, legacy = torch.random.get_rng_state(), np.random.get_state()[1].copy()  # noqa: NPY002
+    brick.impact(points, forces, duration=0.1)
+    brick.touch(points)
+    brick.view([2.0, 1, 1], [1, 0, 0], 8)
+    np.testing.assert_array_equal(points, kept[0])
+    np.testing.assert_array_equal(forces, kept[1])
+    assert torch.equal(torch.random.get_rng_state(), before)
+    np.testing.assert_array_equal(np.random.get_state()[1], legacy)  # noqa: NPY002
