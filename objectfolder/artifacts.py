@@ -106,9 +106,12 @@ def write_json(path: str | Path, value: Any) -> None:
 
 
 def write_npz(path: str | Path, **arrays: Any) -> None:
-    """Write a compressed ``.npz`` whose bytes depend on the arrays only."""
+    """Write a compressed ``.npz`` whose bytes depend on the arrays only; no pickled objects."""
+    pickled = [name for name, array in arrays.items() if np.asarray(array).dtype.hasobject]
+    if pickled:
+        raise TypeError(f"{path}: {', '.join(pickled)} would be pickled; expected arrays of numbers")
     with atomic(path) as temporary:
-        np.savez_compressed(temporary, allow_pickle=False, **arrays)
+        np.savez_compressed(temporary, **arrays)
 
 
 def write_safetensors(path: str | Path, tensors: dict[str, Any], header: dict[str, Any]) -> None:

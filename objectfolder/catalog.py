@@ -8,6 +8,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap
 
 from objectfolder import params
 from objectfolder.artifacts import atomic
@@ -44,7 +45,7 @@ def add_mesh(
     ObjectFolderError
         If anything is wrong with the arguments or the mesh; nothing is changed then.
     """
-    from dvc.repo import Repo
+    from objectfolder.engine.workspace import owned
 
     params_path = root / params.PARAMS_FILE
     document, values = _editable(params_path)
@@ -82,9 +83,9 @@ def add_mesh(
             copy.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source, copy)
         staging.rename(home)
-        with Repo(str(root)) as repo:
-            repo.add(str(home))
-        document["objects"][key] = entry
+        with owned(root) as repo:
+            repo.add(str(home.resolve()))
+        document["objects"][key] = _one_line(entry)
         _write(params_path, document)
     except BaseException:
         shutil.rmtree(home, ignore_errors=True)
@@ -119,7 +120,7 @@ def add_catalogue(catalogue: Path, root: Path = Path()) -> list[str]:
         for key, entry in new[group].items():
             present = values[group].get(key)
             if present is None:
-                document[group][key] = entry
+                document[group][key] = _one_line(entry)
                 added += [key] if group == "objects" else []
             elif present != entry:
                 raise ObjectFolderError(
@@ -167,6 +168,12 @@ def _write(path: Path, document: Any) -> None:
     yaml.width = 110
     with atomic(path) as temporary, temporary.open("w") as stream:
         yaml.dump(document, stream)
+
+
+def _one_line(entry: dict[str, Any]) -> CommentedMap:
+    line = CommentedMap(entry)
+    line.fa.set_flow_style()
+    return line
 
 
 def _references(mesh: Path) -> Iterator[PurePosixPath]:

@@ -100,7 +100,8 @@ def add(
     entry = add_mesh(mesh, name, material, scale, up)
     console.print(
         f"added {name}: {entry['material']}, longest side {entry['scale']:.4g} m, {entry['up']} up; "
-        f"next: objectfolder build {name}"
+        f"next: objectfolder build {name}",
+        soft_wrap=True,
     )
 
 

@@ -34,15 +34,16 @@ def evaluate_vision(file: ObjectFile, views: dict[str, np.ndarray]) -> dict[str,
         similarity.append(ssim(image, truth))
         lit = (rgba[..., 3] >= 0.999) & (rgba[..., :3].max(-1) > 0.01)
         lit_errors.append(squared[lit].ravel())
-    return {
+    scores = {
         "psnr": float(np.mean(psnr(np.array(errors)))),
         "psnr_pooled": float(psnr(np.mean(errors))),
         "psnr_worst": float(psnr(np.max(errors))),
-        "psnr_lit_foreground": float(psnr(np.concatenate(lit_errors).mean())),
         "ssim": float(np.mean(similarity)),
         "baseline_white": float(np.mean(psnr(np.array(white)))),
         "views": len(errors),
     }
+    lit_error = np.concatenate(lit_errors)
+    return scores | ({"psnr_lit_foreground": float(psnr(lit_error.mean()))} if lit_error.size else {})
 
 
 def evaluate_audio(
@@ -149,7 +150,7 @@ def summary_row(key: str, metrics: dict[str, Any]) -> dict[str, str]:
     return {
         "object": key,
         "vision / white": beside(v, "psnr", "baseline_white"),
-        "lit": f"{v['psnr_lit_foreground']:.1f}",
+        "lit": f"{v['psnr_lit_foreground']:.1f}" if "psnr_lit_foreground" in v else "-",
         "audio / silence": beside(a, "psnr", "baseline_silence"),
         "gain error": f"{a['gain_error']:.1%}" if "gain_error" in a else "-",
         "touch / mean": beside(t, "psnr", "baseline_mean_image"),

@@ -19,7 +19,7 @@ Count = Field(ge=1)
 class Section(BaseModel):
     """Frozen, and unknown names are errors."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
 class ObjectEntry(Section):
@@ -182,7 +182,7 @@ def read(path: str | Path = PARAMS_FILE) -> dict[str, Any]:
         raise ObjectFolderError(f"{path} does not exist; run inside an objectfolder workspace")
     try:
         values = YAML(typ="safe").load(path.read_text())
-    except YAMLError as error:
+    except (YAMLError, UnicodeDecodeError) as error:
         raise ObjectFolderError(f"{path} is not valid YAML: {error}") from error
     if not isinstance(values, dict):
         raise ObjectFolderError(f"{path} holds {type(values).__name__}, expected a mapping")
@@ -228,15 +228,15 @@ def object_entry(key: str, values: dict[str, Any], path: str | Path = PARAMS_FIL
     ObjectFolderError
         If there is none, or a field is wrong.
     """
-    entry = values["objects"].get(key)
-    if entry is None:
+    if key not in values["objects"]:
         known = ", ".join(values["objects"]) or "none yet"
         raise ObjectFolderError(
             f"{path} has no object {key!r} (it has {known}); add it with `objectfolder add`"
         )
-    valid = _validate(ObjectEntry, entry, f"{path}: objects.{key}")
+    valid = _validate(ObjectEntry, values["objects"][key], f"{path}: objects.{key}")
     home = PurePosixPath("data/objects") / key
-    if home not in PurePosixPath(valid.mesh).parents:
+    mesh = PurePosixPath(valid.mesh)
+    if home not in mesh.parents or ".." in mesh.parts:
         raise ObjectFolderError(f"{path}: objects.{key}.mesh is {valid.mesh!r}, expected a file in {home}/")
     return valid
 

@@ -49,7 +49,7 @@ def view(
         If shapes do not fit or values are not finite.
     """
     camera = np.asarray(camera, np.float64)
-    if camera.shape[-2:] == (4, 4):
+    if camera.ndim in (2, 3) and camera.shape[-2:] == (4, 4):
         poses = camera.reshape(-1, 4, 4)
     elif camera.ndim in (1, 2) and camera.shape[-1] == 3:
         poses = look_at(camera)

@@ -10,7 +10,7 @@ import sys
 import numpy as np
 import pytest
 import torch
-from conftest import SCALE, SIDES, build_brick
+from brick import SCALE, SIDES, build_brick
 
 from objectfolder import ObjectFile
 from objectfolder.artifacts import read_safetensors, write_safetensors

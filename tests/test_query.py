@@ -4,7 +4,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
-from conftest import SCALE, SIDES, build_brick
+from brick import SCALE, SIDES, build_brick
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 

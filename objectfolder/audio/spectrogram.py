@@ -2,13 +2,25 @@
 
 import torch
 
+from objectfolder.errors import ObjectFolderError
+
 WINDOW, HOP, FFT = 400, 160, 512
 SAMPLE_RATE = 16000
 DURATION = 2.0
 
 
 def spectrogram(sounds: torch.Tensor) -> torch.Tensor:
-    """Complex spectrograms; (N, samples) -> (N, 257, frames), 201 frames for two seconds."""
+    """Complex spectrograms; (N, samples) -> (N, 257, frames), 201 frames for two seconds.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the sounds are too short for one window.
+    """
+    if sounds.shape[-1] <= FFT // 2:
+        raise ObjectFolderError(
+            f"sounds of {sounds.shape[-1]} samples are too short, expected over {FFT // 2}"
+        )
     return torch.stft(
         sounds, FFT, hop_length=HOP, win_length=WINDOW, window=torch.hann_window(WINDOW), return_complex=True
     )

@@ -65,5 +65,5 @@ def audible(damped_frequency: torch.Tensor, sample_rate: int) -> torch.Tensor:
 
 
 def gains(shapes: torch.Tensor, forces: torch.Tensor) -> torch.Tensor:
-    """Modal gains of impulses: shapes (N, 3, M) in kg^-1/2, forces (N, 3) in N -> (N, M)."""
+    """Modal gains: shapes (N, 3, M) in kg^-1/2, impulses (N, 3) in N s -> (N, M)."""
     return torch.einsum("ndm,nd->nm", shapes, forces)

@@ -8,6 +8,7 @@ import trimesh
 from PIL import Image
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh import srgb
 from objectfolder.mesh.textured import TexturedMesh
 
 FORMATS = (".obj", ".glb", ".gltf", ".ply")
@@ -66,41 +67,34 @@ def load_mesh(path: str | Path, up: str = "z", texture_size: int = 1024) -> Text
     return TexturedMesh(vertices=vertices, faces=np.asarray(faces, np.int64), **appearance)
 
 
-def _appearance(mesh: trimesh.Trimesh, texture_size: int) -> dict:
+def _appearance(mesh: trimesh.Trimesh, texture_size: int) -> dict[str, Any]:
     visual: Any = mesh.visual
-    if visual.kind != "texture" or visual.uv is None:
-        colors = np.asarray(visual.vertex_colors)[:, :3] if visual.kind is not None else None
-        return {"vertex_colors": colors}
+    if visual.kind != "texture":
+        return {"vertex_colors": np.asarray(visual.vertex_colors)[:, :3] if visual.kind else None}
     material = visual.material
-    image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
-    factor = getattr(material, "baseColorFactor", None)
-    if factor is None:
-        factor = [255, 255, 255, 255] if image is not None else material.main_color
-    tint = np.asarray(factor, np.float64)[:3]
-    tint = tint / 255 if np.asarray(factor).dtype.kind in "ui" else tint
-    surface = _roughness_metallic(material)
-    if image is None:
-        color = np.clip(np.rint(tint * 255), 0, 255).astype(np.uint8)
-        return {"vertex_colors": np.tile(color, (len(mesh.vertices), 1)), **surface}
+    pbr = isinstance(material, trimesh.visual.material.PBRMaterial)
+    surface = _roughness_metallic(material) if pbr else {}
+    image = material.baseColorTexture if pbr else material.image
+    if image is None or visual.uv is None:
+        color: Any = material.main_color[:3]
+        if pbr and material.baseColorFactor is not None:  # linear, by the standard
+            color = np.rint(255 * srgb.encode(material.baseColorFactor[:3] / 255))
+        return {"vertex_colors": np.tile(np.uint8(color), (len(mesh.vertices), 1)), **surface}
     texture = image.convert("RGB")
     if max(texture.size) > texture_size:
         texture.thumbnail((texture_size, texture_size), Image.Resampling.LANCZOS)
     pixels = np.asarray(texture)
-    if not np.allclose(tint, 1):
-        pixels = np.clip(np.rint(pixels * tint), 0, 255).astype(np.uint8)
+    if pbr and material.baseColorFactor is not None and (material.baseColorFactor[:3] < 255).any():
+        tinted = srgb.decode(pixels / 255) * (material.baseColorFactor[:3] / 255)
+        pixels = np.rint(255 * srgb.encode(tinted)).astype(np.uint8)
     return {"uv": np.asarray(visual.uv, np.float64), "texture": pixels, **surface}
 
 
-def _roughness_metallic(material: object) -> dict:
-    """Roughness and metallic of a PBR material; a map is reduced to its mean."""
-    roughness = getattr(material, "roughnessFactor", None)
-    metallic = getattr(material, "metallicFactor", None)
-    maps = getattr(material, "metallicRoughnessTexture", None)
-    if maps is not None:
-        mean = np.asarray(maps.convert("RGB"), np.float64).mean((0, 1)) / 255
-        roughness = mean[1] * (1.0 if roughness is None else roughness)
-        metallic = mean[2] * (1.0 if metallic is None else metallic)
-    return {
-        "roughness": None if roughness is None else float(roughness),
-        "metallic": None if metallic is None else float(metallic),
-    }
+def _roughness_metallic(material: Any) -> dict[str, float]:
+    """Roughness and metallic of a glTF material, 1 where absent; a map is reduced to its mean."""
+    factors = (material.roughnessFactor, material.metallicFactor)
+    roughness, metallic = (1.0 if factor is None else float(factor) for factor in factors)
+    if material.metallicRoughnessTexture is not None:
+        mean = np.asarray(material.metallicRoughnessTexture.convert("RGB"), np.float64).mean((0, 1)) / 255
+        roughness, metallic = roughness * float(mean[1]), metallic * float(mean[2])
+    return {"roughness": roughness, "metallic": metallic}

@@ -8,6 +8,8 @@ import numpy as np
 import trimesh
 from PIL import Image
 
+DEFAULT_ROUGHNESS = 0.5  # where the source does not say (scans: the texture holds the gloss)
+
 
 @dataclass(frozen=True)
 class TexturedMesh:
@@ -36,8 +38,9 @@ class TexturedMesh:
         if self.uv is not None and self.texture is not None:
             material = trimesh.visual.material.PBRMaterial(
                 baseColorTexture=Image.fromarray(self.texture),
-                roughnessFactor=self.roughness,
-                metallicFactor=self.metallic,
+                # Always written: glTF takes a factor that is absent for 1.
+                roughnessFactor=DEFAULT_ROUGHNESS if self.roughness is None else self.roughness,
+                metallicFactor=self.metallic or 0.0,
             )
             visual: Any = trimesh.visual.TextureVisuals(uv=self.uv, material=material)
         else:

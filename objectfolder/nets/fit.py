@@ -82,7 +82,7 @@ def fit(
 
 
 def minibatches(count: int, size: int, generator: torch.Generator) -> Iterable[torch.Tensor]:
-    """Endless shuffled index batches; every sample once per epoch."""
+    """Endless shuffled index batches; a sample appears at most once per epoch."""
     size = min(size, count)
     while True:
         order = torch.randperm(count, generator=generator)

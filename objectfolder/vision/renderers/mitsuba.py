@@ -6,11 +6,11 @@ import drjit
 import mitsuba as mi
 import numpy as np
 
-from objectfolder.mesh.textured import TexturedMesh
+from objectfolder.mesh import srgb
+from objectfolder.mesh.textured import DEFAULT_ROUGHNESS, TexturedMesh
 from objectfolder.vision.cameras import Intrinsics
 
 VARIANT = "scalar_rgb"
-DEFAULT_ROUGHNESS = 0.5  # where the mesh's own material does not say (scans: the texture holds the gloss)
 MIN_ROUGHNESS = 0.05  # a mirror would show a point light as nothing
 MAX_DEPTH = 4  # path length: direct light and two bounces
 
@@ -118,7 +118,7 @@ def _shape(mesh: TexturedMesh, bsdf: "mi.BSDF") -> "mi.Mesh":
         props=properties,
     )
     if mesh.vertex_colors is not None:
-        linear = _srgb_to_linear(mesh.vertex_colors / 255.0)
+        linear = srgb.decode(mesh.vertex_colors / 255.0)
         shape.add_attribute("vertex_color", 3, linear.astype(np.float32).ravel().tolist())
     parameters = mi.traverse(shape)
     parameters["vertex_positions"] = mesh.vertices.astype(np.float32).ravel()
@@ -130,7 +130,3 @@ def _shape(mesh: TexturedMesh, bsdf: "mi.BSDF") -> "mi.Mesh":
         )
     parameters.update()
     return shape
-
-
-def _srgb_to_linear(x: np.ndarray) -> np.ndarray:
-    return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
