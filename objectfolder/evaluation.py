@@ -59,8 +59,7 @@ def evaluate_audio(
     damped, damping = modes["damped_frequency"], modes["damping"]
     if len(damping) == 0:
         return {"modes": 0, "points": len(rows)}
-    net = file._audio
-    predicted = net.shapes(torch.from_numpy(modes["points"][rows])).numpy().astype(np.float64)
+    predicted = file.mode_shapes(modes["points"][rows] * file.scale).astype(np.float64)
     energy = energy_weights(damped, damping)
     scores = gain_errors(predicted, true_shapes, energy, 1 / damped)
     heard = audible(torch.from_numpy(damped), SAMPLE_RATE).numpy()

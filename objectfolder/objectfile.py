@@ -131,6 +131,10 @@ class ObjectFile:
             self.surface, self._audio, self.scale, points, forces, sample_rate, duration, response, tolerance
         )
 
+    def mode_shapes(self, points: np.ndarray, tolerance: float = query.TOLERANCE) -> np.ndarray:
+        """Gains of unit impulses along x, y and z; see `objectfolder.query.mode_shapes`."""
+        return query.mode_shapes(self.surface, self._audio, self.scale, points, tolerance).numpy()
+
     def touch(
         self,
         points: np.ndarray,

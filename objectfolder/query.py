@@ -99,7 +99,7 @@ def impact(
     """
     points = _rows("points", points, None, 3)
     forces = _rows("forces", forces, len(points), 3)
-    snapped = snap(surface, points / scale, tolerance)
+    shapes = mode_shapes(surface, net, scale, points, tolerance)
     bank = sinusoid_bank(net.damped_frequency, net.damping, sample_rate, duration, response)
     if not bool(audible(net.damped_frequency, sample_rate).any()):
         log.warning(
@@ -107,7 +107,7 @@ def impact(
             len(net.damping),
             sample_rate // 2,
         )
-    g = gains(net.shapes(torch.from_numpy(snapped)), torch.from_numpy(forces).float())
+    g = gains(shapes, torch.from_numpy(forces).float())
     sounds = np.empty((len(points), bank.shape[1]), np.float32)
     for start in range(0, len(points), _BLOCK):
         block = torch.zeros(_BLOCK, g.shape[1])
@@ -115,6 +115,26 @@ def impact(
         block[: len(rows)] = rows
         sounds[start : start + _BLOCK] = (block @ bank)[: len(rows)].numpy()
     return sounds
+
+
+def mode_shapes(
+    surface: Isosurface, net: GainsNet, scale: float, points: np.ndarray, tolerance: float
+) -> torch.Tensor:
+    """Mass-normalised mode shapes: the modal gains of unit impulses along the three axes.
+
+    Parameters
+    ----------
+    points : (N, 3) array
+        Object frame, metres; snapped to the surface.
+    tolerance : float
+        Refuse points further from the surface, fraction of the size.
+
+    Returns
+    -------
+    (N, 3, M) float32 tensor, kg^-1/2
+    """
+    snapped = snap(surface, _rows("points", points, None, 3) / scale, tolerance)
+    return net.shapes(torch.from_numpy(snapped))
 
 
 def touch(
