@@ -57,7 +57,7 @@ def add_mesh(
         )
     up = up or default_up(mesh)
     lower, upper = load_mesh(mesh, up).bounds
-    size = float((upper - lower).max()) if scale is None else scale
+    size = float(f"{(upper - lower).max():.6g}") if scale is None else scale
     if not MIN_SCALE <= size <= MAX_SCALE:
         raise ObjectFolderError(
             f"scale of {key} is {size:g} m, expected the longest side in metres, {MIN_SCALE} to {MAX_SCALE}; "
@@ -165,7 +165,7 @@ def _editable(path: Path) -> tuple[Any, dict[str, Any]]:
 
 def _write(path: Path, document: Any) -> None:
     yaml = YAML()
-    yaml.width = 110
+    yaml.width = 4096  # an entry stays on its line
     with atomic(path) as temporary, temporary.open("w") as stream:
         yaml.dump(document, stream)
 

@@ -7,6 +7,7 @@ from typing import Annotated
 import numpy as np
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from objectfolder.errors import ObjectFolderError
@@ -33,8 +34,9 @@ def main() -> None:
     try:
         app()
     except ObjectFolderError as error:
+        # Escaped: messages hold lists in brackets, which rich would take for markup.
         Console(stderr=True).print(
-            f"[bold red]error:[/] {error}", markup=True, highlight=False, soft_wrap=True
+            f"[bold red]error:[/] {escape(str(error))}", highlight=False, soft_wrap=True
         )
         sys.exit(1)
     except ModuleNotFoundError as error:
@@ -191,7 +193,9 @@ def audio(
     from objectfolder.artifacts import atomic
     from objectfolder.objectfile import ObjectFile
 
-    points = _load_array(vertices, 3 if forces else 6)
+    points = _load_array(
+        vertices, 3 if forces else 6, "" if forces else " (points and impulses), or give --forces"
+    )
     impulse = _load_array(forces, 3) if forces else points[:, 3:]
     sounds = ObjectFile.load(file).impact(points[:, :3], impulse, sample_rate, duration, response)
     peak = float(np.abs(sounds).max(initial=0))
@@ -225,7 +229,7 @@ def touch(
     console.print(f"{len(images)} tactile images in {out}/")
 
 
-def _load_array(path: Path, width: int) -> np.ndarray:
+def _load_array(path: Path, width: int, hint: str = "") -> np.ndarray:
     if not path.is_file():
         raise ObjectFolderError(f"{path} does not exist; expected a .npy file of shape (N, {width})")
     try:
@@ -234,7 +238,7 @@ def _load_array(path: Path, width: int) -> np.ndarray:
         raise ObjectFolderError(f"{path} is not a .npy file of numbers: {error}") from error
     if not isinstance(array, np.ndarray) or array.ndim != 2 or array.shape[1] != width:
         shape = getattr(array, "shape", None)
-        raise ObjectFolderError(f"{path} has shape {shape}, expected (N, {width})")
+        raise ObjectFolderError(f"{path} has shape {shape}, expected (N, {width}){hint}")
     return np.asarray(array, np.float64)
 
 
