@@ -1,15 +1,17 @@
 # Thin: every target is a line or two of real commands.
 PYTHON ?= python3
 JOBS ?= 2
+# Such as an index with CPU builds of torch; the default index has CUDA builds, gigabytes that nothing here needs.
+PIP_ARGS ?=
 BIN := .venv/bin
 
-.PHONY: setup demo test test-slow lint clean
+.PHONY: setup demo test lint clean
 
 setup: .venv/installed
 
 .venv/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[build,dev]'
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt $(PIP_ARGS) -e '.[build,dev]'
 	touch $@
 
 demo: setup
@@ -18,13 +20,10 @@ demo: setup
 test: setup
 	$(BIN)/pytest -n $(JOBS) --dist loadscope
 
-test-slow: setup
-	$(BIN)/pytest -m slow
-
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
 clean:
-	rm -rf build metrics data/objects/*/
+	rm -rf build metrics

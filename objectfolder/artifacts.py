@@ -67,7 +67,8 @@ class Build:
 def atomic(path: str | Path) -> Iterator[Path]:
     """Give a temporary path next to ``path``; on success fsync it and rename it into place.
 
-    The temporary name keeps the suffix, because writers choose the format by it.
+    The temporary name keeps the suffix, because writers choose the format by it, and is the same every time,
+    so that a killed writer leaves at most one.
 
     Raises
     ------
@@ -75,7 +76,7 @@ def atomic(path: str | Path) -> Iterator[Path]:
         If the directory cannot be written.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
+    temporary = path.with_name(f".{path.stem}.tmp{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary.touch()

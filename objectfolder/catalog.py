@@ -4,7 +4,7 @@ import json
 import re
 import shutil
 from collections.abc import Iterator
-from pathlib import Path, PurePosixPath
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
 from ruamel.yaml import YAML
@@ -45,6 +45,8 @@ def add_mesh(
     ObjectFolderError
         If anything is wrong with the arguments or the mesh; nothing is changed then.
     """
+    from dvc.exceptions import DvcException
+
     from objectfolder.engine.workspace import owned
 
     params_path = root / params.PARAMS_FILE
@@ -87,9 +89,11 @@ def add_mesh(
             repo.add(str(home.resolve()))
         document["objects"][key] = _one_line(entry)
         _write(params_path, document)
-    except BaseException:
+    except BaseException as error:
         shutil.rmtree(home, ignore_errors=True)
         home.with_name(f"{key}.dvc").unlink(missing_ok=True)
+        if isinstance(error, OSError | DvcException):
+            raise ObjectFolderError(f"cannot add {key} to {home}: {error}; nothing was changed") from error
         raise
     finally:
         shutil.rmtree(staging, ignore_errors=True)
@@ -186,6 +190,8 @@ def _references(mesh: Path) -> Iterator[PurePosixPath]:
                 for match in re.finditer(r"^\s*map_\w+\s+(.+?)\s*$", text, re.MULTILINE):
                     # Options such as `-s 1 1 1` come before the name.
                     yield _inside(mesh, re.sub(r"^(-\w+(\s+(-?[\d.]+|on|off))*\s+)*", "", match[1]))
+    elif mesh.suffix.lower() == ".ply":
+        yield from (_inside(mesh, name) for name in _ply_textures(mesh))
     elif mesh.suffix.lower() == ".gltf":
         content = json.loads(mesh.read_text())
         for item in content.get("buffers", []) + content.get("images", []):
@@ -196,11 +202,20 @@ def _references(mesh: Path) -> Iterator[PurePosixPath]:
 
 def _mtl_names(mesh: Path) -> list[str]:
     with mesh.open(errors="replace") as stream:
-        return sorted({line.split(None, 1)[1].strip() for line in stream if line.startswith("mtllib ")})
+        names = {line.removeprefix("mtllib").strip() for line in stream if line.startswith("mtllib")}
+    return sorted(names - {""})
+
+
+def _ply_textures(mesh: Path) -> list[str]:
+    header = mesh.read_bytes()[:65536].partition(b"end_header")[0].decode(errors="replace")
+    return re.findall(r"^comment TextureFile (.+?)\s*$", header, re.MULTILINE)
 
 
 def _inside(mesh: Path, name: str) -> PurePosixPath:
     path = PurePosixPath(name.replace("\\", "/"))
-    if path.is_absolute() or ".." in path.parts:
-        raise ObjectFolderError(f"{mesh} refers to {name}, outside its folder; put that file beside the mesh")
+    if path.is_absolute() or PureWindowsPath(name).drive or ".." in path.parts:
+        raise ObjectFolderError(
+            f"{mesh} refers to {name}, outside its folder; put that file beside the mesh and edit the "
+            f"path in the {'.mtl' if mesh.suffix.lower() == '.obj' else mesh.suffix} file"
+        )
     return path

@@ -42,7 +42,7 @@ def main() -> None:
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] == "objectfolder":
             raise
-        sys.exit(f"error: {error.name} is not installed; this needs: pip install 'objectfolder[build]'")
+        sys.exit(f"error: {error.name} is not installed; this needs: pip install -e '.[build]' (make setup)")
 
 
 @app.command()
@@ -63,9 +63,11 @@ def build(
     from objectfolder.artifacts import check_writable
     from objectfolder.engine.local import build as run_build
     from objectfolder.engine.progress import Progress, print_summary
+    from objectfolder.touch.profiles import load_profile
 
     values = params.read()
     params.check_all(values)
+    load_profile(values["sensor"])
     check_writable(Path("build"))
     with Progress() as progress:
         summary = run_build(targets or (), jobs, force=force, on_event=progress)
@@ -236,6 +238,8 @@ def _load_array(path: Path, width: int, hint: str = "") -> np.ndarray:
         array = np.load(path, allow_pickle=False)
     except (ValueError, OSError, EOFError) as error:
         raise ObjectFolderError(f"{path} is not a .npy file of numbers: {error}") from error
+    if isinstance(array, np.ndarray) and array.dtype.kind not in "fiu":
+        raise ObjectFolderError(f"{path} holds {array.dtype}, expected real numbers")
     if not isinstance(array, np.ndarray) or array.ndim != 2 or array.shape[1] != width:
         shape = getattr(array, "shape", None)
         raise ObjectFolderError(f"{path} has shape {shape}, expected (N, {width}){hint}")
@@ -254,7 +258,7 @@ def _print_metrics(keys: list[str]) -> None:
     rows = [summary_row(key, read_json(Build(key).metrics)) for key in keys]
     table = Table(title="Held-out PSNR in dB / that of a baseline that knows nothing")
     for name in rows[0]:
-        table.add_column(name, justify="left" if name == "object" else "right")
+        table.add_column(name, justify="left" if name == "object" else "right", no_wrap=name == "object")
     for row in rows:
         table.add_row(*row.values())
     console.print(table)

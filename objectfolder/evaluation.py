@@ -144,7 +144,7 @@ def summary_row(key: str, metrics: dict[str, Any]) -> dict[str, str]:
     v, a, t = metrics["vision"], metrics["audio"], metrics["touch"]
 
     def beside(values: dict[str, Any], score: str, baseline: str) -> str:
-        return f"{values[score]:.1f} / {values[baseline]:.1f}" if score in values else "silent"
+        return f"{values[score]:.1f}/{values[baseline]:.1f}" if score in values else "silent"
 
     return {
         "object": key,

@@ -64,7 +64,7 @@ class VoxelizeParams(Section):  # noqa: D101
     resolutions: list[int] = Field(min_length=1)  #: cells along the longest side, finest first
     subdivisions: int = Count  #: sub-cells along each side of a cell
     max_degrees_of_freedom: int = Count  #: take the first resolution under this size
-    sdf_resolution: int = Field(ge=16, le=512)
+    sdf_resolution: int = Field(ge=16, le=256)  #: finer, the band is narrower than the contact normals' reach
 
 
 class ModalParams(Section):  # noqa: D101
@@ -279,6 +279,8 @@ def check_all(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
     """Validate everything, before a long build starts."""
     for key in values["objects"]:
         object_entry(key, values, path)
+    for key, entry in values["procedural"].items():
+        _validate(ProceduralEntry, entry, f"{path}: procedural.{key}")
     for name, model in SECTIONS.items():
         if name not in values:
             raise ObjectFolderError(f"{path} lacks section {name!r}; run `objectfolder preset quick`")

@@ -55,7 +55,8 @@ def view(
         poses = look_at(camera)
     else:
         raise ObjectFolderError(f"camera has shape {camera.shape}, expected (N, 3) or (N, 4, 4)")
-    lights = _rows("light", light, len(poses), 3)
+    lights = _rows("light", light, 3)
+    poses, lights = _paired("camera", poses, "light", lights)
     if not np.isfinite(poses).all():
         raise ObjectFolderError("camera holds values that are not finite")
     images = [
@@ -97,8 +98,7 @@ def impact(
     -------
     (N, samples) float32, absolute amplitude
     """
-    points = _rows("points", points, None, 3)
-    forces = _rows("forces", forces, len(points), 3)
+    points, forces = _paired("points", _rows("points", points, 3), "forces", _rows("forces", forces, 3))
     shapes = mode_shapes(surface, net, scale, points, tolerance)
     bank = sinusoid_bank(net.damped_frequency, net.damping, sample_rate, duration, response)
     if not bool(audible(net.damped_frequency, sample_rate).any()):
@@ -133,7 +133,7 @@ def mode_shapes(
     -------
     (N, 3, M) float32 tensor, kg^-1/2
     """
-    snapped = snap(surface, _rows("points", points, None, 3) / scale, tolerance)
+    snapped = snap(surface, _rows("points", points, 3) / scale, tolerance)
     return net.shapes(torch.from_numpy(snapped))
 
 
@@ -166,7 +166,7 @@ def touch(
     -------
     (N, H, W, 3) uint8, RGB
     """
-    points = _rows("points", points, None, 3)
+    points = _rows("points", points, 3)
     depths, angles, tilts, azimuths = (
         _scalars(name, value, len(points))
         for name, value in (("depth", depth), ("angle", angle), ("tilt", tilt), ("azimuth", azimuth))
@@ -208,8 +208,8 @@ def snap(surface: Isosurface, points: np.ndarray, tolerance: float) -> np.ndarra
     return snapped
 
 
-def _rows(name: str, values: np.ndarray, count: int | None, width: int) -> np.ndarray:
-    """Check an (N, width) array of finite numbers; one row is repeated to ``count``."""
+def _rows(name: str, values: np.ndarray, width: int) -> np.ndarray:
+    """Check an (N, width) array of finite numbers; one row may come without its first axis."""
     array = np.asarray(values, np.float64)
     if array.ndim == 1 and len(array) == width:
         array = array[None]
@@ -218,11 +218,15 @@ def _rows(name: str, values: np.ndarray, count: int | None, width: int) -> np.nd
     if not np.isfinite(array).all():
         row = int(np.flatnonzero(~np.isfinite(array).all(1))[0])
         raise ObjectFolderError(f"{name}: row {row} is {array[row].tolist()}, expected finite numbers")
-    if count is not None and len(array) != count:
-        if len(array) != 1:
-            raise ObjectFolderError(f"{name} has {len(array)} rows, expected {count} or 1")
-        array = np.repeat(array, count, 0)
     return array
+
+
+def _paired(a_name: str, a: np.ndarray, b_name: str, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Give two arrays as many rows; one row serves all of the other's."""
+    if len(a) != len(b) and 1 not in (len(a), len(b)):
+        raise ObjectFolderError(f"{a_name} has {len(a)} rows, {b_name} {len(b)}; expected as many, or one")
+    count = len(b) if len(a) == 1 else len(a)
+    return tuple(np.repeat(x, count, 0) if len(x) == 1 else x for x in (a, b))  # type: ignore[return-value]
 
 
 def _scalars(name: str, values: np.ndarray | float, count: int) -> np.ndarray:

@@ -3,6 +3,7 @@
 import numpy as np
 
 from objectfolder.artifacts import Build, read_npz, write_json
+from objectfolder.audio.spectrogram import SHAPE
 from objectfolder.evaluation import evaluate_audio, evaluate_awgn, evaluate_touch, evaluate_vision
 from objectfolder.objectfile import ObjectFile
 from objectfolder.params import stage_params
@@ -20,7 +21,7 @@ def main(key: str) -> None:
     contacts = read_npz(build.touch("test"), "images", "points", "depths", "angles", "obstructed")
     shapes = {
         "vision": (*views["rgba"].shape[1:3], 3),
-        "audio": (257, 201, 2),
+        "audio": (*SHAPE, 2),
         "touch": contacts["images"].shape[1:],
     }
     metrics = {

@@ -29,7 +29,13 @@ def main(key: str) -> None:
         section.max_modes,
         key,
     )
-    write_npz(build.modes, points=points, split=split_rows(len(points), rng), **data.arrays())
+    write_npz(
+        build.modes,
+        points=points,
+        split=split_rows(len(points), rng),
+        **data.arrays(),
+        truncated=data.report["truncated"],
+    )
     write_json(build.modal, data.report)
 
 

@@ -12,7 +12,7 @@ from stages import log_point, run
 def main(key: str) -> None:
     params = stage_params("train_audio", key)
     build, section = Build(key), params.section
-    modes = read_npz(build.modes, "points", "split", "shapes", "damped_frequency", "damping")
+    modes = read_npz(build.modes, "points", "split", "shapes", "damped_frequency", "damping", "truncated")
     size = section.size(len(modes["damping"]))
     config = AudioConfig(
         size.width, size.depth, size.frequency, section.steps, section.batch, section.learning_rate
@@ -29,7 +29,11 @@ def main(key: str) -> None:
         log_point,
     )
     tensors, header = net.to_tensors()
-    write_safetensors(build.net("audio"), tensors, {"kind": section.net, "net": header})
+    write_safetensors(
+        build.net("audio"),
+        tensors,
+        {"kind": section.net, "net": header, "truncated": bool(modes["truncated"])},
+    )
     write_curve(build.curve("audio"), curve)
 
 

@@ -16,13 +16,14 @@ def main(key: str) -> None:
     build, section = Build(key), params.section
     surface = Isosurface(DistanceGrid.from_arrays(read_npz(build.sdf, "values", "band")))
     net = GeometricTouch(surface, params.object.scale, load_profile(params.sensor))
+    images = read_npz(build.touch("train"), "images")["images"]
     train, val = (
-        {name: rows[: section.contacts] for name, rows in read_npz(build.touch(split), "images").items()}
+        {name: rows[: section.contacts] for name, rows in read_npz(build.touch(split)).items()}
         for split in ("train", "val")
     )
     curve = fit_depth_offset(net, train, val, section.offset_span, section.rounds, log_point)
     # The mean training image is the baseline that evaluation prints beside the score.
-    mean = train["images"].mean(0, dtype=np.float64).round().astype(np.uint8)
+    mean = images.mean(0, dtype=np.float64).round().astype(np.uint8)
     header = {"kind": section.net, "net": net.config()}
     write_safetensors(build.net("touch"), {"mean_image": mean}, header)
     write_curve(build.curve("touch"), curve)

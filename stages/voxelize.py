@@ -2,7 +2,7 @@
 
 from objectfolder.artifacts import Build, write_npz
 from objectfolder.fem.modal import adaptive_cut_cells
-from objectfolder.mesh.sdf import distance_grid
+from objectfolder.mesh.sdf import check_resolved, distance_grid
 from objectfolder.mesh.surface import read_surface
 from objectfolder.params import stage_params
 from stages import run
@@ -17,6 +17,7 @@ def main(key: str) -> None:
     )
     write_npz(build.solid, **vars(cells))
     values, band = distance_grid(vertices, faces, section.sdf_resolution)
+    check_resolved(values, vertices, faces, key)
     write_npz(build.sdf, values=values, band=band)
 
 

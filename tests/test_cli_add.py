@@ -10,7 +10,9 @@ import trimesh
 from PIL import Image
 
 from objectfolder import catalog, params
+from objectfolder.engine.local import build
 from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.load import load_mesh
 
 ROOT = Path(__file__).parents[1]
 OBJECTS = ROOT.parent / "shared" / "objects"
@@ -66,6 +68,21 @@ def test_add_copies_what_the_mesh_refers_to_and_tracks_it(workspace, box):
     params.check_all(values)
     assert set(values["objects"]) == {"mug", "die", "bell", "crate"}
     assert "# mesh: under data/objects" in (workspace / "params.yaml").read_text()  # comments survive
+
+
+def test_a_ply_brings_its_texture_and_deleted_data_comes_back(workspace, tmp_path):
+    Image.fromarray(np.full((8, 8, 3), 200, np.uint8)).save(tmp_path / "skin.png")
+    header = "ply\nformat ascii 1.0\ncomment TextureFile skin.png\nelement vertex 4\nproperty float x\n"
+    header += "property float y\nproperty float z\nproperty float s\nproperty float t\nelement face 4\n"
+    header += "property list uchar int vertex_indices\nend_header\n"
+    body = "0 0 0 0 0\n1 0 0 1 0\n0 1 0 0 1\n0 0 1 1 1\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n"
+    (tmp_path / "tetra.ply").write_text(header + body)
+    catalog.add_mesh(tmp_path / "tetra.ply", "tetra", "wood", 0.1, None)
+    home = workspace / "data/objects/tetra"
+    assert load_mesh(home / "mesh.ply").texture.max() == 200
+    shutil.rmtree(home)
+    build(["normalize@tetra"])  # the stage itself cannot run here; its data comes first
+    assert load_mesh(home / "mesh.ply").texture.max() == 200
 
 
 @pytest.mark.parametrize(

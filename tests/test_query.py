@@ -124,7 +124,7 @@ def test_a_camera_that_does_not_see_the_object_sees_white(brick):
         (np.full((1, 4, 4), np.inf), [1, 0, 0], "camera holds values that are not finite"),
         ([[2, 0, 0]], [1, 0], r"light has shape \(2,\), expected \(N, 3\)"),
         ([[2, 0, 0]], [np.nan, 0, 0], r"light: row 0 is \[nan"),
-        ([[2, 0, 0]] * 3, np.ones((2, 3)), "light has 2 rows, expected 3 or 1"),
+        ([[2, 0, 0]] * 3, np.ones((2, 3)), "camera has 3 rows, light 2"),
     ],
 )
 def test_a_view_of_nonsense_is_refused(brick, camera, light, message):
@@ -189,7 +189,7 @@ def test_a_point_off_the_surface_is_refused_with_row_and_distance(brick, questio
         (np.zeros((1, 1, 3)), UP, "points has shape"),
         (0.0, UP, "points has shape"),
         ([[0, np.nan, 0]], UP, r"points: row 0 is \[0.0, nan, 0.0\], expected finite"),
-        (TOP.repeat(3, 0), np.ones((2, 3)), "forces has 2 rows, expected 3 or 1"),
+        (TOP.repeat(3, 0), np.ones((2, 3)), "points has 3 rows, forces 2"),
         (TOP, [[0, 0, np.inf]], r"forces: row 0 is"),
         (TOP, [[0, 0]], "forces has shape"),
     ],
@@ -282,3 +282,12 @@ def test_queries_leave_their_arguments_and_the_random_state_alone(brick):
     np.testing.assert_array_equal(forces, kept[1])
     assert torch.equal(torch.random.get_rng_state(), before)
     np.testing.assert_array_equal(np.random.get_state()[1], legacy)  # noqa: NPY002
+
+
+def test_one_row_serves_all_of_the_others(brick):
+    point, forces = brick.sample_surface(1), np.eye(3)
+    sounds = brick.impact(point, forces)
+    np.testing.assert_array_equal(sounds, brick.impact(point.repeat(3, 0), forces))
+    lights = np.array([[1.0, 0, 0], [0, 0, 1.0]])
+    images = brick.view([2.5, 0, 0], lights, resolution=16)
+    np.testing.assert_array_equal(images, brick.view([[2.5, 0, 0]] * 2, lights, resolution=16))

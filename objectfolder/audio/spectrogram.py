@@ -7,6 +7,7 @@ from objectfolder.errors import ObjectFolderError
 WINDOW, HOP, FFT = 400, 160, 512
 SAMPLE_RATE = 16000
 DURATION = 2.0
+SHAPE = (FFT // 2 + 1, 1 + round(SAMPLE_RATE * DURATION) // HOP)  #: of one spectrogram: (257, 201)
 
 
 def spectrogram(sounds: torch.Tensor) -> torch.Tensor:

@@ -44,7 +44,7 @@ def sinusoid_bank(
     """
     if response not in RESPONSES:
         raise ObjectFolderError(f"response {response!r} is not one of {', '.join(RESPONSES)}")
-    samples = round(sample_rate * duration)
+    samples = round(sample_rate * duration) if math.isfinite(duration) else 0
     if sample_rate <= 0 or samples <= 0:
         raise ObjectFolderError(
             f"sample rate {sample_rate} Hz and duration {duration} s give no samples; both must be positive"

@@ -148,6 +148,8 @@ class _Build:
         """Let DVC handle a stage without a command itself: it verifies data, or downloads an import."""
         start = time.monotonic()
         stage = self.stages[address]
+        if any(not out.exists for out in stage.outs):
+            stage.checkout(allow_missing=True)  # deleted data comes back from the cache
         if stage.reproduce(force=self.force) is None:
             self._succeed(StageResult(address, Status.SKIPPED))
             return

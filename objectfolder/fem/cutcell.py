@@ -104,7 +104,7 @@ def cut_cells(vertices: np.ndarray, faces: np.ndarray, resolution: int, subdivis
     if number == 0:
         raise ObjectFolderError(
             f"no cell of the {resolution}^3 grid holds {EMPTY_FILL:.1%} material; the object is too thin: "
-            "raise voxelize.resolution"
+            "put a finer one in voxelize.resolutions"
         )
     volumes = np.bincount(pieces.ravel(), weights=fill.ravel())[1:]
     index = np.argwhere(pieces == volumes.argmax() + 1)

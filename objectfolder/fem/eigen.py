@@ -119,7 +119,8 @@ def solve_modes(fem: FiniteElements, max_frequency: float, max_modes: int, name:
     if loose:
         raise ObjectFolderError(
             f"{name}: the solid has at least {6 + loose} rigid modes, expected 6; it falls into pieces on "
-            "the grid: raise voxelize.resolution or join the mesh's parts"
+            "the grid: join the mesh's parts, or use a finer voxelize.resolutions with a larger "
+            "voxelize.max_degrees_of_freedom"
         )
     keep = np.flatnonzero(values < limit)[:max_modes]
     # All at once: the cut may part the modes of a repeated eigenvalue.

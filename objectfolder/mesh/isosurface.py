@@ -4,6 +4,7 @@ import numpy as np
 import torch
 from skimage.measure import marching_cubes
 
+from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.grid import BOUND, DistanceGrid
 from objectfolder.mesh.raycast import RayCaster
 
@@ -24,6 +25,8 @@ class Isosurface:
 
     def __init__(self, grid: DistanceGrid):
         self.grid = grid
+        if not grid.values.min() < 0 < grid.values.max():
+            raise ObjectFolderError("the distance grid holds no surface: every sample is on one side of it")
         v, f, _, _ = marching_cubes(grid.values.astype(np.float32), 0.0, allow_degenerate=False)
         self.vertices = v.astype(np.float64) * grid.spacing - BOUND
         self.faces = f.astype(np.int64)

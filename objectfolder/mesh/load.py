@@ -79,7 +79,9 @@ def _appearance(mesh: trimesh.Trimesh, texture_size: int) -> dict[str, Any]:
         color: Any = material.main_color[:3]
         if pbr and material.baseColorFactor is not None:  # linear, by the standard
             color = np.rint(255 * srgb.encode(material.baseColorFactor[:3] / 255))
-        return {"vertex_colors": np.tile(np.uint8(color), (len(mesh.vertices), 1)), **surface}
+        # A texture of one pixel: the form in which roughness and metallic survive in visual.glb.
+        texel = np.asarray(color, np.uint8).reshape(1, 1, 3)
+        return {"uv": np.zeros((len(mesh.vertices), 2)), "texture": texel, **surface}
     texture = image.convert("RGB")
     if max(texture.size) > texture_size:
         texture.thumbnail((texture_size, texture_size), Image.Resampling.LANCZOS)

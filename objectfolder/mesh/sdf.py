@@ -2,10 +2,14 @@
 
 import igl
 import numpy as np
+from skimage.measure import marching_cubes
 
+from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.grid import BOUND, band_width, coarse_spacing, quantise
 from objectfolder.mesh.scanline import inside
+from objectfolder.mesh.surface import signed_volume
 
+MIN_KEPT_VOLUME = 0.7
 _COARSE_STEP = 4
 _CHUNK = 1_000_000
 
@@ -38,6 +42,28 @@ def distance_grid(vertices: np.ndarray, faces: np.ndarray, resolution: int) -> t
         cell = tuple(index.T)
         signed[cell] = np.sign(signed[cell]) * np.minimum(distance, band)
     return quantise(signed, band), band
+
+
+def check_resolved(values: np.ndarray, vertices: np.ndarray, faces: np.ndarray, name: str) -> None:
+    """Check that a distance grid holds the surface it was made of.
+
+    Walls thinner than the spacing fall between samples; what is left of them is holes and crumbs.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the stored surface encloses less than 70 % of the volume.
+    """
+    spacing = 2 * BOUND / (len(values) - 1)
+    kept = 0.0
+    if values.min() < 0:
+        v, f, _, _ = marching_cubes(values.astype(np.float32), 0.0, allow_degenerate=False)
+        kept = signed_volume(v * spacing, f) / signed_volume(vertices, faces)
+    if kept < MIN_KEPT_VOLUME:
+        raise ObjectFolderError(
+            f"{name}: walls are too thin for the {len(values)}^3 distance grid (samples every {spacing:.2%} of "
+            f"the size): {kept:.0%} of the volume is left; raise voxelize.sdf_resolution, or thicken the mesh"
+        )
 
 
 def _near_surface(vertices: np.ndarray, faces: np.ndarray, resolution: int, band: float) -> np.ndarray:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable
 
 import igl
 import numpy as np
+import torch
 
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.sampling import sample_surface, split_rows
@@ -78,13 +79,15 @@ def render_contacts(
     low, high = profile.press_depth
     depths, angles = rng.uniform(low, high, len(points)), rng.uniform(0, 2 * np.pi, len(points))
     caster, optics = RayCaster(vertices, faces), Optics(profile)
+    noise = torch.Generator().manual_seed(int(rng.integers(2**63)))
     images = np.empty((len(points), profile.height, profile.width, 3), np.uint8)
     obstructed = np.empty(len(points))
     for start in progress(range(0, len(points), _BATCH)):
         part = slice(start, start + _BATCH)
-        images[part], _, obstructed[part] = touch_images(
+        clean, _, obstructed[part] = touch_images(
             caster, points[part] * scale, normals[part], angles[part], depths[part], profile, optics, scale
         )
+        images[part] = optics.noise(torch.from_numpy(clean), noise).numpy()
     return {
         "images": images,
         "points": points * scale,

@@ -3,8 +3,10 @@ import pytest
 import torch
 from solids import TURN, box, sphere
 
+from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.grid import BAND_VOXELS, BOUND, DistanceGrid, band_width, quantise
-from objectfolder.mesh.sdf import distance_grid
+from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.mesh.sdf import check_resolved, distance_grid
 
 RESOLUTION = 64
 RADIUS = 0.42
@@ -85,3 +87,16 @@ def test_a_row_does_not_depend_on_its_batch(ball, rng):
 def test_same_bytes_twice():
     a, b = (distance_grid(*sphere(0.3, 3), 32)[0].tobytes() for _ in range(2))
     assert a == b
+
+
+@pytest.mark.parametrize(("thickness", "kept"), [(0.1, True), (0.03, True), (0.012, False)])
+def test_walls_thinner_than_the_spacing_are_refused(thickness, kept):
+    plate = box((1, 1, thickness))  # centred: no sample of an even grid lies inside a thin one
+    values, band = distance_grid(*plate, RESOLUTION)
+    if kept:
+        check_resolved(values, *plate, "plate")
+        return
+    with pytest.raises(ObjectFolderError, match="plate: walls are too thin for the 64\\^3 distance grid"):
+        check_resolved(values, *plate, "plate")
+    with pytest.raises(ObjectFolderError, match="holds no surface"):
+        Isosurface(DistanceGrid(values, band))

@@ -66,8 +66,17 @@ def test_obj_with_its_texture(tmp_path):
 
 def test_obj_with_a_colour_only(tmp_path):
     mesh = load_mesh(write_obj(tmp_path, kd="1 0.5 0"))
-    assert mesh.texture is None
-    np.testing.assert_allclose(mesh.vertex_colors, [[255, 128, 0]] * len(mesh.vertices), atol=1)
+    np.testing.assert_allclose(mesh.texture, [[[255, 128, 0]]], atol=1)
+
+
+def test_plain_colour_keeps_roughness_and_metallic_in_glb(tmp_path):
+    vertices, faces = box((1, 0.5, 0.25))
+    texel = np.array([[[200, 40, 40]]], np.uint8)
+    mesh = TexturedMesh(vertices, faces, np.zeros((8, 2)), texel, roughness=0.125, metallic=1.0)
+    mesh.write_glb(tmp_path / "m.glb")
+    back = load_mesh(tmp_path / "m.glb", "y")
+    assert (back.roughness, back.metallic) == (0.125, 1.0)
+    np.testing.assert_array_equal(back.texture, texel)
 
 
 def test_polygons_become_triangles(tmp_path):

@@ -35,6 +35,21 @@ def test_declared_params_are_the_ones_the_stage_gets(stage):
     assert set(vars(got)) == {"object", "section", *params.SHARED.get(stage, ())}
 
 
+@pytest.mark.parametrize("stage", sorted(set(STAGES) - {"pack", "evaluate"}))
+def test_queries_may_change_without_rebuilding(stage):
+    deps = STAGES[stage]["do"]["deps"]
+    assert not {"objectfolder/query.py", "objectfolder/objectfile.py", "objectfolder/cli.py"} & set(deps)
+
+
+def test_lanes_do_not_depend_on_each_other():
+    def modules(stage):
+        return " ".join(STAGES[stage]["do"]["deps"])
+
+    assert "vision/" not in modules("modal") + modules("train_audio") + modules("render_touch")
+    assert "touch/" not in modules("modal") + modules("render_views") + modules("train_vision")
+    assert "fem/" not in modules("render_views") + modules("render_touch") + modules("train_audio")
+
+
 def test_command_takes_the_object_key_only():
     assert all(s["do"]["cmd"] == f"python -m stages.{name} ${{key}}" for name, s in STAGES.items())
 
