@@ -61,8 +61,8 @@ def check_resolved(values: np.ndarray, vertices: np.ndarray, faces: np.ndarray, 
         kept = signed_volume(v * spacing, f) / signed_volume(vertices, faces)
     if kept < MIN_KEPT_VOLUME:
         raise ObjectFolderError(
-            f"{name}: walls are too thin for the {len(values)}^3 distance grid (samples {spacing:.2%} of the size "
-            f"apart): {kept:.0%} of the volume is left; raise voxelize.sdf_resolution, or thicken the mesh"
+            f"{name}: walls are too thin for the {len(values)}^3 distance grid (spacing {spacing:.2%} of the "
+            f"size): {kept:.0%} of the volume is left; raise voxelize.sdf_resolution, or thicken the mesh"
         )
 
 
