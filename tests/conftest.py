@@ -4,6 +4,8 @@ import torch
 from brick import build_brick
 from threadpoolctl import threadpool_limits
 
+from objectfolder.errors import ObjectFolderError
+from objectfolder.inspection.scene import draw
 from objectfolder.objectfile import ObjectFile
 
 
@@ -30,3 +32,12 @@ def brick_path(tmp_path_factory):
 @pytest.fixture(scope="session")
 def brick(brick_path):
     return ObjectFile.load(brick_path)
+
+
+@pytest.fixture(scope="session")
+def opengl():
+    """Pictures of meshes need OpenGL, which a bare machine may lack; nothing else does."""
+    try:
+        draw(lambda plotter: None)
+    except ObjectFolderError as error:
+        pytest.skip(str(error))

@@ -54,7 +54,7 @@ VOLUME = SIDES.prod() * (SCALE * 100) ** 3  # cm³
 
 
 @pytest.fixture(scope="module")
-def root(tmp_path_factory):
+def root(tmp_path_factory, opengl):
     """A workspace with every artifact of one small box."""
     root = tmp_path_factory.mktemp("workspace")
     build, rng = Build("brick", root), np.random.default_rng(0)
@@ -182,7 +182,7 @@ def test_normalize_rows_are_the_box(root):
     assert rows["visual to surface"] == "at most 0 mm apart"
 
 
-def test_normalize_tells_when_the_meshes_are_in_different_frames(tmp_path):
+def test_normalize_tells_when_the_meshes_are_in_different_frames(tmp_path, opengl):
     build, mesh = Build("brick", tmp_path), _brick()
     _geometry(build, mesh)
     x, y, z = mesh.vertices.T
@@ -191,7 +191,7 @@ def test_normalize_tells_when_the_meshes_are_in_different_frames(tmp_path):
     assert dict(inspect("normalize", "brick", tmp_path).rows)["visual to surface"] == "at most 25 mm apart"
 
 
-def test_normalize_counts_pieces_and_holes(tmp_path):
+def test_normalize_counts_pieces_and_holes(tmp_path, opengl):
     """Two square frames."""
     beams = [trimesh.creation.box(sides) for sides in ((1, 1, 0.2), (0.5, 0.5, 1))]
     frame = trimesh.boolean.difference(beams, engine="manifold")

@@ -103,7 +103,7 @@ def test_generated_mesh_is_the_same_bytes_twice(built):
     assert path.read_bytes() == before
 
 
-def test_inspect(built):
+def test_inspect(built, opengl):
     for stage in ("voxelize", "modal", "pack"):
         built.cli("inspect", f"{stage}@cube")
     assert "build" in built.cli("inspect", "modal@nothing", ok=False).stderr
