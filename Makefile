@@ -5,7 +5,7 @@ JOBS ?= 2
 PIP_ARGS ?=
 BIN := .venv/bin
 
-.PHONY: setup demo test lint clean
+.PHONY: setup demo test test-slow lint gltf-validate clean
 
 setup: .venv/installed
 
@@ -20,10 +20,18 @@ demo: setup
 test: setup
 	$(BIN)/pytest -n $(JOBS) --dist loadscope
 
+test-slow: setup
+	$(BIN)/pytest -m slow
+
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# Needs node and npm.
+gltf-validate: setup
+	npm install --silent --no-save --prefix build/.npm gltf-validator@2.0.0-dev.3.10
+	$(BIN)/pytest tests/mesh/test_gltf_validator.py
 
 clean:
 	rm -rf build metrics

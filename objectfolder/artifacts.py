@@ -36,9 +36,11 @@ class Build:
         self.dir = self.root / "build" / key
         self.visual = self.dir / "visual.glb"
         self.surface = self.dir / "surface.ply"
+        self.solid_surface = self.dir / "solid.ply"
         self.normalize = self.dir / "normalize.json"
         self.solid = self.dir / "solid.npz"
         self.sdf = self.dir / "sdf.npz"
+        self.voxelize = self.dir / "voxelize.json"
         self.modes = self.dir / "modes.npz"
         self.modal = self.dir / "modal.json"
         self.views_sheet = self.dir / "views.png"

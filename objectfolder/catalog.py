@@ -1,10 +1,8 @@
 """Objects and presets in ``params.yaml``: adding them keeps comments and order, and is all or nothing."""
 
-import json
-import re
 import shutil
-from collections.abc import Iterator
-from pathlib import Path, PurePosixPath, PureWindowsPath
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from ruamel.yaml import YAML
@@ -14,19 +12,26 @@ from objectfolder import params
 from objectfolder.artifacts import atomic
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.load import default_up, load_mesh
+from objectfolder.mesh.references import references
 
 MIN_SCALE, MAX_SCALE = 0.001, 20  # metres; outside, a unit is probably mistaken
 
 
 def add_mesh(
-    mesh: Path, key: str, material: str, scale: float | None, up: str | None, root: Path = Path()
+    mesh: Path,
+    key: str,
+    material: str,
+    scale: float | None,
+    up: str | None,
+    root: Path = Path(),
+    attachments: Sequence[Path] = (),
 ) -> dict[str, Any]:
     """Copy a mesh into the workspace, track it with DVC and enter it in ``params.yaml``.
 
     Parameters
     ----------
     mesh : Path
-        ``.obj`` with its ``.mtl`` and textures, ``.glb``, ``.gltf`` with its buffers and images, ``.ply``.
+        Of a format of `objectfolder.mesh.load.FORMATS`; the files that it refers to come along.
     key : str
         Object key.
     material : str
@@ -34,6 +39,8 @@ def add_mesh(
         Longest side, metres; None takes the mesh's own longest side as metres.
     up : {"y", "z"} or None
         None takes the format's default.
+    attachments : sequence of Path
+        Files that are kept beside the mesh under their own names, such as a licence.
 
     Returns
     -------
@@ -51,12 +58,7 @@ def add_mesh(
 
     params_path = root / params.PARAMS_FILE
     document, values = _editable(params_path)
-    params.check_key(key)
-    home = root / "data" / "objects" / key
-    if key in values["objects"] or home.exists():
-        raise ObjectFolderError(
-            f"object {key!r} exists already ({params_path} or {home}); choose another name, or remove it"
-        )
+    home = check_new(key, values, root)
     up = up or default_up(mesh)
     lower, upper = load_mesh(mesh, up).bounds
     size = float(f"{(upper - lower).max():.6g}") if scale is None else scale
@@ -71,9 +73,11 @@ def add_mesh(
         "scale": size,
         "up": up,
     }
-    entry = params.object_entry(key, {"objects": {key: entry}}, params_path).model_dump()
+    valid = params.object_entry(key, {"objects": {key: entry}}, params_path)
+    entry = valid.model_dump(include=set(entry))
     sources = {mesh: PurePosixPath("mesh" + mesh.suffix.lower())}
-    sources |= {mesh.parent / name: name for name in _references(mesh)}
+    sources |= {mesh.parent / name: name for name in references(mesh)}
+    sources |= {path: PurePosixPath(path.name) for path in attachments}
     for source in sources:
         if not source.is_file():
             raise ObjectFolderError(f"{mesh} refers to {source}, which does not exist; put it there")
@@ -98,6 +102,24 @@ def add_mesh(
     finally:
         shutil.rmtree(staging, ignore_errors=True)
     return entry
+
+
+def check_new(key: str, values: dict[str, Any], root: Path = Path()) -> Path:
+    """Return the folder that a new object's files go to.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the key is not valid, or taken.
+    """
+    params.check_key(key)
+    home = root / "data" / "objects" / key
+    if key in values["objects"] or home.exists():
+        raise ObjectFolderError(
+            f"object {key!r} exists already ({root / params.PARAMS_FILE} or {home}); choose another name, or "
+            "remove it"
+        )
+    return home
 
 
 def add_catalogue(catalogue: Path, root: Path = Path()) -> list[str]:
@@ -178,44 +200,3 @@ def _one_line(entry: dict[str, Any]) -> CommentedMap:
     line = CommentedMap(entry)
     line.fa.set_flow_style()
     return line
-
-
-def _references(mesh: Path) -> Iterator[PurePosixPath]:
-    """Files that a mesh refers to, relative to it."""
-    if mesh.suffix.lower() == ".obj":
-        for library in _mtl_names(mesh):
-            yield _inside(mesh, library)
-            if (mesh.parent / library).is_file():
-                text = (mesh.parent / library).read_text(errors="replace")
-                for match in re.finditer(r"^\s*map_\w+\s+(.+?)\s*$", text, re.MULTILINE):
-                    # Options such as `-s 1 1 1` come before the name.
-                    yield _inside(mesh, re.sub(r"^(-\w+(\s+(-?[\d.]+|on|off))*\s+)*", "", match[1]))
-    elif mesh.suffix.lower() == ".ply":
-        yield from (_inside(mesh, name) for name in _ply_textures(mesh))
-    elif mesh.suffix.lower() == ".gltf":
-        content = json.loads(mesh.read_text())
-        for item in content.get("buffers", []) + content.get("images", []):
-            uri = item.get("uri", "")
-            if uri and not uri.startswith("data:"):
-                yield _inside(mesh, uri)
-
-
-def _mtl_names(mesh: Path) -> list[str]:
-    with mesh.open(errors="replace") as stream:
-        names = {line.removeprefix("mtllib").strip() for line in stream if line.startswith("mtllib")}
-    return sorted(names - {""})
-
-
-def _ply_textures(mesh: Path) -> list[str]:
-    header = mesh.read_bytes()[:65536].partition(b"end_header")[0].decode(errors="replace")
-    return re.findall(r"^comment TextureFile (.+?)\s*$", header, re.MULTILINE)
-
-
-def _inside(mesh: Path, name: str) -> PurePosixPath:
-    path = PurePosixPath(name.replace("\\", "/"))
-    if path.is_absolute() or PureWindowsPath(name).drive or ".." in path.parts:
-        raise ObjectFolderError(
-            f"{mesh} refers to {name}, outside its folder; put that file beside the mesh and edit the "
-            f"path in the {'.mtl' if mesh.suffix.lower() == '.obj' else mesh.suffix} file"
-        )
-    return path

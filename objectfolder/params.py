@@ -29,8 +29,10 @@ class ObjectEntry(Section):
     material: str
     scale: float = Field(gt=0, le=100)  #: longest side, metres
     up: Literal["y", "z"] = "z"  #: up axis of the source mesh
+    wall: float | None = Field(default=None, gt=0)  #: thickness given to open sheets, metres; null: 2 %
+    bridge: Literal["all", "fem", "off"] = "all"  #: fill small gaps: everywhere, for sound alone, nowhere
 
-    @field_validator("scale", mode="before")
+    @field_validator("scale", "wall", mode="before")
     @classmethod
     def _number(cls, value: Any) -> Any:
         return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
@@ -62,7 +64,7 @@ class NormalizeParams(Section):  # noqa: D101
 
 class VoxelizeParams(Section):  # noqa: D101
     resolutions: list[int] = Field(min_length=1)  #: cells along the longest side, finest first
-    subdivisions: int = Count  #: sub-cells along each side of a cell
+    subdivisions: int = Field(ge=4)  #: sub-cells along each side of a cell; fewer lose walls
     max_degrees_of_freedom: int = Count  #: take the first resolution under this size
     sdf_resolution: int = Field(ge=16, le=256)  #: finer, the band is narrower than the contact normals' reach
 
@@ -147,7 +149,7 @@ SECTIONS: dict[str, type[Section]] = {
 #: What each stage declares: fields of its object's entry, and (`SHARED`) values that stages share.
 #: A stage also gets the section of its own name, if there is one. A test compares this with dvc.yaml.
 OBJECT_FIELDS: dict[str, tuple[str, ...]] = {
-    "normalize": ("mesh", "scale", "up"),
+    "normalize": ("mesh", "scale", "up", "wall", "bridge"),
     "voxelize": (),
     "modal": ("material", "scale"),
     "render_views": (),

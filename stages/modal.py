@@ -6,8 +6,8 @@ from objectfolder.artifacts import Build, read_npz, write_json, write_npz
 from objectfolder.fem.cutcell import CutCells
 from objectfolder.fem.modal import modal_analysis
 from objectfolder.materials import material
+from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.sampling import sample_surface, split_rows
-from objectfolder.mesh.surface import read_surface
 from objectfolder.params import stage_params
 from objectfolder.seeding import numpy_generator
 from stages import run

@@ -1,9 +1,9 @@
-"""normalize: source mesh -> visual.glb (unit cube), surface.ply (closed), normalize.json."""
+"""normalize: source mesh -> visual.glb, surface.ply (seen, touched), solid.ply (vibrates), normalize.json."""
 
 from objectfolder.artifacts import Build, atomic, write_json
 from objectfolder.mesh.load import load_mesh
 from objectfolder.mesh.normalize import normalize
-from objectfolder.mesh.surface import write_surface
+from objectfolder.mesh.ply import write_surface
 from objectfolder.params import stage_params
 from stages import run
 
@@ -12,11 +12,15 @@ def main(key: str) -> None:
     params = stage_params("normalize", key)
     build = Build(key)
     mesh = load_mesh(params.object.mesh, params.object.up, params.section.texture_size)
-    normalized = normalize(mesh, key)
+    wall = params.object.wall and params.object.wall / params.object.scale
+    normalized = normalize(mesh, key, wall, params.object.bridge)
+    for warning in normalized.closed.warnings:
+        print(f"warning: {key}: {warning}")
     with atomic(build.visual) as path:
         normalized.visual.write_glb(path)
-    with atomic(build.surface) as path:
-        write_surface(path, normalized.surface)
+    for target, surface in ((build.surface, normalized.surface), (build.solid_surface, normalized.solid)):
+        with atomic(target) as path:
+            write_surface(path, surface)
     write_json(build.normalize, normalized.report(params.object.scale, params.object.up))
 
 

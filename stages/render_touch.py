@@ -2,7 +2,7 @@
 
 from objectfolder.artifacts import SPLITS, Build, write_npz, write_png
 from objectfolder.contact_sheet import tile
-from objectfolder.mesh.surface import read_surface
+from objectfolder.mesh.ply import read_surface
 from objectfolder.params import stage_params
 from objectfolder.seeding import numpy_generator
 from objectfolder.touch.dataset import contact_points, render_contacts

@@ -1,9 +1,8 @@
-"""voxelize: surface.ply -> solid.npz (cut cells with sub-cell occupancy), sdf.npz (distance grid)."""
+"""voxelize: solid.ply -> solid.npz (cut cells); surface.ply -> sdf.npz (distance grid); voxelize.json."""
 
-from objectfolder.artifacts import Build, write_npz
-from objectfolder.fem.modal import adaptive_cut_cells
-from objectfolder.mesh.sdf import check_resolved, distance_grid
-from objectfolder.mesh.surface import read_surface
+from objectfolder.artifacts import Build, write_json, write_npz
+from objectfolder.fem.voxelize import voxelize
+from objectfolder.mesh.ply import read_surface
 from objectfolder.params import stage_params
 from stages import run
 
@@ -11,14 +10,11 @@ from stages import run
 def main(key: str) -> None:
     section = stage_params("voxelize", key).section
     build = Build(key)
-    vertices, faces = read_surface(build.surface)
-    cells = adaptive_cut_cells(
-        vertices, faces, section.resolutions, section.subdivisions, section.max_degrees_of_freedom
-    )
-    write_npz(build.solid, **vars(cells))
-    values, band = distance_grid(vertices, faces, section.sdf_resolution)
-    check_resolved(values, vertices, faces, key)
-    write_npz(build.sdf, values=values, band=band)
+    surface, solid = read_surface(build.surface), read_surface(build.solid_surface)
+    voxels = voxelize(surface, solid, **dict(section), name=key)
+    write_npz(build.solid, **vars(voxels.cells))
+    write_npz(build.sdf, values=voxels.values, band=voxels.band)
+    write_json(build.voxelize, voxels.report)
 
 
 if __name__ == "__main__":

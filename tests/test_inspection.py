@@ -36,9 +36,9 @@ from objectfolder.materials import material
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.normalize import normalize
+from objectfolder.mesh.ply import write_surface
 from objectfolder.mesh.sampling import sample_surface, split_rows
 from objectfolder.mesh.sdf import distance_grid
-from objectfolder.mesh.surface import write_surface
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.nets.audio_gains import GainsNet
 from objectfolder.nets.fit import CurvePoint
@@ -81,7 +81,7 @@ def _geometry(build, mesh):
     with atomic(build.surface) as path:
         write_surface(path, result.surface)
     write_json(build.normalize, result.report(SCALE, "z"))
-    return result.surface.vertices, result.surface.faces
+    return result.surface
 
 
 def _write_visual(build, mesh):

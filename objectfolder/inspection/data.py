@@ -7,7 +7,7 @@ from objectfolder.artifacts import SPLITS, Build, read_json, read_npz
 from objectfolder.inspection.figure import columns, page, rows, save, show_image
 from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
 from objectfolder.inspection.scene import CLAY, VIEW_FROM, draw, triangles
-from objectfolder.mesh.surface import read_surface
+from objectfolder.mesh.ply import read_surface
 from objectfolder.vision.cameras import Intrinsics, project
 from objectfolder.vision.color import on_white
 

@@ -14,8 +14,9 @@ from objectfolder.inspection.record import Inspection, kilobytes, picture_path, 
 from objectfolder.inspection.scene import CLAY, VIEW_FROM, add_textured, draw, hexahedra, triangles
 from objectfolder.mesh.grid import BOUND, DistanceGrid
 from objectfolder.mesh.load import load_mesh
-from objectfolder.mesh.surface import read_surface, signed_volume
+from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.textured import TexturedMesh
+from objectfolder.mesh.topology import signed_volume
 
 if TYPE_CHECKING:
     import pyvista
@@ -86,14 +87,13 @@ def inspect_voxelize(build: Build) -> Inspection:
     inside = grid.values < 0
     inside_volume = np.count_nonzero(inside) * grid.spacing**3
     in_band = np.count_nonzero(np.abs(grid.values) < 127)
-    side = cells.occupancy.shape[1]
     counts, edges = np.histogram(fill, np.linspace(0, 1, 6))
     table = [
         (
             "cells",
             f"{len(cells.index):,} of {cells.resolution}^3, {cells.cell_size * scale * 1000:.3f} mm wide",
         ),
-        ("sub-cells", f"{side}^3 per cell, {cells.cell_size / side * scale * 1000:.4f} mm wide"),
+        ("occupancy", f"{' x '.join(map(str, cells.occupancy.shape[1:]))} Legendre moments per cell"),
         ("degrees of freedom", f"{3 * node_count(cells):,}"),
         ("full cells", f"{np.count_nonzero(fill >= FULL):,}"),
         ("cut cells", f"{np.count_nonzero(fill < FULL):,}, fill {span(fill[fill < FULL])}"),
@@ -104,7 +104,7 @@ def inspect_voxelize(build: Build) -> Inspection:
         ("volume of the surface", f"{volume * scale**3 * 1e6:.4f} cm³"),
         (
             "volume of the cells",
-            f"{cells.volume * scale**3 * 1e6:.4f} cm³ ({cells.volume / volume - 1:+.3%})",
+            f"{cells.volume * scale**3 * 1e6:.4f} cm³ ({cells.volume_error:+.3%} before it was corrected)",
         ),
         ("dropped pieces", f"{cells.dropped_volume:.4%} of the volume"),
         ("distance grid", f"{len(grid.values)}^3 samples, {grid.spacing * scale * 1000:.4f} mm apart"),
@@ -134,7 +134,7 @@ def export_vtu(build: Build) -> Path:
 def _solid(build: Build) -> tuple[CutCells, float]:
     """Cut cells, and the scale in metres."""
     require(build, "voxelize", build.solid, build.surface, build.normalize)
-    arrays = read_npz(build.solid, "index", "occupancy", "resolution", "dropped_volume")
+    arrays = read_npz(build.solid, "index", "occupancy", "resolution", "dropped_volume", "volume_error")
     return CutCells.from_arrays(arrays), read_json(build.normalize)["scale_m"]
 
 

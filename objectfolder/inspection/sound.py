@@ -9,7 +9,7 @@ from objectfolder.audio.synthesis import gains, sinusoid_bank
 from objectfolder.inspection.figure import page, rows, save, show_image, show_spectrogram
 from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
 from objectfolder.inspection.scene import draw, triangles
-from objectfolder.mesh.surface import read_surface
+from objectfolder.mesh.ply import read_surface
 from objectfolder.nets.audio_gains import energy_weights
 
 LISTED = 12  # modes in the table

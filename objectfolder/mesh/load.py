@@ -1,18 +1,39 @@
 """Read a mesh with its appearance from the formats that people have."""
 
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
-from PIL import Image
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh import srgb
+from objectfolder.mesh.bake import join
+from objectfolder.mesh.gltf import read_gltf
+from objectfolder.mesh.part import Part, Parts
+from objectfolder.mesh.polygons import read_obj, read_polygons
 from objectfolder.mesh.textured import TexturedMesh
 
-FORMATS = (".obj", ".glb", ".gltf", ".ply")
-Image.MAX_IMAGE_PIXELS = 16384**2
+READERS: dict[str, Callable[[Path], Parts]] = {
+    ".obj": read_obj,
+    ".glb": read_gltf,
+    ".gltf": read_gltf,
+    ".ply": read_polygons,
+    ".stl": read_polygons,
+    ".off": read_polygons,
+}
+FORMATS = tuple(READERS)
+MAX_REACH = 1e30  # in any unit; keeps products of coordinates finite
+# How files of other formats begin that people rename by mistake.
+BEGINNINGS = {
+    b"glTF": "a .glb",
+    b"ply": "a .ply",
+    b"OFF": "an .off",
+    b"PK\x03\x04": "a .zip archive",
+    b"\x1f\x8b": "a .gz archive",
+    b"<": "XML or HTML",
+    b"version https://git-lfs": "a Git LFS pointer, not the file itself",
+}
 
 
 def default_up(path: str | Path) -> str:
@@ -21,12 +42,12 @@ def default_up(path: str | Path) -> str:
 
 
 def load_mesh(path: str | Path, up: str = "z", texture_size: int = 1024) -> TexturedMesh:
-    """Load a mesh, turn it z up, and scale its texture down.
+    """Load a mesh, turn it z up, and bring its appearance into one texture or vertex colours.
 
     Parameters
     ----------
     path : path
-        ``.obj`` (with ``.mtl`` and textures beside it), ``.glb``, ``.gltf`` or ``.ply``.
+        ``.obj`` (with ``.mtl`` and textures beside it), ``.glb``, ``.gltf``, ``.ply``, ``.stl`` or ``.off``.
     up : {"y", "z"}
         The source's up axis.
     texture_size : int
@@ -35,68 +56,95 @@ def load_mesh(path: str | Path, up: str = "z", texture_size: int = 1024) -> Text
     Raises
     ------
     ObjectFolderError
-        If the file is missing, of another format, unreadable, without faces, or has vertices that are
-        not finite or all in one point.
+        If the file, or one that it refers to, is missing or unreadable; if it is of another format, without
+        faces, or has face indices out of range, or vertices that are not finite or all in one point.
     """
     path = Path(path)
     if not path.is_file():
         raise ObjectFolderError(f"mesh file {path} does not exist; give the path of an existing mesh")
-    if path.suffix.lower() not in FORMATS:
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
         raise ObjectFolderError(f"{path}: format {path.suffix!r} is not one of {', '.join(FORMATS)}")
     if up not in ("y", "z"):
         raise ObjectFolderError(f"{path}: up axis {up!r} is neither 'y' nor 'z'")
-    try:
-        scene = trimesh.load_scene(path, process=False)
-        # A scan's colour is one texture; several materials are packed into one atlas.
-        mesh: Any = scene.to_mesh() if scene.geometry else None
-    except Exception as error:  # the readers raise whatever their format's parser raises
-        raise ObjectFolderError(f"{path} cannot be read as a mesh: {error}") from error
-    faces = None if mesh is None else getattr(mesh, "faces", None)
-    if faces is None or len(faces) == 0:
-        raise ObjectFolderError(f"{path} holds no faces; expected a triangle mesh")
-    vertices = np.asarray(mesh.vertices, np.float64)
-    bad = ~np.isfinite(vertices[np.unique(faces)]).all(1)
+    source = _read(path, reader)
+    parts = [part for part in source.parts if len(part.faces)]
+    if not parts:
+        raise ObjectFolderError(f"{path} holds no faces; expected a triangle mesh{_looks_like(path)}")
+    for part in parts:
+        _check(path, part)
+    used = np.concatenate([part.vertices[part.used] for part in parts])
+    bad = ~np.isfinite(used).all(1)
     if bad.any():
         raise ObjectFolderError(f"{path}: {bad.sum()} of its vertices are NaN or infinite; repair the mesh")
-    if np.ptp(vertices[np.unique(faces)], axis=0).max() <= 0:
+    reach, size = np.abs(used).max(), np.ptp(used, axis=0).max()
+    if reach > MAX_REACH:
+        raise ObjectFolderError(f"{path}: its vertices reach {reach:.3g}; repair the mesh")
+    if size <= 1 / MAX_REACH:
         raise ObjectFolderError(f"{path}: all of its vertices are in one point; expected a solid object")
-    vertices = np.where(np.isfinite(vertices).all(1, keepdims=True), vertices, 0)  # of no face
+    appearance = _source_report(parts)
+    mesh, notes = join([_finite(part) for part in parts], texture_size, str(path))
     if up == "y":
-        vertices = np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], 1)
-    appearance = _appearance(mesh, texture_size)
-    return TexturedMesh(vertices=vertices, faces=np.asarray(faces, np.int64), **appearance)
+        x, y, z = mesh.vertices.T
+        mesh = mesh.with_vertices(np.stack([x, -z, y], 1))
+    return replace(mesh, source={**appearance, "notes": [*source.notes, *notes]})
 
 
-def _appearance(mesh: trimesh.Trimesh, texture_size: int) -> dict[str, Any]:
-    visual: Any = mesh.visual
-    if visual.kind != "texture":
-        return {"vertex_colors": np.asarray(visual.vertex_colors)[:, :3] if visual.kind else None}
-    material = visual.material
-    pbr = isinstance(material, trimesh.visual.material.PBRMaterial)
-    surface = _roughness_metallic(material) if pbr else {}
-    image = material.baseColorTexture if pbr else material.image
-    if image is None or visual.uv is None:
-        color: Any = material.main_color[:3]
-        if pbr and material.baseColorFactor is not None:  # linear, by the standard
-            color = np.rint(255 * srgb.encode(material.baseColorFactor[:3] / 255))
-        # A texture of one pixel: the form in which roughness and metallic survive in visual.glb.
-        texel = np.asarray(color, np.uint8).reshape(1, 1, 3)
-        return {"uv": np.zeros((len(mesh.vertices), 2)), "texture": texel, **surface}
-    texture = image.convert("RGB")
-    if max(texture.size) > texture_size:
-        texture.thumbnail((texture_size, texture_size), Image.Resampling.LANCZOS)
-    pixels = np.asarray(texture)
-    if pbr and material.baseColorFactor is not None and (material.baseColorFactor[:3] < 255).any():
-        tinted = srgb.decode(pixels / 255) * (material.baseColorFactor[:3] / 255)
-        pixels = np.rint(255 * srgb.encode(tinted)).astype(np.uint8)
-    return {"uv": np.asarray(visual.uv, np.float64), "texture": pixels, **surface}
+def _read(path: Path, reader: Callable[[Path], Parts]) -> Parts:
+    if path.stat().st_size == 0:
+        raise ObjectFolderError(f"{path} cannot be read as a mesh: it is empty")
+    try:
+        return reader(path)
+    except ObjectFolderError:
+        raise
+    except Exception as error:  # the readers raise whatever their format's parser raises
+        reason = str(error) or type(error).__name__
+        raise ObjectFolderError(f"{path} cannot be read as a mesh: {reason}{_looks_like(path)}") from error
 
 
-def _roughness_metallic(material: Any) -> dict[str, float]:
-    """Roughness and metallic of a glTF material, 1 where absent; a map is reduced to its mean."""
-    factors = (material.roughnessFactor, material.metallicFactor)
-    roughness, metallic = (1.0 if factor is None else float(factor) for factor in factors)
-    if material.metallicRoughnessTexture is not None:
-        mean = np.asarray(material.metallicRoughnessTexture.convert("RGB"), np.float64).mean((0, 1)) / 255
-        roughness, metallic = roughness * float(mean[1]), metallic * float(mean[2])
-    return {"roughness": roughness, "metallic": metallic}
+def _looks_like(path: Path) -> str:
+    with path.open("rb") as stream:
+        head = stream.read(32).lstrip()
+    kinds = [kind for start, kind in BEGINNINGS.items() if head.startswith(start)]
+    return f" (its content looks like {kinds[0]})" if kinds and path.suffix not in kinds[0] else ""
+
+
+def _check(path: Path, part: Part) -> None:
+    low, high, count = part.faces.min(), part.faces.max(), len(part.vertices)
+    if low < 0 or high >= count:
+        raise ObjectFolderError(
+            f"{path}: its faces use vertices {low} to {high}, but there are {count}; export the mesh again"
+        )
+    for what, values in (("texture coordinates", part.uv), ("vertex colours", part.colors)):
+        if values is not None and len(values) != count:
+            raise ObjectFolderError(
+                f"{path}: {len(values)} {what} for {count} vertices; export the mesh again"
+            )
+
+
+def _finite(part: Part) -> Part:
+    """Put zeros for the vertices that no face uses and for texture coordinates that are not finite."""
+    uv = None if part.uv is None else np.where(np.isfinite(part.uv), part.uv, 0)
+    vertices = np.where(np.isfinite(part.vertices).all(1, keepdims=True), part.vertices, 0)
+    colors = None if part.colors is None else np.nan_to_num(np.clip(part.colors, 0, 1))
+    return replace(part, vertices=vertices, uv=uv, colors=colors)
+
+
+def _source_report(parts: Sequence[Part]) -> dict[str, Any]:
+    """Count materials, and the textured faces whose coordinates are of no use."""
+    count = sum(len(part.faces) for part in parts)
+    textured = [p for p in parts if p.material.image is not None and p.uv is not None]
+    corners = np.concatenate([np.zeros((0, 3, 2)), *(p.uv[p.faces] for p in textured if p.uv is not None)])
+    finite = np.isfinite(corners).all((1, 2))
+    edges = np.where(finite[:, None, None], corners[:, 1:] - corners[:, :1], 0)
+    area = edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]
+    sides = [max(p.material.image.size) for p in textured if p.material.image is not None]
+    large = np.repeat([side > 1 for side in sides], [len(p.faces) for p in textured]).astype(bool)
+    outside = finite & ((corners < 0) | (corners > 1)).any((1, 2))
+    return {
+        "materials": len(dict.fromkeys(part.material for part in parts)),
+        "source_texture_size": max(sides, default=0),
+        "uv_degenerate_fraction": float((large & finite & (area == 0)).sum() / count),
+        "uv_outside_fraction": float(outside.sum() / count),
+        "uv_not_finite_fraction": float((~finite).sum() / count),
+    }

@@ -1,11 +1,15 @@
 """Bring a source mesh into the unit frame, and derive its closed physical surface."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Literal
 
 import numpy as np
 
-from objectfolder.mesh.surface import Surface, close_surface
-from objectfolder.mesh.textured import TexturedMesh
+from objectfolder.mesh.surface import Rung, Surface, close_surface
+from objectfolder.mesh.textured import TexturedMesh, appearance_report
+from objectfolder.mesh.topology import Mesh
+
+Bridging = Literal["all", "fem", "off"]  #: where small gaps are filled: everywhere, for sound alone, nowhere
 
 
 @dataclass(frozen=True)
@@ -13,40 +17,83 @@ class Normalized:
     """An object in the unit frame: longest side 1, bounding box centred on the origin, z up."""
 
     visual: TexturedMesh
-    surface: Surface
+    closed: Surface  #: of all material, gaps bridged
+    surface: Mesh  #: what is seen and touched
     source_centre: np.ndarray  #: (3,) centre of the bounding box, in the z-up source's units
     source_size: float  #: longest side of the bounding box, in the source's units
 
+    @property
+    def solid(self) -> Mesh:
+        """What vibrates."""
+        return self.closed.vertices, self.closed.faces
+
     def report(self, scale: float, up: str) -> dict:
         """Return what ``normalize.json`` holds; lengths in metres where the name ends in ``_m``."""
-        surface = self.surface
+        closed = self.closed
         return {
             "scale_m": scale,
             "source_up": up,
             "source_centre": self.source_centre.tolist(),
             "source_size": self.source_size,
-            "steps": surface.steps,
-            "weld_tolerance": surface.weld_tolerance,
-            "deviation_max_m": surface.deviation_max * scale,
-            "deviation_mean_m": surface.deviation_mean * scale,
-            "volume_m3": surface.volume * scale**3,
-            "components": surface.components,
-            "vertices": len(surface.vertices),
-            "faces": len(surface.faces),
+            "rung": closed.rung,
+            "rungs": [_in_metres(rung, scale) for rung in closed.rungs],
+            "warnings": closed.warnings,
+            "weld_tolerance": closed.weld_tolerance,
+            "deviation_max_m": closed.deviation_max * scale,
+            "deviation_max_percent": closed.deviation_max * 100,
+            "deviation_mean_m": closed.deviation_mean * scale,
+            "deviation_mean_percent": closed.deviation_mean * 100,
+            "volume_m3": closed.volume * scale**3,
+            "components": closed.components,
+            "cavities": closed.cavities,
+            "overlap_fraction": closed.certificate.outside_fraction,
+            "vertices": len(closed.vertices),
+            "faces": len(closed.faces),
             "visual_faces": len(self.visual.faces),
+            "appearance": appearance_report(self.visual),
         }
 
 
-def normalize(mesh: TexturedMesh, name: str = "mesh") -> Normalized:
+def normalize(
+    mesh: TexturedMesh,
+    name: str = "mesh",
+    wall: float | None = None,
+    bridge: Bridging = "all",
+) -> Normalized:
     """Centre and scale a z-up mesh to the unit frame and close its surface.
+
+    Parameters
+    ----------
+    mesh : TexturedMesh
+        In any unit.
+    name : str
+        Named in errors.
+    wall : float, optional
+        Thickness that visible sheets get, unit frame.
+    bridge : {"all", "fem", "off"}
+        Where gaps under half an FEM cell are filled.
 
     Raises
     ------
     ObjectFolderError
-        If the surface cannot be closed.
+        If the surface cannot be closed into one solid.
     """
     lower, upper = mesh.bounds
     centre, size = (lower + upper) / 2, float((upper - lower).max())
     visual = mesh.with_vertices((mesh.vertices - centre) / size)
-    surface = close_surface(visual.vertices, visual.faces, name)
-    return Normalized(visual, surface, centre, size)
+    closed = close_surface(visual.vertices, visual.faces, name, wall, bridge != "off")
+    surface = (closed.vertices, closed.faces)
+    if bridge == "fem" and closed.unbridged is not None:
+        surface = closed.unbridged
+    return Normalized(visual, closed, surface, centre, size)
+
+
+def _in_metres(rung: Rung, scale: float) -> dict:
+    values = asdict(rung)
+    for name in ("volume_before", "volume_after"):
+        volume = values.pop(name)
+        values[f"{name}_m3"] = None if volume is None else volume * scale**3
+    for name in ("deviation_max", "deviation_mean"):
+        deviation = values.pop(name)
+        values |= {f"{name}_m": deviation * scale, f"{name}_percent": deviation * 100}
+    return values

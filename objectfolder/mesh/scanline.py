@@ -1,21 +1,32 @@
-"""Where columns of a grid cross a closed surface: exact inside tests and coverage in one sweep.
+"""Where columns of a grid cross a closed surface: exact inside tests without remeshing or ray casting.
 
 A column is a line along z through sample centres. Crossings are found with a half-open edge rule that
 gives both triangles of a shared edge the same answer, so the winding number along a column always
-returns to zero on a closed surface.
+returns to zero on a closed surface: what is left above the last crossing is a certificate.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 
-_CHUNK = 4_000_000  # candidate (triangle, column) pairs held at once
+from objectfolder.errors import ObjectFolderError
+
+CERTIFICATE_COLUMNS = 128  #: along the longest side
+MAX_OUTSIDE = 1e-3  #: accepted `Certificate.outside_fraction`: scans touch and cross themselves a little
+_CHUNK = 1_000_000  # candidate (triangle, column) pairs held at once
 
 
 def crossings(
-    vertices: np.ndarray, faces: np.ndarray, count: int, lower: np.ndarray, spacing: float
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    count: int,
+    lower: np.ndarray,
+    spacing: float,
+    shift: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Crossings of ``count`` x ``count`` columns with a triangle surface.
 
-    Column (i, j) passes through ``lower[:2] + (i, j) * spacing``.
+    Column (i, j) passes through ``lower[:2] + (i + shift[0, j], j + shift[1, i]) * spacing``.
 
     Parameters
     ----------
@@ -27,6 +38,8 @@ def crossings(
         Position of sample (0, 0, 0).
     spacing : float
         Distance between samples.
+    shift : (2, count) array, optional
+        Shifts of the rows of columns, within [-1/2, 1/2] samples; none by default.
 
     Returns
     -------
@@ -37,10 +50,11 @@ def crossings(
     points = (np.asarray(vertices, np.float64) - lower) / spacing
     corner = points[faces]
     x, y = corner[:, :, 0], corner[:, :, 1]
-    i0 = np.maximum(np.ceil(x.min(1)), 0).astype(np.int64)
-    i1 = np.minimum(np.floor(x.max(1)), count - 1).astype(np.int64)
-    j0 = np.maximum(np.ceil(y.min(1)), 0).astype(np.int64)
-    j1 = np.minimum(np.floor(y.max(1)), count - 1).astype(np.int64)
+    (dx, dy), reach = (np.zeros((2, count)), 0.0) if shift is None else (shift, 0.5)
+    i0 = np.maximum(np.ceil(x.min(1) - reach), 0).astype(np.int64)
+    i1 = np.minimum(np.floor(x.max(1) + reach), count - 1).astype(np.int64)
+    j0 = np.maximum(np.ceil(y.min(1) - reach), 0).astype(np.int64)
+    j1 = np.minimum(np.floor(y.max(1) + reach), count - 1).astype(np.int64)
     height_j = np.maximum(j1 - j0 + 1, 0)
     candidates = np.maximum(i1 - i0 + 1, 0) * height_j
     order = np.flatnonzero(candidates)
@@ -57,14 +71,107 @@ def crossings(
         )
         i = i0[triangle] + local // height_j[triangle]
         j = j0[triangle] + local % height_j[triangle]
-        winding = _winding(points, faces, triangle, i, j)
+        u, v = i + dx[j], j + dy[i]
+        winding = _winding(points, faces, triangle, u, v)
         hit = np.flatnonzero(winding)
-        height = _plane_height(corner[triangle[hit]], i[hit], j[hit])
+        height = _plane_height(corner[triangle[hit]], u[hit], v[hit])
         found.append((i[hit] * count + j[hit], height, -winding[hit]))
     if not found:
         return np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64)
     column, height, sign = (np.concatenate(part) for part in zip(*found))
     return column, height, sign
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What columns along x, y and z say about a surface."""
+
+    columns: int  #: columns that meet the surface
+    residual_columns: int  #: of them, those whose winding number does not return to zero: the surface is open
+    outside_fraction: float  #: share of the length with winding number != 0 where it is not 1 either
+
+    @property
+    def solid(self) -> bool:
+        """Whether the surface is closed, outward, and crosses itself no more than scans do."""
+        return self.columns > 0 and self.residual_columns == 0 and self.outside_fraction <= MAX_OUTSIDE
+
+
+def winding_certificate(
+    vertices: np.ndarray, faces: np.ndarray, count: int = CERTIFICATE_COLUMNS
+) -> Certificate:
+    """Certify that a surface is closed and that its winding number is 0 or 1 everywhere.
+
+    ``count`` x ``count`` columns along each axis cover the bounding box. Three directions, because a
+    column cannot see a missing face that is parallel to it.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array, any unit
+    faces : (F, 3) int array
+    count : int
+        Columns along the longest side.
+
+    Returns
+    -------
+    Certificate
+    """
+    vertices = np.asarray(vertices, np.float64)
+    lower, upper = vertices.min(0), vertices.max(0)
+    spacing = float((upper - lower).max()) / count
+    if spacing == 0:
+        return Certificate(0, 0, 0.0)
+    columns = residual_columns = 0
+    wound = outside = 0.0
+    for axis in range(3):
+        order = np.roll(np.arange(3), -axis)  # cyclic: keeps the orientation
+        # Off every simple fraction, so that columns miss vertices, edges and aligned walls.
+        start = lower[order] + spacing * np.array([0.41421356, 0.73205081, 0.0])
+        column, height, sign = crossings(vertices[:, order], faces, count, start, spacing)
+        residual = column_residual(column, sign, count)
+        columns += len(np.unique(column))
+        residual_columns += int(np.count_nonzero(residual))
+        by_height = np.lexsort((height, column))
+        column, height, sign = column[by_height], height[by_height], sign[by_height]
+        winding = np.cumsum(sign) - (np.cumsum(residual) - residual)[column]  # columns start at zero
+        length = np.diff(height, append=0)
+        length[np.diff(column, append=-1) != 0] = 0  # above a column's last crossing
+        wound += length[winding != 0].sum()
+        outside += length[(winding < 0) | (winding > 1)].sum()
+    return Certificate(columns, residual_columns, float(outside / wound) if wound else 0.0)
+
+
+def check_winding(vertices: np.ndarray, faces: np.ndarray, name: str) -> Certificate:
+    """Certify a surface, or say why it bounds no solid.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it is open, crosses itself, or is inside out.
+    """
+    certificate = winding_certificate(vertices, faces)
+    if not certificate.columns:
+        raise ObjectFolderError(
+            f"{name}: no column of a {CERTIFICATE_COLUMNS}^2 grid meets the surface: it is thinner than "
+            f"{1 / CERTIFICATE_COLUMNS:.1%} of its size everywhere; thicken the mesh"
+        )
+    if certificate.residual_columns:
+        raise ObjectFolderError(
+            f"{name}: the surface is open: the winding number does not return to zero on "
+            f"{certificate.residual_columns} of {certificate.columns} columns along x, y and z, expected 0; "
+            "rebuild it with stage normalize, or close the mesh's holes"
+        )
+    if not certificate.solid:
+        raise ObjectFolderError(
+            f"{name}: the winding number is neither 0 nor 1 in {certificate.outside_fraction:.2%} of the "
+            f"space that the surface encloses, expected at most {MAX_OUTSIDE:.1%}: it overlaps itself or is "
+            "inside out; rebuild it with stage normalize, or mend the mesh"
+        )
+    return certificate
+
+
+def column_residual(column: np.ndarray, sign: np.ndarray, count: int) -> np.ndarray:
+    """Winding number left above the last of a column's `crossings`; (count * count,) int64, 0 if closed."""
+    return np.rint(np.bincount(column, weights=sign, minlength=count * count)).astype(np.int64)
 
 
 def inside(
@@ -80,64 +187,31 @@ def inside(
     return (winding[:, :count] > 0).reshape(count, count, count)
 
 
-def coverage(
-    vertices: np.ndarray, faces: np.ndarray, count: int, lower: np.ndarray, spacing: float
-) -> np.ndarray:
-    """Fraction of each voxel that is inside a closed surface.
-
-    Exact along z; across, the mean over four shifted lattices (a rotated grid), because one lattice
-    quantises the thickness of slabs that are parallel to it.
-
-    Parameters
-    ----------
-    lower : (3,) array
-        Lower corner of voxel (0, 0, 0), whose side is ``spacing``.
-
-    Returns
-    -------
-    (count,)*3 float32 in [0, 1]
-    """
-    total = np.zeros((count * count, count), np.float64)
-    for shift in ((0.125, 0.375), (0.375, -0.125), (-0.125, -0.375), (-0.375, 0.125)):
-        origin = lower + (np.array([*shift, 0.0]) + 0.5) * spacing
-        column, height, sign = crossings(vertices, faces, count, origin, spacing)
-        position = np.clip(height + 0.5, 0, count - 1e-9)  # in voxels above the grid's lower side
-        voxel = position.astype(np.int64)
-        above = voxel + 1 - position  # the part of the voxel that lies above the crossing
-        size = count * count * (count + 1)
-        fill = np.bincount(column * (count + 1) + voxel, weights=sign * above, minlength=size)
-        fill += np.bincount(column * (count + 1) + voxel + 1, weights=sign * (1 - above), minlength=size)
-        total += np.cumsum(fill.reshape(count * count, count + 1), axis=1)[:, :count]
-    total = np.clip(total / 4, 0, 1)
-    total[total < 1e-5] = 0  # rounding left by the running sum
-    return total.reshape(count, count, count).astype(np.float32)
-
-
 def _winding(
-    points: np.ndarray, faces: np.ndarray, triangle: np.ndarray, i: np.ndarray, j: np.ndarray
+    points: np.ndarray, faces: np.ndarray, triangle: np.ndarray, u: np.ndarray, v: np.ndarray
 ) -> np.ndarray:
-    """+-1 where column (i, j) passes through the triangle's projection, by its orientation; else 0."""
+    """+-1 where column (u, v) passes through the triangle's projection, by its orientation; else 0."""
     winding = np.zeros(len(triangle), np.int64)
     for a in range(3):
         start, stop = faces[triangle, a], faces[triangle, (a + 1) % 3]
         # Always walk an edge from its lower vertex index, so that both its triangles agree exactly.
         swap = start > stop
         p, q = points[np.where(swap, stop, start)], points[np.where(swap, start, stop)]
-        p_above, q_above = p[:, 1] > j, q[:, 1] > j
+        p_above, q_above = p[:, 1] > v, q[:, 1] > v
         crosses = np.flatnonzero(p_above != q_above)
-        p, q, jj = p[crosses], q[crosses], j[crosses]
-        right = p[:, 0] + (jj - p[:, 1]) * (q[:, 0] - p[:, 0]) / (q[:, 1] - p[:, 1]) > i[crosses]
+        p, q, at = p[crosses], q[crosses], v[crosses]
+        right = p[:, 0] + (at - p[:, 1]) * (q[:, 0] - p[:, 0]) / (q[:, 1] - p[:, 1]) > u[crosses]
         upward = np.where(swap[crosses], -1, 1) * np.where(q_above[crosses], 1, -1)
         winding[crosses] += np.where(right, upward, 0)
     return winding
 
 
-def _plane_height(corner: np.ndarray, i: np.ndarray, j: np.ndarray) -> np.ndarray:
-    """z of the triangles' planes at (i, j), clipped to the triangles (steep ones are ill-conditioned)."""
+def _plane_height(corner: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """z of the triangles' planes at (u, v), clipped to the triangles (steep ones are ill-conditioned)."""
     origin = corner[:, 0]
     normal = np.cross(corner[:, 1] - origin, corner[:, 2] - origin)
     nz = np.where(normal[:, 2] == 0, 1e-300, normal[:, 2])
     with np.errstate(over="ignore", invalid="ignore"):
-        z = origin[:, 2] - ((i - origin[:, 0]) * normal[:, 0] + (j - origin[:, 1]) * normal[:, 1]) / nz
+        z = origin[:, 2] - ((u - origin[:, 0]) * normal[:, 0] + (v - origin[:, 1]) * normal[:, 1]) / nz
     lowest, highest = corner[:, :, 2].min(1), corner[:, :, 2].max(1)
     return np.clip(np.where(np.isfinite(z), z, lowest), lowest, highest)

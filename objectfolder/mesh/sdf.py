@@ -7,7 +7,7 @@ from skimage.measure import marching_cubes
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.grid import BOUND, band_width, coarse_spacing, quantise
 from objectfolder.mesh.scanline import inside
-from objectfolder.mesh.surface import signed_volume
+from objectfolder.mesh.topology import signed_volume
 
 MIN_KEPT_VOLUME = 0.7
 _COARSE_STEP = 4
@@ -33,21 +33,27 @@ def distance_grid(vertices: np.ndarray, faces: np.ndarray, resolution: int) -> t
     faces = np.ascontiguousarray(faces, np.int64)
     band = band_width(resolution)
     spacing = 2 * BOUND / (resolution - 1)
-    signed = np.where(inside(vertices, faces, resolution, np.full(3, -BOUND), spacing), -band, band)
+    within = inside(vertices, faces, resolution, np.full(3, -BOUND), spacing)
+    values = np.where(within, np.int8(-127), np.int8(127))
     near = np.argwhere(_near_surface(vertices, faces, resolution, band))
     axis = -BOUND + spacing * np.arange(resolution)
     for start in range(0, len(near), _CHUNK):
         index = near[start : start + _CHUNK]
         distance = np.sqrt(igl.point_mesh_squared_distance(axis[index], vertices, faces)[0])
         cell = tuple(index.T)
-        signed[cell] = np.sign(signed[cell]) * np.minimum(distance, band)
-    return quantise(signed, band), band
+        values[cell] = np.sign(values[cell]) * quantise(distance, band)
+    return values, band
 
 
-def check_resolved(values: np.ndarray, vertices: np.ndarray, faces: np.ndarray, name: str) -> None:
+def check_resolved(values: np.ndarray, vertices: np.ndarray, faces: np.ndarray, name: str) -> float:
     """Check that a distance grid holds the surface it was made of.
 
     Walls thinner than the spacing fall between samples; what is left of them is holes and crumbs.
+
+    Returns
+    -------
+    float
+        Share of the volume that the stored surface encloses.
 
     Raises
     ------
@@ -64,6 +70,7 @@ def check_resolved(values: np.ndarray, vertices: np.ndarray, faces: np.ndarray, 
             f"{name}: walls are too thin for the {len(values)}^3 distance grid (spacing {spacing:.2%} of the "
             f"size): {kept:.0%} of the volume is left; raise voxelize.sdf_resolution, or thicken the mesh"
         )
+    return kept
 
 
 def _near_surface(vertices: np.ndarray, faces: np.ndarray, resolution: int, band: float) -> np.ndarray:
@@ -73,6 +80,7 @@ def _near_surface(vertices: np.ndarray, faces: np.ndarray, resolution: int, band
     points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
     distance = np.sqrt(igl.point_mesh_squared_distance(points, vertices, faces)[0]).reshape((count,) * 3)
     nearest = np.rint(np.arange(resolution) / _COARSE_STEP).astype(np.int64)
-    # A fine sample is at most half a coarse cell's diagonal from its nearest coarse sample.
-    reach = band + spacing / 2 * np.sqrt(3) + 1e-9
-    return (distance <= reach)[np.ix_(nearest, nearest, nearest)]
+    # A fine sample's distance differs from its nearest coarse sample's by less than they are apart.
+    apart = ((np.arange(resolution) / _COARSE_STEP - nearest) * spacing).astype(np.float32) ** 2
+    apart = np.sqrt(apart[:, None, None] + apart[:, None] + apart)
+    return distance.astype(np.float32)[np.ix_(nearest, nearest, nearest)] <= apart + np.float32(band + 1e-6)

@@ -1,26 +1,54 @@
-"""The closed physical surface: welding, closing and joining the pieces of a mesh without remeshing it.
+"""The closed physical surface: a ladder of repairs, none of which remeshes what is good.
 
-Remeshing (alpha wrapping, signed grids) fills cavities and doubles thin walls, so it is the last resort
-and is flagged. All lengths are in the unit frame (longest side 1).
+clean -> keep | cap, thicken -> union, untangle -> bridge -> grid, each climbed only where the one before
+does not suffice. Remeshing (alpha wrapping, signed grids) fills cavities and doubles thin walls, so it is
+the last rung and is flagged. All lengths are in the unit frame (longest side 1).
 """
 
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
 
 import igl
-import manifold3d
 import numpy as np
-import trimesh
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
-from skimage.measure import marching_cubes
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.openings import close_piece
+from objectfolder.mesh.raycast import RayCaster
+from objectfolder.mesh.remesh import RESOLUTION, remesh_on_grid
+from objectfolder.mesh.sampling import sample_surface
+from objectfolder.mesh.scanline import Certificate, winding_certificate
+from objectfolder.mesh.solids import SPECKS, bodies, bridge, distance, unite, untangle, without_specks
+from objectfolder.mesh.topology import (
+    Mesh,
+    compact,
+    edge_defects,
+    face_areas,
+    face_components,
+    is_closed,
+    merged,
+    signed_volume,
+    split,
+)
+from objectfolder.mesh.weld import clean
 
-WELD_TOLERANCES = (1e-7, 1e-6, 1e-5, 1e-4, 5e-4)
-GRID_RESOLUTION = 192  # of the flagged fallback
+BRIDGED_GAP = 1 / 64  #: half a cell of the finest FEM grid
+SHEET_WALL = 0.02  #: thickness of a sheet where nobody says
+MAX_OPEN_PIECES = 256  #: more are a soup of triangles, whose holes cannot be told from its gaps
+CRUMB = 0.01  #: of the area: smaller open pieces are no sheets of their own
+_PROBES = 20_000  # points at which deviation is measured
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One step of the ladder that changed the mesh."""
+
+    name: str  #: clean, cap, thicken, union, untangle, specks, bridge or grid
+    detail: str  #: what it did
+    components_before: int
+    components_after: int
+    volume_before: float | None  #: None while the mesh is open
+    volume_after: float | None
+    deviation_max: float  #: of the mesh after this step from the source mesh, both ways
+    deviation_mean: float  #: over the area of the mesh after this step
 
 
 @dataclass(frozen=True)
@@ -29,10 +57,11 @@ class Surface:
 
     vertices: np.ndarray  #: (V, 3) float64
     faces: np.ndarray  #: (F, 3) int64
-    steps: list[str] = field(default_factory=list)  #: what was done, in order
-    weld_tolerance: float = 0.0
-    deviation_max: float = 0.0  #: largest distance of a surface vertex from the source mesh
-    deviation_mean: float = 0.0
+    rungs: list[Rung]
+    weld_tolerance: float
+    certificate: Certificate  #: of closedness and of winding numbers 0 and 1
+    warnings: list[str] = field(default_factory=list)
+    unbridged: Mesh | None = None  #: before gaps were bridged, if any were
 
     @property
     def volume(self) -> float:
@@ -41,15 +70,43 @@ class Surface:
 
     @property
     def components(self) -> int:
-        """Number of connected pieces."""
-        return int(face_components(self.faces, len(self.vertices)).max() + 1)
+        """Number of solid bodies."""
+        return len(bodies(self.vertices, self.faces)[1])
+
+    @property
+    def cavities(self) -> int:
+        """Number of closed hollows inside."""
+        return int(face_components(self.faces, len(self.vertices)).max()) + 1 - self.components
+
+    @property
+    def rung(self) -> str:
+        """The last rung that moved or added anything; ``keep`` if none did."""
+        return next((r.name for r in reversed(self.rungs) if r.name != "clean"), "keep")
+
+    @property
+    def steps(self) -> list[str]:
+        """What was done, in order."""
+        return [f"{r.name}: {r.detail}" for r in self.rungs]
+
+    @property
+    def deviation_max(self) -> float:
+        """Largest distance between this surface and the source mesh."""
+        return self.rungs[-1].deviation_max
+
+    @property
+    def deviation_mean(self) -> float:
+        """Mean distance of this surface from the source mesh, by area."""
+        return self.rungs[-1].deviation_mean
 
 
-def close_surface(vertices: np.ndarray, faces: np.ndarray, name: str = "mesh") -> Surface:
-    """Turn the triangles of a mesh into a closed surface.
-
-    Weld, cancel opposite duplicate faces, orient; keep what is closed, cap open loops, join the pieces
-    with exact booleans; only if that fails, remesh on a grid and say so in ``steps``.
+def close_surface(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    name: str = "mesh",
+    wall: float | None = None,
+    bridging: bool = True,
+) -> Surface:
+    """Turn the triangles of a mesh into one closed solid.
 
     Parameters
     ----------
@@ -57,218 +114,219 @@ def close_surface(vertices: np.ndarray, faces: np.ndarray, name: str = "mesh") -
     faces : (F, 3) int array
     name : str
         Named in errors.
+    wall : float, optional
+        Thickness given to visible sheets; `SHEET_WALL` with a warning where None.
+    bridging : bool
+        Whether pieces nearer to each other than `BRIDGED_GAP` are joined.
 
     Raises
     ------
     ObjectFolderError
-        If no closed surface with positive volume results.
+        If no closed surface results whose winding number is 0 or 1 and of which one body holds 99.9 % of
+        the volume; names the pieces, their volumes and the gaps between them.
     """
-    tolerance, v, f = _weld_until_closed(vertices, faces)
-    steps = [f"weld {tolerance:g}"]
-    if len(f) == 0:
-        raise ObjectFolderError(
-            f"{name}: no surface is left after welding: every face is degenerate or cancelled by its copy; "
-            "expected a mesh with a volume"
+    ladder = _Ladder(name, np.asarray(vertices, np.float64), np.asarray(faces, np.int64))
+    tolerance = ladder.clean()
+    openings = ladder.close_pieces(SHEET_WALL if wall is None else wall)
+    if openings and wall is None:
+        ladder.warnings.append(
+            f"{openings} open sheets were given a wall of {SHEET_WALL:.0%} of the size; say `wall` in metres"
         )
-    if _edge_defects(f)[2]:
-        f = np.asarray(igl.bfs_orient(np.ascontiguousarray(f))[0], np.int64)
-        steps.append("orient")
-    pieces, capped = [], 0
-    labels = face_components(f, len(v))
-    for label in range(labels.max() + 1):
-        piece_v, piece_f = _compact(v, f[labels == label])
-        boundary, non_manifold, _ = _edge_defects(piece_f)
-        if boundary and not non_manifold:
-            piece_v, piece_f = _cap(piece_v, piece_f)
-            capped += 1
-        pieces.append((piece_v, piece_f))
-    if capped:
-        steps.append(f"cap {capped} of {len(pieces)} pieces")
-    out_v, out_f = _join(pieces, steps)
-    if not is_closed(out_f) or signed_volume(out_v, out_f) <= 0:
-        out_v, out_f = _remesh_on_grid(v, f)
-        steps.append(f"grid {GRID_RESOLUTION} (remeshed: thin walls and cavities may be lost)")
-    if len(out_f) == 0 or not is_closed(out_f) or signed_volume(out_v, out_f) <= 1e-9:
-        raise ObjectFolderError(
-            f"{name}: could not be closed into a solid ({', '.join(steps)}); "
-            "expected a mesh that encloses a volume: close its holes or give it thickness"
-        )
-    distance = np.sqrt(igl.point_mesh_squared_distance(out_v, v, f)[0])
-    return Surface(out_v, out_f, steps, tolerance, float(distance.max()), float(distance.mean()))
-
-
-def write_surface(path: str | Path, surface: Surface) -> None:
-    """Write a surface as binary PLY."""
-    mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
-    data: Any = mesh.export(file_type="ply", vertex_normal=False)
-    Path(path).write_bytes(data)
-
-
-def read_surface(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (V, 3) and faces (F, 3) of a surface, unit frame.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the file is missing or not a mesh.
-    """
-    if not Path(path).is_file():
-        raise ObjectFolderError(f"{path} does not exist; build it with `objectfolder build`")
-    try:
-        mesh = trimesh.load_mesh(path, process=False)
-        return np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
-    except Exception as error:  # the reader raises whatever its parser raises
-        raise ObjectFolderError(f"{path} is damaged ({error}); delete it and rebuild") from error
-
-
-def signed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Volume enclosed by oriented triangles (divergence theorem)."""
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
-
-
-def is_closed(faces: np.ndarray) -> bool:
-    """Whether every directed edge is matched by exactly one opposite edge."""
-    return not any(_edge_defects(faces))
-
-
-def face_components(faces: np.ndarray, count: int) -> np.ndarray:
-    """Label of each face's connected piece (pieces share vertices); (F,) int."""
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
-    graph = coo_matrix((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), shape=(count, count))
-    labels = connected_components(graph, directed=False)[1][faces[:, 0]]
-    return np.unique(labels, return_inverse=True)[1]
-
-
-def _edge_defects(faces: np.ndarray) -> tuple[int, int, int]:
-    """Count boundary edges, edges with more than two faces, and inconsistently oriented edges."""
-    directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    _, inverse, uses = np.unique(np.sort(directed, 1), axis=0, return_inverse=True, return_counts=True)
-    balance = np.bincount(inverse.ravel(), weights=np.where(directed[:, 0] < directed[:, 1], 1, -1))
-    return int((uses == 1).sum()), int((uses > 2).sum()), int(((uses == 2) & (balance != 0)).sum())
-
-
-def _weld_until_closed(vertices: np.ndarray, faces: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Weld as little as closes the mesh; a larger tolerance must at least halve the open edges."""
-    best = None
-    for tolerance in WELD_TOLERANCES:
-        v, f = _clean(*_weld(vertices, faces, tolerance))
-        boundary = _edge_defects(f)[0] if len(f) else 0
-        if best is None or (len(f) and boundary < 0.5 * best[0]):
-            best = (boundary, tolerance, v, f)
-        if best[0] == 0:
-            break
-    assert best is not None
-    return best[1:]
-
-
-def _weld(vertices: np.ndarray, faces: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    pairs = cKDTree(vertices).query_pairs(tolerance, output_type="ndarray")
-    graph = coo_matrix((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(len(vertices),) * 2)
-    labels = connected_components(graph, directed=False)[1]
-    _, first = np.unique(labels, return_index=True)
-    return vertices[first], labels[faces]
-
-
-def _clean(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Drop degenerate faces, repeated faces, and pairs of faces that cancel each other."""
-    a, b, c = faces.T
-    faces = faces[(a != b) & (b != c) & (c != a)]
-    rolled = np.take_along_axis(faces, (faces.argmin(1)[:, None] + np.arange(3)) % 3, 1)
-    key = np.sort(faces, 1)
-    even = (rolled == key).all(1)  # the two orientations of one triple of vertices
-    _, group = np.unique(key, axis=0, return_inverse=True)
-    group = group.ravel()
-    net = np.bincount(group, weights=np.where(even, 1, -1))
-    wanted = np.where(even, net[group] > 0, net[group] < 0)
-    _, first = np.unique(np.where(wanted, group, -1), return_index=True)
-    keep = np.zeros(len(faces), bool)
-    keep[first] = True
-    return _compact(vertices, faces[keep & wanted])
-
-
-def _compact(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    used, inverse = np.unique(faces, return_inverse=True)
-    return vertices[used], inverse.reshape(-1, 3).astype(np.int64)
-
-
-def _cap(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Close every boundary loop with a fan around its centroid."""
-    new_vertices, new_faces = [vertices], [faces]
-    count = len(vertices)
-    for loop in igl.boundary_loop_all(np.ascontiguousarray(faces)):
-        loop = np.asarray(loop, np.int64)
-        following = np.roll(loop, -1)
-        new_vertices.append(vertices[loop].mean(0, keepdims=True))
-        fan = np.stack([following, loop, np.full(len(loop), count)], 1)
-        directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-        if (directed == fan[0, :2]).all(1).any():  # a closed edge is walked once in each direction
-            fan = fan[:, [1, 0, 2]]
-        new_faces.append(fan)
-        count += 1
-    return np.concatenate(new_vertices), np.concatenate(new_faces)
-
-
-def _join(pieces: list[tuple[np.ndarray, np.ndarray]], steps: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Union of the pieces; one that lies inside another, and is oriented the other way, is its cavity."""
-    if len(pieces) == 1:
-        v, f = pieces[0]
-        if is_closed(f) and signed_volume(v, f) < 0:
-            steps.append("flip")
-            f = f[:, ::-1]
-        return v, np.ascontiguousarray(f)
-    closed = []
-    for i, (v, f) in enumerate(pieces):
-        if is_closed(f):
-            closed.append((v, f, signed_volume(v, f)))
-        else:
-            steps.append(f"drop open piece {i} ({len(f)} faces)")
-    solids: list[tuple[np.ndarray, np.ndarray]] = []
-    cavities: list[tuple[np.ndarray, np.ndarray]] = []
-    for v, f, volume in closed:
-        # Not by the sign alone: many meshes are inside out as a whole.
-        hollow = any(_contains((w, g), v) for w, g, other in closed if volume * other < 0)
-        (cavities if hollow else solids).append((v, f if volume > 0 else f[:, ::-1]))
-    if not solids:
-        return pieces[0][0], np.empty((0, 3), np.int64)
-    union = manifold3d.Manifold.batch_boolean([_manifold(*s) for s in solids], manifold3d.OpType.Add)
-    for cavity in cavities:
-        union = union - _manifold(*cavity)
-    if union.is_empty():
-        return pieces[0][0], np.empty((0, 3), np.int64)
-    mesh = union.to_mesh64()
-    v, f = np.asarray(mesh.vert_properties)[:, :3].copy(), np.asarray(mesh.tri_verts, np.int64)
-    # Specks (thin rims that the scan broke off) are below any modality's resolution. A cavity is a part of
-    # its own, of negative volume; manifold's own decompose and compose would fill it.
-    part = face_components(f, len(v))
-    a, b, c = (v[f[:, i]] for i in range(3))
-    volumes = np.abs(np.bincount(part, weights=np.einsum("ij,ij->i", a, np.cross(b, c))))
-    large = volumes > 1e-3 * volumes.max()
-    steps.append(f"union {len(solids)} pieces, {len(cavities)} cavities -> {large.sum()}")
-    return _compact(v, f[large[part]])
-
-
-def _manifold(vertices: np.ndarray, faces: np.ndarray) -> manifold3d.Manifold:
-    return manifold3d.Manifold(
-        manifold3d.Mesh64(np.ascontiguousarray(vertices), np.ascontiguousarray(faces).astype(np.uint64))
+    ladder.join()
+    if not ladder.solid:
+        ladder.untangle()
+    if not ladder.solid:
+        ladder.remesh(openings and (SHEET_WALL if wall is None else wall))
+    ladder.drop_specks()
+    before = ladder.mesh
+    if bridging:
+        ladder.bridge()
+    ladder.accept(bridging)
+    return Surface(
+        *ladder.mesh,
+        ladder.rungs,
+        tolerance,
+        winding_certificate(*ladder.mesh),
+        ladder.warnings,
+        None if before is ladder.mesh else before,
     )
 
 
-def _contains(piece: tuple[np.ndarray, np.ndarray], points: np.ndarray) -> bool:
-    """Whether a closed piece encloses all of the points."""
-    v, f = piece
-    if (points.min(0) < v.min(0)).any() or (points.max(0) > v.max(0)).any():
-        return False
-    return bool((np.abs(igl.fast_winding_number(v, f, np.ascontiguousarray(points))) > 0.5).all())
+class _Ladder:
+    """The mesh on its way up, and the record of what was done to it."""
+
+    def __init__(self, name: str, vertices: np.ndarray, faces: np.ndarray):
+        self.name, self.source, self.mesh = name, (vertices, faces), (vertices, faces)
+        self.rungs: list[Rung] = []
+        self.warnings: list[str] = []
+        self.moved = 0.0  # by welding; the source below is the mesh after it
+
+    @property
+    def solid(self) -> bool:
+        v, f = self.mesh
+        return len(f) > 0 and is_closed(f) and signed_volume(v, f) > 0 and winding_certificate(v, f).solid
+
+    def clean(self) -> float:
+        before = self.mesh
+        mesh, tolerance, self.moved = clean(*before)
+        if len(mesh[1]) < 4:
+            raise ObjectFolderError(
+                f"{self.name}: {len(mesh[1])} of {len(before[1])} faces are left after welding (the others "
+                "are degenerate or cancelled by their copies); expected a mesh with at least 4 faces"
+            )
+        self.source = mesh
+        lost = len(before[1]) - len(mesh[1])
+        detail = f"welded at {tolerance:g}" + (
+            f", {lost} degenerate or doubled faces dropped" if lost else ""
+        )
+        self._record("clean", detail, (before[0], before[1][:0]), mesh)
+        return tolerance
+
+    def close_pieces(self, wall: float) -> int:
+        """Cap or thicken open pieces; returns how many are sheets."""
+        pieces = split(*self.mesh)
+        defects = [edge_defects(f) for _, f in pieces]
+        is_open = [boundary > 0 and not crowded for boundary, crowded, _ in defects]
+        if not any(is_open):
+            return 0
+        if sum(is_open) > MAX_OPEN_PIECES:
+            return 0  # a soup; the grid is left
+        before, scene = self.mesh, RayCaster(*self.mesh)
+        total = face_areas(*before).sum()
+        capped = sheets = 0
+        for i, piece in enumerate(pieces):
+            if is_open[i]:
+                visible = face_areas(*piece).sum() > CRUMB * total
+                pieces[i], holes, openings = close_piece(piece, scene if visible else None, wall)
+                capped, sheets = capped + holes, sheets + (openings > 0)
+        detail = [f"{capped} holes capped"] if capped else []
+        detail += [f"{sheets} sheets given a wall of {wall:.2%} of the size"] if sheets else []
+        self._record(
+            "thicken" if sheets else "cap",
+            f"{', '.join(detail)} in {sum(is_open)} open of {len(pieces)} pieces",
+            before,
+            merged(pieces),
+        )
+        return sheets
+
+    def join(self) -> None:
+        pieces, before = split(*self.mesh), self.mesh
+        broken = [f for _, f in pieces if not is_closed(f)]
+        if broken:
+            return  # the grid is left
+        if len(pieces) > 1:
+            mesh, cavities = unite(pieces)
+            what = f"{len(pieces) - cavities} solids and {cavities} cavities"
+            self._record("union", what, before, mesh)
+        elif signed_volume(*before) < 0:
+            v, f = before
+            self.mesh = (v, np.ascontiguousarray(f[:, ::-1]))
+
+    def untangle(self) -> None:
+        before = self.mesh
+        if len(before[1]) and is_closed(before[1]):
+            mesh = untangle(*before)
+            if len(mesh[1]):
+                self._record("untangle", "cut where it overlaps itself, and united", before, mesh)
+
+    def remesh(self, wall: float) -> None:
+        mesh = remesh_on_grid(*self.source, wall)
+        if len(mesh[1]) == 0:
+            raise ObjectFolderError(
+                f"{self.name}: encloses nothing ({self._history()}); expected a mesh that encloses a volume: "
+                "close its holes or give it thickness"
+            )
+        detail = f"remeshed at {RESOLUTION}^3"
+        self.warnings.append(f"{detail}: thin walls and cavities may be lost")
+        self._record("grid", detail, (mesh[0], mesh[1][:0]), mesh)
+
+    def drop_specks(self) -> None:
+        before = self.mesh
+        mesh, dropped = without_specks(*before)
+        if dropped:
+            share = 1 - signed_volume(*mesh) / signed_volume(*before)
+            self._record("specks", f"{dropped} pieces with {share:.2e} of the volume dropped", before, mesh)
+
+    def bridge(self) -> None:
+        before = self.mesh
+        if len(bodies(*before)[1]) > 1:
+            mesh, bridged = bridge(*before, BRIDGED_GAP)
+            if bridged:
+                detail = f"{len(bridged)} gaps up to {max(bridged):.3%} of the size filled"
+                self._record("bridge", detail, before, mesh)
+
+    def accept(self, bridging: bool) -> None:
+        v, f = self.mesh
+        if not self.solid:
+            overlap = winding_certificate(v, f).outside_fraction
+            raise ObjectFolderError(
+                f"{self.name}: could not be closed into a solid ({self._history()}): "
+                f"{sum(edge_defects(f))} edges are open or shared by more than two faces, and it overlaps "
+                f"itself in {overlap:.2%} of the space; expected a mesh that encloses a volume once: close "
+                "its holes or give it thickness"
+            )
+        body, volumes = bodies(v, f)
+        if volumes[0] >= (1 - SPECKS) * volumes.sum():
+            return
+        pieces = [compact(v, f[body == k]) for k in range(len(volumes))]
+        lines = []
+        for k, volume in enumerate(volumes[:8]):
+            gap, other = min((distance(p, pieces[k][0]).min(), i) for i, p in enumerate(pieces) if i != k)
+            centre = ", ".join(f"{c:.2f}" for c in (pieces[k][0].min(0) + pieces[k][0].max(0)) / 2)
+            lines.append(
+                f"piece {k + 1} at ({centre}) holds {volume / volumes.sum():.1%} of the volume, "
+                f"{gap:.2%} of the size away from piece {other + 1}"
+            )
+        lines += [f"and {len(volumes) - 8} more"] if len(volumes) > 8 else []
+        remedy = (
+            f"gaps under {BRIDGED_GAP:.1%} are bridged, these are wider: join the pieces, or add what lacks"
+            if bridging
+            else "bridging is off for this object; set `bridge: all` or `bridge: fem`"
+        )
+        raise ObjectFolderError(
+            f"{self.name}: {len(volumes)} separate pieces, expected one that holds 99.9 % of the volume: "
+            f"{'; '.join(lines)}; {remedy}"
+        )
+
+    def _history(self) -> str:
+        return ", ".join(rung.detail for rung in self.rungs)
+
+    def _record(self, name: str, detail: str, before: Mesh, after: Mesh) -> None:
+        maximum, mean = (0.0, 0.0) if after is self.source else _deviation(after, self.source)
+        volumes = [signed_volume(v, f) if len(f) and is_closed(f) else None for v, f in (before, after)]
+        rung = Rung(
+            name,
+            detail,
+            components_before=_pieces(before),
+            components_after=_pieces(after),
+            volume_before=volumes[0],
+            volume_after=volumes[1],
+            deviation_max=maximum + self.moved,
+            deviation_mean=mean,
+        )
+        self.rungs.append(rung)
+        self.mesh = after
 
 
-def _remesh_on_grid(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    axis = np.linspace(-0.52, 0.52, GRID_RESOLUTION)
-    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
-    winding = np.asarray(igl.fast_winding_number(vertices, faces, points))
-    field_ = winding.reshape((GRID_RESOLUTION,) * 3)
-    if field_.max() <= 0.5:
-        return vertices, np.empty((0, 3), np.int64)
-    v, f, _, _ = marching_cubes(field_, 0.5, allow_degenerate=False)
-    v, f = _weld(v * (axis[1] - axis[0]) + axis[0], f.astype(np.int64), 1e-9)
-    return v, f[:, ::-1] if signed_volume(v, f) < 0 else f
+def _pieces(mesh: Mesh) -> int:
+    return int(face_components(mesh[1], len(mesh[0])).max(initial=-1)) + 1
+
+
+def _deviation(mesh: Mesh, source: Mesh) -> tuple[float, float]:
+    """Largest and mean distance between a mesh and its source, both ways.
+
+    What the source has inside the solid (pieces that were united) does not count.
+    """
+    if len(mesh[1]) == 0:
+        return 0.0, 0.0
+    rng = np.random.default_rng(0)
+    probes = sample_surface(*mesh, _PROBES, rng)
+    corners = mesh[0] if len(mesh[0]) <= _PROBES else rng.choice(mesh[0], _PROBES, replace=False)
+    there = distance(source, np.concatenate([probes, corners]))
+    back_probes = sample_surface(*source, _PROBES, rng)
+    back = distance(mesh, back_probes)
+    far = np.flatnonzero(back > 1e-9)
+    if len(far):
+        inside = np.asarray(igl.fast_winding_number(*mesh, back_probes[far])) > 0.5
+        back[far[inside]] = 0
+    return float(max(there.max(), back.max())), float(there[:_PROBES].mean())

@@ -1,6 +1,6 @@
 """A triangle mesh with its appearance: the form in which meshes travel between load, generate and render."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +8,11 @@ import numpy as np
 import trimesh
 from PIL import Image
 
+from objectfolder.mesh import srgb
+
 DEFAULT_ROUGHNESS = 0.5  # where the source does not say (scans: the texture holds the gloss)
+PLAIN = 0.6  # linear base colour where the source does not say
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963  # glTF's names of vertex and index data
 
 
 @dataclass(frozen=True)
@@ -17,11 +21,12 @@ class TexturedMesh:
 
     vertices: np.ndarray  #: (V, 3) float64, split at texture seams
     faces: np.ndarray  #: (F, 3) int64, counter-clockwise seen from outside
-    uv: np.ndarray | None = None  #: (V, 2) float64, origin at the lower left of the texture
+    uv: np.ndarray | None = None  #: (V, 2) float64, origin at the lower left of the texture, which repeats
     texture: np.ndarray | None = None  #: (H, W, 3) uint8, sRGB
     vertex_colors: np.ndarray | None = None  #: (V, 3) uint8, sRGB; used when there is no texture
     roughness: float | None = None  #: principled roughness, None where the source does not say
     metallic: float | None = None  #: principled metallic, None where the source does not say
+    source: dict[str, Any] = field(default_factory=dict)  #: what loading found, see `appearance_report`
 
     def with_vertices(self, vertices: np.ndarray) -> "TexturedMesh":
         """Return the same mesh with moved vertices."""
@@ -30,25 +35,79 @@ class TexturedMesh:
     @property
     def bounds(self) -> np.ndarray:
         """(2, 3) corners of the axis-aligned bounding box of the vertices that faces use."""
-        used = self.vertices[np.unique(self.faces)]
-        return np.stack([used.min(0), used.max(0)])
+        used = np.zeros(len(self.vertices), bool)
+        used[self.faces] = True
+        return np.stack([self.vertices[used].min(0), self.vertices[used].max(0)])
 
     def to_trimesh(self) -> trimesh.Trimesh:
-        """Return a `trimesh.Trimesh` with a PBR material or vertex colours; nothing is merged."""
-        if self.uv is not None and self.texture is not None:
+        """Return a `trimesh.Trimesh` with a PBR material; nothing is merged.
+
+        Vertex colours are the attribute ``_COLOR_0``, linear as in glTF.
+        """
+        textured = self.uv is not None and self.texture is not None
+        visual: Any = None
+        attributes: dict[str, Any] = {}
+        if textured or self.vertex_colors is not None or (self.roughness, self.metallic) != (None, None):
+            plain = not textured and self.vertex_colors is None
             material = trimesh.visual.material.PBRMaterial(
-                baseColorTexture=Image.fromarray(self.texture),
+                baseColorFactor=[PLAIN, PLAIN, PLAIN, 1.0] if plain else None,
+                baseColorTexture=Image.fromarray(self.texture)
+                if textured and self.texture is not None
+                else None,
                 # Always written: glTF takes a factor that is absent for 1.
                 roughnessFactor=DEFAULT_ROUGHNESS if self.roughness is None else self.roughness,
                 metallicFactor=self.metallic or 0.0,
             )
-            visual: Any = trimesh.visual.TextureVisuals(uv=self.uv, material=material)
-        else:
-            visual = trimesh.visual.ColorVisuals(vertex_colors=self.vertex_colors)
-        return trimesh.Trimesh(self.vertices, self.faces, visual=visual, process=False)
+            visual = trimesh.visual.TextureVisuals(uv=self.uv if textured else None, material=material)
+        if not textured and self.vertex_colors is not None:
+            attributes["_COLOR_0"] = np.float32(srgb.decode(self.vertex_colors / 255))
+        return trimesh.Trimesh(
+            self.vertices, self.faces, visual=visual, vertex_attributes=attributes, process=False
+        )
 
     def write_glb(self, path: str | Path) -> None:
         """Write a binary glTF; turned y up, as the format demands and `load_mesh` expects of it."""
         x, y, z = self.vertices.T
         upright = self.with_vertices(np.stack([x, z, -y], 1))
-        Path(path).write_bytes(trimesh.Scene(upright.to_trimesh()).export(file_type="glb"))
+        scene = trimesh.Scene(upright.to_trimesh())
+        Path(path).write_bytes(scene.export(file_type="glb", tree_postprocessor=_complete))
+
+
+def appearance_report(mesh: TexturedMesh) -> dict[str, Any]:
+    """Return how a mesh looks, and what loading has made of its source.
+
+    Parameters
+    ----------
+    mesh : TexturedMesh
+
+    Returns
+    -------
+    dict
+        ``texture_size`` ([width, height] or None), ``vertex_colors`` (bool), ``roughness``, ``metallic``;
+        of a loaded mesh also ``materials`` of the source, ``source_texture_size`` (longest side, pixels),
+        fractions of the faces: ``uv_degenerate_fraction`` (no area in a texture of more than a pixel),
+        ``uv_outside_fraction`` (beyond [0, 1]: repeats), ``uv_not_finite_fraction``; ``notes``.
+    """
+    return {
+        "texture_size": None if mesh.texture is None else list(mesh.texture.shape[1::-1]),
+        "vertex_colors": mesh.texture is None and mesh.vertex_colors is not None,
+        "roughness": mesh.roughness,
+        "metallic": mesh.metallic,
+        **mesh.source,
+    }
+
+
+def _complete(document: dict[str, Any]) -> None:
+    """Complete what trimesh exports.
+
+    Vertex colours get their standard name: trimesh's own would have 8 bits, too few for linear colours.
+    Buffer views say what they hold, which readers may rely on.
+    """
+    for mesh in document["meshes"]:
+        for primitive in mesh["primitives"]:
+            attributes = primitive["attributes"]
+            if "_COLOR_0" in attributes:
+                attributes["COLOR_0"] = attributes.pop("_COLOR_0")
+            targets = dict.fromkeys(attributes.values(), ARRAY_BUFFER)
+            for accessor, target in {**targets, primitive["indices"]: ELEMENT_ARRAY_BUFFER}.items():
+                document["bufferViews"][document["accessors"][accessor]["bufferView"]]["target"] = target

@@ -1,17 +1,21 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from numpy.polynomial.legendre import legint, legval
 from solids import TURN, box, join, sphere
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.cutcell import (
     CutCells,
+    _columns,
     assemble,
     cut_cells,
     elasticity,
     interpolate,
     node_count,
 )
-from objectfolder.fem.eigen import rigid_motions
+from objectfolder.fem.eigen import rigid_motions, solve_modes
 from objectfolder.fem.modal import adaptive_cut_cells
 from objectfolder.materials import Material
 
@@ -30,15 +34,124 @@ def elements(off_grid):
     return assemble(off_grid, STUFF, 0.2)
 
 
-def test_volume_of_an_off_grid_box(off_grid):
-    assert off_grid.volume == pytest.approx(np.prod(SIDES), rel=2e-3)
+def moments(solid, resolution=6, subdivisions=8):
+    """Occupancy of the whole grid, empty cells included."""
+    cells = cut_cells(*solid, resolution, subdivisions)
+    grid = np.zeros((resolution,) * 3 + (5,) * 3)
+    grid[tuple(cells.index.T)] = cells.occupancy
+    return grid
+
+
+def test_volume_is_the_surfaces_and_the_error_of_the_cells_is_stated(off_grid):
+    assert off_grid.volume == pytest.approx(np.prod(SIDES), rel=1e-6)
+    assert abs(off_grid.volume_error) < 1e-3
+    sampled = off_grid.fill.sum() * off_grid.cell_size**3
+    assert off_grid.volume_error == pytest.approx(sampled / np.prod(SIDES) - 1, abs=1e-6)
     assert off_grid.dropped_volume == 0
 
 
-def test_volume_error_of_an_aligned_box_is_below_a_quarter_sub_cell(off_grid):
-    cells = cut_cells(*box(SIDES, CENTRE), resolution=6, subdivisions=8)
-    bound = 2 * cells.cell_size / 8 / 4 * (1 / SIDES[0] + 1 / SIDES[1])
-    assert abs(cells.volume / np.prod(SIDES) - 1) < bound
+def test_volume_error_of_a_sphere():
+    assert abs(cut_cells(*sphere(0.5, 5), 12, 8).volume_error) < 2e-4
+
+
+def test_error_of_an_aligned_box_is_below_half_a_place_of_a_column_per_side():
+    cells = cut_cells(*box(SIDES, CENTRE), 6, 8)
+    bound = 2 * cells.cell_size / 16**2 * (1 / SIDES[0] + 1 / SIDES[1])
+    assert abs(cells.volume_error) < bound
+
+
+@pytest.mark.parametrize("across", [8, 10, 16, 32])
+def test_columns_are_a_positive_rule_exact_for_the_polynomials_of_a_full_cell(across):
+    place, weight = _columns(across)
+    assert place.min() > 0
+    assert place.max() < 1
+    assert weight.min() > 0.7 * weight.mean()
+    assert weight.max() < 1.3 * weight.mean()
+    for a in range(5):
+        for b in range(5):
+            value = (weight * (2 * place - 1) ** a * (2 * place.T - 1) ** b).sum()
+            exact = (1 - (-1) ** (a + 1)) / (a + 1) * (1 - (-1) ** (b + 1)) / (b + 1)
+            assert value == pytest.approx(exact, abs=1e-12)
+
+
+@pytest.mark.parametrize("across", [8, 16])
+def test_no_two_columns_of_a_cell_share_a_place(across):
+    place, _ = _columns(across)
+    np.testing.assert_allclose(np.sort(place, axis=None), (np.arange(across**2) + 0.5) / across**2)
+
+
+def test_full_cells_have_the_moments_of_a_cube():
+    grid = moments(box((1, 1, 1)), resolution=5)
+    expected = np.zeros((5, 5, 5))
+    expected[0, 0, 0] = 8
+    np.testing.assert_allclose(
+        grid[1:-1, 1:-1, 1:-1], np.broadcast_to(expected, (3, 3, 3, 5, 5, 5)), atol=1e-6
+    )
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_moments_of_a_slab_are_those_of_its_extent(axis):
+    """In a cell that the slab fills across, they are integrals of one variable."""
+    thickness, centre = 0.13, 0.041
+    sides, place = np.full(3, 1.0), np.zeros(3)
+    sides[axis], place[axis] = thickness, centre
+    grid = np.moveaxis(moments(box(sides, place), resolution=5), (axis, 3 + axis), (2, 5))[2, 2, :, 0, 0, :]
+    cell = 1.0001 / 5
+    edges = -1.0001 / 2 + cell * np.arange(6)
+    low, high = ((edge - edges[:-1]) / cell for edge in (centre - thickness / 2, centre + thickness / 2))
+    low, high = (2 * edge.clip(0, 1) - 1 for edge in (low, high))
+    exact = [4 * (legval(high, legint(u)) - legval(low, legint(u))) for u in np.eye(5)]
+    # Exact along z; across, a side lies between two of 16^2 places.
+    np.testing.assert_allclose(grid, np.stack(exact, 1), atol=1e-6 if axis == 2 else 1.5 * 8 / 16**2)
+
+
+def test_occupancy_does_not_depend_on_the_order_of_faces(rng):
+    vertices, faces = sphere(0.45, 3)
+    np.testing.assert_allclose(
+        moments((vertices, rng.permutation(faces))), moments((vertices, faces)), atol=1e-6
+    )
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_thin_aligned_plate_keeps_mass_and_pitch_wherever_it_lies(axis):
+    """A table top: fractions of sub-cells gave 6 % less mass and 20 to 40 % higher frequencies."""
+    cell = 1.0001 / 16
+    sides = np.array([0.2 * cell, 0.5, 1.0])  # 1.6 sub-cells thick
+    lowest = []
+    for offset in (0, 0.25, 0.5, 0.75):
+        vertices, faces = box(sides, ((0.35 + offset / 8) * cell, 0, 0))
+        cells = cut_cells(np.roll(vertices, axis, axis=1), faces, 16, 8)
+        assert abs(cells.volume_error) < 0.01
+        fem = assemble(cells, STUFF, 1.0)
+        assert fem.nodal_mass.sum() == pytest.approx(1000 * sides.prod(), rel=1e-3)
+        lowest.append(np.sqrt(solve_modes(fem, 20, 1).eigenvalues[0]) / (2 * np.pi))
+    # A free strip bends as a beam (Euler-Bernoulli), up to 1 / (1 - nu^2) stiffer.
+    beam = 22.3733 / (2 * np.pi) * sides[0] * np.sqrt(1e9 / 1000 / 12)
+    np.testing.assert_allclose(lowest, np.mean(lowest), rtol=0.01)
+    assert 0.99 < np.mean(lowest) / beam < 1 / np.sqrt(1 - 0.3**2)
+
+
+def test_the_volume_is_corrected_without_changing_the_frequencies(off_grid):
+    wrong = replace(off_grid, volume_error=0.04)
+    right, heavy = (assemble(c, STUFF, 0.2) for c in (wrong, replace(off_grid, volume_error=0.0)))
+    assert heavy.nodal_mass.sum() == pytest.approx(1.04 * right.nodal_mass.sum())
+    np.testing.assert_allclose(
+        solve_modes(right, 4000, 5).eigenvalues, solve_modes(heavy, 4000, 5).eigenvalues, rtol=1e-7
+    )
+
+
+def test_cells_that_miss_much_of_the_volume_are_refused():
+    pair = join(box((0.3, 0.3, 0.3), (-0.3, 0, 0)), box((0.3, 0.3, 0.3), (0.3, 0, 0)))
+    with pytest.raises(
+        ObjectFolderError, match=r"hold 49\.7% of the surface's volume \(50\.0% is in other pieces"
+    ):
+        cut_cells(*pair, 8, 4)
+
+
+def test_stored_cells_come_back(off_grid):
+    again = CutCells.from_arrays({name: np.asarray(value) for name, value in vars(off_grid).items()})
+    assert again.volume == off_grid.volume
+    np.testing.assert_array_equal(again.occupancy, off_grid.occupancy)
 
 
 def test_mass_is_density_times_volume(off_grid, elements):
@@ -108,7 +221,7 @@ def test_interpolation_outside_every_element_stays_within_the_nearest_one(off_gr
 
 
 def test_nodes_are_shared_between_neighbours():
-    cells = CutCells(np.array([[0, 0, 0], [1, 0, 0]]), np.ones((2, 1, 1, 1), np.float32), 4, 0.0)
+    cells = CutCells(np.array([[0, 0, 0], [1, 0, 0]]), np.ones((2, 5, 5, 5), np.float32), 4, 0.0)
     assert node_count(cells) == 20 + 20 - 8
 
 
@@ -122,12 +235,12 @@ def test_a_speck_that_touches_nothing_is_dropped_and_reported():
 
 def test_an_object_that_leaves_no_material_in_any_cell_is_refused():
     with pytest.raises(ObjectFolderError, match=r"too thin.*voxelize\.resolution"):
-        cut_cells(*box((0.5, 1e-5, 1e-5), (0, 0.013, 0.017)), resolution=4, subdivisions=2)
+        cut_cells(*box((0.5, 1e-5, 1e-5), (0, 0.013, 0.017)), resolution=4, subdivisions=4)
 
 
 def test_resolution_is_the_first_that_is_small_enough():
     solid = sphere(0.5, 3)
-    sizes = [3 * node_count(cut_cells(*solid, r, 2)) for r in (8, 6, 4)]
+    sizes = [3 * node_count(cut_cells(*solid, r, 4)) for r in (8, 6, 4)]
     assert sizes[0] > sizes[1] > sizes[2]
     for limit, resolution in ((sizes[0], 8), (sizes[0] - 1, 6), (sizes[2], 4), (1, 4)):
-        assert adaptive_cut_cells(*solid, [8, 6, 4], 2, limit).resolution == resolution
+        assert adaptive_cut_cells(*solid, [8, 6, 4], 4, limit).resolution == resolution

@@ -14,8 +14,14 @@ STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
 THICK = 0.1
 
 
-def beam(resolution, material=STUFF, subdivisions=4):
+def beam(resolution, material=STUFF, subdivisions=8):
     return assemble(cut_cells(*box((1, THICK, THICK)), resolution, subdivisions), material, 1.0)
+
+
+def full_cells(index, resolution):
+    occupancy = np.zeros((len(index), 5, 5, 5), np.float32)
+    occupancy[:, 0, 0, 0] = 8  # the volume of [-1, 1]^3
+    return CutCells(index, occupancy, resolution, 0.0)
 
 
 def hertz(modes):
@@ -79,7 +85,8 @@ def test_longitudinal_frequencies_of_a_bar():
     f = hertz(solve_modes(beam(10, BAR), 2100, 60))
     for order in (1, 2, 3):
         exact = order / 2 * np.sqrt(1e9 / 1000)
-        assert np.abs(f / exact - 1).min() < 1e-4 * order**4
+        # No column ends within the grid's margin: the bar is 1e-4 longer.
+        assert np.abs(f / exact - 1).min() < 1e-4 + 1e-4 * order**4
 
 
 def test_torsion_of_a_square_bar():
@@ -175,7 +182,7 @@ def test_factorisation_solves(plate, rng):
 def square_bar():
     """A grid-aligned bar of square section: its bending modes are exactly repeated."""
     grid = np.array([[i, 2, 2] for i in range(5)])
-    fem = assemble(CutCells(grid, np.ones((5, 1, 1, 1), np.float32), 5, 0.0), STUFF, 1.0)
+    fem = assemble(full_cells(grid, 5), STUFF, 1.0)
     return fem, solve_modes(fem, 1500, 20)
 
 
@@ -217,6 +224,6 @@ def test_frequency_scales_as_one_over_size_and_with_the_speed_of_sound():
 
 
 def test_a_solid_in_two_pieces_is_refused_by_name():
-    cells = CutCells(np.array([[0, 0, 0], [3, 3, 3]]), np.ones((2, 1, 1, 1), np.float32), 4, 0.0)
+    cells = full_cells(np.array([[0, 0, 0], [3, 3, 3]]), 4)
     with pytest.raises(ObjectFolderError, match=r"^lamp: .*rigid modes.*expected 6"):
         solve_modes(assemble(cells, STUFF, 1.0), 1e4, 10, "lamp")

@@ -3,7 +3,7 @@ import pytest
 import torch
 from solids import TURN, box, isosurface, sphere
 
-from objectfolder.mesh.surface import is_closed, signed_volume
+from objectfolder.mesh.topology import is_closed, signed_volume
 
 SOLIDS = {
     "sphere": (sphere(0.42, 5), 4 / 3 * np.pi * 0.42**3),

@@ -1,16 +1,20 @@
 import json
 import struct
+import zlib
 
 import numpy as np
 import pytest
 import trimesh
+from gltf_scene import Scene, colors_at, square
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from PIL import Image
 from solids import box
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.load import default_up, load_mesh
+from objectfolder.mesh.load import FORMATS, default_up, load_mesh
 from objectfolder.mesh.normalize import normalize
-from objectfolder.mesh.textured import TexturedMesh
+from objectfolder.mesh.textured import TexturedMesh, appearance_report
 
 PLY = """ply
 format ascii 1.0
@@ -100,7 +104,7 @@ def test_y_up_is_turned_about_x_and_stays_right_handed(tmp_path):
     as_is, turned = load_mesh(path, "z"), load_mesh(path, "y")
     x, y, z = as_is.vertices.T
     np.testing.assert_array_equal(turned.vertices, np.stack([x, -z, y], 1))
-    assert normalize(turned).surface.volume == pytest.approx(normalize(as_is).surface.volume)
+    assert normalize(turned).closed.volume == pytest.approx(normalize(as_is).closed.volume)
     assert default_up("a.GLB") == default_up("a.gltf") == "y"
     assert default_up("a.obj") == default_up("a.ply") == "z"
 
@@ -158,7 +162,7 @@ def test_a_large_texture_is_scaled_down_and_a_small_one_is_not(tmp_path):
 def test_vertices_that_no_face_uses_may_be_anything(tmp_path):
     path = write_ply(tmp_path / "t.ply", [*TETRAHEDRON, "nan nan nan", "inf 0 0"], FACES)
     done = normalize(load_mesh(path))
-    assert done.surface.volume == pytest.approx(1 / 27)
+    assert done.closed.volume == pytest.approx(1 / 27)
     assert np.isfinite(done.visual.vertices).all()
 
 
@@ -173,7 +177,20 @@ def glb_of_nothing():
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("m.stl", b"solid", r"format '\.stl' is not one of \.obj"),
+        ("m.dae", b"solid", r"format '\.dae' is not one of \.obj"),
+        ("m.stl", b"solid", "cannot be read|no faces"),
+        ("m.off", b"OFF\n3 1 0\n", "cannot be read|no faces"),
+        ("m.obj", b"", "cannot be read as a mesh: it is empty"),
+        ("m.obj", b"Dear Sir or Madam,\nhere is my mesh.\n", "holds no faces"),
+        ("m.obj", b"ply\nformat ascii 1.0\n", "looks like a .ply"),
+        ("m.glb", b"version https://git-lfs.github.com/spec/v1\n", "does not begin as a binary glTF does"),
+        ("m.ply", b"version https://git-lfs.github.com/spec/v1\n", "Git LFS pointer"),
+        ("m.stl", b"PK\x03\x04" + bytes(99), "looks like a .zip archive"),
+        ("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "'f 0 1 2' has the index 0"),
+        ("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1/1 2/0 3/1\n", "has the index 0"),
+        ("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 0 0 1\nf -3 -2 -1\n", "negative face indices"),
+        ("m.obj", b"v 0 0 0\nv 1e200 0 0\nv 0 1 0\nf 1 2 3\n", "reach 1e\\+200"),
+        ("m.obj", b"v 0 0 0\nv inf 0 0\nv 0 1 0\nf 1 2 3\n", "1 of its vertices are NaN or infinite"),
         ("m", b"solid", "format '' is not one of"),
         ("m.ply", b"", "cannot be read|no faces"),
         ("m.ply", b"\x00\xff\x00" * 99, "cannot be read|no faces"),
@@ -198,3 +215,232 @@ def test_a_missing_file_and_a_wrong_axis(tmp_path):
         load_mesh(tmp_path / "nowhere.obj")
     with pytest.raises(ObjectFolderError, match="up axis 'x' is neither"):
         load_mesh(write_ply(tmp_path / "t.ply", TETRAHEDRON, FACES), up="x")
+
+
+@pytest.mark.parametrize(
+    ("suffix", "content"),
+    [
+        (".off", "OFF\n4 4 0\n{vertices}\n{faces}\n"),
+        (".stl", "solid t\n{facets}endsolid t\n"),
+    ],
+)
+def test_stl_and_off(tmp_path, suffix, content):
+    corners = np.array([[float(x) for x in v.split()] for v in TETRAHEDRON])
+    faces = np.array([[int(x) for x in f.split()[1:]] for f in FACES])
+    loops = ["".join("vertex {} {} {}\n".format(*c) for c in corners[f]) for f in faces]
+    facets = "".join(f"facet normal 0 0 0\nouter loop\n{loop}endloop\nendfacet\n" for loop in loops)
+    path = tmp_path / ("m" + suffix)
+    path.write_text(content.format(vertices="\n".join(TETRAHEDRON), faces="\n".join(FACES), facets=facets))
+    mesh = load_mesh(path)
+    np.testing.assert_array_equal(mesh.vertices[mesh.faces], corners[faces])
+    assert mesh.texture is None
+    assert mesh.vertex_colors is None
+    assert default_up(path) == "z"
+
+
+def test_face_colours_of_a_ply_stay_sharp(tmp_path):
+    colors = [[10, 20, 30], [40, 50, 60], [10, 20, 30], [255, 0, 1]]
+    faces = [f"{f} {' '.join(map(str, c))}" for f, c in zip(FACES, colors)]
+    path = write_ply(tmp_path / "t.ply", TETRAHEDRON, faces)
+    extra = "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header"
+    path.write_text(path.read_text().replace("end_header", extra))
+    mesh = load_mesh(path)
+    np.testing.assert_array_equal(mesh.vertex_colors[mesh.faces], np.repeat(np.array(colors)[:, None], 3, 1))
+    plain = load_mesh(write_ply(tmp_path / "plain.ply", TETRAHEDRON, FACES))
+    np.testing.assert_array_equal(mesh.vertices[mesh.faces], plain.vertices[plain.faces])
+
+
+def write_two_materials(folder, first="map_Kd -s 1 1 1 my skin.png", libraries="mtllib a.mtl my b.mtl"):
+    (folder / "m.obj").write_text(
+        f"{libraries}\nv 0 0 0\nv 1 0 0\nv 0 2 0\nv 0 0 3\nvt 0.1 0.1\nvt 0.2 0.1\nvt 0.1 0.2\n"
+        "usemtl one\nf 1/1 3/3 2/2\nusemtl two\nf 1/1 2/2 4/3\nusemtl one\nf 1/1 4/2 3/3\nf 2/1 3/2 4/3\n"
+    )
+    (folder / "a.mtl").write_text(f"newmtl one\nKd 0 0 0\n{first}\n")
+    (folder / "my b.mtl").write_text("newmtl two\nKd 0.2 0.4 1.0\n")
+    Image.fromarray(np.full((16, 16, 3), [200, 100, 50], np.uint8)).save(folder / "my skin.png")
+    return folder / "m.obj"
+
+
+@pytest.mark.parametrize("libraries", ["mtllib a.mtl my b.mtl", "mtllib my b.mtl\nmtllib a.mtl"])
+def test_obj_with_several_libraries_and_materials(tmp_path, libraries):
+    mesh = load_mesh(write_two_materials(tmp_path, libraries=libraries))
+    mesh.write_glb(tmp_path / "m.glb")
+    for m in (mesh, load_mesh(tmp_path / "m.glb", "y")):
+        colors = {
+            tuple(np.sort(m.vertices[f].sum(1))): tuple(np.rint(c)) for f, c in zip(m.faces, colors_at(m))
+        }
+        # Faces by the sums of their corners' coordinates; the texture replaces Kd.
+        assert colors == {
+            (0, 1, 2): (200, 100, 50),
+            (0, 1, 3): (51, 102, 255),
+            (0, 2, 3): (200, 100, 50),
+            (1, 2, 3): (200, 100, 50),
+        }
+
+
+def test_colours_of_obj_vertices(tmp_path):
+    path = tmp_path / "m.obj"
+    path.write_text("v 0 0 0 1 0 0\nv 1 0 0 0 0.5 0\nv 0 1 0 0 0 1\nf 1 2 3\n")
+    np.testing.assert_allclose(load_mesh(path).vertex_colors, [[255, 0, 0], [0, 128, 0], [0, 0, 255]], atol=1)
+
+
+def test_a_comment_names_no_material_library(tmp_path):
+    path = tmp_path / "m.obj"
+    path.write_text("# no mtllib here\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    mesh = load_mesh(path)
+    assert mesh.texture is None
+    assert appearance_report(mesh)["notes"] == []
+
+
+def test_a_material_that_is_not_defined_is_noted(tmp_path):
+    path = tmp_path / "m.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl lost\nf 1 2 3\n")
+    assert appearance_report(load_mesh(path))["notes"] == [
+        "material lost is not defined: its faces have no colour"
+    ]
+
+
+def png_header(width, height):
+    """A PNG that says how large it is, and breaks off."""
+    body = b"IHDR" + struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + struct.pack(">I", 13)
+        + body
+        + struct.pack(">I", zlib.crc32(body))
+        + bytes([0, 0, 0, 9])
+        + b"IDAT"
+    )
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "which does not exist; put it there"),
+        (b"", "cannot be read as an image"),
+        (b"not an image", "cannot be read as an image"),
+        (png_header(8, 8), "cannot be read as an image"),
+        (png_header(20000, 4), "too large .*20000 x 4.* at most 16384"),
+        (png_header(30000, 30000), "too large"),
+        (png_header(10**9, 10**9), "too large|cannot be read as an image"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["obj", "ply", "gltf"])
+def test_a_bad_texture_is_named_with_the_mesh(tmp_path, kind, content, message):
+    path = tmp_path / f"m.{kind}"
+    if kind == "obj":
+        write_obj(tmp_path, pixels(4, 4))
+    elif kind == "ply":
+        coordinates = "property float s\nproperty float t\n"
+        write_ply(path, [f"{v} 0 0" for v in TETRAHEDRON], FACES, coordinates)
+        path.write_text(
+            path.read_text().replace("element vertex", "comment TextureFile skin.png\nelement vertex")
+        )
+    else:
+        scene = Scene()
+        scene.quads(0, scene.material(scene.texture(pixels(4, 4))), [square(0.5, 0.5, 0.5)])
+        scene.document["images"] = [{"uri": "skin.png"}]
+        scene.write(path)
+    (tmp_path / "skin.png").unlink(missing_ok=True)
+    if content is not None:
+        (tmp_path / "skin.png").write_bytes(content)
+    with pytest.raises(ObjectFolderError, match=message) as caught:
+        load_mesh(path)
+    assert str(path) in str(caught.value)
+    assert "skin.png" in str(caught.value)
+
+
+def test_a_missing_material_library_is_named(tmp_path):
+    path = write_obj(tmp_path, pixels(4, 4))
+    (tmp_path / "m.mtl").unlink()
+    with pytest.raises(ObjectFolderError, match=r"m\.obj refers to .*m\.mtl, which does not exist"):
+        load_mesh(path)
+
+
+def test_textures_outside_the_folder_are_refused(tmp_path):
+    path = write_two_materials(tmp_path, first="map_Kd C:\\Users\\me\\skin.png")
+    with pytest.raises(ObjectFolderError, match=r"refers to C:\\Users\\me\\skin\.png, outside its folder"):
+        load_mesh(path)
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_a_mesh_that_breaks_off_is_read_or_refused(tmp_path, suffix):
+    """Text that ends at a line is whole for its parser; nothing but our own errors may come out."""
+    box_mesh = trimesh.creation.box((1, 2, 3))
+    if suffix in (".glb", ".gltf"):
+        scene = Scene()
+        scene.quads(0, scene.material(scene.texture(pixels(4, 4))), [square(0.5, 0.5, 0.5)])
+        whole = scene.write(tmp_path / "whole.gltf").read_bytes()
+        if suffix == ".glb":
+            load_mesh(tmp_path / "whole.gltf").write_glb(tmp_path / "whole.glb")
+            whole = (tmp_path / "whole.glb").read_bytes()
+    else:
+        exported = box_mesh.export(file_type=suffix[1:])
+        whole = exported.encode() if isinstance(exported, str) else exported
+    path = tmp_path / ("cut" + suffix)
+    for length in np.linspace(0, len(whole) - 1, 40).astype(int):
+        path.write_bytes(whole[:length])
+        loaded_or_refused(path)
+    path.write_bytes(whole)
+    assert len(load_mesh(path).faces) in (2, 12)
+
+
+def loaded_or_refused(path):
+    try:
+        mesh = load_mesh(path)
+    except ObjectFolderError as error:
+        if str(path) not in str(error):
+            raise
+        return
+    assert mesh.faces.min() >= 0
+    assert mesh.faces.max() < len(mesh.vertices)
+    assert np.isfinite(mesh.vertices).all()
+
+
+BEGINNINGS = [
+    b"",
+    b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
+    b"mtllib x\nusemtl y\nvt 0 0\nv 0 0 0 1 1 1\nf ",
+    b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    b"element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n",
+    b"ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\n",
+    b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n",
+    b"solid x\nfacet normal 0 0 1\nouter loop\n",
+    b"glTF\x02\0\0\0",
+    b'{"asset": {"version": "2.0"}, "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}], ',
+]
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    suffix=st.sampled_from(FORMATS),
+    beginning=st.sampled_from(BEGINNINGS),
+    rest=st.one_of(st.binary(max_size=300), st.text("vft/#-. 0123456789e\n", max_size=200).map(str.encode)),
+)
+def test_no_bytes_raise_anything_but_our_own_error(tmp_path, suffix, beginning, rest):
+    path = tmp_path / ("m" + suffix)
+    path.write_bytes(beginning + rest)
+    loaded_or_refused(path)
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers(-3, 9) | st.floats() | st.text(max_size=5),
+    lambda child: st.lists(child, max_size=3) | st.dictionaries(st.text(max_size=5), child, max_size=3),
+    max_leaves=5,
+)
+
+
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_no_value_in_a_gltf_raises_anything_but_our_own_error(tmp_path, data):
+    scene = Scene()
+    scene.quads(0, scene.material(scene.texture(pixels(4, 4))), [square(0.5, 0.5, 0.5)])
+    document = json.loads(scene.write(tmp_path / "m.gltf").read_text())
+    group = data.draw(st.sampled_from(sorted(document)))
+    place, key = document, group
+    while isinstance(place[key], list | dict) and place[key] and data.draw(st.booleans()):
+        place = place[key]
+        key = data.draw(st.sampled_from(sorted(place) if isinstance(place, dict) else range(len(place))))
+    place[key] = data.draw(JSON)
+    (tmp_path / "m.gltf").write_text(json.dumps(document))
+    loaded_or_refused(tmp_path / "m.gltf")

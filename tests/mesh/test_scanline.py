@@ -5,7 +5,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from solids import TURN, box, flipped, join, sphere
 
-from objectfolder.mesh.scanline import coverage, crossings, inside
+from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.scanline import Certificate, check_winding, crossings, inside, winding_certificate
 
 COUNT = 24
 SPACING = 1.04 / COUNT
@@ -72,46 +73,85 @@ def test_inside_of_nested_and_overlapping_solids():
     assert count_both == whole
 
 
-def volume(solid, count):
-    return coverage(*solid, count, LOWER, 1.04 / count).sum(dtype=np.float64) * (1.04 / count) ** 3
-
-
-@pytest.mark.parametrize("sides", [(0.71, 0.33, 0.52), (0.9, 0.01, 0.9), (0.013, 0.4, 0.7)])
-def test_coverage_of_an_aligned_box_is_wrong_by_less_than_a_quarter_voxel_per_side(sides):
-    sides = np.array(sides)
-    low, high = ((sides[:2] + sign * SPACING / 4).clip(0).prod() * sides[2] for sign in (-1, 1))
-    assert low <= volume(box(sides), COUNT) <= high
-
-
-@pytest.mark.parametrize("turn", [TURN, TURN @ TURN, TURN.T])
-def test_coverage_of_a_rotated_box(turn):
-    assert volume(box((0.6, 0.4, 0.5), turn=turn), COUNT) == pytest.approx(0.12, rel=2e-3)
-
-
-def test_coverage_of_a_sphere():
-    exact = 4 / 3 * np.pi * 0.5**3
-    vertices, faces = sphere(0.5, 5)
-    assert volume((vertices, faces), 24) == pytest.approx(exact, rel=3e-3)
-    assert volume((vertices, faces), 96) == pytest.approx(exact, rel=1.5e-3)
-
-
-def test_coverage_is_exact_along_z():
-    sides = (1.04, 1.04, 0.3137)  # fills the grid across
-    fill = coverage(*box(sides, (0, 0, 0.0191)), COUNT, LOWER, SPACING)
-    low, high = 0.0191 - 0.3137 / 2, 0.0191 + 0.3137 / 2
-    edges = LOWER[2] + SPACING * np.arange(COUNT + 1)
-    exact = (np.minimum(edges[1:], high) - np.maximum(edges[:-1], low)).clip(0) / SPACING
-    np.testing.assert_allclose(fill[COUNT // 2, COUNT // 2], exact, atol=1e-6)
-
-
-def test_coverage_does_not_depend_on_the_order_of_faces(rng):
-    vertices, faces = sphere(0.45, 3)
-    expected = coverage(vertices, faces, COUNT, LOWER, SPACING)
-    np.testing.assert_allclose(
-        coverage(vertices, rng.permutation(faces), COUNT, LOWER, SPACING), expected, atol=1e-6
-    )
+def test_shifted_rows_cross_where_a_slanted_face_lies(rng):
+    """The lower face of a sheared box has height 0.3 x - 0.2 y."""
+    vertices, faces = box((3, 3, 0.2))
+    vertices = vertices + np.array([0, 0, 1]) * (0.3 * vertices[:, :1] - 0.2 * vertices[:, 1:2] + 0.1)
+    shift = rng.uniform(-0.5, 0.5, (2, COUNT))
+    column, height, sign = crossings(vertices, faces, COUNT, LOWER, SPACING, shift)
+    i, j = np.divmod(column[sign > 0], COUNT)
+    assert len(i) == COUNT**2
+    x, y = LOWER[0] + (i + shift[0, j]) * SPACING, LOWER[1] + (j + shift[1, i]) * SPACING
+    np.testing.assert_allclose(LOWER[2] + height[sign > 0] * SPACING, 0.3 * x - 0.2 * y, atol=1e-12)
 
 
 def test_no_crossings_beside_the_grid():
     column, height, sign = crossings(*box((0.1, 0.1, 0.1), (3, 3, 0)), COUNT, LOWER, SPACING)
     assert len(column) == len(height) == len(sign) == 0
+
+
+def without_faces(solid, missing):
+    return solid[0], np.delete(solid[1], missing, axis=0)
+
+
+@pytest.mark.parametrize(
+    "solid",
+    [
+        sphere(0.5),
+        box((0.8, 0.6, 0.5), turn=TURN),
+        box((1, 1, 1)),
+        join(box((0.8, 0.8, 0.8)), flipped(box((0.4, 0.4, 0.4)))),
+        join(box((0.2, 0.2, 0.2), (-0.3, 0, 0)), box((0.2, 0.2, 0.2), (0.3, 0, 0))),
+    ],
+)
+def test_certificate_of_a_solid(solid):
+    certificate = winding_certificate(*solid)
+    assert certificate.solid
+    assert certificate.columns > 1000
+    assert certificate.residual_columns == 0
+    assert certificate.outside_fraction == 0
+    assert check_winding(*solid, "solid") == certificate
+
+
+@pytest.mark.parametrize("face", range(12))
+def test_certificate_sees_each_missing_face_of_a_box(face):
+    """Also those that are parallel to two of the three directions."""
+    with pytest.raises(ObjectFolderError, match=r"crate: the surface is open: .* on \d+ of \d+ columns"):
+        check_winding(*without_faces(box((0.8, 0.6, 0.5)), face), "crate")
+
+
+def test_residual_columns_are_the_shadow_of_the_hole():
+    """A missing half of the top is half of the columns along z."""
+    certificate = winding_certificate(*without_faces(box((1, 1, 1)), 4), count=100)
+    assert certificate.columns == 3 * 100**2
+    assert certificate.residual_columns == pytest.approx(100**2 / 2, rel=0.03)
+
+
+def test_outside_fraction_is_the_share_of_overlap():
+    """Two boxes of volume v that share a quarter: 0.25 v of their union's 1.75 v is wound twice."""
+    pair = join(box((0.4, 0.4, 0.4)), box((0.4, 0.4, 0.4), (0.3, 0, 0)))
+    certificate = winding_certificate(*pair)
+    assert certificate.outside_fraction == pytest.approx(0.25 / 1.75, rel=0.02)
+    with pytest.raises(ObjectFolderError, match=r"pair: the winding number is neither 0 nor 1 in 14\.\d+%"):
+        check_winding(*pair, "pair")
+
+
+def test_inside_out_and_copied_solids_are_outside_everywhere():
+    solid = sphere(0.4, 3)
+    for wrong in (flipped(solid), join(solid, solid)):
+        certificate = winding_certificate(*wrong)
+        assert certificate.residual_columns == 0
+        assert certificate.outside_fraction == 1
+        assert not certificate.solid
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])
+def test_certificate_does_not_depend_on_the_unit(scale):
+    vertices, faces = sphere(0.4, 3)
+    assert winding_certificate(vertices * scale + 3 * scale, faces).solid
+    assert winding_certificate(np.zeros((3, 3)), np.array([[0, 1, 2]])) == Certificate(0, 0, 0.0)
+
+
+def test_a_thread_between_the_columns_is_refused():
+    with pytest.raises(ObjectFolderError, match=r"thread: no column .* thinner than 0\.8%"):
+        check_winding(*box((1, 1e-4, 1e-4)), "thread")

@@ -14,7 +14,7 @@ import torch
 
 from objectfolder import ObjectFile
 from objectfolder.mesh.load import load_mesh
-from objectfolder.mesh.surface import read_surface
+from objectfolder.mesh.ply import read_surface
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.view import draw
 

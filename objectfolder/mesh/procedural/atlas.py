@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
+from objectfolder.errors import ObjectFolderError
+
 MARGIN = 4  #: texels painted past each border of a chart, so that bilinear filtering finds no seam
 
 
@@ -69,7 +71,13 @@ def _shelves(sizes: np.ndarray, resolution: int) -> np.ndarray | None:
 
 
 def pack(charts: Sequence[Chart], resolution: int) -> Atlas:
-    """Lay charts out at the greatest common texel density that fits a `resolution` x `resolution` square."""
+    """Lay charts out at the greatest common texel density that fits a `resolution` x `resolution` square.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the square is too small for so many charts.
+    """
     sizes = np.array([chart.size for chart in charts])
     low, high = 0.0, resolution / sizes.max()
     for _ in range(40):
@@ -77,5 +85,8 @@ def pack(charts: Sequence[Chart], resolution: int) -> Atlas:
         fits = _shelves(middle * sizes + 2 * MARGIN, resolution) is not None
         low, high = (middle, high) if fits else (low, middle)
     corners = _shelves(low * sizes + 2 * MARGIN, resolution)
-    assert corners is not None, "a texture has room for the margins"
+    if corners is None or low * sizes.max() < 1:
+        raise ObjectFolderError(
+            f"texture_size={resolution}: expected room for {len(charts)} charts; make it larger"
+        )
     return Atlas(tuple(charts), corners + MARGIN, low, resolution)

@@ -5,6 +5,7 @@ up an outer wall, down an inner one.
 """
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 
@@ -12,6 +13,8 @@ from objectfolder.mesh.procedural.atlas import Chart
 from objectfolder.mesh.procedural.solid import Patch
 
 SEGMENTS = 120  #: facets round the full circle; a multiple of 8, so that bounds are exact
+TAPER = 2.0  #: greatest ratio of the radii in one sleeve of a turned profile
+SHORT = 0.3  #: length, in distances from the axis, under which a run of a turned profile joins its neighbour
 
 
 def arc(centre: tuple[float, float], radius: float, start: float, stop: float, pieces: int) -> np.ndarray:
@@ -133,3 +136,66 @@ def _strip(inner: int, outer: int, a: int, b: int) -> np.ndarray:
             np.stack([after, last, middle], 1),
         ]
     )
+
+
+def turned(
+    profile: np.ndarray, first_chart: int, paint: Callable[[np.ndarray], np.ndarray]
+) -> list[tuple[Patch, Chart]]:
+    """Revolve any profile, cut into the fewest sleeves and discs that stretch a texture little.
+
+    Parameters
+    ----------
+    profile : ndarray, shape (N, 2)
+        It may start or end on the axis.
+    first_chart : int
+        Index of the first chart; the others follow in order.
+    paint : callable
+        Of all of them.
+    """
+    parts: list[tuple[Patch, Chart]] = []
+    for start, stop, flat in _runs(profile):
+        piece, chart = profile[start : stop + 1], first_chart + len(parts)
+        parts.append(disc(piece, chart, paint) if flat else sleeve(piece, chart, paint))
+    return parts
+
+
+def _runs(profile: np.ndarray) -> list[tuple[int, int, int]]:
+    """Stretches (first point, last point, 1 or -1 where flat and running out or in, 0 where steep)."""
+    step = np.diff(profile, axis=0)
+    length = np.append(0.0, np.cumsum(np.linalg.norm(step, axis=1)))
+    kind = np.where(np.abs(step[:, 0]) > np.abs(step[:, 1]), np.sign(step[:, 0]), 0).astype(int)
+    # A sleeve cannot hold the axis.
+    kind[0] = 1 if profile[0, 0] == 0 else kind[0]
+    kind[-1] = -1 if profile[-1, 0] == 0 else kind[-1]
+    while True:
+        edges = np.concatenate([[0], np.flatnonzero(np.diff(kind)) + 1, [len(kind)]])
+        if len(edges) == 2:
+            break
+        # How far a run reaches beside its distance from the axis: short ones join a neighbour.
+        spans = np.diff(length[edges])
+        reach = np.array(
+            [span / profile[a : b + 1, 0].mean() for span, (a, b) in zip(spans, pairwise(edges))]
+        )
+        if profile[0, 0] == 0:
+            reach[0] = np.inf
+        if profile[-1, 0] == 0:
+            reach[-1] = np.inf
+        k = int(np.argmin(reach))
+        if reach[k] > SHORT:
+            break
+        beside = [j for j in (k - 1, k + 1) if 0 <= j < len(spans)]
+        j = max(beside, key=lambda m: spans[m])
+        kind[edges[k] : edges[k + 1]] = kind[edges[j]]
+    runs = []
+    for a, b in pairwise(edges):
+        if kind[a]:
+            runs.append((int(a), int(b), int(kind[a])))
+            continue
+        start = int(a)
+        for k in range(int(a) + 1, int(b) + 1):
+            r = profile[start : k + 1, 0]
+            if r.max() > TAPER * r.min() and k - start > 1:
+                runs.append((start, k - 1, 0))
+                start = k - 1
+        runs.append((start, int(b), 0))
+    return runs

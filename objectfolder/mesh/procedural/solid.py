@@ -48,8 +48,10 @@ def weld(patches: Sequence[Patch], atlas: Atlas) -> manifold3d.Manifold:
     return solid
 
 
-def textured(solid: manifold3d.Manifold, atlas: Atlas, roughness: float) -> TexturedMesh:
-    """Bake the atlas and return the solid with it; `roughness` is the principled BSDF's."""
+def textured(
+    solid: manifold3d.Manifold, atlas: Atlas, roughness: float, metallic: float = 0.0
+) -> TexturedMesh:
+    """Bake the atlas and return the solid with it; `roughness` and `metallic` are the principled BSDF's."""
     mesh = solid.to_mesh64()
     properties = np.asarray(mesh.vert_properties, np.float64)
     return TexturedMesh(
@@ -58,5 +60,5 @@ def textured(solid: manifold3d.Manifold, atlas: Atlas, roughness: float) -> Text
         uv=properties[:, 3:].copy(),
         texture=atlas.bake(),
         roughness=roughness,
-        metallic=0.0,
+        metallic=metallic,
     )

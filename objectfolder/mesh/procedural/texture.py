@@ -57,7 +57,15 @@ def noise(points: np.ndarray, values: np.ndarray, octaves: int = 1) -> np.ndarra
     return total * 1.7 / np.sqrt(sum(0.25**k for k in range(octaves)))
 
 
-def wood(points: np.ndarray, scale: float, seed: int) -> np.ndarray:
+def wood(
+    points: np.ndarray,
+    scale: float,
+    seed: int,
+    light: np.ndarray | None = None,
+    dark: np.ndarray | None = None,
+    axis: np.ndarray | None = None,
+    detail: float = 1.0,
+) -> np.ndarray:
     """Colour (N, 3) of a block of wood with growth rings, fibres and pores.
 
     Parameters
@@ -68,24 +76,34 @@ def wood(points: np.ndarray, scale: float, seed: int) -> np.ndarray:
         Size of the block, m: some nine rings cross it.
     seed : int
         Which block.
+    light, dark : ndarray, shape (3,), optional
+        Colours of early and late wood.
+    axis : ndarray, shape (3,), optional
+        Unit vector along the grain.
+    detail : float
+        How many times finer rings, fibres and pores are than on a block of that size by default.
     """
     values = lattice(seed)
-    axis = np.array([0.93, 0.30, 0.21])
-    axis /= np.linalg.norm(axis)
-    side = np.cross(axis, [0.0, 0.0, 1.0])
+    if axis is None:
+        axis = np.array([0.93, 0.30, 0.21])
+        axis /= np.linalg.norm(axis)
+    # Any direction across will do; an upright axis has no horizontal one of its own.
+    side = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [0.0, 1.0, 0.0])
     side /= np.linalg.norm(side)
     frame = np.stack([side, np.cross(axis, side), axis], 1)
     trunk = points / scale @ frame  # across, across, along the grain
     warp = noise(trunk * [1.6, 1.6, 0.7], values, 2)
     radius = np.hypot(trunk[:, 0] + 0.62, trunk[:, 1] - 0.50) + 0.022 * warp
-    ring = 9.0 * radius + 0.12 * noise(trunk * [3.0, 3.0, 1.0] + 11, values)
+    ring = 9.0 * detail * radius + 0.12 * noise(trunk * [3.0, 3.0, 1.0] + 11, values)
     year, phase = np.floor(ring), ring % 1.0
     # Late wood darkens slowly through the season and ends at once where the next spring begins.
     late = smoothstep(0.15, 0.92, phase) * smoothstep(1.0, 0.95, phase)
     vigour = noise(np.stack([year * 0.77, year * 0.31, year * 0.13], 1), values)
-    fibre = noise(trunk * [70.0, 70.0, 3.0], values, 2)
-    pore = smoothstep(1.5, 2.4, noise(trunk * [110.0, 110.0, 5.0] + 3, values))
-    light, dark, deep = rgb("e2b97f"), rgb("a8683a"), rgb("5f3517")
+    fibre = noise(trunk * detail * [70.0, 70.0, 3.0], values, 2)
+    pore = smoothstep(1.5, 2.4, noise(trunk * detail * [110.0, 110.0, 5.0] + 3, values))
+    deep = rgb("5f3517") if dark is None else 0.55 * dark
+    light = rgb("e2b97f") if light is None else light
+    dark = rgb("a8683a") if dark is None else dark
     colour = over(np.broadcast_to(light, points.shape), dark, np.clip(late * (0.72 + 0.13 * vigour), 0, 1))
     colour = colour * (1 + 0.045 * fibre + 0.03 * warp)[:, None]
     return over(colour, deep, 0.35 * pore)

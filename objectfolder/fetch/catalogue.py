@@ -1,0 +1,165 @@
+"""Catalogues of published objects: what they are, and where their meshes come from."""
+
+import difflib
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any, Literal
+from urllib.parse import quote, urlsplit
+
+from pydantic import Field, ValidationError, field_validator
+from ruamel.yaml import YAML, YAMLError
+
+from objectfolder import params
+from objectfolder.errors import ObjectFolderError
+from objectfolder.materials import material
+
+
+class Source(params.Section):
+    """A collection of meshes; ``{model}`` in an address stands for the object's id there."""
+
+    title: str
+    page: str  #: for people
+    url: str
+    kind: Literal["archive", "polyhaven"]  #: zip or tar of one object; files list of the Poly Haven API
+    resolution: str = "1k"  #: of the textures, where the source offers several
+    mesh: str  #: how the path of the mesh ends
+    up: Literal["y", "z"]
+    licence: str
+    attribution: str
+
+
+class Entry(params.Section):
+    """One published object."""
+
+    id: int  #: number in the publication
+    name: str
+    material: str
+    scale: float = Field(gt=0, le=100)  #: longest side, metres
+    source: str
+    model: str = ""  #: id at the source, where it is not the name
+    note: str = ""
+
+    @field_validator("material")
+    @classmethod
+    def _known(cls, value: str) -> str:
+        return material(value).name
+
+    @property
+    def source_model(self) -> str:
+        """Id at the source."""
+        return self.model or self.name
+
+
+class Catalogue(params.Section):
+    """Sources and objects by key."""
+
+    sources: dict[str, Source]
+    objects: dict[str, Entry]
+
+    def source(self, key: str) -> Source:
+        """Return the source of an object."""
+        return self.sources[self.objects[key].source]
+
+    def url(self, key: str) -> str:
+        """Return the address of an object."""
+        return address(self.source(key).url, self.objects[key])
+
+    def archive_name(self, key: str) -> str:
+        """Return the name of the file at an object's address."""
+        return PurePosixPath(urlsplit(self.url(key)).path).name or key
+
+    def page(self, key: str) -> str:
+        """Return the address of an object's page."""
+        return address(self.source(key).page, self.objects[key])
+
+
+def address(template: str, entry: Entry) -> str:
+    """Fill a template in."""
+    return template.replace("{model}", quote(entry.source_model, safe=""))
+
+
+def read_catalogue(path: Path, urls: Sequence[str] = ()) -> Catalogue:
+    """Read a catalogue.
+
+    Parameters
+    ----------
+    path : Path
+        YAML with ``sources`` and ``objects``.
+    urls : sequence of str
+        ``SOURCE=TEMPLATE``: addresses instead of those in the catalogue.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it is missing or invalid, an object names no source of it, or an address is none.
+    """
+    if not path.is_file():
+        raise ObjectFolderError(f"catalogue {path} does not exist; run inside an objectfolder workspace")
+    try:
+        catalogue = Catalogue.model_validate(YAML(typ="safe").load(path.read_text()))
+    except (YAMLError, UnicodeDecodeError) as error:
+        raise ObjectFolderError(f"{path} is not valid YAML: {error}") from error
+    except ValidationError as error:
+        problems = (f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
+        raise ObjectFolderError(
+            f"{path} is not a catalogue of published objects: {'; '.join(problems)}"
+        ) from error
+    for key, entry in catalogue.objects.items():
+        params.check_key(key, f"{path}: objects")
+        if entry.source not in catalogue.sources:
+            raise ObjectFolderError(
+                f"{path}: objects.{key}.source is {entry.source!r}, "
+                f"expected one of {', '.join(catalogue.sources)}"
+            )
+    return catalogue.model_copy(update={"sources": _with_urls(catalogue.sources, urls)})
+
+
+def _with_urls(sources: Mapping[str, Source], urls: Sequence[str]) -> dict[str, Source]:
+    changed: dict[str, Any] = {}
+    for option in urls:
+        name, equals, template = option.partition("=")
+        if not equals or name not in sources:
+            raise ObjectFolderError(
+                f"--url {option} is not SOURCE=TEMPLATE with SOURCE one of {', '.join(sources)}"
+            )
+        changed[name] = sources[name].model_copy(update={"url": template})
+    for name, source in (result := {**sources, **changed}).items():
+        if not re.match("https?://", source.url) or "{model}" not in source.url:
+            raise ObjectFolderError(
+                f"address of source {name} is {source.url!r}, expected http:// or https:// and {{model}} "
+                "where the object's id goes; for files on this computer use --from DIR"
+            )
+    return result
+
+
+def normal(name: str) -> str:
+    """Return a name in the form in which names are compared."""
+    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+
+
+def select(catalogue: Catalogue, wanted: Sequence[str]) -> list[str]:
+    """Find objects by key, published name or id at the source, in any case.
+
+    Returns
+    -------
+    list of str
+        Keys, each once, in the order asked for.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there is no such object; the message names near ones.
+    """
+    known = {
+        normal(name): key
+        for key, entry in catalogue.objects.items()
+        for name in (key, entry.name, entry.source_model)
+    }
+    for name in wanted:
+        if normal(name) not in known:
+            near = [key for form, key in known.items() if normal(name) in form]
+            near += [known[form] for form in difflib.get_close_matches(normal(name), known, 5)]
+            hint = f"near ones: {', '.join(list(dict.fromkeys(near))[:8])}; " if near and normal(name) else ""
+            raise ObjectFolderError(f"no object {name!r} in the catalogue; {hint}--list shows all of them")
+    return list(dict.fromkeys(known[normal(name)] for name in wanted))

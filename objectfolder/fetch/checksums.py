@@ -1,0 +1,62 @@
+"""SHA-256 of what objects were made from, recorded at first use, so that a change is noticed."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from ruamel.yaml import YAML, YAMLError
+
+from objectfolder.artifacts import atomic
+from objectfolder.errors import ObjectFolderError
+
+PATH = Path("data/checksums.yaml")
+HEADER = (
+    "# SHA-256 of what `objectfolder fetch` made objects from, recorded at first use. Commit this file.\n"
+)
+
+
+def read_checksums(path: Path) -> dict[str, dict[str, str]]:
+    """Read recorded checksums, by object and file name; a missing file is an empty record.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it is damaged.
+    """
+    if not path.exists():
+        return {}
+    try:
+        values = YAML(typ="safe").load(path.read_text())
+    except (YAMLError, UnicodeDecodeError, OSError) as error:
+        raise ObjectFolderError(f"{path} cannot be read ({error}); restore it from git") from error
+    values = {} if values is None else values
+    if not isinstance(values, dict) or not all(isinstance(files, dict) for files in values.values()):
+        raise ObjectFolderError(f"{path} does not map objects to files and checksums; restore it from git")
+    return values
+
+
+def check(recorded: Mapping[str, str], digests: Mapping[str, str], key: str, path: Path) -> None:
+    """Compare checksums with those recorded; files that are new are not compared.
+
+    Raises
+    ------
+    ObjectFolderError
+        If a file has changed.
+    """
+    for name, digest in digests.items():
+        if recorded.get(name, digest) != digest:
+            raise ObjectFolderError(
+                f"{name} of {key} has changed since it was first used: expected SHA-256 {recorded[name]} "
+                f"({path}), got {digest}; if the new file is right, give --accept-changed"
+            )
+
+
+def record(path: Path, key: str, digests: Mapping[str, str]) -> None:
+    """Add an object's checksums to the record, in place of those of files with the same names."""
+    values = read_checksums(path)
+    values[key] = {**values.get(key, {}), **digests}
+    yaml = YAML(typ="safe")
+    yaml.default_flow_style = False
+    yaml.width = 4096
+    with atomic(path) as temporary, temporary.open("w") as stream:
+        stream.write(HEADER)
+        yaml.dump({name: dict(sorted(values[name].items())) for name in sorted(values)}, stream)

@@ -1,0 +1,90 @@
+"""Find the mesh in what a source gave, and gather it with its materials and textures."""
+
+import shutil
+from pathlib import Path
+
+from objectfolder.catalog import references
+from objectfolder.errors import ObjectFolderError
+from objectfolder.fetch.catalogue import Source
+from objectfolder.mesh.load import FORMATS
+
+
+def find_mesh(tree: Path, source: Source) -> Path:
+    """Choose the mesh: where its source has it, else under the name it has there, else the only one.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there is none, or several.
+    """
+    files = [path for path in _files(tree) if path.suffix.lower() in FORMATS]
+    found = (
+        [path for path in files if path.relative_to(tree).match(source.mesh)]
+        or [path for path in files if path.match(Path(source.mesh).name)]
+        or files
+    )
+    if len(found) == 1:
+        return found[0]
+    shown = ", ".join(str(path.relative_to(tree)) for path in (found or _files(tree))[:8]) or "nothing"
+    expected = f"one mesh ({source.mesh}, or the only {', '.join(FORMATS)})"
+    raise ObjectFolderError(
+        f"it has {'several meshes' if found else 'no mesh'}: {shown}; expected {expected}"
+    )
+
+
+def collect(mesh: Path, tree: Path, into: Path) -> tuple[Path, dict[str, Path]]:
+    """Copy a mesh and what it refers to, from beside it or from elsewhere in the tree, into one folder.
+
+    Google Scanned Objects keep the texture in another folder than the material that names it. What is
+    found nowhere is left for `add_mesh` to name.
+
+    Parameters
+    ----------
+    mesh : Path
+    tree : Path
+        What the source gave.
+    into : Path
+        New directory.
+
+    Returns
+    -------
+    mesh : Path
+        The copy.
+    files : dict of str to Path
+        All copies, by their path relative to ``into``.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the mesh cannot be read, or refers to a file outside its folder.
+    """
+    into.mkdir()
+    copy = into / mesh.name
+    shutil.copyfile(mesh, copy)
+    copied = {mesh.name: copy}
+    try:
+        # Lazy: an OBJ's textures are looked up in the copy of the material file, which comes before them.
+        for name in references(copy):
+            beside = mesh.parent / name
+            elsewhere = [path for path in _files(tree) if path.name == name.name]
+            found = [beside] if beside.is_file() else elsewhere
+            if len(found) == 1 and str(name) not in copied:
+                target = into / name
+                target.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(found[0], target)
+                copied[str(name)] = target
+    except ObjectFolderError:
+        raise
+    except (ValueError, TypeError, AttributeError) as error:  # not the JSON that a glTF is
+        raise ObjectFolderError(f"{mesh.name} cannot be read as a mesh: {error}") from error
+    return copy, copied
+
+
+def _files(tree: Path) -> list[Path]:
+    """Files, without the hidden ones that macOS adds to archives."""
+    return sorted(
+        path
+        for path in tree.rglob("*")
+        if path.is_file()
+        and not any(part.startswith((".", "__MACOSX")) for part in path.relative_to(tree).parts)
+    )

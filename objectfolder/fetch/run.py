@@ -1,0 +1,187 @@
+"""Fetch objects of a catalogue: obtain, check, unpack, and add each as `objectfolder add` does."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import trimesh
+
+from objectfolder import params
+from objectfolder.artifacts import check_writable, file_digest
+from objectfolder.catalog import add_mesh
+from objectfolder.errors import ObjectFolderError
+from objectfolder.fetch import checksums
+from objectfolder.fetch.archive import unpack
+from objectfolder.fetch.catalogue import Catalogue
+from objectfolder.fetch.download import Reporter, download_to, silent
+from objectfolder.fetch.layout import collect, find_mesh
+from objectfolder.fetch.local import find_local
+from objectfolder.fetch.polyhaven import download_polyhaven
+
+CACHE = Path("build/.fetch")  #: unfinished downloads
+SOURCE_FILE = "SOURCE.txt"  #: beside the mesh
+SIZE_TOLERANCE = 0.05  #: between the catalogue's size and the mesh's own
+
+
+class Status(StrEnum):
+    """What became of an object."""
+
+    ADDED = "added"
+    PRESENT = "present"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Result of fetching one object."""
+
+    key: str
+    status: Status
+    detail: str  #: for people
+
+
+@dataclass(frozen=True)
+class _Obtained:
+    """Files of an object, before they are copied."""
+
+    tree: Path
+    origin: str
+    archive: Path | None = None
+
+
+def fetch_object(
+    key: str,
+    catalogue: Catalogue,
+    directory: Path | None = None,
+    accept_changed: bool = False,
+    root: Path = Path(),
+    reporter: Reporter = silent,
+) -> Outcome:
+    """Fetch one object and add it to the workspace, unless it is there.
+
+    Parameters
+    ----------
+    key : str
+    catalogue : Catalogue
+    directory : Path, optional
+        Take it from here instead of downloading it.
+    accept_changed : bool
+        Record the checksums of files that have changed since they were first used, rather than fail.
+    root : Path
+        Workspace.
+    reporter : callable
+        Takes the name of a file that is downloaded and returns a listener for its progress.
+
+    Returns
+    -------
+    Outcome
+        Never failed: that is an exception.
+
+    Raises
+    ------
+    ObjectFolderError
+        If anything is wrong; nothing is changed under ``data/`` and in ``params.yaml`` then.
+    """
+    home = Path("data/objects") / key
+    if key in params.read(root / params.PARAMS_FILE)["objects"]:
+        return Outcome(key, Status.PRESENT, f"{home} is there already")
+    if (root / home).exists():
+        raise ObjectFolderError(
+            f"{home} exists, but {params.PARAMS_FILE} has no such object; remove the folder"
+        )
+    entry, source = catalogue.objects[key], catalogue.source(key)
+    lock = root / checksums.PATH
+    recorded = checksums.read_checksums(lock).get(key, {})
+    check_writable(root / CACHE)
+    with TemporaryDirectory(dir=root / CACHE, prefix=f"{key}.") as folder:
+        scratch = Path(folder)
+        obtained = _obtain(key, catalogue, directory, scratch, root / CACHE, reporter)
+        try:
+            mesh, files = collect(find_mesh(obtained.tree, source), obtained.tree, scratch / "object")
+            used = {obtained.archive.name: obtained.archive} if obtained.archive else files
+            digests = {name: file_digest(path) for name, path in used.items()}
+            if not accept_changed:
+                checksums.check(recorded, digests, key, lock)
+            notice = scratch / SOURCE_FILE
+            notice.write_text(source_text(key, catalogue, obtained.origin))
+            # The source's up axis holds for its own files; another format has its own.
+            up = source.up if mesh.suffix.lower() == Path(source.mesh).suffix else None
+            add_mesh(mesh, key, entry.material, entry.scale, up, root, [notice])
+        except (ObjectFolderError, OSError) as error:
+            message = str(error).replace(f"{scratch / 'object'}/", "")
+            raise ObjectFolderError(f"{message} (from {obtained.origin})") from error
+        own_size = float(trimesh.load_scene(mesh, process=False, skip_materials=True).extents.max())
+    checksums.record(lock, key, digests)
+    detail = f"{entry.material}, {entry.scale:g} m"
+    if abs(own_size / entry.scale - 1) > SIZE_TOLERANCE:
+        detail += f" (scaled: the mesh itself measures {own_size:.3g} m)"
+    return Outcome(key, Status.ADDED, detail + (f"; {entry.note}" if entry.note else ""))
+
+
+def fetch_all(
+    keys: Sequence[str],
+    catalogue: Catalogue,
+    directory: Path | None = None,
+    accept_changed: bool = False,
+    root: Path = Path(),
+    reporter: Reporter = silent,
+    on_outcome: Callable[[Outcome], None] = lambda outcome: None,
+) -> list[Outcome]:
+    """Fetch objects one after another; one that fails does not stop the others.
+
+    Parameters
+    ----------
+    keys : sequence of str
+    on_outcome : callable
+        Called with each result as it comes. The other parameters are those of `fetch_object`.
+    """
+    params.read(root / params.PARAMS_FILE)  # no workspace: one error, not one for each object
+    outcomes = []
+    for key in keys:
+        try:
+            outcome = fetch_object(key, catalogue, directory, accept_changed, root, reporter)
+        except (ObjectFolderError, OSError) as error:
+            outcome = Outcome(key, Status.FAILED, str(error))
+        on_outcome(outcome)
+        outcomes.append(outcome)
+    return outcomes
+
+
+def source_text(key: str, catalogue: Catalogue, origin: str) -> str:
+    """Text that stays with a mesh: where it is from, whose it is, and what was changed."""
+    entry, source = catalogue.objects[key], catalogue.source(key)
+    return (
+        f"{entry.name}, object {entry.id} of ObjectFolder 1.0\n\n"
+        f"Mesh and textures: {source.title}, {catalogue.page(key)}\n"
+        f"Taken from: {origin}\n"
+        f"Licence: {source.licence}\n"
+        f"Attribution: {source.attribution}\n"
+        "Changes: the mesh is renamed; files that it does not refer to are left out.\n\n"
+        "Name, material and size: ObjectFolder, Gao et al., CoRL 2021, CC BY 4.0\n"
+        "(https://creativecommons.org/licenses/by/4.0/)" + (f"; {entry.note}" if entry.note else "") + "\n"
+    )
+
+
+def _obtain(
+    key: str, catalogue: Catalogue, directory: Path | None, scratch: Path, cache: Path, reporter: Reporter
+) -> _Obtained:
+    tree = scratch / "tree"
+    if directory is not None:
+        found = find_local(directory, catalogue, key)
+        if found.is_dir():
+            return _Obtained(found, f"the folder {found.name}")
+        unpack(found, tree)
+        return _Obtained(tree, f"the archive {found.name}", found)
+    url = catalogue.url(key)
+    if catalogue.source(key).kind == "polyhaven":
+        download_polyhaven(url, catalogue.source(key).resolution, tree, cache / key, reporter)
+        return _Obtained(tree, url)
+    archive = scratch / catalogue.archive_name(key)
+    download_to(archive, url, cache / f"{key}.part", reporter)
+    try:
+        unpack(archive, tree)
+    except ObjectFolderError as error:
+        raise ObjectFolderError(f"{error} (from {url})") from error
+    return _Obtained(tree, url, archive)

@@ -1,0 +1,194 @@
+"""Objects put together from painted parts: the charts of the finished surface, and its texture."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import manifold3d
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.procedural.atlas import MARGIN, Chart, pack
+from objectfolder.mesh.procedural.finish import Paint, finish
+from objectfolder.mesh.procedural.texture import rgb
+from objectfolder.mesh.raycast import RayCaster
+from objectfolder.mesh.textured import TexturedMesh
+
+#: Weighs a part's axes, so that facets at 45 degrees all go to the same chart.
+PREFERENCE = np.array([1.0, 1.04, 1.08])
+LONGEST = 0.05  #: of the edges, in sizes of the object: sounds are excited at vertices
+LATE_WOOD = np.array([0.78, 0.68, 0.58])  #: of dyed wood, in shares of its colour
+BORDER_SAMPLES = 4  #: points on an edge at the border of a chart from which its surface is continued
+
+
+@dataclass(frozen=True)
+class Look:
+    """The finish of an object; each part may take another piece of it, direction or colour."""
+
+    finish: str
+    size: float  #: longest side of the object, m
+    color: str | None = None
+    accent: str | None = None
+    seed: int = 0
+
+    def paint(self, axis: Sequence[float] | np.ndarray | None = None, piece: int = 0) -> Paint:
+        """Paint of one piece, its grain along `axis`."""
+        direction = None if axis is None else [float(x) for x in axis]
+        return finish(self.finish, self.size, self.color, self.accent, self.seed + piece, direction).paint
+
+    def dyed(self, color: str | None) -> "Look":
+        """Return the same finish in another colour; wood then grows darker shades of it."""
+        late = None
+        if self.finish == "wood" and color is not None:
+            late = "".join(f"{round(255 * c):02x}" for c in LATE_WOOD * rgb(color))
+        return replace(self, color=color, accent=late)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A solid, in place, with the paint of its surface, wherever that ends up in the object."""
+
+    solid: manifold3d.Manifold
+    paint: Paint
+    axes: np.ndarray = field(default_factory=lambda: np.eye(3))  #: columns: where its charts look from
+
+    @classmethod
+    def of(cls, solid: manifold3d.Manifold, paint: Paint, axes: np.ndarray | None = None) -> "Part":
+        """Return a part whose surface can be told from all others after Boolean operations."""
+        return cls(solid.as_original(), paint, np.eye(3) if axes is None else axes)
+
+
+def frame(along: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Orthonormal axes (3, 3), as columns, the first one along a vector."""
+    first = np.asarray(along, np.float64) / np.linalg.norm(along)
+    second = np.cross([0.0, 0.0, 1.0] if abs(first[2]) < 0.9 else [1.0, 0.0, 0.0], first)
+    second /= np.linalg.norm(second)
+    return np.stack([first, second, np.cross(first, second)], 1)
+
+
+def joined(parts: Sequence[Part]) -> manifold3d.Manifold:
+    """Union of all parts."""
+    return manifold3d.Manifold.batch_boolean([part.solid for part in parts], manifold3d.OpType.Add)
+
+
+def assemble(
+    solid: manifold3d.Manifold, parts: Sequence[Part], look: Look, texture_size: int
+) -> TexturedMesh:
+    """Chart the surface of a solid made from parts by Boolean operations, paint it and bake the texture.
+
+    A chart is a connected piece of one part that faces along one of the part's axes, seen straight on.
+
+    Parameters
+    ----------
+    solid : manifold3d.Manifold
+        m.
+    parts : sequence of Part
+        All that took part, cutting tools too.
+    look : Look
+        For the gloss.
+    texture_size : int
+        Texels on a side.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the texture is too small for the object's charts.
+    """
+    # Boolean operations leave one long edge where flats meet: divide it.
+    mesh = solid.refine_to_length(LONGEST * look.size).to_mesh64()
+    vertices = np.array(mesh.vert_properties, np.float64)
+    faces = np.array(mesh.tri_verts, np.int64)
+    owner = _owners(mesh, parts)
+    axes = np.stack([part.axes for part in parts])
+
+    corners = vertices[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    local = np.einsum("fi,fij->fj", normal, axes[owner])
+    axis = np.argmax(np.abs(local) * PREFERENCE, axis=1)
+    side = 2 * axis + (np.take_along_axis(local, axis[:, None], 1)[:, 0] < 0)
+    label = _connected(faces, owner * 6 + side)
+
+    charts, maps, pieces = [], [], []
+    for k in range(label.max() + 1):
+        mine = np.flatnonzero(label == k)
+        view = _view(axes[owner[mine[0]]], side[mine[0]])
+        used, index = np.unique(faces[mine], return_inverse=True)
+        seen = vertices[used] @ view
+        if np.ptp(seen[:, 1]) > np.ptp(seen[:, 0]):  # lying down: the atlas shelves like low charts
+            view = view @ np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+            seen = vertices[used] @ view
+        low = seen.min(0)
+        charts.append(_chart(seen - low, index.reshape(-1, 3), view, low, parts[owner[mine[0]]].paint))
+        maps.append((seen - low)[:, :2])
+        pieces.append((used, mine, index.reshape(-1, 3)))
+    least = math.ceil((2 * MARGIN + 4) * math.sqrt(len(charts)))
+    if texture_size < least:
+        raise ObjectFolderError(
+            f"texture_size={texture_size!r}: expected at least {least} texels for the {len(charts)} charts of "
+            "this object; make the texture larger"
+        )
+    atlas = pack(charts, texture_size)
+
+    starts = np.cumsum([0, *(len(used) for used, _, _ in pieces)])
+    split = np.empty_like(faces)
+    for start, (_, mine, index) in zip(starts, pieces):
+        split[mine] = index + start
+    gloss = finish(look.finish, look.size)
+    return TexturedMesh(
+        vertices=vertices[np.concatenate([used for used, _, _ in pieces])],
+        faces=split,
+        uv=np.concatenate([atlas.uv(k, xy) for k, xy in enumerate(maps)]),
+        texture=atlas.bake(),
+        roughness=gloss.roughness,
+        metallic=gloss.metallic,
+    )
+
+
+def _owners(mesh: manifold3d.Mesh64, parts: Sequence[Part]) -> np.ndarray:
+    """Index of the part (F,) on whose surface each face lies."""
+    identity = {part.solid.original_id(): k for k, part in enumerate(parts)}
+    lengths = np.diff(np.asarray(mesh.run_index, np.int64)) // 3
+    return np.repeat([identity[int(i)] for i in mesh.run_original_id], lengths)
+
+
+def _connected(faces: np.ndarray, kind: np.ndarray) -> np.ndarray:
+    """Label (F,) of the connected regions of faces of one kind, in the order of their first faces."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    order = np.lexsort(np.sort(edges, axis=1).T)
+    one, other = order.reshape(-1, 2).T % len(faces)  # a closed surface: edges come in pairs
+    same = kind[one] == kind[other]
+    n = len(faces)
+    graph = coo_array((np.ones(same.sum(), bool), (one[same], other[same])), shape=(n, n))
+    label = connected_components(graph, directed=False)[1]
+    _, first, inverse = np.unique(label, return_index=True, return_inverse=True)
+    return np.argsort(np.argsort(first))[inverse]
+
+
+def _view(axes: np.ndarray, side: int) -> np.ndarray:
+    """Columns (3, 3) right, up, towards the viewer, for a side of a part."""
+    k, backward = divmod(int(side), 2)
+    right, up, toward = axes[:, (k + 1) % 3], axes[:, (k + 2) % 3], axes[:, k]
+    return np.stack([up, right, -toward] if backward else [right, up, toward], 1)
+
+
+def _chart(seen: np.ndarray, faces: np.ndarray, view: np.ndarray, low: np.ndarray, paint: Paint) -> Chart:
+    """Chart of a relief seen along its third coordinate; `seen` (V, 3) in the frame of the view, from 0."""
+    above = seen[:, 2].max() + 0.1 * float(np.ptp(seen, axis=0).max())
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    _, first, count = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
+    start, stop = seen[edges[first[count == 1]].T]
+    border = np.concatenate([start + t * (stop - start) for t in np.arange(BORDER_SAMPLES) / BORDER_SAMPLES])
+
+    def locate(xy: np.ndarray) -> np.ndarray:
+        rays = np.column_stack([xy, np.full(len(xy), above)])
+        distance, face = RayCaster(seen, faces).first_hit(rays, np.broadcast_to([0.0, 0.0, -1.0], rays.shape))
+        height = above - distance.astype(np.float64)
+        off = face < 0
+        # Past the border the surface goes on level with the nearest point on it.
+        height[off] = border[cKDTree(border[:, :2]).query(xy[off])[1], 2]
+        return (np.column_stack([xy, height]) + low) @ view.T
+
+    return Chart((float(np.ptp(seen[:, 0])), float(np.ptp(seen[:, 1]))), locate, paint)

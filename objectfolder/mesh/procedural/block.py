@@ -1,0 +1,153 @@
+"""Blocks: a rounded brick, plain, with holes through it or into it, or with studs on top; standing on z = 0."""
+
+import numpy as np
+
+from objectfolder.mesh.procedural.assembly import Look, Part, assemble, joined
+from objectfolder.mesh.procedural.boards import timber
+from objectfolder.mesh.procedural.extrusion import prism, rectangle, regular
+from objectfolder.mesh.procedural.finish import Paint
+from objectfolder.mesh.procedural.options import require_choice, require_count, require_not_negative
+from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
+from objectfolder.mesh.procedural.texture import over
+from objectfolder.mesh.textured import TexturedMesh
+
+RELIEFS = ("plain", "holes", "studs")
+HOLES = ("round", "square", "hexagon", "star", "mixed")
+
+
+def block(
+    length: float = 0.12,
+    width: float = 0.12,
+    height: float = 0.05,
+    relief: str = "holes",
+    rows: int = 3,
+    columns: int = 3,
+    diameter: float = 0.022,
+    depth: float | None = None,
+    hole: str = "round",
+    rounding: float = 0.003,
+    finish: str = "wood",
+    color: str | None = None,
+    accent: str | None = None,
+    seed: int = 0,
+    texture_size: int = 1024,
+) -> TexturedMesh:
+    """Build a block, with a grid of holes or studs on it if asked.
+
+    Parameters
+    ----------
+    length, width, height : float
+        Along x, y and z, m, without studs.
+    relief : str
+        "plain", "holes" or "studs".
+    rows, columns : int
+        Of the grid along y and x, 1 to 6.
+    diameter : float
+        Of a stud, or of the circle round a hole, m.
+    depth : float, optional
+        Of a hole, m, by default through the block; or height of a stud, by default 40 % of its diameter.
+    hole : str
+        Shape: "round", "square", "hexagon", "star", or these four in turn, "mixed".
+    rounding : float
+        Radius of the edges, m; 0 leaves them sharp.
+    finish, color, seed
+        See `finish`.
+    accent : str, optional
+        Colour inside the holes, or of the studs; by default the block's own, darker in a hole.
+    texture_size : int
+        Texels on a side.
+
+    Returns
+    -------
+    TexturedMesh
+        One closed surface; x and y about 0, z from 0.
+
+    Raises
+    ------
+    ObjectFolderError
+        If an option is unknown or a dimension does not fit the others.
+    """
+    require_positive("block", length=length, width=width, height=height, diameter=diameter)
+    require_choice("block", RELIEFS, relief=relief)
+    require_choice("block", HOLES, hole=hole)
+    require_count("block", 1, 6, rows=rows, columns=columns)
+    least, most = min(length, width, height), max(length, width, height)
+    require_between("block", 0, 12 * least, "no longer than 12 times its least side", size=most)
+    require_not_negative("block", 0.2 * least, "a fifth of the least side", rounding=rounding)
+    if relief != "plain":
+        pitch = min(length / columns, width / rows)
+        require_between("block", 0.2 * pitch, 0.8 * pitch, "20 % to 80 % of the pitch of the grid",
+                        diameter=diameter)
+        room = min(0.2 * (pitch - diameter), 0.15 * diameter)
+        require_not_negative("block", room, "so that neighbouring edges stay apart", rounding=rounding)
+    through = depth is None or (relief == "holes" and depth == height)
+    if depth is not None and relief != "plain" and not through:
+        deepest = height - 2 * rounding - 0.02 * height if relief == "holes" else diameter
+        require_between("block", 2.2 * rounding + 0.02 * height, deepest, "a hole with a floor, or a low stud",
+                        depth=depth)
+    require_texture_size("block", texture_size)
+
+    look = Look(finish, most, color, None, seed)
+    spacing = most / 32
+    middle = np.array([0, 0, height / 2])
+    long = 0 if length >= width else 1
+    skin = timber(look, 1, middle, np.eye(3)[:, [long, 1 - long, 2]] * [1, 1 - 2 * long, 1], 0.1)
+    outline = rectangle(length, width, 2 * rounding)
+    centres = grid(length, width, rows, columns)
+    if relief != "holes":
+        parts = [Part.of(prism([outline], height, spacing, rounding, 2), skin)]
+        if relief == "studs":
+            rise = 0.4 * diameter if depth is None else depth
+            sunk = 0.5 * height
+            stud = prism([regular(40, diameter / 2)], rise + sunk, spacing, min(rounding, 0.3 * rise), 2)
+            cover = skin if accent is None else look.dyed(accent).paint()
+            parts += [Part.of(stud.translate((x, y, height - sunk)), cover) for x, y in centres]
+        return assemble(joined(parts), parts, look, texture_size)
+
+    shapes = [_shape(hole, k, diameter / 2) for k in range(len(centres))]
+    bored = [shape[::-1] + centre for shape, centre in zip(shapes, centres)]
+    cover = _bored(skin, centres, diameter / 2, rounding, height,
+                   None if accent is None else look.dyed(accent).paint())
+    parts = [Part.of(prism([outline, *bored], height, spacing, rounding, 2), cover)]
+    if not through:
+        # A plug wider than the hole's rounded rim, narrower than what is left between holes.
+        grow = 1 + 0.5 * (pitch - diameter) / diameter
+        floor = height - depth
+        plugs = [prism([shape * grow], floor, spacing).translate((*centre, 0))
+                 for shape, centre in zip(shapes, centres)]
+        parts += [Part.of(plug, cover) for plug in plugs]
+    return assemble(joined(parts), parts, look, texture_size)
+
+
+def grid(length: float, width: float, rows: int, columns: int) -> np.ndarray:
+    """Middles (rows * columns, 2) of equal cells of a rectangle about the origin, m."""
+    x = ((np.arange(columns) + 0.5) / columns - 0.5) * length
+    y = ((np.arange(rows) + 0.5) / rows - 0.5) * width
+    return np.stack(np.meshgrid(x, y), 2).reshape(-1, 2)
+
+
+def _shape(hole: str, place: int, radius: float) -> np.ndarray:
+    """Outline (N, 2), counter-clockwise, of the hole at one place."""
+    kind = HOLES[place % 4] if hole == "mixed" else hole
+    if kind == "star":
+        points = regular(10, radius, np.pi / 2)
+        points[1::2] *= 0.62
+        return points
+    sides, turn = {"round": (32, 0.0), "square": (4, np.pi / 4), "hexagon": (6, 0.0)}[kind]
+    return regular(sides, radius, turn)
+
+
+def _bored(
+    skin: Paint, centres: np.ndarray, radius: float, rounding: float, height: float, inside: Paint | None
+) -> Paint:
+    """Paint of a block whose holes have a colour of their own below their rims."""
+
+    def paint(points: np.ndarray) -> np.ndarray:
+        colour = skin(points)
+        apart = np.min([np.hypot(*(points[:, :2] - centre).T) for centre in centres], axis=0)
+        rim = max(0.5 * rounding, 0.004 * height)
+        deep = (apart < 1.02 * radius) & (points[:, 2] > rim) & (points[:, 2] < height - rim)
+        shade = 0.55 * colour if inside is None else inside(points)
+        return over(colour, shade, 1.0 * deep)
+
+    return paint

@@ -1,0 +1,116 @@
+"""Timber of furniture: boards and legs that carry their grain."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from objectfolder.mesh.procedural.assembly import Look, Part
+from objectfolder.mesh.procedural.extrusion import prism, rectangle
+from objectfolder.mesh.procedural.finish import Paint
+from objectfolder.mesh.procedural.texture import over, stroke
+
+#: Where `finish` puts the middle of the trunk, across the grain along x, in sizes of the object.
+PITH = (0.62, -0.50)
+#: Axis of the trunk in a board's frame (along, across, through): off its length, so that rings make arches.
+TRUNK = (1.0, 0.02, 0.07)
+PLANK = 0.15  #: width of the boards that a wider one is glued from, about, m
+
+
+def timber(
+    look: Look, piece: int, middle: np.ndarray, axes: np.ndarray, width: float, seam: float = 0.0
+) -> Paint:
+    """Paint of a board, each sawn near the middle of a trunk; a wide one is glued from several side by side.
+
+    Parameters
+    ----------
+    look : Look
+    piece : int
+        Which board: each is sawn from a place of its own.
+    middle : ndarray, shape (3,)
+        Of the board, m.
+    axes : ndarray, shape (3, 3)
+        As columns: along, across and through the board.
+    width : float
+        Of the board, m.
+    seam : float
+        Width of the open joints between boards side by side, m.
+    """
+    if look.finish != "wood":
+        return look.paint(axes[:, 0], piece)
+    count = max(1, round(width / PLANK))
+    each = width / count
+    chance = np.random.default_rng([look.seed, piece])
+    place = np.array([0.5, 0.35 * each, 0.03]) * chance.uniform(-1, 1, (count, 3)) + [0, 0, 0.07]
+    shifts = place + np.array([0, *PITH]) * look.size
+    grown = [look.paint(TRUNK, 100 * piece + k) for k in range(count)]
+
+    def paint(points: np.ndarray) -> np.ndarray:
+        local = (points - middle) @ axes
+        across = local[:, 1] / each + count / 2
+        index = np.clip(np.floor(across).astype(int), 0, count - 1)
+        local[:, 1] -= (index - (count - 1) / 2) * each
+        colour = np.empty(points.shape)
+        for k in range(count):
+            colour[index == k] = grown[k](local[index == k] + shifts[k])
+        if seam == 0 or count == 1:
+            return colour
+        joint = (across - np.clip(np.round(across), 1, count - 1)) * each
+        return over(colour, 0.35 * colour, 0.8 * stroke(joint, seam / 2, seam))
+
+    return paint
+
+
+def board(
+    look: Look,
+    piece: int,
+    low: Sequence[float],
+    high: Sequence[float],
+    spacing: float,
+    bevel: float = 0.0,
+) -> Part:
+    """Build an upright or level board between two corners, m, its grain along its longest side.
+
+    Parameters
+    ----------
+    look : Look
+    piece : int
+        Which piece of timber.
+    low, high : sequence of 3 floats
+        Opposite corners, m.
+    spacing : float
+        Between vertices, m.
+    bevel : float
+        Width of its chamfered edges, m.
+    """
+    size = np.subtract(high, low)
+    thin = int(np.argmin(size))
+    wide, long = sorted((k for k in range(3) if k != thin), key=lambda k: size[k])
+    axes = np.eye(3)[:, [long, wide, thin]]
+    axes[:, 1] *= np.linalg.det(axes)
+    # Corners twice as round as edges: they must outlast the rounding of the edges.
+    plate = prism([rectangle(size[long], size[wide], 2 * bevel, 3)], size[thin], spacing, bevel, 1)
+    middle = np.add(low, high) / 2
+    plate = plate.transform(np.column_stack([axes, middle - size[thin] / 2 * axes[:, 2]]))
+    return Part.of(plate, timber(look, piece, middle, axes, size[wide]))
+
+
+def leg(
+    look: Look,
+    piece: int,
+    foot: Sequence[float],
+    height: float,
+    size: float,
+    spacing: float,
+    bevel: float,
+    taper: float = 1.0,
+) -> Part:
+    """Build a square leg, m, on the point `foot`; it narrows to `taper` of its size there."""
+    post = prism([rectangle(size, size, 2 * bevel, 3)], height, spacing, bevel, 1)
+
+    def narrow(points: np.ndarray) -> np.ndarray:
+        scale = taper + (1 - taper) * points[:, 2:] / height
+        return np.hstack([points[:, :2] * scale, points[:, 2:]])
+
+    post = post.warp_batch(narrow).translate([float(x) for x in foot])
+    middle = np.add(foot, [0, 0, height / 2])
+    return Part.of(post, timber(look, piece, middle, np.eye(3)[:, [2, 0, 1]], size))

@@ -1,0 +1,95 @@
+"""A bowl: an open, turned vessel from a shallow dish to a straight-sided ramekin, standing on z = 0."""
+
+import numpy as np
+
+from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
+from objectfolder.mesh.procedural.section import half_outline, ring_under, soften, wall_about
+from objectfolder.mesh.procedural.texture import smoothstep
+from objectfolder.mesh.procedural.vessel import dress, lobed, turn
+from objectfolder.mesh.textured import TexturedMesh
+
+
+def bowl(
+    radius: float = 0.075,
+    height: float = 0.065,
+    wall: float = 0.004,
+    foot_radius: float = 0.034,
+    foot_height: float = 0.006,
+    fullness: float = 2.2,
+    flare: float = 0.0,
+    lobes: int = 0,
+    lobe_depth: float = 0.05,
+    finish: str = "glaze",
+    color: str | None = None,
+    accent: str | None = None,
+    seed: int = 0,
+    texture_size: int = 1024,
+) -> TexturedMesh:
+    """Build a bowl.
+
+    Parameters
+    ----------
+    radius, height, wall : float
+        Greatest outer radius, height and thickness of the wall, m.
+    foot_radius, foot_height : float
+        Outer radius and height of the ring that it stands on, m.
+    fullness : float
+        1.6 (nearly a cone) through 2 (an ellipsoid) to 8 (nearly a cylinder).
+    flare : float
+        -0.4 (drawn in at the lip) to 0.6 (lip bent outward).
+    lobes : int
+        How many lobes the lip has, 0 for a round one.
+    lobe_depth : float
+        Swing of the lobes, in radii; a round bowl has none.
+    finish, color, accent, seed
+        See `procedural.finish.finish`; on a glazed bowl the accent is the colour inside.
+    texture_size : int
+        Texels on a side.
+
+    Returns
+    -------
+    TexturedMesh
+        One closed surface of genus 0; a round one has x and y from -radius to radius, z from 0 to height.
+
+    Raises
+    ------
+    ObjectFolderError
+        If a dimension is not positive or the parts do not fit each other.
+    """
+    require_positive(
+        "bowl",
+        radius=radius,
+        height=height,
+        wall=wall,
+        foot_radius=foot_radius,
+        foot_height=foot_height,
+        fullness=fullness,
+    )
+    require_between("bowl", 0.25 * radius, 2.5 * radius, "a quarter to 2.5 radii", height=height)
+    thickest = min(0.15 * radius, 0.2 * height)
+    require_between("bowl", 0.015 * radius, thickest, "1.5 % to 15 % of the radius", wall=wall)
+    require_between(
+        "bowl", 0.25 * radius, 0.7 * radius, "25 % to 70 % of the radius", foot_radius=foot_radius
+    )
+    require_between("bowl", 0.2 * wall, 0.2 * height, "a low ring", foot_height=foot_height)
+    require_between("bowl", 1.6, 8.0, "cone to cylinder", fullness=fullness)
+    require_between("bowl", -0.4, 0.6, "drawn in to bent out", flare=flare)
+    require_texture_size("bowl", texture_size)
+
+    # A superellipse: level on the axis, upright at the lip before the flare.
+    angle = np.linspace(0, np.pi / 2, 600)
+    rise = 1 - np.cos(angle) ** (2 / fullness)
+    r = np.sin(angle) ** (2 / fullness) * (1 + flare * (rise**3 - 1))
+    base = foot_height + wall / 2
+    middle = np.stack([(radius - wall / 2) * r / r.max(), base + (height - wall / 2 - base) * rise], 1)
+
+    ring = max(1.2 * wall, 0.12 * foot_radius)
+    section = soften(
+        wall_about(middle, wall) + ring_under(middle, foot_radius, ring),
+        concave=0.4 * foot_height,
+        convex=0.3 * min(wall, foot_height),
+    )
+    warp = lobed("bowl", lobes, lobe_depth, lambda p: smoothstep(0.3 * height, height, p[:, 2]))
+    size = max(2 * radius, height)
+    look = dress(finish, size, height, 0.6 * foot_height, color, accent, seed)
+    return turn(half_outline(section, "bowl"), look, texture_size, warp)

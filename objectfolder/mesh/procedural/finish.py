@@ -1,0 +1,273 @@
+"""Finishes that generators share: what a surface is made of, as a solid texture and its gloss.
+
+Every finish is a function of the point in space, so that charts that meet along a seam agree on its colour.
+"""
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.procedural.texture import lattice, noise, over, rgb, smoothstep, wood
+
+__all__ = ["FINISHES", "Finish", "Paint", "finish"]
+
+Paint = Callable[[np.ndarray], np.ndarray]  #: points (N, 3), m -> sRGB (N, 3) in [0, 1]
+
+BOARD = 0.2  #: size, m, from which wood keeps the width of its rings instead of growing with the object
+#: Turns the noise's lattice off the axes of the object, which else would show its rows and its period.
+TILT = Rotation.from_euler("zyx", [0.71, 0.43, 1.13]).as_matrix()
+#: Short of 1, at which a scene with one point light and no surroundings to mirror is black.
+METALLIC = 0.4
+PATTERNS = ("stripes", "dots", "waves")  #: of `print`, chosen by the seed
+
+
+@dataclass(frozen=True)
+class Finish:
+    """A surface's look: its colours and what a principled BSDF needs besides."""
+
+    paint: Paint
+    roughness: float
+    metallic: float
+
+
+@dataclass(frozen=True)
+class _Look:
+    """What a finish has to choose from: lengths in m, colours (3,) in [0, 1]."""
+
+    size: float
+    color: np.ndarray
+    accent: np.ndarray
+    seed: int
+    axis: np.ndarray | None  #: unit vector of the grain
+
+    def flat(self, points: np.ndarray) -> np.ndarray:
+        """Colour (N, 3) that is the same everywhere."""
+        return np.broadcast_to(self.color, points.shape)
+
+
+@dataclass(frozen=True)
+class _Recipe:
+    maker: Callable[[_Look], Paint]
+    color: str
+    accent: str | None  #: None: that of the colour itself
+    roughness: float
+    metallic: float
+
+
+def finish(
+    name: str,
+    size: float,
+    color: str | None = None,
+    accent: str | None = None,
+    seed: int = 0,
+    axis: Sequence[float] | None = None,
+) -> Finish:
+    """Look up a finish and fit it to an object; the same arguments give the same colours.
+
+    Parameters
+    ----------
+    name : str
+        A key of `FINISHES`.
+    size : float
+        Longest side of the object, m: it sets the scale of the pattern.
+    color, accent : str, optional
+        Hexadecimal sRGB such as `e8dcc4`; by default the finish's own. The accent colours what pools towards
+        z = 0 in a glaze, wood's late growth, a metal's patina, the speckle of plastic, the ink of a print and
+        the streaks of glass.
+    seed : int
+        Which piece of it; `print` takes its pattern from it: stripes, dots, waves, then stripes again.
+    axis : sequence of 3 floats, optional
+        Along which wood grows and metal is brushed. By default wood lies roughly along x and metal is turned
+        on a lathe about z.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the finish is unknown, a colour is not six hexadecimal digits, the size is not a positive number,
+        the seed is not a whole number from 0, or the axis has no direction.
+    """
+    recipe = FINISHES.get(name) if isinstance(name, str) else None
+    if recipe is None:
+        raise ObjectFolderError(f"unknown finish {name!r}: expected one of {', '.join(FINISHES)}")
+    if not isinstance(size, int | float) or not math.isfinite(size) or size <= 0:
+        raise ObjectFolderError(f"finish {name}: size={size!r}: expected a positive, finite number of metres")
+    if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
+        raise ObjectFolderError(f"finish {name}: seed={seed!r}: expected a whole number from 0")
+    base = _colour(name, "color", recipe.color if color is None else color)
+    second = recipe.accent if accent is None else accent
+    look = _Look(
+        float(size),
+        base,
+        base if second is None else _colour(name, "accent", second),
+        seed,
+        None if axis is None else _direction(name, axis),
+    )
+    texture = recipe.maker(look)
+    return Finish(lambda points: np.clip(texture(points), 0, 1), recipe.roughness, recipe.metallic)
+
+
+def _colour(name: str, parameter: str, code: str) -> np.ndarray:
+    if not isinstance(code, str) or re.fullmatch("[0-9a-fA-F]{6}", code) is None:
+        raise ObjectFolderError(
+            f"finish {name}: {parameter}={code!r}: expected six hexadecimal digits in quotes, like 'e8dcc4'"
+        )
+    return rgb(code)
+
+
+def _direction(name: str, axis: Sequence[float]) -> np.ndarray:
+    vector = np.asarray(axis, np.float64)
+    length = np.linalg.norm(vector) if vector.shape == (3,) else 0.0
+    if not np.isfinite(length) or length == 0:
+        raise ObjectFolderError(f"finish {name}: axis={axis!r}: expected three numbers, not all zero")
+    return vector / length
+
+
+def _glaze(look: _Look) -> Paint:
+    """Stoneware glaze: soft clouds, iron specks, and the accent pooled in veils towards the foot."""
+    values = lattice(look.seed)
+    unit = look.size / 0.1
+
+    def paint(points: np.ndarray) -> np.ndarray:
+        at = points @ TILT / unit
+        clouds = noise(at / 0.012, values, 3)
+        colour = look.flat(points)
+        if look.accent is not look.color:
+            veil = noise(at / 0.030 + 17, values, 3)
+            pooled = smoothstep(0.42, 0.08, points[:, 2] / look.size + 0.05 * veil)
+            colour = over(colour, look.accent, 0.92 * pooled)
+        specks = smoothstep(2.2, 2.7, noise(at / 0.0012 + 5, values))
+        return over(colour * (1 + 0.022 * clouds)[:, None], 0.30 * colour, 0.6 * specks)
+
+    return paint
+
+
+def _wood(look: _Look) -> Paint:
+    """Planed timber; the rings of furniture are as narrow as those of a board."""
+    detail = max(1.7, look.size / BOARD)
+
+    def paint(points: np.ndarray) -> np.ndarray:
+        return wood(points, look.size, look.seed, look.color, look.accent, look.axis, detail)
+
+    return paint
+
+
+def _brushed(look: _Look) -> Paint:
+    """Metal with fine strokes along the axis, or turned about z, under a cloudy patina."""
+    values = lattice(look.seed)
+
+    def strokes(points: np.ndarray) -> np.ndarray:
+        at = points / look.size
+        if look.axis is not None:
+            along = at @ look.axis
+            return 190 * (at - along[:, None] * look.axis) + 2.5 * along[:, None] * look.axis
+        r = np.hypot(at[:, 0], at[:, 1])
+        turn = at[:, :2] / np.maximum(r, 1e-9)[:, None]
+        # The slant keeps rings on flats and bands on upright walls alike fine.
+        return np.column_stack([1.5 * turn * np.sqrt(np.minimum(r, 1))[:, None], 170 * at[:, 2] + 130 * r])
+
+    def paint(points: np.ndarray) -> np.ndarray:
+        marks = noise(strokes(points), values, 3)
+        cloud = noise(points / look.size * 3.1, values, 4)
+        colour = look.color * (1 + 0.055 * marks + 0.02 * cloud)[:, None]
+        return over(colour, look.accent, 0.22 * smoothstep(0.3, 2.4, cloud))
+
+    return paint
+
+
+def _cast(look: _Look) -> Paint:
+    """Sand-cast or hammered metal: an embossed grain, worn lighter here and there."""
+    values = lattice(look.seed)
+    grain = min(look.size / 90, 0.004)
+    toward = np.array([0.32, 0.21, 0.45])  # where the light of the embossing comes from, in grains
+
+    def paint(points: np.ndarray) -> np.ndarray:
+        at = points @ TILT / grain
+        relief = noise(at, values, 2) - noise(at + toward, values, 2)
+        cloud = noise(points / look.size * 3.7 + 3, values, 4)
+        pits = smoothstep(1.6, 2.6, noise(at * 0.8 + 9, values))
+        colour = over(look.flat(points), look.accent, 0.30 * smoothstep(0.2, 2.2, cloud))
+        return over(colour * (1 + 0.16 * relief + 0.05 * cloud)[:, None], 0.45 * colour, 0.5 * pits)
+
+    return paint
+
+
+def _plastic(look: _Look) -> Paint:
+    """Moulded plastic: one colour with a faint, soft speckle."""
+    values = lattice(look.seed)
+
+    def paint(points: np.ndarray) -> np.ndarray:
+        at = points @ TILT / look.size
+        mottle = noise(at * 160, values, 2)
+        drift = noise(at * 2.3 + 5, values, 2)
+        fleck = smoothstep(1.9, 2.4, noise(at * 110 + 11, values))
+        return over(look.color * (1 + 0.012 * mottle + 0.015 * drift)[:, None], look.accent, 0.5 * fleck)
+
+    return paint
+
+
+def _print(look: _Look) -> Paint:
+    """Ink in stripes, dots or waves on a plain ground."""
+    values = lattice(look.seed)
+    pattern = PATTERNS[look.seed % len(PATTERNS)]
+    jitter = 0.5 + 0.3 * np.tanh(np.stack([lattice(look.seed + k) for k in range(3)], -1))
+
+    def ink(at: np.ndarray) -> np.ndarray:
+        """Cover (N,) of the ink at points in sizes of the object."""
+        if pattern == "stripes":
+            # Leaning towards x, so that flats of equal height are striped too.
+            phase = (at @ [0.35, 0.0, 0.95]) * 9.0 % 1.0 - 0.5
+            return smoothstep(0.26, 0.24, np.abs(phase)) - smoothstep(0.10, 0.08, np.abs(phase))
+        if pattern == "dots":
+            return smoothstep(1.0, 0.93, _nearest_dot(at @ TILT * 11.0, jitter) / 0.33)
+        swell = at[:, 2] * 7.0 + 0.42 * noise(at * 2.6, values, 2)
+        return smoothstep(0.22, 0.20, np.abs(swell % 1.0 - 0.5))
+
+    def paint(points: np.ndarray) -> np.ndarray:
+        at = points / look.size
+        colour = over(look.flat(points), look.accent, ink(at))
+        return colour * (1 + 0.014 * noise(at @ TILT * 90, values, 2))[:, None]
+
+    return paint
+
+
+def _nearest_dot(at: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Distance (N,) to the nearest ball's middle within half a cell; `places` are theirs in their cells."""
+    cell = np.floor(at)
+    near = np.where(at - cell < 0.5, -1, 1)  # of the neighbours, only those on this side come close
+    nearest = np.full(len(at), np.inf)
+    for step in np.ndindex(2, 2, 2):
+        other = cell + near * step
+        index = (other % places.shape[:3]).astype(int)
+        nearest = np.minimum(nearest, np.sum((other + places[tuple(index.T)] - at) ** 2, axis=1))
+    return np.sqrt(nearest)
+
+
+def _glass(look: _Look) -> Paint:
+    """Tinted glass with faint streaks of its blowing and small bubbles."""
+    values = lattice(look.seed)
+
+    def paint(points: np.ndarray) -> np.ndarray:
+        at = points / look.size
+        streak = noise(at * [4.0, 4.0, 1.2] + 0.35 * noise(at * 3, values)[:, None], values, 3)
+        bubble = smoothstep(2.6, 2.9, noise(at @ TILT * 70 + 3, values))
+        colour = over(look.flat(points), look.accent, 0.45 * smoothstep(-0.8, 2.2, streak))
+        return over(colour, np.ones(3), 0.3 * bubble)
+
+    return paint
+
+
+#: What `finish` can make.
+FINISHES: dict[str, _Recipe] = {
+    "glaze": _Recipe(_glaze, "ece4d3", None, 0.25, 0.0),
+    "wood": _Recipe(_wood, "e2b97f", "a8683a", 0.55, 0.0),
+    "brushed": _Recipe(_brushed, "aab0b6", "7d7566", 0.35, METALLIC),
+    "cast": _Recipe(_cast, "45464a", "6b6259", 0.60, METALLIC / 2),
+    "plastic": _Recipe(_plastic, "3f86b8", None, 0.40, 0.0),
+    "print": _Recipe(_print, "f2ede2", "c2452f", 0.40, 0.0),
+    "glass": _Recipe(_glass, "cfe6e0", "9cc9bf", 0.08, 0.0),
+}

@@ -1,0 +1,119 @@
+"""A pan with a long handle: a skillet, or deeper a saucepan, standing on z = 0."""
+
+import manifold3d
+import numpy as np
+
+from objectfolder.mesh.procedural.assembly import Look, Part, assemble
+from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
+from objectfolder.mesh.procedural.section import half_outline, round_solid, rounded, soften, wall_about
+from objectfolder.mesh.procedural.sweep import tube
+from objectfolder.mesh.procedural.texture import smoothstep
+from objectfolder.mesh.procedural.vessel import revolved
+from objectfolder.mesh.textured import TexturedMesh
+
+HOLE = 0.24  #: radius of the hole to hang it by, in widths of the handle
+
+
+def pan(
+    radius: float = 0.125,
+    height: float = 0.045,
+    wall: float = 0.003,
+    base_radius: float = 0.095,
+    rounding: float = 0.018,
+    handle_length: float = 0.17,
+    handle_width: float = 0.027,
+    handle_thickness: float = 0.012,
+    handle_rise: float = 0.035,
+    handle_finish: str | None = None,
+    handle_color: str | None = None,
+    finish: str = "brushed",
+    color: str | None = None,
+    accent: str | None = None,
+    seed: int = 0,
+    texture_size: int = 1024,
+) -> TexturedMesh:
+    """Build a pan.
+
+    Parameters
+    ----------
+    radius, height, wall : float
+        Outer radius at the lip, height and thickness of the wall and the floor, m.
+    base_radius : float
+        Radius to which the wall would run down to the floor, m.
+    rounding : float
+        Radius of the bend from the floor into the wall, m.
+    handle_length, handle_width, handle_thickness : float
+        How far the handle stands out from the lip, and its section, m; there is a hole near its end.
+    handle_rise : float
+        By how much its end is higher than its root, m.
+    handle_finish, handle_color : str, optional
+        By default those of the pan.
+    finish, color, accent, seed
+        See `procedural.finish.finish`.
+    texture_size : int
+        Texels on a side.
+
+    Returns
+    -------
+    TexturedMesh
+        One closed surface of genus 1; x from -radius to about radius + handle_length, the lip at z = height.
+
+    Raises
+    ------
+    ObjectFolderError
+        If a dimension is not positive or the parts do not fit each other.
+    """
+    require_positive(
+        "pan",
+        radius=radius,
+        height=height,
+        wall=wall,
+        base_radius=base_radius,
+        rounding=rounding,
+        handle_length=handle_length,
+        handle_width=handle_width,
+        handle_thickness=handle_thickness,
+    )
+    require_between("pan", 0.2 * radius, 1.6 * radius, "0.2 to 1.6 radii", height=height)
+    require_between("pan", 0.6 * radius, 1.0 * radius, "60 % to 100 % of the radius", base_radius=base_radius)
+    require_between("pan", 0.01 * radius, 0.08 * radius, "1 % to 8 % of the radius", wall=wall)
+    require_between("pan", wall, 0.6 * height, "the wall to 60 % of the height", rounding=rounding)
+    require_between("pan", radius / 2, 3 * radius, "0.5 to 3 radii", handle_length=handle_length)
+    widest = min(0.4 * radius, 0.3 * handle_length)
+    require_between("pan", 0.08 * radius, widest, "a bar that the wall can hold", handle_width=handle_width)
+    thickest = min(handle_width, 0.35 * height)
+    require_between("pan", 1.2 * wall, thickest, "flat and low", handle_thickness=handle_thickness)
+    require_between("pan", 0.0, 0.5 * handle_length, "less than half its length", handle_rise=handle_rise)
+    require_texture_size("pan", texture_size)
+
+    floor, lip = wall / 2, height - wall / 2
+    corners = np.array([[0, floor], [base_radius - wall / 2, floor], [radius - wall / 2, lip]])
+    middle = rounded(corners, np.array([rounding]))
+    shell = revolved(half_outline(soften(wall_about(middle, wall), convex=0.45 * wall), "pan"))
+    core = revolved(half_outline(round_solid(np.append(middle, [[0, lip]], axis=0)), "pan"))
+
+    # As far below the lip as the handle is thick; the core cuts the root off in the middle of the wall.
+    root = height - wall - handle_thickness
+    start = np.interp(root, *middle[1:, ::-1].T) - 0.5 * handle_width - 2 * handle_thickness
+    stop = radius + handle_length
+    t = np.sin(np.linspace(0, np.pi / 2, 60))  # closer towards the rounded end
+    bow = handle_rise * smoothstep(0, 1, t) + 0.12 * handle_rise * np.sin(np.pi * t)
+    path = np.stack([start + (stop - start) * t, 0 * t, root + bow], 1)
+    left = (stop - path[:, 0]) / (0.5 * handle_width)
+    blunt = np.sqrt(np.maximum(1 - np.maximum(1 - left, 0) ** 2, 0.03))
+    width = handle_width * (0.72 + 0.28 * smoothstep(0.25, 0.85, t)) * blunt
+    thickness = handle_thickness * (1 - 0.25 * smoothstep(0.3, 0.9, t)) * np.sqrt(blunt)
+    handle = tube(path, width, thickness, (0.0, 1.0, 0.0), segments=32, squareness=2.6)
+    eye = stop - 0.75 * handle_width
+    drill = manifold3d.Manifold.cylinder(
+        4 * handle_width, HOLE * handle_width, circular_segments=48, center=True
+    ).translate((eye, 0.0, float(np.interp(eye, path[:, 0], path[:, 2]))))
+
+    size = 2 * radius + handle_length
+    look = Look(finish, size, color, accent, seed)
+    own = color if handle_finish is None else None
+    grip = Look(handle_finish or finish, size, handle_color or own, None, seed)
+    # Turned metal shows its rings on the pan, but the handle is brushed along.
+    paint = grip.paint((1.0, 0.0, 0.0))
+    body, bar, hole = Part.of(shell, look.paint()), Part.of(handle - core, paint), Part.of(drill, paint)
+    return assemble(body.solid + bar.solid - hole.solid, [body, bar, hole], look, texture_size)

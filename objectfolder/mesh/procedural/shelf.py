@@ -1,0 +1,138 @@
+"""Bookcases and cabinets: boards round hollow bays, open, with doors or with drawers; standing on z = 0."""
+
+import numpy as np
+
+from objectfolder.mesh.procedural.assembly import Look, Part, assemble, joined
+from objectfolder.mesh.procedural.boards import board, timber
+from objectfolder.mesh.procedural.extrusion import prism, regular
+from objectfolder.mesh.procedural.options import require_choice, require_count, require_not_negative
+from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
+from objectfolder.mesh.textured import TexturedMesh
+
+FRONTS = ("open", "doors", "drawers")
+GAP = 0.004  #: between doors or drawers, in sizes of the piece of furniture: the way into its hollow
+SUNK = 0.5  #: depth of a board's end in the board that it meets, in thicknesses
+
+
+def shelf(
+    width: float = 0.8,
+    depth: float = 0.3,
+    height: float = 1.2,
+    board_thickness: float = 0.022,
+    back: float = 0.010,
+    bays: int = 4,
+    front: str = "open",
+    plinth: float = 0.05,
+    bevel: float = 0.0015,
+    finish: str = "wood",
+    color: str | None = None,
+    accent: str | None = None,
+    seed: int = 0,
+    texture_size: int = 1024,
+) -> TexturedMesh:
+    """Build a bookcase, a cabinet or a chest of drawers, its front towards -y.
+
+    Parameters
+    ----------
+    width, depth, height : float
+        Of the case along x, y and z, m.
+    board_thickness : float
+        Of sides, shelves, doors and fronts, m.
+    back : float
+        Thickness of the back panel, m; 0 for none.
+    bays : int
+        One above the other, 1 to 8.
+    front : str
+        "open"; "doors", two of them, with knobs; or "drawers", one for each bay. Doors and fronts are
+        fixed and lie on the case; gaps beside them lead into the hollow bays.
+    plinth : float
+        Height of the lowest board above the floor, m.
+    bevel : float
+        Radius of rounded edges, m; 0 leaves them sharp.
+    finish, color, accent, seed
+        See `finish`.
+    texture_size : int
+        Texels on a side.
+
+    Returns
+    -------
+    TexturedMesh
+        One closed surface; x from -width / 2 to width / 2, the case's y from -depth / 2 to depth / 2.
+
+    Raises
+    ------
+    ObjectFolderError
+        If an option is unknown or a dimension does not fit the others.
+    """
+    require_positive("shelf", width=width, depth=depth, height=height, board_thickness=board_thickness)
+    require_choice("shelf", FRONTS, front=front)
+    require_count("shelf", 1, 8, bays=bays)
+    t = board_thickness
+    largest = max(width, depth, height)
+    require_between("shelf", 0.012 * largest, 0.12 * min(width, depth), "a board for that case",
+                    board_thickness=t)
+    require_not_negative("shelf", 2 * t, "twice the boards' thickness", back=back)
+    require_not_negative("shelf", 0.3 * height, "30 % of the height", plinth=plinth)
+    require_between("shelf", plinth + (bays + 1) * t + bays * 3 * t, np.inf, "room for those bays",
+                    height=height)
+    require_not_negative("shelf", 0.1 * t, "a tenth of the boards' thickness", bevel=bevel)
+    if back > 0:
+        require_between("shelf", 0.3 * t, 2 * t, "0.3 to 2 thicknesses of the boards", back=back)
+    require_texture_size("shelf", texture_size)
+
+    look = Look(finish, largest, color, accent, seed)
+    spacing = largest / (28 if front == "open" else 22)
+    x, y = width / 2, depth / 2
+    parts = [
+        board(look, 1, (-x, -y, 0), (-x + t, y, height), spacing, bevel),
+        board(look, 2, (x - t, -y, 0), (x, y, height), spacing, bevel),
+    ]
+    levels = shelf_levels(height, t, bays, plinth)
+    reach = x - (1 - SUNK) * t
+    inset = 0.1 * t  # shelves and back stay behind the edges of the sides
+    for k, z in enumerate(levels):
+        first, second = (-reach, -y + inset, z), (reach, y - inset, z + t)
+        parts.append(board(look, 3 + k, first, second, spacing, bevel))
+    if back > 0:
+        first = (-reach, y - 2 * inset - back, levels[0] + SUNK * t)
+        second = (reach, y - 2 * inset, levels[-1] + SUNK * t)
+        parts.append(board(look, 13, first, second, spacing, min(bevel, 0.1 * back)))
+    if front != "open":
+        parts += _fronts(look, front, width, y, levels, t, spacing, bevel)
+    return assemble(joined(parts), parts, look, texture_size)
+
+
+def shelf_levels(height: float, thickness: float, bays: int, plinth: float) -> np.ndarray:
+    """Undersides (bays + 1,) of the level boards, m: bays are equal, and the sides end above the last."""
+    top = height - 1.2 * thickness
+    return plinth + (top - plinth) * np.arange(bays + 1) / bays
+
+
+def _fronts(
+    look: Look, front: str, width: float, y: float, levels: np.ndarray, t: float, spacing: float, bevel: float
+) -> list[Part]:
+    """Doors or drawer fronts on the case, half a board deep in its sides, with knobs."""
+    gap = GAP * look.size
+    near, far = -y - (1 - SUNK) * t, -y + SUNK * t
+    edge = width / 2 - 0.1 * t
+    low, high = levels[0] + 0.1 * t, levels[-1] + 0.9 * t
+    panels, knobs = [], []
+    if front == "doors":
+        panels = [((-edge, low), (-gap / 2, high)), ((gap / 2, low), (edge, high))]
+        knobs = [(sign * (gap / 2 + 1.6 * t), low + 0.55 * (high - low)) for sign in (-1, 1)]
+    else:
+        # The gap lies above each board, where it leads into the bay.
+        starts = levels[:-1] + t + gap
+        stops = np.append(levels[1:-1] + t, high)
+        panels = [((-edge, a), (edge, b)) for a, b in zip(starts, stops)]
+        knobs = [(sign * 0.25 * width, (a + b) / 2) for a, b in zip(starts, stops) for sign in (-1, 1)]
+    parts = [
+        board(look, 14 + k, (a[0], near, a[1]), (b[0], far, b[1]), spacing, bevel)
+        for k, (a, b) in enumerate(panels)
+    ]
+    radius = 0.75 * t
+    knob = prism([regular(24, radius)], 1.5 * t, spacing, 0.35 * radius, 2).rotate((90, 0, 0))
+    for k, (at, z) in enumerate(knobs):
+        place = knob.translate((at, near + 0.5 * t, z))
+        parts.append(Part.of(place, timber(look, 24 + k, np.array([at, near, z]), np.eye(3)[:, [1, 0, 2]], 2 * radius)))
+    return parts

@@ -1,0 +1,128 @@
+"""Spoons and ladles: an oval bowl of even thickness on a curved handle; the bowl rests on z = 0."""
+
+import manifold3d
+import numpy as np
+
+from objectfolder.mesh.procedural.assembly import Look, Part, assemble
+from objectfolder.mesh.procedural.options import require_not_negative
+from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
+from objectfolder.mesh.procedural.sweep import tube
+from objectfolder.mesh.textured import TexturedMesh
+
+SEGMENTS = 96  #: facets round the bowl
+
+
+def spoon(
+    length: float = 0.19,
+    bowl_length: float = 0.060,
+    bowl_width: float = 0.040,
+    depth: float = 0.011,
+    wall: float = 0.0018,
+    handle_width: float = 0.014,
+    rise: float = 0.012,
+    hook: float = 0.0,
+    point: float = 0.14,
+    finish: str = "brushed",
+    color: str | None = None,
+    accent: str | None = None,
+    seed: int = 0,
+    texture_size: int = 1024,
+) -> TexturedMesh:
+    """Build a spoon, or with a deep bowl, a high rise and a hook a ladle.
+
+    Parameters
+    ----------
+    length : float
+        Along x from the tip of the bowl to the end of the handle, before its hook, m.
+    bowl_length, bowl_width, depth : float
+        Of the bowl outside, m.
+    wall : float
+        Thickness of the bowl, m.
+    handle_width : float
+        Greatest, m.
+    rise : float
+        Of the end of the handle over the rim, m.
+    hook : float
+        Radius of the hook at the end of the handle, m; 0 for none.
+    point : float
+        How much narrower the bowl is at its tip than an ellipse, 0 to 0.3.
+    finish, color, accent, seed
+        See `finish`.
+    texture_size : int
+        Texels on a side.
+
+    Returns
+    -------
+    TexturedMesh
+        One closed surface, along x, the middle of the bowl at x = 0.
+
+    Raises
+    ------
+    ObjectFolderError
+        If a dimension does not fit the others.
+    """
+    require_positive("spoon", length=length, bowl_length=bowl_length, bowl_width=bowl_width, depth=depth,
+                     wall=wall, handle_width=handle_width)
+    require_between("spoon", 0.4 * bowl_length, bowl_length, "40 % to 100 % of the bowl's length",
+                    bowl_width=bowl_width)
+    require_between("spoon", 0.15 * bowl_width, 0.9 * bowl_width, "15 % to 90 % of the bowl's width", depth=depth)
+    require_between("spoon", 0.02 * bowl_width, 0.45 * depth, "2 % of the width to 45 % of the depth", wall=wall)
+    require_between("spoon", 1.5 * bowl_length, 8 * bowl_length, "1.5 to 8 lengths of the bowl", length=length)
+    require_between("spoon", 0.1 * bowl_width, 0.6 * bowl_width, "10 % to 60 % of the bowl's width",
+                    handle_width=handle_width)
+    require_not_negative("spoon", 1.5 * length, "1.5 lengths", rise=rise)
+    require_not_negative("spoon", 0.12 * length, "12 % of the length", hook=hook)
+    if hook > 0:
+        require_between("spoon", 0.8 * handle_width, length, "0.8 widths of the handle", hook=hook)
+    require_not_negative("spoon", 0.3, "a blunt tip", point=point)
+    require_texture_size("spoon", texture_size)
+
+    size = max(length, rise + depth)
+    look = Look(finish, size, color, accent, seed)
+    a, b = bowl_length / 2, bowl_width / 2
+    ball = manifold3d.Manifold.sphere(1.0, SEGMENTS).trim_by_plane((0, 0, -1.0), 0.0)
+    outer = ball.scale((a, b, depth))
+    inner = ball.scale((a - wall, b - wall, depth - wall))
+    # Open upwards: it clears the handle's root out of the bowl too.
+    opening = inner + manifold3d.Manifold.hull(inner.trim_by_plane((0, 0, 1.0), -1e-3 * depth)
+                                               + inner.trim_by_plane((0, 0, 1.0), -1e-3 * depth).translate((0, 0, size)))
+
+    def pointed(points: np.ndarray) -> np.ndarray:
+        narrow = 1 + point * np.clip(points[:, 0] / a, -1, 0.35)
+        return points * np.column_stack([np.ones_like(narrow), narrow, np.ones_like(narrow)])
+
+    metal = look.paint((1, 0, 0))
+    parts = [
+        Part.of(outer.warp_batch(pointed), metal),
+        Part.of(_handle(a, length - a, wall, handle_width, rise, hook), metal),
+        Part.of(opening.warp_batch(pointed), metal),
+    ]
+    whole = parts[0].solid + parts[1].solid - parts[2].solid
+    return assemble(whole.translate((0, 0, depth)), parts, look, texture_size)
+
+
+def _handle(a: float, end: float, wall: float, width: float, rise: float, hook: float) -> manifold3d.Manifold:
+    """Handle from the rim of the bowl, at x = a and z = 0, to its end."""
+    thick = max(1.3 * wall, 0.20 * width)
+    root = np.array([a - 1.2 * wall, -0.75 * thick])
+    bend = np.array([a + 0.28 * (end - a), 0.95 * rise])
+    tip = np.array([end, rise])
+    t = np.linspace(0, 1, 401)[:, None]
+    path = (1 - t) ** 2 * root + 2 * t * (1 - t) * bend + t**2 * tip
+    if hook > 0:
+        along = (tip - bend) / np.linalg.norm(tip - bend)
+        across = np.array([along[1], -along[0]])  # to the right: down
+        turn = np.linspace(0, np.deg2rad(200), 101)[1:, None]
+        path = np.concatenate([path, tip + hook * (np.sin(turn) * along + (1 - np.cos(turn)) * across)])
+    s = np.append(0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
+    total = s[-1]
+    # Even stations, closer where the end is rounded.
+    cap = 0.5 * width
+    even = np.linspace(0, total - cap, int((total - cap) / (0.35 * width)) + 2)
+    at = np.append(even, total - cap * (1 - np.sin(np.linspace(0, np.pi / 2, 9)[1:])))
+    path = np.stack([np.interp(at, s, path[:, k]) for k in (0, 1)], 1)
+    u = at / total
+    wide = width * (0.48 + 0.52 * u**1.5 + 0.45 * np.exp(-((at / (0.9 * width)) ** 2)))
+    rounding = np.sqrt(np.clip(1 - np.clip((at - total + cap) / cap, 0, 1) ** 2, 0.02, 1))
+    depth = thick * (1 + 0.5 * np.exp(-((at / (1.5 * width)) ** 2))) * (0.6 + 0.4 * rounding)
+    return tube(np.column_stack([path[:, 0], 0 * at, path[:, 1]]), wide * rounding, depth, (0, 1, 0), 32, 2.6)

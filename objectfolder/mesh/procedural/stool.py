@@ -1,0 +1,119 @@
+"""Stools: a round seat on splayed round legs with rungs between them; standing on z = 0."""
+
+import manifold3d
+import numpy as np
+
+from objectfolder.mesh.procedural.assembly import Look, Part, assemble, frame, joined
+from objectfolder.mesh.procedural.boards import timber
+from objectfolder.mesh.procedural.extrusion import prism, regular
+from objectfolder.mesh.procedural.options import require_count, require_not_negative
+from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
+from objectfolder.mesh.procedural.sweep import bar
+from objectfolder.mesh.textured import TexturedMesh
+
+SIDES = 80  #: facets round the seat
+SUNK = 0.6  #: depth of a leg's end in the seat, in thicknesses of the seat
+
+
+def stool(
+    diameter: float = 0.34,
+    height: float = 0.46,
+    seat: float = 0.036,
+    leg_diameter: float = 0.034,
+    legs: int = 4,
+    splay: float = 0.05,
+    rung_height: float = 0.16,
+    dish: float = 0.006,
+    finish: str = "wood",
+    color: str | None = None,
+    accent: str | None = None,
+    seed: int = 0,
+    texture_size: int = 1024,
+) -> TexturedMesh:
+    """Build a stool.
+
+    Parameters
+    ----------
+    diameter, height : float
+        Of the seat, and of the whole stool, m.
+    seat : float
+        Thickness of the seat, m.
+    leg_diameter : float
+        Under the seat, m; legs narrow towards the floor.
+    legs : int
+        3 to 6.
+    splay : float
+        How much further from the axis legs stand at the floor than under the seat, m.
+    rung_height : float
+        Of the rungs above the floor, m; 0 for none.
+    dish : float
+        Depth of the hollow of the seat, m.
+    finish, color, accent, seed
+        See `finish`.
+    texture_size : int
+        Texels on a side.
+
+    Returns
+    -------
+    TexturedMesh
+        One closed surface, standing on z = 0 about the z axis.
+
+    Raises
+    ------
+    ObjectFolderError
+        If a dimension does not fit the others.
+    """
+    require_positive("stool", diameter=diameter, height=height, seat=seat, leg_diameter=leg_diameter)
+    require_count("stool", 3, 6, legs=legs)
+    require_between("stool", 0.4 * diameter, 3 * diameter, "0.4 to 3 diameters of the seat", height=height)
+    require_between("stool", 0.05 * diameter, 0.2 * height, "a seat that bears", seat=seat)
+    require_between("stool", 0.05 * diameter, 0.15 * diameter, "5 % to 15 % of the seat",
+                    leg_diameter=leg_diameter)
+    require_not_negative("stool", 0.3 * height, "30 % of the height", splay=splay)
+    require_not_negative("stool", 0.7 * (height - seat), "clear of the seat", rung_height=rung_height)
+    if rung_height > 0:
+        require_between("stool", leg_diameter, height, "clear of the floor", rung_height=rung_height)
+    require_not_negative("stool", 0.25 * seat, "a quarter of the seat", dish=dish)
+    require_texture_size("stool", texture_size)
+
+    look = Look(finish, max(diameter, height), color, accent, seed)
+    spacing = look.size / 30
+    under = height - seat
+    plate = prism([regular(SIDES, diameter / 2)], seat, diameter / 24, 0.3 * seat)
+
+    def hollow(points: np.ndarray) -> np.ndarray:
+        r = np.hypot(points[:, 0], points[:, 1]) / (0.45 * diameter)
+        depth = dish * np.clip(1 - r**2, 0, 1) ** 2
+        return points - np.outer(depth * points[:, 2] / seat, [0, 0, 1])
+
+    plate = plate.warp_batch(hollow).translate((0, 0, under))
+    parts = [Part.of(plate, timber(look, 21, np.array([0, 0, height - seat / 2]), np.eye(3), diameter))]
+
+    radius = diameter / 2 - 0.9 * leg_diameter  # of the circle of the legs' tops
+
+    def middle(k: int, z: float) -> np.ndarray:
+        """Point of the axis of leg k at height z."""
+        turn = 2 * np.pi * (k + 0.5) / legs
+        r = radius + splay * (under - z) / under - 0.1 * splay
+        return np.array([r * np.cos(turn), r * np.sin(turn), z])
+
+    for k in range(legs):
+        ends = middle(k, -leg_diameter), middle(k, under + SUNK * seat - 0.75 * dish)
+        post = bar(*ends, (0.75 * leg_diameter, leg_diameter), spacing, 24).trim_by_plane((0, 0, 1), 0)
+        parts.append(_turned(look, 1 + k, post, ends, leg_diameter))
+    if rung_height > 0:
+        for k in range(legs):
+            # Staggered, so that two neighbours do not meet in the same place of a leg.
+            z = rung_height * (1.0 + 0.18 * (k % 2))
+            ends = middle(k, z), middle((k + 1) % legs, z)
+            rung = bar(*ends, (0.55 * leg_diameter, 0.55 * leg_diameter), spacing, 20)
+            parts.append(_turned(look, 11 + k, rung, ends, leg_diameter))
+    return assemble(joined(parts), parts, look, texture_size)
+
+
+def _turned(
+    look: Look, piece: int, solid: manifold3d.Manifold, ends: tuple[np.ndarray, np.ndarray], diameter: float
+) -> Part:
+    """Part of a solid bar between two ends, its grain along it."""
+    axes = frame(ends[1] - ends[0])
+    return Part.of(solid, timber(look, piece, (ends[0] + ends[1]) / 2, axes, diameter), axes)

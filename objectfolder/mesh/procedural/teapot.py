@@ -1,0 +1,199 @@
+"""A teapot, hollow down its spout, with its lid on, standing on z = 0."""
+
+from collections.abc import Callable
+
+import manifold3d
+import numpy as np
+
+from objectfolder.mesh.procedural.assembly import Look, Part, assemble
+from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
+from objectfolder.mesh.procedural.section import half_outline, offset, ring, round_solid, soften
+from objectfolder.mesh.procedural.sweep import tube
+from objectfolder.mesh.procedural.texture import smoothstep
+from objectfolder.mesh.procedural.vessel import revolved
+from objectfolder.mesh.textured import TexturedMesh
+
+BODY = 0.74  #: height of the body without lid, in heights of the teapot
+HIDDEN = 0.002  #: how far the rows of the inside may leave its curve, in its sizes
+SUNK = 0.10  #: by how much of its height the body's curve runs on below the table, which cuts it level
+
+
+def teapot(
+    radius: float = 0.068,
+    height: float = 0.135,
+    wall: float = 0.004,
+    fullness: float = 2.3,
+    lid_radius: float = 0.034,
+    spout_reach: float = 0.055,
+    handle_reach: float = 0.045,
+    finish: str = "glaze",
+    color: str | None = None,
+    accent: str | None = None,
+    seed: int = 0,
+    texture_size: int = 1024,
+) -> TexturedMesh:
+    """Build a teapot.
+
+    Parameters
+    ----------
+    radius, height, wall : float
+        Greatest outer radius of the body, height with the knob, and thickness of the wall, m.
+    fullness : float
+        1.8 (nearly a double cone) through 2 (an ellipsoid) to 5 (nearly a cylinder).
+    lid_radius : float
+        Of the lid, m; it is one with the body.
+    spout_reach, handle_reach : float
+        How far the spout's tip and the handle stand out from the body, m.
+    finish, color, accent, seed
+        See `procedural.finish.finish`; the accent is the colour of lid, handle and spout's tip when glazed.
+    texture_size : int
+        Texels on a side.
+
+    Returns
+    -------
+    TexturedMesh
+        One closed surface of genus 1: the inside is open through the spout, which points along x. x from
+        about -radius - handle_reach to about radius + spout_reach, z from 0 to height.
+
+    Raises
+    ------
+    ObjectFolderError
+        If a dimension is not positive or the parts do not fit each other.
+    """
+    require_positive(
+        "teapot",
+        radius=radius,
+        height=height,
+        wall=wall,
+        fullness=fullness,
+        lid_radius=lid_radius,
+        spout_reach=spout_reach,
+        handle_reach=handle_reach,
+    )
+    require_between("teapot", 1.3 * radius, 3.0 * radius, "1.3 to 3 radii", height=height)
+    require_between("teapot", 0.03 * radius, 0.09 * radius, "3 % to 9 % of the radius", wall=wall)
+    require_between("teapot", 1.8, 5.0, "double cone to cylinder", fullness=fullness)
+    require_between(
+        "teapot", 0.35 * radius, 0.65 * radius, "35 % to 65 % of the radius", lid_radius=lid_radius
+    )
+    require_between("teapot", 0.5 * radius, 1.3 * radius, "0.5 to 1.3 radii", spout_reach=spout_reach)
+    require_between("teapot", 0.45 * radius, 1.2 * radius, "0.45 to 1.2 radii", handle_reach=handle_reach)
+    require_texture_size("teapot", texture_size)
+
+    tall = BODY * height
+    half = tall * (1 + SUNK) / 2
+    middle = tall - half
+
+    def width(z: np.ndarray | float) -> np.ndarray:
+        """Outer radius of the body's curve at a height, m."""
+        return radius * (1 - np.abs((np.asarray(z) - middle) / half) ** fullness).clip(0) ** (1 / fullness)
+
+    angle = np.linspace(-np.pi / 2, np.pi / 2, 401)
+    curve = np.stack(
+        [
+            radius * np.cos(angle) ** (2 / fullness),
+            middle + half * np.sign(angle) * np.abs(np.sin(angle)) ** (2 / fullness),
+        ],
+        1,
+    )
+    curve = curve[curve[:, 1] > 0]
+    bulb = soften(
+        round_solid(np.concatenate([[[0.0, 0.0], [float(width(0.0)), 0.0]], curve])), convex=0.08 * radius
+    )
+    cavity = offset(bulb, -wall)
+    knob = 0.5 * (height - tall) * 0.62
+    seat = middle + half * (1 - (lid_radius / radius) ** fullness) ** (1 / fullness)
+    t = np.linspace(0, np.pi / 2, 60)
+    dome = np.stack([lid_radius * np.cos(t), seat + (tall + 0.25 * knob - seat) * np.sin(t)], 1)
+    brim = 0.6 * wall
+    lid = round_solid(np.concatenate([[[0.0, seat - wall]], [[lid_radius, seat - wall]], dome]))
+    inner, outer = 0.5 * lid_radius, lid_radius + brim
+    under, over = seat - 0.5 * wall, seat + wall
+    lid += ring([[inner, under], [outer, under], [outer, over], [inner, over]])
+    turn = 2 * t - np.pi / 2
+    ball = np.stack([1.15 * knob * np.cos(turn), height - knob + knob * np.sin(turn)], 1)
+    slim, foot, head = 0.55 * knob, tall - wall, height - knob
+    stalk = np.array([[0.0, foot], [slim, foot], [slim, head], [0.0, head]])
+    outline = soften(
+        bulb + lid + round_solid(ball) + round_solid(stalk), concave=0.4 * wall, convex=0.25 * wall
+    )
+
+    spout, bore = _spout(radius, tall, spout_reach, wall)
+    handle = _handle(width, radius, tall, handle_reach)
+
+    size = 2 * radius + spout_reach + handle_reach
+    look = Look(finish, size, color, None if finish == "glaze" else accent, seed)
+    trim = look if finish != "glaze" or accent is None else look.dyed(accent)
+    plain, second = look.paint(), trim.paint()
+
+    def dipped(points: np.ndarray) -> np.ndarray:
+        """Trim on the lid, from its brim up, and on the spout's tip."""
+        r = np.hypot(points[:, 0], points[:, 1])
+        on_lid = (r < lid_radius + 1.6 * brim) & (points[:, 2] > seat - 0.5 * wall)
+        share = np.where(on_lid, 1.0, smoothstep(0.62, 0.64, (points[:, 0] - radius) / spout_reach))
+        return plain(points) + share[:, None] * (second(points) - plain(points))
+
+    body = Part.of(revolved(half_outline(outline, "teapot")), dipped)
+    pipe, grip = Part.of(spout, dipped), Part.of(handle, second)
+    inside = [Part.of(revolved(half_outline(cavity, "teapot"), HIDDEN), plain), Part.of(bore, plain)]
+    whole = body.solid + pipe.solid + grip.solid - inside[0].solid - inside[1].solid
+    return assemble(whole, [body, pipe, grip, *inside], look, texture_size)
+
+
+def _bezier(corners: np.ndarray, pieces: int) -> np.ndarray:
+    """Points (pieces + 1, 3) in the plane y = 0 of a cubic with control points (4, 2) of x and z."""
+    t = np.linspace(0, 1, pieces + 1)[:, None]
+    weights = np.concatenate([(1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t**2 * (1 - t), t**3], 1)
+    x, z = (weights @ corners).T
+    return np.stack([x, 0 * x, z], 1)
+
+
+def _spout(
+    radius: float, tall: float, reach: float, wall: float
+) -> tuple[manifold3d.Manifold, manifold3d.Manifold]:
+    """Spout and its bore, which runs on past the tip."""
+    path = _bezier(
+        np.array(
+            [
+                [0.45 * radius, 0.34 * tall],
+                [radius + 0.50 * reach, 0.30 * tall],
+                [radius + 0.30 * reach, 0.70 * tall],
+                [radius + reach - 0.06 * radius, 0.93 * tall],
+            ]
+        ),
+        36,
+    )
+    t = np.linspace(0, 1, len(path))
+    across = 2 * min(radius, 0.64 * tall) * (0.125 + 0.25 * (1 - t) ** 1.6)
+    spout = tube(path, 0.85 * across, across, (0.0, 1.0, 0.0), segments=32)
+    tip = path[-1] - path[-2]
+    beyond = np.concatenate([path, path[-1:] + tip])
+    inner = np.append(across, across[-1])
+    thin = np.minimum(2 * wall, 0.45 * 0.85 * inner)
+    bore = tube(beyond, 0.85 * inner - thin, inner - thin, (0.0, 1.0, 0.0), segments=24)
+    return spout, bore
+
+
+def _handle(
+    width: Callable[[float], np.ndarray], radius: float, tall: float, reach: float
+) -> manifold3d.Manifold:
+    """Loop from the shoulder to the lower side; both ends reach into the hollow, which cuts them off."""
+    high, low = 0.80 * tall, 0.26 * tall
+    deep = 0.12 * radius
+    far = -(radius + reach)
+    # The cubic comes 3 / 4 of the way to its control points.
+    bend = (far + 0.055 * radius) * 4 / 3 + (float(width(high)) + float(width(low)) - 2 * deep) / 2 / 3
+    path = _bezier(
+        np.array(
+            [
+                [-float(width(high)) + deep, high],
+                [bend, high + 0.25 * tall],
+                [bend, low - 0.02 * tall],
+                [-float(width(low)) + deep, low],
+            ]
+        ),
+        44,
+    )
+    t = np.linspace(0, 1, len(path))
+    swell = 1 + 0.45 * (smoothstep(0.2, 0.0, t) + smoothstep(0.8, 1.0, t))
+    return tube(path, 0.20 * radius * swell, 0.11 * radius * swell, (0.0, 1.0, 0.0), segments=24)

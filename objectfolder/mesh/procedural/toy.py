@@ -1,0 +1,277 @@
+"""Toys, in metres, standing on z = 0: a car, a duck, and a tower of rings."""
+
+from collections.abc import Callable
+
+import manifold3d
+import numpy as np
+from skimage.measure import marching_cubes
+
+from objectfolder.mesh.procedural.assembly import Look, Part, assemble, joined
+from objectfolder.mesh.procedural.boards import board
+from objectfolder.mesh.procedural.extrusion import prism, regular, solid
+from objectfolder.mesh.procedural.finish import Paint
+from objectfolder.mesh.procedural.options import require_choice, require_count
+from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
+from objectfolder.mesh.procedural.texture import over, rgb, smoothstep, stroke
+from objectfolder.mesh.textured import TexturedMesh
+
+KINDS = ("car", "truck", "duck", "rings")
+RAINBOW = ("d8392f", "ef8b2c", "f2c83b", "4da754", "2f7fc1", "6a4fa3", "c2498f", "38a3a5")
+#: Colour and accent of each kind where none is asked for.
+COLOURS = {"car": ("d23b30", "2b2c30"), "truck": ("2f74b5", "2b2c30"), "duck": ("f5cf36", "ee7f25")}
+CELLS = 60  #: of the grid, along the duck, from which its surface is drawn
+
+
+def toy(
+    kind: str = "car",
+    size: float = 0.16,
+    plump: float = 1.0,
+    count: int = 5,
+    finish: str = "plastic",
+    color: str | None = None,
+    accent: str | None = None,
+    seed: int = 0,
+    texture_size: int = 1024,
+) -> TexturedMesh:
+    """Build a toy.
+
+    Parameters
+    ----------
+    kind : str
+        "car", "truck", "duck" or "rings".
+    size : float
+        Length of a car, truck or duck along x; height of a tower of rings, m.
+    plump : float
+        Width in usual widths, 0.75 to 1.3.
+    count : int
+        Rings of a tower, 3 to 8.
+    finish, color, seed
+        See `finish`; rings without a colour take those of the rainbow.
+    accent : str, optional
+        Colour of the wheels or the bill; rings go from the colour to it.
+    texture_size : int
+        Texels on a side.
+
+    Returns
+    -------
+    TexturedMesh
+        One closed surface, facing +x.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the kind is unknown or a dimension is out of range.
+    """
+    require_choice("toy", KINDS, kind=kind)
+    require_positive("toy", size=size, plump=plump)
+    require_between("toy", 0.75, 1.3, "usual widths", plump=plump)
+    require_count("toy", 3, 8, count=count)
+    require_texture_size("toy", texture_size)
+
+    if kind == "rings":
+        look = Look(finish, size, color, accent, seed)
+        parts = _rings(look, size, plump, count)
+    else:
+        body, trim = COLOURS[kind]
+        look = Look(finish, size, color or body, accent or trim, seed)
+        parts = {"car": _car, "truck": _truck, "duck": _duck}[kind](look, size, plump)
+    return assemble(joined(parts), parts, look, texture_size)
+
+
+def _profile(corners: list[tuple[float, float]], radius: float) -> np.ndarray:
+    """Outline in x and z with its corners rounded."""
+    shape = manifold3d.CrossSection([np.array(corners)])
+    round_ = manifold3d.JoinType.Round
+    shape = shape.offset(-radius, round_, circular_segments=32).offset(radius, round_, circular_segments=32)
+    return np.asarray(shape.simplify(1e-3 * radius).to_polygons()[0])
+
+
+def _across(outline: np.ndarray, width: float, spacing: float, bevel: float) -> manifold3d.Manifold:
+    """Prism of an outline in x and z, from -width / 2 to width / 2 along y."""
+    plate = prism([outline], width, spacing, bevel, 3)
+    return plate.transform(np.array([[1.0, 0, 0, 0], [0, 0, -1.0, width / 2], [0, 1.0, 0, 0]]))
+
+
+def _wheels(look: Look, places: list[float], radius: float, width: float, spacing: float) -> list[Part]:
+    """Wheels in pairs, with hubs, at places along x; `width` is that between their outer sides."""
+    thick, hub = 0.5 * radius, 0.55 * radius
+    tyre = look.dyed(look.accent).paint((0, 1, 0), 1)
+    cap = look.dyed("ece7da").paint((0, 1, 0), 2)
+    parts = []
+    for x in places:
+        for sign in (-1, 1):
+            disc = _across(regular(40, radius), thick, spacing, 0.18 * radius)
+            boss = _across(regular(24, hub), thick, spacing, 0.12 * radius)
+            y = sign * (width - thick) / 2
+            parts.append(Part.of(disc.translate((x, y, radius)), tyre))
+            parts.append(Part.of(boss.translate((x, y + sign * 0.14 * radius, radius)), cap))
+    return parts
+
+
+def _lamps(look: Look, x: float, width: float, z: float, radius: float, code: str, spacing: float) -> list[Part]:
+    lamp = prism([regular(24, radius)], 3 * radius, spacing, 0.5 * radius).rotate((0, 90, 0))
+    paint = look.dyed(code).paint()
+    return [Part.of(lamp.translate((x - 2.5 * radius, sign * 0.32 * width, z)), paint) for sign in (-1, 1)]
+
+
+def _glazed(body: Paint, sides: np.ndarray, width: float, border: float, pillar: float | None) -> Paint:
+    """Paint of a cabin with windows within a convex outline in x and z, on all four sides."""
+    glass, edge = rgb("9fd3e6"), np.roll(sides, -1, axis=0) - sides
+    inward = np.stack([-edge[:, 1], edge[:, 0]], 1) / np.linalg.norm(edge, axis=1, keepdims=True)
+    soft = 0.15 * border
+    low, high = sides[:, 1].min() + 1.1 * border, sides[:, 1].max() - 1.1 * border
+
+    def paint(points: np.ndarray) -> np.ndarray:
+        colour = body(points)
+        deep = np.min([(points[:, [0, 2]] - p) @ n for p, n in zip(sides, inward)], axis=0)
+        y = np.abs(points[:, 1])
+        beside = smoothstep(border - soft, border + soft, deep) * (y > 0.42 * width)
+        if pillar is not None:
+            beside = beside * (1 - stroke(points[:, 0] - pillar, border / 2, soft))
+        height = smoothstep(low - soft, low + soft, points[:, 2]) * smoothstep(high + soft, high - soft, points[:, 2])
+        ahead = height * smoothstep(width / 2 - border + soft, width / 2 - border - soft, y)
+        ahead = ahead * (deep < 0.7 * border)
+        return over(colour, glass * (0.9 + 0.1 * colour), np.maximum(beside, ahead))
+
+    return paint
+
+
+def _car(look: Look, size: float, plump: float) -> list[Part]:
+    s, width = size, 0.46 * size * plump
+    spacing, r = size / 36, 0.125 * size
+    hull = _profile([(-0.5 * s, 0.09 * s), (0.5 * s, 0.09 * s), (0.5 * s, 0.22 * s), (0.46 * s, 0.27 * s),
+                     (-0.48 * s, 0.29 * s), (-0.5 * s, 0.26 * s)], 0.045 * s)
+    cabin_corners = [(-0.36 * s, 0.2 * s), (0.29 * s, 0.2 * s), (0.13 * s, 0.44 * s), (-0.27 * s, 0.44 * s)]
+    cabin_width = 0.86 * width
+    cabin = _across(_profile(cabin_corners, 0.045 * s), cabin_width, spacing, 0.03 * s)
+    body = look.dyed(look.color).paint((1, 0, 0))
+    windows = np.array([(-0.33 * s, 0.27 * s), (0.245 * s, 0.27 * s), (0.13 * s, 0.44 * s), (-0.27 * s, 0.44 * s)])
+    return [
+        Part.of(_across(hull, width, spacing, 0.032 * s), body),
+        Part.of(cabin, _glazed(body, windows, cabin_width, 0.032 * s, -0.06 * s)),
+        *_wheels(look, [-0.29 * s, 0.29 * s], r, 1.04 * width, spacing),
+        *_lamps(look, 0.5 * s, width, 0.19 * s, 0.032 * s, "f6e9a8", spacing),
+        *_lamps(look, -0.45 * s, width, 0.20 * s, 0.025 * s, "a01f1f", spacing),
+    ]
+
+
+def _truck(look: Look, size: float, plump: float) -> list[Part]:
+    s, width = size, 0.40 * size * plump
+    spacing, r = size / 36, 0.085 * size
+    frame = _profile([(-0.5 * s, 0.08 * s), (0.5 * s, 0.08 * s), (0.5 * s, 0.16 * s), (-0.5 * s, 0.16 * s)], 0.02 * s)
+    cab_corners = [(0.16 * s, 0.12 * s), (0.49 * s, 0.12 * s), (0.49 * s, 0.27 * s), (0.43 * s, 0.45 * s),
+                   (0.16 * s, 0.45 * s)]
+    windows = np.array([(0.16 * s, 0.255 * s), (0.50 * s, 0.255 * s), (0.43 * s, 0.45 * s), (0.16 * s, 0.45 * s)])
+    body = look.dyed(look.color).paint((1, 0, 0))
+    load = look.dyed("f2c83b")
+    x, y, z, t = (-0.49 * s, 0.11 * s), width / 2, (0.14 * s, 0.35 * s), 0.025 * s
+    boards = [
+        ((x[0], -y, z[0]), (x[1], y, z[0] + 1.6 * t)),
+        ((x[0], -y, z[0]), (x[1], t - y, z[1])),
+        ((x[0], y - t, z[0]), (x[1], y, z[1])),
+        ((x[0], 0.5 * t - y, z[0]), (x[0] + t, y - 0.5 * t, z[1] - 0.1 * t)),
+        ((x[1] - t, 0.5 * t - y, z[0]), (x[1], y - 0.5 * t, z[1] - 0.1 * t)),
+    ]
+    tray = [board(load, 10 + k, low, high, spacing, 0.2 * t) for k, (low, high) in enumerate(boards)]
+    under = _across(frame, 0.8 * width, spacing, 0.012 * s)
+    return [
+        *tray,
+        Part.of(under, look.dyed("6b6e73").paint((1, 0, 0), 4)),
+        Part.of(_across(_profile(cab_corners, 0.035 * s), 0.96 * width, spacing, 0.025 * s),
+                _glazed(body, windows, 0.96 * width, 0.03 * s, None)),
+        *_wheels(look, [-0.38 * s, -0.16 * s, 0.33 * s], r, 1.06 * width, spacing),
+        *_lamps(look, 0.49 * s, width, 0.17 * s, 0.028 * s, "f6e9a8", spacing),
+    ]
+
+
+def _rings(look: Look, height: float, plump: float, count: int) -> list[Part]:
+    """Rings that shrink upwards on a post, between a foot and a ball."""
+    foot, ball = 0.09 * height, 0.11 * height
+    widest = 0.36 * height * plump
+    pitch = (height - foot - 1.75 * ball) / count
+    thick = 1.12 * pitch  # rings sink into each other
+    colours = ramp(look.color, look.accent, count + 2)
+    base = prism([regular(72, widest)], foot, height / 40, 0.3 * foot)
+    parts = [Part.of(base, look.dyed(colours[0]).paint((1, 0, 0)))]
+    post = prism([regular(48, 0.16 * widest)], height - foot - ball, height / 40).translate((0, 0, 0.5 * foot))
+    parts.append(Part.of(post, parts[0].paint))
+    for k in range(count):
+        outer = widest * (0.94 - 0.46 * k / (count - 1))
+        half = min(0.8 * thick, 0.42 * outer)
+        oval = regular(18, 1.0) * [half, thick / 2] + [outer - half, 0]
+        ring = manifold3d.CrossSection([oval]).revolve(60)
+        disc = prism([regular(48, outer - half)], 1.02 * pitch, height / 40).translate((0, 0, -0.51 * pitch))
+        place = (0, 0, foot + pitch * (k + 0.5))
+        paint = look.dyed(colours[k + 1]).paint(None, k)
+        parts.append(Part.of((ring + disc).translate(place), paint))
+    top = manifold3d.Manifold.sphere(ball, 64).translate((0, 0, height - ball))
+    parts.append(Part.of(top, look.dyed(colours[-1]).paint(None, count)))
+    return parts
+
+
+def ramp(first: str | None, last: str | None, count: int) -> list[str]:
+    """Colours, hexadecimal, from the first to the last; the rainbow's where there is no first."""
+    if first is None:
+        return [RAINBOW[k % len(RAINBOW)] for k in range(count)]
+    ends = rgb(first), rgb(last or first)
+    steps = [ends[0] + t * (ends[1] - ends[0]) for t in np.linspace(0, 1, count)]
+    return ["".join(f"{round(255 * c):02x}" for c in step) for step in steps]
+
+
+def _duck(look: Look, size: float, plump: float) -> list[Part]:
+    """Body, head and tail run into each other; the bill and the eyes are set on."""
+    wide = np.array([1.0, plump, 1.0])
+
+    def blend(a: np.ndarray, b: np.ndarray, soft: float) -> np.ndarray:
+        """Smooth union of two distances."""
+        h = np.clip(0.5 + 0.5 * (b - a) / soft, 0, 1)
+        return b + h * (a - b) - soft * h * (1 - h)
+
+    def distance(points: np.ndarray) -> np.ndarray:
+        at = points / wide
+        body = _ellipsoid(at, (-0.06, 0, 0.24), (0.40, 0.29, 0.235))
+        tail = _ellipsoid(at, (-0.44, 0, 0.40), (0.14, 0.13, 0.075))
+        head = _ellipsoid(at, (0.22, 0, 0.605), (0.205, 0.19, 0.19))
+        neck = _ellipsoid(at, (0.17, 0, 0.42), (0.16, 0.15, 0.12))
+        side = np.abs(at) * [0, 1, 0] + at * [1, 0, 1]
+        wing = _ellipsoid(side, (-0.12, 0.265, 0.29), (0.22, 0.055, 0.12))
+        torso = blend(blend(body, tail, 0.16), blend(neck, head, 0.05), 0.06)
+        return blend(torso, wing, 0.02)
+
+    made = _drawn(distance, np.array([[-0.66, -0.44 * plump, -0.05], [0.5, 0.44 * plump, 0.85]]))
+    made = made.trim_by_plane((0, 0, 1.0), 0.02).translate((0, 0, -0.02))
+    feathers = look.dyed(look.color).paint((1, 0, 0))
+
+    def paint(points: np.ndarray) -> np.ndarray:
+        at = (points / size + [0, 0, 0.02]) / wide
+        eye = np.linalg.norm(np.abs(at) * [0, 1, 0] + at * [1, 0, 1] - [0.325, 0.115, 0.665], axis=1)
+        colour = over(feathers(points), np.array([0.97, 0.97, 0.95]), smoothstep(0.058, 0.054, eye))
+        return over(colour, rgb("1c1a1c"), smoothstep(0.040, 0.036, eye))
+
+    ball = manifold3d.Manifold.sphere(1.0, 64)
+    upper = ball.scale((0.15, 0.105 * plump, 0.042)).rotate((0, -8, 0)).translate((0.40, 0, 0.565))
+    lower = ball.scale((0.115, 0.085 * plump, 0.036)).rotate((0, 10, 0)).translate((0.39, 0, 0.525))
+    bill = look.dyed(look.accent).paint((1, 0, 0), 1)
+    return [Part.of(made.scale([size] * 3), paint)] + [Part.of(p.scale([size] * 3), bill) for p in (upper, lower)]
+
+
+def _ellipsoid(at: np.ndarray, middle: tuple[float, ...], half: tuple[float, ...]) -> np.ndarray:
+    """Distance (N,) to an ellipsoid, exact to first order near it."""
+    scaled = (at - middle) / half
+    radius = np.maximum(np.linalg.norm(scaled, axis=1), 1e-9)
+    return radius * (radius - 1) / np.maximum(np.linalg.norm(scaled / half, axis=1), 1e-9)
+
+
+def _drawn(distance: Callable[[np.ndarray], np.ndarray], bounds: np.ndarray) -> manifold3d.Manifold:
+    """Solid where a distance is below zero."""
+    step = np.ptp(bounds, axis=0).max() / CELLS
+    axes = [np.arange(a, b + step, step) for a, b in bounds.T]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
+    values = distance(points.reshape(-1, 3)).reshape(points.shape[:3])
+    vertices, faces, _, _ = marching_cubes(values, 0.0, spacing=(step,) * 3, allow_degenerate=False)
+    vertices = vertices.astype(np.float64) + [axis[0] for axis in axes]
+    for _ in range(2):  # onto the surface, which the grid's straight edges miss
+        shifts = 1e-4 * np.eye(3)
+        slope = np.stack([distance(vertices + d) - distance(vertices - d) for d in shifts], 1) / 2e-4
+        vertices -= (distance(vertices) / np.sum(slope**2, axis=1))[:, None] * slope
+    return solid(vertices, faces.astype(np.int64))

@@ -1,0 +1,174 @@
+"""What hollow, turned vessels share: how they are dressed inside and out, and how they are put together."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import manifold3d
+import numpy as np
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.procedural.atlas import Chart, pack
+from objectfolder.mesh.procedural.extrusion import solid
+from objectfolder.mesh.procedural.finish import Finish, Paint, finish
+from objectfolder.mesh.procedural.parameters import require_between
+from objectfolder.mesh.procedural.revolution import turned
+from objectfolder.mesh.procedural.section import COARSE, even_rows, split_at_lip
+from objectfolder.mesh.procedural.solid import Patch, textured, weld
+from objectfolder.mesh.procedural.texture import lattice, noise, over, rgb, smoothstep
+from objectfolder.mesh.textured import TexturedMesh
+
+CLAY = rgb("b08a66")  #: bare where a glazed vessel stands, and where the glaze runs thin at its lip
+
+Warp = Callable[[np.ndarray], np.ndarray]  #: points (N, 3), m -> points (N, 3), m
+
+
+@dataclass(frozen=True)
+class Dress:
+    """Colours of the two sides of a vessel, which agree at its lip."""
+
+    outside: Paint
+    inside: Paint
+    roughness: float
+    metallic: float
+
+
+def dress(
+    name: str,
+    size: float,
+    lip: float,
+    foot: float,
+    color: str | None = None,
+    accent: str | None = None,
+    seed: int = 0,
+) -> Dress:
+    """Finish a vessel.
+
+    A glazed one is dipped: the accent covers the inside and runs over the lip, and the foot stays bare.
+    Any other finish is the same on both sides.
+
+    Parameters
+    ----------
+    name, color, accent, seed
+        As for `finish`.
+    size : float
+        Longest side of the vessel, m.
+    lip : float
+        Height of the lip, m.
+    foot : float
+        Height to which the foot is bare, m.
+    """
+    body = finish(name, size, color, accent if name != "glaze" else None, seed)
+    if name != "glaze":
+        return Dress(body.paint, body.paint, body.roughness, body.metallic)
+    lining = body if accent is None else finish(name, size, accent, None, seed + 1)
+    return _dipped(body, lining, size, lip, foot, seed)
+
+
+def _dipped(body: Finish, lining: Finish, size: float, lip: float, foot: float, seed: int) -> Dress:
+    values = lattice(seed)
+    u = size / 0.1
+    v = min(u, lip / 0.05)  # flat ones have a narrow edge
+
+    def thin(points: np.ndarray, colour: np.ndarray) -> np.ndarray:
+        """Clay that shows through at the lip."""
+        edge = lip - v * (0.0012 + 0.0004 * noise(points / (0.006 * u), values))
+        return over(colour, CLAY, 0.7 * smoothstep(-0.001 * v, 0.001 * v, points[:, 2] - edge))
+
+    def outside(points: np.ndarray) -> np.ndarray:
+        z = points[:, 2]
+        colour = body.paint(points)
+        if lining is not body:
+            drip = v * (0.013 + 0.0045 * noise(points * [1, 1, 0.2] / (0.016 * u) + 3, values, 2))
+            dipped = smoothstep(-0.0006 * v, 0.0006 * v, z - lip + drip)
+            wet = dipped > 0
+            colour[wet] = over(colour[wet], lining.paint(points[wet]), dipped[wet])
+        colour = thin(points, colour)
+        stands = z < foot + 0.001 * u
+        low = points[stands]
+        bare = CLAY * (1 + 0.03 * noise(low / (0.0015 * u), values, 2))[:, None]
+        edge = foot + 0.0002 * u * noise(low / (0.004 * u), values)
+        colour[stands] = over(colour[stands], bare, smoothstep(0.0003 * u, -0.0003 * u, low[:, 2] - edge))
+        return colour
+
+    def inside(points: np.ndarray) -> np.ndarray:
+        return thin(points, lining.paint(points))
+
+    return Dress(outside, inside, body.roughness, body.metallic)
+
+
+def lobed(
+    generator: str,
+    lobes: int,
+    depth: float,
+    weight: Callable[[np.ndarray], np.ndarray],
+    twist: float = 0.0,
+) -> Warp | None:
+    """Warp that draws a round vessel out into `lobes` lobes, None for a round one.
+
+    Parameters
+    ----------
+    lobes : int
+        Number of lobes, 0 for none.
+    depth : float
+        Their swing, in radii.
+    weight : callable
+        Points (N, 3) -> share (N,) of the swing there, in [0, 1].
+    twist : float
+        How fast the lobes wind upward, turns per metre.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the lobes are not a whole number from 3 to 12, or the swing is over a tenth.
+    """
+    if not isinstance(lobes, int) or isinstance(lobes, bool) or (lobes and not 3 <= lobes <= 12):
+        raise ObjectFolderError(
+            f"{generator}: lobes={lobes!r}: expected 0 (round) or a whole number from 3 to 12"
+        )
+    require_between(generator, 0.0, 0.1, "a share of the radius", lobe_depth=depth)
+    if not lobes or not depth:
+        return None
+
+    def warp(points: np.ndarray) -> np.ndarray:
+        angle = np.arctan2(points[:, 1], points[:, 0]) - 2 * np.pi * twist * points[:, 2]
+        factor = 1 + depth * weight(points) * np.cos(lobes * angle)
+        return points * np.stack([factor, factor, np.ones(len(points))], 1)
+
+    return warp
+
+
+def shell(profile: np.ndarray, look: Dress, warp: Warp | None = None) -> list[tuple[Patch, Chart]]:
+    """Patches and charts of a vessel turned from a profile (N, 2) that runs from the axis to the axis."""
+    outer, inner = split_at_lip(profile)
+    parts = turned(outer, 0, look.outside)
+    parts += turned(inner, len(parts), look.inside)
+    if warp is not None:
+        parts = [
+            (Patch(warp(patch.vertices), patch.faces, patch.xy, patch.chart), chart) for patch, chart in parts
+        ]
+    return parts
+
+
+def turn(profile: np.ndarray, look: Dress, texture_size: int, warp: Warp | None = None) -> TexturedMesh:
+    """Textured mesh of a vessel that is nothing but its shell."""
+    parts = shell(profile, look, warp)
+    atlas = pack([chart for _, chart in parts], texture_size)
+    return textured(weld([patch for patch, _ in parts], atlas), atlas, look.roughness, look.metallic)
+
+
+def revolved(profile: np.ndarray, coarse: float = COARSE) -> manifold3d.Manifold:
+    """Return the bare solid turned from a dense profile (N, 2), m, that runs from the axis to the axis.
+
+    `coarse` is how far its rows may leave the profile, in sizes of it.
+    """
+    top = int(np.argmax(profile[:, 1]))
+    halves = [half for half in (profile[: top + 1], profile[top:]) if len(half) > 1]
+    rows = [even_rows(half, profile, coarse) for half in halves]
+    even = np.concatenate([rows[0], *(row[1:] for row in rows[1:])])
+    patches = [patch for patch, _ in turned(even, 0, lambda points: points)]
+    vertices = np.concatenate([patch.vertices for patch in patches])
+    starts = np.cumsum([0, *(len(patch.vertices) for patch in patches)])
+    faces = np.concatenate([patch.faces + start for patch, start in zip(patches, starts)])
+    grain = 1.234567e-7 * np.ptp(vertices, axis=0).max()
+    _, first, index = np.unique(np.round(vertices / grain), axis=0, return_index=True, return_inverse=True)
+    return solid(vertices[first], index.ravel()[faces])

@@ -1,0 +1,116 @@
+"""Wrenches: a forged bar with open jaws, a ring, or one of each, in metres, lying flat on z = 0."""
+
+import manifold3d
+import numpy as np
+
+from objectfolder.mesh.procedural.assembly import Look, Part, assemble, joined
+from objectfolder.mesh.procedural.extrusion import prism, rectangle, regular
+from objectfolder.mesh.procedural.options import require_choice
+from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
+from objectfolder.mesh.textured import TexturedMesh
+
+ENDS = ("combination", "open", "ring")
+JAW_ANGLE = np.deg2rad(15)  #: of open jaws to the bar
+JAW, RING = 1.08, 0.82  #: radii of the heads, in widths across the flats
+HEAD = 1.3  #: thickness of a head, in thicknesses of the bar
+RECESS = 0.14  #: depth of the panels in the bar, in its thicknesses
+SMALL = 0.85  #: size of the other end of a wrench with two like ends
+
+
+def wrench(
+    length: float = 0.18,
+    size: float = 0.015,
+    thickness: float = 0.006,
+    ends: str = "combination",
+    finish: str = "brushed",
+    color: str | None = None,
+    accent: str | None = None,
+    seed: int = 0,
+    texture_size: int = 1024,
+) -> TexturedMesh:
+    """Build a wrench.
+
+    Parameters
+    ----------
+    length : float
+        Between the middles of the two heads, m.
+    size : float
+        Width across the flats of the nut that it fits, m; two like ends differ in size.
+    thickness : float
+        Of the bar beside its recessed panels, m; heads are thicker.
+    ends : str
+        "combination" of open jaws and a ring, "open" or "ring" at both ends.
+    finish, color, accent, seed
+        See `finish`.
+    texture_size : int
+        Texels on a side.
+
+    Returns
+    -------
+    TexturedMesh
+        One closed surface along x about the origin, its lower side on z = 0.
+
+    Raises
+    ------
+    ObjectFolderError
+        If an option is unknown or a dimension does not fit the others.
+    """
+    require_positive("wrench", length=length, size=size, thickness=thickness)
+    require_choice("wrench", ENDS, ends=ends)
+    require_between("wrench", 6 * size, 30 * size, "6 to 30 sizes of the nut", length=length)
+    require_between("wrench", 0.2 * size, 0.7 * size, "20 % to 70 % of the nut's size", thickness=thickness)
+    require_texture_size("wrench", texture_size)
+
+    look = Look(finish, length + 2 * size, color, accent, seed)
+    spacing = length / 60
+    kinds = {"combination": ("open", "ring"), "open": ("open", "open"), "ring": ("ring", "ring")}[ends]
+    sizes = (size, size if ends == "combination" else SMALL * size)
+    middles = (-length / 2, length / 2)
+    radii = [(JAW if kind == "open" else RING) * s for kind, s in zip(kinds, sizes)]
+
+    # Silhouette: two heads and a tapering bar, hollow corners rounded.
+    half = 0.40 * size, 0.34 * sizes[1]
+    bar = np.array([[middles[0], -half[0]], [middles[1], -half[1]], [middles[1], half[1]], [middles[0], half[0]]])
+    shape = manifold3d.CrossSection([bar])
+    for x, radius in zip(middles, radii):
+        shape += manifold3d.CrossSection([regular(72, radius) + [x, 0]])
+    fillet = 0.8 * size
+    shape = shape.offset(fillet, manifold3d.JoinType.Round, circular_segments=64)
+    shape = shape.offset(-fillet, manifold3d.JoinType.Round, circular_segments=64).simplify(1e-3 * size)
+    lift = (HEAD - 1) / 2 * thickness
+    body = prism(_rings(shape), thickness, spacing, 0.22 * thickness).translate((0, 0, lift))
+    metal = look.paint((1, 0, 0))
+    parts, cuts = [Part.of(body, metal)], []
+    for k, (kind, x, radius, s) in enumerate(zip(kinds, middles, radii, sizes)):
+        head = prism([regular(72, 1.03 * radius)], HEAD * thickness, spacing, 0.2 * thickness, 2)
+        parts.append(Part.of(head.translate((x, 0, 0)), metal))
+        outline = _jaws(s, radius, k) if kind == "open" else _star(s)
+        bite = prism(_rings(outline), 2 * HEAD * thickness, spacing).translate((x, 0, -0.5 * HEAD * thickness))
+        cuts.append(Part.of(bite, metal))
+    # Panels on both sides of the bar.
+    ends_of_bar = middles[0] + 1.6 * radii[0], middles[1] - 1.6 * radii[1]
+    span, across = ends_of_bar[1] - ends_of_bar[0], 0.8 * min(half)
+    depth = RECESS * thickness
+    panel = prism([rectangle(span, across, 0.45 * across)], 2 * depth, spacing)
+    dull = look.dyed(look.accent or "5f6468").paint((1, 0, 0), 1)
+    for z in (lift - depth, lift + thickness - depth):
+        cuts.append(Part.of(panel.translate((np.mean(ends_of_bar), 0, z)), dull))
+    return assemble(joined(parts) - joined(cuts), [*parts, *cuts], look, texture_size)
+
+
+def _rings(shape: manifold3d.CrossSection) -> list[np.ndarray]:
+    return [np.asarray(ring, np.float64) for ring in shape.to_polygons()]
+
+
+def _jaws(size: float, radius: float, end: int) -> manifold3d.CrossSection:
+    """Slot that opens away from the bar of the first (0) or second (1) end."""
+    turn = np.pi * (1 - end) + JAW_ANGLE
+    slot = manifold3d.CrossSection([rectangle(2.5 * radius, size) + [1.25 * radius - 0.1 * size, 0]])
+    seat = manifold3d.CrossSection([regular(6, size / np.sqrt(3))])
+    return (slot + seat).rotate(np.rad2deg(turn))
+
+
+def _star(size: float) -> manifold3d.CrossSection:
+    """Hole with twelve points, for hexagons in two positions."""
+    hexagons = [manifold3d.CrossSection([regular(6, size / np.sqrt(3), k * np.pi / 6)]) for k in (0, 1)]
+    return hexagons[0] + hexagons[1]

@@ -1,0 +1,191 @@
+"""Time and memory of normalize and voxelize, object by object: `python perf/geometry.py [--objects DIR]`.
+
+Each object gets a fresh process with one thread. Exits with 1 if an object misses a target; an object that
+is refused with a reason misses none.
+"""
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from objectfolder import params
+from objectfolder.artifacts import atomic
+from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.grid import BOUND, band_width
+from objectfolder.mesh.load import load_mesh
+from objectfolder.mesh.normalize import normalize
+from objectfolder.mesh.sdf import distance_grid
+
+ROOT = Path(__file__).parents[1]
+MAX_SECONDS = 10.0  # CPU time of normalize and voxelize of one object, loading included
+MAX_MEGABYTES = 2048.0
+PEER_RESOLUTION = 64  # the peer needs the whole grid: minutes at the real resolution
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "IGL_NUM_THREADS")
+
+
+def meshes(folder: Path | None) -> dict[str, tuple[Path, str]]:
+    """Path and up axis of every object: of params.yaml, or one `mesh.*` in each subfolder."""
+    if folder is None:
+        entries = params.read(ROOT / "params.yaml")["objects"]
+        return {key: (ROOT / entry["mesh"], entry.get("up", "z")) for key, entry in entries.items()}
+    paths = sorted(
+        p for suffix in ("obj", "gltf", "glb", "ply", "stl") for p in folder.glob(f"*/mesh.{suffix}")
+    )
+    return {p.parent.name: (p, "y" if p.suffix in (".gltf", ".glb") else "z") for p in paths}
+
+
+def measure(path: Path, up: str) -> dict:
+    """One object, in this process."""
+    from objectfolder.fem.voxelize import voxelize
+
+    values = params.read(ROOT / "params.yaml")
+    row: dict = {"object": path.parent.name}
+    start = time.process_time()
+    try:
+        result = normalize(load_mesh(path, up, values["normalize"]["texture_size"]), path.parent.name)
+        report = result.report(1.0, up)
+        row["normalize_s"] = time.process_time() - start
+        row |= {name: report[name] for name in ("rung", "components", "volume_m3", "faces")}
+        row |= {name: report[f"{name}_percent"] for name in ("deviation_mean", "deviation_max")}
+        start = time.process_time()
+        voxels = voxelize(result.surface, result.solid, **values["voxelize"], name=path.parent.name)
+        row["voxelize_s"] = time.process_time() - start
+        row |= {name: voxels.report["cells"][name] for name in ("resolution", "volume_error")}
+    except ObjectFolderError as error:
+        row["refused"] = str(error)
+        row.setdefault("normalize_s", time.process_time() - start)
+    row["peak_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return row
+
+
+def compare(path: Path, up: str) -> dict:
+    """Distance grid against libigl's distance and winding number of every sample: the same answer."""
+    import igl
+
+    vertices, faces = normalize(load_mesh(path, up), path.parent.name).surface
+    start = time.process_time()
+    values, band = distance_grid(vertices, faces, PEER_RESOLUTION)
+    own = time.process_time() - start
+    axis = np.linspace(-BOUND, BOUND, PEER_RESOLUTION)
+    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
+    start = time.process_time()
+    distance = np.sqrt(igl.point_mesh_squared_distance(points, vertices, faces)[0])
+    peer = np.where(igl.fast_winding_number(vertices, faces, points) > 0.5, -distance, distance)
+    seconds = time.process_time() - start
+    assert band == band_width(PEER_RESOLUTION)
+    apart = np.abs(values.ravel() * (band / 127) - peer.clip(-band, band)).max() / (axis[1] - axis[0])
+    return {"object": path.parent.name, "own_s": own, "peer_s": seconds, "apart_voxels": float(apart)}
+
+
+def fresh(job: str, path: Path, up: str) -> dict:
+    """Run this file for one object in a process of its own."""
+    done = subprocess.run(
+        [sys.executable, __file__, "--job", job, str(path), up],
+        capture_output=True,
+        text=True,
+        env={**os.environ, **dict.fromkeys(THREADS, "1")},
+    )
+    if done.returncode:
+        return {"object": path.parent.name, "failed": done.stderr.strip().splitlines()[-1:]}
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def misses(row: dict) -> list[str]:
+    """Targets that an object misses."""
+    missed = []
+    if "failed" in row:
+        missed.append(f"crashed: {row['failed']}")
+    seconds = row.get("normalize_s", 0.0) + row.get("voxelize_s", 0.0)
+    if seconds > MAX_SECONDS:
+        missed.append(f"{seconds:.1f} s, target {MAX_SECONDS:g} s")
+    if row.get("peak_mb", 0.0) > MAX_MEGABYTES:
+        missed.append(f"{row['peak_mb']:.0f} MB, target {MAX_MEGABYTES:g} MB")
+    return missed
+
+
+def show(rows: list[dict], peer: dict | None, console: Console) -> None:
+    table = Table(title="CPU seconds, one fresh process per object; % of the size, or of its cube")
+    columns = {
+        "object": "object",
+        "rung": "rung",
+        "components": "pieces",
+        "volume_m3": "volume %",
+        "deviation_mean": "mean dev. %",
+        "deviation_max": "max dev. %",
+        "resolution": "cells",
+        "volume_error": "volume error %",
+        "normalize_s": "normalize s",
+        "voxelize_s": "voxelize s",
+        "peak_mb": "peak MB",
+    }
+    for title in columns.values():
+        left = title in ("object", "rung")
+        table.add_column(title, justify="left" if left else "right", no_wrap=left)
+    form = {
+        "volume_m3": lambda v: f"{v:.3%}"[:-1],
+        "volume_error": lambda v: f"{v:+.3%}"[:-1],
+        "deviation_mean": lambda v: f"{v:.2g}",
+        "deviation_max": lambda v: f"{v:.2g}",
+        "normalize_s": lambda v: f"{v:.2f}",
+        "voxelize_s": lambda v: f"{v:.2f}",
+        "peak_mb": lambda v: f"{v:.0f}",
+    }
+    for row in rows:
+        table.add_row(*(form.get(name, str)(row[name]) if name in row else "-" for name in columns))
+    console.print(table)
+    for row in rows:
+        if "refused" in row:
+            console.print(f"refused: {row['refused']}", markup=False, soft_wrap=True)
+    if peer and "failed" not in peer:
+        console.print(
+            f"distance grid {PEER_RESOLUTION}^3 of {peer['object']}: {peer['own_s']:.2f} s; "
+            f"libigl's distance and winding number of every sample: {peer['peer_s']:.2f} s, "
+            f"{peer['peer_s'] / peer['own_s']:.1f} times as long; "
+            f"at most {peer['apart_voxels']:.3f} voxels apart",
+            soft_wrap=True,
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--objects", type=Path, help="folder with a mesh.* in each subfolder")
+    parser.add_argument("--json", type=Path, help="also write the figures here")
+    parser.add_argument("--job", nargs=3, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.job:
+        job, path, up = arguments.job
+        print(json.dumps({"measure": measure, "compare": compare}[job](Path(path), up)))
+        return
+    found = meshes(arguments.objects)
+    if not found:
+        sys.exit(f"{arguments.objects}: no subfolder holds a mesh.obj, .gltf, .glb, .ply or .stl")
+    console = Console(width=max(Console().width, 150))
+    rows = [{**fresh("measure", *mesh), "object": key} for key, mesh in found.items()]
+    faces = {row["object"]: row["faces"] for row in rows if "voxelize_s" in row}  # accepted ones
+    largest = max(faces, key=faces.__getitem__, default=None)
+    peer = fresh("compare", *found[largest]) if largest else None
+    show(rows, peer, console)
+    if arguments.json:
+        with atomic(arguments.json) as path:
+            path.write_text(json.dumps({"objects": rows, "distance_grid": peer}, indent=2) + "\n")
+    missed = [f"{row['object']}: {reason}" for row in rows for reason in misses(row)]
+    console.print(
+        f"target: at most {MAX_SECONDS:g} s and {MAX_MEGABYTES:g} MB per object: "
+        + ("; ".join(missed) if missed else f"met by all {len(rows)}"),
+        markup=False,
+        soft_wrap=True,
+    )
+    sys.exit(bool(missed))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,179 @@
+"""The catalogue of the paper's objects, and finding objects in it by name."""
+
+import csv
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from objectfolder import params
+from objectfolder.errors import ObjectFolderError
+from objectfolder.fetch.catalogue import read_catalogue, select
+from objectfolder.fetch.run import source_text
+from objectfolder.materials import MATERIALS
+
+ROOT = Path(__file__).parents[2]
+PATH = ROOT / "catalogs/objectfolder1.yaml"
+TABLE = ROOT.parent / "shared/reference/objectfolder1_objects.csv"
+SIZE_SLIPS = {"ycb_mug": "0.082", "ycb_medium_clamp": "0.115", "ycb_nine_hole_peg_test": "1.2"}
+
+
+@pytest.fixture(scope="module")
+def catalogue():
+    return read_catalogue(PATH)
+
+
+def test_the_objects_are_the_hundred_of_the_paper(catalogue):
+    entries = catalogue.objects.values()
+    assert [entry.id for entry in entries] == list(range(1, 101))
+    assert len({entry.name for entry in entries}) == 100
+    # Counted in the published table.
+    assert Counter(entry.material for entry in entries) == {
+        "ceramic": 19,
+        "glass": 2,
+        "wood": 21,
+        "plastic": 11,
+        "iron": 6,
+        "polycarbonate": 24,
+        "steel": 17,
+    }
+    assert Counter(entry.source for entry in entries) == {"polyhaven": 20, "ycb": 28, "gso": 52}
+
+
+def test_every_entry_can_be_added(catalogue):
+    for key, entry in catalogue.objects.items():
+        assert params.check_key(key).startswith(f"{entry.source}_")
+        assert entry.material in MATERIALS
+        assert 0.01 < entry.scale < 2.5
+
+
+def test_keys_do_not_clash_with_those_of_other_catalogues(catalogue):
+    for other in (ROOT / "catalogs").glob("*.yaml"):
+        if other != PATH:
+            assert not set(catalogue.objects) & set(params.read(other)["objects"])
+
+
+def test_names_materials_and_sizes_are_the_published_ones_but_for_noted_slips(catalogue):
+    if not TABLE.exists():
+        pytest.skip("the published table is not here")
+    with TABLE.open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == 100
+    for (key, entry), row in zip(catalogue.objects.items(), rows):
+        assert (entry.id, entry.name, entry.material) == (
+            int(row["id"]),
+            row["name"],
+            row["material"].lower(),
+        )
+        assert ("3dmodelhaven" in row["source"]) == (entry.source == "polyhaven")
+        assert ("GoogleResearch" in row["source"]) == (entry.source == "gso")
+        if key in SIZE_SLIPS:
+            assert float(SIZE_SLIPS[key]) == float(row["scale_m"])
+        else:
+            assert entry.scale == float(row["scale_m"])
+
+
+def test_a_note_says_the_published_size_and_ours(catalogue):
+    noted = {key: entry for key, entry in catalogue.objects.items() if entry.note}
+    assert set(noted) == set(SIZE_SLIPS)
+    for key, entry in noted.items():
+        assert f"published {SIZE_SLIPS[key]} " in entry.note
+        assert entry.note.endswith(f"{entry.scale:g}")
+
+
+def test_addresses_have_the_ids(catalogue):
+    assert catalogue.url("ycb_mug").endswith("/google/025_mug_google_16k.tgz")
+    assert catalogue.url("gso_bunny_racer").endswith("/GoogleResearch/models/BUNNY_RACER.zip")
+    assert catalogue.url("polyhaven_barrel_01") == "https://api.polyhaven.com/files/Barrel_01"
+    for key in catalogue.objects:
+        assert catalogue.url(key).startswith("https://")
+        assert "{" not in catalogue.url(key) + catalogue.page(key)
+
+
+def test_the_notice_names_licence_and_authors(catalogue):
+    text = source_text("ycb_mug", catalogue, catalogue.url("ycb_mug"))
+    for fact in (
+        "025_mug",
+        "CC BY 4.0",
+        "Calli et al.",
+        "Gao et al., CoRL 2021",
+        "published 0.082",
+        "renamed",
+    ):
+        assert fact in text
+    assert "CC0 1.0" in source_text("polyhaven_lantern", catalogue, "x")
+
+
+def test_objects_are_found_by_key_and_name_in_any_case(catalogue):
+    assert select(catalogue, ["ycb_mug", "024_BOWL", "065-a cups", "bunny_racer", "025_mug"]) == [
+        "ycb_mug",
+        "ycb_bowl",
+        "ycb_cup_a",
+        "gso_bunny_racer",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "near"),
+    [
+        ("mug", "ycb_mug"),
+        ("ycb_mugg", "ycb_mug"),
+        ("Barrel_1", "polyhaven_barrel_01"),
+        ("racer", "gso_chicken"),
+    ],
+)
+def test_an_unknown_name_brings_near_ones(catalogue, name, near):
+    with pytest.raises(ObjectFolderError, match=rf"no object {name!r}.*near ones: .*{near}.*--list"):
+        select(catalogue, ["ycb_bowl", name])
+
+
+@pytest.mark.parametrize("name", ["", "zzzzqqqq"])
+def test_a_name_like_none_brings_none(catalogue, name):
+    with pytest.raises(ObjectFolderError, match="in the catalogue; --list shows"):
+        select(catalogue, [name])
+
+
+def test_an_address_can_be_replaced(catalogue):
+    changed = read_catalogue(PATH, ["gso=http://mirror/{model}/it.zip"])
+    assert changed.url("gso_bunny_racer") == "http://mirror/BUNNY_RACER/it.zip"
+    assert changed.url("ycb_mug") == catalogue.url("ycb_mug")
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ("nowhere=https://x/{model}", "SOURCE one of polyhaven, ycb, gso"),
+        ("https://x/{model}", "SOURCE one of"),
+        ("ycb=https://x/mug.tgz", "{model} where the object's id goes"),
+        ("ycb=file:///{model}", "use --from DIR"),
+    ],
+)
+def test_a_bad_address_is_refused(option, message):
+    with pytest.raises(ObjectFolderError, match=message):
+        read_catalogue(PATH, [option])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("material: steel", "material: jelly", "objects.polyhaven_barrel_01.material: .*jelly"),
+        ("source: gso", "source: moon", "source is 'moon', expected one of polyhaven, ycb, gso"),
+        ("scale: 0.88", "scale: -1", "objects.polyhaven_barrel_01.scale"),
+        ("id: 2,", "colour: red,", "objects.polyhaven_barrel_01.(id|colour)"),
+        ("polyhaven_barrel_01:", "Barrel 1:", "'Barrel 1' is not a valid object key"),
+        ("objects:", "objects: [", "not valid YAML"),
+    ],
+)
+def test_a_bad_catalogue_is_refused_and_the_place_named(tmp_path, old, new, message):
+    path = tmp_path / "bad.yaml"
+    path.write_text(PATH.read_text().replace(old, new))
+    with pytest.raises(ObjectFolderError, match=message) as error:
+        read_catalogue(path)
+    assert str(path) in str(error.value)
+
+
+def test_a_catalogue_of_another_kind_is_refused():
+    with pytest.raises(ObjectFolderError, match=r"starter\.yaml is not a catalogue of published objects"):
+        read_catalogue(ROOT / "catalogs/starter.yaml")
+    with pytest.raises(ObjectFolderError, match=r"nothing\.yaml does not exist"):
+        read_catalogue(Path("nothing.yaml"))

@@ -1,0 +1,136 @@
+"""Builds small glTF scenes for tests, and looks colours up in a mesh as a renderer does."""
+
+import base64
+import io
+import json
+
+import numpy as np
+from PIL import Image
+
+from objectfolder.mesh import srgb
+
+COMPONENTS = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
+TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+
+
+class Scene:
+    """A glTF document with everything embedded; nodes and materials are given as in the standard."""
+
+    def __init__(self):
+        self.document = {
+            "asset": {"version": "2.0"},
+            "scene": 0,
+            "scenes": [{"nodes": []}],
+            **{name: [] for name in ("nodes", "meshes", "accessors", "bufferViews", "materials")},
+            **{name: [] for name in ("textures", "images", "samplers")},
+        }
+        self.data = b""
+
+    def append(self, group, item):
+        self.document[group].append(item)
+        return len(self.document[group]) - 1
+
+    def view(self, data, **view):
+        self.data += b"\0" * (-len(self.data) % 4)
+        index = self.append(
+            "bufferViews", {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(data), **view}
+        )
+        self.data += data
+        return index
+
+    def accessor(self, values, dtype="f4", **accessor):
+        values = np.asarray(values, "<" + dtype)
+        columns = 1 if values.ndim == 1 else values.shape[1]
+        accessor = {
+            "componentType": COMPONENTS[dtype],
+            "count": len(values),
+            "type": TYPES[columns],
+            **accessor,
+        }
+        if "POSITION" in accessor:
+            accessor.pop("POSITION")
+        return self.append("accessors", {"bufferView": self.view(values.tobytes()), **accessor})
+
+    def texture(self, pixels, **sampler):
+        stream = io.BytesIO()
+        Image.fromarray(np.asarray(pixels, np.uint8)).save(stream, "png")
+        image = self.append("images", {"bufferView": self.view(stream.getvalue()), "mimeType": "image/png"})
+        texture = {"source": image}
+        if sampler:
+            texture["sampler"] = self.append("samplers", sampler)
+        return self.append("textures", texture)
+
+    def material(self, texture=None, info=None, **pbr):
+        if texture is not None:
+            pbr["baseColorTexture"] = {"index": texture, **(info or {})}
+        return self.append("materials", {"pbrMetallicRoughness": pbr})
+
+    def mesh(self, vertices, faces, material=None, **attributes):
+        """Attributes are arrays, or indices of accessors."""
+        index = {
+            name: value if isinstance(value, int) else self.accessor(value)
+            for name, value in {"POSITION": vertices, **attributes}.items()
+        }
+        primitive = {"attributes": index, "indices": self.accessor(np.ravel(faces), "u4")}
+        if material is not None:
+            primitive["material"] = material
+        return self.append("meshes", {"primitives": [primitive]})
+
+    def node(self, mesh=None, root=True, **node):
+        index = self.append("nodes", {**({} if mesh is None else {"mesh": mesh}), **node})
+        if root:
+            self.document["scenes"][0]["nodes"].append(index)
+        return index
+
+    def quads(self, x, material=None, uv=None, **attributes):
+        """Put N unit quads, of two triangles, in a row along z at `x`; `uv` (N, 4, 2), colours (N, 4, C)."""
+        count = (
+            len(next(a for a in (uv, *attributes.values()) if a is not None))
+            if uv is not None or attributes
+            else 1
+        )
+        corner = np.array([[0, 0, 0], [0, 1, 0], [0, 1, 1], [0, 0, 1]], float)
+        vertices = (corner + np.arange(count)[:, None, None] * [0, 0, 2] + [x, 0, 0]).reshape(-1, 3)
+        faces = np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(count)[:, None, None]
+        arrays = {
+            k: v if isinstance(v, int) else np.reshape(v, (4 * count, -1)) for k, v in attributes.items()
+        }
+        if uv is not None:
+            arrays["TEXCOORD_0"] = np.reshape(uv, (-1, 2))
+        return self.node(self.mesh(vertices, faces, material, **arrays))
+
+    def write(self, path):
+        document = {name: value for name, value in self.document.items() if value != []}
+        uri = "data:application/octet-stream;base64," + base64.b64encode(self.data).decode()
+        document["buffers"] = [{"byteLength": len(self.data), "uri": uri}]
+        path.write_text(json.dumps(document))
+        return path
+
+
+def square(u, v, size):
+    """Texture coordinates (4, 2) of a quad in glTF's frame: a square around (u, v)."""
+    corner = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2
+    return np.array([u, v]) + size * corner
+
+
+def checker(colors, cell):
+    """Pixels of flat squares of `cell` texels; colours (rows, columns, 3)."""
+    return np.repeat(np.repeat(np.asarray(colors, np.uint8), cell, 0), cell, 1)
+
+
+def colors_at(mesh, weights=(1 / 3, 1 / 3, 1 / 3)):
+    """SRGB colours (F, 3), 0 to 255, at one place of every face: bilinear and repeating, in linear light."""
+    if mesh.texture is None:
+        corners = srgb.decode(mesh.vertex_colors[mesh.faces] / 255)
+        return 255 * srgb.encode(np.einsum("k,fkc->fc", weights, corners))
+    linear = srgb.decode(mesh.texture / 255)
+    height, width = linear.shape[:2]
+    uv = np.einsum("k,fkc->fc", weights, mesh.uv[mesh.faces])
+    x, y = uv[:, 0] * width - 0.5, (1 - uv[:, 1]) * height - 0.5
+    left, top = np.floor(x).astype(int), np.floor(y).astype(int)
+    total = np.zeros((len(uv), 3))
+    for dx in (0, 1):
+        for dy in (0, 1):
+            weight = np.abs(1 - dx - (x - left)) * np.abs(1 - dy - (y - top))
+            total += weight[:, None] * linear[(top + dy) % height, (left + dx) % width]
+    return 255 * srgb.encode(total)

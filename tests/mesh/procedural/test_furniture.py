@@ -1,0 +1,270 @@
+import numpy as np
+import pytest
+from assembled import check_charts, check_charts_apart, check_solid, check_texture, crossings, glb, welded
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.procedural.assembly import Look, Part, assemble, frame, joined
+from objectfolder.mesh.procedural.extrusion import area, inset, prism, rectangle, regular, triangulate
+from objectfolder.mesh.procedural.shelf import shelf, shelf_levels
+from objectfolder.mesh.procedural.stool import stool
+from objectfolder.mesh.procedural.sweep import bar
+from objectfolder.mesh.procedural.table import table
+
+SMALL = 256  # texels: most tests ask about the geometry
+CASES = {
+    "dining table": (table, {}),
+    "oval low table": (table, {"length": 1.2, "height": 0.45, "shape": "oval", "apron": 0}),
+    "pillar table": (table, {"length": 0.9, "width": 0.9, "shape": "oval", "base": "pillar"}),
+    "steel desk": (table, {"overhang": 0, "bevel": 0, "taper": 1.0, "finish": "brushed"}),
+    "stool": (stool, {}),
+    "milking stool": (stool, {"height": 0.28, "legs": 3, "rung_height": 0}),
+    "bookcase": (shelf, {}),
+    "rack": (shelf, {"back": 0, "bays": 2, "finish": "plastic", "color": "3d6b4f"}),
+    "cabinet": (shelf, {"front": "doors", "depth": 0.4, "bays": 2}),
+    "chest of drawers": (shelf, {"front": "drawers", "depth": 0.4, "height": 0.85, "bays": 3}),
+}
+
+
+@pytest.fixture(scope="module", params=list(CASES))
+def made(request):
+    build, parameters = CASES[request.param]
+    return build, parameters, build(**parameters, texture_size=SMALL)
+
+
+def test_furniture_is_one_closed_solid_with_a_texture_of_its_own(made):
+    _, _, mesh = made
+    check_solid(mesh)
+    check_charts(mesh)
+    check_charts_apart(mesh)
+    check_texture(mesh)
+    assert 1000 <= len(mesh.faces) <= 20_500
+
+
+def test_vertices_are_even_enough_to_strike_anywhere(made):
+    """No edge is long against the object, flats included."""
+    _, _, mesh = made
+    corners = mesh.vertices[mesh.faces]
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    assert edges.max() < 0.09 * np.ptp(mesh.bounds, axis=0).max()
+
+
+def test_same_parameters_same_file(made, tmp_path):
+    build, parameters, mesh = made
+    assert glb(build(**parameters, texture_size=SMALL), tmp_path) == glb(mesh, tmp_path)
+
+
+def test_a_board_of_another_seed_is_another_piece_of_wood():
+    one, other = (stool(seed=seed, texture_size=SMALL) for seed in (0, 1))
+    assert np.array_equal(one.vertices, other.vertices)
+    assert np.mean(one.texture != other.texture) > 0.5
+
+
+@pytest.mark.parametrize("steps", [1, 3])
+def test_prism_has_the_volume_of_its_rounded_edges(steps):
+    length, width, height, bevel = 0.3, 0.2, 0.05, 0.01
+    plate = prism([rectangle(length, width)], height, 0.02, bevel, steps)
+
+    def section(depth):
+        return (length - 2 * depth) * (width - 2 * depth)
+
+    turn = np.linspace(0, np.pi / 2, steps + 1)
+    depth, rise = bevel * (1 - np.sin(turn)), bevel * (1 - np.cos(turn))
+    # Simpson's rule is exact: sections are quadratic in height.
+    middle = (depth[1:] + depth[:-1]) / 2
+    edges = np.sum(np.diff(rise) / 6 * (section(depth[1:]) + 4 * section(middle) + section(depth[:-1])))
+    assert plate.volume() == pytest.approx(length * width * (height - 2 * bevel) + 2 * edges, rel=1e-12)
+
+
+def test_prism_with_holes_has_their_genus_and_an_even_mesh():
+    rings = [rectangle(0.3, 0.2, 0.02), regular(32, 0.03)[::-1], regular(6, 0.02)[::-1] + [0.1, 0.03]]
+    plate = prism(rings, 0.02, 0.01)
+    assert plate.genus() == 2
+    assert plate.volume() == pytest.approx(0.02 * sum(map(area, rings)), rel=1e-12)
+    mesh = plate.to_mesh64()
+    corners = np.asarray(mesh.vert_properties)[np.asarray(mesh.tri_verts, int)]
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    assert edges.max() < 1.8 * 0.01
+
+
+def test_triangulation_of_a_thin_web_keeps_the_outline():
+    ring = np.array([[0, 0], [1, 0], [1, 1], [0.5, 0.01], [0, 1]])  # narrower than the spacing
+    inner, faces = triangulate([ring], 0.3)
+    points = np.concatenate([ring, inner])
+    assert sum(area(points[f]) for f in faces) == pytest.approx(area(ring), rel=1e-12)
+
+
+def test_inset_moves_every_side_by_the_distance():
+    moved = inset(regular(6, 1.0), 0.1)
+    assert np.linalg.norm(moved, axis=1) == pytest.approx(1 - 0.1 / np.cos(np.pi / 6))
+    with pytest.raises(ObjectFolderError, match="shortest side"):
+        inset(rectangle(1, 0.1), 0.06)
+
+
+def test_bar_is_a_cone_between_its_ends():
+    ends = np.array([[0.1, -0.2, 0.3], [0.3, 0.4, -0.5]])
+    length = np.linalg.norm(ends[1] - ends[0])
+    made = bar(*ends, (0.04, 0.02), 0.05, 32)
+    polygon = 32 / 2 * np.sin(2 * np.pi / 32)
+    cone = length / 3 * polygon * (0.02**2 + 0.01**2 + 0.02 * 0.01)
+    assert made.volume() == pytest.approx(cone, rel=1e-9)
+
+
+def test_texture_shows_the_paint_of_each_point():
+    """Everywhere on slanting and level charts, right up to the seams."""
+
+    def paint(points):
+        return 0.5 + 0.45 * np.sin(points * [7, 9, 8])
+
+    axes = frame([0.3, 0.2, -0.9])
+    solids = [prism([rectangle(0.5, 0.3, 0.04)], 0.06, 0.03, 0.01), bar((0, 0, 0.03), (0.3, 0.2, -0.87), (0.1, 0.06), 0.04)]
+    parts = [Part.of(solids[0], paint), Part.of(solids[1], paint, axes)]
+    mesh = assemble(joined(parts), parts, Look("plastic", 1.0), 512)
+    rng = np.random.default_rng(1)
+    weights = rng.dirichlet([0.4] * 3, len(mesh.faces))[:, :, None]
+    points = (weights * mesh.vertices[mesh.faces]).sum(1)
+    uv = (weights * mesh.uv[mesh.faces]).sum(1) * 512 - 0.5
+    low = np.floor(uv).astype(int)
+    image = mesh.texture[::-1] / 255
+    shown = np.zeros((len(uv), 3))
+    for dx in (0, 1):
+        for dy in (0, 1):
+            share = np.prod(1 - np.abs(uv - low - [dx, dy]), axis=1)
+            at = np.clip(low + [dx, dy], 0, 511)
+            shown += share[:, None] * image[at[:, 1], at[:, 0]]
+    assert np.abs(shown - paint(points)).max() < 0.02
+
+
+@pytest.mark.parametrize("apron", [0.0, 0.09])
+def test_table_has_the_volume_of_its_boards(apron):
+    length, width, height, top, leg = 1.5, 0.8, 0.74, 0.032, 0.065
+    mesh = table(length, width, height, top, leg, apron, taper=1.0, bevel=0, texture_size=SMALL)
+    np.testing.assert_allclose(mesh.bounds, [[-0.75, -0.4, 0], [0.75, 0.4, height]], atol=1e-9)
+    legs = 4 * leg**2 * (height - top)
+    between = 2 * (length - 2 * 0.04 - 2 * leg) + 2 * (width - 2 * 0.04 - 2 * leg)
+    aprons = between * apron * 0.34 * leg
+    assert welded(mesh).volume == pytest.approx(length * width * top + legs + aprons, rel=1e-9)
+    down = crossings(mesh, (0.01, 0.02, 1.0), (0, 0, -1))
+    np.testing.assert_allclose(down, [1 - height, 1 - height + top], atol=1e-7)
+
+
+def test_rounded_edges_take_away_less_than_their_square():
+    sharp, rounded = (welded(table(bevel=bevel, texture_size=SMALL)).volume for bevel in (0.0, 0.003))
+    assert sharp - 30 * 2 * 1.5 * 0.003**2 < rounded < sharp
+
+
+def test_bookcase_has_the_volume_of_its_boards():
+    w, d, h, t, back, bays, plinth = 0.8, 0.3, 1.2, 0.022, 0.010, 4, 0.05
+    mesh = shelf(w, d, h, t, back, bays, plinth=plinth, bevel=0, texture_size=SMALL)
+    levels = shelf_levels(h, t, bays, plinth)
+    sides = 2 * t * d * h
+    level = (bays + 1) * (w - 2 * t) * (d - 0.2 * t) * t
+    panel = back * (w - 2 * t) * (levels[-1] - levels[0] - bays * t)
+    assert welded(mesh).volume == pytest.approx(sides + level + panel, rel=1e-9)
+    across = crossings(mesh, (-1.0, 0.0, 0.2), (1, 0, 0))
+    np.testing.assert_allclose(across, np.array([-0.4, -0.4 + t, 0.4 - t, 0.4]) + 1, atol=1e-7)
+    through = crossings(mesh, (0.013, -1.0, 0.2), (0, 1, 0))
+    assert np.diff(through) == pytest.approx([back], abs=1e-7)
+
+
+@pytest.mark.parametrize("front", ["doors", "drawers"])
+def test_closed_furniture_is_hollow_and_its_hollow_can_be_reached(front):
+    mesh = shelf(front=front, depth=0.4, bays=3, texture_size=SMALL)
+    surface = welded(mesh)
+    # A sealed hollow would be a shell of its own.
+    assert surface.body_count == 1
+    assert surface.volume < 0.35 * np.prod(np.ptp(mesh.bounds, axis=0))
+    through = crossings(mesh, (0.1, -1.0, 0.25), (0, 1, 0))
+    np.testing.assert_allclose(np.diff(through)[::2], [0.022, 0.010], atol=1e-7)
+
+
+def test_stool_stands_on_its_legs_and_has_a_seat_as_thick_as_asked():
+    mesh = stool(diameter=0.34, height=0.46, seat=0.036, legs=3, dish=0.006, texture_size=SMALL)
+    feet = np.unique(np.round(mesh.vertices[mesh.vertices[:, 2] == 0], 9), axis=0)
+    turn = np.round(np.arctan2(feet[:, 1], feet[:, 0]) / (2 * np.pi / 3) - 0.5).astype(int) % 3
+    assert set(turn) == {0, 1, 2}
+    for k in range(3):
+        assert np.ptp(feet[turn == k], axis=0).max() < 0.04
+    down = crossings(mesh, (0.0001, 0.0002, 1.0), (0, 0, -1))
+    np.testing.assert_allclose(down, [0.546, 0.576], atol=1e-4)
+    assert mesh.bounds[1, 2] == pytest.approx(0.46, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("build", "parameters"), [(table, {"length": 1.5, "width": 0.8, "height": 0.74, "top": 0.03, "leg_size": 0.06,
+    "apron": 0.08, "overhang": 0.03, "bevel": 0.002})])  # fmt: skip
+def test_twice_the_size_is_eight_times_the_volume(build, parameters):
+    one = welded(build(**parameters, texture_size=SMALL))
+    two = welded(build(**{k: 2 * v for k, v in parameters.items()}, texture_size=SMALL))
+    assert two.volume == pytest.approx(8 * one.volume, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("build", "parameters", "words"),
+    [
+        (table, {"length": 0.0}, r"table: length=0\.0.*positive"),
+        (table, {"length": 9.0}, "table: length=9.0.*expected"),
+        (table, {"leg_size": 0.3}, "leg_size=0.3.*expected"),
+        (table, {"bevel": 0.03}, "bevel=0.03.*expected"),
+        (table, {"apron": 0.6}, "apron=0.6.*expected"),
+        (table, {"shape": "star"}, "shape='star'.*rectangle, oval"),
+        (table, {"base": "one"}, "base='one'.*legs, pillar"),
+        (table, {"finish": "gold"}, "unknown finish 'gold'"),
+        (table, {"texture_size": 64}, "texture_size=64.*charts"),
+        (stool, {"legs": 2}, "legs=2.*whole number from 3 to 6"),
+        (stool, {"legs": 3.5}, "legs=3.5.*whole number"),
+        (stool, {"splay": float("nan")}, "splay=nan.*expected"),
+        (stool, {"rung_height": 0.44}, "rung_height=0.44.*clear of the seat"),
+        (stool, {"color": "red"}, "color='red'.*hexadecimal"),
+        (shelf, {"bays": 0}, "bays=0.*whole number from 1 to 8"),
+        (shelf, {"bays": 8, "height": 0.5, "width": 0.5}, "height=0.5.*room for those bays"),
+        (shelf, {"back": 0.001}, "back=0.001.*expected"),
+        (shelf, {"front": "glass"}, "front='glass'.*open, doors, drawers"),
+        (shelf, {"board_thickness": 0.1}, "board_thickness=0.1.*expected"),
+    ],
+)
+def test_impossible_requests_are_refused(build, parameters, words):
+    with pytest.raises(ObjectFolderError, match=words):
+        build(**parameters)
+
+
+unit = st.floats(0, 1)
+
+
+@settings(max_examples=6, deadline=None, derandomize=True)
+@given(st.floats(0.4, 1.2), unit, unit, unit, unit, st.sampled_from(["rectangle", "oval"]), st.booleans())
+def test_any_sane_table_is_solid(width, long, high, thick, slim, shape, pillar):
+    length = width * (1 + 1.5 * long)
+    height = width * (0.4 + high)
+    top = 0.01 * length + thick * (0.2 * height - 0.01 * length)
+    leg = 0.03 * length + slim * (0.14 * width - 0.03 * length)
+    mesh = table(length, width, height, top, leg, 0.2 * thick * (height - top), 0.15 * width * slim, 0.4 + 0.6 * high,
+                 shape, "pillar" if pillar else "legs", 0.0, texture_size=SMALL)  # fmt: skip
+    check_solid(mesh)
+    check_charts(mesh)
+
+
+@settings(max_examples=6, deadline=None, derandomize=True)
+@given(st.floats(0.2, 0.5), unit, unit, unit, unit, st.integers(3, 6))
+def test_any_sane_stool_is_solid(diameter, high, thick, slim, wide, legs):
+    height = diameter * (0.6 + 2.2 * high)
+    seat = 0.05 * diameter + thick * (0.2 * height - 0.05 * diameter)
+    leg = diameter * (0.05 + 0.1 * slim)
+    rung = leg + thick * (0.69 * (height - seat) - leg) if wide > 0.3 else 0
+    mesh = stool(diameter, height, seat, leg, legs, 0.3 * height * wide, rung, 0.25 * seat * slim, texture_size=SMALL)
+    check_solid(mesh)
+    check_charts(mesh)
+
+
+@settings(max_examples=6, deadline=None, derandomize=True)
+@given(st.floats(0.4, 1.5), unit, unit, unit, st.integers(1, 6), st.sampled_from(["open", "doors", "drawers"]))
+def test_any_sane_shelf_is_solid(width, deep, high, thick, bays, front):
+    depth, height = width * (0.3 + 0.5 * deep), width * (0.9 + high)
+    t = 0.013 * max(width, height) + thick * 0.008 * width
+    if t > 0.12 * depth or bays > height / (5 * t):
+        return
+    mesh = shelf(width, depth, height, t, 0.5 * t * (1 + thick) if deep > 0.4 else 0, bays, front,
+                 0.1 * height * high, 0.1 * t * thick, texture_size=SMALL)  # fmt: skip
+    check_solid(mesh)
+    check_charts(mesh)

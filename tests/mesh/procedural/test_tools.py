@@ -1,0 +1,281 @@
+import manifold3d
+import numpy as np
+import pytest
+from assembled import check_charts, check_charts_apart, check_solid, check_texture, crossings, glb, welded
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.procedural.block import block
+from objectfolder.mesh.procedural.hammer import hammer
+from objectfolder.mesh.procedural.spoon import spoon
+from objectfolder.mesh.procedural.toy import KINDS, ramp, toy
+from objectfolder.mesh.procedural.wrench import JAW_ANGLE, RECESS, wrench
+
+SMALL = 256  # texels: most tests ask about the geometry
+CLUB = {"head": "club", "head_length": 0.1, "head_diameter": 0.042, "length": 0.24, "handle_width": 0.032}
+MALLET = {"head": "mallet", "head_length": 0.13, "head_diameter": 0.075, "length": 0.28, "finish": "wood"}
+LADLE = {"length": 0.16, "bowl_length": 0.09, "bowl_width": 0.088, "depth": 0.045, "wall": 0.002,
+         "handle_width": 0.02, "rise": 0.2, "hook": 0.018, "point": 0}  # fmt: skip
+#: Builder, parameters, handles and holes (the genus; None where it is no part of the design).
+CASES = {
+    "wrench": (wrench, {}, 1),
+    "open wrench": (wrench, {"ends": "open", "finish": "cast"}, 0),
+    "ring wrench": (wrench, {"ends": "ring"}, 2),
+    "claw hammer": (hammer, {"accent": "b23a2a"}, 0),
+    "club hammer": (hammer, CLUB, 0),
+    "mallet": (hammer, MALLET, 0),
+    "spoon": (spoon, {}, 0),
+    "ladle": (spoon, LADLE, 0),
+    "peg block": (block, {}, 9),
+    "shape sorter": (block, {"depth": 0.025, "hole": "mixed", "finish": "plastic", "rounding": 0.001}, 0),
+    "plain block": (block, {"relief": "plain", "finish": "print"}, 0),
+    "brick": (block, {"relief": "studs", "rounding": 0.001, "finish": "plastic"}, 0),
+    **{kind: (toy, {"kind": kind}, None) for kind in KINDS},
+}
+
+
+@pytest.fixture(scope="module", params=list(CASES))
+def made(request):
+    build, parameters, genus = CASES[request.param]
+    return build, parameters, genus, build(**parameters, texture_size=SMALL)
+
+
+def test_object_is_one_closed_solid_with_a_texture_of_its_own(made):
+    _, _, genus, mesh = made
+    check_solid(mesh)
+    check_charts(mesh)
+    check_charts_apart(mesh)
+    check_texture(mesh)
+    assert 1000 <= len(mesh.faces) <= 20_500
+    if genus is not None:
+        assert welded(mesh).euler_number == 2 - 2 * genus
+
+
+def test_vertices_are_even_enough_to_strike_anywhere(made):
+    """No edge is long against the object, flats included."""
+    mesh = made[3]
+    corners = mesh.vertices[mesh.faces]
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    assert edges.max() < 0.09 * np.ptp(mesh.bounds, axis=0).max()
+
+
+def test_same_parameters_same_file(made, tmp_path):
+    build, parameters, _, mesh = made
+    assert glb(build(**parameters, texture_size=SMALL), tmp_path) == glb(mesh, tmp_path)
+
+
+@pytest.mark.parametrize("ends", ["open", "combination"])
+def test_jaws_fit_the_nut(ends):
+    length, size = 0.18, 0.015
+    mesh = wrench(length, size, 0.006, ends, texture_size=SMALL)
+    turn = np.pi + JAW_ANGLE
+    out, across = np.array([np.cos(turn), np.sin(turn), 0]), np.array([-np.sin(turn), np.cos(turn), 0])
+    origin = np.array([-length / 2, 0, 0.0039]) + 0.4 * size * out
+    for sign in (-1, 1):
+        assert crossings(mesh, tuple(origin), tuple(sign * across))[0] == pytest.approx(size / 2, abs=1e-7)
+
+
+def test_ring_takes_a_hexagon_of_its_size_and_none_much_larger():
+    length, size = 0.18, 0.015
+    mesh = wrench(length, size, 0.006, texture_size=SMALL)
+    angles = np.linspace(0, np.pi / 6, 7)
+    first = [crossings(mesh, (length / 2, 0, 0.0039), (np.cos(a), np.sin(a), 0))[0] for a in angles]
+    # Between the hexagon's flat and its corner; two of them cover each other's flats in part.
+    assert min(first) == pytest.approx(size / 2 / np.cos(np.pi / 12), rel=1e-6)
+    assert max(first) == pytest.approx(size / np.sqrt(3), rel=1e-6)
+
+
+def test_bar_of_a_wrench_is_as_thick_as_asked_and_thinner_in_its_panels():
+    thickness = 0.006
+    mesh = wrench(thickness=thickness, texture_size=SMALL)
+    middle, edge = (crossings(mesh, (0.001, y, 1.0), (0, 0, -1)) for y in (0.0003, 0.0045))
+    assert np.diff(middle) == pytest.approx([(1 - 2 * RECESS) * thickness], abs=1e-8)
+    assert 0.9 * thickness < np.diff(edge)[0] <= thickness + 1e-8
+
+
+@pytest.mark.parametrize("parameters", [CLUB, MALLET, {}])
+def test_hammer_has_the_size_asked_for(parameters):
+    mesh = hammer(**parameters, texture_size=SMALL)
+    size = np.ptp(mesh.bounds, axis=0)
+    head_length, diameter = (parameters.get(k, v) for k, v in (("head_length", 0.13), ("head_diameter", 0.03)))
+    assert mesh.bounds[1, 0] == pytest.approx(parameters.get("length", 0.32), abs=1e-9)
+    assert size[1] == pytest.approx(head_length, rel=0.02)
+    assert diameter * 0.999 <= size[2] <= 1.15 * diameter
+
+
+def test_mallet_has_the_volume_of_its_block_and_more():
+    length, d = 0.13, 0.075
+    volume = welded(hammer(**MALLET, texture_size=SMALL)).volume
+    block_volume = np.pi * d**2 / 4 * length
+    handle = 0.28 * 0.03 * 0.74 * 0.03
+    assert 0.97 * block_volume < volume < block_volume + handle
+
+
+@pytest.mark.parametrize("parameters", [{"wall": 0.0018}, {"wall": 0.003}, LADLE])
+def test_bowl_of_a_spoon_is_as_thick_as_asked(parameters):
+    mesh = spoon(**parameters, texture_size=SMALL)
+    down = crossings(mesh, (1e-5, 2e-5, 1.0), (0, 0, -1))
+    np.testing.assert_allclose(down, [1 - parameters["wall"], 1], atol=2e-5)
+
+
+def test_spoon_is_an_open_bowl_on_a_slim_handle():
+    a, b, depth, wall = 0.030, 0.020, 0.011, 0.0018
+    mesh = spoon(point=0, texture_size=SMALL)
+    bowl = 2 / 3 * np.pi * (a * b * depth - (a - wall) * (b - wall) * (depth - wall))
+    volume = welded(mesh).volume
+    assert bowl < volume < bowl + 0.14 * 0.014 * 0.004
+    assert np.ptp(mesh.bounds, axis=0)[0] == pytest.approx(0.19, abs=1e-3)
+    assert mesh.bounds[0, 0] == pytest.approx(-a, abs=1e-9)
+
+
+def polygon(sides: int, diameter: float) -> float:
+    return sides / 2 * np.sin(2 * np.pi / sides) * diameter**2 / 4
+
+
+@pytest.mark.parametrize("depth", [None, 0.03])
+@pytest.mark.parametrize(("hole", "sides"), [("round", 32), ("square", 4), ("hexagon", 6)])
+def test_block_lacks_the_volume_of_its_holes(hole, sides, depth):
+    l, w, h, d = 0.12, 0.10, 0.05, 0.02
+    mesh = block(l, w, h, rows=2, columns=3, diameter=d, depth=depth, hole=hole, rounding=0, texture_size=SMALL)
+    np.testing.assert_allclose(mesh.bounds, [[-l / 2, -w / 2, 0], [l / 2, w / 2, h]], atol=1e-9)
+    surface = welded(mesh)
+    assert surface.volume == pytest.approx(l * w * h - 6 * polygon(sides, d) * (depth or h), rel=1e-9)
+    assert surface.euler_number == (2 if depth else 2 - 2 * 6)
+
+
+def test_brick_has_its_studs_on_top():
+    l, w, h, d = 0.064, 0.032, 0.0192, 0.0098
+    mesh = block(l, w, h, "studs", 2, 4, d, 0.004, rounding=0, finish="plastic", texture_size=SMALL)
+    assert welded(mesh).volume == pytest.approx(l * w * h + 8 * polygon(40, d) * 0.004, rel=1e-9)
+    assert mesh.bounds[1, 2] == pytest.approx(h + 0.004, abs=1e-12)
+
+
+def test_block_of_twice_the_size_has_eight_times_the_volume():
+    one = {"length": 0.1, "width": 0.08, "height": 0.04, "diameter": 0.016, "depth": 0.02, "rounding": 0.001}
+    small, large = (
+        welded(block(**{k: scale * v for k, v in one.items()}, texture_size=SMALL)).volume for scale in (1, 2)
+    )
+    assert large == pytest.approx(8 * small, rel=1e-9)
+
+
+@pytest.mark.parametrize(("kind", "wheels"), [("car", 4), ("truck", 6)])
+def test_vehicle_stands_on_its_wheels(kind, wheels):
+    mesh = toy(kind, 0.2, texture_size=SMALL)
+    low = np.unique(np.round(mesh.vertices[mesh.vertices[:, 2] < 1e-4][:, :2], 4), axis=0)
+    places = {(round(x / 0.03), y > 0) for x, y in low}
+    assert len(places) == wheels
+
+
+def test_duck_is_the_same_on_both_sides():
+    surface = welded(toy("duck", texture_size=SMALL))
+    assert surface.center_mass[1] == pytest.approx(0, abs=2e-4 * 0.16)
+    assert surface.euler_number == 2
+    faces = np.array(surface.faces, np.uint64)
+    whole = manifold3d.Manifold(manifold3d.Mesh64(np.array(surface.vertices), faces))
+    left, right = whole.split_by_plane((0, 1, 0), 0)
+    assert left.volume() == pytest.approx(right.volume(), rel=1e-3)
+
+
+@pytest.mark.parametrize("count", [3, 8])
+def test_rings_shrink_upwards_to_the_ball(count):
+    size = 0.2
+    mesh = toy("rings", size, count=count, texture_size=SMALL)
+    assert np.ptp(mesh.bounds, axis=0)[2] == pytest.approx(size, abs=1e-9)
+    foot, ball = 0.09 * size, 0.11 * size
+    pitch = (size - foot - 1.75 * ball) / count
+    reach = [1 - crossings(mesh, (1.0, 1e-4, foot + pitch * (k + 0.5)), (-1, 0, 0))[0] for k in range(count)]
+    assert np.all(np.diff(reach) < 0)
+
+
+def test_ramp_goes_from_the_first_colour_to_the_last():
+    assert ramp("000000", "ff8000", 3) == ["000000", "804000", "ff8000"]
+    assert len(set(ramp(None, None, 7))) == 7
+
+
+@pytest.mark.parametrize(
+    ("build", "parameters", "words"),
+    [
+        (wrench, {"length": -1}, "length=-1.*positive"),
+        (wrench, {"length": 0.05}, "length=0.05.*expected"),
+        (wrench, {"thickness": 0.03}, "thickness=0.03.*expected"),
+        (wrench, {"ends": "hook"}, "ends='hook'.*combination, open, ring"),
+        (hammer, {"head": "axe"}, "head='axe'.*claw, club, mallet"),
+        (hammer, {"head_length": 0.4}, "head_length=0.4.*expected"),
+        (hammer, {"handle_width": 0.1}, "handle_width=0.1.*expected"),
+        (spoon, {"wall": 0.01}, "wall=0.01.*expected"),
+        (spoon, {"depth": 0.05}, "depth=0.05.*expected"),
+        (spoon, {"hook": 0.002}, "hook=0.002.*expected"),
+        (spoon, {"rise": -0.1}, "rise=-0.1.*expected"),
+        (block, {"rows": 0}, "rows=0.*whole number"),
+        (block, {"diameter": 0.04}, "diameter=0.04.*pitch"),
+        (block, {"depth": 0.0499}, "depth=0.0499.*floor"),
+        (block, {"rounding": 0.01}, "rounding=0.01.*expected"),
+        (block, {"relief": "slots"}, "relief='slots'.*plain, holes, studs"),
+        (toy, {"kind": "robot"}, "kind='robot'.*car, truck, duck, rings"),
+        (toy, {"plump": 3}, "plump=3.*expected"),
+        (toy, {"count": 20}, "count=20.*whole number"),
+        (toy, {"texture_size": 64}, "texture_size=64.*charts"),
+    ],
+)
+def test_impossible_requests_are_refused(build, parameters, words):
+    with pytest.raises(ObjectFolderError, match=words):
+        build(**parameters)
+
+
+unit = st.floats(0, 1)
+
+
+@settings(max_examples=5, deadline=None, derandomize=True)
+@given(st.floats(0.005, 0.04), unit, unit, st.sampled_from(["combination", "open", "ring"]))
+def test_any_sane_wrench_is_solid(size, long, thick, ends):
+    mesh = wrench(size * (6.1 + 20 * long), size, size * (0.21 + 0.48 * thick), ends, texture_size=SMALL)
+    check_solid(mesh)
+    check_charts(mesh)
+
+
+@settings(max_examples=5, deadline=None, derandomize=True)
+@given(st.floats(0.015, 0.08), unit, unit, unit, st.sampled_from(["claw", "club", "mallet"]))
+def test_any_sane_hammer_is_solid(diameter, long, slim, reach, head):
+    low, high = {"claw": (3.3, 5.4), "club": (1.7, 3.9), "mallet": (1.25, 2.9)}[head]
+    head_length = diameter * (low + long * (high - low))
+    width = diameter * (0.5 + 0.55 * slim)
+    length = np.clip(head_length * (1.1 + 2 * reach), 5.1 * width, 24 * width)
+    if length > 5 * head_length:
+        return
+    mesh = hammer(float(length), head_length, diameter, width, head, texture_size=SMALL)
+    check_solid(mesh)
+    check_charts(mesh)
+
+
+@settings(max_examples=6, deadline=None, derandomize=True)
+@given(st.floats(0.03, 0.1), unit, unit, unit, unit, st.booleans())
+def test_any_sane_spoon_is_solid(bowl, wide, deep, thick, far, hooked):
+    width = bowl * (0.45 + 0.5 * wide)
+    depth = width * (0.16 + 0.7 * deep)
+    wall = 0.021 * width + thick * (0.44 * depth - 0.021 * width)
+    length, handle = bowl * (1.8 + 4 * far), width * (0.12 + 0.4 * thick)
+    hook = 0.12 * length if hooked and 0.8 * handle < 0.12 * length else 0
+    mesh = spoon(length, bowl, width, depth, wall, handle, 1.4 * length * far * deep, hook, 0.3 * wide, texture_size=SMALL)
+    check_solid(mesh)
+    check_charts(mesh)
+
+
+@settings(max_examples=6, deadline=None, derandomize=True)
+@given(st.floats(0.03, 0.3), unit, unit, unit, st.integers(1, 4), st.integers(1, 4),
+       st.sampled_from(["round", "star", "mixed"]), st.booleans())  # fmt: skip
+def test_any_sane_block_is_solid(length, wide, high, fat, rows, columns, hole, blind):
+    width, height = length * (0.3 + 0.7 * wide), length * (0.15 + 0.7 * high)
+    pitch = min(length / columns, width / rows)
+    diameter = pitch * (0.25 + 0.5 * fat)
+    rounding = 0.9 * min(0.2 * (pitch - diameter), 0.15 * diameter, 0.1 * min(width, height)) * high
+    depth = 0.5 * height if blind else None
+    mesh = block(length, width, height, "holes", rows, columns, diameter, depth, hole, rounding, texture_size=SMALL)
+    check_solid(mesh)
+    check_charts(mesh)
+
+
+@settings(max_examples=4, deadline=None, derandomize=True)
+@given(st.floats(0.03, 0.5), st.floats(0.75, 1.3), st.integers(3, 8), st.sampled_from(KINDS))
+def test_any_sane_toy_is_solid(size, plump, count, kind):
+    check_solid(toy(kind, size, plump, count, texture_size=SMALL))
