@@ -25,6 +25,8 @@ def add_mesh(
     up: str | None,
     root: Path = Path(),
     attachments: Sequence[Path] = (),
+    wall: float | None = None,
+    bridge: str = "all",
 ) -> dict[str, Any]:
     """Copy a mesh into the workspace, track it with DVC and enter it in ``params.yaml``.
 
@@ -41,6 +43,10 @@ def add_mesh(
         None takes the format's default.
     attachments : sequence of Path
         Files that are kept beside the mesh under their own names, such as a licence.
+    wall : float, optional
+        Thickness that open sheets get, metres.
+    bridge : {"all", "fem", "off"}
+        Where small gaps are filled.
 
     Returns
     -------
@@ -72,9 +78,10 @@ def add_mesh(
         "material": material,
         "scale": size,
         "up": up,
+        "wall": wall,
+        "bridge": bridge,
     }
-    valid = params.object_entry(key, {"objects": {key: entry}}, params_path)
-    entry = valid.model_dump(include=set(entry))
+    entry = params.object_entry(key, {"objects": {key: entry}}, params_path).model_dump()
     sources = {mesh: PurePosixPath("mesh" + mesh.suffix.lower())}
     sources |= {mesh.parent / name: name for name in references(mesh)}
     sources |= {path: PurePosixPath(path.name) for path in attachments}
@@ -139,8 +146,9 @@ def add_catalogue(catalogue: Path, root: Path = Path()) -> list[str]:
     params_path = root / params.PARAMS_FILE
     document, values = _editable(params_path)
     new = params.read(catalogue)
+    # Every field is written: DVC tracks them one by one, and misses those that are left out.
     for key in new["objects"]:
-        params.object_entry(key, new, catalogue)
+        new["objects"][key] = params.object_entry(key, new, catalogue).model_dump()
     added = []
     for group in ("procedural", "objects"):
         for key, entry in new[group].items():

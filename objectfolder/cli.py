@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, get_args
 
 import numpy as np
 import typer
@@ -94,6 +94,12 @@ def add(
     ] = None,
     up: Annotated[str | None, typer.Option(help="Up axis, y or z; default: y for glTF, else z.")] = None,
     unit: Annotated[str, typer.Option(help="Of the mesh's coordinates: m, cm or mm.")] = "m",
+    wall: Annotated[
+        float | None, typer.Option(help="Thickness that open sheets get, metres; default: 2 % of the size.")
+    ] = None,
+    bridge: Annotated[
+        str, typer.Option(help="Fill gaps under half an FEM cell: all, fem (for sound alone) or off.")
+    ] = "all",
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Show what was understood; add nothing.")
     ] = False,
@@ -121,18 +127,22 @@ def add(
         raise ObjectFolderError(f"unit {unit!r} is not one of {', '.join(UNITS)}")
     if up not in (None, "y", "z"):
         raise ObjectFolderError(f"up axis {up!r} is neither 'y' nor 'z'")
+    if bridge not in get_args(params.Bridge):
+        raise ObjectFolderError(f"bridge {bridge!r} is not one of {', '.join(get_args(params.Bridge))}")
+    if wall is not None and not wall > 0:
+        raise ObjectFolderError(f"wall is {wall:g}, expected a thickness in metres")
     if mesh.is_dir():
         if name is not None or scale is not None:
             raise ObjectFolderError(f"{mesh} is a folder; --name and --scale are for one mesh")
-        raise typer.Exit(not _add_folder(mesh, material, up, unit, dry_run))
+        raise typer.Exit(not _add_folder(mesh, material, up, unit, wall, bridge, dry_run))
     if name is None or material is None:
         raise ObjectFolderError("a mesh needs --name and --material; see objectfolder add --help")
-    finding = examine(Candidate(name, mesh, material), params.read(), scale, up, unit)
+    finding = examine(Candidate(name, mesh, material), params.read(), scale, up, unit, wall, bridge)
     console.print(table([finding], up is not None))
     _print_notes([finding])
     if dry_run:
         return
-    entry = add_mesh(mesh, name, material, finding.scale, up)
+    entry = add_mesh(mesh, name, material, finding.scale, up, wall=wall, bridge=bridge)
     console.print(
         f"added {name}: {entry['material']}, longest side {entry['scale']:.4g} m, {entry['up']} up; "
         f"next: objectfolder build {name}",
@@ -147,7 +157,15 @@ def _print_notes(findings) -> None:
             console.print(escape(text), soft_wrap=True, highlight=False)
 
 
-def _add_folder(folder: Path, material: str | None, up: str | None, unit: str, dry_run: bool) -> bool:
+def _add_folder(
+    folder: Path,
+    material: str | None,
+    up: str | None,
+    unit: str,
+    wall: float | None,
+    bridge: str,
+    dry_run: bool,
+) -> bool:
     """Examine and add the objects in a folder; whether none was refused."""
     from rich.progress import track
 
@@ -162,7 +180,7 @@ def _add_folder(folder: Path, material: str | None, up: str | None, unit: str, d
         )
 
     candidates = discover(folder, material)
-    examined = survey(candidates, params.read(), up, unit)
+    examined = survey(candidates, params.read(), up, unit, wall, bridge)
     findings = list(progress(examined, "examining", len(candidates)))
     console.print(table(findings, up is not None))
     refused = {f.candidate.key: f.refusal for f in findings if f.refusal is not None}
@@ -172,7 +190,8 @@ def _add_folder(folder: Path, material: str | None, up: str | None, unit: str, d
     for finding in progress([] if dry_run else accepted, "adding", len(accepted)):
         candidate = finding.candidate
         try:
-            add_mesh(candidate.mesh, candidate.key, candidate.material or "", finding.scale, up)
+            material = candidate.material or ""
+            add_mesh(candidate.mesh, candidate.key, material, finding.scale, up, wall=wall, bridge=bridge)
             added.append(candidate.key)
         except ObjectFolderError as error:
             refused[candidate.key] = str(error)

@@ -145,7 +145,13 @@ def _materials(folder: Path) -> dict[str, str]:
 
 
 def examine(
-    candidate: Candidate, values: dict[str, Any], scale: float | None, up: str | None, unit: str = "m"
+    candidate: Candidate,
+    values: dict[str, Any],
+    scale: float | None,
+    up: str | None,
+    unit: str = "m",
+    wall: float | None = None,
+    bridge: str = "all",
 ) -> Finding:
     """Load a candidate's mesh and close its surface in memory.
 
@@ -160,6 +166,10 @@ def examine(
         None guesses by the format.
     unit : {"m", "cm", "mm"}
         Of the mesh's coordinates.
+    wall : float, optional
+        Thickness that open sheets get, metres.
+    bridge : {"all", "fem", "off"}
+        Where small gaps are filled.
 
     Raises
     ------
@@ -182,7 +192,9 @@ def examine(
             f"scale of {key} is {size:g} m, expected the longest side in metres, {MIN_SCALE} to {MAX_SCALE}; "
             + (f"{_other_units(own)}give --unit or --scale" if scale is None else "give it in metres")
         )
-    report = normalize(loaded, key).report(size, up or default_up(mesh))
+    report = normalize(loaded, key, wall and wall / size, bridge != "off").report(
+        size, up or default_up(mesh)
+    )
     notes = [*report["warnings"], *report["appearance"].get("notes", [])]
     if scale is None and size > LARGE:
         notes.insert(0, f"{size:.3g} m is large: {_other_units(own)}--unit or --scale tells")
@@ -200,12 +212,17 @@ def _other_units(own: float) -> str:
 
 
 def survey(
-    candidates: Sequence[Candidate], values: dict[str, Any], up: str | None = None, unit: str = "m"
+    candidates: Sequence[Candidate],
+    values: dict[str, Any],
+    up: str | None = None,
+    unit: str = "m",
+    wall: float | None = None,
+    bridge: str = "all",
 ) -> Iterator[Finding]:
     """Examine candidates one by one; one that cannot be added gives a finding with the reason."""
     for candidate in candidates:
         try:
-            yield examine(candidate, values, None, up, unit)
+            yield examine(candidate, values, None, up, unit, wall, bridge)
         except ObjectFolderError as error:
             yield Finding(candidate, refusal=str(error))
 

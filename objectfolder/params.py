@@ -1,5 +1,6 @@
 """Typed parameters. Each stage gets only the slice of ``params.yaml`` that it declares in ``dvc.yaml``."""
 
+import json
 import re
 from pathlib import Path, PurePosixPath
 from types import SimpleNamespace
@@ -13,6 +14,7 @@ from objectfolder.materials import material
 
 PARAMS_FILE = "params.yaml"
 KEY = re.compile(r"[a-z][a-z0-9_]*")
+Bridge = Literal["all", "fem", "off"]
 Count = Field(ge=1)
 
 
@@ -30,7 +32,7 @@ class ObjectEntry(Section):
     scale: float = Field(gt=0, le=100)  #: longest side, metres
     up: Literal["y", "z"] = "z"  #: up axis of the source mesh
     wall: float | None = Field(default=None, gt=0)  #: thickness given to open sheets, metres; null: 2 %
-    bridge: Literal["all", "fem", "off"] = "all"  #: fill small gaps: everywhere, for sound alone, nowhere
+    bridge: Bridge = "all"  #: fill small gaps: everywhere, for sound alone, nowhere
 
     @field_validator("scale", "wall", mode="before")
     @classmethod
@@ -279,8 +281,15 @@ def procedural_entry(key: str, path: str | Path = PARAMS_FILE) -> tuple[str, dic
 
 def check_all(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
     """Validate everything, before a long build starts."""
-    for key in values["objects"]:
+    for key, entry in values["objects"].items():
         object_entry(key, values, path)
+        lacking = [name for name in ObjectEntry.model_fields if name not in entry]
+        if lacking:
+            default = ObjectEntry.model_construct()
+            fields = ", ".join(f"{name}: {json.dumps(getattr(default, name))}" for name in lacking)
+            raise ObjectFolderError(
+                f"{path}: objects.{key} lacks {', '.join(lacking)}, which DVC tracks; add `{fields}`"
+            )
     for key, entry in values["procedural"].items():
         _validate(ProceduralEntry, entry, f"{path}: procedural.{key}")
     for name, model in SECTIONS.items():

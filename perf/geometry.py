@@ -57,7 +57,9 @@ def measure(path: Path, up: str) -> dict:
         row |= {name: report[name] for name in ("rung", "components", "volume_m3", "faces")}
         row |= {name: report[f"{name}_percent"] for name in ("deviation_mean", "deviation_max")}
         start = time.process_time()
-        voxels = voxelize(result.surface, result.solid, **values["voxelize"], name=path.parent.name)
+        voxels = voxelize(
+            result.surface.mesh, result.surface.mesh, **values["voxelize"], name=path.parent.name
+        )
         row["voxelize_s"] = time.process_time() - start
         row |= {name: voxels.report["cells"][name] for name in ("resolution", "volume_error")}
     except ObjectFolderError as error:
@@ -71,7 +73,7 @@ def compare(path: Path, up: str) -> dict:
     """Distance grid against libigl's distance and winding number of every sample: the same answer."""
     import igl
 
-    vertices, faces = normalize(load_mesh(path, up), path.parent.name).surface
+    vertices, faces = normalize(load_mesh(path, up), path.parent.name).surface.mesh
     start = time.process_time()
     values, band = distance_grid(vertices, faces, PEER_RESOLUTION)
     own = time.process_time() - start

@@ -13,12 +13,14 @@ def main(key: str) -> None:
     build = Build(key)
     mesh = load_mesh(params.object.mesh, params.object.up, params.section.texture_size)
     wall = params.object.wall and params.object.wall / params.object.scale
-    normalized = normalize(mesh, key, wall, params.object.bridge)
-    for warning in normalized.closed.warnings:
+    normalized = normalize(mesh, key, wall, params.object.bridge != "off")
+    solid = normalized.surface.mesh
+    seen = (params.object.bridge == "fem" and normalized.surface.unbridged) or solid
+    for warning in normalized.surface.warnings:
         print(f"warning: {key}: {warning}")
     with atomic(build.visual) as path:
         normalized.visual.write_glb(path)
-    for target, surface in ((build.surface, normalized.surface), (build.solid_surface, normalized.solid)):
+    for target, surface in ((build.surface, seen), (build.solid_surface, solid)):
         with atomic(target) as path:
             write_surface(path, surface)
     write_json(build.normalize, normalized.report(params.object.scale, params.object.up))

@@ -64,6 +64,8 @@ def test_add_copies_what_the_mesh_refers_to_and_tracks_it(workspace, box):
         "material": "wood",
         "scale": pytest.approx(0.2),
         "up": "z",
+        "wall": None,
+        "bridge": "all",
     }
     home = workspace / "data/objects/crate"
     assert (home / "mesh.obj").read_bytes() == box.read_bytes()
@@ -134,7 +136,10 @@ def test_catalogue_adds_what_is_missing_and_refuses_what_differs(workspace):
     text = (
         Path("params.yaml")
         .read_text()
-        .replace("  die: {mesh: data/objects/die/mesh.glb, material: wood, scale: 0.16, up: y}\n", "")
+        .replace(
+            "  die: {mesh: data/objects/die/mesh.glb, material: wood, scale: 0.16, up: y, wall: null, bridge: all}\n",
+            "",
+        )
     )
     Path("params.yaml").write_text(text)
     assert catalog.add_catalogue(Path("catalogs/starter.yaml")) == ["die"]
@@ -237,6 +242,8 @@ def test_a_folder_shows_what_it_understood_and_adds_what_it_can(workspace, colle
         "material": "wood",
         "scale": pytest.approx(0.2),
         "up": "y",
+        "wall": None,
+        "bridge": "all",
     }
     assert objects["brick"]["mesh"] == "data/objects/brick/mesh.stl"
     left = {p.name for p in (workspace / "data/objects").iterdir()} - {".gitignore"}

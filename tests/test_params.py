@@ -19,7 +19,14 @@ from objectfolder.params import (
 )
 
 REPOSITORY = Path(__file__).parents[1]
-MUG = {"mesh": "data/objects/mug/mesh.glb", "material": "ceramic", "scale": 0.1, "up": "y"}
+MUG = {
+    "mesh": "data/objects/mug/mesh.glb",
+    "material": "ceramic",
+    "scale": 0.1,
+    "up": "y",
+    "wall": None,
+    "bridge": "all",
+}
 
 
 @pytest.fixture

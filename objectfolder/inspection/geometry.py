@@ -2,7 +2,7 @@
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import igl
 import numpy as np
@@ -38,18 +38,19 @@ def inspect_normalize(build: Build) -> Inspection:
     edges = np.linalg.norm(np.concatenate([b - a, c - b, a - c]), axis=1)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
     # A closed surface has 3/2 edges per face; Euler's formula then counts its handles.
-    holes = report["components"] - (len(vertices) - len(faces) / 2) / 2
+    holes = report["components"] + report["cavities"] - (len(vertices) - len(faces) / 2) / 2
     table = [
         ("size", f"{sides[0]:.2f} x {sides[1]:.2f} x {sides[2]:.2f} mm (x, y, z)"),
         ("source", f"longest side {report['source_size']:.6g} of its units, {report['source_up']} up"),
-        ("closed by", ", ".join(report["steps"])),
+        ("closed by", _history(report["rungs"])),
+        *[("warning", warning) for warning in report["warnings"]],
         (
             "deviation from source",
             f"max {report['deviation_max_m'] * 1e6:.3g} µm, mean {report['deviation_mean_m'] * 1e6:.3g} µm",
         ),
         ("volume", f"{report['volume_m3'] * 1e6:.4f} cm³"),
         ("area", f"{area * 1e4:.3f} cm²"),
-        ("surface", f"{len(vertices):,} vertices, {len(faces):,} faces, {report['components']} pieces"),
+        ("surface", f"{len(vertices):,} vertices, {len(faces):,} faces, {_bodies(report)}"),
         ("holes through it", f"{holes:g}"),
         ("edges", f"{span(edges * 1000, 'mm')}, median {np.median(edges) * 1000:.4g} mm"),
         ("visual mesh", f"{len(visual.faces):,} faces, {_appearance(visual)}"),
@@ -221,3 +222,19 @@ def _appearance(mesh: TexturedMesh) -> str:
         value = getattr(mesh, name)
         parts += [] if value is None else [f"{name} {value:.3g}"]
     return ", ".join(parts)
+
+
+def _history(rungs: list[dict[str, Any]]) -> str:
+    """Say how a surface was closed, with what each rung did to the volume."""
+    lines = []
+    for rung in rungs:
+        before, after = rung["volume_before_m3"], rung["volume_after_m3"]
+        change = f" (volume {after / before - 1:+.2%})" if before and after and before != after else ""
+        lines.append(f"{rung['name']}: {rung['detail']}{change}")
+    return "; ".join(lines)
+
+
+def _bodies(report: dict[str, Any]) -> str:
+    bodies, cavities = report["components"], report["cavities"]
+    text = "1 body" if bodies == 1 else f"{bodies} bodies"
+    return text + (f", {cavities} cavit{'y' if cavities == 1 else 'ies'}" if cavities else "")

@@ -1,15 +1,11 @@
 """Bring a source mesh into the unit frame, and derive its closed physical surface."""
 
 from dataclasses import asdict, dataclass
-from typing import Literal
 
 import numpy as np
 
 from objectfolder.mesh.surface import Rung, Surface, close_surface
 from objectfolder.mesh.textured import TexturedMesh, appearance_report
-from objectfolder.mesh.topology import Mesh
-
-Bridging = Literal["all", "fem", "off"]  #: where small gaps are filled: everywhere, for sound alone, nowhere
 
 
 @dataclass(frozen=True)
@@ -17,38 +13,32 @@ class Normalized:
     """An object in the unit frame: longest side 1, bounding box centred on the origin, z up."""
 
     visual: TexturedMesh
-    closed: Surface  #: of all material, gaps bridged
-    surface: Mesh  #: what is seen and touched
+    surface: Surface
     source_centre: np.ndarray  #: (3,) centre of the bounding box, in the z-up source's units
     source_size: float  #: longest side of the bounding box, in the source's units
 
-    @property
-    def solid(self) -> Mesh:
-        """What vibrates."""
-        return self.closed.vertices, self.closed.faces
-
     def report(self, scale: float, up: str) -> dict:
         """Return what ``normalize.json`` holds; lengths in metres where the name ends in ``_m``."""
-        closed = self.closed
+        surface = self.surface
         return {
             "scale_m": scale,
             "source_up": up,
             "source_centre": self.source_centre.tolist(),
             "source_size": self.source_size,
-            "rung": closed.rung,
-            "rungs": [_in_metres(rung, scale) for rung in closed.rungs],
-            "warnings": closed.warnings,
-            "weld_tolerance": closed.weld_tolerance,
-            "deviation_max_m": closed.deviation_max * scale,
-            "deviation_max_percent": closed.deviation_max * 100,
-            "deviation_mean_m": closed.deviation_mean * scale,
-            "deviation_mean_percent": closed.deviation_mean * 100,
-            "volume_m3": closed.volume * scale**3,
-            "components": closed.components,
-            "cavities": closed.cavities,
-            "overlap_fraction": closed.certificate.outside_fraction,
-            "vertices": len(closed.vertices),
-            "faces": len(closed.faces),
+            "rung": surface.rung,
+            "rungs": [_in_metres(rung, scale) for rung in surface.rungs],
+            "warnings": surface.warnings,
+            "weld_tolerance": surface.weld_tolerance,
+            "deviation_max_m": surface.deviation_max * scale,
+            "deviation_max_percent": surface.deviation_max * 100,
+            "deviation_mean_m": surface.deviation_mean * scale,
+            "deviation_mean_percent": surface.deviation_mean * 100,
+            "volume_m3": surface.volume * scale**3,
+            "components": surface.components,
+            "cavities": surface.cavities,
+            "overlap_fraction": surface.certificate.outside_fraction,
+            "vertices": len(surface.vertices),
+            "faces": len(surface.faces),
             "visual_faces": len(self.visual.faces),
             "appearance": appearance_report(self.visual),
         }
@@ -58,7 +48,7 @@ def normalize(
     mesh: TexturedMesh,
     name: str = "mesh",
     wall: float | None = None,
-    bridge: Bridging = "all",
+    bridging: bool = True,
 ) -> Normalized:
     """Centre and scale a z-up mesh to the unit frame and close its surface.
 
@@ -70,8 +60,8 @@ def normalize(
         Named in errors.
     wall : float, optional
         Thickness that visible sheets get, unit frame.
-    bridge : {"all", "fem", "off"}
-        Where gaps under half an FEM cell are filled.
+    bridging : bool
+        Whether gaps under half an FEM cell are filled.
 
     Raises
     ------
@@ -81,11 +71,8 @@ def normalize(
     lower, upper = mesh.bounds
     centre, size = (lower + upper) / 2, float((upper - lower).max())
     visual = mesh.with_vertices((mesh.vertices - centre) / size)
-    closed = close_surface(visual.vertices, visual.faces, name, wall, bridge != "off")
-    surface = (closed.vertices, closed.faces)
-    if bridge == "fem" and closed.unbridged is not None:
-        surface = closed.unbridged
-    return Normalized(visual, closed, surface, centre, size)
+    surface = close_surface(visual.vertices, visual.faces, name, wall, bridging)
+    return Normalized(visual, surface, centre, size)
 
 
 def _in_metres(rung: Rung, scale: float) -> dict:

@@ -64,6 +64,11 @@ class Surface:
     unbridged: Mesh | None = None  #: before gaps were bridged, if any were
 
     @property
+    def mesh(self) -> Mesh:
+        """Vertices and faces."""
+        return self.vertices, self.faces
+
+    @property
     def volume(self) -> float:
         """Enclosed volume."""
         return signed_volume(self.vertices, self.faces)

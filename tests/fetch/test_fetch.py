@@ -68,6 +68,8 @@ def test_every_layout_is_fetched_added_and_tracked(published, publisher):
         "material": "steel",
         "scale": 0.117,
         "up": "z",
+        "wall": None,
+        "bridge": "all",
     }
     assert values["objects"]["polyhaven_barrel_01"]["up"] == "y"
     expected = {

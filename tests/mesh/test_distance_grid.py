@@ -131,7 +131,9 @@ def test_no_sign_of_a_real_object_is_wrong(name, rng):
     cell's corners at most, which is sqrt(3)/2 spacings: farther from the surface a sign must be right.
     """
     path = OBJECTS / name / f"mesh.{REAL[name]}"
-    vertices, faces = normalize(load_mesh(path, "y" if path.suffix == ".gltf" else "z", 16), name).surface
+    vertices, faces = normalize(
+        load_mesh(path, "y" if path.suffix == ".gltf" else "z", 16), name
+    ).surface.mesh
     grid = DistanceGrid(*distance_grid(vertices, faces, 192))
     step = grid.band / 127
 

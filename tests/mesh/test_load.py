@@ -104,7 +104,7 @@ def test_y_up_is_turned_about_x_and_stays_right_handed(tmp_path):
     as_is, turned = load_mesh(path, "z"), load_mesh(path, "y")
     x, y, z = as_is.vertices.T
     np.testing.assert_array_equal(turned.vertices, np.stack([x, -z, y], 1))
-    assert normalize(turned).closed.volume == pytest.approx(normalize(as_is).closed.volume)
+    assert normalize(turned).surface.volume == pytest.approx(normalize(as_is).surface.volume)
     assert default_up("a.GLB") == default_up("a.gltf") == "y"
     assert default_up("a.obj") == default_up("a.ply") == "z"
 
@@ -162,7 +162,7 @@ def test_a_large_texture_is_scaled_down_and_a_small_one_is_not(tmp_path):
 def test_vertices_that_no_face_uses_may_be_anything(tmp_path):
     path = write_ply(tmp_path / "t.ply", [*TETRAHEDRON, "nan nan nan", "inf 0 0"], FACES)
     done = normalize(load_mesh(path))
-    assert done.closed.volume == pytest.approx(1 / 27)
+    assert done.surface.volume == pytest.approx(1 / 27)
     assert np.isfinite(done.visual.vertices).all()
 
 

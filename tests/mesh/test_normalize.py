@@ -22,7 +22,7 @@ def test_the_object_fills_the_unit_frame_and_the_transform_leads_back(size, cent
         vertices,
         atol=1e-12 * np.abs(vertices).max(),
     )
-    assert done.closed.volume == pytest.approx(0.08, rel=1e-6)
+    assert done.surface.volume == pytest.approx(0.08, rel=1e-6)
 
 
 def test_report_is_in_metres():

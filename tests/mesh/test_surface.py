@@ -254,7 +254,7 @@ def test_real_objects_become_one_solid(folder):
         with pytest.raises(ObjectFolderError, match=r"2 separate pieces.*17\.21% of the size away"):
             normalize(mesh, folder.name)
         return
-    surface = normalize(mesh, folder.name).closed
+    surface = normalize(mesh, folder.name).surface
     assert surface.components == 1
     assert surface.certificate.solid
     bridged = folder.name == "gso_bunny_racer"

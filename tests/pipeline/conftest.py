@@ -33,14 +33,27 @@ TINY = {
     "train_touch": {"rounds": 1, "contacts": 2},
     "evaluate": {"impacts": 4},
 }
+CLOSING = {"wall": None, "bridge": "all"}
 TINY_OBJECTS = {
     "procedural": {
         "cube": {"generator": "die", "size": 0.16, "fillet": 0.02, "texture_size": 64},
         "bell": {"generator": "bell", "texture_size": 64},
     },
     "objects": {
-        "cube": {"mesh": "data/objects/cube/mesh.glb", "material": "wood", "scale": 0.16, "up": "y"},
-        "bell": {"mesh": "data/objects/bell/mesh.glb", "material": "steel", "scale": 0.09, "up": "y"},
+        "cube": {
+            "mesh": "data/objects/cube/mesh.glb",
+            "material": "wood",
+            "scale": 0.16,
+            "up": "y",
+            **CLOSING,
+        },
+        "bell": {
+            "mesh": "data/objects/bell/mesh.glb",
+            "material": "steel",
+            "scale": 0.09,
+            "up": "y",
+            **CLOSING,
+        },
     },
 }
 

@@ -1,4 +1,4 @@
-"""Generators of starter objects with their own textures."""
+"""Parametric families of objects with their own textures, one module each."""
 
 import inspect
 from collections.abc import Callable
@@ -6,14 +6,48 @@ from typing import Any
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.procedural.bell import bell
+from objectfolder.mesh.procedural.block import block
+from objectfolder.mesh.procedural.bottle import bottle
+from objectfolder.mesh.procedural.bowl import bowl
+from objectfolder.mesh.procedural.cup import cup
 from objectfolder.mesh.procedural.die import die
+from objectfolder.mesh.procedural.hammer import hammer
 from objectfolder.mesh.procedural.mug import mug
+from objectfolder.mesh.procedural.pan import pan
+from objectfolder.mesh.procedural.plate import plate
+from objectfolder.mesh.procedural.shelf import shelf
+from objectfolder.mesh.procedural.spoon import spoon
+from objectfolder.mesh.procedural.stool import stool
+from objectfolder.mesh.procedural.table import table
+from objectfolder.mesh.procedural.teapot import teapot
+from objectfolder.mesh.procedural.toy import toy
+from objectfolder.mesh.procedural.vase import vase
+from objectfolder.mesh.procedural.wrench import wrench
 from objectfolder.mesh.textured import TexturedMesh
 
 __all__ = ["GENERATORS", "generate"]
 
 #: What `generate` can make; all parameters have defaults and lengths are in metres.
-GENERATORS: dict[str, Callable[..., TexturedMesh]] = {"mug": mug, "die": die, "bell": bell}
+GENERATORS: dict[str, Callable[..., TexturedMesh]] = {
+    "bell": bell,
+    "block": block,
+    "bottle": bottle,
+    "bowl": bowl,
+    "cup": cup,
+    "die": die,
+    "hammer": hammer,
+    "mug": mug,
+    "pan": pan,
+    "plate": plate,
+    "shelf": shelf,
+    "spoon": spoon,
+    "stool": stool,
+    "table": table,
+    "teapot": teapot,
+    "toy": toy,
+    "vase": vase,
+    "wrench": wrench,
+}
 
 
 def generate(generator: str, **parameters: Any) -> TexturedMesh:

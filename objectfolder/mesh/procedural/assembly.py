@@ -19,7 +19,7 @@ from objectfolder.mesh.textured import TexturedMesh
 
 #: Weighs a part's axes, so that facets at 45 degrees all go to the same chart.
 PREFERENCE = np.array([1.0, 1.04, 1.08])
-LONGEST = 0.05  #: of the edges, in sizes of the object: sounds are excited at vertices
+LONGEST = 0.08  #: of the edges, about, in sizes of the object: sounds are excited at vertices
 LATE_WOOD = np.array([0.78, 0.68, 0.58])  #: of dyed wood, in shares of its colour
 BORDER_SAMPLES = 4  #: points on an edge at the border of a chart from which its surface is continued
 
@@ -127,8 +127,8 @@ def assemble(
     least = math.ceil((2 * MARGIN + 4) * math.sqrt(len(charts)))
     if texture_size < least:
         raise ObjectFolderError(
-            f"texture_size={texture_size!r}: expected at least {least} texels for the {len(charts)} charts of "
-            "this object; make the texture larger"
+            f"texture_size={texture_size!r}: expected at least {least} texels, which the {len(charts)} "
+            "charts of this object need; make the texture larger"
         )
     atlas = pack(charts, texture_size)
 
@@ -150,7 +150,8 @@ def assemble(
 def _owners(mesh: manifold3d.Mesh64, parts: Sequence[Part]) -> np.ndarray:
     """Index of the part (F,) on whose surface each face lies."""
     identity = {part.solid.original_id(): k for k, part in enumerate(parts)}
-    lengths = np.diff(np.asarray(mesh.run_index, np.int64)) // 3
+    starts = np.asarray(mesh.run_index, np.int64) // 3
+    lengths = starts[1:] - starts[:-1]
     return np.repeat([identity[int(i)] for i in mesh.run_original_id], lengths)
 
 

@@ -1,4 +1,4 @@
-"""Blocks: a rounded brick, plain, with holes through it or into it, or with studs on top; standing on z = 0."""
+"""Blocks: plain, with holes through them or into them, or with studs on top; standing on z = 0."""
 
 import numpy as np
 
@@ -76,15 +76,21 @@ def block(
     require_not_negative("block", 0.2 * least, "a fifth of the least side", rounding=rounding)
     if relief != "plain":
         pitch = min(length / columns, width / rows)
-        require_between("block", 0.2 * pitch, 0.8 * pitch, "20 % to 80 % of the pitch of the grid",
-                        diameter=diameter)
+        require_between(
+            "block", 0.2 * pitch, 0.8 * pitch, "20 % to 80 % of the pitch of the grid", diameter=diameter
+        )
         room = min(0.2 * (pitch - diameter), 0.15 * diameter)
         require_not_negative("block", room, "so that neighbouring edges stay apart", rounding=rounding)
     through = depth is None or (relief == "holes" and depth == height)
     if depth is not None and relief != "plain" and not through:
         deepest = height - 2 * rounding - 0.02 * height if relief == "holes" else diameter
-        require_between("block", 2.2 * rounding + 0.02 * height, deepest, "a hole with a floor, or a low stud",
-                        depth=depth)
+        require_between(
+            "block",
+            2.2 * rounding + 0.02 * height,
+            deepest,
+            "a hole with a floor, or a low stud",
+            depth=depth,
+        )
     require_texture_size("block", texture_size)
 
     look = Look(finish, most, color, None, seed)
@@ -106,15 +112,18 @@ def block(
 
     shapes = [_shape(hole, k, diameter / 2) for k in range(len(centres))]
     bored = [shape[::-1] + centre for shape, centre in zip(shapes, centres)]
-    cover = _bored(skin, centres, diameter / 2, rounding, height,
-                   None if accent is None else look.dyed(accent).paint())
+    cover = _bored(
+        skin, centres, diameter / 2, rounding, height, None if accent is None else look.dyed(accent).paint()
+    )
     parts = [Part.of(prism([outline, *bored], height, spacing, rounding, 2), cover)]
-    if not through:
+    if depth is not None and not through:
         # A plug wider than the hole's rounded rim, narrower than what is left between holes.
         grow = 1 + 0.5 * (pitch - diameter) / diameter
         floor = height - depth
-        plugs = [prism([shape * grow], floor, spacing).translate((*centre, 0))
-                 for shape, centre in zip(shapes, centres)]
+        plugs = [
+            prism([shape * grow], floor, spacing).translate((*centre, 0))
+            for shape, centre in zip(shapes, centres)
+        ]
         parts += [Part.of(plug, cover) for plug in plugs]
     return assemble(joined(parts), parts, look, texture_size)
 

@@ -5,6 +5,7 @@ round the outside, clockwise round a hole.
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import manifold3d
 import numpy as np
@@ -27,7 +28,7 @@ def rectangle(length: float, width: float, corner: float = 0.0, steps: int = 5) 
 
 
 def regular(sides: int, radius: float, turn: float = 0.0) -> np.ndarray:
-    """Outline (sides, 2) of a regular polygon about the origin; its first corner lies at angle `turn`, rad."""
+    """Outline (sides, 2) of a regular polygon about the origin, its first corner at angle `turn`, rad."""
     return arc((0.0, 0.0), radius, turn, turn + 2 * np.pi, sides)[:-1]
 
 
@@ -103,7 +104,7 @@ def prism(
     vertices = np.concatenate([np.column_stack([xy, np.full(count, z)]) for xy, z in zip(layers, levels)])
     starts = np.cumsum([0, *map(len, rings)])
     here = np.arange(count)
-    following = np.concatenate([np.roll(np.arange(a, b), -1) for a, b in zip(starts, starts[1:])])
+    following = np.concatenate([np.roll(np.arange(a, b), -1) for a, b in pairwise(starts)])
     step = count * np.arange(len(levels) - 1)[:, None]
     a, b = (here + step).ravel(), (following + step).ravel()
     sides = np.concatenate([np.stack([a, b, b + count], 1), np.stack([a, b + count, a + count], 1)])
@@ -173,7 +174,7 @@ def triangulate(rings: Sequence[np.ndarray], spacing: float) -> tuple[np.ndarray
 def _has_border(triangles: np.ndarray, rings: Sequence[np.ndarray]) -> bool:
     """Whether the outlines are just the edges of the triangles that have no other side."""
     starts = np.cumsum([0, *map(len, rings)])
-    following = np.concatenate([np.roll(np.arange(a, b), -1) for a, b in zip(starts, starts[1:])])
+    following = np.concatenate([np.roll(np.arange(a, b), -1) for a, b in pairwise(starts)])
     n = max(starts[-1], triangles.max(initial=0) + 1)
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     forward, backward = edges @ [n, 1], edges @ [1, n]

@@ -55,15 +55,26 @@ def hammer(
     ObjectFolderError
         If an option is unknown or a dimension does not fit the others.
     """
-    require_positive("hammer", length=length, head_length=head_length, head_diameter=head_diameter,
-                     handle_width=handle_width)
+    require_positive(
+        "hammer",
+        length=length,
+        head_length=head_length,
+        head_diameter=head_diameter,
+        handle_width=handle_width,
+    )
     require_choice("hammer", HEADS, head=head)
     low, high = {"claw": (3.2, 5.5), "club": (1.6, 4.0), "mallet": (1.2, 3.0)}[head]
     d = head_diameter
-    require_between("hammer", low * d, high * d, f"{low} to {high} diameters of a {head}", head_length=head_length)
+    require_between(
+        "hammer", low * d, high * d, f"{low} to {high} diameters of a {head}", head_length=head_length
+    )
     require_between("hammer", head_length, 5 * head_length, "1 to 5 lengths of the head", length=length)
-    require_between("hammer", 0.25 * d, 1.1 * d, "25 % to 110 % of the head's diameter", handle_width=handle_width)
-    require_between("hammer", 0.04 * length, 0.2 * length, "4 % to 20 % of the length", handle_width=handle_width)
+    require_between(
+        "hammer", 0.25 * d, 1.1 * d, "25 % to 110 % of the head's diameter", handle_width=handle_width
+    )
+    require_between(
+        "hammer", 0.04 * length, 0.2 * length, "4 % to 20 % of the length", handle_width=handle_width
+    )
     require_texture_size("hammer", texture_size)
 
     look = Look(finish, max(length, head_length), color, None, seed)
@@ -76,10 +87,16 @@ def hammer(
         # Outline in z and y; extruded along x.
         wedge = wedge.transform(np.array([[0, 0, 1.0, -2 * d], [0, 1.0, 0, 0], [-1.0, 0, 0, 0]]))
         cuts = [Part.of(wedge, parts[0].paint)]
-    grip = look if accent is None else Look("wood" if finish == "wood" else "plastic", look.size, accent, None, seed)
+    grip = (
+        look
+        if accent is None
+        else Look("wood" if finish == "wood" else "plastic", look.size, accent, None, seed)
+    )
     handle = _handle(grip, length, 0.62 * d if head != "mallet" else 0.5 * d, handle_width, spacing)
     whole = joined(parts)
-    whole = joined([Part(whole - joined(cuts), parts[0].paint) if cuts else Part(whole, parts[0].paint), handle])
+    whole = joined(
+        [Part(whole - joined(cuts), parts[0].paint) if cuts else Part(whole, parts[0].paint), handle]
+    )
     floor = whole.bounding_box()[2]
     return assemble(whole.translate((0, 0, -floor)), [*parts, *cuts, handle], look, texture_size)
 
@@ -101,7 +118,9 @@ def _handle(look: Look, length: float, top: float, width: float, spacing: float)
     return Part.of(handle, timber(look, 1, path.mean(0), np.eye(3), width))
 
 
-def _upright(outline: np.ndarray, start: float, stop: float, spacing: float, bevel: float) -> manifold3d.Manifold:
+def _upright(
+    outline: np.ndarray, start: float, stop: float, spacing: float, bevel: float
+) -> manifold3d.Manifold:
     """Prism along y between two places, its outline in x and z."""
     block = prism([outline], stop - start, spacing, bevel)
     return block.transform(np.array([[1.0, 0, 0, 0], [0, 0, 1.0, start], [0, -1.0, 0, 0]]))
@@ -115,10 +134,16 @@ def _mallet(look: Look, length: float, diameter: float, spacing: float) -> list[
 
 def _club(look: Look, length: float, diameter: float, spacing: float) -> list[Part]:
     cheek = 0.97 * diameter
-    body = _upright(regular(8, diameter / 2 / np.cos(np.pi / 8), np.pi / 8), -length / 2, length / 2, spacing,
-                    0.13 * diameter)
-    waist = _upright(rectangle(cheek, 1.12 * cheek, 0.2 * cheek), -0.17 * length, 0.17 * length, spacing,
-                     0.06 * diameter)
+    body = _upright(
+        regular(8, diameter / 2 / np.cos(np.pi / 8), np.pi / 8),
+        -length / 2,
+        length / 2,
+        spacing,
+        0.13 * diameter,
+    )
+    waist = _upright(
+        rectangle(cheek, 1.12 * cheek, 0.2 * cheek), -0.17 * length, 0.17 * length, spacing, 0.06 * diameter
+    )
     metal = look.paint((0, 1, 0), 2)
     return [Part.of(body, metal), Part.of(waist, metal)]
 
@@ -129,8 +154,13 @@ def _claw(look: Look, length: float, diameter: float, spacing: float) -> list[Pa
     metal = look.paint((0, 1, 0), 2)
     face = _upright(regular(48, diameter / 2), front - 0.55 * diameter, front, spacing, 0.07 * diameter)
     neck = bar((0, 0, 0), (0, front - 0.3 * diameter, 0), (0.78 * diameter, 0.72 * diameter), spacing, 40)
-    cheek = _upright(rectangle(0.98 * diameter, 0.92 * diameter, 0.18 * diameter), -0.55 * diameter,
-                     0.55 * diameter, spacing, 0.1 * diameter)
+    cheek = _upright(
+        rectangle(0.98 * diameter, 0.92 * diameter, 0.18 * diameter),
+        -0.55 * diameter,
+        0.55 * diameter,
+        spacing,
+        0.1 * diameter,
+    )
     t = np.linspace(0, 1, 28)
     y = -rear * (0.02 + 0.98 * np.sin(t * np.pi / 2 * 0.92) / np.sin(np.pi / 2 * 0.92))
     bend = 0.95 * diameter * t**2.2

@@ -69,19 +69,21 @@ def shelf(
     require_count("shelf", 1, 8, bays=bays)
     t = board_thickness
     largest = max(width, depth, height)
-    require_between("shelf", 0.012 * largest, 0.12 * min(width, depth), "a board for that case",
-                    board_thickness=t)
+    require_between(
+        "shelf", 0.012 * largest, 0.12 * min(width, depth), "a board for that case", board_thickness=t
+    )
     require_not_negative("shelf", 2 * t, "twice the boards' thickness", back=back)
     require_not_negative("shelf", 0.3 * height, "30 % of the height", plinth=plinth)
-    require_between("shelf", plinth + (bays + 1) * t + bays * 3 * t, np.inf, "room for those bays",
-                    height=height)
+    require_between(
+        "shelf", plinth + (bays + 1) * t + bays * 3 * t, np.inf, "room for those bays", height=height
+    )
     require_not_negative("shelf", 0.1 * t, "a tenth of the boards' thickness", bevel=bevel)
     if back > 0:
         require_between("shelf", 0.3 * t, 2 * t, "0.3 to 2 thicknesses of the boards", back=back)
     require_texture_size("shelf", texture_size)
 
     look = Look(finish, largest, color, accent, seed)
-    spacing = largest / (28 if front == "open" else 22)
+    spacing = largest / {"open": 28, "doors": 24, "drawers": 17}[front]
     x, y = width / 2, depth / 2
     parts = [
         board(look, 1, (-x, -y, 0), (-x + t, y, height), spacing, bevel),
@@ -131,8 +133,10 @@ def _fronts(
         for k, (a, b) in enumerate(panels)
     ]
     radius = 0.75 * t
-    knob = prism([regular(24, radius)], 1.5 * t, spacing, 0.35 * radius, 2).rotate((90, 0, 0))
+    knob = prism([regular(20, radius)], 1.5 * t, spacing, 0.35 * radius, 2).rotate((90, 0, 0))
     for k, (at, z) in enumerate(knobs):
         place = knob.translate((at, near + 0.5 * t, z))
-        parts.append(Part.of(place, timber(look, 24 + k, np.array([at, near, z]), np.eye(3)[:, [1, 0, 2]], 2 * radius)))
+        parts.append(
+            Part.of(place, timber(look, 24 + k, np.array([at, near, z]), np.eye(3)[:, [1, 0, 2]], 2 * radius))
+        )
     return parts

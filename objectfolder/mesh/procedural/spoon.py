@@ -61,19 +61,40 @@ def spoon(
     ObjectFolderError
         If a dimension does not fit the others.
     """
-    require_positive("spoon", length=length, bowl_length=bowl_length, bowl_width=bowl_width, depth=depth,
-                     wall=wall, handle_width=handle_width)
-    require_between("spoon", 0.4 * bowl_length, bowl_length, "40 % to 100 % of the bowl's length",
-                    bowl_width=bowl_width)
-    require_between("spoon", 0.15 * bowl_width, 0.9 * bowl_width, "15 % to 90 % of the bowl's width", depth=depth)
-    require_between("spoon", 0.02 * bowl_width, 0.45 * depth, "2 % of the width to 45 % of the depth", wall=wall)
-    require_between("spoon", 1.5 * bowl_length, 8 * bowl_length, "1.5 to 8 lengths of the bowl", length=length)
-    require_between("spoon", 0.1 * bowl_width, 0.6 * bowl_width, "10 % to 60 % of the bowl's width",
-                    handle_width=handle_width)
+    require_positive(
+        "spoon",
+        length=length,
+        bowl_length=bowl_length,
+        bowl_width=bowl_width,
+        depth=depth,
+        wall=wall,
+        handle_width=handle_width,
+    )
+    require_between(
+        "spoon", 0.4 * bowl_length, bowl_length, "40 % to 100 % of the bowl's length", bowl_width=bowl_width
+    )
+    require_between(
+        "spoon", 0.15 * bowl_width, 0.9 * bowl_width, "15 % to 90 % of the bowl's width", depth=depth
+    )
+    require_between(
+        "spoon", 0.02 * bowl_width, 0.45 * depth, "2 % of the width to 45 % of the depth", wall=wall
+    )
+    require_between(
+        "spoon", 1.5 * bowl_length, 8 * bowl_length, "1.5 to 8 lengths of the bowl", length=length
+    )
+    require_between(
+        "spoon",
+        0.1 * bowl_width,
+        0.45 * bowl_width,
+        "10 % to 45 % of the bowl's width",
+        handle_width=handle_width,
+    )
     require_not_negative("spoon", 1.5 * length, "1.5 lengths", rise=rise)
     require_not_negative("spoon", 0.12 * length, "12 % of the length", hook=hook)
     if hook > 0:
-        require_between("spoon", 0.8 * handle_width, length, "0.8 widths of the handle", hook=hook)
+        require_between(
+            "spoon", 0.8 * handle_width, 0.5 * rise, "so that it curls clear of handle and table", hook=hook
+        )
     require_not_negative("spoon", 0.3, "a blunt tip", point=point)
     require_texture_size("spoon", texture_size)
 
@@ -84,8 +105,10 @@ def spoon(
     outer = ball.scale((a, b, depth))
     inner = ball.scale((a - wall, b - wall, depth - wall))
     # Open upwards: it clears the handle's root out of the bowl too.
-    opening = inner + manifold3d.Manifold.hull(inner.trim_by_plane((0, 0, 1.0), -1e-3 * depth)
-                                               + inner.trim_by_plane((0, 0, 1.0), -1e-3 * depth).translate((0, 0, size)))
+    opening = inner + manifold3d.Manifold.hull(
+        inner.trim_by_plane((0, 0, 1.0), -1e-3 * depth)
+        + inner.trim_by_plane((0, 0, 1.0), -1e-3 * depth).translate((0, 0, size))
+    )
 
     def pointed(points: np.ndarray) -> np.ndarray:
         narrow = 1 + point * np.clip(points[:, 0] / a, -1, 0.35)
@@ -118,7 +141,7 @@ def _handle(a: float, end: float, wall: float, width: float, rise: float, hook: 
     total = s[-1]
     # Even stations, closer where the end is rounded.
     cap = 0.5 * width
-    even = np.linspace(0, total - cap, int((total - cap) / (0.35 * width)) + 2)
+    even = np.linspace(0, total - cap, int((total - cap) / (0.22 * width)) + 2)
     at = np.append(even, total - cap * (1 - np.sin(np.linspace(0, np.pi / 2, 9)[1:])))
     path = np.stack([np.interp(at, s, path[:, k]) for k in (0, 1)], 1)
     u = at / total

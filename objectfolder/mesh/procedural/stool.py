@@ -67,8 +67,9 @@ def stool(
     require_count("stool", 3, 6, legs=legs)
     require_between("stool", 0.4 * diameter, 3 * diameter, "0.4 to 3 diameters of the seat", height=height)
     require_between("stool", 0.05 * diameter, 0.2 * height, "a seat that bears", seat=seat)
-    require_between("stool", 0.05 * diameter, 0.15 * diameter, "5 % to 15 % of the seat",
-                    leg_diameter=leg_diameter)
+    require_between(
+        "stool", 0.05 * diameter, 0.15 * diameter, "5 % to 15 % of the seat", leg_diameter=leg_diameter
+    )
     require_not_negative("stool", 0.3 * height, "30 % of the height", splay=splay)
     require_not_negative("stool", 0.7 * (height - seat), "clear of the seat", rung_height=rung_height)
     if rung_height > 0:

@@ -78,8 +78,9 @@ def table(
     require_between("table", width, 4 * width, "1 to 4 widths", length=length)
     require_between("table", 0.2 * width, 3 * width, "0.2 to 3 widths", height=height)
     require_between("table", 0.01 * length, 0.25 * height, "a top that bears itself", top=top)
-    require_between("table", 0.02 * length, 0.15 * width, "2 % of the length to 15 % of the width",
-                    leg_size=leg_size)
+    require_between(
+        "table", 0.02 * length, 0.15 * width, "2 % of the length to 15 % of the width", leg_size=leg_size
+    )
     require_between("table", 0.4, 1.0, "sizes of a leg", taper=taper)
     require_not_negative("table", 0.15 * width, "so that the legs stay apart", overhang=overhang)
     require_not_negative("table", 0.5 * (height - top), "half the height under the top", apron=apron)
@@ -105,9 +106,8 @@ def table(
         parts += _pillar(look, min(length, width), under, top, leg_size, spacing, bevel)
         return assemble(joined(parts), parts, look, texture_size)
 
-    signs = [(1, 1), (-1, 1), (-1, -1), (1, -1)]
-    for k, sign in enumerate(signs):
-        foot = [*(corner * sign), 0.0]
+    for k, quarter in enumerate([(1, 1), (-1, 1), (-1, -1), (1, -1)]):
+        foot = [*(corner * quarter), 0.0]
         parts.append(leg(look, 11 + k, foot, under + SUNK * top, leg_size, spacing, bevel, taper))
     if apron > 0:
         # Set back behind the legs, and sunk into legs and top.
@@ -133,6 +133,9 @@ def _pillar(
     pillar = bar((0, 0, 0.5 * foot), (0, 0, under + SUNK * top), (2.0 * radius, 1.7 * radius), spacing, 48)
     return [
         Part.of(disc, timber(look, 11, np.array([0, 0, foot / 2]), np.eye(3), 0.6 * across)),
-        Part.of(plate.translate((0, 0, under - collar)), timber(look, 14, np.array([0, 0, under]), np.eye(3), 4 * radius)),
+        Part.of(
+            plate.translate((0, 0, under - collar)),
+            timber(look, 14, np.array([0, 0, under]), np.eye(3), 4 * radius),
+        ),
         Part.of(pillar, timber(look, 15, np.array([0, 0, under / 2]), np.eye(3)[:, [2, 0, 1]], 2 * radius)),
     ]

@@ -108,7 +108,9 @@ def _wheels(look: Look, places: list[float], radius: float, width: float, spacin
     return parts
 
 
-def _lamps(look: Look, x: float, width: float, z: float, radius: float, code: str, spacing: float) -> list[Part]:
+def _lamps(
+    look: Look, x: float, width: float, z: float, radius: float, code: str, spacing: float
+) -> list[Part]:
     lamp = prism([regular(24, radius)], 3 * radius, spacing, 0.5 * radius).rotate((0, 90, 0))
     paint = look.dyed(code).paint()
     return [Part.of(lamp.translate((x - 2.5 * radius, sign * 0.32 * width, z)), paint) for sign in (-1, 1)]
@@ -128,7 +130,9 @@ def _glazed(body: Paint, sides: np.ndarray, width: float, border: float, pillar:
         beside = smoothstep(border - soft, border + soft, deep) * (y > 0.42 * width)
         if pillar is not None:
             beside = beside * (1 - stroke(points[:, 0] - pillar, border / 2, soft))
-        height = smoothstep(low - soft, low + soft, points[:, 2]) * smoothstep(high + soft, high - soft, points[:, 2])
+        height = smoothstep(low - soft, low + soft, points[:, 2]) * smoothstep(
+            high + soft, high - soft, points[:, 2]
+        )
         ahead = height * smoothstep(width / 2 - border + soft, width / 2 - border - soft, y)
         ahead = ahead * (deep < 0.7 * border)
         return over(colour, glass * (0.9 + 0.1 * colour), np.maximum(beside, ahead))
@@ -139,13 +143,24 @@ def _glazed(body: Paint, sides: np.ndarray, width: float, border: float, pillar:
 def _car(look: Look, size: float, plump: float) -> list[Part]:
     s, width = size, 0.46 * size * plump
     spacing, r = size / 36, 0.125 * size
-    hull = _profile([(-0.5 * s, 0.09 * s), (0.5 * s, 0.09 * s), (0.5 * s, 0.22 * s), (0.46 * s, 0.27 * s),
-                     (-0.48 * s, 0.29 * s), (-0.5 * s, 0.26 * s)], 0.045 * s)
+    hull = _profile(
+        [
+            (-0.5 * s, 0.09 * s),
+            (0.5 * s, 0.09 * s),
+            (0.5 * s, 0.22 * s),
+            (0.46 * s, 0.27 * s),
+            (-0.48 * s, 0.29 * s),
+            (-0.5 * s, 0.26 * s),
+        ],
+        0.045 * s,
+    )
     cabin_corners = [(-0.36 * s, 0.2 * s), (0.29 * s, 0.2 * s), (0.13 * s, 0.44 * s), (-0.27 * s, 0.44 * s)]
     cabin_width = 0.86 * width
     cabin = _across(_profile(cabin_corners, 0.045 * s), cabin_width, spacing, 0.03 * s)
     body = look.dyed(look.color).paint((1, 0, 0))
-    windows = np.array([(-0.33 * s, 0.27 * s), (0.245 * s, 0.27 * s), (0.13 * s, 0.44 * s), (-0.27 * s, 0.44 * s)])
+    windows = np.array(
+        [(-0.33 * s, 0.27 * s), (0.245 * s, 0.27 * s), (0.13 * s, 0.44 * s), (-0.27 * s, 0.44 * s)]
+    )
     return [
         Part.of(_across(hull, width, spacing, 0.032 * s), body),
         Part.of(cabin, _glazed(body, windows, cabin_width, 0.032 * s, -0.06 * s)),
@@ -158,10 +173,19 @@ def _car(look: Look, size: float, plump: float) -> list[Part]:
 def _truck(look: Look, size: float, plump: float) -> list[Part]:
     s, width = size, 0.40 * size * plump
     spacing, r = size / 36, 0.085 * size
-    frame = _profile([(-0.5 * s, 0.08 * s), (0.5 * s, 0.08 * s), (0.5 * s, 0.16 * s), (-0.5 * s, 0.16 * s)], 0.02 * s)
-    cab_corners = [(0.16 * s, 0.12 * s), (0.49 * s, 0.12 * s), (0.49 * s, 0.27 * s), (0.43 * s, 0.45 * s),
-                   (0.16 * s, 0.45 * s)]
-    windows = np.array([(0.16 * s, 0.255 * s), (0.50 * s, 0.255 * s), (0.43 * s, 0.45 * s), (0.16 * s, 0.45 * s)])
+    frame = _profile(
+        [(-0.5 * s, 0.08 * s), (0.5 * s, 0.08 * s), (0.5 * s, 0.16 * s), (-0.5 * s, 0.16 * s)], 0.02 * s
+    )
+    cab_corners = [
+        (0.16 * s, 0.12 * s),
+        (0.49 * s, 0.12 * s),
+        (0.49 * s, 0.27 * s),
+        (0.43 * s, 0.45 * s),
+        (0.16 * s, 0.45 * s),
+    ]
+    windows = np.array(
+        [(0.16 * s, 0.255 * s), (0.50 * s, 0.255 * s), (0.43 * s, 0.45 * s), (0.16 * s, 0.45 * s)]
+    )
     body = look.dyed(look.color).paint((1, 0, 0))
     load = look.dyed("f2c83b")
     x, y, z, t = (-0.49 * s, 0.11 * s), width / 2, (0.14 * s, 0.35 * s), 0.025 * s
@@ -177,8 +201,10 @@ def _truck(look: Look, size: float, plump: float) -> list[Part]:
     return [
         *tray,
         Part.of(under, look.dyed("6b6e73").paint((1, 0, 0), 4)),
-        Part.of(_across(_profile(cab_corners, 0.035 * s), 0.96 * width, spacing, 0.025 * s),
-                _glazed(body, windows, 0.96 * width, 0.03 * s, None)),
+        Part.of(
+            _across(_profile(cab_corners, 0.035 * s), 0.96 * width, spacing, 0.025 * s),
+            _glazed(body, windows, 0.96 * width, 0.03 * s, None),
+        ),
         *_wheels(look, [-0.38 * s, -0.16 * s, 0.33 * s], r, 1.06 * width, spacing),
         *_lamps(look, 0.49 * s, width, 0.17 * s, 0.028 * s, "f6e9a8", spacing),
     ]
@@ -193,13 +219,15 @@ def _rings(look: Look, height: float, plump: float, count: int) -> list[Part]:
     colours = ramp(look.color, look.accent, count + 2)
     base = prism([regular(72, widest)], foot, height / 40, 0.3 * foot)
     parts = [Part.of(base, look.dyed(colours[0]).paint((1, 0, 0)))]
-    post = prism([regular(48, 0.16 * widest)], height - foot - ball, height / 40).translate((0, 0, 0.5 * foot))
+    post = prism([regular(48, 0.16 * widest)], height - foot - ball, height / 40).translate(
+        (0, 0, 0.5 * foot)
+    )
     parts.append(Part.of(post, parts[0].paint))
     for k in range(count):
         outer = widest * (0.94 - 0.46 * k / (count - 1))
         half = min(0.8 * thick, 0.42 * outer)
-        oval = regular(18, 1.0) * [half, thick / 2] + [outer - half, 0]
-        ring = manifold3d.CrossSection([oval]).revolve(60)
+        oval = regular(22, 1.0) * [half, thick / 2] + [outer - half, 0]
+        ring = manifold3d.CrossSection([oval]).revolve(72)
         disc = prism([regular(48, outer - half)], 1.02 * pitch, height / 40).translate((0, 0, -0.51 * pitch))
         place = (0, 0, foot + pitch * (k + 0.5))
         paint = look.dyed(colours[k + 1]).paint(None, k)
@@ -252,7 +280,9 @@ def _duck(look: Look, size: float, plump: float) -> list[Part]:
     upper = ball.scale((0.15, 0.105 * plump, 0.042)).rotate((0, -8, 0)).translate((0.40, 0, 0.565))
     lower = ball.scale((0.115, 0.085 * plump, 0.036)).rotate((0, 10, 0)).translate((0.39, 0, 0.525))
     bill = look.dyed(look.accent).paint((1, 0, 0), 1)
-    return [Part.of(made.scale([size] * 3), paint)] + [Part.of(p.scale([size] * 3), bill) for p in (upper, lower)]
+    return [Part.of(made.scale([size] * 3), paint)] + [
+        Part.of(p.scale([size] * 3), bill) for p in (upper, lower)
+    ]
 
 
 def _ellipsoid(at: np.ndarray, middle: tuple[float, ...], half: tuple[float, ...]) -> np.ndarray:

@@ -70,10 +70,12 @@ def wrench(
 
     # Silhouette: two heads and a tapering bar, hollow corners rounded.
     half = 0.40 * size, 0.34 * sizes[1]
-    bar = np.array([[middles[0], -half[0]], [middles[1], -half[1]], [middles[1], half[1]], [middles[0], half[0]]])
+    bar = np.array(
+        [[middles[0], -half[0]], [middles[1], -half[1]], [middles[1], half[1]], [middles[0], half[0]]]
+    )
     shape = manifold3d.CrossSection([bar])
     for x, radius in zip(middles, radii):
-        shape += manifold3d.CrossSection([regular(72, radius) + [x, 0]])
+        shape += manifold3d.CrossSection([regular(72, radius) + np.array([x, 0])])
     fillet = 0.8 * size
     shape = shape.offset(fillet, manifold3d.JoinType.Round, circular_segments=64)
     shape = shape.offset(-fillet, manifold3d.JoinType.Round, circular_segments=64).simplify(1e-3 * size)
@@ -85,7 +87,9 @@ def wrench(
         head = prism([regular(72, 1.03 * radius)], HEAD * thickness, spacing, 0.2 * thickness, 2)
         parts.append(Part.of(head.translate((x, 0, 0)), metal))
         outline = _jaws(s, radius, k) if kind == "open" else _star(s)
-        bite = prism(_rings(outline), 2 * HEAD * thickness, spacing).translate((x, 0, -0.5 * HEAD * thickness))
+        bite = prism(_rings(outline), 2 * HEAD * thickness, spacing).translate(
+            (x, 0, -0.5 * HEAD * thickness)
+        )
         cuts.append(Part.of(bite, metal))
     # Panels on both sides of the bar.
     ends_of_bar = middles[0] + 1.6 * radii[0], middles[1] - 1.6 * radii[1]
@@ -105,7 +109,9 @@ def _rings(shape: manifold3d.CrossSection) -> list[np.ndarray]:
 def _jaws(size: float, radius: float, end: int) -> manifold3d.CrossSection:
     """Slot that opens away from the bar of the first (0) or second (1) end."""
     turn = np.pi * (1 - end) + JAW_ANGLE
-    slot = manifold3d.CrossSection([rectangle(2.5 * radius, size) + [1.25 * radius - 0.1 * size, 0]])
+    slot = manifold3d.CrossSection(
+        [rectangle(2.5 * radius, size) + np.array([1.25 * radius - 0.1 * size, 0])]
+    )
     seat = manifold3d.CrossSection([regular(6, size / np.sqrt(3))])
     return (slot + seat).rotate(np.rad2deg(turn))
 
