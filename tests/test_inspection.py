@@ -13,7 +13,6 @@ import torch
 import trimesh
 from PIL import Image
 from rich.console import Console
-from solids import join
 
 from objectfolder.artifacts import (
     SPLITS,

@@ -6,8 +6,14 @@ from objectfolder.mesh.procedural.assembly import Look, Part, assemble, joined
 from objectfolder.mesh.procedural.boards import timber
 from objectfolder.mesh.procedural.extrusion import prism, rectangle, regular
 from objectfolder.mesh.procedural.finish import Paint
-from objectfolder.mesh.procedural.options import require_choice, require_count, require_not_negative
-from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
+from objectfolder.mesh.procedural.parameters import (
+    require_between,
+    require_choice,
+    require_count,
+    require_not_negative,
+    require_positive,
+    require_texture_size,
+)
 from objectfolder.mesh.procedural.texture import over
 from objectfolder.mesh.textured import TexturedMesh
 

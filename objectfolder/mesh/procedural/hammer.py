@@ -6,8 +6,12 @@ import numpy as np
 from objectfolder.mesh.procedural.assembly import Look, Part, assemble, joined
 from objectfolder.mesh.procedural.boards import timber
 from objectfolder.mesh.procedural.extrusion import prism, rectangle, regular
-from objectfolder.mesh.procedural.options import require_choice
-from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
+from objectfolder.mesh.procedural.parameters import (
+    require_between,
+    require_choice,
+    require_positive,
+    require_texture_size,
+)
 from objectfolder.mesh.procedural.sweep import bar, tube
 from objectfolder.mesh.textured import TexturedMesh
 

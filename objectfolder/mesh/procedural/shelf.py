@@ -5,8 +5,14 @@ import numpy as np
 from objectfolder.mesh.procedural.assembly import Look, Part, assemble, joined
 from objectfolder.mesh.procedural.boards import board, timber
 from objectfolder.mesh.procedural.extrusion import prism, regular
-from objectfolder.mesh.procedural.options import require_choice, require_count, require_not_negative
-from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
+from objectfolder.mesh.procedural.parameters import (
+    require_between,
+    require_choice,
+    require_count,
+    require_not_negative,
+    require_positive,
+    require_texture_size,
+)
 from objectfolder.mesh.textured import TexturedMesh
 
 FRONTS = ("open", "doors", "drawers")

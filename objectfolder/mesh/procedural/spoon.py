@@ -4,8 +4,12 @@ import manifold3d
 import numpy as np
 
 from objectfolder.mesh.procedural.assembly import Look, Part, assemble
-from objectfolder.mesh.procedural.options import require_not_negative
-from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
+from objectfolder.mesh.procedural.parameters import (
+    require_between,
+    require_not_negative,
+    require_positive,
+    require_texture_size,
+)
 from objectfolder.mesh.procedural.sweep import tube
 from objectfolder.mesh.textured import TexturedMesh
 

@@ -10,8 +10,13 @@ from objectfolder.mesh.procedural.assembly import Look, Part, assemble, joined
 from objectfolder.mesh.procedural.boards import board
 from objectfolder.mesh.procedural.extrusion import prism, regular, solid
 from objectfolder.mesh.procedural.finish import Paint
-from objectfolder.mesh.procedural.options import require_choice, require_count
-from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
+from objectfolder.mesh.procedural.parameters import (
+    require_between,
+    require_choice,
+    require_count,
+    require_positive,
+    require_texture_size,
+)
 from objectfolder.mesh.procedural.texture import over, rgb, smoothstep, stroke
 from objectfolder.mesh.textured import TexturedMesh
 

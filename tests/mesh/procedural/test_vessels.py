@@ -6,7 +6,7 @@ from typing import Any
 import igl
 import numpy as np
 import pytest
-import trimesh
+from assembled import check_charts, crossings, welded
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
@@ -33,12 +33,6 @@ def made(request: pytest.FixtureRequest) -> tuple[str, TexturedMesh]:
     return request.param, FAMILIES[request.param](texture_size=TEXELS)
 
 
-def welded(mesh: TexturedMesh) -> trimesh.Trimesh:
-    """The surface with vertices merged by exact position."""
-    vertices, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
-    return trimesh.Trimesh(vertices, index.ravel()[mesh.faces], process=False)
-
-
 def assert_solid(name: str, mesh: TexturedMesh) -> None:
     surface = welded(mesh)
     assert surface.is_watertight
@@ -49,34 +43,12 @@ def assert_solid(name: str, mesh: TexturedMesh) -> None:
     assert mesh.bounds[0, 2] == pytest.approx(0, abs=1e-9), "it stands on the table"
 
 
-def assert_charted(mesh: TexturedMesh) -> None:
-    """Check that no face spans a seam, is mirrored, or is far from the common texel density."""
-    assert mesh.uv is not None
-    assert mesh.uv.min() >= 0
-    assert mesh.uv.max() <= 1
-    corners, uv = mesh.vertices[mesh.faces], mesh.uv[mesh.faces]
-    (a, b), (p, q) = np.diff(corners, axis=1).swapaxes(0, 1), np.diff(uv, axis=1).swapaxes(0, 1)
-    area = np.linalg.norm(np.cross(a, b), axis=1) / 2
-    uv_area = (p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]) / 2
-    share = area / area.sum()
-    density = np.sqrt(np.abs(uv_area) / np.maximum(area, 1e-300))
-    median = np.median(density)
-    assert share[(density < median / 2.2) | (density > median * 2.2)].sum() < 0.01
-    assert share[uv_area <= 0].sum() < 1e-3
-
-
-def crossings(mesh: TexturedMesh, origin: list[float], direction: list[float]) -> np.ndarray:
-    """Distances along a ray at which it crosses the surface, in order."""
-    hits, _, _ = welded(mesh).ray.intersects_location([origin], [direction])
-    return np.sort((hits - origin) @ np.array(direction))
-
-
 def test_surface_is_one_closed_manifold(made):
     assert_solid(*made)
 
 
 def test_every_face_lies_in_one_chart(made):
-    assert_charted(made[1])
+    check_charts(made[1])
 
 
 def test_winding_is_zero_or_one(made):
@@ -287,7 +259,7 @@ def check(name: str, **parameters: Any) -> None:
     texels = TEXELS if name in ("pan", "teapot") else 64
     mesh = FAMILIES[name](texture_size=texels, finish="plastic", **parameters)
     assert_solid(name, mesh)
-    assert_charted(mesh)
+    check_charts(mesh)
 
 
 @settings(max_examples=6, deadline=None, derandomize=True, phases=[Phase.generate])
