@@ -98,8 +98,8 @@ def main() -> None:
     lines = [
         "# Results",
         "",
-        "Regenerate: `make demo`, `python perf/geometry.py`, then `python perf/results.py`. Objects beside the",
-        "starters were added with `objectfolder add` from the YCB and Google Scanned Objects sets (docs/meshes.md).",
+        "Regenerate: `make demo`, `python perf/geometry.py`, then `python perf/results.py`. Objects other",
+        "than the starters were added with `objectfolder add` from the YCB and Google Scanned Objects sets.",
         "",
         f"Machine: {cpu or platform.processor()}, one thread per stage. "
         f"Preset `{preset(values)}`, seed {values['seed']}. PSNR in dB, data in [0, 1], peak 1, "
