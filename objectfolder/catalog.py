@@ -1,5 +1,6 @@
 """Objects and presets in ``params.yaml``: adding them keeps comments and order, and is all or nothing."""
 
+import re
 import shutil
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
@@ -145,6 +146,11 @@ def add_catalogue(catalogue: Path, root: Path = Path()) -> list[str]:
     """
     params_path = root / params.PARAMS_FILE
     document, values = _editable(params_path)
+    if catalogue.is_file() and re.search(r"^sources:", catalogue.read_text(errors="replace"), re.MULTILINE):
+        raise ObjectFolderError(
+            f"{catalogue} lists published objects whose meshes are not here; bring them with `objectfolder "
+            f"fetch --catalogue {catalogue}`"
+        )
     new = params.read(catalogue)
     # Every field is written: DVC tracks them one by one, and misses those that are left out.
     for key in new["objects"]:

@@ -131,6 +131,11 @@ def test_bad_meshes_change_nothing(workspace, tmp_path, text, message):
     assert snapshot(workspace) == before
 
 
+def test_a_list_of_published_objects_is_for_fetch(workspace):
+    with pytest.raises(ObjectFolderError, match="objectfolder fetch --catalogue"):
+        catalog.add_catalogue(ROOT / "catalogs/objectfolder1.yaml")
+
+
 def test_catalogue_adds_what_is_missing_and_refuses_what_differs(workspace):
     assert catalog.add_catalogue(Path("catalogs/starter.yaml")) == []
     text = re.sub(r"\n  die: {mesh.*", "", Path("params.yaml").read_text())
