@@ -1,0 +1,83 @@
+"""catalogs/procedural.yaml: 100 objects, distributed as the paper's Fig. 2, each one solid."""
+
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from ruamel.yaml import YAML
+
+from objectfolder import catalog, params
+from objectfolder.fem.voxelize import voxelize
+from objectfolder.mesh.normalize import normalize
+from objectfolder.mesh.procedural import GENERATORS, generate
+from objectfolder.mesh.textured import TexturedMesh
+
+ROOT = Path(__file__).parents[3]
+CATALOGUE = ROOT / "catalogs/procedural.yaml"
+VALUES = params.read(CATALOGUE)
+FIRST = {entry["generator"]: key for key, entry in reversed(VALUES["procedural"].items())}
+SMALL = 256  # texels: these tests ask about the geometry
+
+
+def made(key: str, **parameters: int) -> TexturedMesh:
+    generator, own = params.procedural_entry(key, CATALOGUE)
+    return generate(generator, **own | parameters)
+
+
+def check_accepted(key: str) -> TexturedMesh:
+    mesh = made(key, texture_size=SMALL)
+    normalized = normalize(mesh, key)
+    assert normalized.surface.rung == "keep"
+    assert normalized.surface.certificate.solid
+    assert normalized.surface.warnings == []
+    assert normalized.source_size == pytest.approx(VALUES["objects"][key]["scale"], rel=1e-3)
+    return mesh
+
+
+def test_counts_of_materials_are_those_of_the_papers_objects():
+    published = YAML(typ="safe").load((ROOT / "catalogs/objectfolder1.yaml").read_text())["objects"]
+    expected = Counter(entry["material"] for entry in published.values())
+    assert sum(expected.values()) == 100
+    assert Counter(entry["material"] for entry in VALUES["objects"].values()) == expected
+
+
+def test_every_object_is_generated_and_every_family_appears():
+    assert set(VALUES["procedural"]) == set(VALUES["objects"])
+    assert set(FIRST) == set(GENERATORS)
+    for key, entry in VALUES["objects"].items():
+        assert entry["mesh"] == f"data/objects/{key}/mesh.glb"
+
+
+def test_no_two_objects_are_alike():
+    entries = [tuple(sorted(entry.items())) for entry in VALUES["procedural"].values()]
+    assert len(set(entries)) == len(entries)
+
+
+def test_add_enters_all_of_them_beside_the_starters(tmp_path):
+    (tmp_path / "params.yaml").write_text((ROOT / "catalogs/starter.yaml").read_text())
+    before = params.read(tmp_path / "params.yaml")["objects"]
+    assert catalog.add_catalogue(CATALOGUE, tmp_path) == list(VALUES["objects"])
+    values = params.read(tmp_path / "params.yaml")
+    assert values["objects"] == before | VALUES["objects"]
+    for key in VALUES["objects"]:
+        assert params.object_entry(key, values, tmp_path).model_dump() == values["objects"][key]
+
+
+@pytest.mark.parametrize("key", FIRST.values(), ids=FIRST.keys())
+def test_one_of_each_family_is_a_solid_as_it_is(key):
+    check_accepted(key)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("key", VALUES["objects"])
+def test_every_object_is_a_solid_and_has_the_same_bytes_again(key, tmp_path):
+    mesh = check_accepted(key)
+    for copy, name in ((mesh, "first.glb"), (made(key, texture_size=SMALL), "second.glb")):
+        copy.write_glb(tmp_path / name)
+    assert (tmp_path / "first.glb").read_bytes() == (tmp_path / "second.glb").read_bytes()
+    surface = normalize(mesh, key).surface
+    solid = surface.vertices, surface.faces
+    report = voxelize(solid, solid, [32, 24, 16, 12], 8, 120_000, 192, key).report
+    assert abs(report["cells"]["volume_error"]) < 0.003
+    assert report["cells"]["dropped_volume_share"] < 0.001
+    assert report["distance_grid"]["volume_share_kept"] > 0.9
