@@ -16,6 +16,7 @@ from objectfolder.mesh.topology import Mesh, boundary_loops, face_areas, signed_
 
 SEEN = 0.3  #: a cap of which at least this fraction of the hemisphere is free is seen from outside
 LARGE = 0.05  #: of the piece's area, for the area of a loop
+NO_ROOM = 0.5  #: of the area, for the faces that a wall turns over: it is thicker than what it fills
 _RAYS = 1024
 _OFFSET = 1e-4  # of rays from the cap, unit frame
 
@@ -30,7 +31,8 @@ def close_piece(piece: Mesh, scene: RayCaster | None, wall: float) -> tuple[Mesh
     scene : RayCaster or None
         All pieces: they may hide a hole. None caps every hole.
     wall : float
-        Thickness that a sheet gets, unit frame. The sheet stays as its outer side.
+        Thickness that a sheet gets, unit frame. The sheet stays as its outer side. Where there is no room
+        for it, the sheet is filled: its openings are capped.
 
     Returns
     -------
@@ -57,7 +59,12 @@ def close_piece(piece: Mesh, scene: RayCaster | None, wall: float) -> tuple[Mesh
     chosen = {int(loop[0]) for loop in openings}
     holes = [loop for loop in loops if int(loop[0]) not in chosen]
     closed = cap(vertices, faces, holes)
-    return (thicken(*closed, wall) if openings else closed), len(holes), len(openings)
+    if not openings:
+        return closed, len(holes), 0
+    sheet = thicken(*closed, wall)
+    if _turned_over(closed[0], sheet[0][len(closed[0]) :], closed[1]) > NO_ROOM:
+        return cap(vertices, faces, loops), len(loops), 0
+    return sheet, len(holes), len(openings)
 
 
 def cap(vertices: np.ndarray, faces: np.ndarray, loops: list[np.ndarray]) -> Mesh:
@@ -88,6 +95,13 @@ def thicken(vertices: np.ndarray, faces: np.ndarray, wall: float) -> Mesh:
     a, b = border.T
     rim = np.concatenate([np.stack([b, a, a + count], 1), np.stack([b, a + count, b + count], 1)])
     return np.concatenate([vertices, inner]), np.concatenate([faces, faces[:, ::-1] + count, rim])
+
+
+def _turned_over(vertices: np.ndarray, inner: np.ndarray, faces: np.ndarray) -> float:
+    """Share of the faces' area of which an edge is reversed on the inner side."""
+    outward, inward = (np.roll(side[faces], -1, 1) - side[faces] for side in (vertices, inner))
+    area = face_areas(vertices, faces)
+    return float(area[(np.einsum("ijk,ijk->ij", outward, inward) < 0).any(1)].sum() / area.sum())
 
 
 def _offset_directions(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -24,6 +24,8 @@ _BRIDGE_DEPTH = 1.25 / 512  # by which a bridge reaches into the pieces
 def unite(pieces: list[Mesh]) -> tuple[Mesh, int]:
     """Union of closed pieces; one inside another that is oriented the other way is its cavity.
 
+    A piece inside a cavity that is oriented like the outer one is a solid again.
+
     Returns
     -------
     mesh : vertices and faces, oriented outward; empty if nothing is enclosed
@@ -33,17 +35,24 @@ def unite(pieces: list[Mesh]) -> tuple[Mesh, int]:
     volumes = [signed_volume(*piece) for piece in pieces]
     pieces = [piece for piece, volume in zip(pieces, volumes) if abs(volume) > _NOTHING]
     volumes = [volume for volume in volumes if abs(volume) > _NOTHING]
-    # Not by the sign alone: many meshes are inside out as a whole.
+    # Not by the sign alone: many meshes are inside out as a whole. What is turned like the outermost piece
+    # around it is solid (also within a cavity), what is turned the other way is hollow.
+    size = np.abs(volumes)
+    lower, upper = (np.array([bound(v, axis=0) for v, _ in pieces]) for bound in (np.min, np.max))
+    around = []
+    for k, (v, _) in enumerate(pieces):
+        larger = (size > size[k]) & (lower <= lower[k]).all(1) & (upper >= upper[k]).all(1)
+        around.append([o for o in np.flatnonzero(larger) if _contains(pieces[o], v)])
     hollow = [
-        any(_contains(outer, v) for outer, other in zip(pieces, volumes) if volume * other < 0)
-        for (v, _), volume in zip(pieces, volumes)
+        bool(outer) and volume * volumes[max(outer, key=size.__getitem__)] < 0
+        for outer, volume in zip(around, volumes)
     ]
-    outward = [(v, f if volume > 0 else f[:, ::-1]) for (v, f), volume in zip(pieces, volumes)]
-    solids = [manifold(piece) for piece, inner in zip(outward, hollow) if not inner]
-    union = manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add)
-    for piece, inner in zip(outward, hollow):
-        union = union - manifold(piece) if inner else union
-    return arrays(union), sum(hollow)
+    solids = [manifold((v, f if volume > 0 else f[:, ::-1])) for (v, f), volume in zip(pieces, volumes)]
+    for k in np.flatnonzero(hollow).tolist():
+        for o in around[k]:
+            solids[o] = solids[o] if hollow[o] else solids[o] - solids[k]
+    shells = [solid for solid, inner in zip(solids, hollow) if not inner]
+    return arrays(manifold3d.Manifold.batch_boolean(shells, manifold3d.OpType.Add)), sum(hollow)
 
 
 def untangle(vertices: np.ndarray, faces: np.ndarray) -> Mesh:

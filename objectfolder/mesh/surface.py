@@ -15,7 +15,7 @@ from objectfolder.mesh.openings import close_piece
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.remesh import RESOLUTION, remesh_on_grid
 from objectfolder.mesh.sampling import sample_surface
-from objectfolder.mesh.scanline import Certificate, winding_certificate
+from objectfolder.mesh.scanline import Certificate, check_winding, winding_certificate
 from objectfolder.mesh.solids import SPECKS, bodies, bridge, distance, unite, untangle, without_specks
 from objectfolder.mesh.topology import (
     Mesh,
@@ -33,6 +33,7 @@ from objectfolder.mesh.weld import clean
 BRIDGED_GAP = 1 / 64  #: half a cell of the finest FEM grid
 SHEET_WALL = 0.02  #: thickness of a sheet where nobody says
 MAX_OPEN_PIECES = 256  #: more are a soup of triangles, whose holes cannot be told from its gaps
+MAX_BODIES = 128  #: more are not bridged: each bridge takes a good part of a second
 CRUMB = 0.01  #: of the area: smaller open pieces are no sheets of their own
 _PROBES = 20_000  # points at which deviation is measured
 
@@ -137,6 +138,10 @@ def close_surface(
         ladder.warnings.append(
             f"{openings} open sheets were given a wall of {SHEET_WALL:.0%} of the size; say `wall` in metres"
         )
+    if wall is not None and not openings:
+        ladder.warnings.append(
+            f"no piece is an open sheet with room for a wall of {wall:.2%} of the size: `wall` is not used"
+        )
     ladder.join()
     if not ladder.solid:
         ladder.untangle()
@@ -235,6 +240,9 @@ class _Ladder:
                 self._record("untangle", "cut where it overlaps itself, and united", before, mesh)
 
     def remesh(self, wall: float) -> None:
+        v, f = self.mesh
+        if len(f) and is_closed(f) and not winding_certificate(v, f).columns:
+            check_winding(v, f, self.name)  # says that it is too thin for any grid
         mesh = remesh_on_grid(*self.source, wall)
         if len(mesh[1]) == 0:
             raise ObjectFolderError(
@@ -254,7 +262,7 @@ class _Ladder:
 
     def bridge(self) -> None:
         before = self.mesh
-        if len(bodies(*before)[1]) > 1:
+        if 1 < len(bodies(*before)[1]) <= MAX_BODIES:
             mesh, bridged = bridge(*before, BRIDGED_GAP)
             if bridged:
                 detail = f"{len(bridged)} gaps up to {max(bridged):.3%} of the size filled"
@@ -288,6 +296,8 @@ class _Ladder:
             if bridging
             else "bridging is off for this object; set `bridge: all` or `bridge: fem`"
         )
+        if len(volumes) > MAX_BODIES:
+            remedy = f"more than {MAX_BODIES} pieces are not bridged: join them"
         raise ObjectFolderError(
             f"{self.name}: {len(volumes)} separate pieces, expected one that holds 99.9 % of the volume: "
             f"{'; '.join(lines)}; {remedy}"

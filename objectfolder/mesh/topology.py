@@ -6,6 +6,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 Mesh = tuple[np.ndarray, np.ndarray]  #: vertices (V, 3) float64 and faces (F, 3) int64
+_SAME_ANGLE = 1e-6  # of faces about an edge, radians
+_CUT = 1.0  # where angles about an edge begin: not where faces of aligned meshes lie
 
 
 def signed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
@@ -121,10 +123,9 @@ def separate_wedges(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
     opposite = np.concatenate([faces[:, 2], faces[:, 0], faces[:, 1]])[crowded]
     arm = vertices[opposite] - vertices[low[crowded]]
     across = np.cross(axis, np.eye(3)[np.abs(axis).argmin(1)])
-    angle[crowded] = np.arctan2(
-        np.einsum("ij,ij->i", arm, np.cross(axis, across)), np.einsum("ij,ij->i", arm, across)
-    )
-    order = np.lexsort((angle, edge))
+    turn = np.arctan2(np.einsum("ij,ij->i", arm, np.cross(axis, across)), np.einsum("ij,ij->i", arm, across))
+    angle[crowded] = (turn + _CUT) % (2 * np.pi)
+    order = _around_edges(edge, angle, forward)
     start = np.concatenate([[0], np.cumsum(uses)])[:-1]
     position = np.arange(len(order)) - start[edge[order]]
     following = order[start[edge[order]] + (position + 1) % uses[edge[order]]]
@@ -142,6 +143,24 @@ def separate_wedges(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
         if hollow[still].all():
             return new_vertices, new_faces
         hollow[still] = True
+
+
+def _around_edges(edge: np.ndarray, angle: np.ndarray, forward: np.ndarray) -> np.ndarray:
+    """Order of half edges by edge and angle; (N,) int.
+
+    Where faces coincide, wedges that touch there are closed before others open, unless none is open.
+    """
+    order = np.lexsort((angle, edge))
+    new = np.diff(edge[order], prepend=-1) != 0
+    group = np.cumsum(new | (np.diff(angle[order], prepend=0) > _SAME_ANGLE)) - 1
+    first = np.flatnonzero(np.diff(group, prepend=-1))
+    sign = np.where(forward[order], -1, 1)  # a backward face opens a wedge
+    before = np.add.accumulate(np.add.reduceat(sign, first)) - np.add.reduceat(sign, first)
+    # Nothing is open where the count is lowest about an edge.
+    owner = edge[order][first]
+    lowest = np.minimum.reduceat(before, np.flatnonzero(np.diff(owner, prepend=-1)))
+    is_open = before > lowest[owner]
+    return order[np.lexsort((np.where(is_open[group], sign, -sign), group))]
 
 
 def _split_corners(vertices: np.ndarray, faces: np.ndarray, one: np.ndarray, other: np.ndarray) -> Mesh:

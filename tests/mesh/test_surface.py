@@ -13,6 +13,7 @@ from objectfolder.mesh.load import default_up, load_mesh
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.ply import read_surface, write_surface
 from objectfolder.mesh.procedural import generate
+from objectfolder.mesh.solids import manifold
 from objectfolder.mesh.surface import BRIDGED_GAP, close_surface
 from objectfolder.mesh.topology import is_closed, signed_volume
 from objectfolder.mesh.weld import clean
@@ -245,7 +246,7 @@ def test_two_million_faces():
     "folder",
     sorted(OBJECTS.glob("*_*"))
     or [pytest.param(None, marks=pytest.mark.skip(reason="needs the shared objects"))],
-    ids=lambda folder: folder.name,
+    ids=lambda folder: getattr(folder, "name", "none"),
 )
 def test_real_objects_become_one_solid(folder):
     (path,) = (p for p in folder.glob("mesh.*") if p.suffix in (".obj", ".gltf"))
@@ -291,6 +292,82 @@ def test_a_mesh_that_is_inside_out_keeps_its_cavity():
     outer, inner = sphere(0.5, 3), sphere(0.3, 3, (0.1, 0, 0))
     surface = close_surface(*join(flipped(outer), inner))
     assert surface.volume == pytest.approx(signed_volume(*outer) - signed_volume(*inner))
+
+
+def test_a_solid_inside_a_cavity_is_kept():
+    shells = [
+        sphere(0.5, 2),
+        flipped(sphere(0.4, 2)),
+        sphere(0.3, 2),
+        flipped(sphere(0.2, 2)),
+        sphere(0.1, 2),
+    ]
+    rod = box((0.9, 0.06, 0.06))
+    a, b, c, d, e, r = (manifold(s if signed_volume(*s) > 0 else flipped(s)) for s in (*shells, rod))
+    truth = (a - b + (c - d) + e + r).volume()
+    for mesh in (join(*shells, rod), flipped(join(rod, *shells[::-1]))):
+        surface = close_surface(*mesh)
+        assert surface.volume == pytest.approx(truth)
+        assert (surface.components, surface.cavities) == (1, 2)
+    with pytest.raises(ObjectFolderError, match="3 separate pieces"):  # a rattle
+        close_surface(*join(*shells))
+
+
+def plates(*counts, turn):
+    """A cube of six separate faces, each of another tessellation."""
+    faces = []
+    for count, normal in zip(counts, (*np.eye(3), *-np.eye(3))):
+        i, j = np.indices((count, count + 1)).reshape(2, -1)
+        x, y = np.indices((count + 1, count + 2)).reshape(2, -1)
+        points = np.stack([x / count - 0.5, y / (count + 1) - 0.5, np.full(len(x), 0.5)], 1)
+        a, b, c, d = ((i + di) * (count + 2) + j + dj for di, dj in ((0, 0), (1, 0), (1, 1), (0, 1)))
+        u = np.roll(normal, 1)
+        side = np.stack([u, np.cross(normal, u), normal], 1)
+        faces.append((points @ (turn @ side).T, np.concatenate([np.c_[a, b, c], np.c_[a, c, d]])))
+    return join(*faces)
+
+
+@pytest.mark.parametrize("turn", [np.eye(3), TURN], ids=["aligned", "turned"])
+def test_cracks_between_faces_of_different_tessellation_are_stitched(turn):
+    vertices, faces = soup(plates(1, 2, 3, 5, 7, 11, turn=turn))
+    surface = close_surface(vertices.astype(np.float32), faces)
+    assert surface.rung == "keep"
+    assert surface.volume == pytest.approx(1, rel=1e-6)
+    assert surface.components == 1
+    assert surface.deviation_max < 1e-5
+
+
+@pytest.mark.parametrize("turn", [np.eye(3), TURN], ids=["aligned", "turned"])
+def test_boxes_that_touch_in_faces_become_one(turn):
+    bricks = join(*[box((0.5,) * 3, np.multiply(place, 0.5)) for place in np.ndindex(2, 2, 2)])
+    surface = close_surface(bricks[0] @ turn.T, bricks[1])
+    assert surface.volume == pytest.approx(1)
+    assert surface.components == 1
+    assert surface.deviation_max < 1e-9
+
+
+def test_a_wall_without_room_fills_the_sheet_and_says_so():
+    vertices, faces = sphere(0.5, 4)
+    bowl = (vertices, faces[vertices[faces].mean(1)[:, 2] < 0])
+    filled = close_surface(*bowl, wall=0.49).volume
+    for wall in (0.6, 1.5):
+        surface = close_surface(*bowl, wall=wall)
+        assert surface.rung == "cap"
+        assert surface.volume == pytest.approx(filled, rel=0.03)
+        assert surface.vertices.max(0) == pytest.approx(bowl[0][np.unique(bowl[1])].max(0))
+        assert "`wall` is not used" in surface.warnings[0]
+
+
+def test_a_needle_that_no_grid_resolves_is_refused_as_too_thin():
+    vertices, faces = box((1, 0.001, 0.001))
+    with pytest.raises(ObjectFolderError, match=r"needle: .* thinner than 0\.8% of its size everywhere"):
+        close_surface(vertices, faces, "needle")
+
+
+def test_a_crowd_of_pieces_is_refused_without_bridging_it():
+    crowd = [box((0.05,) * 3, np.multiply(place, 0.051)) for place in np.ndindex(6, 6, 4)]
+    with pytest.raises(ObjectFolderError, match=r"144 separate pieces.*more than 128 pieces are not bridged"):
+        close_surface(*join(*crowd))
 
 
 def test_two_cavities():
