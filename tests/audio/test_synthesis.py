@@ -5,6 +5,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import signal
 from scipy.integrate import solve_ivp
 
 from objectfolder.audio.synthesis import audible, gains, sinusoid_bank
@@ -24,6 +25,16 @@ def test_a_mode_is_its_closed_form(hertz, damping):
     t = np.arange(RATE) / RATE
     exact = np.exp(-c.item() * t) * np.sin(w.item() * t) / w.item()
     np.testing.assert_allclose(sinusoid_bank(w, c, RATE, 1.0)[0], exact, atol=1e-6 / w.item())
+
+
+@pytest.mark.parametrize(("hertz", "damping"), [(440, 3), (7000, 300), (60, 350)])
+@pytest.mark.parametrize(("response", "numerator"), [("displacement", [1]), ("velocity", [1, 0])])
+def test_a_mode_is_the_impulse_response_of_its_transfer_function(hertz, damping, response, numerator):
+    w, c = mode(hertz, damping)
+    system = signal.TransferFunction(numerator, [1, 2 * c.item(), w.item() ** 2 + c.item() ** 2])
+    _, expected = signal.impulse(system, T=np.arange(800) / RATE)
+    answer = sinusoid_bank(w, c, RATE, 0.05, response)[0]
+    np.testing.assert_allclose(answer, expected, atol=2e-6 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("damping", [1.0, 8.0, 40.0])
@@ -73,18 +84,17 @@ def integrated(w, c, contact, times):
     def motion(t, y, push):
         return [y[1], push(t) - 2 * c * y[1] - (w * w + c * c) * y[0]]
 
+    end = times[-1]
     state, answers = [0.0, 0.0], []
-    for start, stop, push in ((0.0, contact, force), (contact, times[-1], lambda t: 0.0)):
-        inside = times[(times >= start) & (times < stop) | (times == times[-1])]
-        inside = inside[inside <= stop]
-        if stop <= start:
-            continue
-        options = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-16, "dense_output": True}
-        solved = solve_ivp(motion, (start, stop), state, args=(push,), **options)
-        state = solved.y[:, -1]
-        y, v = solved.sol(inside)
-        a = [motion(t, (p, q), push)[1] for t, p, q in zip(inside, y, v)]
-        answers.append(np.stack([y, v, np.array(a)]))
+    for start, stop, push in ((0.0, min(contact, end), force), (contact, end, lambda t: 0.0)):
+        if start < stop:
+            options = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-16, "dense_output": True}
+            solved = solve_ivp(motion, (start, stop), state, args=(push,), **options)
+            state = solved.y[:, -1]
+            inside = times[(times >= start) & ((times < stop) | (times == end) & (stop == end))]
+            y, v = solved.sol(inside)
+            a = [motion(t, (p, q), push)[1] for t, p, q in zip(inside, y, v)]
+            answers.append(np.stack([y, v, np.array(a)]))
     return np.concatenate(answers, 1)
 
 
