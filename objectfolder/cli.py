@@ -339,9 +339,22 @@ def audio(
     sample_rate: Annotated[int, typer.Option(min=1, help="Hz.")] = 16000,
     duration: Annotated[float, typer.Option(help="Seconds.")] = 2.0,
     response: Annotated[str, typer.Option(help="displacement, velocity or acceleration.")] = "displacement",
+    contact_time: Annotated[
+        float,
+        typer.Option(help="Seconds that the strike lasts; 0 is an instant, wood on metal about 0.0003."),
+    ] = 0.0,
+    material: Annotated[
+        str | None, typer.Option(help="Of which the struck object is made; default: its own.")
+    ] = None,
+    scale: Annotated[
+        float | None,
+        typer.Option(
+            help="Longest side of the struck object in metres, also for VERTICES; default: its own."
+        ),
+    ] = None,
     normalize: Annotated[bool, typer.Option(help="Scale all sounds by their common peak.")] = False,
 ) -> None:
-    """Strike the object; writes float WAV at absolute amplitude (metres): --normalize makes it audible."""
+    """Strike the object; writes float WAV at absolute, tiny amplitude: --normalize makes it audible."""
     import soundfile
 
     from objectfolder.artifacts import atomic
@@ -351,14 +364,33 @@ def audio(
         vertices, 3 if forces else 6, "" if forces else " (points and impulses), or give --forces"
     )
     impulse = _load_array(forces, 3) if forces else points[:, 3:]
-    sounds = ObjectFile.load(file).impact(points[:, :3], impulse, sample_rate, duration, response)
+    obj = ObjectFile.load(file)
+    sounds = obj.impact(
+        points[:, :3],
+        impulse,
+        sample_rate,
+        duration,
+        response,
+        contact_time=contact_time,
+        material=material,
+        scale=scale,
+    )
+    frequencies = obj.tuning(material, scale).frequencies
+    above = int((frequencies >= sample_rate / 2).sum())
     peak = float(np.abs(sounds).max(initial=0))
     if normalize and peak > 0:
         sounds = sounds / peak * 0.9
     for i, sound in enumerate(sounds, 1):
         with atomic(out / f"{i}.wav") as path:
             soundfile.write(path, sound, sample_rate, subtype="FLOAT")
-    console.print(f"{len(sounds)} sounds in {out}/, peak {peak:.3g}" + ("" if peak else ": silent"))
+    console.print(
+        f"{len(sounds)} sounds in {out}/, peak {peak:.3g}"
+        + ("" if peak else ": silent")
+        + f"; {len(frequencies)} modes"
+        + (f", {above} left out above the Nyquist frequency of {sample_rate / 2:g} Hz" if above else ""),
+        highlight=False,
+        soft_wrap=True,
+    )
 
 
 @query_app.command()
@@ -416,4 +448,6 @@ def _print_metrics(keys: list[str]) -> None:
     console.print(table)
     for key in keys:
         b = Build(key)
-        console.print(f"{b.object_file}  pictures: {b.views_sheet} {b.touch_sheet}", soft_wrap=True)
+        console.print(
+            f"{b.object_file}  pictures: {b.views_sheet} {b.touch_sheet} {b.sound_sheet}", soft_wrap=True
+        )

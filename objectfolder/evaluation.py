@@ -1,19 +1,22 @@
 """An Object File against held-out ground truth (supplementary F, Table 2), beside honest baselines."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
 
 from objectfolder.audio.spectrogram import SAMPLE_RATE, spectrogram
-from objectfolder.audio.synthesis import audible, sinusoid_bank
-from objectfolder.metrics import awgn_psnr, gain_errors, psnr, ssim
+from objectfolder.audio.synthesis import audible, gains, sinusoid_bank
+from objectfolder.errors import ObjectFolderError
+from objectfolder.metrics import SpectrogramErrors, awgn_psnr, gain_errors, psnr, ssim
 from objectfolder.nets.audio_gains import energy_weights
 from objectfolder.objectfile import ObjectFile
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.color import on_white
 
 AWGN = {"sigma_0_05": 0.05, "variance_0_05": 0.05**0.5}  # the paper says variance, its figures mean sigma
+BATCH = 16  # sounds transformed at once
 
 
 def evaluate_vision(file: ObjectFile, views: dict[str, np.ndarray]) -> dict[str, float]:
@@ -46,53 +49,97 @@ def evaluate_vision(file: ObjectFile, views: dict[str, np.ndarray]) -> dict[str,
     return scores | ({"psnr_lit_foreground": float(psnr(lit_error.mean()))} if lit_error.size else {})
 
 
-def evaluate_audio(
-    file: ObjectFile, modes: dict[str, np.ndarray], rows: np.ndarray, impacts: int, rng: np.random.Generator
-) -> dict[str, float]:
-    """Gains at held-out surface points, and spectrograms of random impacts there.
+@dataclass(frozen=True)
+class Strikes:
+    """Unit impulses at surface points whose true modes are known."""
 
-    PSNR is in the paper's convention: real and imaginary parts, scaled to [0, 1] by the object's smallest
-    and largest true value. Silence scores 50 dB and more in it, so it is printed beside.
-    ``psnr_own_max`` compares magnitudes relative to each sound's own peak.
+    rows: np.ndarray  #: (N,) of the points
+    impulses: np.ndarray  #: (N, 3) N s
+
+    @classmethod
+    def random(cls, rows: np.ndarray, count: int, rng: np.random.Generator) -> "Strikes":
+        """Draw strikes at some of the points, in random directions."""
+        impulses = rng.normal(size=(count, 3))
+        impulses /= np.linalg.norm(impulses, axis=1, keepdims=True)
+        return cls(rows[rng.integers(len(rows), size=count)], impulses)
+
+    def __getitem__(self, index: slice) -> "Strikes":
+        """Some of them."""
+        return Strikes(self.rows[index], self.impulses[index])
+
+    def titles(self, points: np.ndarray) -> list[str]:
+        """Say where and whereto each goes; points (P, 3) are metres."""
+        return [
+            f"at ({', '.join(f'{x:.1f}' for x in points[row] * 1000)}) mm\n"
+            f"towards ({', '.join(f'{x:.2f}' for x in impulse)})"
+            for row, impulse in zip(self.rows, self.impulses)
+        ]
+
+
+def evaluate_gains(file: ObjectFile, modes: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, Any]:
+    """Gains at held-out surface points; frequencies and decay times, which are stored and not learnt.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the Object File was made from other modes.
     """
-    true_shapes = modes["shapes"][rows].astype(np.float64)
     damped, damping = modes["damped_frequency"], modes["damping"]
+    if len(file.frequencies) != len(damping):
+        raise ObjectFolderError(
+            f"{file.key}: the Object File holds {len(file.frequencies)} modes, modes.npz {len(damping)}; "
+            f"run `objectfolder build {file.key}`"
+        )
     if len(damping) == 0:
-        return {"modes": 0, "points": len(rows)}
+        return {}
     predicted = file.mode_shapes(modes["points"][rows] * file.scale).astype(np.float64)
-    energy = energy_weights(damped, damping)
-    scores = gain_errors(predicted, true_shapes, energy, 1 / damped)
-    heard = audible(torch.from_numpy(damped), SAMPLE_RATE).numpy()
-    scores |= {"modes": len(damping), "modes_heard": int(heard.sum()), "points": len(rows)}
-    if not heard.any():
-        return scores
-    force = rng.normal(size=(impacts, 3))
-    force /= np.linalg.norm(force, axis=1, keepdims=True)
-    chosen = rng.integers(len(rows), size=impacts)
-    bank = sinusoid_bank(torch.from_numpy(damped[heard]), torch.from_numpy(damping[heard]))
-    # The transform is linear: transform the bank once and mix spectrograms.
-    bank_spectra = torch.view_as_real(spectrogram(bank)).flatten(1)
-    true_gains, gains = (
-        torch.from_numpy(np.einsum("ndm,nd->nm", s[chosen][:, :, heard], force)).float()
-        for s in (true_shapes, predicted)
-    )
-    low, high, error, power, own = np.inf, -np.inf, 0.0, 0.0, []
-    for g, g_true in zip(gains.split(16), true_gains.split(16)):
-        truth, image = g_true @ bank_spectra, g @ bank_spectra
-        low, high = min(low, truth.min().item()), max(high, truth.max().item())
-        error += (image - truth).double().square().sum().item()
-        power += truth.double().square().sum().item()
-        size = torch.view_as_complex(truth.view(len(g), -1, 2)).abs()
-        difference = torch.view_as_complex(image.view(len(g), -1, 2)).abs() - size
-        own.append((difference / size.amax(1, keepdim=True)).double().square().mean(1).numpy())
-    count = impacts * bank_spectra.shape[1]
-    span = (high - low) ** 2
+    true_shapes = modes["shapes"][rows].astype(np.float64)
+    scores = gain_errors(predicted, true_shapes, energy_weights(damped, damping), 1 / damped)
+    stored = file.tuning()
     return scores | {
-        "psnr": float(psnr(error / count / span)),
-        "psnr_own_max": float(np.mean(psnr(np.concatenate(own)))),
-        "baseline_silence": float(psnr(power / count / span)),
-        "impacts": impacts,
+        "worst_mode_hz": float(damped[scores.pop("worst_mode")] / (2 * np.pi)),
+        "frequency_error": float(np.abs(stored.damped_frequency.numpy() / damped - 1).max()),
+        "decay_time_error": float(np.abs(damping / stored.damping.numpy() - 1).max()),
+        "points": len(rows),
     }
+
+
+def evaluate_sounds(
+    file: ObjectFile, modes: dict[str, np.ndarray], strikes: Strikes, rng: np.random.Generator
+) -> dict[str, Any]:
+    """Spectrograms of strikes, in the conventions of `SpectrogramErrors`.
+
+    Silence and white Gaussian noise of each true sound's energy are scored beside.
+    """
+    frequency = torch.from_numpy(modes["damped_frequency"])
+    heard = int(audible(frequency, SAMPLE_RATE).sum())
+    counts = {"modes": len(frequency), "modes_heard": heard, "impacts": len(strikes.rows)}
+    if heard == 0:
+        return counts
+    errors, noise_errors = SpectrogramErrors(), SpectrogramErrors()
+    for sounds in zip(*(torch.from_numpy(s).split(BATCH) for s in strike_sounds(file, modes, strikes))):
+        truth, answer, noise = (spectrogram(s) for s in (*sounds, white_noise(sounds[0], rng)))
+        errors.add(answer, truth)
+        noise_errors.add(noise, truth)
+    noise_scores = noise_errors.scores()
+    return counts | errors.scores() | ({"baseline_noise": noise_scores["psnr"]} if noise_scores else {})
+
+
+def white_noise(sounds: torch.Tensor, rng: np.random.Generator) -> torch.Tensor:
+    """White Gaussian noise of the energy of each sound; (N, samples)."""
+    noise = torch.from_numpy(rng.standard_normal(sounds.shape)).to(sounds.dtype)
+    # Norms, because the squares of micrometres per newton second underflow.
+    return noise * (sounds.double().norm(dim=1) / noise.double().norm(dim=1)).to(sounds.dtype)[:, None]
+
+
+def strike_sounds(
+    file: ObjectFile, modes: dict[str, np.ndarray], strikes: Strikes
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sounds of strikes as they are and as the Object File answers them; both (N, samples)."""
+    bank = sinusoid_bank(torch.from_numpy(modes["damped_frequency"]), torch.from_numpy(modes["damping"]))
+    shapes = torch.from_numpy(modes["shapes"][strikes.rows]).float()
+    truth = gains(shapes, torch.from_numpy(strikes.impulses).float()) @ bank
+    return truth.numpy(), file.impact(modes["points"][strikes.rows] * file.scale, strikes.impulses)
 
 
 def evaluate_touch(

@@ -1,13 +1,22 @@
 """Material parameters for modal analysis (supplementary material, Table 1)."""
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
 from objectfolder.errors import ObjectFolderError
 
 
 @dataclass(frozen=True)
 class Material:
-    """A homogeneous, isotropic, linear elastic material with Rayleigh damping."""
+    """A homogeneous, isotropic, linear elastic material with Rayleigh damping.
+
+    Raises
+    ------
+    ObjectFolderError
+        If no such material can exist: density or modulus not positive, Poisson's ratio outside (-1, 0.5),
+        negative damping.
+    """
 
     name: str
     density: float  #: kg/m^3
@@ -15,6 +24,24 @@ class Material:
     poisson_ratio: float
     alpha: float  #: mass-proportional Rayleigh damping, 1/s
     beta: float  #: stiffness-proportional Rayleigh damping, s
+
+    def __post_init__(self) -> None:
+        physical = {
+            "density": (0 < self.density < math.inf, "a positive number of kg/m^3"),
+            "youngs_modulus": (0 < self.youngs_modulus < math.inf, "a positive number of Pa"),
+            "poisson_ratio": (-1 < self.poisson_ratio < 0.5, "a number between -1 and 0.5"),
+            "alpha": (0 <= self.alpha < math.inf, "a number of 1/s that is not negative"),
+            "beta": (0 <= self.beta < math.inf, "a number of s that is not negative"),
+        }
+        for name, (holds, expected) in physical.items():
+            if not holds:
+                raise ObjectFolderError(
+                    f"material {self.name!r}: {name} is {getattr(self, name)!r}, expected {expected}"
+                )
+
+    def damping(self, eigenvalues: Any) -> Any:
+        """Decay rates, 1/s, of modes with these eigenvalues, rad^2/s^2; arrays or tensors."""
+        return (self.alpha + self.beta * eigenvalues) / 2
 
 
 MATERIALS: dict[str, Material] = {

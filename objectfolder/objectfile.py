@@ -3,6 +3,8 @@
 The format is described in docs/objectfile.md. Reading it needs no mesh, no pickle and no network.
 """
 
+import dataclasses
+import logging
 import lzma
 import math
 from collections.abc import Iterator
@@ -13,9 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder import query
+from objectfolder import materials, query
 from objectfolder.artifacts import read_safetensors, write_safetensors
+from objectfolder.audio.tuning import Tuning, retune, stored_modes
 from objectfolder.errors import ObjectFolderError
+from objectfolder.materials import Material
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sampling import sample_surface
@@ -28,6 +32,7 @@ SCHEMA = 1
 MAX_RESOLUTION = 512  #: of the stored distance grid
 MODALITIES = ("vision", "audio", "touch")
 _KINDS = {"vision": "surface", "audio": "gains", "touch": "geometric"}
+log = logging.getLogger(__name__)
 _REQUIRED = ("schema", "key", "material", "scale", "geometry", "vision", "audio", "touch")
 
 
@@ -105,6 +110,32 @@ class ObjectFile:
         """Frequencies of the modes, Hz; (M,)."""
         return self._audio.damped_frequency.numpy() / (2 * np.pi)
 
+    def tuning(self, material: str | Material | None = None, scale: float | None = None) -> Tuning:
+        """Return the modes of this shape in another material or size; see `objectfolder.audio.tuning.retune`.
+
+        Parameters
+        ----------
+        material : str or Material, optional
+            Default: the object's own.
+        scale : float, optional
+            Longest side, metres. Default: the object's own.
+        """
+        net = self._audio
+        if material is None and scale is None:
+            return stored_modes(net.damped_frequency, net.damping)
+        if material is not None and not isinstance(material, Material):
+            material = materials.material(material)
+        with self._checked("description of the sound"):
+            low, high = self.header["audio"]["band_hz"]
+            own = Material(self.material, **self.header["material_properties"])
+        return retune(
+            net.damped_frequency,
+            net.damping,
+            (float(low), float(high)),
+            (own, self.scale),
+            (own if material is None else material, self.scale if scale is None else scale),
+        )
+
     def view(
         self,
         camera: np.ndarray,
@@ -121,14 +152,41 @@ class ObjectFile:
         self,
         points: np.ndarray,
         forces: np.ndarray,
-        sample_rate: int = 16000,
+        sample_rate: float = 16000,
         duration: float = 2.0,
         response: str = "displacement",
         tolerance: float = query.TOLERANCE,
+        contact_time: float = 0.0,
+        material: str | Material | None = None,
+        scale: float | None = None,
     ) -> np.ndarray:
-        """Strike the object; see `objectfolder.query.impact`."""
+        """Strike the object, or one of its shape; see `objectfolder.query.impact`.
+
+        Parameters
+        ----------
+        material : str or Material, optional
+            What the struck object is made of. Another Poisson ratio makes the answer approximate: a warning
+            says how far off it may be.
+        scale : float, optional
+            Longest side of the struck object, metres, in which ``points`` are given as well. A warning says
+            where modes are lacking.
+        """
+        tuning = self.tuning(material, scale)
+        for note in tuning.notes:
+            log.warning("%s: %s", self.key, note)
+        size = self.scale if scale is None else scale
         return query.impact(
-            self.surface, self._audio, self.scale, points, forces, sample_rate, duration, response, tolerance
+            self.surface,
+            self._audio,
+            size,
+            points,
+            forces,
+            sample_rate,
+            duration,
+            response,
+            tolerance,
+            contact_time,
+            tuning,
         )
 
     def mode_shapes(self, points: np.ndarray, tolerance: float = query.TOLERANCE) -> np.ndarray:
@@ -224,6 +282,8 @@ def pack(
     provenance : dict
         SHA-256 of each input, by name.
     """
+    properties = dataclasses.asdict(materials.material(material))
+    del properties["name"]
     # xz's default; a preset of 9 saves under 1 %.
     packed = lzma.compress(sdf["values"].tobytes(), preset=6)
     tensors = {"geometry.sdf_lzma": np.frombuffer(packed, np.uint8)}
@@ -231,6 +291,7 @@ def pack(
         "schema": SCHEMA,
         "key": key,
         "material": material,
+        "material_properties": properties,
         "scale": normalize["scale_m"],
         "source": {name: normalize[name] for name in ("source_centre", "source_size", "source_up")},
         "geometry": {"resolution": len(sdf["values"]), "band": float(sdf["band"])},

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from objectfolder.audio.synthesis import audible, gains, sinusoid_bank
+from objectfolder.audio.tuning import Tuning, stored_modes
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.audio_gains import GainsNet
@@ -72,10 +73,12 @@ def impact(
     scale: float,
     points: np.ndarray,
     forces: np.ndarray,
-    sample_rate: int,
+    sample_rate: float,
     duration: float,
     response: str,
     tolerance: float,
+    contact_time: float = 0.0,
+    tuning: Tuning | None = None,
 ) -> np.ndarray:
     """Strike the object with impulses.
 
@@ -85,28 +88,43 @@ def impact(
         Object frame, metres; snapped to the surface.
     forces : (N, 3) array
         Impulse vectors, N s, object frame; the sound is linear in them.
-    sample_rate : int
+    sample_rate : float
         Hz. Modes above half of it are left out.
     duration : float
         Seconds.
     response : {"displacement", "velocity", "acceleration"}
-        Of the surface; metres and their time derivatives.
+        Of the modes, summed: m kg^1/2 and its time derivatives.
     tolerance : float
         Refuse points further from the surface, fraction of the size.
+    contact_time : float
+        Duration of the strike, seconds: half a sine of force whose integral is the impulse. 0 is an instant.
+    tuning : Tuning, optional
+        Modes of an object of another material or of size ``scale``; default: the stored ones.
 
     Returns
     -------
     (N, samples) float32, absolute amplitude
+
+    Raises
+    ------
+    ObjectFolderError
+        If shapes do not fit, values are not finite or too large, or a point is off the surface.
     """
+    if tuning is None:
+        tuning = stored_modes(net.damped_frequency, net.damping)
     points, forces = _paired("points", _rows("points", points, 3), "forces", _rows("forces", forces, 3))
-    shapes = mode_shapes(surface, net, scale, points, tolerance)
-    bank = sinusoid_bank(net.damped_frequency, net.damping, sample_rate, duration, response)
-    if not bool(audible(net.damped_frequency, sample_rate).any()):
+    shapes = mode_shapes(surface, net, scale, points, tolerance)[..., tuning.modes] * tuning.shape_factor
+    frequency, damping = tuning.damped_frequency, tuning.damping
+    bank = sinusoid_bank(frequency, damping, sample_rate, duration, response, contact_time)
+    heard = int(audible(frequency, sample_rate).sum())
+    if heard == 0:
         log.warning(
-            "silent: none of the object's %d modes lies below the Nyquist frequency of %d Hz",
-            len(net.damping),
-            sample_rate // 2,
+            "silent: none of the object's %d modes lies below the Nyquist frequency of %g Hz",
+            len(damping),
+            sample_rate / 2,
         )
+    elif heard < len(damping):
+        log.info("%d of %d modes lie above the Nyquist frequency", len(damping) - heard, len(damping))
     g = gains(shapes, torch.from_numpy(forces).float())
     sounds = np.empty((len(points), bank.shape[1]), np.float32)
     for start in range(0, len(points), _BLOCK):
@@ -114,6 +132,11 @@ def impact(
         rows = g[start : start + _BLOCK]
         block[: len(rows)] = rows
         sounds[start : start + _BLOCK] = (block @ bank)[: len(rows)].numpy()
+    if not np.isfinite(sounds).all():
+        raise ObjectFolderError(
+            f"impulses of up to {np.abs(forces).max():g} N s give sounds that single precision cannot hold; "
+            "the sound is linear in them: scale them down"
+        )
     return sounds
 
 
@@ -194,6 +217,8 @@ def snap(surface: Isosurface, points: np.ndarray, tolerance: float) -> np.ndarra
     ObjectFolderError
         If a point is further away than the tolerance.
     """
+    if not tolerance >= 0:
+        raise ObjectFolderError(f"tolerance is {tolerance!r}, expected a fraction of the size")
     if len(points) == 0:
         return points
     snapped, distance = surface.nearest(points)

@@ -1,14 +1,25 @@
-"""evaluate: ObjectFile.safetensors and held-out ground truth -> metrics/<object>.json."""
+"""evaluate: ObjectFile.safetensors and held-out ground truth -> metrics/<object>.json, sound.png."""
 
 import numpy as np
 
 from objectfolder.artifacts import Build, read_npz, write_json
 from objectfolder.audio.spectrogram import SHAPE
-from objectfolder.evaluation import evaluate_audio, evaluate_awgn, evaluate_touch, evaluate_vision
+from objectfolder.evaluation import (
+    Strikes,
+    evaluate_awgn,
+    evaluate_gains,
+    evaluate_sounds,
+    evaluate_touch,
+    evaluate_vision,
+    strike_sounds,
+)
+from objectfolder.figure import page, save, show_answers
 from objectfolder.objectfile import ObjectFile
 from objectfolder.params import stage_params
 from objectfolder.seeding import numpy_generator
 from stages import run
+
+SHOWN = 4  # strikes whose spectrograms are drawn
 
 
 def main(key: str) -> None:
@@ -24,16 +35,20 @@ def main(key: str) -> None:
         "audio": (*SHAPE, 2),
         "touch": contacts["images"].shape[1:],
     }
+    rows = np.flatnonzero(modes["split"] == 2)
+    strikes = Strikes.random(rows, params.section.impacts, rng)
     metrics = {
         "vision": evaluate_vision(file, views),
-        "audio": evaluate_audio(
-            file, modes, np.flatnonzero(modes["split"] == 2), params.section.impacts, rng
-        ),
+        "audio": evaluate_gains(file, modes, rows) | evaluate_sounds(file, modes, strikes, rng),
         "touch": evaluate_touch(file, contacts, file.tensors["touch.mean_image"]),
         "awgn": evaluate_awgn(shapes, rng),
         "file_bytes": build.object_file.stat().st_size,
     }
     write_json(build.metrics, metrics)
+    shown = strikes[:SHOWN]
+    sheet = page(3.6 * SHOWN, 9, f"{key}: 1 N s at held-out points of the surface, displacement")
+    show_answers(sheet, *strike_sounds(file, modes, shown), shown.titles(modes["points"] * file.scale))
+    save(sheet, build.sound_sheet)
 
 
 if __name__ == "__main__":

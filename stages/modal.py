@@ -1,10 +1,15 @@
 """modal: solid, surface, material, scale -> modes.npz, modal.json."""
 
+from contextlib import suppress
+
 import numpy as np
 
-from objectfolder.artifacts import Build, read_npz, write_json, write_npz
+from objectfolder.artifacts import Build, file_digest, keep, read_npz, write_json, write_npz
+from objectfolder.errors import ObjectFolderError
+from objectfolder.fem.band import solved_band
 from objectfolder.fem.cutcell import CutCells
 from objectfolder.fem.modal import modal_analysis
+from objectfolder.fem.reuse import Request, problem, rescaled, solution
 from objectfolder.materials import material
 from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.sampling import sample_surface, split_rows
@@ -20,23 +25,30 @@ def main(key: str) -> None:
     cells = CutCells.from_arrays(read_npz(build.solid, "index", "occupancy"))
     rng = numpy_generator(params.seed, key, "modal")
     points = np.concatenate([vertices, sample_surface(vertices, faces, section.surface_points, rng)])
-    data = modal_analysis(
-        cells,
-        points,
-        material(params.object.material),
-        params.object.scale,
-        section.max_frequency,
-        section.max_modes,
-        key,
-    )
+    stuff = material(params.object.material)
+    request = Request(stuff, params.object.scale, section.max_frequency, section.max_modes)
+    options = section.model_dump(exclude={"max_frequency", "max_modes"})
+    task = problem(file_digest(build.solid), points, stuff.poisson_ratio, options)
+    data = None
+    with suppress(ObjectFolderError):  # no earlier solve, or not a readable one
+        data = rescaled(read_npz(build.solved_modes, "solution", "band_hz"), task, request)
+    reused = data is not None
+    if data is None:
+        data = modal_analysis(
+            cells, points, stuff, request.scale, request.max_frequency, request.max_modes, key
+        )
     write_npz(
         build.modes,
         points=points,
         split=split_rows(len(points), rng),
         **data.arrays(),
         truncated=data.report["truncated"],
+        band_hz=solved_band(data, stuff, section.max_frequency, section.max_modes),
+        solution=solution(task, request, data),
     )
-    write_json(build.modal, data.report)
+    if not reused:
+        keep(build.modes, build.solved_modes)
+    write_json(build.modal, data.report | {"reused": reused})
 
 
 if __name__ == "__main__":

@@ -12,7 +12,9 @@ from stages import log_point, run
 def main(key: str) -> None:
     params = stage_params("train_audio", key)
     build, section = Build(key), params.section
-    modes = read_npz(build.modes, "points", "split", "shapes", "damped_frequency", "damping", "truncated")
+    modes = read_npz(
+        build.modes, "points", "split", "shapes", "damped_frequency", "damping", "truncated", "band_hz"
+    )
     size = section.size(len(modes["damping"]))
     config = AudioConfig(
         size.width, size.depth, size.frequency, section.steps, section.batch, section.learning_rate
@@ -32,7 +34,12 @@ def main(key: str) -> None:
     write_safetensors(
         build.net("audio"),
         tensors,
-        {"kind": section.net, "net": header, "truncated": bool(modes["truncated"])},
+        {
+            "kind": section.net,
+            "net": header,
+            "truncated": bool(modes["truncated"]),
+            "band_hz": modes["band_hz"].tolist(),
+        },
     )
     write_curve(build.curve("audio"), curve)
 

@@ -4,6 +4,7 @@ import numpy as np
 import torch
 from solids import box
 
+from objectfolder.fem.band import solved_band
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.modal import modal_analysis
 from objectfolder.materials import material
@@ -24,6 +25,7 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
     values, band = distance_grid(*solid, 64)
     points = sample_surface(*solid, 300, np.random.default_rng(0))
     modes = modal_analysis(cut_cells(*solid, 6, 4), points, material("plastic"), scale, 20000.0, 12)
+    band_hz = solved_band(modes, material("plastic"), 20000.0, 12)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         look = SurfaceNet(levels=2, features=2, table_bits=10, coarsest=4, finest=12, width=8)
@@ -47,7 +49,7 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
         {"values": values, "band": np.float64(band)},
         {
             "vision": (look_tensors, {"kind": "surface", "net": look_config}),
-            "audio": (sound_tensors, {"kind": "gains", "net": sound_config}),
+            "audio": (sound_tensors, {"kind": "gains", "net": sound_config, "band_hz": band_hz}),
             "touch": (
                 {"mean_image": np.zeros((profile.height, profile.width, 3), np.uint8)},
                 {"kind": "geometric", "net": {"sensor": profile.to_dict(), "depth_offset": 0.0}},

@@ -1,5 +1,6 @@
 import time
 import zipfile
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from objectfolder.artifacts import (
     Build,
     atomic,
     file_digest,
+    keep,
     read_json,
     read_npz,
     read_safetensors,
@@ -199,3 +201,15 @@ def test_every_path_lies_in_the_workspace(tmp_path):
 def test_digest(tmp_path):
     (tmp_path / "a").write_bytes(b"abc")
     assert file_digest(tmp_path / "a") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+
+
+@pytest.mark.parametrize("links", [True, False])
+def test_what_is_kept_outlives_the_file(tmp_path, monkeypatch, links):
+    if not links:
+        monkeypatch.setattr("os.link", Mock(side_effect=OSError("no links on this filesystem")))
+    for text in ("one", "two"):  # the second replaces the first
+        (tmp_path / "a").write_text(text)
+        keep(tmp_path / "a", tmp_path / "kept")
+        (tmp_path / "a").unlink()
+        assert (tmp_path / "kept").read_text() == text
+    assert names(tmp_path) == ["kept"]

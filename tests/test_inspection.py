@@ -64,6 +64,7 @@ def root(tmp_path_factory, opengl):
     write_json(
         build.metrics, {"vision": {"psnr": 31.25}, "awgn": {"sigma_0_05": {"touch": 26.02}}, "file_bytes": 7}
     )
+    write_png(build.sound_sheet, np.zeros((4, 4, 3), np.uint8))
     return root
 
 
@@ -158,7 +159,9 @@ def test_pictures_show_something_and_nothing_declared_changes(root, stage):
     inspection = _inspected(root, stage)
     assert inspection.title == f"{stage}@brick"
     assert inspection.files == []
-    assert bool(inspection.pictures) == (stage != "evaluate")
+    if stage == "evaluate":  # has its own
+        assert inspection.pictures == [Build("brick", root).sound_sheet]
+        return
     for path in inspection.pictures[:1]:
         assert path == Build("brick", root).dir / "inspect" / f"{stage}.png"
         with Image.open(path) as image:
@@ -244,6 +247,19 @@ def test_modal_rows(root):
     assert rows["modes"].startswith(f"{len(modes['damping'])}, of which ")
     grams = float(rows["material"].split()[1])
     assert grams == pytest.approx(VOLUME * 2.7, rel=2e-3)
+
+
+def test_modal_tells_of_a_reused_solve(tmp_path, root):
+    source, build = Build("brick", root), Build("brick", tmp_path)
+    report = read_json(source.modal) | {"reused": True, "count_below_max_frequency": None, "truncated": True}
+    for name in ("modes", "surface"):
+        getattr(build, name).parent.mkdir(parents=True, exist_ok=True)
+        getattr(build, name).write_bytes(getattr(source, name).read_bytes())
+    write_json(build.modal, report)
+    rows = dict(inspect("modal", "brick", tmp_path).rows)
+    assert rows["below 20 kHz"] == "not counted (truncated)"
+    assert rows["solved"] == "not anew: scaled from an earlier solve"
+    assert "solved" not in _rows(root, "modal")
 
 
 def test_modal_of_an_object_without_modes(tmp_path, root):

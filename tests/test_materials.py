@@ -1,3 +1,6 @@
+import dataclasses
+import math
+
 import pytest
 
 from objectfolder.errors import ObjectFolderError
@@ -31,3 +34,21 @@ def test_materials_are_physical(m):
 def test_an_unknown_material_lists_the_known_ones(name):
     with pytest.raises(ObjectFolderError, match=r"unknown material .*ceramic, glass"):
         material(name)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        *((f, v) for f in ("density", "youngs_modulus") for v in (0.0, -1.0, math.nan, math.inf)),
+        *(("poisson_ratio", v) for v in (-1.0, 0.5, 0.7, -2.0, math.nan)),
+        *((f, v) for f in ("alpha", "beta") for v in (-1e-9, math.nan, math.inf)),
+    ],
+)
+def test_an_unphysical_material_is_refused(field, value):
+    with pytest.raises(ObjectFolderError, match=f"material 'steel': {field} is {value}, expected a"):
+        dataclasses.replace(material("steel"), **{field: value})
+
+
+def test_auxetic_and_undamped_materials_exist():
+    m = dataclasses.replace(material("steel"), poisson_ratio=-0.7, alpha=0.0, beta=0.0)
+    assert m.poisson_ratio == -0.7

@@ -59,14 +59,21 @@ def test_gain_errors_do_not_depend_on_scale(shape_scale, weight_scale, seed):
     assert a == pytest.approx(b)
 
 
+def test_the_worst_mode_has_the_largest_error_of_its_own(rng):
+    truth = rng.standard_normal((6, 3, 4)) * [1, 10, 0.1, 0]
+    predicted = truth * [1.1, 1.2, 1.5, 1]
+    errors = gain_errors(predicted, truth, np.ones(4), np.ones(4))
+    assert errors["worst_mode"] == 2  # although it hardly counts
+    assert errors["gain_error_worst"] == pytest.approx(0.5)
+    assert errors["gain_error"] == pytest.approx(0.2, abs=0.01)
+
+
 def test_gain_errors_of_known_predictions(rng):
     truth, weights = rng.standard_normal((6, 3, 4)), np.ones(4)
-    assert gain_errors(truth, truth, weights, weights) == {"gain_error": 0, "gain_error_frobenius": 0}
-    assert gain_errors(0 * truth, truth, weights, weights) == pytest.approx(
-        {"gain_error": 1, "gain_error_frobenius": 1}
-    )
-    off = gain_errors(1.1 * truth, truth, weights, weights)
-    assert off == pytest.approx({"gain_error": 0.1, "gain_error_frobenius": 0.1})
+    names = ("gain_error", "gain_error_frobenius", "gain_error_worst")
+    for factor in (1, 0, 1.1):
+        errors = gain_errors(factor * truth, truth, weights, weights)
+        assert [errors[name] for name in names] == pytest.approx([abs(factor - 1)] * 3)
     # An error in a mode without weight does not count.
     wrong = truth.copy()
     wrong[:, :, 0] += 9

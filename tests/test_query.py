@@ -1,3 +1,4 @@
+import dataclasses
 import logging
 from itertools import pairwise
 
@@ -8,8 +9,9 @@ from brick import SCALE, SIDES, build_brick
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from objectfolder import query
+from objectfolder import ObjectFile, query
 from objectfolder.errors import ObjectFolderError
+from objectfolder.materials import material
 from objectfolder.nets.audio_gains import GainsNet
 from objectfolder.vision.cameras import Intrinsics, look_at, sphere_points
 
@@ -228,6 +230,81 @@ def test_an_object_without_any_mode_is_silent(tmp_path, caplog):
     assert sound.shape == (2, 1600)
     assert not sound.any()
     assert "none of the object's 0 modes" in caplog.text
+
+
+def test_impulses_too_large_for_the_format_are_refused_and_give_no_nan(brick):
+    for size in (1e37, 1e300):
+        with pytest.raises(ObjectFolderError, match=r"impulses of up to .* N s .*scale them down"):
+            brick.impact(TOP, [[size, -size, size]], duration=0.1, response="acceleration")
+
+
+@pytest.mark.parametrize("tolerance", [np.nan, -0.01])
+def test_a_tolerance_must_be_a_distance(brick, tolerance):
+    with pytest.raises(ObjectFolderError, match="tolerance is"):
+        brick.impact(TOP, UP, tolerance=tolerance)
+
+
+def test_a_soft_strike_keeps_its_momentum_and_loses_its_treble(brick):
+    hard, soft = (brick.impact(TOP, UP, 48000, 0.5, contact_time=t)[0] for t in (0.0, 1e-3))
+    spectra = [np.abs(np.fft.rfft(sound)) for sound in (hard, soft)]
+    assert spectra[1].sum() < 0.1 * spectra[0].sum()
+    # What an impulse moves over all time is its integral times the static compliance.
+    assert spectra[1][0] == pytest.approx(spectra[0][0], rel=0.05)
+
+
+def test_an_object_of_another_size_and_material_sounds_as_its_modes(brick, caplog):
+    """The same as an Object File whose modes were scaled by hand."""
+    glass = dataclasses.replace(material("glass"), poisson_ratio=material("plastic").poisson_ratio)
+    size, density = 3.0, 2600 / 1070
+    speed = np.sqrt(6.2e10 / 1.4e9 / density) / size
+    w, c = (brick.tensors[f"audio.{name}"] for name in ("damped_frequency", "damping"))
+    eigenvalues = (w**2 + c**2) * speed**2
+    damping = (1.0 + 1e-7 * eigenvalues) / 2
+    by_hand = ObjectFile(
+        {**brick.header, "scale": SCALE * size},
+        {
+            **brick.tensors,
+            "audio.damped_frequency": np.sqrt(eigenvalues - damping**2),
+            "audio.damping": damping,
+            "audio.amplitude": (brick.tensors["audio.amplitude"] / np.sqrt(density * size**3)).astype("f4"),
+        },
+    )
+    points, forces = brick.sample_surface(4), np.eye(3)[[0, 1, 2, 2]]
+    expected = by_hand.impact(points * size, forces, 48000)
+    heard = brick.tuning(glass, SCALE * size)
+    assert len(heard.modes) == 12
+    sounds = brick.impact(points * size, forces, 48000, material=glass, scale=SCALE * size)
+    np.testing.assert_allclose(sounds, expected, atol=1e-5 * np.abs(expected).max())
+    assert "brick: incomplete: modes from" in caplog.text
+    assert "approximate" not in caplog.text
+    # Points are metres of the struck object.
+    with pytest.raises(ObjectFolderError, match="off the surface"):
+        brick.impact(points, forces, material=glass, scale=SCALE * size)
+
+
+def test_another_poisson_ratio_is_warned_of(brick, caplog):
+    brick.impact(TOP, UP, duration=0.1, material="plastic")
+    assert "approximate" not in caplog.text
+    brick.impact(TOP, UP, duration=0.1, material="Steel")
+    assert "brick: approximate: the modes were solved for plastic" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"material": "gold"}, "unknown material 'gold'"),
+        ({"scale": 0.0}, "scale is 0.0, expected the object's longest side"),
+        ({"scale": np.nan}, "scale is nan"),
+        ({"contact_time": -1.0}, "contact time is -1.0 s"),
+        ({"contact_time": np.nan}, "contact time is nan s"),
+        ({"duration": 0.0}, "both must be positive"),
+        ({"duration": np.nan}, "both must be positive"),
+        ({"sample_rate": np.nan}, "both must be positive"),
+    ],
+)
+def test_a_sound_of_nonsense_is_refused(brick, arguments, message):
+    with pytest.raises(ObjectFolderError, match=message):
+        brick.impact(TOP, UP, **arguments)
 
 
 # Feeling

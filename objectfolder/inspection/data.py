@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from objectfolder.artifacts import SPLITS, Build, read_json, read_npz
-from objectfolder.inspection.figure import columns, page, rows, save, show_image
+from objectfolder.figure import columns, page, rows, save, show_image
 from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
 from objectfolder.inspection.scene import CLAY, VIEW_FROM, draw, triangles
 from objectfolder.mesh.ply import read_surface

@@ -9,7 +9,7 @@ import numpy as np
 
 from objectfolder.artifacts import Build, atomic, read_json, read_npz
 from objectfolder.fem.cutcell import CutCells, node_count
-from objectfolder.inspection.figure import page, rows, save, show_image
+from objectfolder.figure import page, rows, save, show_image
 from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
 from objectfolder.inspection.scene import CLAY, VIEW_FROM, add_textured, draw, hexahedra, triangles
 from objectfolder.mesh.grid import BOUND, DistanceGrid

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from objectfolder.artifacts import Build, read_json, read_safetensors
-from objectfolder.inspection.figure import page, rows, save, show_image, show_spectrogram
+from objectfolder.figure import page, rows, save, show_image, show_spectrogram
 from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
 from objectfolder.objectfile import ObjectFile
 from objectfolder.vision.cameras import CAMERA_RADIUS
@@ -85,9 +85,9 @@ def inspect_pack(build: Build) -> Inspection:
 
 
 def inspect_evaluate(build: Build) -> Inspection:
-    """Metrics, one per row."""
-    require(build, "evaluate", build.metrics)
-    return Inspection(f"evaluate@{build.key}", list(_leaves(read_json(build.metrics))))
+    """Metrics, one per row, and spectrograms of the ground truth beside the answers."""
+    require(build, "evaluate", build.metrics, build.sound_sheet)
+    return Inspection(f"evaluate@{build.key}", list(_leaves(read_json(build.metrics))), [build.sound_sheet])
 
 
 def _pack_picture(build: Build, file: ObjectFile):

@@ -6,7 +6,7 @@ import torch
 from objectfolder.artifacts import Build, read_json, read_npz
 from objectfolder.audio.spectrogram import SAMPLE_RATE
 from objectfolder.audio.synthesis import gains, sinusoid_bank
-from objectfolder.inspection.figure import page, rows, save, show_image, show_spectrogram
+from objectfolder.figure import page, rows, save, show_image, show_spectrogram
 from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
 from objectfolder.inspection.scene import draw, triangles
 from objectfolder.mesh.ply import read_surface
@@ -25,7 +25,7 @@ def inspect_modal(build: Build) -> Inspection:
     modes = read_npz(build.modes, "points", "split", "eigenvalues", "damping", "damped_frequency", "shapes")
     natural, damping = np.sqrt(modes["eigenvalues"]), modes["damping"]
     frequency, decay = modes["damped_frequency"] / (2 * np.pi), LN_1000 / damping
-    count = len(damping)
+    count, total = len(damping), report["count_below_max_frequency"]
     splits = np.bincount(modes["split"], minlength=3)
     listed = [
         (
@@ -41,7 +41,8 @@ def inspect_modal(build: Build) -> Inspection:
         ("modes", f"{count}, of which {report['modes_below_8_kHz']} below 8 kHz"),
         (
             f"below {report['max_frequency_hz'] / 1000:g} kHz",
-            f"{report['count_below_max_frequency']}" + (" (truncated)" if report["truncated"] else ""),
+            ("not counted" if total is None else f"{total}")
+            + (" (truncated)" if report["truncated"] else ""),
         ),
         ("frequencies", span(frequency, "Hz")),
         ("decay times T60", span(decay, "s")),
@@ -51,6 +52,7 @@ def inspect_modal(build: Build) -> Inspection:
         ("rigid modes", f"at most {max(report['rigid_hz'], default=0.0):.3g} Hz (0 in theory)"),
         ("dropped pieces", f"{report['dropped_volume_share']:.4%} of the volume"),
         ("points", f"{len(modes['points']):,}: train {splits[0]:,}, val {splits[1]:,}, test {splits[2]:,}"),
+        *([("solved", "not anew: scaled from an earlier solve")] if report.get("reused") else []),
         ("files", kilobytes(build.modes, build.modal)),
     ]
     pictures = [_modal_picture(build, modes, frequency, decay, report["scale_m"])] if count else []

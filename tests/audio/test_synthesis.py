@@ -1,8 +1,12 @@
+import math
+
 import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import signal
+from scipy.integrate import solve_ivp
 
 from objectfolder.audio.synthesis import audible, gains, sinusoid_bank
 from objectfolder.errors import ObjectFolderError
@@ -10,7 +14,7 @@ from objectfolder.errors import ObjectFolderError
 RATE = 16000
 
 
-def mode(hertz, damping):
+def mode(hertz, damping) -> tuple[torch.Tensor, torch.Tensor]:
     return torch.tensor([2 * np.pi * hertz]), torch.tensor([float(damping)])
 
 
@@ -21,6 +25,16 @@ def test_a_mode_is_its_closed_form(hertz, damping):
     t = np.arange(RATE) / RATE
     exact = np.exp(-c.item() * t) * np.sin(w.item() * t) / w.item()
     np.testing.assert_allclose(sinusoid_bank(w, c, RATE, 1.0)[0], exact, atol=1e-6 / w.item())
+
+
+@pytest.mark.parametrize(("hertz", "damping"), [(440, 3), (7000, 300), (60, 350)])
+@pytest.mark.parametrize(("response", "numerator"), [("displacement", [1]), ("velocity", [1, 0])])
+def test_a_mode_is_the_impulse_response_of_its_transfer_function(hertz, damping, response, numerator):
+    w, c = mode(hertz, damping)
+    system = signal.TransferFunction(numerator, [1, 2 * c.item(), w.item() ** 2 + c.item() ** 2])
+    _, expected = signal.impulse(system, T=np.arange(800) / RATE)
+    answer = sinusoid_bank(w, c, RATE, 0.05, response)[0]
+    np.testing.assert_allclose(answer, expected, atol=2e-6 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("damping", [1.0, 8.0, 40.0])
@@ -45,6 +59,98 @@ def test_an_impulse_starts_with_the_velocity_of_its_momentum():
     w, c = mode(500, 30)
     assert sinusoid_bank(w, c)[0, 0] == 0
     assert sinusoid_bank(w, c, response="velocity")[0, 0] == pytest.approx(1)
+
+
+# Strikes of finite duration
+
+CONTACTS = [
+    # Hz, decay rate, contact time: short, in tune with the mode, long, strongly damped, longer than the sound
+    (440.0, 3.0, 2e-4),
+    (2000.0, 40.0, 1 / 4000),
+    (1000.0, 1e-9, 1 / 2000),
+    (1500.0, 10.0, 4e-3),
+    (700.0, 4000.0, 1e-3),
+    (300.0, 20.0, 0.03),
+]
+RESPONSES = ("displacement", "velocity", "acceleration")
+
+
+def integrated(w, c, contact, times):
+    """Displacement, velocity and acceleration of one mode, by numerical integration in two pieces."""
+
+    def force(t):
+        return np.pi / (2 * contact) * np.sin(np.pi * t / contact) if t < contact else 0.0
+
+    def motion(t, y, push):
+        return [y[1], push(t) - 2 * c * y[1] - (w * w + c * c) * y[0]]
+
+    end = times[-1]
+    state, answers = [0.0, 0.0], []
+    for start, stop, push in ((0.0, min(contact, end), force), (contact, end, lambda t: 0.0)):
+        if start < stop:
+            options = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-16, "dense_output": True}
+            solved = solve_ivp(motion, (start, stop), state, args=(push,), **options)
+            state = solved.y[:, -1]
+            inside = times[(times >= start) & ((times < stop) | (times == end) & (stop == end))]
+            y, v = solved.sol(inside)
+            a = [motion(t, (p, q), push)[1] for t, p, q in zip(inside, y, v)]
+            answers.append(np.stack([y, v, np.array(a)]))
+    return np.concatenate(answers, 1)
+
+
+@pytest.mark.parametrize(("hertz", "damping", "contact"), CONTACTS)
+def test_a_contact_is_the_solution_of_the_equation_of_motion(hertz, damping, contact):
+    rate = 48000
+    w, c = (x.double() for x in mode(hertz, damping))
+    times = np.arange(960) / rate
+    assert (times < contact).sum() > 5
+    exact = integrated(w.item(), c.item(), contact, times)
+    for response, expected in zip(RESPONSES, exact):
+        answer = sinusoid_bank(w, c, rate, 0.02, response, contact)[0]
+        np.testing.assert_allclose(answer, expected, atol=3e-7 * np.abs(expected).max(), err_msg=response)
+
+
+@pytest.mark.parametrize("response", RESPONSES)
+def test_a_contact_in_tune_with_an_undamped_mode_stays_finite(response):
+    w = torch.tensor([2 * np.pi * 1000], dtype=torch.float64)
+    none = torch.zeros(1, dtype=torch.float64)
+    at, near = (sinusoid_bank(w, none, 48000, 0.01, response, t)[0] for t in (5e-4, 5e-4 * (1 + 1e-9)))
+    assert torch.isfinite(at).all()
+    np.testing.assert_allclose(at, near, atol=1e-6 * at.abs().max().item())
+
+
+@pytest.mark.parametrize("response", RESPONSES)
+def test_a_vanishing_contact_is_an_impulse(response):
+    """A symmetric pulse acts like an impulse at half its duration, to second order."""
+    w, c = torch.tensor([2 * np.pi * 300, 2 * np.pi * 5000]), torch.tensor([5.0, 80.0])
+    impulse = sinusoid_bank(w, c, RATE, 0.1, response)
+    for contact in (1e-9, 1e-30, 1e-300):
+        bank = sinusoid_bank(w, c, RATE, 0.1, response, contact)
+        np.testing.assert_allclose(bank[:, 1:], impulse[:, 1:], atol=1e-4 * impulse.abs().max().item())
+        if response != "velocity":  # which jumps at an impulse
+            assert bank[:, 0].abs().max() <= impulse[:, 0].abs().max() + 1e-6
+
+
+def test_the_impulse_keeps_its_meaning():
+    """A slow mode only feels the momentum: its velocity after the contact is one per unit of modal mass."""
+    w, c = torch.tensor([2 * np.pi * 0.01]), torch.tensor([0.0])
+    velocity = sinusoid_bank(w, c, RATE, 0.1, "velocity", 0.05)[0]
+    np.testing.assert_allclose(velocity[800:], 1, atol=1e-4)
+    assert velocity[0] == 0
+    assert velocity[400] == pytest.approx(0.5, abs=1e-4)
+
+
+def test_a_long_contact_is_a_low_pass():
+    """After the contact a mode rings with the force's spectrum, cos(w T / 2) / (1 - (w T / pi)^2)."""
+    contact = 1e-3
+    hertz = torch.tensor([20.0, 200, 1000, 2300, 3700, 7100], dtype=torch.float64)
+    w, c = 2 * np.pi * hertz, torch.zeros(6, dtype=torch.float64)
+    soft = sinusoid_bank(w, c, 48000, 0.5, "displacement", contact)[:, 48:].abs().amax(1) * w
+    x = (w * contact).numpy()
+    expected = np.abs(np.cos(x / 2) / (1 - (x / np.pi) ** 2))
+    np.testing.assert_allclose(soft, expected, atol=0.01)
+    assert (soft[3:] < 0.1).all()
+    assert soft[0] > 0.99
 
 
 def test_modes_at_or_above_nyquist_are_silent_and_never_alias():
@@ -83,8 +189,31 @@ def test_no_modes_and_no_rows():
         (0, 1.0, "velocity", "must be positive"),
         (-RATE, -1.0, "velocity", "must be positive"),
         (RATE, 0.0, "velocity", "must be positive"),
+        (math.nan, 1.0, "velocity", "must be positive"),
+        (math.inf, 1.0, "velocity", "must be positive"),
+        (RATE, math.nan, "velocity", "must be positive"),
+        (RATE, math.inf, "velocity", "must be positive"),
     ],
 )
 def test_nonsense_is_refused(rate, duration, response, message):
     with pytest.raises(ObjectFolderError, match=message):
         sinusoid_bank(*mode(440, 3), rate, duration, response)
+
+
+@pytest.mark.parametrize("contact", [-1e-3, math.nan, math.inf, -math.inf])
+def test_a_contact_time_must_be_a_duration(contact):
+    with pytest.raises(
+        ObjectFolderError, match=f"contact time is {contact} s, expected a finite duration or 0"
+    ):
+        sinusoid_bank(*mode(440, 3), contact_time=contact)
+
+
+def test_a_contact_longer_than_the_sound_is_quasi_static():
+    """Pushed slowly, a mode follows the force: y = f / (w^2 + c^2)."""
+    w, c = mode(500, 200)
+    time, contact = np.arange(160) / RATE, 10.0
+    bank = sinusoid_bank(w, c, RATE, 0.01, contact_time=contact)[0]
+    force = np.pi / (2 * contact) * np.sin(np.pi * time / contact)
+    stiffness = w.item() ** 2 + c.item() ** 2
+    ramp = np.pi**2 / (2 * contact**2) / stiffness  # its slope: the mode rings by it over w
+    np.testing.assert_allclose(bank, force / stiffness, atol=2 * ramp / w.item())

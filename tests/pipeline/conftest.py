@@ -99,11 +99,12 @@ class Workspace:
         return {line.split()[1] for line in output.splitlines() if line.startswith("ran ")}
 
     def artifacts(self) -> dict[str, bytes]:
+        """Contents of all files but logs and what a stage keeps for itself."""
         files = [p for folder in ("build", "metrics") for p in (self.root / folder).rglob("*")]
         return {
             p.relative_to(self.root).as_posix(): p.read_bytes()
             for p in files
-            if p.is_file() and ".logs" not in p.parts
+            if p.is_file() and not any(part.startswith(".") for part in p.relative_to(self.root).parts)
         }
 
 

@@ -13,6 +13,7 @@ import pytest
 import torch
 
 from objectfolder import ObjectFile
+from objectfolder.artifacts import Build, read_json, read_npz
 from objectfolder.mesh.load import load_mesh
 from objectfolder.mesh.ply import read_surface
 from objectfolder.vision.cameras import Intrinsics
@@ -29,6 +30,8 @@ def test_everything_is_built_and_a_second_build_runs_nothing(built):
         metrics = json.loads((built.root / f"metrics/{key}.json").read_text())
         assert metrics["vision"]["psnr"] > metrics["vision"]["baseline_white"]
         assert metrics["audio"]["psnr"] > metrics["audio"]["baseline_silence"]
+        assert metrics["audio"]["frequency_error"] == metrics["audio"]["decay_time_error"] == 0
+        assert (built.root / f"build/{key}/sound.png").stat().st_size > 10_000
         assert metrics["touch"]["psnr"] > metrics["touch"]["baseline_mean_image"]
         assert metrics["awgn"]["sigma_0_05"]["vision"] == pytest.approx(26.02, abs=0.2)
         assert metrics["awgn"]["variance_0_05"]["touch"] == pytest.approx(13.01, abs=0.2)
@@ -78,6 +81,42 @@ def test_changed_material_reruns_the_audio_lane_of_that_object_only(built):
     assert built.build() == set()  # all restored from the run cache
 
 
+def test_a_smaller_object_is_not_solved_again(built):
+    """Its modes are those of the solve, scaled; without the solve's file they are found anew."""
+    build = Build("cube", built.root)
+    before = build.modes.read_bytes()
+    build.solved_modes.unlink()  # may be that of another test's material
+    built.run("-m", "stages.modal", "cube")
+    assert not read_json(build.modal)["reused"]
+    solved = build.solved_modes.read_bytes()
+    assert solved == build.modes.read_bytes() == before
+    with built.edit() as values:
+        values["objects"]["cube"]["scale"] = 0.15
+    try:
+        assert "modal@cube" in built.build("modal@cube")
+        assert read_json(build.modal)["reused"]
+        reused = read_npz(build.modes)
+        assert build.solved_modes.read_bytes() == solved
+        build.solved_modes.unlink()
+        built.run("-m", "stages.modal", "cube")
+        assert not read_json(build.modal)["reused"]
+        fresh = read_npz(build.modes)
+        assert len(fresh["damping"]) > 0
+        for name in ("points", "split", "truncated"):
+            np.testing.assert_array_equal(reused[name], fresh[name])
+        for name in ("eigenvalues", "damping", "damped_frequency", "shapes", "band_hz"):
+            np.testing.assert_allclose(
+                reused[name], fresh[name], rtol=1e-6, atol=1e-6 * np.abs(fresh[name]).max()
+            )
+    finally:
+        with built.edit() as values:
+            values["objects"]["cube"]["scale"] = 0.16
+        build.solved_modes.unlink(missing_ok=True)
+        build.solved_modes.write_bytes(solved)
+    built.build("cube")
+    assert build.modes.read_bytes() == before
+
+
 def test_changed_training_reruns_that_lane_only(built):
     with built.edit() as values:
         values["train_audio"]["steps"] += 50
@@ -104,7 +143,7 @@ def test_generated_mesh_is_the_same_bytes_twice(built):
 
 
 def test_inspect(built, opengl):
-    for stage in ("voxelize", "modal", "pack"):
+    for stage in ("voxelize", "modal", "pack", "evaluate"):
         built.cli("inspect", f"{stage}@cube")
     assert "build" in built.cli("inspect", "modal@nothing", ok=False).stderr
 

@@ -1,5 +1,6 @@
 """Pages of panels, drawn with matplotlib's object interface (no global state, no window)."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ from objectfolder.audio.spectrogram import HOP, SAMPLE_RATE, spectrogram
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
+    from matplotlib.image import AxesImage
 
 DPI = 120
 DYNAMIC_RANGE = 80.0  # dB of a spectrogram that are shown
@@ -50,23 +52,68 @@ def show_image(axes: "Axes", image: np.ndarray, title: str = "") -> None:
     axes.set_axis_off()
 
 
-def show_spectrogram(axes: "Axes", sound: np.ndarray, title: str) -> None:
+def show_spectrogram(
+    axes: "Axes", sound: np.ndarray, title: str = "", peak: float | None = None
+) -> "AxesImage | None":
     """Show the level of a sound over time and frequency, relative to its loudest place.
 
     Parameters
     ----------
     sound : (samples,) array at `objectfolder.audio.spectrogram.SAMPLE_RATE`
-    """
-    import torch
+    title : str
+    peak : float, optional
+        Largest magnitude of the spectrogram to which levels are relative instead; the page then has one
+        colour bar for several panels.
 
-    level = spectrogram(torch.from_numpy(np.asarray(sound, np.float32))[None])[0].abs().numpy()
+    Returns
+    -------
+    AxesImage or None
+        None for a silent sound.
+    """
+    level = magnitudes(sound)
     axes.set(title=title, xlabel="time [s]", ylabel="frequency [kHz]")
-    if not level.any():
+    top = level.max() if peak is None else peak
+    if not (level.any() and top > 0):
         axes.text(0.5, 0.5, "silent", transform=axes.transAxes, ha="center", va="center")
-        return
-    decibels = 20 * np.log10(np.maximum(level / level.max(), 10 ** (-DYNAMIC_RANGE / 20)))
+        return None
+    decibels = 20 * np.log10(np.maximum(level / top, 10 ** (-DYNAMIC_RANGE / 20)))
     extent = (0, (level.shape[1] - 1) * HOP / SAMPLE_RATE, 0, SAMPLE_RATE / 2000)
     image = axes.imshow(
         decibels, origin="lower", aspect="auto", extent=extent, cmap="magma", vmin=-DYNAMIC_RANGE, vmax=0
     )
-    axes.figure.colorbar(image, ax=axes, label="dB below the peak")
+    if peak is None:
+        axes.figure.colorbar(image, ax=axes, label="dB below the peak")
+    return image
+
+
+def magnitudes(sound: np.ndarray) -> np.ndarray:
+    """Magnitudes of the spectrogram of a (samples,) sound; (257, frames)."""
+    import torch
+
+    return spectrogram(torch.from_numpy(np.asarray(sound, np.float32))[None])[0].abs().numpy()
+
+
+def show_answers(figure: "Figure", truth: np.ndarray, answers: np.ndarray, titles: Sequence[str]) -> None:
+    """Fill a page with spectrograms: sounds in columns; ground truth, answer and their difference in rows.
+
+    Levels of a column are relative to the peak of its ground truth.
+
+    Parameters
+    ----------
+    truth, answers : (N, samples) arrays
+    titles : sequence of str
+        One per sound.
+    """
+    panels = figure.subplots(3, len(truth), sharex=True, sharey=True, squeeze=False)
+    shown = None
+    for column, sound, answer, title in zip(panels.T, truth, answers, titles):
+        peak = float(magnitudes(sound).max())
+        for axes, values, name in zip(
+            column, (sound, answer, answer - sound), ("ground truth", "Object File", "difference")
+        ):
+            image = show_spectrogram(axes, values, peak=peak)
+            axes.set_title(f"{title}\n{name}" if axes is column[0] else name, fontsize=9)
+            shown = image or shown
+            axes.label_outer()
+    if shown is not None:
+        figure.colorbar(shown, ax=panels, label="dB below the peak of the ground truth", aspect=40)

@@ -1,0 +1,119 @@
+"""The modes of an object of another material or size, from those that were solved."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.fem.similarity import similarity
+from objectfolder.materials import Material
+
+HEARING_HZ = (20.0, 20000.0)
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Modes that an object has, and what is known of those that it lacks."""
+
+    modes: torch.Tensor  #: (M,) int, rows of the stored modes
+    damped_frequency: torch.Tensor  #: (M,) angular, rad/s
+    damping: torch.Tensor  #: (M,) decay rates, 1/s
+    shape_factor: float = 1.0  #: of the stored mode shapes
+    complete_hz: tuple[float, float] = (0.0, math.inf)  #: no mode in between is lacking
+    #: At another Poisson ratio the true natural frequencies are those given here times a factor in between.
+    frequency_bounds: tuple[float, float] = (1.0, 1.0)
+    notes: tuple[str, ...] = ()  #: what the answer lacks, in words
+
+    @property
+    def frequencies(self) -> torch.Tensor:
+        """Damped frequencies, Hz; (M,)."""
+        return self.damped_frequency / (2 * math.pi)
+
+
+def stored_modes(damped_frequency: torch.Tensor, damping: torch.Tensor) -> Tuning:
+    """Return the modes as they were solved."""
+    return Tuning(torch.arange(len(damping)), damped_frequency, damping)
+
+
+def retune(
+    damped_frequency: torch.Tensor,
+    damping: torch.Tensor,
+    band_hz: tuple[float, float],
+    stored: tuple[Material, float],
+    wanted: tuple[Material, float],
+) -> Tuning:
+    """Modes of an object of another material or size.
+
+    Modes that leave the range of hearing, 20 Hz to 20 kHz, or become overdamped are left out, as in a solve.
+    Of a softer or larger object, modes come into that range that were above the band when it was solved.
+
+    Parameters
+    ----------
+    damped_frequency, damping : (M,) tensors
+        Of the stored modes, rad/s and 1/s.
+    band_hz : tuple of float
+        Natural frequencies between which every mode was stored.
+    stored, wanted : tuple of Material and float
+        Material and longest side in metres.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the size is not a positive number.
+    """
+    (old, _), (new, new_scale) = stored, wanted
+    if not 0 < new_scale < math.inf:
+        raise ObjectFolderError(f"scale is {new_scale!r}, expected the object's longest side in metres")
+    factor, shape_factor = similarity(stored, wanted)
+    w, c = damped_frequency.double(), damping.double()
+    eigenvalues = (w * w + c * c) * factor
+    c = new.damping(eigenvalues)
+    low, high = ((2 * math.pi * hertz) ** 2 for hertz in HEARING_HZ)
+    kept = torch.nonzero((eigenvalues > c * c) & (eigenvalues > low) & (eigenvalues < high))[:, 0]
+    complete = (band_hz[0] * math.sqrt(factor), band_hz[1] * math.sqrt(factor))
+    bounds = _poisson_bounds(old.poisson_ratio, new.poisson_ratio)
+    return Tuning(
+        kept,
+        (eigenvalues - c * c)[kept].sqrt(),
+        c[kept],
+        shape_factor,
+        complete,
+        bounds,
+        tuple(_notes(complete, old, new, bounds)),
+    )
+
+
+def _poisson_bounds(old: float, new: float) -> tuple[float, float]:
+    """Least and largest factor of a natural frequency when only Poisson's ratio changes.
+
+    The elasticity tensor has eigenvalues E / (1 + nu) and E / (1 - 2 nu). The strain energy of any motion
+    changes by a factor between theirs, and so does, by Rayleigh's principle, every eigenvalue.
+    """
+    shear, bulk = (1 + old) / (1 + new), (1 - 2 * old) / (1 - 2 * new)
+    return math.sqrt(min(shear, bulk)), math.sqrt(max(shear, bulk))
+
+
+def _notes(
+    complete: tuple[float, float], old: Material, new: Material, bounds: tuple[float, float]
+) -> Iterator[str]:
+    """Say what an answer lacks."""
+    low, high = HEARING_HZ
+    if old.poisson_ratio != new.poisson_ratio:
+        yield (
+            f"approximate: the modes were solved for {old.name} with Poisson ratio {old.poisson_ratio:g}, "
+            f"{new.name} has {new.poisson_ratio:g}; true frequencies are {bounds[0]:.3f} to {bounds[1]:.3f} "
+            f"times these; build the object with material {new.name} to solve it exactly"
+        )
+    # The solved band ends at 20 kHz or so: rounding is no loss.
+    if complete[1] < high * (1 - 1e-9):
+        yield (
+            f"incomplete: modes from {complete[1]:.0f} to {high:.0f} Hz were above the band that was solved "
+            "and are not stored; build the object with this material and scale to hear them"
+        )
+    if complete[0] > low * (1 + 1e-9):
+        yield (
+            f"incomplete: modes from {low:.0f} to {complete[0]:.0f} Hz were below the band that was solved "
+            "and are not stored; build the object with this material and scale to hear them"
+        )

@@ -1,0 +1,126 @@
+"""Modes of a solid that was solved before, with another stiffness, density, damping or size."""
+
+import dataclasses
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from objectfolder.artifacts import file_digest
+from objectfolder.fem.modal import MIN_FREQUENCY, ModalData
+from objectfolder.fem.similarity import similarity
+from objectfolder.materials import Material
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked of a modal analysis besides the solid."""
+
+    material: Material
+    scale: float  #: longest side, metres
+    max_frequency: float  #: Hz
+    max_modes: int
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> "Request":
+        """Inverse of `dataclasses.asdict`."""
+        return cls(**{**values, "material": Material(**values["material"])})
+
+
+def problem(solid: str, points: np.ndarray, poisson_ratio: float, options: dict[str, Any]) -> str:
+    """Digest of all that modes depend on beyond scaling, the sources of the solver included.
+
+    Parameters
+    ----------
+    solid : str
+        Digest of the solid.
+    points : (P, 3) array
+        Where the shapes are wanted.
+    poisson_ratio : float
+    options : dict
+        Of the elements; JSON.
+    """
+    sources = [file_digest(path) for path in sorted(Path(__file__).parent.glob("*.py"))]
+    place = hashlib.sha256(np.ascontiguousarray(points).tobytes()).hexdigest()
+    fields = [field.name for field in dataclasses.fields(Material)]
+    text = json.dumps([solid, place, poisson_ratio, options, sources, fields], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def solution(problem: str, request: Request, data: ModalData) -> str:
+    """Record of a solve that `rescaled` needs beside the arrays; JSON."""
+    return json.dumps(
+        {"problem": problem, "request": dataclasses.asdict(request), "report": data.report}, sort_keys=True
+    )
+
+
+def rescaled(solved: dict[str, np.ndarray], problem: str, wanted: Request) -> ModalData | None:
+    """Scale the modes of an earlier solve, if they are all that is wanted; exact but for rounding.
+
+    Parameters
+    ----------
+    solved : dict of arrays
+        ``modes.npz`` as it was solved, with its ``solution`` and ``band_hz``.
+    problem : str
+        What would be solved now.
+    wanted : Request
+
+    Returns
+    -------
+    ModalData or None
+        None if it takes a solve: for another solid or solver, if modes are wanted that the earlier solve
+        did not seek or dropped, or if the request is the very same, so that running a stage again gives the
+        same bytes.
+
+    Notes
+    -----
+    Entries of the report whose names end in ``_hz`` scale like frequencies.
+    """
+    record = json.loads(str(solved["solution"]))
+    old = Request.from_dict(record["request"])
+    if record["problem"] != problem or old == wanted:
+        return None
+    low, high = solved["band_hz"]
+    factor, shape_factor = similarity((old.material, old.scale), (wanted.material, wanted.scale))
+    limit = (2 * np.pi * wanted.max_frequency) ** 2
+    eigenvalues = solved["eigenvalues"] * factor
+    below = eigenvalues < limit
+    # The band ends at the frequency that was sought: rounding is no loss.
+    complete = (2 * np.pi * high) ** 2 * factor >= limit * (1 - 1e-9)
+    if low > 0 or not (complete or below.sum() >= wanted.max_modes):
+        return None
+    damping = wanted.material.damping(eigenvalues)
+    rings = (eigenvalues > damping**2) & (eigenvalues > (2 * np.pi * MIN_FREQUENCY) ** 2)
+    kept = np.flatnonzero(below)[: wanted.max_modes]
+    kept = kept[rings[kept]]
+    natural = np.sqrt(eigenvalues[kept]) / (2 * np.pi)
+    count = int(below.sum())
+    report = (
+        {
+            name: (np.array(value) * factor**0.5).tolist() if name.endswith("_hz") else value
+            for name, value in record["report"].items()
+        }
+        | {
+            "material": wanted.material.name,
+            "scale_m": wanted.scale,
+            "mass_kg": record["report"]["mass_kg"] / shape_factor**2,
+            "modes": len(kept),
+            "modes_below_8_kHz": int((natural < 8000).sum()),
+            "count_below_max_frequency": count if complete else None,  # who knows how many more
+            "truncated": count > wanted.max_modes or not complete,
+            "max_frequency_hz": wanted.max_frequency,
+            "lowest_hz": natural[:8].round(2).tolist(),
+            "residual_max": float(solved["residuals"][kept].max(initial=0.0)),
+        }
+    )
+    return ModalData(
+        eigenvalues=eigenvalues[kept],
+        damping=damping[kept],
+        damped_frequency=np.sqrt(eigenvalues[kept] - damping[kept] ** 2),
+        shapes=(solved["shapes"][:, :, kept] * shape_factor).astype(np.float32),
+        residuals=solved["residuals"][kept],
+        report=report,
+    )

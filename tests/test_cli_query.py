@@ -1,0 +1,106 @@
+import re
+
+import numpy as np
+import pytest
+import soundfile
+from brick import SCALE
+from typer.testing import CliRunner
+
+from objectfolder.cli import app
+from objectfolder.errors import ObjectFolderError
+
+
+@pytest.fixture
+def strike(brick, brick_path, tmp_path):
+    """Run `objectfolder query audio` on three points; returns its output and the first sound."""
+    points = brick.sample_surface(3)
+    np.save(tmp_path / "forces.npy", np.eye(3))
+
+    def run(*options, size=1.0):
+        np.save(tmp_path / "points.npy", points * size)
+        arguments = ["query", "audio", brick_path, tmp_path / "points.npy", tmp_path / "out"]
+        arguments += ["--forces", tmp_path / "forces.npy", *options]
+        done = CliRunner().invoke(app, [str(a) for a in arguments])
+        if done.exception:
+            raise done.exception
+        sounds = [soundfile.read(tmp_path / "out" / f"{i}.wav", dtype="float32") for i in (1, 2, 3)]
+        return done.output, sounds
+
+    return run
+
+
+def test_sounds_are_the_objects_at_absolute_amplitude(brick, strike):
+    output, sounds = strike("--sample-rate", 22050, "--duration", 0.25, "--response", "velocity")
+    expected = brick.impact(brick.sample_surface(3), np.eye(3), 22050, 0.25, "velocity")
+    for (sound, rate), row in zip(sounds, expected):
+        assert rate == 22050
+        np.testing.assert_array_equal(sound, row)
+    assert "3 sounds in" in output
+    above = int((brick.frequencies >= 11025).sum())
+    assert ("left out" in output) == (above > 0)
+
+
+def test_modes_above_nyquist_are_counted(brick, strike):
+    rate = int(2 * brick.frequencies[3]) + 2
+    output, _ = strike("--sample-rate", rate, "--duration", 0.1)
+    assert f"12 modes, 8 left out above the Nyquist frequency of {rate / 2:g} Hz" in output
+
+
+def test_material_scale_and_contact_time(brick, strike, caplog):
+    _, sounds = strike("--material", "iron", "--scale", 2 * SCALE, "--contact-time", 0.0005, size=2)
+    expected = brick.impact(
+        brick.sample_surface(3) * 2, np.eye(3), material="iron", scale=2 * SCALE, contact_time=0.0005
+    )
+    np.testing.assert_array_equal([sound for sound, _ in sounds], expected)
+    assert np.abs(expected).max() > 0
+    assert "approximate" in caplog.text
+
+
+def test_a_silent_object_says_so(brick, strike):
+    output, sounds = strike("--sample-rate", int(brick.frequencies[0]), "--duration", 0.1, "--normalize")
+    assert "peak 0: silent; 12 modes, 12 left out" in output
+    assert not any(sound.any() for sound, _ in sounds)
+
+
+@pytest.mark.parametrize("rate", ["0", "-16000", "nan"])
+def test_a_sample_rate_must_be_positive(brick_path, tmp_path, rate):
+    done = CliRunner().invoke(
+        app, ["query", "audio", str(brick_path), "x.npy", str(tmp_path / "out"), "--sample-rate", rate]
+    )
+    assert done.exit_code == 2
+    assert "--sample-rate" in done.output
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "message"),
+    [
+        (0, np.nan, r"points: row 1 is \[nan"),
+        (0, 0.5, "off the surface"),
+        (4, np.nan, r"forces: row 1 is \[0.0, nan"),
+        (5, np.inf, "forces: row 1 is"),
+    ],
+)
+def test_bad_strikes_are_refused_and_nothing_is_written(brick, brick_path, tmp_path, column, value, message):
+    rows = np.concatenate([brick.sample_surface(3), np.zeros((3, 3))], 1)
+    rows[1, column] = value
+    np.save(tmp_path / "strikes.npy", rows)
+    arguments = ["query", "audio", brick_path, tmp_path / "strikes.npy", tmp_path / "out"]
+    done = CliRunner().invoke(app, [str(a) for a in arguments])
+    assert isinstance(done.exception, ObjectFolderError)
+    assert re.search(message, str(done.exception))
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--material", "gold"], "unknown material"),
+        (["--scale", "-1"], "scale is -1.0"),
+        (["--contact-time", "-1"], "contact time is -1.0 s"),
+        (["--duration", "0"], "both must be positive"),
+    ],
+)
+def test_nonsense_is_refused(strike, options, message):
+    with pytest.raises(ObjectFolderError, match=message):
+        strike(*options)
