@@ -7,12 +7,13 @@ import numpy as np
 from objectfolder.artifacts import Build, file_digest, keep, read_npz, write_json, write_npz
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.band import solved_band
-from objectfolder.fem.cutcell import CutCells
+from objectfolder.fem.elements import restored
 from objectfolder.fem.modal import modal_analysis
 from objectfolder.fem.reuse import Request, problem, rescaled, solution
 from objectfolder.materials import material
 from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.sampling import sample_surface, split_rows
+from objectfolder.mesh.thickness import wall_thickness
 from objectfolder.params import stage_params
 from objectfolder.seeding import numpy_generator
 from stages import run
@@ -22,7 +23,7 @@ def main(key: str) -> None:
     params = stage_params("modal", key)
     build, section = Build(key), params.section
     vertices, faces = read_surface(build.surface)
-    cells = CutCells.from_arrays(read_npz(build.solid, "index", "occupancy"))
+    cells = restored(read_npz(build.solid, "kind"))
     rng = numpy_generator(params.seed, key, "modal")
     points = np.concatenate([vertices, sample_surface(vertices, faces, section.surface_points, rng)])
     stuff = material(params.object.material)
@@ -35,7 +36,14 @@ def main(key: str) -> None:
     reused = data is not None
     if data is None:
         data = modal_analysis(
-            cells, points, stuff, request.scale, request.max_frequency, request.max_modes, key
+            cells,
+            points,
+            stuff,
+            request.scale,
+            request.max_frequency,
+            request.max_modes,
+            key,
+            wall_thickness(*read_surface(build.solid_surface)),
         )
     write_npz(
         build.modes,

@@ -1,6 +1,7 @@
-"""voxelize: solid.ply -> solid.npz (cut cells); surface.ply -> sdf.npz (distance grid); voxelize.json."""
+"""voxelize: solid.ply -> solid.npz (elements); surface.ply -> sdf.npz (distance grid); voxelize.json."""
 
 from objectfolder.artifacts import Build, write_json, write_npz
+from objectfolder.fem.elements import stored
 from objectfolder.fem.voxelize import voxelize
 from objectfolder.mesh.ply import read_surface
 from objectfolder.params import stage_params
@@ -12,7 +13,7 @@ def main(key: str) -> None:
     build = Build(key)
     surface, solid = read_surface(build.surface), read_surface(build.solid_surface)
     voxels = voxelize(surface, solid, **dict(section), name=key)
-    write_npz(build.solid, **vars(voxels.cells))
+    write_npz(build.solid, **stored(voxels.cells))
     write_npz(build.sdf, values=voxels.values, band=voxels.band)
     write_json(build.voxelize, voxels.report)
 

@@ -4,6 +4,9 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from objectfolder.fem.cutcell import CutCells
+from objectfolder.fem.hex20 import NODES
+from objectfolder.fem.voxel import lattice_connectivity
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sdf import distance_grid
@@ -52,3 +55,10 @@ def flipped(solid):
 
 def isosurface(solid, resolution=64):
     return Isosurface(DistanceGrid(*distance_grid(*solid, resolution)))
+
+
+def full_cells(index, resolution):
+    """Cells of a grid that are full of material, and joined wherever they touch."""
+    occupancy = np.zeros((len(index), 5, 5, 5), np.float32)
+    occupancy[:, 0, 0, 0] = 8  # the volume of [-1, 1]^3
+    return CutCells(index, occupancy, lattice_connectivity(index, NODES), resolution)

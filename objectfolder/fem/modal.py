@@ -4,15 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from objectfolder.fem.cutcell import (
-    MAX_VOLUME_ERROR,
-    CutCells,
-    assemble,
-    cut_cells,
-    interpolate,
-    node_count,
-)
+from objectfolder.fem.accuracy import discretisation_error, resolved_frequency
+from objectfolder.fem.blocks import merge_full_blocks
+from objectfolder.fem.cutcell import MAX_VOLUME_ERROR, CutCells, cut_cells
 from objectfolder.fem.eigen import solve_modes
+from objectfolder.fem.elasticity import Solid
 from objectfolder.materials import Material
 from objectfolder.mesh.topology import signed_volume
 
@@ -41,6 +37,7 @@ def adaptive_cut_cells(
     resolutions: list[int],
     subdivisions: int,
     max_degrees_of_freedom: int,
+    name: str = "mesh",
 ) -> CutCells:
     """Cut a surface at the first resolution whose model stays under a size.
 
@@ -55,32 +52,36 @@ def adaptive_cut_cells(
     subdivisions : int
         Sub-cells along each side of a cell, at least 4.
     max_degrees_of_freedom : int
+    name : str
+        Named in errors.
     """
     volume = (1 - MAX_VOLUME_ERROR) * signed_volume(vertices, faces)
     for resolution in resolutions:
-        # Each cell has a corner and three edges of its own, 12 unknowns: some are ruled out uncut.
-        if resolution != resolutions[-1] and 12 * volume * (resolution / 1.001) ** 3 > max_degrees_of_freedom:
+        # Each element has a corner and three edges of its own, 12 unknowns: some are ruled out uncut.
+        elements = volume * (resolution / 2.002) ** 3
+        if resolution != resolutions[-1] and 12 * elements > max_degrees_of_freedom:
             continue
-        cells = cut_cells(vertices, faces, resolution, subdivisions)
-        if 3 * node_count(cells) <= max_degrees_of_freedom:
+        cells = merge_full_blocks(cut_cells(vertices, faces, resolution, subdivisions, name))
+        if cells.degrees_of_freedom <= max_degrees_of_freedom:
             break
     return cells
 
 
 def modal_analysis(
-    cells: CutCells,
+    cells: Solid,
     points: np.ndarray,
     material: Material,
     scale: float,
     max_frequency: float,
     max_modes: int,
     name: str = "object",
+    wall: float = np.inf,
 ) -> ModalData:
     """Modes of a solid, evaluated at points.
 
     Parameters
     ----------
-    cells : CutCells
+    cells : Solid
     points : (P, 3) array, unit frame
     material : Material
     scale : float
@@ -90,24 +91,26 @@ def modal_analysis(
     max_modes : int
     name : str
         Named in errors.
+    wall : float
+        Thickness of the solid's walls, unit frame; the highest resolved frequency depends on it.
 
     Notes
     -----
     Rayleigh damping (supplementary Table 1): a mode decays with rate c = (alpha + beta lambda) / 2 and
     rings at sqrt(lambda - c^2). Overdamped modes make no tone and are dropped.
     """
-    fem = assemble(cells, material, scale)
+    fem = cells.assemble(material, scale)
     modes = solve_modes(fem, max_frequency, max_modes, name)
-    damping = (material.alpha + material.beta * modes.eigenvalues) / 2
+    damping = material.damping(modes.eigenvalues)
     rings = (modes.eigenvalues > damping**2) & (modes.eigenvalues > (2 * np.pi * MIN_FREQUENCY) ** 2)
     eigenvalues, damping = modes.eigenvalues[rings], damping[rings]
     nodal = modes.shapes[:, rings].reshape(len(fem.nodes), -1)
-    shapes = interpolate(cells, fem.connectivity, nodal, points).reshape(len(points), 3, -1)
+    shapes = cells.interpolate(nodal, points).reshape(len(points), 3, -1)
     frequencies = np.sqrt(eigenvalues) / (2 * np.pi)
     report = {
-        "element": "hex20 cut cells",
+        "element": cells.name,
         "resolution": cells.resolution,
-        "elements": len(cells.index),
+        "elements": cells.elements,
         "degrees_of_freedom": int(fem.stiffness.shape[0]),
         "material": material.name,
         "scale_m": scale,
@@ -122,6 +125,10 @@ def modal_analysis(
         "lowest_hz": frequencies[:8].round(2).tolist(),
         "rigid_hz": modes.rigid_frequencies.round(4).tolist(),
         "residual_max": float(modes.residuals.max(initial=0.0)),
+        "residuals_below_1e-8": bool(modes.residuals.max(initial=0.0) < 1e-8),
+        "rigid_below_0.1_hz": bool(modes.rigid_frequencies.max() < 0.1),
+        "discretisation_error": discretisation_error(cells, material, scale, modes.eigenvalues, name),
+        "highest_resolved_hz": resolved_frequency(cells, material, scale, wall),
     }
     return ModalData(
         eigenvalues=eigenvalues,

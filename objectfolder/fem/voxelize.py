@@ -1,11 +1,11 @@
-"""From a closed surface to what the modalities share: cut cells for the FEM, a distance grid for the rest."""
+"""From a closed surface to what the modalities share: elements for the FEM, a distance grid for the rest."""
 
 from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from objectfolder.fem.cutcell import CutCells, node_count
-from objectfolder.fem.modal import adaptive_cut_cells
+from objectfolder.fem.elasticity import Solid
+from objectfolder.fem.elements import Element, discretize
 from objectfolder.mesh.scanline import check_winding
 from objectfolder.mesh.sdf import check_resolved, distance_grid
 from objectfolder.mesh.topology import Mesh, signed_volume
@@ -15,7 +15,7 @@ from objectfolder.mesh.topology import Mesh, signed_volume
 class Voxels:
     """Both grids of one object, unit frame."""
 
-    cells: CutCells
+    cells: Solid
     values: np.ndarray  #: (R, R, R) int8; see `objectfolder.mesh.grid.DistanceGrid`
     band: float
     report: dict  #: what ``voxelize.json`` holds
@@ -28,9 +28,11 @@ def voxelize(
     subdivisions: int,
     max_degrees_of_freedom: int,
     sdf_resolution: int,
+    element: Element = "cut_cell_hex20",
+    thin_resolution: int = 48,
     name: str = "mesh",
 ) -> Voxels:
-    """Cut a solid into cells and sample the distance to a surface, after certifying that both bound solids.
+    """Divide a solid into elements and sample the distance to a surface; both are certified first.
 
     Parameters
     ----------
@@ -44,6 +46,10 @@ def voxelize(
         The first resolution under this size is taken, or the last.
     sdf_resolution : int
         Samples of the distance grid along each axis.
+    element : str
+        What the solid is divided into; see `objectfolder.fem.elements`.
+    thin_resolution : int
+        Cells along the longest side where walls are thin.
     name : str
         Named in errors.
 
@@ -53,7 +59,9 @@ def voxelize(
         If a surface is open, crosses itself, or is too thin for its grid.
     """
     certificates = [check_winding(*mesh, name) for mesh in (solid, surface)]
-    cells = adaptive_cut_cells(*solid, resolutions, subdivisions, max_degrees_of_freedom)
+    cells = discretize(
+        *solid, element, resolutions, thin_resolution, subdivisions, max_degrees_of_freedom, name
+    )
     values, band = distance_grid(*surface, sdf_resolution)
     kept = check_resolved(values, *surface, name)
     report = {
@@ -62,9 +70,10 @@ def voxelize(
             "volume": signed_volume(*solid),  # unit frame
             "volume_error": cells.volume_error,  # before mass and stiffness are corrected for it
             "dropped_volume_share": cells.dropped_volume,
+            "element": cells.name,
             "resolution": cells.resolution,
-            "cells": len(cells.index),
-            "degrees_of_freedom": 3 * node_count(cells),
+            "cells": cells.elements,
+            "degrees_of_freedom": cells.degrees_of_freedom,
         },
         "distance_grid": {
             "winding": asdict(certificates[1]),

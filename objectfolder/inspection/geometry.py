@@ -8,7 +8,9 @@ import igl
 import numpy as np
 
 from objectfolder.artifacts import Build, atomic, read_json, read_npz
-from objectfolder.fem.cutcell import CutCells, node_count
+from objectfolder.errors import ObjectFolderError
+from objectfolder.fem.cutcell import CutCells
+from objectfolder.fem.elements import restored
 from objectfolder.figure import page, rows, save, show_image
 from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
 from objectfolder.inspection.scene import CLAY, VIEW_FROM, add_textured, draw, hexahedra, triangles
@@ -95,7 +97,7 @@ def inspect_voxelize(build: Build) -> Inspection:
             f"{len(cells.index):,} of {cells.resolution}^3, {cells.cell_size * scale * 1000:.3f} mm wide",
         ),
         ("occupancy", f"{' x '.join(map(str, cells.occupancy.shape[1:]))} Legendre moments per cell"),
-        ("degrees of freedom", f"{3 * node_count(cells):,}"),
+        ("degrees of freedom", f"{cells.degrees_of_freedom:,}"),
         ("full cells", f"{np.count_nonzero(fill >= FULL):,}"),
         ("cut cells", f"{np.count_nonzero(fill < FULL):,}, fill {span(fill[fill < FULL])}"),
         *(
@@ -124,7 +126,7 @@ def inspect_voxelize(build: Build) -> Inspection:
 def export_vtu(build: Build) -> Path:
     """Write the solid as hexahedra in the object frame (metres), with ``fill`` per cell, for ParaView."""
     cells, scale = _solid(build)
-    grid = hexahedra(cells.index, cells.lower * scale, cells.cell_size * scale)
+    grid = hexahedra(cells.index, cells.lower * scale, cells.cell_size * scale, cells.width)
     grid.cell_data["fill"] = cells.fill
     path = build.dir / "inspect" / "solid.vtu"
     with atomic(path) as temporary:
@@ -135,8 +137,13 @@ def export_vtu(build: Build) -> Path:
 def _solid(build: Build) -> tuple[CutCells, float]:
     """Cut cells, and the scale in metres."""
     require(build, "voxelize", build.solid, build.surface, build.normalize)
-    arrays = read_npz(build.solid, "index", "occupancy", "resolution", "dropped_volume", "volume_error")
-    return CutCells.from_arrays(arrays), read_json(build.normalize)["scale_m"]
+    cells = restored(read_npz(build.solid, "kind"))
+    if not isinstance(cells, CutCells):
+        raise ObjectFolderError(
+            f"{build.key}: solid.npz holds {cells.name}, and only cut cells can be inspected: set "
+            "voxelize.element to cut_cell_hex20"
+        )
+    return cells, read_json(build.normalize)["scale_m"]
 
 
 def _voxelize_picture(build: Build, cells: CutCells, grid: DistanceGrid, scale: float) -> Path:
@@ -148,7 +155,7 @@ def _voxelize_picture(build: Build, cells: CutCells, grid: DistanceGrid, scale: 
         (left, slice(None), VIEW_FROM, "solid.npz: cells by fill"),
         (centre, cells.index[:, 1] >= middle, CUT_FROM, "the half behind y = 0"),
     ):
-        part = hexahedra(cells.index[keep], cells.lower, cells.cell_size)
+        part = hexahedra(cells.index[keep], cells.lower, cells.cell_size, cells.width[keep])
         part.cell_data["fill"] = cells.fill[keep]
         image = draw(partial(_add_cells, part), view_from)
         show_image(axes, image, name)

@@ -87,7 +87,9 @@ def add_textured(plotter: "pyvista.Plotter", mesh: TexturedMesh) -> None:
         plotter.add_mesh(poly, color=CLAY)
 
 
-def hexahedra(index: np.ndarray, lower: np.ndarray, size: float) -> "pyvista.UnstructuredGrid":
+def hexahedra(
+    index: np.ndarray, lower: np.ndarray, size: float, width: np.ndarray
+) -> "pyvista.UnstructuredGrid":
     """Cubic cells that share their corners.
 
     Parameters
@@ -98,6 +100,8 @@ def hexahedra(index: np.ndarray, lower: np.ndarray, size: float) -> "pyvista.Uns
         Lower corner of the grid.
     size : float
         Side of a cell.
+    width : (E,) int array
+        Cells along the sides of each.
     """
     import pyvista
 
@@ -105,7 +109,9 @@ def hexahedra(index: np.ndarray, lower: np.ndarray, size: float) -> "pyvista.Uns
     corner = np.array(
         [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]]
     )
-    nodes, cells = np.unique((index[:, None] + corner).reshape(-1, 3), axis=0, return_inverse=True)
+    nodes, cells = np.unique(
+        (index[:, None] + width[:, None, None] * corner).reshape(-1, 3), axis=0, return_inverse=True
+    )
     return pyvista.UnstructuredGrid({pyvista.CellType.HEXAHEDRON: cells.reshape(-1, 8)}, nodes * size + lower)
 
 

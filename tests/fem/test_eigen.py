@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 import scipy.linalg
 from scipy.optimize import brentq
-from solids import box, sphere
+from solids import box, full_cells, sphere
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.cutcell import CutCells, assemble, cut_cells
+from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.eigen import Factorisation, canonical, rigid_motions, solve_modes
 from objectfolder.materials import Material
 
@@ -15,13 +15,7 @@ THICK = 0.1
 
 
 def beam(resolution, material=STUFF, subdivisions=8):
-    return assemble(cut_cells(*box((1, THICK, THICK)), resolution, subdivisions), material, 1.0)
-
-
-def full_cells(index, resolution):
-    occupancy = np.zeros((len(index), 5, 5, 5), np.float32)
-    occupancy[:, 0, 0, 0] = 8  # the volume of [-1, 1]^3
-    return CutCells(index, occupancy, resolution, 0.0)
+    return cut_cells(*box((1, THICK, THICK)), resolution, subdivisions).assemble(material, 1.0)
 
 
 def hertz(modes):
@@ -103,7 +97,7 @@ def test_breathing_mode_of_a_sphere():
     ratio = (1 - nu) / (1 - 2 * nu) / 2  # (c_l / 2 c_t)^2
     x = brentq(lambda x: np.sin(x) * (1 - ratio * x * x) - x * np.cos(x), 2, 3)
     exact = x * longitudinal / (2 * np.pi * radius)
-    fem = assemble(cut_cells(*sphere(0.5, 4), 6, 4), STUFF, 1.0)
+    fem = cut_cells(*sphere(0.5, 4), 6, 4).assemble(STUFF, 1.0)
     modes = solve_modes(fem, 1.05 * exact, 80)
     radial = (fem.nodes / np.maximum(np.linalg.norm(fem.nodes, axis=1, keepdims=True), 1e-9)).ravel()
     radial *= np.repeat(np.linalg.norm(fem.nodes, axis=1), 3)
@@ -115,7 +109,7 @@ def test_breathing_mode_of_a_sphere():
 
 @pytest.fixture(scope="module")
 def plate():
-    fem = assemble(cut_cells(*box((1, 0.62, 0.2)), 6, 4), STUFF, 1.0)
+    fem = cut_cells(*box((1, 0.62, 0.2)), 6, 4).assemble(STUFF, 1.0)
     return fem, solve_modes(fem, 1500, 100)
 
 
@@ -182,7 +176,7 @@ def test_factorisation_solves(plate, rng):
 def square_bar():
     """A grid-aligned bar of square section: its bending modes are exactly repeated."""
     grid = np.array([[i, 2, 2] for i in range(5)])
-    fem = assemble(full_cells(grid, 5), STUFF, 1.0)
+    fem = full_cells(grid, 5).assemble(STUFF, 1.0)
     return fem, solve_modes(fem, 1500, 20)
 
 
@@ -217,7 +211,7 @@ def test_frequency_scales_as_one_over_size_and_with_the_speed_of_sound():
     lowest = {}
     for scale, modulus in ((1.0, 1e9), (0.1, 1e9), (1.0, 4e9)):
         material = Material("m", 1000.0, modulus, 0.3, 0, 0)
-        lowest[scale, modulus] = hertz(solve_modes(assemble(cells, material, scale), 1000 / scale, 5))[0]
+        lowest[scale, modulus] = hertz(solve_modes(cells.assemble(material, scale), 1000 / scale, 5))[0]
     reference = lowest[1.0, 1e9]
     assert lowest[0.1, 1e9] == pytest.approx(10 * reference, rel=1e-6)
     assert lowest[1.0, 4e9] == pytest.approx(2 * reference, rel=1e-6)
@@ -226,4 +220,4 @@ def test_frequency_scales_as_one_over_size_and_with_the_speed_of_sound():
 def test_a_solid_in_two_pieces_is_refused_by_name():
     cells = full_cells(np.array([[0, 0, 0], [3, 3, 3]]), 4)
     with pytest.raises(ObjectFolderError, match=r"^lamp: .*rigid modes.*expected 6"):
-        solve_modes(assemble(cells, STUFF, 1.0), 1e4, 10, "lamp")
+        solve_modes(cells.assemble(STUFF, 1.0), 1e4, 10, "lamp")

@@ -1,0 +1,276 @@
+"""Material in the cells of a grid, from columns along z whose crossings with the surface are exact.
+
+The columns are a quadrature rule for the Legendre moments of the occupancy, and their overlaps tell which
+material is connected: a cell may hold several parts, such as two walls with a narrow gap between them.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.polynomial import legendre
+from scipy.sparse.csgraph import connected_components
+
+from objectfolder.mesh.scanline import crossings
+
+DEGREE = 5  # Legendre polynomials per axis; products of two shape functions have degree 4
+MARGIN = 1e-4  # the grid is this much larger than the object
+_ORDERS = 300  # of the columns' shifts that are tried
+_CHUNK = 1 << 17  # crossings whose moments are held at once
+
+
+@dataclass(frozen=True)
+class Occupancy:
+    """A solid as parts: pieces of material, each inside one cell of the grid."""
+
+    cell: np.ndarray  #: (P, 3) int64, position in the grid
+    moments: np.ndarray  #: (P, 5, 5, 5), Legendre moments in x, y, z over [-1, 1]^3
+    links: np.ndarray  #: (L, 2) parts of touching cells between which material is continuous, each pair once
+    samples: np.ndarray  #: (S, 3) places, in cells, all over the material of cells that hold several parts
+    sample_part: np.ndarray  #: (S,)
+
+    @property
+    def fill(self) -> np.ndarray:
+        """(P,) fraction of the cell that each part fills."""
+        return self.moments[:, 0, 0, 0] / 8
+
+
+def measure(vertices: np.ndarray, faces: np.ndarray, resolution: int, subdivisions: int) -> Occupancy:
+    """Measure the material of a closed surface in the cells of a grid.
+
+    Material is continuous from a column to the next (diagonals included) where their intervals inside the
+    solid overlap, and along a column. Gaps below one column's width (half a sub-cell) are not seen.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array, unit frame
+    faces : (F, 3) int array
+    resolution : int
+        Cells along the longest side.
+    subdivisions : int
+        Sub-cells along each side of a cell, at least 4; four columns go through each.
+    """
+    across = 2 * subdivisions  # columns along each side of a cell
+    count, side = resolution * across, 1 + MARGIN
+    place, _ = _columns(across)
+    shift = np.tile(across * place[0] - 0.5, resolution)
+    origin = -side / 2 + np.array([0.5, 0.5, 0]) * side / count
+    found = crossings(vertices, faces, count, origin, side / count, np.stack([shift, shift]))
+    whole = _column_moments(found, resolution, across)
+    intervals = _Intervals.between(found, resolution, across).outer()
+    first, second = intervals.touching()
+    same = intervals.cell[first] == intervals.cell[second]
+    first, second, inner = first[~same], second[~same], (first[same], second[same])
+    parts, part = components(*inner, len(intervals.cell))
+    specks = intervals.join_specks(part, part[first], part[second])
+    parts, merged = components(*specks, parts)
+    part = merged[part]
+    cell = np.zeros(parts, np.int64)
+    cell[part] = intervals.cell
+    ends = part[first], part[second]
+    links = np.stack(np.divmod(np.unique(np.minimum(*ends) * parts + np.maximum(*ends)), parts), 1)
+    several = np.bincount(cell, minlength=resolution**3)[cell] > 1
+    moments = whole.reshape(-1, *(DEGREE,) * 3)[cell]
+    inside = intervals.select(several[part])
+    moments[several] = inside.moments(part[several[part]], parts)[several]
+    samples, owner = inside.samples()
+    return Occupancy(
+        cell=np.stack(np.unravel_index(cell, (resolution,) * 3), 1),
+        moments=moments,
+        links=links,
+        samples=samples,
+        sample_part=part[several[part]][owner],
+    )
+
+
+def components(first: np.ndarray, second: np.ndarray, count: int) -> tuple[int, np.ndarray]:
+    """Connected components of a graph of pairs; their number, and whose each vertex is (count,)."""
+    graph = sp.coo_array((np.ones(len(first), bool), (first, second)), shape=(count, count))
+    return connected_components(graph, directed=False)
+
+
+@dataclass(frozen=True)
+class _Intervals:
+    """Parts of the columns inside the solid, cut where they pass from cell to cell; sorted along them."""
+
+    column: np.ndarray  #: (I,) int64
+    lower: np.ndarray  #: (I,) z in cells
+    upper: np.ndarray  #: (I,)
+    resolution: int
+    across: int
+
+    @classmethod
+    def between(cls, found: tuple[np.ndarray, ...], resolution: int, across: int) -> "_Intervals":
+        """Return the intervals with winding number > 0 between crossings."""
+        column, height, sign = found
+        order = np.lexsort((-sign, height, column))  # touching intervals are one
+        column, height, winding = column[order], height[order] / across, np.cumsum(sign[order])
+        before = winding - sign[order]
+        lower, upper = height[(winding > 0) & (before <= 0)], height[(winding <= 0) & (before > 0)]
+        column = column[(winding > 0) & (before <= 0)]
+        lower, upper = lower.clip(0, resolution), upper.clip(0, resolution)
+        bottom = np.minimum(lower.astype(np.int64), resolution - 1)
+        pieces = np.maximum(np.ceil(upper).astype(np.int64) - bottom, 1)
+        run = np.repeat(np.arange(len(column)), pieces)
+        k = bottom[run] + np.arange(len(run)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+        return cls(column[run], np.maximum(lower[run], k), np.minimum(upper[run], k + 1), resolution, across)
+
+    def select(self, keep: np.ndarray) -> "_Intervals":
+        """Return some of the intervals."""
+        return replace(self, column=self.column[keep], lower=self.lower[keep], upper=self.upper[keep])
+
+    def outer(self) -> "_Intervals":
+        """Leave out the inner columns of full cells: they tell nothing."""
+        _, _, _, a, b = self.indices
+        cell, length = self.cell, self.upper - self.lower
+        full = np.bincount(cell, weights=length, minlength=self.resolution**3) > self.across**2 - 1e-6
+        inner = (np.minimum(a, b) > 0) & (np.maximum(a, b) < self.across - 1)
+        return self.select(~(full[cell] & inner))
+
+    @property
+    def indices(self) -> tuple[np.ndarray, ...]:
+        """Cells i, j, k of the intervals and columns a, b inside them; (I,) each."""
+        column = np.divmod(self.column, self.resolution * self.across)
+        (i, a), (j, b) = (np.divmod(part, self.across) for part in column)
+        k = np.minimum(((self.lower + self.upper) / 2).astype(np.int64), self.resolution - 1)
+        return i, j, k, a, b
+
+    @property
+    def cell(self) -> np.ndarray:
+        """(I,) flat index of the cell of each interval."""
+        i, j, k, _, _ = self.indices
+        return (i * self.resolution + j) * self.resolution + k
+
+    def touching(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pairs of intervals that overlap, in the same column and in neighbouring ones."""
+        count, gap = self.resolution * self.across, 1 / self.across
+        high = 2.0 * self.resolution  # z of one column never reaches that of the next
+        starts, ends = self.column * high + self.lower, self.column * high + self.upper
+        i, j = np.divmod(self.column, count)
+        pairs = [(np.arange(len(i)), np.arange(len(i)))]
+        for di, dj in ((0, 0), (0, 1), (1, -1), (1, 0), (1, 1)):
+            own = np.flatnonzero((i + di < count) & (j + dj >= 0) & (j + dj < count))
+            base = (self.column[own] + di * count + dj) * high
+            first = np.searchsorted(ends, base + self.lower[own] - gap)
+            number = np.searchsorted(starts, base + self.upper[own] + gap, "right") - first
+            step = np.arange(number.sum()) - np.repeat(np.cumsum(number) - number, number)
+            pairs.append((np.repeat(own, number), np.repeat(first, number) + step))
+        return np.concatenate([p for p, _ in pairs]), np.concatenate([q for _, q in pairs])
+
+    def join_specks(
+        self, part: np.ndarray, first: np.ndarray, second: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Pairs of parts of one cell that are one: only some columns meet a layer thinner than their gaps.
+
+        Such a speck goes with the largest part of its cell that is linked to the same part of another cell.
+        """
+        fill = np.bincount(part, weights=(self.upper - self.lower) / self.across**2)
+        cell = np.zeros(len(fill), np.int64)
+        cell[part] = self.cell
+        own, other = np.concatenate([first, second]), np.concatenate([second, first])
+        order = np.lexsort((-fill[own], other, cell[own]))
+        own, other = own[order], other[order]
+        leads = np.concatenate([[True], (np.diff(cell[own]) != 0) | (np.diff(other) != 0)])[: len(own)]
+        leader = own[np.maximum.accumulate(np.where(leads, np.arange(len(own)), 0))]
+        speck = fill[own] < 1 / self.across
+        return own[speck], leader[speck]
+
+    def moments(self, group: np.ndarray, groups: int) -> np.ndarray:
+        """Sum the Legendre moments of the intervals by group; (groups, 5, 5, 5)."""
+        place, weight = _columns(self.across)
+        _, _, k, a, b = self.indices
+        flat = _products(_legendre(place[a, b]) * weight[a, b][:, None], _legendre(place[b, a]))
+        rise = _legendre_above(self.lower - k) - _legendre_above(self.upper - k)
+        total = np.stack([_sum_rows(flat, part, group, groups) for part in rise.T], -1)
+        return total.reshape(groups, *(DEGREE,) * 3)
+
+    def samples(self) -> tuple[np.ndarray, np.ndarray]:
+        """Places along the intervals, a column's width apart, in cells (S, 3), and whose they are (S,)."""
+        place, _ = _columns(self.across)
+        i, j, _, a, b = self.indices
+        steps = np.ceil((self.upper - self.lower) * self.across).astype(np.int64) + 1
+        owner = np.repeat(np.arange(len(steps)), steps)
+        share = (np.arange(len(owner)) - np.repeat(np.cumsum(steps) - steps, steps)) / np.maximum(
+            steps - 1, 1
+        )[owner]
+        z = self.lower[owner] + share * (self.upper - self.lower)[owner]
+        return np.stack([(i + place[a, b])[owner], (j + place[b, a])[owner], z], 1), owner
+
+
+def _column_moments(found: tuple[np.ndarray, ...], resolution: int, across: int) -> np.ndarray:
+    """Legendre moments of the occupancy of every cell of the grid; (R^3, 125)."""
+    place, weight = _columns(across)
+    inner = np.zeros((DEGREE, resolution**3, DEGREE**2))  # by degree in z: of cells that the surface crosses
+    above = np.zeros((resolution**2 * (resolution + 1), DEGREE**2))  # of the whole cells over a crossing
+    for start in range(0, len(found[0]), _CHUNK):
+        column, height, sign = (part[start : start + _CHUNK] for part in found)
+        (i, a), (j, b) = (np.divmod(part, across) for part in np.divmod(column, resolution * across))
+        z = np.clip(height / across, 0, resolution - 1e-9)
+        k = z.astype(np.int64)
+        flat = _products(_legendre(place[a, b]) * (weight[a, b] * sign)[:, None], _legendre(place[b, a]))
+        pillar = i * resolution + j
+        for moment, rise in zip(inner, _legendre_above(z - k).T):
+            moment += _sum_rows(flat, rise, pillar * resolution + k, len(moment))
+        above += _sum_rows(flat, np.full(len(k), 2.0), pillar * (resolution + 1) + k + 1, len(above))
+    above = np.cumsum(above.reshape(resolution**2, resolution + 1, -1), axis=1)[:, :resolution]
+    inner[0] += above.reshape(inner[0].shape)
+    return np.moveaxis(inner, 0, -1).reshape(resolution**3, DEGREE**3)
+
+
+@cache
+def _columns(across: int) -> tuple[np.ndarray, np.ndarray]:
+    """Places of a cell's columns and their weights, a quadrature rule over [-1, 1]^2.
+
+    Each row is shifted by its own share of a column, so that all places along an axis differ: an aligned
+    lattice would quantise the thickness of walls that are parallel to it (a table top by several per
+    cent). The weights are the nearest to equal ones that integrate a full cell's polynomials exactly; of
+    some point-symmetric orders of the shifts, the one with the most equal weights is taken.
+
+    Parameters
+    ----------
+    across : int, even
+        Columns along each side of a cell.
+
+    Returns
+    -------
+    place : (across, across) array
+        Column (a, b) stands at x = place[a, b], y = place[b, a] of the unit cell.
+    weight : (across, across) array, positive
+    """
+    rng, half = np.random.default_rng(0), across // 2
+    equal, rules = 4 / across**2, []
+    for _ in range(_ORDERS):
+        order = rng.permutation(half)
+        order = np.where(rng.random(half) < 0.5, order, across - 1 - order)
+        order = np.concatenate([order, across - 1 - order[::-1]])
+        place = (np.arange(across)[:, None] + (order + 0.5) / across) / across
+        basis = _products(_legendre(place.ravel()), _legendre(place.T.ravel()))
+        missing = np.eye(1, DEGREE**2)[0] * 4 - equal * basis.sum(0)
+        gram = basis.T @ basis
+        if np.linalg.cond(gram) < 1e6:
+            shift = basis @ np.linalg.solve(gram, missing)
+            rules.append((float(np.abs(shift).max()), place, equal + shift.reshape(across, across)))
+    return min(rules, key=lambda rule: rule[0])[1:]
+
+
+def _legendre(place: np.ndarray) -> np.ndarray:
+    """Legendre polynomials of the unit interval; (Q,) -> (Q, 5)."""
+    return legendre.legvander(2 * place - 1, DEGREE - 1)
+
+
+def _legendre_above(place: np.ndarray) -> np.ndarray:
+    """Twice their integrals from places to the interval's upper end; (Q,) -> (Q, 5)."""
+    p = legendre.legvander(2 * place - 1, DEGREE)
+    below = (p[:, 2:] - p[:, :-2]) / (2 * np.arange(1, DEGREE) + 1)  # zero at both ends
+    return np.concatenate([1 - p[:, 1:2], -below], 1)
+
+
+def _products(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """All products of two sets of values; (Q, A), (Q, B) -> (Q, A B)."""
+    return (left[:, :, None] * right[:, None, :]).reshape(len(left), left.shape[1] * right.shape[1])
+
+
+def _sum_rows(rows: np.ndarray, factor: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
+    """Sum rows times factors by group; (Q, M), (Q,), (Q,) -> (count, M)."""
+    return sp.csr_array((factor, (group, np.arange(len(rows)))), shape=(count, len(rows))) @ rows

@@ -1,0 +1,30 @@
+"""How thick the walls of a solid are."""
+
+import numpy as np
+
+from objectfolder.mesh.raycast import RayCaster
+
+THIN_SHARE = 0.1  # of the surface; no part that is smaller makes a solid thin-walled
+_RAYS = 4096
+_OFFSET = 1e-5  # where rays start below the surface
+
+
+def wall_thickness(vertices: np.ndarray, faces: np.ndarray) -> float:
+    """Thickness that a tenth of the surface falls below, straight inward; in the mesh's units.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array
+    faces : (F, 3) int array
+        Closed, outward.
+    """
+    caster, rng = RayCaster(vertices, faces), np.random.default_rng(0)
+    corner = np.asarray(vertices, np.float64)[faces]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    area = np.linalg.norm(normal, axis=1)
+    face = rng.choice(len(faces), _RAYS, p=area / area.sum())
+    share = rng.dirichlet(np.ones(3), _RAYS)
+    inward = -normal[face] / area[face, None]
+    points = np.einsum("pi,pid->pd", share, corner[face])
+    distance, _ = caster.first_hit(points + _OFFSET * inward, inward)
+    return float(np.quantile(distance, THIN_SHARE))

@@ -1,0 +1,95 @@
+"""Frequencies against analytic truths; the same figures as `perf/modal_accuracy.py` prints."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from solids import box
+
+from objectfolder.fem.accuracy import discretisation_error, resolved_frequency
+from objectfolder.fem.blocks import halved
+from objectfolder.fem.cutcell import cut_cells
+from objectfolder.fem.eigen import solve_modes
+from objectfolder.materials import Material
+from perf import modal_accuracy as perf
+
+BAR = Material("bar", 1000.0, 1e9, 0.0, 0.0, 0.0)
+OBJECTS = Path(__file__).parents[3] / "shared" / "objects"
+
+
+def test_free_plate_thinner_than_a_cell():
+    assert perf.plate().value <= 0.01
+    assert perf.plate("converged", perf.KIRCHHOFF).value <= 0.01
+
+
+@pytest.mark.parametrize("wall", [0.5, 1, 2])
+def test_free_cylinder_with_a_wall_of_few_cells(wall):
+    assert perf.cylinder(wall).value <= 0.01
+
+
+def test_the_cylinders_truth_is_the_ring_where_it_is_thin():
+    """Inextensional bending of a thin ring (Hoppe)."""
+    thick, radius = 0.004, 0.5
+    for n in (2, 3):
+        exact = n * (n * n - 1) / np.sqrt(n * n + 1) * thick / (np.sqrt(12) * radius**2)
+        found = perf.pipe_modes(radius + thick / 2, radius - thick / 2, thick, n, 6)
+        assert np.abs(found / (exact * perf.WAVE / (2 * np.pi)) - 1).min() < 2e-3
+
+
+def test_slender_free_beam():
+    assert perf.beam().value <= 0.01
+
+
+def test_volume_of_thin_aligned_boards():
+    # At half a cell, one of 256 places on either side.
+    assert perf.aligned_volume().value <= 0.008
+
+
+def test_the_estimate_is_above_the_error_where_the_solid_is_smooth():
+    solid = box((1, 0.3, 0.05), (0, 0.01, 0.013))
+    grids = [cut_cells(*solid, r, 8) for r in (8, 24)]
+    coarse, exact = (solve_modes(c.assemble(BAR, 1.0), 700, 4).eigenvalues for c in grids)
+    error = np.sqrt(coarse / exact) - 1
+    estimate = np.array(discretisation_error(grids[0], BAR, 1.0, coarse))
+    assert (estimate > error).all()
+    assert estimate.max() < 20 * error.max()
+
+
+def test_no_estimate_where_there_is_no_coarser_grid_or_no_mode():
+    odd = cut_cells(*box((1, 0.5, 0.5)), 5, 4)
+    assert halved(odd) is None
+    assert discretisation_error(odd, BAR, 1.0, np.array([1e6])) is None
+    assert discretisation_error(cut_cells(*box((1, 0.5, 0.5)), 4, 4), BAR, 1.0, np.empty(0)) is None
+
+
+def test_the_resolved_frequency_is_that_of_waves_three_elements_long():
+    cells = cut_cells(*box((1, 1, 0.5)), 8, 4)
+    length = 3 * 0.2 / 8
+    stuff = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
+    assert resolved_frequency(cells, stuff, 0.2, np.inf) == pytest.approx(np.sqrt(1e9 / 2.6 / 1000) / length)
+    wall = 0.004
+    rigidity = 1e9 * (wall * 0.2) ** 3 / (12 * (1 - 0.3**2))
+    bending = (2 * np.pi / length) ** 2 * np.sqrt(rigidity / (1000 * wall * 0.2)) / (2 * np.pi)
+    assert resolved_frequency(cells, stuff, 0.2, wall) == pytest.approx(bending)
+
+
+@pytest.mark.slow
+def test_shapes_are_the_same_with_one_thread_and_two():
+    assert perf.threads().value < 1e-8
+
+
+@pytest.mark.slow
+def test_mug_with_a_wall_of_four_millimetres_agrees_with_tetrahedra():
+    pytest.importorskip("pytetwild")
+    assert perf.mug().value <= 0.015
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("key", ["gso_salad_plate", "gso_school_bell"])
+def test_real_objects_agree_with_a_refined_grid(key):
+    path = OBJECTS / key / "mesh.obj"
+    if not path.is_file():
+        pytest.skip(f"{path} is not there")
+    rows = {row.name.split(": ")[1]: row for row in perf.real(path)}
+    del rows["CPU s"]
+    assert all(row.value <= row.target for row in rows.values()), rows
