@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from objectfolder.artifacts import file_digest
-from objectfolder.fem.modal import MIN_FREQUENCY, ModalData
+from objectfolder.fem.modal import MIN_FREQUENCY, ModalData, checks
 from objectfolder.fem.similarity import similarity
 from objectfolder.materials import Material
 
@@ -122,5 +122,5 @@ def rescaled(solved: dict[str, np.ndarray], problem: str, wanted: Request) -> Mo
         damped_frequency=np.sqrt(eigenvalues[kept] - damping[kept] ** 2),
         shapes=(solved["shapes"][:, :, kept] * shape_factor).astype(np.float32),
         residuals=solved["residuals"][kept],
-        report=report,
+        report=report | checks(report),
     )
