@@ -20,6 +20,7 @@ from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.nets.audio_gains import GainsNet
+from objectfolder.nets.audio_spectrogram import SpectrogramNet
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.vision.cameras import Intrinsics
@@ -27,7 +28,8 @@ from objectfolder.vision.cameras import Intrinsics
 SCHEMA = 1
 MAX_RESOLUTION = 512  #: of the stored distance grid
 MODALITIES = ("vision", "audio", "touch")
-_KINDS = {"vision": "surface", "audio": "gains", "touch": "geometric"}
+_AUDIO: dict[str, type[GainsNet] | type[SpectrogramNet]] = {"gains": GainsNet, "spectrogram": SpectrogramNet}
+_KINDS = {"vision": ("surface",), "audio": tuple(_AUDIO), "touch": ("geometric",)}
 _REQUIRED = ("schema", "key", "material", "scale", "geometry", "vision", "audio", "touch")
 
 
@@ -59,10 +61,11 @@ class ObjectFile:
             raise ObjectFolderError(
                 f"{path} has schema {header['schema']}, this version reads {SCHEMA}; update objectfolder"
             )
-        for modality, kind in _KINDS.items():
+        for modality, kinds in _KINDS.items():
             found = header[modality].get("kind") if isinstance(header[modality], dict) else None
-            if found != kind:
-                raise ObjectFolderError(f"{path}: {modality} net of kind {found!r}, expected {kind!r}")
+            if found not in kinds:
+                expected = " or ".join(map(repr, kinds))
+                raise ObjectFolderError(f"{path}: {modality} net of kind {found!r}, expected {expected}")
         scale = header["scale"]
         if isinstance(scale, bool) or not isinstance(scale, int | float) or not 0 < scale < math.inf:
             raise ObjectFolderError(f"{path}: scale is {scale!r}, expected the object's size in metres")
@@ -127,13 +130,14 @@ class ObjectFile:
         tolerance: float = query.TOLERANCE,
     ) -> np.ndarray:
         """Strike the object; see `objectfolder.query.impact`."""
-        return query.impact(
-            self.surface, self._audio, self.scale, points, forces, sample_rate, duration, response, tolerance
-        )
+        question = (self.scale, points, forces, sample_rate, duration, response, tolerance)
+        if isinstance(self._audio, SpectrogramNet):
+            return query.impact_spectrogram(self.surface, self._audio, *question)
+        return query.impact(self.surface, self._audio, *question)
 
     def mode_shapes(self, points: np.ndarray, tolerance: float = query.TOLERANCE) -> np.ndarray:
         """Gains of unit impulses along x, y and z; see `objectfolder.query.mode_shapes`."""
-        return query.mode_shapes(self.surface, self._audio, self.scale, points, tolerance).numpy()
+        return query.mode_shapes(self.surface, self._gains, self.scale, points, tolerance).numpy()
 
     def touch(
         self,
@@ -172,9 +176,18 @@ class ObjectFile:
             return SurfaceNet.from_tensors(self._group("vision"), self.header["vision"]["net"])
 
     @cached_property
-    def _audio(self) -> GainsNet:
+    def _audio(self) -> GainsNet | SpectrogramNet:
+        audio = self.header["audio"]
         with self._checked("audio net"):
-            return GainsNet.from_tensors(self._group("audio"), self.header["audio"]["net"])
+            return _AUDIO[audio["kind"]].from_tensors(self._group("audio"), audio["net"])
+
+    @property
+    def _gains(self) -> GainsNet:
+        if not isinstance(self._audio, GainsNet):
+            raise ObjectFolderError(
+                f"{self.key}: its audio net stores spectrograms, no modes; train_audio.net: gains stores them"
+            )
+        return self._audio
 
     @cached_property
     def _touch(self) -> GeometricTouch:

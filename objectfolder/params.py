@@ -113,12 +113,22 @@ class AudioSize(Section):  # noqa: D101
     frequency: float = Field(gt=0)  #: of the sines
 
 
+class AudioSpectrogram(Section):  # noqa: D101
+    width: int = Count
+    depth: int = Count
+    octaves: int = Field(ge=0, le=16)  #: of the positional encoding
+    steps: int = Count
+    batch: int = Count
+    learning_rate: float = Field(gt=0)
+
+
 class TrainAudioParams(Section):  # noqa: D101
-    net: Literal["gains"]
+    net: Literal["gains", "spectrogram"]
     sizes: list[AudioSize] = Field(min_length=1)  #: the first that is large enough, else the last
     steps: int = Count
     batch: int = Count
     learning_rate: float = Field(gt=0)
+    spectrogram: AudioSpectrogram  #: net and training of that kind; the fields above are those of `gains`
 
     def size(self, modes: int) -> AudioSize:
         """Return the size for a number of modes."""

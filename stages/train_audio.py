@@ -1,9 +1,11 @@
 """train_audio: modes.npz -> audio.safetensors, audio_curve.csv."""
 
 import numpy as np
+import torch
 
 from objectfolder.artifacts import Build, read_npz, write_curve, write_safetensors
 from objectfolder.nets.audio_gains import AudioConfig, train_gains
+from objectfolder.nets.audio_spectrogram import SpectrogramConfig, train_spectrogram
 from objectfolder.params import stage_params
 from objectfolder.seeding import torch_generator
 from stages import log_point, run
@@ -12,22 +14,22 @@ from stages import log_point, run
 def main(key: str) -> None:
     params = stage_params("train_audio", key)
     build, section = Build(key), params.section
-    modes = read_npz(build.modes, "points", "split", "shapes", "damped_frequency", "damping", "truncated")
-    size = section.size(len(modes["damping"]))
-    config = AudioConfig(
-        size.width, size.depth, size.frequency, section.steps, section.batch, section.learning_rate
-    )
-    net, curve = train_gains(
-        modes["points"],
-        modes["shapes"],
-        modes["damped_frequency"],
-        modes["damping"],
-        np.flatnonzero(modes["split"] == 0),
-        np.flatnonzero(modes["split"] == 1),
-        config,
-        torch_generator(params.seed, key, "train_audio"),
-        log_point,
-    )
+    names = ("points", "shapes", "damped_frequency", "damping")
+    modes = read_npz(build.modes, *names, "split", "truncated")
+    data = (*(modes[name] for name in names), *(np.flatnonzero(modes["split"] == i) for i in (0, 1)))
+    generator = torch_generator(params.seed, key, "train_audio")
+    net: torch.nn.Module
+    if section.net == "gains":
+        size = section.size(len(modes["damping"]))
+        config = AudioConfig(
+            size.width, size.depth, size.frequency, section.steps, section.batch, section.learning_rate
+        )
+        net, curve = train_gains(*data, config, generator, log_point)
+    else:
+        # The paper's net takes core-days; where there is a GPU, it trains there.
+        device = "cuda" if torch.cuda.is_available() else "cpu"
+        config = SpectrogramConfig(**section.spectrogram.model_dump())
+        net, curve = train_spectrogram(*data, config, generator, log_point, device)
     tensors, header = net.to_tensors()
     write_safetensors(
         build.net("audio"),
