@@ -7,7 +7,7 @@ import torch
 
 from objectfolder.audio.spectrogram import SAMPLE_RATE, spectrogram
 from objectfolder.audio.synthesis import audible, sinusoid_bank
-from objectfolder.metrics import awgn_psnr, gain_errors, psnr, ssim
+from objectfolder.metrics import SpectrogramErrors, awgn_psnr, gain_errors, psnr, ssim
 from objectfolder.nets.audio_gains import energy_weights
 from objectfolder.objectfile import ObjectFile
 from objectfolder.vision.cameras import Intrinsics
@@ -93,6 +93,30 @@ def evaluate_audio(
         "baseline_silence": float(psnr(power / count / span)),
         "impacts": impacts,
     }
+
+
+def evaluate_spectrograms(
+    file: ObjectFile, modes: dict[str, np.ndarray], rows: np.ndarray, impacts: int, rng: np.random.Generator
+) -> dict[str, float]:
+    """Sounds of random impacts at held-out surface points, of an audio net that stores no modes.
+
+    The scores are those of `evaluate_audio`, but for the gains.
+    """
+    damped = torch.from_numpy(modes["damped_frequency"])
+    heard = audible(damped, SAMPLE_RATE)
+    scores = {"modes": len(damped), "modes_heard": int(heard.sum()), "points": len(rows)}
+    if not heard.any():
+        return scores
+    force = rng.normal(size=(impacts, 3))
+    force /= np.linalg.norm(force, axis=1, keepdims=True)
+    chosen = rows[rng.integers(len(rows), size=impacts)]
+    bank = sinusoid_bank(damped, torch.from_numpy(modes["damping"]))
+    errors = SpectrogramErrors()
+    for row, push in zip(chosen, force):
+        gains = torch.from_numpy(push @ modes["shapes"][row]).float()
+        sound = torch.from_numpy(file.impact(modes["points"][row] * file.scale, push))
+        errors.add(spectrogram(sound), spectrogram((gains @ bank)[None]))
+    return scores | errors.scores() | {"impacts": impacts}
 
 
 def evaluate_touch(

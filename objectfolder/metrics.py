@@ -31,6 +31,40 @@ def ssim(image: np.ndarray, reference: np.ndarray) -> float:
     return float((numerator / denominator).mean())
 
 
+class SpectrogramErrors:
+    """PSNR of complex spectrograms, gathered batch by batch.
+
+    In the paper's convention real and imaginary parts are scaled to [0, 1] by the smallest and largest true
+    value; silence scores 50 dB and more in it. ``psnr_own_max`` compares magnitudes relative to each sound's
+    own peak.
+    """
+
+    def __init__(self) -> None:
+        self._low, self._high = np.inf, -np.inf
+        self._error, self._power, self._count = 0.0, 0.0, 0
+        self._own: list[np.ndarray] = []
+
+    def add(self, image: torch.Tensor, truth: torch.Tensor) -> None:
+        """Take in (N, F, T) complex spectrograms."""
+        parts = torch.view_as_real(truth)
+        self._low, self._high = min(self._low, parts.min().item()), max(self._high, parts.max().item())
+        self._error += torch.view_as_real(image - truth).double().square().sum().item()
+        self._power += parts.double().square().sum().item()
+        self._count += parts.numel()
+        size = truth.abs().flatten(1)
+        relative = (image.abs().flatten(1) - size) / size.amax(1, keepdim=True)
+        self._own.append(relative.double().square().mean(1).numpy())
+
+    def scores(self) -> dict[str, float]:
+        """Scores of everything taken in, dB."""
+        span = (self._high - self._low) ** 2
+        return {
+            "psnr": float(psnr(self._error / self._count / span)),
+            "psnr_own_max": float(np.mean(psnr(np.concatenate(self._own)))),
+            "baseline_silence": float(psnr(self._power / self._count / span)),
+        }
+
+
 def gain_errors(predicted: np.ndarray, shapes: np.ndarray, energy: np.ndarray, gain: np.ndarray) -> dict:
     """Relative errors of mode shapes (P, 3, M).
 

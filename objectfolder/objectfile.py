@@ -130,10 +130,21 @@ class ObjectFile:
         tolerance: float = query.TOLERANCE,
     ) -> np.ndarray:
         """Strike the object; see `objectfolder.query.impact`."""
-        question = (self.scale, points, forces, sample_rate, duration, response, tolerance)
         if isinstance(self._audio, SpectrogramNet):
-            return query.impact_spectrogram(self.surface, self._audio, *question)
-        return query.impact(self.surface, self._audio, *question)
+            return query.impact_spectrogram(
+                self.surface,
+                self._audio,
+                self.scale,
+                points,
+                forces,
+                sample_rate,
+                duration,
+                response,
+                tolerance,
+            )
+        return query.impact(
+            self.surface, self._audio, self.scale, points, forces, sample_rate, duration, response, tolerance
+        )
 
     def mode_shapes(self, points: np.ndarray, tolerance: float = query.TOLERANCE) -> np.ndarray:
         """Gains of unit impulses along x, y and z; see `objectfolder.query.mode_shapes`."""

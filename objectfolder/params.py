@@ -110,13 +110,16 @@ class AudioSize(Section):  # noqa: D101
     modes: int = Count  #: for objects with at most this many modes
     width: int = Count
     depth: int = Count
+    features: int = Count  #: width of the last hidden layer
     frequency: float = Field(gt=0)  #: of the sines
+    steps: int = Count
 
 
 class AudioSpectrogram(Section):  # noqa: D101
     width: int = Count
     depth: int = Count
-    octaves: int = Field(ge=0, le=16)  #: of the positional encoding
+    point_octaves: int = Field(ge=0, le=16)  #: of the positional encoding
+    bin_octaves: int = Field(ge=0, le=16)
     steps: int = Count
     batch: int = Count
     learning_rate: float = Field(gt=0)
@@ -125,7 +128,6 @@ class AudioSpectrogram(Section):  # noqa: D101
 class TrainAudioParams(Section):  # noqa: D101
     net: Literal["gains", "spectrogram"]
     sizes: list[AudioSize] = Field(min_length=1)  #: the first that is large enough, else the last
-    steps: int = Count
     batch: int = Count
     learning_rate: float = Field(gt=0)
     spectrogram: AudioSpectrogram  #: net and training of that kind; the fields above are those of `gains`

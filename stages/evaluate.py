@@ -4,7 +4,13 @@ import numpy as np
 
 from objectfolder.artifacts import Build, read_npz, write_json
 from objectfolder.audio.spectrogram import SHAPE
-from objectfolder.evaluation import evaluate_audio, evaluate_awgn, evaluate_touch, evaluate_vision
+from objectfolder.evaluation import (
+    evaluate_audio,
+    evaluate_awgn,
+    evaluate_spectrograms,
+    evaluate_touch,
+    evaluate_vision,
+)
 from objectfolder.objectfile import ObjectFile
 from objectfolder.params import stage_params
 from objectfolder.seeding import numpy_generator
@@ -24,11 +30,10 @@ def main(key: str) -> None:
         "audio": (*SHAPE, 2),
         "touch": contacts["images"].shape[1:],
     }
+    sound = evaluate_audio if file.header["audio"]["kind"] == "gains" else evaluate_spectrograms
     metrics = {
         "vision": evaluate_vision(file, views),
-        "audio": evaluate_audio(
-            file, modes, np.flatnonzero(modes["split"] == 2), params.section.impacts, rng
-        ),
+        "audio": sound(file, modes, np.flatnonzero(modes["split"] == 2), params.section.impacts, rng),
         "touch": evaluate_touch(file, contacts, file.tensors["touch.mean_image"]),
         "awgn": evaluate_awgn(shapes, rng),
         "file_bytes": build.object_file.stat().st_size,

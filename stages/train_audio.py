@@ -20,10 +20,8 @@ def main(key: str) -> None:
     generator = torch_generator(params.seed, key, "train_audio")
     net: torch.nn.Module
     if section.net == "gains":
-        size = section.size(len(modes["damping"]))
-        config = AudioConfig(
-            size.width, size.depth, size.frequency, section.steps, section.batch, section.learning_rate
-        )
+        size = section.size(len(modes["damping"])).model_dump(exclude={"modes"})
+        config = AudioConfig(**size, batch=section.batch, learning_rate=section.learning_rate)
         net, curve = train_gains(*data, config, generator, log_point)
     else:
         # The paper's net takes core-days; where there is a GPU, it trains there.

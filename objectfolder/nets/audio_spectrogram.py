@@ -28,7 +28,8 @@ class SpectrogramConfig:
 
     width: int
     depth: int
-    octaves: int  #: of the positional encoding
+    point_octaves: int  #: of the positional encoding
+    bin_octaves: int
     steps: int
     batch: int  #: of bins; each is learnt for the three axes
     learning_rate: float
@@ -39,28 +40,31 @@ class Branch(nn.Module):
 
     Parameters
     ----------
-    inputs, outputs : int
     width, depth : int
         Hidden layers.
-    octaves : int
+    point_octaves, bin_octaves : int
         Each input x comes with sin and cos of 2^k pi x, k from 0 below this.
     """
 
-    def __init__(self, inputs: int, outputs: int, width: int, depth: int, octaves: int):
+    def __init__(self, width: int, depth: int, point_octaves: int, bin_octaves: int):
         super().__init__()
-        self.octaves = octaves
-        encoded = inputs * (1 + 2 * octaves)
+        self.octaves = (point_octaves, bin_octaves)
+        encoded = 3 * (1 + 2 * point_octaves) + 2 * (1 + 2 * bin_octaves)
         sizes = [encoded] + [width + encoded * (i == SKIP + 1) for i in range(1, depth)]
         self.hidden = nn.ModuleList(nn.Linear(size, width) for size in sizes)
-        self.output = nn.Linear(width, outputs)
+        self.output = nn.Linear(width, 2)
         with torch.no_grad():
             for layer in self.hidden:
                 nn.init.xavier_uniform_(layer.weight, nn.init.calculate_gain("relu"))
                 layer.bias.zero_()
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Evaluate at (N, inputs) in [-1, 1]; (N, outputs)."""
-        angle = math.pi * (x[:, :, None] * 2.0 ** torch.arange(self.octaves, device=x.device)).flatten(1)
+        """Evaluate at (N, 5) point, frequency and time in [-1, 1]; (N, 2)."""
+        scaled = [
+            (part[:, :, None] * (math.pi * 2.0 ** torch.arange(octaves, device=x.device))).flatten(1)
+            for part, octaves in zip(x.split([3, 2], 1), self.octaves)
+        ]
+        angle = torch.cat(scaled, 1)
         x = hidden = torch.cat([x, angle.sin(), angle.cos()], 1)
         for i, layer in enumerate(self.hidden):
             hidden = torch.relu(layer(torch.cat([x, hidden], 1) if i == SKIP + 1 else hidden))
@@ -76,7 +80,7 @@ class SpectrogramNet(nn.Module):
         Of the modes that it has learnt; for information.
     low, high : float
         Values that the outputs 0 and 1 stand for, metres per N s.
-    width, depth, octaves
+    width, depth, point_octaves, bin_octaves
         See `Branch`.
     """
 
@@ -84,13 +88,25 @@ class SpectrogramNet(nn.Module):
     range: torch.Tensor
 
     def __init__(
-        self, damped_frequency: torch.Tensor, low: float, high: float, width: int, depth: int, octaves: int
+        self,
+        damped_frequency: torch.Tensor,
+        low: float,
+        high: float,
+        width: int,
+        depth: int,
+        point_octaves: int,
+        bin_octaves: int,
     ):
         super().__init__()
-        self.config = {"width": width, "depth": depth, "octaves": octaves}
+        self.config = {
+            "width": width,
+            "depth": depth,
+            "point_octaves": point_octaves,
+            "bin_octaves": bin_octaves,
+        }
         self.register_buffer("damped_frequency", damped_frequency.double())
         self.register_buffer("range", torch.tensor([low, high], dtype=torch.float64))
-        self.branches = nn.ModuleList(Branch(5, 2, width, depth, octaves) for _ in range(3))
+        self.branches = nn.ModuleList(Branch(**self.config) for _ in range(3))
         with torch.no_grad():
             for branch in self.branches:
                 branch.output.weight.zero_()
@@ -179,7 +195,8 @@ def train_spectrogram(
             high + silent,
             config.width,
             config.depth,
-            config.octaves,
+            config.point_octaves,
+            config.bin_octaves,
         )
     if silent:
         return net.eval(), []
