@@ -104,7 +104,11 @@ def evaluate_spectrograms(
     """
     damped = torch.from_numpy(modes["damped_frequency"])
     heard = audible(damped, SAMPLE_RATE)
-    scores = {"modes": len(damped), "modes_heard": int(heard.sum()), "points": len(rows)}
+    scores: dict[str, float] = {
+        "modes": len(damped),
+        "modes_heard": int(heard.sum()),
+        "points": len(rows),
+    }
     if not heard.any():
         return scores
     force = rng.normal(size=(impacts, 3))

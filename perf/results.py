@@ -89,7 +89,7 @@ def audio(figures: dict) -> list[str]:
     lines = [
         "\n## AudioNet `gains`\n",
         "`python perf/audio.py --json build/perf/audio.json`: training and the error of the stored net at "
-        "surface points that training has not seen; one fresh process with one thread per object, CPU seconds. "
+        "surface points that training has not seen; one fresh process with one thread per object, CPU s. "
         "Energy-weighted and Frobenius errors are relative; dB of complex spectrograms in the paper's "
         "convention, and how far above silence.",
         "",
@@ -116,8 +116,8 @@ def modal(figures: dict) -> list[str]:
     """Tables of what `perf/modal.py` has measured."""
     lines = [
         "\n## Modal analysis and synthesis\n",
-        "`python perf/modal.py --json build/perf/modal.json`: the stage `modal` and the synthesis of its sounds "
-        "(two seconds each), one fresh process with one thread per object, CPU seconds. The naive loop adds "
+        "`python perf/modal.py --json build/perf/modal.json`: the stage `modal` and the synthesis of its "
+        "sounds (two seconds each), one fresh process with one thread per object, CPU seconds. The naive loop adds "
         "one damped sinusoid per mode and sound.",
         "",
         "| object | cells | dof | modes | CPU s | peak MB | ms per sound | naive loop, ms | times |",
@@ -137,8 +137,8 @@ def modal(figures: dict) -> list[str]:
         lines.append(f"| {' | '.join(map(str, values))} |")
     lines += [
         "",
-        "The solver call beside the peers' on the same matrices: DeepModal shifts to the middle of the band and "
-        "grows the number of modes, NeuralSound shifts to zero, both with SuperLU's default ordering.",
+        "The solver call beside the peers' on the same matrices: DeepModal shifts to the middle of the band "
+        "and grows the number of modes, NeuralSound shifts to zero, both with SuperLU's default ordering.",
         "",
         "| object | dof | modes | own s | DeepModal s | times | NeuralSound s | times |",
         "|---" * 8 + "|",
@@ -176,7 +176,7 @@ def main() -> None:
     lines = [
         "# Results",
         "",
-        "Regenerate: `make demo`, `perf/geometry.py`, `modal.py`, `audio.py`, then `perf/results.py`. Objects other",
+        "Regenerate: `make demo`, `perf/geometry.py`, `modal.py`, `audio.py`, then `results.py`. Objects other",
         "than the starters were added with `objectfolder add` from the YCB and Google Scanned Objects sets.",
         "",
         f"Machine: {cpu or platform.processor()}, one thread per stage. "

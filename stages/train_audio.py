@@ -1,5 +1,8 @@
 """train_audio: modes.npz -> audio.safetensors, audio_curve.csv."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import torch
 
@@ -14,20 +17,32 @@ from stages import log_point, run
 def main(key: str) -> None:
     params = stage_params("train_audio", key)
     build, section = Build(key), params.section
-    names = ("points", "shapes", "damped_frequency", "damping")
-    modes = read_npz(build.modes, *names, "split", "truncated")
-    data = (*(modes[name] for name in names), *(np.flatnonzero(modes["split"] == i) for i in (0, 1)))
+    modes = read_npz(build.modes, "points", "split", "shapes", "damped_frequency", "damping", "truncated")
     generator = torch_generator(params.seed, key, "train_audio")
-    net: torch.nn.Module
+
+    def fitted(train: Callable, config: AudioConfig | SpectrogramConfig, **options: Any) -> tuple:
+        return train(
+            modes["points"],
+            modes["shapes"],
+            modes["damped_frequency"],
+            modes["damping"],
+            np.flatnonzero(modes["split"] == 0),
+            np.flatnonzero(modes["split"] == 1),
+            config,
+            generator,
+            log_point,
+            **options,
+        )
+
     if section.net == "gains":
         size = section.size(len(modes["damping"])).model_dump(exclude={"modes"})
         config = AudioConfig(**size, batch=section.batch, learning_rate=section.learning_rate)
-        net, curve = train_gains(*data, config, generator, log_point)
+        net, curve = fitted(train_gains, config)
     else:
         # The paper's net takes core-days; where there is a GPU, it trains there.
         device = "cuda" if torch.cuda.is_available() else "cpu"
-        config = SpectrogramConfig(**section.spectrogram.model_dump())
-        net, curve = train_spectrogram(*data, config, generator, log_point, device)
+        settings = SpectrogramConfig(**section.spectrogram.model_dump())
+        net, curve = fitted(train_spectrogram, settings, device=device)
     tensors, header = net.to_tensors()
     write_safetensors(
         build.net("audio"),

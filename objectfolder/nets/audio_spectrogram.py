@@ -51,12 +51,12 @@ class Branch(nn.Module):
         self.octaves = (point_octaves, bin_octaves)
         encoded = 3 * (1 + 2 * point_octaves) + 2 * (1 + 2 * bin_octaves)
         sizes = [encoded] + [width + encoded * (i == SKIP + 1) for i in range(1, depth)]
-        self.hidden = nn.ModuleList(nn.Linear(size, width) for size in sizes)
+        layers = [nn.Linear(size, width) for size in sizes]
+        for layer in layers:
+            nn.init.xavier_uniform_(layer.weight, nn.init.calculate_gain("relu"))
+            nn.init.zeros_(layer.bias)
+        self.hidden = nn.ModuleList(layers)
         self.output = nn.Linear(width, 2)
-        with torch.no_grad():
-            for layer in self.hidden:
-                nn.init.xavier_uniform_(layer.weight, nn.init.calculate_gain("relu"))
-                layer.bias.zero_()
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Evaluate at (N, 5) point, frequency and time in [-1, 1]; (N, 2)."""
@@ -106,11 +106,11 @@ class SpectrogramNet(nn.Module):
         }
         self.register_buffer("damped_frequency", damped_frequency.double())
         self.register_buffer("range", torch.tensor([low, high], dtype=torch.float64))
-        self.branches = nn.ModuleList(Branch(**self.config) for _ in range(3))
-        with torch.no_grad():
-            for branch in self.branches:
-                branch.output.weight.zero_()
-                branch.output.bias.fill_(-low / (high - low))
+        branches = [Branch(**self.config) for _ in range(3)]
+        for branch in branches:
+            nn.init.zeros_(branch.output.weight)
+            nn.init.constant_(branch.output.bias, -low / (high - low))
+        self.branches = nn.ModuleList(branches)
 
     def forward(self, points: torch.Tensor, bins: torch.Tensor) -> torch.Tensor:
         """Values in [0, 1] at (N, 3) points of the unit frame and (N,) flat bins; (N, 3 axes, 2)."""
@@ -205,7 +205,8 @@ def train_spectrogram(
     chance = (0.5 / len(power) + 0.5 * loudness / loudness.sum()).double()
     weight = (1 / (len(power) * chance)).float() / (power.mean() / (high - low) ** 2)
     x = torch.from_numpy(np.asarray(points, np.float32))
-    net, x, shape, spectra, weight = (t.to(device) for t in (net, x, shape, spectra, weight))
+    net = net.to(device)
+    x, shape, spectra, weight = (tensor.to(device) for tensor in (x, shape, spectra, weight))
 
     def draw(choice: torch.Tensor, count: int) -> tuple[torch.Tensor, torch.Tensor]:
         drawn = choice[torch.randint(len(choice), (count,), generator=generator)]

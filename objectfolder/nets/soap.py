@@ -31,10 +31,12 @@ class Soap(torch.optim.Optimizer):
         for group in self.param_groups:
             for parameter in group["params"]:
                 if parameter.grad is not None:
-                    self._update(parameter, group["lr"], group["beta"], group["eps"])
+                    gradient = parameter.grad.view(len(parameter), -1)
+                    self._update(parameter, gradient, group["lr"], group["beta"], group["eps"])
 
-    def _update(self, parameter: torch.Tensor, rate: float, beta: float, eps: float) -> None:
-        gradient = parameter.grad if parameter.ndim == 2 else parameter.grad[:, None]
+    def _update(
+        self, parameter: torch.Tensor, gradient: torch.Tensor, rate: float, beta: float, eps: float
+    ) -> None:
         state = self.state[parameter]
         if not state:
             outer = [_outer(gradient, side) for side in (0, 1)]
