@@ -117,7 +117,7 @@ def modal(figures: dict) -> list[str]:
     lines = [
         "\n## Modal analysis and synthesis\n",
         "`python perf/modal.py --json build/perf/modal.json`: the stage `modal` and the synthesis of its "
-        "sounds (two seconds each), one fresh process with one thread per object, CPU seconds. The naive loop adds "
+        "sounds (two seconds at 48 kHz), one fresh process with one thread each, CPU s. The naive loop adds "
         "one damped sinusoid per mode and sound.",
         "",
         "| object | cells | dof | modes | CPU s | peak MB | ms per sound | naive loop, ms | times |",
@@ -176,7 +176,7 @@ def main() -> None:
     lines = [
         "# Results",
         "",
-        "Regenerate: `make demo`, `perf/geometry.py`, `modal.py`, `audio.py`, then `results.py`. Objects other",
+        "Regenerate: `make demo`, `perf/geometry.py`, `modal.py`, `audio.py`, `results.py`. Objects other",
         "than the starters were added with `objectfolder add` from the YCB and Google Scanned Objects sets.",
         "",
         f"Machine: {cpu or platform.processor()}, one thread per stage. "
