@@ -66,7 +66,8 @@ def measure(workspace: Path, key: str) -> dict:
         tensors, header = net.to_tensors()
         write_safetensors(path, tensors, {"kind": section.net, "net": header})
         row["file_kb"] = path.stat().st_size / 1024
-        stored = GainsNet.from_tensors(*read_safetensors(path))
+        tensors, header = read_safetensors(path)
+    stored = GainsNet.from_tensors(tensors, header["net"])
     predicted = stored.shapes(torch.from_numpy(points[test])).double().numpy()
     truth = shapes[test].astype(np.float64)
     row |= gain_errors(predicted, truth, energy_weights(damped, damping), 1 / damped)
