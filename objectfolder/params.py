@@ -113,6 +113,7 @@ class AudioSize(Section):  # noqa: D101
     features: int = Count  #: width of the last hidden layer
     frequency: float = Field(gt=0)  #: of the sines
     steps: int = Count
+    learning_rate: float = Field(gt=0)  #: a wide net with many outputs diverges at a small one's
 
 
 class AudioSpectrogram(Section):  # noqa: D101
@@ -129,7 +130,6 @@ class TrainAudioParams(Section):  # noqa: D101
     net: Literal["gains", "spectrogram"]
     sizes: list[AudioSize] = Field(min_length=1)  #: the first that is large enough, else the last
     batch: int = Count
-    learning_rate: float = Field(gt=0)
     spectrogram: AudioSpectrogram  #: net and training of that kind; the fields above are those of `gains`
 
     def size(self, modes: int) -> AudioSize:

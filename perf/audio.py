@@ -55,7 +55,7 @@ def measure(workspace: Path, key: str) -> dict:
     points, shapes, damped, damping = (modes[name] for name in names)
     train, val, test = (np.flatnonzero(modes["split"] == i) for i in range(3))
     size = section.size(len(damping)).model_dump(exclude={"modes"})
-    config = AudioConfig(**size, batch=section.batch, learning_rate=section.learning_rate)
+    config = AudioConfig(**size, batch=section.batch)
     generator = torch_generator(values["seed"], key, "train_audio")
     start = time.process_time()
     net, _ = train_gains(points, shapes, damped, damping, train, val, config, generator)

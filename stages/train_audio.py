@@ -36,7 +36,7 @@ def main(key: str) -> None:
 
     if section.net == "gains":
         size = section.size(len(modes["damping"])).model_dump(exclude={"modes"})
-        config = AudioConfig(**size, batch=section.batch, learning_rate=section.learning_rate)
+        config = AudioConfig(**size, batch=section.batch)
         net, curve = fitted(train_gains, config)
     else:
         # The paper's net takes core-days; where there is a GPU, it trains there.
