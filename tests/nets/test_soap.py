@@ -5,11 +5,11 @@ from torch import nn
 from objectfolder.nets.soap import Soap
 
 
-def regression(optimizer, steps=300):
+def regression(optimizer, steps=150):
     """Final loss of a linear layer whose inputs are correlated: the curvature spans six decades."""
     generator = torch.Generator().manual_seed(0)
     mix = torch.linalg.qr(torch.randn(16, 16, generator=generator))[0] * torch.logspace(0, -3, 16)
-    x = torch.randn(512, 16, generator=generator) @ mix.T
+    x = torch.randn(256, 16, generator=generator) @ mix.T
     truth = torch.randn(16, 300, generator=generator)  # a side too long to precondition
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
