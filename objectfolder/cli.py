@@ -375,7 +375,8 @@ def audio(
         material=material,
         scale=scale,
     )
-    frequencies = obj.tuning(material, scale).frequencies
+    own = material is None and scale is None
+    frequencies = obj.frequencies if own else obj.tuning(material, scale).frequencies.numpy()
     above = int((frequencies >= sample_rate / 2).sum())
     peak = float(np.abs(sounds).max(initial=0))
     if normalize and peak > 0:

@@ -24,6 +24,7 @@ from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.nets.audio_gains import GainsNet
+from objectfolder.nets.audio_spectrogram import SpectrogramNet
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.vision.cameras import Intrinsics
@@ -31,7 +32,8 @@ from objectfolder.vision.cameras import Intrinsics
 SCHEMA = 1
 MAX_RESOLUTION = 512  #: of the stored distance grid
 MODALITIES = ("vision", "audio", "touch")
-_KINDS = {"vision": "surface", "audio": "gains", "touch": "geometric"}
+_AUDIO: dict[str, type[GainsNet] | type[SpectrogramNet]] = {"gains": GainsNet, "spectrogram": SpectrogramNet}
+_KINDS = {"vision": ("surface",), "audio": tuple(_AUDIO), "touch": ("geometric",)}
 log = logging.getLogger(__name__)
 _REQUIRED = ("schema", "key", "material", "scale", "geometry", "vision", "audio", "touch")
 
@@ -64,10 +66,11 @@ class ObjectFile:
             raise ObjectFolderError(
                 f"{path} has schema {header['schema']}, this version reads {SCHEMA}; update objectfolder"
             )
-        for modality, kind in _KINDS.items():
+        for modality, kinds in _KINDS.items():
             found = header[modality].get("kind") if isinstance(header[modality], dict) else None
-            if found != kind:
-                raise ObjectFolderError(f"{path}: {modality} net of kind {found!r}, expected {kind!r}")
+            if found not in kinds:
+                expected = " or ".join(map(repr, kinds))
+                raise ObjectFolderError(f"{path}: {modality} net of kind {found!r}, expected {expected}")
         scale = header["scale"]
         if isinstance(scale, bool) or not isinstance(scale, int | float) or not 0 < scale < math.inf:
             raise ObjectFolderError(f"{path}: scale is {scale!r}, expected the object's size in metres")
@@ -120,7 +123,7 @@ class ObjectFile:
         scale : float, optional
             Longest side, metres. Default: the object's own.
         """
-        net = self._audio
+        net = self._gains
         if material is None and scale is None:
             return stored_modes(net.damped_frequency, net.damping)
         if material is not None and not isinstance(material, Material):
@@ -171,13 +174,30 @@ class ObjectFile:
             Longest side of the struck object, metres, in which ``points`` are given as well. A warning says
             where modes are lacking.
         """
+        size = self.scale if scale is None else scale
+        if isinstance(self._audio, SpectrogramNet):
+            if material is not None or scale is not None or contact_time:
+                raise ObjectFolderError(
+                    f"{self.key}: its audio net stores spectrograms; material, scale and contact_time need "
+                    "modes, which train_audio.net: gains stores"
+                )
+            return query.impact_spectrogram(
+                self.surface,
+                self._audio,
+                size,
+                points,
+                forces,
+                sample_rate,
+                duration,
+                response,
+                tolerance,
+            )
         tuning = self.tuning(material, scale)
         for note in tuning.notes:
             log.warning("%s: %s", self.key, note)
-        size = self.scale if scale is None else scale
         return query.impact(
             self.surface,
-            self._audio,
+            self._gains,
             size,
             points,
             forces,
@@ -191,7 +211,7 @@ class ObjectFile:
 
     def mode_shapes(self, points: np.ndarray, tolerance: float = query.TOLERANCE) -> np.ndarray:
         """Gains of unit impulses along x, y and z; see `objectfolder.query.mode_shapes`."""
-        return query.mode_shapes(self.surface, self._audio, self.scale, points, tolerance).numpy()
+        return query.mode_shapes(self.surface, self._gains, self.scale, points, tolerance).numpy()
 
     def touch(
         self,
@@ -230,9 +250,18 @@ class ObjectFile:
             return SurfaceNet.from_tensors(self._group("vision"), self.header["vision"]["net"])
 
     @cached_property
-    def _audio(self) -> GainsNet:
+    def _audio(self) -> GainsNet | SpectrogramNet:
+        audio = self.header["audio"]
         with self._checked("audio net"):
-            return GainsNet.from_tensors(self._group("audio"), self.header["audio"]["net"])
+            return _AUDIO[audio["kind"]].from_tensors(self._group("audio"), audio["net"])
+
+    @property
+    def _gains(self) -> GainsNet:
+        if not isinstance(self._audio, GainsNet):
+            raise ObjectFolderError(
+                f"{self.key}: its audio net stores spectrograms, no modes; train_audio.net: gains stores them"
+            )
+        return self._audio
 
     @cached_property
     def _touch(self) -> GeometricTouch:

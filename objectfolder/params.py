@@ -113,15 +113,27 @@ class AudioSize(Section):  # noqa: D101
     modes: int = Count  #: for objects with at most this many modes
     width: int = Count
     depth: int = Count
+    features: int = Count  #: width of the last hidden layer
     frequency: float = Field(gt=0)  #: of the sines
+    steps: int = Count
+    learning_rate: float = Field(gt=0)  #: a wide net with many outputs diverges at a small one's
 
 
-class TrainAudioParams(Section):  # noqa: D101
-    net: Literal["gains"]
-    sizes: list[AudioSize] = Field(min_length=1)  #: the first that is large enough, else the last
+class AudioSpectrogram(Section):  # noqa: D101
+    width: int = Count
+    depth: int = Count
+    point_octaves: int = Field(ge=0, le=16)  #: of the positional encoding
+    bin_octaves: int = Field(ge=0, le=16)
     steps: int = Count
     batch: int = Count
     learning_rate: float = Field(gt=0)
+
+
+class TrainAudioParams(Section):  # noqa: D101
+    net: Literal["gains", "spectrogram"]
+    sizes: list[AudioSize] = Field(min_length=1)  #: the first that is large enough, else the last
+    batch: int = Count
+    spectrogram: AudioSpectrogram  #: net and training of that kind; the fields above are those of `gains`
 
     def size(self, modes: int) -> AudioSize:
         """Return the size for a number of modes."""

@@ -8,11 +8,13 @@ import logging
 import numpy as np
 import torch
 
+from objectfolder.audio.spectrogram import DURATION, SAMPLE_RATE, sounds_of
 from objectfolder.audio.synthesis import audible, gains, sinusoid_bank
 from objectfolder.audio.tuning import Tuning, stored_modes
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.audio_gains import GainsNet
+from objectfolder.nets.audio_spectrogram import SpectrogramNet
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.touch.contact import sensor_frames
@@ -137,6 +139,40 @@ def impact(
             f"impulses of up to {np.abs(forces).max():g} N s give sounds that single precision cannot hold; "
             "the sound is linear in them: scale them down"
         )
+    return sounds
+
+
+def impact_spectrogram(
+    surface: Isosurface,
+    net: SpectrogramNet,
+    scale: float,
+    points: np.ndarray,
+    forces: np.ndarray,
+    sample_rate: int,
+    duration: float,
+    response: str,
+    tolerance: float,
+) -> np.ndarray:
+    """Strike an object whose audio net stores spectrograms; otherwise as `impact`.
+
+    Raises
+    ------
+    ObjectFolderError
+        If something else is asked for than what the net has learnt: displacement at 16 kHz, two seconds.
+    """
+    samples = round(sample_rate * duration) if 0 < duration <= DURATION else 0
+    if sample_rate != SAMPLE_RATE or response != "displacement" or samples <= 0:
+        raise ObjectFolderError(
+            f"a spectrogram net answers displacement at {SAMPLE_RATE} Hz, up to {DURATION:g} s; asked for "
+            f"{response} at {sample_rate} Hz, {duration:g} s. A net of kind gains answers that "
+            "(train_audio.net: gains)"
+        )
+    points, forces = _paired("points", _rows("points", points, 3), "forces", _rows("forces", forces, 3))
+    snapped = torch.from_numpy(snap(surface, points / scale, tolerance))
+    sounds = np.empty((len(points), samples), np.float32)
+    for sound, point, force in zip(sounds, snapped, torch.from_numpy(forces).float()):
+        spectrum = (net.spectrograms(point[None])[0] * force[:, None, None]).sum(0)
+        sound[:] = sounds_of(spectrum[None])[0, :samples].numpy()
     return sounds
 
 

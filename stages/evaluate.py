@@ -39,7 +39,8 @@ def main(key: str) -> None:
     strikes = Strikes.random(rows, params.section.impacts, rng)
     metrics = {
         "vision": evaluate_vision(file, views),
-        "audio": evaluate_gains(file, modes, rows) | evaluate_sounds(file, modes, strikes, rng),
+        "audio": (evaluate_gains(file, modes, rows) if file.header["audio"]["kind"] == "gains" else {})
+        | evaluate_sounds(file, modes, strikes, rng),
         "touch": evaluate_touch(file, contacts, file.tensors["touch.mean_image"]),
         "awgn": evaluate_awgn(shapes, rng),
         "file_bytes": build.object_file.stat().st_size,

@@ -36,7 +36,9 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
         modes.damping,
         np.arange(250),
         np.arange(250, 300),
-        AudioConfig(width=24, depth=2, frequency=3.0, steps=steps, batch=128, learning_rate=3e-3),
+        AudioConfig(
+            width=24, depth=1, features=24, frequency=3.0, steps=steps, batch=128, learning_rate=3e-3
+        ),
         torch.Generator().manual_seed(0),
     )
     look_tensors, look_config = look.to_tensors()

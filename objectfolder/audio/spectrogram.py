@@ -25,3 +25,9 @@ def spectrogram(sounds: torch.Tensor) -> torch.Tensor:
     return torch.stft(
         sounds, FFT, hop_length=HOP, win_length=WINDOW, window=torch.hann_window(WINDOW), return_complex=True
     )
+
+
+def sounds_of(spectra: torch.Tensor) -> torch.Tensor:
+    """Sounds of two seconds whose spectrograms are closest to these; (N, 257, 201) -> (N, 32000)."""
+    window = torch.hann_window(WINDOW)
+    return torch.istft(spectra, FFT, HOP, WINDOW, window, length=round(SAMPLE_RATE * DURATION))

@@ -4,8 +4,10 @@ The mesh is fTetWild's (Hu et al. 2020; through pytetwild, MPL-2.0), an optional
 same in every run, and the number of unknowns is larger than the cut cells' for the same frequencies.
 """
 
+from contextlib import chdir
 from dataclasses import dataclass, replace
 from functools import cached_property
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -127,13 +129,14 @@ def tetrahedra(vertices: np.ndarray, faces: np.ndarray, resolution: int, name: s
         raise ObjectFolderError(
             "element tet10 needs pytetwild: install objectfolder[tet] or choose another voxelize.element"
         ) from missing
-    points, cells = pytetwild.tetrahedralize(
-        np.ascontiguousarray(vertices, np.float64),
-        np.ascontiguousarray(faces, np.int32),
-        edge_length_abs=1 / resolution,
-        epsilon=ENVELOPE,
-        num_threads=1,
-    )
+    with TemporaryDirectory() as folder, chdir(folder):  # fTetWild leaves a file behind
+        points, cells = pytetwild.tetrahedralize(
+            np.ascontiguousarray(vertices, np.float64),
+            np.ascontiguousarray(faces, np.int32),
+            edge_length_abs=1 / resolution,
+            epsilon=ENVELOPE,
+            num_threads=1,
+        )
     cells = cells.astype(np.int64)
     corner = points[cells]
     volumes = np.abs(np.linalg.det(corner[:, 1:] - corner[:, :1]))

@@ -14,7 +14,7 @@ from objectfolder.vision.cameras import CAMERA_RADIUS
 
 LOSSES = {
     "vision": "squared error of sRGB",
-    "audio": "relative squared error of the gains",
+    "audio": "relative squared error of gains, or of spectrograms",
     "touch": "squared error of images in [0, 1]",
 }
 STEPS = {"vision": "step", "audio": "step", "touch": "round of the depth offset's search"}

@@ -13,7 +13,10 @@ from torch import nn
 
 from objectfolder.nets.fit import CurvePoint, fit, minibatches
 from objectfolder.nets.siren import Siren
+from objectfolder.nets.soap import Soap
 
+ENERGY_SHARE = 0.8  # of the energy-weighted error in the loss; the rest weighs by gain
+RIDGE = 1e-6  # of the output layer's least squares, relative to a feature's power
 BLOCK = 1024  # queries run in blocks of this many rows, so that a row's bits do not depend on its batch
 
 
@@ -23,6 +26,7 @@ class AudioConfig:
 
     width: int
     depth: int
+    features: int  #: of which the outputs are linear: their rank bounds what M modes can share
     frequency: float  #: of the sines
     steps: int
     batch: int
@@ -38,7 +42,11 @@ class GainsNet(nn.Module):
     damping : (M,) tensor, 1/s
     amplitude : (M,) tensor
         Root mean square of each mode shape, kg^-1/2; the net predicts shapes relative to it.
-    width, depth, frequency
+    width, depth : int
+        Hidden layers.
+    features : int
+        Width of one more, the last.
+    frequency
         See `Siren`.
     """
 
@@ -53,14 +61,15 @@ class GainsNet(nn.Module):
         amplitude: torch.Tensor,
         width: int,
         depth: int,
+        features: int,
         frequency: float,
     ):
         super().__init__()
-        self.config = {"width": width, "depth": depth, "frequency": frequency}
+        self.config = {"width": width, "depth": depth, "features": features, "frequency": frequency}
         self.register_buffer("damped_frequency", damped_frequency.double())
         self.register_buffer("damping", damping.double())
         self.register_buffer("amplitude", amplitude.float())
-        self.siren = Siren(3, 3 * len(damping), width, depth, frequency)
+        self.siren = Siren(3, 3 * len(damping), [width] * depth + [features], frequency)
 
     def forward(self, points: torch.Tensor) -> torch.Tensor:
         """Mode shapes over amplitude at (N, 3) points of the unit frame; (N, 3, M)."""
@@ -127,8 +136,9 @@ def train_gains(
 
     Notes
     -----
-    The loss weighs a mode by its gain, amplitude / w. Weighing by energy instead leaves weak modes 50 %
-    wrong.
+    The loss is a mean of the two relative squared errors that `gain_errors` gives, of energy and of gain.
+    Weighing by energy alone leaves weak modes 50 % wrong. At the end the linear output layer is solved for
+    exactly, which is every mode's own optimum whatever its weight.
     """
     shape = torch.from_numpy(np.asarray(shapes, np.float32))
     amplitude = shape[train].square().mean((0, 1)).sqrt().clamp(min=1e-12)
@@ -140,14 +150,17 @@ def train_gains(
             amplitude,
             config.width,
             config.depth,
+            config.features,
             config.frequency,
         )
     if len(damping) == 0:
         return net.eval(), []
     x = torch.from_numpy(np.asarray(points, np.float32))
     target = shape / amplitude
-    weight = amplitude / torch.from_numpy(damped_frequency).float()
-    weight = (weight / weight.square().mean().sqrt())[None, None]
+    energy = amplitude.square() * torch.from_numpy(energy_weights(damped_frequency, damping)).float()
+    gain = (amplitude / torch.from_numpy(damped_frequency).float()).square()
+    weight = ENERGY_SHARE * energy / energy.sum() + (1 - ENERGY_SHARE) * gain / gain.sum()
+    weight = (weight * len(damping)).sqrt()[None, None]
     rows, val_rows = torch.from_numpy(train), torch.from_numpy(val)
     batches = iter(minibatches(len(train), config.batch, generator))
 
@@ -162,5 +175,19 @@ def train_gains(
         learning_rate=config.learning_rate,
         final_rate=0.005,
         report=report,
+        optimizer=Soap(net.parameters(), config.learning_rate),
     )
+    _solve_output(net.siren, x[rows], target[rows])
     return net.eval(), curve
+
+
+@torch.no_grad()
+def _solve_output(siren: Siren, points: torch.Tensor, target: torch.Tensor) -> None:
+    """Least squares for the output layer, all points at once; (P, 3), (P, 3, M)."""
+    features = siren.features(2 * points)
+    features = torch.cat([features, torch.ones(len(points), 1)], 1).double()
+    gram = features.T @ features
+    gram += RIDGE * gram.diagonal().mean() * torch.eye(len(gram))
+    solution = torch.linalg.solve(gram, features.T @ target.flatten(1).double()).float()
+    siren.output.weight.copy_(solution[:-1].T)
+    siren.output.bias.copy_(solution[-1])

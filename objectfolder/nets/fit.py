@@ -28,8 +28,9 @@ def fit(
     evaluations: int = 20,
     final_rate: float = 0.01,
     report: Callable[[CurvePoint], None] = lambda point: None,
+    optimizer: torch.optim.Optimizer | None = None,
 ) -> list[CurvePoint]:
-    """Minimise a loss with Adam, warm-up and cosine decay; leave the net at its best validation loss.
+    """Minimise a loss with warm-up and cosine decay; leave the net at its best validation loss.
 
     Parameters
     ----------
@@ -46,13 +47,16 @@ def fit(
         Last rate relative to the peak.
     report : callable
         Called with each point of the curve.
+    optimizer : torch.optim.Optimizer, optional
+        Of the net's parameters, its rates are set here; default: Adam.
 
     Returns
     -------
     The training curve.
     """
     # A large epsilon would freeze hash-table entries whose gradients are tiny.
-    optimizer = torch.optim.Adam(net.parameters(), lr=learning_rate, betas=(0.9, 0.99), eps=1e-12)
+    if optimizer is None:
+        optimizer = torch.optim.Adam(net.parameters(), lr=learning_rate, betas=(0.9, 0.99), eps=1e-12)
     best, best_state = math.inf, None
     curve: list[CurvePoint] = []
     marks = {round((i + 1) * steps / evaluations) for i in range(evaluations)}

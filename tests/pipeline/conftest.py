@@ -29,7 +29,28 @@ TINY = {
     },
     "render_touch": {"train": 4, "val": 2, "test": 3},
     "train_vision": {"table_bits": 10, "levels": 4, "finest": 64, "width": 16, "steps": 40, "batch": 512},
-    "train_audio": {"sizes": [{"modes": 100, "width": 32, "depth": 2, "frequency": 6.0}], "steps": 200},
+    "train_audio": {
+        "sizes": [
+            {
+                "modes": 100,
+                "width": 32,
+                "depth": 1,
+                "features": 32,
+                "frequency": 6.0,
+                "steps": 200,
+                "learning_rate": 0.005,
+            }
+        ],
+        "spectrogram": {
+            "width": 16,
+            "depth": 2,
+            "point_octaves": 1,
+            "bin_octaves": 3,
+            "steps": 40,
+            "batch": 256,
+            "learning_rate": 0.001,
+        },
+    },
     "train_touch": {"rounds": 1, "contacts": 2},
     "evaluate": {"impacts": 4},
 }

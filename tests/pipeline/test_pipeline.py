@@ -119,10 +119,24 @@ def test_a_smaller_object_is_not_solved_again(built):
 
 def test_changed_training_reruns_that_lane_only(built):
     with built.edit() as values:
-        values["train_audio"]["steps"] += 50
+        values["train_audio"]["sizes"][0]["steps"] += 50
     assert built.build("bell") == {f"{stage}@bell" for stage in ("train_audio", "pack", "evaluate")}
     with built.edit() as values:
-        values["train_audio"]["steps"] -= 50
+        values["train_audio"]["sizes"][0]["steps"] -= 50
+    assert built.build() == set()  # restored
+
+
+def test_the_papers_audio_net_is_a_choice(built):
+    with built.edit() as values:
+        values["train_audio"]["net"] = "spectrogram"
+    assert built.build("bell") == {f"{stage}@bell" for stage in ("train_audio", "pack", "evaluate")}
+    bell = ObjectFile.load(built.root / "build/bell/ObjectFile.safetensors")
+    assert bell.header["audio"]["kind"] == "spectrogram"
+    assert bell.impact(bell.sample_surface(1), [0, 0, 1]).shape == (1, 32000)
+    assert json.loads((built.root / "metrics/bell.json").read_text())["audio"]["psnr"] > 0
+    assert "spectrogram" in built.cli("info", "build/bell/ObjectFile.safetensors").stdout
+    with built.edit() as values:
+        values["train_audio"]["net"] = "gains"
     assert built.build() == set()  # restored
 
 

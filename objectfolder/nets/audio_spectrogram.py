@@ -1,0 +1,233 @@
+"""AudioNet ``spectrogram``: the paper's three branches (supplementary E), one per force axis, each from a
+point and a time-frequency bin to the bin's complex value.
+
+It memorises 257 x 201 numbers per point and axis where the gains are M; it is here to compare with.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from objectfolder.audio.spectrogram import SHAPE, spectrogram
+from objectfolder.audio.synthesis import sinusoid_bank
+from objectfolder.nets.fit import CurvePoint, fit
+
+SKIP = 4  # the layer whose output the input joins again (Mildenhall et al. 2020)
+RANGE_POINTS = 256  # training points whose extremes span the range of values
+VAL_SAMPLES = 1 << 14
+
+
+@dataclass(frozen=True)
+class SpectrogramConfig:
+    """Shape of the net and of its training."""
+
+    width: int
+    depth: int
+    point_octaves: int  #: of the positional encoding
+    bin_octaves: int
+    steps: int
+    batch: int  #: of bins; each is learnt for the three axes
+    learning_rate: float
+
+
+class Branch(nn.Module):
+    """ReLU network on positionally encoded inputs; the paper's has eight layers of 256 channels.
+
+    Parameters
+    ----------
+    width, depth : int
+        Hidden layers.
+    point_octaves, bin_octaves : int
+        Each input x comes with sin and cos of 2^k pi x, k from 0 below this.
+    """
+
+    def __init__(self, width: int, depth: int, point_octaves: int, bin_octaves: int):
+        super().__init__()
+        self.octaves = (point_octaves, bin_octaves)
+        encoded = 3 * (1 + 2 * point_octaves) + 2 * (1 + 2 * bin_octaves)
+        sizes = [encoded] + [width + encoded * (i == SKIP + 1) for i in range(1, depth)]
+        layers = [nn.Linear(size, width) for size in sizes]
+        for layer in layers:
+            nn.init.xavier_uniform_(layer.weight, nn.init.calculate_gain("relu"))
+            nn.init.zeros_(layer.bias)
+        self.hidden = nn.ModuleList(layers)
+        self.output = nn.Linear(width, 2)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Evaluate at (N, 5) point, frequency and time in [-1, 1]; (N, 2)."""
+        scaled = [
+            (part[:, :, None] * (math.pi * 2.0 ** torch.arange(octaves, device=x.device))).flatten(1)
+            for part, octaves in zip(x.split([3, 2], 1), self.octaves)
+        ]
+        angle = torch.cat(scaled, 1)
+        x = hidden = torch.cat([x, angle.sin(), angle.cos()], 1)
+        for i, layer in enumerate(self.hidden):
+            hidden = torch.relu(layer(torch.cat([x, hidden], 1) if i == SKIP + 1 else hidden))
+        return self.output(hidden)
+
+
+class SpectrogramNet(nn.Module):
+    """Spectrograms of unit impulses along x, y and z at points of the surface; silent until trained.
+
+    Parameters
+    ----------
+    damped_frequency : (M,) tensor, rad/s
+        Of the modes that it has learnt; for information.
+    low, high : float
+        Values that the outputs 0 and 1 stand for, metres per N s.
+    width, depth, point_octaves, bin_octaves
+        See `Branch`.
+    """
+
+    damped_frequency: torch.Tensor
+    range: torch.Tensor
+
+    def __init__(
+        self,
+        damped_frequency: torch.Tensor,
+        low: float,
+        high: float,
+        width: int,
+        depth: int,
+        point_octaves: int,
+        bin_octaves: int,
+    ):
+        super().__init__()
+        self.config = {
+            "width": width,
+            "depth": depth,
+            "point_octaves": point_octaves,
+            "bin_octaves": bin_octaves,
+        }
+        self.register_buffer("damped_frequency", damped_frequency.double())
+        self.register_buffer("range", torch.tensor([low, high], dtype=torch.float64))
+        branches = [Branch(**self.config) for _ in range(3)]
+        for branch in branches:
+            nn.init.zeros_(branch.output.weight)
+            nn.init.constant_(branch.output.bias, -low / (high - low))
+        self.branches = nn.ModuleList(branches)
+
+    def forward(self, points: torch.Tensor, bins: torch.Tensor) -> torch.Tensor:
+        """Values in [0, 1] at (N, 3) points of the unit frame and (N,) flat bins; (N, 3 axes, 2)."""
+        x = torch.cat([2 * points, _coordinates(points.device)[bins]], 1)
+        return torch.stack([branch(x) for branch in self.branches], 1)
+
+    @torch.no_grad()
+    def spectrograms(self, points: torch.Tensor) -> torch.Tensor:
+        """Complex spectrograms at (N, 3) points of the unit frame, metres per N s; (N, 3, 257, 201)."""
+        bins = torch.arange(math.prod(SHAPE))
+        low, high = self.range.tolist()
+        out = torch.empty(len(points), 3, *SHAPE, dtype=torch.complex64)
+        for image, point in zip(out, points.float()):
+            values = self(point.expand(len(bins), 3), bins) * (high - low) + low
+            image[:] = torch.view_as_complex(values.transpose(0, 1).contiguous()).view(3, *SHAPE)
+        return out
+
+    def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Tensors (weights as float16; the biases hold the level of silence) and configuration."""
+        tensors = {
+            name: (value.half() if name.endswith("weight") else value).cpu().numpy()
+            for name, value in self.state_dict().items()
+        }
+        return tensors, dict(self.config)
+
+    @classmethod
+    def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "SpectrogramNet":
+        """Inverse of `to_tensors`."""
+        state = {name: torch.from_numpy(np.array(value)) for name, value in tensors.items()}
+        net = cls(state["damped_frequency"], *state["range"].tolist(), **config)
+        net.load_state_dict(state)
+        return net.eval()
+
+
+def _coordinates(device: torch.device) -> torch.Tensor:
+    """Frequency and time of every bin in [-1, 1]; (bins, 2)."""
+    axes = [torch.linspace(-1, 1, size, device=device) for size in SHAPE]
+    return torch.stack(torch.meshgrid(*axes, indexing="ij"), -1).flatten(0, 1)
+
+
+def train_spectrogram(
+    points: np.ndarray,
+    shapes: np.ndarray,
+    damped_frequency: np.ndarray,
+    damping: np.ndarray,
+    train: np.ndarray,
+    val: np.ndarray,
+    config: SpectrogramConfig,
+    generator: torch.Generator,
+    report: Callable[[CurvePoint], None] = lambda point: None,
+    device: str | torch.device = "cpu",
+) -> tuple[SpectrogramNet, list[CurvePoint]]:
+    """Fit a `SpectrogramNet` to mode shapes at surface points; the parameters are those of `train_gains`.
+
+    Parameters
+    ----------
+    device : str or torch.device
+        Where to train; the net comes back on the CPU. The size of the paper takes a GPU.
+    report : callable
+        Called with each `CurvePoint`; its losses are squared errors relative to those of silence.
+
+    Notes
+    -----
+    The loss is the mean squared error over all bins, as the paper's. Most bins are next to silent, so half
+    of a batch is drawn by loudness and weighed by one over its probability: the same mean, less noise.
+    """
+    bank = sinusoid_bank(torch.from_numpy(damped_frequency), torch.from_numpy(damping))
+    spectra = torch.view_as_real(spectrogram(bank)).flatten(1, 2)  # (M, bins, 2)
+    shape = torch.from_numpy(np.asarray(shapes, np.float32))
+    rows = torch.from_numpy(train)
+    some = rows[torch.randperm(len(rows), generator=generator)[:RANGE_POINTS]]
+    low, high = 0.0, 0.0
+    for gains in shape[some].flatten(0, 1).split(16):
+        values = gains @ spectra.flatten(1)
+        low, high = min(low, values.min().item()), max(high, values.max().item())
+    silent = high == low  # no mode, or none that the sample rate can carry
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(int(torch.randint(2**31, (1,), generator=generator)))
+        net = SpectrogramNet(
+            torch.from_numpy(damped_frequency),
+            low,
+            high + silent,
+            config.width,
+            config.depth,
+            config.point_octaves,
+            config.bin_octaves,
+        )
+    if silent:
+        return net.eval(), []
+    power = torch.einsum("m,mbc->b", shape[some].square().mean((0, 1)), spectra.square()) / 2
+    loudness = power.sqrt()
+    chance = (0.5 / len(power) + 0.5 * loudness / loudness.sum()).double()
+    weight = (1 / (len(power) * chance)).float() / (power.mean() / (high - low) ** 2)
+    x = torch.from_numpy(np.asarray(points, np.float32))
+    net = net.to(device)
+    x, shape, spectra, weight = (tensor.to(device) for tensor in (x, shape, spectra, weight))
+
+    def draw(choice: torch.Tensor, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+        drawn = choice[torch.randint(len(choice), (count,), generator=generator)]
+        # `multinomial` is limited to 2^24 categories and slow; this inverts the distribution.
+        place = torch.rand(count, generator=generator, dtype=torch.float64)
+        bins = torch.searchsorted(cumulative, place * cumulative[-1]).clamp(max=len(chance) - 1)
+        return drawn.to(device), bins.to(device)
+
+    def loss(index: torch.Tensor, bins: torch.Tensor) -> torch.Tensor:
+        truth = torch.einsum("nam,mnc->nac", shape[index], spectra[:, bins])
+        error = net(x[index], bins) - (truth - low) / (high - low)
+        return (error.square().mean((1, 2)) * weight[bins]).mean()
+
+    cumulative = chance.cumsum(0)
+    held_out = draw(torch.from_numpy(val), VAL_SAMPLES)
+    curve = fit(
+        net,
+        batch_loss=lambda: loss(*draw(rows, config.batch)),
+        val_loss=lambda: loss(*held_out).item(),
+        steps=config.steps,
+        learning_rate=config.learning_rate,
+        report=report,
+    )
+    return net.cpu().eval(), curve

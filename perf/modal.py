@@ -1,0 +1,230 @@
+"""Modal analysis and synthesis, object by object: `python perf/modal.py [--workspace DIR] [KEY ...]`.
+
+Needs `objectfolder build voxelize`. Each object gets a fresh process with one thread; seconds are CPU
+seconds. The peers' solver calls run on the same matrices in the same process as ours. Exits with 1 if a
+target is missed.
+"""
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse.linalg as sla
+import torch
+from rich.console import Console
+from rich.table import Table
+
+from objectfolder import params
+from objectfolder.artifacts import Build, atomic, read_npz
+from objectfolder.audio.synthesis import sinusoid_bank
+from objectfolder.fem.eigen import solve_modes
+from objectfolder.fem.elasticity import Solid
+from objectfolder.fem.elements import restored
+from objectfolder.fem.modal import MIN_FREQUENCY, modal_analysis
+from objectfolder.materials import material
+from objectfolder.mesh.ply import read_surface
+from objectfolder.mesh.sampling import sample_surface
+
+ROOT = Path(__file__).parents[1]
+MAX_SECONDS = 180.0  # of the modal stage
+MIN_FASTER = {"deepmodal": 5.0, "neuralsound": 2.5, "naive_loop": 150.0}
+PEER_STEP = 100  # modes by which DeepModal's call grows
+PEER_DOF = 50_000  # the peers run on objects up to this size: minutes there, hours beyond
+STRIKES, NAIVE_STRIKES = 300, 4  # times three axes
+SAMPLE_RATE, DURATION = 48000, 2.0  # at which every mode below 20 kHz sounds
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def timed(function: Callable[[], Any]) -> tuple[Any, float]:
+    start = time.process_time()
+    return function(), time.process_time() - start
+
+
+def load(workspace: Path, key: str) -> tuple[Solid, dict, dict]:
+    """Elements, the object's entry and the section `modal`."""
+    values = params.read(workspace / "params.yaml")
+    solid = read_npz(Build(key, workspace).solid, "kind")
+    return restored(solid), values["objects"][key], values["modal"]
+
+
+def measure(workspace: Path, key: str) -> dict:
+    """What the stage `modal` computes, and its sound, in this process."""
+    cells, entry, section = load(workspace, key)
+    surface = read_surface(Build(key, workspace).surface)
+    points = sample_surface(*surface, len(surface[0]) + section["surface_points"], np.random.default_rng(0))
+    data, seconds = timed(
+        lambda: modal_analysis(
+            cells,
+            points,
+            material(entry["material"]),
+            float(entry["scale"]),
+            section["max_frequency"],
+            section["max_modes"],
+            key,
+        )
+    )
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    row = {"object": key, "seconds": seconds, "peak_mb": peak, "points": len(points)}
+    wanted = ("resolution", "degrees_of_freedom", "modes", "truncated", "residual_max")
+    row |= {name: data.report[name] for name in wanted}
+    return row | synthesis(data.shapes[:STRIKES], data.damped_frequency, data.damping)
+
+
+def synthesis(shapes: np.ndarray, damped_frequency: np.ndarray, damping: np.ndarray) -> dict:
+    """CPU time per sound: one product with the bank of all modes, and a loop over modes."""
+    if not len(damping):
+        return {}
+    gains = torch.from_numpy(shapes).reshape(-1, len(damping))
+    frequency, decay = torch.from_numpy(damped_frequency), torch.from_numpy(damping)
+    sounds, own = timed(lambda: gains @ sinusoid_bank(frequency, decay, SAMPLE_RATE, DURATION))
+    time_axis = np.arange(sounds.shape[1]) / SAMPLE_RATE
+
+    def loop() -> np.ndarray:
+        out = np.zeros((3 * NAIVE_STRIKES, len(time_axis)))
+        for sound, gain in zip(out, gains.double().numpy()):
+            for g, w, c in zip(gain, damped_frequency, damping):
+                sound += g / w * np.exp(-c * time_axis) * np.sin(w * time_axis)
+        return out
+
+    naive, peer = timed(loop)
+    assert np.allclose(sounds[: len(naive)].numpy(), naive, rtol=0, atol=1e-4 * np.abs(naive).max())
+    return {
+        "sounds": len(sounds),
+        "synthesis_s": own,
+        "synthesis_ms_per_sound": 1000 * own / len(sounds),
+        "naive_ms_per_sound": 1000 * peer / len(naive),
+    }
+
+
+def compare(workspace: Path, key: str) -> dict:
+    """Our solver call and the peers' on the same matrices; all find the modes below the same frequency.
+
+    DeepModal (analysis/FEM.py, compute_modes): `eigsh` around the middle of the band, by eigenvalue, with
+    100 modes more until the band is covered. NeuralSound (src/classic/fem/solver.py, Lanczos_Solver):
+    `eigsh` around zero, where the stiffness is singular; given the right number of modes here, which it
+    would have to guess.
+    """
+    cells, entry, section = load(workspace, key)
+    fem = cells.assemble(material(entry["material"]), float(entry["scale"]))
+    stiffness, mass = fem.stiffness.tocsc(), fem.mass.tocsc()
+    limit = (2 * np.pi * section["max_frequency"]) ** 2
+    middle = (limit + (2 * np.pi * MIN_FREQUENCY) ** 2) / 2
+    modes, own = timed(lambda: solve_modes(fem, section["max_frequency"], section["max_modes"], key))
+
+    def deepmodal() -> np.ndarray:
+        count = PEER_STEP
+        while True:
+            found = sla.eigsh(stiffness, k=count, M=mass, which="LM", sigma=middle)[0]
+            if found.max() >= limit:
+                return found
+            count += PEER_STEP
+
+    def neuralsound() -> np.ndarray:
+        return sla.eigsh(stiffness, k=len(modes.eigenvalues) + 6, M=mass, which="LM", sigma=0)[0]
+
+    row: dict = {"object": key, "degrees_of_freedom": fem.stiffness.shape[0], "own_s": own}
+    row["modes"] = len(modes.eigenvalues)
+    for name, call in (("deepmodal", deepmodal), ("neuralsound", neuralsound)):
+        try:
+            values, row[f"{name}_s"] = timed(call)
+        except (RuntimeError, sla.ArpackError) as error:
+            row[f"{name}_failed"] = str(error)
+            continue
+        elastic = np.sort(values[values > (2 * np.pi * MIN_FREQUENCY) ** 2])[: len(modes.eigenvalues)]
+        apart = np.abs(np.sqrt(elastic / modes.eigenvalues[: len(elastic)]) - 1)
+        row[f"{name}_apart"] = float(apart.max()) if len(elastic) == len(modes.eigenvalues) else None
+    return row
+
+
+def fresh(job: str, workspace: Path, key: str) -> dict:
+    """Run this file for one object in a process of its own."""
+    done = subprocess.run(
+        [sys.executable, __file__, "--job", job, str(workspace), key],
+        capture_output=True,
+        text=True,
+        env={**os.environ, **dict.fromkeys(THREADS, "1")},
+    )
+    if done.returncode:
+        return {"object": key, "failed": done.stderr.strip().splitlines()[-1:]}
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def misses(rows: list[dict], peers: list[dict]) -> list[str]:
+    """Targets that are missed."""
+    missed = [f"{row['object']}: crashed: {row['failed']}" for row in rows + peers if "failed" in row]
+    for row in rows:
+        if row.get("seconds", 0) > MAX_SECONDS:
+            missed.append(f"{row['object']}: {row['seconds']:.0f} s, target {MAX_SECONDS:g} s")
+        faster = row.get("naive_ms_per_sound", np.inf) / row.get("synthesis_ms_per_sound", 1)
+        if faster < MIN_FASTER["naive_loop"]:
+            missed.append(f"{row['object']}: synthesis {faster:.0f}x, target {MIN_FASTER['naive_loop']:g}x")
+    for row in peers:
+        for name in ("deepmodal", "neuralsound"):
+            faster = row.get(f"{name}_s", np.inf) / row.get("own_s", 1)
+            if faster < MIN_FASTER[name]:
+                missed.append(f"{row['object']}: {name} {faster:.1f}x, target {MIN_FASTER[name]:g}x")
+    return missed
+
+
+def show(rows: list[dict], peers: list[dict], console: Console) -> None:
+    table = Table(title="Modal stage; a naive loop over modes beside the synthesis of a sound")
+    for title in ("object", "cells", "dof", "modes", "CPU s", "peak MB", "ms/sound", "naive ms", "x"):
+        table.add_column(title, justify="left" if title == "object" else "right", no_wrap=True)
+    for row in (row for row in rows if "failed" not in row):
+        shown = [f"{row['resolution']}^3", f"{row['degrees_of_freedom']:,}", f"{row['modes']}"]
+        shown += [f"{row['seconds']:.1f}", f"{row['peak_mb']:.0f}"]
+        if "synthesis_s" in row:
+            own, naive = row["synthesis_ms_per_sound"], row["naive_ms_per_sound"]
+            shown += [f"{own:.2f}", f"{naive:.0f}", f"{naive / own:.0f}"]
+        table.add_row(row["object"], *shown)
+    console.print(table)
+    for row in (row for row in peers if "failed" not in row):
+        for name in ("deepmodal", "neuralsound"):
+            verdict = (
+                f"{row[f'{name}_s']:.1f} s, {row[f'{name}_s'] / row['own_s']:.1f}x"
+                if f"{name}_s" in row
+                else f"fails: {row[f'{name}_failed']}"
+            )
+            console.print(f"{row['object']}: solver {row['own_s']:.1f} s; call of {name} {verdict}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("keys", nargs="*", help="objects (default: all of params.yaml)")
+    parser.add_argument("--workspace", type=Path, default=ROOT, help="holds params.yaml and build/")
+    parser.add_argument("--json", type=Path, help="also write the figures here")
+    parser.add_argument("--job", choices=("measure", "compare"), help=argparse.SUPPRESS)
+    # `--job NAME WORKSPACE KEY` comes from `fresh`.
+    arguments = parser.parse_args()
+    if arguments.job:
+        workspace, key = arguments.keys
+        print(json.dumps({"measure": measure, "compare": compare}[arguments.job](Path(workspace), key)))
+        return
+    keys = arguments.keys or list(params.read(arguments.workspace / "params.yaml")["objects"])
+    console = Console(width=max(Console().width, 120))
+    rows = [fresh("measure", arguments.workspace, key) for key in keys]
+    small = [row["object"] for row in rows if row.get("degrees_of_freedom", np.inf) <= PEER_DOF]
+    peers = [fresh("compare", arguments.workspace, key) for key in small]
+    show(rows, peers, console)
+    if arguments.json:
+        with atomic(arguments.json) as path:
+            path.write_text(json.dumps({"objects": rows, "peers": peers}, indent=2) + "\n")
+    missed = misses(rows, peers)
+    console.print(
+        "targets: " + ("; ".join(missed) if missed else f"met by all {len(rows)}"),
+        markup=False,
+        soft_wrap=True,
+    )
+    sys.exit(bool(missed))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,109 @@
+import numpy as np
+import pytest
+import torch
+
+from objectfolder.artifacts import read_safetensors, write_safetensors
+from objectfolder.audio.spectrogram import SHAPE, sounds_of, spectrogram
+from objectfolder.audio.synthesis import sinusoid_bank
+from objectfolder.metrics import SpectrogramErrors
+from objectfolder.nets.audio_spectrogram import (
+    Branch,
+    SpectrogramConfig,
+    SpectrogramNet,
+    train_spectrogram,
+)
+
+CONFIG = SpectrogramConfig(
+    width=32, depth=3, point_octaves=1, bin_octaves=7, steps=400, batch=1024, learning_rate=1e-2
+)
+FREQUENCY = 2 * np.pi * np.array([400.0, 1500])
+DAMPING = np.array([3.0, 4])
+
+
+@pytest.fixture(scope="module")
+def bar():
+    """A bar's first two bending shapes, along z only, and barely along the other axes."""
+    x = np.random.default_rng(0).uniform(-0.5, 0.5, (600, 3))
+    shapes = np.zeros((600, 3, 2))
+    shapes[:, 2] = np.stack([np.cos(4.73 * x[:, 0]), np.sin(7.85 * x[:, 0])], 1)
+    shapes[:, :2] = 0.2 * shapes[:, 2:]
+    return x, shapes
+
+
+def train(bar, config=CONFIG, frequency=FREQUENCY):
+    generator = torch.Generator().manual_seed(0)
+    return train_spectrogram(*bar, frequency, DAMPING, np.arange(500), np.arange(500, 550), config, generator)
+
+
+@pytest.fixture(scope="module")
+def trained(bar):
+    return train(bar)
+
+
+@pytest.fixture(scope="module")
+def truth(bar):
+    bank = spectrogram(sinusoid_bank(torch.from_numpy(FREQUENCY), torch.from_numpy(DAMPING)))
+    return torch.einsum("nam,mft->naft", torch.from_numpy(bar[1][500:]).to(bank.dtype), bank)
+
+
+def error(image, truth):
+    return float((image - truth).abs().square().sum() / truth.abs().square().sum())
+
+
+def test_it_learns_what_held_out_points_sound_like(bar, trained, truth):
+    image = trained[0].spectrograms(torch.from_numpy(bar[0][550:562]))
+    assert image.shape == (12, 3, *SHAPE)
+    held_out, mean = truth[50:62], truth.mean(0)
+    assert error(image, held_out) < 0.25  # silence: 1
+    assert error(image, held_out) < 0.5 * error(mean, held_out)
+    errors = SpectrogramErrors()
+    errors.add(image[:, 2], held_out[:, 2])
+    scores = errors.scores()
+    assert scores["psnr"] > scores["baseline_silence"] + 6
+    losses = [point.val_loss for point in trained[1]]
+    assert losses[-1] < 0.25 * losses[0]
+
+
+def test_storing_keeps_the_answer(tmp_path, bar, trained):
+    write_safetensors(tmp_path / "n.safetensors", *trained[0].to_tensors())
+    back = SpectrogramNet.from_tensors(*read_safetensors(tmp_path / "n.safetensors"))
+    points = torch.from_numpy(bar[0][:2])
+    assert 0 < error(back.spectrograms(points), trained[0].spectrograms(points)) < 1e-3
+    assert back.damped_frequency.tolist() == FREQUENCY.tolist()
+
+
+def test_rows_do_not_depend_on_their_batch(bar, trained):
+    points = torch.from_numpy(bar[0][:3])
+    whole = trained[0].spectrograms(points)
+    assert torch.equal(trained[0].spectrograms(points[1:2])[0], whole[1])
+    assert trained[0].spectrograms(points[:0]).shape == (0, 3, *SHAPE)
+
+
+def test_two_runs_are_equal_and_leave_the_global_random_state(bar):
+    config = SpectrogramConfig(8, 2, 1, 1, 5, 64, 1e-3)
+    nets = []
+    for seed in (1, 2):
+        torch.manual_seed(seed)
+        before = torch.random.get_rng_state()
+        nets.append(train(bar, config)[0].state_dict())
+        assert torch.equal(torch.random.get_rng_state(), before)
+    assert all(torch.equal(a, b) for a, b in zip(nets[0].values(), nets[1].values()))
+
+
+def test_an_object_that_the_sample_rate_cannot_carry_is_silent(bar):
+    net, curve = train(bar, frequency=2 * np.pi * np.array([9000.0, 12000]))
+    assert curve == []
+    assert not net.spectrograms(torch.zeros(1, 3)).abs().any()
+
+
+def test_the_papers_branch():
+    """Eight layers of 256 channels; five inputs with ten octaves; the input joins again after the fifth."""
+    branch = Branch(256, 8, 10, 10)
+    sizes = [tuple(layer.weight.shape) for layer in (*branch.hidden, branch.output)]
+    assert sizes == [(256, 105), *[(256, 256)] * 4, (256, 361), *[(256, 256)] * 2, (2, 256)]
+    assert branch(torch.zeros(7, 5)).shape == (7, 2)
+
+
+def test_sounds_of_spectrograms_are_the_sounds():
+    sounds = torch.randn(2, 32000, generator=torch.Generator().manual_seed(0))
+    torch.testing.assert_close(sounds_of(spectrogram(sounds)), sounds, atol=1e-4, rtol=0)

@@ -1,0 +1,48 @@
+import pytest
+import torch
+from torch import nn
+
+from objectfolder.nets.soap import Soap
+
+
+def regression(optimizer, steps=150):
+    """Final loss of a linear layer whose inputs are correlated: the curvature spans six decades."""
+    generator = torch.Generator().manual_seed(0)
+    mix = torch.linalg.qr(torch.randn(16, 16, generator=generator))[0] * torch.logspace(0, -3, 16)
+    x = torch.randn(256, 16, generator=generator) @ mix.T
+    truth = torch.randn(16, 300, generator=generator)  # a side too long to precondition
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        net = nn.Linear(16, 300)
+    optimizer = optimizer(net.parameters())
+    for step in range(steps):
+        for group in optimizer.param_groups:
+            group["lr"] = 0.05 * (1 - step / steps)
+        optimizer.zero_grad()
+        loss = (net(x) - x @ truth).square().mean()
+        loss.backward()
+        optimizer.step()
+    return loss.item(), net
+
+
+def test_it_sees_through_correlated_inputs():
+    adam, _ = regression(lambda p: torch.optim.Adam(p, betas=(0.95, 0.95)))
+    soap, _ = regression(lambda p: Soap(p, 0.05))
+    assert soap < 0.2 * adam
+
+
+def test_two_runs_are_equal():
+    a, b = (regression(lambda p: Soap(p, 0.05), steps=25)[1] for _ in range(2))
+    assert torch.equal(a.weight, b.weight)
+    assert torch.equal(a.bias, b.bias)
+
+
+def test_one_step_of_a_vector_has_the_length_of_the_rate_in_every_entry():
+    """Without a matrix there is nothing to rotate: it is Adam."""
+    vector = nn.Parameter(torch.tensor([1.0, -2.0, 3.0]))
+    optimizer = Soap([vector], 0.01)
+    vector.grad = torch.tensor([5.0, -0.1, 2.0])
+    before = vector.detach().clone()
+    optimizer.step()
+    left = before - vector.detach()
+    assert left.tolist() == pytest.approx([0.01, -0.01, 0.01], rel=1e-3)
