@@ -148,7 +148,7 @@ def impact_spectrogram(
     scale: float,
     points: np.ndarray,
     forces: np.ndarray,
-    sample_rate: int,
+    sample_rate: float,
     duration: float,
     response: str,
     tolerance: float,

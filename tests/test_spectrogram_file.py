@@ -9,7 +9,7 @@ from objectfolder.artifacts import write_safetensors
 from objectfolder.audio.spectrogram import spectrogram
 from objectfolder.audio.synthesis import sinusoid_bank
 from objectfolder.errors import ObjectFolderError
-from objectfolder.evaluation import evaluate_spectrograms
+from objectfolder.evaluation import Strikes, evaluate_sounds
 from objectfolder.nets.audio_spectrogram import SpectrogramNet
 
 
@@ -74,16 +74,19 @@ def test_its_scores_stand_beside_silence(file, brick):
         "damped_frequency": brick._audio.damped_frequency.numpy(),
         "damping": brick._audio.damping.numpy(),
     }
-    scores = evaluate_spectrograms(file, modes, np.arange(10, 20), 2, np.random.default_rng(0))
-    assert (scores["points"], scores["impacts"], scores["modes"]) == (10, 2, len(brick.frequencies))
+    strikes = Strikes.random(np.arange(10, 20), 2, np.random.default_rng(0))
+    scores = evaluate_sounds(file, modes, strikes, np.random.default_rng(0))
+    assert (scores["impacts"], scores["modes"]) == (2, len(brick.frequencies))
     assert scores["psnr"] < scores["baseline_silence"]
     # Silence's score, from the sounds themselves.
-    rng = np.random.default_rng(0)
-    force = rng.normal(size=(2, 3))
-    force /= np.linalg.norm(force, axis=1, keepdims=True)
-    rows = np.arange(10, 20)[rng.integers(10, size=2)]
     bank = sinusoid_bank(torch.from_numpy(modes["damped_frequency"]), torch.from_numpy(modes["damping"]))
-    gains = torch.from_numpy(np.einsum("na,nam->nm", force, modes["shapes"][rows])).float()
+    gains = torch.from_numpy(np.einsum("na,nam->nm", strikes.impulses, modes["shapes"][strikes.rows])).float()
     truth = torch.view_as_real(spectrogram(gains @ bank)).numpy()
     silence = 10 * np.log10(np.ptp(truth) ** 2 / np.mean(truth.astype(np.float64) ** 2))
     assert scores["baseline_silence"] == pytest.approx(silence, abs=1e-3)
+
+
+@pytest.mark.parametrize("option", [{"material": "steel"}, {"scale": 0.3}, {"contact_time": 1e-3}])
+def test_what_needs_modes_is_refused(file, option):
+    with pytest.raises(ObjectFolderError, match="stores spectrograms"):
+        file.impact(file.sample_surface(1), [0, 0, 1], **option)

@@ -98,6 +98,7 @@ def rescaled(solved: dict[str, np.ndarray], problem: str, wanted: Request) -> Mo
     kept = kept[rings[kept]]
     natural = np.sqrt(eigenvalues[kept]) / (2 * np.pi)
     count = int(below.sum())
+    estimates = (record["report"]["discretisation_error"] or [])[: min(count, wanted.max_modes)]
     report = (
         {
             name: (np.array(value) * factor**0.5).tolist() if name.endswith("_hz") else value
@@ -112,6 +113,7 @@ def rescaled(solved: dict[str, np.ndarray], problem: str, wanted: Request) -> Mo
             "count_below_max_frequency": count if complete else None,  # who knows how many more
             "truncated": count > wanted.max_modes or not complete,
             "max_frequency_hz": wanted.max_frequency,
+            "discretisation_error": estimates or None,
             "lowest_hz": natural[:8].round(2).tolist(),
             "residual_max": float(solved["residuals"][kept].max(initial=0.0)),
         }
