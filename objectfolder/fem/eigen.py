@@ -17,12 +17,11 @@ import scipy.sparse.linalg as sla
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.elasticity import FiniteElements
+from objectfolder.fem.krylov import lowest_modes
 
 SHIFT_HZ = 300.0  # of the negative shift
 CLUSTER = 1e-6  # eigenvalues closer than this (relative) span one subspace
-# Modes sought beyond the wanted ones. Lanczos may miss copies of a repeated eigenvalue; the count tells,
-# and a larger subspace finds them.
-SPARES = (4, 24, 96)
+SPARES = 4  # modes sought beyond the wanted ones, so that the cut parts no repeated eigenvalue
 LOOSE = 1e-12  # eigenvalues below this share of the largest (roughly) are zero but for rounding
 
 
@@ -62,8 +61,8 @@ class Factorisation:
         return _cholmod(self._permuted) or self._lu.solve
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """Solve for one right-hand side; the matrix is positive definite."""
-        return self._cholesky(right[self._order])[self._inverse]
+        """Solve for (3N, b) right-hand sides; the matrix is positive definite."""
+        return self._cholesky(np.asfortranarray(right[self._order]))[self._inverse]
 
     def negative_pivots(self) -> int | None:
         """Count negative eigenvalues of the matrix (Sylvester); None if pivoting spoiled the count."""
@@ -96,31 +95,17 @@ def solve_modes(fem: FiniteElements, max_frequency: float, max_modes: int, name:
     shift = -((2 * np.pi * SHIFT_HZ) ** 2)
     factor = Factorisation((fem.stiffness - shift * fem.mass).tocsr(), fem.nodal_mass)
     size = fem.stiffness.shape[0]
-    # Rigid motions are known: they are projected out, because Lanczos may miss copies of their sixfold
-    # eigenvalue.
+    # Rigid motions are known, and are no matter of rounding then.
     rigid = rigid_motions(fem.nodes)
     rigid = rigid @ np.linalg.inv(np.linalg.cholesky(rigid.T @ (fem.mass @ rigid))).T
-    rigid_momentum = fem.mass @ rigid
 
-    def solve(right: np.ndarray) -> np.ndarray:
-        motion = factor.solve(right)
-        return motion - rigid @ (rigid_momentum.T @ motion)
+    def needed(found: np.ndarray) -> int:
+        """All that inertia counts; where it does not tell, all that are found."""
+        certain = wanted if below is not None else min(int((found < limit).sum()), max_modes)
+        return min(certain + SPARES, size - 6)
 
-    for spare in SPARES:
-        values, vectors = sla.eigsh(
-            fem.stiffness,
-            k=min(wanted + spare, size - 8),
-            M=fem.mass,
-            sigma=shift,
-            OPinv=sla.LinearOperator((size, size), matvec=solve, dtype=np.float64),
-            v0=np.random.default_rng(0).standard_normal(size),
-            tol=1e-10,
-        )
-        order = np.argsort(values)
-        values, vectors = values[order], vectors[:, order]
-        if below is None or int((values < limit).sum()) >= wanted:
-            break
-    else:
+    values, vectors = lowest_modes(fem.stiffness, fem.nodal_mass, factor.solve, shift, rigid, needed)
+    if below is not None and int((values < limit).sum()) < wanted:
         raise ObjectFolderError(
             f"{name}: inertia counts {wanted} modes or more below {max_frequency:g} Hz, the solver finds "
             f"{int((values < limit).sum())}; perturb the object's symmetry slightly, or report this mesh"
@@ -163,9 +148,9 @@ def _cholmod(matrix: sp.csc_matrix) -> Callable[[np.ndarray], np.ndarray] | None
     cholmod.numeric(cells, factor)
 
     def solve(right: np.ndarray) -> np.ndarray:
-        solution = dense(np.ascontiguousarray(right))
+        solution = dense(right)
         cholmod.solve(factor, solution)
-        return np.array(solution).ravel()
+        return np.array(solution)
 
     return solve
 

@@ -1,4 +1,4 @@
-"""Material in the cells of a grid, from columns along z whose crossings with the surface are exact.
+"""Material in the cells of a grid, from columns whose crossings with the surface are exact.
 
 The columns are a quadrature rule for the Legendre moments of the occupancy, and their overlaps tell which
 material is connected: a cell may hold several parts, such as two walls with a narrow gap between them.
@@ -39,6 +39,7 @@ class Occupancy:
 def measure(vertices: np.ndarray, faces: np.ndarray, resolution: int, subdivisions: int) -> Occupancy:
     """Measure the material of a closed surface in the cells of a grid.
 
+    Columns run along the axis that most of the surface faces: walls parallel to them are quantised.
     Material is continuous from a column to the next (diagonals included) where their intervals inside the
     solid overlap, and along a column. Gaps below one column's width (half a sub-cell) are not seen.
 
@@ -51,6 +52,26 @@ def measure(vertices: np.ndarray, faces: np.ndarray, resolution: int, subdivisio
     subdivisions : int
         Sub-cells along each side of a cell, at least 4; four columns go through each.
     """
+    turn = 2 - facing_axis(vertices, faces)  # cyclic, so that the surface stays oriented
+    found = _measure_along_z(np.roll(vertices, turn, axis=1), faces, resolution, subdivisions)
+    return replace(
+        found,
+        cell=np.roll(found.cell, -turn, axis=1),
+        moments=found.moments.transpose(0, *(1 + np.roll(range(3), -turn))),
+        samples=np.roll(found.samples, -turn, axis=1),
+    )
+
+
+def facing_axis(vertices: np.ndarray, faces: np.ndarray) -> int:
+    """Axis along which the surface has the largest projected area; z of equal ones."""
+    a, b = np.diff(vertices[faces], axis=1).swapaxes(0, 1)
+    area = np.abs(np.cross(a, b)).sum(0)
+    return 2 if area[2] > (1 - 1e-6) * area.max() else int(area.argmax())
+
+
+def _measure_along_z(
+    vertices: np.ndarray, faces: np.ndarray, resolution: int, subdivisions: int
+) -> Occupancy:
     across = 2 * subdivisions  # columns along each side of a cell
     count, side = resolution * across, 1 + MARGIN
     place, _ = _columns(across)

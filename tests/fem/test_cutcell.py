@@ -15,7 +15,7 @@ from objectfolder.fem.eigen import rigid_motions, solve_modes
 from objectfolder.fem.elasticity import elasticity
 from objectfolder.fem.elements import restored, stored
 from objectfolder.fem.modal import adaptive_cut_cells
-from objectfolder.fem.occupancy import _columns
+from objectfolder.fem.occupancy import _columns, facing_axis, measure
 from objectfolder.materials import Material
 
 STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
@@ -239,3 +239,21 @@ def test_resolution_is_the_first_that_is_small_enough():
     assert sizes[0] > sizes[1] > sizes[2]
     for limit, resolution in ((sizes[0], 8), (sizes[0] - 1, 6), (sizes[2], 4), (1, 4)):
         assert adaptive_cut_cells(*solid, [8, 6, 4], 4, limit).resolution == resolution
+
+
+@pytest.mark.parametrize("turn", [1, 2])
+def test_a_solid_turned_by_the_axes_has_the_same_cells_turned(turn):
+    """Whichever way the columns run."""
+    vertices, faces = box((0.9, 0.4, 0.02), (0.01, 0.02, 0.03), TURN)
+    first, other = (measure(v, faces, 8, 4) for v in (vertices, np.roll(vertices, turn, axis=1)))
+    cell, moments = np.roll(first.cell, turn, 1), first.moments.transpose(0, *(1 + np.roll(range(3), turn)))
+    order = [np.lexsort(c.T) for c in (cell, other.cell)]
+    np.testing.assert_array_equal(cell[order[0]], other.cell[order[1]])
+    np.testing.assert_allclose(moments[order[0]], other.moments[order[1]], atol=0.02)
+
+
+def test_columns_run_across_thin_walls():
+    for axis in range(3):
+        sides = np.roll([0.3, 0.9, 0.02], axis)
+        assert facing_axis(*box(sides)) == (2 + axis) % 3
+    assert facing_axis(*box((1, 1, 1))) == 2

@@ -1,0 +1,111 @@
+"""Block Lanczos for the lowest modes, without restarts and with full orthogonalisation.
+
+Where hundreds of modes are wanted, ARPACK spends its time on single triangular solves and on matrix-vector
+products with its basis, both bound by memory. Blocks turn them into matrix products: a right-hand side of
+16 costs a third of a lone one. Blocks also find all copies of a repeated eigenvalue.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+import scipy.linalg as la
+import scipy.sparse as sp
+
+CONVERGED = 1e-11  # residual of a Ritz pair of the inverse, relative
+DENSE = 600  # unknowns up to which all eigenvectors are computed
+_BLOCK, _WIDE_BLOCK, _MANY = 8, 16, 150  # right-hand sides at once, the latter for many modes
+_FIRST_CHECK, _GROWTH = 2.0, 1.12  # size of the basis, in wanted modes, when Ritz pairs are first computed
+
+
+def lowest_modes(
+    stiffness: sp.csr_matrix,
+    nodal_mass: sp.csr_matrix,
+    solve: Callable[[np.ndarray], np.ndarray],
+    shift: float,
+    deflated: np.ndarray,
+    wanted: Callable[[np.ndarray], int],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest eigenpairs of K u = lambda M u beside those that are known.
+
+    Parameters
+    ----------
+    stiffness : (3N, 3N) sparse
+        K.
+    nodal_mass : (N, N) sparse
+        M is its Kronecker product with the identity.
+    solve : callable
+        (K - shift M)^-1 of (3N, b) columns; the shift is below every eigenvalue.
+    shift : float
+    deflated : (3N, R) array
+        Known eigenvectors, M-orthonormal.
+    wanted : callable
+        Given ascending Ritz values, how many of the lowest must converge.
+
+    Returns
+    -------
+    values : (k,) array, ascending
+    vectors : (3N, k) array, M-orthonormal
+    """
+    size, known = deflated.shape
+    if size <= DENSE:
+        mass = sp.kron(nodal_mass, sp.eye_array(3)).toarray()
+        pushed = mass @ deflated
+        lift = 1e3 * (stiffness.diagonal() / mass.diagonal()).max()  # above all others
+        values, vectors = la.eigh(stiffness.toarray() + lift * pushed @ pushed.T, mass)
+        return values[: size - known], vectors[:, : size - known]
+    target = wanted(np.empty(0))
+    block = _WIDE_BLOCK if target > _MANY else _BLOCK
+    check = int(_FIRST_CHECK * target) + 4 * block
+    basis = np.empty((size, known + check + block), order="F")
+    basis[:, :known] = deflated
+    ritz = np.zeros((0, 0))  # of the inverse, in the basis without the deflated vectors
+    start = np.random.default_rng(0).standard_normal((size, block))
+    new, _, _ = _orthonormal(solve(_times(nodal_mass, start)), basis[:, :known], nodal_mass)
+    while True:
+        count = len(ritz)
+        if known + count + block > basis.shape[1]:
+            larger = np.empty((size, int(1.5 * basis.shape[1])), order="F")
+            larger[:, : known + count] = basis[:, : known + count]
+            basis = larger
+        basis[:, known + count : known + count + block] = new
+        used = basis[:, : known + count + block]
+        new, inside, beyond = _orthonormal(solve(_times(nodal_mass, new)), used, nodal_mass)
+        grown = np.zeros((count + block,) * 2)
+        grown[:count, :count] = ritz
+        grown[:, count:] = inside[known:]
+        grown[count:, :count] = grown[:count, count:].T
+        grown[count:, count:] = (grown[count:, count:] + grown[count:, count:].T) / 2
+        ritz = grown
+        count += block
+        if count < check and known + count + block < size:
+            continue
+        check = int(_GROWTH * count)
+        inverse, share = la.eigh(ritz)
+        inverse, share = inverse[::-1], share[:, ::-1]
+        residual = np.linalg.norm(beyond @ share[-block:], axis=0)
+        positive = int((inverse > 0).sum())
+        values = shift + 1 / inverse[:positive]
+        number = wanted(values)
+        if number <= positive and (residual[:number] < CONVERGED * inverse[:number]).all():
+            return values[:number], used[:, known:] @ share[:, :number]
+
+
+def _times(nodal_mass: sp.csr_matrix, vectors: np.ndarray) -> np.ndarray:
+    """Product of the mass matrix with (3N, b) columns."""
+    nodes, columns = nodal_mass.shape[0], vectors.shape[1]
+    return (nodal_mass @ vectors.reshape(nodes, 3 * columns)).reshape(-1, columns)
+
+
+def _orthonormal(
+    vectors: np.ndarray, basis: np.ndarray, nodal_mass: sp.csr_matrix
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Split columns by an M-orthonormal basis: vectors = basis @ inside + new @ beyond; twice is enough."""
+    inside, beyond = np.zeros((basis.shape[1], vectors.shape[1])), np.eye(vectors.shape[1])
+    for _ in range(2):
+        part = basis.T @ _times(nodal_mass, vectors)
+        vectors = vectors - basis @ part
+        inside += part @ beyond
+        factor = la.cholesky(vectors.T @ _times(nodal_mass, vectors))
+        vectors = la.solve_triangular(factor, vectors.T, trans="T").T
+        beyond = factor @ beyond
+    return vectors, inside, beyond
