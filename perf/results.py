@@ -7,6 +7,7 @@ import json
 import platform
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from ruamel.yaml import YAML
 
@@ -160,7 +161,25 @@ def modal(figures: dict) -> list[str]:
     return lines
 
 
-def measured(name: str, layout: Callable[[dict], list[str]]) -> list[str]:
+def accuracy(rows: list[dict]) -> list[str]:
+    """Table of what `perf/modal_accuracy.py` has measured."""
+    lines = [
+        "\n## Accuracy of the modal analysis\n",
+        "`python perf/modal_accuracy.py --tetrahedra --json build/perf/modal_accuracy.json`: largest "
+        "relative error, against analytic truths, converged series and quadratic tetrahedra.",
+        "",
+        "| what | value | target | |",
+        "|---|---|---|---|",
+    ]
+    for row in rows:
+        verdict = "met" if row["value"] <= row["target"] else "**missed**"
+        note = f"; {row['detail']}" if row["detail"] else ""
+        figures = f"{row['value']:.3g} | {row['target']:g}"
+        lines.append(f"| {row['name']} | {figures} | {verdict}{note} |")
+    return lines
+
+
+def measured(name: str, layout: Callable[[Any], list[str]]) -> list[str]:
     """Lay out the figures that `perf/NAME.py --json build/perf/NAME.json` has left, if it has."""
     path = ROOT / "build" / "perf" / f"{name}.json"
     return layout(json.loads(path.read_text())) if path.is_file() else []
@@ -181,8 +200,9 @@ def main() -> None:
     lines = [
         "# Results",
         "",
-        "Regenerate: `make demo`, `perf/geometry.py`, `modal.py`, `audio.py`, `results.py`. Objects other",
-        "than the starters were added with `objectfolder add` from the YCB and Google Scanned Objects sets.",
+        "Regenerate: `make demo`, then geometry, modal_accuracy, modal, audio and results of `perf/`. Objects",
+        "other than the starters were added with `objectfolder add` from YCB, Google Scanned Objects and",
+        "Poly Haven.",
         "",
         f"Machine: {cpu or platform.processor()}, one thread per stage. "
         f"Preset `{preset(values)}`, seed {values['seed']}. PSNR in dB, data in [0, 1], peak 1, "
@@ -215,6 +235,7 @@ def main() -> None:
         "In its audio convention a silent prediction scores as the `baseline_silence` column "
         "does, so compare the difference.",
         *measured("geometry", geometry),
+        *measured("modal_accuracy", accuracy),
         *measured("modal", modal),
         *measured("audio", audio),
     ]
