@@ -200,7 +200,7 @@ def main() -> None:
     lines = [
         "# Results",
         "",
-        "Regenerate: `make demo`, then geometry, modal_accuracy, modal, audio and results of `perf/`. Objects",
+        "Regenerate: `make demo`, then geometry, modal_accuracy, modal, audio and results in perf/. Objects",
         "other than the starters were added with `objectfolder add` from YCB, Google Scanned Objects and",
         "Poly Haven.",
         "",
