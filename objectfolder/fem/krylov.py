@@ -105,7 +105,8 @@ def _orthonormal(
         part = basis.T @ _times(nodal_mass, vectors)
         vectors = vectors - basis @ part
         inside += part @ beyond
-        factor = la.cholesky(vectors.T @ _times(nodal_mass, vectors))
-        vectors = la.solve_triangular(factor, vectors.T, trans="T").T
-        beyond = factor @ beyond
-    return vectors, inside, beyond
+        # What is left may be small and nearly dependent; an orthonormal block is not, in M's product either.
+        vectors, triangle = la.qr(vectors, mode="economic")
+        beyond = triangle @ beyond
+    factor = la.cholesky(vectors.T @ _times(nodal_mass, vectors))
+    return la.solve_triangular(factor, vectors.T, trans="T").T, inside, factor @ beyond
