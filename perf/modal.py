@@ -37,7 +37,8 @@ ROOT = Path(__file__).parents[1]
 MAX_SECONDS = 180.0  # of the modal stage
 MIN_FASTER = {"deepmodal": 5.0, "neuralsound": 2.5, "naive_loop": 150.0}
 PEER_STEP = 100  # modes by which DeepModal's call grows
-PEER_DOF = 50_000  # the peers run on objects up to this size: minutes there, hours beyond
+# The peers run on objects up to this size: minutes there, hours beyond.
+PEER_DOF, PEER_MODES = 50_000, 300
 STRIKES, NAIVE_STRIKES = 300, 4  # times three axes
 SAMPLE_RATE, DURATION = 48000, 2.0  # at which every mode below 20 kHz sounds
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -211,7 +212,11 @@ def main() -> None:
     keys = arguments.keys or list(params.read(arguments.workspace / "params.yaml")["objects"])
     console = Console(width=max(Console().width, 120))
     rows = [fresh("measure", arguments.workspace, key) for key in keys]
-    small = [row["object"] for row in rows if row.get("degrees_of_freedom", np.inf) <= PEER_DOF]
+    small = [
+        row["object"]
+        for row in rows
+        if "failed" not in row and row["degrees_of_freedom"] <= PEER_DOF and row["modes"] <= PEER_MODES
+    ]
     peers = [fresh("compare", arguments.workspace, key) for key in small]
     show(rows, peers, console)
     if arguments.json:
