@@ -12,7 +12,7 @@ import scipy.linalg as la
 import scipy.sparse as sp
 
 CONVERGED = 1e-11  # residual of a Ritz pair of the inverse, relative
-DENSE = 600  # unknowns up to which all eigenvectors are computed
+DENSE, FEW = 600, 4  # unknowns, and how many per wanted mode, up to which all eigenvectors are computed
 _BLOCK, _WIDE_BLOCK, _MANY = 8, 16, 150  # right-hand sides at once, the latter for many modes
 _FIRST_CHECK, _GROWTH = 2.0, 1.12  # size of the basis, in wanted modes, when Ritz pairs are first computed
 
@@ -47,13 +47,13 @@ def lowest_modes(
     vectors : (3N, k) array, M-orthonormal
     """
     size, known = deflated.shape
-    if size <= DENSE:
+    target = wanted(np.empty(0))
+    if size <= max(DENSE, FEW * target):
         mass = sp.kron(nodal_mass, sp.eye_array(3)).toarray()
         pushed = mass @ deflated
         lift = 1e3 * (stiffness.diagonal() / mass.diagonal()).max()  # above all others
         values, vectors = la.eigh(stiffness.toarray() + lift * pushed @ pushed.T, mass)
         return values[: size - known], vectors[:, : size - known]
-    target = wanted(np.empty(0))
     block = _WIDE_BLOCK if target > _MANY else _BLOCK
     check = int(_FIRST_CHECK * target) + 4 * block
     basis = np.empty((size, known + check + block), order="F")
