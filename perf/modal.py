@@ -74,7 +74,14 @@ def measure(workspace: Path, key: str) -> dict:
     )
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     row = {"object": key, "seconds": seconds, "peak_mb": peak, "points": len(points)}
-    wanted = ("resolution", "degrees_of_freedom", "modes", "truncated", "residual_max")
+    wanted = (
+        "resolution",
+        "degrees_of_freedom",
+        "modes",
+        "count_below_max_frequency",
+        "truncated",
+        "residual_max",
+    )
     row |= {name: data.report[name] for name in wanted}
     return row | synthesis(data.shapes[:STRIKES], data.damped_frequency, data.damping)
 
@@ -215,7 +222,9 @@ def main() -> None:
     small = [
         row["object"]
         for row in rows
-        if "failed" not in row and row["degrees_of_freedom"] <= PEER_DOF and row["modes"] <= PEER_MODES
+        if "failed" not in row
+        and row["degrees_of_freedom"] <= PEER_DOF
+        and row["count_below_max_frequency"] <= PEER_MODES
     ]
     peers = [fresh("compare", arguments.workspace, key) for key in small]
     show(rows, peers, console)
