@@ -1,7 +1,7 @@
 """What a solid can be divided into, by the names that ``params.yaml`` uses."""
 
 from dataclasses import fields
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -48,8 +48,12 @@ def discretize(
     Raises
     ------
     ObjectFolderError
-        If the solid is in several pieces, or too thin for the element.
+        If the element is unknown, or the solid is in several pieces or too thin for it.
     """
+    if element not in get_args(Element):
+        raise ObjectFolderError(
+            f"{name}: unknown element {element!r}; expected one of {', '.join(get_args(Element))}"
+        )
     if element == "cut_cell_hex20":
         thin = wall_thickness(vertices, faces) * resolutions[0] < MIN_WALL
         tried = [thin_resolution, *resolutions] if thin else resolutions

@@ -150,3 +150,8 @@ def test_a_tetrahedral_mesh_of_a_turned_box_agrees_with_cut_cells():
     mesh = discretize(*solid, "tet10", [8], 48, 4, 10**6)
     assert abs(mesh.volume_error) < 1e-3
     np.testing.assert_allclose(lowest(mesh), lowest(cut_cells(*solid, 16, 8)), rtol=5e-3)
+
+
+def test_an_unknown_element_is_refused_by_name():
+    with pytest.raises(ObjectFolderError, match=r"^lamp: unknown element 'hex27'.*cut_cell_hex20"):
+        discretize(*box((1, 0.5, 0.5)), "hex27", [8], 48, 4, 10**6, "lamp")

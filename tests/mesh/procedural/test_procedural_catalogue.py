@@ -77,7 +77,7 @@ def test_every_object_is_a_solid_and_has_the_same_bytes_again(key, tmp_path):
     assert (tmp_path / "first.glb").read_bytes() == (tmp_path / "second.glb").read_bytes()
     surface = normalize(mesh, key).surface
     solid = surface.vertices, surface.faces
-    report = voxelize(solid, solid, [32, 24, 16, 12], 8, 120_000, 192, key).report
+    report = voxelize(solid, solid, [32, 24, 16, 12], 8, 120_000, 192, name=key).report
     assert abs(report["cells"]["volume_error"]) < 0.003
     assert report["cells"]["dropped_volume_share"] < 0.001
     assert report["distance_grid"]["volume_share_kept"] > 0.9
