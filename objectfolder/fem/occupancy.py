@@ -84,13 +84,11 @@ def _measure_along_z(
     same = intervals.cell[first] == intervals.cell[second]
     first, second, inner = first[~same], second[~same], (first[same], second[same])
     parts, part = components(*inner, len(intervals.cell))
-    specks = intervals.join_specks(part, part[first], part[second])
-    parts, merged = components(*specks, parts)
-    part = merged[part]
+    links = _pairs(part[first], part[second], parts)
+    parts, merged = components(*intervals.join_specks(part, *links.T), parts)
+    part, links = merged[part], _pairs(*merged[links.T], parts)
     cell = np.zeros(parts, np.int64)
     cell[part] = intervals.cell
-    ends = part[first], part[second]
-    links = np.stack(np.divmod(np.unique(np.minimum(*ends) * parts + np.maximum(*ends)), parts), 1)
     several = np.bincount(cell, minlength=resolution**3)[cell] > 1
     moments = whole.reshape(-1, *(DEGREE,) * 3)[cell]
     inside = intervals.select(several[part])
@@ -109,6 +107,12 @@ def components(first: np.ndarray, second: np.ndarray, count: int) -> tuple[int, 
     """Connected components of a graph of pairs; their number, and whose each vertex is (count,)."""
     graph = sp.coo_array((np.ones(len(first), bool), (first, second)), shape=(count, count))
     return connected_components(graph, directed=False)
+
+
+def _pairs(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
+    """Sort out the pairs of two of ``count`` things, whichever is first; (L, 2), each pair once."""
+    flat = np.minimum(first, second) * np.int64(count) + np.maximum(first, second)
+    return np.stack(np.divmod(np.unique(flat), count), 1)
 
 
 @dataclass(frozen=True)
