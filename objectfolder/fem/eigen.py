@@ -6,17 +6,13 @@ law of inertia, so that one solve finds exactly those.
 """
 
 import itertools
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-import pymetis
-import scipy.sparse as sp
-import scipy.sparse.linalg as sla
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.elasticity import FiniteElements
+from objectfolder.fem.factorisation import factorise
 from objectfolder.fem.krylov import lowest_modes
 
 SHIFT_HZ = 300.0  # of the negative shift
@@ -35,40 +31,6 @@ class Modes:
     rigid_frequencies: np.ndarray  #: (6,), Hz; exactly zero in exact arithmetic
     count_below: int  #: elastic modes below the wanted frequency, by inertia
     truncated: bool  #: whether fewer were kept
-
-
-class Factorisation:
-    """Sparse LDL^T of a symmetric matrix, in a fill-reducing order (METIS, one permutation per node)."""
-
-    def __init__(self, matrix: sp.csr_matrix, nodal_graph: sp.csr_matrix):
-        graph = nodal_graph.copy()
-        graph.setdiag(0)
-        graph.eliminate_zeros()
-        order = np.asarray(pymetis.nested_dissection(pymetis.CSRAdjacency(graph.indptr, graph.indices))[0])
-        self._order = (3 * order[:, None] + np.arange(3)).ravel()
-        self._inverse = np.argsort(self._order)
-        self._permuted = matrix[self._order][:, self._order].tocsc()
-
-    @cached_property
-    def _lu(self) -> sla.SuperLU:
-        return sla.splu(
-            self._permuted, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-        )
-
-    @cached_property
-    def _cholesky(self) -> Callable[[np.ndarray], np.ndarray]:
-        """Solver of a positive definite matrix; CHOLMOD's is faster than SuperLU's."""
-        return _cholmod(self._permuted) or self._lu.solve
-
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        """Solve for (3N, b) right-hand sides; the matrix is positive definite."""
-        return self._cholesky(np.asfortranarray(right[self._order]))[self._inverse]
-
-    def negative_pivots(self) -> int | None:
-        """Count negative eigenvalues of the matrix (Sylvester); None if pivoting spoiled the count."""
-        if not np.array_equal(self._lu.perm_r, np.arange(len(self._order))):
-            return None
-        return int((self._lu.U.diagonal() < 0).sum())
 
 
 def solve_modes(fem: FiniteElements, max_frequency: float, max_modes: int, name: str = "object") -> Modes:
@@ -90,10 +52,10 @@ def solve_modes(fem: FiniteElements, max_frequency: float, max_modes: int, name:
         If the solid has other than six rigid modes (it is not one connected piece).
     """
     limit = (2 * np.pi * max_frequency) ** 2
-    below = Factorisation((fem.stiffness - limit * fem.mass).tocsr(), fem.nodal_mass).negative_pivots()
+    below = factorise((fem.stiffness - limit * fem.mass).tocsr(), fem.nodal_mass).negative_pivots()
     wanted = max_modes if below is None else min(max(below - 6, 0), max_modes)
     shift = -((2 * np.pi * SHIFT_HZ) ** 2)
-    factor = Factorisation((fem.stiffness - shift * fem.mass).tocsr(), fem.nodal_mass)
+    factor = factorise((fem.stiffness - shift * fem.mass).tocsr(), fem.nodal_mass, definite=True)
     size = fem.stiffness.shape[0]
     # Rigid motions are known, and are no matter of rounding then.
     rigid = rigid_motions(fem.nodes)
@@ -131,28 +93,6 @@ def solve_modes(fem: FiniteElements, max_frequency: float, max_modes: int, name:
         count_below=count,
         truncated=count > len(keep),
     )
-
-
-def _cholmod(matrix: sp.csc_matrix) -> Callable[[np.ndarray], np.ndarray] | None:
-    """Factorise with CHOLMOD where cvxopt is installed (GPL, so never required); else None."""
-    try:
-        from cvxopt import cholmod, spmatrix
-        from cvxopt import matrix as dense
-    except ImportError:
-        return None
-    lower = sp.tril(matrix).tocoo()
-    rows, columns = (dense(index.astype(np.int64)) for index in (lower.row, lower.col))
-    cells = spmatrix(dense(lower.data), rows, columns, matrix.shape)
-    cholmod.options["supernodal"] = 2
-    factor = cholmod.symbolic(cells, p=dense(np.arange(matrix.shape[0])))
-    cholmod.numeric(cells, factor)
-
-    def solve(right: np.ndarray) -> np.ndarray:
-        solution = dense(right)
-        cholmod.solve(factor, solution)
-        return np.array(solution)
-
-    return solve
 
 
 def rigid_motions(nodes: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ import scipy.sparse as sp
 CONVERGED = 1e-11  # residual of a Ritz pair of the inverse, relative
 DENSE, FEW = 600, 4  # unknowns, and how many per wanted mode, up to which all eigenvectors are computed
 _BLOCK, _WIDE_BLOCK, _MANY = 8, 16, 150  # right-hand sides at once, the latter for many modes
-_FIRST_CHECK, _GROWTH = 2.0, 1.12  # size of the basis, in wanted modes, when Ritz pairs are first computed
+_FIRST_CHECK, _GROWTH = 2.0, 1.06  # size of the basis, in wanted modes, when Ritz pairs are first computed
 
 
 def lowest_modes(
@@ -34,8 +34,9 @@ def lowest_modes(
     nodal_mass : (N, N) sparse
         M is its Kronecker product with the identity.
     solve : callable
-        (K - shift M)^-1 of (3N, b) columns; the shift is below every eigenvalue.
+        (K - shift M)^-1 of (3N, b) columns.
     shift : float
+        Below every eigenvalue: low modes get their accuracy from it.
     deflated : (3N, R) array
         Known eigenvectors, M-orthonormal.
     wanted : callable
@@ -60,7 +61,7 @@ def lowest_modes(
     basis[:, :known] = deflated
     ritz = np.zeros((0, 0))  # of the inverse, in the basis without the deflated vectors
     start = np.random.default_rng(0).standard_normal((size, block))
-    new, _, _ = _orthonormal(solve(_times(nodal_mass, start)), basis[:, :known], nodal_mass)
+    new, pushed, _, _ = _orthonormal(solve(_times(nodal_mass, start)), basis[:, :known], nodal_mass, known)
     while True:
         count = len(ritz)
         if known + count + block > basis.shape[1]:
@@ -69,7 +70,7 @@ def lowest_modes(
             basis = larger
         basis[:, known + count : known + count + block] = new
         used = basis[:, : known + count + block]
-        new, inside, beyond = _orthonormal(solve(_times(nodal_mass, new)), used, nodal_mass)
+        new, pushed, inside, beyond = _orthonormal(solve(pushed), used, nodal_mass, 2 * block)
         grown = np.zeros((count + block,) * 2)
         grown[:count, :count] = ritz
         grown[:, count:] = inside[known:]
@@ -97,16 +98,26 @@ def _times(nodal_mass: sp.csr_matrix, vectors: np.ndarray) -> np.ndarray:
 
 
 def _orthonormal(
-    vectors: np.ndarray, basis: np.ndarray, nodal_mass: sp.csr_matrix
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Split columns by an M-orthonormal basis: vectors = basis @ inside + new @ beyond; twice is enough."""
+    vectors: np.ndarray, basis: np.ndarray, nodal_mass: sp.csr_matrix, recent: int
+) -> tuple[np.ndarray, ...]:
+    """Split columns by an M-orthonormal basis: vectors = basis @ inside + new @ beyond.
+
+    In exact arithmetic only the last ``recent`` vectors of the basis are inside; what rounding leaves of the
+    others is small enough for one pass over all.
+
+    Returns
+    -------
+    new, pushed, inside, beyond : ``pushed`` is the product of M and ``new``
+    """
     inside, beyond = np.zeros((basis.shape[1], vectors.shape[1])), np.eye(vectors.shape[1])
-    for _ in range(2):
-        part = basis.T @ _times(nodal_mass, vectors)
-        vectors = vectors - basis @ part
-        inside += part @ beyond
+    for first in (max(basis.shape[1] - recent, 0), 0):
+        part = basis[:, first:].T @ _times(nodal_mass, vectors)
+        vectors = vectors - basis[:, first:] @ part
+        inside[first:] += part @ beyond
         # What is left may be small and nearly dependent; an orthonormal block is not, in M's product either.
         vectors, triangle = la.qr(vectors, mode="economic")
         beyond = triangle @ beyond
-    factor = la.cholesky(vectors.T @ _times(nodal_mass, vectors))
-    return la.solve_triangular(factor, vectors.T, trans="T").T, inside, factor @ beyond
+    pushed = _times(nodal_mass, vectors)
+    factor = la.cholesky(vectors.T @ pushed)
+    new, pushed = (la.solve_triangular(factor, side.T, trans="T").T for side in (vectors, pushed))
+    return new, pushed, inside, factor @ beyond

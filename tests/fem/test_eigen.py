@@ -6,7 +6,7 @@ from solids import box, full_cells, sphere
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.cutcell import cut_cells
-from objectfolder.fem.eigen import Factorisation, canonical, rigid_motions, solve_modes
+from objectfolder.fem.eigen import canonical, rigid_motions, solve_modes
 from objectfolder.materials import Material
 
 BAR = Material("bar", 1000.0, 1e9, 0.0, 0.0, 0.0)  # no Poisson effect: a bar is one-dimensional
@@ -154,22 +154,6 @@ def test_an_object_without_modes_in_range_has_none(plate):
     assert modes.shapes.shape == (plate[0].stiffness.shape[0], 0)
     assert modes.count_below == 0
     assert not modes.truncated
-
-
-def test_the_count_of_negative_pivots_is_the_count_of_eigenvalues_below(plate):
-    fem, modes = plate
-    for between in (3, 7):
-        shift = modes.eigenvalues[between : between + 2].mean()
-        factor = Factorisation((fem.stiffness - shift * fem.mass).tocsr(), fem.nodal_mass)
-        assert factor.negative_pivots() == 6 + between + 1
-
-
-def test_factorisation_solves(plate, rng):
-    fem, _ = plate
-    matrix = (fem.stiffness + 1e6 * fem.mass).tocsr()
-    right = rng.standard_normal(matrix.shape[0])
-    solution = Factorisation(matrix, fem.nodal_mass).solve(right)
-    assert np.linalg.norm(matrix @ solution - right) < 1e-9 * np.linalg.norm(right)
 
 
 @pytest.fixture(scope="module")
