@@ -68,13 +68,22 @@ class VoxelizeParams(Section):  # noqa: D101
     #: what vibrates is divided into these (docs/modal.md)
     element: Literal["cut_cell_hex20", "hex8", "hex8_incompatible", "tet10"]
     resolutions: list[int] = Field(min_length=1)  #: cells along the longest side, finest first
-    thin_resolution: int = Count  #: instead, where walls are under 0.3 cells of the first
     subdivisions: int = Field(ge=4)  #: sub-cells along each side of a cell; fewer lose walls
     max_degrees_of_freedom: int = Count  #: take the first resolution under this size
     sdf_resolution: int = Field(ge=16, le=256)  #: finer, the band is narrower than the contact normals' reach
 
 
+class FineGridParams(Section):  # noqa: D101
+    resolution: int = Count  #: cells along the longest side
+    subdivisions: int = Field(ge=4)  #: sub-cells along each side of a cell
+    max_degrees_of_freedom: int = Count  #: not taken beyond this size
+    max_error: float = Field(
+        gt=0
+    )  #: that the first grid may have, estimated, in the eight lowest frequencies
+
+
 class ModalParams(Section):  # noqa: D101
+    fine: FineGridParams  #: taken where walls are thin or the error of voxelize's grid is large
     max_frequency: float = Field(gt=20)  #: Hz
     max_modes: int = Count
     surface_points: int = Field(ge=0)  #: random points, besides the surface's vertices

@@ -25,6 +25,7 @@ from rich.table import Table
 from objectfolder import params
 from objectfolder.artifacts import Build, atomic, read_npz
 from objectfolder.audio.synthesis import sinusoid_bank
+from objectfolder.fem.adaptive import FineGrid, refined
 from objectfolder.fem.eigen import solve_modes
 from objectfolder.fem.elasticity import Solid
 from objectfolder.fem.elements import restored
@@ -32,6 +33,7 @@ from objectfolder.fem.modal import MIN_FREQUENCY, modal_analysis
 from objectfolder.materials import material
 from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.sampling import sample_surface
+from objectfolder.mesh.thickness import wall_thickness
 
 ROOT = Path(__file__).parents[1]
 MAX_SECONDS = 180.0  # of the modal stage
@@ -50,15 +52,17 @@ def timed(function: Callable[[], Any]) -> tuple[Any, float]:
 
 
 def load(workspace: Path, key: str) -> tuple[Solid, dict, dict]:
-    """Elements, the object's entry and the section `modal`."""
-    values = params.read(workspace / "params.yaml")
-    solid = read_npz(Build(key, workspace).solid, "kind")
-    return restored(solid), values["objects"][key], values["modal"]
+    """Elements that the stage `modal` takes, the object's entry and the stage's section."""
+    values, build = params.read(workspace / "params.yaml"), Build(key, workspace)
+    entry, section = values["objects"][key], values["modal"]
+    solid, surface = restored(read_npz(build.solid, "kind")), read_surface(build.solid_surface)
+    stuff, fine = material(entry["material"]), FineGrid(**section["fine"])
+    return refined(solid, surface, wall_thickness(*surface), fine, stuff, entry["scale"], key), entry, section
 
 
 def measure(workspace: Path, key: str) -> dict:
     """What the stage `modal` computes, and its sound, in this process."""
-    cells, entry, section = load(workspace, key)
+    (cells, entry, section), refining = timed(lambda: load(workspace, key))
     surface = read_surface(Build(key, workspace).surface)
     points = sample_surface(*surface, len(surface[0]) + section["surface_points"], np.random.default_rng(0))
     data, seconds = timed(
@@ -73,7 +77,7 @@ def measure(workspace: Path, key: str) -> dict:
         )
     )
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    row = {"object": key, "seconds": seconds, "peak_mb": peak, "points": len(points)}
+    row = {"object": key, "seconds": refining + seconds, "peak_mb": peak, "points": len(points)}
     wanted = (
         "resolution",
         "degrees_of_freedom",
@@ -83,6 +87,7 @@ def measure(workspace: Path, key: str) -> dict:
         "residual_max",
     )
     row |= {name: data.report[name] for name in wanted}
+    row["estimated_error"] = max(data.report["discretisation_error"] or [float("nan")])
     return row | synthesis(data.shapes[:STRIKES], data.damped_frequency, data.damping)
 
 

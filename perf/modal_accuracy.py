@@ -23,6 +23,8 @@ from rich.table import Table
 
 from objectfolder import params
 from objectfolder.artifacts import atomic
+from objectfolder.fem.adaptive import FineGrid, refined
+from objectfolder.fem.blocks import merge_full_blocks
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.eigen import Modes, solve_modes
 from objectfolder.fem.elements import discretize
@@ -200,7 +202,7 @@ def mug(resolution: int = 16) -> Row:
     kinds = (("cut_cell_hex20", 32), ("tet10", resolution))
     found = []
     for kind, cells in kinds:
-        divided = discretize(*solid, kind, [cells], 48, 8, 10**9, "mug")
+        divided = discretize(*solid, kind, [cells], 8, 10**9, "mug")
         found.append(hertz(solve_modes(divided.assemble(material("ceramic"), 0.112), 2e4, 8)))
     detail = f"tet10 {divided.degrees_of_freedom} unknowns"
     return Row("mug, wall 4 mm, 8 modes, tet10", float(np.abs(found[0] / found[1] - 1).max()), 0.015, detail)
@@ -214,14 +216,15 @@ def real(path: Path) -> list[Row]:
     section = {name: v for name, v in values["voxelize"].items() if name != "sdf_resolution"}
     up = "y" if path.suffix in (".gltf", ".glb") else "z"
     solid = normalize(load_mesh(path, up), key).surface.mesh
+    fine = FineGrid(**values["modal"]["fine"])
     divided = discretize(*solid, **section, name=key)
-    start = time.process_time()
+    start, wall = time.process_time(), wall_thickness(*solid)
+    divided = refined(divided, solid, wall, fine, material(stuff), scale, key)
     points = np.concatenate([solid[0], sample_surface(*solid, 8000, np.random.default_rng(0))])
     limits = values["modal"]["max_frequency"], 1000
-    wall = wall_thickness(*solid)
     report = modal_analysis(divided, points, material(stuff), scale, *limits, key, wall).report
     spent = time.process_time() - start
-    finer = discretize(*solid, "cut_cell_hex20", [REFINED], REFINED, 8, 10**9, key)
+    finer = merge_full_blocks(cut_cells(*solid, REFINED, 6, key))
     exact = hertz(solve_modes(finer.assemble(material(stuff), scale), limits[0], 8))
     found = np.array(report["lowest_hz"])[: len(exact)]
     detail = f"{divided.resolution}^3, {report['degrees_of_freedom']} unknowns, {report['modes']} modes"

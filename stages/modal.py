@@ -6,6 +6,7 @@ import numpy as np
 
 from objectfolder.artifacts import Build, file_digest, keep, read_npz, write_json, write_npz
 from objectfolder.errors import ObjectFolderError
+from objectfolder.fem.adaptive import FineGrid, refined
 from objectfolder.fem.band import solved_band
 from objectfolder.fem.elements import restored
 from objectfolder.fem.modal import modal_analysis
@@ -23,7 +24,6 @@ def main(key: str) -> None:
     params = stage_params("modal", key)
     build, section = Build(key), params.section
     vertices, faces = read_surface(build.surface)
-    cells = restored(read_npz(build.solid, "kind"))
     rng = numpy_generator(params.seed, key, "modal")
     points = np.concatenate([vertices, sample_surface(vertices, faces, section.surface_points, rng)])
     stuff = material(params.object.material)
@@ -35,16 +35,13 @@ def main(key: str) -> None:
         data = rescaled(read_npz(build.solved_modes, "solution", "band_hz"), task, request)
     reused = data is not None
     if data is None:
-        data = modal_analysis(
-            cells,
-            points,
-            stuff,
-            request.scale,
-            request.max_frequency,
-            request.max_modes,
-            key,
-            wall_thickness(*read_surface(build.solid_surface)),
-        )
+        solid = read_surface(build.solid_surface)
+        wall = wall_thickness(*solid)
+        fine = FineGrid(**dict(section.fine))
+        cells = restored(read_npz(build.solid, "kind"))
+        cells = refined(cells, solid, wall, fine, stuff, request.scale, key)
+        limits = request.max_frequency, request.max_modes
+        data = modal_analysis(cells, points, stuff, request.scale, *limits, key, wall)
     write_npz(
         build.modes,
         points=points,

@@ -4,21 +4,29 @@ import numpy as np
 
 from objectfolder.fem.blocks import halved
 from objectfolder.fem.cutcell import CutCells
-from objectfolder.fem.eigen import solve_modes
+from objectfolder.fem.eigen import lowest
 from objectfolder.fem.elasticity import Solid
 from objectfolder.materials import Material
 
 ESTIMATED = 8  # lowest modes whose error is estimated
+TOLERANCE = 1e-4  # residual of the modes that the estimate compares; their frequencies' is its square
+MAX_ORDER = 3  # of convergence that the estimate believes in
 NODES_PER_WAVE = 6  # that resolve it: three quadratic elements
 
 
-def discretisation_error(
-    solid: Solid, material: Material, scale: float, eigenvalues: np.ndarray, name: str = "object"
-) -> list[float] | None:
-    """Estimate the relative errors of the lowest frequencies, from a grid of half the resolution.
+def lowest_frequencies(solid: Solid, material: Material, scale: float, count: int = ESTIMATED) -> np.ndarray:
+    """Lowest elastic frequencies, Hz, to `TOLERANCE` only; not certified; (count,)."""
+    return np.sqrt(lowest(solid.assemble(material, scale), count, TOLERANCE)) / (2 * np.pi)
 
-    Walls about as thick as a cell, and inner edges, make errors fall in proportion to the size of a cell
-    (measured: docs/modal.md), so that the error is the difference between the two grids.
+
+def discretisation_error(
+    solid: Solid, material: Material, scale: float, frequencies: np.ndarray
+) -> list[float] | None:
+    """Estimate the relative errors of the lowest frequencies, from grids of half and quarter resolution.
+
+    If errors fall by 2^p with each halving of the cells, the last is the difference of the last two grids
+    over 2^p - 1 (Richardson). Smooth shells converge with p of 2 or more; inner edges, and walls thinner
+    than a cell, with about 1, below which no estimate goes: p = 1 also where the grids tell nothing else.
 
     Parameters
     ----------
@@ -26,25 +34,27 @@ def discretisation_error(
     material : Material
     scale : float
         Longest side, metres.
-    eigenvalues : (M,) array
-        Of the solid's own modes, rad^2/s^2, the lowest first.
-    name : str
-        Named in errors.
+    frequencies : (M,) array
+        Lowest of the solid's own, Hz.
 
     Returns
     -------
     list of float, or None
-        At most `ESTIMATED`; none for elements without a coarser grid.
+        One for each frequency; none for elements without a coarser grid.
     """
-    coarse = halved(solid) if isinstance(solid, CutCells) else None
-    lowest = np.sqrt(eigenvalues[:ESTIMATED]) / (2 * np.pi)
-    if coarse is None or len(lowest) == 0:
+    half = halved(solid) if isinstance(solid, CutCells) else None
+    if half is None or len(frequencies) == 0:
         return None
-    found = solve_modes(
-        coarse.assemble(material, scale), 2 * float(lowest[-1]), len(lowest), name
-    ).eigenvalues
-    both = min(len(found), len(lowest))
-    return (np.sqrt(found[:both]) / (2 * np.pi) / lowest[:both] - 1).tolist()
+    quarter = halved(half)
+    found = lowest_frequencies(half, material, scale, len(frequencies))
+    last = found / frequencies[: len(found)] - 1
+    order = np.ones(len(last))
+    if quarter is not None:
+        coarse = lowest_frequencies(quarter, material, scale, len(found))
+        former = coarse / found[: len(coarse)] - 1
+        falls = (last[: len(former)] > 0) & (former > 2 * last[: len(former)])
+        order[: len(former)][falls] = np.log2(former[falls] / last[: len(former)][falls]).clip(1, MAX_ORDER)
+    return (last / (2**order - 1)).tolist()
 
 
 def resolved_frequency(solid: Solid, material: Material, scale: float, wall: float) -> float:

@@ -6,6 +6,7 @@ law of inertia, so that one solve finds exactly those.
 """
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.elasticity import FiniteElements
 from objectfolder.fem.factorisation import factorise
-from objectfolder.fem.krylov import lowest_modes
+from objectfolder.fem.krylov import CONVERGED, lowest_modes
 
 SHIFT_HZ = 300.0  # of the negative shift
 CLUSTER = 1e-6  # eigenvalues closer than this (relative) span one subspace
@@ -54,19 +55,14 @@ def solve_modes(fem: FiniteElements, max_frequency: float, max_modes: int, name:
     limit = (2 * np.pi * max_frequency) ** 2
     below = factorise((fem.stiffness - limit * fem.mass).tocsr(), fem.nodal_mass).negative_pivots()
     wanted = max_modes if below is None else min(max(below - 6, 0), max_modes)
-    shift = -((2 * np.pi * SHIFT_HZ) ** 2)
-    factor = factorise((fem.stiffness - shift * fem.mass).tocsr(), fem.nodal_mass, definite=True)
-    size = fem.stiffness.shape[0]
-    # Rigid motions are known, and are no matter of rounding then.
-    rigid = rigid_motions(fem.nodes)
-    rigid = rigid @ np.linalg.inv(np.linalg.cholesky(rigid.T @ (fem.mass @ rigid))).T
+    size, rigid = fem.stiffness.shape[0], rigid_modes(fem)
 
     def needed(found: np.ndarray) -> int:
         """All that inertia counts; where it does not tell, all that are found."""
         certain = wanted if below is not None else min(int((found < limit).sum()), max_modes)
         return min(certain + SPARES, size - 6)
 
-    values, vectors = lowest_modes(fem.stiffness, fem.nodal_mass, factor.solve, shift, rigid, needed)
+    values, vectors = _elastic_modes(fem, rigid, needed)
     if below is not None and int((values < limit).sum()) < wanted:
         raise ObjectFolderError(
             f"{name}: inertia counts {wanted} modes or more below {max_frequency:g} Hz, the solver finds "
@@ -93,6 +89,28 @@ def solve_modes(fem: FiniteElements, max_frequency: float, max_modes: int, name:
         count_below=count,
         truncated=count > len(keep),
     )
+
+
+def lowest(fem: FiniteElements, count: int, tolerance: float) -> np.ndarray:
+    """Lowest elastic eigenvalues, rad^2/s^2, up to a relative residual; quick and not certified; (count,)."""
+    return _elastic_modes(fem, rigid_modes(fem), lambda found: count, tolerance)[0][:count]
+
+
+def _elastic_modes(
+    fem: FiniteElements,
+    rigid: np.ndarray,
+    wanted: Callable[[np.ndarray], int],
+    tolerance: float = CONVERGED,
+) -> tuple[np.ndarray, np.ndarray]:
+    shift = -((2 * np.pi * SHIFT_HZ) ** 2)
+    factor = factorise((fem.stiffness - shift * fem.mass).tocsr(), fem.nodal_mass, definite=True)
+    return lowest_modes(fem.stiffness, fem.nodal_mass, factor.solve, shift, rigid, wanted, tolerance)
+
+
+def rigid_modes(fem: FiniteElements) -> np.ndarray:
+    """Rigid motions, mass-normalised: they are known, and are no matter of rounding then; (3N, 6)."""
+    rigid = rigid_motions(fem.nodes)
+    return rigid @ np.linalg.inv(np.linalg.cholesky(rigid.T @ (fem.mass @ rigid))).T
 
 
 def rigid_motions(nodes: np.ndarray) -> np.ndarray:

@@ -6,15 +6,13 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.fem.adaptive import adaptive_cut_cells
 from objectfolder.fem.cutcell import CutCells
 from objectfolder.fem.elasticity import Solid
-from objectfolder.fem.modal import adaptive_cut_cells
 from objectfolder.fem.tetrahedra import Tetrahedra, tetrahedra
 from objectfolder.fem.voxel import Voxels, voxels
-from objectfolder.mesh.thickness import wall_thickness
 
 Element = Literal["cut_cell_hex20", "hex8", "hex8_incompatible", "tet10"]
-MIN_WALL = 0.3  # cells; solids with thinner walls get the grid for thin walls
 
 
 def discretize(
@@ -22,7 +20,6 @@ def discretize(
     faces: np.ndarray,
     element: Element,
     resolutions: list[int],
-    thin_resolution: int,
     subdivisions: int,
     max_degrees_of_freedom: int,
     name: str = "mesh",
@@ -37,8 +34,6 @@ def discretize(
         One of `Element`.
     resolutions : list of int
         Elements along the longest side, finest first: the first under the size is taken, else the last.
-    thin_resolution : int
-        Tried before those by cut cells, where walls are thinner than `MIN_WALL` cells of the first.
     subdivisions : int
         Of cut cells, along each side.
     max_degrees_of_freedom : int
@@ -55,9 +50,7 @@ def discretize(
             f"{name}: unknown element {element!r}; expected one of {', '.join(get_args(Element))}"
         )
     if element == "cut_cell_hex20":
-        thin = wall_thickness(vertices, faces) * resolutions[0] < MIN_WALL
-        tried = [thin_resolution, *resolutions] if thin else resolutions
-        return adaptive_cut_cells(vertices, faces, tried, subdivisions, max_degrees_of_freedom, name)
+        return adaptive_cut_cells(vertices, faces, resolutions, subdivisions, max_degrees_of_freedom, name)
     for resolution in resolutions:
         solid: Solid
         if element == "tet10":

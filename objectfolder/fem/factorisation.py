@@ -1,8 +1,8 @@
 """Symmetric sparse factorisations, by the fastest library that is installed.
 
-`Pardiso` (Intel MKL, through pypardiso) takes a third of the time and half of the memory of `SuperLU` (scipy),
-which is always there. `Cholmod` (cvxopt) factorises definite matrices; it is GPL, so that nothing here
-installs it.
+`Pardiso` (Intel MKL, through pypardiso) takes a third of the time and half of the memory of `SuperLU`
+(scipy), which is always there. `Cholmod` (cvxopt) factorises definite matrices; it is GPL, so that
+nothing here installs it.
 """
 
 import os

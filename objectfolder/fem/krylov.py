@@ -11,7 +11,7 @@ import numpy as np
 import scipy.linalg as la
 import scipy.sparse as sp
 
-CONVERGED = 1e-11  # residual of a Ritz pair of the inverse, relative
+CONVERGED = 1e-11
 DENSE, FEW = 600, 4  # unknowns, and how many per wanted mode, up to which all eigenvectors are computed
 _BLOCK, _WIDE_BLOCK, _MANY = 8, 16, 150  # right-hand sides at once, the latter for many modes
 _FIRST_CHECK, _GROWTH = 2.0, 1.06  # size of the basis, in wanted modes, when Ritz pairs are first computed
@@ -24,6 +24,7 @@ def lowest_modes(
     shift: float,
     deflated: np.ndarray,
     wanted: Callable[[np.ndarray], int],
+    tolerance: float = CONVERGED,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Lowest eigenpairs of K u = lambda M u beside those that are known.
 
@@ -41,6 +42,8 @@ def lowest_modes(
         Known eigenvectors, M-orthonormal.
     wanted : callable
         Given ascending Ritz values, how many of the lowest must converge.
+    tolerance : float
+        Residual of a Ritz pair of the inverse, relative.
 
     Returns
     -------
@@ -87,7 +90,7 @@ def lowest_modes(
         positive = int((inverse > 0).sum())
         values = shift + 1 / inverse[:positive]
         number = wanted(values)
-        if number <= positive and (residual[:number] < CONVERGED * inverse[:number]).all():
+        if number <= positive and (residual[:number] < tolerance * inverse[:number]).all():
             return values[:number], used[:, known:] @ share[:, :number]
 
 

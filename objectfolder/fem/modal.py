@@ -4,13 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from objectfolder.fem.accuracy import discretisation_error, resolved_frequency
-from objectfolder.fem.blocks import merge_full_blocks
-from objectfolder.fem.cutcell import MAX_VOLUME_ERROR, CutCells, cut_cells
+from objectfolder.fem.accuracy import ESTIMATED, discretisation_error, resolved_frequency
 from objectfolder.fem.eigen import solve_modes
 from objectfolder.fem.elasticity import Solid
 from objectfolder.materials import Material
-from objectfolder.mesh.topology import signed_volume
 
 MAX_RESIDUAL, MAX_RIGID_HZ = 1e-8, 0.1
 MIN_FREQUENCY = 20.0  # Hz, the lower end of hearing (supplementary C)
@@ -30,42 +27,6 @@ class ModalData:
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays without the report."""
         return {name: value for name, value in vars(self).items() if name != "report"}
-
-
-def adaptive_cut_cells(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    resolutions: list[int],
-    subdivisions: int,
-    max_degrees_of_freedom: int,
-    name: str = "mesh",
-) -> CutCells:
-    """Cut a surface at the first resolution whose model stays under a size.
-
-    Solid blocks fill the grid and need no fine one; the coarsest resolution is taken as it is.
-
-    Parameters
-    ----------
-    vertices : (V, 3) array, unit frame
-    faces : (F, 3) int array
-    resolutions : list of int
-        Finest first.
-    subdivisions : int
-        Sub-cells along each side of a cell, at least 4.
-    max_degrees_of_freedom : int
-    name : str
-        Named in errors.
-    """
-    volume = (1 - MAX_VOLUME_ERROR) * signed_volume(vertices, faces)
-    for resolution in resolutions:
-        # Each element has a corner and three edges of its own, 12 unknowns: some are ruled out uncut.
-        elements = volume * (resolution / 2.002) ** 3
-        if resolution != resolutions[-1] and 12 * elements > max_degrees_of_freedom:
-            continue
-        cells = merge_full_blocks(cut_cells(vertices, faces, resolution, subdivisions, name))
-        if cells.degrees_of_freedom <= max_degrees_of_freedom:
-            break
-    return cells
 
 
 def modal_analysis(
@@ -108,6 +69,7 @@ def modal_analysis(
     nodal = modes.shapes[:, rings].reshape(len(fem.nodes), -1)
     shapes = cells.interpolate(nodal, points).reshape(len(points), 3, -1)
     frequencies = np.sqrt(eigenvalues) / (2 * np.pi)
+    lowest = np.sqrt(modes.eigenvalues[:ESTIMATED]) / (2 * np.pi)
     report = {
         "element": cells.name,
         "resolution": cells.resolution,
@@ -126,7 +88,7 @@ def modal_analysis(
         "lowest_hz": frequencies[:8].round(2).tolist(),
         "rigid_hz": modes.rigid_frequencies.round(4).tolist(),
         "residual_max": float(modes.residuals.max(initial=0.0)),
-        "discretisation_error": discretisation_error(cells, material, scale, modes.eigenvalues, name),
+        "discretisation_error": discretisation_error(cells, material, scale, lowest),
         "highest_resolved_hz": resolved_frequency(cells, material, scale, wall),
     }
     return ModalData(

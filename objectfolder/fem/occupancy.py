@@ -86,7 +86,8 @@ def _measure_along_z(
     parts, part = components(*inner, len(intervals.cell))
     links = _pairs(part[first], part[second], parts)
     parts, merged = components(*intervals.join_specks(part, *links.T), parts)
-    part, links = merged[part], _pairs(*merged[links.T], parts)
+    ends = merged[links]
+    part, links = merged[part], _pairs(ends[:, 0], ends[:, 1], parts)
     cell = np.zeros(parts, np.int64)
     cell[part] = intervals.cell
     several = np.bincount(cell, minlength=resolution**3)[cell] > 1

@@ -29,7 +29,6 @@ def voxelize(
     max_degrees_of_freedom: int,
     sdf_resolution: int,
     element: Element = "cut_cell_hex20",
-    thin_resolution: int = 48,
     name: str = "mesh",
 ) -> Voxels:
     """Divide a solid into elements and sample the distance to a surface; both are certified first.
@@ -48,8 +47,6 @@ def voxelize(
         Samples of the distance grid along each axis.
     element : str
         What the solid is divided into; see `objectfolder.fem.elements`.
-    thin_resolution : int
-        Cells along the longest side where walls are thin.
     name : str
         Named in errors.
 
@@ -59,9 +56,7 @@ def voxelize(
         If a surface is open, crosses itself, or is too thin for its grid.
     """
     certificates = [check_winding(*mesh, name) for mesh in (solid, surface)]
-    cells = discretize(
-        *solid, element, resolutions, thin_resolution, subdivisions, max_degrees_of_freedom, name
-    )
+    cells = discretize(*solid, element, resolutions, subdivisions, max_degrees_of_freedom, name)
     values, band = distance_grid(*surface, sdf_resolution)
     kept = check_resolved(values, *surface, name)
     report = {

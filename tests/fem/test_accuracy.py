@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from solids import box
 
-from objectfolder.fem.accuracy import discretisation_error, resolved_frequency
+from objectfolder.fem import accuracy
+from objectfolder.fem.accuracy import discretisation_error, lowest_frequencies, resolved_frequency
 from objectfolder.fem.blocks import halved
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.eigen import solve_modes
@@ -44,14 +45,35 @@ def test_volume_of_thin_aligned_boards():
     assert perf.aligned_volume().value <= 0.003
 
 
-def test_the_estimate_is_above_the_error_where_the_solid_is_smooth():
+def test_the_estimate_is_of_the_size_of_the_error_where_the_solid_is_smooth():
     solid = box((1, 0.3, 0.05), (0, 0.01, 0.013))
-    grids = [cut_cells(*solid, r, 8) for r in (8, 24)]
-    coarse, exact = (solve_modes(c.assemble(BAR, 1.0), 700, 4).eigenvalues for c in grids)
-    error = np.sqrt(coarse / exact) - 1
-    estimate = np.array(discretisation_error(grids[0], BAR, 1.0, coarse))
-    assert (estimate > error).all()
-    assert estimate.max() < 20 * error.max()
+    grid, fine = (cut_cells(*solid, r, 8) for r in (8, 48))
+    coarse, exact = (lowest_frequencies(cells, BAR, 1.0, 4) for cells in (grid, fine))
+    error, estimate = coarse / exact - 1, np.array(discretisation_error(grid, BAR, 1.0, coarse))
+    assert (estimate > 0.8 * error).all()
+    assert estimate.max() < 10 * error.max()
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_the_estimate_is_exact_for_a_known_order_of_convergence(order, monkeypatch):
+    grid = cut_cells(*box((1, 0.5, 0.5)), 8, 4)
+    found = {8: 1.01, 4: 1 + 0.01 * 2**order, 2: 1 + 0.01 * 4**order}
+    monkeypatch.setattr(accuracy, "lowest_frequencies", lambda cells, *_: np.full(3, found[cells.resolution]))
+    estimate = discretisation_error(grid, BAR, 1.0, np.full(3, 1.01))
+    np.testing.assert_allclose(estimate, 0.01, rtol=0.1)
+
+
+def test_where_differences_do_not_fall_the_last_one_is_the_estimate(monkeypatch):
+    grid = cut_cells(*box((1, 0.5, 0.5)), 8, 4)
+    found = {4: 1.1, 2: 1.15}
+    monkeypatch.setattr(accuracy, "lowest_frequencies", lambda cells, *_: np.full(3, found[cells.resolution]))
+    np.testing.assert_allclose(discretisation_error(grid, BAR, 1.0, np.ones(3)), 0.1)
+
+
+def test_quick_frequencies_are_those_of_the_full_solve():
+    cells = cut_cells(*box((1, 0.7, 0.1)), 8, 4)
+    exact = np.sqrt(solve_modes(cells.assemble(BAR, 1.0), 2000, 8).eigenvalues) / (2 * np.pi)
+    np.testing.assert_allclose(lowest_frequencies(cells, BAR, 1.0), exact, rtol=1e-6)
 
 
 def test_no_estimate_where_there_is_no_coarser_grid_or_no_mode():

@@ -6,7 +6,6 @@ from numpy.polynomial.legendre import legint, legval
 from solids import TURN, box, full_cells, join, sphere
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.blocks import merge_full_blocks
 from objectfolder.fem.cutcell import (
     cut_cells,
     node_count,
@@ -14,7 +13,6 @@ from objectfolder.fem.cutcell import (
 from objectfolder.fem.eigen import rigid_motions, solve_modes
 from objectfolder.fem.elasticity import elasticity
 from objectfolder.fem.elements import restored, stored
-from objectfolder.fem.modal import adaptive_cut_cells
 from objectfolder.fem.occupancy import _columns, facing_axis, measure
 from objectfolder.materials import Material
 
@@ -231,14 +229,6 @@ def test_a_speck_that_touches_nothing_is_dropped_and_reported():
 def test_an_object_that_leaves_no_material_in_any_cell_is_refused():
     with pytest.raises(ObjectFolderError, match=r"too thin.*voxelize\.resolution"):
         cut_cells(*box((0.5, 1e-5, 1e-5), (0, 0.013, 0.017)), resolution=4, subdivisions=4)
-
-
-def test_resolution_is_the_first_that_is_small_enough():
-    solid = sphere(0.5, 3)
-    sizes = [merge_full_blocks(cut_cells(*solid, r, 4)).degrees_of_freedom for r in (8, 6, 4)]
-    assert sizes[0] > sizes[1] > sizes[2]
-    for limit, resolution in ((sizes[0], 8), (sizes[0] - 1, 6), (sizes[2], 4), (1, 4)):
-        assert adaptive_cut_cells(*solid, [8, 6, 4], 4, limit).resolution == resolution
 
 
 @pytest.mark.parametrize("turn", [1, 2])

@@ -32,7 +32,7 @@ def tetrahedral_box(sides, counts):
 def solid(kind, counts=(10, 6, 4)):
     if kind == "tet10":
         return tetrahedral_box(SIDES, [c // 2 for c in counts])
-    return discretize(*box(SIDES), kind, [counts[0]], 48, 4, 10**6)
+    return discretize(*box(SIDES), kind, [counts[0]], 4, 10**6)
 
 
 @pytest.fixture(scope="module", params=KINDS)
@@ -128,30 +128,18 @@ def test_a_solid_in_two_pieces_is_refused_by_name_with_their_shares(kind):
     with pytest.raises(
         ObjectFolderError, match=r"^lamp: the solid is in 2 pieces.*6\d\.\d+%, .*of the volume"
     ):
-        discretize(*pair, kind, [10], 48, 4, 10**6, "lamp")
-
-
-def test_thin_walls_get_the_finer_grid_and_thick_ones_do_not():
-    for wall, resolution in ((0.03, 16), (0.06, 8)):  # 0.24 and 0.48 cells
-        divided = discretize(*box((1, 1, wall)), "cut_cell_hex20", [8], 16, 4, 10**6)
-        assert divided.resolution == resolution
-
-
-def test_the_grid_for_thin_walls_keeps_to_the_size():
-    sheet = box((1, 1, 0.03))
-    size = discretize(*sheet, "cut_cell_hex20", [8], 16, 4, 10**6).degrees_of_freedom
-    assert discretize(*sheet, "cut_cell_hex20", [8], 16, 4, size - 1).resolution == 8
+        discretize(*pair, kind, [10], 4, 10**6, "lamp")
 
 
 @pytest.mark.slow
 def test_a_tetrahedral_mesh_of_a_turned_box_agrees_with_cut_cells():
     pytest.importorskip("pytetwild")
     solid = box(0.7 * SIDES, (0, 0, 0), TURN)
-    mesh = discretize(*solid, "tet10", [8], 48, 4, 10**6)
+    mesh = discretize(*solid, "tet10", [8], 4, 10**6)
     assert abs(mesh.volume_error) < 1e-3
     np.testing.assert_allclose(lowest(mesh), lowest(cut_cells(*solid, 16, 8)), rtol=5e-3)
 
 
 def test_an_unknown_element_is_refused_by_name():
     with pytest.raises(ObjectFolderError, match=r"^lamp: unknown element 'hex27'.*cut_cell_hex20"):
-        discretize(*box((1, 0.5, 0.5)), "hex27", [8], 48, 4, 10**6, "lamp")
+        discretize(*box((1, 0.5, 0.5)), "hex27", [8], 4, 10**6, "lamp")

@@ -18,7 +18,11 @@ TINY = {
         "max_degrees_of_freedom": 20000,
         "sdf_resolution": 48,
     },
-    "modal": {"max_modes": 12, "surface_points": 300},
+    "modal": {
+        "fine": {"resolution": 12, "subdivisions": 4, "max_degrees_of_freedom": 20000, "max_error": 0.5},
+        "max_modes": 12,
+        "surface_points": 300,
+    },
     "render_views": {
         "resolution": 32,
         "train": 6,

@@ -1,0 +1,122 @@
+"""Which grid a solid is cut into: as coarse as its size allows, as fine as its walls and modes ask for."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from objectfolder.fem.accuracy import discretisation_error, lowest_frequencies
+from objectfolder.fem.blocks import merge_full_blocks
+from objectfolder.fem.cutcell import MAX_VOLUME_ERROR, CutCells, cut_cells
+from objectfolder.fem.elasticity import Solid
+from objectfolder.fem.occupancy import MARGIN
+from objectfolder.materials import Material
+from objectfolder.mesh.sampling import sample_surface
+from objectfolder.mesh.topology import Mesh, signed_volume
+
+MIN_WALL = 0.3  # cells; solids with thinner walls get the fine grid
+_SAMPLES = 100_000  # of the surface, to see which cells it touches
+_UNKNOWNS = 12  # of each element at least: a corner and three edges of its own
+_GROWTH = 1.8  # power of the resolution by which unknowns grow, at least: thin sheets with free edges
+
+
+@dataclass(frozen=True)
+class FineGrid:
+    """The grid that is taken where the first is too coarse."""
+
+    resolution: int  #: cells along the longest side
+    subdivisions: int  #: sub-cells along each side of a cell
+    max_degrees_of_freedom: int  #: it is not taken beyond this size
+    max_error: float  #: that the first may have, estimated, relative, in the lowest frequencies
+
+
+def adaptive_cut_cells(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    resolutions: list[int],
+    subdivisions: int,
+    max_degrees_of_freedom: int,
+    name: str = "mesh",
+) -> CutCells:
+    """Cut a surface at the first resolution whose model stays under a size.
+
+    Solid blocks fill the grid and need no fine one; the coarsest resolution is taken as it is.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array, unit frame
+    faces : (F, 3) int array
+    resolutions : list of int
+        Finest first.
+    subdivisions : int
+        Sub-cells along each side of a cell, at least 4.
+    max_degrees_of_freedom : int
+    name : str
+        Named in errors.
+    """
+    least = _least_unknowns(vertices, faces)
+    for resolution in resolutions:
+        if resolution != resolutions[-1] and least(resolution) > max_degrees_of_freedom:
+            continue
+        cells = merge_full_blocks(cut_cells(vertices, faces, resolution, subdivisions, name))
+        if cells.degrees_of_freedom <= max_degrees_of_freedom:
+            break
+    return cells
+
+
+def refined(
+    solid: Solid,
+    surface: Mesh,
+    wall: float,
+    fine: FineGrid,
+    material: Material,
+    scale: float,
+    name: str = "object",
+) -> Solid:
+    """Cut a solid again, more finely, if it needs that and the size allows it.
+
+    It does where walls are thinner than `MIN_WALL` cells, or where the lowest frequencies are far from those
+    of a grid of half the resolution.
+
+    Parameters
+    ----------
+    solid : Solid
+        Others than cut cells are left as they are.
+    surface : (V, 3) and (F, 3) arrays, unit frame
+        What it was cut from.
+    wall : float
+        Thickness of its walls, unit frame.
+    fine : FineGrid
+    material : Material
+    scale : float
+        Longest side, metres.
+    name : str
+        Named in errors.
+    """
+    growth = (fine.resolution / solid.resolution) ** _GROWTH
+    if (
+        not isinstance(solid, CutCells)
+        or growth <= 1
+        or growth * solid.degrees_of_freedom > fine.max_degrees_of_freedom
+        or _least_unknowns(*surface)(fine.resolution) > fine.max_degrees_of_freedom
+    ):
+        return solid
+    if wall * solid.resolution >= MIN_WALL:
+        error = discretisation_error(solid, material, scale, lowest_frequencies(solid, material, scale))
+        if error is None or np.abs(error).max() <= fine.max_error:
+            return solid
+    finer = merge_full_blocks(cut_cells(*surface, fine.resolution, fine.subdivisions, name))
+    return finer if finer.degrees_of_freedom <= fine.max_degrees_of_freedom else solid
+
+
+def _least_unknowns(vertices: np.ndarray, faces: np.ndarray) -> Callable[[int], int]:
+    """Lower bound of the unknowns at a resolution, without cutting."""
+    volume = (1 - MAX_VOLUME_ERROR) * signed_volume(vertices, faces)
+    points = sample_surface(vertices, faces, _SAMPLES, np.random.default_rng(0))
+
+    def least(resolution: int) -> int:
+        touched = np.unique(np.floor((points + 0.5) * resolution).astype(np.int64), axis=0)
+        full = volume * (resolution / 2) ** 3 * (1 - 3 * MARGIN)  # eight full cells are one element
+        return int(_UNKNOWNS * max(full, len(touched)))
+
+    return least

@@ -1,0 +1,92 @@
+import numpy as np
+import pytest
+from solids import box, join, sphere
+
+from objectfolder.fem import adaptive
+from objectfolder.fem.accuracy import discretisation_error, lowest_frequencies
+from objectfolder.fem.adaptive import FineGrid, adaptive_cut_cells, refined
+from objectfolder.fem.blocks import merge_full_blocks
+from objectfolder.fem.cutcell import cut_cells
+from objectfolder.fem.voxel import voxels
+from objectfolder.materials import Material
+
+STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
+FINE = FineGrid(resolution=16, subdivisions=4, max_degrees_of_freedom=10**6, max_error=0.02)
+SHEET = box((1, 1, 0.03))  # 0.24 cells of eight
+THICK = box((1, 1, 0.06))
+
+
+def frame():
+    """Two boards on a third, with inner edges."""
+    return join(
+        box((1, 0.5, 0.1), (0, 0, 0.45)),
+        box((0.1, 0.5, 0.8), (-0.4, 0, 0.0)),
+        box((0.1, 0.5, 0.8), (0.4, 0, 0.0)),
+    )
+
+
+def refine(surface, wall, fine=FINE, resolution=8):
+    return refined(cut_cells(*surface, resolution, 4), surface, wall, fine, STUFF, 1.0)
+
+
+def no_solve(*_):
+    raise AssertionError("modes were sought")
+
+
+def test_resolution_is_the_first_that_is_small_enough():
+    solid = sphere(0.5, 3)
+    sizes = [merge_full_blocks(cut_cells(*solid, r, 4)).degrees_of_freedom for r in (8, 6, 4)]
+    assert sizes[0] > sizes[1] > sizes[2]
+    for limit, resolution in ((sizes[0], 8), (sizes[0] - 1, 6), (sizes[2], 4), (1, 4)):
+        assert adaptive_cut_cells(*solid, [8, 6, 4], 4, limit).resolution == resolution
+
+
+@pytest.mark.parametrize("solid", [sphere(0.5, 3), box((1, 1, 1)), SHEET, frame()])
+@pytest.mark.parametrize("resolution", [8, 13])
+def test_a_grid_has_never_fewer_unknowns_than_the_bound(solid, resolution):
+    cells = merge_full_blocks(cut_cells(*solid, resolution, 4))
+    bound = adaptive._least_unknowns(*solid)(resolution)
+    assert 0.25 * cells.degrees_of_freedom < bound <= cells.degrees_of_freedom
+
+
+def test_a_grid_that_is_surely_too_large_is_not_cut(monkeypatch):
+    cut = []
+    monkeypatch.setattr(adaptive, "cut_cells", lambda *args: cut.append(args[2]) or cut_cells(*args))
+    assert adaptive_cut_cells(*SHEET, [32, 8], 4, 5000).resolution == 8
+    assert cut == [8]
+
+
+def test_thin_walls_are_refined_without_a_solve(monkeypatch):
+    monkeypatch.setattr(adaptive, "lowest_frequencies", no_solve)
+    assert refine(SHEET, 0.03).resolution == 16
+
+
+def test_large_errors_are_refined_and_small_ones_are_not():
+    cells = cut_cells(*THICK, 8, 4)
+    error = max(discretisation_error(cells, STUFF, 1.0, lowest_frequencies(cells, STUFF, 1.0)))
+    assert refine(THICK, 0.06, FineGrid(16, 4, 10**6, error * 0.99)).resolution == 16
+    assert refine(THICK, 0.06, FineGrid(16, 4, 10**6, error * 1.01)).resolution == 8
+
+
+def test_refining_brings_the_frequencies_nearer():
+    solid = frame()
+    fine, coarse = refine(solid, 0.1), cut_cells(*solid, 8, 4)
+    assert fine.resolution == 16
+    found = [lowest_frequencies(c, STUFF, 1.0) for c in (coarse, fine, cut_cells(*solid, 32, 4))]
+    errors = [np.abs(f / found[2] - 1).max() for f in found[:2]]
+    assert errors[1] < 0.5 * errors[0]
+
+
+@pytest.mark.parametrize("wall", [0.03, 0.06])
+def test_the_fine_grid_keeps_to_its_size(wall):
+    solid = box((1, 1, wall))
+    size = merge_full_blocks(cut_cells(*solid, 16, 4)).degrees_of_freedom
+    assert refine(solid, wall, FineGrid(16, 4, size, 1e-9)).resolution == 16
+    assert refine(solid, wall, FineGrid(16, 4, size - 1, 1e-9)).resolution == 8
+
+
+def test_nothing_finer_is_tried_where_there_is_none(monkeypatch):
+    monkeypatch.setattr(adaptive, "lowest_frequencies", no_solve)
+    assert refine(SHEET, 0.03, resolution=16).resolution == 16
+    other = voxels(*box((1, 1, 0.3)), 8, incompatible=False)
+    assert refined(other, THICK, 0.01, FINE, STUFF, 1.0) is other
