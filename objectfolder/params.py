@@ -120,12 +120,14 @@ class TrainVisionParams(Section):  # noqa: D101
 
 class AudioSize(Section):  # noqa: D101
     modes: int = Count  #: for objects with at most this many modes
-    width: int = Count
-    depth: int = Count
-    features: int = Count  #: width of the last hidden layer
+    resolution: int = Field(ge=1, le=128)  #: cells of the grid along each axis
+    channels: int = Count  #: features of a node of the grid
+    width: int = Count  #: of the first layer of sines
+    features: int = Count  #: of the second
     frequency: float = Field(gt=0)  #: of the sines
     steps: int = Count
-    learning_rate: float = Field(gt=0)  #: a wide net with many outputs diverges at a small one's
+    learning_rate: float = Field(gt=0)
+    grid_rate: float = Field(gt=0)  #: learning rate of the grid, relative
 
 
 class AudioSpectrogram(Section):  # noqa: D101

@@ -37,7 +37,15 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
         np.arange(250),
         np.arange(250, 300),
         AudioConfig(
-            width=24, depth=1, features=24, frequency=3.0, steps=steps, batch=128, learning_rate=3e-3
+            resolution=4,
+            channels=4,
+            width=24,
+            features=24,
+            frequency=3.0,
+            steps=steps,
+            batch=128,
+            learning_rate=3e-3,
+            grid_rate=3.0,
         ),
         torch.Generator().manual_seed(0),
     )

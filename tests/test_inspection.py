@@ -129,7 +129,10 @@ def _nets(build):
         vision, header = SurfaceNet(2, 2, 6, 4, 8, 8).to_tensors()
         write_safetensors(build.net("vision"), vision, {"kind": "surface", "net": header})
         damped, damping = (torch.from_numpy(modes[name]) for name in ("damped_frequency", "damping"))
-        audio, header = GainsNet(damped, damping, torch.ones(len(damping)), 8, 1, 8, 6.0).to_tensors()
+        used = torch.ones(4**3, dtype=torch.bool)
+        audio, header = GainsNet(
+            damped, damping, torch.ones(len(damping)), used, 2, 3, 8, 8, 6.0
+        ).to_tensors()
         write_safetensors(build.net("audio"), audio, {"kind": "gains", "net": header})
     touch = GeometricTouch(Isosurface(DistanceGrid.from_arrays(sdf)), SCALE, load_profile("digit"))
     mean = np.full((160, 120, 3), 100, np.uint8)

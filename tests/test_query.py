@@ -55,7 +55,7 @@ def test_a_sound_does_not_depend_on_a_large_batch(brick, rng):
 def test_a_sound_of_many_modes_does_not_depend_on_its_batch(brick, modes, rng):
     torch.manual_seed(modes)
     damped, damping = torch.rand(modes) * 4e4 + 1e3, torch.rand(modes) * 50 + 1
-    net = GainsNet(damped, damping, torch.rand(modes), 96, 1, 96, 5.0).eval()
+    net = GainsNet(damped, damping, torch.rand(modes), torch.ones(6**3, dtype=torch.bool), 4, 8, 96, 96, 5.0)
     points, forces = brick.sample_surface(50) / SCALE, rng.standard_normal((50, 3))
 
     def sounds(p, f):

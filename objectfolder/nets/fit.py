@@ -48,7 +48,7 @@ def fit(
     report : callable
         Called with each point of the curve.
     optimizer : torch.optim.Optimizer, optional
-        Of the net's parameters, its rates are set here; default: Adam.
+        Of the net's parameters; default: Adam. Its rates are set here, times a group's ``relative_rate``.
 
     Returns
     -------
@@ -65,7 +65,7 @@ def fit(
         progress = step / steps
         decay = 0.5 * (1 + math.cos(math.pi * progress)) * (1 - final_rate) + final_rate
         for group in optimizer.param_groups:
-            group["lr"] = learning_rate * min(1, step / 50) * decay
+            group["lr"] = learning_rate * group.get("relative_rate", 1) * min(1, step / 50) * decay
         optimizer.zero_grad(set_to_none=True)
         loss = batch_loss()
         loss.backward()

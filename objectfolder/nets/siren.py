@@ -9,34 +9,36 @@ from torch import nn
 
 
 class Siren(nn.Module):
-    """Fully connected network with sine activations.
+    """Fully connected layers with sine activations.
 
     Parameters
     ----------
-    inputs, outputs : int
+    inputs : int
     widths : sequence of int
-        Of the hidden layers.
     frequency : float
         Factor inside every sine; higher resolves finer detail.
     """
 
-    def __init__(self, inputs: int, outputs: int, widths: Sequence[int], frequency: float):
+    def __init__(self, inputs: int, widths: Sequence[int], frequency: float):
         super().__init__()
         self.frequency = frequency
-        sizes = [inputs, *widths]
-        self.hidden = nn.ModuleList(nn.Linear(a, b) for a, b in itertools.pairwise(sizes))
-        self.output = nn.Linear(sizes[-1], outputs)
-        with torch.no_grad():
-            for i, layer in enumerate([*self.hidden, self.output]):
-                bound = 1 / inputs if i == 0 else math.sqrt(6 / layer.in_features) / frequency
-                layer.weight.uniform_(-bound, bound)
+        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in itertools.pairwise([inputs, *widths]))
+        for i, weight in enumerate(self.weights):
+            bound = 1 / inputs if i == 0 else sine_bound(weight.shape[1], frequency)
+            nn.init.uniform_(weight, -bound, bound)
 
-    def features(self, x: torch.Tensor) -> torch.Tensor:
-        """Evaluate the last hidden layer at (N, inputs)."""
-        for layer in self.hidden:
+    @property
+    def weights(self) -> list[nn.Parameter]:
+        """Matrices of the layers."""
+        return [parameter for parameter in self.parameters() if parameter.ndim == 2]
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Evaluate at (N, inputs); (N, widths[-1])."""
+        for layer in self.layers:
             x = torch.sin(self.frequency * layer(x))
         return x
 
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Evaluate at (N, inputs); (N, outputs)."""
-        return self.output(self.features(x))
+
+def sine_bound(inputs: int, frequency: float) -> float:
+    """Weights of a layer behind sines start within this, either way."""
+    return math.sqrt(6 / inputs) / frequency

@@ -37,12 +37,14 @@ TINY = {
         "sizes": [
             {
                 "modes": 100,
+                "resolution": 6,
+                "channels": 4,
                 "width": 32,
-                "depth": 1,
                 "features": 32,
                 "frequency": 6.0,
                 "steps": 200,
                 "learning_rate": 0.005,
+                "grid_rate": 3.0,
             }
         ],
         "spectrogram": {

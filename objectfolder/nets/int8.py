@@ -1,0 +1,56 @@
+"""Matrices as int8 with a power of two for each row.
+
+Powers of two keep every stored value a float16, and storing a stored matrix again changes nothing.
+"""
+
+import numpy as np
+import torch
+
+LARGEST = 127
+
+
+def exponents(matrix: torch.Tensor) -> torch.Tensor:
+    """Exponents of the smallest powers of two that bring the rows into range; (R,) int8."""
+    largest = matrix.abs().amax(1) if matrix.shape[1] else torch.zeros(len(matrix))
+    return torch.ceil(torch.log2(largest.clamp(min=1e-30) / LARGEST)).to(torch.int8)
+
+
+def pack(matrix: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
+    """Codes (R, C) and exponents (R,) of the rows, both int8."""
+    exponent = exponents(matrix)
+    return torch.round(torch.ldexp(matrix, -exponent[:, None].int())).to(torch.int8).numpy(), exponent.numpy()
+
+
+def unpack(codes: np.ndarray, exponent: np.ndarray) -> torch.Tensor:
+    """Return the (R, C) float32 matrix that was packed."""
+    return torch.ldexp(torch.from_numpy(codes).float(), torch.from_numpy(exponent)[:, None].int())
+
+
+def rounded(matrix: torch.Tensor) -> torch.Tensor:
+    """Nearest matrix that is stored exactly."""
+    return unpack(*pack(matrix))
+
+
+def rounded_with(matrix: torch.Tensor, gram: torch.Tensor) -> torch.Tensor:
+    """Round a linear layer so that its outputs change little: the later inputs make up for the earlier ones.
+
+    Frantar et al. 2023 (GPTQ, arXiv:2210.17323). Where inputs are correlated, as a net's features are, the
+    error is several times smaller than with every weight rounded to the nearest.
+
+    Parameters
+    ----------
+    matrix : (outputs, inputs) tensor
+    gram : (inputs, inputs) tensor
+        Of the inputs over the data, positive definite.
+
+    Returns
+    -------
+    (outputs, inputs) tensor that is stored exactly.
+    """
+    size = torch.ldexp(torch.ones(len(matrix)), exponents(matrix).int()).double()
+    left, out = matrix.double().clone(), torch.empty_like(matrix, dtype=torch.float64)
+    factor = torch.linalg.cholesky(torch.linalg.inv(gram.double()), upper=True)
+    for i, row in enumerate(factor):
+        out[:, i] = (left[:, i] / size).round().clamp(-LARGEST, LARGEST) * size
+        left[:, i + 1 :] -= torch.outer((left[:, i] - out[:, i]) / row[i], row[i + 1 :])
+    return out.float()

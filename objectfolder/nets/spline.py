@@ -1,0 +1,65 @@
+"""Features on a grid of quadratic B-splines, kept only near a surface."""
+
+import torch
+from torch import nn
+
+_OFFSETS = torch.arange(3)
+
+
+class SplineGrid(nn.Module):
+    """Smooth features at points of the unit frame, from the 27 nodes around each.
+
+    Parameters
+    ----------
+    resolution : int
+        Cells along each axis of [-0.5, 0.5]^3; (resolution + 2)^3 nodes.
+    channels : int
+        Features of a node.
+    used : ((resolution + 2)^3,) bool tensor
+        Nodes that have features; those of the others are zero. See `touched`.
+    """
+
+    used: torch.Tensor
+    row: torch.Tensor
+
+    def __init__(self, resolution: int, channels: int, used: torch.Tensor):
+        super().__init__()
+        self.resolution = resolution
+        self.register_buffer("used", used)
+        count = int(used.sum())
+        row = torch.where(used, used.cumsum(0) - 1, count)
+        self.register_buffer("row", row, persistent=False)
+        self.table = nn.Parameter(0.5 * torch.randn(count, channels))
+
+    def nodes(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Rows of the table and weights for (N, 3) points; both (N, 27).
+
+        Compute them once for points that are looked up often.
+        """
+        index, weights = _nodes(x, self.resolution)
+        return self.row[index], weights
+
+    def lookup(self, rows: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+        """Interpolated features for `nodes`' output; (N, channels)."""
+        table = torch.cat([self.table, torch.zeros_like(self.table[:1])])
+        return torch.einsum("pk,pkc->pc", weights, table[rows])
+
+
+def touched(x: torch.Tensor, resolution: int) -> torch.Tensor:
+    """Which nodes interpolate between (N, 3) points; ((resolution + 2)^3,) bool."""
+    used = torch.zeros((resolution + 2) ** 3, dtype=torch.bool)
+    used[_nodes(x, resolution)[0]] = True
+    return used
+
+
+def _nodes(x: torch.Tensor, resolution: int) -> tuple[torch.Tensor, torch.Tensor]:
+    position = (x.double() + 0.5).clamp(0, 1) * resolution
+    cell = position.floor().long().clamp(max=resolution - 1)
+    t = (position - cell).float()
+    # (N, 3 axes, 3 nodes)
+    weights = torch.stack([(1 - t) ** 2 / 2, 0.5 + t - t * t, t * t / 2], -1)
+    along = cell[:, :, None] + _OFFSETS
+    side = resolution + 2
+    index = (along[:, 0, :, None, None] * side + along[:, 1, None, :, None]) * side + along[:, 2, None, None]
+    product = weights[:, 0, :, None, None] * weights[:, 1, None, :, None] * weights[:, 2, None, None]
+    return index.flatten(1), product.flatten(1)
