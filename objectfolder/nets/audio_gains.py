@@ -4,7 +4,7 @@ The spectrogram that the paper's net memorises is linear in the modal gains, so 
 is to learn: M numbers per force axis instead of 257 x 201.
 
 Features on a grid near the surface and the position go through two layers of sines; mode shapes are linear in
-the second. All matrices are stored as int8.
+the second. The large matrices are stored as int8.
 """
 
 import math
@@ -24,6 +24,8 @@ from objectfolder.nets.spline import SplineGrid, touched
 ENERGY_SHARE = 0.8  # of the energy-weighted error in the loss; the rest weighs by gain
 DROPPED = 0.012  # of the weighted shapes (root mean square) that training does not see: faster
 RIDGE = 1e-6  # of the output layer's least squares, relative to a feature's power
+# The first layer is small, and its weights of position and of features differ in size.
+INT8 = ("grid.table", "sines.layers.1.weight", "output.weight")
 BLOCK = 1024  # queries run in blocks of this many rows, so that a row's bits do not depend on its batch
 
 
@@ -117,7 +119,7 @@ class GainsNet(nn.Module):
         """Tensors and configuration, for storing."""
         tensors = {}
         for name, value in self.state_dict().items():
-            if value.ndim == 2:
+            if name in INT8:
                 tensors[name], tensors[f"{name}_exponent"] = int8.pack(value)
             elif value.dtype == torch.bool:
                 tensors[name] = np.packbits(value.numpy())
@@ -214,7 +216,7 @@ def train_gains(
 
     def loss(index: torch.Tensor) -> torch.Tensor:
         found = head(net.features(x[index], nodes[index], weights[index]))
-        return (found - components[index]).square().sum(1).mean()
+        return (found - components[index]).square().sum() / (len(index) * 3 * len(damping))
 
     parameters = [
         {"params": [*net.sines.parameters(), *head.parameters()]},
@@ -235,12 +237,12 @@ def train_gains(
 
 
 def _principal_components(weighted: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
-    """Rotate (P, 3M) columns to uncorrelated ones over some rows, scaled to unit power; the weak dropped."""
+    """Rotate (P, 3M) columns to uncorrelated ones over some rows, of mean power 1; the weak are dropped."""
     if weighted.shape[1] == 0:
         return weighted
     power, axes = torch.linalg.eigh((weighted[rows].T @ weighted[rows]).double() / len(rows))
     kept = power.cumsum(0) > DROPPED**2 * power.sum()
-    return weighted @ axes[:, kept].flip(1).float() / float(power.sum()) ** 0.5
+    return weighted @ axes[:, kept].flip(1).float() / float(power.mean()) ** 0.5
 
 
 @torch.no_grad()
@@ -248,7 +250,7 @@ def _finish(
     net: GainsNet, points: torch.Tensor, nodes: torch.Tensor, weights: torch.Tensor, target: torch.Tensor
 ) -> None:
     """Round the net to what is stored, and solve for its output layer by least squares over all points."""
-    for matrix in (net.grid.table, *net.sines.weights):
+    for matrix in (net.grid.table, net.sines.weights[1]):
         matrix.copy_(int8.rounded(matrix))
     features = torch.cat([net.features(points, nodes, weights), torch.ones(len(points), 1)], 1).double()
     gram = features.T @ features
