@@ -136,10 +136,10 @@ def mute(brick, modes, kept):
     tensors = dict(brick.tensors)
     for name in ("damped_frequency", "damping", "amplitude"):
         tensors[f"audio.{name}"] = tensors[f"audio.{name}"][kept]
-    for name in ("weight", "bias"):
-        value = tensors[f"audio.siren.output.{name}"]
+    for name in ("weight", "weight_exponent", "bias"):
+        value = tensors[f"audio.output.{name}"]
         rows = value.reshape(3, 12, *value.shape[1:])[:, kept]
-        tensors[f"audio.siren.output.{name}"] = rows.reshape(-1, *value.shape[1:])
+        tensors[f"audio.output.{name}"] = rows.reshape(-1, *value.shape[1:])
     kept_modes = {name: value if name == "points" else value[..., kept] for name, value in modes.items()}
     return ObjectFile(brick.header, tensors), kept_modes
 
