@@ -11,6 +11,7 @@ from objectfolder.vision.cameras import Intrinsics, covered_rectangle
 from objectfolder.vision.scene import BOUNCES, LIGHT_INTENSITY, SPECULAR, Scene
 
 SCALAR = "scalar_rgb"
+OLDEST_LLVM = (19,)  # 14 to 16 cannot compile the kernels and abort
 
 
 class MitsubaRenderer:
@@ -62,6 +63,9 @@ class MitsubaRenderer:
 
     def _choose_variant(self) -> None:
         mi.set_variant(self._variant)
+        if self._variant.startswith("llvm") and drjit.detail.llvm_version() < OLDEST_LLVM:
+            found = ".".join(map(str, drjit.detail.llvm_version()))
+            raise ImportError(f"LLVM {found} found, which ends the process: set DRJIT_LIBLLVM_PATH to a newer")
         mi.set_log_level(mi.LogLevel.Error)
         drjit.set_thread_count(1)
 
@@ -70,8 +74,11 @@ class MitsubaRenderer:
     ) -> np.ndarray:
         """Render one view; see `objectfolder.vision.renderers.registry.Renderer`."""
         image = np.zeros((intrinsics.height, intrinsics.width, 4), np.float32)
-        # Only where the object may be: rays that miss it cost a quarter of the time and are known.
-        left, top, right, bottom = covered_rectangle(self._vertices, camera_to_world, intrinsics)
+        left, top, right, bottom = 0, 0, intrinsics.width, intrinsics.height
+        if self._variant == SCALAR:
+            # Only where the object may be: rays that miss it are known, and cost a quarter of the time. The
+            # others would compile their kernel anew for each size.
+            left, top, right, bottom = covered_rectangle(self._vertices, camera_to_world, intrinsics)
         if left == right or top == bottom:
             return image
         self._choose_variant()

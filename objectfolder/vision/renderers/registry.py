@@ -74,7 +74,7 @@ RENDERERS: dict[str, Callable[[Scene], Renderer]] = {
 #: What to install for each.
 NEEDS = {
     "mitsuba": "pip install 'objectfolder[build]'",
-    "mitsuba-llvm": "pip install 'objectfolder[build]' and an LLVM library, version 15 or newer (libllvm19)",
+    "mitsuba-llvm": "pip install 'objectfolder[build]' and an LLVM library, version 19 or newer (libllvm19)",
     "mitsuba-cuda": "pip install 'objectfolder[build]' on a machine with an NVIDIA GPU and its driver",
     "cycles": "pip install 'objectfolder[cycles]' (Python 3.11), or put Blender 4.2 or newer on the PATH",
     "raster": "pip install 'objectfolder[raster]' and EGL (libegl1) or OSMesa (PYOPENGL_PLATFORM=osmesa)",
