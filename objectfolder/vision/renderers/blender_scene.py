@@ -90,7 +90,7 @@ def _add_object(bpy, scene, folder: Path, settings: dict) -> None:
     mesh.update(calc_edges=True)
     if len(uv):
         mesh.uv_layers.new(name="uv").data.foreach_set("uv", uv[faces.ravel()].ravel())
-    mesh.color_attributes.new("color", "FLOAT_COLOR", "POINT").data.foreach_set("color", colors.ravel())
+    mesh.color_attributes.new("base_color", "FLOAT_COLOR", "POINT").data.foreach_set("color", colors.ravel())
     mesh.shade_flat()
     mesh.validate(clean_customdata=False)
     mesh.materials.append(_material(bpy, folder, settings))
@@ -112,8 +112,8 @@ def _material(bpy, folder: Path, settings: dict):
         color.image = bpy.data.images.load(str(folder / "texture.png"))  # sRGB, as PNG are
         color.interpolation, color.extension = "Linear", "REPEAT"
     else:
-        color = nodes.new("ShaderNodeVertexColor")
-        color.layer_name = "color"
+        color = nodes.new("ShaderNodeAttribute")
+        color.attribute_name = "base_color"  # not "color": Cycles reads that as the object's
     links.new(color.outputs["Color"], surface.inputs["Base Color"])
     links.new(surface.outputs["BSDF"], output.inputs["Surface"])
     return material

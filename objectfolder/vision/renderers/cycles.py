@@ -6,9 +6,9 @@ import shutil
 import subprocess
 import sys
 import weakref
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import IO
 
 import numpy as np
 from PIL import Image
@@ -18,6 +18,7 @@ from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.renderers import blender_scene
 from objectfolder.vision.scene import BOUNCES, LIGHT_INTENSITY, SPECULAR, Scene
 
+SMALLEST = 4  #: pixels along a side that Blender renders
 SHOWN_LINES = 8  # of what Blender has printed, when it fails
 
 
@@ -39,19 +40,20 @@ class CyclesRenderer:
     """
 
     def __init__(self, scene: Scene):
-        script = blender_command()
-        self._folder = TemporaryDirectory(prefix="objectfolder-cycles-")
-        folder = Path(self._folder.name)
-        write_scene(scene, folder)
-        self._log = (folder / "blender.log").open("w+")
+        command = blender_command()
+        resources = ExitStack()
+        weakref.finalize(self, resources.close)
+        self._folder = Path(resources.enter_context(TemporaryDirectory(prefix="objectfolder-cycles-")))
+        write_scene(scene, self._folder)
+        self._log = resources.enter_context((self._folder / "blender.log").open("w+"))
         self._process = subprocess.Popen(
-            [*script, str(folder)],
+            [*command, str(self._folder)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,
             text=True,
         )
-        self._end = weakref.finalize(self, _end, self._process, self._log, self._folder)
+        resources.callback(_end, self._process)
         self._printed: list[str] = []
         self.version = f"cycles {self._wait('start').removeprefix(blender_scene.DONE).strip()} cpu"
 
@@ -59,11 +61,13 @@ class CyclesRenderer:
         self, camera_to_world: np.ndarray, light: np.ndarray, intrinsics: Intrinsics, samples: int, seed: int
     ) -> np.ndarray:
         """Render one view; see `objectfolder.vision.renderers.registry.Renderer`."""
+        # A margin makes a picture as large as Blender's smallest.
+        rows, columns = (max(SMALLEST - n + 1, 0) // 2 for n in (intrinsics.height, intrinsics.width))
         view = {
             "camera_to_world": np.asarray(camera_to_world).tolist(),
             "light": np.asarray(light).tolist(),
-            "width": intrinsics.width,
-            "height": intrinsics.height,
+            "width": intrinsics.width + 2 * columns,
+            "height": intrinsics.height + 2 * rows,
             "focal": intrinsics.focal,
             "samples": samples,
             "seed": seed % 2**31,
@@ -75,7 +79,10 @@ class CyclesRenderer:
         except BrokenPipeError:
             pass  # it has ended: waiting says how
         self._wait("render")
-        return np.ascontiguousarray(np.load(Path(self._folder.name) / "image.npy"))
+        image = np.load(self._folder / "image.npy")
+        return np.ascontiguousarray(
+            image[rows : rows + intrinsics.height, columns : columns + intrinsics.width]
+        )
 
     def _wait(self, what: str) -> str:
         """Read what Blender prints up to the line that says that it is done, and return that line."""
@@ -136,15 +143,14 @@ def write_scene(scene: Scene, folder: Path) -> None:
         Image.fromarray(mesh.texture).save(folder / "texture.png")
 
 
-def _end(process: subprocess.Popen, log: IO, folder: TemporaryDirectory) -> None:
+def _end(process: subprocess.Popen) -> None:
     assert process.stdin is not None
     assert process.stdout is not None
-    process.stdin.close()  # the script's loop ends
+    with suppress(BrokenPipeError):
+        process.stdin.close()  # the script's loop ends
     process.stdout.close()
     try:
         process.wait(10)
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()
-    log.close()
-    folder.cleanup()
