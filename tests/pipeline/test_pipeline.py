@@ -214,7 +214,9 @@ def test_an_interrupted_training_leaves_nothing_and_restarts_to_the_same_bytes(b
         values["train_vision"]["steps"] = 20000
     try:
         command = [sys.executable, "-m", "stages.train_vision", "cube"]
-        training = subprocess.Popen(command, cwd=built.root, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+        training = subprocess.Popen(
+            command, cwd=built.root, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+        )
         assert training.stdout is not None
         assert b"step" in training.stdout.readline()
         training.send_signal(how)

@@ -129,9 +129,7 @@ def test_vertex_colours_are_srgb_and_interpolated(render):
 
 
 def test_metal_reflects_in_its_colour_and_has_no_diffuse_light(render):
-    gold, paint = (
-        square(vertex_colors=colors([255, 180, 0]), roughness=0.3, metallic=m) for m in (1.0, 0.0)
-    )
+    gold, paint = (square(vertex_colors=colors([255, 180, 0]), roughness=0.3, metallic=m) for m in (1.0, 0.0))
     aside = look_at(np.array([0.6, 2.4, 0]))[0]
     assert render(gold, [1, 0, 0], aside)[MIDDLE][0] < 0.2 * render(paint, [1, 0, 0], aside)[MIDDLE][0]
     highlight = render(gold, [1.5, 0, 0])[MIDDLE]
@@ -221,7 +219,7 @@ def test_the_names_in_the_parameters_are_those_of_the_renderers():
 
 
 def test_an_unknown_renderer_is_refused_with_the_known_ones():
-    with pytest.raises(ObjectFolderError, match="'povray' is not one of mitsuba, .*cycles, raster"):
+    with pytest.raises(ObjectFolderError, match=r"'povray' is not one of mitsuba, .*cycles, raster"):
         make_renderer("povray", Scene(square()))
 
 
@@ -293,7 +291,7 @@ def test_blender_gets_every_view_and_the_scene(blender):
 @pytest.mark.parametrize("after", ["", f"print({blender_scene.DONE!r}, '9.9', flush=True)\n"])
 def test_a_blender_that_fails_is_quoted(blender, after):
     blender(f"import sys\n{after}print('reason one')\nsys.exit('reason two')")
-    with pytest.raises(ObjectFolderError, match="Blender ended with 1 .*reason one.*reason two"):
+    with pytest.raises(ObjectFolderError, match=r"Blender ended with 1 .*reason one.*reason two"):
         make_renderer("cycles", Scene(square())).render(FRONT, np.ones(3), SMALL, 1, 0)
 
 
@@ -345,7 +343,7 @@ def test_all_that_projects_into_the_image_is_in_the_covered_rectangle(seed, dist
 
 def test_an_object_out_of_sight_covers_nothing():
     away = look_at(np.array([2.5, 0, 0]), (2.5, 3, 0))[0]
-    left, top, right, bottom = covered_rectangle(SQUARE + [2.5, 1, 4], away, SMALL)
+    left, top, right, bottom = covered_rectangle(SQUARE + np.array([2.5, 1, 4]), away, SMALL)
     assert (right - left) * (bottom - top) == 0
 
 

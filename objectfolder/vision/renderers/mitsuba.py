@@ -65,7 +65,9 @@ class MitsubaRenderer:
         mi.set_variant(self._variant)
         if self._variant.startswith("llvm") and drjit.detail.llvm_version() < OLDEST_LLVM:
             found = ".".join(map(str, drjit.detail.llvm_version()))
-            raise ImportError(f"LLVM {found} found, which ends the process: set DRJIT_LIBLLVM_PATH to a newer")
+            raise ImportError(
+                f"LLVM {found} found, which ends the process: set DRJIT_LIBLLVM_PATH to a newer"
+            )
         mi.set_log_level(mi.LogLevel.Error)
         drjit.set_thread_count(1)
 
@@ -115,7 +117,11 @@ class MitsubaRenderer:
 
 def _base_color(scene: Scene) -> dict:
     if scene.base_color == "texture":
-        return {"type": "bitmap", "bitmap": mi.Bitmap(np.array(scene.mesh.texture)), "filter_type": "bilinear"}
+        return {
+            "type": "bitmap",
+            "bitmap": mi.Bitmap(np.array(scene.mesh.texture)),
+            "filter_type": "bilinear",
+        }
     if scene.base_color == "vertices":
         return {"type": "mesh_attribute", "name": "vertex_color"}
     return {"type": "rgb", "value": PLAIN}
