@@ -211,7 +211,7 @@ def test_an_interrupted_training_leaves_nothing_and_restarts_to_the_same_bytes(b
     files = set(build.dir.rglob("*"))
     with built.edit() as values:
         steps = values["train_vision"]["steps"]
-        values["train_vision"]["steps"] = 20000
+        values["train_vision"]["steps"] = 4000
     try:
         command = [sys.executable, "-m", "stages.train_vision", "cube"]
         training = subprocess.Popen(
