@@ -183,11 +183,11 @@ def renderers(figures: dict) -> list[str]:
     """Table of what `perf/vision.py renderers` has measured."""
     lines = [
         "\n## Renderers\n",
-        "`python perf/vision.py renderers --json build/perf/renderers.json`: the same views at 256 x 256 by each "
-        "renderer, one fresh process with one thread each, CPU ms per image at 16 and 64 samples per pixel. "
-        "PSNR and mean difference on white in sRGB against mitsuba's scalar variant at 64 samples with other "
-        "seeds, over the pixels that the object covers, and those of them that are lit. mitsuba's own noise "
-        "is what its llvm variant is apart; the rest of cycles is another BSDF, and of raster the lack of "
+        "`python perf/vision.py renderers --json build/perf/renderers.json`: the same views at 256 x 256 by "
+        "each renderer, one fresh process with one thread each, CPU ms per image at 16 and 64 samples per "
+        "pixel. PSNR and mean difference on white in sRGB against mitsuba's scalar variant at 64 samples, "
+        "over the pixels that the object covers, and those of them that are lit. The llvm variant differs "
+        "by noise alone, of both; cycles also by its BSDF, and raster by lacking "
         "shadows.",
         "",
         "| object | renderer | ms, 16 | ms, 64 | peak MB | foreground dB | lit dB | mean diff. | lit diff. |",
