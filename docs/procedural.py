@@ -14,6 +14,7 @@ from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.vision.cameras import Intrinsics, look_at, project
 from objectfolder.vision.color import on_white
 from objectfolder.vision.renderers.mitsuba import MitsubaRenderer
+from objectfolder.vision.scene import Scene
 
 DOCS = Path(__file__).parent
 CATALOGUE = DOCS.parent / "catalogs/procedural.yaml"
@@ -43,7 +44,7 @@ def thumbnail(key: str) -> np.ndarray:
     pose = look_at(CAMERA)[0]
     at, _ = project(mesh.vertices, pose, Intrinsics(2, 2, 1.0))
     intrinsics = Intrinsics(SIZE, SIZE, FILL * SIZE / 2 / np.abs(at - 1).max())
-    renderer = MitsubaRenderer(mesh)
+    renderer = MitsubaRenderer(Scene(mesh))
     image = np.zeros((SIZE, SIZE, 4), np.float32)
     for seed, (light, power) in enumerate(LIGHTS):
         view = renderer.render(pose, np.array(light), intrinsics, SAMPLES, seed)

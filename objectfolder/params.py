@@ -90,6 +90,8 @@ class ModalParams(Section):  # noqa: D101
 
 
 class RenderViewsParams(Section):  # noqa: D101
+    renderer: Literal["mitsuba", "mitsuba-llvm", "mitsuba-cuda", "cycles", "raster"]  #: docs/pipeline.md
+    ambient: float = Field(ge=0)  #: radiance from every direction, beside the point light
     resolution: int = Count  #: pixels along a side
     train: int = Count  #: views
     val: int = Count

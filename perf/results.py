@@ -182,6 +182,32 @@ def accuracy(rows: list[dict]) -> list[str]:
     return lines
 
 
+def renderers(figures: dict) -> list[str]:
+    """Table of what `perf/vision.py renderers` has measured."""
+    lines = [
+        "\n## Renderers\n",
+        "`python perf/vision.py renderers --json build/perf/renderers.json`: the same views at 256 x 256 by "
+        "each renderer, one fresh process with one thread each, CPU ms per image at 16 and 64 samples per "
+        "pixel. PSNR and mean difference on white in sRGB against mitsuba's scalar variant at 64 samples, "
+        "over the pixels that the object covers, and those of them that are lit. The llvm variant differs "
+        "by noise alone, of both; cycles also by its BSDF, and raster by lacking "
+        "shadows.",
+        "",
+        "| object | renderer | ms, 16 | ms, 64 | peak MB | foreground dB | lit dB | mean diff. | lit diff. |",
+        "|---" * 9 + "|",
+    ]
+    for row in (row for row in figures["renderers"] if "failed" not in row):
+        shown = [f"{row['ms_16']:.0f}", f"{row['ms_64']:.0f}", f"{row['peak_mb']:.0f}"]
+        apart = (
+            ("psnr_foreground", "psnr_lit_foreground"),
+            ("difference_foreground", "difference_lit_foreground"),
+        )
+        shown += [f"{row[name]:.1f}" if name in row else "" for name in apart[0]]
+        shown += [f"{row[name]:+.4f}" if name in row else "" for name in apart[1]]
+        lines.append(f"| {row['object']} | {row['version']} | {' | '.join(shown)} |")
+    return lines
+
+
 def measured(name: str, layout: Callable[[Any], list[str]]) -> list[str]:
     """Lay out the figures that `perf/NAME.py --json build/perf/NAME.json` has left, if it has."""
     path = ROOT / "build" / "perf" / f"{name}.json"
@@ -237,6 +263,7 @@ def main() -> None:
         "with AWGN rows 32.0 / 26.2 / 24.2. "
         "In its audio convention a silent prediction scores as the `baseline_silence` column "
         "does, so compare the difference.",
+        *measured("renderers", renderers),
         *measured("geometry", geometry),
         *measured("modal_accuracy", accuracy),
         *measured("modal", modal),

@@ -11,14 +11,16 @@ from objectfolder.seeding import numpy_generator
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.color import on_white
 from objectfolder.vision.dataset import render_split
-from objectfolder.vision.renderers.mitsuba import MitsubaRenderer
+from objectfolder.vision.renderers.registry import make_renderer
+from objectfolder.vision.scene import Scene
 from stages import progress, run
 
 
 def main(key: str) -> None:
     params = stage_params("render_views", key)
     build, section = Build(key), params.section
-    renderer = MitsubaRenderer(load_mesh(build.visual, up="y"))
+    scene = Scene(load_mesh(build.visual, up="y"), section.ambient)
+    renderer = make_renderer(section.renderer, scene)
     for split in SPLITS:
         views = render_split(
             renderer,

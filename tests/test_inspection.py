@@ -107,7 +107,14 @@ def _datasets(build, vertices, faces, rng):
         rgba[:, 4:12, 4:12, 3] = 1  # a quarter of the image, whose upper half is lit
         rgba[:, 4:8, 4:12, :3] = 0.5
         poses, lights = look_at(sphere_points(count, 2.5, rng)), sphere_points(count, 1.0, rng)
-        write_npz(build.views(split), rgba=rgba, camera_to_world=poses, light=lights, focal=np.float64(22.2))
+        write_npz(
+            build.views(split),
+            rgba=rgba,
+            camera_to_world=poses,
+            light=lights,
+            focal=np.float64(22.2),
+            renderer="mitsuba",
+        )
         write_npz(
             build.touch(split),
             images=rng.integers(0, 256, (count, 16, 12, 3)).astype(np.uint8),

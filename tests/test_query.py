@@ -114,6 +114,29 @@ def test_a_camera_that_does_not_see_the_object_sees_white(brick):
     np.testing.assert_allclose(image, 1, atol=1e-6)
 
 
+@pytest.mark.parametrize("where", [0.0, 1e-9, -1e-6])
+def test_a_light_on_the_surface_gives_a_finite_picture(brick, where):
+    """Or a hair above or under it."""
+    points = brick.sample_surface(4) / brick.scale
+    images = brick.view(points * 4, points * (1 + where), 16)
+    assert np.isfinite(images).all()
+    assert (images >= 0).all()
+    assert (images <= 1).all()
+    assert (images < 0.999).any()
+
+
+def test_a_camera_inside_the_object_sees_no_background(brick):
+    image = brick.view([0.01, 0, 0], [0, 0, 1.0], 16)
+    assert np.isfinite(image).all()
+    assert (image < 1).any()
+
+
+@pytest.mark.parametrize("resolution", [0, -3])
+def test_pictures_without_pixels_are_refused(brick, resolution):
+    with pytest.raises(ObjectFolderError, match="must be positive"):
+        brick.view([2, 0, 0], [1, 0, 0], resolution)
+
+
 @pytest.mark.parametrize(
     ("camera", "light", "message"),
     [

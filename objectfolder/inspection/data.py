@@ -21,7 +21,7 @@ def inspect_render_views(build: Build) -> Inspection:
     paths = [build.views(split) for split in SPLITS]
     require(build, "render_views", *paths, build.views_sheet)
     splits = {
-        split: read_npz(path, "rgba", "camera_to_world", "light", "focal")
+        split: read_npz(path, "rgba", "camera_to_world", "light", "focal", "renderer")
         for split, path in zip(SPLITS, paths)
     }
     table: list[tuple[str, str]] = []
@@ -42,6 +42,7 @@ def inspect_render_views(build: Build) -> Inspection:
             ("  camera distance", span(np.linalg.norm(views["camera_to_world"][:, :3, 3], axis=1), "sizes")),
             ("  light distance", span(np.linalg.norm(views["light"], axis=1), "sizes")),
             ("  focal length", f"{float(views['focal']):g} pixels"),
+            ("  renderer", str(views["renderer"])),
         ]
     figure = page(15, 13, f"render_views@{build.key}")
     top, bottom = rows(figure, 3, 1.4)

@@ -101,3 +101,31 @@ def project(
         x = intrinsics.width / 2 + intrinsics.focal * local[:, 0] / depth
         y = intrinsics.height / 2 - intrinsics.focal * local[:, 1] / depth
     return np.stack([x, y], 1), depth
+
+
+def covered_rectangle(
+    points: np.ndarray, camera_to_world: np.ndarray, intrinsics: Intrinsics
+) -> tuple[int, int, int, int]:
+    """Pixels that the convex hull of points may cover.
+
+    Parameters
+    ----------
+    points : (N, 3) array
+        Unit frame.
+    camera_to_world : (4, 4) array
+    intrinsics : Intrinsics
+
+    Returns
+    -------
+    left, top, right, bottom : int
+        Columns from left to before right, rows from top to before bottom: none, if the hull is out of sight,
+        and the whole image, if a point is behind the camera.
+    """
+    size = np.array([intrinsics.width, intrinsics.height])
+    pixels, depth = project(points, camera_to_world, intrinsics)
+    if (depth <= 1e-6).any():
+        return 0, 0, intrinsics.width, intrinsics.height
+    # One pixel more on each side: the renderer's projection rounds apart from ours.
+    left, top = np.clip(np.floor(pixels.min(0)) - 1, 0, size).astype(int).tolist()
+    right, bottom = np.clip(np.ceil(pixels.max(0)) + 1, 0, size).astype(int).tolist()
+    return left, top, right, bottom

@@ -5,11 +5,13 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from objectfolder.vision.cameras import CAMERA_RADIUS, LIGHT_RADIUS, Intrinsics, look_at, sphere_points
-from objectfolder.vision.renderers.mitsuba import MitsubaRenderer
+from objectfolder.vision.renderers.registry import Renderer
+
+BRIGHTEST = np.finfo(np.float16).max  # the highlight of a mirror near the light is brighter
 
 
 def render_split(
-    renderer: MitsubaRenderer,
+    renderer: Renderer,
     count: int,
     samples: int,
     intrinsics: Intrinsics,
@@ -20,7 +22,7 @@ def render_split(
 
     Parameters
     ----------
-    renderer : MitsubaRenderer
+    renderer : Renderer
     count : int
         Views.
     samples : int
@@ -34,17 +36,19 @@ def render_split(
     -------
     dict
         ``rgba`` (N, H, W, 4) float16, linear and premultiplied; ``camera_to_world`` (N, 4, 4);
-        ``light`` (N, 3); ``focal``.
+        ``light`` (N, 3); ``focal``; ``renderer``, its version.
     """
     camera_to_world = look_at(sphere_points(count, CAMERA_RADIUS, rng))
     light = sphere_points(count, LIGHT_RADIUS, rng)
     seeds = rng.integers(2**31, size=count)
     rgba = np.empty((count, intrinsics.height, intrinsics.width, 4), np.float16)
     for i in progress(range(count)):
-        rgba[i] = renderer.render(camera_to_world[i], light[i], intrinsics, samples, int(seeds[i]))
+        image = renderer.render(camera_to_world[i], light[i], intrinsics, samples, int(seeds[i]))
+        rgba[i] = image.clip(max=BRIGHTEST)
     return {
         "rgba": rgba,
         "camera_to_world": camera_to_world,
         "light": light,
         "focal": np.asarray(intrinsics.focal, np.float64),
+        "renderer": np.asarray(renderer.version),
     }

@@ -201,6 +201,35 @@ def test_killed_stage_leaves_nothing_half_written_and_the_next_build_resumes(wor
     assert (workspace.root / "build/cube/sdf.npz").exists()
 
 
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_an_interrupted_training_leaves_nothing_and_restarts_to_the_same_bytes(built, how):
+    build = Build("cube", built.root)
+    outputs = (build.net("vision"), build.curve("vision"))
+    before = {path: path.read_bytes() for path in outputs}
+    for path in outputs:
+        path.unlink()
+    files = set(build.dir.rglob("*"))
+    with built.edit() as values:
+        steps = values["train_vision"]["steps"]
+        values["train_vision"]["steps"] = 4000
+    try:
+        command = [sys.executable, "-m", "stages.train_vision", "cube"]
+        training = subprocess.Popen(
+            command, cwd=built.root, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+        )
+        assert training.stdout is not None
+        assert b"step" in training.stdout.readline()
+        training.send_signal(how)
+        training.communicate(timeout=60)
+        assert training.returncode != 0
+        assert set(build.dir.rglob("*")) == files
+    finally:
+        with built.edit() as values:
+            values["train_vision"]["steps"] = steps
+        built.run("-m", "stages.train_vision", "cube")
+    assert {path: path.read_bytes() for path in outputs} == before
+
+
 def test_a_broken_object_does_not_stop_the_others(workspace):
     home = workspace.root / "data/objects/cube"
     home.mkdir(parents=True)

@@ -7,6 +7,7 @@ from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, project
 from objectfolder.vision.dataset import render_split
 from objectfolder.vision.renderers.mitsuba import MitsubaRenderer
+from objectfolder.vision.scene import Scene
 
 FRONT = look_at(np.array([2.5, 0, 0]))[0]
 SMALL = Intrinsics.square(64)
@@ -28,7 +29,7 @@ def quad(texture=None, **material):
 
 
 def radiance(mesh, light, samples=16, pose=FRONT, intrinsics=SMALL):
-    return MitsubaRenderer(mesh).render(pose, np.asarray(light, float), intrinsics, samples, 1)
+    return MitsubaRenderer(Scene(mesh)).render(pose, np.asarray(light, float), intrinsics, samples, 1)
 
 
 def test_a_rough_white_surface_facing_the_light_at_distance_one_has_radiance_one():
@@ -100,7 +101,7 @@ def test_a_light_behind_leaves_the_near_side_dark(solid):
 
 
 def test_the_light_can_be_moved_between_renders():
-    renderer = MitsubaRenderer(painted(sphere(0.4, 3)))
+    renderer = MitsubaRenderer(Scene(painted(sphere(0.4, 3))))
     lights = np.array([[1.0, 0, 0], [0, 0, 1.0], [1.0, 0, 0]])
     images = [renderer.render(FRONT, light, SMALL, 4, 3) for light in lights]
     np.testing.assert_array_equal(images[0], images[2])
@@ -115,7 +116,7 @@ def test_unit_alpha_background_and_finite():
 
 def test_a_split_is_the_same_bytes_twice():
     def split():
-        renderer = MitsubaRenderer(painted(box((0.5, 0.4, 0.3))))
+        renderer = MitsubaRenderer(Scene(painted(box((0.5, 0.4, 0.3)))))
         return render_split(renderer, 3, 4, Intrinsics.square(16), np.random.default_rng(3))
 
     first, second = split(), split()

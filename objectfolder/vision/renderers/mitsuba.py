@@ -1,4 +1,4 @@
-"""Ground-truth views with Mitsuba 3 (scalar variant: needs no system library, same bytes every time)."""
+"""Ground-truth views with Mitsuba 3; its scalar variant needs no system library and repeats its bytes."""
 
 import math
 
@@ -6,72 +6,84 @@ import drjit
 import mitsuba as mi
 import numpy as np
 
-from objectfolder.mesh import srgb
-from objectfolder.mesh.textured import DEFAULT_ROUGHNESS, TexturedMesh
-from objectfolder.vision.cameras import Intrinsics
+from objectfolder.mesh.textured import PLAIN
+from objectfolder.vision.cameras import Intrinsics, covered_rectangle
+from objectfolder.vision.scene import BOUNCES, LIGHT_INTENSITY, SPECULAR, Scene
 
-VARIANT = "scalar_rgb"
-MIN_ROUGHNESS = 0.05  # a mirror would show a point light as nothing
-MAX_DEPTH = 4  # path length: direct light and two bounces
+SCALAR = "scalar_rgb"
+OLDEST_LLVM = (19,)  # 14 to 16 cannot compile the kernels and abort
 
 
 class MitsubaRenderer:
-    """One textured object lit by one point light, in the unit frame.
+    """Path tracing with one thread.
 
-    The light's intensity is pi, so a white Lambertian surface that faces it at distance 1 has radiance 1.
+    The box filter keeps the result the same for any thread count; multijittered samples are worth 4 to 6 dB
+    at equal count.
 
     Parameters
     ----------
-    mesh : TexturedMesh
-        Unit frame.
+    scene : Scene
+    variant : str
+        Of Mitsuba: ``scalar_rgb``, ``llvm_ad_rgb`` (needs an LLVM library) or ``cuda_ad_rgb`` (a GPU).
+
+    Raises
+    ------
+    ImportError
+        If the variant cannot run here.
     """
 
-    def __init__(self, mesh: TexturedMesh):
-        mi.set_variant(VARIANT)
-        mi.set_log_level(mi.LogLevel.Error)
-        drjit.set_thread_count(1)
-        roughness = DEFAULT_ROUGHNESS if mesh.roughness is None else mesh.roughness
+    def __init__(self, scene: Scene, variant: str = SCALAR):
+        self._variant = variant
+        self._choose_variant()
+        self.version = f"mitsuba {mi.__version__} {variant}"
+        self._vertices = scene.mesh.vertices
         bsdf = mi.load_dict(
             {
                 "type": "twosided",
                 "bsdf": {
                     "type": "principled",
-                    "base_color": _base_color(mesh),
-                    "roughness": max(float(roughness), MIN_ROUGHNESS),
-                    "metallic": mesh.metallic or 0.0,
-                    "specular": 0.5,
+                    "base_color": _base_color(scene),
+                    "roughness": scene.roughness,
+                    "metallic": scene.metallic,
+                    "specular": SPECULAR,
                 },
             }
         )
-        self._scene = mi.load_dict(
-            {
-                "type": "scene",
-                "integrator": {"type": "path", "max_depth": MAX_DEPTH, "hide_emitters": True},
-                "object": _shape(mesh, bsdf),
-                "light": {"type": "point", "position": [0.0, 0.0, 1.0], "intensity": math.pi},
-            }
-        )
+        elements = {
+            "type": "scene",
+            # A path of two vertices is direct light.
+            "integrator": {"type": "path", "max_depth": 2 + BOUNCES, "hide_emitters": True},
+            "object": _shape(scene, bsdf),
+            "light": {"type": "point", "position": [0.0, 0.0, 1.0], "intensity": LIGHT_INTENSITY},
+        }
+        if scene.ambient:
+            elements["room"] = {"type": "constant", "radiance": scene.ambient}
+        self._scene = mi.load_dict(elements)
         self._parameters = mi.traverse(self._scene)
+
+    def _choose_variant(self) -> None:
+        mi.set_variant(self._variant)
+        if self._variant.startswith("llvm") and drjit.detail.llvm_version() < OLDEST_LLVM:
+            found = ".".join(map(str, drjit.detail.llvm_version()))
+            raise ImportError(
+                f"LLVM {found} found, which ends the process: set DRJIT_LIBLLVM_PATH to a newer"
+            )
+        mi.set_log_level(mi.LogLevel.Error)
+        drjit.set_thread_count(1)
 
     def render(
         self, camera_to_world: np.ndarray, light: np.ndarray, intrinsics: Intrinsics, samples: int, seed: int
     ) -> np.ndarray:
-        """Render one view.
-
-        The box filter keeps the result the same for any thread count; multijittered samples are worth
-        4 to 6 dB at equal count.
-
-        Parameters
-        ----------
-        camera_to_world : (4, 4) array
-        light : (3,) array
-        samples : int
-            Per pixel.
-
-        Returns
-        -------
-        (H, W, 4) float32, linear, premultiplied by alpha
-        """
+        """Render one view; see `objectfolder.vision.renderers.registry.Renderer`."""
+        image = np.zeros((intrinsics.height, intrinsics.width, 4), np.float32)
+        left, top, right, bottom = 0, 0, intrinsics.width, intrinsics.height
+        if self._variant == SCALAR:
+            # Only where the object may be: rays that miss it are known, and cost a quarter of the time. The
+            # others would compile their kernel anew for each size.
+            left, top, right, bottom = covered_rectangle(self._vertices, camera_to_world, intrinsics)
+        if left == right or top == bottom:
+            return image
+        self._choose_variant()
         # Mitsuba's camera looks along +z with +x to the left.
         to_world = camera_to_world @ np.diag([-1.0, 1.0, -1.0, 1.0])
         sensor = mi.load_dict(
@@ -84,6 +96,10 @@ class MitsubaRenderer:
                     "type": "hdrfilm",
                     "width": intrinsics.width,
                     "height": intrinsics.height,
+                    "crop_offset_x": left,
+                    "crop_offset_y": top,
+                    "crop_width": right - left,
+                    "crop_height": bottom - top,
                     "rfilter": {"type": "box"},
                     "pixel_format": "rgba",
                     "component_format": "float32",
@@ -91,20 +107,28 @@ class MitsubaRenderer:
                 "sampler": {"type": "multijitter", "sample_count": samples},
             }
         )
-        self._parameters["light.position"] = mi.ScalarPoint3f(*map(float, light))
+        point = mi.ScalarPoint3f if self._variant == SCALAR else mi.Point3f
+        self._parameters["light.position"] = point(*map(float, light))
         self._parameters.update()
-        return np.array(mi.render(self._scene, sensor=sensor, seed=mi.UInt32(seed), spp=samples))
+        rendered = mi.render(self._scene, sensor=sensor, seed=mi.UInt32(seed), spp=samples)
+        image[top:bottom, left:right] = np.array(rendered)
+        return image
 
 
-def _base_color(mesh: TexturedMesh) -> dict:
-    if mesh.texture is not None and mesh.uv is not None:
-        return {"type": "bitmap", "bitmap": mi.Bitmap(np.array(mesh.texture)), "filter_type": "bilinear"}
-    if mesh.vertex_colors is not None:
+def _base_color(scene: Scene) -> dict:
+    if scene.base_color == "texture":
+        return {
+            "type": "bitmap",
+            "bitmap": mi.Bitmap(np.array(scene.mesh.texture)),
+            "filter_type": "bilinear",
+        }
+    if scene.base_color == "vertices":
         return {"type": "mesh_attribute", "name": "vertex_color"}
-    return {"type": "rgb", "value": 0.6}
+    return {"type": "rgb", "value": PLAIN}
 
 
-def _shape(mesh: TexturedMesh, bsdf: "mi.BSDF") -> "mi.Mesh":
+def _shape(scene: Scene, bsdf: "mi.BSDF") -> "mi.Mesh":
+    mesh = scene.mesh
     properties = mi.Properties()
     properties["bsdf"] = bsdf
     properties["face_normals"] = True
@@ -117,9 +141,8 @@ def _shape(mesh: TexturedMesh, bsdf: "mi.BSDF") -> "mi.Mesh":
         has_vertex_texcoords=uv is not None,
         props=properties,
     )
-    if mesh.vertex_colors is not None:
-        linear = srgb.decode(mesh.vertex_colors / 255.0)
-        shape.add_attribute("vertex_color", 3, linear.astype(np.float32).ravel().tolist())
+    if scene.base_color == "vertices":
+        shape.add_attribute("vertex_color", 3, scene.vertex_colors.ravel().tolist())
     parameters = mi.traverse(shape)
     parameters["vertex_positions"] = mesh.vertices.astype(np.float32).ravel()
     parameters["faces"] = mesh.faces.astype(np.uint32).ravel()

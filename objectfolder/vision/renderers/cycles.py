@@ -1,0 +1,156 @@
+"""Views with Blender's Cycles, the paper's renderer, in a process of its own that stays for all views."""
+
+import importlib.util
+import json
+import shutil
+import subprocess
+import sys
+import weakref
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from PIL import Image
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.vision.cameras import Intrinsics
+from objectfolder.vision.renderers import blender_scene
+from objectfolder.vision.scene import BOUNCES, LIGHT_INTENSITY, SPECULAR, Scene
+
+SMALLEST = 4  #: pixels along a side that Blender renders
+SHOWN_LINES = 8  # of what Blender has printed, when it fails
+
+
+class CyclesRenderer:
+    """Path tracing on the CPU with one thread, box filter, no denoising.
+
+    Blender runs apart from this process: it needs its own numpy, and its licence is the GPL.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Raises
+    ------
+    ImportError
+        If there is neither the module bpy nor a Blender on the PATH.
+    ObjectFolderError
+        If Blender does not start or is too old.
+    """
+
+    def __init__(self, scene: Scene):
+        command = blender_command()
+        resources = ExitStack()
+        weakref.finalize(self, resources.close)
+        self._folder = Path(resources.enter_context(TemporaryDirectory(prefix="objectfolder-cycles-")))
+        write_scene(scene, self._folder)
+        self._log = resources.enter_context((self._folder / "blender.log").open("w+"))
+        self._process = subprocess.Popen(
+            [*command, str(self._folder)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._log,
+            text=True,
+        )
+        resources.callback(_end, self._process)
+        self._printed: list[str] = []
+        self.version = f"cycles {self._wait('start').removeprefix(blender_scene.DONE).strip()} cpu"
+
+    def render(
+        self, camera_to_world: np.ndarray, light: np.ndarray, intrinsics: Intrinsics, samples: int, seed: int
+    ) -> np.ndarray:
+        """Render one view; see `objectfolder.vision.renderers.registry.Renderer`."""
+        # A margin makes a picture as large as Blender's smallest.
+        rows, columns = (max(SMALLEST - n + 1, 0) // 2 for n in (intrinsics.height, intrinsics.width))
+        view = {
+            "camera_to_world": np.asarray(camera_to_world).tolist(),
+            "light": np.asarray(light).tolist(),
+            "width": intrinsics.width + 2 * columns,
+            "height": intrinsics.height + 2 * rows,
+            "focal": intrinsics.focal,
+            "samples": samples,
+            "seed": seed % 2**31,
+        }
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(json.dumps(view) + "\n")
+            self._process.stdin.flush()
+        except BrokenPipeError:
+            pass  # it has ended: waiting says how
+        self._wait("render")
+        image = np.load(self._folder / "image.npy")
+        return np.ascontiguousarray(
+            image[rows : rows + intrinsics.height, columns : columns + intrinsics.width]
+        )
+
+    def _wait(self, what: str) -> str:
+        """Read what Blender prints up to the line that says that it is done, and return that line."""
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            if line.startswith(blender_scene.DONE):
+                return line
+            self._printed = [*self._printed, line.strip()][-SHOWN_LINES:]
+        code = self._process.wait()
+        self._log.seek(0)
+        said = [line.strip() for line in [*self._printed, *self._log] if line.strip()]
+        raise ObjectFolderError(
+            f"Blender ended with {code} instead of going on to {what}: {' | '.join(said[-SHOWN_LINES:])}"
+        )
+
+
+def blender_command() -> list[str]:
+    """Command that runs `blender_scene` where there is Blender; the folder comes last.
+
+    Raises
+    ------
+    ImportError
+        If there is none.
+    """
+    script = blender_scene.__file__
+    if importlib.util.find_spec("bpy"):
+        return [sys.executable, "-P", script]  # -P: our modules beside the script have names of Blender's
+    blender = shutil.which("blender")
+    if blender is None:
+        raise ImportError("neither the module bpy nor a program blender on the PATH")
+    return [blender, "--background", "--factory-startup", "--python-exit-code", "1", "--python", script, "--"]
+
+
+def write_scene(scene: Scene, folder: Path) -> None:
+    """Write what `blender_scene` builds its scene from: ``scene.json``, ``mesh.npz``, ``texture.png``."""
+    mesh = scene.mesh
+    uv = np.zeros((0, 2)) if mesh.uv is None else mesh.uv
+    colors = np.pad(scene.vertex_colors, ((0, 0), (0, 1)), constant_values=1)
+    np.savez(
+        folder / "mesh.npz",
+        vertices=mesh.vertices.astype(np.float32),
+        faces=mesh.faces.astype(np.int32),
+        uv=uv.astype(np.float32),
+        colors=colors,
+    )
+    settings = {
+        "roughness": scene.roughness,
+        "metallic": scene.metallic,
+        "specular": SPECULAR,
+        "textured": scene.base_color == "texture",
+        "ambient": scene.ambient,
+        "light_intensity": LIGHT_INTENSITY,
+        "bounces": BOUNCES,
+    }
+    (folder / "scene.json").write_text(json.dumps(settings))
+    if scene.base_color == "texture":
+        assert mesh.texture is not None
+        Image.fromarray(mesh.texture).save(folder / "texture.png")
+
+
+def _end(process: subprocess.Popen) -> None:
+    assert process.stdin is not None
+    assert process.stdout is not None
+    with suppress(BrokenPipeError):
+        process.stdin.close()  # the script's loop ends
+    process.stdout.close()
+    try:
+        process.wait(10)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()

@@ -1,0 +1,107 @@
+"""Previews with OpenGL (pyrender): no shadows, no indirect light, and radiance above 1 is cut off."""
+
+import atexit
+import os
+from functools import cache
+
+import numpy as np
+
+# pyrender opens a window unless told otherwise, and uses a name that numpy 2 has dropped.
+os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
+vars(np).setdefault("infty", np.inf)
+
+import pyrender  # noqa: E402
+from OpenGL.error import Error as OpenGLError  # noqa: E402
+from PIL import Image  # noqa: E402
+
+from objectfolder.vision.cameras import Intrinsics  # noqa: E402
+from objectfolder.vision.scene import LIGHT_INTENSITY, Scene  # noqa: E402
+
+GAMMA = 2.2  # that pyrender's shader encodes with
+MAX_SIDE = 4  # samples per side of a pixel
+NEAR, FAR = 1e-3, 1e3
+
+
+class RasterRenderer:
+    """Direct light on every surface that faces the light, whatever lies between.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Raises
+    ------
+    ImportError
+        If OpenGL cannot draw here without a window.
+    """
+
+    def __init__(self, scene: Scene):
+        self.version = f"pyrender {pyrender.__version__}"
+        self._scene = pyrender.Scene(bg_color=np.zeros(4), ambient_light=np.full(3, scene.ambient))
+        self._scene.add(pyrender.Mesh([_primitive(scene)]))
+        self._light = self._scene.add(pyrender.PointLight(intensity=LIGHT_INTENSITY))
+        self._canvas = _canvas()
+
+    def render(
+        self, camera_to_world: np.ndarray, light: np.ndarray, intrinsics: Intrinsics, samples: int, seed: int
+    ) -> np.ndarray:
+        """Render one view; see `objectfolder.vision.renderers.registry.Renderer`.
+
+        Samples lie on a regular grid of at most `MAX_SIDE`^2; the seed is not used.
+        """
+        side = min(max(round(samples**0.5), 1), MAX_SIDE)
+        height, width, focal = (side * x for x in (intrinsics.height, intrinsics.width, intrinsics.focal))
+        camera = pyrender.IntrinsicsCamera(focal, focal, width / 2, height / 2, NEAR, FAR)
+        node = self._scene.add(camera, pose=np.asarray(camera_to_world, np.float64))
+        pose = np.eye(4)
+        pose[:3, 3] = light
+        self._scene.set_pose(self._light, pose)
+        self._canvas.viewport_width, self._canvas.viewport_height = width, height
+        drawn, _ = self._canvas.render(self._scene, pyrender.RenderFlags.RGBA)
+        self._scene.remove_node(node)
+        encoded = drawn.astype(np.float32) / 255
+        alpha = encoded[..., 3:]
+        # The canvas averages encoded colours with the black around the object: that is, times alpha.
+        linear = alpha * (encoded[..., :3] / np.maximum(alpha, 1 / 255)) ** GAMMA
+        fine = np.concatenate([linear, alpha], 2)
+        return fine.reshape(intrinsics.height, side, intrinsics.width, side, 4).mean((1, 3))
+
+
+@cache
+def _canvas() -> "pyrender.OffscreenRenderer":
+    """One for all renderers: to delete one ends OpenGL for the others."""
+    try:
+        canvas = pyrender.OffscreenRenderer(1, 1)
+    except (OpenGLError, RuntimeError, ValueError) as error:
+        raise ImportError(f"OpenGL does not start: {error}") from error
+    atexit.register(canvas.delete)
+    return canvas
+
+
+def _primitive(scene: Scene) -> "pyrender.Primitive":
+    """Every face with vertices of its own: flat shading."""
+    mesh = scene.mesh
+    corners = mesh.vertices[mesh.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+    material = pyrender.MetallicRoughnessMaterial(
+        metallicFactor=scene.metallic, roughnessFactor=scene.roughness, doubleSided=True
+    )
+    uv, colors = None, None
+    if scene.base_color == "texture":
+        assert mesh.uv is not None
+        assert mesh.texture is not None
+        uv = mesh.uv[mesh.faces].reshape(-1, 2)
+        material.baseColorTexture = pyrender.Texture(
+            source=Image.fromarray(mesh.texture), source_channels="RGB"
+        )
+    else:
+        colors = scene.vertex_colors[mesh.faces].reshape(-1, 3)
+    return pyrender.Primitive(
+        positions=corners.reshape(-1, 3),
+        normals=normals.repeat(3, 0),
+        texcoord_0=uv,
+        color_0=colors,
+        mode=pyrender.GLTF.TRIANGLES,
+        material=material,
+    )

@@ -1,0 +1,100 @@
+"""The renderers by name, and what all of them do."""
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.vision.cameras import Intrinsics
+from objectfolder.vision.scene import Scene
+
+
+class Renderer(Protocol):
+    """Draws one scene from any camera under any point light."""
+
+    version: str  #: program, its version and its variant, as recorded with the views
+
+    def render(
+        self, camera_to_world: np.ndarray, light: np.ndarray, intrinsics: Intrinsics, samples: int, seed: int
+    ) -> np.ndarray:
+        """Render one view.
+
+        The camera may be inside the object, and sees its surface from inside; the light may be anywhere,
+        also on the surface.
+
+        Parameters
+        ----------
+        camera_to_world : (4, 4) array
+            Unit frame, OpenGL axes.
+        light : (3,) array
+            Position of the point light, unit frame.
+        intrinsics : Intrinsics
+        samples : int
+            Per pixel.
+        seed : int
+            Of the samples: the same one gives the same image.
+
+        Returns
+        -------
+        (H, W, 4) float32, finite, linear, premultiplied by alpha
+        """
+        ...
+
+
+def _mitsuba(variant: str) -> Callable[[Scene], Renderer]:
+    def make(scene: Scene) -> Renderer:
+        from objectfolder.vision.renderers.mitsuba import MitsubaRenderer
+
+        return MitsubaRenderer(scene, variant)
+
+    return make
+
+
+def _cycles(scene: Scene) -> Renderer:
+    from objectfolder.vision.renderers.cycles import CyclesRenderer
+
+    return CyclesRenderer(scene)
+
+
+def _raster(scene: Scene) -> Renderer:
+    from objectfolder.vision.renderers.raster import RasterRenderer
+
+    return RasterRenderer(scene)
+
+
+#: How each renderer is made; `objectfolder.params` lists the same names.
+RENDERERS: dict[str, Callable[[Scene], Renderer]] = {
+    "mitsuba": _mitsuba("scalar_rgb"),
+    "mitsuba-llvm": _mitsuba("llvm_ad_rgb"),
+    "mitsuba-cuda": _mitsuba("cuda_ad_rgb"),
+    "cycles": _cycles,
+    "raster": _raster,
+}
+#: What to install for each.
+NEEDS = {
+    "mitsuba": "pip install 'objectfolder[build]'",
+    "mitsuba-llvm": "pip install 'objectfolder[build]' and an LLVM library, version 19 or newer (libllvm19)",
+    "mitsuba-cuda": "pip install 'objectfolder[build]' on a machine with an NVIDIA GPU and its driver",
+    "cycles": "pip install 'objectfolder[cycles]' (Python 3.11), or put Blender 4.2 or newer on the PATH",
+    "raster": "pip install 'objectfolder[raster]' and EGL (libegl1) or OSMesa (PYOPENGL_PLATFORM=osmesa)",
+}
+
+
+def make_renderer(name: str, scene: Scene) -> Renderer:
+    """Make the renderer of a name for a scene.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there is no such renderer, or it is not installed; the message says what to install.
+    """
+    if name not in RENDERERS:
+        raise ObjectFolderError(f"renderer {name!r} is not one of {', '.join(RENDERERS)}")
+    try:
+        return RENDERERS[name](scene)
+    except ImportError as error:
+        raise ObjectFolderError(
+            f"renderer {name!r} cannot run here ({error}): {NEEDS[name]}, or set render_views.renderer to "
+            "another"
+        ) from error

@@ -1,0 +1,373 @@
+"""What all renderers have in common; those that are not installed are skipped."""
+
+import os
+import stat
+import subprocess
+import sys
+from pathlib import Path
+from typing import get_args
+
+import mitsuba
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from solids import box, sphere
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.textured import TexturedMesh
+from objectfolder.params import RenderViewsParams
+from objectfolder.vision.cameras import Intrinsics, covered_rectangle, look_at, project, sphere_points
+from objectfolder.vision.dataset import render_split
+from objectfolder.vision.renderers import blender_scene, cycles
+from objectfolder.vision.renderers.registry import NEEDS, RENDERERS, make_renderer
+from objectfolder.vision.scene import Scene
+
+ROOT = Path(__file__).parents[2]
+FRONT = look_at(np.array([2.5, 0, 0]))[0]
+ASIDE = look_at(np.array([1.5, 2.0, 0]))[0]  # sees the square at x = 0 without its highlight
+SMALL = Intrinsics.square(33)
+MIDDLE = (16, 16)
+SQUARE = np.array([[0, -0.5, -0.5], [0, 0.5, -0.5], [0, 0.5, 0.5], [0, -0.5, 0.5]])
+HALVES = np.array([[0, 1, 2], [0, 2, 3]])
+
+
+def lacking(name):
+    """Why a renderer cannot run here; empty if it can."""
+    try:
+        make_renderer(name, Scene(TexturedMesh(SQUARE, HALVES)))
+    except ObjectFolderError as error:
+        return str(error)
+    return ""
+
+
+LACKING = {name: lacking(name) for name in RENDERERS}
+HERE = [name for name, reason in LACKING.items() if not reason]
+
+
+@pytest.mark.parametrize("name", RENDERERS)
+def test_the_renderer_runs_here(name):
+    """Else the tests below leave it out."""
+    if LACKING[name] and name != "mitsuba":
+        pytest.skip(LACKING[name])
+    assert not LACKING[name]
+
+
+@pytest.fixture(params=HERE)
+def render(request):
+    """Render a mesh with each renderer that can run here."""
+
+    def rendered(mesh, light, pose=FRONT, intrinsics=SMALL, samples=16, ambient=0.0):
+        renderer = make_renderer(request.param, Scene(mesh, ambient))
+        return renderer.render(pose, np.asarray(light, float), intrinsics, samples, 1)
+
+    rendered.name = request.param
+    return rendered
+
+
+def square(**appearance):
+    return TexturedMesh(SQUARE, HALVES, **{"roughness": 1.0, **appearance})
+
+
+def colors(color, count=4):
+    return np.tile(np.uint8(color), (count, 1))
+
+
+def painted(solid, color=(255, 255, 255), **material):
+    return TexturedMesh(*solid, vertex_colors=colors(color, len(solid[0])), **material)
+
+
+def test_a_rough_white_surface_facing_the_light_at_distance_one_has_radiance_near_one(render):
+    """One exactly for a Lambertian; BSDFs differ by what their surface reflects above it."""
+    white = square(vertex_colors=colors([255] * 3))
+    image = render(white, [0.99, 0, 0], ASIDE)
+    assert image[MIDDLE][3] == 1
+    np.testing.assert_allclose(image[MIDDLE][:3], 1, atol=0.1)
+
+
+def test_radiance_falls_with_the_square_of_distance(render):
+    grey = square()
+    near, far = (render(grey, [d, 0, 0], ASIDE)[MIDDLE][0] for d in (1, 2))
+    assert near / far == pytest.approx(4, rel=0.05)
+
+
+def test_without_texture_and_colours_the_surface_is_grey(render):
+    bare, grey = square(), square(vertex_colors=colors([203] * 3))  # 0.6 in linear
+    np.testing.assert_allclose(
+        render(bare, [1, 0, 0], ASIDE)[MIDDLE], render(grey, [1, 0, 0], ASIDE)[MIDDLE], atol=0.01
+    )
+
+
+def test_a_texture_without_coordinates_is_not_used(render):
+    texture = np.full((4, 4, 3), [255, 0, 0], np.uint8)
+    plain = square()
+    lost = square(texture=texture)
+    np.testing.assert_array_equal(render(lost, [1, 0, 0], ASIDE), render(plain, [1, 0, 0], ASIDE))
+
+
+def test_a_texture_is_upright_and_repeats(render):
+    texture = np.zeros((16, 16, 3), np.uint8)
+    texture[:8, :8] = [200, 0, 0]  # upper left
+    texture[8:, 8:] = [0, 0, 200]  # lower right
+    for shift in (0, 3):
+        image = render(square(uv=SQUARE[:, 1:] + 0.5 + shift, texture=texture), [2, 0, 0])
+        # Seen from +x, y runs to the right and z up.
+        corners = np.array([[0, -0.25, 0.25], [0, 0.25, -0.25]])
+        (left, upper), (right, lower) = project(corners, FRONT, SMALL)[0].astype(int)
+        assert image[upper, left, 0] > 4 * image[upper, left, 2]
+        assert image[lower, right, 2] > 4 * image[lower, right, 0]
+
+
+def test_vertex_colours_are_srgb_and_interpolated(render):
+    mesh = square(vertex_colors=np.uint8([[188, 0, 0], [0, 0, 188], [0, 0, 188], [188, 0, 0]]))
+    image = render(mesh, [2, 0, 0])
+    (left, row), (right, _) = project(np.array([[0, -0.4, 0], [0, 0.4, 0]]), FRONT, SMALL)[0].astype(int)
+    assert image[row, left, 0] > 2 * image[row, left, 2]
+    assert image[row, right, 2] > 2 * image[row, right, 0]
+    middle = image[MIDDLE]
+    assert middle[0] == pytest.approx(middle[2], rel=0.15)
+
+
+def test_metal_reflects_in_its_colour_and_has_no_diffuse_light(render):
+    gold, paint = (square(vertex_colors=colors([255, 180, 0]), roughness=0.3, metallic=m) for m in (1.0, 0.0))
+    aside = look_at(np.array([0.6, 2.4, 0]))[0]
+    assert render(gold, [1, 0, 0], aside)[MIDDLE][0] < 0.2 * render(paint, [1, 0, 0], aside)[MIDDLE][0]
+    highlight = render(gold, [1.5, 0, 0])[MIDDLE]
+    assert highlight[2] < 0.2 * highlight[0]
+
+
+def test_the_silhouette_is_where_the_camera_sees_it(render):
+    intrinsics = Intrinsics(48, 36, 60.0)
+    for position in ((2.5, 0, 0), (-1.2, 1.7, 1.1), (0, 0, -2.5)):
+        pose = look_at(np.array(position))[0]
+        alpha = render(painted(sphere(0.1, 3, (0.1, -0.3, 0.2))), [1, 1, 1], pose, intrinsics)[..., 3]
+        (centre,), _ = project(np.array([[0.1, -0.3, 0.2]]), pose, intrinsics)
+        rows, columns = np.mgrid[:36, :48] + 0.5
+        assert (alpha * columns).sum() / alpha.sum() == pytest.approx(centre[0], abs=0.1)
+        assert (alpha * rows).sum() / alpha.sum() == pytest.approx(centre[1], abs=0.1)
+        assert alpha.max() == 1
+        assert alpha[0].max() == 0
+
+
+def test_a_light_behind_leaves_the_near_side_dark(render):
+    image = render(painted(sphere(0.4, 4)), [-1.0, 0, 0])
+    assert (image[..., 3] == 1).sum() > 100
+    assert image[..., :3].max() <= 0.002  # the rasteriser's cosine is 0.001 at least
+
+
+def test_a_camera_inside_sees_the_surface_from_inside(render):
+    """Which the light outside does not reach; the rasteriser knows no shadows."""
+    inside = look_at(np.array([0.05, 0, 0]))[0]
+    image = render(painted(box((0.8, 0.8, 0.8))), [0, 0, 1.0], inside)
+    assert (image[..., 3] == 1).all()
+    assert np.isfinite(image).all()
+    if render.name != "raster":
+        assert image[..., :3].max() == 0
+    lamp = render(painted(box((0.8, 0.8, 0.8))), [0.1, 0.1, 0.1], inside)
+    if render.name != "raster":
+        assert lamp[..., :3].min() > 0.1
+
+
+@pytest.mark.parametrize("light", [[0, 0, 0], [0, 0.2, 0.1], [1e-7, 0, 0]])
+def test_a_light_on_the_surface_gives_a_finite_picture(render, light):
+    image = render(square(), light)
+    assert np.isfinite(image).all()
+    assert image[MIDDLE][3] == 1
+
+
+def test_a_picture_of_one_pixel_and_one_without_the_object(render):
+    for width, height in ((1, 1), (2, 7)):
+        image = render(square(), [1, 0, 0], intrinsics=Intrinsics(width, height, 70.0))
+        assert image.shape == (height, width, 4)
+        assert (image[..., 3] == 1).all()
+    away = look_at(np.array([2.5, 0, 0]), (5, 0, 0))[0]
+    assert not render(square(), [1, 0, 0], away).any()
+
+
+def test_the_same_seed_gives_the_same_bytes(render):
+    mesh = painted(box((0.5, 0.4, 0.3)))
+    first, second = (render(mesh, [1, 0.2, 0.5], samples=4) for _ in range(2))
+    assert first.dtype == np.float32
+    assert first.tobytes() == second.tobytes()
+
+
+def test_ambient_light_of_an_open_white_surface_is_its_radiance(render):
+    mesh = square(vertex_colors=colors([255] * 3))
+    image = render(mesh, [-1, 0, 0], ASIDE, samples=64, ambient=0.25)
+    behind = render(mesh, [-1, 0, 0], ASIDE, samples=64)
+    np.testing.assert_allclose(image[MIDDLE][:3] - behind[MIDDLE][:3], 0.25, rtol=0.15)
+    np.testing.assert_array_equal(image[..., 3], behind[..., 3])
+    assert not image[0].any()  # the room is not in the picture
+
+
+@pytest.mark.parametrize("name", [name for name in HERE if name != "raster"])
+def test_path_tracers_agree(name):
+    """Up to their BSDFs; nothing is tuned."""
+    rng = np.random.default_rng(4)
+    solid = box((0.5, 0.6, 0.7))
+    mesh = painted(solid, (200, 120, 60))
+    truth, other = (make_renderer(n, Scene(mesh)) for n in ("mitsuba", name))
+    for pose, light in zip(look_at(sphere_points(3, 2.5, rng)), sphere_points(3, 1.0, rng)):
+        a, b = (r.render(pose, light, SMALL, 64, 1) for r in (truth, other))
+        assert np.abs(a - b).mean() < 0.01
+        assert np.abs(a[..., 3] - b[..., 3]).max() < 0.2
+
+
+def test_the_names_in_the_parameters_are_those_of_the_renderers():
+    names = get_args(RenderViewsParams.model_fields["renderer"].annotation)
+    assert set(names) == set(RENDERERS) == set(NEEDS)
+
+
+def test_an_unknown_renderer_is_refused_with_the_known_ones():
+    with pytest.raises(ObjectFolderError, match=r"'povray' is not one of mitsuba, .*cycles, raster"):
+        make_renderer("povray", Scene(square()))
+
+
+def test_renderers_that_are_not_installed_say_which_extra(monkeypatch):
+    monkeypatch.setattr(cycles.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(ObjectFolderError, match=r"pip install 'objectfolder\[cycles\]'.* or put Blender"):
+        make_renderer("cycles", Scene(square()))
+    monkeypatch.setitem(sys.modules, "pyrender", None)
+    monkeypatch.delitem(sys.modules, "objectfolder.vision.renderers.raster", raising=False)
+    with pytest.raises(ObjectFolderError, match=r"pip install 'objectfolder\[raster\]'"):
+        make_renderer("raster", Scene(square()))
+    monkeypatch.setitem(sys.modules, "mitsuba", None)
+    monkeypatch.delitem(sys.modules, "objectfolder.vision.renderers.mitsuba", raising=False)
+    with pytest.raises(ObjectFolderError, match=r"pip install 'objectfolder\[build\]'"):
+        make_renderer("mitsuba", Scene(square()))
+
+
+def test_an_old_llvm_is_refused_before_it_aborts(monkeypatch):
+    monkeypatch.setattr(mitsuba, "set_variant", lambda *names: None)
+    monkeypatch.setattr("drjit.detail.llvm_version", lambda: (15, 0, 6))
+    with pytest.raises(ObjectFolderError, match=r"LLVM 15\.0\.6 found.*DRJIT_LIBLLVM_PATH"):
+        make_renderer("mitsuba-llvm", Scene(square()))
+
+
+@pytest.fixture
+def blender(tmp_path, monkeypatch):
+    """Put a program named blender on the PATH that does what the test says."""
+
+    def put(script):
+        program = tmp_path / "blender"
+        program.write_text(f"#!{sys.executable}\n{script}")
+        program.chmod(program.stat().st_mode | stat.S_IXUSR)
+        monkeypatch.setattr(cycles.importlib.util, "find_spec", lambda name: None)
+        monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+
+    return put
+
+
+def test_blender_gets_every_view_and_the_scene(blender):
+    """A stand-in answers with what it was sent."""
+    blender(
+        f"import json, sys, numpy as np\nfrom pathlib import Path\n"
+        f"assert '--background' in sys.argv and {blender_scene.__file__!r} in sys.argv\n"
+        f"folder = Path(sys.argv[-1])\n"
+        f"scene, mesh = json.loads((folder / 'scene.json').read_text()), np.load(folder / 'mesh.npz')\n"
+        f"print('chatter')\nprint({blender_scene.DONE!r}, '9.9', flush=True)\n"
+        f"for line in sys.stdin:\n"
+        f"    view = json.loads(line)\n"
+        f"    image = np.zeros((view['height'], view['width'], 4), np.float32)\n"
+        f"    image[0, 0] = [*view['light'], scene['roughness']]\n"
+        f"    image[0, 1] = [len(mesh['faces']), mesh['colors'][0, 0], view['samples'], view['seed']]\n"
+        f"    np.save(folder / 'image.npy', image)\n"
+        f"    print('chatter')\n    print({blender_scene.DONE!r}, flush=True)\n"
+    )
+    renderer = make_renderer("cycles", Scene(square(vertex_colors=colors([188, 0, 0]))))
+    assert renderer.version == "cycles 9.9 cpu"
+    for seed in (5, 2**31 + 6):
+        image = renderer.render(FRONT, np.array([1.0, 2, 3]), Intrinsics(5, 4, 4.0), 7, seed)
+        assert image.shape == (4, 5, 4)
+        assert image[0, 0].tolist() == [1, 2, 3, 1]
+        np.testing.assert_allclose(image[0, 1], [2, 0.503, 7, seed % 2**31], atol=2e-3)
+    folder, process = renderer._folder, renderer._process
+    del renderer
+    assert process.poll() == 0
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize("after", ["", f"print({blender_scene.DONE!r}, '9.9', flush=True)\n"])
+def test_a_blender_that_fails_is_quoted(blender, after):
+    blender(f"import sys\n{after}print('reason one')\nsys.exit('reason two')")
+    with pytest.raises(ObjectFolderError, match=r"Blender ended with 1 .*reason one.*reason two"):
+        make_renderer("cycles", Scene(square())).render(FRONT, np.ones(3), SMALL, 1, 0)
+
+
+def test_the_record_of_a_split_names_its_renderer():
+    views = render_split(make_renderer("mitsuba", Scene(square())), 1, 1, SMALL, np.random.default_rng(0))
+    assert str(views["renderer"]) == f"mitsuba {mitsuba.__version__} scalar_rgb"
+
+
+def test_highlights_beyond_half_precision_are_cut_off():
+    class Glaring:
+        version = "none"
+
+        def render(self, *arguments):
+            return np.full((2, 2, 4), 1e6, np.float32)
+
+    views = render_split(Glaring(), 1, 1, Intrinsics.square(2), np.random.default_rng(0))
+    assert np.isfinite(views["rgba"]).all()
+
+
+@pytest.mark.parametrize(
+    ("mesh", "ambient", "message"),
+    [
+        (TexturedMesh(SQUARE, HALVES[:0]), 0.0, "no faces"),
+        (TexturedMesh(np.full((3, 3), np.nan), np.array([[0, 1, 2]])), 0.0, "not finite"),
+        (square(), -0.1, "ambient light is -0.1"),
+        (square(), float("nan"), "ambient light is nan"),
+    ],
+)
+def test_impossible_scenes_are_refused(mesh, ambient, message):
+    with pytest.raises(ObjectFolderError, match=message):
+        Scene(mesh, ambient)
+
+
+@given(st.integers(0, 2**31), st.floats(0.02, 3))
+def test_all_that_projects_into_the_image_is_in_the_covered_rectangle(seed, distance):
+    rng = np.random.default_rng(seed)
+    corners = rng.uniform(-0.5, 0.5, (5, 3))
+    pose = look_at(sphere_points(1, distance, rng), rng.uniform(-1, 1, 3))[0]
+    intrinsics = Intrinsics(40, 30, 50.0)
+    left, top, right, bottom = covered_rectangle(corners, pose, intrinsics)
+    assert 0 <= left <= right <= 40
+    assert 0 <= top <= bottom <= 30
+    inner = rng.dirichlet(np.ones(5), 200) @ corners
+    pixels, depth = project(inner, pose, intrinsics)
+    seen = (depth > 1e-6) & (pixels >= 0).all(1) & (pixels < [40, 30]).all(1)
+    assert (pixels[seen] >= [left, top]).all()
+    assert (pixels[seen] <= [right, bottom]).all()
+
+
+def test_an_object_out_of_sight_covers_nothing():
+    away = look_at(np.array([2.5, 0, 0]), (2.5, 3, 0))[0]
+    left, top, right, bottom = covered_rectangle(SQUARE + np.array([2.5, 1, 4]), away, SMALL)
+    assert (right - left) * (bottom - top) == 0
+
+
+def test_rendering_takes_less_than_a_gigabyte(tmp_path):
+    """A scan's mesh and texture at the size and samples of the test views."""
+    script = (
+        "import resource, numpy as np\n"
+        "from solids import sphere\n"
+        "from objectfolder.mesh.textured import TexturedMesh\n"
+        "from objectfolder.vision.cameras import Intrinsics, look_at\n"
+        "from objectfolder.vision.renderers.registry import make_renderer\n"
+        "from objectfolder.vision.scene import Scene\n"
+        "v, f = sphere(0.1, 5)\n"
+        "mesh = TexturedMesh(v, f, v[:, :2] + 0.5, np.zeros((1024, 1024, 3), np.uint8))\n"
+        "renderer = make_renderer('mitsuba', Scene(mesh))\n"
+        "renderer.render(look_at(np.array([2.5, 0, 0]))[0], np.ones(3), Intrinsics(), 64, 0)\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)\n"
+    )
+    path = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        env=os.environ | {"PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert 50 < float(done.stdout) < 1000
