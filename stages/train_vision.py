@@ -5,8 +5,8 @@ import torch
 from objectfolder.artifacts import Build, read_npz, write_curve, write_safetensors
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.nets.vision_osf import OsfConfig, train_osf
-from objectfolder.nets.vision_surface import VisionConfig, train_surface
+from objectfolder.nets.vision_osf import OsfConfig, OsfNet, train_osf
+from objectfolder.nets.vision_surface import SurfaceNet, VisionConfig, train_surface
 from objectfolder.params import stage_params
 from objectfolder.seeding import torch_generator
 from stages import log_point, run
@@ -19,6 +19,7 @@ def main(key: str) -> None:
         read_npz(build.views(s), "rgba", "camera_to_world", "light", "focal") for s in ("train", "val")
     )
     generator = torch_generator(params.seed, key, "train_vision")
+    net: SurfaceNet | OsfNet
     if section.net == "surface":
         surface = Isosurface(DistanceGrid.from_arrays(read_npz(build.sdf, "values", "band")))
         config = VisionConfig(**section.model_dump(exclude={"net", "osf"}))

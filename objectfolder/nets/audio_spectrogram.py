@@ -15,8 +15,8 @@ from torch import nn
 
 from objectfolder.audio.spectrogram import SHAPE, spectrogram
 from objectfolder.audio.synthesis import sinusoid_bank
-from objectfolder.nets.positional import SkipNetwork, octave_angles
 from objectfolder.nets.fit import CurvePoint, fit
+from objectfolder.nets.positional import SkipNetwork, octave_angles
 
 RANGE_POINTS = 256  # training points whose extremes span the range of values
 VAL_SAMPLES = 1 << 14

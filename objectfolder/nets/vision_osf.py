@@ -14,8 +14,8 @@ import torch
 from torch import nn
 
 from objectfolder.mesh.grid import BOUND
-from objectfolder.nets.positional import SkipNetwork, octave_angles
 from objectfolder.nets.fit import CurvePoint, fit, minibatches
+from objectfolder.nets.positional import SkipNetwork, octave_angles
 from objectfolder.vision.cameras import Intrinsics, camera_rays
 from objectfolder.vision.color import linear_to_srgb, on_white
 from objectfolder.vision.picture import Picture
@@ -169,7 +169,7 @@ class OsfNet(nn.Module):
         for index in (rays.far > rays.near).nonzero()[:, 0].split(_CHUNK):
             part = rays[index]
             radiance, alpha, distance = self._look(part, self._sample(part, None)[0], towards)
-            rgba[index] = torch.cat([radiance, alpha[:, None]], 1)
+            rgba[index] = torch.cat([radiance, alpha[:, None].clamp(max=1)], 1)
             depth[index] = distance / alpha * (part.directions @ forward)  # not a number where alpha is 0
         depth = torch.where(rgba[:, 3] > 0, depth, math.inf)
         size = intrinsics.height, intrinsics.width
@@ -288,8 +288,8 @@ def train_osf(
     generator : torch.Generator
         On the CPU.
     report : callable
-        Called with each `CurvePoint`. Losses are mean squared errors in sRGB of rays that meet the cube; that of
-        training is the sum of both nets', that of validation the fine net's on `VAL_RAYS` rays.
+        Called with each `CurvePoint`. Losses are mean squared errors in sRGB of rays that meet the cube; that
+        of training is the sum of both nets', that of validation the fine net's on `VAL_RAYS` rays.
     device : str or torch.device
         Where to train; the net comes back on the CPU. The size of the paper takes a GPU.
 
