@@ -25,7 +25,7 @@ def main(key: str) -> None:
         config = VisionConfig(**section.model_dump(exclude={"net", "osf"}))
         net, curve = train_surface(surface, train, val, config, generator, log_point)
     else:
-        # The paper's net takes core-weeks; where there is a GPU, it trains there.
+        # The paper's net takes core-months; where there is a GPU, it trains there.
         device = "cuda" if torch.cuda.is_available() else "cpu"
         settings = OsfConfig(**section.osf.model_dump())
         net, curve = train_osf(train, val, settings, generator, log_point, device)

@@ -99,6 +99,12 @@ class OsfNet(nn.Module):
         Of a ray; the paper takes 64 and 128. The fine net sees both.
     **shape
         See `ScatteringFunction`.
+
+    Notes
+    -----
+    Colours are linear until they are shown, and light falls off with the distance squared, as in the views.
+    The authors' published code fits encoded colours without falloff, and ends a sample's interval at the next
+    sample instead of midway.
     """
 
     def __init__(self, coarse_samples: int, fine_samples: int, **shape: int):
