@@ -4,6 +4,7 @@ Figures come from `objectfolder build` and from the other scripts here; this onl
 """
 
 import json
+import math
 import platform
 from collections.abc import Callable
 from pathlib import Path
@@ -175,17 +176,19 @@ def accuracy(rows: list[dict]) -> list[str]:
     """Table of what `perf/modal_accuracy.py` has measured."""
     lines = [
         "\n## Accuracy of the modal analysis\n",
-        "`python perf/modal_accuracy.py --tetrahedra --json build/perf/modal_accuracy.json`: largest "
-        "relative error, against analytic truths, converged series and quadratic tetrahedra.",
+        "`python perf/modal_accuracy.py --tetrahedra --objects DIR --json build/perf/modal_accuracy.json`: "
+        "largest relative error, against analytic truths, converged series and quadratic tetrahedra; of real "
+        "objects, the first 8 modes on the grid that the stage takes against 64^3. CPU s of one core.",
         "",
         "| what | value | target | |",
         "|---|---|---|---|",
     ]
     for row in rows:
-        verdict = "met" if row["value"] <= row["target"] else "**missed**"
-        note = f"; {row['detail']}" if row["detail"] else ""
-        figures = f"{row['value']:.3g} | {row['target']:g}"
-        lines.append(f"| {row['name']} | {figures} | {verdict}{note} |")
+        known = math.isfinite(row["target"])
+        verdict = ("met" if row["value"] <= row["target"] else "**missed**") if known else ""
+        figures = f"{row['value']:.3g} | {row['target'] if known else '-'}"
+        notes = "; ".join(note for note in (verdict, row["detail"]) if note)
+        lines.append(f"| {row['name']} | {figures} | {notes} |")
     return lines
 
 

@@ -185,9 +185,9 @@ def cut_cells(
 ) -> CutCells:
     """Cut a closed surface into grid cells.
 
-    Columns along z, whose crossings with the surface are exact, are a quadrature rule across. Fractions of
-    sub-cells would smear walls that are one or two sub-cells thick and make them too stiff (20 to 40 % in
-    frequency at 1.6 sub-cells).
+    Columns along one axis, whose crossings with the surface are exact, are a quadrature rule across.
+    Fractions of sub-cells would smear walls that are one or two sub-cells thick and make them too stiff
+    (20 to 40 % in frequency at 1.6 sub-cells).
 
     Parameters
     ----------

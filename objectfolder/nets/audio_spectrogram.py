@@ -65,7 +65,7 @@ class SpectrogramNet(nn.Module):
     damped_frequency : (M,) tensor, rad/s
         Of the modes that it has learnt; for information.
     low, high : float
-        Values that the outputs 0 and 1 stand for, metres per N s.
+        Values that the outputs 0 and 1 stand for, m kg^1/2 per N s.
     width, depth, point_octaves, bin_octaves
         See `Branch`.
     """
@@ -105,7 +105,7 @@ class SpectrogramNet(nn.Module):
 
     @torch.no_grad()
     def spectrograms(self, points: torch.Tensor) -> torch.Tensor:
-        """Complex spectrograms at (N, 3) points of the unit frame, metres per N s; (N, 3, 257, 201)."""
+        """Complex spectrograms at (N, 3) points of the unit frame, m kg^1/2 per N s; (N, 3, 257, 201)."""
         bins = torch.arange(math.prod(SHAPE))
         low, high = self.range.tolist()
         out = torch.empty(len(points), 3, *SHAPE, dtype=torch.complex64)
