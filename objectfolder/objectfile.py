@@ -9,7 +9,7 @@ import lzma
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -26,14 +26,18 @@ from objectfolder.mesh.sampling import sample_surface
 from objectfolder.nets.audio_gains import GainsNet
 from objectfolder.nets.audio_spectrogram import SpectrogramNet
 from objectfolder.nets.touch_geometric import GeometricTouch
+from objectfolder.nets.vision_osf import OsfNet
 from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.vision.cameras import Intrinsics
+from objectfolder.vision.picture import Drawer
+from objectfolder.vision.view import draw
 
 SCHEMA = 1
 MAX_RESOLUTION = 512  #: of the stored distance grid
 MODALITIES = ("vision", "audio", "touch")
+_VISION: dict[str, type[SurfaceNet] | type[OsfNet]] = {"surface": SurfaceNet, "osf": OsfNet}
 _AUDIO: dict[str, type[GainsNet] | type[SpectrogramNet]] = {"gains": GainsNet, "spectrogram": SpectrogramNet}
-_KINDS = {"vision": ("surface",), "audio": tuple(_AUDIO), "touch": ("geometric",)}
+_KINDS = {"vision": tuple(_VISION), "audio": tuple(_AUDIO), "touch": ("geometric",)}
 log = logging.getLogger(__name__)
 _REQUIRED = ("schema", "key", "material", "scale", "geometry", "vision", "audio", "touch")
 
@@ -147,9 +151,7 @@ class ObjectFile:
         intrinsics: Intrinsics | None = None,
     ) -> np.ndarray:
         """Render the object on white; see `objectfolder.query.view`."""
-        return query.view(
-            self.surface, self._vision, camera, light, intrinsics or Intrinsics.square(resolution)
-        )
+        return query.view(self._draw, camera, light, intrinsics or Intrinsics.square(resolution))
 
     def impact(
         self,
@@ -245,9 +247,15 @@ class ObjectFile:
             return Isosurface(DistanceGrid(values, config["band"]))
 
     @cached_property
-    def _vision(self) -> SurfaceNet:
+    def _vision(self) -> SurfaceNet | OsfNet:
+        vision = self.header["vision"]
         with self._checked("vision net"):
-            return SurfaceNet.from_tensors(self._group("vision"), self.header["vision"]["net"])
+            return _VISION[vision["kind"]].from_tensors(self._group("vision"), vision["net"])
+
+    @property
+    def _draw(self) -> Drawer:
+        net = self._vision
+        return net.draw if isinstance(net, OsfNet) else partial(draw, self.surface, net)
 
     @cached_property
     def _audio(self) -> GainsNet | SpectrogramNet:

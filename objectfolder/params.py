@@ -107,8 +107,22 @@ class RenderTouchParams(Section):  # noqa: D101
     test: int = Count
 
 
+class VisionOsf(Section):  # noqa: D101
+    width: int = Count  #: of the density network
+    depth: int = Count
+    branch_width: int = Count  #: of the network of the scattered fraction
+    branch_depth: int = Count
+    point_octaves: int = Field(ge=0, le=16)  #: of the positional encoding
+    direction_octaves: int = Field(ge=0, le=16)
+    coarse_samples: int = Count  #: of a ray
+    fine_samples: int = Count
+    steps: int = Count
+    batch: int = Count  #: of rays
+    learning_rate: float = Field(gt=0)
+
+
 class TrainVisionParams(Section):  # noqa: D101
-    net: Literal["surface"]
+    net: Literal["surface", "osf"]
     levels: int = Count
     features: int = Count
     table_bits: int = Field(ge=4, le=24)
@@ -118,6 +132,7 @@ class TrainVisionParams(Section):  # noqa: D101
     steps: int = Count
     batch: int = Count
     learning_rate: float = Field(gt=0)
+    osf: VisionOsf  #: net and training of that kind; the fields above are those of `surface`
 
 
 class AudioSize(Section):  # noqa: D101

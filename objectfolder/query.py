@@ -16,11 +16,10 @@ from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.audio_gains import GainsNet
 from objectfolder.nets.audio_spectrogram import SpectrogramNet
 from objectfolder.nets.touch_geometric import GeometricTouch
-from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.touch.contact import sensor_frames
 from objectfolder.vision.cameras import Intrinsics, look_at
 from objectfolder.vision.color import on_white
-from objectfolder.vision.view import draw
+from objectfolder.vision.picture import Drawer
 
 TOLERANCE = 0.02  #: points further than this from the surface (fraction of the size) are refused
 _BLOCK = 16  # sounds mixed at once, always: a row's bits must not depend on its batch
@@ -28,13 +27,13 @@ _BLOCK = 16  # sounds mixed at once, always: a row's bits must not depend on its
 log = logging.getLogger(__name__)
 
 
-def view(
-    surface: Isosurface, net: SurfaceNet, camera: np.ndarray, light: np.ndarray, intrinsics: Intrinsics
-) -> np.ndarray:
+def view(draw: Drawer, camera: np.ndarray, light: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
     """Render the object on white.
 
     Parameters
     ----------
+    draw : Drawer
+        Of the object's vision net.
     camera : (N, 3) array or (N, 4, 4) array
         Positions of cameras that look at the centre with z up, or camera-to-world matrices (OpenGL axes);
         unit frame. One row may be given without its first axis.
@@ -63,7 +62,7 @@ def view(
     if not np.isfinite(poses).all():
         raise ObjectFolderError("camera holds values that are not finite")
     images = [
-        on_white(torch.from_numpy(draw(surface, net, pose, point, intrinsics))).numpy()
+        on_white(torch.from_numpy(draw(pose, point, intrinsics))).numpy()
         for pose, point in zip(poses, lights)
     ]
     return np.stack(images) if images else np.zeros((0, intrinsics.height, intrinsics.width, 3), np.float32)

@@ -30,6 +30,16 @@ AUDIO = (
     "modes",
     "modes_heard",
 )
+KNOWLEDGE = (
+    "The default net `surface` is told more than the paper's `osf`. Both learn from the same views with",
+    "their cameras and lights. `surface` also has the geometry: signed distances of the mesh, stored at",
+    "192^3 or 256^3, give it silhouettes, depths, normals and shadows that no view has to teach. And it has",
+    "the ground truth's shading model: a point light's falloff and cosine, shadow rays, a GGX highlight with",
+    "the reflectance that the renderer assumes; it learns albedo, roughness, small normal offsets and what",
+    "bounces. `osf` learns density, shading and shadows from pictures alone, and knows the cube that holds",
+    "the object, the light's falloff and that the background is white. The scores say what the pipeline",
+    "delivers, which owns the mesh; they do not say that one learns better from pictures than the other.",
+)
 TOUCH = ("psnr", "psnr_median", "psnr_unobstructed", "obstructed_fraction", "baseline_mean_image", "contacts")
 
 
@@ -237,6 +247,8 @@ def main() -> None:
         f"Preset `{preset(values)}`, seed {values['seed']}. PSNR in dB, data in [0, 1], peak 1, "
         "on held-out data; beside every score a baseline that knows nothing.",
         *table(metrics, "vision", VISION),
+        "",
+        *KNOWLEDGE,
         *table(metrics, "audio", AUDIO),
         "",
         "`baseline_noise` is white Gaussian noise of each true sound's energy. `gain_error` weighs a mode by",

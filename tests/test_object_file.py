@@ -123,7 +123,7 @@ def test_a_header_without_a_field(edit, field):
     ("field", "value", "message"),
     [
         ("schema", 2, "has schema 2, this version reads 1; update objectfolder"),
-        ("vision", {"kind": "osf"}, "vision net of kind 'osf', expected 'surface'"),
+        ("vision", {"kind": "mesh"}, "vision net of kind 'mesh', expected 'surface' or 'osf'"),
         ("audio", {}, "audio net of kind None, expected 'gains'"),
         ("touch", "image", "touch net of kind None, expected 'geometric'"),
         ("scale", 0, "scale is 0"),

@@ -171,7 +171,7 @@ def test_sections_are_frozen(write):
 
 
 def test_an_unrelated_broken_section_does_not_matter_to_a_stage(write, values):
-    path = write(train_vision={"net": "osf"})
+    path = write(train_vision={"net": "paper"})
     stage_params("modal", "mug", path)
     with pytest.raises(ObjectFolderError, match="train_vision: net"):
         stage_params("train_vision", "mug", path)

@@ -16,8 +16,8 @@ from torch import nn
 from objectfolder.audio.spectrogram import SHAPE, spectrogram
 from objectfolder.audio.synthesis import sinusoid_bank
 from objectfolder.nets.fit import CurvePoint, fit
+from objectfolder.nets.positional import SkipNetwork, octave_angles
 
-SKIP = 4  # the layer whose output the input joins again (Mildenhall et al. 2020)
 RANGE_POINTS = 256  # training points whose extremes span the range of values
 VAL_SAMPLES = 1 << 14
 
@@ -35,7 +35,7 @@ class SpectrogramConfig:
     learning_rate: float
 
 
-class Branch(nn.Module):
+class Branch(SkipNetwork):
     """ReLU network on positionally encoded inputs; the paper's has eight layers of 256 channels.
 
     Parameters
@@ -47,28 +47,14 @@ class Branch(nn.Module):
     """
 
     def __init__(self, width: int, depth: int, point_octaves: int, bin_octaves: int):
-        super().__init__()
+        super().__init__(3 * (1 + 2 * point_octaves) + 2 * (1 + 2 * bin_octaves), width, depth)
         self.octaves = (point_octaves, bin_octaves)
-        encoded = 3 * (1 + 2 * point_octaves) + 2 * (1 + 2 * bin_octaves)
-        sizes = [encoded] + [width + encoded * (i == SKIP + 1) for i in range(1, depth)]
-        layers = [nn.Linear(size, width) for size in sizes]
-        for layer in layers:
-            nn.init.xavier_uniform_(layer.weight, nn.init.calculate_gain("relu"))
-            nn.init.zeros_(layer.bias)
-        self.hidden = nn.ModuleList(layers)
         self.output = nn.Linear(width, 2)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Evaluate at (N, 5) point, frequency and time in [-1, 1]; (N, 2)."""
-        scaled = [
-            (part[:, :, None] * (math.pi * 2.0 ** torch.arange(octaves, device=x.device))).flatten(1)
-            for part, octaves in zip(x.split([3, 2], 1), self.octaves)
-        ]
-        angle = torch.cat(scaled, 1)
-        x = hidden = torch.cat([x, angle.sin(), angle.cos()], 1)
-        for i, layer in enumerate(self.hidden):
-            hidden = torch.relu(layer(torch.cat([x, hidden], 1) if i == SKIP + 1 else hidden))
-        return self.output(hidden)
+        angle = torch.cat([octave_angles(part, n) for part, n in zip(x.split([3, 2], 1), self.octaves)], 1)
+        return self.output(super().forward(torch.cat([x, angle.sin(), angle.cos()], 1)))
 
 
 class SpectrogramNet(nn.Module):

@@ -32,7 +32,27 @@ TINY = {
         "test_samples": 4,
     },
     "render_touch": {"train": 4, "val": 2, "test": 3},
-    "train_vision": {"table_bits": 10, "levels": 4, "finest": 64, "width": 16, "steps": 40, "batch": 512},
+    "train_vision": {
+        "table_bits": 10,
+        "levels": 4,
+        "finest": 64,
+        "width": 16,
+        "steps": 40,
+        "batch": 512,
+        "osf": {
+            "width": 16,
+            "depth": 2,
+            "branch_width": 8,
+            "branch_depth": 1,
+            "point_octaves": 2,
+            "direction_octaves": 1,
+            "coarse_samples": 8,
+            "fine_samples": 8,
+            "steps": 150,
+            "batch": 128,
+            "learning_rate": 0.01,
+        },
+    },
     "train_audio": {
         "sizes": [
             {

@@ -140,6 +140,24 @@ def test_the_papers_audio_net_is_a_choice(built):
     assert built.build() == set()  # restored
 
 
+def test_the_papers_vision_net_is_a_choice(built):
+    with built.edit() as values:
+        values["train_vision"]["net"] = "osf"
+    assert built.build("bell") == {f"{stage}@bell" for stage in ("train_vision", "pack", "evaluate")}
+    bell = ObjectFile.load(built.root / "build/bell/ObjectFile.safetensors")
+    assert bell.header["vision"]["kind"] == "osf"
+    assert bell.view([2.5, 0, 0], [0.5, 0, 0.8], resolution=16).shape == (1, 16, 16, 3)
+    scores = json.loads((built.root / "metrics/bell.json").read_text())["vision"]
+    assert scores["psnr"] > scores["baseline_white"]
+    trained = (built.root / "build/bell/vision.safetensors").read_bytes()
+    built.run("-m", "stages.train_vision", "bell")
+    assert (built.root / "build/bell/vision.safetensors").read_bytes() == trained
+    assert "osf" in built.cli("info", "build/bell/ObjectFile.safetensors").stdout
+    with built.edit() as values:
+        values["train_vision"]["net"] = "surface"
+    assert built.build() == set()  # restored
+
+
 @pytest.mark.parametrize("stage", [*LANES, *NETS])
 def test_stage_gives_the_same_bytes_twice(built, stage):
     before = built.artifacts()

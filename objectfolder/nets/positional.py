@@ -1,0 +1,39 @@
+"""What the paper's nets share: positional encoding and a ReLU network that its input joins again."""
+
+import math
+
+import torch
+from torch import nn
+
+SKIP = 4  # the layer whose output the input joins again (Mildenhall et al. 2020)
+
+
+def octave_angles(x: torch.Tensor, octaves: int, lowest: float = math.pi) -> torch.Tensor:
+    """2^k lowest x for k from 0 below ``octaves``; (N, D) to (N, D octaves), the octave running fastest."""
+    return (x[:, :, None] * (lowest * 2.0 ** torch.arange(octaves, device=x.device))).flatten(1)
+
+
+class SkipNetwork(nn.Module):
+    """ReLU layers; the input joins again after the fifth.
+
+    Parameters
+    ----------
+    inputs, width, depth : int
+        The paper's have eight layers of 256 channels.
+    """
+
+    def __init__(self, inputs: int, width: int, depth: int):
+        super().__init__()
+        sizes = [inputs] + [width + inputs * (i == SKIP + 1) for i in range(1, depth)]
+        layers = [nn.Linear(size, width) for size in sizes]
+        for layer in layers:
+            nn.init.xavier_uniform_(layer.weight, nn.init.calculate_gain("relu"))
+            nn.init.zeros_(layer.bias)
+        self.hidden = nn.ModuleList(layers)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Last hidden layer; (N, inputs) to (N, width)."""
+        hidden = x
+        for i, layer in enumerate(self.hidden):
+            hidden = torch.relu(layer(torch.cat([x, hidden], 1) if i == SKIP + 1 else hidden))
+        return hidden

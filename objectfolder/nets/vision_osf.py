@@ -1,0 +1,354 @@
+"""VisionNet ``osf``: the paper's object-centric scattering function (supplementary E; Guo et al. 2020).
+
+A density everywhere in the unit cube, and the fraction of a light's radiance that each point scatters
+towards the camera. It knows nothing but the views: geometry and shadows are learned with the rest.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from objectfolder.mesh.grid import BOUND
+from objectfolder.nets.fit import CurvePoint, fit, minibatches
+from objectfolder.nets.positional import SkipNetwork, octave_angles
+from objectfolder.vision.cameras import Intrinsics, camera_rays
+from objectfolder.vision.color import linear_to_srgb, on_white
+from objectfolder.vision.picture import Picture
+from objectfolder.vision.volume import Rays, resampled, stratified, visibility
+
+VAL_RAYS = 1 << 12
+_CHUNK = 32  # rays drawn at once: their activations stay in the cache
+_NEAREST = 0.01  # unit frame; a light is no closer than this to what it lights
+
+
+@dataclass(frozen=True)
+class OsfConfig:
+    """Shape of the net and of its training."""
+
+    width: int  #: of the density network
+    depth: int
+    branch_width: int  #: of the network of the scattered fraction
+    branch_depth: int
+    point_octaves: int  #: of the positional encoding
+    direction_octaves: int
+    coarse_samples: int  #: of a ray, stratified
+    fine_samples: int  #: more of them, where the coarse ones have found something
+    steps: int
+    batch: int  #: of rays
+    learning_rate: float
+
+
+class ScatteringFunction(nn.Module):
+    """Density of a point, and the fraction of incoming light that it scatters in a direction.
+
+    Parameters
+    ----------
+    width, depth : int
+        Of the density network; the paper's has eight layers of 256 channels.
+    branch_width, branch_depth : int
+        Of the network of the fraction; the paper's has four layers of 128 channels.
+    point_octaves, direction_octaves : int
+        Each coordinate x comes with sin and cos of 2^k x, k from 0 below this.
+    """
+
+    def __init__(
+        self,
+        width: int,
+        depth: int,
+        branch_width: int,
+        branch_depth: int,
+        point_octaves: int,
+        direction_octaves: int,
+    ):
+        super().__init__()
+        self.octaves = (point_octaves, direction_octaves)
+        self.trunk = SkipNetwork(3 * (1 + 2 * point_octaves), width, depth)
+        self.density = nn.Linear(width, 1)
+        self.bottleneck = nn.Linear(width, width)
+        self.branch = SkipNetwork(width + 6 * (1 + 2 * direction_octaves), branch_width, branch_depth)
+        self.fraction = nn.Linear(branch_width, 3)
+        # Where nothing is dense at the start, nothing would ever be: a rectifier passes no gradient there.
+        nn.init.constant_(self.density.bias, 1.0)
+
+    def forward(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Density (N,), and what `scattered` wants to know (N, width), at (N, 3) points."""
+        hidden = self.trunk(_encoded(points, self.octaves[0]))
+        return torch.relu(self.density(hidden))[:, 0], hidden
+
+    def scattered(self, hidden: torch.Tensor, incoming: torch.Tensor, outgoing: torch.Tensor) -> torch.Tensor:
+        """Fraction of light from one unit direction that goes in another, both from the point; (N, 3).
+
+        The sigmoid is scaled so that black and white are within reach.
+        """
+        directions = [_encoded(d, self.octaves[1]) for d in (outgoing, incoming)]
+        x = self.branch(torch.cat([self.bottleneck(hidden), *directions], 1))
+        return 1.2 * torch.sigmoid(self.fraction(x)) - 0.1
+
+
+class OsfNet(nn.Module):
+    """Pictures of an object under a point light; a coarse net finds where the fine one looks.
+
+    Parameters
+    ----------
+    coarse_samples, fine_samples : int
+        Of a ray; the paper takes 64 and 128. The fine net sees both.
+    **shape
+        See `ScatteringFunction`.
+
+    Notes
+    -----
+    Colours are linear until they are shown, and light falls off with the distance squared, as in the views.
+    The authors' published code fits encoded colours without falloff, and ends a sample's interval at the next
+    sample instead of midway.
+    """
+
+    def __init__(self, coarse_samples: int, fine_samples: int, **shape: int):
+        super().__init__()
+        self.config = {"coarse_samples": coarse_samples, "fine_samples": fine_samples, **shape}
+        self.samples = (coarse_samples, fine_samples)
+        self.coarse = ScatteringFunction(**shape)
+        self.fine = ScatteringFunction(**shape)
+
+    def forward(
+        self, rays: Rays, light: torch.Tensor, generator: torch.Generator | None = None
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """What rays see on white, by the coarse and by the fine net.
+
+        Parameters
+        ----------
+        rays : Rays
+            Through the cube.
+        light : (N, 3) tensor, unit frame
+        generator : torch.Generator, optional
+            Places the samples at random, as in training.
+
+        Returns
+        -------
+        (N, 3) tensors, linear
+        """
+        distance, coarse = self._sample(rays, generator, light)
+        fine, alpha, _ = self._look(rays, distance, light)
+        return coarse, fine + 1 - alpha[:, None]
+
+    def _sample(
+        self, rays: Rays, generator: torch.Generator | None, light: torch.Tensor | None = None
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Distances for the fine net (N, S), ascending, and what the coarse one sees if there is a light."""
+        distance = stratified(rays.near, rays.far, self.samples[0], generator)
+        weights, hidden = _visibility(self.coarse, rays, distance)
+        seen = distance.new_zeros(0, 3)
+        if light is not None:
+            alpha = weights.sum(1, keepdim=True)
+            seen = _radiance(self.coarse, rays, distance, weights, hidden, light) + 1 - alpha
+        more = resampled(rays.intervals(distance), weights.detach(), self.samples[1], generator)
+        return torch.cat([distance, more], 1).sort(1).values, seen
+
+    def _look(
+        self, rays: Rays, distance: torch.Tensor, light: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Radiance (N, 3), alpha (N,) and mean distance times alpha (N,) of the fine net."""
+        weights, hidden = _visibility(self.fine, rays, distance)
+        radiance = _radiance(self.fine, rays, distance, weights, hidden, light)
+        return radiance, weights.sum(1), (weights * distance).sum(1)
+
+    @torch.no_grad()
+    def picture(self, camera_to_world: np.ndarray, light: np.ndarray, intrinsics: Intrinsics) -> Picture:
+        """Render one view; every pixel is the ray through its centre.
+
+        Parameters
+        ----------
+        camera_to_world : (4, 4) array
+        light : (3,) array, unit frame
+        intrinsics : Intrinsics
+        """
+        origins, directions = camera_rays(camera_to_world, intrinsics, _centres(intrinsics))
+        rays = Rays.through_cube(torch.from_numpy(origins), torch.from_numpy(directions), BOUND)
+        rgba = torch.zeros(len(origins), 4)
+        depth = torch.full((len(origins),), math.inf)
+        forward = torch.from_numpy(-camera_to_world[:3, 2].astype(np.float32))
+        towards = torch.from_numpy(np.asarray(light, np.float32))
+        for index in (rays.far > rays.near).nonzero()[:, 0].split(_CHUNK):
+            part = rays[index]
+            radiance, alpha, distance = self._look(part, self._sample(part, None)[0], towards)
+            rgba[index] = torch.cat([radiance, alpha[:, None].clamp(max=1)], 1)
+            depth[index] = distance / alpha * (part.directions @ forward)  # not a number where alpha is 0
+        depth = torch.where(rgba[:, 3] > 0, depth, math.inf)
+        size = intrinsics.height, intrinsics.width
+        return Picture(rgba.view(*size, 4).numpy(), depth.view(size).numpy())
+
+    def draw(self, camera_to_world: np.ndarray, light: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
+        """Colours and alpha of `picture`; a `Drawer`."""
+        return self.picture(camera_to_world, light, intrinsics).rgba
+
+    def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Tensors (weights as float16) and configuration."""
+        tensors = {
+            name: (value.half() if name.endswith("weight") else value).cpu().numpy()
+            for name, value in self.state_dict().items()
+        }
+        return tensors, dict(self.config)
+
+    @classmethod
+    def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "OsfNet":
+        """Inverse of `to_tensors`."""
+        net = cls(**config)
+        net.load_state_dict({name: torch.from_numpy(np.array(value)) for name, value in tensors.items()})
+        return net.eval()
+
+
+def _encoded(x: torch.Tensor, octaves: int) -> torch.Tensor:
+    """Coordinates with sines and cosines of their octaves; (N, 3) to (N, 3 (1 + 2 octaves))."""
+    angle = octave_angles(x, octaves, 1.0)
+    return torch.cat([x, angle.sin(), angle.cos()], 1)
+
+
+def _visibility(
+    field: ScatteringFunction, rays: Rays, distance: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Weights (N, S) of samples at (N, S) distances, and their hidden layer (N S, width)."""
+    density, hidden = field(rays.points(distance).flatten(0, 1))
+    return visibility(density.view_as(distance), rays.intervals(distance).diff()), hidden
+
+
+def _radiance(
+    field: ScatteringFunction,
+    rays: Rays,
+    distance: torch.Tensor,
+    weights: torch.Tensor,
+    hidden: torch.Tensor,
+    light: torch.Tensor,
+) -> torch.Tensor:
+    """Radiance along rays: scattered fractions of a point light that falls off with the distance squared.
+
+    Parameters
+    ----------
+    distance, weights : (N, S) tensors
+    hidden : (N S, width) tensor
+    light : (N, 3) or (3,) tensor
+
+    Returns
+    -------
+    (N, 3) tensor
+    """
+    # Where the weight is zero, the fraction is not asked for: neither the colour nor a gradient needs it.
+    seen = weights.flatten().nonzero()[:, 0]
+    row = seen // distance.shape[1]
+    points = rays.origins[row] + distance.flatten()[seen, None] * rays.directions[row]
+    to_light = light.expand(len(distance), 3)[row] - points
+    squared = to_light.square().sum(1, keepdim=True).clamp(min=_NEAREST**2)
+    fraction = field.scattered(hidden[seen], to_light / squared.sqrt(), -rays.directions[row])
+    colors = fraction.new_zeros(weights.numel(), 3).index_copy(0, seen, fraction / squared)
+    return torch.einsum("ns,nsc->nc", weights, colors.view(*weights.shape, 3))
+
+
+def _centres(intrinsics: Intrinsics) -> np.ndarray:
+    """Image positions of the pixels' centres, row by row; (H W, 2)."""
+    rows, columns = np.mgrid[: intrinsics.height, : intrinsics.width]
+    return np.stack([columns.ravel(), rows.ravel()], 1) + 0.5
+
+
+@dataclass(frozen=True)
+class _Pixels:
+    """Pixels of a split whose rays meet the cube; the others are white whatever the net says."""
+
+    origins: torch.Tensor  # (views, 3)
+    lights: torch.Tensor  # (views, 3)
+    view: torch.Tensor  # (R,) int32
+    directions: torch.Tensor  # (R, 3)
+    target: torch.Tensor  # (R, 3) sRGB on white
+
+    def loss(
+        self, net: OsfNet, index: torch.Tensor, generator: torch.Generator | None = None
+    ) -> torch.Tensor:
+        """Mean squared errors of the coarse and of the fine net, in sRGB; (2,)."""
+        index = index.to(self.view.device)
+        view = self.view[index]
+        rays = Rays.through_cube(self.origins[view], self.directions[index], BOUND)
+        seen = torch.stack(net(rays, self.lights[view], generator))
+        clipped = seen.clamp(0, 1)
+        # The small linear term lets pixels learn that are beyond black or white.
+        error = linear_to_srgb(clipped) - self.target[index] + 0.1 * (seen - clipped)
+        return error.square().mean((1, 2))
+
+
+def train_osf(
+    train: dict[str, np.ndarray],
+    val: dict[str, np.ndarray],
+    config: OsfConfig,
+    generator: torch.Generator,
+    report: Callable[[CurvePoint], None] = lambda point: None,
+    device: str | torch.device = "cpu",
+) -> tuple[OsfNet, list[CurvePoint]]:
+    """Fit an `OsfNet` to views.
+
+    Parameters
+    ----------
+    train, val : dict
+        ``rgba`` (N, H, W, 4), ``camera_to_world`` (N, 4, 4), ``light`` (N, 3), ``focal``.
+    config : OsfConfig
+    generator : torch.Generator
+        On the CPU.
+    report : callable
+        Called with each `CurvePoint`. Losses are mean squared errors in sRGB of rays that meet the cube; that
+        of training is the sum of both nets', that of validation the fine net's on `VAL_RAYS` rays.
+    device : str or torch.device
+        Where to train; the net comes back on the CPU. The size of the paper takes a GPU.
+
+    Notes
+    -----
+    Adam has the paper's betas and epsilon; its rate warms up and decays as that of every net here.
+    """
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(int(torch.randint(2**31, (1,), generator=generator)))
+        net = OsfNet(
+            config.coarse_samples,
+            config.fine_samples,
+            width=config.width,
+            depth=config.depth,
+            branch_width=config.branch_width,
+            branch_depth=config.branch_depth,
+            point_octaves=config.point_octaves,
+            direction_octaves=config.direction_octaves,
+        ).to(device)
+    pixels, held_out = _gather(train, device), _gather(val, device)
+    batches = iter(minibatches(len(pixels.target), config.batch, generator))
+    checked = torch.randperm(len(held_out.target), generator=generator)[:VAL_RAYS]
+
+    def val_loss() -> float:
+        sums = [held_out.loss(net, part)[1].item() * len(part) for part in checked.split(config.batch)]
+        return sum(sums) / len(checked)
+
+    curve = fit(
+        net,
+        batch_loss=lambda: pixels.loss(net, next(batches), generator).sum(),
+        val_loss=val_loss,
+        steps=config.steps,
+        learning_rate=config.learning_rate,
+        optimizer=torch.optim.Adam(net.parameters(), betas=(0.9, 0.999), eps=1e-7),
+        report=report,
+    )
+    return net.cpu().eval(), curve
+
+
+def _gather(views: dict[str, np.ndarray], device: str | torch.device) -> _Pixels:
+    height, width = views["rgba"].shape[1:3]
+    intrinsics = Intrinsics(width, height, float(views["focal"]))
+    centres = _centres(intrinsics)
+    view, directions, targets = [], [], []
+    for i, (rgba, pose) in enumerate(zip(views["rgba"], views["camera_to_world"])):
+        origin, direction = map(torch.from_numpy, camera_rays(pose, intrinsics, centres))
+        rays = Rays.through_cube(origin, direction, BOUND)
+        met = rays.far > rays.near
+        view.append(torch.full((int(met.sum()),), i, dtype=torch.int32))
+        directions.append(direction[met])
+        targets.append(on_white(torch.from_numpy(rgba.reshape(-1, 4).astype(np.float32)))[met])
+    return _Pixels(
+        torch.from_numpy(views["camera_to_world"][:, :3, 3].astype(np.float32)).to(device),
+        torch.from_numpy(views["light"].astype(np.float32)).to(device),
+        *(torch.cat(parts).to(device) for parts in (view, directions, targets)),
+    )

@@ -1,0 +1,293 @@
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from objectfolder import ObjectFile
+from objectfolder.artifacts import read_safetensors, write_safetensors
+from objectfolder.evaluation import evaluate_vision
+from objectfolder.metrics import psnr
+from objectfolder.nets.vision_osf import OsfConfig, OsfNet, ScatteringFunction, train_osf
+from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere_points
+from objectfolder.vision.color import on_white
+from objectfolder.vision.volume import Rays
+
+CONFIG = OsfConfig(
+    width=32,
+    depth=3,
+    branch_width=32,
+    branch_depth=2,
+    point_octaves=4,
+    direction_octaves=1,
+    coarse_samples=16,
+    fine_samples=16,
+    steps=400,
+    batch=256,
+    learning_rate=0.01,
+)
+SHAPE = {
+    "width": 24,
+    "depth": 2,
+    "branch_width": 16,
+    "branch_depth": 2,
+    "point_octaves": 2,
+    "direction_octaves": 1,
+}
+HALF = 0.52
+POSE = look_at(np.array([2.5, 0, 0]))[0]
+RADIUS = 0.4
+
+
+def random_net(coarse=16, fine=32):
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        return OsfNet(coarse, fine, **SHAPE).eval()
+
+
+def fog(density, fraction=0.5, coarse=16, fine=32):
+    """Constant density and scattering in the whole cube."""
+    net = random_net(coarse, fine)
+    for field in (net.coarse, net.fine):
+        share = (fraction + 0.1) / 1.2
+        for layer, bias in ((field.density, density), (field.fraction, math.log(share / (1 - share)))):
+            torch.nn.init.zeros_(layer.weight)
+            torch.nn.init.constant_(layer.bias, bias)
+    return net
+
+
+def chords(pose, intrinsics):
+    rows, columns = np.mgrid[: intrinsics.height, : intrinsics.width]
+    centres = np.stack([columns.ravel(), rows.ravel()], 1) + 0.5
+    rays = Rays.through_cube(*map(torch.from_numpy, camera_rays(pose, intrinsics, centres)), HALF)
+    return (rays.far - rays.near).clamp(min=0).view(rows.shape).numpy(), rays
+
+
+@pytest.mark.parametrize("position", [(2.5, 0, 0), (1.2, -1.5, 1.4), (0.1, 0.2, 0.0)])
+def test_alpha_of_fog_is_one_less_exp_of_the_way_through_it(position):
+    """Also from inside."""
+    pose, intrinsics = look_at(np.array(position))[0], Intrinsics(40, 24, 40.0)
+    length, _ = chords(pose, intrinsics)
+    picture = fog(1.7).picture(pose, np.array([0, 0, 1.0]), intrinsics)
+    np.testing.assert_allclose(picture.rgba[..., 3], 1 - np.exp(-1.7 * length), atol=1e-5)
+    assert (picture.rgba[length == 0] == 0).all()
+    assert np.isinf(picture.depth[length == 0]).all()
+    assert np.isfinite(picture.depth[length > 0.01]).all()
+
+
+def test_radiance_of_fog_is_the_integral_of_what_each_point_scatters():
+    """rho sigma exp(-sigma s) / d^2 along the ray, by fine quadrature."""
+    intrinsics, light, sigma = Intrinsics(9, 7, 9.0), np.array([0.3, -0.9, 0.4]), 3.0
+    _, rays = chords(POSE, intrinsics)
+    net = fog(sigma, fraction=0.6, coarse=64, fine=128)
+    rgba = net.picture(POSE, light, intrinsics).rgba.reshape(-1, 4)
+    for ray in range(63):
+        near, far = rays.near[ray].item(), rays.far[ray].item()
+        if far <= near:
+            continue
+        s = (np.arange(4000) + 0.5) / 4000 * (far - near)
+        points = rays.origins[ray].numpy() + (near + s[:, None]) * rays.directions[ray].numpy()
+        squared = ((light - points) ** 2).sum(1)
+        exact = (0.6 * sigma * np.exp(-sigma * s) / squared).mean() * (far - near)
+        np.testing.assert_allclose(rgba[ray, :3], exact, rtol=3e-3, atol=1e-6)
+
+
+def test_light_falls_off_with_the_distance_squared():
+    intrinsics = Intrinsics.square(8)
+    near, far = (fog(2.0).draw(POSE, np.array([d, 0, 0]), intrinsics)[..., :3] for d in (200.0, 400.0))
+    seen = near > 0
+    assert seen.any()
+    np.testing.assert_allclose(near[seen] / far[seen], 4, rtol=0.02)
+
+
+def test_depth_of_an_opaque_cube_is_its_face_whatever_the_pixel():
+    """Along the optical axis: a plane that faces the camera has one depth."""
+    intrinsics = Intrinsics.square(24)
+    picture = fog(1e4, coarse=64, fine=128).picture(POSE, np.array([1.0, 0, 0]), intrinsics)
+    inner = picture.depth[6:18, 6:18]
+    np.testing.assert_allclose(inner, 2.5 - HALF, atol=1e-3)
+    np.testing.assert_allclose(picture.rgba[6:18, 6:18, 3], 1, atol=1e-6)
+    assert picture.rgba[..., 3].max() <= 1
+
+
+def test_nothing_is_white():
+    """A net without density: the picture is empty, and what rays see on white is white."""
+    net = fog(-1.0)
+    intrinsics = Intrinsics.square(16)
+    rgba = net.draw(POSE, np.array([0, 0, 1.0]), intrinsics)
+    assert not rgba.any()
+    assert on_white(torch.from_numpy(rgba)).min() > 1 - 1e-6
+    length, rays = chords(POSE, intrinsics)
+    rays = rays[torch.from_numpy(length.ravel() > 0)]
+    with torch.no_grad():
+        seen = net(rays, torch.zeros_like(rays.origins))
+    assert all((s == 1).all() for s in seen)
+
+
+def test_pictures_show_what_training_fits():
+    """The same rays, sampled in the middle of their strata: the same colours."""
+    net, intrinsics, light = random_net(), Intrinsics.square(12), np.array([0.2, 0.5, 0.9])
+    length, rays = chords(POSE, intrinsics)
+    met = torch.from_numpy(length.ravel() > 0)
+    with torch.no_grad():
+        _, fine = net(rays[met], torch.from_numpy(light).float().expand(int(met.sum()), 3))
+    rgba = torch.from_numpy(net.draw(POSE, light, intrinsics)).view(-1, 4)[met]
+    torch.testing.assert_close(rgba[:, :3] + 1 - rgba[:, 3:], fine, rtol=1e-4, atol=1e-5)
+
+
+def test_gradients_are_those_of_finite_differences():
+    """Through opacity, falloff, both networks, and points whose fraction is not asked for."""
+    net = random_net(6, 6).double()
+    torch.nn.init.normal_(net.fine.density.weight, generator=torch.Generator().manual_seed(1))
+    torch.nn.init.constant_(net.fine.density.bias, -4.0)
+    rays = Rays.through_cube(
+        torch.tensor([[2.5, 0, 0], [2.5, 0.1, 0.2]], dtype=torch.float64),
+        torch.tensor([[-1.0, 0, 0], [-1, 0, 0]], dtype=torch.float64),
+        HALF,
+    )
+    light = torch.tensor([[0.1, 0.8, 0.6]], dtype=torch.float64).expand(2, 3)
+    distance = (torch.arange(12, dtype=torch.float64) + 0.5).expand(2, 12) / 12 * 1.04 + 1.98
+    density, _ = net.fine(rays.points(distance).flatten(0, 1))
+    assert 0 < (density == 0).sum() < len(density)
+
+    def seen():
+        radiance, alpha, _ = net._look(rays, distance, light)
+        return (radiance.sum(1) - alpha).square().sum()
+
+    seen().backward()
+    for parameter in (net.fine.density.weight, net.fine.bottleneck.weight, net.fine.trunk.hidden[0].weight):
+        index = parameter.grad.abs().flatten().argmax()
+        with torch.no_grad():
+            flat = parameter.view(-1)
+            values = []
+            for step in (1e-6, -2e-6):
+                flat[index] += step
+                values.append(seen().item())
+            flat[index] += 1e-6
+        slope = (values[0] - values[1]) / 2e-6
+        assert parameter.grad.flatten()[index].item() == pytest.approx(slope, rel=1e-4)
+
+
+def test_the_papers_net():
+    """Supplementary E: eight layers of 256 channels for density, four of 128 for the fraction."""
+    field = ScatteringFunction(256, 8, 128, 4, 10, 4)
+    trunk = [tuple(layer.weight.shape) for layer in field.trunk.hidden]
+    assert trunk == [(256, 63), *[(256, 256)] * 4, (256, 319), *[(256, 256)] * 2]
+    assert [tuple(layer.weight.shape) for layer in field.branch.hidden] == [(128, 310), *[(128, 128)] * 3]
+    points, directions = torch.rand(7, 3) - 0.5, torch.eye(3)[torch.arange(7) % 3]
+    density, hidden = field(points)
+    assert density.shape == (7,)
+    assert (density >= 0).all()
+    forth = field.scattered(hidden, directions, -directions)
+    assert forth.shape == (7, 3)
+    assert not torch.equal(forth, field.scattered(hidden, -directions, directions))
+
+
+def painted_ball(count, seed, size=16):
+    """Views of a Lambertian ball painted by octants, four samples per pixel."""
+    rng = np.random.default_rng(seed)
+    poses, lights = look_at(sphere_points(count, 2.5, rng)), sphere_points(count, 1.0, rng)
+    intrinsics = Intrinsics.square(size)
+    axis = (np.arange(2 * size) + 0.5) / 2
+    pixels = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
+    images = []
+    for pose, light in zip(poses, lights):
+        origin, direction = (a.astype(np.float64) for a in camera_rays(pose, intrinsics, pixels))
+        along = (origin * direction).sum(1)
+        root = along**2 - (origin**2).sum(1) + RADIUS**2
+        points = origin - direction * (along + np.sqrt(root.clip(0)))[:, None]
+        to_light = light - points
+        squared = (to_light**2).sum(1)
+        received = ((to_light * points).sum(1) / RADIUS).clip(0) / squared**1.5
+        rgb = np.where(points > 0, 0.8, 0.2) * received[:, None]
+        rgba = np.concatenate([rgb, np.ones((len(points), 1))], 1) * (root > 0)[:, None]
+        images.append(rgba.reshape(size, 2, size, 2, 4).mean((1, 3)))
+    return {
+        "rgba": np.float16(images),
+        "camera_to_world": poses,
+        "light": lights,
+        "focal": np.float64(intrinsics.focal),
+    }
+
+
+@pytest.fixture(scope="module")
+def views():
+    return painted_ball(200, 0), painted_ball(6, 1)
+
+
+@pytest.fixture(scope="module")
+def trained(views):
+    return train_osf(*views, CONFIG, torch.Generator().manual_seed(1))
+
+
+@pytest.fixture(scope="module")
+def file(brick, trained, tmp_path_factory):
+    """The brick's Object File with the ball's look."""
+    tensors, config = trained[0].to_tensors()
+    others = {name: t for name, t in brick.tensors.items() if not name.startswith("vision.")}
+    path = tmp_path_factory.mktemp("file") / "o.safetensors"
+    header = {**brick.header, "vision": {"kind": "osf", "net": config}}
+    write_safetensors(path, others | {f"vision.{name}": t for name, t in tensors.items()}, header)
+    return ObjectFile.load(path)
+
+
+def test_it_learns_new_views_under_new_lights_from_pictures_alone(file, views, trained):
+    """Far better than white and than the mean image, as the Object File answers."""
+    test = painted_ball(8, 2)
+    scores = evaluate_vision(file, test)
+    train_images, truth = (on_white(torch.from_numpy(v["rgba"].astype(np.float32))) for v in (views[0], test))
+    mean_image = psnr((truth - train_images.mean(0)).square().mean().item())
+    assert scores["psnr_pooled"] > mean_image + 5
+    assert scores["psnr_pooled"] > scores["baseline_white"] + 12
+    losses = [point.val_loss for point in trained[1]]
+    assert min(losses) < 0.1 * losses[0]
+
+
+def test_its_depth_is_the_balls(trained):
+    """Alpha and depth of a sphere, though no view has told either."""
+    picture = trained[0].picture(POSE, np.array([0.8, 0, 0.6]), Intrinsics.square(15))
+    assert picture.rgba[7, 7, 3] > 0.95
+    assert picture.depth[7, 7] == pytest.approx(2.5 - RADIUS, abs=0.2)  # the cube: 1.98 to 3.02
+    assert picture.rgba[0, 0, 3] < 0.05
+
+
+def test_views_are_answered_row_by_row(file):
+    cameras, lights = sphere_points(3, 2.5, np.random.default_rng(0)), np.array([0.0, 0.6, 0.8])
+    images = file.view(cameras, lights, resolution=10)
+    assert images.shape == (3, 10, 10, 3)
+    assert images.dtype == np.float32
+    assert images.min() >= 0
+    assert images.max() <= 1
+    np.testing.assert_array_equal(file.view(cameras[1:2], lights, resolution=10)[0], images[1])
+    wide = file.view(cameras[0], lights, intrinsics=Intrinsics(9, 5, 4.0))
+    assert wide.shape == (1, 5, 9, 3)
+
+
+def test_storing_costs_less_than_a_grey_level(tmp_path, trained):
+    write_safetensors(tmp_path / "v.safetensors", *trained[0].to_tensors())
+    back = OsfNet.from_tensors(*read_safetensors(tmp_path / "v.safetensors"))
+    light, intrinsics = np.array([0.5, 0.5, 0.7]), Intrinsics.square(12)
+    a, b = (on_white(torch.from_numpy(net.draw(POSE, light, intrinsics))) for net in (trained[0], back))
+    assert 0 < (a - b).abs().mean() < 1 / 255
+    again = back.to_tensors()[0]
+    for name, value in trained[0].to_tensors()[0].items():
+        np.testing.assert_array_equal(again[name], value)
+
+
+def test_two_runs_give_equal_bytes_and_leave_the_global_random_state(tmp_path, views):
+    config = dataclasses.replace(CONFIG, steps=20, batch=64)
+    for seed, name in enumerate("ab"):
+        torch.manual_seed(seed)
+        before = torch.random.get_rng_state()
+        net, _ = train_osf(*views, config, torch.Generator().manual_seed(5))
+        assert torch.equal(torch.random.get_rng_state(), before)
+        write_safetensors(tmp_path / name, *net.to_tensors())
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+def test_a_gpu_learns_as_well(views, trained):
+    net, curve = train_osf(*views, CONFIG, torch.Generator().manual_seed(1), device="cuda")
+    assert next(net.parameters()).device.type == "cpu"
+    assert min(p.val_loss for p in curve) < 2 * min(p.val_loss for p in trained[1])
