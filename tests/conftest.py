@@ -1,3 +1,5 @@
+import signal
+
 import numpy as np
 import pytest
 import torch
@@ -7,6 +9,10 @@ from threadpoolctl import threadpool_limits
 from objectfolder.errors import ObjectFolderError
 from objectfolder.inspection.scene import draw
 from objectfolder.objectfile import ObjectFile
+
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    # So starts what a script runs in the background; processes that tests interrupt would inherit it.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(autouse=True, scope="session")
