@@ -29,11 +29,12 @@ from objectfolder.fem.adaptive import FineGrid, refined
 from objectfolder.fem.eigen import solve_modes
 from objectfolder.fem.elasticity import Solid
 from objectfolder.fem.elements import restored
-from objectfolder.fem.modal import MIN_FREQUENCY, modal_analysis
+from objectfolder.fem.modal import MIN_FREQUENCY, refined_analysis
 from objectfolder.materials import material
 from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.thickness import wall_thickness
+from objectfolder.mesh.topology import Mesh
 
 ROOT = Path(__file__).parents[1]
 MAX_SECONDS = 180.0  # of the modal stage
@@ -51,23 +52,23 @@ def timed(function: Callable[[], Any]) -> tuple[Any, float]:
     return function(), time.process_time() - start
 
 
-def load(workspace: Path, key: str) -> tuple[Solid, dict, dict]:
-    """Elements that the stage `modal` takes, the object's entry and the stage's section."""
+def load(workspace: Path, key: str) -> tuple[Solid, Mesh, dict, dict]:
+    """First grid, the surface that it was cut from, the object's entry and the section `modal`."""
     values, build = params.read(workspace / "params.yaml"), Build(key, workspace)
-    entry, section = values["objects"][key], values["modal"]
     solid, surface = restored(read_npz(build.solid, "kind")), read_surface(build.solid_surface)
-    stuff, fine = material(entry["material"]), FineGrid(**section["fine"])
-    return refined(solid, surface, wall_thickness(*surface), fine, stuff, entry["scale"], key), entry, section
+    return solid, surface, values["objects"][key], values["modal"]
 
 
 def measure(workspace: Path, key: str) -> dict:
     """What the stage `modal` computes, and its sound, in this process."""
-    (cells, entry, section), refining = timed(lambda: load(workspace, key))
+    solid, solid_surface, entry, section = load(workspace, key)
     surface = read_surface(Build(key, workspace).surface)
     points = sample_surface(*surface, len(surface[0]) + section["surface_points"], np.random.default_rng(0))
     data, seconds = timed(
-        lambda: modal_analysis(
-            cells,
+        lambda: refined_analysis(
+            solid,
+            solid_surface,
+            FineGrid(**section["fine"]),
             points,
             material(entry["material"]),
             float(entry["scale"]),
@@ -77,7 +78,7 @@ def measure(workspace: Path, key: str) -> dict:
         )
     )
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    row = {"object": key, "seconds": refining + seconds, "peak_mb": peak, "points": len(points)}
+    row = {"object": key, "seconds": seconds, "peak_mb": peak, "points": len(points)}
     wanted = (
         "resolution",
         "degrees_of_freedom",
@@ -125,8 +126,9 @@ def compare(workspace: Path, key: str) -> dict:
     `eigsh` around zero, where the stiffness is singular; given the right number of modes here, which it
     would have to guess.
     """
-    cells, entry, section = load(workspace, key)
-    fem = cells.assemble(material(entry["material"]), float(entry["scale"]))
+    solid, surface, entry, section = load(workspace, key)
+    stuff, scale, fine = material(entry["material"]), float(entry["scale"]), FineGrid(**section["fine"])
+    fem = refined(solid, surface, wall_thickness(*surface), fine, stuff, scale, key).assemble(stuff, scale)
     stiffness, mass = fem.stiffness.tocsc(), fem.mass.tocsc()
     limit = (2 * np.pi * section["max_frequency"]) ** 2
     middle = (limit + (2 * np.pi * MIN_FREQUENCY) ** 2) / 2

@@ -23,18 +23,17 @@ from rich.table import Table
 
 from objectfolder import params
 from objectfolder.artifacts import atomic
-from objectfolder.fem.adaptive import FineGrid, refined
+from objectfolder.fem.adaptive import FineGrid
 from objectfolder.fem.blocks import merge_full_blocks
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.eigen import Modes, solve_modes
 from objectfolder.fem.elements import discretize
-from objectfolder.fem.modal import modal_analysis
+from objectfolder.fem.modal import refined_analysis
 from objectfolder.materials import Material, material
 from objectfolder.mesh.load import load_mesh
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.procedural import generate
 from objectfolder.mesh.sampling import sample_surface
-from objectfolder.mesh.thickness import wall_thickness
 
 ROOT = Path(__file__).parents[1]
 STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
@@ -218,16 +217,15 @@ def real(path: Path) -> list[Row]:
     solid = normalize(load_mesh(path, up), key).surface.mesh
     fine = FineGrid(**values["modal"]["fine"])
     divided = discretize(*solid, **section, name=key)
-    start, wall = time.process_time(), wall_thickness(*solid)
-    divided = refined(divided, solid, wall, fine, material(stuff), scale, key)
+    start = time.process_time()
     points = np.concatenate([solid[0], sample_surface(*solid, 8000, np.random.default_rng(0))])
     limits = values["modal"]["max_frequency"], 1000
-    report = modal_analysis(divided, points, material(stuff), scale, *limits, key, wall).report
+    report = refined_analysis(divided, solid, fine, points, material(stuff), scale, *limits, key).report
     spent = time.process_time() - start
     finer = merge_full_blocks(cut_cells(*solid, REFINED, 6, key))
     exact = hertz(solve_modes(finer.assemble(material(stuff), scale), limits[0], 8))
     found = np.array(report["lowest_hz"])[: len(exact)]
-    detail = f"{divided.resolution}^3, {report['degrees_of_freedom']} unknowns, {report['modes']} modes"
+    detail = f"{report['resolution']}^3, {report['degrees_of_freedom']} unknowns, {report['modes']} modes"
     estimate = max(report["discretisation_error"] or [np.nan])
     return [
         Row(f"{key}: 8 modes, {REFINED}^3", float(np.abs(found / exact - 1).max()), 0.02, detail),

@@ -6,15 +6,14 @@ import numpy as np
 
 from objectfolder.artifacts import Build, file_digest, keep, read_npz, write_json, write_npz
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.adaptive import FineGrid, refined
+from objectfolder.fem.adaptive import FineGrid
 from objectfolder.fem.band import solved_band
 from objectfolder.fem.elements import restored
-from objectfolder.fem.modal import modal_analysis
+from objectfolder.fem.modal import refined_analysis
 from objectfolder.fem.reuse import Request, problem, rescaled, solution
 from objectfolder.materials import material
 from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.sampling import sample_surface, split_rows
-from objectfolder.mesh.thickness import wall_thickness
 from objectfolder.params import stage_params
 from objectfolder.seeding import numpy_generator
 from stages import run
@@ -35,13 +34,14 @@ def main(key: str) -> None:
         data = rescaled(read_npz(build.solved_modes, "solution", "band_hz"), task, request)
     reused = data is not None
     if data is None:
-        solid = read_surface(build.solid_surface)
-        wall = wall_thickness(*solid)
-        fine = FineGrid(**dict(section.fine))
-        cells = restored(read_npz(build.solid, "kind"))
-        cells = refined(cells, solid, wall, fine, stuff, request.scale, key)
-        limits = request.max_frequency, request.max_modes
-        data = modal_analysis(cells, points, stuff, request.scale, *limits, key, wall)
+        data = refined_analysis(
+            restored(read_npz(build.solid, "kind")),
+            read_surface(build.solid_surface),
+            FineGrid(**dict(section.fine)),
+            points,
+            **vars(request),
+            name=key,
+        )
     write_npz(
         build.modes,
         points=points,

@@ -5,9 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from objectfolder.fem.accuracy import ESTIMATED, discretisation_error, resolved_frequency
+from objectfolder.fem.adaptive import FineGrid, refined
 from objectfolder.fem.eigen import solve_modes
 from objectfolder.fem.elasticity import Solid
 from objectfolder.materials import Material
+from objectfolder.mesh.thickness import wall_thickness
+from objectfolder.mesh.topology import Mesh
 
 MAX_RESIDUAL, MAX_RIGID_HZ = 1e-8, 0.1
 MIN_FREQUENCY = 20.0  # Hz, the lower end of hearing (supplementary C)
@@ -99,6 +102,34 @@ def modal_analysis(
         residuals=modes.residuals[rings],
         report=report | checks(report),
     )
+
+
+def refined_analysis(
+    solid: Solid,
+    surface: Mesh,
+    fine: FineGrid,
+    points: np.ndarray,
+    material: Material,
+    scale: float,
+    max_frequency: float,
+    max_modes: int,
+    name: str = "object",
+) -> ModalData:
+    """Modes of a solid, on a finer grid if it needs one (`refined`), evaluated at points.
+
+    Parameters
+    ----------
+    solid : Solid
+        The first grid.
+    surface : (V, 3) and (F, 3) arrays, unit frame
+        What it was cut from.
+    fine : FineGrid
+    points, material, scale, max_frequency, max_modes, name
+        See `modal_analysis`.
+    """
+    wall = wall_thickness(*surface)
+    cells = refined(solid, surface, wall, fine, material, scale, name)
+    return modal_analysis(cells, points, material, scale, max_frequency, max_modes, name, wall)
 
 
 def checks(report: dict) -> dict[str, bool]:

@@ -16,7 +16,7 @@ from torch import nn
 from objectfolder.audio.spectrogram import SHAPE, spectrogram
 from objectfolder.audio.synthesis import sinusoid_bank
 from objectfolder.nets.fit import CurvePoint, fit
-from objectfolder.nets.positional import SkipNetwork, octave_angles
+from objectfolder.nets.positional import SkipNetwork, octave_angles, with_half_weights
 
 RANGE_POINTS = 256  # training points whose extremes span the range of values
 VAL_SAMPLES = 1 << 14
@@ -116,11 +116,7 @@ class SpectrogramNet(nn.Module):
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Tensors (weights as float16; the biases hold the level of silence) and configuration."""
-        tensors = {
-            name: (value.half() if name.endswith("weight") else value).cpu().numpy()
-            for name, value in self.state_dict().items()
-        }
-        return tensors, dict(self.config)
+        return with_half_weights(self), dict(self.config)
 
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "SpectrogramNet":

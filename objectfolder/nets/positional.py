@@ -1,7 +1,8 @@
-"""What the paper's nets share: positional encoding and a ReLU network that its input joins again."""
+"""What the paper's nets share: positional encoding, a ReLU network that its input joins again, storing."""
 
 import math
 
+import numpy as np
 import torch
 from torch import nn
 
@@ -37,3 +38,11 @@ class SkipNetwork(nn.Module):
         for i, layer in enumerate(self.hidden):
             hidden = torch.relu(layer(torch.cat([x, hidden], 1) if i == SKIP + 1 else hidden))
         return hidden
+
+
+def with_half_weights(net: nn.Module) -> dict[str, np.ndarray]:
+    """Tensors of a net for storing: weights as float16, all others as they are."""
+    return {
+        name: (value.half() if name.endswith("weight") else value).cpu().numpy()
+        for name, value in net.state_dict().items()
+    }

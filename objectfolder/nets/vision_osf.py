@@ -15,9 +15,9 @@ from torch import nn
 
 from objectfolder.mesh.grid import BOUND
 from objectfolder.nets.fit import CurvePoint, fit, minibatches
-from objectfolder.nets.positional import SkipNetwork, octave_angles
+from objectfolder.nets.positional import SkipNetwork, octave_angles, with_half_weights
 from objectfolder.vision.cameras import Intrinsics, camera_rays
-from objectfolder.vision.color import linear_to_srgb, on_white
+from objectfolder.vision.color import on_white, shown_error
 from objectfolder.vision.picture import Picture
 from objectfolder.vision.volume import Rays, resampled, stratified, visibility
 
@@ -187,11 +187,7 @@ class OsfNet(nn.Module):
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Tensors (weights as float16) and configuration."""
-        tensors = {
-            name: (value.half() if name.endswith("weight") else value).cpu().numpy()
-            for name, value in self.state_dict().items()
-        }
-        return tensors, dict(self.config)
+        return with_half_weights(self), dict(self.config)
 
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "OsfNet":
@@ -270,10 +266,7 @@ class _Pixels:
         view = self.view[index]
         rays = Rays.through_cube(self.origins[view], self.directions[index], BOUND)
         seen = torch.stack(net(rays, self.lights[view], generator))
-        clipped = seen.clamp(0, 1)
-        # The small linear term lets pixels learn that are beyond black or white.
-        error = linear_to_srgb(clipped) - self.target[index] + 0.1 * (seen - clipped)
-        return error.square().mean((1, 2))
+        return shown_error(seen, self.target[index]).square().mean((1, 2))
 
 
 def train_osf(

@@ -20,7 +20,7 @@ from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.fit import CurvePoint, fit, minibatches
 from objectfolder.nets.hashgrid import HashGrid
 from objectfolder.vision.cameras import Intrinsics, camera_rays
-from objectfolder.vision.color import linear_to_srgb, on_white
+from objectfolder.vision.color import on_white, shown_error
 from objectfolder.vision.trace import SurfaceSamples, trace
 
 DIELECTRIC_F0 = 0.04  # reflectance at normal incidence of the principled BSDF with specular 0.5
@@ -207,9 +207,7 @@ class _Pixels:
             s.ray[index], s.points[index], s.normals[index], s.directions[index], s.lit[index]
         )
         radiance = net(part, self.light[index], (self.corners[0][index], self.corners[1][index]))
-        clipped = radiance.clamp(0, 1)
-        # The small linear term lets overexposed samples learn.
-        return (linear_to_srgb(clipped) - self.target[index] + 0.1 * (radiance - clipped)).square().mean()
+        return shown_error(radiance, self.target[index]).square().mean()
 
 
 def train_surface(

@@ -11,3 +11,12 @@ def linear_to_srgb(x: torch.Tensor) -> torch.Tensor:
 def on_white(rgba: torch.Tensor) -> torch.Tensor:
     """Composite premultiplied linear RGBA (..., 4) on white and encode; (..., 3) in [0, 1]."""
     return linear_to_srgb((rgba[..., :3] + (1 - rgba[..., 3:])).clamp(0, 1))
+
+
+def shown_error(radiance: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+    """Error of a linear radiance as it is shown, against an sRGB target; same shapes.
+
+    A small linear term lets samples learn that are beyond black or white.
+    """
+    clipped = radiance.clamp(0, 1)
+    return linear_to_srgb(clipped) - target + 0.1 * (radiance - clipped)

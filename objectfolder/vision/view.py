@@ -7,7 +7,7 @@ import torch
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.vision.cameras import Intrinsics, camera_rays, project
+from objectfolder.vision.cameras import Intrinsics, camera_rays, covered_rectangle
 from objectfolder.vision.trace import SurfaceSamples, trace
 
 SHADE_SIDE = 2  # shading samples per side of an edge pixel
@@ -69,15 +69,9 @@ def draw(
 
 def _covered_box(surface: Isosurface, camera_to_world: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
     """Flat indices of the pixels that the object's bounding box may cover."""
-    lower, upper = surface.vertices.min(0), surface.vertices.max(0)
-    corners = np.array(np.meshgrid(*zip(lower, upper))).reshape(3, -1).T
-    pixels, depth = project(corners, camera_to_world, intrinsics)
-    if (depth <= 1e-6).any():
-        return np.arange(intrinsics.height * intrinsics.width)
-    size = [intrinsics.width, intrinsics.height]
-    first = np.clip(np.floor(pixels.min(0)).astype(int) - 1, 0, size)
-    last = np.clip(np.ceil(pixels.max(0)).astype(int) + 1, 0, size)
-    rows, columns = np.meshgrid(np.arange(first[1], last[1]), np.arange(first[0], last[0]), indexing="ij")
+    corners = np.array(np.meshgrid(*zip(surface.vertices.min(0), surface.vertices.max(0)))).reshape(3, -1).T
+    left, top, right, bottom = covered_rectangle(corners, camera_to_world, intrinsics)
+    rows, columns = np.meshgrid(np.arange(top, bottom), np.arange(left, right), indexing="ij")
     return (rows * intrinsics.width + columns).ravel()
 
 
