@@ -20,6 +20,7 @@ class Isosurface:
     ----------
     vertices : (V, 3) float64
     faces : (F, 3) int64, counter-clockwise seen from outside
+    normals : (V, 3) float32, outward, of unit length
     caster : RayCaster
     """
 
@@ -30,6 +31,7 @@ class Isosurface:
         v, f, _, _ = marching_cubes(grid.values.astype(np.float32), 0.0, allow_degenerate=False)
         self.vertices = v.astype(np.float64) * grid.spacing - BOUND
         self.faces = f.astype(np.int64)
+        self.normals = grid.normals(torch.from_numpy(self.vertices.astype(np.float32))).numpy()
         self.caster = RayCaster(self.vertices, self.faces)
 
     def nearest(self, points: np.ndarray, steps: int = 3) -> tuple[np.ndarray, np.ndarray]:

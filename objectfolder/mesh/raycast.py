@@ -50,6 +50,34 @@ class RayCaster:
         # Embree reports 1e37 on a miss.
         return np.where(face >= 0, hit["tfar"], np.float32(np.inf)).astype(np.float32), face
 
+    def intersect(
+        self, origins: np.ndarray, directions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Where rays first meet a triangle; H of N rays do.
+
+        Parameters
+        ----------
+        origins, directions : (N, 3) arrays
+
+        Returns
+        -------
+        ray : (H,) int64
+        distance : (H,) float32
+        face : (H,) int64
+        weights : (H, 3) float32
+            Barycentric, of the face's corners.
+        """
+        hit = self._scene.run(
+            np.ascontiguousarray(origins, np.float32),
+            np.ascontiguousarray(directions, np.float32),
+            query="INTERSECT",
+            output=1,
+        )
+        ray = np.flatnonzero(hit["primID"] >= 0)
+        u, v = hit["u"][ray], hit["v"][ray]
+        weights = np.stack([1 - u - v, u, v], 1).astype(np.float32)
+        return ray, hit["tfar"][ray].astype(np.float32), hit["primID"][ray].astype(np.int64), weights
+
     def occluded(self, origins: np.ndarray, directions: np.ndarray, max_distance: np.ndarray) -> np.ndarray:
         """Whether anything lies within ``max_distance`` along each ray; (N,) bool."""
         _, face = self.first_hit(origins, directions, max_distance)

@@ -74,6 +74,14 @@ class HashGrid(nn.Module):
             len(rows), self.width
         )
 
+    def quantised(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the table as int8, and the factor of each level, float32."""
+        table = self.table.detach()
+        levels = [table[start:stop] for start, stop in zip(self.offsets[:-1], self.offsets[1:])]
+        factors = [level.abs().max().clamp(min=1e-12) / 127 for level in levels]
+        whole = torch.cat([(level / factor).round().to(torch.int8) for level, factor in zip(levels, factors)])
+        return whole.numpy(), torch.stack(factors).numpy()
+
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Features at (N, 3) points; (N, levels * features)."""
         return self.lookup(*self.corners(x))

@@ -1,29 +1,36 @@
 """VisionNet ``surface``: a stored surface, shaded.
 
-A hash grid gives albedo, a normal offset and a highlight weight at a surface point; a point light is
-shaded analytically with its shadow ray; a small MLP adds what bounces and what the model lacks. The
-factors are learned together from images.
+A hash grid gives base colour and shading normal at a surface point, learned from the mesh; the ground
+truth's BSDF shades them under a point light with its shadow ray. What bounces is learned from views: a
+small grid and an MLP, which know where camera and light are.
 """
 
 import itertools
-import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
 import torch.nn.functional as F
+import trimesh
+from scipy.ndimage import maximum_filter, minimum_filter
 from torch import nn
 
+from objectfolder.mesh import srgb
 from objectfolder.mesh.grid import BOUND
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.fit import CurvePoint, fit, minibatches
 from objectfolder.nets.hashgrid import HashGrid
+from objectfolder.vision.appearance import appearance_at
+from objectfolder.vision.bsdf import principled
 from objectfolder.vision.cameras import Intrinsics, camera_rays
-from objectfolder.vision.color import on_white, shown_error
+from objectfolder.vision.color import on_white, shown_error, srgb_to_linear
+from objectfolder.vision.scene import Scene
 from objectfolder.vision.trace import SurfaceSamples, trace
 
-DIELECTRIC_F0 = 0.04  # reflectance at normal incidence of the principled BSDF with specular 0.5
+TRANSPORT = {"levels": 3, "features": 4, "table_bits": 15, "coarsest": 8, "finest": 30}  #: grid of what bounces
+CHUNK = 50_000  # points whose grid corners are computed at once
 
 
 @dataclass(frozen=True)
@@ -36,6 +43,10 @@ class VisionConfig:
     coarsest: int
     finest: int
     width: int  #: of the MLPs
+    points: int  #: of the surface, to learn base colour and normals from
+    point_steps: int
+    point_batch: int
+    pixels: int  #: of all training views, to learn what bounces from
     steps: int
     batch: int
     learning_rate: float
@@ -50,86 +61,112 @@ class SurfaceNet(nn.Module):
         See `HashGrid`.
     width : int
         Hidden width of the MLPs.
+    roughness, metallic : float
+        Of the principled BSDF.
     """
 
-    def __init__(self, levels: int, features: int, table_bits: int, coarsest: int, finest: int, width: int):
+    def __init__(
+        self,
+        levels: int,
+        features: int,
+        table_bits: int,
+        coarsest: int,
+        finest: int,
+        width: int,
+        roughness: float,
+        metallic: float,
+    ):
         super().__init__()
         self.grid = HashGrid(levels, features, table_bits, coarsest, finest)
-        self.config = {**self.grid.config, "width": width}
-        self._coarse = min(6, levels) * features
-        self.appearance = _mlp(self.grid.width + 3, width, 7, depth=1)
-        self.indirect = _mlp(self._coarse + 43, width, 6, depth=2)
-        self.log_roughness = nn.Parameter(torch.tensor(math.log(0.25)))  # alpha of the highlight
+        self.appearance = _mlp(self.grid.width + 3, width, 6, depth=1)
+        self.transport = HashGrid(**TRANSPORT)
+        self.bounced = _mlp(self.transport.width + 46, width, 6, depth=2)
+        self.config = {**self.grid.config, "width": width, "roughness": roughness, "metallic": metallic}
 
-    def forward(
-        self,
-        samples: SurfaceSamples,
-        light: torch.Tensor,
-        corners: tuple[torch.Tensor, torch.Tensor] | None = None,
-    ) -> torch.Tensor:
-        """Radiance at samples.
+    def looks(
+        self, points: torch.Tensor, normals: torch.Tensor, features: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Base colours, sRGB and unclipped, and shading normals, not normalised; both (S, 3).
 
         Parameters
         ----------
-        samples : SurfaceSamples
-        light : (S, 3) or (3,) tensor, unit frame
-        corners : optional
-            Precomputed ``grid.corners`` of the samples' points.
-
-        Returns
-        -------
-        (S, 3) tensor, linear
+        points, normals : (S, 3) tensors
+            Of the stored surface, unit frame.
+        features : (S, F) tensor
+            Of `grid` there.
         """
-        p, n, view = samples.points, samples.normals, samples.directions
-        lit = samples.lit[:, None].float()
-        light = light.expand(len(p), 3)
-        to_light = light - p
+        a = self.appearance(torch.cat([features, points], 1))
+        return a[:, :3] + 0.5, normals + a[:, 3:]
+
+    def direct(
+        self, samples: SurfaceSamples, light: torch.Tensor, base_color: torch.Tensor, normals: torch.Tensor
+    ) -> torch.Tensor:
+        """Radiance straight from the light; (S, 3) as base colours (linear) and unit shading normals."""
+        to_light = light - samples.points
         squared = (to_light * to_light).sum(-1, keepdim=True)
-        l = to_light / squared.sqrt()
-        features = self.grid.lookup(*corners) if corners is not None else self.grid((p / BOUND + 1) / 2)
-        a = self.appearance(torch.cat([features, p], 1))
-        albedo = F.softplus(a[:, :3] - 1)
-        n_shading = F.normalize(n + 0.5 * torch.tanh(a[:, 3:6]), dim=-1)
-        diffuse = lit * (n_shading * l).sum(-1, keepdim=True).clamp(min=0) / squared
-        highlight = ggx(n_shading, view, l, self.log_roughness.exp().clamp(0.01, 1)) / squared * lit
-        b = self.indirect(
-            torch.cat(
-                [
-                    features[:, : self._coarse],
-                    torch.sin(4 * p),
-                    torch.cos(4 * p),
-                    torch.sin(8 * p),
-                    torch.cos(8 * p),
-                    light,
-                    p,
-                    _light_features(n_shading, view, l, squared, lit),
-                    n,
-                    torch.log1p(4 * highlight),
-                    torch.log1p(4 * diffuse),
-                    torch.log(squared),
-                ],
-                1,
-            )
+        reflected = principled(
+            normals,
+            samples.directions,
+            to_light / squared.sqrt(),
+            base_color,
+            self.config["roughness"],
+            self.config["metallic"],
         )
-        bounced = 0.5 * F.softplus(b[:, :3] - 4)
-        specular = highlight * F.softplus(a[:, 6:7] + 0.5) * torch.exp(0.5 * torch.tanh(b[:, 4:5]))
-        return (
-            albedo * (diffuse * torch.exp(0.5 * torch.tanh(b[:, 3:4])) + bounced)
-            + specular
-            + 0.1 * F.softplus(b[:, 5:6] - 5)
-        )
+        return reflected * (samples.lit[:, None] / squared)
+
+    def indirect(
+        self, features: torch.Tensor, transport: torch.Tensor, base_color: torch.Tensor
+    ) -> torch.Tensor:
+        """Radiance that has bounced; (S, 3).
+
+        Parameters
+        ----------
+        features : (S, 46) tensor
+            `light_features`.
+        transport : (S, T) tensor
+            Of the grid `transport`.
+        base_color : (S, 3) tensor, linear
+        """
+        b = self.bounced(torch.cat([features, transport], 1))
+        return base_color * (0.5 * F.softplus(b[:, :3] - 4)) + 0.1 * F.softplus(b[:, 3:] - 5)
+
+    def shader(self, surface: Isosurface) -> Callable[[SurfaceSamples, torch.Tensor], torch.Tensor]:
+        """Return what shades samples of one surface, by attributes at its vertices.
+
+        Everything that depends on the point alone is evaluated here, once, and interpolated over the
+        triangles, which are smaller than a pixel of a usual view.
+        """
+        vertices = self.vertex_attributes(surface)
+
+        @torch.no_grad()
+        def shade(samples: SurfaceSamples, light: torch.Tensor) -> torch.Tensor:
+            base_color, normals, transport = _interpolated(vertices, samples)
+            direct = self.direct(samples, light, base_color, normals)
+            features = light_features(samples, light, normals, direct)
+            return direct + self.indirect(features, transport, base_color)
+
+        return shade
+
+    @torch.no_grad()
+    def vertex_attributes(self, surface: Isosurface) -> torch.Tensor:
+        """(V, 6 + T): linear base colour, unit shading normal and transport features at vertices."""
+        points = torch.from_numpy(surface.vertices.astype(np.float32))
+        normals = torch.from_numpy(surface.normals)
+        parts = []
+        for p, n in zip(points.split(CHUNK), normals.split(CHUNK)):
+            cube = _in_cube(p)
+            color, shading = self.looks(p, n, self.grid(cube))
+            linear = srgb_to_linear(color.clamp(0, 1))
+            parts.append(torch.cat([linear, F.normalize(shading, dim=-1), self.transport(cube)], 1))
+        return torch.cat(parts)
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Tensors for storing: the table as int8 with one factor per level, the rest as float16."""
-        state = {k: v.half().numpy() for k, v in self.state_dict().items() if k != "grid.table"}
-        table, factors = self.grid.table.detach(), []
-        quantised = torch.empty(table.shape, dtype=torch.int8)
-        for start, stop in zip(self.grid.offsets[:-1], self.grid.offsets[1:]):
-            factor = table[start:stop].abs().max().clamp(min=1e-12) / 127
-            quantised[start:stop] = (table[start:stop] / factor).round().to(torch.int8)
-            factors.append(factor.item())
-        state["grid.table"] = quantised.numpy()
-        state["grid.factors"] = np.array(factors, np.float32)
+        """Tensors for storing: tables as int8 with one factor per level, the rest as float16."""
+        state = {
+            k: v.half().numpy() for k, v in self.state_dict().items() if not k.endswith(".table")
+        }
+        for name in ("grid", "transport"):
+            state[f"{name}.table"], state[f"{name}.factors"] = getattr(self, name).quantised()
         return state, dict(self.config)
 
     @classmethod
@@ -137,53 +174,66 @@ class SurfaceNet(nn.Module):
         """Inverse of `to_tensors`, up to quantisation."""
         net = cls(**config)
         state = {k: torch.from_numpy(np.array(v)).float() for k, v in tensors.items()}
-        factors = state.pop("grid.factors")
-        sizes = torch.tensor(np.diff(net.grid.offsets))
-        state["grid.table"] = state["grid.table"] * factors.repeat_interleave(sizes)[:, None]
+        for name in ("grid", "transport"):
+            sizes = torch.tensor(np.diff(getattr(net, name).offsets))
+            state[f"{name}.table"] *= state.pop(f"{name}.factors").repeat_interleave(sizes)[:, None]
         net.load_state_dict(state)
         return net.eval()
 
 
-def ggx(n: torch.Tensor, view: torch.Tensor, l: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
-    """Pi times the GGX highlight of a dielectric times the cosine (Walter et al. 2007); (S, 1)."""
-    half = F.normalize(l - view, dim=-1)
-    nl = (n * l).sum(-1, keepdim=True).clamp(min=0)
-    nv = -(n * view).sum(-1, keepdim=True).clamp(max=-0.02)
-    nh = (n * half).sum(-1, keepdim=True).clamp(0, 1)
-    vh = -(view * half).sum(-1, keepdim=True).clamp(-1, 0)
-    a2 = alpha * alpha
-    distribution = a2 / (math.pi * (nh * nh * (a2 - 1) + 1) ** 2)
-    masking = 0.5 / (
-        nl * (nv * nv * (1 - a2) + a2).sqrt() + nv * (nl * nl * (1 - a2) + a2).clamp(min=1e-12).sqrt() + 1e-4
-    )
-    fresnel = DIELECTRIC_F0 + (1 - DIELECTRIC_F0) * (1 - vh) ** 5
-    return math.pi * distribution * masking * fresnel * nl
-
-
-def _light_features(
-    n: torch.Tensor, view: torch.Tensor, l: torch.Tensor, squared: torch.Tensor, lit: torch.Tensor
+def light_features(
+    samples: SurfaceSamples, light: torch.Tensor, normals: torch.Tensor, direct: torch.Tensor
 ) -> torch.Tensor:
-    """Angles and distances that bounced light depends on; (S, 19)."""
+    """Positions, angles and distances that bounced light depends on; (S, 46)."""
+    p, n, view = samples.points, normals, samples.directions
+    lit = samples.lit[:, None].float()
+    light = light.expand(len(p), 3)
+    to_light = light - p
+    squared = (to_light * to_light).sum(-1, keepdim=True)
+    l = to_light / squared.sqrt()
     nl = (n * l).sum(-1, keepdim=True)
     nh = (n * F.normalize(l - view, dim=-1)).sum(-1, keepdim=True).clamp(0, 1)
     nv = -(n * view).sum(-1, keepdim=True)
     received = nl.clamp(min=0) / squared
+    mirrored = view + 2 * nv * n
     columns = [
+        p,
+        torch.sin(4 * p),
+        torch.cos(4 * p),
+        torch.sin(8 * p),
+        torch.cos(8 * p),
+        light,
+        samples.normals,
         n,
         view,
         l,
+        mirrored,
         nl,
-        received,
+        nv,
         nh,
         nh**8,
         nh**32,
-        nv,
-        1 / squared,
+        received,
         lit,
         lit * received,
-        lit * nh**32,
+        1 / squared,
+        torch.log(squared),
+        torch.log1p(4 * direct),
     ]
     return torch.cat(columns, -1)
+
+
+def _in_cube(points: torch.Tensor) -> torch.Tensor:
+    """Unit frame to the cube [0, 1]^3 of a grid."""
+    return (points / BOUND + 1) / 2
+
+
+def _interpolated(
+    vertices: torch.Tensor, samples: SurfaceSamples
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Base colours, unit shading normals and transport features of samples, from their triangles' corners."""
+    values = torch.bmm(samples.weights[:, None], vertices[samples.corners])[:, 0]
+    return values[:, :3], F.normalize(values[:, 3:6], dim=-1), values[:, 6:]
 
 
 def _mlp(inputs: int, width: int, outputs: int, depth: int) -> nn.Sequential:
@@ -193,87 +243,157 @@ def _mlp(inputs: int, width: int, outputs: int, depth: int) -> nn.Sequential:
 
 
 @dataclass(frozen=True)
-class _Pixels:
-    """Fully covered pixels of a split, traced against the stored surface."""
+class _Points:
+    """Points of the stored surface with what the mesh looks like there."""
 
-    samples: SurfaceSamples
-    light: torch.Tensor  # (S, 3)
+    points: torch.Tensor  # (S, 3)
+    normals: torch.Tensor  # (S, 3), of the stored surface
+    corners: tuple[torch.Tensor, torch.Tensor]
+    color: torch.Tensor  # (S, 3), sRGB
+    shading: torch.Tensor  # (S, 3), unit
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def loss(self, net: SurfaceNet, index: torch.Tensor) -> torch.Tensor:
+        features = net.grid.lookup(self.corners[0][index], self.corners[1][index])
+        color, shading = net.looks(self.points[index], self.normals[index], features)
+        return F.mse_loss(color, self.color[index]) + F.mse_loss(shading, self.shading[index])
+
+
+@dataclass(frozen=True)
+class _Pixels:
+    """Pixels of views within the object, away from shadow edges; all that does not learn is computed."""
+
+    features: torch.Tensor  # (S, 46) float16
+    base_color: torch.Tensor  # (S, 3) linear
+    direct: torch.Tensor  # (S, 3) linear
     target: torch.Tensor  # (S, 3) sRGB
     corners: tuple[torch.Tensor, torch.Tensor]
 
-    def loss(self, net: SurfaceNet, index: torch.Tensor | slice) -> torch.Tensor:
-        s = self.samples
-        part = SurfaceSamples(
-            s.ray[index], s.points[index], s.normals[index], s.directions[index], s.lit[index]
-        )
-        radiance = net(part, self.light[index], (self.corners[0][index], self.corners[1][index]))
-        return shown_error(radiance, self.target[index]).square().mean()
+    def __len__(self) -> int:
+        return len(self.target)
+
+    def loss(self, net: SurfaceNet, index: torch.Tensor) -> torch.Tensor:
+        transport = net.transport.lookup(self.corners[0][index], self.corners[1][index])
+        bounced = net.indirect(self.features[index].float(), transport, self.base_color[index])
+        return shown_error(self.direct[index] + bounced, self.target[index]).square().mean()
 
 
 def train_surface(
     surface: Isosurface,
+    scene: Scene,
     train: dict[str, np.ndarray],
     val: dict[str, np.ndarray],
     config: VisionConfig,
     generator: torch.Generator,
-    report=lambda point: None,
+    report: Callable[[CurvePoint], None] = lambda point: None,
 ) -> tuple[SurfaceNet, list[CurvePoint]]:
-    """Fit a `SurfaceNet` to views.
+    """Fit a `SurfaceNet` to a mesh's appearance, then to views of it.
 
     Parameters
     ----------
     surface : Isosurface
         The stored surface: training points must lie on what a query will see.
+    scene : Scene
+        The mesh that the views show.
     train, val : dict
         ``rgba`` (N, H, W, 4), ``camera_to_world`` (N, 4, 4), ``light`` (N, 3), ``focal``.
     config : VisionConfig
     generator : torch.Generator
     report : callable
-        Called with each `CurvePoint`; losses are mean squared errors in sRGB on fully covered pixels.
+        Called with each `CurvePoint` of the views; losses are mean squared errors in sRGB on pixels within
+        the object.
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(torch.randint(2**31, (1,), generator=generator)))
         net = SurfaceNet(
-            config.levels, config.features, config.table_bits, config.coarsest, config.finest, config.width
+            config.levels,
+            config.features,
+            config.table_bits,
+            config.coarsest,
+            config.finest,
+            config.width,
+            scene.roughness,
+            scene.metallic,
         )
-    pixels, held_out = _gather(surface, net, train), _gather(surface, net, val)
-    batches = iter(minibatches(len(pixels.target), config.batch, generator))
-    chunks = [slice(i, i + 65536) for i in range(0, len(held_out.target), 65536)]
+    rng = np.random.default_rng(int(torch.randint(2**31, (1,), generator=generator)))
 
-    def val_loss() -> float:
-        sums = [held_out.loss(net, c).item() * len(held_out.target[c]) for c in chunks]
-        return sum(sums) / len(held_out.target)
+    def fitted(learn, check, steps: int, batch: int, shown=lambda point: None) -> list[CurvePoint]:
+        batches = minibatches(len(learn), batch, generator)
+        chunks = torch.arange(len(check)).split(CHUNK)
+        return fit(
+            net,
+            batch_loss=lambda: learn.loss(net, next(batches)),
+            val_loss=lambda: sum(check.loss(net, c).item() * len(c) for c in chunks) / len(check),
+            steps=steps,
+            learning_rate=config.learning_rate,
+            report=shown,
+        )
 
-    curve = fit(
-        net,
-        batch_loss=lambda: pixels.loss(net, next(batches)),
-        val_loss=val_loss,
-        steps=config.steps,
-        learning_rate=config.learning_rate,
-        report=report,
-    )
+    known, unknown = (_look_up(surface, scene, net, n, rng) for n in (config.points, config.points // 20))
+    fitted(known, unknown, config.point_steps, config.point_batch)
+    # What bounces is learned on top of what a query will see.
+    net = SurfaceNet.from_tensors(*net.to_tensors())
+    vertices = net.vertex_attributes(surface)
+    pixels, held_out = (_gather(surface, net, vertices, v, config.pixels, rng) for v in (train, val))
+    curve = fitted(pixels, held_out, config.steps, config.batch, report)
     return net.eval(), curve
 
 
-def _gather(surface: Isosurface, net: SurfaceNet, views: dict[str, np.ndarray]) -> _Pixels:
+def _look_up(
+    surface: Isosurface, scene: Scene, net: SurfaceNet, count: int, rng: np.random.Generator
+) -> _Points:
+    """Random points of the surface, and what the mesh looks like nearest to them."""
+    mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
+    points, _ = trimesh.sample.sample_surface(mesh, count, seed=rng)
+    color, shading = appearance_at(scene, points)
+    p = torch.from_numpy(points.astype(np.float32))
+    normals = surface.grid.normals(p)
+    shading = torch.from_numpy(shading)
+    # Meshes may have faces turned inside; renderers turn them to the eye, which is outside.
+    shading = torch.where((shading * normals).sum(1, keepdim=True) < 0, -shading, shading)
+    encoded = torch.from_numpy(srgb.encode(color).astype(np.float32))
+    return _Points(p, normals, _corners(net.grid, p), encoded, shading)
+
+
+def _gather(
+    surface: Isosurface,
+    net: SurfaceNet,
+    vertices: torch.Tensor,
+    views: dict[str, np.ndarray],
+    count: int,
+    rng: np.random.Generator,
+) -> _Pixels:
+    """About ``count`` pixels of views, as many of each, or all that there are."""
     height, width = views["rgba"].shape[1:3]
     intrinsics = Intrinsics(width, height, float(views["focal"]))
-    parts, lights, targets = [], [], []
+    share, parts, seen_points = -(-count // len(views["rgba"])), [], []
     for rgba, pose, light in zip(views["rgba"], views["camera_to_world"], views["light"]):
         rows, columns = np.nonzero(rgba[..., 3] >= 0.999)
-        pixels = np.stack([columns + 0.5, rows + 0.5], 1)
-        samples = trace(surface, *camera_rays(pose, intrinsics, pixels), light)
-        seen = samples.ray.numpy()
-        parts.append(samples)
-        lights.append(torch.from_numpy(np.tile(light.astype(np.float32), (len(seen), 1))))
-        targets.append(on_white(torch.from_numpy(rgba[rows[seen], columns[seen]].astype(np.float32))))
-    samples = SurfaceSamples(
-        **{name: torch.cat([getattr(p, name) for p in parts]) for name in SurfaceSamples.__dataclass_fields__}
-    )
-    # Looked up in every epoch, so computed once; preallocated, because they are most of the memory.
-    count, width = len(samples.points), 8 * len(net.grid.resolutions)
-    corners = torch.empty(count, width, dtype=torch.int32), torch.empty(count, width, dtype=torch.float16)
-    for start in range(0, count, 100_000):
-        part = slice(start, start + 100_000)
-        corners[0][part], corners[1][part] = net.grid.corners((samples.points[part] / BOUND + 1) / 2)
-    return _Pixels(samples, torch.cat(lights), torch.cat(targets), corners)
+        samples = trace(surface, *camera_rays(pose, intrinsics, np.stack([columns, rows], 1) + 0.5), light)
+        row, column = rows[samples.ray], columns[samples.ray]
+        state = np.zeros((height, width), np.int8)
+        state[row, column] = 1 + samples.lit.numpy()
+        chosen = np.flatnonzero((maximum_filter(state, 3) == minimum_filter(state, 3))[row, column])
+        chosen = np.sort(rng.permutation(chosen)[:share])
+        samples = samples.select(torch.from_numpy(chosen))
+        l = torch.from_numpy(np.asarray(light, np.float32))
+        base_color, normals, _ = _interpolated(vertices, samples)
+        direct = net.direct(samples, l, base_color, normals)
+        target = on_white(torch.from_numpy(rgba[row[chosen], column[chosen]].astype(np.float32)))
+        parts.append((light_features(samples, l, normals, direct).half(), base_color, direct, target))
+        seen_points.append(samples.points)
+    features, base_color, direct, target = (torch.cat(part) for part in zip(*parts))
+    return _Pixels(features, base_color, direct, target, _corners(net.transport, torch.cat(seen_points)))
+
+
+def _corners(grid: HashGrid, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Of points that are looked up in every epoch; preallocated, because they are most of the memory."""
+    width = 8 * len(grid.resolutions)
+    rows = torch.empty(len(points), width, dtype=torch.int32)
+    weights = torch.empty(len(points), width, dtype=torch.float16)
+    for start in range(0, len(points), CHUNK):
+        part = slice(start, start + CHUNK)
+        rows[part], weights[part] = grid.corners(_in_cube(points[part]))
+    return rows, weights

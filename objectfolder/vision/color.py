@@ -8,6 +8,11 @@ def linear_to_srgb(x: torch.Tensor) -> torch.Tensor:
     return torch.where(x <= 0.0031308, 12.92 * x, 1.055 * x.clamp(min=1e-6) ** (1 / 2.4) - 0.055)
 
 
+def srgb_to_linear(x: torch.Tensor) -> torch.Tensor:
+    """Inverse of `linear_to_srgb`."""
+    return torch.where(x <= 0.04045, x / 12.92, ((x.clamp(min=0.04045) + 0.055) / 1.055) ** 2.4)
+
+
 def on_white(rgba: torch.Tensor) -> torch.Tensor:
     """Composite premultiplied linear RGBA (..., 4) on white and encode; (..., 3) in [0, 1]."""
     return linear_to_srgb((rgba[..., :3] + (1 - rgba[..., 3:])).clamp(0, 1))

@@ -1,13 +1,13 @@
 """What camera rays see of a stored surface: hit points, normals, and whether the light reaches them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
 
 from objectfolder.mesh.isosurface import Isosurface
 
-SHADOW_OFFSET = 1.5  # voxels along the normal where shadow rays start, clear of the surface's own facets
+SHADOW_OFFSET = 0.05  # voxels along the normal where shadow rays start: further off, shadows move
 
 
 @dataclass(frozen=True)
@@ -19,6 +19,12 @@ class SurfaceSamples:
     normals: torch.Tensor  #: (S, 3) float32, outward
     directions: torch.Tensor  #: (S, 3) float32, from the camera
     lit: torch.Tensor  #: (S,) bool, faces the light and is not in shadow
+    corners: torch.Tensor  #: (S, 3) int64, vertices of the triangle that holds the point
+    weights: torch.Tensor  #: (S, 3) float32, barycentric
+
+    def select(self, index: torch.Tensor) -> "SurfaceSamples":
+        """Return some of the samples."""
+        return SurfaceSamples(*(getattr(self, field.name)[index] for field in fields(self)))
 
 
 def trace(
@@ -31,10 +37,11 @@ def trace(
     origins, directions : (N, 3) float32 arrays, unit frame; directions of unit length
     light : (3,) array, unit frame
     """
-    distance, face = surface.caster.first_hit(origins, directions)
-    ray = np.flatnonzero(face >= 0)
-    points = origins[ray] + directions[ray] * distance[ray, None]
-    normals = surface.grid.normals(torch.from_numpy(points)).numpy()
+    ray, distance, face, weights = surface.caster.intersect(origins, directions)
+    points = origins[ray] + directions[ray] * distance[:, None]
+    corners = surface.faces[face]
+    normals = (surface.normals[corners] * weights[..., None]).sum(1)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.float32(1e-20))
     light = np.asarray(light, np.float32)
     lit = ((light - points) * normals).sum(1) > 0
     facing = np.flatnonzero(lit)
@@ -48,4 +55,6 @@ def trace(
         normals=torch.from_numpy(normals),
         directions=torch.from_numpy(directions[ray]),
         lit=torch.from_numpy(lit),
+        corners=torch.from_numpy(corners),
+        weights=torch.from_numpy(weights),
     )

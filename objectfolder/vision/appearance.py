@@ -1,0 +1,53 @@
+"""What a renderer would shade at points near a mesh: base colour and shading normal."""
+
+import igl
+import numpy as np
+import trimesh
+
+from objectfolder.mesh import srgb
+from objectfolder.vision.scene import Scene
+
+
+def appearance_at(scene: Scene, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Base colours and shading normals of the mesh where it is nearest to given points.
+
+    Parameters
+    ----------
+    scene : Scene
+    points : (N, 3) array, unit frame
+
+    Returns
+    -------
+    base_color : (N, 3) float32, linear
+    normals : (N, 3) float32, of unit length, as the mesh's faces are turned
+    """
+    mesh = scene.mesh
+    vertices, faces = np.float64(mesh.vertices), np.int64(mesh.faces)
+    _, face, nearest = igl.point_mesh_squared_distance(np.float64(points), vertices, faces)[:3]
+    corners = faces[np.asarray(face).ravel()]
+    triangles = vertices[corners]
+    weights = trimesh.triangles.points_to_barycentric(triangles, nearest, method="cross")
+    weights = np.nan_to_num(weights, nan=1 / 3)[..., None]
+    if scene.base_color == "texture":
+        color = _texels(mesh.texture, (mesh.uv[corners] * weights).sum(1))
+    else:
+        color = (scene.vertex_colors[corners] * weights).sum(1)
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    return color.astype(np.float32), normals.astype(np.float32)
+
+
+def _texels(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """Bilinear look-up of a repeating sRGB texture, linear; uv from the lower left corner."""
+    height, width = texture.shape[:2]
+    linear = srgb.decode(np.arange(256) / 255)
+    x, y = uv[:, 0] * width - 0.5, (1 - uv[:, 1]) * height - 0.5
+    column, row = np.floor(x).astype(int), np.floor(y).astype(int)
+    right, down = (x - column)[:, None], (y - row)[:, None]
+
+    def at(i: np.ndarray, j: np.ndarray) -> np.ndarray:
+        return linear[texture[j % height, i % width]]
+
+    upper = at(column, row) * (1 - right) + at(column + 1, row) * right
+    lower = at(column, row + 1) * (1 - right) + at(column + 1, row + 1) * right
+    return upper * (1 - down) + lower * down

@@ -1,0 +1,76 @@
+"""The principled BSDF (Burley 2012) that the ground truth is rendered with, for a point light."""
+
+import math
+
+import torch
+import torch.nn.functional as F
+
+REFRACTIVE_INDEX = 1.5  # principled specular 0.5
+MIN_ALPHA = 0.001
+
+
+def principled(
+    normal: torch.Tensor,
+    view: torch.Tensor,
+    light: torch.Tensor,
+    base_color: torch.Tensor,
+    roughness: float,
+    metallic: float,
+) -> torch.Tensor:
+    """Pi times BSDF times cosine: radiance under a light that would give a white Lambertian surface 1.
+
+    As Mitsuba 3 evaluates it, of its lobes those that an opaque, isotropic surface without coat and sheen
+    has: diffuse with retro-reflection, and GGX with Smith's masking (Walter et al. 2007).
+
+    Parameters
+    ----------
+    normal : (S, 3) tensor
+        Shading normals, of unit length as the two next.
+    view : (S, 3) tensor
+        From the camera to the surface.
+    light : (S, 3) tensor
+        From the surface to the light.
+    base_color : (S, 3) tensor, linear
+    roughness, metallic : float
+
+    Returns
+    -------
+    (S, 3) tensor, 0 where camera or light are behind the surface
+    """
+    half = F.normalize(light - view, dim=-1)
+    seen, received = _dot(normal, -view), _dot(normal, light)
+    facing = ((seen > 0) & (received > 0)).float()
+    seen, received = seen.clamp(min=1e-4), received.clamp(min=1e-6)
+    grazing = _dot(half, light)  # cosine between the half vector and either direction
+    squared = max(MIN_ALPHA, roughness**2) ** 2
+    distribution = squared / (math.pi * ((squared - 1) * _dot(normal, half) ** 2 + 1) ** 2)
+    fresnel = (1 - metallic) * _dielectric(grazing)
+    if metallic:
+        fresnel = fresnel + metallic * (base_color + (1 - base_color) * _schlick(grazing))
+    specular = math.pi / 4 * fresnel * distribution * _masking(seen, squared) * _masking(received, squared)
+    at_light, at_eye, retro = _schlick(received), _schlick(seen), 2 * roughness * grazing**2
+    diffuse = (1 - 0.5 * at_light) * (1 - 0.5 * at_eye)
+    diffuse = diffuse + retro * (at_light + at_eye + at_light * at_eye * (retro - 1))
+    return facing * (specular / seen + (1 - metallic) * base_color * received * diffuse)
+
+
+def _dot(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    return (a * b).sum(-1, keepdim=True)
+
+
+def _schlick(cosine: torch.Tensor) -> torch.Tensor:
+    return (1 - cosine).clamp(0, 1) ** 5
+
+
+def _dielectric(cosine: torch.Tensor) -> torch.Tensor:
+    """Fresnel reflectance of unpolarised light at a surface of `REFRACTIVE_INDEX`."""
+    cosine = cosine.clamp(0, 1)
+    inside = (1 - (1 - cosine * cosine) / REFRACTIVE_INDEX**2).sqrt()
+    across = (cosine - REFRACTIVE_INDEX * inside) / (cosine + REFRACTIVE_INDEX * inside)
+    along = (inside - REFRACTIVE_INDEX * cosine) / (inside + REFRACTIVE_INDEX * cosine)
+    return 0.5 * (across**2 + along**2)
+
+
+def _masking(cosine: torch.Tensor, squared: float) -> torch.Tensor:
+    """Smith's masking of GGX, for alpha squared."""
+    return 2 * cosine / (cosine + (squared + (1 - squared) * cosine**2).sqrt())
