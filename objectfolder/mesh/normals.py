@@ -41,9 +41,10 @@ def usable(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> tupl
         Fraction of the corners with a normal whose normal is bad.
     """
     given = ~np.isnan(normals).any(1)[faces]
-    corners = unit(np.where(np.isfinite(normals).all(1, keepdims=True), normals, 0))[faces]
+    finite = np.isfinite(normals).all(1)
+    corners = unit(np.where(finite[:, None], normals, 0))[faces]
     flat = unit(area_vectors(vertices, faces))
-    no_area = ~flat.any(1)
+    no_area = np.logical_not(flat.any(1))
     against = np.einsum("fkc,fc->fk", corners, flat) <= 0
     wrong = np.where(no_area[:, None], ~corners.any(2), against)
     bad = float((wrong & given).sum() / max(given.sum(), 1))
@@ -81,7 +82,7 @@ def creased(vertices: np.ndarray, faces: np.ndarray, angle: float = CREASE) -> n
     step = np.arange(len(one)) - np.repeat(np.cumsum(partners) - partners, partners)
     other = np.argsort(corner, kind="stable")[np.repeat(first, partners) + step]
     near = np.einsum("ij,ij->i", flat[one // 3], flat[other // 3]) > math.cos(angle)
-    near |= ~flat.any(1)[one // 3]  # a face without area goes along with all
+    near |= np.logical_not(flat.any(1))[one // 3]  # a face without area goes along with all
     added = np.where(near[:, None], areas[other // 3], 0)
     total = np.stack([np.bincount(one, column, len(corner)) for column in added.T], 1)
     normals = unit(total)
