@@ -74,7 +74,9 @@ def render_split(
 def shown_noise(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
     """Mean squared error, as shown in sRGB on white, of the mean of two independent renders of one view.
 
-    To first order in the noise: the mean's variance is a quarter of the mean square of their difference.
+    To first order in the noise: the mean's variance is a quarter of the mean square of their difference. A
+    rare path so bright that the picture clips it counts for less than it does, or, if neither render has
+    met it, for nothing.
 
     Parameters
     ----------
