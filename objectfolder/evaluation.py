@@ -13,7 +13,7 @@ from objectfolder.metrics import SpectrogramErrors, awgn_psnr, gain_errors, psnr
 from objectfolder.nets.audio_gains import energy_weights
 from objectfolder.objectfile import ObjectFile
 from objectfolder.vision.cameras import Intrinsics
-from objectfolder.vision.color import on_white
+from objectfolder.vision.color import lit_foreground, on_white
 
 AWGN = {"sigma_0_05": 0.05, "variance_0_05": 0.05**0.5}  # the paper says variance, its figures mean sigma
 BATCH = 16  # sounds transformed at once
@@ -23,7 +23,9 @@ def evaluate_vision(file: ObjectFile, views: dict[str, np.ndarray]) -> dict[str,
     """PSNR and SSIM of held-out views, in sRGB on white.
 
     Half of all views are nearly unlit on a white background, so the lit foreground is scored apart:
-    pixels that the object covers fully and whose true radiance exceeds 1 % of white.
+    pixels that the object covers fully and whose true radiance exceeds 1 % of white. The views themselves
+    are noisy: ``noise_floor`` and ``noise_floor_lit`` are what a perfect answer would score as ``psnr`` and
+    ``psnr_lit_foreground``, where the views tell their noise.
     """
     height, width = views["rgba"].shape[1:3]
     intrinsics = Intrinsics(width, height, float(views["focal"]))
@@ -35,8 +37,7 @@ def evaluate_vision(file: ObjectFile, views: dict[str, np.ndarray]) -> dict[str,
         errors.append(squared.mean())
         white.append(((1 - truth) ** 2).mean())
         similarity.append(ssim(image, truth))
-        lit = (rgba[..., 3] >= 0.999) & (rgba[..., :3].max(-1) > 0.01)
-        lit_errors.append(squared[lit].ravel())
+        lit_errors.append(squared[lit_foreground(rgba)].ravel())
     scores = {
         "psnr": float(np.mean(psnr(np.array(errors)))),
         "psnr_pooled": float(psnr(np.mean(errors))),
@@ -46,7 +47,15 @@ def evaluate_vision(file: ObjectFile, views: dict[str, np.ndarray]) -> dict[str,
         "views": len(errors),
     }
     lit_error = np.concatenate(lit_errors)
-    return scores | ({"psnr_lit_foreground": float(psnr(lit_error.mean()))} if lit_error.size else {})
+    if lit_error.size:
+        scores["psnr_lit_foreground"] = float(psnr(lit_error.mean()))
+    if "noise" in views:
+        noise, lit_noise = views["noise"].T
+        scores["noise_floor"] = float(np.mean(psnr(noise)))
+        if lit_error.size:
+            pixels = [len(lit) for lit in lit_errors]
+            scores["noise_floor_lit"] = float(psnr(np.average(lit_noise, weights=pixels)))
+    return scores
 
 
 @dataclass(frozen=True)

@@ -97,7 +97,7 @@ class RenderViewsParams(Section):  # noqa: D101
     val: int = Count
     test: int = Count
     train_samples: int = Count  #: per pixel
-    test_samples: int = Count  #: per pixel, validation and test
+    test_samples: int = Field(ge=2, multiple_of=2)  #: per pixel, validation and test: two halves
 
 
 class RenderTouchParams(Section):  # noqa: D101

@@ -15,7 +15,17 @@ from ruamel.yaml import YAML
 from objectfolder.artifacts import atomic
 
 ROOT = Path(__file__).parents[1]
-VISION = ("psnr", "psnr_pooled", "psnr_worst", "psnr_lit_foreground", "ssim", "baseline_white", "views")
+VISION = (
+    "psnr",
+    "noise_floor",
+    "psnr_pooled",
+    "psnr_worst",
+    "psnr_lit_foreground",
+    "noise_floor_lit",
+    "ssim",
+    "baseline_white",
+    "views",
+)
 AUDIO = (
     "psnr",
     "psnr_own_max",
@@ -29,6 +39,10 @@ AUDIO = (
     "decay_time_error",
     "modes",
     "modes_heard",
+)
+NOISE = (
+    "The true views are path-traced, and noisy: `noise_floor` and `noise_floor_lit` are the `psnr` and",
+    "`psnr_lit_foreground` of a perfect answer, from two independent halves of each view.",
 )
 KNOWLEDGE = (
     "The default net `surface` is told more than the paper's `osf`. Both learn from the same views with",
@@ -247,6 +261,8 @@ def main() -> None:
         f"Preset `{preset(values)}`, seed {values['seed']}. PSNR in dB, data in [0, 1], peak 1, "
         "on held-out data; beside every score a baseline that knows nothing.",
         *table(metrics, "vision", VISION),
+        "",
+        *NOISE,
         "",
         *KNOWLEDGE,
         *table(metrics, "audio", AUDIO),

@@ -29,6 +29,7 @@ def main(key: str) -> None:
             Intrinsics.square(section.resolution),
             numpy_generator(params.seed, key, "render_views", split),
             progress(f"{key}: {split} views"),
+            halves=split != "train",
         )
         write_npz(build.views(split), **views)
     shown = on_white(torch.from_numpy(views["rgba"][:24].astype(np.float32)))

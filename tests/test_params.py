@@ -46,6 +46,13 @@ def write(tmp_path, values):
     return write
 
 
+@pytest.mark.parametrize("samples", [0, 1, 63])
+def test_test_views_need_samples_for_two_halves(write, values, samples):
+    section = values["render_views"] | {"test_samples": samples}
+    with pytest.raises(ObjectFolderError, match=rf"test_samples: .*got {samples}"):
+        stage_params("render_views", "mug", write(render_views=section))
+
+
 @pytest.mark.parametrize(
     ("key", "reason"),
     [

@@ -9,11 +9,9 @@ from objectfolder.inspection.record import Inspection, kilobytes, picture_path, 
 from objectfolder.inspection.scene import CLAY, VIEW_FROM, draw, triangles
 from objectfolder.mesh.ply import read_surface
 from objectfolder.vision.cameras import Intrinsics, project
-from objectfolder.vision.color import on_white
+from objectfolder.vision.color import COVERED, lit_foreground, on_white
 
 COLORS = {"train": ("blue", "#2563eb"), "val": ("orange", "#f59e0b"), "test": ("green", "#16a34a")}
-COVERED = 0.999  # alpha of a pixel that the object fills
-LIT = 0.01  # radiance, relative to white
 
 
 def inspect_render_views(build: Build) -> Inspection:
@@ -29,7 +27,7 @@ def inspect_render_views(build: Build) -> Inspection:
         rgba = views["rgba"].astype(np.float32)
         color, alpha = rgba[..., :3], rgba[..., 3]
         covered = alpha >= COVERED
-        lit = covered & (color.max(-1) > LIT)
+        lit = lit_foreground(rgba)
         broken = np.count_nonzero(~np.isfinite(rgba))
         table += [
             (split, f"{len(rgba)} views, {_size(rgba)} pixels RGBA {views['rgba'].dtype}, {kilobytes(path)}"),

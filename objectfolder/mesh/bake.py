@@ -26,7 +26,8 @@ def join(parts: Sequence[Part], texture_size: int, name: str) -> tuple[TexturedM
     coordinates. Else an atlas: of each image the window that its faces use, in whole texels, with
     repeats written out after every face has moved next to the origin by whole repeats; of a plain colour a
     texel; of vertex colours a cell of texels per face. All are scaled down together until they fit.
-    Roughness and metallic are their means by area.
+    Roughness and metallic are their means by area. Normals are as given; if only some parts have them, NaN
+    in the others.
 
     Parameters
     ----------
@@ -70,10 +71,20 @@ def join(parts: Sequence[Part], texture_size: int, name: str) -> tuple[TexturedM
     mesh = TexturedMesh(
         vertices=np.concatenate([p.vertices for p in parts]),
         faces=np.concatenate([p.faces + offset for p, offset in zip(parts, offsets)]),
+        normals=_normals(parts),
         **appearance,
         **surface,
     )
     return mesh, notes
+
+
+def _normals(parts: Sequence[Part]) -> np.ndarray | None:
+    """Normals (V, 3) of all parts, NaN in parts without; None if no part has any."""
+    if all(p.normals is None for p in parts):
+        return None
+    return np.concatenate(
+        [np.full(p.vertices.shape, np.nan) if p.normals is None else p.normals for p in parts]
+    )
 
 
 def _roughness_metallic(parts: Sequence[Part]) -> tuple[dict[str, Any], list[str]]:
@@ -169,6 +180,7 @@ def _near_origin(part: Part) -> Part:
         faces=faces.reshape(-1, 3),
         uv=part.uv[vertex] - moves[move] * np.where(np.isinf(period), 0, period),
         colors=None if part.colors is None else part.colors[vertex],
+        normals=None if part.normals is None else part.normals[vertex],
     )
 
 
@@ -293,7 +305,12 @@ def _paint_faces(group: _Group, limit: int, cell: int) -> tuple[np.ndarray, list
     index = np.arange(count)
     origin = np.stack([index % columns, index // columns], 1) * cell + 0.5
     places = origin[:, None] + (cell - 1) * np.array([[0, 0], [1, 0], [0, 1]])
-    own = Part(part.vertices[part.faces].reshape(-1, 3), np.arange(3 * count).reshape(-1, 3), part.material)
+    own = Part(
+        part.vertices[part.faces].reshape(-1, 3),
+        np.arange(3 * count).reshape(-1, 3),
+        part.material,
+        normals=None if part.normals is None else part.normals[part.faces].reshape(-1, 3),
+    )
     return pixels, [(own, places.reshape(-1, 2))]
 
 

@@ -149,7 +149,7 @@ class _File:
             corners = self._accessor(primitive["indices"], 1)[:, 0].astype(np.int64)
         faces = _triangles(corners, mode)
         material, texture = self._material(primitive.get("material"))
-        # Normals are not used: a mirrored node turns the order of its corners.
+        # A mirrored node turns the order of its corners.
         if np.linalg.det(transform[:3, :3]) < 0:
             faces = faces[:, ::-1]
         uv = None
@@ -163,7 +163,10 @@ class _File:
             # Exporters write white beside every texture.
             colors = None if material.image is not None and (colors > 0.999).all() else colors
         placed = vertices @ transform[:3, :3].T + transform[:3, 3]
-        return Part(placed, faces, material, uv, colors)
+        normals = None
+        if "NORMAL" in attributes:
+            normals = self._accessor(attributes["NORMAL"], 3) @ _of_normals(transform[:3, :3]).T
+        return Part(placed, faces, material, uv, colors, normals)
 
     def _material(self, index: int | None) -> tuple[Material, dict]:
         """Return a material, and the texture info of its base colour."""
@@ -295,6 +298,16 @@ def _transform(node: dict) -> np.ndarray:
     matrix[:3, :3] = rotation * node.get("scale", (1, 1, 1))
     matrix[:3, 3] = node.get("translation", (0, 0, 0))
     return matrix
+
+
+def _of_normals(linear: np.ndarray) -> np.ndarray:
+    """Matrix (3, 3) that turns normals as a matrix does vertices, but for their length.
+
+    It is the inverse transpose times the determinant's size: the cofactors, which also flat nodes have.
+    """
+    x, y, z = linear
+    cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)])
+    return cofactors if np.linalg.det(linear) >= 0 else -cofactors
 
 
 def _transform_uv(uv: np.ndarray, transform: dict) -> np.ndarray:

@@ -10,9 +10,10 @@ import numpy as np
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.bake import join
 from objectfolder.mesh.gltf import read_gltf
+from objectfolder.mesh.normals import usable
 from objectfolder.mesh.part import Part, Parts
 from objectfolder.mesh.polygons import read_obj, read_polygons
-from objectfolder.mesh.textured import TexturedMesh
+from objectfolder.mesh.textured import TexturedMesh, z_up
 
 READERS: dict[str, Callable[[Path], Parts]] = {
     ".obj": read_obj,
@@ -43,6 +44,8 @@ def default_up(path: str | Path) -> str:
 
 def load_mesh(path: str | Path, up: str = "z", texture_size: int = 1024) -> TexturedMesh:
     """Load a mesh, turn it z up, and bring its appearance into one texture or vertex colours.
+
+    Vertex normals that the file holds are kept; those of no use give way to their face's, see `usable`.
 
     Parameters
     ----------
@@ -84,10 +87,15 @@ def load_mesh(path: str | Path, up: str = "z", texture_size: int = 1024) -> Text
         raise ObjectFolderError(f"{path}: all of its vertices are in one point; expected a solid object")
     appearance = _source_report(parts)
     mesh, notes = join([_finite(part) for part in parts], texture_size, str(path))
-    if up == "y":
-        x, y, z = mesh.vertices.T
-        mesh = mesh.with_vertices(np.stack([x, -z, y], 1))
-    return replace(mesh, source={**appearance, "notes": [*source.notes, *notes]})
+    bad = 0.0
+    if mesh.normals is not None:
+        corners, bad = usable(mesh.vertices, mesh.faces, mesh.normals)
+        mesh = replace(mesh, normals=None) if corners is None else mesh.with_normals(corners)
+        if corners is None:
+            notes.append(f"vertex normals left out: {bad:.0%} of them are zero or point into the object")
+    appearance |= {"normals_bad_fraction": bad, "notes": [*source.notes, *notes]}
+    mesh = replace(mesh, source=appearance)
+    return mesh.turned(z_up) if up == "y" else mesh
 
 
 def _read(path: Path, reader: Callable[[Path], Parts]) -> Parts:
@@ -115,7 +123,12 @@ def _check(path: Path, part: Part) -> None:
         raise ObjectFolderError(
             f"{path}: its faces use vertices {low} to {high}, but there are {count}; export the mesh again"
         )
-    for what, values in (("texture coordinates", part.uv), ("vertex colours", part.colors)):
+    attributes = {
+        "texture coordinates": part.uv,
+        "vertex colours": part.colors,
+        "vertex normals": part.normals,
+    }
+    for what, values in attributes.items():
         if values is not None and len(values) != count:
             raise ObjectFolderError(
                 f"{path}: {len(values)} {what} for {count} vertices; export the mesh again"
@@ -123,11 +136,14 @@ def _check(path: Path, part: Part) -> None:
 
 
 def _finite(part: Part) -> Part:
-    """Put zeros for the vertices that no face uses and for texture coordinates that are not finite."""
+    """Put zeros for the vertices that no face uses, and for coordinates and normals that are not finite."""
     uv = None if part.uv is None else np.where(np.isfinite(part.uv), part.uv, 0)
     vertices = np.where(np.isfinite(part.vertices).all(1, keepdims=True), part.vertices, 0)
     colors = None if part.colors is None else np.nan_to_num(np.clip(part.colors, 0, 1))
-    return replace(part, vertices=vertices, uv=uv, colors=colors)
+    normals = None
+    if part.normals is not None:
+        normals = np.where(np.isfinite(part.normals).all(1, keepdims=True), part.normals, 0)
+    return replace(part, vertices=vertices, uv=uv, colors=colors, normals=normals)
 
 
 def _source_report(parts: Sequence[Part]) -> dict[str, Any]:

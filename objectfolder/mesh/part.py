@@ -34,6 +34,7 @@ class Part:
     material: Material
     uv: np.ndarray | None = None  #: (V, 2) float64, origin at the lower left of the image
     colors: np.ndarray | None = None  #: (V, 3) linear colours in [0, 1] that multiply the material's
+    normals: np.ndarray | None = None  #: (V, 3) of the file, of any length; None where it has none
 
     @property
     def used(self) -> np.ndarray:

@@ -49,7 +49,11 @@ def read_obj(path: Path) -> Parts:
         if colors is not None:
             material = Material()
         uv = None if visual is None or visual.uv is None else np.asarray(visual.uv, np.float64)[:, :2]
-        parts.append(Part(_vertices(content["vertices"]), _triangles(content["faces"]), material, uv, colors))
+        vertices, faces = _vertices(content["vertices"]), _triangles(content["faces"])
+        normals = content.get("vertex_normals")
+        parts.append(
+            Part(vertices, faces, material, uv, colors, None if normals is None else _vertices(normals))
+        )
     used = dict.fromkeys(re.findall(r"^usemtl[ \t]+(.+?)\s*$", text, re.MULTILINE))
     missing = [name for name in used if name not in files.materials]
     if missing:
@@ -68,21 +72,28 @@ def read_polygons(path: Path) -> Parts:
     files = _Files(path)
     kind = path.suffix.lower().removeprefix(".")
     with path.open("rb") as stream:
-        mesh: Any = trimesh.load_scene(stream, file_type=kind, resolver=files, process=False).to_mesh()
+        scene: Any = trimesh.load_scene(stream, file_type=kind, resolver=files, process=False)
     files.check()
+    mesh = scene.to_mesh()
     visual = mesh.visual
     vertices, faces = _vertices(mesh.vertices), _triangles(mesh.faces)
+    normals = None
+    if len(scene.geometry) == 1:
+        (source,) = scene.geometry.values()
+        # What a file does not hold, trimesh computes only when asked.
+        normals = _vertices(source.vertex_normals) if "vertex_normals" in source._cache else None
     if visual.kind == "texture":
         material = _material(visual.material)
         uv = None if visual.uv is None else np.asarray(visual.uv, np.float64)
-        return Parts([Part(vertices, faces, material, uv)])
+        return Parts([Part(vertices, faces, material, uv, normals=normals)])
     colors: np.ndarray | None = None
     if visual.kind == "face":
-        colors, vertices, faces = _split(np.asarray(visual.face_colors), vertices, faces)
+        colors, vertex, faces = _split(np.asarray(visual.face_colors), faces)
+        vertices, normals = vertices[vertex], None if normals is None else normals[vertex]
     elif visual.kind == "vertex":
         colors = np.asarray(visual.vertex_colors)
     linear = None if colors is None else srgb.decode(colors[:, :3] / 255)
-    return Parts([Part(vertices, faces, Material(), None, linear)])
+    return Parts([Part(vertices, faces, Material(), None, linear, normals)])
 
 
 class _Files(Resolver):
@@ -171,11 +182,9 @@ def _triangles(values: Any) -> np.ndarray:
     return polygons[:, fans].reshape(-1, 3)
 
 
-def _split(
-    colors: np.ndarray, vertices: np.ndarray, faces: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Give every colour its own vertices: colours (V', 3), vertices (V', 3), faces (F, 3)."""
+def _split(colors: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Give every colour its own vertices: colours (V', 3), whose copies (V',) they are, faces (F, 3)."""
     palette, color = np.unique(colors, axis=0, return_inverse=True)
     corner = faces * len(palette) + color.reshape(-1, 1)
     kept, renumbered = np.unique(corner, return_inverse=True)
-    return palette[kept % len(palette)], vertices[kept // len(palette)], renumbered.reshape(-1, 3)
+    return palette[kept % len(palette)], kept // len(palette), renumbered.reshape(-1, 3)

@@ -1,5 +1,6 @@
 """A triangle mesh with its appearance: the form in which meshes travel between load, generate and render."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,7 @@ import numpy as np
 import trimesh
 from PIL import Image
 
-from objectfolder.mesh import srgb
+from objectfolder.mesh import normals, srgb
 
 DEFAULT_ROUGHNESS = 0.5  # where the source does not say (scans: the texture holds the gloss)
 PLAIN = 0.6  # linear base colour where the source does not say
@@ -19,18 +20,43 @@ ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963  # glTF's names of vertex and 
 class TexturedMesh:
     """Triangles, one texture, and what a renderer needs to shade them."""
 
-    vertices: np.ndarray  #: (V, 3) float64, split at texture seams
+    vertices: np.ndarray  #: (V, 3) float64, split at texture seams and creases
     faces: np.ndarray  #: (F, 3) int64, counter-clockwise seen from outside
     uv: np.ndarray | None = None  #: (V, 2) float64, origin at the lower left of the texture, which repeats
     texture: np.ndarray | None = None  #: (H, W, 3) uint8, sRGB
     vertex_colors: np.ndarray | None = None  #: (V, 3) uint8, sRGB; used when there is no texture
     roughness: float | None = None  #: principled roughness, None where the source does not say
     metallic: float | None = None  #: principled metallic, None where the source does not say
+    normals: np.ndarray | None = None  #: (V, 3) float64, unit; None: flat faces
     source: dict[str, Any] = field(default_factory=dict)  #: what loading found, see `appearance_report`
 
     def with_vertices(self, vertices: np.ndarray) -> "TexturedMesh":
-        """Return the same mesh with moved vertices."""
+        """Return the same mesh, moved or scaled as a whole: normals stay."""
         return replace(self, vertices=np.asarray(vertices, np.float64))
+
+    def turned(self, turn: Callable[[np.ndarray], np.ndarray]) -> "TexturedMesh":
+        """Return the same mesh, turned by a function of vectors (N, 3)."""
+        turned = None if self.normals is None else turn(self.normals)
+        return replace(self, vertices=turn(self.vertices), normals=turned)
+
+    def with_normals(self, corners: np.ndarray) -> "TexturedMesh":
+        """Return the same mesh with normals (F, 3, 3) of the corners of its faces, unit.
+
+        A vertex whose corners differ is copied; copies come after all vertices.
+        """
+        vertex, faces, of_vertices = normals.split(self.faces, corners, len(self.vertices))
+        return replace(
+            self,
+            vertices=self.vertices[vertex],
+            faces=faces,
+            uv=None if self.uv is None else self.uv[vertex],
+            vertex_colors=None if self.vertex_colors is None else self.vertex_colors[vertex],
+            normals=of_vertices,
+        )
+
+    def smoothed(self) -> "TexturedMesh":
+        """Return the same mesh with smooth normals and creases, see `objectfolder.mesh.normals.creased`."""
+        return self.with_normals(normals.creased(self.vertices, self.faces))
 
     @property
     def bounds(self) -> np.ndarray:
@@ -62,15 +88,30 @@ class TexturedMesh:
         if not textured and self.vertex_colors is not None:
             attributes["_COLOR_0"] = np.float32(srgb.decode(self.vertex_colors / 255))
         return trimesh.Trimesh(
-            self.vertices, self.faces, visual=visual, vertex_attributes=attributes, process=False
+            self.vertices,
+            self.faces,
+            vertex_normals=self.normals,
+            visual=visual,
+            vertex_attributes=attributes,
+            process=False,
         )
 
     def write_glb(self, path: str | Path) -> None:
         """Write a binary glTF; turned y up, as the format demands and `load_mesh` expects of it."""
-        x, y, z = self.vertices.T
-        upright = self.with_vertices(np.stack([x, z, -y], 1))
-        scene = trimesh.Scene(upright.to_trimesh())
+        scene = trimesh.Scene(self.turned(y_up).to_trimesh())
         Path(path).write_bytes(scene.export(file_type="glb", tree_postprocessor=_complete))
+
+
+def y_up(vectors: np.ndarray) -> np.ndarray:
+    """Turn vectors (N, 3) from z up to y up."""
+    x, y, z = vectors.T
+    return np.stack([x, z, -y], 1)
+
+
+def z_up(vectors: np.ndarray) -> np.ndarray:
+    """Turn vectors (N, 3) from y up to z up."""
+    x, y, z = vectors.T
+    return np.stack([x, -z, y], 1)
 
 
 def appearance_report(mesh: TexturedMesh) -> dict[str, Any]:
@@ -83,14 +124,18 @@ def appearance_report(mesh: TexturedMesh) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``texture_size`` ([width, height] or None), ``vertex_colors`` (bool), ``roughness``, ``metallic``;
+        ``texture_size`` ([width, height] or None), ``vertex_colors`` (bool), ``vertex_normals`` (bool; else
+        faces are flat), ``roughness``, ``metallic``;
         of a loaded mesh also ``materials`` of the source, ``source_texture_size`` (longest side, pixels),
         fractions of the faces: ``uv_degenerate_fraction`` (no area in a texture of more than a pixel),
-        ``uv_outside_fraction`` (beyond [0, 1]: repeats), ``uv_not_finite_fraction``; ``notes``.
+        ``uv_outside_fraction`` (beyond [0, 1]: repeats), ``uv_not_finite_fraction``;
+        ``normals_bad_fraction`` of the corners with a normal, which have been given their face's (zero, not
+        finite, or not to the face's outer side; if more than half are, the mesh is flat); ``notes``.
     """
     return {
         "texture_size": None if mesh.texture is None else list(mesh.texture.shape[1::-1]),
         "vertex_colors": mesh.texture is None and mesh.vertex_colors is not None,
+        "vertex_normals": mesh.normals is not None,
         "roughness": mesh.roughness,
         "metallic": mesh.metallic,
         **mesh.source,

@@ -1,6 +1,10 @@
 """From linear radiance with coverage to the image that is shown and scored."""
 
+import numpy as np
 import torch
+
+COVERED = 0.999  #: alpha of a pixel that the object fills
+LIT = 0.01  #: radiance of a lit pixel, relative to white
 
 
 def linear_to_srgb(x: torch.Tensor) -> torch.Tensor:
@@ -16,6 +20,11 @@ def srgb_to_linear(x: torch.Tensor) -> torch.Tensor:
 def on_white(rgba: torch.Tensor) -> torch.Tensor:
     """Composite premultiplied linear RGBA (..., 4) on white and encode; (..., 3) in [0, 1]."""
     return linear_to_srgb((rgba[..., :3] + (1 - rgba[..., 3:])).clamp(0, 1))
+
+
+def lit_foreground(rgba: np.ndarray) -> np.ndarray:
+    """Which pixels (...) of linear premultiplied RGBA (..., 4) the object fills with more than black."""
+    return (rgba[..., 3] >= COVERED) & (rgba[..., :3].max(-1) > LIT)
 
 
 def shown_error(radiance: torch.Tensor, target: torch.Tensor) -> torch.Tensor:

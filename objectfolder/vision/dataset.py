@@ -3,8 +3,10 @@
 from collections.abc import Callable, Iterable
 
 import numpy as np
+import torch
 
 from objectfolder.vision.cameras import CAMERA_RADIUS, LIGHT_RADIUS, Intrinsics, look_at, sphere_points
+from objectfolder.vision.color import lit_foreground, on_white
 from objectfolder.vision.renderers.registry import Renderer
 
 BRIGHTEST = np.finfo(np.float16).max  # the highlight of a mirror near the light is brighter
@@ -17,6 +19,7 @@ def render_split(
     intrinsics: Intrinsics,
     rng: np.random.Generator,
     progress: Callable[[Iterable], Iterable] = iter,
+    halves: bool = False,
 ) -> dict[str, np.ndarray]:
     """Render views with cameras and lights uniform on their spheres (supplementary C).
 
@@ -31,24 +34,63 @@ def render_split(
     rng : numpy.random.Generator
     progress : callable
         Wraps the iteration over views.
+    halves : bool
+        Whether each view is the mean of two independent renders with half of the samples each, an even
+        number, whose difference tells its noise.
 
     Returns
     -------
     dict
         ``rgba`` (N, H, W, 4) float16, linear and premultiplied; ``camera_to_world`` (N, 4, 4);
-        ``light`` (N, 3); ``focal``; ``renderer``, its version.
+        ``light`` (N, 3); ``focal``; ``renderer``, its version. With halves also ``noise`` (N, 2), see
+        `shown_noise`.
     """
     camera_to_world = look_at(sphere_points(count, CAMERA_RADIUS, rng))
     light = sphere_points(count, LIGHT_RADIUS, rng)
-    seeds = rng.integers(2**31, size=count)
+    parts = 2 if halves else 1
+    seeds = rng.integers(2**31, size=(parts, count))
     rgba = np.empty((count, intrinsics.height, intrinsics.width, 4), np.float16)
+    noise = np.zeros((count, 2))
     for i in progress(range(count)):
-        image = renderer.render(camera_to_world[i], light[i], intrinsics, samples, int(seeds[i]))
-        rgba[i] = image.clip(max=BRIGHTEST)
-    return {
+        images = [
+            renderer.render(camera_to_world[i], light[i], intrinsics, samples // parts, int(seed)).clip(
+                max=BRIGHTEST
+            )
+            for seed in seeds[:, i]
+        ]
+        rgba[i] = sum(images) / parts
+        if halves:
+            noise[i] = shown_noise(*images)
+    views = {
         "rgba": rgba,
         "camera_to_world": camera_to_world,
         "light": light,
         "focal": np.asarray(intrinsics.focal, np.float64),
         "renderer": np.asarray(renderer.version),
     }
+    return views | {"noise": noise} if halves else views
+
+
+def shown_noise(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
+    """Mean squared error, as shown in sRGB on white, of the mean of two independent renders of one view.
+
+    To first order in the noise: the mean's variance is a quarter of the mean square of their difference. A
+    rare path so bright that the picture clips it counts for less than it does, or, if neither render has
+    met it, for nothing.
+
+    Parameters
+    ----------
+    first, second : (H, W, 4) float32 arrays
+        Linear, premultiplied.
+
+    Returns
+    -------
+    float
+        Of all pixels.
+    float
+        Of those in `lit_foreground`; 0 where there are none.
+    """
+    shown = [on_white(torch.from_numpy(image)).numpy().astype(np.float64) for image in (first, second)]
+    error = np.square(shown[0] - shown[1]).mean(-1) / 4
+    lit = lit_foreground((first + second) / 2)
+    return float(error.mean()), float(error[lit].mean()) if lit.any() else 0.0

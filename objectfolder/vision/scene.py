@@ -20,9 +20,10 @@ BOUNCES = 2  #: of indirect light, after the direct light
 class Scene:
     """One object in the unit frame; camera and point light come with each view.
 
-    The surface is a principled BSDF, flat-shaded, seen from both sides. Its base colour is the texture, if
-    the mesh has one with coordinates; else its vertex colours; else grey. Nothing but the object is in the
-    picture: the background has alpha 0.
+    The surface is a principled BSDF, seen from both sides. It is shaded with the mesh's vertex normals,
+    interpolated over each face, or flat if it has none; its shape, outline and shadows are those of the faces
+    in any case. Its base colour is the texture, if the mesh has one with coordinates; else its vertex
+    colours; else grey. Nothing but the object is in the picture: the background has alpha 0.
 
     Raises
     ------

@@ -4,6 +4,7 @@ import os
 import stat
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 from solids import box, sphere
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.normals import unit
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.params import RenderViewsParams
 from objectfolder.vision.cameras import Intrinsics, covered_rectangle, look_at, project, sphere_points
@@ -27,6 +29,7 @@ ROOT = Path(__file__).parents[2]
 FRONT = look_at(np.array([2.5, 0, 0]))[0]
 ASIDE = look_at(np.array([1.5, 2.0, 0]))[0]  # sees the square at x = 0 without its highlight
 SMALL = Intrinsics.square(33)
+LARGE = Intrinsics(65, 65, 150.0)
 MIDDLE = (16, 16)
 SQUARE = np.array([[0, -0.5, -0.5], [0, 0.5, -0.5], [0, 0.5, 0.5], [0, -0.5, 0.5]])
 HALVES = np.array([[0, 1, 2], [0, 2, 3]])
@@ -198,6 +201,44 @@ def test_ambient_light_of_an_open_white_surface_is_its_radiance(render):
     np.testing.assert_allclose(image[MIDDLE][:3] - behind[MIDDLE][:3], 0.25, rtol=0.15)
     np.testing.assert_array_equal(image[..., 3], behind[..., 3])
     assert not image[0].any()  # the room is not in the picture
+
+
+def test_normals_shade_a_coarse_sphere_nearly_as_a_fine_one(render):
+    light, (vertices, faces) = [1.0, 0.3, 0.5], sphere(0.4, 3)
+    flat = painted((vertices, faces), roughness=1.0)
+    meshes = painted(sphere(0.4, 5), roughness=1.0), flat, replace(flat, normals=vertices / 0.4)
+    fine, *images = (render(mesh, light, intrinsics=LARGE, samples=64) for mesh in meshes)
+    inside = (images[0][..., 3] == 1) & (fine[..., 3] == 1) & (fine[..., 0] > 0.2)  # not in its own shadow
+    rough, smooth = (np.abs(image - fine)[inside][:, :3].mean() for image in images)
+    assert smooth < 0.35 * rough
+    np.testing.assert_allclose(images[0][..., 3], images[1][..., 3], atol=0.1)
+
+
+def test_a_square_with_tilted_normals_receives_light_by_their_cosine(render):
+    tilt = np.array([np.sqrt(0.75), 0, 0.5])
+    straight, tilted = (
+        render(square(normals=np.tile(n, (4, 1))), [0.99, 0, 0], ASIDE)[MIDDLE][0]
+        for n in (np.array([1.0, 0, 0]), tilt)
+    )
+    assert tilted / straight == pytest.approx(np.sqrt(0.75), rel=0.03)
+    assert render(square(), [0.99, 0, 0], ASIDE)[MIDDLE][0] == pytest.approx(straight, rel=1e-4)
+
+
+def test_a_turned_mesh_under_turned_camera_and_light_is_the_same_picture(render):
+    def turn(vectors):
+        return np.asarray(vectors, float)[..., [2, 0, 1]]
+
+    vertices, faces = sphere(0.4, 2)
+    stretched = painted((vertices * [1, 0.7, 0.5], faces))
+    mesh = replace(stretched, normals=unit(vertices / [1, 0.7, 0.5]))
+    light, eye = np.array([1.0, 0.3, 0.5]), np.array([2.5, 0.4, 0.9])
+    pose = look_at(eye)[0]
+    turned = np.eye(4)
+    turned[:3] = turn(pose[:3].T).T
+    first = render(mesh, light, pose, LARGE)
+    second = render(mesh.turned(turn), turn(light), turned, LARGE)
+    flat = render(stretched, light, pose, LARGE)
+    assert np.abs(first - second).mean() < 0.05 * np.abs(first - flat).mean()
 
 
 @pytest.mark.parametrize("name", [name for name in HERE if name != "raster"])

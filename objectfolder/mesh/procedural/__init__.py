@@ -51,7 +51,7 @@ GENERATORS: dict[str, Callable[..., TexturedMesh]] = {
 
 
 def generate(generator: str, **parameters: Any) -> TexturedMesh:
-    """Build an object; the same parameters give the same bytes.
+    """Build an object with smooth normals and creases; the same parameters give the same bytes.
 
     Parameters
     ----------
@@ -74,4 +74,4 @@ def generate(generator: str, **parameters: Any) -> TexturedMesh:
             raise ObjectFolderError(
                 f"{generator}: unknown parameter {name!r}: expected one of {', '.join(known)}"
             )
-    return build(**parameters)
+    return build(**parameters).smoothed()

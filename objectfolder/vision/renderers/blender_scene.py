@@ -79,7 +79,8 @@ def _set_up_cycles(scene, settings: dict) -> None:
 def _add_object(bpy, scene, folder: Path, settings: dict) -> None:
     # From arrays: Blender's importers turn the axes.
     with np.load(folder / "mesh.npz") as arrays:
-        vertices, faces, uv, colors = (arrays[name] for name in ("vertices", "faces", "uv", "colors"))
+        names = ("vertices", "faces", "uv", "colors", "normals")
+        vertices, faces, uv, colors, normals = (arrays[name] for name in names)
     mesh = bpy.data.meshes.new("object")
     mesh.vertices.add(len(vertices))
     mesh.vertices.foreach_set("co", vertices.ravel())
@@ -93,6 +94,9 @@ def _add_object(bpy, scene, folder: Path, settings: dict) -> None:
     mesh.color_attributes.new("base_color", "FLOAT_COLOR", "POINT").data.foreach_set("color", colors.ravel())
     mesh.shade_flat()
     mesh.validate(clean_customdata=False)
+    if len(normals):
+        mesh.shade_smooth()
+        mesh.normals_split_custom_set_from_vertices(normals)
     mesh.materials.append(_material(bpy, folder, settings))
     scene.collection.objects.link(bpy.data.objects.new("object", mesh))
 

@@ -120,12 +120,14 @@ def write_scene(scene: Scene, folder: Path) -> None:
     """Write what `blender_scene` builds its scene from: ``scene.json``, ``mesh.npz``, ``texture.png``."""
     mesh = scene.mesh
     uv = np.zeros((0, 2)) if mesh.uv is None else mesh.uv
+    normals = np.zeros((0, 3)) if mesh.normals is None else mesh.normals
     colors = np.pad(scene.vertex_colors, ((0, 0), (0, 1)), constant_values=1)
     np.savez(
         folder / "mesh.npz",
         vertices=mesh.vertices.astype(np.float32),
         faces=mesh.faces.astype(np.int32),
         uv=uv.astype(np.float32),
+        normals=normals.astype(np.float32),
         colors=colors,
     )
     settings = {

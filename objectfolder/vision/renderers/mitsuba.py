@@ -131,13 +131,13 @@ def _shape(scene: Scene, bsdf: "mi.BSDF") -> "mi.Mesh":
     mesh = scene.mesh
     properties = mi.Properties()
     properties["bsdf"] = bsdf
-    properties["face_normals"] = True
+    properties["face_normals"] = mesh.normals is None
     uv = mesh.uv
     shape = mi.Mesh(
         "object",
         len(mesh.vertices),
         len(mesh.faces),
-        has_vertex_normals=False,
+        has_vertex_normals=mesh.normals is not None,
         has_vertex_texcoords=uv is not None,
         props=properties,
     )
@@ -146,6 +146,8 @@ def _shape(scene: Scene, bsdf: "mi.BSDF") -> "mi.Mesh":
     parameters = mi.traverse(shape)
     parameters["vertex_positions"] = mesh.vertices.astype(np.float32).ravel()
     parameters["faces"] = mesh.faces.astype(np.uint32).ravel()
+    if mesh.normals is not None:
+        parameters["vertex_normals"] = mesh.normals.astype(np.float32).ravel()
     if uv is not None:
         # Mitsuba's images start at the top, texture coordinates at the bottom.
         parameters["vertex_texcoords"] = (

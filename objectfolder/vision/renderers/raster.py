@@ -14,6 +14,7 @@ import pyrender  # noqa: E402
 from OpenGL.error import Error as OpenGLError  # noqa: E402
 from PIL import Image  # noqa: E402
 
+from objectfolder.mesh.normals import area_vectors, unit  # noqa: E402
 from objectfolder.vision.cameras import Intrinsics  # noqa: E402
 from objectfolder.vision.scene import LIGHT_INTENSITY, Scene  # noqa: E402
 
@@ -79,11 +80,12 @@ def _canvas() -> "pyrender.OffscreenRenderer":
 
 
 def _primitive(scene: Scene) -> "pyrender.Primitive":
-    """Every face with vertices of its own: flat shading."""
+    """Every face with vertices of its own, so that it can be flat."""
     mesh = scene.mesh
-    corners = mesh.vertices[mesh.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+    if mesh.normals is None:
+        normals = unit(area_vectors(mesh.vertices, mesh.faces)).repeat(3, 0)
+    else:
+        normals = mesh.normals[mesh.faces].reshape(-1, 3)
     material = pyrender.MetallicRoughnessMaterial(
         metallicFactor=scene.metallic, roughnessFactor=scene.roughness, doubleSided=True
     )
@@ -98,8 +100,8 @@ def _primitive(scene: Scene) -> "pyrender.Primitive":
     else:
         colors = scene.vertex_colors[mesh.faces].reshape(-1, 3)
     return pyrender.Primitive(
-        positions=corners.reshape(-1, 3),
-        normals=normals.repeat(3, 0),
+        positions=mesh.vertices[mesh.faces].reshape(-1, 3),
+        normals=normals,
         texcoord_0=uv,
         color_0=colors,
         mode=pyrender.GLTF.TRIANGLES,

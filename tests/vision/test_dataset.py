@@ -1,0 +1,113 @@
+"""Views as they are stored, and the noise that they are said to have."""
+
+import numpy as np
+import pytest
+import torch
+from solids import box, join, sphere
+
+from objectfolder.evaluation import evaluate_vision
+from objectfolder.mesh.textured import TexturedMesh
+from objectfolder.metrics import psnr
+from objectfolder.vision.cameras import Intrinsics
+from objectfolder.vision.color import on_white
+from objectfolder.vision.dataset import render_split, shown_noise
+from objectfolder.vision.renderers.mitsuba import MitsubaRenderer
+from objectfolder.vision.scene import Scene
+
+SMALL = Intrinsics.square(32)
+
+
+class Noisy:
+    """A grey disc, lit on its left half, with noise that falls with the root of the samples."""
+
+    version = "noisy"
+
+    def __init__(self, deviation=0.1):
+        self.deviation = deviation
+        self.asked = []
+        rows, columns = np.mgrid[:32, :32] - 15.5
+        alpha = (np.hypot(rows, columns) < 12).astype(np.float32)
+        self.truth = np.stack([0.4 * alpha * (columns < 0)] * 3 + [alpha], 2).astype(np.float32)
+
+    def render(self, camera_to_world, light, intrinsics, samples, seed):
+        self.asked.append((samples, seed))
+        noise = np.random.default_rng(seed).standard_normal((32, 32, 3)) * self.deviation / samples**0.5
+        image = self.truth.copy()
+        image[..., :3] += noise * (image[..., :3] > 0)
+        return image
+
+
+class Perfect:
+    """Answers views with the truth behind their noise."""
+
+    def __init__(self, *images):
+        self.images = iter(images)
+
+    def view(self, pose, light, intrinsics):
+        image = next(self.images)
+        return on_white(torch.from_numpy(image)).numpy()[None]
+
+
+def split(renderer, samples, halves=True, count=4):
+    return render_split(renderer, count, samples, SMALL, np.random.default_rng(5), halves=halves)
+
+
+def test_halves_share_the_samples_and_no_seed():
+    renderer = Noisy()
+    views = split(renderer, 64)
+    samples, seeds = zip(*renderer.asked)
+    assert samples == (32,) * 8
+    assert len(set(seeds)) == 8
+    assert views["noise"].shape == (4, 2)
+    pairs = [Noisy().render(None, None, None, 32, seed) for seed in seeds]
+    np.testing.assert_allclose(views["rgba"][1], (pairs[2] + pairs[3]) / 2, atol=1e-3)
+
+
+def test_a_split_without_halves_is_one_render_of_the_same_cameras():
+    renderer = Noisy()
+    views, halves = split(renderer, 64, halves=False), split(Noisy(), 64)
+    assert [samples for samples, _ in renderer.asked] == [64] * 4
+    assert "noise" not in views
+    for name in ("camera_to_world", "light"):
+        np.testing.assert_array_equal(views[name], halves[name])
+
+
+def test_the_noise_floor_is_what_a_perfect_answer_scores():
+    renderer = Noisy()
+    for samples in (16, 64, 256):
+        views = split(renderer, samples, count=16)
+        scores = evaluate_vision(Perfect(*[renderer.truth] * 16), views)
+        assert scores["noise_floor"] == pytest.approx(scores["psnr"], abs=0.5)
+        assert scores["noise_floor_lit"] == pytest.approx(scores["psnr_lit_foreground"], abs=0.5)
+        assert scores["noise_floor_lit"] < scores["noise_floor"]  # the background has no noise
+
+
+def test_four_times_the_samples_are_six_decibels():
+    floors = [float(np.mean(psnr(split(Noisy(), n)["noise"][:, 0]))) for n in (16, 64)]
+    assert floors[1] - floors[0] == pytest.approx(10 * np.log10(4), abs=0.3)
+
+
+def test_views_that_do_not_tell_their_noise_are_scored_without_a_floor():
+    renderer = Noisy()
+    views = split(renderer, 16, halves=False)
+    scores = evaluate_vision(Perfect(*[renderer.truth] * 4), views)
+    assert "psnr_lit_foreground" in scores
+    assert not any(name.startswith("noise_floor") for name in scores)
+
+
+def test_views_without_light_have_no_lit_noise():
+    dark = np.zeros((4, 4, 4), np.float32)
+    assert shown_noise(dark, dark) == (0.0, 0.0)
+
+
+def test_the_noise_of_path_traced_views_is_their_error_against_the_converged():
+    solid = join(sphere(0.25, 3, (0, 0, 0.2)), box((1.0, 1.0, 0.1), (0, 0, -0.1)))
+    colors = np.full((len(solid[0]), 3), 200, np.uint8)
+    renderer = MitsubaRenderer(Scene(TexturedMesh(*solid, vertex_colors=colors)))
+    views = split(renderer, 16, count=3)
+    truth = [
+        renderer.render(pose, light, SMALL, 1024, 1)
+        for pose, light in zip(views["camera_to_world"], views["light"])
+    ]
+    scores = evaluate_vision(Perfect(*truth), views)
+    assert scores["noise_floor"] == pytest.approx(scores["psnr"], abs=1.5)
