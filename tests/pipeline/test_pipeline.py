@@ -64,7 +64,7 @@ def test_visual_mesh_surface_and_object_file_share_a_frame(built):
         rgba, pose, light = views["rgba"][0], views["camera_to_world"][0], views["light"][0]
         intrinsics = Intrinsics(*rgba.shape[:2], float(views["focal"]))
     drawn = draw(bell.surface, lambda s, _: torch.zeros(len(s.points), 3), pose, light, intrinsics)
-    assert np.abs(drawn[..., 3] - rgba[..., 3]).mean() < 0.02
+    assert np.abs(drawn.rgba[..., 3] - rgba[..., 3]).mean() < 0.02
 
 
 def test_dvc_repro_of_one_stage_finds_it_up_to_date(built):
