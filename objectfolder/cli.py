@@ -455,6 +455,5 @@ def _print_metrics(keys: list[str]) -> None:
     console.print(table)
     for key in keys:
         b = Build(key)
-        console.print(
-            f"{b.object_file}  pictures: {b.views_sheet} {b.touch_sheet} {b.sound_sheet}", soft_wrap=True
-        )
+        sheets = (b.views_sheet, b.touch_sheet, b.vision_sheet, b.sound_sheet)
+        console.print(f"{b.object_file}  pictures: {' '.join(map(str, sheets))}", soft_wrap=True)

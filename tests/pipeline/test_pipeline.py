@@ -32,6 +32,7 @@ def test_everything_is_built_and_a_second_build_runs_nothing(built):
         assert metrics["audio"]["psnr"] > metrics["audio"]["baseline_silence"]
         assert metrics["audio"]["frequency_error"] == metrics["audio"]["decay_time_error"] == 0
         assert (built.root / f"build/{key}/sound.png").stat().st_size > 10_000
+        assert 10_000 < (built.root / f"build/{key}/vision.png").stat().st_size < 300_000
         assert metrics["touch"]["psnr"] > metrics["touch"]["baseline_mean_image"]
         assert metrics["awgn"]["sigma_0_05"]["vision"] == pytest.approx(26.02, abs=0.2)
         assert metrics["awgn"]["variance_0_05"]["touch"] == pytest.approx(13.01, abs=0.2)
