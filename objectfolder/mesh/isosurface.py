@@ -20,6 +20,7 @@ class Isosurface:
     ----------
     vertices : (V, 3) float64
     faces : (F, 3) int64, counter-clockwise seen from outside
+    bounds : (2, 3) float64, lowest and highest coordinates of the vertices
     caster : RayCaster
     """
 
@@ -30,6 +31,7 @@ class Isosurface:
         v, f, _, _ = marching_cubes(grid.values.astype(np.float32), 0.0, allow_degenerate=False)
         self.vertices = v.astype(np.float64) * grid.spacing - BOUND
         self.faces = f.astype(np.int64)
+        self.bounds = np.stack([self.vertices.min(0), self.vertices.max(0)])
         self.caster = RayCaster(self.vertices, self.faces)
 
     def nearest(self, points: np.ndarray, steps: int = 3) -> tuple[np.ndarray, np.ndarray]:

@@ -107,7 +107,7 @@ def _nearest_misses(
 
 def _covered_box(surface: Isosurface, camera_to_world: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
     """Flat indices of the pixels that the object's bounding box may cover."""
-    corners = np.array(np.meshgrid(*zip(surface.vertices.min(0), surface.vertices.max(0)))).reshape(3, -1).T
+    corners = np.array(np.meshgrid(*surface.bounds.T)).reshape(3, -1).T
     left, top, right, bottom = covered_rectangle(corners, camera_to_world, intrinsics)
     rows, columns = np.meshgrid(np.arange(top, bottom), np.arange(left, right), indexing="ij")
     return (rows * intrinsics.width + columns).ravel()
