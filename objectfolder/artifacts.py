@@ -47,6 +47,7 @@ class Build:
         self.solved_modes = self.dir / ".solved_modes.npz"  #: undeclared: outlives modes.npz
         self.views_sheet = self.dir / "views.png"
         self.touch_sheet = self.dir / "touch.png"
+        self.vision_sheet = self.dir / "vision.png"
         self.sound_sheet = self.dir / "sound.png"
         self.object_file = self.dir / "ObjectFile.safetensors"
         self.metrics = self.root / "metrics" / f"{key}.json"

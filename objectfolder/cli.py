@@ -318,15 +318,21 @@ def vision(
     queries: Annotated[Path, typer.Argument(metavar="QUERIES.npy", help="(N, 6): camera xyz, light xyz.")],
     out: OutArgument,
     resolution: Annotated[int, typer.Option(min=1, help="Pixels along a side.")] = 256,
+    buffers: Annotated[
+        bool, typer.Option("--buffers", help="Also 1.npz ...: linear rgba, depth (metres), normals.")
+    ] = False,
+    supersample: Annotated[bool, typer.Option(help="Take more samples at edges; without, faster.")] = True,
 ) -> None:
     """Render views. Positions are in the unit frame: the object's longest side is 1."""
-    from objectfolder.artifacts import write_png
+    from objectfolder.artifacts import write_npz, write_png
     from objectfolder.objectfile import ObjectFile
 
     obj, rows = ObjectFile.load(file), _load_array(queries, 6)
     for i, row in enumerate(rows, 1):
-        image = obj.view(row[:3], row[3:], resolution)[0]
-        write_png(out / f"{i}.png", (image * 255).round().astype(np.uint8))
+        views = obj.render(row[:3], row[3:], resolution, supersample=supersample)
+        write_png(out / f"{i}.png", (views.rgb[0] * 255).round().astype(np.uint8))
+        if buffers:
+            write_npz(out / f"{i}.npz", rgba=views.rgba[0], depth=views.depth[0], normals=views.normals[0])
     console.print(f"{len(rows)} views in {out}/")
 
 
@@ -449,6 +455,5 @@ def _print_metrics(keys: list[str]) -> None:
     console.print(table)
     for key in keys:
         b = Build(key)
-        console.print(
-            f"{b.object_file}  pictures: {b.views_sheet} {b.touch_sheet} {b.sound_sheet}", soft_wrap=True
-        )
+        sheets = (b.views_sheet, b.touch_sheet, b.vision_sheet, b.sound_sheet)
+        console.print(f"{b.object_file}  pictures: {' '.join(map(str, sheets))}", soft_wrap=True)

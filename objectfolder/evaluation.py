@@ -19,7 +19,7 @@ AWGN = {"sigma_0_05": 0.05, "variance_0_05": 0.05**0.5}  # the paper says varian
 BATCH = 16  # sounds transformed at once
 
 
-def evaluate_vision(file: ObjectFile, views: dict[str, np.ndarray]) -> dict[str, float]:
+def evaluate_vision(file: ObjectFile, views: dict[str, np.ndarray]) -> dict[str, Any]:
     """PSNR and SSIM of held-out views, in sRGB on white.
 
     Half of all views are nearly unlit on a white background, so the lit foreground is scored apart:
@@ -46,6 +46,8 @@ def evaluate_vision(file: ObjectFile, views: dict[str, np.ndarray]) -> dict[str,
         "baseline_white": float(np.mean(psnr(np.array(white)))),
         "views": len(errors),
     }
+    order = np.argsort(errors, kind="stable").tolist()
+    scores |= {"best_view": order[0], "median_view": order[len(order) // 2], "worst_view": order[-1]}
     lit_error = np.concatenate(lit_errors)
     if lit_error.size:
         scores["psnr_lit_foreground"] = float(psnr(lit_error.mean()))
@@ -56,6 +58,38 @@ def evaluate_vision(file: ObjectFile, views: dict[str, np.ndarray]) -> dict[str,
             pixels = [len(lit) for lit in lit_errors]
             scores["noise_floor_lit"] = float(psnr(np.average(lit_noise, weights=pixels)))
     return scores
+
+
+def shown_views(scores: dict[str, Any], count: int) -> dict[int, str]:
+    """Choose views for a sheet: the worst, the median and the best one, and others at equal steps.
+
+    Parameters
+    ----------
+    scores : dict
+        Of `evaluate_vision`.
+    count : int
+        At most so many.
+
+    Returns
+    -------
+    dict
+        From the number of a view to what it is.
+    """
+    named = {scores[f"{name}_view"]: name for name in ("best", "median", "worst")}
+    others = [i for i in range(scores["views"]) if i not in named]
+    step = np.linspace(0, len(others) - 1, min(max(count - len(named), 0), len(others)))
+    chosen = {row: f"{named[row]}: view {row + 1}" for row in reversed(named)}
+    return chosen | {others[int(i)]: f"view {others[int(i)] + 1}" for i in step}
+
+
+def view_answers(
+    file: ObjectFile, views: dict[str, np.ndarray], rows: list[int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Held-out views as they are and as the Object File answers them; both (N, H, W, 3), sRGB on white."""
+    rgba = views["rgba"][rows].astype(np.float32)
+    intrinsics = Intrinsics(rgba.shape[2], rgba.shape[1], float(views["focal"]))
+    answers = file.view(views["camera_to_world"][rows], views["light"][rows], intrinsics=intrinsics)
+    return on_white(torch.from_numpy(rgba)).numpy(), answers
 
 
 @dataclass(frozen=True)

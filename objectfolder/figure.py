@@ -8,6 +8,7 @@ import numpy as np
 
 from objectfolder.artifacts import atomic
 from objectfolder.audio.spectrogram import HOP, SAMPLE_RATE, spectrogram
+from objectfolder.metrics import psnr
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.image import AxesImage
 
 DPI = 120
+ENLARGED = 4  # times an error is shown
 DYNAMIC_RANGE = 80.0  # dB of a spectrogram that are shown
 
 
@@ -50,6 +52,29 @@ def show_image(axes: "Axes", image: np.ndarray, title: str = "") -> None:
     axes.set_anchor("N")  # images of different heights line up under their titles
     axes.set_title(title, fontsize=11)
     axes.set_axis_off()
+
+
+def show_views(figure: "Figure", truth: np.ndarray, answers: np.ndarray, titles: Sequence[str]) -> None:
+    """Fill a page with views in columns; ground truth, answer and their difference in rows.
+
+    The difference is absolute, `ENLARGED` times, taken from white.
+
+    Parameters
+    ----------
+    truth, answers : (N, H, W, 3) arrays in [0, 1]
+    titles : sequence of str
+        One per view; its PSNR is added.
+    """
+    names = ("ground truth", "Object File", f"difference, {ENLARGED} times")
+    panels = figure.subplots(3, len(truth), squeeze=False)
+    for column, image, answer, title in zip(panels.T, truth, answers, titles):
+        difference = np.abs(answer - image)
+        score = float(psnr((difference**2).mean()))
+        shown = (image, answer, 1 - np.clip(ENLARGED * difference, 0, 1))
+        for axes, values, name in zip(column, shown, names):
+            head = f"{title}, {score:.1f} dB\n" if axes is column[0] else ""
+            show_image(axes, values)
+            axes.set_title(head + name, fontsize=9)
 
 
 def show_spectrogram(

@@ -29,8 +29,8 @@ from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.vision_osf import OsfNet
 from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.vision.cameras import Intrinsics
-from objectfolder.vision.picture import Drawer
-from objectfolder.vision.view import draw
+from objectfolder.vision.picture import Drawer, Views
+from objectfolder.vision.view import Shader, draw
 
 SCHEMA = 1
 MAX_RESOLUTION = 512  #: of the stored distance grid
@@ -149,9 +149,34 @@ class ObjectFile:
         light: np.ndarray,
         resolution: int = 256,
         intrinsics: Intrinsics | None = None,
+        supersample: bool = True,
     ) -> np.ndarray:
-        """Render the object on white; see `objectfolder.query.view`."""
-        return query.view(self._draw, camera, light, intrinsics or Intrinsics.square(resolution))
+        """Render the object on white; see `objectfolder.query.view`.
+
+        Parameters
+        ----------
+        resolution : int
+            Of a square picture with the default field of view.
+        intrinsics : Intrinsics, optional
+            Any other camera.
+        supersample : bool
+            Without, every pixel is the ray through its centre: faster, and jagged at edges. A net of kind
+            ``osf`` knows no other.
+        """
+        draw = self._drawer(supersample)
+        return query.view(draw, camera, light, intrinsics or Intrinsics.square(resolution))
+
+    def render(
+        self,
+        camera: np.ndarray,
+        light: np.ndarray,
+        resolution: int = 256,
+        intrinsics: Intrinsics | None = None,
+        supersample: bool = True,
+    ) -> Views:
+        """Render all that is known of each pixel: colour, alpha, depth, normal; otherwise as `view`."""
+        draw = self._drawer(supersample)
+        return query.render(draw, self.scale, camera, light, intrinsics or Intrinsics.square(resolution))
 
     def impact(
         self,
@@ -252,10 +277,15 @@ class ObjectFile:
         with self._checked("vision net"):
             return _VISION[vision["kind"]].from_tensors(self._group("vision"), vision["net"])
 
-    @property
-    def _draw(self) -> Drawer:
-        net = self._vision
-        return net.draw if isinstance(net, OsfNet) else partial(draw, self.surface, net)
+    @cached_property
+    def _shader(self) -> Shader:
+        with self._checked("vision net"):
+            return self._vision.shader(self.surface)
+
+    def _drawer(self, supersample: bool) -> Drawer:
+        if isinstance(self._vision, OsfNet):
+            return self._vision.picture
+        return partial(draw, self.surface, self._shader, supersample=supersample)
 
     @cached_property
     def _audio(self) -> GainsNet | SpectrogramNet:

@@ -129,6 +129,10 @@ class TrainVisionParams(Section):  # noqa: D101
     coarsest: int = Count
     finest: int = Count
     width: int = Count
+    points: int = Count  #: of the surface, to learn its look from
+    point_steps: int = Count
+    point_batch: int = Count
+    pixels: int = Count  #: of all training views, to learn what bounces from
     steps: int = Count
     batch: int = Count
     learning_rate: float = Field(gt=0)

@@ -19,7 +19,7 @@ from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.touch.contact import sensor_frames
 from objectfolder.vision.cameras import Intrinsics, look_at
 from objectfolder.vision.color import on_white
-from objectfolder.vision.picture import Drawer
+from objectfolder.vision.picture import Drawer, Views
 
 TOLERANCE = 0.02  #: points further than this from the surface (fraction of the size) are refused
 _BLOCK = 16  # sounds mixed at once, always: a row's bits must not depend on its batch
@@ -50,6 +50,39 @@ def view(draw: Drawer, camera: np.ndarray, light: np.ndarray, intrinsics: Intrin
     ObjectFolderError
         If shapes do not fit or values are not finite.
     """
+    poses, lights = _poses_and_lights(camera, light)
+    images = np.empty((len(poses), intrinsics.height, intrinsics.width, 3), np.float32)
+    for image, pose, point in zip(images, poses, lights):
+        image[:] = on_white(torch.from_numpy(draw(pose, point, intrinsics).rgba)).numpy()
+    return images
+
+
+def render(
+    draw: Drawer, scale: float, camera: np.ndarray, light: np.ndarray, intrinsics: Intrinsics
+) -> Views:
+    """Render colour, alpha, depth and normals; otherwise as `view`, whose images are ``rgb`` of these.
+
+    Where an edge crosses a pixel, its colour is a mean of samples. Its depth and normal are of one point: the
+    one at its centre, or the nearest sample where the centre misses the object.
+
+    Parameters
+    ----------
+    scale : float
+        Longest side, metres.
+    """
+    poses, lights = _poses_and_lights(camera, light)
+    size = len(poses), intrinsics.height, intrinsics.width
+    views = Views(*(np.empty((*size, *last), np.float32) for last in ((3,), (4,), (), (3,))))
+    for i, (pose, point) in enumerate(zip(poses, lights)):
+        picture = draw(pose, point, intrinsics)
+        views.rgb[i] = on_white(torch.from_numpy(picture.rgba)).numpy()
+        views.rgba[i], views.normals[i] = picture.rgba, picture.normals
+        views.depth[i] = picture.depth * scale
+    return views
+
+
+def _poses_and_lights(camera: np.ndarray, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Camera-to-world matrices (N, 4, 4) and lights (N, 3) of a query."""
     camera = np.asarray(camera, np.float64)
     if camera.ndim in (2, 3) and camera.shape[-2:] == (4, 4):
         poses = camera.reshape(-1, 4, 4)
@@ -61,11 +94,7 @@ def view(draw: Drawer, camera: np.ndarray, light: np.ndarray, intrinsics: Intrin
     poses, lights = _paired("camera", poses, "light", lights)
     if not np.isfinite(poses).all():
         raise ObjectFolderError("camera holds values that are not finite")
-    images = [
-        on_white(torch.from_numpy(draw(pose, point, intrinsics))).numpy()
-        for pose, point in zip(poses, lights)
-    ]
-    return np.stack(images) if images else np.zeros((0, intrinsics.height, intrinsics.width, 3), np.float32)
+    return poses, lights
 
 
 def impact(

@@ -232,6 +232,63 @@ def renderers(figures: dict) -> list[str]:
     return lines
 
 
+def training(figures: dict) -> list[str]:
+    """Table of what `perf/vision.py training` has measured."""
+    lines = [
+        "\n## Training of VisionNet `surface`\n",
+        "`python perf/vision.py training --json build/perf/vision_training.json`: the stage `train_vision`, "
+        "one fresh process with one thread per object, CPU s from its start, with imports, ray casting and "
+        "validation. 40 dB are reached when the validation loss says so: it pools the pixels of all "
+        "validation views and leaves out those at silhouettes. In the end, the mean PSNR of whole validation "
+        "views, before and after storing (float32, then the table as int8 and the rest as float16).",
+        "",
+        "| object | views | steps to 40 dB | CPU s to 40 dB | steps | CPU s | peak MB | dB | stored dB |",
+        "|---" * 9 + "|",
+    ]
+    for row in (row for row in figures["training"] if "failed" not in row):
+        values = (
+            row["object"],
+            row["train_views"],
+            row.get("steps_reached", "-"),
+            f"{row['seconds_reached']:.1f}" if "seconds_reached" in row else "-",
+            row["steps"],
+            f"{row['seconds']:.1f}",
+            f"{row['peak_mb']:.0f}",
+            f"{row['psnr']:.2f}",
+            f"{row['psnr_stored']:.2f}",
+        )
+        lines.append(f"| {' | '.join(map(str, values))} |")
+    return lines
+
+
+def query(figures: dict) -> list[str]:
+    """Table of what `perf/vision.py query` has measured."""
+    lines = [
+        "\n## Query of a view\n",
+        "`python perf/vision.py query --json build/perf/vision_query.json`: CPU ms per view of 256 x 256 "
+        "with one sample per pixel (`supersample=False`) and with more at edges (the default), mean of "
+        "random cameras; one fresh process with one thread per object. Loading includes extracting the "
+        "surface, once.",
+        "",
+        "| object | net | load ms | ms, 1 sample | ms, adaptive | peak MB |",
+        "|---" * 6 + "|",
+    ]
+    rows = [row for row in figures["query"] if "failed" not in row]
+    for row in rows:
+        values = [
+            f"{row[name]:.0f}" if name in row else "-" for name in ("load_ms", "ms_single", "ms_adaptive")
+        ]
+        lines.append(f"| {row['object']} | {row['net']} | {' | '.join(values)} | {row['peak_mb']:.0f} |")
+    for row in (row for row in rows if "rays" in row):
+        lines += [
+            "",
+            f"`osf` has the size of the paper's net and is untrained: {row['rays_timed']} rays through the "
+            f"middle of a view are timed and extrapolated to its {row['rays']}. A trained one does not ask "
+            "for the scattered fraction of samples that it finds empty, and is somewhat faster.",
+        ]
+    return lines
+
+
 def measured(name: str, layout: Callable[[Any], list[str]]) -> list[str]:
     """Lay out the figures that `perf/NAME.py --json build/perf/NAME.json` has left, if it has."""
     path = ROOT / "build" / "perf" / f"{name}.json"
@@ -292,6 +349,8 @@ def main() -> None:
         "In its audio convention a silent prediction scores as the `baseline_silence` column "
         "does, so compare the difference.",
         *measured("renderers", renderers),
+        *measured("vision_training", training),
+        *measured("vision_query", query),
         *measured("geometry", geometry),
         *measured("modal_accuracy", accuracy),
         *measured("modal", modal),

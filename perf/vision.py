@@ -1,8 +1,10 @@
-"""Vision, object by object: `python perf/vision.py renderers [--workspace DIR] [KEY ...]`.
+"""Vision, object by object: `python perf/vision.py renderers|training|query [--workspace DIR] [KEY ...]`.
 
-Needs `objectfolder build render_views`. `renderers` draws the same views with every renderer that is
-installed, each in a fresh process with one thread: CPU ms per image, peak memory, and how far apart the
-pictures are. Seconds are CPU seconds. Exits with 1 if a target is missed.
+Every figure comes from a fresh process with one thread; seconds are CPU seconds. `renderers` (needs
+`objectfolder build render_views`) draws the same views with every renderer that is installed: ms per image,
+peak memory, and how far apart the pictures are. `training` (needs voxelize as well) trains the surface net
+with the workspace's params.yaml, and scores validation views, never test ones. `query` (needs pack) times the
+views of the Object File, beside a net of the paper's size. Exits with 1 if a target is missed.
 """
 
 import argparse
@@ -23,12 +25,20 @@ from objectfolder import params
 from objectfolder.artifacts import Build, atomic, read_npz, write_npz, write_png
 from objectfolder.contact_sheet import tile
 from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.grid import BOUND, DistanceGrid
+from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.load import load_mesh
 from objectfolder.metrics import psnr
-from objectfolder.vision.cameras import Intrinsics, look_at, sphere_points
+from objectfolder.nets.vision_osf import OsfNet
+from objectfolder.nets.vision_surface import SurfaceNet, VisionConfig, train_surface
+from objectfolder.objectfile import ObjectFile
+from objectfolder.seeding import torch_generator
+from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere_points
 from objectfolder.vision.color import on_white
 from objectfolder.vision.renderers.registry import RENDERERS, make_renderer
 from objectfolder.vision.scene import Scene
+from objectfolder.vision.view import draw as draw_surface
+from objectfolder.vision.volume import Rays
 
 ROOT = Path(__file__).parents[1]
 PICTURES = ROOT / "build" / "perf"
@@ -36,6 +46,14 @@ REFERENCE = "mitsuba"
 TRAIN_VIEWS, TRAIN_SAMPLES, TEST_SAMPLES = 500, 16, 64
 MAX_GROUND_TRUTH_SECONDS = 240.0  # of TRAIN_VIEWS views at TRAIN_SAMPLES
 MAX_RENDERING_MB = 1024.0
+REACHED_DB = 40.0  # of validation views: when training gets there is a figure
+MAX_TRAINING_SECONDS = 60.0
+MAX_TRAINING_MB = 3072.0
+MAX_QUERY_MS = {"ms_single": 40.0, "ms_adaptive": 70.0}  # of a view at 256 x 256
+OSF_SAMPLES = (64, 128)  # the paper's (supplementary E), as is the shape
+OSF_SHAPE = {"width": 256, "depth": 8, "branch_width": 128, "branch_depth": 4}
+OSF_OCTAVES = {"point_octaves": 10, "direction_octaves": 4}
+OSF_ROWS = 2  # of pixels that are timed
 SHOWN = 6  # views in a picture
 LIT = 0.01  # radiance, relative to white
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -53,12 +71,13 @@ def peak_mb() -> float:
     )
 
 
-def draw(workspace: Path, key: str, name: str, count: int, out: Path) -> dict:
+def draw(workspace: str, key: str, name: str, views: str, out: str) -> dict:
     """Render views in this process; the images go to a file.
 
     A renderer may work in another process, whose CPU time is known at its end: each number of samples gets
     its own renderer, and what it takes to start one is rendered apart and subtracted.
     """
+    count = int(views)
     scene = Scene(load_mesh(Build(key, workspace).visual, up="y"))
     rng = np.random.default_rng(0)
     poses, lights = look_at(sphere_points(count, 2.5, rng)), sphere_points(count, 1.0, rng)
@@ -80,6 +99,92 @@ def draw(workspace: Path, key: str, name: str, count: int, out: Path) -> dict:
         row[f"ms_{samples}"] = 1000 * (seconds(samples, count) - started) / count
     write_npz(out, rgba=np.stack(images))
     return row | {"peak_mb": peak_mb()}
+
+
+def train(workspace: str, key: str) -> dict:
+    """Train the surface net in this process, then score it before and after storing.
+
+    While it trains, PSNR is that of the validation loss: pooled over views, without the pixels at
+    silhouettes, which the loss leaves out. In the end it is the mean of whole views.
+    """
+    torch.set_num_threads(1)
+    build, values = Build(key, workspace), params.read(Path(workspace) / "params.yaml")
+    section = params.TrainVisionParams.model_validate(values["train_vision"])
+    views = [read_npz(build.views(split)) for split in ("train", "val")]
+    # The loss is a mean over the pixels that are covered fully; the background has no error.
+    covered = float((views[1]["rgba"][..., 3] >= 0.999).mean())
+    surface = Isosurface(DistanceGrid.from_arrays(read_npz(build.sdf, "values", "band")))
+    config = VisionConfig(**section.model_dump(exclude={"net", "osf"}))
+    row: dict = {"object": key, "train_views": len(views[0]["rgba"])}
+
+    def report(point) -> None:
+        row["steps"], row["seconds"] = point.step, cpu_seconds()
+        if "steps_reached" not in row and psnr(covered * point.val_loss) >= REACHED_DB:
+            row["steps_reached"], row["seconds_reached"] = row["steps"], row["seconds"]
+
+    generator = torch_generator(values["seed"], key, "train_vision")
+    net, _ = train_surface(surface, *views, config, generator, report)
+    row |= {"seconds": cpu_seconds(), "peak_mb": peak_mb()}
+    stored = SurfaceNet.from_tensors(*net.to_tensors())
+    return row | {
+        "psnr": view_psnr(surface, net, views[1]),
+        "psnr_stored": view_psnr(surface, stored, views[1]),
+    }
+
+
+def view_psnr(surface: Isosurface, net: SurfaceNet, views: dict[str, np.ndarray]) -> float:
+    """Mean PSNR of views."""
+    intrinsics = Intrinsics(*views["rgba"].shape[2:0:-1], float(views["focal"]))
+    errors = []
+    for rgba, pose, light in zip(views["rgba"], views["camera_to_world"], views["light"]):
+        image = on_white(torch.from_numpy(draw_surface(surface, net, pose, light, intrinsics).rgba))
+        errors.append((image - on_white(torch.from_numpy(rgba.astype(np.float32)))).square().mean().item())
+    return float(psnr(np.array(errors)).mean())
+
+
+def query(workspace: str, key: str, count: str) -> dict:
+    """Load an Object File and time its views in this process."""
+    torch.set_num_threads(1)
+    rng = np.random.default_rng(0)
+    cameras, lights = sphere_points(int(count), 2.5, rng), sphere_points(int(count), 1.0, rng)
+    start = cpu_seconds()
+    file = ObjectFile.load(Build(key, workspace).object_file)
+    file.view(cameras[:1], lights[:1], resolution=1)  # extracts the surface
+    row = {"object": key, "net": file.header["vision"]["kind"], "load_ms": 1000 * (cpu_seconds() - start)}
+    for name, supersample in (("ms_single", False), ("ms_adaptive", True)):
+        file.view(cameras[:1], lights[:1], supersample=supersample)
+        start = cpu_seconds()
+        file.view(cameras, lights, supersample=supersample)
+        row[name] = 1000 * (cpu_seconds() - start) / len(cameras)
+    return row | {"peak_mb": peak_mb()}
+
+
+def query_osf() -> dict:
+    """Time a net of the paper's size on a few rows of pixels in the middle of a view, in this process.
+
+    It is untrained, and every ray through the cube costs the same: the view has as many times more of them.
+    """
+    torch.set_num_threads(1)
+    torch.manual_seed(0)
+    net = OsfNet(*OSF_SAMPLES, **OSF_SHAPE, **OSF_OCTAVES).eval()
+    whole = Intrinsics()
+    part = Intrinsics(whole.width, OSF_ROWS, whole.focal, center=(whole.cx, OSF_ROWS / 2))
+    pose, light = look_at(np.array([2.0, 1.0, 1.2]))[0], np.array([0.5, 0.5, 0.7])
+    rays = [rays_in_cube(pose, intrinsics) for intrinsics in (part, whole)]
+    net.picture(pose, light, Intrinsics(8, 1, whole.focal))
+    start = cpu_seconds()
+    net.picture(pose, light, part)
+    seconds = (cpu_seconds() - start) * rays[1] / rays[0]
+    row = {"object": "any", "net": "osf", "rays_timed": rays[0], "rays": rays[1]}
+    return row | {"ms_single": 1000 * seconds, "peak_mb": peak_mb()}
+
+
+def rays_in_cube(pose: np.ndarray, intrinsics: Intrinsics) -> int:
+    """How many pixels' rays a volume net has to look along."""
+    rows, columns = np.mgrid[: intrinsics.height, : intrinsics.width] + 0.5
+    rays = camera_rays(pose, intrinsics, np.stack([columns.ravel(), rows.ravel()], 1))
+    met = Rays.through_cube(*map(torch.from_numpy, rays), BOUND)
+    return int((met.far > met.near).sum())
 
 
 def compare(truth: np.ndarray, other: np.ndarray) -> dict:
@@ -139,16 +244,18 @@ def fresh(job: str, *arguments: str) -> dict:
     return json.loads(done.stdout.splitlines()[-1])
 
 
+JOBS = {"draw": draw, "train": train, "query": query, "query_osf": query_osf}
+
+
 def run_job(job: str, *arguments: str) -> None:
     """Child's side of `fresh`."""
-    workspace, key, name, count, out = arguments
     try:
-        print(json.dumps({"draw": draw}[job](Path(workspace), key, name, int(count), Path(out))))
+        print(json.dumps(JOBS[job](*arguments)))
     except ObjectFolderError as error:
         sys.exit(str(error))
 
 
-def show(rows: list[dict], console: Console) -> None:
+def show_renderers(rows: list[dict], console: Console) -> None:
     table = Table(title=f"Renderers at 256 x 256; PSNR against {REFERENCE} at {TEST_SAMPLES} samples")
     titles = ("object", "renderer", f"CPU ms, {TRAIN_SAMPLES}", f"CPU ms, {TEST_SAMPLES}", "peak MB")
     for title in (*titles, "foreground dB", "lit dB", "mean diff.", "lit diff."):
@@ -166,7 +273,82 @@ def show(rows: list[dict], console: Console) -> None:
         console.print(f"left out: {name}: {reason}", markup=False, soft_wrap=True)
 
 
-def misses(rows: list[dict]) -> list[str]:
+def show_rows(rows: list[dict], title: str, form: dict[str, tuple[str, str]], console: Console) -> None:
+    """Print a table.
+
+    Parameters
+    ----------
+    form : dict
+        From the name of a figure to its title and its format; a row without it has a dash.
+    """
+    table = Table(title=title)
+    for head, _ in form.values():
+        table.add_column(head, justify="left" if head in ("object", "net") else "right", no_wrap=True)
+    for row in (row for row in rows if "failed" not in row):
+        table.add_row(*(format(row[name], how) if name in row else "-" for name, (_, how) in form.items()))
+    console.print(table)
+
+
+TRAINING = {
+    "object": ("object", ""),
+    "train_views": ("views", ""),
+    "steps_reached": ("steps to 40 dB", ""),
+    "seconds_reached": ("CPU s", ".1f"),
+    "steps": ("steps in all", ""),
+    "seconds": ("CPU s", ".1f"),
+    "peak_mb": ("peak MB", ".0f"),
+    "psnr": ("val. dB", ".2f"),
+    "psnr_stored": ("stored dB", ".2f"),
+}
+QUERY = {
+    "object": ("object", ""),
+    "net": ("net", ""),
+    "load_ms": ("load ms", ".0f"),
+    "ms_single": ("ms, 1 sample", ".1f"),
+    "ms_adaptive": ("ms, adaptive", ".1f"),
+    "peak_mb": ("peak MB", ".0f"),
+}
+
+
+def show_training(rows: list[dict], console: Console) -> None:
+    show_rows(rows, "Training of the surface net; PSNR of validation views", TRAINING, console)
+
+
+def show_query(rows: list[dict], console: Console) -> None:
+    show_rows(rows, "CPU ms per view of 256 x 256", QUERY, console)
+    for row in (row for row in rows if "rays" in row):
+        note = (
+            f"osf: the paper's size, untrained; {row['rays_timed']} of {row['rays']} rays timed, extrapolated"
+        )
+        console.print(note, markup=False, soft_wrap=True)
+
+
+def misses_training(rows: list[dict]) -> list[str]:
+    """Targets that are missed; an object that fails misses."""
+    limits = {"seconds": (MAX_TRAINING_SECONDS, "s"), "peak_mb": (MAX_TRAINING_MB, "MB")}
+    return beyond(rows, limits)
+
+
+def misses_query(rows: list[dict]) -> list[str]:
+    """Targets that are missed; the net of the paper's size has none."""
+    return beyond(
+        [row for row in rows if row.get("net") != "osf"],
+        {name: (limit, "ms") for name, limit in MAX_QUERY_MS.items()},
+    )
+
+
+def beyond(rows: list[dict], limits: dict[str, tuple[float, str]]) -> list[str]:
+    """Say which rows failed and which figures exceed their limits."""
+    missed = [f"{row['object']}: {row['failed']}" for row in rows if "failed" in row]
+    return missed + [
+        f"{row['object']}, {name}: {row[name]:.0f} {unit}, target {limit:g} {unit}"
+        for row in rows
+        for name, (limit, unit) in limits.items()
+        if row.get(name, 0) > limit
+    ]
+
+
+def misses_renderers(rows: list[dict]) -> list[str]:
     """Targets that are missed; a renderer that is not installed is none, but the default one is."""
     missed = []
     for row in rows:
@@ -188,20 +370,38 @@ def main() -> None:
         return
     parser = argparse.ArgumentParser(description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
-    command = commands.add_parser("renderers", help="time and compare the renderers")
-    command.add_argument("keys", nargs="*", help="objects (default: all of params.yaml)")
-    command.add_argument("--workspace", type=Path, default=ROOT, help="holds params.yaml and build/")
-    command.add_argument("--views", type=int, default=12, help="rendered by each")
-    command.add_argument("--json", type=Path, help="also write the figures here")
+    for name, text in (
+        ("renderers", "time and compare the renderers"),
+        ("training", "time the training of the surface net"),
+        ("query", "time views of Object Files"),
+    ):
+        command = commands.add_parser(name, help=text)
+        command.add_argument("keys", nargs="*", help="objects (default: all of params.yaml)")
+        command.add_argument("--workspace", type=Path, default=ROOT, help="holds params.yaml and build/")
+        command.add_argument("--json", type=Path, help="also write the figures here")
+        if name != "training":
+            command.add_argument("--views", type=int, default=12, help="drawn by each")
     arguments = parser.parse_args()
-    keys = arguments.keys or list(params.read(arguments.workspace / "params.yaml")["objects"])
+    workspace, command = arguments.workspace, arguments.command
+    keys = arguments.keys or list(params.read(workspace / "params.yaml")["objects"])
     console = Console(width=max(Console().width, 140))
-    rows = [row for key in keys for row in renderers(arguments.workspace, key, arguments.views)]
-    show(rows, console)
+    if command == "renderers":
+        rows = [row for key in keys for row in renderers(workspace, key, arguments.views)]
+        missed = misses_renderers(rows)
+        show_renderers(rows, console)
+    elif command == "training":
+        rows = [{"object": key} | fresh("train", str(workspace), key) for key in keys]
+        missed = misses_training(rows)
+        show_training(rows, console)
+    else:
+        views = str(arguments.views)
+        rows = [{"object": key} | fresh("query", str(workspace), key, views) for key in keys]
+        rows.append({"object": "any", "net": "osf"} | fresh("query_osf"))
+        missed = misses_query(rows)
+        show_query(rows, console)
     if arguments.json:
         with atomic(arguments.json) as path:
-            path.write_text(json.dumps({"renderers": rows}, indent=2) + "\n")
-    missed = misses(rows)
+            path.write_text(json.dumps({command: rows}, indent=2) + "\n")
     console.print("targets: " + ("; ".join(missed) or "met"), markup=False, soft_wrap=True)
     sys.exit(bool(missed))
 

@@ -1,4 +1,4 @@
-"""evaluate: ObjectFile.safetensors and held-out ground truth -> metrics/<object>.json, sound.png."""
+"""evaluate: ObjectFile.safetensors, held-out ground truth -> metrics/<object>.json, vision.png, sound.png."""
 
 import numpy as np
 
@@ -11,15 +11,18 @@ from objectfolder.evaluation import (
     evaluate_sounds,
     evaluate_touch,
     evaluate_vision,
+    shown_views,
     strike_sounds,
+    view_answers,
 )
-from objectfolder.figure import page, save, show_answers
+from objectfolder.figure import page, save, show_answers, show_views
 from objectfolder.objectfile import ObjectFile
 from objectfolder.params import stage_params
 from objectfolder.seeding import numpy_generator
 from stages import run
 
 SHOWN = 4  # strikes whose spectrograms are drawn
+SHOWN_VIEWS = 6
 
 
 def main(key: str) -> None:
@@ -37,8 +40,9 @@ def main(key: str) -> None:
     }
     rows = np.flatnonzero(modes["split"] == 2)
     strikes = Strikes.random(rows, params.section.impacts, rng)
+    vision = evaluate_vision(file, views)
     metrics = {
-        "vision": evaluate_vision(file, views),
+        "vision": vision,
         "audio": (evaluate_gains(file, modes, rows) if file.header["audio"]["kind"] == "gains" else {})
         | evaluate_sounds(file, modes, strikes, rng),
         "touch": evaluate_touch(file, contacts, file.tensors["touch.mean_image"]),
@@ -46,6 +50,10 @@ def main(key: str) -> None:
         "file_bytes": build.object_file.stat().st_size,
     }
     write_json(build.metrics, metrics)
+    titles = shown_views(vision, SHOWN_VIEWS)
+    sheet = page(1.6 * len(titles), 5.8, f"{key}: held-out views")
+    show_views(sheet, *view_answers(file, views, list(titles)), list(titles.values()))
+    save(sheet, build.vision_sheet)
     shown = strikes[:SHOWN]
     sheet = page(3.6 * SHOWN, 9, f"{key}: 1 N s at held-out points of the surface, displacement")
     show_answers(sheet, *strike_sounds(file, modes, shown), shown.titles(modes["points"] * file.scale))

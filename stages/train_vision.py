@@ -1,14 +1,16 @@
-"""train_vision: views, sdf.npz -> vision.safetensors, vision_curve.csv."""
+"""train_vision: views, visual.glb, sdf.npz -> vision.safetensors, vision_curve.csv."""
 
 import torch
 
 from objectfolder.artifacts import Build, read_npz, write_curve, write_safetensors
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.mesh.load import load_mesh
 from objectfolder.nets.vision_osf import OsfConfig, OsfNet, train_osf
 from objectfolder.nets.vision_surface import SurfaceNet, VisionConfig, train_surface
 from objectfolder.params import stage_params
 from objectfolder.seeding import torch_generator
+from objectfolder.vision.scene import Scene
 from stages import log_point, run
 
 
@@ -23,7 +25,8 @@ def main(key: str) -> None:
     if section.net == "surface":
         surface = Isosurface(DistanceGrid.from_arrays(read_npz(build.sdf, "values", "band")))
         config = VisionConfig(**section.model_dump(exclude={"net", "osf"}))
-        net, curve = train_surface(surface, train, val, config, generator, log_point)
+        scene = Scene(load_mesh(build.visual, up="y"))
+        net, curve = train_surface(surface, scene, train, val, config, generator, log_point)
     else:
         # The paper's net takes core-months; where there is a GPU, it trains there.
         device = "cuda" if torch.cuda.is_available() else "cpu"

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import soundfile
 from brick import SCALE
+from PIL import Image
 from typer.testing import CliRunner
 
 from objectfolder.cli import app
@@ -27,6 +28,24 @@ def strike(brick, brick_path, tmp_path):
         return done.output, sounds
 
     return run
+
+
+@pytest.mark.parametrize("supersample", [True, False])
+def test_views_and_their_buffers(brick, brick_path, tmp_path, supersample):
+    rows = np.array([[2.0, 1, 1, 0.5, 0.5, 1], [0, -2.0, 1, 1, 0, 0]])
+    np.save(tmp_path / "queries.npy", rows)
+    arguments = ["query", "vision", str(brick_path), str(tmp_path / "queries.npy"), str(tmp_path / "out")]
+    arguments += ["--resolution", "24", "--buffers"] + ([] if supersample else ["--no-supersample"])
+    done = CliRunner().invoke(app, arguments)
+    assert done.exit_code == 0
+    assert "2 views in" in done.output
+    expected = brick.render(rows[:, :3], rows[:, 3:], 24, supersample=supersample)
+    for i in (0, 1):
+        with Image.open(tmp_path / "out" / f"{i + 1}.png") as image:
+            np.testing.assert_allclose(np.asarray(image) / 255, expected.rgb[i], atol=0.5 / 255 + 1e-6)
+        with np.load(tmp_path / "out" / f"{i + 1}.npz") as arrays:
+            for name in ("rgba", "depth", "normals"):
+                np.testing.assert_array_equal(arrays[name], getattr(expected, name)[i])
 
 
 def test_sounds_are_the_objects_at_absolute_amplitude(brick, strike):

@@ -17,11 +17,15 @@ from objectfolder.evaluation import (
     Strikes,
     evaluate_gains,
     evaluate_sounds,
+    evaluate_vision,
+    shown_views,
     strike_sounds,
     summary_row,
+    view_answers,
     white_noise,
 )
-from objectfolder.figure import magnitudes, page, save, show_answers
+from objectfolder.figure import magnitudes, page, save, show_answers, show_views
+from objectfolder.vision.cameras import Intrinsics, look_at, sphere_points
 
 ROWS = np.arange(20, 60)
 
@@ -172,6 +176,56 @@ def test_strikes_across_a_mode_score_finitely(brick, modes, strikes):
     json.dumps(score(brick, modes, quiet), allow_nan=False)
     none = dataclasses.replace(strikes, impulses=0 * strikes.impulses)
     assert "psnr" not in score(brick, modes, none)
+
+
+# Views
+
+
+@pytest.fixture(scope="module")
+def views(brick):
+    """Views that are the brick's own answers, the third with an error, of another focal length and format."""
+    rng = np.random.default_rng(4)
+    poses, lights = look_at(sphere_points(5, 2.5, rng)), sphere_points(5, 1.0, rng)
+    rgba = brick.render(poses, lights, intrinsics=Intrinsics(30, 20, 40.0)).rgba
+    for row, error in ((2, 0.3), (4, 0.1)):
+        rgba[row, 10, 15, :3] += error
+    return {"rgba": rgba, "camera_to_world": poses, "light": lights, "focal": np.float64(40.0)}
+
+
+def test_the_best_the_median_and_the_worst_view_are_named(brick, views):
+    scores = evaluate_vision(brick, views)
+    assert scores["worst_view"] == 2
+    assert scores["median_view"] == 3  # third best, of three that are perfect
+    assert scores["best_view"] == 0
+    assert scores["psnr_worst"] < 50
+    titles = shown_views(scores, 4)
+    assert list(titles.items())[:3] == [(2, "worst: view 3"), (3, "median: view 4"), (0, "best: view 1")]
+    assert len(titles) == 4
+    assert set(shown_views(scores, 9)) == set(range(5))
+
+
+def test_one_view_is_best_and_worst(brick, views):
+    first = {name: value if name == "focal" else value[2:3] for name, value in views.items()}
+    scores = evaluate_vision(brick, first)
+    assert scores["best_view"] == scores["median_view"] == scores["worst_view"] == 0
+    assert shown_views(scores, 5) == {0: "worst: view 1"}
+
+
+def test_the_sheet_of_views_shows_truth_answer_and_enlarged_difference(brick, views, tmp_path):
+    truth, answers = view_answers(brick, views, [2, 0])
+    assert truth.shape == answers.shape == (2, 20, 30, 3)
+    np.testing.assert_allclose(truth[1], answers[1], atol=1e-6)
+    figure = page(4, 6, "x: views")
+    show_views(figure, truth, np.clip(truth - 0.1, 0, 1), ["one", "two"])
+    assert [a.get_title() for a in figure.axes[1::2]] == [
+        "two, 20.0 dB\nground truth",
+        "Object File",
+        "difference, 4 times",
+    ]
+    difference = figure.axes[5].images[0].get_array()
+    np.testing.assert_allclose(difference[truth[1] > 0.1], 0.6, atol=1e-5)
+    with Image.open(save(figure, tmp_path / "sheet.png")) as image:
+        assert np.asarray(image.convert("RGB")).std() > 5
 
 
 # The sheet

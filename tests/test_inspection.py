@@ -65,7 +65,8 @@ def root(tmp_path_factory, opengl):
     write_json(
         build.metrics, {"vision": {"psnr": 31.25}, "awgn": {"sigma_0_05": {"touch": 26.02}}, "file_bytes": 7}
     )
-    write_png(build.sound_sheet, np.zeros((4, 4, 3), np.uint8))
+    for sheet in (build.vision_sheet, build.sound_sheet):
+        write_png(sheet, np.zeros((4, 4, 3), np.uint8))
     return root
 
 
@@ -171,7 +172,8 @@ def test_pictures_show_something_and_nothing_declared_changes(root, stage):
     assert inspection.title == f"{stage}@brick"
     assert inspection.files == []
     if stage == "evaluate":  # has its own
-        assert inspection.pictures == [Build("brick", root).sound_sheet]
+        build = Build("brick", root)
+        assert inspection.pictures == [build.vision_sheet, build.sound_sheet]
         return
     for path in inspection.pictures[:1]:
         assert path == Build("brick", root).dir / "inspect" / f"{stage}.png"

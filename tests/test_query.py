@@ -13,7 +13,7 @@ from objectfolder import ObjectFile, query
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import material
 from objectfolder.nets.audio_gains import GainsNet
-from objectfolder.vision.cameras import Intrinsics, look_at, sphere_points
+from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere_points
 
 TOP = np.array([[0.01, 0.005, SIDES[2] / 2 * SCALE]])
 UP = np.array([[0.0, 0, 1]])
@@ -107,6 +107,44 @@ def test_a_camera_is_a_position_or_a_pose(brick):
     wide = brick.view(position, light, intrinsics=Intrinsics(20, 10, 15.0))
     assert wide.shape == (1, 10, 20, 3)
     assert (by_position[0, 0] == by_position.max()).all()  # white around it
+
+
+def test_rendering_gives_the_view_and_what_lies_under_it(brick):
+    cameras, light = sphere_points(3, 2.5, np.random.default_rng(1)), np.array([0.5, 0.5, 1])
+    intrinsics = Intrinsics(40, 24, 50.0, center=(18.0, 13.5))
+    views = brick.render(cameras, light, intrinsics=intrinsics)
+    np.testing.assert_array_equal(views.rgb, brick.view(cameras, light, intrinsics=intrinsics))
+    assert views.rgba.shape == (3, 24, 40, 4)
+    np.testing.assert_array_equal(views.alpha, views.rgba[..., 3])
+    np.testing.assert_array_equal(np.isfinite(views.depth), views.alpha > 0)
+    np.testing.assert_allclose(np.linalg.norm(views.normals, axis=-1), views.alpha > 0, atol=1e-5)
+    for i, camera in enumerate(cameras):
+        single = brick.render(camera, light, intrinsics=intrinsics)
+        for name in ("rgb", "rgba", "depth", "normals"):
+            np.testing.assert_array_equal(getattr(single, name)[0], getattr(views, name)[i])
+
+
+def test_depth_is_in_metres_and_leads_back_to_the_surface(brick):
+    """Points at their depth along their rays lie on the box."""
+    intrinsics, pose = Intrinsics(30, 20, 40.0), look_at(np.array([1.4, 1.1, 1.7]))
+    views = brick.render(pose, [1, 1, 1], intrinsics=intrinsics, supersample=False)
+    rows, columns = np.nonzero(views.alpha[0])
+    origins, directions = camera_rays(pose[0], intrinsics, np.stack([columns, rows], 1) + 0.5)
+    depth = views.depth[0][rows, columns] / (directions @ -pose[0, :3, 2])
+    points = origins * SCALE + directions * depth[:, None]  # object frame, metres
+    outside = np.abs(points) / SCALE - np.array(SIDES) / 2
+    assert len(points) > 50
+    flat = np.sort(outside, 1)[:, 1] < -0.03  # away from edges, which the grid rounds
+    np.testing.assert_allclose(outside.max(1)[flat], 0, atol=1e-3)
+    np.testing.assert_allclose(outside.max(1), 0, atol=0.02)
+    expected = np.eye(3)[outside.argmax(1)] * np.sign(points)
+    np.testing.assert_allclose(views.normals[0][rows, columns][flat], expected[flat], atol=0.05)
+
+
+def test_no_view_at_all(brick):
+    views = brick.render(np.zeros((0, 3)), [0, 0, 1], 8)
+    assert views.rgb.shape == brick.view(np.zeros((0, 3)), [0, 0, 1], 8).shape == (0, 8, 8, 3)
+    assert views.depth.shape == (0, 8, 8)
 
 
 def test_a_camera_that_does_not_see_the_object_sees_white(brick):

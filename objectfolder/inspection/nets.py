@@ -85,9 +85,10 @@ def inspect_pack(build: Build) -> Inspection:
 
 
 def inspect_evaluate(build: Build) -> Inspection:
-    """Metrics, one per row, and spectrograms of the ground truth beside the answers."""
-    require(build, "evaluate", build.metrics, build.sound_sheet)
-    return Inspection(f"evaluate@{build.key}", list(_leaves(read_json(build.metrics))), [build.sound_sheet])
+    """Metrics, one per row; views and spectrograms of the ground truth beside the answers."""
+    sheets = [build.vision_sheet, build.sound_sheet]
+    require(build, "evaluate", build.metrics, *sheets)
+    return Inspection(f"evaluate@{build.key}", list(_leaves(read_json(build.metrics))), sheets)
 
 
 def _pack_picture(build: Build, file: ObjectFile):

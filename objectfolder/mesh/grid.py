@@ -1,6 +1,7 @@
 """The stored geometry: a band-limited signed distance on a cubic grid, as int8."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -41,10 +42,18 @@ class DistanceGrid:
 
     def normals(self, points: torch.Tensor) -> torch.Tensor:
         """Outward unit normals at (N, 3) points, from tetrahedral differences half a voxel wide; (N, 3)."""
-        corner = points.new_tensor([[1.0, -1, -1], [-1, -1, 1], [-1, 1, -1], [1, 1, 1]])
-        taps = (points[None] + corner[:, None] * (self.spacing / 2)).reshape(-1, 3)
-        difference = self.distance(taps).view(4, -1)
-        return F.normalize((difference[..., None] * corner[:, None]).sum(0), dim=-1, eps=1e-20)
+        return ascent(self.distance, points, self.spacing / 2)
+
+
+def ascent(field: Callable[[torch.Tensor], torch.Tensor], points: torch.Tensor, step: float) -> torch.Tensor:
+    """Unit direction in which a field (N, 3) -> (N,) grows, from tetrahedral differences; (N, 3).
+
+    Zero where the field is constant.
+    """
+    corner = points.new_tensor([[1.0, -1, -1], [-1, -1, 1], [-1, 1, -1], [1, 1, 1]])
+    taps = (points[None] + corner[:, None] * step).reshape(-1, 3)
+    value = field(taps).view(4, -1)
+    return F.normalize((value[..., None] * corner[:, None]).sum(0), dim=-1, eps=1e-20)
 
 
 def quantise(distance: np.ndarray, band: float) -> np.ndarray:

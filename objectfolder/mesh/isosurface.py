@@ -21,6 +21,7 @@ class Isosurface:
     vertices : (V, 3) float64
     faces : (F, 3) int64, counter-clockwise seen from outside
     normals : (V, 3) float32, outward, of unit length
+    bounds : (2, 3) float64, lowest and highest coordinates of the vertices
     caster : RayCaster
     """
 
@@ -32,6 +33,7 @@ class Isosurface:
         self.vertices = v.astype(np.float64) * grid.spacing - BOUND
         self.faces = f.astype(np.int64)
         self.normals = grid.normals(torch.from_numpy(self.vertices.astype(np.float32))).numpy()
+        self.bounds = np.stack([self.vertices.min(0), self.vertices.max(0)])
         self.caster = RayCaster(self.vertices, self.faces)
 
     def nearest(self, points: np.ndarray, steps: int = 3) -> tuple[np.ndarray, np.ndarray]:

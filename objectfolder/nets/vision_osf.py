@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from objectfolder.mesh.grid import BOUND
+from objectfolder.mesh.grid import BOUND, ascent
 from objectfolder.nets.fit import CurvePoint, fit, minibatches
 from objectfolder.nets.positional import SkipNetwork, octave_angles, with_half_weights
 from objectfolder.vision.cameras import Intrinsics, camera_rays
@@ -23,6 +23,7 @@ from objectfolder.vision.volume import Rays, resampled, stratified, visibility
 
 VAL_RAYS = 1 << 12
 _CHUNK = 32  # rays drawn at once: their activations stay in the cache
+_NORMAL_STEP = 0.01  # unit frame; over which the density's slope is taken
 _NEAREST = 0.01  # unit frame; a light is no closer than this to what it lights
 
 
@@ -165,25 +166,31 @@ class OsfNet(nn.Module):
         camera_to_world : (4, 4) array
         light : (3,) array, unit frame
         intrinsics : Intrinsics
+
+        Returns
+        -------
+        Picture
+            Depth is the mean of what the ray sees. The normal is the way in which the density falls there,
+            zero where it does not.
         """
         origins, directions = camera_rays(camera_to_world, intrinsics, _centres(intrinsics))
         rays = Rays.through_cube(torch.from_numpy(origins), torch.from_numpy(directions), BOUND)
         rgba = torch.zeros(len(origins), 4)
         depth = torch.full((len(origins),), math.inf)
+        normals = torch.zeros(len(origins), 3)
         forward = torch.from_numpy(-camera_to_world[:3, 2].astype(np.float32))
         towards = torch.from_numpy(np.asarray(light, np.float32))
         for index in (rays.far > rays.near).nonzero()[:, 0].split(_CHUNK):
             part = rays[index]
             radiance, alpha, distance = self._look(part, self._sample(part, None)[0], towards)
             rgba[index] = torch.cat([radiance, alpha[:, None].clamp(max=1)], 1)
-            depth[index] = distance / alpha * (part.directions @ forward)  # not a number where alpha is 0
-        depth = torch.where(rgba[:, 3] > 0, depth, math.inf)
+            met = alpha > 0
+            part, distance = part[met], (distance / alpha)[met]
+            depth[index[met]] = distance * (part.directions @ forward)
+            points = part.points(distance[:, None])[:, 0]
+            normals[index[met]] = -ascent(lambda p: self.fine(p)[0], points, _NORMAL_STEP)
         size = intrinsics.height, intrinsics.width
-        return Picture(rgba.view(*size, 4).numpy(), depth.view(size).numpy())
-
-    def draw(self, camera_to_world: np.ndarray, light: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
-        """Colours and alpha of `picture`; a `Drawer`."""
-        return self.picture(camera_to_world, light, intrinsics).rgba
+        return Picture(*(x.view(*size, *x.shape[1:]).numpy() for x in (rgba, depth, normals)))
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Tensors (weights as float16) and configuration."""

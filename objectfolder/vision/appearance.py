@@ -5,6 +5,7 @@ import numpy as np
 import trimesh
 
 from objectfolder.mesh import srgb
+from objectfolder.mesh.normals import area_vectors, unit
 from objectfolder.vision.scene import Scene
 
 
@@ -32,8 +33,10 @@ def appearance_at(scene: Scene, points: np.ndarray) -> tuple[np.ndarray, np.ndar
         color = _texels(mesh.texture, (mesh.uv[corners] * weights).sum(1))
     else:
         color = (scene.vertex_colors[corners] * weights).sum(1)
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    if mesh.normals is None:
+        normals = unit(area_vectors(vertices, corners))
+    else:
+        normals = unit((mesh.normals[corners] * weights).sum(1))
     return color.astype(np.float32), normals.astype(np.float32)
 
 

@@ -1,5 +1,6 @@
 """Cameras and lights, in the unit frame (OpenGL axes: x right, y up, the camera looks along -z)."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,20 +13,80 @@ LIGHT_RADIUS = 1.0
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """A pinhole camera with square pixels and a centred principal point."""
+    """A pinhole camera without skew or distortion.
+
+    Lengths are in pixels; image positions count from the upper left corner, so that the centre of the upper
+    left pixel is (0.5, 0.5).
+
+    Raises
+    ------
+    ObjectFolderError
+        If the size or a focal length is not positive, or the principal point is not finite.
+    """
 
     width: int = 256
     height: int = 256
-    focal: float = 355.56  #: pixels
+    focal: float = 355.56  #: horizontally
+    center: tuple[float, float] | None = None  #: column, row of the principal point; default: the middle
+    focal_y: float | None = None  #: vertically; default: as horizontally, that is, square pixels
 
     def __post_init__(self):
-        if self.width < 1 or self.height < 1 or not self.focal > 0:
+        if self.width < 1 or self.height < 1 or not (0 < self.fx < math.inf and 0 < self.fy < math.inf):
             raise ObjectFolderError(f"intrinsics {self}: width, height and focal length must be positive")
+        if not (math.isfinite(self.cx) and math.isfinite(self.cy)):
+            raise ObjectFolderError(f"intrinsics {self}: the principal point must be finite")
+
+    @property
+    def fx(self) -> float:
+        """Horizontal focal length."""
+        return self.focal
+
+    @property
+    def fy(self) -> float:
+        """Vertical focal length."""
+        return self.focal if self.focal_y is None else self.focal_y
+
+    @property
+    def cx(self) -> float:
+        """Column of the principal point."""
+        return self.width / 2 if self.center is None else self.center[0]
+
+    @property
+    def cy(self) -> float:
+        """Row of the principal point."""
+        return self.height / 2 if self.center is None else self.center[1]
 
     @classmethod
     def square(cls, resolution: int) -> "Intrinsics":
         """Return the default field of view at another resolution."""
         return cls(resolution, resolution, 355.56 * resolution / 256)
+
+    @classmethod
+    def from_matrix(cls, matrix: np.ndarray, width: int, height: int) -> "Intrinsics":
+        """Return the camera of a calibration matrix K.
+
+        Parameters
+        ----------
+        matrix : (3, 3) array
+            ``[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]``, pixels. Where pixels are counted from the centre of the
+            upper left one, as OpenCV does, add 0.5 to ``cx`` and ``cy`` first.
+        width, height : int
+
+        Raises
+        ------
+        ObjectFolderError
+            If it is not such a matrix: of another shape, with skew, or with another last row.
+        """
+        k = np.asarray(matrix, np.float64)
+        if k.shape != (3, 3) or not np.isfinite(k).all():
+            raise ObjectFolderError(f"camera matrix {k.tolist()}: expected 3 x 3 finite numbers")
+        if not np.allclose(k[2], [0, 0, 1]):
+            raise ObjectFolderError(f"camera matrix has the last row {k[2].tolist()}, expected [0, 0, 1]")
+        if max(abs(k[0, 1]), abs(k[1, 0])) > 1e-6 * abs(k[0, 0]):
+            raise ObjectFolderError(
+                f"camera matrix has skew ({k[0, 1]:g}, {k[1, 0]:g}), which no camera here has: rectify first"
+            )
+        return cls(width, height, float(k[0, 0]), (float(k[0, 2]), float(k[1, 2])), float(k[1, 1]))
 
 
 def sphere_points(count: int, radius: float, rng: np.random.Generator) -> np.ndarray:
@@ -82,8 +143,8 @@ def camera_rays(
     -------
     origins, directions : (P, 3) float32, directions of unit length
     """
-    x = (pixels[:, 0] - intrinsics.width / 2) / intrinsics.focal
-    y = (intrinsics.height / 2 - pixels[:, 1]) / intrinsics.focal
+    x = (pixels[:, 0] - intrinsics.cx) / intrinsics.fx
+    y = (intrinsics.cy - pixels[:, 1]) / intrinsics.fy
     local = np.stack([x, y, -np.ones_like(x)], 1)
     directions = local @ camera_to_world[:3, :3].T
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -98,8 +159,8 @@ def project(
     local = (np.asarray(points) - camera_to_world[:3, 3]) @ camera_to_world[:3, :3]
     depth = -local[:, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
-        x = intrinsics.width / 2 + intrinsics.focal * local[:, 0] / depth
-        y = intrinsics.height / 2 - intrinsics.focal * local[:, 1] / depth
+        x = intrinsics.cx + intrinsics.fx * local[:, 0] / depth
+        y = intrinsics.cy - intrinsics.fy * local[:, 1] / depth
     return np.stack([x, y], 1), depth
 
 

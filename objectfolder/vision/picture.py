@@ -1,4 +1,4 @@
-"""What a net answers for one view, and what draws it."""
+"""What a net answers for one view, what draws it, and what a user gets of several."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,11 +10,30 @@ from objectfolder.vision.cameras import Intrinsics
 
 @dataclass(frozen=True)
 class Picture:
-    """One view of an object; arrays share (H, W)."""
+    """One view of an object; arrays share (H, W).
+
+    Depth and normal are those of one point, never means across a silhouette.
+    """
 
     rgba: np.ndarray  #: (H, W, 4) float32, linear, premultiplied by alpha
     depth: np.ndarray  #: (H, W) float32, along the optical axis, unit frame; infinite where alpha is 0
+    normals: np.ndarray  #: (H, W, 3) float32, of unit length, outward, unit frame; zero where alpha is 0
 
 
-#: Camera-to-world matrix (4, 4), light (3,) and intrinsics -> (H, W, 4) float32, linear, premultiplied.
-Drawer = Callable[[np.ndarray, np.ndarray, Intrinsics], np.ndarray]
+@dataclass(frozen=True)
+class Views:
+    """Views of an object; arrays share (N, H, W)."""
+
+    rgb: np.ndarray  #: (N, H, W, 3) float32, sRGB on white, in [0, 1]
+    rgba: np.ndarray  #: (N, H, W, 4) float32, linear, premultiplied by alpha
+    depth: np.ndarray  #: (N, H, W) float32, metres along the optical axis; infinite where alpha is 0
+    normals: np.ndarray  #: (N, H, W, 3) float32, of unit length, outward, object frame; zero where alpha is 0
+
+    @property
+    def alpha(self) -> np.ndarray:
+        """Share of each pixel that the object covers; (N, H, W) float32."""
+        return self.rgba[..., 3]
+
+
+#: Camera-to-world matrix (4, 4), light (3,) and intrinsics -> the picture.
+Drawer = Callable[[np.ndarray, np.ndarray, Intrinsics], Picture]

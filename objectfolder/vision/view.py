@@ -8,6 +8,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.vision.cameras import Intrinsics, camera_rays, covered_rectangle
+from objectfolder.vision.picture import Picture
 from objectfolder.vision.trace import SurfaceSamples, trace
 
 SHADE_SIDE = 2  # shading samples per side of an edge pixel
@@ -18,8 +19,13 @@ Shader = Callable[[SurfaceSamples, torch.Tensor], torch.Tensor]
 
 @torch.no_grad()
 def draw(
-    surface: Isosurface, shade: Shader, camera_to_world: np.ndarray, light: np.ndarray, intrinsics: Intrinsics
-) -> np.ndarray:
+    surface: Isosurface,
+    shade: Shader,
+    camera_to_world: np.ndarray,
+    light: np.ndarray,
+    intrinsics: Intrinsics,
+    supersample: bool = True,
+) -> Picture:
     """Render one view of a stored surface.
 
     One ray through every pixel that the object may cover; where silhouettes, shadow edges or creases
@@ -33,21 +39,28 @@ def draw(
     camera_to_world : (4, 4) array
     light : (3,) array
     intrinsics : Intrinsics
+    supersample : bool
+        Without, every pixel is the ray through its centre: faster, and jagged at edges.
 
     Returns
     -------
-    (H, W, 4) float32, linear, premultiplied by alpha
+    Picture
+        Depth and normal are of the ray through the pixel's centre; where it misses and other samples hit, of
+        the nearest of them. Normals are the stored surface's, without what the net adds for shading; a camera
+        inside the object sees them from behind.
     """
     height, width = intrinsics.height, intrinsics.width
     candidate = _covered_box(surface, camera_to_world, intrinsics)
     light_tensor = torch.from_numpy(np.asarray(light, np.float32))
     centre = _cast(surface, camera_to_world, light, intrinsics, candidate, np.full((1, 2), 0.5))
-    state = np.zeros(height * width, np.int8)
     seen = candidate[centre.ray.numpy()]
-    state[seen] = 1 + centre.lit.numpy()
-    plane = np.zeros((height * width, 3), np.float32)
-    plane[seen] = centre.normals.numpy()
-    edge = _varies(state, height, width, 0) | _varies(plane, height, width, 0.35)
+    normals = np.zeros((height * width, 3), np.float32)
+    normals[seen] = centre.normals.numpy()
+    edge = np.zeros(height * width, bool)
+    if supersample:
+        state = np.zeros(height * width, np.int8)
+        state[seen] = 1 + centre.lit.numpy()
+        edge = _varies(state, height, width, 0) | _varies(normals, height, width, 0.35)
     edge_pixels = candidate[edge[candidate]]
     inner = np.flatnonzero(~edge[seen])
     fine = _cast(surface, camera_to_world, light, intrinsics, edge_pixels, _offsets(SHADE_SIDE))
@@ -60,16 +73,41 @@ def draw(
         / np.maximum(hits, 1)[:, None]
     )
     alpha = np.where(edge, hits / SHADE_SIDE**2, hits)
-    silhouette = np.flatnonzero(_varies(alpha, height, width, 0))
-    alpha[silhouette] = _coverage(surface, camera_to_world, intrinsics, silhouette)
+    if supersample:
+        silhouette = np.flatnonzero(_varies(alpha, height, width, 0))
+        alpha[silhouette] = _coverage(surface, camera_to_world, intrinsics, silhouette)
     # A pixel that coverage rays alone have found takes no colour: it is nearly white anyway.
     alpha = np.where(hits > 0, alpha, 0)[:, None]
-    return np.concatenate([color * alpha, alpha], 1).astype(np.float32).reshape(height, width, 4)
+    rgba = np.concatenate([color * alpha, alpha], 1).astype(np.float32)
+    depth = np.full(height * width, np.inf, np.float32)
+    depth[seen] = _depth(centre, camera_to_world)
+    pixel, nearest = _nearest_misses(fine, edge_pixels, np.isinf(depth), camera_to_world)
+    depth[pixel], normals[pixel] = _depth(nearest, camera_to_world), nearest.normals.numpy()
+    empty = rgba[:, 3] == 0
+    depth[empty], normals[empty] = np.inf, 0
+    size = height, width
+    return Picture(rgba.reshape(*size, 4), depth.reshape(size), normals.reshape(*size, 3))
+
+
+def _depth(samples: SurfaceSamples, camera_to_world: np.ndarray) -> np.ndarray:
+    """Distance along the optical axis; (S,)."""
+    return (samples.points.numpy() - camera_to_world[:3, 3]) @ -camera_to_world[:3, 2]
+
+
+def _nearest_misses(
+    fine: SurfaceSamples, edge_pixels: np.ndarray, missed: np.ndarray, camera_to_world: np.ndarray
+) -> tuple[np.ndarray, SurfaceSamples]:
+    """Pixels whose centre missed although other samples hit, and the sample nearest to the camera in each."""
+    pixel = edge_pixels[fine.ray.numpy() // SHADE_SIDE**2]
+    index = np.flatnonzero(missed[pixel])
+    index = index[np.argsort(_depth(fine, camera_to_world)[index], kind="stable")]
+    found, first = np.unique(pixel[index], return_index=True)
+    return found, _select(fine, index[first])
 
 
 def _covered_box(surface: Isosurface, camera_to_world: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
     """Flat indices of the pixels that the object's bounding box may cover."""
-    corners = np.array(np.meshgrid(*zip(surface.vertices.min(0), surface.vertices.max(0)))).reshape(3, -1).T
+    corners = np.array(np.meshgrid(*surface.bounds.T)).reshape(3, -1).T
     left, top, right, bottom = covered_rectangle(corners, camera_to_world, intrinsics)
     rows, columns = np.meshgrid(np.arange(top, bottom), np.arange(left, right), indexing="ij")
     return (rows * intrinsics.width + columns).ravel()

@@ -95,7 +95,8 @@ def test_radiance_of_fog_is_the_integral_of_what_each_point_scatters():
 
 def test_light_falls_off_with_the_distance_squared():
     intrinsics = Intrinsics.square(8)
-    near, far = (fog(2.0).draw(POSE, np.array([d, 0, 0]), intrinsics)[..., :3] for d in (200.0, 400.0))
+    lights = (np.array([d, 0, 0]) for d in (200.0, 400.0))
+    near, far = (fog(2.0).picture(POSE, light, intrinsics).rgba[..., :3] for light in lights)
     seen = near > 0
     assert seen.any()
     np.testing.assert_allclose(near[seen] / far[seen], 4, rtol=0.02)
@@ -115,7 +116,7 @@ def test_nothing_is_white():
     """A net without density: the picture is empty, and what rays see on white is white."""
     net = fog(-1.0)
     intrinsics = Intrinsics.square(16)
-    rgba = net.draw(POSE, np.array([0, 0, 1.0]), intrinsics)
+    rgba = net.picture(POSE, np.array([0, 0, 1.0]), intrinsics).rgba
     assert not rgba.any()
     assert on_white(torch.from_numpy(rgba)).min() > 1 - 1e-6
     length, rays = chords(POSE, intrinsics)
@@ -132,7 +133,7 @@ def test_pictures_show_what_training_fits():
     met = torch.from_numpy(length.ravel() > 0)
     with torch.no_grad():
         _, fine = net(rays[met], torch.from_numpy(light).float().expand(int(met.sum()), 3))
-    rgba = torch.from_numpy(net.draw(POSE, light, intrinsics)).view(-1, 4)[met]
+    rgba = torch.from_numpy(net.picture(POSE, light, intrinsics).rgba).view(-1, 4)[met]
     torch.testing.assert_close(rgba[:, :3] + 1 - rgba[:, 3:], fine, rtol=1e-4, atol=1e-5)
 
 
@@ -249,6 +250,7 @@ def test_its_depth_is_the_balls(trained):
     picture = trained[0].picture(POSE, np.array([0.8, 0, 0.6]), Intrinsics.square(15))
     assert picture.rgba[7, 7, 3] > 0.95
     assert picture.depth[7, 7] == pytest.approx(2.5 - RADIUS, abs=0.2)  # the cube: 1.98 to 3.02
+    assert picture.normals[7, 7] @ POSE[:3, 2] > 0.9  # the sphere faces the camera there
     assert picture.rgba[0, 0, 3] < 0.05
 
 
@@ -268,7 +270,8 @@ def test_storing_costs_less_than_a_grey_level(tmp_path, trained):
     write_safetensors(tmp_path / "v.safetensors", *trained[0].to_tensors())
     back = OsfNet.from_tensors(*read_safetensors(tmp_path / "v.safetensors"))
     light, intrinsics = np.array([0.5, 0.5, 0.7]), Intrinsics.square(12)
-    a, b = (on_white(torch.from_numpy(net.draw(POSE, light, intrinsics))) for net in (trained[0], back))
+    pictures = (net.picture(POSE, light, intrinsics).rgba for net in (trained[0], back))
+    a, b = (on_white(torch.from_numpy(rgba)) for rgba in pictures)
     assert 0 < (a - b).abs().mean() < 1 / 255
     again = back.to_tensors()[0]
     for name, value in trained[0].to_tensors()[0].items():

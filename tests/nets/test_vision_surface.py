@@ -108,7 +108,7 @@ def views(ball):
         rng = np.random.default_rng(seed)
         poses, lights = look_at(sphere_points(count, 2.5, rng)), sphere_points(count, 1.0, rng)
         intrinsics = Intrinsics.square(32)
-        rgba = [draw(ball, shade, p, l, intrinsics) for p, l in zip(poses, lights)]
+        rgba = [draw(ball, shade, p, l, intrinsics).rgba for p, l in zip(poses, lights)]
         return {
             "rgba": np.float16(rgba),
             "camera_to_world": poses,

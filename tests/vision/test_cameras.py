@@ -9,10 +9,12 @@ from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, projec
 positions = st.lists(st.floats(-5, 5), min_size=3, max_size=3).filter(lambda p: np.linalg.norm(p) > 1e-2)
 
 
-@given(positions, st.integers(0, 2**31))
-def test_projection_inverts_rays(position, seed):
+CAMERAS = [Intrinsics(320, 200, 250.0), Intrinsics(320, 200, 250.0, center=(-20.0, 130.5), focal_y=300.0)]
+
+
+@given(positions, st.integers(0, 2**31), st.sampled_from(CAMERAS))
+def test_projection_inverts_rays(position, seed, intrinsics):
     rng = np.random.default_rng(seed)
-    intrinsics = Intrinsics(320, 200, 250.0)
     pose = look_at(np.array(position))[0]
     pixels = rng.random((50, 2)) * [320, 200]
     origins, directions = camera_rays(pose, intrinsics, pixels)
@@ -82,7 +84,47 @@ def test_a_camera_at_its_target_or_nowhere_is_refused(position):
         look_at(np.array(position))
 
 
-@pytest.mark.parametrize("values", [(0, 1, 1.0), (1, -1, 1.0), (1, 1, 0.0), (1, 1, float("nan"))])
+@pytest.mark.parametrize(
+    "values",
+    [(0, 1, 1.0), (1, -1, 1.0), (1, 1, 0.0), (1, 1, float("nan")), (1, 1, np.inf), (1, 1, 1.0, None, -1.0)],
+)
 def test_impossible_intrinsics_are_refused(values):
     with pytest.raises(ObjectFolderError, match="must be positive"):
         Intrinsics(*values)
+
+
+def test_a_principal_point_nowhere_is_refused():
+    with pytest.raises(ObjectFolderError, match="principal point must be finite"):
+        Intrinsics(4, 4, 1.0, center=(np.nan, 0))
+
+
+def test_a_camera_matrix_projects_as_it_says():
+    k = np.array([[250.0, 0, 100.5], [0, 260, 90], [0, 0, 1]])
+    intrinsics = Intrinsics.from_matrix(k, 200, 150)
+    assert (intrinsics.width, intrinsics.height) == (200, 150)
+    pose, points = look_at(np.array([2.0, 1, 1]))[0], np.random.default_rng(0).uniform(-0.5, 0.5, (20, 3))
+    # Its camera looks along z with y down.
+    local = (points - pose[:3, 3]) @ pose[:3, :3] * [1, -1, -1]
+    homogeneous = local @ k.T
+    pixels, depth = project(points, pose, intrinsics)
+    np.testing.assert_allclose(pixels, homogeneous[:, :2] / homogeneous[:, 2:], rtol=1e-12)
+    np.testing.assert_allclose(depth, local[:, 2])
+    centred = Intrinsics.from_matrix([[9, 0, 2], [0, 9, 1.5], [0, 0, 1]], 4, 3)
+    np.testing.assert_array_equal(
+        project(points, pose, centred)[0], project(points, pose, Intrinsics(4, 3, 9.0))[0]
+    )
+
+
+@pytest.mark.parametrize(
+    ("matrix", "reason"),
+    [
+        ([[9, 0.1, 2], [0, 9, 2], [0, 0, 1]], "has skew"),
+        ([[9, 0, 2], [0, 9, 2], [0, 0, 2]], "last row"),
+        ([[9, 0, 2, 0], [0, 9, 2, 0], [0, 0, 1, 0]], "3 x 3"),
+        ([[np.nan, 0, 2], [0, 9, 2], [0, 0, 1]], "finite"),
+        ([[-9, 0, 2], [0, 9, 2], [0, 0, 1]], "must be positive"),
+    ],
+)
+def test_a_matrix_of_no_pinhole_camera_is_refused(matrix, reason):
+    with pytest.raises(ObjectFolderError, match=reason):
+        Intrinsics.from_matrix(matrix, 4, 4)

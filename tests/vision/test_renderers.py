@@ -139,13 +139,26 @@ def test_metal_reflects_in_its_colour_and_has_no_diffuse_light(render):
     assert highlight[2] < 0.2 * highlight[0]
 
 
-def test_the_silhouette_is_where_the_camera_sees_it(render):
-    intrinsics = Intrinsics(48, 36, 60.0)
+@pytest.mark.parametrize(
+    "intrinsics",
+    [
+        Intrinsics(48, 36, 60.0),
+        Intrinsics(48, 36, 60.0, center=(29.0, 14.5)),
+        Intrinsics(30, 50, 60.0, center=(13.0, 20.0), focal_y=75.0),
+        Intrinsics(40, 36, 60.0, center=(22.0, 20.0), focal_y=50.0),
+    ],
+    ids=["centred", "off centre", "pixels wider than high", "pixels higher than wide"],
+)
+def test_the_silhouette_is_where_the_camera_sees_it(render, intrinsics):
+    if render.name.startswith("mitsuba") and intrinsics.fx != intrinsics.fy:
+        with pytest.raises(ObjectFolderError, match="pixels are square, but focal lengths are 60, "):
+            render(square(), [1, 0, 0], intrinsics=intrinsics)
+        return
     for position in ((2.5, 0, 0), (-1.2, 1.7, 1.1), (0, 0, -2.5)):
         pose = look_at(np.array(position))[0]
         alpha = render(painted(sphere(0.1, 3, (0.1, -0.3, 0.2))), [1, 1, 1], pose, intrinsics)[..., 3]
         (centre,), _ = project(np.array([[0.1, -0.3, 0.2]]), pose, intrinsics)
-        rows, columns = np.mgrid[:36, :48] + 0.5
+        rows, columns = np.mgrid[: intrinsics.height, : intrinsics.width] + 0.5
         assert (alpha * columns).sum() / alpha.sum() == pytest.approx(centre[0], abs=0.1)
         assert (alpha * rows).sum() / alpha.sum() == pytest.approx(centre[1], abs=0.1)
         assert alpha.max() == 1

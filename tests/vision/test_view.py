@@ -39,14 +39,14 @@ def solid_angle_pixels(distance, focal):
 @pytest.mark.parametrize("position", [(2.5, 0, 0), (0.4, -1.6, 1.9), (0, 0, 2.5)])
 def test_coverage_of_a_sphere_is_its_projected_area(ball, position):
     intrinsics = Intrinsics.square(128)
-    alpha = draw(ball, white, look_at(np.array(position))[0], LIGHT, intrinsics)[..., 3]
+    alpha = draw(ball, white, look_at(np.array(position))[0], LIGHT, intrinsics).rgba[..., 3]
     exact = solid_angle_pixels(np.linalg.norm(position), intrinsics.focal)
     assert alpha.sum(dtype=np.float64) == pytest.approx(exact, rel=3e-3)
 
 
 def test_alpha_is_one_inside_and_zero_outside(ball):
     intrinsics = Intrinsics.square(128)
-    image = draw(ball, white, look_at(np.array([2.5, 0, 0]))[0], LIGHT, intrinsics)
+    image = draw(ball, white, look_at(np.array([2.5, 0, 0]))[0], LIGHT, intrinsics).rgba
     rows, columns = np.mgrid[:128, :128] + 0.5
     r = np.hypot(rows - 64, columns - 64)
     edge = np.sqrt(solid_angle_pixels(2.5, intrinsics.focal) / np.pi)
@@ -59,7 +59,7 @@ def test_alpha_is_one_inside_and_zero_outside(ball):
 def test_the_picture_is_the_right_way_round():
     surface = isosurface(box((0.1, 0.3, 0.2), (0, 0.2, 0.3)))
     pose, intrinsics = look_at(np.array([2.5, 0, 0]))[0], Intrinsics(96, 64, 110.0)
-    alpha = draw(surface, white, pose, LIGHT, intrinsics)[..., 3]
+    alpha = draw(surface, white, pose, LIGHT, intrinsics).rgba[..., 3]
     rows, columns = np.nonzero(alpha > 0.5)
     (centre,), _ = project(np.array([[0.05, 0.2, 0.3]]), pose, intrinsics)
     assert columns.mean() + 0.5 == pytest.approx(centre[0], abs=0.7)
@@ -100,18 +100,17 @@ def test_a_shadow_falls_where_geometry_puts_it():
 
 def test_nothing_is_lit_from_behind(ball):
     pose, intrinsics = look_at(np.array([2.5, 0, 0]))[0], Intrinsics.square(64)
-    behind = draw(ball, lit_only, pose, np.array([-1.0, 0, 0]), intrinsics)
+    behind = draw(ball, lit_only, pose, np.array([-1.0, 0, 0]), intrinsics).rgba
     assert not behind[..., :3].any()
     assert behind[..., 3].max() == 1
-    front = draw(ball, lit_only, pose, np.array([1.0, 0, 0]), intrinsics)
+    front = draw(ball, lit_only, pose, np.array([1.0, 0, 0]), intrinsics).rgba
     assert front[32, 32].tolist() == [1, 1, 1, 1]
 
 
 def test_a_white_lambertian_at_distance_one_has_radiance_one():
     surface = isosurface(box((0.2, 0.6, 0.6), (0, 0, 0)))
-    image = draw(
-        surface, lambert, look_at(np.array([2.5, 0, 0]))[0], np.array([1.1, 0, 0]), Intrinsics.square(63)
-    )
+    pose, light = look_at(np.array([2.5, 0, 0]))[0], np.array([1.1, 0, 0])
+    image = draw(surface, lambert, pose, light, Intrinsics.square(63)).rgba
     assert image[31, 31, 0] == pytest.approx(1, abs=2e-3)
 
 
@@ -125,24 +124,102 @@ def test_a_white_lambertian_at_distance_one_has_radiance_one():
     ],
 )
 def test_pictures_without_an_edge(ball, pose, covered):
-    image = draw(ball, lambert, pose, LIGHT, Intrinsics(24, 16, 40.0))
+    picture = draw(ball, lambert, pose, LIGHT, Intrinsics(24, 16, 40.0))
+    image = picture.rgba
+    assert (np.isfinite(picture.depth) == covered).all()
+    assert (np.linalg.norm(picture.normals, axis=-1).round(5) == covered).all()
     assert image.shape == (16, 24, 4)
     assert (image[..., 3] == covered).all()
     assert np.isfinite(image).all()
 
 
+OFF_CENTER = Intrinsics(120, 80, 150.0, center=(31.5, 70.25), focal_y=130.0)
+
+
+def seen_sphere(position, pose, intrinsics):
+    """Where rays through the pixels' centres meet a sphere: hit or not (H, W), depth, outward normals."""
+    rows, columns = np.mgrid[: intrinsics.height, : intrinsics.width] + 0.5
+    _, direction = camera_rays(pose, intrinsics, np.stack([columns.ravel(), rows.ravel()], 1))
+    direction = direction.astype(float)
+    along = -direction @ position
+    below = along**2 - (position @ position - RADIUS**2)
+    distance = along - np.sqrt(below.clip(min=0))
+    normal = (position + direction * distance[:, None]) / RADIUS
+    size = intrinsics.height, intrinsics.width
+    depth = distance * (direction @ -pose[:3, 2])
+    return (below > 0).reshape(size), depth.reshape(size), normal.reshape(*size, 3)
+
+
+@pytest.mark.parametrize("intrinsics", [Intrinsics.square(128), OFF_CENTER], ids=["default", "off centre"])
+@pytest.mark.parametrize("supersample", [True, False])
+def test_depth_and_normals_of_a_sphere(ball, intrinsics, supersample):
+    position = np.array([1.9, -1.2, 0.8])
+    pose = look_at(position)[0]
+    picture = draw(ball, white, pose, LIGHT, intrinsics, supersample)
+    hit, depth, normals = seen_sphere(position, pose, intrinsics)
+    grazing = (normals * (position - normals * RADIUS)).sum(-1) < 0.3 * np.linalg.norm(position)
+    inner = hit & ~grazing
+    assert inner.sum() > 500
+    np.testing.assert_allclose(picture.depth[inner], depth[inner], atol=1e-3)  # a tenth of a voxel
+    cosine = (picture.normals * normals).sum(-1)
+    assert np.degrees(np.arccos(cosine[inner].clip(max=1))).max() < 1.5
+    alpha = picture.rgba[..., 3]
+    np.testing.assert_array_equal(np.isinf(picture.depth), alpha == 0)
+    np.testing.assert_array_equal((picture.normals == 0).all(-1), alpha == 0)
+    np.testing.assert_allclose(np.linalg.norm(picture.normals[alpha > 0], axis=1), 1, atol=1e-5)
+
+
+@pytest.mark.parametrize("side", [32, 96])
+def test_depth_at_a_silhouette_is_never_between_near_and_far(side):
+    """A small box before a large one: each pixel has the depth of either or none."""
+    surface = isosurface(join(box((0.1, 0.9, 0.9), (-0.4, 0, 0)), box((0.1, 0.3, 0.3), (0.4, 0, 0))))
+    pose = look_at(np.array([2.5, 0.01, 0.02]))[0]
+    picture = draw(surface, white, pose, LIGHT, Intrinsics.square(side))
+    depth = picture.depth[picture.rgba[..., 3] > 0]
+    near, far = np.abs(depth - 2.05) < 0.02, np.abs(depth - 2.85) < 0.02
+    assert (near | far).mean() > 0.97  # the others see the sides of the boxes
+    assert min(near.sum(), far.sum()) > 20
+    partial = picture.depth[(picture.rgba[..., 3] > 0) & (picture.rgba[..., 3] < 1)]
+    assert len(partial) > 20
+    assert np.isfinite(partial).all()
+
+
+def test_without_supersampling_pixels_are_covered_or_not(ball):
+    pose, intrinsics = look_at(np.array([2.1, -1.2, 0.6]))[0], Intrinsics.square(64)
+    fine, coarse = (draw(ball, lambert, pose, LIGHT, intrinsics, each).rgba for each in (True, False))
+    assert set(np.unique(coarse[..., 3])) == {0, 1}
+    hit, _, _ = seen_sphere(pose[:3, 3], pose, intrinsics)
+    assert (coarse[..., 3] != hit).mean() < 2e-3
+    assert np.abs(fine - coarse).mean() < 0.01
+    same = (fine == coarse).all(-1)
+    assert same.mean() > 0.8  # away from edges, and from the shadow's
+
+
+def test_a_shifted_principal_point_is_a_crop(ball):
+    """A picture off centre is the part of a larger one."""
+    pose = look_at(np.array([2.1, -1.2, 0.6]))[0]
+    whole = draw(ball, lambert, pose, LIGHT, Intrinsics(96, 80, 110.0), supersample=False)
+    part = draw(ball, lambert, pose, LIGHT, Intrinsics(40, 30, 110.0, (48 - 20, 40 - 33)), supersample=False)
+    np.testing.assert_allclose(part.rgba, whole.rgba[33:63, 20:60], atol=1e-5)
+    np.testing.assert_array_equal(part.rgba[..., 3], whole.rgba[33:63, 20:60, 3])
+
+
+def test_pixels_that_are_not_square_stretch_the_picture(ball):
+    intrinsics = Intrinsics(96, 64, 110.0, focal_y=55.0)
+    alpha = draw(ball, white, look_at(np.array([2.5, 0, 0]))[0], LIGHT, intrinsics).rgba[..., 3]
+    assert alpha.sum(dtype=np.float64) == pytest.approx(solid_angle_pixels(2.5, 110.0) / 2, rel=6e-3)
+
+
 def test_a_picture_of_one_pixel(ball):
-    assert draw(ball, white, look_at(np.array([2.5, 0, 0]))[0], LIGHT, Intrinsics(1, 1, 10.0)).shape == (
-        1,
-        1,
-        4,
-    )
+    picture = draw(ball, white, look_at(np.array([2.5, 0, 0]))[0], LIGHT, Intrinsics(1, 1, 10.0))
+    assert picture.rgba.shape == (1, 1, 4)
+    assert picture.normals.shape == (1, 1, 3)
 
 
 def test_resolution_converges(ball):
     """Averaging a fine picture gives the coarse one, except for aliasing at edges."""
     pose = look_at(np.array([2.1, -1.2, 0.6]))[0]
-    coarse, fine = (draw(ball, lambert, pose, LIGHT, Intrinsics.square(r)) for r in (48, 192))
+    coarse, fine = (draw(ball, lambert, pose, LIGHT, Intrinsics.square(r)).rgba for r in (48, 192))
     mean = fine.reshape(48, 4, 48, 4, 4).mean((1, 3))
     assert np.abs(coarse - mean).mean() < 2e-3
 
@@ -150,7 +227,8 @@ def test_resolution_converges(ball):
 def test_same_bytes_twice_and_rays_are_independent(ball):
     pose, intrinsics = look_at(np.array([2.1, -1.2, 0.6]))[0], Intrinsics.square(32)
     first, second = (draw(ball, lambert, pose, LIGHT, intrinsics) for _ in range(2))
-    np.testing.assert_array_equal(first, second)
+    for name in ("rgba", "depth", "normals"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
     pixels = np.random.default_rng(2).random((200, 2)) * 32
     rays = camera_rays(pose, intrinsics, pixels)
     whole = trace(ball, *rays, LIGHT)

@@ -50,6 +50,8 @@ def main(folder: Path) -> None:
         camera_object.matrix_world = np.transpose(view["camera_to_world"])  # Blender takes columns
         light_object.location = view["light"]
         camera.lens = view["focal"] / view["width"] * camera.sensor_width
+        camera.shift_x, camera.shift_y = view["shift"]
+        scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = view["pixel_aspect"]
         scene.render.resolution_x, scene.render.resolution_y = view["width"], view["height"]
         scene.cycles.samples, scene.cycles.seed = view["samples"], view["seed"]
         np.save(folder / "image.npy", _render(bpy, scene, folder))

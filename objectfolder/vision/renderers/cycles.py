@@ -63,12 +63,16 @@ class CyclesRenderer:
         """Render one view; see `objectfolder.vision.renderers.registry.Renderer`."""
         # A margin makes a picture as large as Blender's smallest.
         rows, columns = (max(SMALLEST - n + 1, 0) // 2 for n in (intrinsics.height, intrinsics.width))
+        width, aspect = intrinsics.width + 2 * columns, intrinsics.fx / intrinsics.fy  # of a pixel
+        off_center = intrinsics.width / 2 - intrinsics.cx, aspect * (intrinsics.cy - intrinsics.height / 2)
         view = {
             "camera_to_world": np.asarray(camera_to_world).tolist(),
             "light": np.asarray(light).tolist(),
-            "width": intrinsics.width + 2 * columns,
+            "width": width,
             "height": intrinsics.height + 2 * rows,
-            "focal": intrinsics.focal,
+            "focal": intrinsics.fx,
+            "shift": [pixels / width for pixels in off_center],
+            "pixel_aspect": [max(1, 1 / aspect), max(1, aspect)],  # Blender's are at least 1
             "samples": samples,
             "seed": seed % 2**31,
         }

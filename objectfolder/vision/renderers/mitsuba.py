@@ -6,6 +6,7 @@ import drjit
 import mitsuba as mi
 import numpy as np
 
+from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.textured import PLAIN
 from objectfolder.vision.cameras import Intrinsics, covered_rectangle
 from objectfolder.vision.scene import BOUNCES, LIGHT_INTENSITY, SPECULAR, Scene
@@ -75,6 +76,11 @@ class MitsubaRenderer:
         self, camera_to_world: np.ndarray, light: np.ndarray, intrinsics: Intrinsics, samples: int, seed: int
     ) -> np.ndarray:
         """Render one view; see `objectfolder.vision.renderers.registry.Renderer`."""
+        if intrinsics.fx != intrinsics.fy:
+            raise ObjectFolderError(
+                f"mitsuba's pixels are square, but focal lengths are {intrinsics.fx:g}, {intrinsics.fy:g}: "
+                "make them equal, or use the renderer cycles or raster"
+            )
         image = np.zeros((intrinsics.height, intrinsics.width, 4), np.float32)
         left, top, right, bottom = 0, 0, intrinsics.width, intrinsics.height
         if self._variant == SCALAR:
@@ -89,8 +95,10 @@ class MitsubaRenderer:
         sensor = mi.load_dict(
             {
                 "type": "perspective",
-                "fov": 2 * math.degrees(math.atan(intrinsics.width / 2 / intrinsics.focal)),
+                "fov": 2 * math.degrees(math.atan(intrinsics.width / 2 / intrinsics.fx)),
                 "fov_axis": "x",
+                "principal_point_offset_x": 0.5 - intrinsics.cx / intrinsics.width,
+                "principal_point_offset_y": 0.5 - intrinsics.cy / intrinsics.height,
                 "to_world": mi.ScalarTransform4f(to_world.tolist()),
                 "film": {
                     "type": "hdrfilm",

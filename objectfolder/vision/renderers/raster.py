@@ -51,8 +51,9 @@ class RasterRenderer:
         Samples lie on a regular grid of at most `MAX_SIDE`^2; the seed is not used.
         """
         side = min(max(round(samples**0.5), 1), MAX_SIDE)
-        height, width, focal = (side * x for x in (intrinsics.height, intrinsics.width, intrinsics.focal))
-        camera = pyrender.IntrinsicsCamera(focal, focal, width / 2, height / 2, NEAR, FAR)
+        height, width = side * intrinsics.height, side * intrinsics.width
+        fx, fy, cx, cy = (side * x for x in (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy))
+        camera = pyrender.IntrinsicsCamera(fx, fy, cx, cy, NEAR, FAR)
         node = self._scene.add(camera, pose=np.asarray(camera_to_world, np.float64))
         pose = np.eye(4)
         pose[:3, 3] = light
