@@ -1,5 +1,6 @@
 """An Object File against held-out ground truth (supplementary F, Table 2), beside honest baselines."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,20 +20,27 @@ AWGN = {"sigma_0_05": 0.05, "variance_0_05": 0.05**0.5}  # the paper says varian
 BATCH = 16  # sounds transformed at once
 
 
-def evaluate_vision(file: ObjectFile, views: dict[str, np.ndarray]) -> dict[str, Any]:
+def evaluate_vision(view: Callable[..., np.ndarray], views: dict[str, np.ndarray]) -> dict[str, Any]:
     """PSNR and SSIM of held-out views, in sRGB on white.
 
     Half of all views are nearly unlit on a white background, so the lit foreground is scored apart:
     pixels that the object covers fully and whose true radiance exceeds 1 % of white. The views themselves
     are noisy: ``noise_floor`` and ``noise_floor_lit`` are what a perfect answer would score as ``psnr`` and
     ``psnr_lit_foreground``, where the views tell their noise.
+
+    Parameters
+    ----------
+    view : callable
+        As `ObjectFile.view`.
+    views : dict
+        As ``views/test.npz`` holds them.
     """
     height, width = views["rgba"].shape[1:3]
     intrinsics = Intrinsics(width, height, float(views["focal"]))
     errors, white, similarity, lit_errors = [], [], [], []
     for rgba, pose, light in zip(views["rgba"].astype(np.float32), views["camera_to_world"], views["light"]):
         truth = on_white(torch.from_numpy(rgba)).numpy()
-        image = file.view(pose, light, intrinsics=intrinsics)[0]
+        image = view(pose, light, intrinsics=intrinsics)[0]
         squared = (image - truth) ** 2
         errors.append(squared.mean())
         white.append(((1 - truth) ** 2).mean())

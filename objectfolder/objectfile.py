@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -280,7 +280,7 @@ class ObjectFile:
     @cached_property
     def _shader(self) -> Shader:
         with self._checked("vision net"):
-            return self._vision.shader(self.surface)
+            return cast("SurfaceNet", self._vision).shader(self.surface)
 
     def _drawer(self, supersample: bool) -> Drawer:
         if isinstance(self._vision, OsfNet):

@@ -40,7 +40,7 @@ def main(key: str) -> None:
     }
     rows = np.flatnonzero(modes["split"] == 2)
     strikes = Strikes.random(rows, params.section.impacts, rng)
-    vision = evaluate_vision(file, views)
+    vision = evaluate_vision(file.view, views)
     metrics = {
         "vision": vision,
         "audio": (evaluate_gains(file, modes, rows) if file.header["audio"]["kind"] == "gains" else {})

@@ -28,7 +28,9 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
     band_hz = solved_band(modes, material("plastic"), 20000.0, 12)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        look = SurfaceNet(levels=2, features=2, table_bits=10, coarsest=4, finest=12, width=8)
+        look = SurfaceNet(
+            levels=2, features=2, table_bits=10, coarsest=4, finest=12, width=8, roughness=0.5, metallic=0.0
+        )
     sound, _ = train_gains(
         points,
         modes.shapes,

@@ -193,7 +193,7 @@ def views(brick):
 
 
 def test_the_best_the_median_and_the_worst_view_are_named(brick, views):
-    scores = evaluate_vision(brick, views)
+    scores = evaluate_vision(brick.view, views)
     assert scores["worst_view"] == 2
     assert scores["median_view"] == 3  # third best, of three that are perfect
     assert scores["best_view"] == 0
@@ -206,7 +206,7 @@ def test_the_best_the_median_and_the_worst_view_are_named(brick, views):
 
 def test_one_view_is_best_and_worst(brick, views):
     first = {name: value if name == "focal" else value[2:3] for name, value in views.items()}
-    scores = evaluate_vision(brick, first)
+    scores = evaluate_vision(brick.view, first)
     assert scores["best_view"] == scores["median_view"] == scores["worst_view"] == 0
     assert shown_views(scores, 5) == {0: "worst: view 1"}
 

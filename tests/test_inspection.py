@@ -134,7 +134,7 @@ def _nets(build):
     modes = read_npz(build.modes)
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        vision, header = SurfaceNet(2, 2, 6, 4, 8, 8).to_tensors()
+        vision, header = SurfaceNet(2, 2, 6, 4, 8, 8, 0.5, 0.0).to_tensors()
         write_safetensors(build.net("vision"), vision, {"kind": "surface", "net": header})
         damped, damping = (torch.from_numpy(modes[name]) for name in ("damped_frequency", "damping"))
         used = torch.ones(4**3, dtype=torch.bool)

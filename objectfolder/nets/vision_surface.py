@@ -25,11 +25,20 @@ from objectfolder.nets.hashgrid import HashGrid
 from objectfolder.vision.appearance import appearance_at
 from objectfolder.vision.bsdf import principled
 from objectfolder.vision.cameras import Intrinsics, camera_rays
-from objectfolder.vision.color import on_white, shown_error, srgb_to_linear
+from objectfolder.vision.color import srgb_slope, srgb_to_linear
 from objectfolder.vision.scene import Scene
 from objectfolder.vision.trace import SurfaceSamples, trace
+from objectfolder.vision.view import Shader
 
-TRANSPORT = {"levels": 3, "features": 4, "table_bits": 15, "coarsest": 8, "finest": 30}  #: grid of what bounces
+TRANSPORT = {
+    "levels": 3,
+    "features": 4,
+    "table_bits": 15,
+    "coarsest": 8,
+    "finest": 30,
+}  #: grid of what bounces
+DARK = 0.002  # radiance that is hardly shown
+DARK_SHARE = 0.2  # of such pixels that training takes, against others
 CHUNK = 50_000  # points whose grid corners are computed at once
 
 
@@ -114,10 +123,8 @@ class SurfaceNet(nn.Module):
         )
         return reflected * (samples.lit[:, None] / squared)
 
-    def indirect(
-        self, features: torch.Tensor, transport: torch.Tensor, base_color: torch.Tensor
-    ) -> torch.Tensor:
-        """Radiance that has bounced; (S, 3).
+    def indirect(self, features: torch.Tensor, transport: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Light that has bounced: what a white surface would reflect, and what any does; (S, 3) each.
 
         Parameters
         ----------
@@ -125,25 +132,29 @@ class SurfaceNet(nn.Module):
             `light_features`.
         transport : (S, T) tensor
             Of the grid `transport`.
-        base_color : (S, 3) tensor, linear
         """
         b = self.bounced(torch.cat([features, transport], 1))
-        return base_color * (0.5 * F.softplus(b[:, :3] - 4)) + 0.1 * F.softplus(b[:, 3:] - 5)
+        return 0.5 * F.softplus(b[:, :3] - 4), 0.1 * F.softplus(b[:, 3:] - 5)
 
-    def shader(self, surface: Isosurface) -> Callable[[SurfaceSamples, torch.Tensor], torch.Tensor]:
+    def shader(self, surface: Isosurface) -> Shader:
         """Return what shades samples of one surface, by attributes at its vertices.
 
         Everything that depends on the point alone is evaluated here, once, and interpolated over the
-        triangles, which are smaller than a pixel of a usual view.
+        triangles, which are smaller than a pixel of a usual view. Samples of one pixel share the light that
+        bounces, which is smooth.
         """
         vertices = self.vertex_attributes(surface)
+        look, transport = vertices[:, :6].contiguous(), vertices[:, 6:].contiguous()
 
         @torch.no_grad()
-        def shade(samples: SurfaceSamples, light: torch.Tensor) -> torch.Tensor:
-            base_color, normals, transport = _interpolated(vertices, samples)
+        def shade(samples: SurfaceSamples, light: torch.Tensor, pixel: np.ndarray) -> torch.Tensor:
+            base_color, normals = _look(samples.interpolated(look))
             direct = self.direct(samples, light, base_color, normals)
-            features = light_features(samples, light, normals, direct)
-            return direct + self.indirect(features, transport, base_color)
+            one, group = map(torch.from_numpy, np.unique(pixel, return_index=True, return_inverse=True)[1:])
+            each = samples.select(one)
+            features = light_features(each, light, normals[one], direct[one])
+            diffuse, glossy = self.indirect(features, each.interpolated(transport))
+            return direct + base_color * diffuse[group] + glossy[group]
 
         return shade
 
@@ -162,9 +173,7 @@ class SurfaceNet(nn.Module):
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Tensors for storing: tables as int8 with one factor per level, the rest as float16."""
-        state = {
-            k: v.half().numpy() for k, v in self.state_dict().items() if not k.endswith(".table")
-        }
+        state = {k: v.half().numpy() for k, v in self.state_dict().items() if not k.endswith(".table")}
         for name in ("grid", "transport"):
             state[f"{name}.table"], state[f"{name}.factors"] = getattr(self, name).quantised()
         return state, dict(self.config)
@@ -228,12 +237,9 @@ def _in_cube(points: torch.Tensor) -> torch.Tensor:
     return (points / BOUND + 1) / 2
 
 
-def _interpolated(
-    vertices: torch.Tensor, samples: SurfaceSamples
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Base colours, unit shading normals and transport features of samples, from their triangles' corners."""
-    values = torch.bmm(samples.weights[:, None], vertices[samples.corners])[:, 0]
-    return values[:, :3], F.normalize(values[:, 3:6], dim=-1), values[:, 6:]
+def _look(values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Base colours and unit shading normals from interpolated attributes (S, 6)."""
+    return values[:, :3], F.normalize(values[:, 3:], dim=-1)
 
 
 def _mlp(inputs: int, width: int, outputs: int, depth: int) -> nn.Sequential:
@@ -268,7 +274,7 @@ class _Pixels:
     features: torch.Tensor  # (S, 46) float16
     base_color: torch.Tensor  # (S, 3) linear
     direct: torch.Tensor  # (S, 3) linear
-    target: torch.Tensor  # (S, 3) sRGB
+    target: torch.Tensor  # (S, 3) linear, at most 1
     corners: tuple[torch.Tensor, torch.Tensor]
 
     def __len__(self) -> int:
@@ -276,8 +282,11 @@ class _Pixels:
 
     def loss(self, net: SurfaceNet, index: torch.Tensor) -> torch.Tensor:
         transport = net.transport.lookup(self.corners[0][index], self.corners[1][index])
-        bounced = net.indirect(self.features[index].float(), transport, self.base_color[index])
-        return shown_error(self.direct[index] + bounced, self.target[index]).square().mean()
+        diffuse, glossy = net.indirect(self.features[index].float(), transport)
+        radiance = (self.direct[index] + self.base_color[index] * diffuse + glossy).clamp(max=1)
+        # As it is shown, to first order: the mean of noisy samples is right before the gamma, not after it.
+        error = (radiance - self.target[index]) * srgb_slope(radiance.detach())
+        return error.square().mean()
 
 
 def train_surface(
@@ -320,7 +329,7 @@ def train_surface(
     rng = np.random.default_rng(int(torch.randint(2**31, (1,), generator=generator)))
 
     def fitted(learn, check, steps: int, batch: int, shown=lambda point: None) -> list[CurvePoint]:
-        batches = minibatches(len(learn), batch, generator)
+        batches = iter(minibatches(len(learn), batch, generator))
         chunks = torch.arange(len(check)).split(CHUNK)
         return fit(
             net,
@@ -336,7 +345,8 @@ def train_surface(
     # What bounces is learned on top of what a query will see.
     net = SurfaceNet.from_tensors(*net.to_tensors())
     vertices = net.vertex_attributes(surface)
-    pixels, held_out = (_gather(surface, net, vertices, v, config.pixels, rng) for v in (train, val))
+    pixels = _gather(surface, net, vertices, train, config.pixels, DARK_SHARE, rng)
+    held_out = _gather(surface, net, vertices, val, config.pixels, 1, rng)
     curve = fitted(pixels, held_out, config.steps, config.batch, report)
     return net.eval(), curve
 
@@ -347,10 +357,10 @@ def _look_up(
     """Random points of the surface, and what the mesh looks like nearest to them."""
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
     points, _ = trimesh.sample.sample_surface(mesh, count, seed=rng)
-    color, shading = appearance_at(scene, points)
+    color, looked_up = appearance_at(scene, points)
     p = torch.from_numpy(points.astype(np.float32))
     normals = surface.grid.normals(p)
-    shading = torch.from_numpy(shading)
+    shading = torch.from_numpy(looked_up)
     # Meshes may have faces turned inside; renderers turn them to the eye, which is outside.
     shading = torch.where((shading * normals).sum(1, keepdim=True) < 0, -shading, shading)
     encoded = torch.from_numpy(srgb.encode(color).astype(np.float32))
@@ -363,9 +373,10 @@ def _gather(
     vertices: torch.Tensor,
     views: dict[str, np.ndarray],
     count: int,
+    dark_share: float,
     rng: np.random.Generator,
 ) -> _Pixels:
-    """About ``count`` pixels of views, as many of each, or all that there are."""
+    """About ``count`` pixels of views, as many of each, or all; dark ones with a smaller chance."""
     height, width = views["rgba"].shape[1:3]
     intrinsics = Intrinsics(width, height, float(views["focal"]))
     share, parts, seen_points = -(-count // len(views["rgba"])), [], []
@@ -376,12 +387,15 @@ def _gather(
         state = np.zeros((height, width), np.int8)
         state[row, column] = 1 + samples.lit.numpy()
         chosen = np.flatnonzero((maximum_filter(state, 3) == minimum_filter(state, 3))[row, column])
-        chosen = np.sort(rng.permutation(chosen)[:share])
+        target = rgba[row[chosen], column[chosen], :3].astype(np.float32).clip(max=1)
+        # There is more to learn where there is light.
+        chance = np.where(target.max(1) > DARK, 1, dark_share)
+        picked = rng.choice(len(chosen), min(share, len(chosen)), replace=False, p=chance / chance.sum())
+        chosen, target = chosen[picked], torch.from_numpy(target[picked])
         samples = samples.select(torch.from_numpy(chosen))
         l = torch.from_numpy(np.asarray(light, np.float32))
-        base_color, normals, _ = _interpolated(vertices, samples)
+        base_color, normals = _look(samples.interpolated(vertices[:, :6]))
         direct = net.direct(samples, l, base_color, normals)
-        target = on_white(torch.from_numpy(rgba[row[chosen], column[chosen]].astype(np.float32)))
         parts.append((light_features(samples, l, normals, direct).half(), base_color, direct, target))
         seen_points.append(samples.points)
     features, base_color, direct, target = (torch.cat(part) for part in zip(*parts))

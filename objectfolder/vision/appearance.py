@@ -23,13 +23,13 @@ def appearance_at(scene: Scene, points: np.ndarray) -> tuple[np.ndarray, np.ndar
     normals : (N, 3) float32, of unit length, as the mesh's faces are turned
     """
     mesh = scene.mesh
-    vertices, faces = np.float64(mesh.vertices), np.int64(mesh.faces)
-    _, face, nearest = igl.point_mesh_squared_distance(np.float64(points), vertices, faces)[:3]
+    vertices, faces = mesh.vertices.astype(np.float64), mesh.faces.astype(np.int64)
+    _, face, nearest = igl.point_mesh_squared_distance(np.asarray(points, np.float64), vertices, faces)[:3]
     corners = faces[np.asarray(face).ravel()]
     triangles = vertices[corners]
     weights = trimesh.triangles.points_to_barycentric(triangles, nearest, method="cross")
     weights = np.nan_to_num(weights, nan=1 / 3)[..., None]
-    if scene.base_color == "texture":
+    if mesh.texture is not None and mesh.uv is not None:
         color = _texels(mesh.texture, (mesh.uv[corners] * weights).sum(1))
     else:
         color = (scene.vertex_colors[corners] * weights).sum(1)

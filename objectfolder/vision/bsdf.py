@@ -39,11 +39,13 @@ def principled(
     """
     half = F.normalize(light - view, dim=-1)
     seen, received = _dot(normal, -view), _dot(normal, light)
-    facing = ((seen > 0) & (received > 0)).float()
+    facing = (seen > 0) & (received > 0)
     seen, received = seen.clamp(min=1e-4), received.clamp(min=1e-6)
     grazing = _dot(half, light)  # cosine between the half vector and either direction
     squared = max(MIN_ALPHA, roughness**2) ** 2
-    distribution = squared / (math.pi * ((squared - 1) * _dot(normal, half) ** 2 + 1) ** 2)
+    along = _dot(normal, half)
+    across = half - along * normal  # its length is exact where the cosine is nearly 1
+    distribution = squared / (math.pi * (squared * along**2 + _dot(across, across)) ** 2)
     fresnel = (1 - metallic) * _dielectric(grazing)
     if metallic:
         fresnel = fresnel + metallic * (base_color + (1 - base_color) * _schlick(grazing))
@@ -51,7 +53,7 @@ def principled(
     at_light, at_eye, retro = _schlick(received), _schlick(seen), 2 * roughness * grazing**2
     diffuse = (1 - 0.5 * at_light) * (1 - 0.5 * at_eye)
     diffuse = diffuse + retro * (at_light + at_eye + at_light * at_eye * (retro - 1))
-    return facing * (specular / seen + (1 - metallic) * base_color * received * diffuse)
+    return torch.where(facing, specular / seen + (1 - metallic) * base_color * received * diffuse, 0)
 
 
 def _dot(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:

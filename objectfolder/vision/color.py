@@ -12,6 +12,11 @@ def linear_to_srgb(x: torch.Tensor) -> torch.Tensor:
     return torch.where(x <= 0.0031308, 12.92 * x, 1.055 * x.clamp(min=1e-6) ** (1 / 2.4) - 0.055)
 
 
+def srgb_slope(x: torch.Tensor) -> torch.Tensor:
+    """Derivative of `linear_to_srgb`."""
+    return torch.where(x <= 0.0031308, 12.92, 1.055 / 2.4 * x.clamp(min=0.0031308) ** (1 / 2.4 - 1))
+
+
 def srgb_to_linear(x: torch.Tensor) -> torch.Tensor:
     """Inverse of `linear_to_srgb`."""
     return torch.where(x <= 0.04045, x / 12.92, ((x.clamp(min=0.04045) + 0.055) / 1.055) ** 2.4)

@@ -26,6 +26,10 @@ class SurfaceSamples:
         """Return some of the samples."""
         return SurfaceSamples(*(getattr(self, field.name)[index] for field in fields(self)))
 
+    def interpolated(self, attributes: torch.Tensor) -> torch.Tensor:
+        """Values at the samples of attributes (V, C) at the surface's vertices; (S, C)."""
+        return torch.bmm(self.weights[:, None], attributes[self.corners])[:, 0]
+
 
 def trace(
     surface: Isosurface, origins: np.ndarray, directions: np.ndarray, light: np.ndarray
@@ -40,7 +44,7 @@ def trace(
     ray, distance, face, weights = surface.caster.intersect(origins, directions)
     points = origins[ray] + directions[ray] * distance[:, None]
     corners = surface.faces[face]
-    normals = (surface.normals[corners] * weights[..., None]).sum(1)
+    normals = np.einsum("sc,sck->sk", weights, surface.normals[corners])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.float32(1e-20))
     light = np.asarray(light, np.float32)
     lit = ((light - points) * normals).sum(1) > 0

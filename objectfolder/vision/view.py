@@ -1,20 +1,30 @@
 """Draw a stored surface: rays, shading, and extra samples where the picture has edges."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import torch
-from scipy.ndimage import maximum_filter, minimum_filter
 
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.vision.cameras import Intrinsics, camera_rays, covered_rectangle
 from objectfolder.vision.picture import Picture
 from objectfolder.vision.trace import SurfaceSamples, trace
 
-SHADE_SIDE = 2  # shading samples per side of an edge pixel
-COVER_SIDE = 8  # coverage samples per side of a silhouette pixel
+CREASE = 0.35  # difference of neighbouring unit normals
 
-Shader = Callable[[SurfaceSamples, torch.Tensor], torch.Tensor]
+
+def offsets(side: int) -> np.ndarray:
+    """Regular sample positions within a pixel; (side^2, 2)."""
+    axis = (np.arange(side) + 0.5) / side
+    return np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
+
+
+SHADED = offsets(3)  #: samples of pixels with edges
+COVERED = offsets(8)  #: rays that find how much of a silhouette's pixel is covered
+
+#: Samples, light (3,) and the pixel (S,) that each belongs to -> linear radiance (S, 3).
+Shader = Callable[[SurfaceSamples, torch.Tensor, np.ndarray], torch.Tensor]
 
 
 @torch.no_grad()
@@ -29,13 +39,13 @@ def draw(
     """Render one view of a stored surface.
 
     One ray through every pixel that the object may cover; where silhouettes, shadow edges or creases
-    cross a pixel, `SHADE_SIDE`^2 shading samples, and on silhouettes `COVER_SIDE`^2 coverage rays.
+    cross a pixel, the samples `SHADED`, and on silhouettes the coverage rays `COVERED`.
 
     Parameters
     ----------
     surface : Isosurface
     shade : callable
-        Samples and light (3,) -> linear radiance (S, 3).
+        See `Shader`.
     camera_to_world : (4, 4) array
     light : (3,) array
     intrinsics : Intrinsics
@@ -50,43 +60,65 @@ def draw(
         inside the object sees them from behind.
     """
     height, width = intrinsics.height, intrinsics.width
-    candidate = _covered_box(surface, camera_to_world, intrinsics)
-    light_tensor = torch.from_numpy(np.asarray(light, np.float32))
-    centre = _cast(surface, camera_to_world, light, intrinsics, candidate, np.full((1, 2), 0.5))
-    seen = candidate[centre.ray.numpy()]
-    normals = np.zeros((height * width, 3), np.float32)
+    rgba = np.zeros((height, width, 4), np.float32)
+    depth = np.full((height, width), np.inf, np.float32)
+    normals = np.zeros((height, width, 3), np.float32)
+    corners = np.array(np.meshgrid(*surface.bounds.T)).reshape(3, -1).T
+    left, top, right, bottom = covered_rectangle(corners, camera_to_world, intrinsics)
+    if left < right and top < bottom:
+        centre = intrinsics.cx - left, intrinsics.cy - top
+        part = replace(intrinsics, width=right - left, height=bottom - top, center=centre)
+        window = slice(top, bottom), slice(left, right)
+        rgba[window], depth[window], normals[window] = _draw(
+            surface, shade, camera_to_world, light, part, supersample
+        )
+    return Picture(rgba, depth, normals)
+
+
+def _draw(
+    surface: Isosurface,
+    shade: Shader,
+    camera_to_world: np.ndarray,
+    light: np.ndarray,
+    intrinsics: Intrinsics,
+    supersample: bool,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    height, width = intrinsics.height, intrinsics.width
+    count = height * width
+    everywhere = np.arange(count)
+    centre = _cast(surface, camera_to_world, light, intrinsics, everywhere, np.full((1, 2), 0.5))
+    seen = centre.ray.numpy()
+    normals = np.zeros((count, 3), np.float32)
     normals[seen] = centre.normals.numpy()
-    edge = np.zeros(height * width, bool)
+    edge = np.zeros(count, bool)
     if supersample:
-        state = np.zeros(height * width, np.int8)
+        state = np.zeros(count, np.int8)
         state[seen] = 1 + centre.lit.numpy()
-        edge = _varies(state, height, width, 0) | _varies(normals, height, width, 0.35)
-    edge_pixels = candidate[edge[candidate]]
+        edge = _varies(state, height, width, 0) | _varies(normals, height, width, CREASE)
+    edge_pixels = np.flatnonzero(edge)
+    fine = _cast(surface, camera_to_world, light, intrinsics, edge_pixels, SHADED)
     inner = np.flatnonzero(~edge[seen])
-    fine = _cast(surface, camera_to_world, light, intrinsics, edge_pixels, _offsets(SHADE_SIDE))
-    samples = _concatenate(_select(centre, inner), fine)
-    pixel = np.concatenate([seen[inner], edge_pixels[fine.ray.numpy() // SHADE_SIDE**2]])
-    radiance = shade(samples, light_tensor).numpy() if len(pixel) else np.zeros((0, 3), np.float32)
-    hits = np.bincount(pixel, minlength=height * width)
-    color = (
-        np.stack([np.bincount(pixel, weights=radiance[:, c], minlength=height * width) for c in range(3)], 1)
-        / np.maximum(hits, 1)[:, None]
-    )
-    alpha = np.where(edge, hits / SHADE_SIDE**2, hits)
+    samples = _concatenate(centre.select(torch.from_numpy(inner)), fine)
+    pixel = np.concatenate([seen[inner], edge_pixels[fine.ray.numpy() // len(SHADED)]])
+    radiance = np.zeros((0, 3), np.float32)
+    if len(pixel):
+        radiance = shade(samples, torch.from_numpy(np.asarray(light, np.float32)), pixel).numpy()
+    hits = np.bincount(pixel, minlength=count)
+    summed = np.stack([np.bincount(pixel, weights=c, minlength=count) for c in radiance.T], 1)
+    color = summed / np.maximum(hits, 1)[:, None]
+    alpha = np.where(edge, hits / len(SHADED), hits)
     if supersample:
-        silhouette = np.flatnonzero(_varies(alpha, height, width, 0))
+        silhouette = np.flatnonzero(_varies(alpha, height, width, 0) & (hits > 0))
         alpha[silhouette] = _coverage(surface, camera_to_world, intrinsics, silhouette)
-    # A pixel that coverage rays alone have found takes no colour: it is nearly white anyway.
-    alpha = np.where(hits > 0, alpha, 0)[:, None]
-    rgba = np.concatenate([color * alpha, alpha], 1).astype(np.float32)
-    depth = np.full(height * width, np.inf, np.float32)
+    rgba = np.concatenate([color * alpha[:, None], alpha[:, None]], 1).astype(np.float32)
+    depth = np.full(count, np.inf, np.float32)
     depth[seen] = _depth(centre, camera_to_world)
     pixel, nearest = _nearest_misses(fine, edge_pixels, np.isinf(depth), camera_to_world)
     depth[pixel], normals[pixel] = _depth(nearest, camera_to_world), nearest.normals.numpy()
     empty = rgba[:, 3] == 0
     depth[empty], normals[empty] = np.inf, 0
     size = height, width
-    return Picture(rgba.reshape(*size, 4), depth.reshape(size), normals.reshape(*size, 3))
+    return rgba.reshape(*size, 4), depth.reshape(size), normals.reshape(*size, 3)
 
 
 def _depth(samples: SurfaceSamples, camera_to_world: np.ndarray) -> np.ndarray:
@@ -98,25 +130,11 @@ def _nearest_misses(
     fine: SurfaceSamples, edge_pixels: np.ndarray, missed: np.ndarray, camera_to_world: np.ndarray
 ) -> tuple[np.ndarray, SurfaceSamples]:
     """Pixels whose centre missed although other samples hit, and the sample nearest to the camera in each."""
-    pixel = edge_pixels[fine.ray.numpy() // SHADE_SIDE**2]
+    pixel = edge_pixels[fine.ray.numpy() // len(SHADED)]
     index = np.flatnonzero(missed[pixel])
     index = index[np.argsort(_depth(fine, camera_to_world)[index], kind="stable")]
     found, first = np.unique(pixel[index], return_index=True)
-    return found, _select(fine, index[first])
-
-
-def _covered_box(surface: Isosurface, camera_to_world: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
-    """Flat indices of the pixels that the object's bounding box may cover."""
-    corners = np.array(np.meshgrid(*surface.bounds.T)).reshape(3, -1).T
-    left, top, right, bottom = covered_rectangle(corners, camera_to_world, intrinsics)
-    rows, columns = np.meshgrid(np.arange(top, bottom), np.arange(left, right), indexing="ij")
-    return (rows * intrinsics.width + columns).ravel()
-
-
-def _offsets(side: int) -> np.ndarray:
-    """Regular sample positions within a pixel; (side^2, 2)."""
-    axis = (np.arange(side) + 0.5) / side
-    return np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
+    return found, fine.select(torch.from_numpy(index[first]))
 
 
 def _pixel_rays(
@@ -142,21 +160,22 @@ def _coverage(
     surface: Isosurface, camera_to_world: np.ndarray, intrinsics: Intrinsics, pixels: np.ndarray
 ) -> np.ndarray:
     """Share of each pixel that the surface covers; (P,)."""
-    rays = _pixel_rays(camera_to_world, intrinsics, pixels, _offsets(COVER_SIDE))
-    return (surface.caster.first_hit(*rays)[1] >= 0).reshape(len(pixels), COVER_SIDE**2).mean(1)
+    rays = _pixel_rays(camera_to_world, intrinsics, pixels, COVERED)
+    return (surface.caster.first_hit(*rays)[1] >= 0).reshape(len(pixels), len(COVERED)).mean(1)
 
 
 def _varies(values: np.ndarray, height: int, width: int, tolerance: float) -> np.ndarray:
-    """Pixels whose 3x3 neighbourhood differs by more than a tolerance; (H*W,) bool."""
+    """Pixels that differ by more than a tolerance from one of their eight neighbours; (H*W,) bool."""
     image = values.reshape(height, width, -1)
-    window = (3, 3, 1)
-    spread = maximum_filter(image, window) - minimum_filter(image, window)
-    return (spread > tolerance).any(-1).ravel()
-
-
-def _select(samples: SurfaceSamples, index: np.ndarray) -> SurfaceSamples:
-    rows = torch.from_numpy(index)
-    return SurfaceSamples(*(getattr(samples, name)[rows] for name in SurfaceSamples.__dataclass_fields__))
+    varies = np.zeros((height, width), bool)
+    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        # Each pixel against one neighbour; both are marked.
+        here = slice(0, height - down), slice(max(-right, 0), width - max(right, 0))
+        there = slice(down, height), slice(max(right, 0), width + min(right, 0))
+        apart = (np.abs(image[here] - image[there]) > tolerance).any(-1)
+        varies[here] |= apart
+        varies[there] |= apart
+    return varies.ravel()
 
 
 def _concatenate(a: SurfaceSamples, b: SurfaceSamples) -> SurfaceSamples:

@@ -236,7 +236,7 @@ def file(brick, trained, tmp_path_factory):
 def test_it_learns_new_views_under_new_lights_from_pictures_alone(file, views, trained):
     """Far better than white and than the mean image, as the Object File answers."""
     test = painted_ball(8, 2)
-    scores = evaluate_vision(file, test)
+    scores = evaluate_vision(file.view, test)
     train_images, truth = (on_white(torch.from_numpy(v["rgba"].astype(np.float32))) for v in (views[0], test))
     mean_image = psnr((truth - train_images.mean(0)).square().mean().item())
     assert scores["psnr_pooled"] > mean_image + 5

@@ -11,15 +11,15 @@ RADIUS = 0.45
 LIGHT = np.array([0.3, -0.8, 0.6])
 
 
-def white(samples, light):
+def white(samples, light, pixel):
     return torch.ones(len(samples.points), 3)
 
 
-def lit_only(samples, light):
+def lit_only(samples, light, pixel):
     return samples.lit[:, None].float().expand(-1, 3)
 
 
-def lambert(samples, light):
+def lambert(samples, light, pixel):
     to_light = light - samples.points
     squared = to_light.square().sum(1)
     cosine = (to_light * samples.normals).sum(1) / squared.sqrt()
