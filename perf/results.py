@@ -238,12 +238,12 @@ def training(figures: dict) -> list[str]:
         "\n## VisionNet `surface` at preset standard\n",
         "`python perf/vision.py training --json build/perf/vision_training.json`: the stage "
         "`train_vision`, one fresh process with one thread per object, CPU s from its start, with imports, "
-        "ray casting and validation. 40 dB are reached when the validation loss says so: it pools pixels of all "
-        "validation views and leaves out those at silhouettes and shadow edges. val. and stored: mean PSNR "
-        "of whole validation views before and after storing (float32, then tables as int8 and the rest as "
-        "float16). Then test views, which chose nothing: mean, worst view, and the lit foreground; noise and "
-        "lit noise: what a perfect answer would score against these views, which are path-traced; white: "
-        "what a white image scores.",
+        "ray casting and validation. 40 dB are reached when the validation loss says so: it pools the "
+        "pixels of all validation views but those at silhouettes and shadow edges. val. and stored: mean "
+        "PSNR of whole validation views before and after storing (float32, then tables as int8 and the "
+        "rest as float16). Then test views, which chose nothing: mean, worst view, and the lit foreground; "
+        "noise and lit noise: what a perfect answer would score against these views, which are path-traced; "
+        "white: what a white image scores.",
         "",
         "| object | views | CPU s to 40 dB | CPU s | peak MB | net KB | grid KB | val. | stored | test "
         "| worst | lit | noise | lit noise | white |",

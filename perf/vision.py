@@ -400,7 +400,7 @@ def main() -> None:
     arguments = parser.parse_args()
     workspace, command = arguments.workspace, arguments.command
     keys = arguments.keys or list(params.read(workspace / "params.yaml")["objects"])
-    console = Console(width=max(Console().width, 140))
+    console = Console(width=max(Console().width, 180))
     if command == "renderers":
         rows = [row for key in keys for row in renderers(workspace, key, arguments.views)]
         missed = misses_renderers(rows)
