@@ -51,8 +51,8 @@ KNOWLEDGE = (
     "the mesh: base colour and shading normal at points of the surface, stored in a hash grid, not",
     "inferred from pictures. And it has the ground truth's shading model: a point light's falloff, shadow",
     "rays, the renderer's BSDF with the mesh's roughness and metallic. From views it learns what bounces.",
-    "`osf` learns density, shading and shadows from pictures alone, and knows the cube that holds the object, the",
-    "light's falloff and that the background is white. The scores say what the pipeline delivers, which owns",
+    "`osf` learns density, shading and shadows from pictures alone, and knows the cube that holds the object,",
+    "the light's falloff and that the background is white. The scores say what the pipeline delivers, which owns",
     "the mesh; they do not say that one learns better from pictures than the other.",
 )
 TOUCH = ("psnr", "psnr_median", "psnr_unobstructed", "obstructed_fraction", "baseline_mean_image", "contacts")

@@ -37,6 +37,8 @@ TRANSPORT = {
     "coarsest": 8,
     "finest": 30,
 }  #: grid of what bounces
+NEAREST = 1e-3  # distance of a light, unit frame: one on the surface would be infinitely bright
+FAMILIAR = 0.1
 DARK = 0.002  # radiance that is hardly shown
 DARK_SHARE = 0.2  # of such pixels that training takes, against others
 CHUNK = 50_000  # points whose grid corners are computed at once
@@ -112,11 +114,11 @@ class SurfaceNet(nn.Module):
     ) -> torch.Tensor:
         """Radiance straight from the light; (S, 3) as base colours (linear) and unit shading normals."""
         to_light = light - samples.points
-        squared = (to_light * to_light).sum(-1, keepdim=True)
+        squared = (to_light * to_light).sum(-1, keepdim=True).clamp(min=NEAREST**2)
         reflected = principled(
             normals,
             samples.directions,
-            to_light / squared.sqrt(),
+            F.normalize(to_light, dim=-1),
             base_color,
             self.config["roughness"],
             self.config["metallic"],
@@ -198,8 +200,9 @@ def light_features(
     lit = samples.lit[:, None].float()
     light = light.expand(len(p), 3)
     to_light = light - p
-    squared = (to_light * to_light).sum(-1, keepdim=True)
-    l = to_light / squared.sqrt()
+    # No view has taught lights that are closer than this.
+    squared = (to_light * to_light).sum(-1, keepdim=True).clamp(min=FAMILIAR**2)
+    l = F.normalize(to_light, dim=-1)
     nl = (n * l).sum(-1, keepdim=True)
     nh = (n * F.normalize(l - view, dim=-1)).sum(-1, keepdim=True).clamp(0, 1)
     nv = -(n * view).sum(-1, keepdim=True)

@@ -63,6 +63,11 @@ def test_radiance_is_positive_finite_and_smaller_in_shadow(ball, samples, net):
     assert radiance[samples.lit].mean() > 3 * radiance[~samples.lit].mean()
 
 
+def test_a_light_on_the_surface_gives_a_finite_picture(ball, samples, net):
+    for light in (samples.points[0], samples.points[0] + 1e-6):
+        assert torch.isfinite(net.shader(ball)(samples, light, np.arange(len(samples.points)))).all()
+
+
 def test_samples_of_a_pixel_share_what_bounces_and_nothing_else(ball, samples, net):
     shade = net.shader(ball)
     alone = shade(samples, LIGHT, np.arange(len(samples.points)))
