@@ -47,13 +47,13 @@ NOISE = (
 KNOWLEDGE = (
     "The default net `surface` is told more than the paper's `osf`. Both learn from the same views with",
     "their cameras and lights. `surface` also has the geometry: signed distances of the mesh, stored at",
-    "192^3 or 256^3, give it silhouettes, depths and shadows that no view has to teach. It has the look of",
-    "the mesh: base colour and shading normal at points of the surface, stored in a hash grid, not",
+    "192^3 or 256^3, give it silhouettes, depths and shadows that no view has to teach. It has the look",
+    "of the mesh: base colour and shading normal at points of the surface, stored in a hash grid, not",
     "inferred from pictures. And it has the ground truth's shading model: a point light's falloff, shadow",
     "rays, the renderer's BSDF with the mesh's roughness and metallic. From views it learns what bounces.",
-    "`osf` learns density, shading and shadows from pictures alone, and knows the cube that holds the object,",
-    "the light's falloff and that the background is white. The scores say what the pipeline delivers, which owns",
-    "the mesh; they do not say that one learns better from pictures than the other.",
+    "`osf` learns density, shading and shadows from pictures alone, and knows the cube that holds the",
+    "object, the light's falloff and that the background is white. The scores say what the pipeline",
+    "delivers, which owns the mesh; they do not say that one learns better from pictures than the other.",
 )
 TOUCH = ("psnr", "psnr_median", "psnr_unobstructed", "obstructed_fraction", "baseline_mean_image", "contacts")
 
