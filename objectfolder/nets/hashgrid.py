@@ -4,6 +4,7 @@ Interpolating a table is a product with a sparse matrix of eight weights per row
 backward dominates training on a CPU; the transposed product is four times faster.
 """
 
+import lzma
 import math
 
 import numpy as np
@@ -74,13 +75,31 @@ class HashGrid(nn.Module):
             len(rows), self.width
         )
 
-    def quantised(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the table as int8, and the factor of each level, float32."""
-        table = self.table.detach()
-        levels = [table[start:stop] for start, stop in zip(self.offsets[:-1], self.offsets[1:])]
+    def packed(self) -> dict[str, np.ndarray]:
+        """Return the table for storing: an xz stream of int8, and each level's factor in float32."""
+        levels = self.table.detach().split(np.diff(self.offsets).tolist())
         factors = [level.abs().max().clamp(min=1e-12) / 127 for level in levels]
         whole = torch.cat([(level / factor).round().to(torch.int8) for level, factor in zip(levels, factors)])
-        return whole.numpy(), torch.stack(factors).numpy()
+        stream = lzma.compress(whole.numpy().tobytes())
+        return {"table": np.frombuffer(stream, np.uint8), "factors": torch.stack(factors).numpy()}
+
+    def unpacked(self, table: np.ndarray, factors: np.ndarray) -> torch.Tensor:
+        """Return a table as `packed` stores it, float32.
+
+        Raises
+        ------
+        ValueError
+            If the stream does not hold as many values as this grid has; it is never unpacked further.
+        lzma.LZMAError
+            If it is damaged.
+        """
+        size = self.table.numel()
+        raw = lzma.LZMADecompressor(memlimit=2**30).decompress(table.tobytes(), size)
+        if len(raw) != size:
+            raise ValueError(f"{len(raw)} values in the table of a hash grid, expected {size}")
+        whole = torch.from_numpy(np.frombuffer(raw, np.int8).astype(np.float32)).view(self.table.shape)
+        per_row = torch.from_numpy(np.array(factors)).repeat_interleave(torch.tensor(np.diff(self.offsets)))
+        return whole * per_row[:, None]
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Features at (N, 3) points; (N, levels * features)."""

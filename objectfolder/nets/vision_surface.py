@@ -37,6 +37,7 @@ TRANSPORT = {
     "coarsest": 8,
     "finest": 30,
 }  #: grid of what bounces
+GRIDS = ("grid", "transport")
 NEAREST = 1e-3  # distance of a light, unit frame: one on the surface would be infinitely bright
 FAMILIAR = 0.1
 DARK = 0.002  # radiance that is hardly shown
@@ -174,20 +175,21 @@ class SurfaceNet(nn.Module):
         return torch.cat(parts)
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Tensors for storing: tables as int8 with one factor per level, the rest as float16."""
+        """Tensors for storing: see `HashGrid.packed`; the rest as float16."""
         state = {k: v.half().numpy() for k, v in self.state_dict().items() if not k.endswith(".table")}
-        for name in ("grid", "transport"):
-            state[f"{name}.table"], state[f"{name}.factors"] = getattr(self, name).quantised()
+        for grid in GRIDS:
+            state |= {f"{grid}.{name}": value for name, value in getattr(self, grid).packed().items()}
         return state, dict(self.config)
 
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "SurfaceNet":
         """Inverse of `to_tensors`, up to quantisation."""
         net = cls(**config)
-        state = {k: torch.from_numpy(np.array(v)).float() for k, v in tensors.items()}
-        for name in ("grid", "transport"):
-            sizes = torch.tensor(np.diff(getattr(net, name).offsets))
-            state[f"{name}.table"] *= state.pop(f"{name}.factors").repeat_interleave(sizes)[:, None]
+        packed = {f"{grid}.{name}" for grid in GRIDS for name in ("table", "factors")}
+        state = {k: torch.from_numpy(np.array(v)).float() for k, v in tensors.items() if k not in packed}
+        for grid in GRIDS:
+            stored = tensors[f"{grid}.table"], tensors[f"{grid}.factors"]
+            state[f"{grid}.table"] = getattr(net, grid).unpacked(*stored)
         net.load_state_dict(state)
         return net.eval()
 

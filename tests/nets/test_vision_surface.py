@@ -1,3 +1,5 @@
+import lzma
+
 import numpy as np
 import pytest
 import torch
@@ -51,9 +53,16 @@ def test_storing_changes_radiance_by_quantisation_only(tmp_path, ball, samples, 
     pixel = np.arange(len(samples.points))
     a, b = (n.shader(ball)(samples, LIGHT, pixel) for n in (net, back))
     assert (a - b).abs().max() < 0.02 * a.max()
-    again = back.to_tensors()[0]
-    for name, value in net.to_tensors()[0].items():
-        np.testing.assert_allclose(again[name], value, atol=1 if value.dtype == np.int8 else 1e-6)
+    again = SurfaceNet.from_tensors(*back.to_tensors())
+    for name, value in back.state_dict().items():
+        torch.testing.assert_close(again.state_dict()[name], value)
+
+
+def test_a_damaged_table_is_an_error(net):
+    tensors, config = net.to_tensors()
+    for table in (tensors["grid.table"][:500], tensors["transport.table"], tensors["grid.table"][20:]):
+        with pytest.raises((ValueError, lzma.LZMAError)):
+            SurfaceNet.from_tensors({**tensors, "grid.table": table}, config)
 
 
 def test_radiance_is_positive_finite_and_smaller_in_shadow(ball, samples, net):
