@@ -94,7 +94,7 @@ class HashGrid(nn.Module):
             If it is damaged.
         """
         size = self.table.numel()
-        raw = lzma.LZMADecompressor(memlimit=2**30).decompress(table.tobytes(), size)
+        raw = lzma.LZMADecompressor(memlimit=2**30).decompress(table.tobytes(), size + 1)
         if len(raw) != size:
             raise ValueError(f"{len(raw)} values in the table of a hash grid, expected {size}")
         whole = torch.from_numpy(np.frombuffer(raw, np.int8).astype(np.float32)).view(self.table.shape)
