@@ -33,7 +33,8 @@ from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.load import load_mesh
 from objectfolder.metrics import psnr
 from objectfolder.nets.vision_osf import OsfNet
-from objectfolder.nets.vision_surface import SurfaceNet, VisionConfig, train_surface
+from objectfolder.nets.vision_surface import SurfaceNet
+from objectfolder.nets.vision_surface_training import VisionConfig, train_surface
 from objectfolder.objectfile import ObjectFile
 from objectfolder.query import view as query_view
 from objectfolder.seeding import torch_generator

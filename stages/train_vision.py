@@ -7,7 +7,8 @@ from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.load import load_mesh
 from objectfolder.nets.vision_osf import OsfConfig, OsfNet, train_osf
-from objectfolder.nets.vision_surface import SurfaceNet, VisionConfig, train_surface
+from objectfolder.nets.vision_surface import SurfaceNet
+from objectfolder.nets.vision_surface_training import VisionConfig, train_surface
 from objectfolder.params import stage_params
 from objectfolder.seeding import torch_generator
 from objectfolder.vision.scene import Scene

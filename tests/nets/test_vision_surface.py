@@ -7,7 +7,8 @@ from solids import isosurface, sphere
 
 from objectfolder.artifacts import read_safetensors, write_safetensors
 from objectfolder.mesh.textured import TexturedMesh
-from objectfolder.nets.vision_surface import SurfaceNet, VisionConfig, train_surface
+from objectfolder.nets.vision_surface import SurfaceNet
+from objectfolder.nets.vision_surface_training import VisionConfig, train_surface
 from objectfolder.vision.appearance import appearance_at
 from objectfolder.vision.bsdf import principled
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere_points

@@ -64,7 +64,7 @@ def test_visual_mesh_surface_and_object_file_share_a_frame(built):
     with np.load(folder / "views/test.npz") as views:
         rgba, pose, light = views["rgba"][0], views["camera_to_world"][0], views["light"][0]
         intrinsics = Intrinsics(*rgba.shape[:2], float(views["focal"]))
-    drawn = draw(bell.surface, lambda s, _: torch.zeros(len(s.points), 3), pose, light, intrinsics)
+    drawn = draw(bell.surface, lambda s, *_: torch.zeros(len(s.points), 3), pose, light, intrinsics)
     assert np.abs(drawn.rgba[..., 3] - rgba[..., 3]).mean() < 0.02
 
 

@@ -1,0 +1,209 @@
+"""Training of VisionNet ``surface``: the mesh's look at points of the stored surface, then views."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+import trimesh
+from scipy.ndimage import maximum_filter, minimum_filter
+
+from objectfolder.mesh import srgb
+from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.nets.fit import CurvePoint, fit, minibatches
+from objectfolder.nets.hashgrid import HashGrid
+from objectfolder.nets.vision_surface import SurfaceNet, in_cube, light_features, look_of
+from objectfolder.vision.appearance import appearance_at
+from objectfolder.vision.cameras import Intrinsics, camera_rays
+from objectfolder.vision.color import srgb_slope
+from objectfolder.vision.scene import Scene
+from objectfolder.vision.trace import trace
+
+DARK = 0.002  # radiance that is hardly shown
+DARK_SHARE = 0.2  # of such pixels that training takes, against others
+CHUNK = 50_000  # points whose grid corners are computed at once
+
+
+@dataclass(frozen=True)
+class VisionConfig:
+    """Shape of the net and of its training."""
+
+    levels: int
+    features: int
+    table_bits: int
+    coarsest: int
+    finest: int
+    width: int  #: of the MLPs
+    points: int  #: of the surface, to learn base colour and normals from
+    point_steps: int
+    point_batch: int
+    pixels: int  #: of all training views, to learn what bounces from
+    steps: int
+    batch: int
+    learning_rate: float
+
+
+@dataclass(frozen=True)
+class _Points:
+    """Points of the stored surface with what the mesh looks like there."""
+
+    points: torch.Tensor  # (S, 3)
+    normals: torch.Tensor  # (S, 3), of the stored surface
+    corners: tuple[torch.Tensor, torch.Tensor]
+    color: torch.Tensor  # (S, 3), sRGB
+    shading: torch.Tensor  # (S, 3), unit
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def loss(self, net: SurfaceNet, index: torch.Tensor) -> torch.Tensor:
+        features = net.grid.lookup(self.corners[0][index], self.corners[1][index])
+        color, shading = net.looks(self.points[index], self.normals[index], features)
+        return F.mse_loss(color, self.color[index]) + F.mse_loss(shading, self.shading[index])
+
+
+@dataclass(frozen=True)
+class _Pixels:
+    """Pixels of views within the object, away from shadow edges; all that does not learn is computed."""
+
+    features: torch.Tensor  # (S, 46) float16
+    base_color: torch.Tensor  # (S, 3) linear
+    direct: torch.Tensor  # (S, 3) linear
+    target: torch.Tensor  # (S, 3) linear, at most 1
+    corners: tuple[torch.Tensor, torch.Tensor]
+
+    def __len__(self) -> int:
+        return len(self.target)
+
+    def loss(self, net: SurfaceNet, index: torch.Tensor) -> torch.Tensor:
+        transport = net.transport.lookup(self.corners[0][index], self.corners[1][index])
+        diffuse, glossy = net.indirect(self.features[index].float(), transport)
+        radiance = (self.direct[index] + self.base_color[index] * diffuse + glossy).clamp(max=1)
+        # As it is shown, to first order: the mean of noisy samples is right before the gamma, not after it.
+        error = (radiance - self.target[index]) * srgb_slope(radiance.detach())
+        return error.square().mean()
+
+
+def train_surface(
+    surface: Isosurface,
+    scene: Scene,
+    train: dict[str, np.ndarray],
+    val: dict[str, np.ndarray],
+    config: VisionConfig,
+    generator: torch.Generator,
+    report: Callable[[CurvePoint], None] = lambda point: None,
+) -> tuple[SurfaceNet, list[CurvePoint]]:
+    """Fit a `SurfaceNet` to a mesh's appearance, then to views of it.
+
+    Parameters
+    ----------
+    surface : Isosurface
+        The stored surface: training points must lie on what a query will see.
+    scene : Scene
+        The mesh that the views show.
+    train, val : dict
+        ``rgba`` (N, H, W, 4), ``camera_to_world`` (N, 4, 4), ``light`` (N, 3), ``focal``.
+    config : VisionConfig
+    generator : torch.Generator
+    report : callable
+        Called with each `CurvePoint` of the views; losses are mean squared errors in sRGB on pixels within
+        the object.
+    """
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(int(torch.randint(2**31, (1,), generator=generator)))
+        net = SurfaceNet(
+            config.levels,
+            config.features,
+            config.table_bits,
+            config.coarsest,
+            config.finest,
+            config.width,
+            scene.roughness,
+            scene.metallic,
+        )
+    rng = np.random.default_rng(int(torch.randint(2**31, (1,), generator=generator)))
+
+    def fitted(learn, check, steps: int, batch: int, shown=lambda point: None) -> list[CurvePoint]:
+        batches = iter(minibatches(len(learn), batch, generator))
+        chunks = torch.arange(len(check)).split(CHUNK)
+        return fit(
+            net,
+            batch_loss=lambda: learn.loss(net, next(batches)),
+            val_loss=lambda: sum(check.loss(net, c).item() * len(c) for c in chunks) / len(check),
+            steps=steps,
+            learning_rate=config.learning_rate,
+            report=shown,
+        )
+
+    known, unknown = (_look_up(surface, scene, net, n, rng) for n in (config.points, config.points // 20))
+    fitted(known, unknown, config.point_steps, config.point_batch)
+    # What bounces is learned on top of what a query will see.
+    net = SurfaceNet.from_tensors(*net.to_tensors())
+    vertices = net.vertex_attributes(surface)
+    pixels = _gather(surface, net, vertices, train, config.pixels, DARK_SHARE, rng)
+    held_out = _gather(surface, net, vertices, val, config.pixels, 1, rng)
+    curve = fitted(pixels, held_out, config.steps, config.batch, report)
+    return net.eval(), curve
+
+
+def _look_up(
+    surface: Isosurface, scene: Scene, net: SurfaceNet, count: int, rng: np.random.Generator
+) -> _Points:
+    """Random points of the surface, and what the mesh looks like nearest to them."""
+    mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
+    points, _ = trimesh.sample.sample_surface(mesh, count, seed=rng)
+    color, looked_up = appearance_at(scene, points)
+    p = torch.from_numpy(points.astype(np.float32))
+    normals = surface.grid.normals(p)
+    shading = torch.from_numpy(looked_up)
+    # Meshes may have faces turned inside; renderers turn them to the eye, which is outside.
+    shading = torch.where((shading * normals).sum(1, keepdim=True) < 0, -shading, shading)
+    encoded = torch.from_numpy(srgb.encode(color).astype(np.float32))
+    return _Points(p, normals, _corners(net.grid, p), encoded, shading)
+
+
+def _gather(
+    surface: Isosurface,
+    net: SurfaceNet,
+    vertices: torch.Tensor,
+    views: dict[str, np.ndarray],
+    count: int,
+    dark_share: float,
+    rng: np.random.Generator,
+) -> _Pixels:
+    """About ``count`` pixels of views, as many of each, or all; dark ones with a smaller chance."""
+    height, width = views["rgba"].shape[1:3]
+    intrinsics = Intrinsics(width, height, float(views["focal"]))
+    share, parts, seen_points = -(-count // len(views["rgba"])), [], []
+    for rgba, pose, light in zip(views["rgba"], views["camera_to_world"], views["light"]):
+        rows, columns = np.nonzero(rgba[..., 3] >= 0.999)
+        samples = trace(surface, *camera_rays(pose, intrinsics, np.stack([columns, rows], 1) + 0.5), light)
+        row, column = rows[samples.ray], columns[samples.ray]
+        state = np.zeros((height, width), np.int8)
+        state[row, column] = 1 + samples.lit.numpy()
+        chosen = np.flatnonzero((maximum_filter(state, 3) == minimum_filter(state, 3))[row, column])
+        target = rgba[row[chosen], column[chosen], :3].astype(np.float32).clip(max=1)
+        # There is more to learn where there is light.
+        chance = np.where(target.max(1) > DARK, 1, dark_share)
+        picked = rng.choice(len(chosen), min(share, len(chosen)), replace=False, p=chance / chance.sum())
+        chosen, target = chosen[picked], torch.from_numpy(target[picked])
+        samples = samples.select(torch.from_numpy(chosen))
+        l = torch.from_numpy(np.asarray(light, np.float32))
+        base_color, normals = look_of(samples.interpolated(vertices[:, :6]))
+        direct = net.direct(samples, l, base_color, normals)
+        parts.append((light_features(samples, l, normals, direct).half(), base_color, direct, target))
+        seen_points.append(samples.points)
+    features, base_color, direct, target = (torch.cat(part) for part in zip(*parts))
+    return _Pixels(features, base_color, direct, target, _corners(net.transport, torch.cat(seen_points)))
+
+
+def _corners(grid: HashGrid, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Of points that are looked up in every epoch; preallocated, because they are most of the memory."""
+    width = 8 * len(grid.resolutions)
+    rows = torch.empty(len(points), width, dtype=torch.int32)
+    weights = torch.empty(len(points), width, dtype=torch.float16)
+    for start in range(0, len(points), CHUNK):
+        part = slice(start, start + CHUNK)
+        rows[part], weights[part] = grid.corners(in_cube(points[part]))
+    return rows, weights
