@@ -3,8 +3,8 @@
 Every figure comes from a fresh process with one thread; seconds are CPU seconds. `renderers` (needs
 `objectfolder build render_views`) draws the same views with every renderer that is installed: ms per image,
 peak memory, and how far apart the pictures are. `training` (needs voxelize as well) trains the surface net
-with the workspace's params.yaml, and scores validation views, never test ones. `query` (needs pack) times the
-views of the Object File, beside a net of the paper's size. Exits with 1 if a target is missed.
+with the workspace's params.yaml; nothing is chosen by the test views, which it scores once, at the end.
+`query` (needs pack) times the views of the Object File, beside a net of the paper's size. Exits with 1 if a target is missed.
 """
 
 import argparse
@@ -39,7 +39,7 @@ from objectfolder.objectfile import ObjectFile
 from objectfolder.query import view as query_view
 from objectfolder.seeding import torch_generator
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere_points
-from objectfolder.vision.color import on_white
+from objectfolder.vision.color import COVERED, lit_foreground, on_white
 from objectfolder.vision.renderers.registry import RENDERERS, make_renderer
 from objectfolder.vision.scene import Scene
 from objectfolder.vision.view import draw as draw_surface
@@ -61,7 +61,6 @@ OSF_SHAPE = {"width": 256, "depth": 8, "branch_width": 128, "branch_depth": 4}
 OSF_OCTAVES = {"point_octaves": 10, "direction_octaves": 4}
 OSF_ROWS = 2  # of pixels that are timed
 SHOWN = 6  # views in a picture
-LIT = 0.01  # radiance, relative to white
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -119,7 +118,7 @@ def train(workspace: str, key: str) -> dict:
     section = params.TrainVisionParams.model_validate(values["train_vision"])
     views = {split: read_npz(build.views(split)) for split in SPLITS}
     # The loss is a mean over pixels that are covered fully; the background has no error.
-    covered = float((views["val"]["rgba"][..., 3] >= 0.999).mean())
+    covered = float((views["val"]["rgba"][..., 3] >= COVERED).mean())
     distances = read_npz(build.sdf, "values", "band")
     surface, scene = Isosurface(DistanceGrid.from_arrays(distances)), Scene(load_mesh(build.visual, up="y"))
     config = VisionConfig(**section.model_dump(exclude={"net", "osf"}))
@@ -198,7 +197,7 @@ def compare(truth: np.ndarray, other: np.ndarray) -> dict:
     """
     a, b = (on_white(torch.from_numpy(x)).numpy().astype(np.float64) for x in (truth, other))
     foreground = (truth[..., 3] > 0) | (other[..., 3] > 0)
-    lit = (truth[..., 3] >= 0.999) & (truth[..., :3].max(-1) > LIT)
+    lit = lit_foreground(truth)
     squared = (a - b) ** 2
     return {
         "psnr_foreground": float(psnr(squared[foreground].mean())),
@@ -323,7 +322,7 @@ QUERY = {
 
 
 def show_training(rows: list[dict], console: Console) -> None:
-    show_rows(rows, "Training of the surface net; PSNR of validation views", TRAINING, console)
+    show_rows(rows, "Training of the surface net, and its PSNR", TRAINING, console)
 
 
 def show_query(rows: list[dict], console: Console) -> None:

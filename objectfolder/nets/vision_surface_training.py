@@ -9,20 +9,20 @@ import torch.nn.functional as F
 import trimesh
 from scipy.ndimage import maximum_filter, minimum_filter
 
+from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh import srgb
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.fit import CurvePoint, fit, minibatches
 from objectfolder.nets.hashgrid import HashGrid
-from objectfolder.nets.vision_surface import SurfaceNet, in_cube, light_features, look_of
+from objectfolder.nets.vision_surface import CHUNK, Baked, BounceInputs, SurfaceNet, in_cube
 from objectfolder.vision.appearance import appearance_at
 from objectfolder.vision.cameras import Intrinsics, camera_rays
-from objectfolder.vision.color import srgb_slope
+from objectfolder.vision.color import COVERED, srgb_slope
 from objectfolder.vision.scene import Scene
 from objectfolder.vision.trace import trace
 
 DARK = 0.002  # radiance that is hardly shown
 DARK_SHARE = 0.2  # of such pixels that training takes, against others
-CHUNK = 50_000  # points whose grid corners are computed at once
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class _Points:
 class _Pixels:
     """Pixels of views within the object, away from shadow edges; all that does not learn is computed."""
 
-    features: torch.Tensor  # (S, 46) float16
+    inputs: BounceInputs
     base_color: torch.Tensor  # (S, 3) linear
     direct: torch.Tensor  # (S, 3) linear
     target: torch.Tensor  # (S, 3) linear, at most 1
@@ -78,7 +78,7 @@ class _Pixels:
 
     def loss(self, net: SurfaceNet, index: torch.Tensor) -> torch.Tensor:
         transport = net.transport.lookup(self.corners[0][index], self.corners[1][index])
-        diffuse, glossy = net.indirect(self.features[index].float(), transport)
+        diffuse, glossy = net.indirect(self.inputs.select(index), transport)
         radiance = (self.direct[index] + self.base_color[index] * diffuse + glossy).clamp(max=1)
         # As it is shown, to first order: the mean of noisy samples is right before the gamma, not after it.
         error = (radiance - self.target[index]) * srgb_slope(radiance.detach())
@@ -140,9 +140,9 @@ def train_surface(
     fitted(known, unknown, config.point_steps, config.point_batch)
     # What bounces is learned on top of what a query will see.
     net = SurfaceNet.from_tensors(*net.to_tensors())
-    vertices = net.vertex_attributes(surface)
-    pixels = _gather(surface, net, vertices, train, config.pixels, DARK_SHARE, rng)
-    held_out = _gather(surface, net, vertices, val, config.pixels, 1, rng)
+    baked = net.bake(surface)
+    pixels = _gather(surface, net, baked, train, config.pixels, DARK_SHARE, rng)
+    held_out = _gather(surface, net, baked, val, config.pixels, 1, rng)
     curve = fitted(pixels, held_out, config.steps, config.batch, report)
     return net.eval(), curve
 
@@ -163,10 +163,11 @@ def _look_up(
     return _Points(p, normals, _corners(net.grid, p), encoded, shading)
 
 
+@torch.no_grad()
 def _gather(
     surface: Isosurface,
     net: SurfaceNet,
-    vertices: torch.Tensor,
+    baked: Baked,
     views: dict[str, np.ndarray],
     count: int,
     dark_share: float,
@@ -175,27 +176,34 @@ def _gather(
     """About ``count`` pixels of views, as many of each, or all; dark ones with a smaller chance."""
     height, width = views["rgba"].shape[1:3]
     intrinsics = Intrinsics(width, height, float(views["focal"]))
-    share, parts, seen_points = -(-count // len(views["rgba"])), [], []
+    share, parts = -(-count // len(views["rgba"])), []
     for rgba, pose, light in zip(views["rgba"], views["camera_to_world"], views["light"]):
-        rows, columns = np.nonzero(rgba[..., 3] >= 0.999)
+        rows, columns = np.nonzero(rgba[..., 3] >= COVERED)
         samples = trace(surface, *camera_rays(pose, intrinsics, np.stack([columns, rows], 1) + 0.5), light)
         row, column = rows[samples.ray], columns[samples.ray]
         state = np.zeros((height, width), np.int8)
         state[row, column] = 1 + samples.lit.numpy()
         chosen = np.flatnonzero((maximum_filter(state, 3) == minimum_filter(state, 3))[row, column])
+        if not len(chosen):
+            continue
         target = rgba[row[chosen], column[chosen], :3].astype(np.float32).clip(max=1)
         # There is more to learn where there is light.
         chance = np.where(target.max(1) > DARK, 1, dark_share)
         picked = rng.choice(len(chosen), min(share, len(chosen)), replace=False, p=chance / chance.sum())
-        chosen, target = chosen[picked], torch.from_numpy(target[picked])
-        samples = samples.select(torch.from_numpy(chosen))
+        samples = samples.select(torch.from_numpy(chosen[picked]))
         l = torch.from_numpy(np.asarray(light, np.float32))
-        base_color, normals = look_of(samples.interpolated(vertices[:, :6]))
+        base_color, normals = baked.look_of(samples)
         direct = net.direct(samples, l, base_color, normals)
-        parts.append((light_features(samples, l, normals, direct).half(), base_color, direct, target))
-        seen_points.append(samples.points)
-    features, base_color, direct, target = (torch.cat(part) for part in zip(*parts))
-    return _Pixels(features, base_color, direct, target, _corners(net.transport, torch.cat(seen_points)))
+        inputs = net.bounce_inputs(baked, samples, l, base_color, normals, direct)
+        known = inputs.features.half(), inputs.gathered, inputs.mirrored, base_color, direct
+        parts.append((*known, torch.from_numpy(target[picked]), samples.points))
+    if not parts:
+        raise ObjectFolderError(
+            f"none of {len(views['rgba'])} views shows a pixel that lies well within the object: "
+            "check cameras, focal length and scale, or render at a higher resolution"
+        )
+    features, gathered, mirrored, *others, points = (torch.cat(p) for p in zip(*parts))
+    return _Pixels(BounceInputs(features, gathered, mirrored), *others, _corners(net.transport, points))
 
 
 def _corners(grid: HashGrid, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

@@ -46,14 +46,28 @@ def principled(
     along = _dot(normal, half)
     across = half - along * normal  # its length is exact where the cosine is nearly 1
     distribution = squared / (math.pi * (squared * along**2 + _dot(across, across)) ** 2)
-    fresnel = (1 - metallic) * _dielectric(grazing)
-    if metallic:
-        fresnel = fresnel + metallic * (base_color + (1 - base_color) * _schlick(grazing))
-    specular = math.pi / 4 * fresnel * distribution * _masking(seen, squared) * _masking(received, squared)
+    reflected = fresnel(grazing, base_color, metallic)
+    specular = math.pi / 4 * reflected * distribution * _masking(seen, squared) * _masking(received, squared)
     at_light, at_eye, retro = _schlick(received), _schlick(seen), 2 * roughness * grazing**2
     diffuse = (1 - 0.5 * at_light) * (1 - 0.5 * at_eye)
     diffuse = diffuse + retro * (at_light + at_eye + at_light * at_eye * (retro - 1))
     return torch.where(facing, specular / seen + (1 - metallic) * base_color * received * diffuse, 0)
+
+
+def fresnel(cosine: torch.Tensor, base_color: torch.Tensor, metallic: float) -> torch.Tensor:
+    """Share of light that the surface reflects as a mirror; (S, 3), or (S, 1) where it has no color.
+
+    Parameters
+    ----------
+    cosine : (S, 1) tensor
+        Between the direction of the light and the (micro)surface's normal.
+    base_color : (S, 3) tensor, linear
+    metallic : float
+    """
+    share = (1 - metallic) * _dielectric(cosine)
+    if metallic:
+        share = share + metallic * (base_color + (1 - base_color) * _schlick(cosine))
+    return share
 
 
 def _dot(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:

@@ -98,7 +98,7 @@ def _draw(
     edge_pixels = np.flatnonzero(edge)
     fine = _cast(surface, camera_to_world, light, intrinsics, edge_pixels, SHADED)
     inner = np.flatnonzero(~edge[seen])
-    samples = _concatenate(centre.select(torch.from_numpy(inner)), fine)
+    samples = centre.select(torch.from_numpy(inner)).joined(fine)
     pixel = np.concatenate([seen[inner], edge_pixels[fine.ray.numpy() // len(SHADED)]])
     radiance = np.zeros((0, 3), np.float32)
     if len(pixel):
@@ -177,7 +177,3 @@ def _varies(values: np.ndarray, height: int, width: int, tolerance: float) -> np
         varies[there] |= apart
     return varies.ravel()
 
-
-def _concatenate(a: SurfaceSamples, b: SurfaceSamples) -> SurfaceSamples:
-    fields = SurfaceSamples.__dataclass_fields__
-    return SurfaceSamples(*(torch.cat([getattr(a, name), getattr(b, name)]) for name in fields))
