@@ -25,7 +25,7 @@ from objectfolder.vision.trace import SurfaceSamples
 from objectfolder.vision.view import Shader
 
 #: Of the grid of what bounces.
-TRANSPORT = {"levels": 3, "features": 4, "table_bits": 15, "coarsest": 8, "finest": 30}
+TRANSPORT = {"levels": 2, "features": 4, "table_bits": 13, "coarsest": 8, "finest": 14}
 GRIDS = ("grid", "transport")
 NEAREST = 1e-3  # distance of a light, unit frame: one on the surface would be infinitely bright
 FAMILIAR = 0.1  # training lights are further off

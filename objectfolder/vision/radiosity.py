@@ -11,8 +11,8 @@ from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.vision.trace import SurfaceSamples, is_lit, weighted_rows
 
-PATCHES = 4096
-SIDE = 12  # of the square of rays that each patch sends over its hemisphere
+PATCHES = 8192
+SIDE = 9  # of the square of rays that each patch sends over its hemisphere
 BOUNCES = 2  # later ones are fainter than what the patches get wrong
 NEIGHBOURS = 4  # patches that the light at a vertex is interpolated from
 START = 0.3  # voxels along the normal where rays start
