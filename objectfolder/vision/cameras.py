@@ -147,7 +147,7 @@ def camera_rays(
     y = (intrinsics.cy - pixels[:, 1]) / intrinsics.fy
     local = np.stack([x, y, -np.ones_like(x)], 1)
     directions = local @ camera_to_world[:3, :3].T
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    directions /= np.sqrt(np.einsum("pk,pk->p", directions, directions))[:, None]
     origins = np.broadcast_to(camera_to_world[:3, 3], directions.shape)
     return origins.astype(np.float32), directions.astype(np.float32)
 

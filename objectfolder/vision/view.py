@@ -176,4 +176,3 @@ def _varies(values: np.ndarray, height: int, width: int, tolerance: float) -> np
         varies[here] |= apart
         varies[there] |= apart
     return varies.ravel()
-

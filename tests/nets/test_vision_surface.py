@@ -6,6 +6,7 @@ import torch
 from solids import isosurface, sphere
 
 from objectfolder.artifacts import read_safetensors, write_safetensors
+from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.nets.vision_surface_training import VisionConfig, train_surface
@@ -20,6 +21,11 @@ from objectfolder.vision.view import draw
 SIZE = {"levels": 3, "features": 2, "table_bits": 12, "coarsest": 4, "finest": 24, "width": 16}
 LOOK = {"roughness": 0.4, "metallic": 0.1}
 LIGHT = torch.tensor([0.5, 0.5, 1.0])
+
+
+def training(points: int, point_steps: int, pixels: int, steps: int) -> VisionConfig:
+    size = {"points": points, "point_steps": point_steps, "pixels": pixels, "steps": steps}
+    return VisionConfig(**SIZE, **size, point_batch=1024, batch=1024, learning_rate=0.02)
 
 
 @pytest.fixture(scope="module")
@@ -83,10 +89,7 @@ def test_samples_of_a_pixel_share_what_bounces_and_nothing_else(ball, samples, n
     alone = shade(samples, LIGHT, np.arange(len(samples.points)))
     together = shade(samples, LIGHT, np.arange(len(samples.points)) // 2)
     torch.testing.assert_close(together[::2], alone[::2])
-    base_color, normals = net.vertex_attributes(ball)[samples.corners][..., :6].split(3, -1)
-    weights = samples.weights[..., None]
-    normals = torch.nn.functional.normalize((normals * weights).sum(1), dim=-1)
-    direct = net.direct(samples, LIGHT, (base_color * weights).sum(1), normals)
+    direct = net.direct(samples, LIGHT, *net.bake(ball).look_of(samples))
     assert (together > direct).all()
 
 
@@ -125,16 +128,7 @@ def views(ball, painted):
 
 
 def test_training_explains_a_painted_ball_and_is_deterministic(tmp_path, ball, painted, views):
-    config = VisionConfig(
-        **SIZE,
-        points=20_000,
-        point_steps=150,
-        point_batch=1024,
-        pixels=8000,
-        steps=150,
-        batch=1024,
-        learning_rate=0.02,
-    )
+    config = training(points=20_000, point_steps=150, pixels=8000, steps=150)
     for name in "ab":
         generator = torch.Generator().manual_seed(3)
         trained, curve = train_surface(ball, painted, *views, config, generator)
@@ -150,16 +144,7 @@ def test_training_explains_a_painted_ball_and_is_deterministic(tmp_path, ball, p
 
 
 def test_a_mesh_that_is_turned_inside_out_looks_the_same(ball, painted, views):
-    config = VisionConfig(
-        **SIZE,
-        points=5000,
-        point_steps=60,
-        point_batch=1024,
-        pixels=2000,
-        steps=20,
-        batch=512,
-        learning_rate=0.02,
-    )
+    config = training(points=5000, point_steps=60, pixels=2000, steps=20)
     mesh = painted.mesh
     turned = Scene(
         TexturedMesh(
@@ -171,10 +156,18 @@ def test_a_mesh_that_is_turned_inside_out_looks_the_same(ball, painted, views):
         )
     )
     a, b = (
-        train_surface(ball, scene, *views, config, torch.Generator().manual_seed(3))[0].vertex_attributes(
-            ball
-        )
+        train_surface(ball, scene, *views, config, torch.Generator().manual_seed(3))[0].bake(ball).look
         for scene in (painted, turned)
     )
-    assert (a[:, 3:6] * b[:, 3:6]).sum(1).min() > 0.9
+    assert (a[:, 3:] * b[:, 3:]).sum(1).min() > 0.9
     assert ((a - b)[:, :3].abs()).mean() < 0.02
+
+
+def test_views_that_show_nothing_are_passed_over_unless_all_do(ball, painted, views):
+    config = training(points=2000, point_steps=5, pixels=2000, steps=5)
+    train, val = views
+    empty = {**train, "rgba": train["rgba"] * (np.arange(len(train["rgba"])) % 2)[:, None, None, None]}
+    train_surface(ball, painted, empty, val, config, torch.Generator().manual_seed(3))
+    nothing = {**train, "rgba": np.zeros_like(train["rgba"])}
+    with pytest.raises(ObjectFolderError, match="none of 24 views shows"):
+        train_surface(ball, painted, nothing, val, config, torch.Generator().manual_seed(3))

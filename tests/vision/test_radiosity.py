@@ -1,0 +1,71 @@
+import numpy as np
+import pytest
+import torch
+from solids import isosurface, sphere
+
+from objectfolder.mesh.grid import BOUND, DistanceGrid, quantise
+from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.vision.radiosity import Radiosity
+from objectfolder.vision.trace import SurfaceSamples, trace
+
+RADIUS = 0.4  # of a cavity
+REFLECTANCE = torch.tensor([0.8, 0.5, 0.1])
+
+
+@pytest.fixture(scope="module")
+def cavity():
+    """A thick shell; its inner wall is a sphere seen from inside."""
+    size = 96
+    axis = np.linspace(-BOUND, BOUND, size)
+    r = np.sqrt(sum(np.square(np.meshgrid(*[axis] * 3, indexing="ij"))))
+    distance = np.maximum(r - 0.49, RADIUS - r)
+    band = 2.5 * (axis[1] - axis[0])
+    return Isosurface(DistanceGrid(quantise(distance, band), band))
+
+
+def gray(points: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:
+    return REFLECTANCE.expand(len(points), 3)
+
+
+def samples_in(surface: Isosurface, eye: list[float], light: np.ndarray) -> SurfaceSamples:
+    directions = np.random.default_rng(1).normal(size=(500, 3)).astype(np.float32)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return trace(surface, np.broadcast_to(np.float32(eye), directions.shape), directions, light)
+
+
+@pytest.mark.parametrize("light", [[0, 0, 0], [0.15, 0.1, -0.1]])
+def test_a_white_wall_of_a_sphere_reflects_the_mean_of_what_it_receives(cavity, light):
+    # A sphere's wall gives every other part of it the same: the mean irradiance, wherever the light is.
+    light = np.array(light, np.float64)
+    samples = samples_in(cavity, [0.05, 0, 0], light)
+    assert len(samples.points) == 500 and samples.lit.all()
+    gathered, _ = Radiosity(cavity, gray).around(samples, samples.normals, light)
+    expected = (REFLECTANCE + REFLECTANCE**2) / RADIUS**2  # two bounces
+    assert (gathered.mean(0) / expected - 1).abs().max() < 0.02
+    # Each patch counts the others with its own 81 rays.
+    assert (gathered / expected - 1).abs().square().mean().sqrt() < 0.05
+
+
+def test_the_wall_shows_in_a_mirror_what_it_gives_off(cavity):
+    light = np.zeros(3)
+    samples = samples_in(cavity, [0.05, 0, 0], light)
+    _, mirrored = Radiosity(cavity, gray).around(samples, samples.normals, light)
+    expected = (REFLECTANCE + REFLECTANCE**2 + REFLECTANCE**3) / RADIUS**2
+    torch.testing.assert_close(mirrored, expected.expand_as(mirrored), rtol=0.05, atol=0)
+
+
+def test_a_convex_object_receives_nothing_from_itself():
+    ball = isosurface(sphere(0.45, 4), 64)
+    light = np.array([0.3, 0.5, 1.0])
+    axis = np.float32([[-1, 0, 0], [-1, 0.1, 0], [-1, 0, 0.15]])
+    samples = trace(ball, np.broadcast_to(np.float32([2, 0, 0]), axis.shape), axis, light)
+    gathered, mirrored = Radiosity(ball, gray).around(samples, samples.normals, light)
+    assert gathered.abs().max() < 1e-3
+    assert mirrored.abs().max() == 0
+
+
+def test_the_same_surface_gives_the_same_light(cavity):
+    light = np.array([0.1, 0.1, 0.1])
+    samples = samples_in(cavity, [0.05, 0, 0], light)
+    a, b = (torch.stack(Radiosity(cavity, gray).around(samples, samples.normals, light)) for _ in range(2))
+    assert torch.equal(a, b)
