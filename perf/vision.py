@@ -3,8 +3,8 @@
 Every figure comes from a fresh process with one thread; seconds are CPU seconds. `renderers` (needs
 `objectfolder build render_views`) draws the same views with every renderer that is installed: ms per image,
 peak memory, and how far apart the pictures are. `training` (needs voxelize as well) trains the surface net
-with the workspace's params.yaml; nothing is chosen by the test views, which it scores once, at the end.
-`query` (needs pack) times the views of the Object File, beside a net of the paper's size. Exits with 1 if a target is missed.
+with the workspace's params.yaml; it scores the test views once, at the end. `query` (needs pack) times the
+views of the Object File, beside a net of the paper's size. Exits with 1 if a target is missed.
 """
 
 import argparse

@@ -195,15 +195,16 @@ def _gather(
         base_color, normals = baked.look_of(samples)
         direct = net.direct(samples, l, base_color, normals)
         inputs = net.bounce_inputs(baked, samples, l, base_color, normals, direct)
-        known = inputs.features.half(), inputs.gathered, inputs.mirrored, base_color, direct
-        parts.append((*known, torch.from_numpy(target[picked]), samples.points))
+        bounced = inputs.features.half(), inputs.gathered, inputs.mirrored
+        parts.append((*bounced, base_color, direct, torch.from_numpy(target[picked]), samples.points))
     if not parts:
         raise ObjectFolderError(
             f"none of {len(views['rgba'])} views shows a pixel that lies well within the object: "
             "check cameras, focal length and scale, or render at a higher resolution"
         )
-    features, gathered, mirrored, *others, points = (torch.cat(p) for p in zip(*parts))
-    return _Pixels(BounceInputs(features, gathered, mirrored), *others, _corners(net.transport, points))
+    features, gathered, mirrored, base_color, direct, colors, points = (torch.cat(p) for p in zip(*parts))
+    known = BounceInputs(features, gathered, mirrored)
+    return _Pixels(known, base_color, direct, colors, _corners(net.transport, points))
 
 
 def _corners(grid: HashGrid, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

@@ -30,7 +30,8 @@ class Radiosity:
     ----------
     surface : Isosurface
     reflectance : callable
-        Points and unit normals (P, 3), float32 tensors in the unit frame -> diffuse reflectance (P, 3), linear.
+        Points and unit normals (P, 3), float32 tensors in the unit frame, -> diffuse reflectance (P, 3),
+        linear.
     """
 
     def __init__(
@@ -80,7 +81,7 @@ class Radiosity:
         return self._at(gathered, samples.corners, samples.weights), mirrored
 
     def _solve(self, light: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
-        """Radiance that each patch would reflect of the others' light if it were white, and gives off; (P, 3)."""
+        """Radiance that each patch would reflect of the others' if it were white, and gives off; (P, 3)."""
         lit = np.flatnonzero(is_lit(self._surface, self._points, self._normals, light))
         to_light = np.asarray(light, np.float32) - self._points[lit]
         distance = np.linalg.norm(to_light, axis=1)
@@ -115,7 +116,7 @@ def _oriented(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
 
 def _hemispheres(normals: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Stratified directions about each normal with the density of Lambert's cosine; (P * SIDE^2, 3) float32."""
+    """Stratified directions about each normal with the density of Lambert's cosine; (P * SIDE^2, 3)."""
     row, column = np.mgrid[:SIDE, :SIDE].reshape(2, -1)
     jitter = rng.random((2, len(normals), SIDE**2), np.float32)
     square, azimuth = (row + jitter[0]) / SIDE, 2 * np.pi * (column + jitter[1]) / SIDE

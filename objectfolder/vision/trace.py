@@ -52,10 +52,10 @@ def trace(
     origins, directions : (N, 3) float32 arrays, unit frame; directions of unit length
     light : (3,) array, unit frame
     """
-    ray, distance, face, weights = surface.caster.intersect(origins, directions)
+    ray, distance, face, barycentric = surface.caster.intersect(origins, directions)
     directions = directions[ray]
     points = origins[ray] + directions * distance[:, None]
-    corners, weights = torch.from_numpy(surface.faces[face]), torch.from_numpy(weights)
+    corners, weights = torch.from_numpy(surface.faces[face]), torch.from_numpy(barycentric)
     normals = F.normalize(weighted_rows(torch.from_numpy(surface.normals), corners, weights), dim=1).numpy()
     lit = is_lit(surface, points, normals, light)
     return SurfaceSamples(

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from objectfolder.nets.hashgrid import HashGrid
+from objectfolder.nets.hashgrid import HashGrid, scattered_product, transposed_product
 
 
 def naive(grid, x):
@@ -91,3 +91,12 @@ def test_a_row_does_not_depend_on_its_batch(grid, x):
 
 def test_no_points(grid):
     assert grid(torch.zeros(0, 3)).shape == (0, 8)
+
+
+def test_both_ways_to_the_gradient_agree():
+    generator = torch.Generator().manual_seed(0)
+    rows = torch.randint(30, (400,), generator=generator).int()
+    weights, gradient = torch.rand(400, generator=generator), torch.rand(50, 3, generator=generator)
+    a, b = (product(rows, weights, gradient, 32) for product in (transposed_product, scattered_product))
+    assert a.shape == (32, 3)
+    torch.testing.assert_close(a, b)

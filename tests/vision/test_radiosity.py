@@ -38,7 +38,8 @@ def test_a_white_wall_of_a_sphere_reflects_the_mean_of_what_it_receives(cavity, 
     # A sphere's wall gives every other part of it the same: the mean irradiance, wherever the light is.
     light = np.array(light, np.float64)
     samples = samples_in(cavity, [0.05, 0, 0], light)
-    assert len(samples.points) == 500 and samples.lit.all()
+    assert len(samples.points) == 500
+    assert samples.lit.all()
     gathered, _ = Radiosity(cavity, gray).around(samples, samples.normals, light)
     expected = (REFLECTANCE + REFLECTANCE**2) / RADIUS**2  # two bounces
     assert (gathered.mean(0) / expected - 1).abs().max() < 0.02
