@@ -14,6 +14,9 @@ from objectfolder.fem.modal import MIN_FREQUENCY, ModalData, checks
 from objectfolder.fem.similarity import similarity
 from objectfolder.materials import Material
 
+#: Modules beside this one that the modal stage does not read; the solid's digest stands for what cut it.
+NOT_SOLVING = ("__init__.py", "voxelize.py")
+
 
 @dataclass(frozen=True)
 class Request:
@@ -44,8 +47,7 @@ def problem(solid: str, points: np.ndarray, poisson_ratio: float, options: dict[
         Of the elements; JSON.
     """
     modules = sorted(Path(__file__).parent.glob("*.py"))
-    # The solid, whose digest is given, stands for what cut it.
-    sources = [file_digest(path) for path in modules if path.name != "voxelize.py"]
+    sources = [file_digest(path) for path in modules if path.name not in NOT_SOLVING]
     place = hashlib.sha256(np.ascontiguousarray(points).tobytes()).hexdigest()
     fields = [field.name for field in dataclasses.fields(Material)]
     text = json.dumps([solid, place, poisson_ratio, options, sources, fields], sort_keys=True)
