@@ -20,10 +20,14 @@ def ray_directions(profile: SensorProfile) -> np.ndarray:
 def gel_depth(profile: SensorProfile) -> np.ndarray:
     """Depth of the undeformed gel surface along each pixel ray; (H, W), metres, float64.
 
-    The surface is x = g - κ (y² + z²) / 2, with g = `camera_to_gel` and κ = `gel_curvature`. On the ray
-    t (1, a, b) this is a quadratic equation in t.
+    The surface is the cap of a spheroid about the optical axis, as TACTO models its gels (Wang et al. 2022):
+    x = g - κ R (R - sqrt(R² - y² - z²)), with g = `camera_to_gel`, κ = `gel_curvature` at the apex and R =
+    `gel_dome_radius`; κ R = 1 is a sphere, κ = 0 a plane. On the ray t (1, a, b) the sag g - t is the smaller
+    root of a quadratic equation, written so that it holds for a plane, too.
     """
     directions = ray_directions(profile)
     slope = directions[..., 1] ** 2 + directions[..., 2] ** 2
-    root = np.sqrt(1 + 2 * profile.gel_curvature * slope * profile.camera_to_gel)
-    return 2 * profile.camera_to_gel / (1 + root)
+    apex, radius = profile.camera_to_gel, profile.gel_dome_radius
+    stretch = profile.gel_curvature * radius
+    root = np.sqrt(radius**2 + (2 * radius * stretch - apex) * apex * slope)
+    return apex - stretch * slope * apex**2 / (radius + stretch * slope * apex + root)

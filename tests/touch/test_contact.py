@@ -163,7 +163,7 @@ def test_plate_meets_the_apex_of_a_dome_first(digit):
     penetration, _ = heightmaps(caster(slab(-2 * MM, 0)), 0 * TOP, Z, 0.0, 1 * MM, digit)
     rows, _ = np.nonzero(penetration[0])
     radius = (rows.max() - rows.min() + 1) / 2 * digit.pixel_pitch
-    # The paraboloid sinks by κ r² / 2; seen 1 mm nearer to the camera the pixel pitch is 4 % less.
+    # The dome sinks by κ r² / 2; seen 1 mm nearer to the camera the pixel pitch is 4 % less.
     assert radius == pytest.approx(np.sqrt(2 * 1 * MM / digit.gel_curvature), rel=0.05)
 
 

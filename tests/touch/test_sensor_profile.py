@@ -11,9 +11,11 @@ from objectfolder.touch.profiles import SensorProfile, load_profile
 DIGIT = load_profile("digit")
 POSITIVE = (
     *("height", "width", "vertical_fov_deg", "camera_to_gel", "elastomer_thickness", "max_indentation"),
-    *("roughness", "gamma", "gain", "background_falloff"),
+    *("gel_dome_radius", "young_modulus", "roughness", "gamma", "gain", "background_falloff"),
 )
-NON_NEGATIVE = ("gel_curvature", "ambient", "albedo", "metallic", "image_smoothing", "noise_std")
+NON_NEGATIVE = (
+    *("gel_curvature", "poisson_ratio", "ambient", "albedo", "metallic", "image_smoothing", "noise_std"),
+)
 
 
 def test_digit_is_the_sensor_of_the_paper():
@@ -87,8 +89,10 @@ def test_non_negative_fields_reject_the_rest(name, value):
         ("gamma", "2.2"),
         ("vertical_fov_deg", 180),
         ("roughness", 1.5),
-        ("gel_smoothing", 0.001),
-        ("gel_smoothing", [0.001, 0]),
+        ("gel", "firm"),
+        ("gel", 1),
+        ("poisson_ratio", 0.5),
+        ("gel_dome_radius", 0.006),
         ("background_color", [0.1, 0.2]),
         ("background_color", [0.1, 0.2, 3]),
         ("press_depth", [0.002, 0.001]),
