@@ -51,13 +51,15 @@ class RayCaster:
         return np.where(face >= 0, hit["tfar"], np.float32(np.inf)).astype(np.float32), face
 
     def intersect(
-        self, origins: np.ndarray, directions: np.ndarray
+        self, origins: np.ndarray, directions: np.ndarray, max_distance: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Where rays first meet a triangle; H of N rays do.
 
         Parameters
         ----------
         origins, directions : (N, 3) arrays
+        max_distance : (N,) array, optional
+            Rays end here.
 
         Returns
         -------
@@ -70,6 +72,7 @@ class RayCaster:
         hit = self._scene.run(
             np.ascontiguousarray(origins, np.float32),
             np.ascontiguousarray(directions, np.float32),
+            dists=None if max_distance is None else np.ascontiguousarray(max_distance, np.float32),
             query="INTERSECT",
             output=1,
         )

@@ -17,6 +17,12 @@ def ray_directions(profile: SensorProfile) -> np.ndarray:
     return np.stack([np.ones((profile.height, profile.width)), *np.broadcast_arrays(y, z[:, None])], axis=-1)
 
 
+def gel_sag(profile: SensorProfile, radius: np.ndarray) -> np.ndarray:
+    """How far the undeformed gel is nearer to the camera than its apex, at a distance from the axis; metres."""
+    dome = profile.gel_dome_radius
+    return profile.gel_curvature * dome * (dome - np.sqrt(dome**2 - radius**2))
+
+
 def gel_depth(profile: SensorProfile) -> np.ndarray:
     """Depth of the undeformed gel surface along each pixel ray; (H, W), metres, float64.
 

@@ -41,6 +41,8 @@ class Optics:
     ----------
     background : (H, W, 3) uint8 tensor
         The untouched sensor; synthetic, a function of the profile only.
+    untouched : (1, 3, H, W) float32 tensor
+        Shading of the undeformed gel, 0 to 1.
     """
 
     def __init__(self, profile: SensorProfile, device: str | torch.device = "cpu"):
@@ -53,7 +55,7 @@ class Optics:
         maps = (rays[..., 1], rays[..., 2], gel, along_y, along_z)
         self._y, self._z, self._gel, self._gel_y, self._gel_z = (m.float().to(self.device) for m in maps)
         self.background = _synthetic_background(profile, rays.numpy(), gel.numpy()).to(self.device)
-        self._reference = self._display(torch.zeros_like(self._gel)[None])
+        self.untouched = self._display(torch.zeros_like(self._gel)[None])
 
     def render(self, displacement: torch.Tensor) -> torch.Tensor:
         """Images of the deformed gel.
@@ -74,7 +76,7 @@ class Optics:
         # One at a time on a CPU: which of its instructions compute a pixel depends on the place in the batch.
         chunk = 1 if self.device.type == "cpu" else _CHUNK
         for out, moved in zip(images.split(chunk), displacement.to(self.device).float().split(chunk)):
-            change = 255 * self.profile.gain * (self._display(moved) - self._reference)
+            change = 255 * self.profile.gain * (self._display(moved) - self.untouched)
             out.copy_((background + blur(change, sigma)).round().clamp(0, 255).permute(0, 2, 3, 1))
         return images
 
