@@ -1,11 +1,14 @@
 """What the sensor's camera sees of the gel."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import torch
+from PIL import Image
 from torch.nn.functional import pad
 
+from objectfolder.errors import ObjectFolderError
 from objectfolder.touch.camera import gel_depth, ray_directions
 from objectfolder.touch.profiles import SensorProfile
 
@@ -17,8 +20,8 @@ _DIELECTRIC = 0.04
 # Two neighbouring pixels whose depths differ by more pixel pitches are on two surfaces.
 _STEP = 2.0
 
-# Of the gel's slopes, pixels: what finite differences of a faceted imprint need.
-_SLOPE_SIGMA = 1.0
+# Of a background picture's width / height.
+_ASPECT_TOLERANCE = 0.01
 
 # Images that are rendered at once on a GPU.
 _CHUNK = 64
@@ -40,9 +43,14 @@ class Optics:
     Attributes
     ----------
     background : (H, W, 3) uint8 tensor
-        The untouched sensor; synthetic, a function of the profile only.
-    untouched : (1, 3, H, W) float32 tensor
+        The untouched sensor: the profile's picture, or a synthetic one.
+    untouched : (3, H, W) float32 tensor
         Shading of the undeformed gel, 0 to 1.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the profile's background picture cannot be used.
     """
 
     def __init__(self, profile: SensorProfile, device: str | torch.device = "cpu"):
@@ -52,10 +60,12 @@ class Optics:
         gel = torch.from_numpy(gel_depth(profile))
         self._pitch = (float(rays[0, 0, 1] - rays[0, 1, 1]), float(rays[0, 0, 2] - rays[1, 0, 2]))
         along_z, along_y = torch.gradient(gel, spacing=(-self._pitch[1], -self._pitch[0]))
-        maps = (rays[..., 1], rays[..., 2], gel, along_y, along_z)
-        self._y, self._z, self._gel, self._gel_y, self._gel_z = (m.float().to(self.device) for m in maps)
-        self.background = _synthetic_background(profile, rays.numpy(), gel.numpy()).to(self.device)
-        self.untouched = self._display(torch.zeros_like(self._gel)[None])
+        maps = torch.stack([rays[..., 1], rays[..., 2], gel, along_y, along_z])
+        self._maps = maps.float().to(self.device)
+        background = _photograph(profile) if profile.background_image else _synthetic_background(profile)
+        self.background = torch.from_numpy(background).to(self.device)
+        still = torch.zeros_like(self._maps[:1])
+        self.untouched = self._display(self._maps, still, still, still)[:, 0]
 
     def render(self, displacement: torch.Tensor) -> torch.Tensor:
         """Images of the deformed gel.
@@ -76,8 +86,8 @@ class Optics:
         # One at a time on a CPU: which of its instructions compute a pixel depends on the place in the batch.
         chunk = 1 if self.device.type == "cpu" else _CHUNK
         for out, moved in zip(images.split(chunk), displacement.to(self.device).float().split(chunk)):
-            change = 255 * self.profile.gain * (self._display(moved) - self.untouched)
-            out.copy_((background + blur(change, sigma)).round().clamp(0, 255).permute(0, 2, 3, 1))
+            change = blur(self._change(moved), sigma)
+            out.copy_((background + change).round_().clamp_(0, 255).permute(0, 2, 3, 1))
         return images
 
     def noise(self, images: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
@@ -87,34 +97,62 @@ class Optics:
         noise = torch.randn(images.shape, generator=generator) * self.profile.noise_std
         return (images + noise.to(images.device)).round().clamp(0, 255).to(torch.uint8)
 
-    def _display(self, displacement: torch.Tensor) -> torch.Tensor:
-        """Display values (N, 3, H, W) of the gel, displaced by (N, H, W)."""
-        depth = self._gel - displacement
-        slope_y, slope_z = self._slopes(displacement)
-        along_y, along_z = self._gel_y - slope_y, self._gel_z - slope_z
-        normal = unit((-(depth + self._y * along_y + self._z * along_z), along_y, along_z))
-        return shade((depth, self._y * depth, self._z * depth), normal, self.profile)
+    def _change(self, displacement: torch.Tensor) -> torch.Tensor:
+        """Grey levels (N, 3, H, W) by which (N, H, W) brightens the image, before the optical blur."""
+        change = torch.zeros(len(displacement), 3, *displacement.shape[1:], device=self.device)
+        rows, columns = self._window(displacement)
+        moved = displacement[:, rows, columns].contiguous()
+        maps = self._maps[:, rows, columns].contiguous()
+        display = self._display(maps, moved, *self._slopes(moved))
+        display -= self.untouched[:, None, rows, columns]
+        # Exactly none where the gel is at rest.
+        display *= (moved > 0) * (255 * self.profile.gain)
+        change[:, :, rows, columns] = display.transpose(0, 1)
+        return change
 
-    def _slopes(self, displacement: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Derivatives of the displacement along the two coordinates of the image plane.
+    def _display(
+        self, maps: torch.Tensor, moved: torch.Tensor, slope_y: torch.Tensor, slope_z: torch.Tensor
+    ) -> torch.Tensor:
+        """Display values (3, N, H, W) of a displacement (N, H, W) with its derivatives along the image."""
+        y, z, gel, gel_y, gel_z = maps
+        depth, along_y, along_z = gel - moved, gel_y - slope_y, gel_z - slope_z
+        normal = unit((-(depth + y * along_y + z * along_z), along_y, along_z))
+        return shade((depth, y * depth, z * depth), normal, self.profile)
+
+    def _slopes(self, displacement: torch.Tensor) -> torch.Tensor:
+        """Derivatives (2, N, H, W) of the displacement along y and z of the image plane.
 
         Gaussian-weighted means of the differences between neighbours. Those across a step, or across the
         rim of the contact, where the slope jumps, do not count: the edge stays sharp.
         """
         inside = displacement > 0
         step = _STEP * self.profile.pixel_pitch
-        slopes = []
-        for axis, pitch in zip((2, 1), self._pitch):
+        sums = torch.zeros(3, *displacement.shape, device=self.device)
+        for total, pitch, axis in zip(sums, self._pitch, (2, 1)):
             size = displacement.shape[axis] - 1
-            ahead, here = displacement.narrow(axis, 1, size), displacement.narrow(axis, 0, size)
+            here, ahead = displacement.narrow(axis, 0, size), displacement.narrow(axis, 1, size)
             difference = here - ahead
-            counts = inside.narrow(axis, 1, size) & inside.narrow(axis, 0, size) & (difference.abs() < step)
-            weight = counts.float()
-            total, weight = (
-                _smooth_differences(values, axis, _SLOPE_SIGMA) for values in (difference * weight, weight)
-            )
-            slopes.append(torch.where(inside, total / (weight * pitch).clamp_min(1e-12), 0))
-        return slopes[0], slopes[1]
+            counts = inside.narrow(axis, 0, size) & inside.narrow(axis, 1, size) & (difference.abs() < step)
+            difference *= counts
+            # To both pixels that the difference lies between; half, where both neighbours count.
+            weight = torch.zeros_like(displacement)
+            for start in (0, 1):
+                total.narrow(axis, start, size).add_(difference)
+                weight.narrow(axis, start, size).add_(counts)
+            total /= weight.clamp_min_(1).mul_(pitch)
+        sums[2] = inside
+        smooth = _blur_on_black(sums, self.profile.slope_smoothing / self.profile.pixel_pitch)
+        return smooth[:2] / smooth[2].clamp_min(1e-12)
+
+    def _window(self, displacement: torch.Tensor) -> tuple[slice, slice]:
+        """Rows and columns that hold every displaced pixel; all of them on a GPU, which need not wait then."""
+        height, width = displacement.shape[1:]
+        if self.device.type != "cpu":
+            return slice(0, height), slice(0, width)
+        moved = (displacement > 0).any(0).numpy()
+        found = [np.flatnonzero(moved.any(axis)) for axis in (1, 0)]
+        rows, columns = (slice(int(f[0]), int(f[-1]) + 1) if f.size else slice(0, 1) for f in found)
+        return rows, columns
 
 
 def shade(point: Vectors, normal: Vectors, profile: SensorProfile) -> torch.Tensor:
@@ -125,59 +163,96 @@ def shade(point: Vectors, normal: Vectors, profile: SensorProfile) -> torch.Tens
 
     Parameters
     ----------
-    point : three (N, ...) float32 tensors
-        Metres, camera frame; the first one's sizes are those of the result.
-    normal : three (N, ...) float32 tensors
+    point : three (...) float32 tensors
+        Metres, camera frame.
+    normal : three (...) float32 tensors
         Unit, towards the camera.
     profile : SensorProfile
 
     Returns
     -------
-    (N, 3, ...) float32 tensor, 0 to 1
+    (3, ...) float32 tensor, 0 to 1
     """
     f0 = _DIELECTRIC * (1 - profile.metallic) + profile.albedo * profile.metallic
     diffuse = profile.albedo * (1 - _DIELECTRIC) * (1 - profile.metallic) / math.pi
     alpha2 = profile.roughness**4
     k = (profile.roughness + 1) ** 2 / 8
 
-    view = unit((-point[0], -point[1], -point[2]))
-    facing = _dot(normal, view)
-    cos_view = facing.abs().clamp(0.001, 1)
-    view_term = (alpha2 / math.pi) / (1 + (1 / cos_view - 1) * k)  # with the constant of the distribution
-    radiance: list[torch.Tensor | float] = [profile.ambient] * 3
-    for source in profile.lights:
-        towards = (source.position[0] - point[0], source.position[1] - point[1], source.position[2] - point[2])
-        inverse_square = 1 / _dot(towards, towards)
-        inverse = inverse_square.sqrt()
-        lit = _dot(normal, towards) * inverse
-        cos_light = lit.clamp(0.001, 1)
-        # The half vector h = (l + v) / |l + v| enters by its products only, and |l + v|² = 2 + 2 l·v.
-        light_view = _dot(view, towards) * inverse
-        half = (2 + 2 * light_view).clamp_min(1e-12).rsqrt()
-        cos_normal_half = ((lit + facing) * half).clamp(0, 1)
-        fresnel = f0 + (1 - f0) * (1 - ((1 + light_view) * half).clamp(0, 1)) ** 5
-        spread = cos_normal_half * cos_normal_half * (alpha2 - 1) + 1
-        shadowing = cos_light / (cos_light * (1 - k) + k)
-        specular = fresnel * view_term * shadowing / (spread * spread * (4 * cos_light * cos_view + 0.001))
-        reflected = cos_light * inverse_square * source.intensity * ((1 - fresnel) * diffuse + specular)
-        radiance = [r + c * reflected if c else r for r, c in zip(radiance, source.color)]
-    stacked = torch.stack([torch.as_tensor(r).to(point[0]).expand_as(point[0]) for r in radiance], dim=1)
-    return stacked.clamp(0, 1) ** (1 / profile.gamma)
+    def of_lights(values: list) -> torch.Tensor:
+        return torch.tensor(values, device=point[0].device).reshape(-1, *[1] * point[0].dim())
+
+    away = unit(point)
+    facing = -_dot(normal, away)
+    cos_view = facing.abs().clamp_(0.001, 1)
+    # Shadowing, and the constant of the distribution.
+    view_term = cos_view / (cos_view * (1 - k) + k) * (alpha2 / math.pi)
+    # From here on with an axis of lights in front; in place, because memory is what takes the time.
+    x, y, z = (p - of_lights([light.position[i] for light in profile.lights]) for i, p in enumerate(point))
+    inverse = _dot((x, y, z), (x, y, z)).rsqrt_()
+    lit = _dot(normal, (x, y, z)).mul_(inverse).neg_()
+    # The half vector h = (l + v) / |l + v| enters by its products only, and |l + v|² = 2 (1 + l·v).
+    light_view = _dot(away, (x, y, z)).mul_(inverse).add_(1)
+    half = (2 * light_view).clamp_min_(1e-12).rsqrt_()
+    grazing = light_view.mul_(half).clamp_(0, 1).neg_().add_(1)
+    fresnel = torch.mul(grazing, grazing, out=x)
+    fresnel.mul_(fresnel).mul_(grazing).mul_(1 - f0).add_(f0)
+    spread = torch.add(lit, facing, out=y).mul_(half).clamp_(0, 1)
+    spread.mul_(spread).mul_(alpha2 - 1).add_(1)
+    cos_light = lit.clamp_(0.001, 1)
+    divisor = torch.mul(cos_light, 1 - k, out=half).add_(k).mul_(spread).mul_(spread)
+    divisor.mul_(torch.mul(cos_light, cos_view, out=z).mul_(4).add_(0.001))
+    specular = torch.mul(cos_light, view_term, out=z).mul_(fresnel).div_(divisor)
+    reflected = specular.sub_(fresnel, alpha=diffuse).add_(diffuse).mul_(cos_light)
+    reflected.mul_(inverse.mul_(inverse).mul_(of_lights([light.intensity for light in profile.lights])))
+    radiance = torch.full((3, *point[0].shape), profile.ambient, device=point[0].device)
+    for light, seen in zip(profile.lights, reflected):
+        for total, weight in zip(radiance, light.color):
+            if weight:
+                total.add_(seen, alpha=weight)
+    return radiance.clamp_(0, 1).log_().div_(profile.gamma).exp_()  # twice as fast as a power
 
 
 def blur(images: torch.Tensor, sigma: float) -> torch.Tensor:
-    """Gaussian blur of (..., H, W) float images; ``sigma`` in pixels, 0 for none.
+    """Gaussian blur of (N, C, H, W) float images; ``sigma`` in pixels, 0 for none.
 
-    Cut off at two deviations (rounded up), mirrored at the border; sums of shifted images, whose bits do not
+    Cut off at two deviations (rounded up), mirrored at the border. A sum of shifted images: its bits do not
     depend on the batch.
     """
     if sigma == 0:
         return images
-    radius = math.ceil(2 * sigma)
-    weights = np.exp(-(np.arange(-radius, radius + 1) ** 2) / (2 * sigma**2))
-    weights /= weights.sum()
-    mirrored = pad(images, (radius,) * 4, mode="reflect")
-    return _correlate(_correlate(mirrored, weights, -1), weights, -2)
+    weights = _gaussian(sigma)
+    radius = len(weights) - 1
+    padded = pad(images, (radius,) * 4, mode="reflect")
+    for axis in (-1, -2):
+        size = padded.shape[axis] - 2 * radius
+        total = padded.narrow(axis, radius, size) * weights[0]
+        for shift in range(1, radius + 1):
+            for start in (radius - shift, radius + shift):
+                total.add_(padded.narrow(axis, start, size), alpha=weights[shift])
+        padded = total
+    return padded
+
+
+def _blur_on_black(images: torch.Tensor, sigma: float) -> torch.Tensor:
+    """As `blur`, but zero beyond the border."""
+    if sigma == 0:
+        return images
+    weights = _gaussian(sigma)
+    for axis in (-1, -2):
+        size = images.shape[axis]
+        total = images * weights[0]
+        for shift, weight in enumerate(weights[1:size], 1):
+            for here, there in ((0, shift), (shift, 0)):
+                moved = images.narrow(axis, there, size - shift)
+                total.narrow(axis, here, size - shift).add_(moved, alpha=weight)
+        images = total
+    return images
+
+
+def _gaussian(sigma: float) -> list[float]:
+    """Right half of a normalised discrete Gaussian, from its centre."""
+    weights = np.exp(-(np.arange(math.ceil(2 * sigma) + 1) ** 2) / (2 * sigma**2))
+    return (weights / (2 * weights.sum() - 1)).tolist()
 
 
 def unit(a: Vectors) -> Vectors:
@@ -187,30 +262,32 @@ def unit(a: Vectors) -> Vectors:
 
 
 def _dot(a: Vectors, b: Vectors) -> torch.Tensor:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return torch.addcmul(torch.addcmul(a[0] * b[0], a[1], b[1]), a[2], b[2])
 
 
-def _correlate(images: torch.Tensor, weights: np.ndarray, axis: int) -> torch.Tensor:
-    """Sum of shifted images; shorter by ``len(weights) - 1`` along the axis."""
-    size = images.shape[axis] - len(weights) + 1
-    total = images.narrow(axis, 0, size) * float(weights[0])
-    for shift, weight in enumerate(weights[1:].tolist(), 1):
-        total.add_(images.narrow(axis, shift, size), alpha=weight)
-    return total
+def _photograph(profile: SensorProfile) -> np.ndarray:
+    """The profile's picture of the untouched sensor, at the size of its images; (H, W, 3) uint8."""
+    path = Path(profile.background_image)
+    where = f"sensor profile {profile.name!r}: background_image {path}"
+    if not path.is_file():
+        raise ObjectFolderError(f"{where} does not exist; expected a picture, or nothing for a synthetic one")
+    try:
+        with Image.open(path) as stored:
+            picture = stored.convert("RGB")
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise ObjectFolderError(f"{where} is not a picture that can be read: {error}") from error
+    wanted = profile.width / profile.height
+    if abs(picture.width / picture.height / wanted - 1) > _ASPECT_TOLERANCE:
+        raise ObjectFolderError(
+            f"{where} has {picture.width} x {picture.height} pixels, expected width / height = {wanted:.3f}, "
+            f"that of the sensor's {profile.width} x {profile.height}; crop it to the sensor's view"
+        )
+    return np.asarray(picture.resize((profile.width, profile.height), Image.Resampling.BOX))
 
 
-def _smooth_differences(values: torch.Tensor, axis: int, sigma: float) -> torch.Tensor:
-    """Gaussian sums at the pixels of (N, H, W) values between them; one longer along ``axis`` (1 or 2)."""
-    radius = math.ceil(2 * sigma)
-    between = np.exp(-((np.arange(-radius, radius) + 0.5) ** 2) / (2 * sigma**2))
-    across = np.exp(-(np.arange(-radius, radius + 1) ** 2) / (2 * sigma**2))
-    padding = [radius] * 4
-    padded = pad(values, padding)
-    return _correlate(_correlate(padded, between, axis), across, 3 - axis)
-
-
-def _synthetic_background(profile: SensorProfile, rays: np.ndarray, gel: np.ndarray) -> torch.Tensor:
+def _synthetic_background(profile: SensorProfile) -> np.ndarray:
     """A dim grey with each light's glow on its side of the gel; (H, W, 3) uint8."""
+    rays, gel = ray_directions(profile), gel_depth(profile)
     display = np.empty((*gel.shape, 3))
     display[:] = profile.background_color
     for light in profile.lights:
@@ -218,4 +295,4 @@ def _synthetic_background(profile: SensorProfile, rays: np.ndarray, gel: np.ndar
         distance -= distance.min()
         glow = profile.background_glow / (1 + (distance / profile.background_falloff) ** 2)
         display += glow[..., None] * np.array(light.color)
-    return torch.from_numpy((255 * display).round().clip(0, 255).astype(np.uint8))
+    return (255 * display).round().clip(0, 255).astype(np.uint8)

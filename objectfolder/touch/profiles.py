@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -59,7 +59,9 @@ class SensorProfile:
     roughness: float  #: of the coating, 0 to 1
     gamma: float  #: display value = radiance^(1/gamma)
     gain: float  #: of the difference to the undeformed gel
+    slope_smoothing: float  #: m on the gel, Gaussian deviation, of the gel's slopes within the contact; 0 is none
     image_smoothing: float  #: m on the gel, Gaussian deviation of the optical blur; 0 is none
+    background_image: str  #: photograph of the untouched sensor, relative to the file; empty is the synthetic one
     background_color: Vector  #: display RGB of the untouched gel away from the lights, 0 to 1
     background_glow: float  #: display value that each light adds where it is nearest, 0 to 1
     background_falloff: float  #: m on the gel, at which the glow has halved
@@ -73,8 +75,8 @@ class SensorProfile:
             *("roughness", "gamma", "gain", "background_falloff"),
         )
         non_negative = (
-            *("gel_curvature", "poisson_ratio", "ambient", "albedo", "metallic", "image_smoothing"),
-            *("press_depth", "background_color", "background_glow", "noise_std"),
+            *("gel_curvature", "poisson_ratio", "ambient", "albedo", "metallic", "slope_smoothing"),
+            *("image_smoothing", "press_depth", "background_color", "background_glow", "noise_std"),
         )
         at_most_one = ("albedo", "metallic", "roughness", "background_color", "background_glow")
         for name in positive + non_negative:
@@ -172,9 +174,12 @@ def load_profile(name_or_path: str | Path) -> SensorProfile:
     except (YAMLError, UnicodeDecodeError) as error:
         raise ObjectFolderError(f"{path} is not valid YAML: {error}") from error
     try:
-        return SensorProfile.from_dict(values)
+        profile = SensorProfile.from_dict(values)
     except ObjectFolderError as error:
         raise ObjectFolderError(f"{path}: {error}") from error
+    if profile.background_image:
+        profile = replace(profile, background_image=str(path.parent / profile.background_image))
+    return profile
 
 
 def _from_mapping(cls: type[_T], values: Any, what: str) -> _T:

@@ -118,7 +118,7 @@ class TactoRays:
             return hit, np.empty((0, 3), np.float32)
         normal = np.einsum("nk,nkj->nj", weights, self._normals[self._faces[face]]) @ frame.astype(np.float32)
         point = depth[:, None] * rays[hit]
-        return hit, to_bytes(shade(_columns(point), unit(_columns(normal)), self.profile))[0]
+        return hit, to_bytes(shade(_columns(point), unit(_columns(normal)), self.profile))
 
     def _first_front(
         self, camera: np.ndarray, directions: np.ndarray, gel: np.ndarray
@@ -174,19 +174,18 @@ def compose(
     -------
     (H, W, 3) uint8, truncated as TACTO does
     """
-    change = torch.from_numpy(np.moveaxis(rendered.astype(np.float32) - empty, 2, 0) * profile.gain)
-    sharpness = profile.image_smoothing / profile.pixel_pitch
-    blurred = np.moveaxis(blur(change, sharpness).numpy(), 0, 2)
+    change = torch.from_numpy((rendered.astype(np.float32) - empty) * profile.gain).permute(2, 0, 1)[None]
+    blurred = blur(change, profile.image_smoothing / profile.pixel_pitch)[0].permute(1, 2, 0).numpy()
     return (background + blurred).clip(0, 255).astype(np.uint8)
 
 
 def to_bytes(display: torch.Tensor) -> np.ndarray:
-    """Display values (N, 3, ...) as OpenGL stores them: (N, ..., 3) float32, whole numbers up to 255."""
-    return (255 * display).round().movedim(1, -1).numpy()
+    """Display values (3, ...) as OpenGL stores them: (..., 3) float32, whole numbers up to 255."""
+    return (255 * display).round().movedim(0, -1).numpy()
 
 
 def _columns(vectors: np.ndarray) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    x, y, z = torch.from_numpy(np.ascontiguousarray(vectors.T)).unsqueeze(1)
+    x, y, z = torch.from_numpy(np.ascontiguousarray(vectors.T))
     return x, y, z
 
 
