@@ -23,15 +23,15 @@ def gel_sag(profile: SensorProfile, radius: np.ndarray) -> np.ndarray:
     return profile.gel_curvature * dome * (dome - np.sqrt(dome**2 - radius**2))
 
 
-def gel_depth(profile: SensorProfile) -> np.ndarray:
-    """Depth of the undeformed gel surface along each pixel ray; (H, W), metres, float64.
+def gel_depth(profile: SensorProfile, directions: np.ndarray | None = None) -> np.ndarray:
+    """Depth of the undeformed gel surface along rays with x = 1; without any the pixels' (H, W); metres, float64.
 
     The surface is the cap of a spheroid about the optical axis, as TACTO models its gels (Wang et al. 2022):
     x = g - κ R (R - sqrt(R² - y² - z²)), with g = `camera_to_gel`, κ = `gel_curvature` at the apex and R =
     `gel_dome_radius`; κ R = 1 is a sphere, κ = 0 a plane. On the ray t (1, a, b) the sag g - t is the smaller
     root of a quadratic equation, written so that it holds for a plane, too.
     """
-    directions = ray_directions(profile)
+    directions = ray_directions(profile) if directions is None else directions
     slope = directions[..., 1] ** 2 + directions[..., 2] ** 2
     apex, radius = profile.camera_to_gel, profile.gel_dome_radius
     stretch = profile.gel_curvature * radius

@@ -1,16 +1,10 @@
 """How the gel gives way."""
 
-import torch
+import numpy as np
 
 from objectfolder.touch.profiles import SensorProfile
 
 
-def deform(penetration: torch.Tensor, profile: SensorProfile) -> torch.Tensor:
-    """Displacement of the gel's surface; (N, H, W) float32 tensor, metres towards the camera.
-
-    Parameters
-    ----------
-    penetration : (N, H, W) float tensor, metres
-    profile : SensorProfile
-    """
-    return penetration.float().clone()
+def deform(height: np.ndarray, profile: SensorProfile) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement (N, H, W), metres, and pressure, of the gel's surface."""
+    return np.maximum(height, 0).astype(np.float32), np.full(height.shape, np.nan, np.float32)

@@ -1,15 +1,13 @@
 """What the sensor's camera sees of the gel."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import torch
-from PIL import Image
 from torch.nn.functional import pad
 
-from objectfolder.errors import ObjectFolderError
 from objectfolder.touch.camera import gel_depth, ray_directions
+from objectfolder.touch.photographs import read_picture
 from objectfolder.touch.profiles import SensorProfile
 
 Vectors = tuple[torch.Tensor, torch.Tensor, torch.Tensor]  #: x, y and z apart, as fast code wants them
@@ -19,9 +17,6 @@ _DIELECTRIC = 0.04
 
 # Two neighbouring pixels whose depths differ by more pixel pitches are on two surfaces.
 _STEP = 2.0
-
-# Of a background picture's width / height.
-_ASPECT_TOLERANCE = 0.01
 
 # Images that are rendered at once on a GPU.
 _CHUNK = 64
@@ -62,7 +57,10 @@ class Optics:
         along_z, along_y = torch.gradient(gel, spacing=(-self._pitch[1], -self._pitch[0]))
         maps = torch.stack([rays[..., 1], rays[..., 2], gel, along_y, along_z])
         self._maps = maps.float().to(self.device)
-        background = _photograph(profile) if profile.background_image else _synthetic_background(profile)
+        if profile.background_image:
+            background = read_picture(profile.background_image, profile)
+        else:
+            background = _synthetic_background(profile)
         self.background = torch.from_numpy(background).to(self.device)
         still = torch.zeros_like(self._maps[:1])
         self.untouched = self._display(self._maps, still, still, still)[:, 0]
@@ -73,7 +71,7 @@ class Optics:
         Parameters
         ----------
         displacement : (N, H, W) float32 tensor
-            Metres towards the camera along the pixel rays, from `gel.deform`.
+            Metres towards the camera along the pixel rays, from `gel.deform`; exactly 0 where the gel rests.
 
         Returns
         -------
@@ -82,13 +80,17 @@ class Optics:
         """
         images = torch.empty(*displacement.shape, 3, dtype=torch.uint8, device=self.device)
         background = self.background.permute(2, 0, 1).float()
-        sigma = self.profile.image_smoothing / self.profile.pixel_pitch
         # One at a time on a CPU: which of its instructions compute a pixel depends on the place in the batch.
         chunk = 1 if self.device.type == "cpu" else _CHUNK
         for out, moved in zip(images.split(chunk), displacement.to(self.device).float().split(chunk)):
-            change = blur(self._change(moved), sigma)
-            out.copy_((background + change).round_().clamp_(0, 255).permute(0, 2, 3, 1))
+            change = self.change(moved).add_(background)
+            out.copy_(change.round_().clamp_(0, 255).permute(0, 2, 3, 1))
         return images
+
+    def change(self, displacement: torch.Tensor) -> torch.Tensor:
+        """Grey levels (N, 3, H, W), float32, by which a displacement (N, H, W) brightens the image."""
+        sigma = self.profile.image_smoothing / self.profile.pixel_pitch
+        return blur(self._sharp_change(displacement.to(self.device).float()), sigma)
 
     def noise(self, images: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
         """Add the camera's pixel noise to (N, H, W, 3) uint8 images; none if the profile has none."""
@@ -97,8 +99,8 @@ class Optics:
         noise = torch.randn(images.shape, generator=generator) * self.profile.noise_std
         return (images + noise.to(images.device)).round().clamp(0, 255).to(torch.uint8)
 
-    def _change(self, displacement: torch.Tensor) -> torch.Tensor:
-        """Grey levels (N, 3, H, W) by which (N, H, W) brightens the image, before the optical blur."""
+    def _sharp_change(self, displacement: torch.Tensor) -> torch.Tensor:
+        """As `change`, before the optical blur."""
         change = torch.zeros(len(displacement), 3, *displacement.shape[1:], device=self.device)
         rows, columns = self._window(displacement)
         moved = displacement[:, rows, columns].contiguous()
@@ -106,7 +108,7 @@ class Optics:
         display = self._display(maps, moved, *self._slopes(moved))
         display -= self.untouched[:, None, rows, columns]
         # Exactly none where the gel is at rest.
-        display *= (moved > 0) * (255 * self.profile.gain)
+        display *= (moved != 0) * (255 * self.profile.gain)
         change[:, :, rows, columns] = display.transpose(0, 1)
         return change
 
@@ -125,7 +127,7 @@ class Optics:
         Gaussian-weighted means of the differences between neighbours. Those across a step, or across the
         rim of the contact, where the slope jumps, do not count: the edge stays sharp.
         """
-        inside = displacement > 0
+        inside = displacement != 0
         step = _STEP * self.profile.pixel_pitch
         sums = torch.zeros(3, *displacement.shape, device=self.device)
         for total, pitch, axis in zip(sums, self._pitch, (2, 1)):
@@ -149,7 +151,7 @@ class Optics:
         height, width = displacement.shape[1:]
         if self.device.type != "cpu":
             return slice(0, height), slice(0, width)
-        moved = (displacement > 0).any(0).numpy()
+        moved = (displacement != 0).any(0).numpy()
         found = [np.flatnonzero(moved.any(axis)) for axis in (1, 0)]
         rows, columns = (slice(int(f[0]), int(f[-1]) + 1) if f.size else slice(0, 1) for f in found)
         return rows, columns
@@ -263,26 +265,6 @@ def unit(a: Vectors) -> Vectors:
 
 def _dot(a: Vectors, b: Vectors) -> torch.Tensor:
     return torch.addcmul(torch.addcmul(a[0] * b[0], a[1], b[1]), a[2], b[2])
-
-
-def _photograph(profile: SensorProfile) -> np.ndarray:
-    """The profile's picture of the untouched sensor, at the size of its images; (H, W, 3) uint8."""
-    path = Path(profile.background_image)
-    where = f"sensor profile {profile.name!r}: background_image {path}"
-    if not path.is_file():
-        raise ObjectFolderError(f"{where} does not exist; expected a picture, or nothing for a synthetic one")
-    try:
-        with Image.open(path) as stored:
-            picture = stored.convert("RGB")
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise ObjectFolderError(f"{where} is not a picture that can be read: {error}") from error
-    wanted = profile.width / profile.height
-    if abs(picture.width / picture.height / wanted - 1) > _ASPECT_TOLERANCE:
-        raise ObjectFolderError(
-            f"{where} has {picture.width} x {picture.height} pixels, expected width / height = {wanted:.3f}, "
-            f"that of the sensor's {profile.width} x {profile.height}; crop it to the sensor's view"
-        )
-    return np.asarray(picture.resize((profile.width, profile.height), Image.Resampling.BOX))
 
 
 def _synthetic_background(profile: SensorProfile) -> np.ndarray:

@@ -146,6 +146,11 @@ class SensorProfile:
         return _from_mapping(cls, values, "sensor profile")
 
 
+def available_profiles() -> list[str]:
+    """Names of the profiles that come with the package."""
+    return sorted(path.stem for path in _PROFILES.glob("*.yaml"))
+
+
 def load_profile(name_or_path: str | Path) -> SensorProfile:
     """Read a profile from YAML.
 
@@ -165,7 +170,7 @@ def load_profile(name_or_path: str | Path) -> SensorProfile:
     if path.suffix not in (".yaml", ".yml"):
         path = _PROFILES / f"{name_or_path}.yaml"
     if not path.is_file():
-        available = ", ".join(sorted(p.stem for p in _PROFILES.glob("*.yaml")))
+        available = ", ".join(available_profiles())
         raise ObjectFolderError(
             f"unknown sensor profile {str(name_or_path)!r}: expected one of {available}, or a .yaml file"
         )

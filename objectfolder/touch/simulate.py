@@ -32,5 +32,5 @@ def touch_images(
     obstructed : (N,) float64, fraction of pixels; see `heightmaps`
     """
     penetration, obstructed = heightmaps(caster, points, normals, angles, depths, profile, scale)
-    displacement = deform(torch.from_numpy(penetration), profile)
+    displacement = torch.from_numpy(deform(penetration, profile)[0])
     return optics.render(displacement).numpy(), displacement.numpy(), obstructed

@@ -4,6 +4,7 @@ import igl
 import numpy as np
 import torch
 
+from objectfolder.mesh.normals import area_vectors
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.touch.camera import gel_depth, ray_directions
 from objectfolder.touch.contact import sensor_frames
@@ -49,11 +50,10 @@ class TactoRays:
     def __init__(self, vertices: np.ndarray, faces: np.ndarray, profile: SensorProfile, scale: float = 1.0):
         self.profile = profile
         vertices = np.asarray(vertices, np.float64) * scale
-        self._faces = np.asarray(faces, np.int64)
-        self._normals = smooth_normals(vertices, self._faces).astype(np.float32)
-        corners = vertices[self._faces]
-        self._flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).astype(np.float32)
-        self._caster = RayCaster(vertices, self._faces)
+        faces = np.asarray(faces, np.int64)
+        self._normals = smooth_normals(vertices, faces)[faces].astype(np.float32)  # of the faces' corners
+        self._flat = area_vectors(vertices, faces).astype(np.float32)
+        self._caster = RayCaster(vertices, faces)
         self._rays = ray_directions(profile).reshape(-1, 3).astype(np.float32)
         self._gel = gel_depth(profile).ravel().astype(np.float32)
         self._pitch = np.array(profile.half_extent)[::-1] * 2 / (profile.width, profile.height)
@@ -116,7 +116,7 @@ class TactoRays:
         hit, depth, face, weights = self._first_front(camera, rays @ frame.T.astype(np.float32), gel)
         if not hit.size:
             return hit, np.empty((0, 3), np.float32)
-        normal = np.einsum("nk,nkj->nj", weights, self._normals[self._faces[face]]) @ frame.astype(np.float32)
+        normal = np.einsum("nk,nkj->nj", weights, self._normals[face]) @ frame.astype(np.float32)
         point = depth[:, None] * rays[hit]
         return hit, to_bytes(shade(_columns(point), unit(_columns(normal)), self.profile))
 
@@ -124,20 +124,20 @@ class TactoRays:
         self, camera: np.ndarray, directions: np.ndarray, gel: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """First faces that look at the camera, before the gel: ray, depth, face, barycentric weights."""
-        live, start = np.arange(len(directions)), np.full(len(directions), NEAR, np.float32)
-        found = []
+        live, along, start = np.arange(len(directions)), directions, np.float32(NEAR)
+        camera, found = camera.astype(np.float32), []
         for _ in range(_BACK_FACES):
-            along = directions[live]
-            ray, further, face, weights = self._caster.intersect(
-                camera.astype(np.float32) + start[:, None] * along, along, np.maximum(gel[live] - start, 0)
-            )
-            depth = start[ray] + further
-            front = np.einsum("ij,ij->i", self._flat[face], along[ray]) < 0
+            origins = camera + np.reshape(start, (-1, 1)) * along
+            ray, further, face, weights = self._caster.intersect(origins, along, np.maximum(gel - start, 0))
+            depth, along = (start[ray] if start.ndim else start) + further, along[ray]
+            front = np.einsum("ij,ij->i", self._flat[face], along) < 0
             found.append((live[ray[front]], depth[front], face[front], weights[front]))
-            live, start = live[ray[~front]], depth[~front] + np.float32(_SKIP)
-            if not live.size:
+            behind = ~front
+            if not behind.any():
                 break
-        hit, depth, face, weights = (np.concatenate(parts) for parts in zip(*found))
+            live, gel = live[ray[behind]], gel[ray[behind]]
+            along, start = along[behind], depth[behind] + np.float32(_SKIP)
+        hit, depth, face, weights = found[0] if len(found) == 1 else map(np.concatenate, zip(*found))
         return hit, depth, face, weights
 
 
