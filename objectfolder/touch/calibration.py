@@ -1,7 +1,9 @@
 """Fits a sensor profile to a few pictures of a ball of known size, pressed on a real sensor."""
 
+import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -10,6 +12,7 @@ from scipy.optimize import least_squares
 from skimage.filters import threshold_otsu
 from skimage.measure import label, regionprops
 
+from objectfolder.artifacts import atomic, write_json, write_png
 from objectfolder.errors import ObjectFolderError
 from objectfolder.metrics import psnr
 from objectfolder.touch.camera import gel_depth, ray_directions
@@ -210,7 +213,9 @@ class _Model:
         dome = profile.gel_dome_radius
         leaning = profile.gel_curvature * dome / np.sqrt(dome**2 - at[1] ** 2 - at[2] ** 2)
         normal = np.array([1, leaning * at[1], leaning * at[2]])
-        centre = at + normal / np.linalg.norm(normal) * (self.radius - np.clip(depth, 0, profile.max_indentation))
+        centre = at + normal / np.linalg.norm(normal) * (
+            self.radius - np.clip(depth, 0, profile.max_indentation)
+        )
         along, square = self._rays @ centre, (self._rays**2).sum(axis=2)
         root = along**2 - square * (centre @ centre - self.radius**2)
         ball = np.where(root >= 0, (along - np.sqrt(np.maximum(root, 0))) / square, np.inf)
@@ -224,9 +229,7 @@ class _Model:
         return self._optics[key].change(self.displacement(pose))[0].permute(1, 2, 0).numpy()
 
 
-def _solve(
-    model: _Model, observed: np.ndarray, untouched: np.ndarray | None, start: np.ndarray
-) -> SensorFit:
+def _solve(model: _Model, observed: np.ndarray, untouched: np.ndarray | None, start: np.ndarray) -> SensorFit:
     count = len(model.colors)
     steps = np.concatenate([np.full(count, _STEPS[0]), np.tile(_STEPS[1:], len(observed))])
     steps[count + 2 :: 3] *= start[count + 2 :: 3]
@@ -264,7 +267,9 @@ def _solve(
     information = found.jac.T @ found.jac
     weakest = np.abs(np.diag(information)[:count]).min()
     if not weakest > 0:
-        raise ObjectFolderError("a light changes nothing in the pictures: it cannot be fitted; check the profile")
+        raise ObjectFolderError(
+            "a light changes nothing in the pictures: it cannot be fitted; check the profile"
+        )
     deviation = np.sqrt(variance * np.diag(np.linalg.pinv(information)))
     factors = np.exp(found.x[:count])
     lights = [
@@ -300,3 +305,42 @@ def _check_free(
                 f"{name}: the ball is in the same place as in all other pictures, so that they do not tell the "
                 "background there; press elsewhere, or give a picture of the untouched sensor"
             )
+
+
+def save_fit(fit: SensorFit, path: str | Path, name: str, source: str) -> list[Path]:
+    """Write a fitted profile, its background (``_background.png``) and a report (``_report.json``).
+
+    Parameters
+    ----------
+    fit : SensorFit
+    path : str or Path
+        Of the profile, ``.yaml``.
+    name, source : str
+        Of the new profile: what it is called, where its numbers come from.
+
+    Returns
+    -------
+    list of Path
+        What was written.
+    """
+    from ruamel.yaml import YAML
+
+    path = Path(path)
+    picture, report = (path.with_name(f"{path.stem}_{end}") for end in ("background.png", "report.json"))
+    write_png(picture, fit.background)
+    profile = replace(fit.profile, name=name, source=source, background_image=picture.name)
+    yaml = YAML()
+    yaml.default_flow_style = None
+    values = json.loads(json.dumps(profile.to_dict()))  # lists for tuples, which YAML does not have
+    with atomic(path) as temporary, temporary.open("w", encoding="utf-8") as stream:
+        yaml.dump(values, stream)
+    write_json(
+        report,
+        {
+            "lights": [asdict(light) for light in fit.lights],
+            "imprints": [asdict(imprint) for imprint in fit.imprints],
+            "psnr_before": fit.psnr_before,
+            "psnr_after": fit.psnr_after,
+        },
+    )
+    return [path, picture, report]

@@ -34,4 +34,4 @@ def read_picture(path: str | Path, profile: SensorProfile) -> np.ndarray:
             f"{where} has {picture.width} x {picture.height} pixels, expected width / height = {wanted:.3f} as "
             f"of its {profile.width} x {profile.height} images; crop it to the sensor's view"
         )
-    return np.asarray(picture.resize((profile.width, profile.height), Image.Resampling.BOX))
+    return np.array(picture.resize((profile.width, profile.height), Image.Resampling.BOX))

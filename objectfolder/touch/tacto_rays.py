@@ -194,5 +194,7 @@ def _outline(contact: np.ndarray) -> np.ndarray:
     edge = np.zeros_like(contact)
     for axis in (0, 1):
         differ = np.diff(contact, axis=axis)
-        edge |= np.insert(differ, 0, False, axis=axis) | np.insert(differ, differ.shape[axis], False, axis=axis)
+        edge |= np.insert(differ, 0, False, axis=axis) | np.insert(
+            differ, differ.shape[axis], False, axis=axis
+        )
     return edge
