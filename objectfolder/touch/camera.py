@@ -37,3 +37,14 @@ def gel_depth(profile: SensorProfile, directions: np.ndarray | None = None) -> n
     stretch = profile.gel_curvature * radius
     root = np.sqrt(radius**2 + (2 * radius * stretch - apex) * apex * slope)
     return apex - stretch * slope * apex**2 / (radius + stretch * slope * apex + root)
+
+
+def pixel_area(profile: SensorProfile) -> np.ndarray:
+    """Area of undeformed gel that a pixel sees, projected along the optical axis; (H, W), m², float64."""
+    directions, depth = ray_directions(profile), gel_depth(profile)
+    vertical, horizontal = profile.half_extent
+    pitch = 2 * vertical / profile.height, 2 * horizontal / profile.width
+    (y_row, y_column), (z_row, z_column) = (
+        np.gradient(directions[..., axis] * depth, *pitch) for axis in (1, 2)
+    )
+    return np.abs(y_row * z_column - y_column * z_row) * pitch[0] * pitch[1]
