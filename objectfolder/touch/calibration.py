@@ -16,6 +16,7 @@ from objectfolder.artifacts import atomic, write_json, write_png
 from objectfolder.errors import ObjectFolderError
 from objectfolder.metrics import psnr
 from objectfolder.touch.camera import gel_depth, ray_directions
+from objectfolder.touch.contact import GAP
 from objectfolder.touch.gel import deform
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile
@@ -130,7 +131,7 @@ def find_imprint(change: np.ndarray, name: str = "picture") -> tuple[float, floa
     ObjectFolderError
         If nothing stands out of the noise, or what does is not round, too small or cut by the border.
     """
-    strength = gaussian_filter(np.linalg.norm(change, axis=2), 1.5)
+    strength = np.linalg.norm(gaussian_filter(change, (1.5, 1.5, 0)), axis=2)
     noise = np.median(strength)
     ask = "give its --circle, or leave the picture out"
     level = threshold_otsu(strength)
@@ -219,7 +220,7 @@ class _Model:
         along, square = self._rays @ centre, (self._rays**2).sum(axis=2)
         root = along**2 - square * (centre @ centre - self.radius**2)
         ball = np.where(root >= 0, (along - np.sqrt(np.maximum(root, 0))) / square, np.inf)
-        return np.clip(self._gel - ball, -profile.max_indentation, profile.max_indentation)
+        return np.clip(self._gel - ball, -GAP * profile.elastomer_thickness, profile.max_indentation)
 
     def change(self, logarithms: np.ndarray, pose: np.ndarray) -> np.ndarray:
         """By how many grey levels the ball brightens the picture; (H, W, 3) float32."""
