@@ -457,7 +457,7 @@ def fit_sensor_profile(
         list[str] | None,
         typer.Option(
             metavar="ROW,COLUMN,RADIUS",
-            help="Of an imprint, pixels of the profile's images; one for each image, in order. Default: found.",
+            help="Of an imprint, pixels of the profile's images; one per image, in order. Default: found.",
         ),
     ] = None,
 ) -> None:
@@ -468,11 +468,10 @@ def fit_sensor_profile(
     sensor's view as the profile has it (`--sensor`: size, field of view, gel, where the lights are), upright,
     without automatic exposure or white balance. Then:
 
-    `objectfolder sensor fit press1.png press2.png press3.png --untouched rest.png --radius 0.004 --out mine.yaml`
+    `objectfolder sensor fit a.png b.png c.png --untouched rest.png --radius 0.004 --out mine.yaml`
 
-    Writes mine.yaml, mine_background.png and mine_report.json. Lights of one colour are fitted together. Use
-    the result as `sensor: mine.yaml` in Python (`load_profile("mine.yaml")`) or put it among
-    objectfolder/touch/profiles/ for a build.
+    Writes mine.yaml, mine_background.png and mine_report.json. Lights of one colour are fitted together. In
+    Python: `load_profile("mine.yaml")`. For a build: put it among objectfolder/touch/profiles/.
     """
     from objectfolder.touch.calibration import fit_sensor, save_fit
     from objectfolder.touch.photographs import read_picture
@@ -495,8 +494,8 @@ def fit_sensor_profile(
     source = f"{profile.source.strip()} Light intensities and background: fitted to {len(images)} images."
     written = save_fit(fit, out, out.stem, source)
     console.print(
-        f"images: {fit.psnr_before:.1f} dB with the given intensities, {fit.psnr_after:.1f} dB with the fitted "
-        f"ones; wrote {', '.join(map(str, written))}",
+        f"images: {fit.psnr_before:.1f} dB with the given intensities, {fit.psnr_after:.1f} dB with the "
+        f"fitted; wrote {', '.join(map(str, written))}",
         highlight=False,
         soft_wrap=True,
     )

@@ -103,7 +103,7 @@ def fit_sensor(
     wanted = 1 if untouched is not None else 3 if circles is None else 2
     if len(pictures) < wanted:
         raise ObjectFolderError(
-            f"{len(pictures)} pictures do not tell the background: give a picture of the untouched sensor, or "
+            f"{len(pictures)} pictures do not tell the background: give one of the untouched sensor, or "
             f"{wanted} pictures with the ball in different places"
         )
     if circles is not None and len(circles) != len(pictures):
@@ -282,7 +282,7 @@ def _solve(model: _Model, observed: np.ndarray, untouched: np.ndarray | None, st
         mean = (observed - changes(found.x)).mean(axis=0)
         background = mean.round().clip(0, 255).astype(np.uint8)
     as_given = np.concatenate([np.zeros(count), found.x[count:]])
-    before, after = (float(psnr(np.mean((left(changes(x)) / 255) ** 2))) for x in (as_given, found.x))
+    before, after = (float(psnr(float(np.mean(left(changes(x)) ** 2)), 255)) for x in (as_given, found.x))
     imprints = [Imprint(*map(float, pose)) for pose in found.x[count:].reshape(-1, 3)]
     return SensorFit(model.lit(found.x[:count]), background, imprints, lights, before, after)
 
@@ -303,7 +303,7 @@ def _check_free(
     for spot, name in zip(spots, names):
         if everywhere.sum() > (1 - _MIN_FREE) * spot.sum():
             raise ObjectFolderError(
-                f"{name}: the ball is in the same place as in all other pictures, so that they do not tell the "
+                f"{name}: the ball is in the same place as in all other pictures, which do not tell the "
                 "background there; press elsewhere, or give a picture of the untouched sensor"
             )
 

@@ -18,13 +18,13 @@ def ray_directions(profile: SensorProfile) -> np.ndarray:
 
 
 def gel_sag(profile: SensorProfile, radius: np.ndarray) -> np.ndarray:
-    """How far the undeformed gel is nearer to the camera than its apex, at a distance from the axis; metres."""
+    """How far the undeformed gel is before its apex, metres, at a distance from the optical axis."""
     dome = profile.gel_dome_radius
     return profile.gel_curvature * dome * (dome - np.sqrt(dome**2 - radius**2))
 
 
 def gel_depth(profile: SensorProfile, directions: np.ndarray | None = None) -> np.ndarray:
-    """Depth of the undeformed gel surface along rays with x = 1; without any the pixels' (H, W); metres, float64.
+    """Depth of the undeformed gel surface along rays with x = 1, metres; without any, (H, W), of the pixels.
 
     The surface is the cap of a spheroid about the optical axis, as TACTO models its gels (Wang et al. 2022):
     x = g - κ R (R - sqrt(R² - y² - z²)), with g = `camera_to_gel`, κ = `gel_curvature` at the apex and R =

@@ -147,7 +147,7 @@ class Optics:
         return smooth[:2] / smooth[2].clamp_min(1e-12)
 
     def _window(self, displacement: torch.Tensor) -> tuple[slice, slice]:
-        """Rows and columns that hold every displaced pixel; all of them on a GPU, which need not wait then."""
+        """Rows and columns that hold every displaced pixel; all on a GPU, which need not wait then."""
         height, width = displacement.shape[1:]
         if self.device.type != "cpu":
             return slice(0, height), slice(0, width)

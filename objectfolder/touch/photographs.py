@@ -31,7 +31,7 @@ def read_picture(path: str | Path, profile: SensorProfile) -> np.ndarray:
     wanted = profile.width / profile.height
     if abs(picture.width / picture.height / wanted - 1) > _ASPECT_TOLERANCE:
         raise ObjectFolderError(
-            f"{where} has {picture.width} x {picture.height} pixels, expected width / height = {wanted:.3f} as "
-            f"of its {profile.width} x {profile.height} images; crop it to the sensor's view"
+            f"{where} has {picture.width} x {picture.height} pixels, expected width / height = {wanted:.3f} "
+            f"as of its {profile.width} x {profile.height} images; crop it to the sensor's view"
         )
     return np.array(picture.resize((profile.width, profile.height), Image.Resampling.BOX))

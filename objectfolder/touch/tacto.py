@@ -55,8 +55,8 @@ class TactoReference:
             ) from error
         if profile.gamma != _GAMMA or profile.ambient != 0:
             raise ObjectFolderError(
-                f"sensor profile {profile.name!r}: gamma = {profile.gamma:g} and ambient = {profile.ambient:g}, "
-                f"but the tacto reference renderer draws gamma {_GAMMA:g} and no ambient light only"
+                f"sensor profile {profile.name!r}: gamma = {profile.gamma:g}, ambient = {profile.ambient:g}; "
+                f"TACTO's renderer draws gamma {_GAMMA:g} and no ambient light only"
             )
         self.profile = profile
         self.background = Optics(profile).background.numpy()

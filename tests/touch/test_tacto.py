@@ -128,7 +128,7 @@ def test_without_pyrender_the_reference_says_what_to_install(tacto, bumpy, monke
 
 @PYRENDER
 def test_reference_refuses_what_its_shader_cannot_draw(bumpy):
-    with pytest.raises(ObjectFolderError, match="'digit_realistic'.*ambient = 0.04"):
+    with pytest.raises(ObjectFolderError, match=r"'digit_realistic'.*ambient = 0\.04"):
         TactoReference(*bumpy, load_profile("digit_realistic"))
 
 
