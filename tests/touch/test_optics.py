@@ -9,7 +9,7 @@ from PIL import Image
 from objectfolder.errors import ObjectFolderError
 from objectfolder.touch.camera import gel_depth, ray_directions
 from objectfolder.touch.optics import Optics, blur, shade
-from objectfolder.touch.profiles import load_profile
+from objectfolder.touch.profiles import available_profiles, load_profile
 
 
 def bump(profile, row=80, column=60, height=1e-3, width=6.0):
@@ -88,6 +88,11 @@ def textbook(point, normal, light, profile):
     diffuse = (1 - fresnel) * profile.albedo * 0.96 * (1 - profile.metallic) / math.pi
     reflected = nl * (diffuse + fresnel * shadowing * spread / (4 * nl * nv + 0.001))
     return reflected * light.intensity / distance**2 * np.array(light.color)
+
+
+@pytest.mark.parametrize("name", available_profiles())
+def test_no_untouched_gel_is_too_bright_to_show_a_difference(name):
+    assert Optics(load_profile(name)).untouched.max() < 0.96
 
 
 @pytest.mark.parametrize("name", ["tacto_digit", "digit_realistic"])
