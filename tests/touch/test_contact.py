@@ -130,7 +130,6 @@ def test_sensor_turns_gradually_over_an_edge():
     points = np.stack([2 - t.clip(1), t.clip(0, 1), np.full_like(t, 0.2)], axis=1)
     frames = sensor_frames(contact_normals(box_distance, points, 0.1), 0.0)
 
-
     def turn(a, b):
         trace = np.einsum("nij,nij->n", a, b)
         return np.degrees(np.arccos(((trace - 1) / 2).clip(-1, 1)))
