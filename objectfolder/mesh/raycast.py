@@ -81,35 +81,27 @@ class RayCaster:
         weights = np.stack([1 - u - v, u, v], 1).astype(np.float32)
         return ray, hit["tfar"][ray].astype(np.float32), hit["primID"][ray].astype(np.int64), weights
 
-    def first_crossing(
-        self, origins: np.ndarray, directions: np.ndarray, max_distance: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def first_crossing(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distance to the first triangle along each ray, and from which side the ray meets it.
 
         Parameters
         ----------
         origins, directions : (N, 3) arrays
-        max_distance : (N,) array, optional
-            Rays end here; a short ray is a cheap ray.
 
         Returns
         -------
         distance : (N,) float32, ``inf`` where nothing is hit
         leaving : (N,) bool
-            The ray meets the face's back: of a closed surface, it comes from within.
+            The triangle's corners run clockwise as the ray sees them: of a closed surface, it comes from
+            within.
         """
         directions = np.ascontiguousarray(directions, np.float32)
         hit = self._scene.run(
-            np.ascontiguousarray(origins, np.float32),
-            directions,
-            dists=_lengths(max_distance),
-            query="INTERSECT",
-            output=1,
+            np.ascontiguousarray(origins, np.float32), directions, query="INTERSECT", output=1
         )
         met = hit["primID"] >= 0
-        x, y, z = hit["Ng"].T
-        along = x * directions[:, 0] + y * directions[:, 1] + z * directions[:, 2]
-        return np.where(met, hit["tfar"], np.float32(np.inf)), met & (along > 0)
+        leaving = met & ((hit["Ng"] * directions).sum(axis=1) > 0)
+        return np.where(met, hit["tfar"], np.float32(np.inf)), leaving
 
     def occluded(self, origins: np.ndarray, directions: np.ndarray, max_distance: np.ndarray) -> np.ndarray:
         """Whether anything lies within ``max_distance`` along each ray; (N,) bool."""

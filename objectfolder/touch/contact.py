@@ -168,7 +168,7 @@ def heightmaps(
     depths = np.broadcast_to(np.asarray(depths, np.float64), len(points))
     _check_contacts(points, normals, angles, depths, profile)
     frames = sensor_frames(normals, angles)
-    cameras = (points + normals * (profile.camera_to_gel - depths)[:, None]) / scale
+    cameras = ((points + normals * (profile.camera_to_gel - depths)[:, None]) / scale).astype(np.float32)
     # Directions in caster units make distances come out in metres of depth.
     rays = (ray_directions(profile).reshape(-1, 3) / scale).astype(np.float32)
     gel = gel_depth(profile).ravel().astype(np.float32)
@@ -179,19 +179,16 @@ def heightmaps(
     obstructed = np.empty(len(points))
     for i, (frame, camera) in enumerate(zip(frames, cameras)):  # one image at a time bounds the memory
         directions = rays @ frame.T.astype(np.float32)
-        origins = np.broadcast_to(camera.astype(np.float32), directions.shape)
-        distance, leaving = caster.first_crossing(origins, directions, limit)
-        met = np.isfinite(distance)
-        enclosed = leaving[met].mean() > 0.5 if met.any() else _encloses(caster, camera)
-        blocked = np.flatnonzero((distance < base) | enclosed)
+        distance, _ = caster.first_hit(np.broadcast_to(camera, rays.shape), directions, limit)
+        blocked = np.flatnonzero(distance < base)
+        if _encloses(caster, camera):
+            blocked = np.arange(len(rays))
         if blocked.size:
-            begin = base[blocked]
-            onward, within = caster.first_crossing(
-                origins[blocked] + begin[:, None] * directions[blocked], directions[blocked]
-            )
-            distance[blocked] = np.where(within, 0, begin + onward)
+            begin, onward = base[blocked], directions[blocked]
+            rest, leaving = caster.first_crossing(camera + begin[:, None] * onward, onward)
+            distance[blocked] = np.where(leaving, 0, begin + rest)
         height[i] = (gel - distance).clip(-gap, profile.max_indentation).reshape(height.shape[1:])
-        obstructed[i] = blocked.size / distance.size
+        obstructed[i] = blocked.size / len(rays)
     return height, obstructed
 
 
