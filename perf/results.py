@@ -305,6 +305,54 @@ def measured(name: str, layout: Callable[[Any], list[str]]) -> list[str]:
     return layout(json.loads(path.read_text())) if path.is_file() else []
 
 
+def touch_accuracy(figures: dict) -> list[str]:
+    """Table of what `perf/touch.py accuracy` has measured."""
+    lines = [
+        "\n## Touch beside TACTO's renderer\n",
+        "`python perf/touch.py accuracy --json build/perf/touch_accuracy.json`: PSNR in dB of all pixels / "
+        "of those in contact, against TACTO's renderer; its images by ray casting, and images from "
+        "heightmaps of unobstructed contacts.",
+        "",
+        "| object | contacts | ray casting | unobstructed | heightmap |",
+        "|---" * 5 + "|",
+    ]
+    for row in (row for row in figures["accuracy"] if "tacto" in row):
+        drawn, flat = (
+            f"{row[name]:.1f} / {row[f'{name}_contact']:.1f}" if name in row else "-"
+            for name in ("tacto", "heightmap")
+        )
+        values = (row["object"], row["contacts"], drawn, row["unobstructed"], flat)
+        lines.append(f"| {' | '.join(map(str, values))} |")
+    return lines
+
+
+def touch_speed(figures: dict) -> list[str]:
+    """Table of what `perf/touch.py speed` has measured."""
+    columns = {
+        "heightmap": "heightmap",
+        "gel": "soft gel",
+        "optics": "optics",
+        "rigid_single": "rigid, one",
+        "rigid_batch": "rigid, batch",
+        "soft_single": "soft, one",
+        "soft_batch": "soft, batch",
+        "tacto": "TACTO's by rays",
+        "reference": "TACTO's renderer",
+    }
+    lines = [
+        "\n## Query of a touch\n",
+        "`python perf/touch.py speed --json build/perf/touch_speed.json`: CPU ms per image, one fresh "
+        "process with one thread per object.",
+        "",
+        f"| object | {' | '.join(columns.values())} |",
+        "|---" * (len(columns) + 1) + "|",
+    ]
+    for row in (row for row in figures["speed"] if "failed" not in row):
+        shown = [f"{row[name]:.1f}" if name in row else "-" for name in columns]
+        lines.append(f"| {row['object']} | {' | '.join(shown)} |")
+    return lines
+
+
 def main() -> None:
     values = YAML(typ="safe").load((ROOT / "params.yaml").read_text())
     files = sorted((ROOT / "metrics").glob("*.json"))
@@ -361,6 +409,8 @@ def main() -> None:
         *measured("renderers", renderers),
         *measured("vision_training", training),
         *measured("vision_query", query),
+        *measured("touch_accuracy", touch_accuracy),
+        *measured("touch_speed", touch_speed),
         *measured("geometry", geometry),
         *measured("modal_accuracy", accuracy),
         *measured("modal", modal),

@@ -42,7 +42,7 @@ class RayCaster:
         hit = self._scene.run(
             np.ascontiguousarray(origins, np.float32),
             np.ascontiguousarray(directions, np.float32),
-            dists=None if max_distance is None else np.ascontiguousarray(max_distance, np.float32),
+            dists=_lengths(max_distance),
             query="INTERSECT",
             output=1,
         )
@@ -51,13 +51,15 @@ class RayCaster:
         return np.where(face >= 0, hit["tfar"], np.float32(np.inf)).astype(np.float32), face
 
     def intersect(
-        self, origins: np.ndarray, directions: np.ndarray
+        self, origins: np.ndarray, directions: np.ndarray, max_distance: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Where rays first meet a triangle; H of N rays do.
 
         Parameters
         ----------
         origins, directions : (N, 3) arrays
+        max_distance : (N,) array, optional
+            Rays end here.
 
         Returns
         -------
@@ -70,6 +72,7 @@ class RayCaster:
         hit = self._scene.run(
             np.ascontiguousarray(origins, np.float32),
             np.ascontiguousarray(directions, np.float32),
+            dists=None if max_distance is None else np.ascontiguousarray(max_distance, np.float32),
             query="INTERSECT",
             output=1,
         )
@@ -78,7 +81,34 @@ class RayCaster:
         weights = np.stack([1 - u - v, u, v], 1).astype(np.float32)
         return ray, hit["tfar"][ray].astype(np.float32), hit["primID"][ray].astype(np.int64), weights
 
+    def first_crossing(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distance to the first triangle along each ray, and from which side the ray meets it.
+
+        Parameters
+        ----------
+        origins, directions : (N, 3) arrays
+
+        Returns
+        -------
+        distance : (N,) float32, ``inf`` where nothing is hit
+        leaving : (N,) bool
+            The triangle's corners run clockwise as the ray sees them: of a closed surface, it comes from
+            within.
+        """
+        directions = np.ascontiguousarray(directions, np.float32)
+        hit = self._scene.run(
+            np.ascontiguousarray(origins, np.float32), directions, query="INTERSECT", output=1
+        )
+        met = hit["primID"] >= 0
+        leaving = met & ((hit["Ng"] * directions).sum(axis=1) > 0)
+        return np.where(met, hit["tfar"], np.float32(np.inf)), leaving
+
     def occluded(self, origins: np.ndarray, directions: np.ndarray, max_distance: np.ndarray) -> np.ndarray:
         """Whether anything lies within ``max_distance`` along each ray; (N,) bool."""
         _, face = self.first_hit(origins, directions, max_distance)
         return face >= 0
+
+
+def _lengths(max_distance: np.ndarray | None) -> np.ndarray | None:
+    """A copy, because Embree's wrapper writes the distances it finds into it."""
+    return None if max_distance is None else np.array(max_distance, np.float32)

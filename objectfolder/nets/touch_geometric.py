@@ -17,6 +17,8 @@ from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile
 from objectfolder.touch.simulate import touch_images
 
+_BATCH = 16  # bounds the memory that contacts take beside their images
+
 
 class GeometricTouch:
     """Tactile images of a stored surface.
@@ -51,9 +53,17 @@ class GeometricTouch:
     ) -> np.ndarray:
         """Tactile images; arguments as in `heightmaps`, object frame; (N, H, W, 3) uint8."""
         pressed = np.clip(depths + self.depth_offset, 0, self.profile.max_indentation)
-        return touch_images(
-            self.surface.caster, points, normals, angles, pressed, self.profile, self._optics, self.scale
-        )[0]
+        images = np.empty((len(pressed), self.profile.height, self.profile.width, 3), np.uint8)
+        for start in range(0, len(pressed), _BATCH):
+            part = slice(start, start + _BATCH)
+            images[part], _ = touch_images(
+                self.surface.caster,
+                *(points[part], normals[part], angles[part], pressed[part]),
+                self.profile,
+                self._optics,
+                self.scale,
+            )
+        return images
 
     def config(self) -> dict[str, Any]:
         """What is stored, besides the surface."""

@@ -17,13 +17,34 @@ def ray_directions(profile: SensorProfile) -> np.ndarray:
     return np.stack([np.ones((profile.height, profile.width)), *np.broadcast_arrays(y, z[:, None])], axis=-1)
 
 
-def gel_depth(profile: SensorProfile) -> np.ndarray:
-    """Depth of the undeformed gel surface along each pixel ray; (H, W), metres, float64.
+def gel_sag(profile: SensorProfile, radius: np.ndarray) -> np.ndarray:
+    """How far the undeformed gel is before its apex, metres, at a distance from the optical axis."""
+    dome = profile.gel_dome_radius
+    return profile.gel_curvature * dome * (dome - np.sqrt(dome**2 - radius**2))
 
-    The surface is x = g - κ (y² + z²) / 2, with g = `camera_to_gel` and κ = `gel_curvature`. On the ray
-    t (1, a, b) this is a quadratic equation in t.
+
+def gel_depth(profile: SensorProfile, directions: np.ndarray | None = None) -> np.ndarray:
+    """Depth of the undeformed gel surface along rays with x = 1, metres; without any, (H, W), of the pixels.
+
+    The surface is the cap of a spheroid about the optical axis, as TACTO models its gels (Wang et al. 2022):
+    x = g - κ R (R - sqrt(R² - y² - z²)), with g = `camera_to_gel`, κ = `gel_curvature` at the apex and R =
+    `gel_dome_radius`; κ R = 1 is a sphere, κ = 0 a plane. On the ray t (1, a, b) the sag g - t is the smaller
+    root of a quadratic equation, written so that it holds for a plane, too.
     """
-    directions = ray_directions(profile)
+    directions = ray_directions(profile) if directions is None else directions
     slope = directions[..., 1] ** 2 + directions[..., 2] ** 2
-    root = np.sqrt(1 + 2 * profile.gel_curvature * slope * profile.camera_to_gel)
-    return 2 * profile.camera_to_gel / (1 + root)
+    apex, radius = profile.camera_to_gel, profile.gel_dome_radius
+    stretch = profile.gel_curvature * radius
+    root = np.sqrt(radius**2 + (2 * radius * stretch - apex) * apex * slope)
+    return apex - stretch * slope * apex**2 / (radius + stretch * slope * apex + root)
+
+
+def pixel_area(profile: SensorProfile) -> np.ndarray:
+    """Area of undeformed gel that a pixel sees, projected along the optical axis; (H, W), m², float64."""
+    directions, depth = ray_directions(profile), gel_depth(profile)
+    vertical, horizontal = profile.half_extent
+    pitch = 2 * vertical / profile.height, 2 * horizontal / profile.width
+    (y_row, y_column), (z_row, z_column) = (
+        np.gradient(directions[..., axis] * depth, *pitch) for axis in (1, 2)
+    )
+    return np.abs(y_row * z_column - y_column * z_row) * pitch[0] * pitch[1]

@@ -15,8 +15,9 @@ UP = np.array([1.0, 2.0, 4.0]) / np.sqrt(21.0)
 #: Radius of `contact_normals` in the unit frame: two voxels of a 192^3 distance grid, and within its band.
 NORMAL_RADIUS = 0.01
 
-# A ray goes on this far behind a surface it has crossed, so that it does not meet the surface again.
-_SKIP = 1e-6  # m
+#: The widest gap between gel and object that is told from a wider one, as a fraction of the elastomer's
+#: thickness: a soft gel bulges into gaps beside a contact.
+GAP = 0.15
 
 # Directions that no usual mesh has an edge along; three, because one ray can still graze an edge.
 _PROBES = np.array([[0.7561, 0.3217, -0.5700], [-0.4129, 0.8836, 0.2205], [-0.2917, -0.6353, 0.7150]])
@@ -130,87 +131,86 @@ def heightmaps(
     """How far the object is past the undeformed gel surface, along the camera's rays.
 
     The gel's apex is pressed ``depth`` beyond the contact point, along -n. What counts is the first surface
-    beyond a start surface that lies `max_indentation` from the gel towards the camera. Material across the
-    start surface is clipped to the maximal indentation; material wholly on the camera's side of it does not
-    show. Both would collide with the sensor and are reported as obstructed.
+    beyond the rigid base of the elastomer, `elastomer_thickness` behind the gel's surface. Material wholly on
+    the camera's side of the base does not show, material across it is clipped to the maximal indentation. A
+    real sensor would collide with both: they are reported as obstructed.
 
     Parameters
     ----------
     caster : RayCaster
-        A closed surface, in the object frame; the orientation of its triangles does not matter.
+        A closed surface, its triangles anticlockwise from outside, in the object frame.
     points, normals : (N, 3) arrays
         Contact points (metres) and unit outward normals, object frame.
     angles : (N,) array
         Radians; see `sensor_frames`.
     depths : (N,) array
-        Press depths, metres.
+        Press depths, metres, from 0 to `max_indentation`.
     profile : SensorProfile
     scale : float
         Metres per unit of the caster.
 
     Returns
     -------
-    penetration : (N, H, W) float32, metres, from 0 to `max_indentation`
-    obstructed : (N,) float64, fraction of pixels with material between the camera and the start surface
+    height : (N, H, W) float32, metres
+        From -`GAP` times `elastomer_thickness`, which stands for any wider gap, to `max_indentation`.
+    obstructed : (N,) float64
+        Fraction of the pixels with material nearer to the camera than the base. A contact counts as
+        obstructed where this is not 0.
 
     Raises
     ------
     ObjectFolderError
-        If a depth is not finite or exceeds the profile's maximal indentation.
+        If a value is not finite, or a depth is negative or exceeds the profile's maximal indentation.
     """
     points = np.asarray(points, np.float64).reshape(-1, 3)
-    depths = np.broadcast_to(np.asarray(depths, np.float64), len(points))
-    if not np.all(np.isfinite(depths) & (depths <= profile.max_indentation)):
-        raise ObjectFolderError(
-            f"press depth {depths.max():g} m must be finite and at most {profile.max_indentation:g} m, "
-            f"the maximal indentation of sensor {profile.name!r}"
-        )
     normals = np.asarray(normals, np.float64).reshape(-1, 3)
+    angles = np.broadcast_to(np.asarray(angles, np.float64), len(points))
+    depths = np.broadcast_to(np.asarray(depths, np.float64), len(points))
+    _check_contacts(points, normals, angles, depths, profile)
     frames = sensor_frames(normals, angles)
-    cameras = points + normals * (profile.camera_to_gel - depths)[:, None]
-    rays = ray_directions(profile).reshape(-1, 3)
-    gel = gel_depth(profile).ravel()
-    start = gel - profile.max_indentation
+    cameras = ((points + normals * (profile.camera_to_gel - depths)[:, None]) / scale).astype(np.float32)
+    # Directions in caster units make distances come out in metres of depth.
+    rays = (ray_directions(profile).reshape(-1, 3) / scale).astype(np.float32)
+    gel = gel_depth(profile).ravel().astype(np.float32)
+    gap = np.float32(GAP * profile.elastomer_thickness)
+    limit, base = gel + gap, gel - np.float32(profile.elastomer_thickness)
 
-    penetration = np.empty((len(points), profile.height, profile.width), np.float32)
+    height = np.empty((len(points), profile.height, profile.width), np.float32)
     obstructed = np.empty(len(points))
     for i, (frame, camera) in enumerate(zip(frames, cameras)):  # one image at a time bounds the memory
-        # Directions in caster units make distances come out in metres of depth.
-        directions = rays @ frame.T / scale
-        crossings, depth = _march(caster, camera / scale, directions, start, gel)
-        inside = crossings % 2 == 1
-        blocked = crossings > 0
-        if _encloses(caster, camera / scale, scale):
-            inside, blocked = ~inside, np.ones_like(blocked)
-        reach = np.where(inside, profile.max_indentation, gel - depth)
-        penetration[i] = reach.clip(0, profile.max_indentation).reshape(penetration.shape[1:])
-        obstructed[i] = blocked.mean()
-    return penetration, obstructed
+        directions = rays @ frame.T.astype(np.float32)
+        distance, _ = caster.first_hit(np.broadcast_to(camera, rays.shape), directions, limit)
+        blocked = np.flatnonzero(distance < base)
+        if _encloses(caster, camera):
+            blocked = np.arange(len(rays))
+        if blocked.size:
+            begin, onward = base[blocked], directions[blocked]
+            rest, leaving = caster.first_crossing(camera + begin[:, None] * onward, onward)
+            distance[blocked] = np.where(leaving, 0, begin + rest)
+        height[i] = (gel - distance).clip(-gap, profile.max_indentation).reshape(height.shape[1:])
+        obstructed[i] = blocked.size / len(rays)
+    return height, obstructed
 
 
-def _march(
-    caster: RayCaster, origin: np.ndarray, directions: np.ndarray, stop: np.ndarray, limit: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Count the surfaces before ``stop`` and find the first one from there to ``limit`` (inf if none)."""
-    crossings = np.zeros(len(directions), np.int64)
-    origins = np.broadcast_to(origin, directions.shape)
-    distance = caster.first_hit(origins, directions, limit)[0].astype(np.float64)
-    live = np.flatnonzero(distance < stop)
-    while live.size:
-        crossings[live] += 1
-        begin = distance[live] + _SKIP
-        onward, _ = caster.first_hit(
-            origins[live] + begin[:, None] * directions[live],
-            directions[live],
-            np.maximum(limit[live] - begin, 0),
+def _check_contacts(
+    points: np.ndarray, normals: np.ndarray, angles: np.ndarray, depths: np.ndarray, profile: SensorProfile
+) -> None:
+    for name, array in {"point": points, "normal": normals, "angle": angles[:, None]}.items():
+        rows = np.flatnonzero(~np.isfinite(array).all(axis=1))
+        if rows.size:
+            raise ObjectFolderError(
+                f"contact {rows[0]}: {name} {array[rows[0]].tolist()} must be finite "
+                f"({rows.size} of {len(array)} are not)"
+            )
+    rows = np.flatnonzero(~((depths >= 0) & (depths <= profile.max_indentation)))
+    if rows.size:
+        raise ObjectFolderError(
+            f"contact {rows[0]}: press depth {depths[rows[0]]:g} m must be from 0 to "
+            f"{profile.max_indentation:g} m, the maximal indentation of sensor {profile.name!r}"
         )
-        distance[live] = begin + onward
-        live = live[distance[live] < stop[live]]
-    return crossings, distance
 
 
-def _encloses(caster: RayCaster, point: np.ndarray, scale: float) -> bool:
+def _encloses(caster: RayCaster, point: np.ndarray) -> bool:
     """Whether the closed surface encloses a point (caster units), by the vote of three rays."""
-    endless = np.full(len(_PROBES), np.inf)
-    crossings, _ = _march(caster, point, _PROBES / scale, endless, endless)
-    return bool((crossings % 2).sum() >= 2)
+    _, leaving = caster.first_crossing(np.broadcast_to(point, _PROBES.shape), _PROBES)
+    return bool(leaving.sum() >= 2)

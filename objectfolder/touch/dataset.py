@@ -14,6 +14,7 @@ from objectfolder.touch.profiles import SensorProfile
 from objectfolder.touch.simulate import touch_images
 
 _BATCH = 16
+_MEASURED = ("obstructed", "max_penetration", "area", "force")
 
 
 def contact_points(
@@ -70,23 +71,31 @@ def render_contacts(
     -------
     dict
         ``images`` (N, H, W, 3) uint8; ``points`` (N, 3) and ``depths`` (N,) in metres, ``normals`` (N, 3)
-        and ``angles`` (N,) in radians, object frame; ``obstructed`` (N,) fraction of the image.
+        and ``angles`` (N,) in radians, object frame; ``obstructed`` (N,) fraction of the image,
+        ``max_penetration`` (N,) in metres, ``area`` (N,) in m² and ``force`` (N,) in newtons, NaN for a rigid
+        gel; see `objectfolder.touch.simulate.Contacts`.
     """
     vertices, faces = np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int64)
-    normals = contact_normals(
-        lambda p: igl.signed_distance(np.ascontiguousarray(p), vertices, faces)[0], points, NORMAL_RADIUS
-    )
+
+    def distance(p: np.ndarray) -> np.ndarray:
+        # The winding number tells the side four times faster than pseudonormals do.
+        side = igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER
+        return igl.signed_distance(np.ascontiguousarray(p), vertices, faces, side)[0]
+
+    normals = contact_normals(distance, points, NORMAL_RADIUS)
     low, high = profile.press_depth
     depths, angles = rng.uniform(low, high, len(points)), rng.uniform(0, 2 * np.pi, len(points))
     caster, optics = RayCaster(vertices, faces), Optics(profile)
     noise = torch.Generator().manual_seed(int(rng.integers(2**63)))
     images = np.empty((len(points), profile.height, profile.width, 3), np.uint8)
-    obstructed = np.empty(len(points))
+    measured = {name: np.empty(len(points)) for name in _MEASURED}
     for start in progress(range(0, len(points), _BATCH)):
         part = slice(start, start + _BATCH)
-        clean, _, obstructed[part] = touch_images(
+        clean, contacts = touch_images(
             caster, points[part] * scale, normals[part], angles[part], depths[part], profile, optics, scale
         )
+        for name, values in measured.items():
+            values[part] = getattr(contacts, name)
         images[part] = optics.noise(torch.from_numpy(clean), noise).numpy()
     return {
         "images": images,
@@ -94,5 +103,5 @@ def render_contacts(
         "normals": normals,
         "depths": depths,
         "angles": angles,
-        "obstructed": obstructed,
+        **measured,
     }

@@ -2,14 +2,24 @@
 
 import math
 
+import numpy as np
 import torch
+from torch.nn.functional import pad
 
 from objectfolder.touch.camera import gel_depth, ray_directions
+from objectfolder.touch.photographs import read_picture
 from objectfolder.touch.profiles import SensorProfile
-from objectfolder.touch.smoothing import smooth
+
+Vectors = tuple[torch.Tensor, torch.Tensor, torch.Tensor]  #: x, y and z apart, as fast code wants them
 
 # Reflectance of a dielectric at normal incidence, as in glTF.
 _DIELECTRIC = 0.04
+
+# Two neighbouring pixels whose depths differ by more pixel pitches are on two surfaces.
+_STEP = 2.0
+
+# Images that are rendered at once on a GPU.
+_CHUNK = 64
 
 
 class Optics:
@@ -22,24 +32,38 @@ class Optics:
     Parameters
     ----------
     profile : SensorProfile
+    device : str or torch.device
+        Where `render` works.
 
     Attributes
     ----------
     background : (H, W, 3) uint8 tensor
-        The untouched sensor; synthetic, a function of the profile only.
+        The untouched sensor: the profile's picture, or a synthetic one.
+    untouched : (3, H, W) float32 tensor
+        Shading of the undeformed gel, 0 to 1.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the profile's background picture cannot be used.
     """
 
-    def __init__(self, profile: SensorProfile):
+    def __init__(self, profile: SensorProfile, device: str | torch.device = "cpu"):
         self.profile = profile
-        rays = torch.from_numpy(ray_directions(profile)).float()
-        self._slope_y = rays[..., 1].contiguous()
-        self._slope_z = rays[..., 2].contiguous()
-        self._gel = torch.from_numpy(gel_depth(profile)).float()
-        self._positions = torch.tensor([light.position for light in profile.lights])
-        self._colors = torch.tensor([light.color for light in profile.lights])
-        self._intensities = torch.tensor([light.intensity for light in profile.lights])
-        self.background = self._background()
-        self._reference = self._shade(self._gel)
+        self.device = torch.device(device)
+        rays = torch.from_numpy(ray_directions(profile))
+        gel = torch.from_numpy(gel_depth(profile))
+        self._pitch = (float(rays[0, 0, 1] - rays[0, 1, 1]), float(rays[0, 0, 2] - rays[1, 0, 2]))
+        along_z, along_y = torch.gradient(gel, spacing=(-self._pitch[1], -self._pitch[0]))
+        maps = torch.stack([rays[..., 1], rays[..., 2], gel, along_y, along_z])
+        self._maps = maps.float().to(self.device)
+        if profile.background_image:
+            background = read_picture(profile.background_image, profile)
+        else:
+            background = _synthetic_background(profile)
+        self.background = torch.from_numpy(background).to(self.device)
+        still = torch.zeros_like(self._maps[:1])
+        self.untouched = self._display(self._maps, still, still, still)[:, 0]
 
     def render(self, displacement: torch.Tensor) -> torch.Tensor:
         """Images of the deformed gel.
@@ -47,92 +71,210 @@ class Optics:
         Parameters
         ----------
         displacement : (N, H, W) float32 tensor
-            Metres towards the camera along the pixel rays, from `gel.deform`.
+            Metres towards the camera along the pixel rays, from `gel.deform`; exactly 0 where the gel rests.
 
         Returns
         -------
-        (N, H, W, 3) uint8 tensor, RGB.
+        (N, H, W, 3) uint8 tensor, RGB, on the device of the optics. Each image has the same bits whatever
+        else is in the batch.
         """
-        images = torch.empty(*displacement.shape, 3, dtype=torch.uint8)
-        sigma = self.profile.image_smoothing / self.profile.pixel_pitch
+        images = torch.empty(*displacement.shape, 3, dtype=torch.uint8, device=self.device)
         background = self.background.permute(2, 0, 1).float()
-        # One image at a time: the same bits whatever else is in the batch.
-        for image, moved in zip(images, displacement.unbind()):
-            change = 255 * self.profile.gain * (self._shade(self._gel - moved) - self._reference)
-            change = torch.stack([smooth(channel, sigma) for channel in change])
-            image.copy_((background + change).round().clamp(0, 255).permute(1, 2, 0))
+        # One at a time on a CPU: which of its instructions compute a pixel depends on the place in the batch.
+        chunk = 1 if self.device.type == "cpu" else _CHUNK
+        for out, moved in zip(images.split(chunk), displacement.to(self.device).float().split(chunk)):
+            change = self.change(moved).add_(background)
+            out.copy_(change.round_().clamp_(0, 255).permute(0, 2, 3, 1))
         return images
+
+    def change(self, displacement: torch.Tensor) -> torch.Tensor:
+        """Grey levels (N, 3, H, W), float32, by which a displacement (N, H, W) brightens the image."""
+        sigma = self.profile.image_smoothing / self.profile.pixel_pitch
+        return blur(self._sharp_change(displacement.to(self.device).float()), sigma)
 
     def noise(self, images: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
         """Add the camera's pixel noise to (N, H, W, 3) uint8 images; none if the profile has none."""
         if self.profile.noise_std == 0:
             return images
         noise = torch.randn(images.shape, generator=generator) * self.profile.noise_std
-        return (images + noise).round().clamp(0, 255).to(torch.uint8)
+        return (images + noise.to(images.device)).round().clamp(0, 255).to(torch.uint8)
 
-    def _background(self) -> torch.Tensor:
-        """A dim grey with each light's glow on its side of the gel; (H, W, 3) uint8."""
-        y, z = self._slope_y * self._gel, self._slope_z * self._gel
-        light_y, light_z = self._positions[:, 1, None, None], self._positions[:, 2, None, None]
-        distance = torch.sqrt((light_y - y) ** 2 + (light_z - z) ** 2)
-        distance = distance - distance.amin(dim=(1, 2), keepdim=True)
-        glow = self.profile.background_glow / (1 + (distance / self.profile.background_falloff) ** 2)
-        color = torch.tensor(self.profile.background_color)
-        display = color + torch.einsum("lhw,lc->hwc", glow, self._colors)
-        return (255 * display).round().clamp(0, 255).to(torch.uint8)
+    def _sharp_change(self, displacement: torch.Tensor) -> torch.Tensor:
+        """As `change`, before the optical blur."""
+        change = torch.zeros(len(displacement), 3, *displacement.shape[1:], device=self.device)
+        rows, columns = self._window(displacement)
+        moved = displacement[:, rows, columns].contiguous()
+        maps = self._maps[:, rows, columns].contiguous()
+        display = self._display(maps, moved, *self._slopes(moved))
+        display -= self.untouched[:, None, rows, columns]
+        # Exactly none where the gel is at rest.
+        display *= (moved != 0) * (255 * self.profile.gain)
+        change[:, :, rows, columns] = display.transpose(0, 1)
+        return change
 
-    def _shade(self, depth: torch.Tensor) -> torch.Tensor:
-        """Display values (3, H, W), 0 to 1, of the surface at ``depth`` (H, W) along the pixel rays."""
-        point = (depth, self._slope_y * depth, self._slope_z * depth)
-        normal = self._normals(depth)
-        view = _unit(tuple(-p for p in point))
-        towards = tuple(self._positions[:, i, None, None] - point[i] for i in range(3))
-        square = _dot(towards, towards)
-        light = tuple(t * square.rsqrt() for t in towards)
-        irradiance = self._intensities[:, None, None] / square
-        radiance = irradiance * _metallic_roughness(normal, view, light, self.profile)
-        color = torch.stack(
-            [sum(c * r for c, r in zip(channel.tolist(), radiance)) for channel in self._colors.T]
-        )
-        return (color + self.profile.ambient).clamp(0, 1) ** (1 / self.profile.gamma)
+    def _display(
+        self, maps: torch.Tensor, moved: torch.Tensor, slope_y: torch.Tensor, slope_z: torch.Tensor
+    ) -> torch.Tensor:
+        """Display values (3, N, H, W) of a displacement (N, H, W) with its derivatives along the image."""
+        y, z, gel, gel_y, gel_z = maps
+        depth, along_y, along_z = gel - moved, gel_y - slope_y, gel_z - slope_z
+        normal = unit((-(depth + y * along_y + z * along_z), along_y, along_z))
+        return shade((depth, y * depth, z * depth), normal, self.profile)
 
-    def _normals(self, depth: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Unit normals towards the camera of the surface depth · (1, a, b), by central differences."""
-        step_z = float(self._slope_z[1, 0] - self._slope_z[0, 0])
-        step_y = float(self._slope_y[0, 1] - self._slope_y[0, 0])
-        along_z, along_y = torch.gradient(depth, spacing=(step_z, step_y))
-        return _unit((-(depth + self._slope_y * along_y + self._slope_z * along_z), along_y, along_z))
+    def _slopes(self, displacement: torch.Tensor) -> torch.Tensor:
+        """Derivatives (2, N, H, W) of the displacement along y and z of the image plane.
+
+        Gaussian-weighted means of the differences between neighbours. Those across a step, or across the
+        rim of the contact, where the slope jumps, do not count: the edge stays sharp.
+        """
+        inside = displacement != 0
+        step = _STEP * self.profile.pixel_pitch
+        sums = torch.zeros(3, *displacement.shape, device=self.device)
+        for total, pitch, axis in zip(sums, self._pitch, (2, 1)):
+            size = displacement.shape[axis] - 1
+            here, ahead = displacement.narrow(axis, 0, size), displacement.narrow(axis, 1, size)
+            difference = here - ahead
+            counts = inside.narrow(axis, 0, size) & inside.narrow(axis, 1, size) & (difference.abs() < step)
+            difference *= counts
+            # To both pixels that the difference lies between; half, where both neighbours count.
+            weight = torch.zeros_like(displacement)
+            for start in (0, 1):
+                total.narrow(axis, start, size).add_(difference)
+                weight.narrow(axis, start, size).add_(counts)
+            total /= weight.clamp_min_(1).mul_(pitch)
+        sums[2] = inside
+        smooth = _blur_on_black(sums, self.profile.slope_smoothing / self.profile.pixel_pitch)
+        return smooth[:2] / smooth[2].clamp_min(1e-12)
+
+    def _window(self, displacement: torch.Tensor) -> tuple[slice, slice]:
+        """Rows and columns that hold every displaced pixel; all on a GPU, which need not wait then."""
+        height, width = displacement.shape[1:]
+        if self.device.type != "cpu":
+            return slice(0, height), slice(0, width)
+        moved = (displacement != 0).any(0).numpy()
+        found = [np.flatnonzero(moved.any(axis)) for axis in (1, 0)]
+        rows, columns = (slice(int(f[0]), int(f[-1]) + 1) if f.size else slice(0, 1) for f in found)
+        return rows, columns
 
 
-def _metallic_roughness(
-    normal: tuple[torch.Tensor, ...],
-    view: tuple[torch.Tensor, ...],
-    light: tuple[torch.Tensor, ...],
-    profile: SensorProfile,
-) -> torch.Tensor:
-    """BRDF times cosine: Lambert plus GGX, Smith's and Schlick's terms (glTF 2.0, appendix B)."""
+def shade(point: Vectors, normal: Vectors, profile: SensorProfile) -> torch.Tensor:
+    """Display values of surface points under the profile's lights.
+
+    Lambert and GGX with Smith's and Schlick's terms (glTF 2.0, appendix B), with the bounds that pyrender's
+    shader puts on the cosines.
+
+    Parameters
+    ----------
+    point : three (...) float32 tensors
+        Metres, camera frame.
+    normal : three (...) float32 tensors
+        Unit, towards the camera.
+    profile : SensorProfile
+
+    Returns
+    -------
+    (3, ...) float32 tensor, 0 to 1
+    """
     f0 = _DIELECTRIC * (1 - profile.metallic) + profile.albedo * profile.metallic
     diffuse = profile.albedo * (1 - _DIELECTRIC) * (1 - profile.metallic) / math.pi
     alpha2 = profile.roughness**4
     k = (profile.roughness + 1) ** 2 / 8
 
-    cos_light = _dot(normal, light).clamp(0.001, 1)
-    cos_view = _dot(normal, view).clamp(0.001, 1)
-    half = _unit(tuple(l + v for l, v in zip(light, view)))
-    cos_normal_half = _dot(normal, half).clamp(0, 1)
-    cos_view_half = _dot(view, half).clamp(0, 1)
+    def of_lights(values: list) -> torch.Tensor:
+        return torch.tensor(values, device=point[0].device).reshape(-1, *[1] * point[0].dim())
 
-    fresnel = f0 + (1 - f0) * (1 - cos_view_half) ** 5
-    shadowing = cos_light * cos_view / ((cos_light * (1 - k) + k) * (cos_view * (1 - k) + k))
-    distribution = alpha2 / (math.pi * (cos_normal_half**2 * (alpha2 - 1) + 1) ** 2)
-    specular = fresnel * shadowing * distribution / (4 * cos_light * cos_view + 0.001)
-    return cos_light * ((1 - fresnel) * diffuse + specular)
+    away = unit(point)
+    facing = -_dot(normal, away)
+    cos_view = facing.abs().clamp_(0.001, 1)
+    # Shadowing, and the constant of the distribution.
+    view_term = cos_view / (cos_view * (1 - k) + k) * (alpha2 / math.pi)
+    # From here on with an axis of lights in front; in place, because memory is what takes the time.
+    x, y, z = (p - of_lights([light.position[i] for light in profile.lights]) for i, p in enumerate(point))
+    inverse = _dot((x, y, z), (x, y, z)).rsqrt_()
+    lit = _dot(normal, (x, y, z)).mul_(inverse).neg_()
+    # The half vector h = (l + v) / |l + v| enters by its products only, and |l + v|² = 2 (1 + l·v).
+    light_view = _dot(away, (x, y, z)).mul_(inverse).add_(1)
+    half = (2 * light_view).clamp_min_(1e-12).rsqrt_()
+    grazing = light_view.mul_(half).clamp_(0, 1).neg_().add_(1)
+    fresnel = torch.mul(grazing, grazing, out=x)
+    fresnel.mul_(fresnel).mul_(grazing).mul_(1 - f0).add_(f0)
+    spread = torch.add(lit, facing, out=y).mul_(half).clamp_(0, 1)
+    spread.mul_(spread).mul_(alpha2 - 1).add_(1)
+    cos_light = lit.clamp_(0.001, 1)
+    divisor = torch.mul(cos_light, 1 - k, out=half).add_(k).mul_(spread).mul_(spread)
+    divisor.mul_(torch.mul(cos_light, cos_view, out=z).mul_(4).add_(0.001))
+    specular = torch.mul(cos_light, view_term, out=z).mul_(fresnel).div_(divisor)
+    reflected = specular.sub_(fresnel, alpha=diffuse).add_(diffuse).mul_(cos_light)
+    reflected.mul_(inverse.mul_(inverse).mul_(of_lights([light.intensity for light in profile.lights])))
+    radiance = torch.full((3, *point[0].shape), profile.ambient, device=point[0].device)
+    for light, seen in zip(profile.lights, reflected):
+        for total, weight in zip(radiance, light.color):
+            if weight:
+                total.add_(seen, alpha=weight)
+    return radiance.clamp_(0, 1).log_().div_(profile.gamma).exp_()  # twice as fast as a power
 
 
-def _dot(a: tuple[torch.Tensor, ...], b: tuple[torch.Tensor, ...]) -> torch.Tensor:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+def blur(images: torch.Tensor, sigma: float) -> torch.Tensor:
+    """Gaussian blur of (N, C, H, W) float images; ``sigma`` in pixels, 0 for none.
+
+    Cut off at two deviations (rounded up), mirrored at the border. A sum of shifted images: its bits do not
+    depend on the batch.
+    """
+    if sigma == 0:
+        return images
+    weights = _gaussian(sigma)
+    radius = len(weights) - 1
+    padded = pad(images, (radius,) * 4, mode="reflect")
+    for axis in (-1, -2):
+        size = padded.shape[axis] - 2 * radius
+        total = padded.narrow(axis, radius, size) * weights[0]
+        for shift in range(1, radius + 1):
+            for start in (radius - shift, radius + shift):
+                total.add_(padded.narrow(axis, start, size), alpha=weights[shift])
+        padded = total
+    return padded
 
 
-def _unit(a: tuple[torch.Tensor, ...]) -> tuple[torch.Tensor, ...]:
+def _blur_on_black(images: torch.Tensor, sigma: float) -> torch.Tensor:
+    """As `blur`, but zero beyond the border."""
+    if sigma == 0:
+        return images
+    weights = _gaussian(sigma)
+    for axis in (-1, -2):
+        size = images.shape[axis]
+        total = images * weights[0]
+        for shift, weight in enumerate(weights[1:size], 1):
+            for here, there in ((0, shift), (shift, 0)):
+                moved = images.narrow(axis, there, size - shift)
+                total.narrow(axis, here, size - shift).add_(moved, alpha=weight)
+        images = total
+    return images
+
+
+def _gaussian(sigma: float) -> list[float]:
+    """Right half of a normalised discrete Gaussian, from its centre."""
+    weights = np.exp(-(np.arange(math.ceil(2 * sigma) + 1) ** 2) / (2 * sigma**2))
+    return (weights / (2 * weights.sum() - 1)).tolist()
+
+
+def unit(a: Vectors) -> Vectors:
+    """Vectors of length 1."""
     scale = _dot(a, a).rsqrt()
-    return tuple(component * scale for component in a)
+    return a[0] * scale, a[1] * scale, a[2] * scale
+
+
+def _dot(a: Vectors, b: Vectors) -> torch.Tensor:
+    return torch.addcmul(torch.addcmul(a[0] * b[0], a[1], b[1]), a[2], b[2])
+
+
+def _synthetic_background(profile: SensorProfile) -> np.ndarray:
+    """A dim grey with each light's glow on its side of the gel; (H, W, 3) uint8."""
+    rays, gel = ray_directions(profile), gel_depth(profile)
+    display = np.empty((*gel.shape, 3))
+    display[:] = profile.background_color
+    for light in profile.lights:
+        distance = np.hypot(*(light.position[i] - rays[..., i] * gel for i in (1, 2)))
+        distance -= distance.min()
+        glow = profile.background_glow / (1 + (distance / profile.background_falloff) ** 2)
+        display += glow[..., None] * np.array(light.color)
+    return (255 * display).round().clip(0, 255).astype(np.uint8)

@@ -2,13 +2,15 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 from objectfolder.errors import ObjectFolderError
 
 _PROFILES = Path(__file__).with_suffix("")
+
+GELS = ("rigid", "soft")
 
 Vector = tuple[float, float, float]
 _T = TypeVar("_T")
@@ -42,10 +44,13 @@ class SensorProfile:
     width: int  #: image columns
     vertical_fov_deg: float  #: full vertical field of view, degrees; pixels are square
     camera_to_gel: float  #: m, pinhole to the apex of the undeformed gel surface
-    gel_curvature: float  #: 1/m, at the apex of the paraboloid gel surface; 0 is a flat gel
-    elastomer_thickness: float  #: m
+    gel_curvature: float  #: 1/m, at the apex of the gel's dome; 0 is a flat gel
+    gel_dome_radius: float  #: m, of the spheroid cap across the optical axis; see `camera.gel_depth`
+    gel: str  #: "soft" is an elastic layer, "rigid" takes the exact imprint and knows no forces
+    elastomer_thickness: float  #: m, of the layer, bonded to a rigid base
+    young_modulus: float  #: Pa, of the layer
+    poisson_ratio: float  #: of the layer, 0 to below 0.5
     max_indentation: float  #: m, less than the thickness; deeper penetration is clipped
-    gel_smoothing: tuple[float, ...]  #: m, Gaussian deviations, long to short; empty is a rigid imprint
     press_depth: tuple[float, float]  #: m, default range of press depths
     lights: tuple[Light, ...]
     ambient: float  #: radiance that reaches the camera from everywhere on the gel
@@ -54,7 +59,13 @@ class SensorProfile:
     roughness: float  #: of the coating, 0 to 1
     gamma: float  #: display value = radiance^(1/gamma)
     gain: float  #: of the difference to the undeformed gel
+    slope_smoothing: (
+        float  #: m on the gel, Gaussian deviation, of the gel's slopes within the contact; 0 is none
+    )
     image_smoothing: float  #: m on the gel, Gaussian deviation of the optical blur; 0 is none
+    background_image: (
+        str  #: photograph of the untouched sensor, relative to the file; empty is the synthetic one
+    )
     background_color: Vector  #: display RGB of the untouched gel away from the lights, 0 to 1
     background_glow: float  #: display value that each light adds where it is nearest, 0 to 1
     background_falloff: float  #: m on the gel, at which the glow has halved
@@ -63,12 +74,13 @@ class SensorProfile:
     def __post_init__(self) -> None:
         """Check every range."""
         positive = (
-            *("height", "width", "vertical_fov_deg", "camera_to_gel", "elastomer_thickness"),
-            *("max_indentation", "gel_smoothing", "roughness", "gamma", "gain", "background_falloff"),
+            *("height", "width", "vertical_fov_deg", "camera_to_gel", "gel_dome_radius"),
+            *("elastomer_thickness", "young_modulus", "max_indentation"),
+            *("roughness", "gamma", "gain", "background_falloff"),
         )
         non_negative = (
-            *("gel_curvature", "ambient", "albedo", "metallic", "image_smoothing", "press_depth"),
-            *("background_color", "background_glow", "noise_std"),
+            *("gel_curvature", "poisson_ratio", "ambient", "albedo", "metallic", "slope_smoothing"),
+            *("image_smoothing", "press_depth", "background_color", "background_glow", "noise_std"),
         )
         at_most_one = ("albedo", "metallic", "roughness", "background_color", "background_glow")
         for name in positive + non_negative:
@@ -86,6 +98,17 @@ class SensorProfile:
             self.max_indentation < self.elastomer_thickness,
             "max_indentation",
             "less than elastomer_thickness",
+        )
+        self._require(self.gel in GELS, "gel", f"one of {', '.join(GELS)}")
+        self._require(self.poisson_ratio < 0.5, "poisson_ratio", "less than 0.5")
+        # The rim of the cap lies this far off the axis, and must lie outside the field of view.
+        seen = math.hypot(*self.half_extent) * (
+            self.camera_to_gel - self.gel_curvature * self.gel_dome_radius**2
+        )
+        self._require(
+            self.gel_dome_radius > seen,
+            "gel_dome_radius",
+            f"more than {seen:.4g}, so that the dome fills the field of view",
         )
         low, high = self.press_depth
         self._require(low <= high <= self.max_indentation, "press_depth", "[low, high] up to max_indentation")
@@ -127,6 +150,11 @@ class SensorProfile:
         return _from_mapping(cls, values, "sensor profile")
 
 
+def available_profiles() -> list[str]:
+    """Names of the profiles that come with the package."""
+    return sorted(path.stem for path in _PROFILES.glob("*.yaml"))
+
+
 def load_profile(name_or_path: str | Path) -> SensorProfile:
     """Read a profile from YAML.
 
@@ -146,7 +174,7 @@ def load_profile(name_or_path: str | Path) -> SensorProfile:
     if path.suffix not in (".yaml", ".yml"):
         path = _PROFILES / f"{name_or_path}.yaml"
     if not path.is_file():
-        available = ", ".join(sorted(p.stem for p in _PROFILES.glob("*.yaml")))
+        available = ", ".join(available_profiles())
         raise ObjectFolderError(
             f"unknown sensor profile {str(name_or_path)!r}: expected one of {available}, or a .yaml file"
         )
@@ -155,9 +183,12 @@ def load_profile(name_or_path: str | Path) -> SensorProfile:
     except (YAMLError, UnicodeDecodeError) as error:
         raise ObjectFolderError(f"{path} is not valid YAML: {error}") from error
     try:
-        return SensorProfile.from_dict(values)
+        profile = SensorProfile.from_dict(values)
     except ObjectFolderError as error:
         raise ObjectFolderError(f"{path}: {error}") from error
+    if profile.background_image:
+        profile = replace(profile, background_image=str(path.parent / profile.background_image))
+    return profile
 
 
 def _from_mapping(cls: type[_T], values: Any, what: str) -> _T:
@@ -185,7 +216,7 @@ def _coerce(value: Any, kind: Any, what: str) -> Any:
     if kind == tuple[Light, ...] and sequence:
         return tuple(_from_mapping(Light, item, what) for item in value)
     lengths = {Vector: 3, tuple[float, float]: 2}
-    if kind in (*lengths, tuple[float, ...]) and sequence and len(value) == lengths.get(kind, len(value)):
+    if kind in lengths and sequence and len(value) == lengths[kind]:
         return tuple(_coerce(item, float, what) for item in value)
     expected = {str: "text", int: "a whole number", float: "a number"}.get(kind, "a list of numbers")
     if kind in lengths:

@@ -1,13 +1,62 @@
 """From contacts to tactile images: the one path that ground truth and query share."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 
 from objectfolder.mesh.raycast import RayCaster
+from objectfolder.touch.camera import pixel_area
 from objectfolder.touch.contact import heightmaps
 from objectfolder.touch.gel import deform
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """What the sensor and the object do to each other, in N contacts; images as `heightmaps` has them.
+
+    Areas are projected along the optical axis, and so is the force: it is the one along that axis.
+    """
+
+    height: np.ndarray  #: (N, H, W) float32, m, of the object past the undeformed gel; negative is a gap
+    displacement: np.ndarray  #: (N, H, W) float32, m, of the gel towards the camera; negative bulges
+    pressure: np.ndarray  #: (N, H, W) float32, Pa; NaN for a rigid gel
+    mask: np.ndarray  #: (N, H, W) bool, where gel and object touch
+    area: np.ndarray  #: (N,) float64, m², of the mask
+    max_penetration: np.ndarray  #: (N,) float64, m, largest height; 0 without a contact
+    mean_penetration: np.ndarray  #: (N,) float64, m, mean height over the mask; 0 without a contact
+    force: np.ndarray  #: (N,) float64, N; NaN for a rigid gel
+    obstructed: np.ndarray  #: (N,) float64, fraction of the pixels that the object blocks; see `heightmaps`
+
+
+def press(
+    caster: RayCaster,
+    points: np.ndarray,
+    normals: np.ndarray,
+    angles: np.ndarray,
+    depths: np.ndarray,
+    profile: SensorProfile,
+    scale: float = 1.0,
+) -> Contacts:
+    """Press the sensor on an object. Parameters are those of `heightmaps`."""
+    height, obstructed = heightmaps(caster, points, normals, angles, depths, profile, scale)
+    displacement, pressure = deform(height, profile)
+    mask = height > 0 if profile.gel == "rigid" else pressure > 0
+    area = pixel_area(profile)
+    total = (mask * area).sum(axis=(1, 2))
+    return Contacts(
+        height=height,
+        displacement=displacement,
+        pressure=pressure,
+        mask=mask,
+        area=total,
+        max_penetration=height.max(axis=(1, 2), initial=0).astype(np.float64),
+        mean_penetration=(height * mask * area).sum(axis=(1, 2)) / np.where(total > 0, total, 1),
+        force=(pressure * area).sum(axis=(1, 2)),
+        obstructed=obstructed,
+    )
 
 
 def touch_images(
@@ -19,7 +68,7 @@ def touch_images(
     profile: SensorProfile,
     optics: Optics,
     scale: float = 1.0,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, Contacts]:
     """Press the sensor on an object and read its images, without noise.
 
     Parameters are those of `heightmaps`; ``optics`` renders the same profile. Each row depends on its own
@@ -28,9 +77,7 @@ def touch_images(
     Returns
     -------
     images : (N, H, W, 3) uint8, RGB
-    displacement : (N, H, W) float32, metres, of the gel's surface towards the camera
-    obstructed : (N,) float64, fraction of pixels; see `heightmaps`
+    contacts : Contacts
     """
-    penetration, obstructed = heightmaps(caster, points, normals, angles, depths, profile, scale)
-    displacement = deform(torch.from_numpy(penetration), profile)
-    return optics.render(displacement).numpy(), displacement.numpy(), obstructed
+    contacts = press(caster, points, normals, angles, depths, profile, scale)
+    return optics.render(torch.from_numpy(contacts.displacement)).numpy(), contacts

@@ -21,8 +21,8 @@ def digit():
 
 @pytest.fixture(scope="session")
 def flat(digit):
-    """A DIGIT with a flat gel that does not smooth."""
-    return replace(digit, gel_curvature=0.0, gel_smoothing=())
+    """A DIGIT with a flat, rigid gel."""
+    return replace(digit, gel_curvature=0.0, gel="rigid")
 
 
 @pytest.fixture(scope="session")

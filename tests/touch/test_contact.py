@@ -3,10 +3,12 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import brentq
 from touch_solids import caster, slab
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.touch.contact import UP, contact_normals, heightmaps, probe_directions, sensor_frames
+from objectfolder.touch.camera import gel_depth, ray_directions
+from objectfolder.touch.contact import GAP, UP, contact_normals, heightmaps, probe_directions, sensor_frames
 
 MM = 1e-3
 
@@ -122,6 +124,20 @@ def test_frames_are_continuous_away_from_the_oblique_direction():
     assert np.abs(sensor_frames(n, 0.0) - sensor_frames(near, 0.0)).max() < 2e-5
 
 
+def test_sensor_turns_gradually_over_an_edge():
+    """Up one face of a box and along the next: the frames are not stored, and yet do not jump."""
+    t = np.linspace(0, 2, 400)
+    points = np.stack([2 - t.clip(1), t.clip(0, 1), np.full_like(t, 0.2)], axis=1)
+    frames = sensor_frames(contact_normals(box_distance, points, 0.1), 0.0)
+
+    def turn(a, b):
+        trace = np.einsum("nij,nij->n", a, b)
+        return np.degrees(np.arccos(((trace - 1) / 2).clip(-1, 1)))
+
+    assert turn(frames[1:], frames[:-1]).max() < 5
+    assert turn(frames[:1], frames[-1:])[0] > 89
+
+
 @pytest.mark.parametrize("normal", [UP, -UP])
 def test_frame_at_the_oblique_direction_is_still_a_frame(normal):
     frame = sensor_frames(normal, 0.3)[0]
@@ -138,7 +154,7 @@ Z = np.array([[0, 0, 1.0]])
 @given(depth=st.floats(0.2 * MM, 2 * MM))
 def test_ball_in_a_flat_gel_leaves_a_centred_disc(flat, ball, depth):
     penetration, obstructed = heightmaps(ball, TOP, Z, 0.0, depth, flat)
-    rows, columns = np.nonzero(penetration[0])
+    rows, columns = np.nonzero(penetration[0] > 0)
     y = (columns - (flat.width - 1) / 2) * flat.pixel_pitch
     z = (rows - (flat.height - 1) / 2) * flat.pixel_pitch
     expected = np.sqrt(2 * 10 * MM * depth - depth**2)
@@ -159,12 +175,32 @@ def test_plate_in_a_flat_gel_is_constant(flat, normal):
     assert obstructed[0] == 0
 
 
-def test_plate_meets_the_apex_of_a_dome_first(digit):
-    penetration, _ = heightmaps(caster(slab(-2 * MM, 0)), 0 * TOP, Z, 0.0, 1 * MM, digit)
-    rows, _ = np.nonzero(penetration[0])
-    radius = (rows.max() - rows.min() + 1) / 2 * digit.pixel_pitch
-    # The paraboloid sinks by κ r² / 2; seen 1 mm nearer to the camera the pixel pitch is 4 % less.
-    assert radius == pytest.approx(np.sqrt(2 * 1 * MM / digit.gel_curvature), rel=0.05)
+@pytest.mark.parametrize("depth", [0.1 * MM, 0.3 * MM, 0.7 * MM, 1.2 * MM, 2 * MM])
+@pytest.mark.parametrize("radius", [3 * MM, 8 * MM, np.inf])
+def test_imprint_of_a_ball_is_the_circle_where_it_cuts_the_dome(digit, depth, radius):
+    """In pixels, through the pinhole; a ball of infinite radius is a plate."""
+    if np.isinf(radius):
+        solid = caster(slab(-2 * MM, 0))
+    else:
+        ball = trimesh.creation.icosphere(6, radius=radius)
+        ball.apply_translation([0, 0, -radius])
+        solid = caster(ball)
+    height, _ = heightmaps(solid, 0 * TOP, Z, 0.3, depth, digit)
+
+    def sag(r):
+        dome = digit.gel_dome_radius
+        return digit.gel_curvature * dome * (dome - np.sqrt(dome**2 - r**2))
+
+    def overlap(r):
+        return depth - sag(r) - (0 if np.isinf(radius) else radius - np.sqrt(radius**2 - r**2))
+
+    r = brentq(overlap, 0, min(radius, 12 * MM))
+    seen = r / (digit.camera_to_gel - sag(r)) / digit.half_extent[0] * digit.height / 2
+    if seen < digit.width / 2:
+        assert np.sqrt((height[0] > 0).sum() / np.pi) == pytest.approx(seen, abs=0.3)
+    rows, _ = np.nonzero(height[0] > 0)
+    if seen < digit.height / 2:
+        assert (rows.max() - rows.min() + 1) / 2 == pytest.approx(seen, abs=0.8)  # to whole pixels
 
 
 def test_image_axes(flat):
@@ -175,7 +211,7 @@ def test_image_axes(flat):
         ball = trimesh.creation.icosphere(4, radius=5 * MM)
         ball.apply_translation(shift * axis - [0, 0, 5 * MM])
         penetration, _ = heightmaps(caster(ball), 0 * TOP, Z, 0.0, depth, flat)
-        rows, columns = np.nonzero(penetration[0])
+        rows, columns = np.nonzero(penetration[0] > 0)
         moved = np.array([rows.mean() - 79.5, columns.mean() - 59.5]) * flat.pixel_pitch
         np.testing.assert_allclose(moved, shift * np.array(expected), atol=0.25 * MM)
 
@@ -224,7 +260,44 @@ def test_scale_is_metres_per_unit(digit, ball):
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
-@pytest.mark.parametrize("depth", [10 * MM, np.nan, -np.inf])
+@pytest.mark.parametrize("normal", [[0, 0, 1.0], [0.6, 0, 0.8]])
+def test_gap_beside_the_contact_is_negative_height(digit, normal):
+    """A plate that the apex does not reach yet: the gap is what the dome and the tilt leave."""
+    plate = caster(slab(-4 * MM, 0))
+    normal = np.array([normal])
+    point = -0.2 * MM * normal / normal[0, 2]  # 0.2 mm in the plate, so that depth 0 presses it
+    height, _ = heightmaps(plate, point, normal, 0.0, 0.0, digit)
+    frame = sensor_frames(normal, 0.0)[0]
+    on_gel = gel_depth(digit)[..., None] * ray_directions(digit) - [digit.camera_to_gel, 0, 0]
+    above = (on_gel @ frame.T + point)[..., 2]  # of the gel's points over the plate
+    along = above / -(ray_directions(digit) @ frame.T)[..., 2]
+    expected = -along.clip(-digit.max_indentation, GAP * digit.elastomer_thickness)
+    assert (expected > 0).any()
+    assert (expected < -0.1 * MM).any()
+    np.testing.assert_allclose(height[0], expected, atol=1e-7)
+
+
+def test_press_in_a_closed_cavity_is_obstructed_and_imprints_the_near_wall(digit):
+    wall, hollow = trimesh.creation.box((60 * MM,) * 3), trimesh.creation.box((12 * MM,) * 3)
+    hollow.invert()
+    floor, up = np.array([[0, 0, -6 * MM]]), Z
+    height, obstructed = heightmaps(caster(wall, hollow), floor, up, 0.0, 1 * MM, digit)
+    open_height, _ = heightmaps(caster(slab(-20 * MM, -6 * MM)), floor, up, 0.0, 1 * MM, digit)
+    assert obstructed[0] == 1
+    near = np.s_[60:100, 40:80]  # away from the side walls
+    np.testing.assert_allclose(height[0][near], open_height[0][near], atol=1e-7)
+
+
+@pytest.mark.parametrize("depth", [-1e-9, 3.01 * MM, 10 * MM, np.nan, -np.inf])
 def test_impossible_depth_is_an_error(digit, ball, depth):
-    with pytest.raises(ObjectFolderError, match="press depth"):
-        heightmaps(ball, TOP, Z, 0.0, depth, digit)
+    with pytest.raises(ObjectFolderError, match=r"contact 1: press depth .* from 0 to 0\.003 m.*'digit'"):
+        heightmaps(ball, np.tile(TOP, (2, 1)), np.tile(Z, (2, 1)), 0.0, np.array([1 * MM, depth]), digit)
+
+
+@pytest.mark.parametrize(("name", "index"), [("point", 0), ("normal", 1), ("angle", 2)])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_values_that_are_not_finite_are_named(digit, ball, name, index, value):
+    contact = [np.tile(TOP, (2, 1)), np.tile(Z, (2, 1)), np.zeros(2)]
+    contact[index][1] = value
+    with pytest.raises(ObjectFolderError, match=f"contact 1: {name} .* must be finite"):
+        heightmaps(ball, *contact, 1 * MM, digit)

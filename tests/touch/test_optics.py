@@ -1,8 +1,15 @@
+import math
 from dataclasses import replace
 
+import numpy as np
+import pytest
 import torch
+from PIL import Image
 
-from objectfolder.touch.optics import Optics
+from objectfolder.errors import ObjectFolderError
+from objectfolder.touch.camera import gel_depth, ray_directions
+from objectfolder.touch.optics import Optics, blur, shade
+from objectfolder.touch.profiles import available_profiles, load_profile
 
 
 def bump(profile, row=80, column=60, height=1e-3, width=6.0):
@@ -63,3 +70,123 @@ def test_noise_is_the_generators(digit, optics):
     assert not torch.equal(draw(1), draw(2))
     assert abs((draw(1).float() - images.float()).std() - 4.0) < 0.2
     assert optics.noise(images, torch.Generator()) is images
+
+
+def textbook(point, normal, light, profile):
+    """glTF 2.0, appendix B, for one point and one light, with the bounds of pyrender's cosines."""
+    view, towards = -point / np.linalg.norm(point), np.array(light.position) - point
+    distance = np.linalg.norm(towards)
+    towards = towards / distance
+    half = (view + towards) / np.linalg.norm(view + towards)
+    nl, nv = np.clip(normal @ towards, 0.001, 1), np.clip(abs(normal @ view), 0.001, 1)
+    nh, vh = np.clip(normal @ half, 0, 1), np.clip(view @ half, 0, 1)
+    f0 = 0.04 * (1 - profile.metallic) + profile.albedo * profile.metallic
+    fresnel = f0 + (1 - f0) * (1 - vh) ** 5
+    k, alpha2 = (profile.roughness + 1) ** 2 / 8, profile.roughness**4
+    shadowing = nl / (nl * (1 - k) + k) * nv / (nv * (1 - k) + k)
+    spread = alpha2 / (math.pi * (nh**2 * (alpha2 - 1) + 1) ** 2)
+    diffuse = (1 - fresnel) * profile.albedo * 0.96 * (1 - profile.metallic) / math.pi
+    reflected = nl * (diffuse + fresnel * shadowing * spread / (4 * nl * nv + 0.001))
+    return reflected * light.intensity / distance**2 * np.array(light.color)
+
+
+@pytest.mark.parametrize("name", available_profiles())
+def test_no_untouched_gel_is_too_bright_to_show_a_difference(name):
+    assert Optics(load_profile(name)).untouched.max() < 0.96
+
+
+@pytest.mark.parametrize("name", ["tacto_digit", "digit_realistic"])
+def test_shading_is_the_textbooks(name):
+    profile = load_profile(name)
+    rng = np.random.default_rng(0)
+    points = rng.uniform((0.015, -0.01, -0.01), (0.024, 0.01, 0.01), (200, 3))
+    normals = rng.normal(size=(200, 3))
+    normals[:, 0] = -np.abs(normals[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    radiance = profile.ambient + np.array(
+        [sum(textbook(p, n, light, profile) for light in profile.lights) for p, n in zip(points, normals)]
+    )
+    expected = np.clip(radiance, 0, 1).T ** (1 / 2.2)
+    columns = (tuple(torch.from_numpy(v.T.astype(np.float32)).contiguous()) for v in (points, normals))
+    assert np.abs(shade(*columns, profile).numpy() - expected).max() < 2e-4
+
+
+def test_inclined_plane_is_shaded_with_its_own_normal(digit):
+    """A plane before the flat gel: every pixel's normal is the plane's, up to the image's border."""
+    profile = replace(digit, gel_curvature=0.0, image_smoothing=0.0)
+    optics, rays = Optics(profile), ray_directions(profile)
+    normal = np.array([-1, 0.15, -0.1]) / np.linalg.norm([1, 0.15, 0.1])
+    depth = (normal @ (0.018, 0, 0)) / (rays @ normal)
+    moved = torch.from_numpy(gel_depth(profile) - depth).float()[None]
+    assert moved.min() > 0
+    point = tuple(torch.from_numpy(rays[..., i] * depth).float() for i in range(3))
+    flat = tuple(torch.full_like(point[0], n) for n in normal)
+    still = shade(
+        tuple(torch.from_numpy(rays[..., i] * gel_depth(profile)).float() for i in range(3)),
+        tuple(torch.full_like(point[0], n) for n in (-1.0, 0.0, 0.0)),
+        profile,
+    )
+    expected = 255 * profile.gain * (shade(point, flat, profile) - still)
+    inside = np.s_[:, 5:-5, 5:-5]  # at the border, differences are one-sided
+    assert (optics.change(moved)[0] - expected)[inside].abs().max() < 0.3
+
+
+def test_slopes_are_not_mixed_across_the_rim(digit):
+    """Whatever lies beyond the rim, the flat top of an imprint shows a flat surface up to it."""
+    profile = replace(digit, gel_curvature=0.0, image_smoothing=0.0, slope_smoothing=0.0005)
+    optics = Optics(profile)
+    # A plateau parallel to the gel: constant depth, so no slope along the image.
+    plateau = torch.zeros(1, 160, 120)
+    plateau[:, 40:120, 30:90] = 1e-3
+    whole = optics.change(torch.full((1, 160, 120), 1e-3))
+    assert torch.equal(optics.change(plateau)[..., 40:120, 30:90], whole[..., 40:120, 30:90])
+    assert optics.change(plateau)[0, :, :40].abs().max() == 0
+
+
+def test_batch_has_the_bits_of_single_images(digit, optics):
+    rng = np.random.default_rng(0)
+    moved = torch.cat([bump(digit, *rng.uniform(30, 90, 2), width=w) for w in (3.0, 6.0, 11.0, 20.0)])
+    moved[1] += 1e-5  # a soft gel moves everywhere, and bulges
+    moved[2] -= 1e-5
+    moved[3, :, :40] = 0
+    together = optics.render(moved)
+    assert all(torch.equal(together[i], optics.render(moved[i : i + 1])[0]) for i in range(4))
+    assert torch.equal(optics.render(moved.flip(0)), together.flip(0))
+
+
+def test_blur_keeps_constants_and_has_its_variance():
+    ones = torch.ones(1, 1, 20, 30)
+    assert (blur(ones, 1.4) - 1).abs().max() < 1e-6
+    point = torch.zeros(1, 1, 41, 41)
+    point[..., 20, 20] = 1
+    spread = blur(point, 4.0)[0, 0]
+    assert spread.sum() == pytest.approx(1, rel=1e-5)
+    variance = (spread.sum(dim=0) * (torch.arange(41) - 20.0) ** 2).sum()
+    assert 0.7 * 16 < variance < 16  # cut off at two deviations
+
+
+def test_background_is_the_profiles_picture(digit, tmp_path):
+    rng = np.random.default_rng(0)
+    small = rng.integers(0, 256, (160, 120, 3), np.uint8)
+    Image.fromarray(small.repeat(2, 0).repeat(2, 1)).save(tmp_path / "rest.png")
+    optics = Optics(replace(digit, background_image=str(tmp_path / "rest.png")))
+    assert np.array_equal(optics.background.numpy(), small)
+    assert torch.equal(optics.render(torch.zeros(1, 160, 120))[0], optics.background)
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [(None, "does not exist"), (b"", "cannot be read"), (b"\x89PNG\r\n", "cannot be read")],
+)
+def test_broken_background_picture_is_named(digit, tmp_path, content, reason):
+    path = tmp_path / "rest.png"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(ObjectFolderError, match=rf"rest\.png.*{reason}"):
+        Optics(replace(digit, background_image=str(path)))
+
+
+def test_background_picture_of_another_shape_is_refused(digit, tmp_path):
+    Image.new("RGB", (160, 120)).save(tmp_path / "wide.png")
+    with pytest.raises(ObjectFolderError, match=r"wide\.png .* 160 x 120 pixels.* 0\.750"):
+        Optics(replace(digit, background_image=str(tmp_path / "wide.png")))

@@ -1,25 +1,68 @@
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.touch.profiles import SensorProfile, load_profile
+from objectfolder.touch.profiles import SensorProfile, available_profiles, load_profile
 
 DIGIT = load_profile("digit")
 POSITIVE = (
     *("height", "width", "vertical_fov_deg", "camera_to_gel", "elastomer_thickness", "max_indentation"),
-    *("roughness", "gamma", "gain", "background_falloff"),
+    *("gel_dome_radius", "young_modulus", "roughness", "gamma", "gain", "background_falloff"),
 )
-NON_NEGATIVE = ("gel_curvature", "ambient", "albedo", "metallic", "image_smoothing", "noise_std")
+NON_NEGATIVE = (
+    *(
+        "gel_curvature",
+        "poisson_ratio",
+        "ambient",
+        "albedo",
+        "metallic",
+        "slope_smoothing",
+        "image_smoothing",
+        "noise_std",
+    ),
+)
 
 
 def test_digit_is_the_sensor_of_the_paper():
     assert (DIGIT.height, DIGIT.width) == (160, 120)
     # 2 · 22 mm · tan 30° over 160 rows
     assert DIGIT.pixel_pitch == pytest.approx(0.15877e-3, rel=1e-4)
+
+
+@pytest.mark.parametrize("name", available_profiles())
+def test_every_profile_says_its_own_name_and_where_its_numbers_are_from(name):
+    profile = load_profile(name)
+    assert profile.name == name
+    assert len(profile.source) > 80
+    assert not profile.background_image
+    assert profile.noise_std == 0
+
+
+@pytest.mark.parametrize(("name", "pitch"), [("gelsight_mini", 0.0634e-3), ("gelsight_r15", 0.0877e-3)])
+def test_gelsights_have_the_published_pixel_size(name, pitch):
+    assert load_profile(name).pixel_pitch == pytest.approx(pitch, rel=1e-4)
+
+
+def test_tacto_digit_is_tactos():
+    tacto = load_profile("tacto_digit")
+    for angle, light in zip((30, 150, 270), tacto.lights):
+        y, z = 0.02 * np.cos(np.radians(angle)), 0.02 * np.sin(np.radians(angle))
+        assert light.position == pytest.approx((0.005, y, z), abs=2e-6)
+        assert light.intensity == pytest.approx(1 / 255, rel=2e-4)
+    assert tacto.gel == "rigid"
+    assert tacto.image_smoothing / tacto.pixel_pitch == pytest.approx(1.4, rel=1e-4)  # 7 x 7 pixels
+    assert DIGIT.gel == "soft"
+
+
+def test_background_image_is_found_beside_the_profile(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text(json.dumps(DIGIT.to_dict() | {"background_image": "rest.png"}))
+    assert load_profile(path).background_image == str(tmp_path / "rest.png")
 
 
 def test_round_trip_through_json_is_exact():
@@ -87,8 +130,12 @@ def test_non_negative_fields_reject_the_rest(name, value):
         ("gamma", "2.2"),
         ("vertical_fov_deg", 180),
         ("roughness", 1.5),
-        ("gel_smoothing", 0.001),
-        ("gel_smoothing", [0.001, 0]),
+        ("gel", "firm"),
+        ("gel", 1),
+        ("poisson_ratio", 0.5),
+        ("gel_dome_radius", 0.006),
+        ("background_image", 3),
+        ("slope_smoothing", -1e-4),
         ("background_color", [0.1, 0.2]),
         ("background_color", [0.1, 0.2, 3]),
         ("press_depth", [0.002, 0.001]),

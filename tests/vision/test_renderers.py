@@ -283,6 +283,7 @@ def test_renderers_that_are_not_installed_say_which_extra(monkeypatch):
     with pytest.raises(ObjectFolderError, match=r"pip install 'objectfolder\[cycles\]'.* or put Blender"):
         make_renderer("cycles", Scene(square()))
     monkeypatch.setitem(sys.modules, "pyrender", None)
+    monkeypatch.delitem(sys.modules, "objectfolder.opengl", raising=False)
     monkeypatch.delitem(sys.modules, "objectfolder.vision.renderers.raster", raising=False)
     with pytest.raises(ObjectFolderError, match=r"pip install 'objectfolder\[raster\]'"):
         make_renderer("raster", Scene(square()))

@@ -1,22 +1,12 @@
 """Previews with OpenGL (pyrender): no shadows, no indirect light, and radiance above 1 is cut off."""
 
-import atexit
-import os
-from functools import cache
-
 import numpy as np
+from PIL import Image
 
-# pyrender opens a window unless told otherwise, and uses a name that numpy 2 has dropped.
-os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
-vars(np).setdefault("infty", np.inf)
-
-import pyrender  # noqa: E402
-from OpenGL.error import Error as OpenGLError  # noqa: E402
-from PIL import Image  # noqa: E402
-
-from objectfolder.mesh.normals import area_vectors, unit  # noqa: E402
-from objectfolder.vision.cameras import Intrinsics  # noqa: E402
-from objectfolder.vision.scene import LIGHT_INTENSITY, Scene  # noqa: E402
+from objectfolder.mesh.normals import area_vectors, unit
+from objectfolder.opengl import canvas, pyrender
+from objectfolder.vision.cameras import Intrinsics
+from objectfolder.vision.scene import LIGHT_INTENSITY, Scene
 
 GAMMA = 2.2  # that pyrender's shader encodes with
 MAX_SIDE = 4  # samples per side of a pixel
@@ -41,7 +31,7 @@ class RasterRenderer:
         self._scene = pyrender.Scene(bg_color=np.zeros(4), ambient_light=np.full(3, scene.ambient))
         self._scene.add(pyrender.Mesh([_primitive(scene)]))
         self._light = self._scene.add(pyrender.PointLight(intensity=LIGHT_INTENSITY))
-        self._canvas = _canvas()
+        self._canvas = canvas()
 
     def render(
         self, camera_to_world: np.ndarray, light: np.ndarray, intrinsics: Intrinsics, samples: int, seed: int
@@ -67,17 +57,6 @@ class RasterRenderer:
         linear = alpha * (encoded[..., :3] / np.maximum(alpha, 1 / 255)) ** GAMMA
         fine = np.concatenate([linear, alpha], 2)
         return fine.reshape(intrinsics.height, side, intrinsics.width, side, 4).mean((1, 3))
-
-
-@cache
-def _canvas() -> "pyrender.OffscreenRenderer":
-    """One for all renderers: to delete one ends OpenGL for the others."""
-    try:
-        canvas = pyrender.OffscreenRenderer(1, 1)
-    except (OpenGLError, RuntimeError, ValueError) as error:
-        raise ImportError(f"OpenGL does not start: {error}") from error
-    atexit.register(canvas.delete)
-    return canvas
 
 
 def _primitive(scene: Scene) -> "pyrender.Primitive":

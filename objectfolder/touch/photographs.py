@@ -1,0 +1,37 @@
+"""Pictures that a real sensor took."""
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.touch.profiles import SensorProfile
+
+# Of width / height.
+_ASPECT_TOLERANCE = 0.01
+
+
+def read_picture(path: str | Path, profile: SensorProfile) -> np.ndarray:
+    """Read a picture from a sensor, at the size of the profile's images; (H, W, 3) uint8, RGB.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the file is missing, no picture, or not of the shape of the sensor's view.
+    """
+    where = f"picture {path} of sensor {profile.name!r}"
+    if not Path(path).is_file():
+        raise ObjectFolderError(f"{where} does not exist; expected a PNG or JPEG file")
+    try:
+        with Image.open(path) as stored:
+            picture = stored.convert("RGB")
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise ObjectFolderError(f"{where} cannot be read ({error}); expected a PNG or JPEG file") from error
+    wanted = profile.width / profile.height
+    if abs(picture.width / picture.height / wanted - 1) > _ASPECT_TOLERANCE:
+        raise ObjectFolderError(
+            f"{where} has {picture.width} x {picture.height} pixels, expected width / height = {wanted:.3f} "
+            f"as of its {profile.width} x {profile.height} images; crop it to the sensor's view"
+        )
+    return np.array(picture.resize((profile.width, profile.height), Image.Resampling.BOX))

@@ -1,0 +1,200 @@
+"""TACTO's images without OpenGL: the object itself is drawn before the gel, by ray casting."""
+
+import igl
+import numpy as np
+import torch
+
+from objectfolder.mesh.normals import area_vectors
+from objectfolder.mesh.raycast import RayCaster
+from objectfolder.touch.camera import gel_depth, ray_directions
+from objectfolder.touch.contact import sensor_frames
+from objectfolder.touch.optics import Optics, blur, shade, unit
+from objectfolder.touch.profiles import SensorProfile
+
+#: m, from the pinhole: nothing nearer is drawn.
+NEAR = 0.001
+
+# Of samples within a pixel, from its top left corner: the usual rotated grid of OpenGL drivers.
+_SAMPLES = np.array([[0.375, 0.125], [0.875, 0.375], [0.125, 0.625], [0.625, 0.875]])
+
+# A ray goes on this far behind a back face, so that it does not meet the face again.
+_SKIP = 1e-6  # m
+
+# Back faces on a ray that are looked through; pixels behind more of them show the gel.
+_BACK_FACES = 4
+
+
+class TactoRays:
+    """Draws what TACTO (Wang et al. 2022) draws.
+
+    The gel is rigid; wherever the object is nearer to the camera than the gel, it takes the gel's place,
+    down to `NEAR` before the pinhole. Only faces that look at the camera are seen. One ray through the centre
+    of a pixel, shaded with the interpolated normal; at the outline of the contact four, as OpenGL's
+    multisampling has it.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array
+        Of a closed surface without duplicate vertices, in units of ``scale``, object frame.
+    faces : (F, 3) int array
+        Anticlockwise from outside.
+    profile : SensorProfile
+    scale : float
+        Metres per unit of the vertices.
+
+    Attributes
+    ----------
+    background : (H, W, 3) uint8 array
+    """
+
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray, profile: SensorProfile, scale: float = 1.0):
+        self.profile = profile
+        vertices = np.asarray(vertices, np.float64) * scale
+        faces = np.asarray(faces, np.int64)
+        self._normals = smooth_normals(vertices, faces)[faces].astype(np.float32)  # of the faces' corners
+        self._flat = area_vectors(vertices, faces).astype(np.float32)
+        self._caster = RayCaster(vertices, faces)
+        self._rays = ray_directions(profile).reshape(-1, 3).astype(np.float32)
+        self._gel = gel_depth(profile).ravel().astype(np.float32)
+        self._pitch = np.array(profile.half_extent)[::-1] * 2 / (profile.width, profile.height)
+        optics = Optics(profile)
+        self.background = optics.background.numpy()
+        self._empty = to_bytes(optics.untouched).reshape(-1, 3)
+
+    def render(
+        self, points: np.ndarray, normals: np.ndarray, angles: np.ndarray, depths: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Press the sensor on the object, without noise.
+
+        Parameters
+        ----------
+        points, normals : (N, 3) arrays
+            Contact points (metres) and unit outward normals, object frame.
+        angles, depths : (N,) arrays
+            Radians and metres; see `objectfolder.touch.contact.heightmaps`.
+
+        Returns
+        -------
+        images : (N, H, W, 3) uint8, RGB
+        contact : (N, H, W) bool
+            Where the centre of the pixel shows the object.
+        """
+        height, width = self.profile.height, self.profile.width
+        cameras, frames = sensor_poses(points, normals, angles, depths, self.profile)
+        images = np.empty((len(frames), height, width, 3), np.uint8)
+        contact = np.zeros((len(frames), height, width), bool)
+        for i, (camera, frame) in enumerate(zip(cameras, frames)):
+            hit, drawn = self._draw(camera, frame, self._rays, self._gel)
+            picture = self._empty.copy()
+            picture[hit] = drawn
+            contact[i].flat[hit] = True
+            outline = np.flatnonzero(_outline(contact[i]))
+            if outline.size:
+                picture[outline] = self._multisample(camera, frame, outline)
+            images[i] = compose(
+                picture.reshape(height, width, 3),
+                self._empty.reshape(height, width, 3),
+                self.background,
+                self.profile,
+            )
+        return images, contact
+
+    def _multisample(self, camera: np.ndarray, frame: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+        """Mean colours (P, 3) of some pixels, over the samples within each."""
+        offset = (0.5 - _SAMPLES) * self._pitch
+        rays = np.repeat(self._rays[pixels], len(offset), axis=0)
+        rays[:, 1:] += np.tile(offset, (len(pixels), 1)).astype(np.float32)
+        colors = np.repeat(self._empty[pixels], len(offset), axis=0)
+        hit, drawn = self._draw(camera, frame, rays, np.repeat(self._gel[pixels], len(offset)))
+        colors[hit] = drawn
+        return colors.reshape(len(pixels), len(offset), 3).mean(axis=1).round()
+
+    def _draw(
+        self, camera: np.ndarray, frame: np.ndarray, rays: np.ndarray, gel: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Which of the rays show the object, and its colours there, (H, 3), whole numbers from 0 to 255."""
+        hit, depth, face, weights = self._first_front(camera, rays @ frame.T.astype(np.float32), gel)
+        if not hit.size:
+            return hit, np.empty((0, 3), np.float32)
+        normal = np.einsum("nk,nkj->nj", weights, self._normals[face]) @ frame.astype(np.float32)
+        point = depth[:, None] * rays[hit]
+        return hit, to_bytes(shade(_columns(point), unit(_columns(normal)), self.profile))
+
+    def _first_front(
+        self, camera: np.ndarray, directions: np.ndarray, gel: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """First faces that look at the camera, before the gel: ray, depth, face, barycentric weights."""
+        live, along, start = np.arange(len(directions)), directions, np.float32(NEAR)
+        camera, found = camera.astype(np.float32), []
+        for _ in range(_BACK_FACES):
+            origins = camera + np.reshape(start, (-1, 1)) * along
+            ray, further, face, weights = self._caster.intersect(origins, along, np.maximum(gel - start, 0))
+            depth, along = (start[ray] if start.ndim else start) + further, along[ray]
+            front = np.einsum("ij,ij->i", self._flat[face], along) < 0
+            found.append((live[ray[front]], depth[front], face[front], weights[front]))
+            behind = ~front
+            if not behind.any():
+                break
+            live, gel = live[ray[behind]], gel[ray[behind]]
+            along, start = along[behind], depth[behind] + np.float32(_SKIP)
+        hit, depth, face, weights = found[0] if len(found) == 1 else map(np.concatenate, zip(*found))
+        return hit, depth, face, weights
+
+
+def sensor_poses(
+    points: np.ndarray, normals: np.ndarray, angles: np.ndarray, depths: np.ndarray, profile: SensorProfile
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pinholes (N, 3) and axes (N, 3, 3; columns x, y, z) of sensors pressed at contacts, object frame."""
+    normals = np.asarray(normals, np.float64).reshape(-1, 3)
+    depths = np.broadcast_to(np.asarray(depths, np.float64), len(normals))
+    cameras = np.asarray(points, np.float64) + normals * (profile.camera_to_gel - depths)[:, None]
+    return cameras, sensor_frames(normals, angles)
+
+
+def smooth_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Unit normals (V, 3) of vertices: means over their faces, weighted by angle, as trimesh makes them."""
+    weighting = igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_ANGLE
+    normals = igl.per_vertex_normals(np.asarray(vertices, np.float64), np.asarray(faces, np.int64), weighting)
+    return np.nan_to_num(np.asarray(normals, np.float64))
+
+
+def compose(
+    rendered: np.ndarray, empty: np.ndarray, background: np.ndarray, profile: SensorProfile
+) -> np.ndarray:
+    """TACTO's image of what was rendered with and without the object.
+
+    Parameters
+    ----------
+    rendered, empty, background : (H, W, 3) arrays
+        0 to 255.
+    profile : SensorProfile
+        Its gain and blur.
+
+    Returns
+    -------
+    (H, W, 3) uint8, truncated as TACTO does
+    """
+    change = torch.from_numpy((rendered.astype(np.float32) - empty) * profile.gain).permute(2, 0, 1)[None]
+    blurred = blur(change, profile.image_smoothing / profile.pixel_pitch)[0].permute(1, 2, 0).numpy()
+    return (background + blurred).clip(0, 255).astype(np.uint8)
+
+
+def to_bytes(display: torch.Tensor) -> np.ndarray:
+    """Display values (3, ...) as OpenGL stores them: (..., 3) float32, whole numbers up to 255."""
+    return (255 * display).round().movedim(0, -1).numpy()
+
+
+def _columns(vectors: np.ndarray) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    x, y, z = torch.from_numpy(np.ascontiguousarray(vectors.T))
+    return x, y, z
+
+
+def _outline(contact: np.ndarray) -> np.ndarray:
+    """Pixels (H, W) that have a neighbour, of four, on the other side of the contact's edge."""
+    edge = np.zeros_like(contact)
+    for axis in (0, 1):
+        differ = np.diff(contact, axis=axis)
+        edge |= np.insert(differ, 0, False, axis=axis) | np.insert(
+            differ, differ.shape[axis], False, axis=axis
+        )
+    return edge

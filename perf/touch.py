@@ -1,0 +1,296 @@
+"""Touch, object by object: `python perf/touch.py speed|accuracy [--workspace DIR | --objects DIR] [KEY ...]`.
+
+Every figure comes from a fresh process with one thread; milliseconds are CPU time per image. `speed` times
+the steps from a contact to its image, alone and in batches, beside TACTO's renderer on OpenGL in the same
+process. `accuracy` scores TACTO's images by ray casting, and those from heightmaps, against that reference.
+Objects are those of a workspace (needs `objectfolder build normalize`) or meshes in metres, DIR/KEY/mesh.*.
+Without pyrender the reference's rows are left out, with what to install. Exits with 1 if a target is missed.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import igl
+import numpy as np
+import torch
+from rich.console import Console
+from rich.table import Table
+
+from objectfolder import params
+from objectfolder.artifacts import Build, atomic, write_png
+from objectfolder.contact_sheet import tile
+from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.load import load_mesh
+from objectfolder.mesh.ply import read_surface
+from objectfolder.mesh.raycast import RayCaster
+from objectfolder.mesh.sampling import sample_surface
+from objectfolder.mesh.surface import close_surface
+from objectfolder.metrics import psnr
+from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals, heightmaps
+from objectfolder.touch.gel import deform
+from objectfolder.touch.optics import Optics
+from objectfolder.touch.profiles import SensorProfile, load_profile
+from objectfolder.touch.simulate import touch_images
+from objectfolder.touch.tacto import TactoReference
+from objectfolder.touch.tacto_rays import TactoRays
+
+ROOT = Path(__file__).parents[1]
+PICTURES = ROOT / "build" / "perf"
+RIGID, SOFT = "tacto_digit", "digit"
+BATCH = 16
+SHOWN = 8  # contacts in a picture
+MAX_MS = {"rigid_single": 8.0, "rigid_batch": 4.0, "soft_batch": 7.0}
+MIN_FASTER = 10.0  # than the reference: images from heightmaps, rigid gel, and TACTO's by ray casting
+MIN_DB = {"tacto": 55.0, "tacto_contact": 52.0, "heightmap": 40.0, "heightmap_contact": 36.0}
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "IGL_NUM_THREADS")
+
+Contact = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+class Touched:
+    """A surface and where to press on it."""
+
+    def __init__(self, source: str, scale: str, count: int, profile: SensorProfile):
+        if source.endswith(".ply") and float(scale) > 0:
+            self.vertices, self.faces = read_surface(source)
+            self.scale = float(scale)
+        else:
+            mesh = load_mesh(Path(source), "z")
+            surface = close_surface(mesh.vertices, mesh.faces)
+            self.scale = float(np.ptp(surface.vertices, axis=0).max())
+            self.vertices, self.faces = surface.vertices / self.scale, surface.faces
+        self.vertices = np.ascontiguousarray(self.vertices, np.float64)
+        rng = np.random.default_rng(0)
+        points = sample_surface(self.vertices, self.faces, count, rng)
+        normals = contact_normals(self._distance, points, NORMAL_RADIUS)
+        depths = rng.uniform(*profile.press_depth, count)
+        self.contacts: Contact = points * self.scale, normals, rng.uniform(0, 2 * np.pi, count), depths
+        self.caster = RayCaster(self.vertices, self.faces)
+
+    def _distance(self, points: np.ndarray) -> np.ndarray:
+        faces = np.ascontiguousarray(self.faces, np.int64)
+        return igl.signed_distance(np.ascontiguousarray(points), self.vertices, faces)[0]
+
+    def reference(self, profile: SensorProfile, row: dict) -> TactoReference | None:
+        """TACTO's renderer; where it cannot run, why goes into the row."""
+        try:
+            return TactoReference(self.vertices, self.faces, profile, self.scale)
+        except ObjectFolderError as error:
+            row["reference_missing"] = str(error)
+            return None
+
+
+def speed(source: str, scale: str, count: str) -> dict:
+    """Time every step in this process."""
+    torch.set_num_threads(1)
+    rigid, soft = load_profile(RIGID), load_profile(SOFT)
+    touched = Touched(source, scale, int(count), rigid)
+    contacts, caster, scale_m = touched.contacts, touched.caster, touched.scale
+
+    def milliseconds(run: Callable[[slice], object], batch: int = BATCH) -> float:
+        parts = [slice(i, i + batch) for i in range(0, len(contacts[0]), batch)]
+        run(parts[0])
+        start = time.process_time()
+        for part in parts:
+            run(part)
+        return 1000 * (time.process_time() - start) / len(contacts[0])
+
+    def pressed(profile: SensorProfile) -> Callable[[slice], object]:
+        optics = Optics(profile)
+        return lambda part: touch_images(caster, *(c[part] for c in contacts), profile, optics, scale_m)
+
+    heights = heightmaps(caster, *contacts, soft, scale_m)[0]
+    moved = torch.from_numpy(deform(heights, soft)[0])
+    optics = Optics(soft)
+    row: dict = {
+        "heightmap": milliseconds(lambda p: heightmaps(caster, *(c[p] for c in contacts), soft, scale_m)),
+        "gel": milliseconds(lambda part: deform(heights[part], soft)),
+        "optics": milliseconds(lambda part: optics.render(moved[part])),
+    }
+    for name, profile in (("rigid", rigid), ("soft", soft)):
+        row[f"{name}_single"] = milliseconds(pressed(profile), 1)
+        row[f"{name}_batch"] = milliseconds(pressed(profile))
+    fast = TactoRays(touched.vertices, touched.faces, rigid, scale_m)
+    row["tacto"] = milliseconds(lambda part: fast.render(*(c[part] for c in contacts)))
+    reference = touched.reference(rigid, row)
+    if reference is not None:
+        row["reference"] = milliseconds(lambda part: reference.render(*(c[part] for c in contacts)))
+        row["tacto_faster"] = row["reference"] / row["tacto"]
+        row["rigid_faster"] = row["reference"] / row["rigid_batch"]
+    return row
+
+
+def accuracy(source: str, scale: str, count: str, picture: str) -> dict:
+    """Score images against the reference in this process; writes a picture of the first contacts.
+
+    Means are over all pixels of an object's contacts; contact pixels are where the reference has the object
+    before the gel. Heightmaps are scored where nothing blocks the sensor.
+    """
+    torch.set_num_threads(1)
+    profile = load_profile(RIGID)
+    touched = Touched(source, scale, int(count), profile)
+    row: dict = {"contacts": int(count)}
+    reference = touched.reference(profile, row)
+    if reference is None:
+        return row
+    truth, contact = reference.render(*touched.contacts)
+    drawn, _ = TactoRays(touched.vertices, touched.faces, profile, touched.scale).render(*touched.contacts)
+    heights, obstructed = heightmaps(touched.caster, *touched.contacts, profile, touched.scale)
+    flat = Optics(profile).render(torch.from_numpy(deform(heights, profile)[0])).numpy()
+    free = obstructed == 0
+    row |= {"unobstructed": int(free.sum()), "contact_pixels": float(contact.mean())}
+
+    def decibel(images: np.ndarray, of: np.ndarray) -> float:
+        return float(psnr(np.mean((images[of] / 255 - truth[of] / 255) ** 2)))
+
+    everywhere = np.ones_like(contact)
+    row |= {"tacto": decibel(drawn, everywhere), "tacto_contact": decibel(drawn, contact)}
+    row |= {"heightmap_all": decibel(flat, everywhere), "heightmap_all_contact": decibel(flat, contact)}
+    if free.any():
+        row["heightmap"] = decibel(flat, everywhere & free[:, None, None])
+        row["heightmap_contact"] = decibel(flat, contact & free[:, None, None])
+    shown = np.concatenate([images[:SHOWN] for images in (truth, drawn, flat)])
+    write_png(picture, tile(shown, columns=min(SHOWN, int(count))))
+    return row
+
+
+def sources(arguments: argparse.Namespace) -> dict[str, tuple[str, str]]:
+    """File and longest side of every object; side 0: as the file has it."""
+    if arguments.objects:
+        found = {path.parent.name: (str(path), "0") for path in sorted(arguments.objects.glob("*/mesh.*"))}
+    else:
+        entries = params.read(arguments.workspace / "params.yaml")["objects"]
+        found = {
+            key: (str(Build(key, arguments.workspace).surface), str(entry["scale"]))
+            for key, entry in entries.items()
+        }
+    unknown = set(arguments.keys) - set(found)
+    if unknown:
+        raise ObjectFolderError(f"no object {', '.join(sorted(unknown))}; there are {', '.join(found)}")
+    return {key: found[key] for key in arguments.keys or found}
+
+
+def fresh(job: str, *arguments: str) -> dict:
+    """Run a job of this file in a process of its own."""
+    done = subprocess.run(
+        [sys.executable, __file__, "job", job, *arguments],
+        capture_output=True,
+        text=True,
+        env={**os.environ, **dict.fromkeys(THREADS, "1")},
+    )
+    if done.returncode:
+        return {"failed": (done.stderr.strip().splitlines() or [f"ended with {done.returncode}"])[-1]}
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def run_job(job: str, *arguments: str) -> None:
+    """Child's side of `fresh`."""
+    try:
+        print(json.dumps({"speed": speed, "accuracy": accuracy}[job](*arguments)))
+    except ObjectFolderError as error:
+        sys.exit(str(error))
+
+
+SPEED = {
+    "object": ("object", ""),
+    "heightmap": ("heightmap", ".1f"),
+    "gel": ("soft gel", ".1f"),
+    "optics": ("optics", ".1f"),
+    "rigid_single": ("rigid, 1", ".1f"),
+    "rigid_batch": (f"rigid, {BATCH}", ".1f"),
+    "soft_single": ("soft, 1", ".1f"),
+    "soft_batch": (f"soft, {BATCH}", ".1f"),
+    "tacto": ("tacto", ".1f"),
+    "reference": ("reference", ".0f"),
+    "rigid_faster": ("times rigid", ".1f"),
+    "tacto_faster": ("times tacto", ".1f"),
+}
+ACCURACY = {
+    "object": ("object", ""),
+    "contacts": ("contacts", ""),
+    "tacto": ("tacto", ".1f"),
+    "tacto_contact": ("its contact", ".1f"),
+    "unobstructed": ("unobstructed", ""),
+    "heightmap": ("heightmap", ".1f"),
+    "heightmap_contact": ("its contact", ".1f"),
+    "heightmap_all": ("of all", ".1f"),
+    "heightmap_all_contact": ("its contact", ".1f"),
+}
+
+
+def show(rows: list[dict], title: str, form: dict[str, tuple[str, str]], console: Console) -> None:
+    table = Table(title=title)
+    for head, _ in form.values():
+        table.add_column(head, justify="left" if head == "object" else "right", no_wrap=True)
+    for row in (row for row in rows if "failed" not in row):
+        table.add_row(*(format(row[name], how) if name in row else "-" for name, (_, how) in form.items()))
+    console.print(table)
+    for reason in {row["reference_missing"] for row in rows if "reference_missing" in row}:
+        console.print(f"left out: {reason}", markup=False, soft_wrap=True)
+
+
+def misses(command: str, rows: list[dict]) -> list[str]:
+    """Targets that are missed; what has no reference misses none."""
+    missed = [f"{row['object']}: {row['failed']}" for row in rows if "failed" in row]
+    for row in rows:
+        if command == "accuracy":
+            missed += [
+                f"{row['object']}, {name}: {row[name]:.1f} dB, target {limit:g} dB"
+                for name, limit in MIN_DB.items()
+                if row.get(name, limit) < limit
+            ]
+            continue
+        missed += [
+            f"{row['object']}, {name}: {row[name]:.1f} ms, target {limit:g} ms"
+            for name, limit in MAX_MS.items()
+            if row.get(name, 0) > limit
+        ]
+        missed += [
+            f"{row['object']}, {name}: {row[name]:.1f}, target {MIN_FASTER:g}"
+            for name in ("rigid_faster", "tacto_faster")
+            if row.get(name, np.inf) < MIN_FASTER
+        ]
+    return missed
+
+
+def main() -> None:
+    if sys.argv[1:2] == ["job"]:  # from `fresh`
+        run_job(*sys.argv[2:])
+        return
+    parser = argparse.ArgumentParser(description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    for name, text in (("speed", "time every step"), ("accuracy", "score against TACTO's renderer")):
+        command = commands.add_parser(name, help=text)
+        command.add_argument("keys", nargs="*", help="objects (default: all)")
+        command.add_argument("--workspace", type=Path, default=ROOT, help="holds params.yaml and build/")
+        command.add_argument("--objects", type=Path, help="meshes in metres instead: DIR/KEY/mesh.*")
+        command.add_argument("--contacts", type=int, default=40, help="of each object")
+        command.add_argument("--json", type=Path, help="also write the figures here")
+        command.add_argument("--pictures", type=Path, default=PICTURES, help="folder for side-by-sides")
+    arguments = parser.parse_args()
+    console = Console(width=max(Console().width, 160))
+    rows = []
+    for key, (source, scale) in sources(arguments).items():
+        extra = [str(arguments.pictures / f"tacto_{key}.png")] if arguments.command == "accuracy" else []
+        row = fresh(arguments.command, source, scale, str(arguments.contacts), *extra)
+        rows.append({"object": key, **row})
+    if arguments.command == "speed":
+        show(rows, "CPU ms per image, one thread; the reference is TACTO's renderer", SPEED, console)
+    else:
+        show(rows, "PSNR in dB against TACTO's renderer, all pixels and those in contact", ACCURACY, console)
+    if arguments.json:
+        with atomic(arguments.json) as path:
+            path.write_text(json.dumps({arguments.command: rows}, indent=2) + "\n")
+    missed = misses(arguments.command, rows)
+    console.print("targets: " + ("; ".join(missed) or "met"), markup=False, soft_wrap=True)
+    sys.exit(bool(missed))
+
+
+if __name__ == "__main__":
+    main()

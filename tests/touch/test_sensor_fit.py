@@ -1,0 +1,185 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from objectfolder.artifacts import read_json
+from objectfolder.cli import app
+from objectfolder.errors import ObjectFolderError
+from objectfolder.touch.calibration import find_imprint, fit_sensor
+from objectfolder.touch.camera import gel_depth, ray_directions
+from objectfolder.touch.optics import Optics
+from objectfolder.touch.photographs import read_picture
+from objectfolder.touch.profiles import load_profile
+
+RADIUS = 0.004  # m
+FACTORS = (1.4, 0.7, 1.15)
+PLACES = ((50, 40, 1.1e-3), (50, 80, 0.9e-3), (110, 40, 1.0e-3), (110, 80, 0.8e-3))
+NOISE = 2.0  # grey levels
+
+
+@pytest.fixture(scope="module")
+def rigid():
+    return load_profile("tacto_digit")
+
+
+@pytest.fixture(scope="module")
+def real(rigid):
+    """The sensor as it is: other lights and another background than the profile says."""
+    lights = tuple(replace(li, intensity=li.intensity * f) for li, f in zip(rigid.lights, FACTORS))
+    return replace(rigid, lights=lights, background_color=(0.42, 0.3, 0.33), background_glow=0.1)
+
+
+def press(profile, row, column, depth):
+    """Displacement of a rigid gel under a ball whose nearest point is ``depth`` past the gel on one ray."""
+    rays, gel = ray_directions(profile), gel_depth(profile)
+    at = rays[row, column] * gel[row, column]
+    slope = np.hypot(at[1], at[2]) / np.sqrt(0.01 - at[1] ** 2 - at[2] ** 2)
+    lean = 0.1 * profile.gel_curvature * slope / max(np.hypot(at[1], at[2]), 1e-12)
+    normal = np.array([1, lean * at[1], lean * at[2]])
+    centre = at + normal / np.linalg.norm(normal) * (RADIUS - depth)
+    along, square = rays @ centre, (rays**2).sum(axis=2)
+    root = np.sqrt(np.maximum(along**2 - square * (centre @ centre - RADIUS**2), 0))
+    ball = np.where(root > 0, (along - root) / square, np.inf)
+    return np.maximum(gel - ball, 0)[None].astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def pictures(real):
+    import torch
+
+    optics, rng = Optics(real), np.random.default_rng(0)
+    clean = [optics.render(torch.from_numpy(press(real, *place)))[0].numpy() for place in PLACES]
+    return noisy(np.stack(clean), rng)
+
+
+@pytest.fixture(scope="module")
+def untouched(real):
+    return noisy(Optics(real).background.numpy(), np.random.default_rng(1))
+
+
+def noisy(images, rng):
+    return np.clip(images + rng.normal(0, NOISE, images.shape), 0, 255).round().astype(np.uint8)
+
+
+@pytest.mark.parametrize("with_untouched", [True, False])
+def test_lights_and_background_are_found(rigid, real, pictures, untouched, with_untouched):
+    fit = fit_sensor(pictures, RADIUS, rigid, untouched if with_untouched else None)
+    factors = {light.color: light.factor for light in fit.lights}
+    for light, factor in zip(rigid.lights, FACTORS):
+        assert factors[light.color] == pytest.approx(factor, rel=0.05)
+    for light, truth in zip(fit.profile.lights, real.lights):
+        assert light.intensity == pytest.approx(truth.intensity, rel=0.05)
+    error = fit.background.astype(float) - Optics(real).background.numpy()
+    assert np.sqrt(np.mean(error**2)) < 1.1 * NOISE
+    for imprint, (row, column, depth) in zip(fit.imprints, PLACES):
+        assert abs(imprint.row - row) < 0.5
+        assert abs(imprint.column - column) < 0.5
+        assert imprint.depth == pytest.approx(depth, rel=0.05)
+    # What is left is the pictures' noise, and the untouched picture's.
+    assert fit.psnr_after == pytest.approx(
+        20 * np.log10(255 / NOISE / (2**0.5 if with_untouched else 0.75**0.5)), abs=0.3
+    )
+    assert fit.psnr_after > fit.psnr_before
+
+
+def test_imprints_are_found_by_their_change(pictures, untouched):
+    for picture, (row, column, depth) in zip(pictures, PLACES):
+        found = find_imprint(picture.astype(np.float32) - untouched)
+        assert np.hypot(found[0] - row, found[1] - column) < 2
+        assert 0.6 < found[2] / (np.sqrt(2 * depth / (1 / RADIUS + 30)) / 0.000159) < 1.5
+
+
+def test_picture_without_an_imprint_is_refused(rigid, pictures, untouched):
+    with pytest.raises(ObjectFolderError, match=r"blank\.png: no imprint"):
+        fit_sensor(np.stack([untouched, pictures[0]]), RADIUS, rigid, untouched, names=["blank.png", "b.png"])
+
+
+def test_imprint_that_is_not_round_is_refused():
+    change = np.zeros((160, 120, 3), np.float32)
+    change[70:78, 20:100] = 40
+    with pytest.raises(ObjectFolderError, match=r"not the imprint of a ball \(80 x 8 pixels"):
+        find_imprint(change)
+
+
+def test_imprint_at_the_border_is_refused():
+    change = np.zeros((160, 120, 3), np.float32)
+    change[0:20, 40:60] = 40
+    with pytest.raises(ObjectFolderError, match="cut by the picture's border"):
+        find_imprint(change)
+
+
+def test_one_place_does_not_tell_the_background(rigid, pictures):
+    with pytest.raises(ObjectFolderError, match="1 pictures do not tell the background"):
+        fit_sensor(pictures[:1], RADIUS, rigid)
+    same = [(50.0, 40.0, 12.0)] * 3
+    with pytest.raises(ObjectFolderError, match="in the same place"):
+        fit_sensor(pictures[[0, 0, 0]], RADIUS, rigid, circles=same)
+
+
+@pytest.mark.parametrize("radius", [0.0, -1.0, float("nan")])
+def test_impossible_radius_is_refused(rigid, pictures, untouched, radius):
+    with pytest.raises(ObjectFolderError, match="radius is"):
+        fit_sensor(pictures, radius, rigid, untouched)
+
+
+def test_wrong_number_of_circles_is_refused(rigid, pictures):
+    with pytest.raises(ObjectFolderError, match="1 circles for 4 pictures"):
+        fit_sensor(pictures, RADIUS, rigid, circles=[(50.0, 40.0, 12.0)])
+
+
+def test_command_writes_a_profile_that_loads(tmp_path, real, pictures, untouched):
+    paths = []
+    for name, picture in zip(("rest", "a", "b"), (untouched, *pictures[:2])):
+        paths.append(tmp_path / f"{name}.png")
+        Image.fromarray(picture).save(paths[-1])
+    out = tmp_path / "mine.yaml"
+    arguments = ["sensor", "fit", *paths[1:], "--untouched", paths[0], "--radius", RADIUS]
+    arguments += ["--sensor", "tacto_digit", "--out", out, "--circle", "50,40,12", "--circle", "50,80,11"]
+    done = CliRunner().invoke(app, [str(a) for a in arguments])
+    assert done.exception is None, done.exception
+    mine = load_profile(out)
+    assert mine.name == "mine"
+    assert "fitted to 2 images" in mine.source
+    for light, truth in zip(mine.lights, real.lights):
+        assert light.intensity == pytest.approx(truth.intensity, rel=0.06)
+    assert np.array_equal(Optics(mine).background.numpy(), untouched)
+    report = read_json(tmp_path / "mine_report.json")
+    assert report["psnr_after"] > report["psnr_before"]
+    assert len(report["lights"]) == 3
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        (["--circle", "50,40"], "--circle '50,40' is not ROW,COLUMN,RADIUS"),
+        (["--out", "mine.png"], "--out is mine.png"),
+        (["--sensor", "gelsite"], "'gelsite'"),
+        ([], r"absent\.png.* does not exist"),
+    ],
+)
+def test_command_names_what_is_wrong(options, reason, tmp_path, untouched):
+    Image.fromarray(untouched).save(tmp_path / "a.png")
+    picture = tmp_path / ("a.png" if options else "absent.png")
+    arguments = [
+        "sensor",
+        "fit",
+        str(picture),
+        "--radius",
+        "0.004",
+        "--out",
+        str(tmp_path / "b.yaml"),
+        *options,
+    ]
+    done = CliRunner().invoke(app, arguments)
+    assert isinstance(done.exception, ObjectFolderError)
+    with pytest.raises(ObjectFolderError, match=reason):
+        raise done.exception
+
+
+def test_text_is_no_picture(tmp_path, rigid):
+    (tmp_path / "a.png").write_text("not a picture")
+    with pytest.raises(ObjectFolderError, match=r"a\.png.*cannot be read"):
+        read_picture(tmp_path / "a.png", rigid)
