@@ -72,7 +72,7 @@ class RayCaster:
         hit = self._scene.run(
             np.ascontiguousarray(origins, np.float32),
             np.ascontiguousarray(directions, np.float32),
-            dists=None if max_distance is None else np.ascontiguousarray(max_distance, np.float32),
+            dists=_lengths(max_distance),
             query="INTERSECT",
             output=1,
         )
