@@ -9,6 +9,9 @@ import scipy.fft
 from objectfolder.errors import ObjectFolderError
 from objectfolder.touch.profiles import SensorProfile
 
+# The Fourier transform repeats the contact; the copies are this many thicknesses apart.
+_SPACING = 2.5
+
 # Gap that may be left where there is pressure, and overlap where there is none, of the deepest overlap.
 _TOLERANCE = 1e-2
 
@@ -54,13 +57,14 @@ def deform(height: np.ndarray, profile: SensorProfile) -> tuple[np.ndarray, np.n
 
     A rigid gel takes the exact imprint. A soft one is an elastic layer on a rigid base in unilateral contact
     without friction: pressure >= 0, gap >= 0, and no pressure where there is a gap. Found by conjugate
-    gradients with cosine transforms (after Polonsky and Keer 1999), with a preconditioner and from coarse
-    grids to the finest. The object is met exactly where it presses; elsewhere the surface is free: drawn in beside
+    gradients with Fourier transforms (Polonsky and Keer 1999), with a preconditioner and from coarse grids to
+    the finest. The object is met exactly where it presses; elsewhere the surface is free: drawn in beside
     the contact, bulging further off, since the gel hardly changes its volume.
 
     Limits: linear elasticity, which strains beyond about a third exceed; no friction, no adhesion; the layer
     is flat, evenly thick, on a grid of the apex's pixel pitch (a dome's curvature counts in ``height``
-    only); it goes on past the image as if mirrored at its border, and so does what presses there.
+    only); it goes on past the image, where nothing presses but copies of the contact, 2.5 thicknesses
+    off the image's border.
 
     Parameters
     ----------
@@ -152,24 +156,27 @@ def _solve(
 
 
 def _respond(pressure: np.ndarray, pitch: float, layer: Layer) -> np.ndarray:
-    """Displacement under a pressure, and under its mirror images at the border."""
-    waves = scipy.fft.dctn(pressure)
-    waves *= _compliance(*pressure.shape, pitch, layer)
-    return scipy.fft.idctn(waves, overwrite_x=True)
+    """Displacement under a pressure."""
+    height, width = pressure.shape
+    margin = round(_SPACING * layer.thickness / pitch)
+    rows, columns = (scipy.fft.next_fast_len(n + margin, real=True) for n in pressure.shape)
+    spectrum = scipy.fft.rfft2(pressure, (rows, columns))
+    spectrum *= _compliance(rows, columns, pitch, layer)
+    return scipy.fft.irfft2(spectrum, (rows, columns), overwrite_x=True)[:height, :width]
 
 
 def _precondition(residual: np.ndarray, pitch: float, layer: Layer) -> np.ndarray:
     """Roughly the pressure that makes a displacement."""
-    waves = scipy.fft.dctn(residual)
-    waves /= _stiffened(*residual.shape, pitch, layer)
-    return scipy.fft.idctn(waves, overwrite_x=True)
+    spectrum = scipy.fft.rfft2(residual)
+    spectrum /= _stiffened(*residual.shape, pitch, layer)
+    return scipy.fft.irfft2(spectrum, residual.shape, overwrite_x=True)
 
 
 @cache
 def _compliance(rows: int, columns: int, pitch: float, layer: Layer) -> np.ndarray:
-    """Of the waves of `scipy.fft.dctn`, which have half periods in the image; (rows, columns) float32."""
-    along_rows, along_columns = (np.arange(n) / (n * pitch) for n in (rows, columns))
-    return layer.compliance(np.pi * np.hypot(along_rows[:, None], along_columns)).astype(np.float32)
+    """Of the waves of `scipy.fft.rfft2`; (rows, columns // 2 + 1) float32."""
+    along_rows, along_columns = scipy.fft.fftfreq(rows, pitch), scipy.fft.rfftfreq(columns, pitch)
+    return layer.compliance(2 * np.pi * np.hypot(along_rows[:, None], along_columns)).astype(np.float32)
 
 
 @cache
