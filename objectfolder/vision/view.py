@@ -21,7 +21,7 @@ def offsets(side: int) -> np.ndarray:
 
 
 SHADED = offsets(3)  #: samples of pixels with edges
-COVERED = offsets(8)  #: rays that find how much of a silhouette's pixel is covered
+LINES, HALVINGS = 4, 5  #: across a silhouette's pixel, and how often they are halved to find where it is cut
 
 #: Samples, light (3,) and the pixel (S,) that each belongs to -> linear radiance (S, 3).
 Shader = Callable[[SurfaceSamples, torch.Tensor, np.ndarray], torch.Tensor]
@@ -39,7 +39,7 @@ def draw(
     """Render one view of a stored surface.
 
     One ray through every pixel that the object may cover; where silhouettes, shadow edges or creases
-    cross a pixel, the samples `SHADED`, and on silhouettes the coverage rays `COVERED`.
+    cross a pixel, the samples `SHADED`; on silhouettes, more rays find how much of a pixel is covered.
 
     Parameters
     ----------
@@ -109,7 +109,10 @@ def _draw(
     alpha = np.where(edge, hits / len(SHADED), hits)
     if supersample:
         silhouette = np.flatnonzero(_varies(alpha, height, width, 0) & (hits > 0))
-        alpha[silhouette] = _coverage(surface, camera_to_world, intrinsics, silhouette)
+        padded = np.pad(alpha.reshape(height, width), 1, mode="edge")
+        slopes = np.stack([padded[2:, 1:-1] - padded[:-2, 1:-1], padded[1:-1, 2:] - padded[1:-1, :-2]], -1)
+        slopes = slopes.reshape(count, 2)[silhouette]
+        alpha[silhouette] = _coverage(surface, camera_to_world, intrinsics, silhouette, slopes)
     rgba = np.concatenate([color * alpha[:, None], alpha[:, None]], 1).astype(np.float32)
     depth = np.full(count, np.inf, np.float32)
     depth[seen] = _depth(centre, camera_to_world)
@@ -157,11 +160,35 @@ def _cast(
 
 
 def _coverage(
-    surface: Isosurface, camera_to_world: np.ndarray, intrinsics: Intrinsics, pixels: np.ndarray
+    surface: Isosurface,
+    camera_to_world: np.ndarray,
+    intrinsics: Intrinsics,
+    pixels: np.ndarray,
+    slopes: np.ndarray,
 ) -> np.ndarray:
-    """Share of each pixel that the surface covers; (P,)."""
-    rays = _pixel_rays(camera_to_world, intrinsics, pixels, COVERED)
-    return (surface.caster.first_hit(*rays)[1] >= 0).reshape(len(pixels), len(COVERED)).mean(1)
+    """Share of each pixel that the surface covers; (P,).
+
+    Lines across the silhouette are halved until the cut is found.
+
+    Parameters
+    ----------
+    slopes : (P, 2) array
+        How coverage grows down the rows and along the columns.
+    """
+    upright = (np.abs(slopes[:, 0]) >= np.abs(slopes[:, 1]))[:, None]
+    grows = np.where(upright, slopes[:, :1], slopes[:, 1:]) >= 0
+    lines = np.broadcast_to((np.arange(LINES) + 0.5) / LINES, (len(pixels), LINES))
+    low, high = np.zeros(lines.shape), np.ones(lines.shape)  # from the bare side to the covered one
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        along = np.where(grows, middle, 1 - middle)
+        positions = np.stack([np.where(upright, lines, along), np.where(upright, along, lines)], 2)
+        rays = _pixel_rays(camera_to_world, intrinsics, pixels, positions)
+        met = (surface.caster.first_hit(*rays)[1] >= 0).reshape(lines.shape)
+        low, high = np.where(met, low, middle), np.where(met, middle, high)
+    # A line that is met everywhere, or nowhere, is taken for whole.
+    cut = np.where(low == 0, 0, np.where(high == 1, 1, (low + high) / 2))
+    return 1 - cut.mean(1)
 
 
 def _varies(values: np.ndarray, height: int, width: int, tolerance: float) -> np.ndarray:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import torch
-from solids import box, isosurface, join, sphere
+from solids import TURN, box, isosurface, join, sphere
 
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, project
 from objectfolder.vision.trace import trace
@@ -42,6 +42,26 @@ def test_coverage_of_a_sphere_is_its_projected_area(ball, position):
     alpha = draw(ball, white, look_at(np.array(position))[0], LIGHT, intrinsics).rgba[..., 3]
     exact = solid_angle_pixels(np.linalg.norm(position), intrinsics.focal)
     assert alpha.sum(dtype=np.float64) == pytest.approx(exact, rel=3e-3)
+
+
+@pytest.mark.parametrize(
+    ("sides", "mean", "worst"), [((0.5, 0.6, 0.7), 0.01, 0.07), ((0.9, 0.03, 0.03), 0.02, 0.3)]
+)
+def test_coverage_is_that_of_many_rays(sides, mean, worst):
+    """A board whose silhouettes are straight, and a needle that is narrower than two pixels."""
+    surface = isosurface(box(sides, turn=TURN), 96)
+    pose, intrinsics = look_at(np.array([1.5, -1.6, 1.2]))[0], Intrinsics.square(64)
+    alpha = draw(surface, white, pose, LIGHT, intrinsics).rgba[..., 3]
+    fine = 24
+    rows, columns = (np.mgrid[: 64 * fine, : 64 * fine] + 0.5) / fine
+    rays = camera_rays(pose, intrinsics, np.stack([columns.ravel(), rows.ravel()], 1))
+    met = surface.caster.first_hit(*rays)[1] >= 0
+    exact = met.reshape(64, fine, 64, fine).mean((1, 3))
+    partly = (exact > 0) & (exact < 1) & (alpha > 0)  # what no sample meets is left out
+    assert partly.sum() > 50
+    error = np.abs(alpha - exact)[partly]
+    assert error.mean() < mean
+    assert error.max() < worst
 
 
 def test_alpha_is_one_inside_and_zero_outside(ball):
