@@ -45,7 +45,7 @@ def test_coverage_of_a_sphere_is_its_projected_area(ball, position):
 
 
 @pytest.mark.parametrize(
-    ("sides", "mean", "worst"), [((0.5, 0.6, 0.7), 0.01, 0.07), ((0.9, 0.03, 0.03), 0.02, 0.3)]
+    ("sides", "mean", "worst"), [((0.5, 0.6, 0.7), 0.006, 0.02), ((0.9, 0.03, 0.03), 0.01, 0.07)]
 )
 def test_coverage_is_that_of_many_rays(sides, mean, worst):
     """A board whose silhouettes are straight, and a needle that is narrower than two pixels."""
