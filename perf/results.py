@@ -55,7 +55,17 @@ KNOWLEDGE = (
     "object, the light's falloff and that the background is white. The scores say what the pipeline",
     "delivers, which owns the mesh; they do not say that one learns better from pictures than the other.",
 )
-TOUCH = ("psnr", "psnr_median", "psnr_unobstructed", "obstructed_fraction", "baseline_mean_image", "contacts")
+TOUCH = (
+    "psnr",
+    "psnr_median",
+    "psnr_unobstructed",
+    "psnr_median_unobstructed",
+    "psnr_contact",
+    "force_error",
+    "obstructed_fraction",
+    "baseline_mean_image",
+    "contacts",
+)
 
 
 def table(metrics: dict[str, dict], modality: str, columns: tuple[str, ...]) -> list[str]:

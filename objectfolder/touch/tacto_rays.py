@@ -1,10 +1,10 @@
 """TACTO's images without OpenGL: the object itself is drawn before the gel, by ray casting."""
 
-import igl
 import numpy as np
 import torch
 
 from objectfolder.mesh.normals import area_vectors
+from objectfolder.mesh.normals import unit as unit_rows
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.touch.camera import gel_depth, ray_directions
 from objectfolder.touch.contact import sensor_frames
@@ -153,9 +153,13 @@ def sensor_poses(
 
 def smooth_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Unit normals (V, 3) of vertices: means over their faces, weighted by angle, as trimesh makes them."""
-    weighting = igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_ANGLE
-    normals = igl.per_vertex_normals(np.asarray(vertices, np.float64), np.asarray(faces, np.int64), weighting)
-    return np.nan_to_num(np.asarray(normals, np.float64))
+    corners = np.asarray(vertices, np.float64)[faces]
+    along = unit_rows(np.roll(corners, -1, axis=1) - corners)
+    angles = np.arccos(-(along * np.roll(along, 1, axis=1)).sum(2).clip(-1, 1))
+    weighted = angles[..., None] * unit_rows(area_vectors(vertices, faces))[:, None]
+    flat = np.asarray(faces).ravel()
+    total = [np.bincount(flat, column, len(vertices)) for column in weighted.reshape(-1, 3).T]
+    return unit_rows(np.stack(total, axis=1))
 
 
 def compose(
