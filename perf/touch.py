@@ -4,7 +4,8 @@ Every figure comes from a fresh process with one thread; milliseconds are CPU ti
 the steps from a contact to its image, alone and in batches, beside TACTO's renderer on OpenGL in the same
 process. `accuracy` scores TACTO's images by ray casting, and those from heightmaps, against that reference.
 `net` scores TouchNet geometric at held-out contacts, against the soft gel on the exact surface and against
-TACTO's images; `image` trains the paper's network on one object's contacts, and scores it on them and on others.
+TACTO's images; `image` trains the paper's network on contacts of one depth and angle, and scores it on them
+and on others.
 Objects are those of a workspace (needs `objectfolder build normalize`) or meshes in metres, DIR/KEY/mesh.*.
 Without pyrender the reference's rows are left out, with what to install. Exits with 1 if a target is missed.
 """
@@ -235,7 +236,7 @@ def net(source: str, scale: str, count: str, resolution: str) -> dict:
 
 
 def image(source: str, scale: str, count: str, steps: str) -> dict:
-    """Train the paper's network on contacts of one depth and angle; score it on them and on as many others."""
+    """Train the paper's network on contacts of one depth and angle; score it on them and on others."""
     torch.set_num_threads(1)
     profile = load_profile(SOFT)
     touched = Touched(source, scale, 0, profile)

@@ -122,10 +122,11 @@ def test_a_header_without_a_field(edit, field):
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [
-        ("schema", 2, "has schema 2, this version reads 1; update objectfolder"),
+        ("schema", 3, "has schema 3, this version reads 2; update objectfolder"),
+        ("schema", 1, "has schema 1, this version reads 2; rebuild it with `objectfolder build`"),
         ("vision", {"kind": "mesh"}, "vision net of kind 'mesh', expected 'surface' or 'osf'"),
         ("audio", {}, "audio net of kind None, expected 'gains'"),
-        ("touch", "image", "touch net of kind None, expected 'geometric'"),
+        ("touch", "image", "touch net of kind None, expected 'geometric' or 'image'"),
         ("scale", 0, "scale is 0"),
         ("scale", -1.0, "scale is -1.0"),
         ("scale", "big", "scale is 'big'"),
