@@ -415,20 +415,23 @@ def main() -> None:
         command.add_argument("--contacts", type=int, default=40, help="of each object")
         command.add_argument("--json", type=Path, help="also write the figures here")
         command.add_argument("--pictures", type=Path, default=PICTURES, help="folder for side-by-sides")
-        command.add_argument("--resolution", type=int, default=192, help="of the stored grid (net)")
+        command.add_argument(
+            "--resolution", type=int, nargs="+", default=[192], help="of the stored grids (net)"
+        )
         command.add_argument("--steps", type=int, default=1000, help="of training (image)")
     arguments = parser.parse_args()
     console = Console(width=max(Console().width, 160))
     rows = []
     for key, (source, scale) in sources(arguments).items():
-        extra = {
-            "speed": [],
-            "accuracy": [str(arguments.pictures / f"tacto_{key}.png")],
-            "net": [str(arguments.resolution)],
-            "image": [str(arguments.steps)],
+        more = {
+            "speed": [[]],
+            "accuracy": [[str(arguments.pictures / f"tacto_{key}.png")]],
+            "net": [[str(resolution)] for resolution in arguments.resolution],
+            "image": [[str(arguments.steps)]],
         }
-        row = fresh(arguments.command, source, scale, str(arguments.contacts), *extra[arguments.command])
-        rows.append({"object": key, **row})
+        for extra in more[arguments.command]:
+            row = fresh(arguments.command, source, scale, str(arguments.contacts), *extra)
+            rows.append({"object": key, **row})
     titles = {
         "speed": ("CPU ms per image, one thread; the reference is TACTO's renderer", SPEED),
         "accuracy": ("PSNR in dB against TACTO's renderer, all pixels and those in contact", ACCURACY),
