@@ -372,7 +372,8 @@ def touch_net(figures: dict) -> list[str]:
         "`python perf/touch.py net --objects DIR --resolution 192 256 --json build/perf/touch_net.json`: "
         "PSNR in dB at contacts that its one number, the depth offset, was not fitted to, by the grid that "
         "stores the geometry. Ground truth: the soft gel on the exact surface, and TACTO's images (rigid "
-        "gel). Pooled and median over unobstructed contacts, their pixels in contact, and all contacts pooled.",
+        "gel). Pooled and median over unobstructed contacts, their pixels in contact, and all contacts "
+        "pooled.",
         "",
         "| object | grid | contacts | unobstructed | soft gel | median | contact | all | force error | TACTO "
         "| median | all |",
