@@ -206,7 +206,7 @@ def test_a_tensor_of_another_shape_or_a_config_that_does_not_fit(edit, brick):
 
 
 BLOCKED = (
-    "dvc igl manifold3d matplotlib mitsuba drjit networkx pydantic pymetis pyvista ruamel ruamel.yaml "
+    "dvc igl manifold3d matplotlib mitsuba drjit networkx pydantic pymetis pyvista "
     "threadpoolctl trimesh"
 )
 
@@ -221,6 +221,7 @@ points = file.sample_surface(2)
 assert file.view([2, 1, 1], [1, 0, 1], 16).shape == (1, 16, 16, 3)
 assert file.impact(points, np.ones((2, 3)), duration=0.1).shape == (2, 1600)
 assert file.touch(points).shape == (2, 160, 120, 3)
+assert (file.press(points, sensor="gelsight_mini").force > 0).all()
 print("answered")
 """
 
