@@ -40,7 +40,7 @@ from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.mesh.surface import close_surface
 from objectfolder.metrics import psnr
-from objectfolder.nets.touch_geometric import GeometricTouch, fit_depth_offset
+from objectfolder.nets.touch_geometric import GeometricTouch, fit_contacts
 from objectfolder.nets.touch_image import ImageConfig, train_image
 from objectfolder.query import UNMOVED, snap
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals, heightmaps
@@ -214,7 +214,7 @@ def net(source: str, scale: str, count: str, resolution: str) -> dict:
             for seed, size in enumerate((FITTED, int(count)))
         )
         fitted = GeometricTouch(surface, scale_m, profile, renderer=renderer)
-        fit_depth_offset(fitted, known, {k: v[:1] for k, v in known.items()}, OFFSET_SPAN, ROUNDS)
+        fit_contacts(fitted, known, {k: v[:1] for k, v in known.items()}, OFFSET_SPAN, ROUNDS)
         places = snap(surface, unknown["points"] / scale_m, 1.0, UNMOVED * surface.grid.spacing) * scale_m
         contact = places, fitted.normals(places), unknown["angles"], unknown["depths"]
         found = [(part.images, part.force) for part in fitted.touches(*contact)]
@@ -223,6 +223,7 @@ def net(source: str, scale: str, count: str, resolution: str) -> dict:
         free = unknown["obstructed"] == 0
         row |= {
             f"{name}_offset_um": fitted.depth_offset * 1e6,
+            f"{name}_smoothing": fitted.smoothing,
             f"{name}_unobstructed": scores["psnr_unobstructed"],
             f"{name}_median": scores["psnr_median_unobstructed"],
             f"{name}_contact": scores["psnr_contact"],

@@ -6,7 +6,7 @@ import torch
 from objectfolder.artifacts import Build, read_npz, write_curve, write_safetensors
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.nets.touch_geometric import GeometricTouch, fit_depth_offset
+from objectfolder.nets.touch_geometric import GeometricTouch, fit_contacts
 from objectfolder.nets.touch_image import ImageConfig, ImageTouch, train_image
 from objectfolder.params import stage_params
 from objectfolder.seeding import torch_generator
@@ -28,7 +28,7 @@ def main(key: str) -> None:
         surface = Isosurface(DistanceGrid.from_arrays(read_npz(build.sdf, "values", "band")))
         net = GeometricTouch(surface, scale, profile, renderer=str(train["renderer"]))
         some = [{name: split[name][: section.contacts] for name in ROWS} for split in (train, val)]
-        curve = fit_depth_offset(net, some[0], some[1], section.offset_span, section.rounds, log_point)
+        curve = fit_contacts(net, some[0], some[1], section.offset_span, section.rounds, log_point)
     else:
         # The paper's net takes core-days; where there is a GPU, it trains there.
         device = "cuda" if torch.cuda.is_available() else "cpu"

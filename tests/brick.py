@@ -54,7 +54,7 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
     look_tensors, look_config = look.to_tensors()
     sound_tensors, sound_config = sound.to_tensors()
     profile = load_profile("digit")
-    feel_config = {"sensor": profile.to_dict(), "depth_offset": 0.0, "renderer": "gel"}
+    feel_config = {"sensor": profile.to_dict(), "depth_offset": 0.0, "renderer": "gel", "smoothing": 0}
     return pack(
         "brick",
         "plastic",

@@ -206,8 +206,7 @@ def test_a_tensor_of_another_shape_or_a_config_that_does_not_fit(edit, brick):
 
 
 BLOCKED = (
-    "dvc igl manifold3d matplotlib mitsuba drjit networkx pydantic pymetis pyvista "
-    "threadpoolctl trimesh"
+    "dvc igl manifold3d matplotlib mitsuba drjit networkx pydantic pymetis pyvista threadpoolctl trimesh"
 )
 
 SCRIPT = """

@@ -2,22 +2,27 @@
 
 A net from position to image memorises the training contacts (29 dB in the paper, less off them). The
 geometry is in the Object File already, so a touch is simulated from it; what is fitted to images is the
-one number that quantising the surface makes uncertain, the effective press depth.
+one number that quantising the surface makes uncertain, the effective press depth, and for TACTO's images how
+smooth its normals are.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import torch
 
 from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.mesh.normals import averaged
 from objectfolder.nets.fit import CurvePoint
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile, require_renderer
 from objectfolder.touch.simulate import Touches, press
-from objectfolder.touch.tacto_rays import TactoRays
+from objectfolder.touch.tacto_rays import TactoRays, smooth_normals
+
+#: Rounds of smoothing that are tried for renderer tacto.
+SMOOTHING = (1, 2, 4, 8)
 
 _BATCH = 16  # bounds the memory that contacts take beside their images
 
@@ -37,6 +42,9 @@ class GeometricTouch:
         Who draws the images; see `objectfolder.touch.dataset.render_contacts`.
     background : (H, W, 3) uint8 array, optional
         The untouched sensor; default: what the profile says.
+    smoothing : int
+        Rounds in which normals of the stored surface are averaged for renderer tacto. TACTO draws a mesh with
+        interpolated vertex normals, which its triangles make smoother than the surface is.
     """
 
     def __init__(
@@ -47,6 +55,7 @@ class GeometricTouch:
         depth_offset: float = 0.0,
         renderer: str = "gel",
         background: np.ndarray | None = None,
+        smoothing: int = 0,
     ):
         self.surface = surface
         self.scale = scale
@@ -57,9 +66,16 @@ class GeometricTouch:
         if background is not None:
             self._optics.background = torch.from_numpy(np.array(background))
         require_renderer(profile, renderer)
+        self.smooth(smoothing)
+
+    def smooth(self, rounds: int) -> None:
+        """Set ``smoothing``."""
+        self.smoothing = rounds
         self._rays: TactoRays | None = None
-        if renderer == "tacto":
-            self._rays = TactoRays(surface.vertices, surface.faces, profile, scale)
+        if self.renderer == "tacto":
+            vertices, faces = self.surface.vertices, self.surface.faces
+            normals = averaged(smooth_normals(vertices, faces), faces, rounds)
+            self._rays = TactoRays(vertices, faces, self.profile, self.scale, normals)
             self._rays.background = self._optics.background.numpy()
 
     def with_sensor(self, profile: SensorProfile) -> "GeometricTouch":
@@ -103,8 +119,12 @@ class GeometricTouch:
         if self.profile.background_image:
             tensors["background"] = self._optics.background.numpy()
             sensor |= {"background_image": "", "background_sha256": ""}
-        config = {"sensor": sensor, "depth_offset": self.depth_offset, "renderer": self.renderer}
-        return tensors, config
+        return tensors, {
+            "sensor": sensor,
+            "depth_offset": self.depth_offset,
+            "renderer": self.renderer,
+            "smoothing": self.smoothing,
+        }
 
     @classmethod
     def from_tensors(
@@ -114,24 +134,26 @@ class GeometricTouch:
         profile, background = SensorProfile.from_dict(config["sensor"]), tensors.get("background")
         if background is not None and background.shape != (profile.height, profile.width, 3):
             raise ValueError(f"background of shape {background.shape}")
-        offset = float(config["depth_offset"])
-        return cls(surface, scale, profile, offset, config["renderer"], background)
+        offset, smoothing = float(config["depth_offset"]), int(config["smoothing"])
+        return cls(surface, scale, profile, offset, config["renderer"], background, smoothing)
 
 
-def fit_depth_offset(
+def fit_contacts(
     net: GeometricTouch,
     train: dict[str, np.ndarray],
     val: dict[str, np.ndarray],
     span: float,
     rounds: int,
-    report=lambda point: None,
+    report: Callable[[CurvePoint], None] = lambda point: None,
 ) -> list[CurvePoint]:
     """Choose the depth offset that reproduces training images best, by repeated bisection of a bracket.
+
+    For renderer tacto the smoothing of normals is chosen then, among none and `SMOOTHING`.
 
     Parameters
     ----------
     net : GeometricTouch
-        Its ``depth_offset`` is set.
+        Its ``depth_offset`` and ``smoothing`` are set.
     train, val : dict
         As `objectfolder.touch.dataset.render_contacts` returns.
     span : float
@@ -141,25 +163,39 @@ def fit_depth_offset(
     report : callable
         Called with each `CurvePoint`; losses are mean squared errors of images in [0, 1].
     """
-
     train, val = (c | {"normals": net.normals(c["points"])} for c in (train, val))
+    curve: list[CurvePoint] = []
 
-    def loss(offset: float, contacts: dict[str, np.ndarray]) -> float:
-        net.depth_offset = offset
-        normals = contacts["normals"]
-        images = net.images(contacts["points"], normals, contacts["angles"], contacts["depths"])
+    def loss(contacts: dict[str, np.ndarray]) -> float:
+        images = net.images(*(contacts[name] for name in ("points", "normals", "angles", "depths")))
         return float(np.mean((images / 255.0 - contacts["images"] / 255.0) ** 2))
 
+    def loss_at(offset: float) -> float:
+        net.depth_offset = offset
+        return loss(train)
+
+    def loss_with(smoothing: int) -> float:
+        net.smooth(smoothing)
+        return loss(train)
+
+    def record() -> None:
+        curve.append(CurvePoint(len(curve) + 1, best_loss, loss(val), 0.0))
+        report(curve[-1])
+
     best, step = 0.0, span / 2
-    best_loss = loss(best, train)
-    curve = []
-    for index in range(rounds):
-        losses = {offset: loss(offset, train) for offset in (best - step, best + step)}
+    best_loss = loss_at(best)
+    for _ in range(rounds):
+        losses = {offset: loss_at(offset) for offset in (best - step, best + step)}
         candidate = min(losses, key=losses.__getitem__)
         if losses[candidate] < best_loss:
             best, best_loss = candidate, losses[candidate]
+        net.depth_offset = best
         step /= 2
-        curve.append(CurvePoint(index + 1, best_loss, loss(best, val), 0.0))
-        report(curve[-1])
-    net.depth_offset = best
+        record()
+    if net.renderer == "tacto":
+        tried = {net.smoothing: best_loss} | {smoothing: loss_with(smoothing) for smoothing in SMOOTHING}
+        chosen = min(tried, key=tried.__getitem__)
+        net.smooth(chosen)
+        best_loss = tried[chosen]
+        record()
     return curve

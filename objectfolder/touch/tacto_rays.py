@@ -41,17 +41,27 @@ class TactoRays:
     profile : SensorProfile
     scale : float
         Metres per unit of the vertices.
+    normals : (V, 3) array, optional
+        Of the vertices, unit; default: `smooth_normals`, as TACTO has them.
 
     Attributes
     ----------
     background : (H, W, 3) uint8 array
     """
 
-    def __init__(self, vertices: np.ndarray, faces: np.ndarray, profile: SensorProfile, scale: float = 1.0):
+    def __init__(
+        self,
+        vertices: np.ndarray,
+        faces: np.ndarray,
+        profile: SensorProfile,
+        scale: float = 1.0,
+        normals: np.ndarray | None = None,
+    ):
         self.profile = profile
         vertices = np.asarray(vertices, np.float64) * scale
         faces = np.asarray(faces, np.int64)
-        self._normals = smooth_normals(vertices, faces)[faces].astype(np.float32)  # of the faces' corners
+        normals = smooth_normals(vertices, faces) if normals is None else normals
+        self._normals = normals[faces].astype(np.float32)  # of the faces' corners
         self._flat = area_vectors(vertices, faces).astype(np.float32)
         self._caster = RayCaster(vertices, faces)
         self._rays = ray_directions(profile).reshape(-1, 3).astype(np.float32)

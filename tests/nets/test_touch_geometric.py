@@ -2,6 +2,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 from solids import sphere
 
@@ -11,7 +12,7 @@ from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.metrics import psnr
-from objectfolder.nets.touch_geometric import GeometricTouch, fit_depth_offset
+from objectfolder.nets.touch_geometric import GeometricTouch, fit_contacts
 from objectfolder.touch.dataset import render_contacts
 from objectfolder.touch.profiles import load_profile
 from objectfolder.touch.tacto_rays import TactoRays
@@ -64,7 +65,7 @@ def test_the_offset_of_deeper_presses_is_found(surface, points):
     deeper = contacts(points, profile)
     deeper["depths"] = deeper["depths"] - 1e-4  # what is said, not what was done
     net = GeometricTouch(surface, SCALE, profile)
-    curve = fit_depth_offset(net, deeper, {k: v[:1] for k, v in deeper.items()}, 2e-4, 4)
+    curve = fit_contacts(net, deeper, {k: v[:1] for k, v in deeper.items()}, 2e-4, 4)
     assert net.depth_offset == pytest.approx(1e-4, abs=1.5e-5)
     assert curve[-1].train_loss <= curve[0].train_loss
 
@@ -86,9 +87,9 @@ def test_a_background_picture_travels_in_the_tensors(surface, points, tmp_path):
 
 
 def test_the_renderer_of_the_stored_sensor_is_stored(surface):
-    net = GeometricTouch(surface, SCALE, load_profile("tacto_digit"), 1e-5, "tacto")
+    net = GeometricTouch(surface, SCALE, load_profile("tacto_digit"), 1e-5, "tacto", smoothing=2)
     back = GeometricTouch.from_tensors(surface, SCALE, *net.to_tensors())
-    assert (back.renderer, back.depth_offset) == ("tacto", 1e-5)
+    assert (back.renderer, back.depth_offset, back.smoothing) == ("tacto", 1e-5, 2)
     other = back.with_sensor(load_profile("digit"))
     assert (other.renderer, other.depth_offset, other.profile.name) == ("gel", 1e-5, "digit")
 
@@ -124,3 +125,20 @@ def test_depth_and_angle_of_all_contacts_can_be_chosen(points):
     free = contacts(points, load_profile("digit"))
     assert np.ptp(free["depths"]) > 0
     assert np.ptp(free["angles"]) > 1
+
+
+def test_normals_are_smoothed_as_the_triangles_of_the_truth_do():
+    """TACTO draws a coarse box with interpolated normals; the stored surface has sharp edges."""
+    coarse = trimesh.creation.box((0.7, 0.7, 0.7)).subdivide().subdivide().subdivide()
+    mesh = np.asarray(coarse.vertices), np.asarray(coarse.faces)
+    stored = Isosurface(DistanceGrid(*distance_grid(*mesh, 96)))
+    profile = load_profile("tacto_digit")
+    places = sample_surface(*mesh, 8, np.random.default_rng(0))
+    truth = render_contacts(*mesh, SCALE, places, profile, np.random.default_rng(1), "tacto")
+    net = GeometricTouch(stored, SCALE, profile, renderer="tacto")
+    before = decibel(answer(net, truth), truth["images"])
+    curve = fit_contacts(net, truth, {k: v[:2] for k, v in truth.items()}, 2e-4, 2)
+    assert net.smoothing > 0
+    found = answer(net, truth)
+    assert decibel(found, truth["images"]) > before + 1
+    assert curve[-1].train_loss == pytest.approx(np.mean((found / 255.0 - truth["images"] / 255.0) ** 2))
