@@ -131,11 +131,18 @@ def write_safetensors(path: str | Path, tensors: dict[str, Any], header: dict[st
 
 
 def write_png(path: str | Path, image: np.ndarray) -> None:
-    """Write an (H, W, 3) uint8 image."""
+    """Write an (H, W, 3) or (H, W) uint8 image."""
     from PIL import Image
 
     with atomic(path) as temporary:
         Image.fromarray(image).save(temporary)
+
+
+def write_table(path: str | Path, columns: list[str], rows: list[list[Any]]) -> None:
+    """Write rows of numbers as CSV."""
+    lines = [",".join(f"{value:.9g}" for value in row) for row in rows]
+    with atomic(path) as temporary:
+        temporary.write_text("\n".join([",".join(columns), *lines]) + "\n")
 
 
 def write_curve(path: str | Path, curve: list[Any]) -> None:
@@ -143,9 +150,8 @@ def write_curve(path: str | Path, curve: list[Any]) -> None:
 
     The wall-clock column is left out: the same inputs must give the same bytes.
     """
-    rows = [f"{p.step},{p.train_loss:.9g},{p.val_loss:.9g}" for p in curve]
-    with atomic(path) as temporary:
-        temporary.write_text("\n".join(["step,train_loss,val_loss", *rows]) + "\n")
+    rows = [[p.step, p.train_loss, p.val_loss] for p in curve]
+    write_table(path, ["step", "train_loss", "val_loss"], rows)
 
 
 def keep(path: str | Path, name: str | Path) -> None:

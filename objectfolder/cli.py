@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated, get_args
+from typing import Annotated, Any, get_args
 
 import numpy as np
 import typer
@@ -28,6 +28,16 @@ sensor_app = typer.Typer(
 )
 app.add_typer(sensor_app, name="sensor")
 console = Console()
+
+#: What `query touch` can write, and columns of its contacts.csv.
+TOUCH_OUTPUTS = ("image", "mask", "height", "displacement", "pressure", "normals")
+TOUCH_COLUMNS = {
+    "force": "force_N",
+    "area": "area_m2",
+    "max_penetration": "max_penetration_m",
+    "mean_penetration": "mean_penetration_m",
+    "obstructed": "obstructed",
+}
 
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="An ObjectFile.safetensors.")]
 OutArgument = Annotated[Path, typer.Argument(metavar="OUT", help="Folder for 1.png, 2.png ... or 1.wav ...")]
@@ -67,11 +77,11 @@ def build(
     from objectfolder.artifacts import check_writable
     from objectfolder.engine.local import build as run_build
     from objectfolder.engine.progress import Progress, print_summary
-    from objectfolder.touch.profiles import load_profile
+    from objectfolder.touch.profiles import load_profile, require_renderer
 
     values = params.read()
     params.check_all(values)
-    load_profile(values["sensor"])
+    require_renderer(load_profile(values["sensor"]), values["render_touch"]["renderer"])
     check_writable(Path("build"))
     with Progress() as progress:
         summary = run_build(targets or (), jobs, force=force, on_event=progress)
@@ -308,7 +318,7 @@ def info(file: FileArgument) -> None:
             if len(frequencies)
             else " (silent)"
         ),
-        "touch": f"{obj.header['touch']['kind']}, sensor {obj.header['touch']['net']['sensor']['name']}",
+        "touch": f"{obj.header['touch']['kind']}, sensor {obj.sensor}",
         "schema": str(obj.header["schema"]),
     }
     for row in rows.items():
@@ -413,17 +423,66 @@ def touch(
         Path | None, typer.Option(help="(N, 3): tilt theta, its direction phi (radians), depth (metres).")
     ] = None,
     depth: Annotated[float, typer.Option(help="Press depth in metres, without --gelinfo.")] = 0.001,
+    sensor: Annotated[
+        str | None, typer.Option(help="Another sensor: a name (`sensor list`) or a .yaml file.")
+    ] = None,
+    outputs: Annotated[
+        str, typer.Option(metavar="NAME,...", help=f"What to write: {', '.join(TOUCH_OUTPUTS)}.")
+    ] = "image",
 ) -> None:
-    """Press the tactile sensor on the object."""
-    from objectfolder.artifacts import write_png
+    """Press a tactile sensor on the object.
+
+    Writes 1.png ... (image), 1_mask.png ... (mask: where gel and object touch) and 1.npz ... (height and
+    displacement in metres, pressure in Pa, normals of the gel); and contacts.csv: force, area, penetration
+    and obstruction of each contact. docs/touch.md defines them.
+    """
+    from objectfolder.artifacts import write_npz, write_png, write_table
     from objectfolder.objectfile import ObjectFile
 
+    wanted = [name.strip() for name in outputs.split(",")]
+    unknown = [name for name in wanted if name not in TOUCH_OUTPUTS]
+    if unknown:
+        raise ObjectFolderError(f"--outputs {unknown[0]!r} is not one of {', '.join(TOUCH_OUTPUTS)}")
     points = _load_array(vertices, 3)
     tilt, azimuth, depths = _load_array(gelinfo, 3).T if gelinfo else (0.0, 0.0, depth)
-    images = ObjectFile.load(file).touch(points, depths, tilt=tilt, azimuth=azimuth)
-    for i, image in enumerate(images, 1):
-        write_png(out / f"{i}.png", image)
-    console.print(f"{len(images)} tactile images in {out}/")
+    obj = ObjectFile.load(file)
+    query: dict[str, Any] = {"depth": depths, "tilt": tilt, "azimuth": azimuth, "sensor": sensor}
+    if obj.header["touch"]["kind"] == "image" and wanted == ["image"]:
+        images = obj.touch(points, **query)
+        for i, image in enumerate(images, 1):
+            write_png(out / f"{i}.png", image)
+        console.print(f"{len(images)} tactile images in {out}/")
+        return
+    rows: list[list[float]] = []
+    for part in obj.touches(points, **query):
+        arrays = {"height": part.height, "displacement": part.displacement, "pressure": part.pressure}
+        arrays = {name: array for name, array in arrays.items() if name in wanted}
+        if "normals" in wanted:
+            arrays["normals"] = part.normals
+        for i, image in enumerate(part.images):
+            name = len(rows) + 1
+            if "image" in wanted:
+                write_png(out / f"{name}.png", image)
+            if "mask" in wanted:
+                write_png(out / f"{name}_mask.png", part.mask[i].astype(np.uint8) * 255)
+            if arrays:
+                write_npz(out / f"{name}.npz", **{key: array[i] for key, array in arrays.items()})
+            rows.append([name, *(float(getattr(part, column)[i]) for column in TOUCH_COLUMNS)])
+    write_table(out / "contacts.csv", ["contact", *TOUCH_COLUMNS.values()], rows)
+    console.print(
+        f"{len(rows)} contacts in {out}/{_summary(np.array(rows))}", highlight=False, soft_wrap=True
+    )
+
+
+def _summary(rows: np.ndarray) -> str:
+    if not len(rows):
+        return ""
+    columns = dict(zip(TOUCH_COLUMNS, rows.T[1:]))
+    force, area = columns["force"], columns["area"] * 1e6
+    text = "" if np.isnan(force).any() else f"; force {force.min():.3g} to {force.max():.3g} N"
+    text += f", area {area.min():.3g} to {area.max():.3g} mm2"
+    blocked = int((columns["obstructed"] > 0).sum())
+    return text + (f"; {blocked} obstructed: a real sensor would not get there" if blocked else "")
 
 
 @sensor_app.command("list")

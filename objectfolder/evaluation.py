@@ -18,6 +18,7 @@ from objectfolder.vision.color import lit_foreground, on_white
 
 AWGN = {"sigma_0_05": 0.05, "variance_0_05": 0.05**0.5}  # the paper says variance, its figures mean sigma
 BATCH = 16  # sounds transformed at once
+MIN_PIXELS = 50  #: of a contact whose pixels are scored
 
 
 def evaluate_vision(view: Callable[..., np.ndarray], views: dict[str, np.ndarray]) -> dict[str, Any]:
@@ -196,30 +197,59 @@ def strike_sounds(
 def evaluate_touch(
     file: ObjectFile, contacts: dict[str, np.ndarray], mean_image: np.ndarray
 ) -> dict[str, float]:
-    """PSNR of tactile images at held-out contacts.
+    """PSNR of tactile images at held-out contacts, and the error of their forces.
 
     Contacts where the object reaches behind the gel (a handle, the inside of a cup) are impossible for a
-    real sensor; they count in ``psnr`` and are left out of ``psnr_unobstructed``.
+    real sensor; they count in ``psnr`` and ``psnr_median`` and are left out of the other scores:
+    ``psnr_unobstructed`` and ``psnr_median_unobstructed`` of whole images, ``psnr_contact`` of the pixels
+    that touch, pooled over contacts with at least `MIN_PIXELS` of them, and ``force_error``, the mean error
+    relative to the mean force, where the gel and the net know forces.
 
     Parameters
     ----------
+    contacts : dict
+        As ``touch/test.npz`` holds them.
     mean_image : (H, W, 3) array
         Mean of the training images in grey levels: the baseline.
     """
-    truth = contacts["images"].astype(np.float32)
-    images = file.touch(contacts["points"], contacts["depths"], contacts["angles"])
-    errors = np.square((images - truth) / 255).mean((1, 2, 3))
-    baseline = np.square((truth - mean_image) / 255).mean((1, 2, 3))
+    query = contacts["points"], contacts["depths"], contacts["angles"]
+    force = np.full(len(contacts["points"]), np.nan)
+    if file.header["touch"]["kind"] == "image":
+        images = file.touch(*query)
+    else:
+        found = [(part.images, part.force) for part in file.touches(*query)]
+        images, force = (np.concatenate(parts) for parts in zip(*found))
+    scores = touch_scores(images, contacts)
+    baseline = touch_scores(np.broadcast_to(mean_image, images.shape), contacts)
+    scores["baseline_mean_image"] = baseline["psnr"]
     free = contacts["obstructed"] == 0
+    error = np.abs(force - contacts["force"])[free]
+    if len(error) and np.isfinite(error).all() and contacts["force"][free].any():
+        scores["force_error"] = float(error.mean() / contacts["force"][free].mean())
+    return scores
+
+
+def touch_scores(images: np.ndarray, contacts: dict[str, np.ndarray]) -> dict[str, float]:
+    """Scores of images (N, H, W, 3) in grey levels; see `evaluate_touch`."""
+    errors, free = np.empty(len(images)), contacts["obstructed"] == 0
+    contact = []
+    truths = zip(images, contacts["images"], contacts["masks"], free)
+    for i, (image, truth, mask, counts) in enumerate(truths):
+        squared = np.square((image.astype(np.float32) - truth) / 255).mean(2)
+        errors[i] = squared.mean()
+        if counts and mask.sum() >= MIN_PIXELS:
+            contact.append(squared[mask])
     scores = {
         "psnr": float(psnr(errors.mean())),
         "psnr_median": float(np.median(psnr(errors))),
         "obstructed_fraction": float(1 - free.mean()),
-        "baseline_mean_image": float(psnr(baseline.mean())),
-        "contacts": len(truth),
+        "contacts": len(images),
     }
     if free.any():
         scores["psnr_unobstructed"] = float(psnr(errors[free].mean()))
+        scores["psnr_median_unobstructed"] = float(np.median(psnr(errors[free])))
+    if contact:
+        scores["psnr_contact"] = float(psnr(np.concatenate(contact).mean()))
     return scores
 
 

@@ -26,18 +26,21 @@ from objectfolder.mesh.sampling import sample_surface
 from objectfolder.nets.audio_gains import GainsNet
 from objectfolder.nets.audio_spectrogram import SpectrogramNet
 from objectfolder.nets.touch_geometric import GeometricTouch
+from objectfolder.nets.touch_image import ImageTouch
 from objectfolder.nets.vision_osf import OsfNet
 from objectfolder.nets.vision_surface import SurfaceNet
+from objectfolder.touch.profiles import SensorProfile, load_profile
+from objectfolder.touch.simulate import Touches
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.picture import Drawer, Views
 from objectfolder.vision.view import Shader, draw
 
-SCHEMA = 1
+SCHEMA = 2
 MAX_RESOLUTION = 512  #: of the stored distance grid
 MODALITIES = ("vision", "audio", "touch")
 _VISION: dict[str, type[SurfaceNet] | type[OsfNet]] = {"surface": SurfaceNet, "osf": OsfNet}
 _AUDIO: dict[str, type[GainsNet] | type[SpectrogramNet]] = {"gains": GainsNet, "spectrogram": SpectrogramNet}
-_KINDS = {"vision": tuple(_VISION), "audio": tuple(_AUDIO), "touch": ("geometric",)}
+_KINDS = {"vision": tuple(_VISION), "audio": tuple(_AUDIO), "touch": ("geometric", "image")}
 log = logging.getLogger(__name__)
 _REQUIRED = ("schema", "key", "material", "scale", "geometry", "vision", "audio", "touch")
 
@@ -67,8 +70,10 @@ class ObjectFile:
         if missing:
             raise ObjectFolderError(f"{path} is not an Object File: its header lacks {', '.join(missing)}")
         if header["schema"] != SCHEMA:
+            older = header["schema"] in range(SCHEMA)
             raise ObjectFolderError(
-                f"{path} has schema {header['schema']}, this version reads {SCHEMA}; update objectfolder"
+                f"{path} has schema {header['schema']}, this version reads {SCHEMA}; "
+                + ("rebuild it with `objectfolder build`" if older else "update objectfolder")
             )
         for modality, kinds in _KINDS.items():
             found = header[modality].get("kind") if isinstance(header[modality], dict) else None
@@ -111,6 +116,12 @@ class ObjectFile:
     def scale(self) -> float:
         """Longest side, metres."""
         return float(self.header["scale"])
+
+    @property
+    def sensor(self) -> str:
+        """Name of the stored tactile sensor."""
+        stored = self.header["touch"]["net"]["sensor"]
+        return stored if isinstance(stored, str) else stored["name"]
 
     @property
     def frequencies(self) -> np.ndarray:
@@ -248,9 +259,57 @@ class ObjectFile:
         tilt: np.ndarray | float = 0.0,
         azimuth: np.ndarray | float = 0.0,
         tolerance: float = query.TOLERANCE,
+        sensor: str | Path | SensorProfile | None = None,
     ) -> np.ndarray:
-        """Press the tactile sensor on the object; see `objectfolder.query.touch`."""
-        return query.touch(self._touch, points, depth, angle, tilt, azimuth, tolerance)
+        """Press a tactile sensor on the object; see `objectfolder.query.touch`.
+
+        Parameters
+        ----------
+        sensor : str, Path or SensorProfile, optional
+            Name of a profile that comes with the package, a ``.yaml`` file, or a profile. Default: the stored
+            one.
+
+        Returns
+        -------
+        (N, H, W, 3) uint8, RGB
+        """
+        if isinstance(self._touch, ImageTouch) and sensor is None:
+            return query.touch_image(
+                self.surface, self._touch, self.scale, points, depth, angle, tilt, azimuth, tolerance
+            )
+        found = self.touches(points, depth, angle, tilt, azimuth, tolerance, sensor)
+        return np.concatenate([part.images for part in found])
+
+    def press(
+        self,
+        points: np.ndarray,
+        depth: np.ndarray | float = 0.001,
+        angle: np.ndarray | float = 0.0,
+        tilt: np.ndarray | float = 0.0,
+        azimuth: np.ndarray | float = 0.0,
+        tolerance: float = query.TOLERANCE,
+        sensor: str | Path | SensorProfile | None = None,
+    ) -> Touches:
+        """Press a tactile sensor on the object and get all that is known: images, heights, normals, contact
+        masks, displacements, pressures, forces, areas, penetrations, obstruction; otherwise as `touch`.
+        """
+        return query.joined(self.touches(points, depth, angle, tilt, azimuth, tolerance, sensor))
+
+    def touches(
+        self,
+        points: np.ndarray,
+        depth: np.ndarray | float = 0.001,
+        angle: np.ndarray | float = 0.0,
+        tilt: np.ndarray | float = 0.0,
+        azimuth: np.ndarray | float = 0.0,
+        tolerance: float = query.TOLERANCE,
+        sensor: str | Path | SensorProfile | None = None,
+    ) -> Iterator[Touches]:
+        """Answer as `press`, a few contacts at a time: for more of them than the memory holds."""
+        net = self._geometric
+        if sensor is not None:
+            net = net.with_sensor(sensor if isinstance(sensor, SensorProfile) else load_profile(sensor))
+        return query.touch(net, points, depth, angle, tilt, azimuth, tolerance)
 
     def sample_surface(self, count: int, seed: int = 0) -> np.ndarray:
         """Random surface points, uniform by area; (count, 3), object frame, metres."""
@@ -302,10 +361,23 @@ class ObjectFile:
         return self._audio
 
     @cached_property
-    def _touch(self) -> GeometricTouch:
-        surface = self.surface
+    def _touch(self) -> GeometricTouch | ImageTouch:
+        tensors = self._group("touch")
+        tensors.pop("mean_image", None)  # for the evaluation
+        touch, surface = self.header["touch"], self.surface
         with self._checked("touch net"):
-            return GeometricTouch.from_config(surface, self.scale, self.header["touch"]["net"])
+            if touch["kind"] == "image":
+                return ImageTouch.from_tensors(tensors, touch["net"])
+            return GeometricTouch.from_tensors(surface, self.scale, tensors, touch["net"])
+
+    @property
+    def _geometric(self) -> GeometricTouch:
+        if not isinstance(self._touch, GeometricTouch):
+            raise ObjectFolderError(
+                f"{self.key}: its touch net stores images of one sensor, no shapes or forces; "
+                "train_touch.net: geometric answers with them, and for other sensors"
+            )
+        return self._touch
 
     @contextmanager
     def _checked(self, what: str) -> Iterator[None]:

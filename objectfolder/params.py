@@ -105,6 +105,9 @@ class RenderTouchParams(Section):  # noqa: D101
     train: int = Count  #: contacts; with `vertices`, every vertex is used and split 80/10/10
     val: int = Count
     test: int = Count
+    renderer: Literal["gel", "tacto"]  #: the deformed gel, or what TACTO draws (sensor: tacto_digit)
+    depth: float | None = Field(ge=0)  #: of every contact, metres; null: random, the sensor's press_depth
+    angle: float | None  #: of every contact, radians; null: random
 
 
 class VisionOsf(Section):  # noqa: D101
@@ -172,11 +175,22 @@ class TrainAudioParams(Section):  # noqa: D101
         return next((s for s in self.sizes if modes <= s.modes), self.sizes[-1])
 
 
+class TouchImage(Section):  # noqa: D101
+    width: int = Count
+    depth: int = Count
+    point_octaves: int = Field(ge=0, le=16)  #: of the positional encoding
+    pixel_octaves: int = Field(ge=0, le=16)
+    steps: int = Count
+    batch: int = Count  #: of pixels
+    learning_rate: float = Field(gt=0)
+
+
 class TrainTouchParams(Section):  # noqa: D101
-    net: Literal["geometric"]
+    net: Literal["geometric", "image"]
     offset_span: float = Field(gt=0)  #: search range of the depth offset, metres
     rounds: int = Count
     contacts: int = Count  #: training and validation contacts used at most
+    image: TouchImage  #: net and training of that kind; the fields above are those of `geometric`
 
 
 class EvaluateParams(Section):  # noqa: D101
@@ -215,7 +229,7 @@ SHARED: dict[str, tuple[str, ...]] = {
     "render_touch": ("seed", "sensor"),
     "train_vision": ("seed",),
     "train_audio": ("seed",),
-    "train_touch": ("sensor",),
+    "train_touch": ("seed", "sensor"),
     "evaluate": ("seed",),
 }
 

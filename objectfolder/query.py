@@ -4,6 +4,8 @@ Batches in, batches out. Every row is answered by the same operations whatever e
 """
 
 import logging
+from collections.abc import Iterable, Iterator
+from dataclasses import fields
 
 import numpy as np
 import torch
@@ -16,12 +18,15 @@ from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.audio_gains import GainsNet
 from objectfolder.nets.audio_spectrogram import SpectrogramNet
 from objectfolder.nets.touch_geometric import GeometricTouch
+from objectfolder.nets.touch_image import ImageTouch
 from objectfolder.touch.contact import sensor_frames
+from objectfolder.touch.simulate import Touches
 from objectfolder.vision.cameras import Intrinsics, look_at
 from objectfolder.vision.color import on_white
 from objectfolder.vision.picture import Drawer, Views
 
 TOLERANCE = 0.02  #: points further than this from the surface (fraction of the size) are refused
+UNMOVED = 0.25  #: voxels; contact points nearer to the stored surface stay where they are
 _BLOCK = 16  # sounds mixed at once, always: a row's bits must not depend on its batch
 
 log = logging.getLogger(__name__)
@@ -232,13 +237,14 @@ def touch(
     tilt: np.ndarray | float,
     azimuth: np.ndarray | float,
     tolerance: float,
-) -> np.ndarray:
-    """Press the tactile sensor on the object.
+) -> Iterator[Touches]:
+    """Press a tactile sensor on the object.
 
     Parameters
     ----------
     points : (N, 3) array
-        Object frame, metres; snapped to the surface.
+        Object frame, metres. Those within `UNMOVED` voxels of the stored surface are believed: it is not
+        known better than that. Others are moved to it.
     depth : float or (N,) array
         How far the gel's apex is pressed past the surface, metres.
     angle : float or (N,) array
@@ -251,30 +257,94 @@ def touch(
 
     Returns
     -------
-    (N, H, W, 3) uint8, RGB
+    iterator of Touches
+        The contacts in order, a few at a time; one of none, if there are none.
+
+    Raises
+    ------
+    ObjectFolderError
+        At once: if shapes do not fit, values are not finite, a depth is negative or beyond the gel, or a
+        point is off the surface.
     """
-    points = _rows("points", points, 3)
-    depths, angles, tilts, azimuths = (
-        _scalars(name, value, len(points))
-        for name, value in (("depth", depth), ("angle", angle), ("tilt", tilt), ("azimuth", azimuth))
-    )
+    points, depths, angles, tilts, azimuths = _contacts(points, depth, angle, tilt, azimuth)
     limit = net.profile.max_indentation
-    if len(depths) and not (depths.min() >= 0 and depths.max() <= limit):
+    wrong = np.flatnonzero((depths < 0) | (depths > limit))
+    if len(wrong):
         raise ObjectFolderError(
-            f"press depths from {depths.min():g} to {depths.max():g} m; "
-            f"the sensor {net.profile.name!r} takes 0 to {limit:g} m"
+            f"depth: row {wrong[0]} is {depths[wrong[0]]:g} m; the sensor {net.profile.name!r} takes "
+            f"0 to {limit:g} m"
         )
-    snapped = snap(net.surface, points / net.scale, tolerance) * net.scale
-    normals = net.normals(snapped)
+    unmoved = UNMOVED * net.surface.grid.spacing
+    places = snap(net.surface, points / net.scale, tolerance, unmoved) * net.scale
+    normals = net.normals(places)
     if tilts.any():
         frames = sensor_frames(normals, angles)
         lean = np.cos(azimuths)[:, None] * frames[:, :, 2] - np.sin(azimuths)[:, None] * frames[:, :, 1]
         normals = np.cos(tilts)[:, None] * normals + np.sin(tilts)[:, None] * lean
-    return net.images(snapped, normals, angles, depths)
+    return net.touches(places, normals, angles, depths)
 
 
-def snap(surface: Isosurface, points: np.ndarray, tolerance: float) -> np.ndarray:
-    """Move points to the surface; both (N, 3), unit frame.
+def joined(parts: Iterable[Touches]) -> Touches:
+    """One `Touches` of those in several, which are of one sensor."""
+    parts = list(parts)
+    arrays = {
+        field.name: np.concatenate([getattr(part, field.name) for part in parts])
+        for field in fields(Touches)
+        if field.name != "profile"
+    }
+    return Touches(**arrays, profile=parts[0].profile)
+
+
+def touch_image(
+    surface: Isosurface,
+    net: ImageTouch,
+    scale: float,
+    points: np.ndarray,
+    depth: np.ndarray | float,
+    angle: np.ndarray | float,
+    tilt: np.ndarray | float,
+    azimuth: np.ndarray | float,
+    tolerance: float,
+) -> np.ndarray:
+    """Press the sensor on an object whose touch net stores images; otherwise as `touch`.
+
+    Returns
+    -------
+    (N, H, W, 3) uint8, RGB
+
+    Raises
+    ------
+    ObjectFolderError
+        If another depth, angle or tilt is asked for than what the net has learnt.
+    """
+    points, depths, angles, tilts, _ = _contacts(points, depth, angle, tilt, azimuth)
+    learnt = {"depth": (depths, net.press_depth), "angle": (angles, net.angle), "tilt": (tilts, 0.0)}
+    for name, (values, known) in learnt.items():
+        wrong = np.flatnonzero(np.abs(values - known) > 1e-6)
+        if len(wrong):
+            raise ObjectFolderError(
+                f"{name}: row {wrong[0]} is {values[wrong[0]]:g}; a touch net of kind image is a function "
+                f"of the point alone, and learnt depth {net.press_depth:g} m, angle {net.angle:g}, tilt 0; "
+                "a net of kind geometric answers others (train_touch.net: geometric)"
+            )
+    return net.images(snap(surface, points / scale, tolerance))
+
+
+def _contacts(
+    points: np.ndarray,
+    depth: np.ndarray | float,
+    angle: np.ndarray | float,
+    tilt: np.ndarray | float,
+    azimuth: np.ndarray | float,
+) -> tuple[np.ndarray, ...]:
+    """Checked points (N, 3), and depths, angles, tilts and azimuths (N,)."""
+    points = _rows("points", points, 3)
+    named = (("depth", depth), ("angle", angle), ("tilt", tilt), ("azimuth", azimuth))
+    return points, *(_scalars(name, value, len(points)) for name, value in named)
+
+
+def snap(surface: Isosurface, points: np.ndarray, tolerance: float, unmoved: float = 0.0) -> np.ndarray:
+    """Move points to the surface; both (N, 3), unit frame. Those nearer than ``unmoved`` stay.
 
     Raises
     ------
@@ -294,7 +364,7 @@ def snap(surface: Isosurface, points: np.ndarray, tolerance: float) -> np.ndarra
             f"expected at most {tolerance:g}. Points are in metres, centred on the bounding box: "
             "ObjectFile.sample_surface gives valid ones"
         )
-    return snapped
+    return np.where((distance < unmoved)[:, None], points, snapped)
 
 
 def _rows(name: str, values: np.ndarray, width: int) -> np.ndarray:
@@ -320,6 +390,9 @@ def _paired(a_name: str, a: np.ndarray, b_name: str, b: np.ndarray) -> tuple[np.
 
 def _scalars(name: str, values: np.ndarray | float, count: int) -> np.ndarray:
     array = np.asarray(values, np.float64)
-    if array.ndim > 1 or array.size not in (1, count) or not np.isfinite(array).all():
-        raise ObjectFolderError(f"{name} must be one finite number or {count} of them, got {values!r}")
+    if array.ndim > 1 or array.size not in (1, count):
+        raise ObjectFolderError(f"{name} has shape {array.shape}, expected one number or {count} of them")
+    wrong = np.flatnonzero(~np.isfinite(array))
+    if len(wrong):
+        raise ObjectFolderError(f"{name}: row {wrong[0]} is {array.flat[wrong[0]]}, expected finite numbers")
     return np.broadcast_to(array.reshape(-1), (count,)) if array.size == 1 else array

@@ -1,8 +1,11 @@
-"""Touch, object by object: `python perf/touch.py speed|accuracy [--workspace DIR | --objects DIR] [KEY ...]`.
+"""Touch, object by object: `python perf/touch.py COMMAND [--workspace DIR | --objects DIR] [KEY ...]`.
 
 Every figure comes from a fresh process with one thread; milliseconds are CPU time per image. `speed` times
 the steps from a contact to its image, alone and in batches, beside TACTO's renderer on OpenGL in the same
 process. `accuracy` scores TACTO's images by ray casting, and those from heightmaps, against that reference.
+`net` scores TouchNet geometric at held-out contacts, against the soft gel on the exact surface and against
+TACTO's images; `image` trains the paper's network on contacts of one depth and angle, and scores it on them
+and on others.
 Objects are those of a workspace (needs `objectfolder build normalize`) or meshes in metres, DIR/KEY/mesh.*.
 Without pyrender the reference's rows are left out, with what to install. Exits with 1 if a target is missed.
 """
@@ -14,6 +17,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import igl
@@ -26,13 +30,21 @@ from objectfolder import params
 from objectfolder.artifacts import Build, atomic, write_png
 from objectfolder.contact_sheet import tile
 from objectfolder.errors import ObjectFolderError
+from objectfolder.evaluation import touch_scores
+from objectfolder.mesh.grid import DistanceGrid
+from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.load import load_mesh
 from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.sampling import sample_surface
+from objectfolder.mesh.sdf import distance_grid
 from objectfolder.mesh.surface import close_surface
 from objectfolder.metrics import psnr
+from objectfolder.nets.touch_geometric import GeometricTouch, fit_contacts
+from objectfolder.nets.touch_image import ImageConfig, train_image
+from objectfolder.query import UNMOVED, snap
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals, heightmaps
+from objectfolder.touch.dataset import render_contacts
 from objectfolder.touch.gel import deform
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile, load_profile
@@ -48,6 +60,18 @@ SHOWN = 8  # contacts in a picture
 MAX_MS = {"rigid_single": 8.0, "rigid_batch": 4.0, "soft_batch": 7.0}
 MIN_FASTER = 10.0  # than the reference: images from heightmaps, rigid gel, and TACTO's by ray casting
 MIN_DB = {"tacto": 55.0, "tacto_contact": 52.0, "heightmap": 40.0, "heightmap_contact": 36.0}
+MIN_NET = {
+    "soft_unobstructed": 43.0,
+    "soft_median": 47.0,  # of unobstructed contacts
+    "tacto_unobstructed": 42.0,
+    "tacto_all": 35.0,
+}
+LIMITS: dict[str, dict[str, float]] = {"accuracy": MIN_DB, "net": MIN_NET, "image": {}}
+OFFSET_SPAN, ROUNDS, FITTED = 2e-4, 4, 48  # of the depth offset's search: preset quick
+IMAGE = ImageConfig(
+    width=256, depth=8, point_octaves=10, pixel_octaves=10, steps=0, batch=4096, learning_rate=5e-4
+)
+IMAGE_PRESS = 0.001  # m; the angle is 0
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "IGL_NUM_THREADS")
 
 Contact = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -63,8 +87,9 @@ class Touched:
         else:
             mesh = load_mesh(Path(source), "z")
             surface = close_surface(mesh.vertices, mesh.faces)
-            self.scale = float(np.ptp(surface.vertices, axis=0).max())
-            self.vertices, self.faces = surface.vertices / self.scale, surface.faces
+            low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+            self.scale = float((high - low).max())
+            self.vertices, self.faces = (surface.vertices - (low + high) / 2) / self.scale, surface.faces
         self.vertices = np.ascontiguousarray(self.vertices, np.float64)
         rng = np.random.default_rng(0)
         points = sample_surface(self.vertices, self.faces, count, rng)
@@ -160,6 +185,92 @@ def accuracy(source: str, scale: str, count: str, picture: str) -> dict:
     return row
 
 
+def net(source: str, scale: str, count: str, resolution: str) -> dict:
+    """Score TouchNet geometric at contacts that its one number was not fitted to.
+
+    Parameters
+    ----------
+    resolution : str
+        Of the stored distance grid.
+    """
+    torch.set_num_threads(1)
+    touched = Touched(source, scale, 0, load_profile(SOFT))
+    vertices, faces, scale_m = touched.vertices, touched.faces, touched.scale
+    values, band = distance_grid(vertices, faces, int(resolution))
+    surface = Isosurface(DistanceGrid(values, band))
+    row: dict = {"resolution": int(resolution), "contacts": int(count)}
+    for name, sensor, renderer in (("soft", SOFT, "gel"), ("tacto", RIGID, "tacto")):
+        profile = load_profile(sensor)
+        known, unknown = (
+            render_contacts(
+                vertices,
+                faces,
+                scale_m,
+                sample_surface(vertices, faces, size, np.random.default_rng(seed)),
+                profile,
+                np.random.default_rng(seed + 2),
+                renderer,
+            )
+            for seed, size in enumerate((FITTED, int(count)))
+        )
+        fitted = GeometricTouch(surface, scale_m, profile, renderer=renderer)
+        fit_contacts(fitted, known, {k: v[:1] for k, v in known.items()}, OFFSET_SPAN, ROUNDS)
+        places = snap(surface, unknown["points"] / scale_m, 1.0, UNMOVED * surface.grid.spacing) * scale_m
+        contact = places, fitted.normals(places), unknown["angles"], unknown["depths"]
+        found = [(part.images, part.force) for part in fitted.touches(*contact)]
+        images, force = (np.concatenate(parts) for parts in zip(*found))
+        scores = touch_scores(images, unknown)
+        free = unknown["obstructed"] == 0
+        row |= {
+            f"{name}_offset_um": fitted.depth_offset * 1e6,
+            f"{name}_smoothing": fitted.smoothing,
+            f"{name}_unobstructed": scores["psnr_unobstructed"],
+            f"{name}_median": scores["psnr_median_unobstructed"],
+            f"{name}_contact": scores["psnr_contact"],
+            f"{name}_all": scores["psnr"],
+            "unobstructed": int(free.sum()),
+        }
+        if name == "soft":
+            error = np.abs(force - unknown["force"])[free].mean()
+            row["force_error"] = float(error / unknown["force"][free].mean())
+    return row
+
+
+def image(source: str, scale: str, count: str, steps: str) -> dict:
+    """Train the paper's network on contacts of one depth and angle; score it on them and on others."""
+    torch.set_num_threads(1)
+    profile = load_profile(SOFT)
+    touched = Touched(source, scale, 0, profile)
+    vertices, faces, scale_m = touched.vertices, touched.faces, touched.scale
+    chosen = np.random.default_rng(0).permutation(len(vertices))
+    known, unknown = (
+        render_contacts(
+            vertices,
+            faces,
+            scale_m,
+            vertices[rows],
+            profile,
+            np.random.default_rng(1),
+            depth=IMAGE_PRESS,
+            angle=0.0,
+        )
+        for rows in (chosen[: int(count)], chosen[int(count) :][: int(count)])
+    )
+    start = time.process_time()
+    config = replace(IMAGE, steps=int(steps))
+    some = {name: values[:16] for name, values in known.items()}  # the paper stops at no held-out loss
+    generator = torch.Generator().manual_seed(0)
+    trained, _ = train_image(known, some, scale_m, SOFT, config, generator)
+    row = {"contacts": int(count), "steps": int(steps), "seconds": time.process_time() - start}
+    mean = known["images"].mean(axis=0).round()
+    for name, contacts in (("known", known), ("unknown", unknown)):
+        answers = trained.images(contacts["points"] / scale_m)
+        for kind, images in (("net", answers), ("mean", np.broadcast_to(mean, answers.shape))):
+            scores = touch_scores(images, contacts)
+            row |= {f"{name}_{kind}": scores["psnr"], f"{name}_{kind}_contact": scores.get("psnr_contact")}
+    return row
+
+
 def sources(arguments: argparse.Namespace) -> dict[str, tuple[str, str]]:
     """File and longest side of every object; side 0: as the file has it."""
     if arguments.objects:
@@ -191,8 +302,9 @@ def fresh(job: str, *arguments: str) -> dict:
 
 def run_job(job: str, *arguments: str) -> None:
     """Child's side of `fresh`."""
+    jobs = {"speed": speed, "accuracy": accuracy, "net": net, "image": image}
     try:
-        print(json.dumps({"speed": speed, "accuracy": accuracy}[job](*arguments)))
+        print(json.dumps(jobs[job](*arguments)))
     except ObjectFolderError as error:
         sys.exit(str(error))
 
@@ -224,6 +336,31 @@ ACCURACY = {
 }
 
 
+NET = {
+    "object": ("object", ""),
+    "resolution": ("grid", ""),
+    "unobstructed": ("unobstructed", ""),
+    "soft_unobstructed": ("soft gel", ".1f"),
+    "soft_median": ("median", ".1f"),
+    "soft_contact": ("contact", ".1f"),
+    "soft_all": ("all", ".1f"),
+    "force_error": ("force", ".1%"),
+    "tacto_unobstructed": ("TACTO", ".1f"),
+    "tacto_median": ("median", ".1f"),
+    "tacto_all": ("all", ".1f"),
+}
+IMAGES = {
+    "object": ("object", ""),
+    "contacts": ("contacts", ""),
+    "steps": ("steps", ""),
+    "seconds": ("CPU s", ".0f"),
+    "known_net": ("trained on", ".1f"),
+    "known_mean": ("mean image", ".1f"),
+    "unknown_net": ("held out", ".1f"),
+    "unknown_mean": ("mean image", ".1f"),
+}
+
+
 def show(rows: list[dict], title: str, form: dict[str, tuple[str, str]], console: Console) -> None:
     table = Table(title=title)
     for head, _ in form.values():
@@ -239,10 +376,10 @@ def misses(command: str, rows: list[dict]) -> list[str]:
     """Targets that are missed; what has no reference misses none."""
     missed = [f"{row['object']}: {row['failed']}" for row in rows if "failed" in row]
     for row in rows:
-        if command == "accuracy":
+        if command in LIMITS:
             missed += [
                 f"{row['object']}, {name}: {row[name]:.1f} dB, target {limit:g} dB"
-                for name, limit in MIN_DB.items()
+                for name, limit in LIMITS[command].items()
                 if row.get(name, limit) < limit
             ]
             continue
@@ -265,7 +402,13 @@ def main() -> None:
         return
     parser = argparse.ArgumentParser(description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
-    for name, text in (("speed", "time every step"), ("accuracy", "score against TACTO's renderer")):
+    described = {
+        "speed": "time every step",
+        "accuracy": "score against TACTO's renderer",
+        "net": "score TouchNet geometric at held-out contacts",
+        "image": "train and score the paper's network (minutes per object)",
+    }
+    for name, text in described.items():
         command = commands.add_parser(name, help=text)
         command.add_argument("keys", nargs="*", help="objects (default: all)")
         command.add_argument("--workspace", type=Path, default=ROOT, help="holds params.yaml and build/")
@@ -273,17 +416,30 @@ def main() -> None:
         command.add_argument("--contacts", type=int, default=40, help="of each object")
         command.add_argument("--json", type=Path, help="also write the figures here")
         command.add_argument("--pictures", type=Path, default=PICTURES, help="folder for side-by-sides")
+        command.add_argument(
+            "--resolution", type=int, nargs="+", default=[192], help="of the stored grids (net)"
+        )
+        command.add_argument("--steps", type=int, default=1000, help="of training (image)")
     arguments = parser.parse_args()
     console = Console(width=max(Console().width, 160))
     rows = []
     for key, (source, scale) in sources(arguments).items():
-        extra = [str(arguments.pictures / f"tacto_{key}.png")] if arguments.command == "accuracy" else []
-        row = fresh(arguments.command, source, scale, str(arguments.contacts), *extra)
-        rows.append({"object": key, **row})
-    if arguments.command == "speed":
-        show(rows, "CPU ms per image, one thread; the reference is TACTO's renderer", SPEED, console)
-    else:
-        show(rows, "PSNR in dB against TACTO's renderer, all pixels and those in contact", ACCURACY, console)
+        more = {
+            "speed": [[]],
+            "accuracy": [[str(arguments.pictures / f"tacto_{key}.png")]],
+            "net": [[str(resolution)] for resolution in arguments.resolution],
+            "image": [[str(arguments.steps)]],
+        }
+        for extra in more[arguments.command]:
+            row = fresh(arguments.command, source, scale, str(arguments.contacts), *extra)
+            rows.append({"object": key, **row})
+    titles = {
+        "speed": ("CPU ms per image, one thread; the reference is TACTO's renderer", SPEED),
+        "accuracy": ("PSNR in dB against TACTO's renderer, all pixels and those in contact", ACCURACY),
+        "net": ("TouchNet geometric, held-out contacts, PSNR in dB; unobstructed but for `all`", NET),
+        "image": ("TouchNet image, PSNR in dB beside the mean image's", IMAGES),
+    }
+    show(rows, *titles[arguments.command], console)
     if arguments.json:
         with atomic(arguments.json) as path:
             path.write_text(json.dumps({arguments.command: rows}, indent=2) + "\n")

@@ -32,7 +32,9 @@ def main(key: str) -> None:
     file = ObjectFile.load(build.object_file)
     views = read_npz(build.views("test"), "rgba", "camera_to_world", "light", "focal", "noise")
     modes = read_npz(build.modes, "points", "split", "shapes", "damped_frequency", "damping")
-    contacts = read_npz(build.touch("test"), "images", "points", "depths", "angles", "obstructed")
+    contacts = read_npz(
+        build.touch("test"), "images", "masks", "points", "depths", "angles", "obstructed", "force"
+    )
     shapes = {
         "vision": (*views["rgba"].shape[1:3], 3),
         "audio": (*SHAPE, 2),

@@ -26,9 +26,12 @@ def main(key: str) -> None:
             split_points,
             profile,
             numpy_generator(params.seed, key, "render_touch", split),
+            section.renderer,
+            section.depth,
+            section.angle,
             progress(f"{key}: {split} touches"),
         )
-        write_npz(build.touch(split), **contacts)
+        write_npz(build.touch(split), **contacts, renderer=section.renderer)
     write_png(build.touch_sheet, tile(contacts["images"][:36], columns=12))
 
 

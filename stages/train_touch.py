@@ -1,31 +1,44 @@
 """train_touch: touches, sdf.npz, sensor profile -> touch.safetensors, touch_curve.csv."""
 
 import numpy as np
+import torch
 
 from objectfolder.artifacts import Build, read_npz, write_curve, write_safetensors
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.nets.touch_geometric import GeometricTouch, fit_depth_offset
+from objectfolder.nets.touch_geometric import GeometricTouch, fit_contacts
+from objectfolder.nets.touch_image import ImageConfig, ImageTouch, train_image
 from objectfolder.params import stage_params
+from objectfolder.seeding import torch_generator
 from objectfolder.touch.profiles import load_profile
 from stages import log_point, run
+
+ROWS = ("images", "points", "angles", "depths")
 
 
 def main(key: str) -> None:
     params = stage_params("train_touch", key)
-    build, section = Build(key), params.section
-    surface = Isosurface(DistanceGrid.from_arrays(read_npz(build.sdf, "values", "band")))
-    net = GeometricTouch(surface, params.object.scale, load_profile(params.sensor))
-    images = read_npz(build.touch("train"), "images")["images"]
-    train, val = (
-        {name: rows[: section.contacts] for name, rows in read_npz(build.touch(split)).items()}
-        for split in ("train", "val")
-    )
-    curve = fit_depth_offset(net, train, val, section.offset_span, section.rounds, log_point)
+    build, section, scale = Build(key), params.section, params.object.scale
+    profile = load_profile(params.sensor)
+    train, val = (read_npz(build.touch(split), *ROWS, "renderer") for split in ("train", "val"))
     # The mean training image is the baseline that evaluation prints beside the score.
-    mean = images.mean(0, dtype=np.float64).round().astype(np.uint8)
-    header = {"kind": section.net, "net": net.config()}
-    write_safetensors(build.net("touch"), {"mean_image": mean}, header)
+    mean = train["images"].mean(0, dtype=np.float64).round().astype(np.uint8)
+    net: GeometricTouch | ImageTouch
+    if section.net == "geometric":
+        surface = Isosurface(DistanceGrid.from_arrays(read_npz(build.sdf, "values", "band")))
+        net = GeometricTouch(surface, scale, profile, renderer=str(train["renderer"]))
+        some = [{name: split[name][: section.contacts] for name in ROWS} for split in (train, val)]
+        curve = fit_contacts(net, some[0], some[1], section.offset_span, section.rounds, log_point)
+    else:
+        # The paper's net takes core-days; where there is a GPU, it trains there.
+        device = "cuda" if torch.cuda.is_available() else "cpu"
+        generator = torch_generator(params.seed, key, "train_touch")
+        config = ImageConfig(**section.image.model_dump())
+        net, curve = train_image(train, val, scale, profile.name, config, generator, log_point, device)
+    tensors, header = net.to_tensors()
+    write_safetensors(
+        build.net("touch"), {**tensors, "mean_image": mean}, {"kind": section.net, "net": header}
+    )
     write_curve(build.curve("touch"), curve)
 
 

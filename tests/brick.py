@@ -54,6 +54,7 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
     look_tensors, look_config = look.to_tensors()
     sound_tensors, sound_config = sound.to_tensors()
     profile = load_profile("digit")
+    feel_config = {"sensor": profile.to_dict(), "depth_offset": 0.0, "renderer": "gel", "smoothing": 0}
     return pack(
         "brick",
         "plastic",
@@ -64,7 +65,7 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
             "audio": (sound_tensors, {"kind": "gains", "net": sound_config, "band_hz": band_hz}),
             "touch": (
                 {"mean_image": np.zeros((profile.height, profile.width, 3), np.uint8)},
-                {"kind": "geometric", "net": {"sensor": profile.to_dict(), "depth_offset": 0.0}},
+                {"kind": "geometric", "net": feel_config},
             ),
         },
         {"sdf": "0" * 64},

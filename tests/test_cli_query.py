@@ -123,3 +123,61 @@ def test_bad_strikes_are_refused_and_nothing_is_written(brick, brick_path, tmp_p
 def test_nonsense_is_refused(strike, options, message):
     with pytest.raises(ObjectFolderError, match=message):
         strike(*options)
+
+
+@pytest.fixture
+def feel(brick, brick_path, tmp_path):
+    """Run `objectfolder query touch` on three points; returns its output and the folder."""
+    np.save(tmp_path / "points.npy", brick.sample_surface(3))
+
+    def run(*options):
+        arguments = ["query", "touch", brick_path, tmp_path / "points.npy", tmp_path / "out", *options]
+        done = CliRunner().invoke(app, [str(a) for a in arguments])
+        if done.exception:
+            raise done.exception
+        return done.output, tmp_path / "out"
+
+    return run
+
+
+def test_touches_are_images_and_a_table_of_forces(brick, feel):
+    output, out = feel("--depth", 0.0012)
+    expected = brick.press(brick.sample_surface(3), 0.0012)
+    assert sorted(p.name for p in out.iterdir()) == ["1.png", "2.png", "3.png", "contacts.csv"]
+    for i, image in enumerate(expected.images, 1):
+        with Image.open(out / f"{i}.png") as stored:
+            np.testing.assert_array_equal(stored, image)
+    table = np.genfromtxt(out / "contacts.csv", delimiter=",", names=True)
+    np.testing.assert_allclose(table["force_N"], expected.force, rtol=1e-6)
+    np.testing.assert_allclose(table["area_m2"], expected.area, rtol=1e-6)
+    np.testing.assert_allclose(table["max_penetration_m"], expected.max_penetration, rtol=1e-6)
+    np.testing.assert_allclose(table["obstructed"], expected.obstructed, atol=1e-9)
+    assert f"force {expected.force.min():.3g} to {expected.force.max():.3g} N" in output
+
+
+def test_shapes_of_touches_by_another_sensor(brick, feel):
+    _, out = feel("--sensor", "gelsight_r15", "--outputs", "mask,height,normals,pressure")
+    expected = brick.press(brick.sample_surface(3), sensor="gelsight_r15")
+    assert not (out / "1.png").exists()
+    for i in range(3):
+        with Image.open(out / f"{i + 1}_mask.png") as mask:
+            np.testing.assert_array_equal(np.asarray(mask) == 255, expected.mask[i])
+        with np.load(out / f"{i + 1}.npz") as arrays:
+            assert set(arrays.files) == {"height", "normals", "pressure"}
+            for name in arrays.files:
+                np.testing.assert_array_equal(arrays[name], getattr(expected, name)[i])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--outputs", "image,depth"], "'depth' is not one of image, mask, height"),
+        (["--outputs", ""], "'' is not one of"),
+        (["--sensor", "gelsite"], "unknown sensor profile 'gelsite'"),
+        (["--depth", "0.01"], "depth: row 0 is 0.01 m"),
+    ],
+)
+def test_touches_of_nonsense_are_refused_and_nothing_is_written(feel, tmp_path, options, message):
+    with pytest.raises(ObjectFolderError, match=message):
+        feel(*options)
+    assert not (tmp_path / "out").exists()

@@ -17,10 +17,12 @@ from objectfolder.evaluation import (
     Strikes,
     evaluate_gains,
     evaluate_sounds,
+    evaluate_touch,
     evaluate_vision,
     shown_views,
     strike_sounds,
     summary_row,
+    touch_scores,
     view_answers,
     white_noise,
 )
@@ -260,3 +262,60 @@ def test_the_sheet_of_silence_says_so(tmp_path):
 
 def test_magnitudes_are_those_of_the_papers_spectrogram():
     assert magnitudes(np.ones(32000)).shape == (257, 201)
+
+
+# Touches
+
+
+def grey(levels, obstructed, pixels):
+    """Contacts whose images have one grey level, and masks of so many pixels."""
+    masks = np.arange(20 * 10).reshape(1, 20, 10) < np.array(pixels)[:, None, None]
+    images = np.broadcast_to(np.array(levels, np.uint8)[:, None, None, None], (len(levels), 20, 10, 3)).copy()
+    return {"images": images, "masks": masks, "obstructed": np.array(obstructed)}
+
+
+def test_scores_of_touches_are_pooled_over_the_contacts_that_count():
+    contacts = grey([100, 100, 100, 100], [0, 0, 0, 0.4], [60, 100, 10, 60])
+    images = contacts["images"].copy()
+    images[0] += 51  # a fifth of the range
+    images[1, 10:] += 51  # half, none of it in contact
+    images[2, :1] += 51  # a twentieth: all of the contact, which is too small to count
+    images[3] += 102
+    scores = touch_scores(images, contacts)
+    free = np.array([1, 0.5, 0.05]) * 0.04
+    assert scores["psnr"] == pytest.approx(-10 * np.log10((free.sum() + 0.16) / 4), abs=1e-4)
+    assert scores["psnr_unobstructed"] == pytest.approx(-10 * np.log10(free.mean()), abs=1e-4)
+    assert scores["psnr_median_unobstructed"] == pytest.approx(-10 * np.log10(0.02), abs=1e-4)
+    assert scores["psnr_contact"] == pytest.approx(-10 * np.log10(0.04 * 60 / 160), abs=1e-4)
+    assert scores["obstructed_fraction"] == 0.25
+
+
+def test_obstructed_or_tiny_contacts_have_no_score_of_their_own():
+    scores = touch_scores(grey([1, 2], [0.1, 1.0], [90, 90])["images"], grey([1, 2], [0.1, 1.0], [90, 90]))
+    assert not {"psnr_unobstructed", "psnr_median_unobstructed", "psnr_contact"} & set(scores)
+    assert "psnr_contact" not in touch_scores(grey([1], [0], [49])["images"], grey([1], [0], [49]))
+
+
+def test_touches_beside_the_mean_image_and_their_forces(brick):
+    points, depths, angles = brick.sample_surface(5), np.full(5, 0.001), np.zeros(5)
+    found = brick.press(points, depths, angles)
+    contacts = {
+        "points": points,
+        "depths": depths,
+        "angles": angles,
+        "images": found.images,
+        "masks": found.mask,
+        "obstructed": np.zeros(5),
+        "force": found.force,
+    }
+    mean = np.full((160, 120, 3), 100.0)
+    perfect = evaluate_touch(brick, contacts, mean)
+    assert perfect["psnr"] == perfect["psnr_contact"] == 200
+    assert perfect["force_error"] == 0
+    error = np.mean((found.images / 255.0 - mean / 255.0) ** 2)
+    assert perfect["baseline_mean_image"] == pytest.approx(-10 * np.log10(error), abs=1e-3)
+    weaker = evaluate_touch(brick, contacts | {"force": 0.8 * found.force}, mean)
+    assert weaker["force_error"] == pytest.approx(0.25)
+    unknown = evaluate_touch(brick, contacts | {"force": np.full(5, np.nan)}, mean)
+    assert "force_error" not in unknown
+    json.dumps(unknown, allow_nan=False)

@@ -144,7 +144,8 @@ def _nets(build):
         write_safetensors(build.net("audio"), audio, {"kind": "gains", "net": header})
     touch = GeometricTouch(Isosurface(DistanceGrid.from_arrays(sdf)), SCALE, load_profile("digit"))
     mean = np.full((160, 120, 3), 100, np.uint8)
-    write_safetensors(build.net("touch"), {"mean_image": mean}, {"kind": "geometric", "net": touch.config()})
+    _, header = touch.to_tensors()
+    write_safetensors(build.net("touch"), {"mean_image": mean}, {"kind": "geometric", "net": header})
     curve = [CurvePoint(10, 0.5, 0.6, 1.0), CurvePoint(20, 0.1, 0.25, 2.0), CurvePoint(30, 0.05, 0.3, 3.0)]
     for modality in MODALITIES:
         write_curve(build.curve(modality), curve)

@@ -1,4 +1,5 @@
 import dataclasses
+import json
 import logging
 from itertools import pairwise
 
@@ -13,6 +14,7 @@ from objectfolder import ObjectFile, query
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import material
 from objectfolder.nets.audio_gains import GainsNet
+from objectfolder.touch.profiles import load_profile
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere_points
 
 TOP = np.array([[0.01, 0.005, SIDES[2] / 2 * SCALE]])
@@ -385,18 +387,88 @@ def test_a_touch_answers_with_images(brick):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"depth": -0.001}, r"press depths from -0.001 .*takes 0 to"),
-        ({"depth": 0.5}, r"to 0.5 m; the sensor .* takes 0 to"),
-        ({"depth": np.nan}, "depth must be one finite number or 1 of them"),
-        ({"depth": [0.001, 0.001]}, "depth must be one finite number or 1 of them"),
-        ({"angle": [[0.0]]}, "angle must be one finite number"),
-        ({"tilt": np.inf}, "tilt must be one finite number"),
-        ({"azimuth": np.nan}, "azimuth must be one finite number"),
+        ({"depth": [0.001, -0.001]}, r"depth: row 1 is -0.001 m; the sensor 'digit' takes 0 to 0.003 m"),
+        ({"depth": 0.5}, r"depth: row 0 is 0.5 m; the sensor 'digit' takes 0 to"),
+        ({"depth": 0.0035, "sensor": "gelsight_mini"}, "the sensor 'gelsight_mini' takes 0 to"),
+        ({"depth": [0.001, np.nan]}, "depth: row 1 is nan, expected finite numbers"),
+        ({"depth": [0.001] * 3}, r"depth has shape \(3,\), expected one number or 2 of them"),
+        ({"angle": [[0.0]]}, r"angle has shape \(1, 1\), expected one number or 2"),
+        ({"tilt": np.inf}, "tilt: row 0 is inf"),
+        ({"azimuth": [0.0, np.nan]}, "azimuth: row 1 is nan"),
+        ({"sensor": "gelsite"}, "unknown sensor profile 'gelsite': expected one of digit"),
+        ({"sensor": "none.yaml"}, r"unknown sensor profile 'none.yaml'"),
     ],
 )
 def test_a_touch_of_nonsense_is_refused(brick, arguments, message):
-    with pytest.raises(ObjectFolderError, match=message):
-        brick.touch(TOP, **arguments)
+    for question in (brick.touch, brick.press):
+        with pytest.raises(ObjectFolderError, match=message):
+            question(TOP.repeat(2, 0), **arguments)
+
+
+def test_a_point_off_the_surface_is_named(brick):
+    points = TOP.repeat(3, 0)
+    points[2, 2] += 0.004
+    with pytest.raises(
+        ObjectFolderError, match=r"1 of 3 points .* the first is row 2 at .*0\.0414 of the size away"
+    ):
+        brick.press(points)
+
+
+def test_everything_about_a_touch_in_one_answer(brick):
+    """On a flat face, against what the definitions say."""
+    points = TOP.repeat(3, 0)
+    depths, angles = np.array([0.0, 0.0005, 0.001]), np.array([0.0, 0.4, 2.0])
+    found = brick.press(points, depths, angles)
+    np.testing.assert_array_equal(found.images, brick.touch(points, depths, angles))
+    np.testing.assert_allclose(found.max_penetration, depths, atol=3e-5)
+    assert (np.diff(found.force) > 0).all()
+    assert (found.obstructed == 0).all()
+    np.testing.assert_array_equal(found.mask, found.pressure > 0)
+    np.testing.assert_array_equal(found.displacement[found.mask], found.height[found.mask])
+    np.testing.assert_allclose(np.linalg.norm(found.normals, axis=-1), 1, atol=1e-5)
+    # Where the flat face presses, the gel is flat.
+    assert (found.normals[2][60:100, 45:75] @ [-1.0, 0, 0]).min() > np.cos(np.radians(2))
+    assert found.profile.name == "digit"
+
+
+def test_touches_are_answered_row_by_row(brick, rng):
+    """Whatever else is asked for at once, the bits are the same."""
+    points = brick.sample_surface(35, seed=4)
+    depths, angles = rng.uniform(0, 0.002, 35), rng.uniform(0, 6, 35)
+    whole = brick.press(points, depths, angles)
+    for rows in ([3], [34, 0], list(range(20))):
+        found = brick.press(points[rows], depths[rows], angles[rows])
+        for field in ("images", "height", "normals", "mask", "pressure", "force", "area", "obstructed"):
+            np.testing.assert_array_equal(getattr(found, field), getattr(whole, field)[rows])
+    parts = list(brick.touches(points, depths, angles))
+    assert len(parts) > 1
+    np.testing.assert_array_equal(np.concatenate([part.force for part in parts]), whole.force)
+
+
+def test_another_sensor_feels_the_same_object(brick, tmp_path):
+    mini = load_profile("gelsight_mini")
+    found = brick.press(TOP, sensor="gelsight_mini")
+    assert found.images.shape == (1, mini.height, mini.width, 3)
+    assert found.profile == mini
+    stiff = dataclasses.replace(load_profile("digit"), young_modulus=3e5)
+    path = tmp_path / "stiff.yaml"
+    path.write_text(json.dumps(stiff.to_dict()))
+    for sensor in (stiff, path, str(path)):
+        force = brick.press(TOP, sensor=sensor).force
+        np.testing.assert_allclose(force, brick.press(TOP).force * 3e5 / 1.5e5, rtol=1e-3)
+    rigid = brick.press(TOP, sensor="tacto_digit")
+    assert np.isnan(rigid.force).all()
+    assert rigid.area > 0
+
+
+def test_a_point_next_to_the_stored_surface_is_believed(brick):
+    """The sensor goes where the caller says, up to a quarter voxel; beyond, to the surface."""
+    voxel = 0.1 * brick.surface.grid.spacing
+    high = brick.press(TOP + 0.2 * voxel * UP).max_penetration
+    far = brick.press(TOP + 0.8 * voxel * UP).max_penetration
+    at = brick.press(TOP).max_penetration
+    assert at - high == pytest.approx(0.2 * voxel, rel=0.05)
+    assert far == pytest.approx(at, abs=0.05 * voxel)
 
 
 def test_no_rows_no_answers(brick):
@@ -405,7 +477,8 @@ def test_no_rows_no_answers(brick):
     assert brick.view(np.zeros((0, 4, 4)), none, 8).shape == (0, 8, 8, 3)
     assert brick.impact(none, none, duration=0.1).shape == (0, 1600)
     assert brick.impact(none, UP, duration=0.1).shape == (0, 1600)
-    assert brick.touch(none).shape == (0, 160, 120, 3)
+    assert brick.touch(none).shape == brick.press(none).normals.shape == (0, 160, 120, 3)
+    assert brick.press(none).force.shape == (0,)
     assert brick.touch(none, none[:, 0], none[:, 0]).shape == (0, 160, 120, 3)
 
 

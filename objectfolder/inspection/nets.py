@@ -17,7 +17,7 @@ LOSSES = {
     "audio": "relative squared error of gains, or of spectrograms",
     "touch": "squared error of images in [0, 1]",
 }
-STEPS = {"vision": "step", "audio": "step", "touch": "round of the depth offset's search"}
+STEPS = {"vision": "step", "audio": "step", "touch": "step, or round of the depth offset's search"}
 CAMERAS = np.array([[0.8, -2.1, 1.1], [2.2, 0.9, 0.7], [-1.7, 1.5, 1.0], [0.3, -1.2, -2.1]])
 LIGHT_OFFSET = np.array([-0.3, -0.3, 0.5])  # beside the camera, so that what it sees is lit
 TOUCHES = 4
@@ -73,7 +73,7 @@ def inspect_pack(build: Build) -> Inspection:
     file = ObjectFile.load(build.object_file)
     header = {name: value for name, value in file.header.items() if name != "provenance"}
     # `inspect train_touch` lists the sensor's numbers.
-    header["touch"] = {**header["touch"], "net": {**header["touch"]["net"], "sensor": _sensor(file)["name"]}}
+    header["touch"] = {**header["touch"], "net": {**header["touch"]["net"], "sensor": file.sensor}}
     table = [
         *_leaves(header),
         *((f"made from {name}", digest[:12]) for name, digest in file.header.get("provenance", {}).items()),
@@ -99,8 +99,12 @@ def _pack_picture(build: Build, file: ObjectFile):
     lights = CAMERAS / CAMERA_RADIUS + LIGHT_OFFSET
     for axes, image, camera in zip(views.subplots(1, len(CAMERAS)), file.view(CAMERAS, lights), CAMERAS):
         show_image(axes, image, f"camera at {_triple(camera)} sizes")
-    depth = min(PRESS, _sensor(file)["max_indentation"])
-    for axes, point, image in zip(touches.subplots(1, TOUCHES), points, file.touch(points, depth)):
+    net = file.header["touch"]["net"]
+    if file.header["touch"]["kind"] == "image":
+        depth, angle = net["press_depth"], net["angle"]  # it answers no other
+    else:
+        depth, angle = min(PRESS, net["sensor"]["max_indentation"]), 0.0
+    for axes, point, image in zip(touches.subplots(1, TOUCHES), points, file.touch(points, depth, angle)):
         show_image(axes, image, f"pressed {depth * 1000:g} mm at {_triple(point * 1000)} mm")
     sound = file.impact(points[:1], np.array([[0.0, 0.0, 1.0]]))[0]
     left, right = sounds.subplots(1, 2)
@@ -113,10 +117,6 @@ def _pack_picture(build: Build, file: ObjectFile):
     left.grid(alpha=0.3)
     show_spectrogram(right, sound, "its spectrogram")
     return save(figure, picture_path(build, "pack"))
-
-
-def _sensor(file: ObjectFile) -> dict[str, Any]:
-    return file.header["touch"]["net"]["sensor"]
 
 
 def _tensor_rows(tensors: dict[str, np.ndarray]) -> list[tuple[str, str]]:

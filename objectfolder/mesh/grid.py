@@ -40,9 +40,33 @@ class DistanceGrid:
         grid = (points.to(torch.float32) / BOUND).view(1, -1, 1, 1, 3)
         return F.grid_sample(self._volume, grid, align_corners=True, padding_mode="border").view(-1)
 
+    def smooth_distance(self, points: np.ndarray) -> np.ndarray:
+        """Signed distance at (N, 3) points from cubic convolution (Keys 1981); (N,) float64.
+
+        Sixty-four samples around each point where `distance` takes eight: dearer, and nearer to the truth
+        where the surface bends.
+        """
+        place = (np.asarray(points, np.float64).reshape(-1, 3) + BOUND) / self.spacing
+        first = np.floor(place)
+        weights = _keys(place - first)  # (N, 3, 4)
+        taps = first.astype(np.int64)[..., None] + np.arange(-1, 3)
+        x, y, z = np.moveaxis(taps.clip(0, len(self.values) - 1), 1, 0)
+        samples = self.values[x[:, :, None, None], y[:, None, :, None], z[:, None, None, :]]
+        # One axis after the other, in a fixed order of summation.
+        total = (samples * weights[:, 2, None, None, :]).sum(3)
+        total = (total * weights[:, 1, None, :]).sum(2)
+        return (total * weights[:, 0]).sum(1) * (self.band / 127)
+
     def normals(self, points: torch.Tensor) -> torch.Tensor:
         """Outward unit normals at (N, 3) points, from tetrahedral differences half a voxel wide; (N, 3)."""
         return ascent(self.distance, points, self.spacing / 2)
+
+
+def _keys(t: np.ndarray) -> np.ndarray:
+    """Weights (..., 4) of the samples at -1, 0, 1, 2 for cubic convolution at t from 0 to 1."""
+    near = (t * (t * (2 - t) - 1), t**2 * (3 * t - 5) + 2)
+    far = (t * (t * (4 - 3 * t) + 1), t**2 * (t - 1))
+    return np.stack([*near, *far], axis=-1) / 2
 
 
 def ascent(field: Callable[[torch.Tensor], torch.Tensor], points: torch.Tensor, step: float) -> torch.Tensor:

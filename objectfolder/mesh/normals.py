@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import scipy.sparse as sp
 
 CREASE = math.radians(40)  #: between two faces, from which on their common edge is seen as one
 MOSTLY = 0.5  #: of a file's normals that are of no use: then the others are not believed either
@@ -19,6 +20,18 @@ def area_vectors(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Vectors (F, 3) along the outward normals of faces (F, 3), twice the faces' areas long."""
     corners = vertices[faces]
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def averaged(normals: np.ndarray, faces: np.ndarray, rounds: int) -> np.ndarray:
+    """Unit normals (V, 3), each the mean of its own and its neighbours', so many times over."""
+    count = len(normals)
+    one, other = faces[:, [0, 1, 1, 2, 2, 0]].ravel(), faces[:, [1, 0, 2, 1, 0, 2]].ravel()
+    near = sp.csr_matrix((np.ones(len(one)), (one, other)), (count, count))
+    near.data[:] = 1  # an edge is an edge of two faces
+    near += sp.eye(count, format="csr")
+    for _ in range(rounds):
+        normals = unit(near @ normals)
+    return normals
 
 
 def usable(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray | None, float]:

@@ -16,7 +16,7 @@ from torch import nn
 from objectfolder.audio.spectrogram import SHAPE, spectrogram
 from objectfolder.audio.synthesis import sinusoid_bank
 from objectfolder.nets.fit import CurvePoint, fit
-from objectfolder.nets.positional import SkipNetwork, octave_angles, with_half_weights
+from objectfolder.nets.positional import PointwiseNetwork, with_half_weights
 
 RANGE_POINTS = 256  # training points whose extremes span the range of values
 VAL_SAMPLES = 1 << 14
@@ -35,28 +35,6 @@ class SpectrogramConfig:
     learning_rate: float
 
 
-class Branch(SkipNetwork):
-    """ReLU network on positionally encoded inputs; the paper's has eight layers of 256 channels.
-
-    Parameters
-    ----------
-    width, depth : int
-        Hidden layers.
-    point_octaves, bin_octaves : int
-        Each input x comes with sin and cos of 2^k pi x, k from 0 below this.
-    """
-
-    def __init__(self, width: int, depth: int, point_octaves: int, bin_octaves: int):
-        super().__init__(3 * (1 + 2 * point_octaves) + 2 * (1 + 2 * bin_octaves), width, depth)
-        self.octaves = (point_octaves, bin_octaves)
-        self.output = nn.Linear(width, 2)
-
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Evaluate at (N, 5) point, frequency and time in [-1, 1]; (N, 2)."""
-        angle = torch.cat([octave_angles(part, n) for part, n in zip(x.split([3, 2], 1), self.octaves)], 1)
-        return self.output(super().forward(torch.cat([x, angle.sin(), angle.cos()], 1)))
-
-
 class SpectrogramNet(nn.Module):
     """Spectrograms of unit impulses along x, y and z at points of the surface; silent until trained.
 
@@ -67,7 +45,7 @@ class SpectrogramNet(nn.Module):
     low, high : float
         Values that the outputs 0 and 1 stand for, m kg^1/2 per N s.
     width, depth, point_octaves, bin_octaves
-        See `Branch`.
+        See `PointwiseNetwork`; the paper's branches have eight layers of 256 channels.
     """
 
     damped_frequency: torch.Tensor
@@ -92,7 +70,7 @@ class SpectrogramNet(nn.Module):
         }
         self.register_buffer("damped_frequency", damped_frequency.double())
         self.register_buffer("range", torch.tensor([low, high], dtype=torch.float64))
-        branches = [Branch(**self.config) for _ in range(3)]
+        branches = [PointwiseNetwork(width, depth, point_octaves, bin_octaves, outputs=2) for _ in range(3)]
         for branch in branches:
             nn.init.zeros_(branch.output.weight)
             nn.init.constant_(branch.output.bias, -low / (high - low))

@@ -40,6 +40,29 @@ class SkipNetwork(nn.Module):
         return hidden
 
 
+class PointwiseNetwork(SkipNetwork):
+    """ReLU network from a point and a place (time and frequency, or pixel), positionally encoded, to values.
+
+    Parameters
+    ----------
+    width, depth : int
+        Hidden layers.
+    point_octaves, place_octaves : int
+        Each input x comes with sin and cos of 2^k pi x, k from 0 below this.
+    outputs : int
+    """
+
+    def __init__(self, width: int, depth: int, point_octaves: int, place_octaves: int, outputs: int):
+        super().__init__(3 * (1 + 2 * point_octaves) + 2 * (1 + 2 * place_octaves), width, depth)
+        self.octaves = (point_octaves, place_octaves)
+        self.output = nn.Linear(width, outputs)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Evaluate at (N, 5) point and place in [-1, 1]; (N, outputs)."""
+        angle = torch.cat([octave_angles(part, n) for part, n in zip(x.split([3, 2], 1), self.octaves)], 1)
+        return self.output(super().forward(torch.cat([x, angle.sin(), angle.cos()], 1)))
+
+
 def with_half_weights(net: nn.Module) -> dict[str, np.ndarray]:
     """Tensors of a net for storing: weights as float16, all others as they are."""
     return {

@@ -2,20 +2,27 @@
 
 A net from position to image memorises the training contacts (29 dB in the paper, less off them). The
 geometry is in the Object File already, so a touch is simulated from it; what is fitted to images is the
-one number that quantising the surface makes uncertain, the effective press depth.
+one number that quantising the surface makes uncertain, the effective press depth, and for TACTO's images how
+smooth its normals are.
 """
 
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import torch
 
 from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.mesh.normals import averaged
 from objectfolder.nets.fit import CurvePoint
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals
 from objectfolder.touch.optics import Optics
-from objectfolder.touch.profiles import SensorProfile
-from objectfolder.touch.simulate import touch_images
+from objectfolder.touch.profiles import SensorProfile, require_renderer
+from objectfolder.touch.simulate import Touches, press
+from objectfolder.touch.tacto_rays import TactoRays, smooth_normals
+
+#: Rounds of smoothing that are tried for renderer tacto.
+SMOOTHING = (1, 2, 4, 8)
 
 _BATCH = 16  # bounds the memory that contacts take beside their images
 
@@ -31,64 +38,122 @@ class GeometricTouch:
     profile : SensorProfile
     depth_offset : float
         Added to every press depth, metres.
+    renderer : {"gel", "tacto"}
+        Who draws the images; see `objectfolder.touch.dataset.render_contacts`.
+    background : (H, W, 3) uint8 array, optional
+        The untouched sensor; default: what the profile says.
+    smoothing : int
+        Rounds in which normals of the stored surface are averaged for renderer tacto. TACTO draws a mesh with
+        interpolated vertex normals, which its triangles make smoother than the surface is.
     """
 
-    def __init__(self, surface: Isosurface, scale: float, profile: SensorProfile, depth_offset: float = 0.0):
+    def __init__(
+        self,
+        surface: Isosurface,
+        scale: float,
+        profile: SensorProfile,
+        depth_offset: float = 0.0,
+        renderer: str = "gel",
+        background: np.ndarray | None = None,
+        smoothing: int = 0,
+    ):
         self.surface = surface
         self.scale = scale
         self.profile = profile
         self.depth_offset = depth_offset
+        self.renderer = renderer
         self._optics = Optics(profile)
+        if background is not None:
+            self._optics.background = torch.from_numpy(np.array(background))
+        require_renderer(profile, renderer)
+        self.smooth(smoothing)
+
+    def smooth(self, rounds: int) -> None:
+        """Set ``smoothing``."""
+        self.smoothing = rounds
+        self._rays: TactoRays | None = None
+        if self.renderer == "tacto":
+            vertices, faces = self.surface.vertices, self.surface.faces
+            normals = averaged(smooth_normals(vertices, faces), faces, rounds)
+            self._rays = TactoRays(vertices, faces, self.profile, self.scale, normals)
+            self._rays.background = self._optics.background.numpy()
+
+    def with_sensor(self, profile: SensorProfile) -> "GeometricTouch":
+        """Press another sensor on the same surface; its gel is rendered, whatever the renderer was."""
+        return GeometricTouch(self.surface, self.scale, profile, self.depth_offset)
 
     def normals(self, points: np.ndarray) -> np.ndarray:
         """Contact normals at (N, 3) points of the object frame; (N, 3)."""
+        distance, places = self.surface.grid.smooth_distance, np.asarray(points, np.float64) / self.scale
+        parts = [places[i : i + _BATCH] for i in range(0, max(len(places), 1), _BATCH)]
+        return np.concatenate([contact_normals(distance, part, NORMAL_RADIUS) for part in parts])
 
-        def distance(p: np.ndarray) -> np.ndarray:
-            return self.surface.grid.distance(torch.from_numpy(p)).numpy()
-
-        return contact_normals(distance, np.asarray(points) / self.scale, NORMAL_RADIUS)
+    def touches(
+        self, points: np.ndarray, normals: np.ndarray, angles: np.ndarray, depths: np.ndarray
+    ) -> Iterator[Touches]:
+        """Everything about contacts, a few at a time; arguments as in `heightmaps`, object frame."""
+        pressed = np.clip(depths + self.depth_offset, 0, self.profile.max_indentation)
+        for start in range(0, max(len(pressed), 1), _BATCH):
+            part = slice(start, start + _BATCH)
+            contact = points[part], normals[part], angles[part], pressed[part]
+            contacts = press(self.surface.caster, *contact, self.profile, self.scale)
+            if self._rays is None:
+                images = self._optics.render(torch.from_numpy(contacts.displacement)).numpy()
+            else:
+                images, _ = self._rays.render(*contact)
+            yield Touches(**vars(contacts), images=images, profile=self.profile)
 
     def images(
         self, points: np.ndarray, normals: np.ndarray, angles: np.ndarray, depths: np.ndarray
     ) -> np.ndarray:
         """Tactile images; arguments as in `heightmaps`, object frame; (N, H, W, 3) uint8."""
-        pressed = np.clip(depths + self.depth_offset, 0, self.profile.max_indentation)
-        images = np.empty((len(pressed), self.profile.height, self.profile.width, 3), np.uint8)
-        for start in range(0, len(pressed), _BATCH):
-            part = slice(start, start + _BATCH)
-            images[part], _ = touch_images(
-                self.surface.caster,
-                *(points[part], normals[part], angles[part], pressed[part]),
-                self.profile,
-                self._optics,
-                self.scale,
-            )
-        return images
+        return np.concatenate([part.images for part in self.touches(points, normals, angles, depths)])
 
-    def config(self) -> dict[str, Any]:
-        """What is stored, besides the surface."""
-        return {"sensor": self.profile.to_dict(), "depth_offset": self.depth_offset}
+    def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Tensors and configuration: what is stored, besides the surface.
+
+        A background picture goes along as a tensor, so that no other file is needed.
+        """
+        sensor = self.profile.to_dict()
+        tensors = {}
+        if self.profile.background_image:
+            tensors["background"] = self._optics.background.numpy()
+            sensor |= {"background_image": "", "background_sha256": ""}
+        return tensors, {
+            "sensor": sensor,
+            "depth_offset": self.depth_offset,
+            "renderer": self.renderer,
+            "smoothing": self.smoothing,
+        }
 
     @classmethod
-    def from_config(cls, surface: Isosurface, scale: float, config: dict[str, Any]) -> "GeometricTouch":
-        """Inverse of `config`."""
-        return cls(surface, scale, SensorProfile.from_dict(config["sensor"]), float(config["depth_offset"]))
+    def from_tensors(
+        cls, surface: Isosurface, scale: float, tensors: dict[str, np.ndarray], config: dict[str, Any]
+    ) -> "GeometricTouch":
+        """Inverse of `to_tensors`."""
+        profile, background = SensorProfile.from_dict(config["sensor"]), tensors.get("background")
+        if background is not None and background.shape != (profile.height, profile.width, 3):
+            raise ValueError(f"background of shape {background.shape}")
+        offset, smoothing = float(config["depth_offset"]), int(config["smoothing"])
+        return cls(surface, scale, profile, offset, config["renderer"], background, smoothing)
 
 
-def fit_depth_offset(
+def fit_contacts(
     net: GeometricTouch,
     train: dict[str, np.ndarray],
     val: dict[str, np.ndarray],
     span: float,
     rounds: int,
-    report=lambda point: None,
+    report: Callable[[CurvePoint], None] = lambda point: None,
 ) -> list[CurvePoint]:
     """Choose the depth offset that reproduces training images best, by repeated bisection of a bracket.
+
+    For renderer tacto the smoothing of normals is chosen then, among none and `SMOOTHING`.
 
     Parameters
     ----------
     net : GeometricTouch
-        Its ``depth_offset`` is set.
+        Its ``depth_offset`` and ``smoothing`` are set.
     train, val : dict
         As `objectfolder.touch.dataset.render_contacts` returns.
     span : float
@@ -98,23 +163,39 @@ def fit_depth_offset(
     report : callable
         Called with each `CurvePoint`; losses are mean squared errors of images in [0, 1].
     """
+    train, val = (c | {"normals": net.normals(c["points"])} for c in (train, val))
+    curve: list[CurvePoint] = []
 
-    def loss(offset: float, contacts: dict[str, np.ndarray]) -> float:
-        net.depth_offset = offset
-        normals = net.normals(contacts["points"])
-        images = net.images(contacts["points"], normals, contacts["angles"], contacts["depths"])
+    def loss(contacts: dict[str, np.ndarray]) -> float:
+        images = net.images(*(contacts[name] for name in ("points", "normals", "angles", "depths")))
         return float(np.mean((images / 255.0 - contacts["images"] / 255.0) ** 2))
 
+    def loss_at(offset: float) -> float:
+        net.depth_offset = offset
+        return loss(train)
+
+    def loss_with(smoothing: int) -> float:
+        net.smooth(smoothing)
+        return loss(train)
+
+    def record() -> None:
+        curve.append(CurvePoint(len(curve) + 1, best_loss, loss(val), 0.0))
+        report(curve[-1])
+
     best, step = 0.0, span / 2
-    best_loss = loss(best, train)
-    curve = []
-    for index in range(rounds):
-        losses = {offset: loss(offset, train) for offset in (best - step, best + step)}
+    best_loss = loss_at(best)
+    for _ in range(rounds):
+        losses = {offset: loss_at(offset) for offset in (best - step, best + step)}
         candidate = min(losses, key=losses.__getitem__)
         if losses[candidate] < best_loss:
             best, best_loss = candidate, losses[candidate]
+        net.depth_offset = best
         step /= 2
-        curve.append(CurvePoint(index + 1, best_loss, loss(best, val), 0.0))
-        report(curve[-1])
-    net.depth_offset = best
+        record()
+    if net.renderer == "tacto":
+        tried = {net.smoothing: best_loss} | {smoothing: loss_with(smoothing) for smoothing in SMOOTHING}
+        chosen = min(tried, key=tried.__getitem__)
+        net.smooth(chosen)
+        best_loss = tried[chosen]
+        record()
     return curve

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from skimage.filters import threshold_otsu
 from skimage.measure import label, regionprops
 
-from objectfolder.artifacts import atomic, write_json, write_png
+from objectfolder.artifacts import atomic, file_digest, write_json, write_png
 from objectfolder.errors import ObjectFolderError
 from objectfolder.metrics import psnr
 from objectfolder.touch.camera import gel_depth, ray_directions
@@ -175,7 +175,7 @@ class _Model:
             replace(light, intensity=float(light.intensity * factor[light.color]))
             for light in self.profile.lights
         ]
-        return replace(self.profile, lights=tuple(lights), background_image="")
+        return replace(self.profile, lights=tuple(lights), background_image="", background_sha256="")
 
     def depth_of(self, row: float, column: float, pixels: float) -> float:
         """Press depth, metres, at which the contact has about a radius in pixels.
@@ -329,7 +329,13 @@ def save_fit(fit: SensorFit, path: str | Path, name: str, source: str) -> list[P
     path = Path(path)
     picture, report = (path.with_name(f"{path.stem}_{end}") for end in ("background.png", "report.json"))
     write_png(picture, fit.background)
-    profile = replace(fit.profile, name=name, source=source, background_image=picture.name)
+    profile = replace(
+        fit.profile,
+        name=name,
+        source=source,
+        background_image=picture.name,
+        background_sha256=file_digest(picture),
+    )
     yaml = YAML()
     yaml.default_flow_style = None
     values = json.loads(json.dumps(profile.to_dict()))  # lists for tuples, which YAML does not have

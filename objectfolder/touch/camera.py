@@ -39,6 +39,25 @@ def gel_depth(profile: SensorProfile, directions: np.ndarray | None = None) -> n
     return apex - stretch * slope * apex**2 / (radius + stretch * slope * apex + root)
 
 
+def gel_normals(displacement: np.ndarray, profile: SensorProfile) -> np.ndarray:
+    """Unit normals of the deformed gel, towards the camera; (N, H, W, 3) float32, camera frame.
+
+    Parameters
+    ----------
+    displacement : (N, H, W) array
+        Metres towards the camera along the pixel rays.
+    profile : SensorProfile
+    """
+    _, y, z = np.moveaxis(ray_directions(profile).astype(np.float32), -1, 0)
+    depth = gel_depth(profile).astype(np.float32) - np.asarray(displacement, np.float32)
+    pitch = [-2 * half / n for half, n in zip(profile.half_extent, (profile.height, profile.width))]
+    along_z, along_y = np.gradient(depth, *pitch, axis=(1, 2))
+    # Of the surface depth(y, z) * (1, y, z), y and z being slopes of the rays.
+    normals = np.stack([-(depth + y * along_y + z * along_z), along_y, along_z], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    return normals.astype(np.float32)
+
+
 def pixel_area(profile: SensorProfile) -> np.ndarray:
     """Area of undeformed gel that a pixel sees, projected along the optical axis; (H, W), m², float64."""
     directions, depth = ray_directions(profile), gel_depth(profile)

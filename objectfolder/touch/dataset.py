@@ -10,8 +10,9 @@ from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.sampling import sample_surface, split_rows
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals
 from objectfolder.touch.optics import Optics
-from objectfolder.touch.profiles import SensorProfile
-from objectfolder.touch.simulate import touch_images
+from objectfolder.touch.profiles import SensorProfile, require_renderer
+from objectfolder.touch.simulate import press, touch_images
+from objectfolder.touch.tacto_rays import TactoRays
 
 _BATCH = 16
 _MEASURED = ("obstructed", "max_penetration", "area", "force")
@@ -50,9 +51,12 @@ def render_contacts(
     points: np.ndarray,
     profile: SensorProfile,
     rng: np.random.Generator,
+    renderer: str = "gel",
+    depth: float | None = None,
+    angle: float | None = None,
     progress: Callable[[Iterable], Iterable] = iter,
 ) -> dict[str, np.ndarray]:
-    """Press the sensor at points of a closed surface, at random depths and angles.
+    """Press the sensor at points of a closed surface.
 
     Parameters
     ----------
@@ -64,16 +68,21 @@ def render_contacts(
         On the surface.
     profile : SensorProfile
     rng : numpy.random.Generator
+    renderer : {"gel", "tacto"}
+        Render the deformed gel, or draw what TACTO draws (`TactoRays`): the object itself before the gel.
+    depth, angle : float, optional
+        Of all contacts, metres and radians; default: random, in the sensor's range of press depths and all
+        around.
     progress : callable
         Wraps the iteration over batches.
 
     Returns
     -------
     dict
-        ``images`` (N, H, W, 3) uint8; ``points`` (N, 3) and ``depths`` (N,) in metres, ``normals`` (N, 3)
-        and ``angles`` (N,) in radians, object frame; ``obstructed`` (N,) fraction of the image,
-        ``max_penetration`` (N,) in metres, ``area`` (N,) in m² and ``force`` (N,) in newtons, NaN for a rigid
-        gel; see `objectfolder.touch.simulate.Contacts`.
+        ``images`` (N, H, W, 3) uint8; ``masks`` (N, H, W) bool, where gel and object touch; ``points`` (N, 3)
+        and ``depths`` (N,) in metres, ``normals`` (N, 3) and ``angles`` (N,) in radians, object frame;
+        ``obstructed`` (N,) fraction of the image, ``max_penetration`` (N,) in metres, ``area`` (N,) in m² and
+        ``force`` (N,) in newtons, NaN for a rigid gel; see `objectfolder.touch.simulate.Contacts`.
     """
     vertices, faces = np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int64)
 
@@ -82,23 +91,34 @@ def render_contacts(
         side = igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER
         return igl.signed_distance(np.ascontiguousarray(p), vertices, faces, side)[0]
 
+    require_renderer(profile, renderer)
     normals = contact_normals(distance, points, NORMAL_RADIUS)
     low, high = profile.press_depth
     depths, angles = rng.uniform(low, high, len(points)), rng.uniform(0, 2 * np.pi, len(points))
+    if depth is not None:
+        depths[:] = depth
+    if angle is not None:
+        angles[:] = angle
     caster, optics = RayCaster(vertices, faces), Optics(profile)
+    rays = TactoRays(vertices, faces, profile, scale) if renderer == "tacto" else None
     noise = torch.Generator().manual_seed(int(rng.integers(2**63)))
     images = np.empty((len(points), profile.height, profile.width, 3), np.uint8)
+    masks = np.empty(images.shape[:3], bool)
     measured = {name: np.empty(len(points)) for name in _MEASURED}
     for start in progress(range(0, len(points), _BATCH)):
         part = slice(start, start + _BATCH)
-        clean, contacts = touch_images(
-            caster, points[part] * scale, normals[part], angles[part], depths[part], profile, optics, scale
-        )
+        contact = points[part] * scale, normals[part], angles[part], depths[part]
+        if rays is None:
+            clean, contacts = touch_images(caster, *contact, profile, optics, scale)
+        else:
+            clean, contacts = rays.render(*contact)[0], press(caster, *contact, profile, scale)
         for name, values in measured.items():
             values[part] = getattr(contacts, name)
+        masks[part] = contacts.mask
         images[part] = optics.noise(torch.from_numpy(clean), noise).numpy()
     return {
         "images": images,
+        "masks": masks,
         "points": points * scale,
         "normals": normals,
         "depths": depths,

@@ -1,5 +1,6 @@
 """Vision-based tactile sensors, described by numbers."""
 
+import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
@@ -11,6 +12,9 @@ from objectfolder.errors import ObjectFolderError
 _PROFILES = Path(__file__).with_suffix("")
 
 GELS = ("rigid", "soft")
+
+#: Who draws the images of contacts: the gel as deformed, or as TACTO does, the object before a rigid gel.
+RENDERERS = ("gel", "tacto")
 
 Vector = tuple[float, float, float]
 _T = TypeVar("_T")
@@ -66,6 +70,7 @@ class SensorProfile:
     background_image: (
         str  #: photograph of the untouched sensor, relative to the file; empty is the synthetic one
     )
+    background_sha256: str  #: of that file, hexadecimal, so that a changed picture is a changed profile
     background_color: Vector  #: display RGB of the untouched gel away from the lights, 0 to 1
     background_glow: float  #: display value that each light adds where it is nearest, 0 to 1
     background_falloff: float  #: m on the gel, at which the glow has halved
@@ -186,9 +191,28 @@ def load_profile(name_or_path: str | Path) -> SensorProfile:
         profile = SensorProfile.from_dict(values)
     except ObjectFolderError as error:
         raise ObjectFolderError(f"{path}: {error}") from error
-    if profile.background_image:
-        profile = replace(profile, background_image=str(path.parent / profile.background_image))
-    return profile
+    if not profile.background_image:
+        return profile
+    picture = path.parent / profile.background_image
+    if picture.is_file():  # the optics refuse a missing one, and say what they need it for
+        digest = hashlib.sha256(picture.read_bytes()).hexdigest()
+        if digest != profile.background_sha256:
+            raise ObjectFolderError(
+                f"{path}: background_sha256 = {profile.background_sha256!r} is not that of {picture}; "
+                f"if this is the picture you want, set background_sha256: {digest}"
+            )
+    return replace(profile, background_image=str(picture))
+
+
+def require_renderer(profile: SensorProfile, renderer: str) -> None:
+    """Raise ObjectFolderError unless a renderer can draw what the sensor sees."""
+    if renderer not in RENDERERS:
+        raise ObjectFolderError(f"renderer is {renderer!r}, expected one of {', '.join(RENDERERS)}")
+    if renderer == "tacto" and profile.gel != "rigid":
+        raise ObjectFolderError(
+            f"renderer tacto draws a rigid gel, and that of sensor {profile.name!r} is {profile.gel}; "
+            "set sensor: tacto_digit, or render_touch.renderer: gel"
+        )
 
 
 def _from_mapping(cls: type[_T], values: Any, what: str) -> _T:

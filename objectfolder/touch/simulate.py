@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from objectfolder.mesh.raycast import RayCaster
-from objectfolder.touch.camera import pixel_area
+from objectfolder.touch.camera import gel_normals, pixel_area
 from objectfolder.touch.contact import heightmaps
 from objectfolder.touch.gel import deform
 from objectfolder.touch.optics import Optics
@@ -29,6 +29,19 @@ class Contacts:
     mean_penetration: np.ndarray  #: (N,) float64, m, mean height over the mask; 0 without a contact
     force: np.ndarray  #: (N,) float64, N; NaN for a rigid gel
     obstructed: np.ndarray  #: (N,) float64, fraction of the pixels that the object blocks; see `heightmaps`
+
+
+@dataclass(frozen=True)
+class Touches(Contacts):
+    """What a sensor feels in N contacts: its images beside what makes them."""
+
+    images: np.ndarray  #: (N, H, W, 3) uint8, RGB
+    profile: SensorProfile  #: of the sensor
+
+    @property
+    def normals(self) -> np.ndarray:
+        """Unit normals of the gel's surface towards the camera, camera frame; (N, H, W, 3) float32."""
+        return gel_normals(self.displacement, self.profile)
 
 
 def press(

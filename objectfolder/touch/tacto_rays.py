@@ -1,10 +1,10 @@
 """TACTO's images without OpenGL: the object itself is drawn before the gel, by ray casting."""
 
-import igl
 import numpy as np
 import torch
 
 from objectfolder.mesh.normals import area_vectors
+from objectfolder.mesh.normals import unit as unit_rows
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.touch.camera import gel_depth, ray_directions
 from objectfolder.touch.contact import sensor_frames
@@ -41,17 +41,27 @@ class TactoRays:
     profile : SensorProfile
     scale : float
         Metres per unit of the vertices.
+    normals : (V, 3) array, optional
+        Of the vertices, unit; default: `smooth_normals`, as TACTO has them.
 
     Attributes
     ----------
     background : (H, W, 3) uint8 array
     """
 
-    def __init__(self, vertices: np.ndarray, faces: np.ndarray, profile: SensorProfile, scale: float = 1.0):
+    def __init__(
+        self,
+        vertices: np.ndarray,
+        faces: np.ndarray,
+        profile: SensorProfile,
+        scale: float = 1.0,
+        normals: np.ndarray | None = None,
+    ):
         self.profile = profile
         vertices = np.asarray(vertices, np.float64) * scale
         faces = np.asarray(faces, np.int64)
-        self._normals = smooth_normals(vertices, faces)[faces].astype(np.float32)  # of the faces' corners
+        normals = smooth_normals(vertices, faces) if normals is None else normals
+        self._normals = normals[faces].astype(np.float32)  # of the faces' corners
         self._flat = area_vectors(vertices, faces).astype(np.float32)
         self._caster = RayCaster(vertices, faces)
         self._rays = ray_directions(profile).reshape(-1, 3).astype(np.float32)
@@ -153,9 +163,13 @@ def sensor_poses(
 
 def smooth_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Unit normals (V, 3) of vertices: means over their faces, weighted by angle, as trimesh makes them."""
-    weighting = igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_ANGLE
-    normals = igl.per_vertex_normals(np.asarray(vertices, np.float64), np.asarray(faces, np.int64), weighting)
-    return np.nan_to_num(np.asarray(normals, np.float64))
+    corners = np.asarray(vertices, np.float64)[faces]
+    along = unit_rows(np.roll(corners, -1, axis=1) - corners)
+    angles = np.arccos(-(along * np.roll(along, 1, axis=1)).sum(2).clip(-1, 1))
+    weighted = angles[..., None] * unit_rows(area_vectors(vertices, faces))[:, None]
+    flat = np.asarray(faces).ravel()
+    total = [np.bincount(flat, column, len(vertices)) for column in weighted.reshape(-1, 3).T]
+    return unit_rows(np.stack(total, axis=1))
 
 
 def compose(

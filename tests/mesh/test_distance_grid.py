@@ -44,6 +44,25 @@ def test_distance_to_a_sphere_is_right_to_a_thirtieth_of_a_voxel(ball, rng, voxe
     np.testing.assert_allclose(distance, voxels * ball.spacing, atol=ball.spacing / 30)
 
 
+def test_cubic_convolution_is_exact_for_quadratics():
+    """Keys 1981: third order. Values that the stored integers hold exactly."""
+    axis = np.arange(-8.0, 9)
+    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
+    grid = DistanceGrid((x * x - 20 + x * y / 2 * 2 - z).clip(-127, 127).astype(np.int8), 127.0)
+    points = np.random.default_rng(0).uniform(-0.3, 0.3, (200, 3))
+    x, y, z = (points / grid.spacing).T
+    np.testing.assert_allclose(grid.smooth_distance(points), x * x - 20 + x * y - z, atol=1e-9)
+
+
+def test_cubic_convolution_is_nearer_to_a_sphere_than_trilinear_interpolation():
+    coarse = DistanceGrid(*distance_grid(*sphere(RADIUS, 5), 32))
+    points = shell(np.random.default_rng(2), RADIUS)
+    smooth, linear = coarse.smooth_distance(points.numpy()), coarse.distance(points).numpy()
+    assert np.abs(smooth).mean() < 0.5 * np.abs(linear).mean()
+    one = coarse.smooth_distance(points[7:8].numpy())
+    assert one[0] == smooth[7]
+
+
 def test_distance_is_clipped_to_the_band_with_the_right_sign(ball):
     assert ball.band == pytest.approx(BAND_VOXELS * ball.spacing)
     centre, corner, beyond = ball.distance(torch.tensor([[0.0, 0, 0], [0.5, 0.5, 0.5], [2.0, 2, 2]]))

@@ -5,7 +5,7 @@ from solids import box, sphere
 
 from objectfolder.mesh.load import load_mesh
 from objectfolder.mesh.normalize import normalize
-from objectfolder.mesh.normals import area_vectors, creased, split, unit, usable
+from objectfolder.mesh.normals import area_vectors, averaged, creased, split, unit, usable
 from objectfolder.mesh.procedural import GENERATORS, generate
 from objectfolder.mesh.textured import TexturedMesh, appearance_report
 
@@ -38,6 +38,16 @@ def test_smooth_normals_of_a_sphere_converge_to_the_true_ones():
         errors.append(degrees(creased(vertices, faces), unit(vertices)[faces]).max())
     assert errors[-1] < 0.5
     np.testing.assert_allclose(np.array(errors[:-1]) / errors[1:], 2, rtol=0.25)
+
+
+def test_averaged_normals_are_means_with_the_neighbours():
+    """On a tetrahedron everyone is everyone's neighbour; beside a flat face there is nothing to average."""
+    faces = np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]])
+    normals = unit(np.random.default_rng(0).normal(size=(4, 3)))
+    np.testing.assert_array_equal(averaged(normals, faces, 0), normals)
+    np.testing.assert_allclose(averaged(normals, faces, 1), np.tile(unit(normals.mean(0)), (4, 1)))
+    up = np.tile([0.0, 0, 1], (4, 1))
+    np.testing.assert_allclose(averaged(up, faces, 3), up)
 
 
 def test_a_box_keeps_its_edges_and_a_cylinder_its_rims():

@@ -7,11 +7,11 @@ from objectfolder.audio.spectrogram import SHAPE, sounds_of, spectrogram
 from objectfolder.audio.synthesis import sinusoid_bank
 from objectfolder.metrics import SpectrogramErrors
 from objectfolder.nets.audio_spectrogram import (
-    Branch,
     SpectrogramConfig,
     SpectrogramNet,
     train_spectrogram,
 )
+from objectfolder.nets.positional import PointwiseNetwork
 
 CONFIG = SpectrogramConfig(
     width=32, depth=3, point_octaves=1, bin_octaves=7, steps=400, batch=1024, learning_rate=1e-2
@@ -98,7 +98,7 @@ def test_an_object_that_the_sample_rate_cannot_carry_is_silent(bar):
 
 def test_the_papers_branch():
     """Eight layers of 256 channels; five inputs with ten octaves; the input joins again after the fifth."""
-    branch = Branch(256, 8, 10, 10)
+    branch = PointwiseNetwork(256, 8, 10, 10, outputs=2)
     sizes = [tuple(layer.weight.shape) for layer in (*branch.hidden, branch.output)]
     assert sizes == [(256, 105), *[(256, 256)] * 4, (256, 361), *[(256, 256)] * 2, (2, 256)]
     assert branch(torch.zeros(7, 5)).shape == (7, 2)

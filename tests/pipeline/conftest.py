@@ -77,7 +77,19 @@ TINY = {
             "learning_rate": 0.001,
         },
     },
-    "train_touch": {"rounds": 1, "contacts": 2},
+    "train_touch": {
+        "rounds": 1,
+        "contacts": 2,
+        "image": {
+            "width": 16,
+            "depth": 2,
+            "point_octaves": 2,
+            "pixel_octaves": 2,
+            "steps": 60,
+            "batch": 512,
+            "learning_rate": 0.005,
+        },
+    },
     "evaluate": {"impacts": 4},
 }
 CLOSING = {"wall": None, "bridge": "all"}

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import igl
@@ -17,6 +18,7 @@ from ruamel.yaml import YAML
 
 from objectfolder import ObjectFile
 from objectfolder.artifacts import Build, read_json, read_npz
+from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.load import load_mesh
 from objectfolder.mesh.ply import read_surface
 from objectfolder.vision.cameras import Intrinsics
@@ -162,6 +164,39 @@ def test_the_papers_vision_net_is_a_choice(built):
     assert built.build() == set()  # restored
 
 
+def test_the_papers_touch_net_on_the_papers_images_is_a_choice(built):
+    with built.edit() as values:
+        before = values["sensor"], dict(values["render_touch"])
+        values["sensor"] = "tacto_digit"
+        values["render_touch"] |= {"renderer": "tacto", "depth": 0.001, "angle": 0.0}
+        values["train_touch"]["net"] = "image"
+    lane = ("render_touch", "train_touch", "pack", "evaluate")
+    assert built.build("bell") == {f"{stage}@bell" for stage in lane}
+    bell = ObjectFile.load(built.root / "build/bell/ObjectFile.safetensors")
+    assert bell.header["touch"]["kind"] == "image"
+    points = bell.sample_surface(3)
+    assert bell.touch(points, depth=0.001).shape == (3, 160, 120, 3)
+    with pytest.raises(ObjectFolderError, match=r"depth: row 0 is 0\.002; .* learnt depth 0\.001 m"):
+        bell.touch(points, depth=0.002)
+    for question in (bell.press, partial(bell.touch, sensor="digit")):
+        with pytest.raises(ObjectFolderError, match="bell: its touch net stores images"):
+            question(points)
+    scores = json.loads((built.root / "metrics/bell.json").read_text())["touch"]
+    assert "force_error" not in scores
+    assert "image, sensor tacto_digit" in built.cli("info", "build/bell/ObjectFile.safetensors").stdout
+    trained = (built.root / "build/bell/touch.safetensors").read_bytes()
+    built.run("-m", "stages.train_touch", "bell")
+    assert (built.root / "build/bell/touch.safetensors").read_bytes() == trained
+    with built.edit() as values:
+        values["train_touch"]["net"] = "geometric"
+    assert built.build("bell") == {f"{stage}@bell" for stage in lane[1:]}
+    bell = ObjectFile.load(built.root / "build/bell/ObjectFile.safetensors")
+    assert bell.header["touch"]["net"]["renderer"] == "tacto"
+    with built.edit() as values:
+        values["sensor"], values["render_touch"] = before
+    assert built.build() == set()  # restored
+
+
 @pytest.mark.parametrize("stage", [*LANES, *NETS])
 def test_stage_gives_the_same_bytes_again_from_what_it_declares_alone(built, stage, tmp_path):
     locked = YAML(typ="safe").load((built.root / "dvc.lock").read_text())["stages"][f"{stage}@cube"]
@@ -206,7 +241,10 @@ def test_published_query_formats(built, tmp_path):
     built.cli(
         "query", "touch", file, f"{tmp_path}/p.npy", f"{tmp_path}/out", "--gelinfo", f"{tmp_path}/g.npy"
     )
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {"1.png", "2.png", "1.wav", "2.wav"}
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {
+        *("1.png", "2.png", "1.wav", "2.wav"),
+        "contacts.csv",
+    }
     assert "cube" in built.cli("info", file).stdout
     np.save(tmp_path / "bad.npy", np.zeros((2, 5)))
     refused = built.cli("query", "vision", file, f"{tmp_path}/bad.npy", f"{tmp_path}/out", ok=False)

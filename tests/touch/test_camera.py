@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from objectfolder.touch.camera import gel_depth, ray_directions
+from objectfolder.touch.camera import gel_depth, gel_normals, ray_directions
 
 
 def on_gel(profile):
@@ -32,3 +32,28 @@ def test_wide_dome_is_a_paraboloid(digit):
 
 def test_gel_without_curvature_is_flat(flat):
     np.testing.assert_array_equal(gel_depth(flat), flat.camera_to_gel)
+
+
+def test_normals_of_the_gel_at_rest_are_those_of_the_dome(digit, flat):
+    still = np.zeros((1, digit.height, digit.width), np.float32)
+    np.testing.assert_allclose(
+        gel_normals(still, flat)[0], np.broadcast_to([-1, 0, 0], (160, 120, 3)), atol=1e-5
+    )
+    normals = gel_normals(still, digit)[0]
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1, atol=1e-6)
+    depth, _ = on_gel(digit)
+    y, z = (depth * ray_directions(digit)[..., axis] for axis in (1, 2))
+    slope = digit.gel_curvature * digit.gel_dome_radius / np.sqrt(0.01 - y**2 - z**2)
+    expected = np.stack([-np.ones_like(y), -slope * y, -slope * z], axis=-1)
+    expected /= np.linalg.norm(expected, axis=-1, keepdims=True)
+    inner = np.s_[1:-1, 1:-1]
+    np.testing.assert_allclose(normals[inner], expected[inner], atol=2e-4)
+
+
+def test_normals_of_a_plate_that_leans_in_the_gel_are_the_plates(flat):
+    """The camera's perspective must not bend them."""
+    lean = np.array([-1.0, 0.1, -0.2]) / np.linalg.norm([-1.0, 0.1, -0.2])
+    rays = ray_directions(flat)
+    distance = -0.022 * lean[0] / -(rays @ lean)  # of the plane through (0.022, 0, 0)
+    normals = gel_normals((flat.camera_to_gel - distance)[None], flat)[0]
+    np.testing.assert_allclose(normals[1:-1, 1:-1], np.broadcast_to(lean, (158, 118, 3)), atol=2e-4)

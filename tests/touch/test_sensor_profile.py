@@ -1,3 +1,4 @@
+import hashlib
 import json
 from dataclasses import replace
 
@@ -63,6 +64,20 @@ def test_background_image_is_found_beside_the_profile(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text(json.dumps(DIGIT.to_dict() | {"background_image": "rest.png"}))
     assert load_profile(path).background_image == str(tmp_path / "rest.png")
+
+
+def test_another_background_image_than_the_profile_knows_is_refused(tmp_path):
+    """The pipeline tracks the profile: a picture that changes must change it."""
+    (tmp_path / "rest.png").write_bytes(b"a picture")
+    digest = hashlib.sha256(b"a picture").hexdigest()
+    path = tmp_path / "mine.yaml"
+    values = DIGIT.to_dict() | {"background_image": "rest.png", "background_sha256": digest}
+    path.write_text(json.dumps(values))
+    assert load_profile(path).background_sha256 == digest
+    (tmp_path / "rest.png").write_bytes(b"another")
+    other = hashlib.sha256(b"another").hexdigest()
+    with pytest.raises(ObjectFolderError, match=rf"mine\.yaml: background_sha256 .*rest\.png.*: {other}"):
+        load_profile(path)
 
 
 def test_round_trip_through_json_is_exact():
