@@ -1,6 +1,7 @@
 """Geometry of a contact: its normal, the pose of the sensor, and how far the object is in the gel."""
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 
@@ -23,6 +24,7 @@ GAP = 0.15
 _PROBES = np.array([[0.7561, 0.3217, -0.5700], [-0.4129, 0.8836, 0.2205], [-0.2917, -0.6353, 0.7150]])
 
 
+@cache
 def probe_directions(count: int = 64) -> np.ndarray:
     """Fixed quasi-uniform unit directions; (count, 3), symmetric under u -> -u, with Σ u uᵀ = count/3 · I.
 
