@@ -322,7 +322,8 @@ def touch_accuracy(figures: dict) -> list[str]:
         "\n## Touch beside TACTO's renderer\n",
         "`python perf/touch.py accuracy --json build/perf/touch_accuracy.json`: PSNR in dB of all pixels / "
         "of those in contact, against TACTO's renderer; its images by ray casting, and images from "
-        "heightmaps of unobstructed contacts.",
+        "heightmaps of unobstructed contacts. TACTO shades with normals that it interpolates across edges: on "
+        "meshes of few triangles (stool, table, the clamp's arms) a heightmap cannot know them.",
         "",
         "| object | contacts | ray casting | unobstructed | heightmap |",
         "|---" * 5 + "|",
