@@ -322,8 +322,8 @@ def touch_accuracy(figures: dict) -> list[str]:
         "\n## Touch beside TACTO's renderer\n",
         "`python perf/touch.py accuracy --json build/perf/touch_accuracy.json`: PSNR in dB of all pixels / "
         "of those in contact, against TACTO's renderer; its images by ray casting, and images from "
-        "heightmaps of unobstructed contacts. TACTO shades with normals that it interpolates across edges: on "
-        "meshes of few triangles (stool, table, the clamp's arms) a heightmap cannot know them.",
+        "heightmaps of unobstructed contacts. TACTO shades with normals that it interpolates across edges: "
+        "on meshes of few triangles (stool, table, the clamp's arms) a heightmap cannot know them.",
         "",
         "| object | contacts | ray casting | unobstructed | heightmap |",
         "|---" * 5 + "|",
@@ -430,9 +430,9 @@ def main() -> None:
     lines = [
         "# Results",
         "",
-        "Regenerate: `make demo`, then geometry, modal_accuracy, modal, audio and results in perf/. Objects",
-        "other than the starters were added with `objectfolder add` from YCB, Google Scanned Objects and",
-        "Poly Haven.",
+        "Regenerate: `make demo`, then geometry, modal_accuracy, modal, audio, vision, touch and results in",
+        "perf/. Objects other than the starters were added with `objectfolder add` from YCB, Google Scanned",
+        "Objects and Poly Haven.",
         "",
         f"Machine: {cpu or platform.processor()}, one thread per stage. "
         f"Preset `{preset(values)}`, seed {values['seed']}. PSNR in dB, data in [0, 1], peak 1, "
