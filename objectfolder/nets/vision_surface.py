@@ -103,7 +103,16 @@ class SurfaceNet(nn.Module):
         normals: torch.Tensor,
         direct: torch.Tensor,
     ) -> "BounceInputs":
-        """What is known of the light that has bounced, before anything is learned of it."""
+        """What is known of the light that has bounced, before anything is learned of it.
+
+        Parameters
+        ----------
+        baked : Baked
+        samples : SurfaceSamples
+        light : (3,) tensor, unit frame
+        base_color, normals, direct : (S, 3) tensors
+            Linear base colours, unit shading normals, and the radiance that `direct` returns.
+        """
         p, n, view = samples.points, normals, samples.directions
         to_light = light - p
         # No view has taught lights that are closer than this.
@@ -177,7 +186,7 @@ class SurfaceNet(nn.Module):
 
     @torch.no_grad()
     def bake(self, surface: Isosurface) -> "Baked":
-        """Evaluate once what depends on the point alone."""
+        """Evaluate once what depends on the point alone, at the surface's vertices and patches."""
         points = torch.from_numpy(surface.vertices.astype(np.float32))
         looks, transport = [], []
         for p, n in zip(points.split(CHUNK), torch.from_numpy(surface.normals).split(CHUNK)):
