@@ -365,6 +365,32 @@ def touch_speed(figures: dict) -> list[str]:
     return lines
 
 
+def touch_query(figures: dict) -> list[str]:
+    """Table of what `perf/touch.py query` has measured."""
+    names = ("rigid_single", "rigid_batch", "soft_single", "soft_batch")
+    lines = [
+        "\n`python perf/touch.py query --json build/perf/touch_query.json`: CPU ms per touch of an Object "
+        "File, one call each and all 40 in one; snapping and contact normals included. Targets: rigid 8 and "
+        "4, soft 7.",
+        "",
+        "| object | rigid, one | rigid, batch | soft, one | soft, batch |",
+        "|---" * 5 + "|",
+    ]
+    for row in (row for row in figures["query"] if "failed" not in row):
+        lines.append(f"| {row['object']} | {' | '.join(f'{row[name]:.1f}' for name in names)} |")
+    return lines
+
+
+def touch_dataset(figures: dict) -> list[str]:
+    """What `perf/touch.py dataset` has measured."""
+    return ["\n`python perf/touch.py dataset --json build/perf/touch_dataset.json`, soft gel:"] + [
+        f"{row['object']}, {row['contacts']} contacts: {row['render_s']:.1f} CPU s to render and "
+        f"{row['write_s']:.1f} to write (target 30 in all), {row['peak_mb']:.0f} MB."
+        for row in figures["dataset"]
+        if "failed" not in row
+    ]
+
+
 def touch_net(figures: dict) -> list[str]:
     """Table of what `perf/touch.py net` has measured."""
     columns = ("soft_unobstructed", "soft_median", "soft_contact", "soft_all")
@@ -473,6 +499,8 @@ def main() -> None:
         *measured("vision_query", query),
         *measured("touch_accuracy", touch_accuracy),
         *measured("touch_speed", touch_speed),
+        *measured("touch_query", touch_query),
+        *measured("touch_dataset", touch_dataset),
         *measured("touch_net", touch_net),
         *measured("touch_image", touch_image),
         *measured("geometry", geometry),

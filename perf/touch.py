@@ -2,10 +2,11 @@
 
 Every figure comes from a fresh process with one thread; milliseconds are CPU time per image. `speed` times
 the steps from a contact to its image, alone and in batches, beside TACTO's renderer on OpenGL in the same
-process. `accuracy` scores TACTO's images by ray casting, and those from heightmaps, against that reference.
-`net` scores TouchNet geometric at held-out contacts, against the soft gel on the exact surface and against
-TACTO's images; `image` trains the paper's network on contacts of one depth and angle, and scores it on them
-and on others.
+process. `query` times touches of a workspace's Object Files, snapping and contact normals included. `dataset`
+renders 3,000 contacts as the stage does. `accuracy` scores TACTO's images by ray casting, and those from
+heightmaps, against that reference. `net` scores TouchNet geometric at held-out contacts, against the soft gel
+on the exact surface and against TACTO's images; `image` trains the paper's network on contacts of one depth
+and angle, and scores it on them and on others.
 Objects are those of a workspace (needs `objectfolder build normalize`) or meshes in metres, DIR/KEY/mesh.*.
 Without pyrender the reference's rows are left out, with what to install. Exits with 1 if a target is missed.
 """
@@ -13,8 +14,10 @@ Without pyrender the reference's rows are left out, with what to install. Exits 
 import argparse
 import json
 import os
+import resource
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -26,8 +29,8 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
-from objectfolder import params
-from objectfolder.artifacts import Build, atomic, write_png
+from objectfolder import ObjectFile, params
+from objectfolder.artifacts import Build, atomic, write_npz, write_png
 from objectfolder.contact_sheet import tile
 from objectfolder.errors import ObjectFolderError
 from objectfolder.evaluation import touch_scores
@@ -58,6 +61,7 @@ RIGID, SOFT = "tacto_digit", "digit"
 BATCH = 16
 SHOWN = 8  # contacts in a picture
 MAX_MS = {"rigid_single": 8.0, "rigid_batch": 4.0, "soft_batch": 7.0}
+MAX_DATASET_S, MAX_MB = 30.0, 2048.0  # of 3,000 contacts
 MIN_FASTER = 10.0  # than the reference: images from heightmaps, rigid gel, and TACTO's by ray casting
 MIN_DB = {"tacto": 55.0, "tacto_contact": 52.0, "heightmap": 40.0, "heightmap_contact": 36.0}
 MIN_NET = {
@@ -271,6 +275,48 @@ def image(source: str, scale: str, count: str, steps: str) -> dict:
     return row
 
 
+def query(source: str, scale: str, count: str) -> dict:
+    """Time touches of an Object File in this process, alone and together."""
+    torch.set_num_threads(1)
+    folder = Path(source).parent
+    if not (folder / "ObjectFile.safetensors").is_file():
+        raise ObjectFolderError(f"{folder}: no Object File; objectfolder build pack@{folder.name}")
+    file = ObjectFile.load(folder / "ObjectFile.safetensors")
+    points = file.sample_surface(int(count))
+    row: dict = {}
+    for name, sensor in (("rigid", load_profile(RIGID)), ("soft", None)):
+        file.touch(points[:1], sensor=sensor)
+        start = time.process_time()
+        for point in points:
+            file.touch(point, sensor=sensor)
+        row[f"{name}_single"] = 1000 * (time.process_time() - start) / len(points)
+        start = time.process_time()
+        file.touch(points, sensor=sensor)
+        row[f"{name}_batch"] = 1000 * (time.process_time() - start) / len(points)
+    return row
+
+
+def dataset(source: str, scale: str, count: str) -> dict:
+    """Time the rendering and the writing of contacts with the soft gel in this process."""
+    torch.set_num_threads(1)
+    profile = load_profile(SOFT)
+    touched = Touched(source, scale, int(count), profile)
+    points, rng = touched.contacts[0] / touched.scale, np.random.default_rng(0)
+    start = time.process_time()
+    contacts = render_contacts(touched.vertices, touched.faces, touched.scale, points, profile, rng)
+    rendered = time.process_time()
+    with tempfile.TemporaryDirectory() as folder:
+        write_npz(Path(folder) / "test.npz", **contacts)
+    written = time.process_time()
+    return {
+        "contacts": len(points),
+        "render_s": rendered - start,
+        "write_s": written - rendered,
+        "dataset_s": written - start,
+        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    }
+
+
 def sources(arguments: argparse.Namespace) -> dict[str, tuple[str, str]]:
     """File and longest side of every object; side 0: as the file has it."""
     if arguments.objects:
@@ -302,7 +348,14 @@ def fresh(job: str, *arguments: str) -> dict:
 
 def run_job(job: str, *arguments: str) -> None:
     """Child's side of `fresh`."""
-    jobs = {"speed": speed, "accuracy": accuracy, "net": net, "image": image}
+    jobs = {
+        "speed": speed,
+        "query": query,
+        "dataset": dataset,
+        "accuracy": accuracy,
+        "net": net,
+        "image": image,
+    }
     try:
         print(json.dumps(jobs[job](*arguments)))
     except ObjectFolderError as error:
@@ -322,6 +375,21 @@ SPEED = {
     "reference": ("reference", ".0f"),
     "rigid_faster": ("times rigid", ".1f"),
     "tacto_faster": ("times tacto", ".1f"),
+}
+QUERY = {
+    "object": ("object", ""),
+    "rigid_single": ("rigid, 1", ".1f"),
+    "rigid_batch": ("rigid, all at once", ".1f"),
+    "soft_single": ("soft, 1", ".1f"),
+    "soft_batch": ("soft, all at once", ".1f"),
+}
+DATASET = {
+    "object": ("object", ""),
+    "contacts": ("contacts", ""),
+    "render_s": ("render, CPU s", ".1f"),
+    "write_s": ("write", ".1f"),
+    "dataset_s": ("both", ".1f"),
+    "peak_mb": ("peak MB", ".0f"),
 }
 ACCURACY = {
     "object": ("object", ""),
@@ -389,6 +457,11 @@ def misses(command: str, rows: list[dict]) -> list[str]:
             if row.get(name, 0) > limit
         ]
         missed += [
+            f"{row['object']}: {row[name]:.0f} {unit}, target {limit:g} {unit}"
+            for name, limit, unit in (("dataset_s", MAX_DATASET_S, "s"), ("peak_mb", MAX_MB, "MB"))
+            if row.get(name, 0) > limit
+        ]
+        missed += [
             f"{row['object']}, {name}: {row[name]:.1f}, target {MIN_FASTER:g}"
             for name in ("rigid_faster", "tacto_faster")
             if row.get(name, np.inf) < MIN_FASTER
@@ -404,6 +477,8 @@ def main() -> None:
     commands = parser.add_subparsers(dest="command", required=True)
     described = {
         "speed": "time every step",
+        "query": "time touches of Object Files",
+        "dataset": "time the rendering of a data set",
         "accuracy": "score against TACTO's renderer",
         "net": "score TouchNet geometric at held-out contacts",
         "image": "train and score the paper's network (minutes per object)",
@@ -413,7 +488,8 @@ def main() -> None:
         command.add_argument("keys", nargs="*", help="objects (default: all)")
         command.add_argument("--workspace", type=Path, default=ROOT, help="holds params.yaml and build/")
         command.add_argument("--objects", type=Path, help="meshes in metres instead: DIR/KEY/mesh.*")
-        command.add_argument("--contacts", type=int, default=40, help="of each object")
+        contacts = 3000 if name == "dataset" else 40
+        command.add_argument("--contacts", type=int, default=contacts, help="of each object")
         command.add_argument("--json", type=Path, help="also write the figures here")
         command.add_argument("--pictures", type=Path, default=PICTURES, help="folder for side-by-sides")
         command.add_argument(
@@ -426,6 +502,8 @@ def main() -> None:
     for key, (source, scale) in sources(arguments).items():
         more = {
             "speed": [[]],
+            "query": [[]],
+            "dataset": [[]],
             "accuracy": [[str(arguments.pictures / f"tacto_{key}.png")]],
             "net": [[str(resolution)] for resolution in arguments.resolution],
             "image": [[str(arguments.steps)]],
@@ -435,6 +513,8 @@ def main() -> None:
             rows.append({"object": key, **row})
     titles = {
         "speed": ("CPU ms per image, one thread; the reference is TACTO's renderer", SPEED),
+        "query": ("CPU ms per touch of an Object File, one thread", QUERY),
+        "dataset": ("Contacts with the soft gel, one thread", DATASET),
         "accuracy": ("PSNR in dB against TACTO's renderer, all pixels and those in contact", ACCURACY),
         "net": ("TouchNet geometric, held-out contacts, PSNR in dB; unobstructed but for `all`", NET),
         "image": ("TouchNet image, PSNR in dB beside the mean image's", IMAGES),

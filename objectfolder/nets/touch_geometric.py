@@ -62,6 +62,7 @@ class GeometricTouch:
         self.profile = profile
         self.depth_offset = depth_offset
         self.renderer = renderer
+        self._others: dict[SensorProfile, GeometricTouch] = {}
         self._optics = Optics(profile)
         if background is not None:
             self._optics.background = torch.from_numpy(np.array(background))
@@ -80,7 +81,9 @@ class GeometricTouch:
 
     def with_sensor(self, profile: SensorProfile) -> "GeometricTouch":
         """Press another sensor on the same surface; its gel is rendered, whatever the renderer was."""
-        return GeometricTouch(self.surface, self.scale, profile, self.depth_offset)
+        if profile not in self._others:  # its optics take as long as a touch
+            self._others[profile] = GeometricTouch(self.surface, self.scale, profile, self.depth_offset)
+        return self._others[profile]
 
     def normals(self, points: np.ndarray) -> np.ndarray:
         """Contact normals at (N, 3) points of the object frame; (N, 3)."""
