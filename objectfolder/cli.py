@@ -65,8 +65,20 @@ def build(
         list[str] | None,
         typer.Argument(metavar="[TARGET]...", help="`modal@mug`, `train_audio` or `mug`; default: all."),
     ] = None,
-    jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, help="Stages that run at once.")] = 2,
+    jobs: Annotated[
+        int | None, typer.Option("--jobs", "-j", min=1, help="Cores to use; default: all of this machine.")
+    ] = None,
     force: Annotated[bool, typer.Option("--force", "-f", help="Run even what is up to date.")] = False,
+    keep_going: Annotated[
+        bool,
+        typer.Option("--keep-going/--fail-fast", help="After a failure, go on with what does not need it."),
+    ] = True,
+    timeout: Annotated[
+        float | None,
+        typer.Option(
+            min=0, help="Seconds after which a stage is killed; 0: never. Default: hours, by stage."
+        ),
+    ] = None,
 ) -> None:
     """Build what is out of date, in parallel, through DVC's graph and cache.
 
@@ -75,7 +87,8 @@ def build(
     """
     from objectfolder import params
     from objectfolder.artifacts import check_writable
-    from objectfolder.engine.local import build as run_build
+    from objectfolder.engine.build import Options
+    from objectfolder.engine.build import build as run_build
     from objectfolder.engine.progress import Progress, print_summary
     from objectfolder.touch.profiles import load_profile, require_renderer
 
@@ -84,7 +97,7 @@ def build(
     require_renderer(load_profile(values["sensor"]), values["render_touch"]["renderer"])
     check_writable(Path("build"))
     with Progress() as progress:
-        summary = run_build(targets or (), jobs, force=force, on_event=progress)
+        summary = run_build(targets or (), Options(jobs, force, keep_going, timeout), on_event=progress)
     print_summary(summary)
     evaluated = [a.partition("@")[2] for a in summary.stages if a.startswith("evaluate@")]
     if summary.ok and evaluated:

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from objectfolder import catalog, params
 from objectfolder.cli import app
-from objectfolder.engine.local import build
+from objectfolder.engine.build import build
 from objectfolder.errors import ObjectFolderError
 from objectfolder.intake import discover, slug
 from objectfolder.mesh.load import load_mesh

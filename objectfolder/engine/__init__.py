@@ -1,1 +1,1 @@
-"""Parallel build over DVC's own graph; `objectfolder.engine.local.build` is the entry."""
+"""Parallel build over DVC's own graph; `objectfolder.engine.build.build` is the entry."""

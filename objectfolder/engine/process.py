@@ -6,8 +6,9 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,12 +31,15 @@ class Command:
         Environment.
     log : Path
         File for standard output and standard error.
+    timeout : float, optional
+        Wall seconds after which it is killed; None never.
     """
 
     lines: Sequence[str]
     cwd: Path
     env: Mapping[str, str]
     log: Path
+    timeout: float | None = None
 
 
 @dataclass(frozen=True)
@@ -50,11 +54,14 @@ class Outcome:
         Wall time.
     peak_mb : float
         Peak resident memory of the largest process.
+    timed_out : bool
+        Whether it was killed because its time was up.
     """
 
     code: int
     seconds: float
     peak_mb: float
+    timed_out: bool = False
 
 
 class Children:
@@ -71,6 +78,7 @@ class Children:
         Call it from a thread that outlives the command: the kernel takes the end of the thread that started
         a child for the end of its parent.
         """
+        start = time.monotonic()
         command.log.parent.mkdir(parents=True, exist_ok=True)
         read, write = os.pipe()
         with os.fdopen(read, "rb") as report, command.log.open("wb") as log:
@@ -99,14 +107,23 @@ class Children:
                     self._groups.add(supervisor.pid)
             finally:
                 os.close(write)
-            # Wait without reaping, so that the group's id cannot be given to anyone else in the meantime.
-            os.waitid(os.P_PID, supervisor.pid, os.WEXITED | os.WNOWAIT)
+            timed_out = threading.Event()
+
+            def expire() -> None:
+                timed_out.set()
+                _kill(supervisor.pid)
+
+            with _alarm(command.timeout, expire):
+                # Wait without reaping, so that the group's id cannot be given to anyone else meanwhile.
+                os.waitid(os.P_PID, supervisor.pid, os.WEXITED | os.WNOWAIT)
             with self._lock:
                 _kill(supervisor.pid)  # what the command left in the background
                 supervisor.wait()
                 self._groups.discard(supervisor.pid)
             text = report.read()
-        return Outcome(**json.loads(text)) if text else Outcome(-signal.SIGKILL, 0.0, 0.0)
+        if not text:
+            return Outcome(-signal.SIGKILL, time.monotonic() - start, 0.0, timed_out.is_set())
+        return Outcome(**json.loads(text))
 
     def kill(self) -> None:
         """Kill every running command with all its processes, and start no more."""
@@ -116,8 +133,8 @@ class Children:
                 _kill(group)
 
 
-def environment(base: Mapping[str, str]) -> dict[str, str]:
-    """Environment of a stage: this interpreter's ``python`` first, one thread per numerical library.
+def environment(base: Mapping[str, str], threads: int = 1) -> dict[str, str]:
+    """Environment of a stage: this interpreter's ``python`` first, and numerical libraries held in.
 
     The workers are the parallelism; libraries that each start a thread per core would only fight.
     """
@@ -125,9 +142,9 @@ def environment(base: Mapping[str, str]) -> dict[str, str]:
     return {
         **base,
         "PATH": path,
-        "OMP_NUM_THREADS": "1",
-        "OPENBLAS_NUM_THREADS": "1",
-        "MKL_NUM_THREADS": "1",
+        "OMP_NUM_THREADS": str(threads),
+        "OPENBLAS_NUM_THREADS": str(threads),
+        "MKL_NUM_THREADS": str(threads),
         "PYTHONUNBUFFERED": "1",  # so that the log is complete up to the moment a stage is killed
     }
 
@@ -144,8 +161,15 @@ def tail(log: Path) -> tuple[str, ...]:
     return tuple(text.splitlines()[-TAIL_LINES:])
 
 
+def describe(outcome: Outcome) -> str:
+    """Say in words how a command that did not succeed ended; empty if it did."""
+    if outcome.timed_out:
+        return f"killed after {outcome.seconds:.0f} s, its time limit (--timeout sets another)"
+    return describe_exit(outcome.code) if outcome.code else ""
+
+
 def describe_exit(code: int) -> str:
-    """Say in words how a command that did not succeed ended."""
+    """Say in words what an exit code other than 0 means."""
     # A shell reports a child's death by signal N as exit code 128 + N.
     number = -code if code < 0 else code - 128
     try:
@@ -154,6 +178,21 @@ def describe_exit(code: int) -> str:
         return f"the command exited with code {code}"
     hint = " (perhaps out of memory: build with fewer jobs)" if number == signal.SIGKILL else ""
     return f"the command was killed by {name}{hint}"
+
+
+@contextmanager
+def _alarm(seconds: float | None, action: Callable[[], None]) -> Iterator[None]:
+    """Do something if the block takes longer than this."""
+    if seconds is None:
+        yield
+        return
+    timer = threading.Timer(seconds, action)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def _kill(group: int) -> None:

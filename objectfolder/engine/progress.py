@@ -22,7 +22,7 @@ STYLES = {
 
 
 class Progress:
-    """Listener for `objectfolder.engine.local.build`, used as a context manager.
+    """Listener for `objectfolder.engine.build.build`, used as a context manager.
 
     Parameters
     ----------

@@ -11,6 +11,7 @@ from dvc.stage.cache import RunCacheNotFoundError
 from dvc.stage.run import prepare_kwargs
 
 from objectfolder.engine.process import Command, environment
+from objectfolder.engine.resources import Needs
 
 
 def has_command(stage: Stage) -> bool:
@@ -29,13 +30,19 @@ def restore(stage: Stage) -> bool:
     return True
 
 
-def prepare(stage: Stage, log: Path) -> Command:
+def prepare(stage: Stage, log: Path, needs: Needs) -> Command:
     """Get a stage ready to run: old outputs removed, dependencies hashed."""
     stage.remove_outs(ignore_remove=False, force=False)
     stage.save_deps()
     base = prepare_kwargs(stage)
     lines = stage.cmd if isinstance(stage.cmd, list) else stage.cmd.splitlines()
-    return Command(lines=lines, cwd=Path(stage.wdir), env=environment(base["env"]), log=log)
+    return Command(
+        lines=lines,
+        cwd=Path(stage.wdir),
+        env=environment(base["env"], needs.cpus),
+        log=log,
+        timeout=needs.timeout,
+    )
 
 
 def save(stage: Stage) -> None:

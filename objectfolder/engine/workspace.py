@@ -7,12 +7,14 @@ import os
 from collections.abc import Iterator
 from contextlib import ExitStack, chdir, contextmanager
 from pathlib import Path
+from typing import Any
 
 import psutil
 from dvc.exceptions import DvcException, NotDvcRepoError
 from dvc.lock import LockError
 from dvc.repo import Repo, lock_repo
 from dvc.rwlock import RWLOCK_FILE
+from dvc.utils.serialize import load_yaml
 
 from objectfolder.errors import ObjectFolderError
 
@@ -46,6 +48,16 @@ def owned(root: str | Path = ".") -> Iterator[Repo]:
             _refuse_if_busy(repo)
             with repo.scm_context(quiet=True):
                 yield repo
+
+
+def read_params(root: Path) -> dict[str, Any]:
+    """Contents of ``params.yaml``; empty if there is none."""
+    path = root / "params.yaml"
+    try:
+        values = load_yaml(path) if path.exists() else {}
+    except DvcException as error:
+        raise ObjectFolderError(f"DVC cannot read {path}: {error}") from error
+    return values if isinstance(values, dict) else {}
 
 
 @contextmanager

@@ -2,7 +2,7 @@ import shutil
 
 import pytest
 
-from objectfolder.engine.local import build
+from objectfolder.engine.build import Options, build
 from objectfolder.engine.summary import Finished, Planned, Started, Status
 from objectfolder.errors import ObjectFolderError
 
@@ -38,7 +38,7 @@ def test_builds_once_and_leaves_dvc_content(workspace):
     assert workspace.ran() == []
     assert (workspace.root / "dvc.lock").read_bytes() == lock
 
-    forced = build(["prepare@mug"], root=workspace.root, force=True)
+    forced = build(["prepare@mug"], root=workspace.root, options=Options(force=True))
     assert statuses(forced) == {"prepare@mug": "ran"}
 
 
@@ -159,14 +159,14 @@ def test_unknown_target_suggests_close_ones(workspace, target, suggestion):
 def test_two_jobs_overlap(workspace):
     for key in ("bell", "mug"):
         workspace.control(f"prepare@{key}", "1.5")
-    build(["prepare@bell", "prepare@mug"], jobs=2, root=workspace.root)
+    build(["prepare@bell", "prepare@mug"], options=Options(jobs=2), root=workspace.root)
     kinds = [call[1] for call in workspace.calls()]
     assert kinds == ["start", "start", "end", "end"]
 
 
 def test_wrong_arguments_and_workspaces(workspace, tmp_path):
     with pytest.raises(ObjectFolderError, match="jobs is 0"):
-        build(jobs=0, root=workspace.root)
+        Options(jobs=0)
     with pytest.raises(ObjectFolderError, match="not a directory"):
         build(root=tmp_path / "nowhere")
     with pytest.raises(ObjectFolderError, match="dvc init"):

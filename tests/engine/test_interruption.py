@@ -10,12 +10,12 @@ from pathlib import Path
 import psutil
 import pytest
 
-from objectfolder.engine.local import build
+from objectfolder.engine.build import build
 from objectfolder.errors import ObjectFolderError
 
 from .conftest import everything
 
-ENGINE = "from objectfolder.engine.local import build; build(jobs=2)"
+ENGINE = "from objectfolder.engine.build import Options, build; build(options=Options(jobs=2))"
 PATH = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
 
 

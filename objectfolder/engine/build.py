@@ -1,12 +1,12 @@
-"""Build on this machine: one owner of DVC's lock, many commands at a time."""
+"""Build: one owner of DVC's lock, many commands at a time."""
 
-import heapq
+import bisect
 import signal
 import threading
 import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
@@ -15,22 +15,64 @@ from dvc.exceptions import DvcException
 from objectfolder.engine import steps
 from objectfolder.engine.graph import Plan, plan
 from objectfolder.engine.lockfile import LockFiles
-from objectfolder.engine.process import Children, Command, Outcome, describe_exit, tail
+from objectfolder.engine.process import Outcome, describe, tail
+from objectfolder.engine.resources import Machine, Needs, cores, needs_of
 from objectfolder.engine.schedule import Schedule
 from objectfolder.engine.summary import Finished, Listener, Planned, StageResult, Started, Status, Summary
-from objectfolder.engine.workspace import owned
+from objectfolder.engine.workers import Finished as FinishedQueue
+from objectfolder.engine.workers import LocalWorkers, Workers
+from objectfolder.engine.workspace import owned, read_params
 from objectfolder.errors import ObjectFolderError
 
 LOGS = Path("build/.logs")
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
+@dataclass(frozen=True)
+class Options:
+    """How to build.
+
+    Parameters
+    ----------
+    jobs : int, optional
+        Cores that stages may use together; default: all of this process.
+    force : bool
+        Run every stage again, changed or not.
+    keep_going : bool
+        After a failure, go on with what does not depend on it; else start nothing more.
+    timeout : float, optional
+        Wall seconds after which a stage is killed, in place of the table's; 0 never.
+    """
+
+    jobs: int | None = None
+    force: bool = False
+    keep_going: bool = True
+    timeout: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.jobs is not None and self.jobs < 1:
+            raise ObjectFolderError(
+                f"jobs is {self.jobs}, expected at least 1; use --jobs 1 for one at a time"
+            )
+        if self.timeout is not None and not self.timeout >= 0:
+            raise ObjectFolderError(f"timeout is {self.timeout} s, expected 0 (never) or more")
+
+
+#: Makes the workers of a build from the number of jobs and the queue for what they finish.
+MakeWorkers = Callable[[int | None, FinishedQueue], Workers]
+
+
+def local_workers(jobs: int | None, finished: FinishedQueue) -> Workers:
+    """Run stages on this machine."""
+    return LocalWorkers(Machine(jobs or cores()), finished)
+
+
 def build(
     targets: Sequence[str] = (),
-    jobs: int = 2,
+    options: Options = Options(),
     root: str | Path = ".",
-    force: bool = False,
     on_event: Listener = lambda event: None,
+    make_workers: MakeWorkers = local_workers,
 ) -> Summary:
     """Bring targets and everything upstream of them up to date.
 
@@ -41,22 +83,20 @@ def build(
     ----------
     targets : sequence of str
         Stage addresses, stage names, object keys or paths of outputs; none means everything.
-    jobs : int
-        Commands that run at the same time.
+    options : Options
+        How to build.
     root : Path
         Workspace, the directory that holds ``dvc.yaml``.
-    force : bool
-        Run every stage again, changed or not.
     on_event : callable
         Called in this thread with every `Planned`, `Started` and `Finished`.
+    make_workers : callable
+        Makes what runs the commands; default: this machine.
 
     Raises
     ------
     ObjectFolderError
-        If an argument is wrong, or the workspace is busy or cannot be read. A failed stage does not raise.
+        If the workspace is busy or cannot be read. A failed stage does not raise.
     """
-    if jobs < 1:
-        raise ObjectFolderError(f"jobs is {jobs}, expected at least 1; use --jobs 1 for one at a time")
     start = time.monotonic()
     root = Path(root).resolve()
     with owned(root) as repo:
@@ -65,7 +105,12 @@ def build(
         except DvcException as error:
             raise ObjectFolderError(f"DVC cannot read the pipeline in {root}: {error}") from error
         on_event(Planned(tuple(wanted.stages)))
-        results = _Build(wanted, jobs, root / LOGS, force, on_event).run()
+        params = read_params(root)
+        needs = {address: needs_of(address, params) for address in wanted.stages}
+        if options.timeout is not None:
+            limit = options.timeout or None
+            needs = {address: replace(need, timeout=limit) for address, need in needs.items()}
+        results = _Build(wanted, needs, options, root / LOGS, on_event, make_workers).run()
     ordered = {address: results[address] for address in wanted.stages}
     return Summary(stages=ordered, seconds=time.monotonic() - start)
 
@@ -81,49 +126,55 @@ class _Interrupted(Exception):
 class _Build:
     """State of one build. All of DVC is called from one thread; the workers only run commands."""
 
-    def __init__(self, wanted: Plan, jobs: int, logs: Path, force: bool, on_event: Listener):
+    def __init__(
+        self,
+        wanted: Plan,
+        needs: dict[str, Needs],
+        options: Options,
+        logs: Path,
+        on_event: Listener,
+        make_workers: MakeWorkers,
+    ):
         self.stages = wanted.stages
-        self.jobs = jobs
+        self.needs = needs
+        self.options = options
         self.logs = logs
-        self.force = force
         self.on_event = on_event
         self.results: dict[str, StageResult] = {}
         self.schedule = Schedule(wanted.upstream)
-        # Stages known to have changed, waiting for a free worker.
+        # Stages known to have changed, waiting for a free worker; the most urgent first.
         self.due: list[tuple[tuple[float, int], str]] = []
         self.running: set[str] = set()
         self.lockfiles = LockFiles()
-        self.children = Children()
-        # What the workers hand back; None only wakes this thread up.
-        self.finished: SimpleQueue[tuple[str, Outcome | OSError] | None] = SimpleQueue()
+        self.finished: FinishedQueue = SimpleQueue()
+        self.workers = make_workers(options.jobs, self.finished)
         self.signal: int | None = None
         self.stopping = False
 
     def run(self) -> dict[str, StageResult]:
         """Run until nothing is left, and return the results by address."""
         with self._signals():
-            # A thread per worker that lives as long as the build, as `Children.run` requires.
-            pool = ThreadPoolExecutor(self.jobs, thread_name_prefix="stage")
             try:
-                self._loop(pool)
+                self._loop()
             finally:
                 self.stopping = True
-                self.children.kill()
+                self.workers.kill()
                 try:
-                    pool.shutdown()
+                    self.workers.close()
                     self._collect_finished()  # what ended on its own just before the kill is kept
                 finally:
                     self.lockfiles.flush()
         return self.results
 
-    def _loop(self, pool: ThreadPoolExecutor) -> None:
+    def _loop(self) -> None:
         while True:
             if self.signal is not None:
                 raise _Interrupted(self.signal)
-            if self.due and len(self.running) < self.jobs:
-                self._start(heapq.heappop(self.due)[1], pool)
+            if (address := self._pop_due()) is not None:
+                self._start(address)
             elif (address := self.schedule.pop()) is not None:
-                self._examine(address)
+                if address not in self.results:  # what a build that gave up has written off
+                    self._examine(address)
             elif self.running:
                 self._collect(timeout=self.lockfiles.seconds_until_due())
             else:
@@ -131,14 +182,29 @@ class _Build:
             self._collect_finished()
             self.lockfiles.flush_if_due()
 
+    def _pop_due(self) -> str | None:
+        """Take the most urgent stage that there is room for.
+
+        What waits for a GPU lets others pass; what waits for a core or memory does not, or small stages
+        would keep a large one waiting until the end.
+        """
+        for place, (_, address) in enumerate(self.due):
+            lacking = self.workers.room(self.needs[address])
+            if not lacking:
+                del self.due[place]
+                return address
+            if lacking != "gpu":
+                return None
+        return None
+
     def _examine(self, address: str) -> None:
         """Decide what a ready stage needs; only checks, so that it can be done ahead of a free worker."""
         stage = self.stages[address]
         try:
             if not steps.has_command(stage):
                 self._pass_through(address)
-            elif self.force or stage.changed():
-                heapq.heappush(self.due, (self.schedule.rank[address], address))
+            elif self.options.force or stage.changed():
+                bisect.insort(self.due, (self.schedule.rank[address], address))
             else:
                 self._succeed(StageResult(address, Status.SKIPPED))
         except (DvcException, OSError) as error:
@@ -150,13 +216,13 @@ class _Build:
         stage = self.stages[address]
         if any(not out.exists for out in stage.outs):
             stage.checkout(allow_missing=True)  # deleted data comes back from the cache
-        if stage.reproduce(force=self.force) is None:
+        if stage.reproduce(force=self.options.force) is None:
             self._succeed(StageResult(address, Status.SKIPPED))
             return
         self.lockfiles.add(stage)
         self._succeed(StageResult(address, Status.RAN, time.monotonic() - start))
 
-    def _start(self, address: str, pool: ThreadPoolExecutor) -> None:
+    def _start(self, address: str) -> None:
         """Restore a changed stage from the run cache, or hand its command to a worker.
 
         Old outputs go only now that a worker is free, so that an interrupted build has removed few.
@@ -165,23 +231,17 @@ class _Build:
         stage = self.stages[address]
         log = self._log(address)
         try:
-            if not self.force and steps.restore(stage):
+            if not self.options.force and steps.restore(stage):
                 self.lockfiles.add(stage)
                 self._succeed(StageResult(address, Status.RESTORED, time.monotonic() - start))
                 return
-            command = steps.prepare(stage, log)
+            command = steps.prepare(stage, log, self.needs[address])
         except (DvcException, OSError) as error:
             self._fail(StageResult(address, Status.FAILED, error=_text(error)))
             return
         self.running.add(address)
-        pool.submit(self._work, address, command)
+        self.workers.submit(address, command, self.needs[address])
         self.on_event(Started(address, log))
-
-    def _work(self, address: str, command: Command) -> None:
-        try:
-            self.finished.put((address, self.children.run(command)))
-        except OSError as error:
-            self.finished.put((address, error))
 
     def _collect_finished(self) -> None:
         while not self.finished.empty():
@@ -197,13 +257,14 @@ class _Build:
             return
         address, outcome = item
         self.running.discard(address)
+        self.workers.finish(address)
         if self.stopping and not (isinstance(outcome, Outcome) and outcome.code == 0):
             return  # killed by us: not a failure of the stage
         log = self._log(address)
-        if isinstance(outcome, OSError):
+        if isinstance(outcome, Exception):
             self._fail(StageResult(address, Status.FAILED, error=f"cannot run the command: {outcome}"))
             return
-        error = describe_exit(outcome.code) if outcome.code else ""
+        error = describe(outcome)
         if not error:
             try:
                 steps.save(self.stages[address])
@@ -236,6 +297,17 @@ class _Build:
         for address in self.schedule.downstream(result.address):
             if address not in self.results:
                 self._report(StageResult(address, Status.BLOCKED, error=f"needs {result.address}"))
+        if not self.options.keep_going:
+            self._give_up(result.address)
+
+    def _give_up(self, cause: str) -> None:
+        """Start nothing more; what runs may end."""
+        self.due.clear()
+        while self.schedule.pop() is not None:
+            pass
+        for address in self.stages:
+            if address not in self.results and address not in self.running:
+                self._report(StageResult(address, Status.BLOCKED, error=f"not started after {cause} failed"))
 
     def _report(self, result: StageResult) -> None:
         self.results[result.address] = result

@@ -1,0 +1,162 @@
+"""What a stage takes of a machine: the one table, and the accounts of one machine."""
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+HOUR = 3600.0
+#: Share of the machine's memory that stages may take together; the rest is for the engine and the system.
+MEMORY_SHARE = 0.9
+
+
+@dataclass(frozen=True)
+class Needs:
+    """What one stage takes while it runs.
+
+    Parameters
+    ----------
+    cpus : int
+        Cores, and threads that numerical libraries may start.
+    gpus : float
+        GPUs; a fraction shares one.
+    memory_mb : int
+        Peak resident memory, MB.
+    timeout : float, optional
+        Wall seconds after which the stage is taken for hanging and killed; None never.
+    """
+
+    cpus: int = 1
+    gpus: float = 0.0
+    memory_mb: int = 500
+    timeout: float | None = HOUR
+
+
+#: By stage, or by stage and its net or renderer (``train_vision/osf``). Memory: the largest peak seen on the
+#: catalogues (docs/results.md), rounded up. One core each: bytes must not depend on a thread count. Timeouts
+#: are an order of magnitude above the longest run; the paper's nets train for days.
+NEEDS = {
+    "generate": Needs(memory_mb=500),
+    "normalize": Needs(memory_mb=2000),
+    "voxelize": Needs(memory_mb=2500),
+    "modal": Needs(memory_mb=4000, timeout=3 * HOUR),
+    "render_views": Needs(memory_mb=1000, timeout=12 * HOUR),
+    "render_views/mitsuba-cuda": Needs(gpus=0.5, memory_mb=2000, timeout=3 * HOUR),
+    "render_touch": Needs(memory_mb=1000, timeout=3 * HOUR),
+    "train_vision": Needs(memory_mb=2000),
+    "train_vision/osf": Needs(gpus=1.0, memory_mb=8000, timeout=None),
+    "train_audio": Needs(memory_mb=1500),
+    "train_audio/spectrogram": Needs(gpus=1.0, memory_mb=8000, timeout=None),
+    "train_touch": Needs(memory_mb=1500),
+    "train_touch/image": Needs(gpus=1.0, memory_mb=8000, timeout=None),
+    "pack": Needs(memory_mb=500),
+    "evaluate": Needs(memory_mb=2000, timeout=3 * HOUR),
+}
+
+
+def needs_of(address: str, params: Mapping[str, Any]) -> Needs:
+    """Needs of a stage, from its name and, where its net or renderer decides, from the parameters.
+
+    Parameters
+    ----------
+    address : str
+        Stage address, such as ``train_vision@mug``.
+    params : mapping
+        Contents of ``params.yaml``.
+    """
+    stage = address.partition("@")[0]
+    section = params.get(stage)
+    section = section if isinstance(section, Mapping) else {}
+    choice = section.get("net", section.get("renderer"))
+    return NEEDS.get(f"{stage}/{choice}", NEEDS.get(stage, Needs()))
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def machine_gpus() -> list[str]:
+    """NVIDIA GPUs of this machine that ``CUDA_VISIBLE_DEVICES`` does not hide, by the names that it takes."""
+    visible = os.environ.get("CUDA_VISIBLE_DEVICES")
+    if visible is not None:
+        return [name.strip() for name in visible.split(",") if name.strip() not in ("", "-1")]
+    devices = (path.name.removeprefix("nvidia") for path in Path("/dev").glob("nvidia[0-9]*"))
+    return sorted((name for name in devices if name.isdigit()), key=int)
+
+
+class Machine:
+    """Accounts of one machine: what is free while stages run.
+
+    A stage that wants more than the machine has runs alone, so that none waits forever.
+
+    Parameters
+    ----------
+    cpus : int
+        Cores to use.
+    memory_mb : float, optional
+        Memory to use; default: most of what is available now.
+    gpus : sequence of str, optional
+        Names of the GPUs to use; default: all. Without one, a stage that can use it trains on the CPU.
+    """
+
+    def __init__(self, cpus: int, memory_mb: float | None = None, gpus: Sequence[str] | None = None):
+        if memory_mb is None:
+            memory_mb = psutil.virtual_memory().available / 2**20 * MEMORY_SHARE
+        self._cpus = cpus
+        self._memory_mb = int(memory_mb)
+        self._gpus = dict.fromkeys(machine_gpus() if gpus is None else gpus, 1.0)  # free share of each
+        self._limits = Needs(self._cpus, len(self._gpus), self._memory_mb)
+        self._taken: dict[str, tuple[Needs, list[str]]] = {}
+
+    @property
+    def has_gpus(self) -> bool:
+        """Whether there is any GPU to use."""
+        return bool(self._gpus)
+
+    def room(self, needs: Needs) -> str:
+        """What a stage would have to wait for: ``cpu``, ``memory``, ``gpu`` or nothing (empty)."""
+        needs = self._capped(needs)
+        if needs.cpus > self._cpus:
+            return "cpu"
+        if needs.memory_mb > self._memory_mb:
+            return "memory"
+        return "" if self._choose_gpus(needs.gpus) is not None else "gpu"
+
+    def take(self, address: str, needs: Needs) -> list[str]:
+        """Enter a stage that starts; returns the GPUs that it gets."""
+        needs = self._capped(needs)
+        chosen = self._choose_gpus(needs.gpus) or []
+        self._cpus -= needs.cpus
+        self._memory_mb -= needs.memory_mb
+        for gpu in chosen:
+            self._gpus[gpu] -= min(1.0, needs.gpus)
+        self._taken[address] = needs, chosen
+        return chosen
+
+    def give(self, address: str) -> None:
+        """Enter that a stage has ended."""
+        needs, chosen = self._taken.pop(address)
+        self._cpus += needs.cpus
+        self._memory_mb += needs.memory_mb
+        for gpu in chosen:
+            self._gpus[gpu] += min(1.0, needs.gpus)
+
+    def _capped(self, needs: Needs) -> Needs:
+        limits = self._limits
+        return Needs(
+            min(needs.cpus, limits.cpus),
+            min(needs.gpus, limits.gpus),
+            min(needs.memory_mb, limits.memory_mb),
+        )
+
+    def _choose_gpus(self, wanted: float) -> list[str] | None:
+        """GPUs with room, the fullest first, so that whole ones stay free; None if there are too few."""
+        if wanted == 0:
+            return []
+        share, count = min(1.0, wanted), max(1, round(wanted))
+        fitting = sorted((free, gpu) for gpu, free in self._gpus.items() if free >= share - 1e-9)
+        return [gpu for _, gpu in fitting[:count]] if len(fitting) >= count else None
