@@ -21,7 +21,7 @@ from objectfolder.engine.schedule import Schedule
 from objectfolder.engine.summary import Finished, Listener, Planned, StageResult, Started, Status, Summary
 from objectfolder.engine.workers import Finished as FinishedQueue
 from objectfolder.engine.workers import LocalWorkers, Workers
-from objectfolder.engine.workspace import owned, read_params
+from objectfolder.engine.workspace import held, read_params
 from objectfolder.errors import ObjectFolderError
 
 LOGS = Path("build/.logs")
@@ -99,7 +99,7 @@ def build(
     """
     start = time.monotonic()
     root = Path(root).resolve()
-    with owned(root) as repo:
+    with held(root) as (repo, lockfiles):
         try:
             wanted = plan(repo, root, targets)
         except DvcException as error:
@@ -110,7 +110,7 @@ def build(
         if options.timeout is not None:
             limit = options.timeout or None
             needs = {address: replace(need, timeout=limit) for address, need in needs.items()}
-        results = _Build(wanted, needs, options, root / LOGS, on_event, make_workers).run()
+        results = _Build(wanted, needs, options, lockfiles, root / LOGS, on_event, make_workers).run()
     ordered = {address: results[address] for address in wanted.stages}
     return Summary(stages=ordered, seconds=time.monotonic() - start)
 
@@ -131,6 +131,7 @@ class _Build:
         wanted: Plan,
         needs: dict[str, Needs],
         options: Options,
+        lockfiles: LockFiles,
         logs: Path,
         on_event: Listener,
         make_workers: MakeWorkers,
@@ -145,7 +146,7 @@ class _Build:
         # Stages known to have changed, waiting for a free worker; the most urgent first.
         self.due: list[tuple[tuple[float, int], str]] = []
         self.running: set[str] = set()
-        self.lockfiles = LockFiles()
+        self.lockfiles = lockfiles
         self.finished: FinishedQueue = SimpleQueue()
         self.workers = make_workers(options.jobs, self.finished)
         self.signal: int | None = None

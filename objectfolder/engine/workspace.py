@@ -16,6 +16,8 @@ from dvc.repo import Repo, lock_repo
 from dvc.rwlock import RWLOCK_FILE
 from dvc.utils.serialize import load_yaml
 
+from objectfolder.engine.lockfile import LockFiles
+from objectfolder.engine.once import remembered
 from objectfolder.errors import ObjectFolderError
 
 LOGGERS = ("dvc", "dvc_data", "dvc_objects")
@@ -23,6 +25,13 @@ LOGGERS = ("dvc", "dvc_data", "dvc_objects")
 
 @contextmanager
 def owned(root: str | Path = ".") -> Iterator[Repo]:
+    """Open the DVC repository of a workspace to read it; otherwise as `held`."""
+    with held(root) as (repo, _):
+        yield repo
+
+
+@contextmanager
+def held(root: str | Path = ".") -> Iterator[tuple[Repo, LockFiles]]:
     """Open the DVC repository of a workspace and hold its lock.
 
     The process works in ``root`` meanwhile: DVC resolves the outputs of its run cache against the current
@@ -46,8 +55,9 @@ def owned(root: str | Path = ".") -> Iterator[Repo]:
             raise ObjectFolderError(f"DVC cannot open {Path.cwd()}: {error}") from error
         with repo, _locked(repo):
             _refuse_if_busy(repo)
-            with repo.scm_context(quiet=True):
-                yield repo
+            lockfiles = LockFiles(Path(repo.root_dir))
+            with repo.scm_context(quiet=True), remembered(), lockfiles.serving():
+                yield repo, lockfiles
 
 
 def read_params(root: Path) -> dict[str, Any]:
