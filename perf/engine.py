@@ -64,7 +64,7 @@ def dummy(root: Path, objects: int) -> Path:
     for key in keys:
         (root / "data/objects" / key).mkdir(parents=True)
         (root / "data/objects" / key / "mesh.glb").write_text(key)
-    with Repo(root) as repo:
+    with Repo(root) as repo, repo.scm_context(quiet=True):
         repo.add([str(root / "data/objects" / key) for key in keys])
     return root
 
@@ -171,7 +171,7 @@ def dvc(root: Path, *arguments: str, limit: float | None = None) -> float | None
         if process.wait(limit):
             sys.exit(f"dvc {' '.join(arguments)} failed in {root}")
     except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGINT)
+        os.killpg(process.pid, signal.SIGKILL)
         process.wait()
         return None
     return time.monotonic() - start

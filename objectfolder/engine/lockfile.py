@@ -22,10 +22,10 @@ from unittest.mock import patch
 from dvc.dvcfile import Lockfile
 from dvc.stage import PipelineStage, Stage
 from dvc.stage.serialize import to_lockfile
-from dvc.utils.serialize import dumps_yaml
 from dvc.utils.strictyaml import YAMLSyntaxError, YAMLValidationError
 
 from objectfolder.artifacts import atomic
+from objectfolder.engine import emit
 from objectfolder.errors import ObjectFolderError
 
 PERIOD = 5.0
@@ -149,10 +149,10 @@ class LockFiles:
             texts = self._text[path]
             for name, entry in contents["stages"].items():
                 if name not in texts:
-                    texts[name] = dumps_yaml({"stages": {name: entry}}).removeprefix("stages:\n")
+                    texts[name] = emit.dumps({"stages": {name: entry}}).removeprefix("stages:\n")
             text = HEAD + "".join(texts[name] for name in contents["stages"])
         else:
-            text = dumps_yaml(contents)
+            text = emit.dumps(contents)
         with atomic(path) as temporary:
             temporary.write_text(text)
         self._write_copy(path, contents, text.encode())
