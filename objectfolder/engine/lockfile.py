@@ -170,12 +170,8 @@ class LockFiles:
 
     def _write_copy(self, path: Path, contents: Any, text: bytes) -> None:
         copy = {"sha256": hashlib.sha256(text).hexdigest(), "contents": contents}
-        try:
-            dumped = json.dumps(copy)
-            faithful = json.loads(dumped) == copy
-        except TypeError:  # a parameter may be a date
-            faithful = False
-        if faithful:
+        dumped = json.dumps(copy)
+        if json.loads(dumped) == copy:  # not if a parameter has keys that are numbers
             with atomic(self._copy_path(path)) as temporary:
                 temporary.write_text(dumped)
         else:
