@@ -104,12 +104,12 @@ def build(
             wanted = plan(repo, root, targets)
         except DvcException as error:
             raise ObjectFolderError(f"DVC cannot read the pipeline in {root}: {error}") from error
-        on_event(Planned(tuple(wanted.stages)))
         params = read_params(root)
         needs = {address: needs_of(address, params) for address in wanted.stages}
         if options.timeout is not None:
             limit = options.timeout or None
             needs = {address: replace(need, timeout=limit) for address, need in needs.items()}
+        on_event(Planned({address: need.seconds for address, need in needs.items()}))
         results = _Build(wanted, needs, options, lockfiles, root / LOGS, on_event, make_workers).run()
     ordered = {address: results[address] for address in wanted.stages}
     return Summary(stages=ordered, seconds=time.monotonic() - start)
@@ -142,7 +142,7 @@ class _Build:
         self.logs = logs
         self.on_event = on_event
         self.results: dict[str, StageResult] = {}
-        self.schedule = Schedule(wanted.upstream)
+        self.schedule = Schedule(wanted.upstream, lambda address: needs[address].seconds)
         # Stages known to have changed, waiting for a free worker; the most urgent first.
         self.due: list[tuple[tuple[float, int], str]] = []
         self.running: set[str] = set()

@@ -3,29 +3,8 @@
 import heapq
 from collections.abc import Callable, Mapping, Set
 
-# Rough CPU seconds per stage on one core, preset quick. Only their order matters: the longest chain of an
-# object should start first. A stage that is not listed weighs 1.
-WEIGHTS = {
-    "normalize": 5,
-    "voxelize": 4,
-    "modal": 30,
-    "render_views": 60,
-    "render_touch": 20,
-    "train_vision": 60,
-    "train_audio": 60,
-    "train_touch": 60,
-    "evaluate": 20,
-}
 
-
-def stage_weight(address: str) -> float:
-    """Rough cost of a stage from its name."""
-    return WEIGHTS.get(address.partition("@")[0], 1)
-
-
-def remaining_paths(
-    upstream: Mapping[str, Set[str]], weight: Callable[[str], float] = stage_weight
-) -> dict[str, float]:
+def remaining_paths(upstream: Mapping[str, Set[str]], weight: Callable[[str], float]) -> dict[str, float]:
     """Length of the longest path from each stage to the end of the graph, the stage included.
 
     Parameters
@@ -49,15 +28,17 @@ class Schedule:
     ----------
     upstream : mapping of str to set of str
         Direct upstream stages of every stage; the keys are in topological order.
+    weight : callable
+        Rough cost of a stage. Only the order matters: the longest chain should start first.
     """
 
-    def __init__(self, upstream: Mapping[str, Set[str]]):
+    def __init__(self, upstream: Mapping[str, Set[str]], weight: Callable[[str], float]):
         self._waiting = {address: set(parents) for address, parents in upstream.items()}
         self._downstream: dict[str, list[str]] = {address: [] for address in upstream}
         for address, parents in upstream.items():
             for parent in parents:
                 self._downstream[parent].append(address)
-        lengths = remaining_paths(upstream)
+        lengths = remaining_paths(upstream, weight)
         # Ties go to the topological order, so that a build is the same every time.
         self.rank = {address: (-lengths[address], place) for place, address in enumerate(upstream)}
         self._ready: list[tuple[tuple[float, int], str]] = []
