@@ -17,7 +17,7 @@ from objectfolder.engine.graph import Plan, plan
 from objectfolder.engine.lockfile import LockFiles
 from objectfolder.engine.process import Outcome, describe, tail
 from objectfolder.engine.resources import Machine, Needs, cores, needs_of
-from objectfolder.engine.schedule import Schedule
+from objectfolder.engine.schedule import Schedule, object_groups
 from objectfolder.engine.summary import Finished, Listener, Planned, StageResult, Started, Status, Summary
 from objectfolder.engine.workers import Finished as FinishedQueue
 from objectfolder.engine.workers import LocalWorkers, Workers
@@ -25,6 +25,7 @@ from objectfolder.engine.workspace import held, read_params
 from objectfolder.errors import ObjectFolderError
 
 LOGS = Path("build/.logs")
+OBJECTS_PER_CORE = 2  # that are worked on at a time
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -142,13 +143,17 @@ class _Build:
         self.logs = logs
         self.on_event = on_event
         self.results: dict[str, StageResult] = {}
-        self.schedule = Schedule(wanted.upstream, lambda address: needs[address].seconds)
         # Stages known to have changed, waiting for a free worker; the most urgent first.
-        self.due: list[tuple[tuple[float, int], str]] = []
+        self.due: list[tuple[tuple[int, float, int], str]] = []
         self.running: set[str] = set()
         self.lockfiles = lockfiles
         self.finished: FinishedQueue = SimpleQueue()
         self.workers = make_workers(options.jobs, self.finished)
+        self.schedule = Schedule(
+            wanted.upstream,
+            weight=lambda address: needs[address].seconds,
+            group=object_groups(wanted.stages, OBJECTS_PER_CORE * self.workers.cores),
+        )
         self.signal: int | None = None
         self.stopping = False
 

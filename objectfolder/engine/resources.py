@@ -109,6 +109,7 @@ class Machine:
     def __init__(self, cpus: int, memory_mb: float | None = None, gpus: Sequence[str] | None = None):
         if memory_mb is None:
             memory_mb = psutil.virtual_memory().available / 2**20 * MEMORY_SHARE
+        self.cores = cpus
         self._cpus = cpus
         self._memory_mb = int(memory_mb)
         self._gpus = dict.fromkeys(machine_gpus() if gpus is None else gpus, 1.0)  # free share of each

@@ -1,6 +1,6 @@
 from collections import defaultdict
 
-from objectfolder.engine.schedule import Schedule, remaining_paths
+from objectfolder.engine.schedule import Schedule, object_groups, remaining_paths
 
 EQUAL = defaultdict(lambda: 1).__getitem__
 DIAMOND = {"a": set(), "x": set(), "b": {"a"}, "c": {"a"}, "d": {"b", "c"}}
@@ -33,3 +33,19 @@ def test_ready_only_when_all_upstream_is_done():
 def test_downstream_is_transitive_and_ordered():
     assert Schedule(DIAMOND, EQUAL).downstream("a") == ["b", "c", "d"]
     assert Schedule(DIAMOND, EQUAL).downstream("x") == []
+
+
+def test_objects_are_finished_a_group_at_a_time():
+    chains = {}
+    for key in "abcd":
+        chains |= {f"first@{key}": {"shared"}, f"second@{key}": {f"first@{key}"}}
+    upstream = {"shared": set(), **chains, "last": set(chains)}
+    schedule = Schedule(upstream, EQUAL, object_groups(upstream, 2))
+    order = []
+    while (address := schedule.pop()) is not None:
+        order.append(address)
+        schedule.finish(address)
+    assert order == [
+        *("shared", "first@a", "first@b", "second@a", "second@b"),
+        *("first@c", "first@d", "second@c", "second@d", "last"),
+    ]
