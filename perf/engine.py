@@ -1,4 +1,4 @@
-"""The build engine on its own: `python perf/engine.py COMMAND [--objects N] [--workers N] [--json FILE]`.
+"""The build engine on its own: `python perf/engine.py COMMAND [--objects N ...] [--workers N] [--json FILE]`.
 
 `scale` builds N objects with the stages, dependencies, parameters and outputs of dvc.yaml, but commands that
 only write a line: a first build, a build with nothing to do, one changed material; beside it, as far as it
@@ -177,7 +177,7 @@ def dvc(root: Path, *arguments: str, limit: float | None = None) -> float | None
     return time.monotonic() - start
 
 
-def scale(folder: Path, objects: int, workers: int) -> dict:
+def scale(folder: Path, workers: int, objects: int) -> dict:
     """First build, nothing to do, one changed material; and DVC alone."""
     root = dummy(folder / "own", objects)
     row = {
@@ -199,14 +199,14 @@ def scale(folder: Path, objects: int, workers: int) -> dict:
     return row | {"peer_stages": done, "peer_s": seconds}
 
 
-def efficiency(folder: Path, workers: int) -> dict:
+def efficiency(folder: Path, workers: int, _: int) -> dict:
     """How much of the workers' time goes into commands."""
     ran = fresh(columns(folder / "own", COLUMNS, STAGES, SECONDS), workers)
     work = COLUMNS * STAGES * SECONDS
     return {"workers": workers, "seconds": ran["seconds"], "efficiency": work / workers / ran["seconds"]}
 
 
-def starter(folder: Path, workers: int) -> dict:
+def starter(folder: Path, workers: int, _: int) -> dict:
     """The real starter catalogue from nothing, here and with DVC alone."""
     for name in ("own", "peer"):
         subprocess.run(["git", "clone", "-q", ROOT, folder / name], check=True)
@@ -295,22 +295,20 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("command", choices=("scale", "efficiency", "starter"))
-    parser.add_argument("--objects", type=int, default=100)
+    parser.add_argument("--objects", type=int, nargs="+", default=[100], help="for scale")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--json", type=Path, help="also write the figures here")
     arguments = parser.parse_args()
-    with tempfile.TemporaryDirectory() as name:
-        if arguments.command == "scale":
-            row = scale(Path(name), arguments.objects, arguments.workers)
-        else:
-            row = {"efficiency": efficiency, "starter": starter}[arguments.command](
-                Path(name), arguments.workers
-            )
-    met = show(arguments.command, row, Console())
+    measure = {"scale": scale, "efficiency": efficiency, "starter": starter}[arguments.command]
+    rows = []
+    for objects in arguments.objects if arguments.command == "scale" else [0]:
+        with tempfile.TemporaryDirectory() as name:
+            rows.append(measure(Path(name), arguments.workers, objects))
+    met = [show(arguments.command, row, Console()) for row in rows]
     if arguments.json:
         with atomic(arguments.json) as temporary:
-            temporary.write_text(json.dumps(row, indent=2) + "\n")
-    sys.exit(not met)
+            temporary.write_text(json.dumps({arguments.command: rows}, indent=2) + "\n")
+    sys.exit(not all(met))
 
 
 if __name__ == "__main__":
