@@ -445,10 +445,10 @@ def engine_scale(figures: dict) -> list[str]:
     """Table of what `perf/engine.py scale` has measured."""
     lines = [
         "\n## Build engine\n",
-        "`python perf/engine.py scale --objects 100 1000 --json build/perf/engine_scale.json`: the real graph "
-        "with commands that only write a line, two workers; wall seconds. A stage of the first build includes "
-        "the start of its shell. DVC alone: `dvc repro` on the same workspace, its first build stopped after "
-        "a minute, one with nothing to do after five.",
+        "`python perf/engine.py scale --objects 100 1000 --json build/perf/engine_scale.json`: the real "
+        "graph with commands that only write a line, two workers; wall seconds. A stage of the first build "
+        "includes the start of its shell. DVC alone: `dvc repro` on the same workspace, its first build "
+        "stopped after a minute, one with nothing to do after five.",
         "",
         "| objects | stages | first build, ms per stage | engine CPU s | MB | nothing to do, s | MB "
         "| one material, stages | s | DVC: ms per stage | nothing to do, s |",
@@ -488,8 +488,8 @@ def engine_starter(figures: dict) -> list[str]:
     (row,) = figures["starter"]
     return [
         "",
-        f"`python perf/engine.py starter`: the starter catalogue from nothing takes {row['own_s']:.0f} s with "
-        f"{row['workers']} workers and {row['peer_s']:.0f} s with `dvc repro`, "
+        f"`python perf/engine.py starter`: the starter catalogue from nothing takes {row['own_s']:.0f} s "
+        f"with {row['workers']} workers and {row['peer_s']:.0f} s with `dvc repro`, "
         f"{row['peer_s'] / row['own_s']:.2f} times as long.",
     ]
 
@@ -509,9 +509,9 @@ def main() -> None:
     lines = [
         "# Results",
         "",
-        "Regenerate: `make demo`, then geometry, modal_accuracy, modal, audio, vision, touch, engine and results in",
-        "perf/. Objects other than the starters were added with `objectfolder add` from YCB, Google Scanned",
-        "Objects and Poly Haven.",
+        "Regenerate: `make demo`, then geometry, modal_accuracy, modal, audio, vision, touch, engine and",
+        "results in perf/. Objects other than the starters were added with `objectfolder add` from YCB,",
+        "Google Scanned Objects and Poly Haven.",
         "",
         f"Machine: {cpu or platform.processor()}, one thread per stage. "
         f"Preset `{preset(values)}`, seed {values['seed']}. PSNR in dB, data in [0, 1], peak 1, "
