@@ -30,7 +30,7 @@ from objectfolder.engine.build import Options, build
 from objectfolder.engine.summary import Status
 
 ROOT = Path(__file__).parents[1]
-PEER_SECONDS = 60.0
+PEER_SECONDS, IDLE_SECONDS = 60.0, 180.0  # where DVC alone is stopped
 MAX_OVERHEAD_MS = 60.0  # per stage
 MAX_IDLE = {100: (5.0, None), 1000: (60.0, 1024.0)}  # objects: seconds, MB
 RERUN = 4  # stages of a changed material
@@ -179,7 +179,8 @@ def dvc(root: Path, *arguments: str, limit: float | None = None) -> float | None
 
 def scale(folder: Path, workers: int, objects: int) -> dict:
     """First build, nothing to do, one changed material; and DVC alone."""
-    root = dummy(folder / "own", objects)
+    root, peer = dummy(folder / "own", objects), folder / "peer"
+    shutil.copytree(root, peer, symlinks=True)
     row = {
         "objects": objects,
         "workers": workers,
@@ -190,9 +191,8 @@ def scale(folder: Path, workers: int, objects: int) -> dict:
     text = params.read_text()
     params.write_text(text.replace(f"material: {MATERIALS[0]}", f"material: {MATERIALS[1]}", 1))
     row["changed"] = fresh(root, workers)
-    row["status_s"] = dvc(root, "status", limit=5 * PEER_SECONDS)
-    row["peer_idle_s"] = dvc(root, "repro", limit=5 * PEER_SECONDS)
-    peer = dummy(folder / "peer", objects)
+    row["status_s"] = dvc(root, "status", limit=IDLE_SECONDS)
+    row["peer_idle_s"] = dvc(root, "repro", limit=IDLE_SECONDS)
     seconds = dvc(peer, "repro", limit=PEER_SECONDS) or PEER_SECONDS
     lock = peer / "dvc.lock"
     done = len(re.findall(r"^  \S+:$", lock.read_text(), re.MULTILINE)) if lock.exists() else 0
@@ -250,7 +250,7 @@ def lines(command: str, row: dict) -> list[tuple[str, str, str, bool]]:
     seconds, megabytes = MAX_IDLE.get(row["objects"], (None, None))
     peer = 1000 * row["peer_s"] / max(1, row["peer_stages"])
     times = f"dvc repro, first {row['peer_stages']}: {peer:.0f}, {peer / per_stage:.1f} times"
-    repro = "over 300" if row["peer_idle_s"] is None else f"{row['peer_idle_s']:.0f}"
+    repro = f"over {IDLE_SECONDS:.0f}" if row["peer_idle_s"] is None else f"{row['peer_idle_s']:.0f}"
     return [
         (
             f"first build, per stage of {first['ran']}",
@@ -300,11 +300,11 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="also write the figures here")
     arguments = parser.parse_args()
     measure = {"scale": scale, "efficiency": efficiency, "starter": starter}[arguments.command]
-    rows = []
+    rows, met = [], []
     for objects in arguments.objects if arguments.command == "scale" else [0]:
-        with tempfile.TemporaryDirectory() as name:
+        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as name:
             rows.append(measure(Path(name), arguments.workers, objects))
-    met = [show(arguments.command, row, Console()) for row in rows]
+        met.append(show(arguments.command, rows[-1], Console()))
     if arguments.json:
         with atomic(arguments.json) as temporary:
             temporary.write_text(json.dumps({arguments.command: rows}, indent=2) + "\n")

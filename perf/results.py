@@ -448,7 +448,7 @@ def engine_scale(figures: dict) -> list[str]:
         "`python perf/engine.py scale --objects 100 1000 --json build/perf/engine_scale.json`: the real "
         "graph with commands that only write a line, two workers; wall seconds. A stage of the first build "
         "includes the start of its shell. DVC alone: `dvc repro` on the same workspace, its first build "
-        "stopped after a minute, one with nothing to do after five.",
+        "stopped after a minute, one with nothing to do after three.",
         "",
         "| objects | stages | first build, ms per stage | engine CPU s | MB | nothing to do, s | MB "
         "| one material, stages | s | DVC: ms per stage | nothing to do, s |",
@@ -467,7 +467,7 @@ def engine_scale(figures: dict) -> list[str]:
             changed["ran"],
             f"{changed['seconds']:.1f}",
             f"{1000 * row['peer_s'] / stages:.0f}" if stages else "none in a minute",
-            "over 300" if row["peer_idle_s"] is None else f"{row['peer_idle_s']:.0f}",
+            "over 180" if row["peer_idle_s"] is None else f"{row['peer_idle_s']:.0f}",
         )
         lines.append(f"| {' | '.join(map(str, values))} |")
     return lines
