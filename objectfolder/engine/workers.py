@@ -12,6 +12,10 @@ from objectfolder.engine.resources import Machine, Needs
 Finished = SimpleQueue[tuple[str, Outcome | Exception] | None]
 
 
+class WorkerLost(Exception):
+    """A command ended with the worker or node that ran it, through no fault of its own."""
+
+
 class Workers(Protocol):
     """Run commands and put ``(address, outcome)`` into a queue."""
 
