@@ -250,39 +250,41 @@ class RayWorkers:
 
     def _probe(self) -> None:
         """Make sure that every node can run the engine's code and sees the workspace."""
-        from ray.exceptions import GetTimeoutError, RayError, RayTaskError
         from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
         check = self.ray.remote(node.check)
-        looks = {
-            place: check.options(
+        looks = [
+            check.options(
                 num_cpus=0,
                 max_retries=0,
                 scheduling_strategy=NodeAffinitySchedulingStrategy(place.id, soft=False),
             ).remote(self._marker)
             for place in self._nodes
-        }
-        problems = []
-        self.ray.wait(list(looks.values()), num_returns=len(looks), timeout=PROBE_TIMEOUT)
-        for place, look in looks.items():
-            try:
-                self.ray.get(look, timeout=0)
-            except GetTimeoutError:
-                problems.append(
-                    f"node {place.name} has not answered for {PROBE_TIMEOUT:.0f} s; see its Ray logs"
-                )
-            except RayTaskError as error:
-                cause = _cause(error)
-                problems.append(
-                    str(cause)
-                    if isinstance(cause, node.NotShared)
-                    else f"node {place.name} cannot run the engine's code ({_last_line(cause)}); install objectfolder there, "
-                    "for the Python that runs `ray start`"
-                )
-            except RayError as error:
-                problems.append(f"node {place.name}: {_describe(error)}")
-        if problems:
-            raise ObjectFolderError("\n".join(problems))
+        ]
+        self.ray.wait(looks, num_returns=len(looks), timeout=PROBE_TIMEOUT)
+        problems = filter(None, map(self._problem, self._nodes, looks))
+        if text := "\n".join(dict.fromkeys(problems)):
+            raise ObjectFolderError(text)
+
+    def _problem(self, place: Node, look: Any) -> str:
+        """What is wrong with a node; empty if nothing."""
+        from ray.exceptions import GetTimeoutError, RayError, RayTaskError
+
+        try:
+            self.ray.get(look, timeout=0)
+        except GetTimeoutError:
+            return f"node {place.name} has not answered for {PROBE_TIMEOUT:.0f} s; see its Ray logs"
+        except RayTaskError as error:
+            cause = _cause(error)
+            if isinstance(cause, node.NotShared):
+                return str(cause)
+            return (
+                f"node {place.name} cannot run the engine's code ({_last_line(cause)}); "
+                "install objectfolder there, for the Python that runs `ray start`"
+            )
+        except RayError as error:
+            return f"node {place.name}: {_describe(error)}"
+        return ""
 
     def _disconnect(self) -> None:
         self._marker.unlink(missing_ok=True)

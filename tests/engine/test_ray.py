@@ -1,4 +1,4 @@
-"""A real cluster of two nodes on this machine: node `head` with one core, node `worker` with two and a GPU."""
+"""A real cluster of two nodes on this machine: `head` with one core, `worker` with two and a GPU."""
 
 import os
 import shutil
@@ -154,7 +154,7 @@ def test_stages_of_half_a_gpu_share_it(make_workspace, cluster, monkeypatch):
         "stages:\n"
         "  meet:\n"
         "    foreach: [bell, mug]\n"
-        "    do: {cmd: python meet.py ${item}, outs: ['build/${item}']}\n"
+        "    do: {cmd: 'python meet.py ${item}', outs: ['build/${item}']}\n"
     )
     (workspace.root / "meet.py").write_text(
         "import os, sys, time\n"
