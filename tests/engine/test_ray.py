@@ -109,7 +109,9 @@ def cluster() -> Iterator[Cluster]:
 @pytest.fixture
 def located(workspace: Workspace) -> Workspace:
     """The small workspace; its stages write down where they run."""
-    where = "import os; where = os.environ['TEST_NODE'], os.environ['CUDA_VISIBLE_DEVICES']\n"
+    where = (
+        "import os; where = [os.environ.get(name, '?') for name in ('TEST_NODE', 'CUDA_VISIBLE_DEVICES')]\n"
+    )
     where += "open('where', 'a').write(' '.join((os.environ['DVC_STAGE'], *where)) + '\\n')\n"
     (workspace.root / "steps.py").write_text(where + STEPS)
     return workspace
@@ -195,7 +197,10 @@ def test_node_without_the_workspace_is_named(workspace, cluster, monkeypatch):
         build(root=workspace.root, make_workers=ray_workers(cluster.address))
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGKILL, -9), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"),
+    [(signal.SIGKILL, -9), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)],
+)
 def test_stages_die_with_the_engine_and_the_next_build_completes(located, cluster, number, code):
     located.control("solve@mug", "60")
     engine = start(located, cluster)
