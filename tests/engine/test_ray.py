@@ -183,6 +183,7 @@ def test_stages_of_a_whole_gpu_take_turns_and_too_large_ones_are_cut_down(locate
     assert located.calls()[-2][4] == "2"  # threads: the cores that the stage got
 
 
+@pytest.mark.slow
 def test_jobs_limit_the_cores_of_the_whole_cluster(located, cluster):
     options = Options(jobs=1)
     assert build(["prepare"], options, located.root, make_workers=ray_workers(cluster.address)).ok
