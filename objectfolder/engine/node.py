@@ -1,6 +1,6 @@
 """What runs on a node of a cluster: the command of one stage, with that node's Python and environment.
 
-Needs nothing but the standard library and Ray: a node that only runs stages does without DVC's engine side.
+Imports no DVC, which only the engine needs.
 """
 
 import os

@@ -5,9 +5,10 @@ import os
 import signal
 import socket
 import threading
+import time
 import uuid
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, wait
+from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -125,7 +126,7 @@ class RayWorkers:
         self.finished = finished
         self._taken: dict[str, Needs] = {}
         self._refs: dict[str, Any] = {}
-        self._futures: set[Future[Outcome]] = set()
+        self._ended: dict[str, threading.Event] = {}
         self._closing = threading.Event()
         self._marker = workspace / LOGS / MARKER.format(uuid.uuid4().hex)
         try:
@@ -140,17 +141,18 @@ class RayWorkers:
 
     def room(self, needs: Needs) -> str:
         """What a command would have to wait for in the cluster as a whole; Ray chooses the node."""
-        if not self._taken or not self._nodes:
+        nodes = self._nodes  # which `_watch` replaces
+        if not self._taken or not nodes:
             return ""  # without nodes, `submit` says what is wrong
-        wanted = fitted(needs, self._nodes, self.jobs)
+        wanted = fitted(needs, nodes, self.jobs)
         taken = self._taken.values()
-        cpus = sum(place.cpus for place in self._nodes)
+        cpus = sum(place.cpus for place in nodes)
         if sum(other.cpus for other in taken) + wanted.cpus > min(cpus, self.jobs or cpus):
             return "cpu"
-        memory_mb = sum(place.memory_mb for place in self._nodes)
+        memory_mb = sum(place.memory_mb for place in nodes)
         if sum(other.memory_mb for other in taken) + wanted.memory_mb > memory_mb:
             return "memory"
-        gpus = sum(place.gpus for place in self._nodes)
+        gpus = sum(place.gpus for place in nodes)
         short = sum(other.gpus for other in taken) + wanted.gpus > gpus + 1e-9
         return "gpu" if wanted.gpus and short else ""
 
@@ -174,14 +176,12 @@ class RayWorkers:
         reference = task.remote(command, wanted.cpus, self._marker)
         self._taken[address] = wanted
         self._refs[address] = reference
-        future = reference.future()
-        self._futures.add(future)
-        future.add_done_callback(partial(self._done, address))
+        self._ended[address] = threading.Event()
+        reference.future().add_done_callback(partial(self._done, address, self._ended[address]))
 
     def finish(self, address: str) -> None:
         """Free what a command held."""
-        del self._taken[address], self._refs[address]
-        self._futures = {future for future in self._futures if not future.done()}
+        del self._taken[address], self._refs[address], self._ended[address]
 
     def kill(self) -> None:
         """Kill every running command, by killing its worker."""
@@ -190,25 +190,18 @@ class RayWorkers:
 
     def close(self) -> None:
         """Wait until the commands have ended, and leave the cluster."""
-        wait(self._futures, timeout=KILL_TIMEOUT)
+        deadline = time.monotonic() + KILL_TIMEOUT
+        for ended in self._ended.values():
+            ended.wait(max(0.0, deadline - time.monotonic()))
         self._closing.set()
         self._watcher.join()
         self._disconnect()
 
-    def _done(self, address: str, future: "Future[Outcome]") -> None:
+    def _done(self, address: str, ended: threading.Event, future: "Future[Outcome]") -> None:
         """Report a command; called in a thread of Ray's."""
-        from ray import exceptions
-
         error = future.exception()
-        if error is None:
-            self.finished.put((address, future.result()))
-        elif isinstance(error, exceptions.RayTaskError):
-            self.finished.put((address, _cause(error)))
-        elif isinstance(error, exceptions.TaskCancelledError):
-            # By `_watch`; what `kill` cancels nobody asks about any more.
-            self.finished.put((address, WorkerLost("no node is left that has what it needs")))
-        else:
-            self.finished.put((address, WorkerLost(_describe(error))))
+        self.finished.put((address, future.result() if error is None else _failure(error)))
+        ended.set()
 
     def _find_nodes(self) -> list[Node]:
         nodes = [
@@ -345,6 +338,18 @@ def _own_signals() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, handler)
+
+
+def _failure(error: BaseException) -> Exception:
+    """What the engine is to hear of a command that has no outcome."""
+    from ray.exceptions import RayTaskError, TaskCancelledError
+
+    if isinstance(error, RayTaskError):
+        return _cause(error)
+    if isinstance(error, TaskCancelledError):
+        # By `_watch`; what `kill` cancels nobody asks about any more.
+        return WorkerLost("no node is left that has what it needs")
+    return WorkerLost(_describe(error))
 
 
 def _cause(error: Any) -> Exception:
