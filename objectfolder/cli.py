@@ -1,6 +1,7 @@
 """The `objectfolder` command."""
 
 import sys
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
@@ -39,6 +40,14 @@ TOUCH_COLUMNS = {
     "obstructed": "obstructed",
 }
 
+
+class Engine(StrEnum):
+    """Where a build runs its stages."""
+
+    LOCAL = "local"
+    RAY = "ray"
+
+
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="An ObjectFile.safetensors.")]
 OutArgument = Annotated[Path, typer.Argument(metavar="OUT", help="Folder for 1.png, 2.png ... or 1.wav ...")]
 
@@ -66,7 +75,10 @@ def build(
         typer.Argument(metavar="[TARGET]...", help="`modal@mug`, `train_audio` or `mug`; default: all."),
     ] = None,
     jobs: Annotated[
-        int | None, typer.Option("--jobs", "-j", min=1, help="Cores to use; default: all of this machine.")
+        int | None,
+        typer.Option(
+            "--jobs", "-j", min=1, help="Cores to use; default: all (--engine ray: of the cluster)."
+        ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", "-f", help="Run even what is up to date.")] = False,
     keep_going: Annotated[
@@ -79,25 +91,43 @@ def build(
             min=0, help="Seconds after which a stage is killed; 0: never. Default: hours, by stage."
         ),
     ] = None,
+    engine: Annotated[
+        Engine, typer.Option(help="Run stages on this machine, or on the nodes of a Ray cluster.")
+    ] = Engine.LOCAL,
+    address: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HOST:PORT", help="Head of the Ray cluster; default: auto, the one this machine is in."
+        ),
+    ] = None,
 ) -> None:
     """Build what is out of date, in parallel, through DVC's graph and cache.
 
-    Examples: `objectfolder build -j 2`, `objectfolder build mug`, `objectfolder build modal@mug`.
+    Examples: `objectfolder build -j 2`, `objectfolder build mug`, `objectfolder build modal@mug`,
+    `objectfolder build --engine ray` (docs/pipeline.md: what a cluster must share).
     Logs of stages are in build/.logs. `dvc status`, `dvc repro` and `dvc metrics show` work as usual.
     """
     from objectfolder import params
     from objectfolder.artifacts import check_writable
-    from objectfolder.engine.build import Options
+    from objectfolder.engine.build import Options, local_workers
     from objectfolder.engine.build import build as run_build
     from objectfolder.engine.progress import Progress, print_summary
+    from objectfolder.engine.ray import ray_workers
     from objectfolder.touch.profiles import load_profile, require_renderer
 
+    if address is not None and engine is Engine.LOCAL:
+        raise ObjectFolderError(f"--address {address} is for --engine ray; give both")
     values = params.read()
     params.check_all(values)
     require_renderer(load_profile(values["sensor"]), values["render_touch"]["renderer"])
     check_writable(Path("build"))
     with Progress() as progress:
-        summary = run_build(targets or (), Options(jobs, force, keep_going, timeout), on_event=progress)
+        summary = run_build(
+            targets or (),
+            Options(jobs, force, keep_going, timeout),
+            on_event=progress,
+            make_workers=ray_workers(address or "auto") if engine is Engine.RAY else local_workers,
+        )
     print_summary(summary)
     evaluated = [a.partition("@")[2] for a in summary.stages if a.startswith("evaluate@")]
     if summary.ok and evaluated:

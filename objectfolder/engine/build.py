@@ -4,6 +4,7 @@ import bisect
 import signal
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -18,14 +19,25 @@ from objectfolder.engine.lockfile import LockFiles
 from objectfolder.engine.process import Outcome, describe, tail
 from objectfolder.engine.resources import Machine, Needs, cores, needs_of
 from objectfolder.engine.schedule import Schedule, object_groups
-from objectfolder.engine.summary import Finished, Listener, Planned, StageResult, Started, Status, Summary
+from objectfolder.engine.summary import (
+    Finished,
+    Listener,
+    Lost,
+    Planned,
+    StageResult,
+    Started,
+    Status,
+    Summary,
+)
 from objectfolder.engine.workers import Finished as FinishedQueue
-from objectfolder.engine.workers import LocalWorkers, Workers
+from objectfolder.engine.workers import LocalWorkers, WorkerLost, Workers
 from objectfolder.engine.workspace import held, read_params
 from objectfolder.errors import ObjectFolderError
 
 LOGS = Path("build/.logs")
 OBJECTS_PER_CORE = 2  # that are worked on at a time
+#: How often a stage is started again when it was lost with its worker.
+RESTARTS = 3
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -89,7 +101,7 @@ def build(
     root : Path
         Workspace, the directory that holds ``dvc.yaml``.
     on_event : callable
-        Called in this thread with every `Planned`, `Started` and `Finished`.
+        Called in this thread with every `Planned`, `Started`, `Lost` and `Finished`.
     make_workers : callable
         Makes what runs the commands; default: this machine.
 
@@ -146,6 +158,7 @@ class _Build:
         # Stages known to have changed, waiting for a free worker; the most urgent first.
         self.due: list[tuple[tuple[int, float, int], str]] = []
         self.running: set[str] = set()
+        self.losses: Counter[str] = Counter()
         self.lockfiles = lockfiles
         self.finished: FinishedQueue = SimpleQueue()
         self.workers = make_workers(options.jobs, self.finished)
@@ -266,6 +279,9 @@ class _Build:
         self.workers.finish(address)
         if self.stopping and not (isinstance(outcome, Outcome) and outcome.code == 0):
             return  # killed by us: not a failure of the stage
+        if isinstance(outcome, WorkerLost):
+            self._lose(address, outcome)
+            return
         log = self._log(address)
         if isinstance(outcome, Exception):
             self._fail(StageResult(address, Status.FAILED, error=f"cannot run the command: {outcome}"))
@@ -290,6 +306,16 @@ class _Build:
             self._fail(result)
         else:
             self._succeed(result)
+
+    def _lose(self, address: str, loss: WorkerLost) -> None:
+        """Put a stage whose worker is gone back among those to start, unless that keeps happening."""
+        self.losses[address] += 1
+        if self.losses[address] > RESTARTS:
+            error = f"lost {self.losses[address]} times with its worker, the last time because {loss}"
+            self._fail(StageResult(address, Status.FAILED, error=error))
+            return
+        bisect.insort(self.due, (self.schedule.rank[address], address))
+        self.on_event(Lost(address, str(loss)))
 
     def _log(self, address: str) -> Path:
         return self.logs / f"{address.replace('/', '_')}.log"

@@ -10,7 +10,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from objectfolder.engine.summary import Event, Finished, Planned, StageResult, Started, Status, Summary
+from objectfolder.engine.summary import Event, Finished, Lost, Planned, StageResult, Started, Status, Summary
 
 STYLES = {
     Status.RAN: "green",
@@ -71,6 +71,9 @@ class Progress:
                 self.running[address] = time.monotonic()
                 if self._live is None:
                     self._line(f"started  {address}")
+            case Lost(address, reason):
+                self.running.pop(address, None)
+                self._line(f"lost     {address} {reason}; it will run again", "yellow")
             case Finished(result):
                 self.running.pop(result.address, None)
                 self.counts[result.status] += 1

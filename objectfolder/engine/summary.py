@@ -107,11 +107,19 @@ class Started:
 
 
 @dataclass(frozen=True)
+class Lost:
+    """A command ended with its worker or node; it will be started again."""
+
+    address: str
+    reason: str
+
+
+@dataclass(frozen=True)
 class Finished:
     """A stage has ended, in whatever way."""
 
     result: StageResult
 
 
-Event = Planned | Started | Finished
+Event = Planned | Started | Lost | Finished
 Listener = Callable[[Event], None]

@@ -4,6 +4,9 @@ A script, started by `objectfolder.engine.process` with ``ENGINE_PID REPORT_FD C
 the engine and the command for two reasons. When the engine dies, the kernel tells only its direct children;
 this one passes it on to the whole process group, a shell's children included. And a process's peak memory
 starts at that of the process it was forked from, so forking from the engine would hide anything smaller.
+
+It is two processes: a worker of Ray kills its direct children when it ends, and then it is the second one
+that is left to end the command.
 """
 
 import ctypes
@@ -20,9 +23,12 @@ def main(engine: int, report: int, commands: list[str]) -> None:
     """Run the commands until one fails, then write exit code, wall seconds and peak MB as JSON."""
     os.set_inheritable(report, False)
     signal.signal(signal.SIGTERM, lambda *_: os.killpg(0, signal.SIGKILL))
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
-    if os.getppid() != engine:  # it died before the kernel was asked to watch it
+    die_with(engine)
+    first = os.getpid()
+    if second := os.fork():
+        os.waitpid(second, 0)
         return
+    die_with(first)
     start = time.monotonic()
     code, peak_kb = 0, 0
     for command in commands:
@@ -36,6 +42,13 @@ def main(engine: int, report: int, commands: list[str]) -> None:
             break
     result = {"code": code, "seconds": time.monotonic() - start, "peak_mb": peak_kb / 1024}
     os.write(report, json.dumps(result).encode())
+
+
+def die_with(parent: int) -> None:
+    """End the whole group when the parent ends."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+    if os.getppid() != parent:  # it died before the kernel was asked to watch it
+        sys.exit()
 
 
 if __name__ == "__main__":

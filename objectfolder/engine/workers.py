@@ -12,11 +12,16 @@ from objectfolder.engine.resources import Machine, Needs
 Finished = SimpleQueue[tuple[str, Outcome | Exception] | None]
 
 
+class WorkerLost(Exception):
+    """A command ended with the worker or node that ran it, through no fault of its own."""
+
+
 class Workers(Protocol):
     """Run commands and put ``(address, outcome)`` into a queue."""
 
-    #: Cores that commands may use together.
-    cores: int
+    @property
+    def cores(self) -> int:
+        """Cores that commands may use together."""
 
     def room(self, needs: Needs) -> str:
         """What a command would have to wait for: ``cpu``, ``memory``, ``gpu`` or nothing (empty)."""
@@ -47,10 +52,14 @@ class LocalWorkers:
 
     def __init__(self, machine: Machine, finished: Finished):
         self.machine = machine
-        self.cores = machine.cores
         self.finished = finished
         self.children = Children()
         self._threads: dict[str, threading.Thread] = {}
+
+    @property
+    def cores(self) -> int:
+        """Cores that commands may use together."""
+        return self.machine.cores
 
     def room(self, needs: Needs) -> str:
         """What a command would have to wait for."""
