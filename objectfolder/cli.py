@@ -79,6 +79,12 @@ def build(
             min=0, help="Seconds after which a stage is killed; 0: never. Default: hours, by stage."
         ),
     ] = None,
+    pull: Annotated[
+        bool, typer.Option("--pull", help="First fetch what is built from DVC's default remote.")
+    ] = False,
+    wait: Annotated[
+        bool, typer.Option("--wait", help="If another process uses the workspace, wait; else refuse.")
+    ] = False,
 ) -> None:
     """Build what is out of date, in parallel, through DVC's graph and cache.
 
@@ -97,7 +103,9 @@ def build(
     require_renderer(load_profile(values["sensor"]), values["render_touch"]["renderer"])
     check_writable(Path("build"))
     with Progress() as progress:
-        summary = run_build(targets or (), Options(jobs, force, keep_going, timeout), on_event=progress)
+        summary = run_build(
+            targets or (), Options(jobs, force, keep_going, timeout, pull, wait), on_event=progress
+        )
     print_summary(summary)
     evaluated = [a.partition("@")[2] for a in summary.stages if a.startswith("evaluate@")]
     if summary.ok and evaluated:
