@@ -308,26 +308,26 @@ class _Build:
             self._succeed(result)
 
     def _flush_if_due(self) -> None:
-        """Write what has waited; what cannot be written is tried again at the end, and what runs goes on."""
+        """Write what has waited; what cannot be written is tried again at the end, what runs goes on."""
         if self.unwritable:
             return
         try:
             self.lockfiles.flush_if_due()
-        except OSError as error:
+        except (OSError, ObjectFolderError) as error:
             self.unwritable = True
             _log.warning("cannot write the lock file: %s; trying again at the end of the build", error)
 
     def _flush(self) -> None:
         try:
             self.lockfiles.flush()
-        except OSError as error:
+        except (OSError, ObjectFolderError) as error:
             raise ObjectFolderError(
-                f"cannot write dvc.lock: {self._explain(error)}; what has finished is in DVC's cache: once it "
-                "can be written, build again, and none of that runs twice"
+                f"cannot write dvc.lock: {self._explain(error)}; what has finished is in DVC's cache: build "
+                "again once it can be written, and none of that runs twice"
             ) from error
 
     def _explain(self, error: BaseException, address: str | None = None) -> str:
-        """Give an error's message, with the cause that DVC often keeps to itself, and name a full disk."""
+        """Give an error's message and the cause that DVC often keeps to itself; name a full disk."""
         cause = f": {error.__cause__}" if isinstance(error, DvcException) and error.__cause__ else ""
         text = f"{error}{cause}"
         if disk.is_shortage(error):

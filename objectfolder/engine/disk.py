@@ -57,7 +57,7 @@ def sweep(repo: Repo) -> None:
 
 def _folders(cache: Path) -> list[str]:
     try:
-        return [entry.path for entry in os.scandir(cache) if entry.is_dir()]
+        return [str(cache), *(entry.path for entry in os.scandir(cache) if entry.is_dir())]
     except FileNotFoundError:
         return []
 

@@ -35,6 +35,10 @@ class RunCache(StageCache):
         super().__init__(repo)
         self.pull_objects = pull
 
+    def _load_cache(self, key: str, value: str | None) -> dict[str, Any] | None:
+        # DVC makes a folder for the entry first, and trips over it if it was killed before the entry.
+        return None if value is None else super()._load_cache(key, value)
+
     def _create_stage(self, cache: dict[str, Any], wdir: str | None = None) -> PipelineStage:
         # DVC's `restore` makes this stage from an entry, and checks its outputs out if they are cached.
         stage = super()._create_stage(cache, wdir)

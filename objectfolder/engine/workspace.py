@@ -56,9 +56,8 @@ def owned(root: str | Path = ".", wait: bool = False) -> Iterator[Repo]:
             ) from error
         except DvcException as error:
             raise ObjectFolderError(f"DVC cannot open {Path.cwd()}: {error}") from error
-        with repo, _owned(repo, wait):
-            with repo.scm_context(quiet=True):
-                yield repo
+        with repo, _owned(repo, wait), repo.scm_context(quiet=True):
+            yield repo
 
 
 def read_params(root: Path) -> dict[str, Any]:
