@@ -64,9 +64,9 @@ def _default(repo: Repo) -> Remote:
             f"{repo.root_dir} has no default remote to pull from; name one with "
             "`dvc remote add -d NAME URL`, or build without --pull"
         ) from error
-    except RemoteMissingDepsError as error:
+    except (ImportError, RemoteMissingDepsError) as error:
         raise ObjectFolderError(
-            f"{error.protocol} remotes need another package: for S3, pip install 'objectfolder[s3]'"
+            f"{error}: pip install the package that it names (for S3: pip install 'objectfolder[s3]')"
         ) from error
     except DvcException as error:
         raise ObjectFolderError(f"DVC cannot use the default remote of {repo.root_dir}: {error}") from error

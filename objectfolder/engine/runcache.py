@@ -57,6 +57,9 @@ class RunCache(StageCache):
 
     def _pull(self, stage: PipelineStage) -> bool:
         try:
+            # The listings by themselves: `get_used_objs` fetches them too, but hides why it cannot.
+            if listings := [out.hash_info for out in stage.outs if out.hash_info.isdir]:
+                self.repo.cloud.pull(listings)
             for objects in stage.get_used_objs().values():
                 self.repo.cloud.pull(objects)
         except CollectCacheError:
