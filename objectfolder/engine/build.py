@@ -289,8 +289,12 @@ class _Build:
             error += self._hint(address, log)
         else:
             try:
-                steps.save(self.stages[address])
-                self.lockfiles.add(self.stages[address])
+                stage = self.stages[address]
+                # DVC would save what they are now, as what the command has read.
+                if changed := [str(dep) for dep in stage.deps if dep.changed_checksum()]:
+                    raise DvcException(f"{', '.join(changed)} changed while the stage ran; build again")
+                steps.save(stage)
+                self.lockfiles.add(stage)
             except (DvcException, OSError) as problem:
                 error = self._explain(problem, address)
         result = StageResult(

@@ -414,6 +414,31 @@ def test_params_broken_during_a_build_fail_stages_and_no_more(workspace, broken)
     assert "up to date" in workspace.dvc("status")
 
 
+def test_params_changed_while_a_stage_runs_are_not_taken_for_those_it_has_read(make_workspace):
+    workspace = make_workspace(
+        "stages:\n"
+        "  slow:\n"
+        "    cmd: cp params.yaml read && touch started && while [ ! -e go ]; do sleep 0.05; done\n"
+        "    deps: [steps.py]\n"
+        "    params: [objects.mug.material]\n"
+        "    outs: [read]\n"
+    )
+
+    def change():
+        wait_for((workspace.root / "started").exists)
+        workspace.params(mug={"material": "glass"})
+        (workspace.root / "go").touch()
+
+    with meanwhile(change):
+        summary = build(root=workspace.root)
+    assert summary.failures[0].error == "params.yaml changed while the stage ran; build again"
+    assert build(root=workspace.root).with_status(Status.RAN)
+    assert "mug: {size: 1, material: glass}" in (workspace.root / "read").read_text()
+    workspace.params()
+    assert build(root=workspace.root).with_status(Status.RAN)
+    assert "glass" not in (workspace.root / "read").read_text()
+
+
 # Stages that misbehave
 
 
