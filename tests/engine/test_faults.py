@@ -305,10 +305,14 @@ def cached(workspace, oid):
 
 
 @pytest.mark.parametrize(
-    ("stage", "what"),
-    [("prepare", "file"), ("solve", "file in a directory"), ("solve", "directory"), ("pack", "metric")],
+    ("stage", "what", "with_lock"),
+    [
+        ("prepare", "file", True),
+        ("solve", "file in a directory", False),
+        ("solve", "directory", True),
+        ("pack", "metric", True),
+    ],
 )
-@pytest.mark.parametrize("with_lock", [True, False])
 def test_damaged_cached_object_is_not_delivered_but_built_again(workspace, stage, what, with_lock, caplog):
     from dvc.repo import Repo
 
@@ -356,7 +360,7 @@ restores_lock = pytest.mark.xfail(
 
 
 @restores_lock
-@pytest.mark.parametrize("share", [0.0, 0.01, 0.3, 0.5, 0.77, 0.999])
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.999])
 def test_truncated_lock_file_is_restored(workspace, share, caplog):
     build(root=workspace.root)
     workspace.ran()
@@ -371,7 +375,7 @@ def test_truncated_lock_file_is_restored(workspace, share, caplog):
 
 
 @restores_lock
-@pytest.mark.parametrize("garbage", [b"\x00" * 5000, b"\xff\xfe garbage", b"[1, 2]\n", b"stages: 3\n"])
+@pytest.mark.parametrize("garbage", [b"\x00" * 5000, b"\xff\xfe garbage", b"stages: 3\n"])
 def test_lock_file_of_garbage_is_restored(workspace, garbage, caplog):
     build(["mug"], root=workspace.root)
     workspace.ran()
@@ -383,7 +387,7 @@ def test_lock_file_of_garbage_is_restored(workspace, garbage, caplog):
     assert "dvc.lock is damaged" in caplog.text
 
 
-@pytest.mark.parametrize("garbage", ["", '{"write": {', '{"write": 3}', "\x00\x00", "[]"])
+@pytest.mark.parametrize("garbage", ["", '{"write": {', '{"write": 3}', "\x00\x00"])
 def test_torn_rwlock_file_is_replaced(workspace, garbage):
     (workspace.root / ".dvc/tmp").mkdir(exist_ok=True)
     (workspace.root / ".dvc/tmp/rwlock").write_text(garbage)

@@ -200,6 +200,7 @@ def test_outage_is_said_and_the_build_goes_on_from_what_is_here(shared, server, 
     assert content(shared) == {name: data for name, data in before.items() if name != "build/mug/pack.txt"}
 
 
+@pytest.mark.slow
 def test_outage_during_a_build_is_said_once_and_the_stages_are_built(shared, server, caplog):
     add_s3(shared, server)
     build(root=shared.root)
