@@ -69,6 +69,11 @@ class Build:
         return self.dir / f"{modality}_curve.csv"
 
 
+def code_list(stage: str) -> Path:
+    """Digests of the modules that a stage imports."""
+    return Path("build/.code") / f"{stage}.sha256"
+
+
 @contextmanager
 def atomic(path: str | Path) -> Iterator[Path]:
     """Give a temporary path next to ``path``; on success fsync it and rename it into place.
@@ -110,6 +115,12 @@ def write_json(path: str | Path, value: Any) -> None:
     """Write JSON with sorted keys."""
     with atomic(path) as temporary:
         temporary.write_text(json.dumps(value, indent=2, sort_keys=True) + "\n")
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write text."""
+    with atomic(path) as temporary:
+        temporary.write_text(text)
 
 
 def write_npz(path: str | Path, **arrays: Any) -> None:

@@ -441,6 +441,59 @@ def touch_image(figures: dict) -> list[str]:
     return lines
 
 
+def engine_scale(figures: dict) -> list[str]:
+    """Table of what `perf/engine.py scale` has measured."""
+    lines = [
+        "\n## Build engine\n",
+        "`python perf/engine.py scale --objects 100 1000 --json build/perf/engine_scale.json`: the real "
+        "graph with commands that only write a line, two workers; wall seconds. A stage of the first build "
+        "includes the start of its shell. DVC alone: `dvc repro` on the same workspace, its first build "
+        "stopped after a minute, one with nothing to do after five.",
+        "",
+        "| objects | stages | first build, ms per stage | engine CPU s | MB | nothing to do, s | MB "
+        "| one material, stages | s | DVC: ms per stage | nothing to do, s |",
+        "|---" * 11 + "|",
+    ]
+    for row in figures["scale"]:
+        first, idle, changed = row["first"], row["idle"], row["changed"]
+        stages = row["peer_stages"]
+        values = (
+            row["objects"],
+            first["stages"],
+            f"{1000 * first['seconds'] / first['ran']:.0f}",
+            *(f"{first[name]:.0f}" for name in ("cpu_s", "peak_mb")),
+            f"{idle['seconds']:.1f}",
+            f"{idle['peak_mb']:.0f}",
+            changed["ran"],
+            f"{changed['seconds']:.1f}",
+            f"{1000 * row['peer_s'] / stages:.0f}" if stages else "none in a minute",
+            "over 300" if row["peer_idle_s"] is None else f"{row['peer_idle_s']:.0f}",
+        )
+        lines.append(f"| {' | '.join(map(str, values))} |")
+    return lines
+
+
+def engine_efficiency(figures: dict) -> list[str]:
+    """What `perf/engine.py efficiency` has measured."""
+    (row,) = figures["efficiency"]
+    return [
+        "",
+        f"`python perf/engine.py efficiency`: eight objects with three stages of two seconds each keep "
+        f"{row['workers']} workers busy for {row['efficiency']:.1%} of the time.",
+    ]
+
+
+def engine_starter(figures: dict) -> list[str]:
+    """What `perf/engine.py starter` has measured."""
+    (row,) = figures["starter"]
+    return [
+        "",
+        f"`python perf/engine.py starter`: the starter catalogue from nothing takes {row['own_s']:.0f} s "
+        f"with {row['workers']} workers and {row['peer_s']:.0f} s with `dvc repro`, "
+        f"{row['peer_s'] / row['own_s']:.2f} times as long.",
+    ]
+
+
 def main() -> None:
     values = YAML(typ="safe").load((ROOT / "params.yaml").read_text())
     files = sorted((ROOT / "metrics").glob("*.json"))
@@ -456,9 +509,9 @@ def main() -> None:
     lines = [
         "# Results",
         "",
-        "Regenerate: `make demo`, then geometry, modal_accuracy, modal, audio, vision, touch and results in",
-        "perf/. Objects other than the starters were added with `objectfolder add` from YCB, Google Scanned",
-        "Objects and Poly Haven.",
+        "Regenerate: `make demo`, then geometry, modal_accuracy, modal, audio, vision, touch, engine and",
+        "results in perf/. Objects other than the starters were added with `objectfolder add` from YCB,",
+        "Google Scanned Objects and Poly Haven.",
         "",
         f"Machine: {cpu or platform.processor()}, one thread per stage. "
         f"Preset `{preset(values)}`, seed {values['seed']}. PSNR in dB, data in [0, 1], peak 1, "
@@ -507,6 +560,9 @@ def main() -> None:
         *measured("modal_accuracy", accuracy),
         *measured("modal", modal),
         *measured("audio", audio),
+        *measured("engine_scale", engine_scale),
+        *measured("engine_efficiency", engine_efficiency),
+        *measured("engine_starter", engine_starter),
     ]
     with atomic(ROOT / "docs" / "results.md") as path:
         path.write_text("\n".join(lines) + "\n")

@@ -27,7 +27,7 @@ OBJECTS = ROOT.parent / "shared" / "objects"
 def workspace(tmp_path, monkeypatch):
     root = tmp_path / "workspace"
     root.mkdir()
-    for name in ("dvc.yaml", "params.yaml", ".gitignore"):
+    for name in ("dvc.yaml", ".dvcignore", "params.yaml", ".gitignore"):
         shutil.copy(ROOT / name, root)
     for name in ("params", "catalogs", ".dvc"):
         shutil.copytree(ROOT / name, root / name, ignore=shutil.ignore_patterns("cache", "tmp"))

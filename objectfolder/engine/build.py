@@ -20,14 +20,15 @@ from objectfolder.engine.lockfile import LockFiles
 from objectfolder.engine.process import Outcome, describe, tail
 from objectfolder.engine.resources import Machine, Needs, cores, needs_of
 from objectfolder.engine.runcache import RunCache, remove_damaged
-from objectfolder.engine.schedule import Schedule
+from objectfolder.engine.schedule import Schedule, object_groups
 from objectfolder.engine.summary import Finished, Listener, Planned, StageResult, Started, Status, Summary
 from objectfolder.engine.workers import Finished as FinishedQueue
 from objectfolder.engine.workers import LocalWorkers, Workers
-from objectfolder.engine.workspace import owned, read_params
+from objectfolder.engine.workspace import held, read_params
 from objectfolder.errors import ObjectFolderError
 
 LOGS = Path("build/.logs")
+OBJECTS_PER_CORE = 2  # that are worked on at a time
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _log = logging.getLogger(__name__)
 
@@ -109,7 +110,7 @@ def build(
     """
     start = time.monotonic()
     root = Path(root).resolve()
-    with owned(root, options.wait) as repo:
+    with held(root, options.wait) as (repo, lockfiles):
         disk.sweep(repo)
         try:
             wanted = plan(repo, root, targets)
@@ -119,13 +120,14 @@ def build(
             repo, [stage.addressing for stage in wanted.stages.values()] if targets else None
         )
         repo.stage_cache = RunCache(repo, pull=reached)
-        on_event(Planned(tuple(wanted.stages)))
         params = read_params(root)
         needs = {address: needs_of(address, params) for address in wanted.stages}
         if options.timeout is not None:
             limit = options.timeout or None
             needs = {address: replace(need, timeout=limit) for address, need in needs.items()}
-        results = _Build(repo, wanted, needs, options, root / LOGS, on_event, make_workers).run()
+        on_event(Planned({address: need.seconds for address, need in needs.items()}))
+        logs = root / LOGS
+        results = _Build(repo, wanted, needs, options, lockfiles, logs, on_event, make_workers).run()
     ordered = {address: results[address] for address in wanted.stages}
     return Summary(stages=ordered, seconds=time.monotonic() - start)
 
@@ -147,6 +149,7 @@ class _Build:
         wanted: Plan,
         needs: dict[str, Needs],
         options: Options,
+        lockfiles: LockFiles,
         logs: Path,
         on_event: Listener,
         make_workers: MakeWorkers,
@@ -158,13 +161,17 @@ class _Build:
         self.logs = logs
         self.on_event = on_event
         self.results: dict[str, StageResult] = {}
-        self.schedule = Schedule(wanted.upstream)
         # Stages known to have changed, waiting for a free worker; the most urgent first.
-        self.due: list[tuple[tuple[float, int], str]] = []
+        self.due: list[tuple[tuple[int, float, int], str]] = []
         self.running: set[str] = set()
-        self.lockfiles = LockFiles()
+        self.lockfiles = lockfiles
         self.finished: FinishedQueue = SimpleQueue()
         self.workers = make_workers(options.jobs, self.finished)
+        self.schedule = Schedule(
+            wanted.upstream,
+            weight=lambda address: needs[address].seconds,
+            group=object_groups(wanted.stages, OBJECTS_PER_CORE * self.workers.cores),
+        )
         self.signal: int | None = None
         self.stopping = False
         self.unwritable = False
@@ -290,9 +297,6 @@ class _Build:
         else:
             try:
                 stage = self.stages[address]
-                # DVC would save what they are now, as what the command has read.
-                if changed := [str(dep) for dep in stage.deps if dep.changed_checksum()]:
-                    raise DvcException(f"{', '.join(changed)} changed while the stage ran; build again")
                 steps.save(stage)
                 self.lockfiles.add(stage)
             except (DvcException, OSError) as problem:

@@ -35,6 +35,10 @@ class Progress:
         self.total = 0
         self.counts = dict.fromkeys(Status, 0)
         self.running: dict[str, float] = {}
+        self._clock = time.monotonic()
+        # Rough seconds of what is still to end, and of what has run.
+        self._ahead: dict[str, float] = {}
+        self._behind = 0.0
         self._live = (
             Live(get_renderable=self._render, console=self.console, refresh_per_second=4, transient=True)
             if self.console.is_terminal
@@ -58,8 +62,10 @@ class Progress:
     def __call__(self, event: Event) -> None:
         """Take one event of the build."""
         match event:
-            case Planned(addresses):
-                self.total = len(addresses)
+            case Planned(seconds):
+                self._clock = time.monotonic()
+                self._ahead = dict(seconds)
+                self.total = len(seconds)
                 self._line(f"{self.total} stages")
             case Started(address):
                 self.running[address] = time.monotonic()
@@ -68,6 +74,9 @@ class Progress:
             case Finished(result):
                 self.running.pop(result.address, None)
                 self.counts[result.status] += 1
+                expected = self._ahead.pop(result.address, 0.0)
+                if result.status is Status.RAN:
+                    self._behind += expected
                 # A thousand unchanged stages are a number, not a thousand lines.
                 if result.status is not Status.SKIPPED:
                     self._line(self._describe(result), STYLES[result.status])
@@ -77,10 +86,22 @@ class Progress:
         """Stages that have ended."""
         return sum(self.counts.values())
 
+    def seconds_left(self) -> float | None:
+        """Time until the end, if it goes on as fast as so far; None until something has run."""
+        if not self._behind:
+            return None
+        return (time.monotonic() - self._clock) * sum(self._ahead.copy().values()) / self._behind
+
+    def _times(self) -> str:
+        left = self.seconds_left()
+        elapsed = f"{_duration(time.monotonic() - self._clock)} elapsed"
+        return elapsed if left is None else f"{elapsed}, about {_duration(left)} left"
+
     def _describe(self, result: StageResult) -> str:
         place = f"[{self.done}/{self.total}]"
         detail = result.error or " ".join(filter(None, (_seconds(result), _peak(result))))
-        return f"{result.status:<8} {result.address} {place} {detail}".rstrip()
+        line = f"{result.status:<8} {result.address} {place} {detail}".rstrip()
+        return f"{line}; {self._times()}" if result.status is Status.RAN and self._live is None else line
 
     def _line(self, text: str, style: str = "") -> None:
         self.console.print(Text(text, style=style), soft_wrap=True)
@@ -98,6 +119,7 @@ class Progress:
             ProgressBar(total=self.total or 1, completed=self.done, width=30),
             f"{self.done}/{self.total}",
             counts,
+            self._times(),
         )
         return Group(*running, bar)
 
@@ -133,6 +155,14 @@ def _failure(result: StageResult) -> Text:
     if result.log is not None:
         text.append(f"  log: {result.log}\n", style="default")
     return text
+
+
+def _duration(seconds: float) -> str:
+    hours, rest = divmod(round(seconds), 3600)
+    minutes, rest = divmod(rest, 60)
+    return (
+        f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
+    )
 
 
 def _seconds(result: StageResult) -> str:

@@ -19,6 +19,8 @@ class Needs:
 
     Parameters
     ----------
+    seconds : float
+        Rough time on one core at preset quick. Decides what starts first, and what is left.
     cpus : int
         Cores, and threads that numerical libraries may start.
     gpus : float
@@ -29,31 +31,32 @@ class Needs:
         Wall seconds after which the stage is taken for hanging and killed; None never.
     """
 
+    seconds: float = 1.0
     cpus: int = 1
     gpus: float = 0.0
     memory_mb: int = 500
     timeout: float | None = HOUR
 
 
-#: By stage, or by stage and its net or renderer (``train_vision/osf``). Memory: the largest peak seen on the
-#: catalogues (docs/results.md), rounded up. One core each: bytes must not depend on a thread count. Timeouts
+#: By stage, or by stage and its net or renderer (``train_vision/osf``). Memory: above the largest peaks in
+#: docs/results.md. One core each: bytes must not depend on a thread count. Timeouts
 #: are an order of magnitude above the longest run; the paper's nets train for days.
 NEEDS = {
-    "generate": Needs(memory_mb=500),
-    "normalize": Needs(memory_mb=2000),
-    "voxelize": Needs(memory_mb=2500),
-    "modal": Needs(memory_mb=4000, timeout=3 * HOUR),
-    "render_views": Needs(memory_mb=1000, timeout=12 * HOUR),
-    "render_views/mitsuba-cuda": Needs(gpus=0.5, memory_mb=2000, timeout=3 * HOUR),
-    "render_touch": Needs(memory_mb=1000, timeout=3 * HOUR),
-    "train_vision": Needs(memory_mb=2000),
-    "train_vision/osf": Needs(gpus=1.0, memory_mb=8000, timeout=None),
-    "train_audio": Needs(memory_mb=1500),
-    "train_audio/spectrogram": Needs(gpus=1.0, memory_mb=8000, timeout=None),
-    "train_touch": Needs(memory_mb=1500),
-    "train_touch/image": Needs(gpus=1.0, memory_mb=8000, timeout=None),
+    "generate": Needs(2, memory_mb=500),
+    "normalize": Needs(4, memory_mb=2000),
+    "voxelize": Needs(4, memory_mb=2500),
+    "modal": Needs(30, memory_mb=4000, timeout=3 * HOUR),
+    "render_views": Needs(100, memory_mb=1000, timeout=12 * HOUR),
+    "render_views/mitsuba-cuda": Needs(30, gpus=0.5, memory_mb=2000, timeout=3 * HOUR),
+    "render_touch": Needs(5, memory_mb=1000, timeout=3 * HOUR),
+    "train_vision": Needs(45, memory_mb=2000),
+    "train_vision/osf": Needs(100000, gpus=1.0, memory_mb=8000, timeout=None),
+    "train_audio": Needs(45, memory_mb=1500),
+    "train_audio/spectrogram": Needs(100000, gpus=1.0, memory_mb=8000, timeout=None),
+    "train_touch": Needs(10, memory_mb=1500),
+    "train_touch/image": Needs(100000, gpus=1.0, memory_mb=8000, timeout=None),
     "pack": Needs(memory_mb=500),
-    "evaluate": Needs(memory_mb=2000, timeout=3 * HOUR),
+    "evaluate": Needs(20, memory_mb=2000, timeout=3 * HOUR),
 }
 
 
@@ -106,10 +109,11 @@ class Machine:
     def __init__(self, cpus: int, memory_mb: float | None = None, gpus: Sequence[str] | None = None):
         if memory_mb is None:
             memory_mb = psutil.virtual_memory().available / 2**20 * MEMORY_SHARE
+        self.cores = cpus
         self._cpus = cpus
         self._memory_mb = int(memory_mb)
         self._gpus = dict.fromkeys(machine_gpus() if gpus is None else gpus, 1.0)  # free share of each
-        self._limits = Needs(self._cpus, len(self._gpus), self._memory_mb)
+        self._limits = Needs(cpus=self._cpus, gpus=len(self._gpus), memory_mb=self._memory_mb)
         self._taken: dict[str, tuple[Needs, list[str]]] = {}
 
     @property
@@ -148,9 +152,9 @@ class Machine:
     def _capped(self, needs: Needs) -> Needs:
         limits = self._limits
         return Needs(
-            min(needs.cpus, limits.cpus),
-            min(needs.gpus, limits.gpus),
-            min(needs.memory_mb, limits.memory_mb),
+            cpus=min(needs.cpus, limits.cpus),
+            gpus=min(needs.gpus, limits.gpus),
+            memory_mb=min(needs.memory_mb, limits.memory_mb),
         )
 
     def _choose_gpus(self, wanted: float) -> list[str] | None:

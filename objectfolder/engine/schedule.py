@@ -1,31 +1,20 @@
-"""Which stage comes next: a ready queue ordered by the longest remaining path. Knows nothing of DVC."""
+"""Which stage comes next: a ready queue ordered by group and longest remaining path. Knows nothing of DVC."""
 
 import heapq
-from collections.abc import Callable, Mapping, Set
-
-# Rough CPU seconds per stage on one core, preset quick. Only their order matters: the longest chain of an
-# object should start first. A stage that is not listed weighs 1.
-WEIGHTS = {
-    "normalize": 5,
-    "voxelize": 4,
-    "modal": 30,
-    "render_views": 60,
-    "render_touch": 20,
-    "train_vision": 60,
-    "train_audio": 60,
-    "train_touch": 60,
-    "evaluate": 20,
-}
+from collections.abc import Callable, Iterable, Mapping, Set
 
 
-def stage_weight(address: str) -> float:
-    """Rough cost of a stage from its name."""
-    return WEIGHTS.get(address.partition("@")[0], 1)
+def object_groups(addresses: Iterable[str], size: int) -> Callable[[str], int]:
+    """Group stages by their objects, so many to a group; stages of no object come first.
+
+    A build of a thousand objects then finishes them a few at a time, and not all of them at its end.
+    """
+    keys = dict.fromkeys(key for _, _, key in (address.partition("@") for address in addresses) if key)
+    places = {key: place // size for place, key in enumerate(keys)}
+    return lambda address: places.get(address.partition("@")[2], -1)
 
 
-def remaining_paths(
-    upstream: Mapping[str, Set[str]], weight: Callable[[str], float] = stage_weight
-) -> dict[str, float]:
+def remaining_paths(upstream: Mapping[str, Set[str]], weight: Callable[[str], float]) -> dict[str, float]:
     """Length of the longest path from each stage to the end of the graph, the stage included.
 
     Parameters
@@ -49,18 +38,29 @@ class Schedule:
     ----------
     upstream : mapping of str to set of str
         Direct upstream stages of every stage; the keys are in topological order.
+    weight : callable
+        Rough cost of a stage. Only the order matters: the longest chain should start first.
+    group : callable
+        Number of the group that a stage belongs to; a lower one comes first, whatever is left to do after it.
     """
 
-    def __init__(self, upstream: Mapping[str, Set[str]]):
+    def __init__(
+        self,
+        upstream: Mapping[str, Set[str]],
+        weight: Callable[[str], float],
+        group: Callable[[str], int] = lambda address: 0,
+    ):
         self._waiting = {address: set(parents) for address, parents in upstream.items()}
         self._downstream: dict[str, list[str]] = {address: [] for address in upstream}
         for address, parents in upstream.items():
             for parent in parents:
                 self._downstream[parent].append(address)
-        lengths = remaining_paths(upstream)
+        lengths = remaining_paths(upstream, weight)
         # Ties go to the topological order, so that a build is the same every time.
-        self.rank = {address: (-lengths[address], place) for place, address in enumerate(upstream)}
-        self._ready: list[tuple[tuple[float, int], str]] = []
+        self.rank = {
+            address: (group(address), -lengths[address], place) for place, address in enumerate(upstream)
+        }
+        self._ready: list[tuple[tuple[int, float, int], str]] = []
         for address, parents in self._waiting.items():
             if not parents:
                 self._push(address)
@@ -84,7 +84,7 @@ class Schedule:
             new = set(self._downstream[stack.pop()]) - found
             found |= new
             stack.extend(new)
-        return sorted(found, key=lambda name: self.rank[name][1])
+        return sorted(found, key=lambda name: self.rank[name][-1])
 
     def _push(self, address: str) -> None:
         heapq.heappush(self._ready, (self.rank[address], address))

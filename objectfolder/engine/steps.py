@@ -48,5 +48,10 @@ def prepare(stage: Stage, log: Path, needs: Needs) -> Command:
 def save(stage: Stage) -> None:
     """Hash what a command has written and put it into DVC's cache and run cache."""
     plain = (out for out in stage.outs if not (out.is_metric or out.is_plot))
-    stage.save(run_cache=all(out.use_cache for out in plain))
+    run_cache = all(out.use_cache for out in plain)
+    # Unlike DVC, not the dependencies: what changed while the command ran must count as changed.
+    stage.save_outs()
+    stage.md5 = stage.compute_md5()
+    if run_cache:
+        stage.repo.stage_cache.save(stage)
     stage.commit()

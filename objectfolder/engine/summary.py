@@ -93,9 +93,9 @@ class Summary:
 
 @dataclass(frozen=True)
 class Planned:
-    """The graph is known: these stages will be looked at, in topological order."""
+    """The graph is known: these stages will be looked at, in topological order, with their rough seconds."""
 
-    addresses: tuple[str, ...]
+    seconds: Mapping[str, float]
 
 
 @dataclass(frozen=True)

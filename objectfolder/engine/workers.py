@@ -15,6 +15,9 @@ Finished = SimpleQueue[tuple[str, Outcome | Exception] | None]
 class Workers(Protocol):
     """Run commands and put ``(address, outcome)`` into a queue."""
 
+    #: Cores that commands may use together.
+    cores: int
+
     def room(self, needs: Needs) -> str:
         """What a command would have to wait for: ``cpu``, ``memory``, ``gpu`` or nothing (empty)."""
 
@@ -44,6 +47,7 @@ class LocalWorkers:
 
     def __init__(self, machine: Machine, finished: Finished):
         self.machine = machine
+        self.cores = machine.cores
         self.finished = finished
         self.children = Children()
         self._threads: dict[str, threading.Thread] = {}

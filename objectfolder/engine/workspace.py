@@ -19,6 +19,8 @@ from dvc.rwlock import SCHEMA as RWLOCK_SCHEMA
 from dvc.utils.serialize import load_yaml
 from voluptuous import Invalid
 
+from objectfolder.engine.lockfile import LockFiles
+from objectfolder.engine.once import remembered
 from objectfolder.errors import ObjectFolderError
 
 LOGGERS = ("dvc", "dvc_data", "dvc_objects")
@@ -27,7 +29,14 @@ _log = logging.getLogger(__name__)
 
 
 @contextmanager
-def owned(root: str | Path = ".", wait: bool = False) -> Iterator[Repo]:
+def owned(root: str | Path = ".") -> Iterator[Repo]:
+    """Open the DVC repository of a workspace to read it; otherwise as `held`."""
+    with held(root) as (repo, _):
+        yield repo
+
+
+@contextmanager
+def held(root: str | Path = ".", wait: bool = False) -> Iterator[tuple[Repo, LockFiles]]:
     """Open the DVC repository of a workspace and hold its lock.
 
     The process works in ``root`` meanwhile: DVC resolves the outputs of its run cache against the current
@@ -56,8 +65,10 @@ def owned(root: str | Path = ".", wait: bool = False) -> Iterator[Repo]:
             ) from error
         except DvcException as error:
             raise ObjectFolderError(f"DVC cannot open {Path.cwd()}: {error}") from error
-        with repo, _owned(repo, wait), repo.scm_context(quiet=True):
-            yield repo
+        with repo, _alone(repo, wait):
+            lockfiles = LockFiles(Path(repo.root_dir))
+            with repo.scm_context(quiet=True), remembered(), lockfiles.serving():
+                yield repo, lockfiles
 
 
 def read_params(root: Path) -> dict[str, Any]:
@@ -88,7 +99,7 @@ class _Busy(Exception):
 
 
 @contextmanager
-def _owned(repo: Repo, wait: bool) -> Iterator[None]:
+def _alone(repo: Repo, wait: bool) -> Iterator[None]:
     said = ""
     with ExitStack() as stack:
         while True:

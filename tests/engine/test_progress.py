@@ -25,7 +25,7 @@ SKIPPED = StageResult("pack@mug", Status.SKIPPED)
 def test_every_event_is_shown_but_skips(terminal):
     console = Console(file=io.StringIO(), force_terminal=terminal, width=100)
     with Progress(console) as progress:
-        progress(Planned(("modal@mug", "pack@mug", "modal@bell", "pack@bell")))
+        progress(Planned({"modal@mug": 30.0, "pack@mug": 1.0, "modal@bell": 30.0, "pack@bell": 1.0}))
         progress(Started("modal@mug", Path("x.log")))
         for result in (RAN, SKIPPED, FAILED, BLOCKED):
             progress(Finished(result))
@@ -35,6 +35,20 @@ def test_every_event_is_shown_but_skips(terminal):
     assert "blocked  pack@bell [4/4] needs modal@bell" in text
     assert "pack@mug" not in text
     assert (progress.done, progress.running) == (4, {})
+
+
+def test_time_left_is_what_the_rest_takes_at_the_pace_so_far(monkeypatch):
+    clock = [100.0]
+    monkeypatch.setattr("objectfolder.engine.progress.time.monotonic", lambda: clock[0])
+    console = Console(file=io.StringIO(), width=200)
+    progress = Progress(console)
+    progress(Planned({"modal@mug": 30.0, "pack@mug": 1.0, "modal@bell": 50.0, "pack@bell": 10.0}))
+    clock[0] = 220.0
+    progress(Finished(SKIPPED))
+    assert progress.seconds_left() is None
+    progress(Finished(RAN))
+    assert progress.seconds_left() == 120 * 60 / 30
+    assert "2 min 00 s elapsed, about 4 min 00 s left" in console.file.getvalue()
 
 
 def test_summary_names_what_ran_and_what_failed():

@@ -127,7 +127,7 @@ class Workspace:
         self.root.mkdir(parents=True)
         for name in ("objectfolder", "stages", "params"):
             shutil.copytree(ROOT / name, self.root / name, ignore=shutil.ignore_patterns("__pycache__"))
-        for name in ("dvc.yaml", "params.yaml", ".gitignore"):
+        for name in ("dvc.yaml", ".dvcignore", "params.yaml", ".gitignore"):
             shutil.copy(ROOT / name, self.root)
         (self.root / ".dvc").mkdir()
         shutil.copy(ROOT / ".dvc" / "config", self.root / ".dvc")

@@ -3,25 +3,36 @@
 from pathlib import Path
 
 import pytest
-from closure import imported_files
 from ruamel.yaml import YAML
 
 from objectfolder import params
+from objectfolder.artifacts import code_list
+from objectfolder.sources import imported_files
 
 ROOT = Path(__file__).parents[2]
 STAGES = YAML(typ="safe").load((ROOT / "dvc.yaml").read_text())["stages"]
+HASH_CODE = STAGES.pop("hash_code")
+
+
+def modules(*stages):
+    return {file for stage in stages for file in imported_files(f"stages/{stage}.py", ROOT)}
 
 
 def test_every_stage_script_is_in_the_graph_and_the_reverse():
-    assert {p.stem for p in (ROOT / "stages").glob("*.py")} - {"__init__"} == set(STAGES)
+    assert {p.stem for p in (ROOT / "stages").glob("*.py")} - {"__init__", "hash_code"} == set(STAGES)
 
 
 @pytest.mark.parametrize("stage", STAGES)
-def test_declared_modules_are_the_imported_ones(stage):
+def test_every_stage_depends_on_its_own_code_and_declares_nothing_twice(stage):
     deps = STAGES[stage]["do"]["deps"]
-    declared = {d for d in deps if d.endswith(".py")}
-    assert declared == imported_files(ROOT / "stages" / f"{stage}.py", ROOT)
+    assert code_list(stage).as_posix() in deps
     assert len(deps) == len(set(deps))
+    assert not [dep for dep in deps if dep.endswith(".py")]
+
+
+def test_code_lists_are_made_from_all_sources():
+    assert set(HASH_CODE["deps"]) == {"objectfolder", "stages"}
+    assert HASH_CODE["outs"] == [code_list("any").parent.as_posix()]
 
 
 @pytest.mark.parametrize("stage", sorted(set(STAGES) - {"generate"}))
@@ -37,17 +48,16 @@ def test_declared_params_are_the_ones_the_stage_gets(stage):
 
 @pytest.mark.parametrize("stage", sorted(set(STAGES) - {"pack", "evaluate"}))
 def test_queries_may_change_without_rebuilding(stage):
-    deps = STAGES[stage]["do"]["deps"]
-    assert not {"objectfolder/query.py", "objectfolder/objectfile.py", "objectfolder/cli.py"} & set(deps)
+    assert not {"objectfolder/query.py", "objectfolder/objectfile.py", "objectfolder/cli.py"} & modules(stage)
 
 
 def test_lanes_do_not_depend_on_each_other():
-    def modules(stage):
-        return " ".join(STAGES[stage]["do"]["deps"])
+    def folders(*stages):
+        return {file.split("/")[1] for file in modules(*stages)}
 
-    assert "vision/" not in modules("modal") + modules("train_audio") + modules("render_touch")
-    assert "touch/" not in modules("modal") + modules("render_views") + modules("train_vision")
-    assert "fem/" not in modules("render_views") + modules("render_touch") + modules("train_audio")
+    assert "vision" not in folders("modal", "train_audio", "render_touch")
+    assert "touch" not in folders("modal", "render_views", "train_vision")
+    assert "fem" not in folders("render_views", "render_touch", "train_audio")
 
 
 def test_command_takes_the_object_key_only():

@@ -200,7 +200,8 @@ def test_the_papers_touch_net_on_the_papers_images_is_a_choice(built):
 @pytest.mark.parametrize("stage", [*LANES, *NETS])
 def test_stage_gives_the_same_bytes_again_from_what_it_declares_alone(built, stage, tmp_path):
     locked = YAML(typ="safe").load((built.root / "dvc.lock").read_text())["stages"][f"{stage}@cube"]
-    for dependency in ["params.yaml", *(d["path"] for d in locked["deps"])]:
+    code = [line.split()[1] for line in (built.root / f"build/.code/{stage}.sha256").read_text().splitlines()]
+    for dependency in ["params.yaml", *code, *(d["path"] for d in locked["deps"])]:
         source, copy = built.root / dependency, tmp_path / dependency
         copy.parent.mkdir(parents=True, exist_ok=True)
         if source.is_dir():

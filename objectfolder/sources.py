@@ -1,14 +1,30 @@
-"""Which project files a stage imports, directly or not, found in the source without running it."""
+"""Which files of the project a stage runs, found in the source without running it."""
 
 import ast
 from pathlib import Path
 
+from objectfolder.artifacts import file_digest
+
 PACKAGES = ("objectfolder", "stages")
 
 
-def imported_files(script: Path, root: Path) -> set[str]:
-    """Project files (relative to root) that importing a script runs; empty ``__init__.py`` left out."""
-    todo, found = [script], set()
+def imported_files(script: str | Path, root: str | Path = ".") -> list[str]:
+    """Project files that importing a script runs, directly or not.
+
+    Parameters
+    ----------
+    script : Path
+        The script, relative to ``root``.
+    root : Path
+        Directory that holds the packages `PACKAGES`.
+
+    Returns
+    -------
+    list of str
+        Files relative to ``root``, sorted, the script among them; empty ones (``__init__.py``) left out.
+    """
+    root = Path(root)
+    todo, found = [root / script], set()
     while todo:
         path = todo.pop()
         name = path.relative_to(root).as_posix()
@@ -16,8 +32,13 @@ def imported_files(script: Path, root: Path) -> set[str]:
             continue
         found.add(name)
         for module in _imports(path):
-            todo += [p for p in _files(module, root) if p.stat().st_size > 0]
-    return found
+            todo += [file for file in _files(module, root) if file.stat().st_size > 0]
+    return sorted(found)
+
+
+def digests(script: str | Path, root: str | Path = ".") -> str:
+    """SHA-256 of every file that a script runs, a line each, as ``sha256sum`` writes and checks them."""
+    return "".join(f"{file_digest(Path(root) / name)}  {name}\n" for name in imported_files(script, root))
 
 
 def _imports(path: Path) -> set[str]:
@@ -33,7 +54,7 @@ def _imports(path: Path) -> set[str]:
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
             modules.add(node.module)
             modules |= {f"{node.module}.{alias.name}" for alias in node.names}
-    return {m for m in modules if m.split(".")[0] in PACKAGES}
+    return {module for module in modules if module.split(".")[0] in PACKAGES}
 
 
 def _files(module: str, root: Path) -> list[Path]:

@@ -1,0 +1,315 @@
+"""The build engine on its own: `python perf/engine.py COMMAND [--objects N ...] [--workers N] [--json FILE]`.
+
+`scale` builds N objects with the stages, dependencies, parameters and outputs of dvc.yaml, but commands that
+only write a line: a first build, a build with nothing to do, one changed material; beside it, as far as it
+gets in a minute, `dvc repro` on the same workspace. `efficiency` runs eight objects with three stages of two
+seconds each. `starter` builds the real starter catalogue twice from nothing, with this engine and with `dvc
+repro` (an hour). Wall seconds; peak memory is that of the engine. Exits with 1 if a target is missed.
+"""
+
+import argparse
+import json
+import os
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from dvc.repo import Repo
+from rich.console import Console
+from rich.table import Table
+from ruamel.yaml import YAML
+
+from objectfolder.artifacts import atomic
+from objectfolder.engine.build import Options, build
+from objectfolder.engine.summary import Status
+
+ROOT = Path(__file__).parents[1]
+PEER_SECONDS = 60.0
+MAX_OVERHEAD_MS = 60.0  # per stage
+MAX_IDLE = {100: (5.0, None), 1000: (60.0, 1024.0)}  # objects: seconds, MB
+RERUN = 4  # stages of a changed material
+MIN_EFFICIENCY = 0.92
+COLUMNS, STAGES, SECONDS = 8, 3, 2.0
+MATERIALS = "ceramic", "steel"
+
+
+def dummy(root: Path, objects: int) -> Path:
+    """Workspace with the real graph and commands that write the digest of what the stage declares."""
+    keys = [f"object_{number:04d}" for number in range(objects)]
+    new_repository(root)
+    for name in (".gitignore", ".dvcignore"):
+        shutil.copy(ROOT / name, root)
+    for name in ("objectfolder", "stages"):
+        shutil.copytree(ROOT / name, root / name, ignore=shutil.ignore_patterns("__pycache__"))
+    graph = YAML(typ="safe").load(ROOT / "dvc.yaml")
+    del graph["stages"]["generate"]
+    for name, stage in graph["stages"].items():
+        definition = stage.get("do", stage)
+        (root / f"{name}.sh").write_text(script(name, definition))
+        definition["cmd"] = f"sh {name}.sh" + (" ${key}" if "do" in stage else "")
+    YAML().dump(graph, root / "dvc.yaml")
+    values = YAML(typ="safe").load(ROOT / "params.yaml")
+    entry = values["objects"]["mug"] | {"material": MATERIALS[0]}
+    values["procedural"] = {}
+    values["objects"] = {key: entry | {"mesh": f"data/objects/{key}/mesh.glb"} for key in keys}
+    plain = YAML()
+    plain.representer.ignore_aliases = lambda _: True
+    plain.dump(values, root / "params.yaml")
+    for key in keys:
+        (root / "data/objects" / key).mkdir(parents=True)
+        (root / "data/objects" / key / "mesh.glb").write_text(key)
+    with Repo(root) as repo, repo.scm_context(quiet=True):
+        repo.add([str(root / "data/objects" / key) for key in keys])
+    return root
+
+
+def script(name: str, definition: dict) -> str:
+    """Shell script of a stage: outputs hold a digest of its inputs."""
+    inputs = [dep.replace("${key}", "$1") for dep in definition["deps"] if dep.startswith("build/${key}")]
+    material = "material" in str(definition.get("params", ""))
+    lines = [
+        "set -e",
+        "mkdir -p metrics build/$1",
+        f"digest=$(cat {' '.join([*inputs, '/dev/null'])} | md5sum)",
+        f'digest="{name} $1 $digest"',
+    ]
+    if material:
+        lines.append('digest="$digest $(grep -A 9 "^  $1:" params.yaml | grep -m 1 material)"')
+    outs = definition.get("outs", []) + [next(iter(m)) for m in map(dict, plain_metrics(definition))]
+    for out in (out.replace("${key}", "$1") for out in outs):
+        if out.startswith("metrics/"):
+            lines.append(f'echo "{{\\"psnr\\": 40}}" > {out}')
+        elif Path(out).suffix:
+            lines.append(f"echo {out} $digest > {out}")
+        else:
+            files = [f"{stage}.sha256" for stage in STAGE_NAMES] if name == "hash_code" else SPLITS
+            lines.append(f"mkdir -p {out}")
+            lines += [f"echo {file} $digest > {out}/{file}" for file in files]
+    return "\n".join(lines) + "\n"
+
+
+SPLITS = ("train.npz", "val.npz", "test.npz")
+STAGE_NAMES = [path.stem for path in sorted((ROOT / "stages").glob("*.py"))]
+
+
+def plain_metrics(definition: dict) -> list[dict]:
+    """Metrics of a stage, each as a mapping from the path to its options."""
+    return [m if isinstance(m, dict) else {m: {}} for m in definition.get("metrics", [])]
+
+
+def columns(root: Path, count: int, stages: int, seconds: float) -> Path:
+    """Workspace of independent chains whose commands only sleep."""
+    new_repository(root)
+    lines = ["stages:"]
+    for column in range(count):
+        for stage in range(stages):
+            dep = f"build/{column}_{stage - 1}" if stage else "params.yaml"
+            out = f"build/{column}_{stage}"
+            lines.append(
+                f"  s{stage}_{column}: {{cmd: sleep {seconds} && echo > {out}, deps: [{dep}], outs: [{out}]}}"
+            )
+    (root / "dvc.yaml").write_text("\n".join(lines) + "\n")
+    (root / "params.yaml").write_text("{}\n")
+    (root / "build").mkdir()
+    return root
+
+
+def new_repository(root: Path) -> None:
+    root.mkdir(parents=True)
+    subprocess.run(["git", "init", "-q", root], check=True)
+    (root / ".dvc").mkdir()
+    shutil.copy(ROOT / ".dvc/config", root / ".dvc")
+
+
+def run_build(root: str, workers: str) -> dict:
+    """One build; the job of a fresh process."""
+    start, cpu = time.monotonic(), time.process_time()
+    summary = build(options=Options(jobs=int(workers)), root=root)
+    if not summary.ok:
+        sys.exit(f"{summary.failures[0].address}: {summary.failures[0].error}")
+    return {
+        "seconds": time.monotonic() - start,
+        "cpu_s": time.process_time() - cpu,
+        "stages": len(summary.stages),
+        "ran": len(summary.with_status(Status.RAN)),
+        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    }
+
+
+def fresh(root: Path, workers: int) -> dict:
+    """`run_build` in a process of its own."""
+    done = subprocess.run(
+        [sys.executable, __file__, "--job", str(root), str(workers)],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    if done.returncode:
+        sys.exit(done.stderr)
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def dvc(root: Path, *arguments: str, limit: float | None = None) -> float | None:
+    """Wall seconds of DVC's own command; None if it was stopped at the limit."""
+    start = time.monotonic()
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "dvc", *arguments],
+        cwd=root,
+        env={**os.environ, "PATH": path, "PYTHONPATH": ""},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        if process.wait(limit):
+            sys.exit(f"dvc {' '.join(arguments)} failed in {root}")
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        return None
+    return time.monotonic() - start
+
+
+def scale(folder: Path, workers: int, objects: int) -> dict:
+    """First build, nothing to do, one changed material; and DVC alone."""
+    root = dummy(folder / "own", objects)
+    row = {
+        "objects": objects,
+        "workers": workers,
+        "first": fresh(root, workers),
+        "idle": fresh(root, workers),
+    }
+    params = root / "params.yaml"
+    text = params.read_text()
+    params.write_text(text.replace(f"material: {MATERIALS[0]}", f"material: {MATERIALS[1]}", 1))
+    row["changed"] = fresh(root, workers)
+    row["status_s"] = dvc(root, "status", limit=5 * PEER_SECONDS)
+    row["peer_idle_s"] = dvc(root, "repro", limit=5 * PEER_SECONDS)
+    peer = dummy(folder / "peer", objects)
+    seconds = dvc(peer, "repro", limit=PEER_SECONDS) or PEER_SECONDS
+    lock = peer / "dvc.lock"
+    done = len(re.findall(r"^  \S+:$", lock.read_text(), re.MULTILINE)) if lock.exists() else 0
+    return row | {"peer_stages": done, "peer_s": seconds}
+
+
+def efficiency(folder: Path, workers: int, _: int) -> dict:
+    """How much of the workers' time goes into commands."""
+    ran = fresh(columns(folder / "own", COLUMNS, STAGES, SECONDS), workers)
+    work = COLUMNS * STAGES * SECONDS
+    return {"workers": workers, "seconds": ran["seconds"], "efficiency": work / workers / ran["seconds"]}
+
+
+def starter(folder: Path, workers: int, _: int) -> dict:
+    """The real starter catalogue from nothing, here and with DVC alone."""
+    for name in ("own", "peer"):
+        subprocess.run(["git", "clone", "-q", ROOT, folder / name], check=True)
+    start = time.monotonic()
+    subprocess.run(
+        [sys.executable, "-c", "from objectfolder.cli import main; main()", "build", "-j", str(workers)],
+        cwd=folder / "own",
+        check=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    own = time.monotonic() - start
+    peer = dvc(folder / "peer", "repro")
+    return {"workers": workers, "own_s": own, "peer_s": peer}
+
+
+def lines(command: str, row: dict) -> list[tuple[str, str, str, bool]]:
+    """What is shown: figure, measured, target or peer, met."""
+    if command == "efficiency":
+        measured = row["efficiency"]
+        return [
+            (
+                f"{row['workers']} workers busy",
+                f"{measured:.1%}",
+                f">= {MIN_EFFICIENCY:.0%}",
+                measured >= MIN_EFFICIENCY,
+            )
+        ]
+    if command == "starter":
+        ratio = row["peer_s"] / row["own_s"]
+        return [
+            (
+                "starter catalogue",
+                f"{row['own_s']:.0f} s",
+                f"dvc repro: {row['peer_s']:.0f} s, {ratio:.2f} times as long",
+                True,
+            )
+        ]
+    first, idle, changed = row["first"], row["idle"], row["changed"]
+    per_stage = 1000 * first["seconds"] / first["ran"]
+    seconds, megabytes = MAX_IDLE.get(row["objects"], (None, None))
+    peer = 1000 * row["peer_s"] / max(1, row["peer_stages"])
+    times = f"dvc repro, first {row['peer_stages']}: {peer:.0f}, {peer / per_stage:.1f} times"
+    repro = "over 300" if row["peer_idle_s"] is None else f"{row['peer_idle_s']:.0f}"
+    return [
+        (
+            f"first build, per stage of {first['ran']}",
+            f"{per_stage:.0f} ms",
+            f"<= {MAX_OVERHEAD_MS:.0f}; {times}",
+            per_stage <= MAX_OVERHEAD_MS,
+        ),
+        ("first build, engine", f"{first['cpu_s']:.0f} CPU s, {first['peak_mb']:.0f} MB", "", True),
+        (
+            f"nothing to do, {idle['stages']} stages",
+            f"{idle['seconds']:.1f} s, {idle['peak_mb']:.0f} MB",
+            (f"<= {seconds:.0f} s" if seconds else "")
+            + (f", <= {megabytes:.0f} MB" if megabytes else "")
+            + f"; dvc repro: {repro} s",
+            (seconds is None or idle["seconds"] <= seconds)
+            and (megabytes is None or idle["peak_mb"] <= megabytes),
+        ),
+        (
+            "one changed material",
+            f"{changed['ran']} stages, {changed['seconds']:.1f} s",
+            f"{RERUN} stages",
+            changed["ran"] == RERUN,
+        ),
+    ]
+
+
+def show(command: str, row: dict, console: Console) -> bool:
+    title = f"{row['objects']} objects, {row['workers']} workers" if command == "scale" else command
+    table = Table("", "measured", "target or peer", title=title, title_justify="left")
+    shown = lines(command, row)
+    for name, measured, target, met in shown:
+        table.add_row(name, measured if met else f"[red]{measured}", target)
+    console.print(table)
+    return all(met for *_, met in shown)
+
+
+def main() -> None:
+    if sys.argv[1:2] == ["--job"]:
+        print(json.dumps(run_build(*sys.argv[2:])))
+        return
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("command", choices=("scale", "efficiency", "starter"))
+    parser.add_argument("--objects", type=int, nargs="+", default=[100], help="for scale")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--json", type=Path, help="also write the figures here")
+    arguments = parser.parse_args()
+    measure = {"scale": scale, "efficiency": efficiency, "starter": starter}[arguments.command]
+    rows = []
+    for objects in arguments.objects if arguments.command == "scale" else [0]:
+        with tempfile.TemporaryDirectory() as name:
+            rows.append(measure(Path(name), arguments.workers, objects))
+    met = [show(arguments.command, row, Console()) for row in rows]
+    if arguments.json:
+        with atomic(arguments.json) as temporary:
+            temporary.write_text(json.dumps({arguments.command: rows}, indent=2) + "\n")
+    sys.exit(not all(met))
+
+
+if __name__ == "__main__":
+    main()
