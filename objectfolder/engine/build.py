@@ -116,9 +116,7 @@ def build(
             wanted = plan(repo, root, targets)
         except DvcException as error:
             raise ObjectFolderError(f"DVC cannot read the pipeline in {root}: {error}") from error
-        reached = options.pull and remote.fetch(
-            repo, [stage.addressing for stage in wanted.stages.values()] if targets else None
-        )
+        reached = options.pull and remote.fetch(repo, wanted.stages.values())
         repo.stage_cache = RunCache(repo, pull=reached)
         params = read_params(root)
         needs = {address: needs_of(address, params) for address in wanted.stages}

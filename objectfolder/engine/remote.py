@@ -1,13 +1,16 @@
 """Fetch what a build may need from the default remote, many files at a time."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 from dvc.config import NoRemoteError
 from dvc.data_cloud import Remote
-from dvc.exceptions import DownloadError, DvcException
+from dvc.exceptions import CollectCacheError, DvcException
 from dvc.repo import Repo
+from dvc.stage import Stage
+from dvc_data.hashfile.db import HashFileDB
+from dvc_data.hashfile.hash_info import HashInfo
 from dvc_objects.fs.errors import RemoteMissingDepsError
 from dvc_objects.fs.generic import copy
 from dvc_objects.fs.local import localfs
@@ -17,15 +20,15 @@ from objectfolder.errors import ObjectFolderError
 _log = logging.getLogger(__name__)
 
 
-def fetch(repo: Repo, addresses: Sequence[str] | None = None) -> bool:
-    """Fetch the run cache, and what the lock files refer to, into the local cache.
+def fetch(repo: Repo, stages: Iterable[Stage]) -> bool:
+    """Fetch the run cache, and what the lock files know of some stages, into the local cache.
 
     Parameters
     ----------
     repo : Repo
         Open DVC repository.
-    addresses : sequence of str, optional
-        DVC's addresses of the stages whose outputs to fetch; default: all.
+    stages : iterable of Stage
+        Stages whose outputs to fetch.
 
     Returns
     -------
@@ -43,17 +46,42 @@ def fetch(repo: Repo, addresses: Sequence[str] | None = None) -> bool:
             _log.warning("%s is empty or not there; going on with what is here", _name(remote))
             return False
         _fetch_runs(repo, remote)
-        repo.fetch(addresses)
-    except DownloadError as error:
-        _log.warning(
-            "%d files are not in %s or did not arrive; their stages are built here",
-            error.amount,
-            _name(remote),
-        )
+        if lacking := pull_outputs(repo, stages):
+            _log.warning(
+                "%d files are not in %s or did not arrive; their stages are built here",
+                lacking,
+                _name(remote),
+            )
     except Exception as error:  # each kind of remote has its own
         _log.warning("cannot fetch from %s: %s; going on with what is here", _name(remote), error)
         return False
     return True
+
+
+def pull_outputs(repo: Repo, stages: Iterable[Stage]) -> int:
+    """Fetch what some stages have written; the remote's own error if it cannot be reached.
+
+    Returns
+    -------
+    lacking : int
+        Files that are not here afterwards.
+    """
+    outs = [out for stage in stages for out in stage.outs if out.use_cache and out.hash_info]
+    # The listings of directories first: `get_used_objs` fetches them too, one by one, and hides errors.
+    if listings := {out.hash_info for out in outs if out.hash_info.isdir}:
+        repo.cloud.pull(listings)
+    wanted: dict[HashFileDB | None, set[HashInfo]] = {}
+    lacking = 0
+    for out in outs:
+        try:
+            for source, objects in out.get_used_objs().items():
+                wanted.setdefault(source, set()).update(objects)
+        except CollectCacheError:
+            lacking += 1  # a directory without its listing
+    for source, objects in wanted.items():
+        repo.cloud.pull(objects, odb=source)
+        lacking += sum(not repo.cache.local.exists(info.value) for info in objects)
+    return lacking
 
 
 def _default(repo: Repo) -> Remote:

@@ -6,13 +6,14 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from dvc.exceptions import CollectCacheError
 from dvc.output import Output
 from dvc.repo import Repo
 from dvc.stage import PipelineStage
 from dvc.stage.cache import StageCache
 from dvc_data.hashfile.hash import file_md5
 from dvc_data.hashfile.tree import Tree
+
+from objectfolder.engine.remote import pull_outputs
 
 _log = logging.getLogger(__name__)
 
@@ -57,18 +58,11 @@ class RunCache(StageCache):
 
     def _pull(self, stage: PipelineStage) -> bool:
         try:
-            # The listings by themselves: `get_used_objs` fetches them too, but hides why it cannot.
-            if listings := [out.hash_info for out in stage.outs if out.hash_info.isdir]:
-                self.repo.cloud.pull(listings)
-            for objects in stage.get_used_objs().values():
-                self.repo.cloud.pull(objects)
-        except CollectCacheError:
-            return False  # a directory whose listing the remote lacks
+            return pull_outputs(self.repo, [stage]) == 0
         except Exception as error:  # each kind of remote has its own
             _log.warning("the remote cannot be reached any more: %s; going on with what is here", error)
             self.pull_objects = False
             return False
-        return True
 
 
 def remove_damaged(outs: Iterable[Output]) -> list[str]:
