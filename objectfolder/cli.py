@@ -100,6 +100,12 @@ def build(
             metavar="HOST:PORT", help="Head of the Ray cluster; default: auto, the one this machine is in."
         ),
     ] = None,
+    pull: Annotated[
+        bool, typer.Option("--pull", help="First fetch what is built from DVC's default remote.")
+    ] = False,
+    wait: Annotated[
+        bool, typer.Option("--wait", help="If another process uses the workspace, wait; else refuse.")
+    ] = False,
 ) -> None:
     """Build what is out of date, in parallel, through DVC's graph and cache.
 
@@ -124,7 +130,7 @@ def build(
     with Progress() as progress:
         summary = run_build(
             targets or (),
-            Options(jobs, force, keep_going, timeout),
+            Options(jobs, force, keep_going, timeout, pull, wait),
             on_event=progress,
             make_workers=ray_workers(address or "auto") if engine is Engine.RAY else local_workers,
         )
