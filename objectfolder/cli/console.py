@@ -1,0 +1,5 @@
+"""Standard output of all commands."""
+
+from rich.console import Console
+
+console = Console()
