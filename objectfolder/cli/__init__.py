@@ -6,7 +6,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from objectfolder.cli import objectfile, objects, sensor, workspace
+from objectfolder.cli import objectfile, objects, sensor, upkeep, workspace
 from objectfolder.errors import ObjectFolderError
 
 __all__ = ["app", "main"]
@@ -22,6 +22,9 @@ app = typer.Typer(
 )
 for command in (
     workspace.build,
+    upkeep.status,
+    upkeep.verify,
+    upkeep.prune,
     objects.add,
     objects.fetch,
     workspace.preset,

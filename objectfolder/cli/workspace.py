@@ -49,6 +49,9 @@ def build(
             metavar="HOST:PORT", help="Head of the Ray cluster; default: auto, the one this machine is in."
         ),
     ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Show what would run or come back, and why; change nothing.")
+    ] = False,
 ) -> None:
     """Build what is out of date, in parallel, through DVC's graph and cache.
 
@@ -69,6 +72,14 @@ def build(
     values = params.read()
     params.check_all(values)
     require_renderer(load_profile(values["sensor"]), values["render_touch"]["renderer"])
+    if dry_run:
+        from objectfolder.engine.status import status
+        from objectfolder.engine.statusview import print_outlook
+
+        if force:
+            raise ObjectFolderError("--force runs every stage; there is nothing for --dry-run to find out")
+        print_outlook(status(targets or ()), console)
+        return
     check_writable(Path("build"))
     with Progress() as progress:
         summary = run_build(

@@ -1,0 +1,37 @@
+"""Look into DVC's run cache, the record of what commands made of which inputs, without changing anything."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from dvc.repo import Repo
+from dvc.stage import Stage
+from dvc.stage.cache import _can_hash
+from dvc.stage.serialize import to_single_stage_lockfile
+
+
+def saved_run(stage: Stage, changed: bool) -> Stage | None:
+    """Find the run whose outputs `steps.restore` would bring back; None if there is none, or not whole.
+
+    Parameters
+    ----------
+    stage : Stage
+        Its dependencies hold the hashes that they will have.
+    changed : bool
+        Whether command or dependencies differ from the lock file; if not, it says what to bring back.
+    """
+    cache = stage.repo.stage_cache
+    if not _can_hash(stage):
+        return None
+    if not changed and all(out.hash_info for out in stage.outs):
+        entry = to_single_stage_lockfile(stage)
+    else:
+        entry = cache._load(stage)
+    if not entry:
+        return None
+    found = cache._create_stage(entry, wdir=stage.wdir)
+    return found if found.outs_cached() else None
+
+
+def entries(repo: Repo) -> Iterator[Path]:
+    """Files of the run cache."""
+    return (path for path in Path(repo.stage_cache.cache_dir).glob("*/*/*") if path.is_file())
