@@ -67,7 +67,7 @@ def checks(build: Build) -> dict[Path, Callable[[Path], Any]]:
     table |= {build.net(modality): _net for modality in MODALITIES}
     table |= {build.curve(modality): _curve for modality in MODALITIES}
     sheets = (build.views_sheet, build.touch_sheet, build.vision_sheet, build.sound_sheet)
-    return table | {sheet: _picture for sheet in sheets}
+    return table | dict.fromkeys(sheets, _picture)
 
 
 def validate(check: Callable[[Path], Any], path: Path) -> str:

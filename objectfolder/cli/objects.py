@@ -7,7 +7,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from objectfolder.cli.console import console
+from objectfolder.cli.console import console, tracked
 from objectfolder.errors import ObjectFolderError
 
 
@@ -99,27 +99,19 @@ def _add_folder(
     dry_run: bool,
 ) -> bool:
     """Examine and add the objects in a folder; whether none was refused."""
-    from rich.progress import track
-
     from objectfolder import params
     from objectfolder.catalog import add_mesh
     from objectfolder.intake import discover, survey, table
 
-    def progress(items, description, total):
-        screen = Console(stderr=True)
-        return track(
-            items, description, total, console=screen, transient=True, disable=not screen.is_terminal
-        )
-
     candidates = discover(folder, material)
     examined = survey(candidates, params.read(), up, unit, wall, bridge)
-    findings = list(progress(examined, "examining", len(candidates)))
+    findings = list(tracked(examined, "examining", len(candidates)))
     console.print(table(findings, up is not None))
     refused = {f.candidate.key: f.refusal for f in findings if f.refusal is not None}
     _print_notes(findings)
     accepted = [f for f in findings if f.refusal is None]
     added = []
-    for finding in progress([] if dry_run else accepted, "adding", len(accepted)):
+    for finding in tracked([] if dry_run else accepted, "adding", len(accepted)):
         candidate = finding.candidate
         try:
             material = candidate.material or ""

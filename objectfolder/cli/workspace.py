@@ -73,8 +73,8 @@ def build(
     params.check_all(values)
     require_renderer(load_profile(values["sensor"]), values["render_touch"]["renderer"])
     if dry_run:
+        from objectfolder.cli.statusview import print_outlook
         from objectfolder.engine.status import status
-        from objectfolder.engine.statusview import print_outlook
 
         if force:
             raise ObjectFolderError("--force runs every stage; there is nothing for --dry-run to find out")

@@ -195,7 +195,7 @@ class _Examiner:
                     continue
                 if Path(out) == self.root / code_list("").parent:
                     return producer, self._code(path)
-                inside = () if path == out else tuple(os.path.relpath(path, out).split(os.sep))
+                inside = Path(path).relative_to(out).parts
                 return producer, (content or {}).get(inside)
         return "", None
 

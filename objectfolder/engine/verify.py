@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import networkx as nx
 from dvc.exceptions import DvcException
 from dvc.repo import Repo
 from dvc.stage import Stage
@@ -26,7 +27,7 @@ from objectfolder.artifacts import Build, atomic
 from objectfolder.engine import steps
 from objectfolder.engine.build import Options, build
 from objectfolder.engine.graph import address_of, plan
-from objectfolder.engine.runcache import entries
+from objectfolder.engine.runcache import entries, outputs, remove
 from objectfolder.engine.summary import Listener, Summary
 from objectfolder.engine.workspace import owned
 from objectfolder.errors import ObjectFolderError
@@ -117,6 +118,7 @@ class _Survey:
     others: dict[Path, str] = field(default_factory=dict)  # cached objects that no stage refers to: hash
     hashes: dict[Path, str] = field(default_factory=dict)
     invalid: dict[Path, str] = field(default_factory=dict)
+    blocked: set[str] = field(default_factory=set)  # stages that cannot be rebuilt: a source is not right
     seen: dict[tuple[int, int], int] = field(default_factory=dict)  # sizes of the inodes that were read
 
     def good(self, path: Path | None, oid: str) -> bool:
@@ -208,6 +210,7 @@ def _survey(repo: Repo, root: Path, targets: Sequence[str], jobs: int | None, tr
             survey.others = {p: oid for p, oid in _objects(repo) if p not in known}
             wanted |= dict.fromkeys(survey.others, repo.cache.local.hash_name)
         hash_all(wanted, "reading")
+        survey.blocked = _blocked(repo, survey)
         _validate(survey, lambda f, items: track(pool.map(f, items), "validating", len(items)))
     return survey
 
@@ -281,6 +284,36 @@ def _validate(survey: _Survey, run: Any) -> None:
             survey.invalid[path] = problem
 
 
+def _blocked(repo: Repo, survey: _Survey) -> set[str]:
+    """Stages that a build would feed with a source that differs from what was recorded.
+
+    A build takes what is there for the user's edit, and records it.
+    """
+    unsound = {f.out.stage for f in survey.files if not f.rebuildable and not _restorable(survey, f)}
+    unsound |= {f.out.stage for f in survey.folders if not f.rebuildable and _unlisted(survey, f)}
+    graph = repo.index.graph  # edges go from a stage to what it depends on
+    blocked = set().union(unsound, *(nx.ancestors(graph, stage) for stage in unsound))
+    return {address_of(stage, survey.root) for stage in blocked}
+
+
+def _restorable(survey: _Survey, file: _File) -> bool:
+    """Whether a source is right, or gone and in the cache."""
+    gone = file.path not in survey.hashes
+    return survey.good(file.path, file.oid) or (gone and survey.good(file.cached, file.oid))
+
+
+def _unlisted(survey: _Survey, folder: _File) -> bool:
+    """Whether the list of a directory is damaged and cannot be written again, or files were added."""
+    if folder.cached and survey.good(folder.cached, folder.oid):
+        return bool(_strays(survey, folder))
+    return _tree(survey, folder) is None
+
+
+def _strays(survey: _Survey, folder: _File) -> list[Path]:
+    expected = {f.path for f in survey.files if f.out is folder.out}
+    return [path for path in _walk(folder.path) if path not in expected]
+
+
 def _bad_objects(survey: _Survey) -> set[str]:
     """Hashes of cached objects that are damaged, or not there though the lock file names them."""
     named = {f.oid for f in (*survey.files, *survey.folders) if f.cached and not survey.good(f.cached, f.oid)}
@@ -293,7 +326,7 @@ def _references(repo: Repo, survey: _Survey) -> dict[str, list[Path]]:
     bad = _bad_objects(survey)
     found: dict[str, list[Path]] = {}
     for path in entries(repo) if bad else ():
-        text = path.read_text(errors="replace")
+        text = outputs(path.read_text(errors="replace"))
         for oid in bad:
             if f"md5: {oid}\n" in text:
                 found.setdefault(oid, []).append(path)
@@ -309,20 +342,14 @@ def _findings(survey: _Survey, references: dict[str, list[Path]]) -> list[Findin
     for folder in survey.folders:
         if folder.cached and not survey.good(folder.cached, folder.oid):
             whole = _tree(survey, folder) is not None
-            remedy = "--repair writes it again" if whole else _rebuilds(folder)
+            remedy = "--repair writes it again" if whole else _rebuilds(survey, folder)
             add(folder, f"its list in the cache {survey.words(folder.cached)}", remedy)
         elif folder.cached:
-            expected = {f.path for f in survey.files if f.out is folder.out}
-            for path in _walk(folder.path):
-                if path not in expected:
-                    problem = "is not one of the files that the stage wrote"
-                    add(
-                        replace(folder, path=path),
-                        problem,
-                        "--repair removes it" if folder.rebuildable else _left(folder),
-                    )
+            for path in _strays(survey, folder):
+                remedy = "--repair removes it" if folder.rebuildable else _left(folder)
+                add(replace(folder, path=path), "is not one of the files that were recorded", remedy)
         elif _tree(survey, folder) is None:
-            add(folder, "differs from what was recorded", _rebuilds(folder))
+            add(folder, "differs from what was recorded", _rebuilds(survey, folder))
     for file in survey.files:
         here, there = survey.good(file.path, file.oid), survey.good(file.cached, file.oid)
         saved = len(references.get(file.oid, ()))
@@ -330,26 +357,29 @@ def _findings(survey: _Survey, references: dict[str, list[Path]]) -> list[Findin
             runs = (
                 f" ({saved} saved runs would bring it back)" if saved and file.cached in survey.hashes else ""
             )
-            remedy = "--repair copies the checked-out file there" if here else _rebuilds(file)
+            remedy = "--repair copies the checked-out file there" if here else _rebuilds(survey, file)
             add(file, f"its object in the cache {survey.words(file.cached)}{runs}", remedy)
         if not here:
             problem = survey.words(file.path).replace("is damaged", "differs from what was recorded")
             if there and (file.rebuildable or file.path not in survey.hashes):
                 remedy = "--repair takes it from the cache"
             else:
-                remedy = _left(file) if there else _rebuilds(file)
+                remedy = _left(file) if there else _rebuilds(survey, file)
             add(file, problem, remedy)
         elif file.path in survey.invalid:
-            add(file, survey.invalid[file.path], _rebuilds(file))
+            add(file, survey.invalid[file.path], _rebuilds(survey, file))
     for path, oid in survey.others.items():
         if not survey.good(path, oid):
-            runs = f", and {len(references[oid])} saved runs would bring it back" if oid in references else ""
-            problem = f"{survey.words(path)}; no stage refers to it now{runs}"
+            problem = f"{survey.words(path)}; no stage refers to it now"
+            if oid in references:
+                problem += f", but {len(references[oid])} saved runs would bring it back"
             found.append(Finding("", _relative(path, survey.root), problem, "--repair removes it"))
     return found
 
 
-def _rebuilds(file: _File) -> str:
+def _rebuilds(survey: _Survey, file: _File) -> str:
+    if file.rebuildable and file.address in survey.blocked:
+        return "--repair rebuilds it once its source is right"
     if file.rebuildable:
         return "--repair rebuilds it"
     return f"`dvc pull {file.address}`, or remove the object and add it again: it cannot be rebuilt"
@@ -357,8 +387,8 @@ def _rebuilds(file: _File) -> str:
 
 def _left(file: _File) -> str:
     return (
-        f"if you changed it, `dvc commit {file.address}`; if not, `dvc checkout --force {file.address}` takes "
-        "the recorded one back"
+        f"if you changed it, `dvc commit {file.address}`; if not, delete it, and `dvc checkout "
+        f"{file.address}` brings the recorded one back"
     )
 
 
@@ -367,18 +397,18 @@ def _repair(survey: _Survey) -> set[str]:
 
     Bad files go before good ones come, one rename at a time: killed anywhere, what is good is still there.
     """
-    rebuild: set[str] = set()
+    rebuild: set[str] = set()  # never what is blocked: it keeps what it has
     checkout: dict[str, Any] = {}
     for folder in survey.folders:
         if folder.cached is None:
-            if _tree(survey, folder) is None:
+            if _tree(survey, folder) is None and folder.address not in survey.blocked:
                 shutil.rmtree(folder.path, ignore_errors=True)
                 rebuild.add(folder.address)
         elif not survey.good(folder.cached, folder.oid):
             tree = _tree(survey, folder)
             folder.cached.unlink(missing_ok=True)
             if tree is None:
-                rebuild |= {folder.address} if folder.rebuildable else set()
+                rebuild |= {folder.address} - survey.blocked
             else:
                 folder.cached.parent.mkdir(parents=True, exist_ok=True)
                 with atomic(folder.cached) as temporary:
@@ -386,20 +416,24 @@ def _repair(survey: _Survey) -> set[str]:
                     temporary.chmod(READ_ONLY)
         elif folder.rebuildable:
             checkout[folder.out.fs_path] = folder.out  # removes what does not belong there
-    for file in survey.files:
-        here, there = survey.good(file.path, file.oid), survey.good(file.cached, file.oid)
-        if file.path in survey.invalid:
-            here = there = False
-        if here and not there and file.cached:
+
+    def good(file: _File, path: Path | None) -> bool:
+        return file.path not in survey.invalid and survey.good(path, file.oid)
+
+    for file in survey.files:  # first, as other files may be the same object
+        if file.cached and good(file, file.path) and not good(file, file.cached):
             _cache(file)
-        elif there and not here:
+            survey.hashes[file.cached] = file.oid
+    for file in survey.files:
+        here, there = good(file, file.path), good(file, file.cached)
+        if there and not here:
             if file.rebuildable or file.path not in survey.hashes:
                 file.path.unlink(missing_ok=True)
                 checkout[file.out.fs_path] = file.out
         elif not here:
             if file.cached:
                 file.cached.unlink(missing_ok=True)
-            if file.rebuildable:
+            if file.address not in survey.blocked:
                 file.path.unlink(missing_ok=True)
                 rebuild.add(file.address)
     for path, oid in survey.others.items():
@@ -437,9 +471,9 @@ def _drop_dead_runs(repo: Repo, bad: set[str]) -> None:
     """Remove saved runs that name what was bad and has not come back; DVC would find nothing older."""
     gone = [oid for oid in bad if not Path(repo.cache.local.oid_to_path(oid)).exists()]
     for path in entries(repo) if gone else ():
-        text = path.read_text(errors="replace")
+        text = outputs(path.read_text(errors="replace"))
         if any(f"md5: {oid}\n" in text for oid in gone):
-            path.unlink()
+            remove(path)
 
 
 def _relative(path: Path, root: Path) -> str:

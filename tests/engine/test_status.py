@@ -8,9 +8,9 @@ import shutil
 import pytest
 from rich.console import Console
 
+from objectfolder.cli.statusview import as_json, print_details, print_outlook, print_table
 from objectfolder.engine.build import build
 from objectfolder.engine.status import Outlook, State, status
-from objectfolder.engine.statusview import as_json, print_details, print_outlook, print_table
 from objectfolder.engine.summary import Status
 
 from .conftest import KEYS, everything

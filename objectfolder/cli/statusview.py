@@ -4,10 +4,10 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 
 from rich.console import Console
-from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
+from objectfolder.cli.console import print_wide
 from objectfolder.engine.status import Outlook, StageStatus, State
 
 MARKS = {
@@ -39,9 +39,7 @@ def print_table(found: Sequence[StageStatus], console: Console) -> None:
             else:
                 (one,) = row.values()
                 table.add_row(key, Text.assemble(_mark(one.state), f" {one.state}"))
-        # Off a terminal no width is given: what cannot be shown in 80 columns is for a file or a pipe.
-        wide = Measurement.get(console, console.options.update(max_width=10_000), table).maximum
-        console.print(table, width=None if console.is_terminal else wide, crop=False)
+        print_wide(table, console)
         shown = [
             state
             for state in MARKS
