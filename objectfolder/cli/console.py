@@ -19,5 +19,7 @@ def tracked(items: Iterable[Any], description: str, total: int) -> Iterable[Any]
 
 def print_wide(table: Table, console: Console = console) -> None:
     """Print a table; where there is no terminal, as wide as it is, as nobody gave a width."""
-    wide = Measurement.get(console, console.options.update(max_width=10_000), table).maximum
-    console.print(table, width=None if console.is_terminal else wide, crop=False)
+    if not console.is_terminal:
+        wide = Measurement.get(console, console.options.update(max_width=10_000), table).maximum
+        console = Console(file=console.file, width=max(wide, console.width))
+    console.print(table)

@@ -52,10 +52,8 @@ def print_table(found: Sequence[StageStatus], console: Console) -> None:
     ).most_common(CAUSES)
     for reason, count in causes:
         console.print(Text(f"{count:5d} x {reason}"), soft_wrap=True)
-    console.print(
-        _counts(one.state for one in found) + f"; {len(objects) - len(lines)} objects all fresh",
-        highlight=False,
-    )
+    fresh = len({one.object for one in found if one.object} - set(lines))
+    console.print(f"{_counts(one.state for one in found)}; {fresh} objects all fresh", highlight=False)
     if lines:
         console.print("`objectfolder status OBJECT` says why; `objectfolder build --dry-run` what would run")
 

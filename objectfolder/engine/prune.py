@@ -163,20 +163,14 @@ def _survey(repo: Repo, root: Path) -> Waste:
 def _build_folders(root: Path) -> Iterator[Path]:
     """Folders in ``build/`` that hold an artifact of an object; others are not ours."""
     for folder in sorted((root / "build").glob("[a-z]*")):
-        if folder.is_dir() and any(path.exists() for path in _artifacts(Build(folder.name, root))):
+        if folder.is_dir() and any(p.exists() for p in Build(folder.name, root).artifacts()):
             yield folder
-
-
-def _artifacts(build: Build) -> list[Path]:
-    from objectfolder.validation import checks
-
-    return [path for path in (*checks(build), build.solved_modes) if path != build.metrics]
 
 
 def _files(root: Path, key: str, dead: list[dict[str, Any]]) -> tuple[Path, ...]:
     """Artifacts, pictures of inspections, metrics and logs of an object, as far as they exist."""
     build = Build(key, root)
-    found = {*_artifacts(build), build.metrics, *(root / LOGS).glob(f"*@{key}.*")}
+    found = {*build.artifacts(), build.solved_modes, build.metrics, *(root / LOGS).glob(f"*@{key}.*")}
     found |= set(build.inspections.rglob("*"))
     for out in (root / out["path"] for entry in dead for out in entry.get("outs", [])):
         if out.is_relative_to(build.dir):
