@@ -47,15 +47,14 @@ def print_table(found: Sequence[StageStatus], console: Console) -> None:
         ]
         legend = [Text.assemble(_mark(state), f" {state}") for state in shown]
         console.print(Text("   ").join(legend), soft_wrap=True)
-    causes = Counter(
-        reason for one in found if one.state is not State.UPSTREAM for reason in one.reasons
-    ).most_common(CAUSES)
-    for reason, count in causes:
+    causes = Counter(reason for one in found for reason in one.reasons)
+    for reason, count in causes.most_common(CAUSES):
         console.print(Text(f"{count:5d} x {reason}"), soft_wrap=True)
     fresh = len({one.object for one in found if one.object} - set(lines))
     console.print(f"{_counts(one.state for one in found)}; {fresh} objects all fresh", highlight=False)
     if lines:
-        console.print("`objectfolder status OBJECT` says why; `objectfolder build --dry-run` what would run")
+        hint = "`objectfolder status OBJECT` says why, `objectfolder build --dry-run` what would run"
+        console.print(hint, soft_wrap=True)
 
 
 def print_details(found: Iterable[StageStatus], console: Console) -> None:
@@ -66,7 +65,7 @@ def print_details(found: Iterable[StageStatus], console: Console) -> None:
         mark, style = MARKS[one.state]
         line = Text(f"{mark} {one.address.ljust(width)}  ", style=style).append(one.state)
         console.print(line, soft_wrap=True)
-        for reason in (*one.reasons, *([f"log: {one.log}"] if one.log else [])):
+        for reason in (*_reasons(one), *([f"log: {one.log}"] if one.log else [])):
             console.print(Text(f"    {reason}"), soft_wrap=True)
     console.print(_counts(one.state for one in found), highlight=False)
 
@@ -80,7 +79,7 @@ def print_outlook(found: Iterable[StageStatus], console: Console) -> None:
     for one in acting:
         line = Text(f"{one.outlook:<11}  ", style=styles[one.outlook])
         line.append(f"{one.address.ljust(width)}  ", style="default")
-        line.append("; ".join(one.reasons) or one.state, style="default")
+        line.append("; ".join(_reasons(one)) or one.state, style="default")
         console.print(line, soft_wrap=True)
     console.print(_counts(one.outlook for one in found), highlight=False)
 
@@ -95,10 +94,16 @@ def as_json(found: Iterable[StageStatus]) -> list[dict[str, object]]:
             "state": one.state,
             "next": one.outlook,
             "reasons": one.reasons,
+            "waits_for": one.waits_for,
             "log": one.log,
         }
         for one in found
     ]
+
+
+def _reasons(one: StageStatus) -> list[str]:
+    waits = [f"{', '.join(one.waits_for)} not up to date"] if one.waits_for else []
+    return [*one.reasons, *waits]
 
 
 def _mark(state: State) -> Text:

@@ -60,7 +60,9 @@ class StageStatus:
     outlook : Outlook
         What the next build would do.
     reasons : tuple of str
-        Why it is not fresh.
+        Why it is not fresh by itself.
+    waits_for : tuple of str
+        Stages that it takes outputs of and that are not up to date.
     log : str
         Log of the command that failed; else empty.
     """
@@ -69,6 +71,7 @@ class StageStatus:
     state: State
     outlook: Outlook
     reasons: tuple[str, ...] = ()
+    waits_for: tuple[str, ...] = ()
     log: str = ""
 
     @property
@@ -115,6 +118,7 @@ class _Examiner:
         self.root = root
         # By stage that is not fresh and path of an output; None: only a run will tell.
         self.future: dict[str, dict[str, Content | None]] = {}
+        self.modules: dict[Path, str | None] = {}  # by script: digests of what it imports
 
     def examine(self, address: str) -> StageStatus:
         stage = self.wanted.stages[address]
@@ -123,7 +127,7 @@ class _Examiner:
         own = ["its command changed"] if isinstance(stage, PipelineStage) and stage.cmd_changed else []
         if stage.is_callback or stage.always_changed:
             own.append("it runs every time")
-        upstream, unknown = [], False
+        waits_for, unknown = [], False
         never = not any(out.hash_info for out in stage.outs)
         hashes: dict[int, tuple[Meta, HashInfo]] = {}
         for number, dep in enumerate(stage.deps):
@@ -135,27 +139,29 @@ class _Examiner:
                 own += [self._change(dep) or f"{dep} {_words(word)}" for word in dep.status().values()]
             elif expected is None:
                 unknown = True
-                upstream.append(f"{producer} is not up to date")
+                waits_for.append(producer)
             else:
                 hashes[number] = expected
                 if expected[1] != dep.hash_info:
-                    upstream.append(self._change(dep) or f"{dep} will change with {producer}")
+                    change = self._change(dep)
+                    own += [change] if change else []
+                    waits_for += [] if change else [producer]
         missing, altered = _outputs(stage)
-        changed = bool(own or upstream or never)
+        changed = bool(own or waits_for or never)
         if never:
             state = State.NEVER
         elif own or altered:
             state = State.STALE
         elif missing:
             state = State.MISSING
-        elif upstream:
+        elif waits_for:
             state = State.UPSTREAM
         else:
             return StageStatus(address, State.FRESH, Outlook.SKIP)
-        reasons = list(dict.fromkeys(([] if never else own + altered + missing) + upstream))
+        reasons = [] if never else own + altered + missing
         failure = failures.recall(self.root / failures.LOGS, address, stage)
         if failure is not None:
-            state, reasons = State.FAILED, [failure.error, *(reasons if not never else [])]
+            state, reasons = State.FAILED, [failure.error, *reasons]
         future: dict[str, Content | None] = dict.fromkeys((out.fs_path for out in stage.outs), None)
         if unknown:
             outlook = Outlook.RUN if own or never else Outlook.PERHAPS
@@ -165,7 +171,8 @@ class _Examiner:
             if found:
                 future = {out.fs_path: _content(out) for out in found.outs}
         self.future[address] = future
-        return StageStatus(address, state, outlook, tuple(reasons), failure.log if failure else "")
+        log = failure.log if failure else ""
+        return StageStatus(address, state, outlook, tuple(reasons), tuple(dict.fromkeys(waits_for)), log)
 
     def _examine_data(self, address: str, stage: Stage) -> StageStatus:
         missing, altered = _outputs(stage)
@@ -209,7 +216,9 @@ class _Examiner:
 
     def _modules(self, path: str) -> str | None:
         script = Path("stages", f"{Path(path).stem}.py")
-        return digests(script, self.root) if (self.root / script).is_file() else None
+        if script not in self.modules:
+            self.modules[script] = digests(script, self.root) if (self.root / script).is_file() else None
+        return self.modules[script]
 
     def _change(self, dep: Any) -> str:
         """Name the modules that differ, if the dependency is a list of them."""

@@ -78,7 +78,7 @@ def test_changed_parameter_is_named_with_both_values(workspace):
     workspace.params(mug={"material": "glass"})
     assert not_fresh(workspace) == {"solve@mug": State.STALE, "pack@mug": State.UPSTREAM}
     assert one(workspace, "solve@mug").reasons == ("objects.mug.material: steel -> glass",)
-    assert one(workspace, "pack@mug").reasons == ("solve@mug is not up to date",)
+    assert one(workspace, "pack@mug").waits_for == ("solve@mug",)
     said = check_prediction(workspace)
     assert (said["solve@mug"], said["pack@mug"]) == (Outlook.RUN, Outlook.PERHAPS)
 
@@ -100,7 +100,8 @@ def test_changed_dependency_and_command(workspace):
     assert one(workspace, "prepare@bowl").reasons == ("steps.py changed",)
     pipeline = workspace.root / "dvc.yaml"
     pipeline.write_text(pipeline.read_text().replace("steps pack ${key}", "steps  pack ${key}"))
-    assert one(workspace, "pack@bowl").reasons[0] == "its command changed"
+    assert one(workspace, "pack@bowl").reasons == ("its command changed",)
+    assert one(workspace, "pack@bowl").waits_for == ("prepare@bowl", "solve@bowl")
     check_prediction(workspace)
 
 
