@@ -115,7 +115,7 @@ def _survey(repo: Repo, root: Path) -> Waste:
         a: e for a, e in stages.items() if a not in addresses and a.partition("@")[2] not in {"", *living}
     }
     keys = {address.partition("@")[2] for address in dead}
-    keys |= {path.name for path in _build_folders(root) if path.name not in living}
+    keys |= {path.stem.partition("@")[2] for path in (root / LOGS).glob("*@*.log")} - living
     alive = {address: entry for address, entry in stages.items() if address not in dead}
 
     runs, saved = [], []
@@ -158,13 +158,6 @@ def _survey(repo: Repo, root: Path) -> Waste:
         runs=tuple(sorted(runs)),
         left=tuple(left),
     )
-
-
-def _build_folders(root: Path) -> Iterator[Path]:
-    """Folders in ``build/`` that hold an artifact of an object; others are not ours."""
-    for folder in sorted((root / "build").glob("[a-z]*")):
-        if folder.is_dir() and any(p.exists() for p in Build(folder.name, root).artifacts()):
-            yield folder
 
 
 def _files(root: Path, key: str, dead: list[dict[str, Any]]) -> tuple[Path, ...]:

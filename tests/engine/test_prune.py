@@ -68,7 +68,7 @@ def test_everything_of_a_removed_object_goes_and_nothing_else(workspace):
     before, lock = files(workspace), YAML(typ="safe").load(workspace.root / "dvc.lock")["stages"]
     foreign = workspace.root / "build/bell/notes.txt"
     foreign.write_text("mine")
-    other = workspace.root / "build/perf/result.json"
+    other = workspace.root / "build/perf/modal.json"
     other.parent.mkdir()
     other.write_text("{}")
     source = workspace.root / "data/objects/bell/mesh.obj"
