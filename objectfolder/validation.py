@@ -86,10 +86,9 @@ def _arrays(path: Path, shapes: dict[str, str]) -> dict[str, np.ndarray]:
     sizes: dict[str, int] = {}
     for name, dims in shapes.items():
         shape = arrays[name].shape
-        expected = [int(d) if d.isdigit() else sizes.get(d, n) for d, n in zip(dims, shape)]
+        expected = [int(d) if d.isdigit() else sizes.setdefault(d, n) for d, n in zip(dims, shape)]
         if len(shape) != len(dims) or list(shape) != expected:
             raise ObjectFolderError(f"{path}: {name} has shape {shape}, expected {tuple(dims)}; rebuild it")
-        sizes |= {d: n for d, n in zip(dims, shape) if not d.isdigit()}
     return arrays
 
 

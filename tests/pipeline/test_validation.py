@@ -1,4 +1,4 @@
-"""Every artifact of the real pipeline is read as its users read it; what is not valid is found and rebuilt."""
+"""Artifacts of the real pipeline are read as their users read them; what is not valid is rebuilt."""
 
 import shutil
 
