@@ -14,7 +14,7 @@ from dvc.utils.serialize import dumps_yaml, load_yaml
 
 from objectfolder.artifacts import Build, atomic
 from objectfolder.engine.failures import LOGS
-from objectfolder.engine.runcache import entries, outputs, remove
+from objectfolder.engine.savedruns import entries, outputs, remove
 from objectfolder.engine.workspace import owned, read_params
 from objectfolder.errors import ObjectFolderError
 

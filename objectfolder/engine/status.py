@@ -18,7 +18,7 @@ from dvc_data.hashfile.tree import Tree
 from objectfolder.artifacts import code_list
 from objectfolder.engine import failures, steps
 from objectfolder.engine.graph import Plan, plan
-from objectfolder.engine.runcache import saved_run
+from objectfolder.engine.savedruns import saved_run
 from objectfolder.engine.workspace import owned
 from objectfolder.errors import ObjectFolderError
 from objectfolder.sources import digests

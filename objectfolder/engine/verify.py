@@ -27,7 +27,7 @@ from objectfolder.artifacts import Build, atomic
 from objectfolder.engine import steps
 from objectfolder.engine.build import Options, build
 from objectfolder.engine.graph import address_of, plan
-from objectfolder.engine.runcache import entries, outputs, remove
+from objectfolder.engine.savedruns import entries, outputs, remove
 from objectfolder.engine.summary import Listener, Summary
 from objectfolder.engine.workspace import owned
 from objectfolder.errors import ObjectFolderError
