@@ -49,6 +49,12 @@ def build(
             metavar="HOST:PORT", help="Head of the Ray cluster; default: auto, the one this machine is in."
         ),
     ] = None,
+    pull: Annotated[
+        bool, typer.Option("--pull", help="First fetch what is built from DVC's default remote.")
+    ] = False,
+    wait: Annotated[
+        bool, typer.Option("--wait", help="If another process uses the workspace, wait; else refuse.")
+    ] = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Show what would run or come back, and why; change nothing.")
     ] = False,
@@ -76,15 +82,15 @@ def build(
         from objectfolder.cli.statusview import print_outlook
         from objectfolder.engine.status import status
 
-        if force:
-            raise ObjectFolderError("--force runs every stage; there is nothing for --dry-run to find out")
+        if force or pull:
+            raise ObjectFolderError("--dry-run tells from what is here; --force and --pull are for a build")
         print_outlook(status(targets or ()), console)
         return
     check_writable(Path("build"))
     with Progress() as progress:
         summary = run_build(
             targets or (),
-            Options(jobs, force, keep_going, timeout),
+            Options(jobs, force, keep_going, timeout, pull, wait),
             on_event=progress,
             make_workers=ray_workers(address or "auto") if engine is Engine.RAY else local_workers,
         )

@@ -1,6 +1,7 @@
 """Build: one owner of DVC's lock, many commands at a time."""
 
 import bisect
+import logging
 import signal
 import threading
 import time
@@ -12,13 +13,15 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 
 from dvc.exceptions import DvcException
+from dvc.repo import Repo
 
-from objectfolder.engine import failures, steps
+from objectfolder.engine import disk, failures, remote, steps
 from objectfolder.engine.failures import LOGS, log_path
 from objectfolder.engine.graph import Plan, plan
 from objectfolder.engine.lockfile import LockFiles
 from objectfolder.engine.process import Outcome, describe, tail
 from objectfolder.engine.resources import Machine, Needs, cores, needs_of
+from objectfolder.engine.runcache import RunCache, remove_damaged
 from objectfolder.engine.schedule import Schedule, object_groups
 from objectfolder.engine.summary import (
     Finished,
@@ -39,6 +42,7 @@ OBJECTS_PER_CORE = 2  # that are worked on at a time
 #: How often a stage is started again when it was lost with its worker.
 RESTARTS = 3
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -55,12 +59,18 @@ class Options:
         After a failure, go on with what does not depend on it; else start nothing more.
     timeout : float, optional
         Wall seconds after which a stage is killed, in place of the table's; 0 never.
+    pull : bool
+        Before anything runs, fetch from DVC's default remote what the lock file and the run cache know.
+    wait : bool
+        If another process uses the workspace, wait until it ends; else refuse.
     """
 
     jobs: int | None = None
     force: bool = False
     keep_going: bool = True
     timeout: float | None = None
+    pull: bool = False
+    wait: bool = False
 
     def __post_init__(self) -> None:
         if self.jobs is not None and self.jobs < 1:
@@ -112,18 +122,22 @@ def build(
     """
     start = time.monotonic()
     root = Path(root).resolve()
-    with held(root) as (repo, lockfiles):
+    with held(root, options.wait) as (repo, lockfiles):
+        disk.sweep(repo)
         try:
             wanted = plan(repo, root, targets)
         except DvcException as error:
             raise ObjectFolderError(f"DVC cannot read the pipeline in {root}: {error}") from error
+        reached = options.pull and remote.fetch(repo, wanted.stages.values())
+        repo.stage_cache = RunCache(repo, pull=reached)
         params = read_params(root)
         needs = {address: needs_of(address, params) for address in wanted.stages}
         if options.timeout is not None:
             limit = options.timeout or None
             needs = {address: replace(need, timeout=limit) for address, need in needs.items()}
         on_event(Planned({address: need.seconds for address, need in needs.items()}))
-        results = _Build(wanted, needs, options, lockfiles, root / LOGS, on_event, make_workers).run()
+        logs = root / LOGS
+        results = _Build(repo, wanted, needs, options, lockfiles, logs, on_event, make_workers).run()
     ordered = {address: results[address] for address in wanted.stages}
     return Summary(stages=ordered, seconds=time.monotonic() - start)
 
@@ -141,6 +155,7 @@ class _Build:
 
     def __init__(
         self,
+        repo: Repo,
         wanted: Plan,
         needs: dict[str, Needs],
         options: Options,
@@ -149,6 +164,7 @@ class _Build:
         on_event: Listener,
         make_workers: MakeWorkers,
     ):
+        self.repo = repo
         self.stages = wanted.stages
         self.needs = needs
         self.options = options
@@ -169,6 +185,7 @@ class _Build:
         )
         self.signal: int | None = None
         self.stopping = False
+        self.unwritable = False
 
     def run(self) -> dict[str, StageResult]:
         """Run until nothing is left, and return the results by address."""
@@ -182,7 +199,7 @@ class _Build:
                     self.workers.close()
                     self._collect_finished()  # what ended on its own just before the kill is kept
                 finally:
-                    self.lockfiles.flush()
+                    self._flush()
         return self.results
 
     def _loop(self) -> None:
@@ -195,11 +212,11 @@ class _Build:
                 if address not in self.results:  # what a build that gave up has written off
                     self._examine(address)
             elif self.running:
-                self._collect(timeout=self.lockfiles.seconds_until_due())
+                self._collect(timeout=None if self.unwritable else self.lockfiles.seconds_until_due())
             else:
                 return
             self._collect_finished()
-            self.lockfiles.flush_if_due()
+            self._flush_if_due()
 
     def _pop_due(self) -> str | None:
         """Take the most urgent stage that there is room for.
@@ -227,13 +244,14 @@ class _Build:
             else:
                 self._succeed(StageResult(address, Status.SKIPPED))
         except (DvcException, OSError) as error:
-            self._fail(StageResult(address, Status.FAILED, error=_text(error)))
+            self._fail(StageResult(address, Status.FAILED, error=self._explain(error, address)))
 
     def _pass_through(self, address: str) -> None:
         """Let DVC handle a stage without a command itself: it verifies data, or downloads an import."""
         start = time.monotonic()
         stage = self.stages[address]
         if any(not out.exists for out in stage.outs):
+            remove_damaged(stage.outs)
             stage.checkout(allow_missing=True)  # deleted data comes back from the cache
         if stage.reproduce(force=self.options.force) is None:
             self._succeed(StageResult(address, Status.SKIPPED))
@@ -256,7 +274,7 @@ class _Build:
                 return
             command = steps.prepare(stage, log, self.needs[address])
         except (DvcException, OSError) as error:
-            self._fail(StageResult(address, Status.FAILED, error=_text(error)))
+            self._fail(StageResult(address, Status.FAILED, error=self._explain(error, address)))
             return
         self.running.add(address)
         self.workers.submit(address, command, self.needs[address])
@@ -284,15 +302,19 @@ class _Build:
             return
         log = self._log(address)
         if isinstance(outcome, Exception):
-            self._fail(StageResult(address, Status.FAILED, error=f"cannot run the command: {outcome}"))
+            error = f"cannot run the command: {self._explain(outcome, address)}"
+            self._fail(StageResult(address, Status.FAILED, error=error))
             return
         error = describe(outcome)
-        if not error:
+        if error:
+            error += self._hint(address, log)
+        else:
             try:
-                steps.save(self.stages[address])
-                self.lockfiles.add(self.stages[address])
+                stage = self.stages[address]
+                steps.save(stage)
+                self.lockfiles.add(stage)
             except (DvcException, OSError) as problem:
-                error = _text(problem)
+                error = self._explain(problem, address)
         result = StageResult(
             address=address,
             status=Status.FAILED if error else Status.RAN,
@@ -316,6 +338,46 @@ class _Build:
             return
         bisect.insort(self.due, (self.schedule.rank[address], address))
         self.on_event(Lost(address, str(loss)))
+
+    def _flush_if_due(self) -> None:
+        """Write what has waited; what cannot be written is tried again at the end, what runs goes on."""
+        if self.unwritable:
+            return
+        try:
+            self.lockfiles.flush_if_due()
+        except (OSError, ObjectFolderError) as error:
+            self.unwritable = True
+            _log.warning("cannot write the lock file: %s; trying again at the end of the build", error)
+
+    def _flush(self) -> None:
+        try:
+            self.lockfiles.flush()
+        except (OSError, ObjectFolderError) as error:
+            raise ObjectFolderError(
+                f"cannot write dvc.lock: {self._explain(error)}; what has finished is in DVC's cache: build "
+                "again once it can be written, and none of that runs twice"
+            ) from error
+
+    def _explain(self, error: BaseException, address: str | None = None) -> str:
+        """Give an error's message and the cause that DVC often keeps to itself; name a full disk."""
+        cause = f": {error.__cause__}" if isinstance(error, DvcException) and error.__cause__ else ""
+        text = f"{error}{cause}"
+        if disk.is_shortage(error):
+            text += f": {disk.describe(*disk.fullest(self._disks(address)))}; make space and build again"
+            disk.sweep(self.repo)
+        return text
+
+    def _hint(self, address: str, log: Path) -> str:
+        """Name the full disk, if that may be why a command has failed."""
+        path, free, total = disk.fullest(self._disks(address))
+        if free >= disk.LOW and not disk.mentions_shortage(tail(log)):
+            return ""
+        return f"; {disk.describe(path, free, total)}; make space and build again"
+
+    def _disks(self, address: str | None) -> list[Path]:
+        outs = self.stages[address].outs if address else ()
+        cache = Path(self.repo.cache.local.path)
+        return [*(Path(out.fs_path) for out in outs), self.logs, cache, Path(self.repo.tmp_dir)]
 
     def _log(self, address: str) -> Path:
         return log_path(self.logs, address)
@@ -372,9 +434,3 @@ class _Build:
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler)
-
-
-def _text(error: Exception) -> str:
-    """Give the message of a DVC or system error, with the cause that DVC often keeps to itself."""
-    cause = f": {error.__cause__}" if isinstance(error, DvcException) and error.__cause__ else ""
-    return f"{error}{cause}"

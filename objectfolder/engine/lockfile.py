@@ -22,6 +22,7 @@ from unittest.mock import patch
 from dvc.dvcfile import Lockfile
 from dvc.stage import PipelineStage, Stage
 from dvc.stage.serialize import to_lockfile
+from dvc.utils.serialize import EncodingError
 from dvc.utils.strictyaml import YAMLSyntaxError, YAMLValidationError
 
 from objectfolder.artifacts import atomic
@@ -70,7 +71,7 @@ class LockFiles:
         if not isinstance(stage, PipelineStage):
             stage.dump(update_pipeline=False)  # a .dvc file holds one stage: nothing to batch
             return
-        path = Path(stage.dvcfile.path).with_suffix(".lock")
+        path = Path(stage.dvcfile.path).absolute().with_suffix(".lock")
         entry = to_lockfile(stage)
         self._stages(path).update(entry)
         self._text[path].pop(stage.name, None)
@@ -81,7 +82,7 @@ class LockFiles:
 
     def remove(self, stage: PipelineStage) -> None:
         """Forget a stage; it leaves the disk at the next `flush`."""
-        path = Path(stage.dvcfile.path).with_suffix(".lock")
+        path = Path(stage.dvcfile.path).absolute().with_suffix(".lock")
         if self._stages(path).pop(stage.name, None) is not None:
             self._dirty.add(path)
 
@@ -108,7 +109,7 @@ class LockFiles:
         return self._contents[path].setdefault("stages", {})
 
     def _read(self, lockfile: Lockfile, parse: Any) -> tuple[Any, str]:
-        path = Path(lockfile.path)
+        path = Path(lockfile.path).absolute()
         if not path.exists():
             return parse()
         text = path.read_bytes()
@@ -120,7 +121,7 @@ class LockFiles:
                 contents = parse()[0]
                 if not contents and copy is not None:
                     raise ObjectFolderError("it is empty")
-            except (YAMLSyntaxError, YAMLValidationError, UnicodeDecodeError, ObjectFolderError) as error:
+            except (YAMLSyntaxError, YAMLValidationError, EncodingError, ObjectFolderError) as error:
                 if copy is None or b"<<<<<<<" in text:  # a merge conflict is the user's to resolve
                     raise
                 contents = self._restore(path, copy, error)

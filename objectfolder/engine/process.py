@@ -121,6 +121,10 @@ class Children:
                 supervisor.wait()
                 self._groups.discard(supervisor.pid)
             text = report.read()
+        if not text and supervisor.returncode != -signal.SIGKILL:
+            raise RuntimeError(
+                f"its supervisor has ended with code {supervisor.returncode}; see {command.log}"
+            )
         if not text:
             return Outcome(-signal.SIGKILL, time.monotonic() - start, 0.0, timed_out.is_set())
         return Outcome(**json.loads(text))

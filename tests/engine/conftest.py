@@ -36,7 +36,8 @@ stages:
             cache: false
 """
 
-# `calls` records what really ran; the files under `control` make a stage of an object fail or wait.
+# `calls` records what really ran; the files under `control` make a stage of an object fail, wait or
+# write half.
 STEPS = r"""
 import os, sys, time
 from pathlib import Path
@@ -50,6 +51,10 @@ if control.exists():
     if control.read_text() == "fail":
         print("the reason of the failure", file=sys.stderr)
         sys.exit(3)
+    if control.read_text() == "half":
+        Path("build", key).mkdir(parents=True, exist_ok=True)
+        Path("build", key, "prepare.txt").write_text("hal")
+        control.write_text("60")
     time.sleep(float(control.read_text()))
 build = Path("build") / key
 build.mkdir(parents=True, exist_ok=True)

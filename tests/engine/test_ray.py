@@ -22,7 +22,7 @@ from objectfolder.engine.resources import Needs
 from objectfolder.errors import ObjectFolderError
 
 from .conftest import STEPS, Workspace, everything
-from .test_interruption import PATH, alive, started, wait_for
+from .processes import PATH, alive, started, wait_for
 
 pytest.importorskip("ray", reason="needs the extra [ray]")
 

@@ -1,0 +1,118 @@
+"""Fetch what a build may need from the default remote, many files at a time."""
+
+import logging
+from collections.abc import Iterable
+from pathlib import Path
+
+from dvc.config import NoRemoteError
+from dvc.data_cloud import Remote
+from dvc.exceptions import CollectCacheError, DvcException
+from dvc.repo import Repo
+from dvc.stage import Stage
+from dvc_data.hashfile.db import HashFileDB
+from dvc_data.hashfile.hash_info import HashInfo
+from dvc_objects.fs.errors import RemoteMissingDepsError
+from dvc_objects.fs.generic import copy
+from dvc_objects.fs.local import localfs
+
+from objectfolder.errors import ObjectFolderError
+
+_log = logging.getLogger(__name__)
+
+
+def fetch(repo: Repo, stages: Iterable[Stage]) -> bool:
+    """Fetch the run cache, and what the lock files know of some stages, into the local cache.
+
+    Parameters
+    ----------
+    repo : Repo
+        Open DVC repository.
+    stages : iterable of Stage
+        Stages whose outputs to fetch.
+
+    Returns
+    -------
+    reached : bool
+        Whether the remote answered; if not, a warning says why.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there is no default remote, or what speaks to it is not installed.
+    """
+    remote = _default(repo)
+    try:
+        if not remote.fs.exists(remote.path):
+            _log.warning("%s is empty or not there; going on with what is here", _name(remote))
+            return False
+        _fetch_runs(repo, remote)
+        if lacking := pull_outputs(repo, stages):
+            _log.warning(
+                "%d files are not in %s or did not arrive; their stages are built here",
+                lacking,
+                _name(remote),
+            )
+    except Exception as error:  # each kind of remote has its own
+        _log.warning("cannot fetch from %s: %s; going on with what is here", _name(remote), error)
+        return False
+    return True
+
+
+def pull_outputs(repo: Repo, stages: Iterable[Stage]) -> int:
+    """Fetch what some stages have written; the remote's own error if it cannot be reached.
+
+    Returns
+    -------
+    lacking : int
+        Files that are not here afterwards.
+    """
+    outs = [out for stage in stages for out in stage.outs if out.use_cache and out.hash_info]
+    # The listings of directories first: `get_used_objs` fetches them too, one by one, and hides errors.
+    if listings := {out.hash_info for out in outs if out.hash_info.isdir}:
+        repo.cloud.pull(listings)
+    wanted: dict[HashFileDB | None, set[HashInfo]] = {}
+    lacking = 0
+    for out in outs:
+        try:
+            for source, objects in out.get_used_objs().items():
+                wanted.setdefault(source, set()).update(objects)
+        except CollectCacheError:
+            lacking += 1  # a directory without its listing
+    for source, objects in wanted.items():
+        repo.cloud.pull(objects, odb=source)
+        lacking += sum(not repo.cache.local.exists(info.value) for info in objects)
+    return lacking
+
+
+def _default(repo: Repo) -> Remote:
+    try:
+        return repo.cloud.get_remote(command="pull")
+    except NoRemoteError as error:
+        raise ObjectFolderError(
+            f"{repo.root_dir} has no default remote to pull from; name one with "
+            "`dvc remote add -d NAME URL`, or build without --pull"
+        ) from error
+    except (ImportError, RemoteMissingDepsError) as error:
+        raise ObjectFolderError(
+            f"{error}: pip install the package that it names (for S3: pip install 'objectfolder[s3]')"
+        ) from error
+    except DvcException as error:
+        raise ObjectFolderError(f"DVC cannot use the default remote of {repo.root_dir}: {error}") from error
+
+
+def _fetch_runs(repo: Repo, remote: Remote) -> None:
+    """Copy the entries of the run cache that are not here; DVC copies all, one after another."""
+    odb = remote.legacy_odb  # the run cache lies beside the objects of DVC 2
+    runs = odb.fs.join(odb.path, "runs")
+    if not odb.fs.exists(runs):
+        return
+    cache = Path(repo.stage_cache.cache_dir)
+    wanted = {path: cache / odb.fs.relpath(path, runs) for path in odb.fs.find(runs)}
+    # An entry is named by the hash of its content.
+    missing = {path: str(local) for path, local in wanted.items() if not local.exists()}
+    if missing:
+        copy(odb.fs, list(missing), localfs, list(missing.values()), batch_size=odb.fs.jobs)
+
+
+def _name(remote: Remote) -> str:
+    return f"remote {remote.name} ({remote.fs.unstrip_protocol(remote.path)})"

@@ -1,0 +1,515 @@
+"""What can go wrong under a build: nothing that had finished is lost, and the next build completes."""
+
+import os
+import random
+import shutil
+import signal
+import subprocess
+import threading
+from contextlib import contextmanager, suppress
+
+import psutil
+import pytest
+
+from objectfolder.engine.build import Options, build
+from objectfolder.engine.process import Children
+from objectfolder.engine.summary import Finished, Status
+from objectfolder.errors import ObjectFolderError
+
+from .conftest import KEYS, everything
+from .processes import alive, start, started, wait_for
+
+OTHERS = sorted(set(everything()) - {"solve@mug", "pack@mug"})
+
+
+def names(results):
+    return sorted(result.address for result in results)
+
+
+@contextmanager
+def meanwhile(action):
+    """Do something in another thread; what it raises is raised at the end."""
+    problems = []
+
+    def work():
+        try:
+            action()
+        except BaseException as problem:
+            problems.append(problem)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        yield
+    finally:
+        thread.join(60)
+    assert not problems
+
+
+@contextmanager
+def mounted(*arguments):
+    """Mount something; its place comes last."""
+    done = subprocess.run(["mount", *map(str, arguments)], capture_output=True, text=True)
+    if done.returncode:
+        pytest.skip(f"cannot mount here: {done.stderr.strip()}")
+    try:
+        yield
+    finally:
+        subprocess.run(["umount", "-l", arguments[-1]], check=True)
+
+
+def small_disk(path, size="1m"):
+    path.mkdir(parents=True, exist_ok=True)
+    return mounted("-t", "tmpfs", "-o", f"size={size}", "tmpfs", path)
+
+
+def enlarge(path, size="16m"):
+    subprocess.run(["mount", "-o", f"remount,size={size}", path], check=True)
+
+
+def content(workspace):
+    """Contents of all outputs."""
+    files = [*(workspace.root / "build").rglob("*.txt"), *(workspace.root / "metrics").rglob("*.json")]
+    return {path.relative_to(workspace.root).as_posix(): path.read_bytes() for path in files}
+
+
+def half_copies(workspace):
+    return [path for path in (workspace.root / ".dvc/cache/files").rglob("*") if path.name.endswith(".tmp")]
+
+
+# Killed
+
+
+@pytest.mark.parametrize("whom", ["command", "supervisor"])
+def test_killed_stage_is_said_in_words_and_its_half_output_is_not_taken(workspace, whom):
+    workspace.control("prepare@mug", "half")
+    half = workspace.root / "build/mug/prepare.txt"
+
+    def kill():
+        wait_for(lambda: half.exists() and half.read_text())
+        pid = started(workspace, "prepare@mug")
+        os.kill(pid if whom == "command" else psutil.Process(pid).ppid(), signal.SIGKILL)
+
+    with meanwhile(kill):
+        summary = build(root=workspace.root)
+    (failure,) = summary.failures
+    assert (failure.stage, failure.object) == ("prepare", "mug")
+    assert "was killed by SIGKILL" in failure.error
+    assert names(summary.with_status(Status.BLOCKED)) == ["pack@mug", "solve@mug"]
+    mug = {"pack@mug", "prepare@mug", "solve@mug"}
+    assert workspace.locked() == set(everything()) - mug
+    wait_for(lambda: not alive(started(workspace, "prepare@mug")))
+    workspace.ran()
+
+    workspace.control("prepare@mug", None)
+    assert build(root=workspace.root).ok
+    assert workspace.ran() == sorted(mug)
+    assert half.read_text() == "1"
+    assert "up to date" in workspace.dvc("status")
+
+
+CHAIN = """
+stages:
+  one:
+    foreach: [a, b, c, d, e, f]
+    do:
+      cmd: echo one@${item} >> calls && mkdir -p build/${item} && echo ${item} > build/${item}/one
+      deps: [seed]
+      outs: ["build/${item}/one"]
+  two:
+    foreach: [a, b, c, d, e, f]
+    do:
+      cmd: >-
+        echo two@${item} >> calls && mkdir build/${item}/two && cp build/${item}/one build/${item}/two/x &&
+        echo y > build/${item}/two/y
+      deps: ["build/${item}/one"]
+      outs: ["build/${item}/two"]
+"""
+
+# Dies before its n-th change of a file of the workspace; `finished` names the stages that it has reported.
+MORTAL = """
+import os, signal, sys
+from objectfolder.engine import build, lockfile
+from objectfolder.engine.summary import Finished, Status
+
+lockfile.PERIOD = lockfile.PERIOD_PER_WRITE = 0.0  # dvc.lock is written after every stage
+left, root = int(sys.argv[1]), os.getcwd()
+report = os.open("finished", os.O_WRONLY | os.O_APPEND | os.O_CREAT)
+
+def count(event, arguments):
+    global left
+    writes = event == "open" and arguments[2] & (os.O_WRONLY | os.O_RDWR)
+    if writes or event in ("os.rename", "os.remove", "os.rmdir", "os.mkdir", "os.chmod", "os.link"):
+        if isinstance(arguments[0], str) and os.path.abspath(arguments[0]).startswith(root):
+            left -= 1
+            if left == 0:
+                os.kill(os.getpid(), signal.SIGKILL)
+
+def on_event(event):
+    if isinstance(event, Finished) and event.result.status is not Status.FAILED:
+        os.write(report, f"{event.result.address}\\n".encode())
+
+sys.addaudithook(count)
+assert build.build(options=build.Options(jobs=2), on_event=on_event).ok
+"""
+
+
+def test_engine_killed_at_any_change_of_a_file_loses_nothing_that_has_finished(make_workspace):
+    workspace = make_workspace(CHAIN)
+    (workspace.root / "seed").write_text("x")
+    calls, finished = workspace.root / "calls", workspace.root / "finished"
+    moments = random.Random(7)
+    kept = set()
+    for turn in range(6):
+        calls.unlink(missing_ok=True)
+        engine = start(workspace, "-c", MORTAL, str(moments.randint(1, 250 * (turn + 1))))
+        code = engine.wait(60)
+        assert code in (0, -signal.SIGKILL), (workspace.root / "process.log").read_text()
+        again = kept.intersection(calls.read_text().split() if calls.exists() else ())
+        assert not again
+        kept.update(finished.read_text().split())
+        if code == 0:
+            break
+    assert len(kept) > 2  # it got somewhere before it was killed, and not only at the end
+    calls.unlink(missing_ok=True)
+    assert build(root=workspace.root).ok
+    assert not kept.intersection(calls.read_text().split() if calls.exists() else ())
+    for key in "abcdef":
+        assert (workspace.root / f"build/{key}/two/x").read_text() == f"{key}\n"
+        assert (workspace.root / f"build/{key}/two/y").read_text() == "y\n"
+    assert "up to date" in workspace.dvc("status")
+    assert not half_copies(workspace)
+
+
+# Disks
+
+BULKY = """
+stages:
+  big:
+    cmd: echo big >> calls && mkdir -p build && head -c 1500000 /dev/zero > build/big
+    deps: [seed]
+    outs: [build/big]
+  a_small:
+    cmd: echo a_small >> calls && mkdir -p build && echo small > build/small
+    deps: [seed]
+    outs: [build/small]
+"""
+
+
+@pytest.fixture
+def bulky(make_workspace):
+    workspace = make_workspace(BULKY)
+    (workspace.root / "seed").write_text("x")
+    return workspace
+
+
+@pytest.mark.parametrize("place", ["build", ".dvc/cache"])
+def test_full_disk_is_named_and_after_space_is_made_the_rest_is_built(bulky, place):
+    with small_disk(bulky.root / place):
+        summary = build(root=bulky.root, options=Options(jobs=1))
+        (failure,) = summary.failures
+        assert failure.address == "big"
+        assert f"the disk of {bulky.root / place}/" in failure.error
+        assert "full (0.0 of 1.0 MB free); make space and build again" in failure.error
+        assert bulky.locked() == {"a_small"}
+        assert not half_copies(bulky)
+
+        enlarge(bulky.root / place)
+        (bulky.root / "calls").unlink()
+        assert build(root=bulky.root).ok
+        assert (bulky.root / "calls").read_text() == "big\n"
+        assert (bulky.root / "build/big").stat().st_size == 1_500_000
+        assert "up to date" in bulky.dvc("status")
+
+
+def test_lock_file_that_does_not_fit_keeps_the_old_one_and_loses_nothing(make_workspace, tmp_path):
+    workspace = make_workspace(BULKY)
+    root = workspace.root
+    shutil.move(root, tmp_path / "saved")
+    with small_disk(root, "2m"):
+        shutil.copytree(tmp_path / "saved", root, dirs_exist_ok=True)
+        (root / "seed").write_text("x")
+        with mounted("--bind", tmp_path / "saved/.dvc", root / ".dvc"):
+            assert build(["a_small"], root=root).ok
+            before = (root / "dvc.lock").read_bytes()
+            (root / "dvc.yaml").write_text(BULKY.replace("1500000 /dev/zero", "9 /dev/zero"))
+
+            def fill(event):
+                if isinstance(event, Finished) and event.result.address == "big":
+                    with suppress(OSError), (root / "ballast").open("wb", buffering=0) as stream:
+                        while True:
+                            stream.write(bytes(4096))
+
+            with pytest.raises(ObjectFolderError, match=r"cannot write dvc\.lock: .*disk of .* is full"):
+                build(root=root, on_event=fill)
+            assert (root / "dvc.lock").read_bytes() == before
+            assert not list(root.glob(".*.tmp*"))
+
+            (root / "ballast").unlink()
+            (root / "calls").unlink()
+            assert build(root=root).ok
+            assert not (root / "calls").exists()
+            assert workspace.locked() == {"a_small", "big"}
+            assert "up to date" in workspace.dvc("status")
+
+
+def test_read_only_build_directory_fails_its_stages_and_keeps_what_is_there(workspace):
+    build(root=workspace.root)
+    before = content(workspace)
+    workspace.params(mug={"material": "glass"})
+    place = workspace.root / "build"
+    with mounted("--bind", place, place):
+        done = subprocess.run(["mount", "-o", "remount,ro,bind", place], capture_output=True, text=True)
+        if done.returncode:
+            pytest.skip(f"cannot mount read-only here: {done.stderr}")
+        summary = build(root=workspace.root)
+    (failure,) = summary.failures
+    assert failure.address == "solve@mug"
+    assert "Read-only file system" in failure.error
+    assert "build/mug/solve" in failure.error
+    assert content(workspace) == before
+    workspace.ran()
+    assert build(root=workspace.root).ok
+    assert workspace.ran() == ["pack@mug", "solve@mug"]
+    assert "up to date" in workspace.dvc("status")
+
+
+def test_log_directory_that_cannot_be_made_fails_the_stages_with_its_name(workspace):
+    (workspace.root / "build").mkdir()
+    (workspace.root / "build/.logs").write_text("a file where the directory should be")
+    summary = build(["prepare"], root=workspace.root)
+    assert len(summary.failures) == len(KEYS)
+    assert all("cannot run the command" in failure.error for failure in summary.failures)
+    assert all(str(workspace.root / "build/.logs") in failure.error for failure in summary.failures)
+    (workspace.root / "build/.logs").unlink()
+    assert build(root=workspace.root).ok
+
+
+# Damaged files
+
+
+def damage(path):
+    """Change a byte of a file, and neither its size, nor its time, nor its permissions."""
+    info = path.stat()
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.chmod(0o644)
+    path.write_bytes(data)
+    path.chmod(info.st_mode)
+    os.utime(path, ns=(info.st_atime_ns, info.st_mtime_ns))
+
+
+def cached(workspace, oid):
+    return workspace.root / ".dvc/cache/files/md5" / oid[:2] / oid[2:]
+
+
+@pytest.mark.parametrize(
+    ("stage", "what", "with_lock"),
+    [
+        ("prepare", "file", True),
+        ("solve", "file in a directory", False),
+        ("solve", "directory", True),
+        ("pack", "metric", True),
+    ],
+)
+def test_damaged_cached_object_is_not_delivered_but_built_again(workspace, stage, what, with_lock, caplog):
+    from dvc.repo import Repo
+
+    build(["mug"], root=workspace.root)
+    workspace.ran()
+    before = content(workspace)
+    with Repo(str(workspace.root)) as repo:
+        (found,) = (s for s in repo.index.stages if s.addressing.endswith(f"{stage}@mug"))
+        out = found.outs[1 if what == "metric" else 0]
+        (entry,) = out.get_obj() if what == "file in a directory" else [(None, None, out.hash_info)]
+    damage(cached(workspace, entry[2].value))
+    shutil.rmtree(workspace.root / "build/mug")
+    shutil.rmtree(workspace.root / "metrics")
+    if not with_lock:
+        (workspace.root / "dvc.lock").unlink()
+    summary = build(["mug"], root=workspace.root)
+    assert summary.ok
+    assert workspace.ran() == [f"{stage}@mug"]
+    assert content(workspace) == before
+    assert "is damaged and was removed" in caplog.text
+    assert "up to date" in workspace.dvc("status", "prepare@mug", "solve@mug", "pack@mug")
+
+
+def test_damaged_cached_data_is_an_error_that_names_it(make_workspace, caplog):
+    workspace = make_workspace(
+        "stages: {use: {cmd: cp data.txt copy.txt, deps: [data.txt], outs: [copy.txt]}}\n"
+    )
+    data = workspace.root / "data.txt"
+    data.write_text("precious\n")
+    workspace.dvc("add", "data.txt")
+    damage(next(path for path in (workspace.root / ".dvc/cache/files/md5").rglob("*") if path.is_file()))
+    data.unlink()
+    summary = build(root=workspace.root)
+    assert names(summary.failures) == ["data.txt.dvc"]
+    assert "data.txt" in summary.failures[0].error
+    assert "data.txt: its copy in the cache" in caplog.text
+    assert not data.exists()
+    data.write_text("precious\n")
+    assert build(root=workspace.root).ok
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.999])
+def test_truncated_lock_file_is_restored(workspace, share, caplog):
+    build(root=workspace.root)
+    workspace.ran()
+    path = workspace.root / "dvc.lock"
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(len(whole) * share)])
+    assert build(root=workspace.root).ok
+    assert workspace.ran() == []
+    assert path.read_bytes() == whole
+    assert "dvc.lock is damaged" in caplog.text
+    assert "up to date" in workspace.dvc("status")
+
+
+@pytest.mark.parametrize("garbage", [b"\x00" * 5000, b"\xff\xfe garbage", b"stages: 3\n"])
+def test_lock_file_of_garbage_is_restored(workspace, garbage, caplog):
+    build(["mug"], root=workspace.root)
+    workspace.ran()
+    whole = (workspace.root / "dvc.lock").read_bytes()
+    (workspace.root / "dvc.lock").write_bytes(garbage)
+    assert build(["mug"], root=workspace.root).ok
+    assert workspace.ran() == []
+    assert (workspace.root / "dvc.lock").read_bytes() == whole
+    assert "dvc.lock is damaged" in caplog.text
+
+
+@pytest.mark.parametrize("garbage", ["", '{"write": {', '{"write": 3}', "\x00\x00"])
+def test_torn_rwlock_file_is_replaced(workspace, garbage):
+    (workspace.root / ".dvc/tmp").mkdir(exist_ok=True)
+    (workspace.root / ".dvc/tmp/rwlock").write_text(garbage)
+    assert build(["prepare@mug"], root=workspace.root).ok
+
+
+@pytest.mark.parametrize("broken", [b"objects: [", b"\xff\xfe\x00", None])
+def test_params_broken_during_a_build_fail_stages_and_no_more(workspace, broken):
+    path = workspace.root / "params.yaml"
+    good = path.read_bytes()
+
+    def break_it(event):
+        if isinstance(event, Finished) and path.exists() and path.read_bytes() == good:
+            path.unlink()
+            if broken is not None:
+                path.write_bytes(broken)
+
+    summary = build(root=workspace.root, options=Options(jobs=1), on_event=break_it)
+    assert len(summary.stages) == len(everything())
+    assert summary.failures
+    assert set(everything()) == set(summary.stages)
+    done = names(summary.with_status(Status.RAN))
+    assert done
+    path.write_bytes(good)
+    workspace.ran()
+    assert build(root=workspace.root).ok
+    assert not set(workspace.ran()) & set(done)
+    assert "up to date" in workspace.dvc("status")
+
+
+def test_params_changed_while_a_stage_runs_are_not_taken_for_those_it_has_read(make_workspace):
+    workspace = make_workspace(
+        "stages:\n"
+        "  slow:\n"
+        "    cmd: cp params.yaml read && touch started && while [ ! -e go ]; do sleep 0.05; done\n"
+        "    deps: [steps.py]\n"
+        "    params: [objects.mug.material]\n"
+        "    outs: [read]\n"
+    )
+
+    def change():
+        wait_for((workspace.root / "started").exists)
+        workspace.params(mug={"material": "glass"})
+        (workspace.root / "go").touch()
+
+    with meanwhile(change):
+        summary = build(root=workspace.root)
+    assert summary.ok  # as what it was when the stage began
+    assert build(root=workspace.root).with_status(Status.RAN)
+    assert "mug: {size: 1, material: glass}" in (workspace.root / "read").read_text()
+    workspace.params()
+    assert build(root=workspace.root).with_status(Status.RESTORED)
+    assert "glass" not in (workspace.root / "read").read_text()
+
+
+# Stages that misbehave
+
+
+def test_stage_that_writes_nothing_is_named_with_its_file(make_workspace):
+    workspace = make_workspace(
+        'stages: {lazy: {foreach: [mug, bell], do: {cmd: "true", outs: ["build/${item}/x.txt"]}}}\n'
+    )
+    summary = build(root=workspace.root)
+    assert [(f.stage, f.object) for f in summary.failures] == [("lazy", "bell"), ("lazy", "mug")]
+    for failure in summary.failures:
+        assert f"build/{failure.object}/x.txt" in failure.error
+        assert "does not exist" in failure.error
+
+
+def test_hanging_stage_dies_with_its_children_and_the_rest_is_built(workspace):
+    workspace.control("solve@mug", "600")
+    path = workspace.root / "dvc.yaml"
+    child = "sh -c 'echo $$ > child; exec sleep 600' & python -m steps solve ${key}"
+    path.write_text(path.read_text().replace("python -m steps solve ${key}", child))
+    summary = build(root=workspace.root, options=Options(jobs=2, timeout=5))
+    (failure,) = summary.failures
+    assert failure.address == "solve@mug"
+    assert "time limit" in failure.error
+    assert failure.seconds >= 5
+    assert names(summary.with_status(Status.RAN)) == OTHERS
+    assert not alive(started(workspace, "solve@mug"))
+    wait_for(lambda: not alive(int((workspace.root / "child").read_text())))
+    workspace.ran()
+    workspace.control("solve@mug", None)
+    assert build(root=workspace.root).ok
+    assert workspace.ran() == ["pack@mug", "solve@mug"]
+
+
+def test_exception_in_a_worker_fails_its_stage_only(workspace, monkeypatch):
+    run = Children.run
+
+    def broken(children, command):
+        if "solve mug" in command.lines[0]:
+            raise RuntimeError("no more threads")
+        return run(children, command)
+
+    monkeypatch.setattr(Children, "run", broken)
+    summary = build(root=workspace.root)
+    (failure,) = summary.failures
+    assert (failure.address, failure.error) == ("solve@mug", "cannot run the command: no more threads")
+    assert names(summary.with_status(Status.RAN)) == OTHERS
+    monkeypatch.undo()
+    workspace.ran()
+    assert build(root=workspace.root).ok
+    assert workspace.ran() == ["pack@mug", "solve@mug"]
+
+
+# Two at once
+
+
+@pytest.mark.parametrize("other", ["build", "dvc repro"])
+def test_second_build_can_wait_for_the_first(workspace, other, caplog):
+    workspace.control("prepare@mug", "60")
+    engine = "from objectfolder.engine.build import build; build()"
+    command = ("-c", engine) if other == "build" else ("-m", "dvc", "repro", "prepare@mug")
+    first = start(workspace, *command)
+    wait_for(lambda: started(workspace, "prepare@mug"))
+
+    def stop_first():
+        wait_for(lambda: "waiting until it ends" in caplog.text)
+        workspace.control("prepare@mug", None)
+        pid = started(workspace, "prepare@mug")
+        first.kill()
+        first.wait()
+        if alive(pid):
+            os.kill(pid, signal.SIGKILL)  # dvc leaves its child running
+
+    with meanwhile(stop_first):
+        summary = build(root=workspace.root, options=Options(wait=True))
+    assert summary.ok
+    assert caplog.text.count("waiting until it ends") == 1
+    assert f"process {first.pid}" in caplog.text
+    assert "up to date" in workspace.dvc("status")

@@ -1,0 +1,38 @@
+"""The real DAG, shared through a remote: a fresh clone of what git has, and `objectfolder build --pull`."""
+
+import subprocess
+
+import pytest
+from conftest import Workspace
+from ruamel.yaml import YAML
+
+pytestmark = pytest.mark.xdist_group("pipeline")
+
+
+def git(root, *arguments):
+    identity = ("-c", "user.name=a", "-c", "user.email=a@b")
+    subprocess.run(["git", *identity, *arguments], cwd=root, check=True, capture_output=True)
+
+
+def test_fresh_clone_of_a_built_workspace_runs_nothing(built, tmp_path):
+    built.run("-m", "dvc", "remote", "add", "--local", "-d", "store", str(tmp_path / "store"))
+    try:
+        built.run("-m", "dvc", "push", "--run-cache")
+        git(built.root, "add", "-A")
+        git(built.root, "commit", "-q", "--allow-empty", "-m", "Built")
+    finally:
+        built.run("-m", "dvc", "remote", "remove", "--local", "store")
+    committed = subprocess.run(
+        ["git", "ls-files"], cwd=built.root, check=True, capture_output=True, text=True
+    )
+    assert {"dvc.yaml", "dvc.lock", "params.yaml", ".dvc/config"} <= set(committed.stdout.split())
+    git(tmp_path, "clone", "-q", str(built.root), "clone")
+    fresh = Workspace(tmp_path / "clone")
+    fresh.run("-m", "dvc", "remote", "add", "-d", "store", str(tmp_path / "store"))
+    done = fresh.cli("build", "--pull", "-j", "2")
+    stages = YAML(typ="safe").load((built.root / "dvc.lock").read_text())["stages"]
+    assert f"{len(stages)} restored in" in done.stdout
+    artifacts = fresh.artifacts()
+    assert {f"build/{key}/ObjectFile.safetensors" for key in ("bell", "cube")} <= set(artifacts)
+    assert artifacts.items() <= built.artifacts().items()
+    assert "up to date" in fresh.run("-m", "dvc", "status").stdout
