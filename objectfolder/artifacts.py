@@ -18,6 +18,7 @@ import numpy as np
 from objectfolder.errors import ObjectFolderError
 
 SPLITS = ("train", "val", "test")
+MODALITIES = ("vision", "audio", "touch")
 
 
 class Build:
@@ -50,6 +51,7 @@ class Build:
         self.vision_sheet = self.dir / "vision.png"
         self.sound_sheet = self.dir / "sound.png"
         self.object_file = self.dir / "ObjectFile.safetensors"
+        self.inspections = self.dir / "inspect"  #: undeclared: looking makes nothing stale
         self.metrics = self.root / "metrics" / f"{key}.json"
 
     def views(self, split: str) -> Path:
@@ -67,6 +69,17 @@ class Build:
     def curve(self, modality: str) -> Path:
         """Training curve of one net (CSV)."""
         return self.dir / f"{modality}_curve.csv"
+
+    def artifacts(self) -> list[Path]:
+        """All files that the pipeline writes for the object, there or not, but its metrics."""
+        single = [
+            *(self.visual, self.surface, self.solid_surface, self.normalize),
+            *(self.solid, self.sdf, self.voxelize, self.modes, self.modal),
+            *(self.views_sheet, self.touch_sheet, self.vision_sheet, self.sound_sheet, self.object_file),
+        ]
+        data = [path for split in SPLITS for path in (self.views(split), self.touch(split))]
+        nets = [path for modality in MODALITIES for path in (self.net(modality), self.curve(modality))]
+        return [*single, *data, *nets]
 
 
 def code_list(stage: str) -> Path:

@@ -98,6 +98,17 @@ class ObjectFile:
         tensors, header = read_safetensors(path)
         return cls(header, tensors, path)
 
+    def check(self) -> None:
+        """Read everything that the file holds, as queries do when they first need it.
+
+        Raises
+        ------
+        ObjectFolderError
+            If a part is damaged.
+        """
+        for part in ("surface", "_vision", "_audio", "_touch"):
+            getattr(self, part)
+
     def save(self, path: str | Path) -> None:
         """Write the Object File; the same object gives the same bytes."""
         write_safetensors(path, self.tensors, self.header)

@@ -15,7 +15,8 @@ from queue import Empty, SimpleQueue
 from dvc.exceptions import DvcException
 from dvc.repo import Repo
 
-from objectfolder.engine import disk, remote, steps
+from objectfolder.engine import disk, failures, remote, steps
+from objectfolder.engine.failures import LOGS, log_path
 from objectfolder.engine.graph import Plan, plan
 from objectfolder.engine.lockfile import LockFiles
 from objectfolder.engine.process import Outcome, describe, tail
@@ -37,7 +38,6 @@ from objectfolder.engine.workers import LocalWorkers, WorkerLost, Workers
 from objectfolder.engine.workspace import held, read_params
 from objectfolder.errors import ObjectFolderError
 
-LOGS = Path("build/.logs")
 OBJECTS_PER_CORE = 2  # that are worked on at a time
 #: How often a stage is started again when it was lost with its worker.
 RESTARTS = 3
@@ -380,13 +380,15 @@ class _Build:
         return [*(Path(out.fs_path) for out in outs), self.logs, cache, Path(self.repo.tmp_dir)]
 
     def _log(self, address: str) -> Path:
-        return self.logs / f"{address.replace('/', '_')}.log"
+        return log_path(self.logs, address)
 
     def _succeed(self, result: StageResult) -> None:
+        failures.forget(self.logs, result.address)
         self.schedule.finish(result.address)
         self._report(result)
 
     def _fail(self, result: StageResult) -> None:
+        failures.record(self.logs, self.stages[result.address], result)
         self._report(result)
         for address in self.schedule.downstream(result.address):
             if address not in self.results:

@@ -128,7 +128,7 @@ def export_vtu(build: Build) -> Path:
     cells, scale = _solid(build)
     grid = hexahedra(cells.index, cells.lower * scale, cells.cell_size * scale, cells.width)
     grid.cell_data["fill"] = cells.fill
-    path = build.dir / "inspect" / "solid.vtu"
+    path = build.inspections / "solid.vtu"
     with atomic(path) as temporary:
         grid.save(temporary)
     return path

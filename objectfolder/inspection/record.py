@@ -36,7 +36,7 @@ def require(build: Build, stage: str, *paths: Path) -> None:
 
 def picture_path(build: Build, stage: str) -> Path:
     """Where a stage's picture goes: in a directory that no stage declares."""
-    return build.dir / "inspect" / f"{stage}.png"
+    return build.inspections / f"{stage}.png"
 
 
 def kilobytes(*paths: Path) -> str:

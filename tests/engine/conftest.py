@@ -67,7 +67,8 @@ elif stage == "solve":
 else:
     (build / "pack.txt").write_text((build / "solve" / "a.txt").read_text())
     Path("metrics").mkdir(exist_ok=True)
-    (Path("metrics") / f"{key}.json").write_text('{"score": 1}\n')
+    metrics = '{"vision": {}, "audio": {}, "touch": {}, "file_bytes": 1}'
+    (Path("metrics") / f"{key}.json").write_text(metrics + "\n")
 with open("calls", "a") as stream:
     stream.write(f"{stage}@{key} end {time.monotonic()} {os.getpid()} -\n")
 """
@@ -131,12 +132,13 @@ def everything(*stages: str) -> list[str]:
     return sorted(f"{stage}@{key}" for stage in stages or ("prepare", "solve", "pack") for key in KEYS)
 
 
-@pytest.fixture
-def make_workspace(tmp_path: Path) -> Callable[[str], Workspace]:
-    def make(pipeline: str) -> Workspace:
+@pytest.fixture(scope="session")
+def make() -> Callable[[Path, str], Workspace]:
+    """Make a workspace with a pipeline at a path."""
+
+    def make(root: Path, pipeline: str) -> Workspace:
         from dvc.repo import Repo
 
-        root = tmp_path / "workspace"
         root.mkdir()
         subprocess.run(["git", "init", "-q", root], check=True)
         with Repo.init(str(root)) as repo, repo.config.edit("repo") as config:
@@ -149,6 +151,11 @@ def make_workspace(tmp_path: Path) -> Callable[[str], Workspace]:
         return workspace
 
     return make
+
+
+@pytest.fixture
+def make_workspace(tmp_path: Path, make: Callable[[Path, str], Workspace]) -> Callable[[str], Workspace]:
+    return lambda pipeline: make(tmp_path / "workspace", pipeline)
 
 
 @pytest.fixture

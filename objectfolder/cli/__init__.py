@@ -1,0 +1,52 @@
+"""The `objectfolder` command."""
+
+import sys
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from objectfolder.cli import objectfile, objects, sensor, upkeep, workspace
+from objectfolder.errors import ObjectFolderError
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+    help="Build and query **Object Files**: objects that can be seen, struck and touched.\n\n"
+    "In a workspace (a folder with dvc.yaml): `objectfolder add MESH ...`, then `objectfolder build`.\n\n"
+    "Anywhere: `objectfolder info FILE`, `objectfolder query vision|audio|touch FILE QUERIES.npy OUT/`.",
+)
+for command in (
+    workspace.build,
+    upkeep.status,
+    upkeep.verify,
+    upkeep.prune,
+    objects.add,
+    objects.fetch,
+    workspace.preset,
+    workspace.inspect,
+    objectfile.info,
+):
+    app.command()(command)
+app.add_typer(objectfile.query_app, name="query")
+app.add_typer(sensor.sensor_app, name="sensor")
+
+
+def main() -> None:
+    """Run the command line; user errors are one line, not a traceback."""
+    try:
+        app()
+    except ObjectFolderError as error:
+        # Escaped: messages hold lists in brackets, which rich would take for markup.
+        Console(stderr=True).print(
+            f"[bold red]error:[/] {escape(str(error))}", highlight=False, soft_wrap=True
+        )
+        sys.exit(1)
+    except ModuleNotFoundError as error:
+        if (error.name or "").split(".")[0] == "objectfolder":
+            raise
+        sys.exit(f"error: {error.name} is not installed; this needs: pip install -e '.[build]' (make setup)")

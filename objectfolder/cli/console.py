@@ -1,0 +1,25 @@
+"""What all commands print to."""
+
+from collections.abc import Iterable
+from typing import Any
+
+from rich.console import Console
+from rich.measure import Measurement
+from rich.progress import track
+from rich.table import Table
+
+console = Console()
+
+
+def tracked(items: Iterable[Any], description: str, total: int) -> Iterable[Any]:
+    """Iterate with a progress bar, where somebody watches."""
+    screen = Console(stderr=True)
+    return track(items, description, total, console=screen, transient=True, disable=not screen.is_terminal)
+
+
+def print_wide(table: Table, console: Console = console) -> None:
+    """Print a table; where there is no terminal, as wide as it is, as nobody gave a width."""
+    if not console.is_terminal:
+        wide = Measurement.get(console, console.options.update(max_width=10_000), table).maximum
+        console = Console(file=console.file, width=max(wide, console.width))
+    console.print(table)

@@ -1,0 +1,184 @@
+"""Commands that bring objects into a workspace: add, fetch."""
+
+from pathlib import Path
+from typing import Annotated, get_args
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from objectfolder.cli.console import console, tracked
+from objectfolder.errors import ObjectFolderError
+
+
+def add(
+    mesh: Annotated[
+        Path,
+        typer.Argument(
+            metavar="PATH",
+            help=".obj, .glb, .gltf, .ply, .stl or .off; a folder of them; or a catalogue (.yaml).",
+        ),
+    ],
+    name: Annotated[str | None, typer.Option(help="Object key, such as `blue_mug`.")] = None,
+    material: Annotated[str | None, typer.Option(help="ceramic, glass, wood, plastic, iron, ...")] = None,
+    scale: Annotated[
+        float | None, typer.Option(help="Longest side in metres; default: the mesh's own size.")
+    ] = None,
+    up: Annotated[str | None, typer.Option(help="Up axis, y or z; default: y for glTF, else z.")] = None,
+    unit: Annotated[str, typer.Option(help="Of the mesh's coordinates: m, cm or mm.")] = "m",
+    wall: Annotated[
+        float | None, typer.Option(help="Thickness that open sheets get, metres; default: 2 % of the size.")
+    ] = None,
+    bridge: Annotated[
+        str, typer.Option(help="Fill gaps under half an FEM cell: all, fem (for sound alone) or off.")
+    ] = "all",
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Show what was understood; add nothing.")
+    ] = False,
+) -> None:
+    """Add your own mesh, a folder of meshes, or a catalogue of objects, to the workspace.
+
+    Each mesh is loaded and closed first: what cannot be built is refused here. It is copied with the files
+    that it refers to to data/objects/NAME, tracked with DVC and entered in params.yaml. Then: `objectfolder
+    build NAME`.
+
+    In a folder, each mesh file is an object, and each subfolder that holds one. --material is that of all;
+    materials.csv (lines `name,material`) or materials.yaml in the folder names others.
+    """
+    from objectfolder import params
+    from objectfolder.catalog import add_catalogue, add_mesh
+    from objectfolder.intake import UNITS, Candidate, examine, table
+
+    if mesh.suffix in (".yaml", ".yml"):
+        if dry_run:
+            raise ObjectFolderError(f"{mesh} is a catalogue; --dry-run is for meshes")
+        added = add_catalogue(mesh)
+        console.print(f"added {', '.join(added) or 'nothing new'}; next: objectfolder build")
+        return
+    if unit not in UNITS:
+        raise ObjectFolderError(f"unit {unit!r} is not one of {', '.join(UNITS)}")
+    if up not in (None, "y", "z"):
+        raise ObjectFolderError(f"up axis {up!r} is neither 'y' nor 'z'")
+    if bridge not in get_args(params.Bridge):
+        raise ObjectFolderError(f"bridge {bridge!r} is not one of {', '.join(get_args(params.Bridge))}")
+    if wall is not None and not wall > 0:
+        raise ObjectFolderError(f"wall is {wall:g}, expected a thickness in metres")
+    if mesh.is_dir():
+        if name is not None or scale is not None:
+            raise ObjectFolderError(f"{mesh} is a folder; --name and --scale are for one mesh")
+        raise typer.Exit(not _add_folder(mesh, material, up, unit, wall, bridge, dry_run))
+    if name is None or material is None:
+        raise ObjectFolderError("a mesh needs --name and --material; see objectfolder add --help")
+    finding = examine(Candidate(name, mesh, material), params.read(), scale, up, unit, wall, bridge)
+    console.print(table([finding], up is not None))
+    _print_notes([finding])
+    if dry_run:
+        return
+    entry = add_mesh(mesh, name, material, finding.scale, up, wall=wall, bridge=bridge)
+    console.print(
+        f"added {name}: {entry['material']}, longest side {entry['scale']:.4g} m, {entry['up']} up; "
+        f"next: objectfolder build {name}",
+        soft_wrap=True,
+    )
+
+
+def _print_notes(findings) -> None:
+    for finding in findings:
+        if finding.notes:
+            text = f"{finding.candidate.key}: {'; '.join(finding.notes)}"
+            console.print(escape(text), soft_wrap=True, highlight=False)
+
+
+def _add_folder(
+    folder: Path,
+    material: str | None,
+    up: str | None,
+    unit: str,
+    wall: float | None,
+    bridge: str,
+    dry_run: bool,
+) -> bool:
+    """Examine and add the objects in a folder; whether none was refused."""
+    from objectfolder import params
+    from objectfolder.catalog import add_mesh
+    from objectfolder.intake import discover, survey, table
+
+    candidates = discover(folder, material)
+    examined = survey(candidates, params.read(), up, unit, wall, bridge)
+    findings = list(tracked(examined, "examining", len(candidates)))
+    console.print(table(findings, up is not None))
+    refused = {f.candidate.key: f.refusal for f in findings if f.refusal is not None}
+    _print_notes(findings)
+    accepted = [f for f in findings if f.refusal is None]
+    added = []
+    for finding in tracked([] if dry_run else accepted, "adding", len(accepted)):
+        candidate = finding.candidate
+        try:
+            material = candidate.material or ""
+            add_mesh(candidate.mesh, candidate.key, material, finding.scale, up, wall=wall, bridge=bridge)
+            added.append(candidate.key)
+        except ObjectFolderError as error:
+            refused[candidate.key] = str(error)
+    for key, reason in refused.items():
+        console.print(f"[bold red]refused[/] {key}: {escape(reason)}", soft_wrap=True, highlight=False)
+    text = f"{len(accepted)} can be added" if dry_run else f"{len(added)} added"
+    text += f", {len(refused)} refused" if refused else ""
+    console.print(text + ("; next: objectfolder build" if added else ""), highlight=False)
+    return not refused
+
+
+def fetch(
+    objects: Annotated[
+        list[str] | None, typer.Argument(metavar="OBJECT", help="Keys or published names.")
+    ] = None,
+    everything: Annotated[bool, typer.Option("--all", help="Fetch every object.")] = False,
+    listing: Annotated[bool, typer.Option("--list", help="List the catalogue and stop.")] = False,
+    catalogue: Annotated[Path, typer.Option(help="A catalogue of published objects.")] = Path(
+        "catalogs/objectfolder1.yaml"
+    ),
+    directory: Annotated[
+        Path | None,
+        typer.Option("--from", metavar="DIR", help="Take archives or folders from here; download nothing."),
+    ] = None,
+    url: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="SOURCE=TEMPLATE", help="Another address for a source; {model} is the id there."
+        ),
+    ] = None,
+    accept_changed: Annotated[
+        bool, typer.Option("--accept-changed", help="Take files whose recorded checksum has changed.")
+    ] = False,
+) -> None:
+    """Fetch objects of the paper from where their meshes are published, and add them to the workspace.
+
+    Examples: `objectfolder fetch --list`, `objectfolder fetch ycb_mug 024_bowl`,
+    `objectfolder fetch --all --from ~/meshes`. What breaks off goes on with the same command.
+    The meshes have their own licences, kept with each as SOURCE.txt.
+    """
+    from objectfolder import params
+    from objectfolder.fetch import report
+    from objectfolder.fetch.catalogue import read_catalogue, select
+    from objectfolder.fetch.run import Status, fetch_all
+
+    published = read_catalogue(catalogue, url or ())
+    present = params.read()["objects"]
+    if listing:
+        report.print_catalogue(published, present, console)
+        return
+    keys = list(published.objects) if everything else select(published, objects or ())
+    if not keys:
+        report.print_overview(published, present, console)
+        raise ObjectFolderError("nothing was asked for; name objects (--list shows them), or give --all")
+    report.print_licences(published, [key for key in keys if key not in present], console)
+    with report.download_progress(Console(stderr=True)) as reporter:
+        outcomes = fetch_all(
+            keys,
+            published,
+            directory,
+            accept_changed,
+            reporter=reporter,
+            on_outcome=lambda outcome: report.print_outcome(outcome, console),
+        )
+    report.print_totals(outcomes, console)
+    raise typer.Exit(any(outcome.status is Status.FAILED for outcome in outcomes))

@@ -1,0 +1,117 @@
+"""Show the status of stages: a table of objects, or the reasons one by one."""
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from objectfolder.cli.console import print_wide
+from objectfolder.engine.status import Outlook, StageStatus, State
+
+MARKS = {
+    State.FRESH: (".", "dim"),
+    State.STALE: ("S", "yellow"),
+    State.UPSTREAM: ("u", "yellow"),
+    State.MISSING: ("M", "magenta"),
+    State.FAILED: ("F", "bold red"),
+    State.NEVER: ("-", "cyan"),
+}
+#: Causes that are common to many stages, shown below the table.
+CAUSES = 5
+
+
+def print_table(found: Sequence[StageStatus], console: Console) -> None:
+    """Print a line per object that is not all fresh, with a mark per stage, and the most common causes."""
+    objects: dict[str, dict[str, StageStatus]] = {}
+    for one in found:
+        objects.setdefault(one.object or one.address, {})[one.stage] = one
+    lines = {
+        key: row for key, row in objects.items() if any(s.state is not State.FRESH for s in row.values())
+    }
+    stages = list(dict.fromkeys(one.stage for row in lines.values() for one in row.values() if one.object))
+    if lines:
+        table = Table("", *(name.replace("_", "\n") for name in stages), box=None, padding=(0, 1, 0, 0))
+        for key, row in sorted(lines.items()):
+            if all(one.object for one in row.values()):
+                table.add_row(key, *(_mark(row[s].state) if s in row else "" for s in stages))
+            else:
+                (one,) = row.values()
+                table.add_row(key, Text.assemble(_mark(one.state), f" {one.state}"))
+        print_wide(table, console)
+        shown = [
+            state
+            for state in MARKS
+            if any(one.state is state for row in lines.values() for one in row.values())
+        ]
+        legend = [Text.assemble(_mark(state), f" {state}") for state in shown]
+        console.print(Text("   ").join(legend), soft_wrap=True)
+    causes = Counter(reason for one in found for reason in one.reasons)
+    for reason, count in causes.most_common(CAUSES):
+        console.print(Text(f"{count:5d} x {reason}"), soft_wrap=True)
+    fresh = len({one.object for one in found if one.object} - set(lines))
+    console.print(f"{_counts(one.state for one in found)}; {fresh} objects all fresh", highlight=False)
+    if lines:
+        hint = "`objectfolder status OBJECT` says why, `objectfolder build --dry-run` what would run"
+        console.print(hint, soft_wrap=True)
+
+
+def print_details(found: Iterable[StageStatus], console: Console) -> None:
+    """Print every stage with the reasons why it is not fresh."""
+    found = list(found)
+    width = max(len(one.address) for one in found)
+    for one in found:
+        mark, style = MARKS[one.state]
+        line = Text(f"{mark} {one.address.ljust(width)}  ", style=style).append(one.state)
+        console.print(line, soft_wrap=True)
+        for reason in (*_reasons(one), *([f"log: {one.log}"] if one.log else [])):
+            console.print(Text(f"    {reason}"), soft_wrap=True)
+    console.print(_counts(one.state for one in found), highlight=False)
+
+
+def print_outlook(found: Iterable[StageStatus], console: Console) -> None:
+    """Print what a build would do with every stage that is not fresh, and why."""
+    found = list(found)
+    acting = [one for one in found if one.outlook is not Outlook.SKIP]
+    width = max((len(one.address) for one in acting), default=0)
+    styles = {Outlook.RUN: "yellow", Outlook.RESTORE: "cyan", Outlook.PERHAPS: "dim"}
+    for one in acting:
+        line = Text(f"{one.outlook:<11}  ", style=styles[one.outlook])
+        line.append(f"{one.address.ljust(width)}  ", style="default")
+        line.append("; ".join(_reasons(one)) or one.state, style="default")
+        console.print(line, soft_wrap=True)
+    console.print(_counts(one.outlook for one in found), highlight=False)
+
+
+def as_json(found: Iterable[StageStatus]) -> list[dict[str, object]]:
+    """Plain values, for machines."""
+    return [
+        {
+            "address": one.address,
+            "stage": one.stage,
+            "object": one.object,
+            "state": one.state,
+            "next": one.outlook,
+            "reasons": one.reasons,
+            "waits_for": one.waits_for,
+            "log": one.log,
+        }
+        for one in found
+    ]
+
+
+def _reasons(one: StageStatus) -> list[str]:
+    waits = [f"{', '.join(one.waits_for)} not up to date"] if one.waits_for else []
+    return [*one.reasons, *waits]
+
+
+def _mark(state: State) -> Text:
+    mark, style = MARKS[state]
+    return Text(mark, style=style)
+
+
+def _counts(values: Iterable[State] | Iterable[Outlook]) -> str:
+    counts = Counter(values)
+    order = [*State, *Outlook]
+    return ", ".join(f"{counts[value]} {value}" for value in order if counts[value]) or "no stages"

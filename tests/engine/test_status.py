@@ -1,0 +1,189 @@
+"""What `status` and `build --dry-run` say, against what a build then does."""
+
+import hashlib
+import io
+import json
+import shutil
+
+import pytest
+from rich.console import Console
+
+from objectfolder.cli.statusview import as_json, print_details, print_outlook, print_table
+from objectfolder.engine.build import build
+from objectfolder.engine.status import Outlook, State, status
+from objectfolder.engine.summary import Status
+
+from .conftest import KEYS, everything
+
+
+@pytest.fixture
+def workspace(workspace):
+    """Objects of different sizes: equal files of two objects are one in the cache, and come back together."""
+    workspace.sizes = {key: {"size": size} for size, key in enumerate(KEYS)}
+    write = workspace.params
+    workspace.params = lambda **changes: write(
+        **{k: v | changes.get(k, {}) for k, v in workspace.sizes.items()}
+    )
+    workspace.params()
+    return workspace
+
+
+def states(workspace, *targets):
+    return {one.address: one.state for one in status(targets, workspace.root)}
+
+
+def one(workspace, address):
+    return next(found for found in status((), workspace.root) if found.address == address)
+
+
+def not_fresh(workspace):
+    return {address: state for address, state in states(workspace).items() if state is not State.FRESH}
+
+
+def fingerprint(root):
+    """Bytes of every file of the workspace but DVC's own scratch space, in which its lock lies."""
+    files = (path for path in root.rglob("*") if path.is_file() and ".dvc/tmp" not in path.as_posix())
+    return {
+        str(path): (hashlib.sha256(path.read_bytes()).hexdigest(), path.stat().st_mtime_ns) for path in files
+    }
+
+
+def check_prediction(workspace):
+    """Build, and compare what happened with what was said before, without a byte having changed."""
+    before = fingerprint(workspace.root)
+    said = {found.address: found.outlook for found in status((), workspace.root)}
+    assert fingerprint(workspace.root) == before
+    workspace.ran()
+    did = {address: result.status for address, result in build(root=workspace.root).stages.items()}
+    meaning = {
+        Outlook.SKIP: {Status.SKIPPED},
+        Outlook.RESTORE: {Status.RESTORED},
+        Outlook.RUN: {Status.RAN, Status.FAILED},
+        Outlook.PERHAPS: set(Status),
+    }
+    assert {a: (said[a], did[a]) for a in said if did[a] not in meaning[said[a]]} == {}
+    return said
+
+
+def test_never_built_then_fresh(workspace):
+    assert set(states(workspace).values()) == {State.NEVER}
+    assert set(check_prediction(workspace).values()) == {Outlook.RUN}
+    assert set(states(workspace).values()) == {State.FRESH}
+    assert set(check_prediction(workspace).values()) == {Outlook.SKIP}
+    assert list(states(workspace, "solve@mug")) == ["prepare@mug", "solve@mug"]
+
+
+def test_changed_parameter_is_named_with_both_values(workspace):
+    build(root=workspace.root)
+    workspace.params(mug={"material": "glass"})
+    assert not_fresh(workspace) == {"solve@mug": State.STALE, "pack@mug": State.UPSTREAM}
+    assert one(workspace, "solve@mug").reasons == ("objects.mug.material: steel -> glass",)
+    assert one(workspace, "pack@mug").waits_for == ("solve@mug",)
+    said = check_prediction(workspace)
+    assert (said["solve@mug"], said["pack@mug"]) == (Outlook.RUN, Outlook.PERHAPS)
+
+
+def test_what_the_run_cache_has_is_known_to_come_back_all_the_way_down(workspace):
+    build(root=workspace.root)
+    workspace.params(mug={"material": "glass"})
+    build(root=workspace.root)
+    workspace.params()
+    said = check_prediction(workspace)
+    assert (said["solve@mug"], said["pack@mug"]) == (Outlook.RESTORE, Outlook.RESTORE)
+    assert workspace.ran() == []
+
+
+def test_changed_dependency_and_command(workspace):
+    build(root=workspace.root)
+    with (workspace.root / "steps.py").open("a") as stream:
+        stream.write("# a comment\n")
+    assert one(workspace, "prepare@bowl").reasons == ("steps.py changed",)
+    pipeline = workspace.root / "dvc.yaml"
+    pipeline.write_text(pipeline.read_text().replace("steps pack ${key}", "steps  pack ${key}"))
+    assert one(workspace, "pack@bowl").reasons == ("its command changed",)
+    assert one(workspace, "pack@bowl").waits_for == ("prepare@bowl", "solve@bowl")
+    check_prediction(workspace)
+
+
+def test_missing_and_changed_outputs(workspace):
+    build(root=workspace.root)
+    (workspace.root / "build/mug/prepare.txt").unlink()
+    (workspace.root / "build/bowl/solve/a.txt").write_text("other")
+    (workspace.root / "metrics/bell.json").unlink()
+    assert not_fresh(workspace) == {
+        "prepare@mug": State.MISSING,
+        "solve@bowl": State.STALE,
+        "pack@bell": State.MISSING,
+    }
+    assert one(workspace, "prepare@mug").reasons == ("build/mug/prepare.txt is missing",)
+    assert one(workspace, "solve@bowl").reasons == ("build/bowl/solve changed",)
+    said = check_prediction(workspace)
+    assert [said[a] for a in ("prepare@mug", "solve@bowl", "pack@bell")] == [Outlook.RESTORE] * 3
+    shutil.rmtree(workspace.root / ".dvc/cache/files")
+    assert set(not_fresh(workspace)) == set(everything())
+    assert "gone from the cache" in one(workspace, "solve@mug").reasons[0]
+    check_prediction(workspace)
+
+
+def test_failure_is_remembered_until_an_input_changes_or_it_succeeds(workspace):
+    build(root=workspace.root)
+    workspace.control("solve@mug", "fail")
+    workspace.params(mug={"material": "glass"})
+    build(root=workspace.root)
+    found = one(workspace, "solve@mug")
+    assert found.state is State.FAILED
+    assert found.reasons[0] == "the command exited with code 3; the reason of the failure"
+    assert found.log.endswith("build/.logs/solve@mug.log")
+    assert one(workspace, "pack@mug").state is State.UPSTREAM
+
+    workspace.params(mug={"material": "wood"})
+    assert one(workspace, "solve@mug").state is State.STALE
+    workspace.params(mug={"material": "glass"})
+    assert one(workspace, "solve@mug").state is State.FAILED
+    workspace.control("solve@mug", None)
+    assert build(root=workspace.root).ok
+    assert not_fresh(workspace) == {}
+    assert not list((workspace.root / "build/.logs").glob("*.failed"))
+
+
+def test_changed_and_missing_data(make_workspace):
+    workspace = make_workspace(
+        "stages:\n  copy: {cmd: cp data.txt out.txt, deps: [data.txt], outs: [out.txt]}\n"
+    )
+    data = workspace.root / "data.txt"
+    data.write_text("one")
+    workspace.dvc("add", "-q", "data.txt")
+    build(root=workspace.root)
+    assert set(states(workspace).values()) == {State.FRESH}
+    data.unlink()
+    assert not_fresh(workspace) == {"data.txt.dvc": State.MISSING}
+    assert one(workspace, "data.txt.dvc").outlook is Outlook.RESTORE
+    assert build(root=workspace.root).stages["copy"].status is Status.SKIPPED
+    data.unlink()
+    data.write_text("two")
+    assert not_fresh(workspace) == {"data.txt.dvc": State.STALE, "copy": State.UPSTREAM}
+    assert one(workspace, "copy").outlook is Outlook.RUN
+    check_prediction(workspace)
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_printed(workspace, terminal):
+    build(root=workspace.root)
+    workspace.params(mug={"material": "glass"})
+    found = status((), workspace.root)
+    texts = []
+    for show in (print_table, print_details, print_outlook):
+        console = Console(file=io.StringIO(), force_terminal=terminal, no_color=True, width=100)
+        show(found, console)
+        texts.append(console.file.getvalue())
+    table, details, outlook = texts
+    assert "mug" in table
+    assert "bowl" not in table
+    assert "7 fresh, 1 stale, 1 upstream stale; 2 objects all fresh" in table
+    assert "objects.mug.material: steel -> glass" in table
+    assert "    objects.mug.material: steel -> glass" in details
+    assert "solve@mug  objects.mug.material: steel -> glass" in outlook
+    assert "7 nothing, 1 run, 1 perhaps run" in outlook
+    entries = {entry["address"]: entry for entry in json.loads(json.dumps(as_json(found)))}
+    assert entries["solve@mug"]["state"] == "stale"
+    assert entries["solve@mug"]["object"] == "mug"
