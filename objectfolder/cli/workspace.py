@@ -10,6 +10,8 @@ from rich.table import Table
 from objectfolder.cli.console import console
 from objectfolder.errors import ObjectFolderError
 
+MAX_SCORES = 40  # of objects that a build prints
+
 
 class Engine(StrEnum):
     """Where a build runs its stages."""
@@ -95,9 +97,11 @@ def build(
             make_workers=ray_workers(address or "auto") if engine is Engine.RAY else local_workers,
         )
     print_summary(summary)
-    evaluated = [a.partition("@")[2] for a in summary.stages if a.startswith("evaluate@")]
-    if summary.ok and evaluated:
-        _print_metrics(sorted(evaluated))
+    evaluated = sorted(a.partition("@")[2] for a in summary.stages if a.startswith("evaluate@"))
+    if summary.ok and 0 < len(evaluated) <= MAX_SCORES:
+        _print_metrics(evaluated)
+    elif summary.ok and evaluated:
+        console.print(f"{len(evaluated)} objects are evaluated; `dvc metrics show` prints their scores")
     raise typer.Exit(not summary.ok)
 
 

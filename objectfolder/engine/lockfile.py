@@ -73,17 +73,16 @@ class LockFiles:
             return
         path = Path(stage.dvcfile.path).absolute().with_suffix(".lock")
         entry = to_lockfile(stage)
-        self._stages(path).update(entry)
+        self.stages(path).update(entry)
         self._text[path].pop(stage.name, None)
         stage.repo.scm_context.track_file(os.path.relpath(path))
         if not self._dirty:
             self._due = time.monotonic() + self._period
         self._dirty.add(path)
 
-    def remove(self, stage: PipelineStage) -> None:
+    def remove(self, path: Path, name: str) -> None:
         """Forget a stage; it leaves the disk at the next `flush`."""
-        path = Path(stage.dvcfile.path).absolute().with_suffix(".lock")
-        if self._stages(path).pop(stage.name, None) is not None:
+        if self.stages(path).pop(name, None) is not None:
             self._dirty.add(path)
 
     def flush_if_due(self) -> None:
@@ -103,7 +102,8 @@ class LockFiles:
         """Time until the next write; None if there is nothing to write."""
         return max(0.0, self._due - time.monotonic()) if self._dirty else None
 
-    def _stages(self, path: Path) -> dict[str, Any]:
+    def stages(self, path: Path) -> dict[str, Any]:
+        """Entries of a lock file as DVC has read it, and of what has finished since."""
         if path not in self._contents:
             self._contents[path], self._text[path] = {"schema": "2.0"}, {}
         return self._contents[path].setdefault("stages", {})

@@ -1,5 +1,6 @@
 """Show a build as it goes, and its summary: live on a terminal, one line per event elsewhere."""
 
+import statistics
 import time
 from types import TracebackType
 from typing import Self
@@ -12,6 +13,7 @@ from rich.text import Text
 
 from objectfolder.engine.summary import Event, Finished, Lost, Planned, StageResult, Started, Status, Summary
 
+MAX_ROWS = 60  # of the summary's table; more are added up by stage
 STYLES = {
     Status.RAN: "green",
     Status.RESTORED: "cyan",
@@ -132,9 +134,13 @@ def print_summary(summary: Summary, console: Console | None = None) -> None:
     console = console or Console()
     shown = [result for result in summary.stages.values() if result.status in (Status.RAN, Status.RESTORED)]
     if shown:
-        console.print(_table(shown))
-    for result in summary.failures:
+        console.print(_table(shown) if len(shown) <= MAX_ROWS else _totals(shown))
+    for result in summary.failures[:MAX_ROWS]:
         console.print(_failure(result), soft_wrap=True)
+    if len(summary.failures) > MAX_ROWS:
+        console.print(
+            f"... and {len(summary.failures) - MAX_ROWS} more failed; `objectfolder status` lists them"
+        )
     counts = ", ".join(f"{count} {status}" for status, count in summary.counts().items() if count)
     console.print(f"{counts or 'nothing to do'} in {summary.seconds:.1f} s", soft_wrap=True, highlight=False)
 
@@ -147,6 +153,23 @@ def _table(results: list[StageResult]) -> Table:
         peak = "" if result.peak_mb is None else f"{result.peak_mb:.0f}"
         status = Text(result.status, style=STYLES[result.status])
         table.add_row(result.stage, result.object, status, f"{result.seconds:.1f}", peak)
+    return table
+
+
+def _totals(results: list[StageResult]) -> Table:
+    """What many objects took, by stage."""
+    table = Table("stage", "", box=None)
+    for name in ("objects", "total s", "median s", "most s", "peak MB"):
+        table.add_column(name, justify="right")
+    groups: dict[tuple[str, Status], list[StageResult]] = {}
+    for result in results:
+        groups.setdefault((result.stage, result.status), []).append(result)
+    for (stage, status), group in groups.items():
+        seconds = [result.seconds for result in group]
+        times = (f"{value:.1f}" for value in (sum(seconds), statistics.median(seconds), max(seconds)))
+        peaks = [result.peak_mb for result in group if result.peak_mb is not None]
+        peak = f"{max(peaks):.0f}" if peaks else ""
+        table.add_row(stage, Text(status, style=STYLES[status]), str(len(group)), *times, peak)
     return table
 
 

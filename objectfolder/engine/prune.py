@@ -10,12 +10,13 @@ from typing import Any
 
 from dvc.exceptions import DvcException
 from dvc.repo import Repo
-from dvc.utils.serialize import dumps_yaml, load_yaml
 
-from objectfolder.artifacts import Build, atomic
+from objectfolder.artifacts import Build
+from objectfolder.engine import emit
 from objectfolder.engine.failures import LOGS
+from objectfolder.engine.lockfile import LockFiles
 from objectfolder.engine.savedruns import entries, outputs, remove
-from objectfolder.engine.workspace import owned, read_params
+from objectfolder.engine.workspace import held, read_params
 from objectfolder.errors import ObjectFolderError
 
 LOCK = "dvc.lock"
@@ -70,9 +71,9 @@ def survey(root: str | Path = ".") -> Waste:
         If the workspace is busy or cannot be read.
     """
     root = Path(root).resolve()
-    with owned(root) as repo:
+    with held(root) as (repo, lockfiles):
         try:
-            return _survey(repo, root)
+            return _survey(repo, root, lockfiles)
         except DvcException as error:
             raise ObjectFolderError(f"DVC cannot read {root}: {error}") from error
 
@@ -88,8 +89,8 @@ def prune(waste: Waste, root: str | Path = ".") -> None:
         If the workspace is busy, or has changed since the survey.
     """
     root = Path(root).resolve()
-    with owned(root) as repo:
-        if _survey(repo, root) != waste:
+    with held(root) as (repo, lockfiles):
+        if _survey(repo, root, lockfiles) != waste:
             raise ObjectFolderError("the workspace has changed since it was examined; prune again")
         for path in (p for group in (waste.files, waste.cached) for paths in group.values() for p in paths):
             path.unlink(missing_ok=True)
@@ -97,20 +98,16 @@ def prune(waste: Waste, root: str | Path = ".") -> None:
             remove(entry)
         for key in waste.keys:
             _remove_empty(Build(key, root).dir)
-        if waste.addresses:
-            contents = load_yaml(root / LOCK)
-            for address in waste.addresses:
-                del contents["stages"][address]
-            with atomic(root / LOCK) as temporary:
-                temporary.write_text(dumps_yaml(contents))
+        for address in waste.addresses:
+            lockfiles.remove(root / LOCK, address)
+        lockfiles.flush()
 
 
-def _survey(repo: Repo, root: Path) -> Waste:
+def _survey(repo: Repo, root: Path, lockfiles: LockFiles) -> Waste:
     params = read_params(root)
     living = {str(key) for group in ("objects", "procedural") for key in params.get(group) or {}}
     addresses = {stage.addressing for stage in repo.index.stages}
-    lock = load_yaml(root / LOCK) if (root / LOCK).exists() else {}
-    stages = lock.get("stages", {})
+    stages = lockfiles.stages(root / LOCK)
     dead = {
         a: e for a, e in stages.items() if a not in addresses and a.partition("@")[2] not in {"", *living}
     }
@@ -119,7 +116,7 @@ def _survey(repo: Repo, root: Path) -> Waste:
     alive = {address: entry for address, entry in stages.items() if address not in dead}
 
     runs, saved = [], []
-    texts = [dumps_yaml(alive), *(Path(f).read_text() for f in _other_files(repo, root))]
+    texts = [emit.dumps(alive), *(Path(f).read_text() for f in _other_files(repo, root))]
     pattern = _of_keys(keys)
     for path in entries(repo) if keys else ():
         text = path.read_text(errors="replace")
@@ -130,7 +127,10 @@ def _survey(repo: Repo, root: Path) -> Waste:
         else:
             texts.append(text)
     kept = set(_with_members(repo, (oid for text in texts for oid in _OID.findall(text))))
-    outs = [(address.partition("@")[2], dumps_yaml(entry.get("outs", []))) for address, entry in dead.items()]
+    outs = [
+        (address.partition("@")[2], emit.dumps({"outs": entry.get("outs", [])}))
+        for address, entry in dead.items()
+    ]
     cached: dict[str, set[Path]] = {key: set() for key in keys}
     taken = set(kept)
     left = []

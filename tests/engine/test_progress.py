@@ -60,3 +60,15 @@ def test_summary_names_what_ran_and_what_failed():
     assert "modal of bell failed: the command exited with code 3" in text
     assert "| [a]\n  | no mesh\n  log: /w/bell.log" in text
     assert "1 ran, 1 skipped, 1 failed, 1 blocked in 20.0 s" in text
+
+
+def test_summary_of_many_objects_adds_up_by_stage():
+    console = Console(file=io.StringIO(), width=100)
+    results = {
+        f"modal@o{number}": StageResult(f"modal@o{number}", Status.RAN, float(number), 100.0 + number)
+        for number in range(1, 101)
+    }
+    print_summary(Summary(results, 20.0), console)
+    lines = console.file.getvalue().splitlines()
+    assert "modal ran 100 5050.0 50.5 100.0 200" in [" ".join(line.split()) for line in lines]
+    assert len(lines) < 5
