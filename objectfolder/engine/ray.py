@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from objectfolder.engine import node
-from objectfolder.engine.build import LOGS, MakeWorkers
+from objectfolder.engine.build import MakeWorkers
+from objectfolder.engine.failures import LOGS
 from objectfolder.engine.process import Command, Outcome
 from objectfolder.engine.resources import Needs
 from objectfolder.engine.workers import Finished, WorkerLost

@@ -8,9 +8,10 @@ import json
 import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,8 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.validation import checks, validate
 
 READ_ONLY = 0o444  # DVC's mark of a cached object whose hash is known
+
+MANY = 200  # artifacts that are worth processes of their own
 
 #: Wraps an iteration of known length in a progress bar.
 Track = Callable[[Iterable[Any], str, int], Iterable[Any]]
@@ -211,7 +214,7 @@ def _survey(repo: Repo, root: Path, targets: Sequence[str], jobs: int | None, tr
             wanted |= dict.fromkeys(survey.others, repo.cache.local.hash_name)
         hash_all(wanted, "reading")
         survey.blocked = _blocked(repo, survey)
-        _validate(survey, lambda f, items: track(pool.map(f, items), "validating", len(items)))
+    _validate(survey, jobs, track)
     return survey
 
 
@@ -266,22 +269,33 @@ def _objects(repo: Repo) -> Iterator[tuple[Path, str]]:
             yield path, oid
 
 
-def _validate(survey: _Survey, run: Any) -> None:
+def _validate(survey: _Survey, jobs: int | None, track: Track) -> None:
+    """Let the readers of all artifacts whose bytes are right read them.
+
+    They compute more than they read, so threads hardly help; processes take seconds to start.
+    """
     tables = {
         key: checks(Build(key, survey.root))
         for key in {f.address.partition("@")[2] for f in survey.files}
         if key
     }
     todo = [
-        (table[f.path], f.path)
+        (f.address.partition("@")[2], survey.root, f.path)
         for f in survey.files
         if (table := tables.get(f.address.partition("@")[2], {}))
         and f.path in table
         and survey.good(f.path, f.oid)
     ]
-    for (_, path), problem in zip(todo, run(lambda item: validate(*item), todo)):
-        if problem:
-            survey.invalid[path] = problem
+    many = len(todo) >= MANY
+    executor: Executor = ProcessPoolExecutor(jobs, get_context("spawn")) if many else ThreadPoolExecutor(jobs)
+    with executor as pool:
+        problems = track(pool.map(_problem, todo), "validating", len(todo))
+        survey.invalid |= {path: problem for (*_, path), problem in zip(todo, problems) if problem}
+
+
+def _problem(item: tuple[str, Path, Path]) -> str:
+    key, root, path = item
+    return validate(checks(Build(key, root))[path], path)
 
 
 def _blocked(repo: Repo, survey: _Survey) -> set[str]:

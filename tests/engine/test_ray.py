@@ -138,7 +138,7 @@ def start(workspace: Workspace, cluster: Cluster) -> subprocess.Popen[str]:
 def test_stages_run_on_both_nodes_with_the_python_and_environment_of_the_node(located, cluster, monkeypatch):
     monkeypatch.setenv("TEST_NODE", "the engine's own")
     for key in ("bell", "bowl", "mug"):
-        located.control(f"prepare@{key}", "2")  # three at a time fill both nodes
+        located.control(f"prepare@{key}", "meet")  # three at a time fill both nodes
     summary = build(root=located.root, make_workers=ray_workers(cluster.address))
     assert summary.ok
     assert [call[1] for call in located.calls()][:6] == ["start"] * 3 + ["end"] * 3
