@@ -1,5 +1,7 @@
 """A tiny workspace that runs the real DAG."""
 
+import fcntl
+import os
 import shutil
 import subprocess
 import sys
@@ -182,10 +184,17 @@ class _Edit:
 
 @pytest.fixture(scope="session")
 def built(tmp_path_factory) -> Workspace:
-    """A workspace whose two objects are built."""
-    workspace = Workspace(tmp_path_factory.mktemp("tiny") / "workspace").create()
-    workspace.build()
-    return workspace
+    """A workspace whose two objects are built; each process of a parallel run gets a copy of one build."""
+    base = tmp_path_factory.getbasetemp()
+    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    done = shared / "tiny"
+    with (shared / "tiny.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not done.exists():
+            first = Workspace(shared / "building" / "workspace").create()
+            first.build()
+            first.root.rename(done)
+    return Workspace(shutil.copytree(done, tmp_path_factory.mktemp("tiny") / "workspace", symlinks=True))
 
 
 @pytest.fixture
