@@ -20,7 +20,6 @@ import tempfile
 import time
 from pathlib import Path
 
-from dvc.repo import Repo
 from rich.console import Console
 from rich.table import Table
 from ruamel.yaml import YAML
@@ -64,8 +63,7 @@ def dummy(root: Path, objects: int) -> Path:
     for key in keys:
         (root / "data/objects" / key).mkdir(parents=True)
         (root / "data/objects" / key / "mesh.glb").write_text(key)
-    with Repo(root) as repo, repo.scm_context(quiet=True):
-        repo.add([str(root / "data/objects" / key) for key in keys])
+    dvc(root, "add", *(f"data/objects/{key}" for key in keys))
     return root
 
 
