@@ -1,6 +1,7 @@
 """A tiny workspace that runs the real DAG."""
 
 import fcntl
+import json
 import os
 import shutil
 import subprocess
@@ -153,6 +154,14 @@ class Workspace:
 
     def cli(self, *arguments: str, ok: bool = True) -> subprocess.CompletedProcess:
         return self.run("-c", "from objectfolder.cli import main; main()", *arguments, ok=ok)
+
+    def cli_in_turn(self, *commands: list[str]) -> str:
+        """Run several commands in one process, which imports once; returns what they print."""
+        script = (
+            "import json, sys; from objectfolder.cli import app\n"
+            "for command in json.loads(sys.argv[1]): app(command, standalone_mode=False)"
+        )
+        return self.run("-c", script, json.dumps(commands)).stdout
 
     def build(self, *targets: str) -> set[str]:
         """Build; return the addresses of the stages that ran."""

@@ -224,8 +224,8 @@ def test_generated_mesh_is_the_same_bytes_twice(built):
 
 
 def test_inspect(built, opengl):
-    for stage in ("voxelize", "modal", "pack", "evaluate"):
-        built.cli("inspect", f"{stage}@cube")
+    stages = ("voxelize", "modal", "pack", "evaluate")
+    built.cli_in_turn(*(["inspect", f"{stage}@cube"] for stage in stages))
     assert "build" in built.cli("inspect", "modal@nothing", ok=False).stderr
 
 
@@ -237,16 +237,18 @@ def test_published_query_formats(built, tmp_path):
     np.save(tmp_path / "p.npy", points)
     np.save(tmp_path / "f.npy", np.ones((2, 3)))
     np.save(tmp_path / "g.npy", np.array([[0.1, 0.5, 0.001], [0, 0, 0.002]]))
-    built.cli("query", "vision", file, f"{tmp_path}/v.npy", f"{tmp_path}/out", "--resolution", "32")
-    built.cli("query", "audio", file, f"{tmp_path}/p.npy", f"{tmp_path}/out", "--forces", f"{tmp_path}/f.npy")
-    built.cli(
-        "query", "touch", file, f"{tmp_path}/p.npy", f"{tmp_path}/out", "--gelinfo", f"{tmp_path}/g.npy"
+    out = f"{tmp_path}/out"
+    printed = built.cli_in_turn(
+        ["query", "vision", file, f"{tmp_path}/v.npy", out, "--resolution", "32"],
+        ["query", "audio", file, f"{tmp_path}/p.npy", out, "--forces", f"{tmp_path}/f.npy"],
+        ["query", "touch", file, f"{tmp_path}/p.npy", out, "--gelinfo", f"{tmp_path}/g.npy"],
+        ["info", file],
     )
     assert {p.name for p in (tmp_path / "out").iterdir()} == {
         *("1.png", "2.png", "1.wav", "2.wav"),
         "contacts.csv",
     }
-    assert "cube" in built.cli("info", file).stdout
+    assert "cube" in printed
     np.save(tmp_path / "bad.npy", np.zeros((2, 5)))
     refused = built.cli("query", "vision", file, f"{tmp_path}/bad.npy", f"{tmp_path}/out", ok=False)
     assert refused.returncode == 1
