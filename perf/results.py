@@ -446,7 +446,8 @@ def engine_scale(figures: dict) -> list[str]:
     lines = [
         "\n## Build engine\n",
         "`python perf/engine.py scale --objects 100 1000 --json build/perf/engine_scale.json`: the real "
-        "graph with commands that only write a line, two workers; wall seconds. A stage of the first build "
+        "graph with commands that only write a line, two workers; wall seconds, and CPU seconds in brackets: "
+        "where they are far apart, other jobs were on the machine's two cores. A stage of the first build "
         "includes the start of its shell. DVC alone: `dvc repro` on the same workspace, its first build "
         "stopped after a minute, one with nothing to do after three.",
         "",
@@ -462,10 +463,10 @@ def engine_scale(figures: dict) -> list[str]:
             first["stages"],
             f"{1000 * first['seconds'] / first['ran']:.0f}",
             *(f"{first[name]:.0f}" for name in ("cpu_s", "peak_mb")),
-            f"{idle['seconds']:.1f}",
+            f"{idle['seconds']:.1f} ({idle['cpu_s']:.1f})",
             f"{idle['peak_mb']:.0f}",
             changed["ran"],
-            f"{changed['seconds']:.1f}",
+            f"{changed['seconds']:.1f} ({changed['cpu_s']:.1f})",
             f"{1000 * row['peer_s'] / stages:.0f}" if stages else "none in a minute",
             "over 180" if row["peer_idle_s"] is None else f"{row['peer_idle_s']:.0f}",
         )
