@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
+from objectfolder.engine.verify import verify
+
 PIPELINE = r"""
 stages:
   prepare:
@@ -125,6 +127,11 @@ class Workspace:
         )
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
+
+    def check_clean(self) -> None:
+        """Nothing is left to do by DVC's word, and every file is what was recorded by its bytes."""
+        assert "up to date" in self.dvc("status")
+        assert verify(root=self.root).findings == ()
 
     def locked(self) -> set[str]:
         """Addresses in dvc.lock."""

@@ -105,7 +105,7 @@ def test_killed_stage_is_said_in_words_and_its_half_output_is_not_taken(workspac
     assert build(root=workspace.root).ok
     assert workspace.ran() == sorted(mug)
     assert half.read_text() == "1"
-    assert "up to date" in workspace.dvc("status")
+    workspace.check_clean()
 
 
 CHAIN = """
@@ -177,7 +177,7 @@ def test_engine_killed_at_any_change_of_a_file_loses_nothing_that_has_finished(m
     for key in "abcdef":
         assert (workspace.root / f"build/{key}/two/x").read_text() == f"{key}\n"
         assert (workspace.root / f"build/{key}/two/y").read_text() == "y\n"
-    assert "up to date" in workspace.dvc("status")
+    workspace.check_clean()
     assert not half_copies(workspace)
 
 
@@ -219,7 +219,7 @@ def test_full_disk_is_named_and_after_space_is_made_the_rest_is_built(bulky, pla
         assert build(root=bulky.root).ok
         assert (bulky.root / "calls").read_text() == "big\n"
         assert (bulky.root / "build/big").stat().st_size == 1_500_000
-        assert "up to date" in bulky.dvc("status")
+        bulky.check_clean()
 
 
 def test_lock_file_that_does_not_fit_keeps_the_old_one_and_loses_nothing(make_workspace, tmp_path):
@@ -250,7 +250,7 @@ def test_lock_file_that_does_not_fit_keeps_the_old_one_and_loses_nothing(make_wo
             assert build(root=root).ok
             assert not (root / "calls").exists()
             assert workspace.locked() == {"a_small", "big"}
-            assert "up to date" in workspace.dvc("status")
+            workspace.check_clean()
 
 
 def test_read_only_build_directory_fails_its_stages_and_keeps_what_is_there(workspace):
@@ -271,7 +271,7 @@ def test_read_only_build_directory_fails_its_stages_and_keeps_what_is_there(work
     workspace.ran()
     assert build(root=workspace.root).ok
     assert workspace.ran() == ["pack@mug", "solve@mug"]
-    assert "up to date" in workspace.dvc("status")
+    workspace.check_clean()
 
 
 def test_log_directory_that_cannot_be_made_fails_the_stages_with_its_name(workspace):
@@ -364,7 +364,7 @@ def test_truncated_lock_file_is_restored(workspace, share, caplog):
     assert workspace.ran() == []
     assert path.read_bytes() == whole
     assert "dvc.lock is damaged" in caplog.text
-    assert "up to date" in workspace.dvc("status")
+    workspace.check_clean()
 
 
 @pytest.mark.parametrize("garbage", [b"\x00" * 5000, b"\xff\xfe garbage", b"stages: 3\n"])
@@ -407,7 +407,7 @@ def test_params_broken_during_a_build_fail_stages_and_no_more(workspace, broken)
     workspace.ran()
     assert build(root=workspace.root).ok
     assert not set(workspace.ran()) & set(done)
-    assert "up to date" in workspace.dvc("status")
+    workspace.check_clean()
 
 
 def test_params_changed_while_a_stage_runs_are_not_taken_for_those_it_has_read(make_workspace):
@@ -512,4 +512,4 @@ def test_second_build_can_wait_for_the_first(workspace, other, caplog):
     assert summary.ok
     assert caplog.text.count("waiting until it ends") == 1
     assert f"process {first.pid}" in caplog.text
-    assert "up to date" in workspace.dvc("status")
+    workspace.check_clean()
