@@ -19,6 +19,7 @@ from objectfolder.artifacts import code_list
 from objectfolder.engine import failures, steps
 from objectfolder.engine.graph import Plan, plan
 from objectfolder.engine.savedruns import saved_run
+from objectfolder.engine.summary import Addressed
 from objectfolder.engine.workspace import owned
 from objectfolder.errors import ObjectFolderError
 from objectfolder.sources import digests
@@ -48,7 +49,7 @@ class Outlook(StrEnum):
 
 
 @dataclass(frozen=True)
-class StageStatus:
+class StageStatus(Addressed):
     """How one stage is.
 
     Parameters
@@ -73,16 +74,6 @@ class StageStatus:
     reasons: tuple[str, ...] = ()
     waits_for: tuple[str, ...] = ()
     log: str = ""
-
-    @property
-    def stage(self) -> str:
-        """Stage name without the object."""
-        return self.address.partition("@")[0]
-
-    @property
-    def object(self) -> str:
-        """Object key, empty for a stage that is not per object."""
-        return self.address.partition("@")[2]
 
 
 def status(targets: Sequence[str] = (), root: str | Path = ".") -> list[StageStatus]:

@@ -16,8 +16,24 @@ class Status(StrEnum):
     BLOCKED = "blocked"  # something upstream failed
 
 
+class Addressed:
+    """Something that is said of one stage."""
+
+    address: str
+
+    @property
+    def stage(self) -> str:
+        """Stage name without the object."""
+        return self.address.partition("@")[0]
+
+    @property
+    def object(self) -> str:
+        """Object key, empty for a stage that is not per object."""
+        return self.address.partition("@")[2]
+
+
 @dataclass(frozen=True)
-class StageResult:
+class StageResult(Addressed):
     """How one stage ended.
 
     Parameters
@@ -45,16 +61,6 @@ class StageResult:
     log: Path | None = None
     error: str = ""
     tail: tuple[str, ...] = ()
-
-    @property
-    def stage(self) -> str:
-        """Stage name without the object."""
-        return self.address.partition("@")[0]
-
-    @property
-    def object(self) -> str:
-        """Object key, empty for a stage that is not per object."""
-        return self.address.partition("@")[2]
 
 
 @dataclass(frozen=True)

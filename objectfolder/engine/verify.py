@@ -29,7 +29,7 @@ from objectfolder.engine import steps
 from objectfolder.engine.build import Options, build
 from objectfolder.engine.graph import address_of, plan
 from objectfolder.engine.savedruns import entries, outputs, remove
-from objectfolder.engine.summary import Listener, Summary
+from objectfolder.engine.summary import Addressed, Listener, Summary
 from objectfolder.engine.workspace import owned
 from objectfolder.errors import ObjectFolderError
 from objectfolder.validation import checks, validate
@@ -43,7 +43,7 @@ Track = Callable[[Iterable[Any], str, int], Iterable[Any]]
 
 
 @dataclass(frozen=True)
-class Finding:
+class Finding(Addressed):
     """One thing that is wrong.
 
     Parameters
@@ -62,16 +62,6 @@ class Finding:
     path: str
     problem: str
     remedy: str
-
-    @property
-    def stage(self) -> str:
-        """Stage name without the object."""
-        return self.address.partition("@")[0]
-
-    @property
-    def object(self) -> str:
-        """Object key, empty for a stage that is not per object."""
-        return self.address.partition("@")[2]
 
 
 @dataclass(frozen=True)
