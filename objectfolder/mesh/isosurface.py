@@ -1,8 +1,9 @@
 """The surface that the stored distance grid describes: what queries see and touch, without the mesh."""
 
+from functools import cached_property, reduce
+
 import numpy as np
 import torch
-from skimage.measure import marching_cubes
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.grid import BOUND, DistanceGrid
@@ -11,6 +12,8 @@ from objectfolder.mesh.raycast import RayCaster
 
 class Isosurface:
     """Triangles of a distance grid's zero level, in the unit frame, ready for ray casting.
+
+    All but the grid is made when it is first asked for.
 
     Parameters
     ----------
@@ -23,23 +26,59 @@ class Isosurface:
     normals : (V, 3) float32, outward, of unit length
     bounds : (2, 3) float64, lowest and highest coordinates of the vertices
     caster : RayCaster
+
+    Raises
+    ------
+    ObjectFolderError
+        If no surface runs through the grid.
     """
 
     def __init__(self, grid: DistanceGrid):
         self.grid = grid
         if not grid.values.min() < 0 < grid.values.max():
             raise ObjectFolderError("the distance grid holds no surface: every sample is on one side of it")
-        v, f, _, _ = marching_cubes(grid.values.astype(np.float32), 0.0, allow_degenerate=False)
-        self.vertices = v.astype(np.float64) * grid.spacing - BOUND
-        self.faces = f.astype(np.int64)
-        self.normals = grid.normals(torch.from_numpy(self.vertices.astype(np.float32))).numpy()
-        self.bounds = np.stack([self.vertices.min(0), self.vertices.max(0)])
-        self.caster = RayCaster(self.vertices, self.faces)
+
+    @cached_property
+    def _mesh(self) -> tuple[np.ndarray, np.ndarray]:
+        from skimage.measure import marching_cubes
+
+        values = self.grid.values
+        vertices, faces, _, _ = marching_cubes(
+            values.astype(np.float32), 0.0, allow_degenerate=False, mask=_crossed(values)
+        )
+        return vertices.astype(np.float64) * self.grid.spacing - BOUND, faces.astype(np.int64)
+
+    @property
+    def vertices(self) -> np.ndarray:
+        return self._mesh[0]
+
+    @property
+    def faces(self) -> np.ndarray:
+        return self._mesh[1]
+
+    @cached_property
+    def normals(self) -> np.ndarray:
+        return self.grid.normals(torch.from_numpy(self.vertices.astype(np.float32))).numpy()
+
+    @cached_property
+    def bounds(self) -> np.ndarray:
+        return np.stack([self.vertices.min(0), self.vertices.max(0)])
+
+    @cached_property
+    def caster(self) -> RayCaster:
+        return RayCaster(self.vertices, self.faces)
+
+    @cached_property
+    def _tree(self):
+        from scipy.spatial import cKDTree
+
+        return cKDTree(self.vertices)
 
     def nearest(self, points: np.ndarray, steps: int = 3) -> tuple[np.ndarray, np.ndarray]:
         """Project points to the surface.
 
-        The nearest vertex of the surface, then Newton steps along the distance's gradient.
+        Where the grid knows the distance, Newton steps along its gradient; elsewhere from the nearest vertex
+        of the surface.
 
         Parameters
         ----------
@@ -50,16 +89,33 @@ class Isosurface:
         projected : (N, 3) float64
         distance : (N,) float64, from the given points
         """
-        from scipy.spatial import cKDTree
-
-        if not hasattr(self, "_tree"):
-            self._tree = cKDTree(self.vertices)
         points = np.asarray(points, np.float64)
-        near = np.abs(self.grid.distance(torch.from_numpy(points)).numpy()) < 0.9 * self.grid.band
-        start = np.where(near[:, None], points, self.vertices[self._tree.query(points)[1]])
+        far = np.abs(self.grid.distance(torch.from_numpy(points)).numpy()) >= 0.9 * self.grid.band
+        start = points.copy()
+        if far.any():
+            start[far] = self.vertices[self._tree.query(points[far])[1]]
         position = torch.from_numpy(start)
         for _ in range(steps):
             step = self.grid.distance(position)[:, None] * self.grid.normals(position.to(torch.float32))
             position = position - step.to(torch.float64)
         projected = position.numpy()
         return projected, np.linalg.norm(projected - points, axis=1)
+
+
+def _crossed(values: np.ndarray) -> np.ndarray:
+    """Cells that the surface runs through, marked at their upper corner; (R, R, R) bool.
+
+    Marching cubes passes over the others, which are most, without looking at their samples.
+    """
+    inside = values <= 0
+    axes = range(3)
+    some, every = (reduce(lambda m, axis: _paired(op, m, axis), axes, inside) for op in (np.bitwise_or, np.bitwise_and))
+    crossed = np.zeros(values.shape, bool)
+    crossed[1:, 1:, 1:] = some & ~every
+    return crossed
+
+
+def _paired(operation: np.ufunc, mask: np.ndarray, axis: int) -> np.ndarray:
+    """A boolean operation on neighbours along an axis."""
+    mask = np.moveaxis(mask, axis, 0)
+    return np.moveaxis(operation(mask[:-1], mask[1:]), 0, axis)

@@ -19,9 +19,8 @@ class RayCaster:
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray):
         self._scene = rtcore_scene.EmbreeScene()
-        triangles = np.ascontiguousarray(np.asarray(vertices, np.float32)[faces])
         # The Python object owns the buffers that Embree reads: keep it.
-        self._mesh = TriangleMesh(self._scene, triangles)
+        self._mesh = TriangleMesh(self._scene, np.asarray(vertices, np.float32), np.asarray(faces))
 
     def first_hit(
         self, origins: np.ndarray, directions: np.ndarray, max_distance: np.ndarray | None = None
@@ -39,13 +38,7 @@ class RayCaster:
         distance : (N,) float32, ``inf`` where nothing is hit
         face : (N,) int64, -1 where nothing is hit
         """
-        hit = self._scene.run(
-            np.ascontiguousarray(origins, np.float32),
-            np.ascontiguousarray(directions, np.float32),
-            dists=_lengths(max_distance),
-            query="INTERSECT",
-            output=1,
-        )
+        hit = self._run(origins, directions, max_distance)
         face = hit["primID"].astype(np.int64)
         # Embree reports 1e37 on a miss.
         return np.where(face >= 0, hit["tfar"], np.float32(np.inf)).astype(np.float32), face
@@ -69,13 +62,7 @@ class RayCaster:
         weights : (H, 3) float32
             Barycentric, of the face's corners.
         """
-        hit = self._scene.run(
-            np.ascontiguousarray(origins, np.float32),
-            np.ascontiguousarray(directions, np.float32),
-            dists=_lengths(max_distance),
-            query="INTERSECT",
-            output=1,
-        )
+        hit = self._run(origins, directions, max_distance)
         ray = np.flatnonzero(hit["primID"] >= 0)
         u, v = hit["u"][ray], hit["v"][ray]
         weights = np.stack([1 - u - v, u, v], 1).astype(np.float32)
@@ -95,20 +82,31 @@ class RayCaster:
             The triangle's corners run clockwise as the ray sees them: of a closed surface, it comes from
             within.
         """
-        directions = np.ascontiguousarray(directions, np.float32)
-        hit = self._scene.run(
-            np.ascontiguousarray(origins, np.float32), directions, query="INTERSECT", output=1
-        )
+        hit = self._run(origins, directions)
         met = hit["primID"] >= 0
         leaving = met & ((hit["Ng"] * directions).sum(axis=1) > 0)
         return np.where(met, hit["tfar"], np.float32(np.inf)), leaving
 
-    def occluded(self, origins: np.ndarray, directions: np.ndarray, max_distance: np.ndarray) -> np.ndarray:
-        """Whether anything lies within ``max_distance`` along each ray; (N,) bool."""
-        _, face = self.first_hit(origins, directions, max_distance)
-        return face >= 0
+    def occluded(
+        self, origins: np.ndarray, directions: np.ndarray, max_distance: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Whether anything lies along each ray, within ``max_distance`` if given; (N,) bool."""
+        rays = _writable(origins), _writable(directions)
+        return self._scene.run(*rays, dists=_lengths(max_distance), query="OCCLUDED") >= 0
+
+    def _run(
+        self, origins: np.ndarray, directions: np.ndarray, max_distance: np.ndarray | None = None
+    ) -> dict[str, np.ndarray]:
+        rays = _writable(origins), _writable(directions)
+        return self._scene.run(*rays, dists=_lengths(max_distance), query="INTERSECT", output=1)
 
 
 def _lengths(max_distance: np.ndarray | None) -> np.ndarray | None:
     """A copy, because Embree's wrapper writes the distances it finds into it."""
     return None if max_distance is None else np.array(max_distance, np.float32)
+
+
+def _writable(vectors: np.ndarray) -> np.ndarray:
+    """Vectors (N, 3) in single precision, of any strides; Embree's wrapper reads writable arrays only."""
+    vectors = np.asarray(vectors, np.float32)
+    return vectors if vectors.flags.writeable else vectors.copy()

@@ -82,7 +82,7 @@ class Radiosity:
 
     def _solve(self, light: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
         """Radiance that each patch would reflect of the others' if it were white, and gives off; (P, 3)."""
-        lit = np.flatnonzero(is_lit(self._surface, self._points, self._normals, light))
+        lit = np.flatnonzero(is_lit(self._surface, torch.from_numpy(self._points), torch.from_numpy(self._normals), torch.from_numpy(np.asarray(light,np.float32))).numpy())
         to_light = np.asarray(light, np.float32) - self._points[lit]
         distance = np.linalg.norm(to_light, axis=1)
         received = np.zeros((PATCHES, 1), np.float32)
