@@ -7,6 +7,7 @@ import torch
 import torch.nn.functional as F
 
 from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.vision.vectors import columns, dot, joined, select, unit
 
 SHADOW_OFFSET = 0.05  # voxels along the normal where shadow rays start: further off, shadows move
 
@@ -15,8 +16,7 @@ SHADOW_OFFSET = 0.05  # voxels along the normal where shadow rays start: further
 class SurfaceSamples:
     """Visible points of a surface; tensors share their first dimension S.
 
-    What `trace` returns holds each of the three columns of a vector in one piece of memory, where operations
-    on them are several times faster than on rows of three.
+    The columns of what `trace` returns lie each in one piece of memory; see `objectfolder.vision.vectors`.
     """
 
     ray: torch.Tensor  #: (S,) int64, which ray saw the point
@@ -30,14 +30,18 @@ class SurfaceSamples:
 
     def select(self, index: torch.Tensor) -> "SurfaceSamples":
         """Return some of the samples."""
-        return SurfaceSamples(*(_rows(getattr(self, field.name), index) for field in fields(self)))
+        return SurfaceSamples(*(select(getattr(self, field.name), index) for field in fields(self)))
 
     def joined(self, others: "SurfaceSamples") -> "SurfaceSamples":
         """Return these samples, then the others."""
         if not len(others.ray):
             return self
         pairs = ((getattr(self, field.name), getattr(others, field.name)) for field in fields(self))
-        return SurfaceSamples(*(_appended(*pair) for pair in pairs))
+        return SurfaceSamples(*(joined(pair) for pair in pairs))
+
+    def to(self, device: torch.device | str) -> "SurfaceSamples":
+        """Return these samples on a device."""
+        return SurfaceSamples(*(getattr(self, field.name).to(device) for field in fields(self)))
 
     def interpolated(self, attributes: torch.Tensor) -> torch.Tensor:
         """Values at the samples of attributes (V, C) at the surface's vertices; (S, C)."""
@@ -47,21 +51,6 @@ class SurfaceSamples:
 def weighted_rows(table: torch.Tensor, rows: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
     """Sum of rows of a table (R, C), K for each of S points, by weights; rows and weights are (S, K)."""
     return F.embedding_bag(rows, table, mode="sum", per_sample_weights=weights)
-
-
-def unit(vectors: torch.Tensor) -> torch.Tensor:
-    """Vectors (S, 3) at unit length; zero stays zero."""
-    return vectors / dot(vectors, vectors).sqrt().clamp(min=1e-12)
-
-
-def dot(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-    """Scalar products of vectors (S, 3); (S, 1)."""
-    return (a * b).sum(-1, keepdim=True)
-
-
-def columns(rows: torch.Tensor) -> torch.Tensor:
-    """Vectors (S, 3), each column in one piece of memory."""
-    return rows.T.contiguous().T
 
 
 def trace(
@@ -96,26 +85,8 @@ def is_lit(
     """
     lit = dot(light - points, normals)[:, 0] > 0
     facing = lit.nonzero()[:, 0]
-    start = _rows(points, facing) + _rows(normals, facing) * (SHADOW_OFFSET * surface.grid.spacing)
+    start = select(points, facing) + select(normals, facing) * (SHADOW_OFFSET * surface.grid.spacing)
     # The ray's direction is as long as the way to the light.
     end = np.ones(len(facing), np.float32)
     lit[facing] = torch.from_numpy(~surface.caster.occluded(start.numpy(), (light - start).numpy(), end))
     return lit
-
-
-def _appended(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
-    """Rows of two tensors, with columns in one piece where they have them so."""
-    if _in_columns(first):
-        return torch.cat([first.T, second.T], 1).T
-    return torch.cat([first, second])
-
-
-def _in_columns(tensor: torch.Tensor) -> bool:
-    return tensor.dim() > 1 and tensor.stride(0) < tensor.stride(1)
-
-
-def _rows(tensor: torch.Tensor, index: torch.Tensor) -> torch.Tensor:
-    """Some rows of a tensor, with columns in one piece where it has them so."""
-    if _in_columns(tensor):
-        return tensor.T.index_select(1, index).T
-    return tensor.index_select(0, index)
