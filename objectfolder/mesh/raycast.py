@@ -29,7 +29,8 @@ class RayCaster:
 
         Parameters
         ----------
-        origins, directions : (N, 3) arrays
+        origins : (N, 3) or (3,) array
+        directions : (N, 3) array
         max_distance : (N,) array, optional
             Rays end here; a short ray is a cheap ray.
 
@@ -50,7 +51,8 @@ class RayCaster:
 
         Parameters
         ----------
-        origins, directions : (N, 3) arrays
+        origins : (N, 3) or (3,) array
+        directions : (N, 3) array
         max_distance : (N,) array, optional
             Rays end here.
 
@@ -64,16 +66,16 @@ class RayCaster:
         """
         hit = self._run(origins, directions, max_distance)
         ray = np.flatnonzero(hit["primID"] >= 0)
-        u, v = hit["u"][ray], hit["v"][ray]
-        weights = np.stack([1 - u - v, u, v], 1).astype(np.float32)
-        return ray, hit["tfar"][ray].astype(np.float32), hit["primID"][ray].astype(np.int64), weights
+        u, v, distance, face = (hit[name].take(ray) for name in ("u", "v", "tfar", "primID"))
+        return ray, distance, face.astype(np.int64), np.stack([1 - u - v, u, v], 1)
 
     def first_crossing(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distance to the first triangle along each ray, and from which side the ray meets it.
 
         Parameters
         ----------
-        origins, directions : (N, 3) arrays
+        origins : (N, 3) or (3,) array
+        directions : (N, 3) array
 
         Returns
         -------
@@ -91,13 +93,13 @@ class RayCaster:
         self, origins: np.ndarray, directions: np.ndarray, max_distance: np.ndarray | None = None
     ) -> np.ndarray:
         """Whether anything lies along each ray, within ``max_distance`` if given; (N,) bool."""
-        rays = _writable(origins), _writable(directions)
+        rays = _rays(origins, directions)
         return self._scene.run(*rays, dists=_lengths(max_distance), query="OCCLUDED") >= 0
 
     def _run(
         self, origins: np.ndarray, directions: np.ndarray, max_distance: np.ndarray | None = None
     ) -> dict[str, np.ndarray]:
-        rays = _writable(origins), _writable(directions)
+        rays = _rays(origins, directions)
         return self._scene.run(*rays, dists=_lengths(max_distance), query="INTERSECT", output=1)
 
 
@@ -106,7 +108,10 @@ def _lengths(max_distance: np.ndarray | None) -> np.ndarray | None:
     return None if max_distance is None else np.array(max_distance, np.float32)
 
 
-def _writable(vectors: np.ndarray) -> np.ndarray:
-    """Vectors (N, 3) in single precision, of any strides; Embree's wrapper reads writable arrays only."""
-    vectors = np.asarray(vectors, np.float32)
-    return vectors if vectors.flags.writeable else vectors.copy()
+def _rays(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Origins and directions in single precision, of any strides; Embree's wrapper wants to write to them."""
+    origins, directions = (np.require(v, np.float32, "W") for v in (origins, directions))
+    if origins.ndim == 1:
+        strides = 0, origins.strides[0]
+        origins = np.lib.stride_tricks.as_strided(origins, directions.shape, strides)
+    return origins, directions

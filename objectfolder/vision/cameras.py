@@ -169,6 +169,7 @@ class PixelRays:
         self, camera_to_world: np.ndarray, intrinsics: Intrinsics, left: int, top: int, right: int, bottom: int
     ):
         self.shape = bottom - top, right - left
+        self.origin = camera_to_world[:3, 3].astype(np.float32)  #: (3,), of all
         right_axis, up, backward = camera_to_world[:3, :3].T
         backward = backward / np.linalg.norm(backward)
         columns = (np.arange(left, right) - intrinsics.cx) / intrinsics.fx
@@ -178,15 +179,14 @@ class PixelRays:
         self._rows = (rows * up[:, None]).astype(np.float32)
         self._right = (right_axis / intrinsics.fx).astype(np.float32)[:, None]
         self._down = (-up / intrinsics.fy).astype(np.float32)[:, None]
-        self._origin = camera_to_world[:3, 3].astype(np.float32)
 
-    def centres(self) -> tuple[np.ndarray, np.ndarray]:
-        """Origins and directions of rays through all pixels' centres; (P, 3) float32."""
+    def centres(self) -> np.ndarray:
+        """Directions of rays through all pixels' centres; (P, 3) float32."""
         half = 0.5 * self._right + 0.5 * self._down
-        return self._rays((self._rows[:, :, None] + (self._columns + half)[:, None]).reshape(3, -1))
+        return (self._rows[:, :, None] + (self._columns + half)[:, None]).reshape(3, -1).T
 
-    def through(self, pixels: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Origins and directions of rays; (K, 3) float32.
+    def through(self, pixels: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Directions of rays; (K, 3) float32.
 
         Parameters
         ----------
@@ -197,13 +197,7 @@ class PixelRays:
         """
         row, column = np.divmod(pixels, self.shape[1])
         corner = self._rows.take(row, 1) + self._columns.take(column, 1)
-        return self._rays(corner + (x * self._right + y * self._down))
-
-    def _rays(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        count = directions.shape[1]
-        # One origin for all: nothing to copy, and Embree's wrapper wants an array that it may write to.
-        origins = np.lib.stride_tricks.as_strided(self._origin, (count, 3), (0, self._origin.strides[0]))
-        return origins, directions.T
+        return (corner + (x * self._right + y * self._down)).T
 
 
 def project(

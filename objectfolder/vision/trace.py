@@ -60,14 +60,16 @@ def trace(
 
     Parameters
     ----------
-    origins, directions : (N, 3) float32 arrays, unit frame
+    origins : (N, 3) or (3,) float32 array, unit frame
+    directions : (N, 3) float32 array
     light : (3,) array, unit frame
     """
     ray, distance, face, barycentric = surface.caster.intersect(origins, directions)
     index, t = torch.from_numpy(ray), torch.from_numpy(distance)
-    start, away = (torch.from_numpy(v.T.take(ray, 1)).T for v in (origins, directions))
+    away = torch.from_numpy(directions.T.take(ray, 1)).T
+    start = torch.tensor(origins) if origins.ndim == 1 else torch.from_numpy(origins.T.take(ray, 1)).T
     points = start + away * t[:, None]
-    corners, weights = torch.from_numpy(surface.faces[face]), torch.from_numpy(barycentric)
+    corners, weights = torch.from_numpy(surface.faces.take(face, 0)), torch.from_numpy(barycentric)
     normals = unit(columns(weighted_rows(torch.from_numpy(surface.normals), corners, weights)))
     lit = is_lit(surface, points, normals, torch.from_numpy(np.asarray(light, np.float32)))
     return SurfaceSamples(index, points, normals, unit(away), t, lit, corners, weights)

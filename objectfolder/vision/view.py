@@ -82,7 +82,7 @@ def _draw(
     """Linear premultiplied RGBA, depth and normals of a part of an image."""
     height, width = rays.shape
     light = np.asarray(light, np.float32)
-    centre = trace(surface, *rays.centres(), light)
+    centre = trace(surface, rays.origin, rays.centres(), light)
     seen = centre.ray.numpy()
     color, alpha, depth, normals = _images(height * width)
     alpha[seen], depth[seen] = 1, centre.distance.numpy()
@@ -92,7 +92,8 @@ def _draw(
         state = np.zeros(height * width, np.float32)
         state[seen] = 10 * (1 + centre.lit.numpy())  # further apart than normals can be
         edges = np.flatnonzero(_varies(np.concatenate([normals, state[None]]), rays.shape, CREASE))
-    fine = trace(surface, *rays.through(np.repeat(edges, OTHERS), *np.tile(AROUND, len(edges))), light)
+    around = rays.through(np.repeat(edges, OTHERS), *np.tile(AROUND, len(edges)))
+    fine = trace(surface, rays.origin, around, light)
     ray = fine.ray.numpy()
     pixel = np.concatenate([seen, edges[ray // OTHERS]])
     if not len(pixel):
@@ -188,7 +189,7 @@ def _coverage(
     def met(line: np.ndarray, position: np.ndarray) -> np.ndarray:
         forward = np.where(grows[line], position, 1 - position)
         x, y = np.where(upright[line], (across[line], forward), (forward, across[line]))
-        return surface.caster.occluded(*rays.through(pixel[line], x, y))
+        return surface.caster.occluded(rays.origin, rays.through(pixel[line], x, y))
 
     first, last, some = hit.argmax(1), SIDE - 1 - hit[:, ::-1].argmax(1), hit.any(1)
     begin, end = np.zeros(len(hit), np.float32), some.astype(np.float32)
