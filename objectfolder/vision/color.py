@@ -1,5 +1,7 @@
 """From linear radiance with coverage to the image that is shown and scored."""
 
+from functools import reduce
+
 import numpy as np
 import torch
 
@@ -30,7 +32,7 @@ def on_white(rgba: torch.Tensor) -> torch.Tensor:
     shown = white.repeat(len(pixels), 3)
     # Most of a picture is bare, and a large one is encoded in parts, for the sake of memory.
     for part, into in zip(pixels.split(CHUNK), shown.split(CHUNK)):
-        drawn = (part != 0).any(1).nonzero()[:, 0]
+        drawn = reduce(torch.logical_or, (part != 0).unbind(1)).nonzero()[:, 0]
         color = part.index_select(0, drawn)
         into.index_copy_(0, drawn, linear_to_srgb((color[:, :3] + (1 - color[:, 3:])).clamp(0, 1)))
     return shown.view(*rgba.shape[:-1], 3)
