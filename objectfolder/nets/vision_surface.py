@@ -31,7 +31,8 @@ TRANSPORT = {"levels": 2, "features": 4, "table_bits": 13, "coarsest": 8, "fines
 GRIDS = ("grid", "transport")
 NEAREST = 1e-3  # distance of a light, unit frame: one on the surface would be infinitely bright
 FAMILIAR = 0.1  # training lights are further off
-CHUNK = 50_000  # points that are looked up at once
+CHUNK = 50_000  # points that are shaded at once
+BAKED = 2**14  # vertices that are looked up at once
 
 
 class SurfaceNet(nn.Module):
@@ -205,7 +206,7 @@ class SurfaceNet(nn.Module):
         """Evaluate once what depends on the point alone, at the surface's vertices and patches."""
         points = torch.from_numpy(surface.vertices.astype(np.float32))
         looks, transport = [], []
-        for p, n in zip(points.split(CHUNK), torch.from_numpy(surface.normals).split(CHUNK)):
+        for p, n in zip(points.split(BAKED), torch.from_numpy(surface.normals).split(BAKED)):
             cube = in_cube(p)
             color, shading = self.looks(p, n, self.grid(cube))
             looks.append(torch.cat([srgb_to_linear(color.clamp(0, 1)), F.normalize(shading, dim=-1)], 1))
