@@ -34,8 +34,8 @@ class SurfaceSamples:
 
     def joined(self, others: "SurfaceSamples") -> "SurfaceSamples":
         """Return these samples, then the others."""
-        if not len(others.ray):
-            return self
+        if not len(self.ray):
+            return others
         pairs = ((getattr(self, field.name), getattr(others, field.name)) for field in fields(self))
         return SurfaceSamples(*(joined(pair) for pair in pairs))
 

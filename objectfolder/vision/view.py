@@ -95,14 +95,14 @@ def _draw(
     around = rays.through(np.repeat(edges, OTHERS), *np.tile(AROUND, len(edges)))
     fine = trace(surface, rays.origin, around, light)
     ray = fine.ray.numpy()
-    pixel = np.concatenate([seen, edges[ray // OTHERS]])
+    pixel = np.concatenate([edges[ray // OTHERS], seen])
     if not len(pixel):
         return _shaped(color, alpha, depth, normals, rays.shape)
-    radiance = shade(centre.joined(fine), torch.from_numpy(light), pixel).numpy().T
-    color[:, seen] = radiance[:, : len(seen)]
+    radiance = shade(fine.joined(centre), torch.from_numpy(light), pixel).numpy().T
+    color[:, seen] = radiance[:, len(ray) :]
     if len(edges):
         found = _images(len(edges) * OTHERS)
-        for whole, part in zip(found, (radiance[:, len(seen) :], 1, fine.distance, fine.normals.T)):
+        for whole, part in zip(found, (radiance[:, : len(ray)], 1, fine.distance, fine.normals.T)):
             whole[..., ray] = part
         _refine(surface, rays, edges, (color, alpha, depth, normals), found)
     return _shaped(color, alpha, depth, normals, rays.shape)
