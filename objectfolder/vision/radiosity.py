@@ -15,6 +15,7 @@ from objectfolder.vision.vectors import columns, select
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
+    from scipy.spatial import cKDTree
 
 PATCHES = 8192
 SIDE = 9  # of the square of rays that each patch sends over its hemisphere
@@ -60,7 +61,7 @@ class Radiosity:
         weights = 1 / (distance**2 + 1e-6)
         self._patches = torch.from_numpy(index.astype(np.int32))
         self._weights = torch.from_numpy((weights / weights.sum(1, keepdims=True)).astype(np.float32))
-        self._seen = self._form_factors(points, normals, directions)
+        self._seen = self._form_factors(tree, points, normals, directions)
         self._points, self._normals = (columns(torch.from_numpy(v)) for v in (points, normals))
         self._solution = lru_cache(SOLVED)(self._solve)
 
@@ -110,26 +111,25 @@ class Radiosity:
 
     def _at(self, values: torch.Tensor, corners: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
         """Values (P, C) of patches within triangles, as at the nearest corner; (S, C)."""
-        vertex = _nearest_corner(corners, weights)
+        vertex = corners.gather(1, weights.argmax(1, keepdim=True))[:, 0]
         rows = (table.index_select(0, vertex) for table in (self._patches, self._weights))
         return columns(weighted_rows(values, *rows))
 
-    def _form_factors(self, points: np.ndarray, normals: np.ndarray, directions: np.ndarray) -> "sp.csr_matrix":
+    def _form_factors(
+        self, tree: "cKDTree", points: np.ndarray, normals: np.ndarray, directions: np.ndarray
+    ) -> "sp.csr_matrix":
         """Share of each patch's view that each other one fills; (P, P) float32."""
         import scipy.sparse as sp
 
         starts = points + np.float32(START * self._surface.grid.spacing) * normals
-        starts = np.repeat(starts, SIDE**2, axis=0)
-        ray, _, face, weights = self._surface.caster.intersect(starts, directions.reshape(-1, 3))
-        met = _nearest_corner(torch.from_numpy(self._surface.faces.take(face, 0)), torch.from_numpy(weights))
-        patch = self._patches[:, 0].index_select(0, met).numpy()
+        starts, directions = np.repeat(starts, SIDE**2, axis=0), directions.reshape(-1, 3)
+        ray, distance, face, weights = self._surface.caster.intersect(starts, directions)
+        hits = starts.take(ray, 0) + directions.take(ray, 0) * distance[:, None]
+        corners = torch.from_numpy(self._surface.faces.take(face, 0))
+        met = weighted_rows(torch.from_numpy(self._surface.normals), corners, torch.from_numpy(weights))
+        patch = tree.query(_oriented(hits, met.numpy()))[1]
         share = np.full(len(ray), 1 / SIDE**2, np.float32)
         return sp.csr_matrix((share, (ray // SIDE**2, patch)), shape=(PATCHES, PATCHES))
-
-
-def _nearest_corner(corners: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-    """Which vertex of its triangle each point is nearest to; (S,)."""
-    return corners.gather(1, weights.argmax(1, keepdim=True))[:, 0]
 
 
 def _blockwise(points: np.ndarray) -> np.ndarray:

@@ -15,12 +15,12 @@ SIDE = 3  # pixels with edges have a square of as many samples, the middle one a
 OTHERS = SIDE**2 - 1
 AXIS = (np.arange(SIDE, dtype=np.float32) + 0.5) / SIDE
 AROUND = np.delete(np.stack(np.meshgrid(AXIS, AXIS)).reshape(2, -1), OTHERS // 2, axis=1)  # x, y off the centre
-HALVINGS = 4  # of the stretch between two samples in which a silhouette cuts a line of them
+HALVINGS = 5  # of the stretch between two samples in which a silhouette cuts a line of them
+END = np.float32(1 / 64)  # pixels; a line that is met so near to its end is taken to be met up to it
 TILE = 2**18  # pixels that are drawn at once: what bounds the memory of a large picture
 MARGIN = 2  # pixels beyond a tile that its own depend on
 
-#: Samples, light (3,) and the pixel (S,) that each belongs to -> linear radiance (S, 3). Samples of a pixel
-#: that its centre meets begin with that one.
+#: Samples, light (3,) and the pixel (S,) that each belongs to -> linear radiance (S, 3).
 Shader = Callable[[SurfaceSamples, torch.Tensor, np.ndarray], torch.Tensor]
 #: Of some rays: colour (3, N), whether they hit or what they cover (N,), depth (N,) and normal (3, N).
 Images = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -84,7 +84,7 @@ def _draw(
     light = np.asarray(light, np.float32)
     centre = trace(surface, rays.origin, rays.centres(), light)
     seen = centre.ray.numpy()
-    color, alpha, depth, normals = _images(height * width)
+    images = color, alpha, depth, normals = _images(height * width)
     alpha[seen], depth[seen] = 1, centre.distance.numpy()
     normals[:, seen] = centre.normals.numpy().T
     edges = np.zeros(0, np.int64)
@@ -97,15 +97,15 @@ def _draw(
     ray = fine.ray.numpy()
     pixel = np.concatenate([edges[ray // OTHERS], seen])
     if not len(pixel):
-        return _shaped(color, alpha, depth, normals, rays.shape)
+        return _shaped(images, rays.shape)
     radiance = shade(fine.joined(centre), torch.from_numpy(light), pixel).numpy().T
     color[:, seen] = radiance[:, len(ray) :]
     if len(edges):
         found = _images(len(edges) * OTHERS)
         for whole, part in zip(found, (radiance[:, : len(ray)], 1, fine.distance, fine.normals.T)):
             whole[..., ray] = part
-        _refine(surface, rays, edges, (color, alpha, depth, normals), found)
-    return _shaped(color, alpha, depth, normals, rays.shape)
+        _refine(surface, rays, edges, images, found)
+    return _shaped(images, rays.shape)
 
 
 def _images(count: int) -> Images:
@@ -114,7 +114,9 @@ def _images(count: int) -> Images:
     return zeros[:3], zeros[3], infinite, zeros[4:]
 
 
-def _shaped(color, alpha, depth, normals, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _shaped(images: Images, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Linear premultiplied RGBA (H, W, 4), depth (H, W) and normals (H, W, 3)."""
+    color, alpha, depth, normals = images
     rgba = np.concatenate([color * alpha, alpha[None]])
     return rgba.T.reshape(*shape, 4), depth.reshape(shape), normals.T.reshape(*shape, 3)
 
@@ -195,15 +197,15 @@ def _coverage(
     begin, end = np.zeros(len(hit), np.float32), some.astype(np.float32)
     # The line's ends: the bare one, if the sample next to it hits; the covered one, if no sample does.
     ends = np.flatnonzero(~some | (first == 0))
-    reached = met(ends, np.where(some[ends], np.float32(0), np.float32(1)))
+    reached = met(ends, np.where(some[ends], END, 1 - END))
     end[ends[reached]] = 1
     whole = np.zeros(len(hit), bool)
     whole[ends] = some[ends] == reached
     bare, far = np.flatnonzero(~whole), np.flatnonzero(some & (last < SIDE - 1))
-    # Of each cut: its line, and where hits and misses are next to it.
+    # Of each cut: its line, and the nearest places on it that hit and that miss.
     line = np.concatenate([bare, far])
-    hits = np.concatenate([np.where(some[bare], AXIS[first[bare]], np.float32(1)), AXIS[last[far]]])
-    below = np.where(first[bare] > 0, AXIS[first[bare] - 1], np.float32(0))
+    hits = np.concatenate([np.where(some[bare], AXIS[first[bare]], 1 - END), AXIS[last[far]]])
+    below = np.where(first[bare] > 0, AXIS[first[bare] - 1], END)
     misses = np.concatenate([np.where(some[bare], below, AXIS[-1]), AXIS[(last[far] + 1) % SIDE]])
     for _ in range(HALVINGS):
         middle = (hits + misses) / 2
