@@ -176,9 +176,17 @@ def primary(workspace: str, key: str, count: str) -> dict:
     poses, intrinsics = look_at(sphere_points(int(count), 2.5, rng)), Intrinsics()
     surface = ObjectFile.load(Build(key, workspace).object_file).surface
     start = cpu_seconds()
-    corners, table = np.array(np.meshgrid(*surface.bounds.T)).reshape(3, -1).T, torch.from_numpy(surface.normals)
+    corners, table = (
+        np.array(np.meshgrid(*surface.bounds.T)).reshape(3, -1).T,
+        torch.from_numpy(surface.normals),
+    )
     surface.caster.occluded(np.ones((1, 3)), np.ones((1, 3)))  # Embree builds its tree at the first ray
-    row: dict = {"object": key, "ms_extract": 1000 * (cpu_seconds() - start), "ms_caster": 0.0, "ms_tracer": 0.0}
+    row: dict = {
+        "object": key,
+        "ms_extract": 1000 * (cpu_seconds() - start),
+        "ms_caster": 0.0,
+        "ms_tracer": 0.0,
+    }
     pictures, apart, steps = [], [], 0
     for pose in poses:
         left, top, right, bottom = covered_rectangle(corners, pose, intrinsics)
@@ -419,7 +427,12 @@ def show_query(rows: list[dict], console: Console) -> None:
 
 
 def show_primary(rows: list[dict], console: Console) -> None:
-    show_rows(rows, "What the rays of a view of 256 x 256 meet: CPU ms, and how far two ways are apart", PRIMARY, console)
+    show_rows(
+        rows,
+        "What the rays of a view of 256 x 256 meet: CPU ms, and how far two ways are apart",
+        PRIMARY,
+        console,
+    )
 
 
 def misses_training(rows: list[dict]) -> list[str]:

@@ -19,14 +19,6 @@ class Isosurface:
     ----------
     grid : DistanceGrid
 
-    Attributes
-    ----------
-    vertices : (V, 3) float64
-    faces : (F, 3) int64, counter-clockwise seen from outside
-    normals : (V, 3) float32, outward, of unit length
-    bounds : (2, 3) float64, lowest and highest coordinates of the vertices
-    caster : RayCaster
-
     Raises
     ------
     ObjectFolderError
@@ -50,22 +42,27 @@ class Isosurface:
 
     @property
     def vertices(self) -> np.ndarray:
+        """Corners of the triangles; (V, 3) float64."""
         return self._mesh[0]
 
     @property
     def faces(self) -> np.ndarray:
+        """Triangles, counter-clockwise seen from outside; (F, 3) int64."""
         return self._mesh[1]
 
     @cached_property
     def normals(self) -> np.ndarray:
+        """Outward unit normals at the vertices; (V, 3) float32."""
         return self.grid.normals(torch.from_numpy(self.vertices.astype(np.float32))).numpy()
 
     @cached_property
     def bounds(self) -> np.ndarray:
+        """Lowest and highest coordinates of the vertices; (2, 3) float64."""
         return np.stack([self.vertices.min(0), self.vertices.max(0)])
 
     @cached_property
     def caster(self) -> RayCaster:
+        """The triangles, ready for rays."""
         return RayCaster(self.vertices, self.faces)
 
     @cached_property

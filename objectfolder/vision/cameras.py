@@ -166,7 +166,13 @@ class PixelRays:
     """
 
     def __init__(
-        self, camera_to_world: np.ndarray, intrinsics: Intrinsics, left: int, top: int, right: int, bottom: int
+        self,
+        camera_to_world: np.ndarray,
+        intrinsics: Intrinsics,
+        left: int,
+        top: int,
+        right: int,
+        bottom: int,
     ):
         self.shape = bottom - top, right - left
         self.origin = camera_to_world[:3, 3].astype(np.float32)  #: (3,), of all

@@ -90,7 +90,9 @@ class Radiosity:
         starts = samples.points + START * self._surface.grid.spacing * samples.normals
         ray, _, face, weights = self._surface.caster.intersect(starts.numpy(), away.cpu().numpy())
         mirrored = torch.zeros(3, len(starts))
-        shown = self._at(outgoing, torch.from_numpy(self._surface.faces.take(face, 0)), torch.from_numpy(weights))
+        shown = self._at(
+            outgoing, torch.from_numpy(self._surface.faces.take(face, 0)), torch.from_numpy(weights)
+        )
         mirrored.index_copy_(1, torch.from_numpy(ray), shown.mT)
         return self._at(gathered, samples.corners, samples.weights).to(device), mirrored.mT.to(device)
 

@@ -23,7 +23,9 @@ class SurfaceSamples:
     points: torch.Tensor  #: (S, 3) float32, unit frame
     normals: torch.Tensor  #: (S, 3) float32, outward
     directions: torch.Tensor  #: (S, 3) float32, from the camera, of unit length
-    distance: torch.Tensor  #: (S,) float32, from the camera, in lengths of the ray's direction as it was given
+    distance: (
+        torch.Tensor
+    )  #: (S,) float32, from the camera, in lengths of the ray's direction as it was given
     lit: torch.Tensor  #: (S,) bool, faces the light and is not in shadow
     corners: torch.Tensor  #: (S, 3) int64, vertices of the triangle that holds the point
     weights: torch.Tensor  #: (S, 3) float32, barycentric

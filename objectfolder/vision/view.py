@@ -14,7 +14,9 @@ CREASE = 0.35  # difference of neighbouring unit normals
 SIDE = 3  # pixels with edges have a square of as many samples, the middle one at the centre
 OTHERS = SIDE**2 - 1
 AXIS = (np.arange(SIDE, dtype=np.float32) + 0.5) / SIDE
-AROUND = np.delete(np.stack(np.meshgrid(AXIS, AXIS)).reshape(2, -1), OTHERS // 2, axis=1)  # x, y off the centre
+AROUND = np.delete(
+    np.stack(np.meshgrid(AXIS, AXIS)).reshape(2, -1), OTHERS // 2, axis=1
+)  # x, y off the centre
 HALVINGS = 5  # of the stretch between two samples in which a silhouette cuts a line of them
 END = np.float32(1 / 64)  # pixels; a line that is met so near to its end is taken to be met up to it
 TILE = 2**18  # pixels that are drawn at once: what bounds the memory of a large picture
@@ -193,8 +195,9 @@ def _coverage(
         x, y = np.where(upright[line], (across[line], forward), (forward, across[line]))
         return surface.caster.occluded(rays.origin, rays.through(pixel[line], x, y))
 
-    first, last, some = hit.argmax(1), SIDE - 1 - hit[:, ::-1].argmax(1), hit.any(1)
-    begin, end = np.zeros(len(hit), np.float32), some.astype(np.float32)
+    first, last = hit.argmax(1), SIDE - 1 - hit[:, ::-1].argmax(1)
+    some: np.ndarray = hit.any(1)
+    begin, end = np.zeros(len(hit), np.float32), np.array(some, np.float32)
     # The line's ends: the bare one, if the sample next to it hits; the covered one, if no sample does.
     ends = np.flatnonzero(~some | (first == 0))
     reached = met(ends, np.where(some[ends], END, 1 - END))

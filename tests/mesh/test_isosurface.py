@@ -88,7 +88,9 @@ def test_cells_that_are_passed_over_hold_no_surface(rng, resolution):
     surface = Isosurface(DistanceGrid(values, 0.05))
     vertices, faces, _, _ = marching_cubes(values.astype(np.float32), 0.0, allow_degenerate=False)
     np.testing.assert_array_equal(surface.faces, faces)
-    np.testing.assert_array_equal(surface.vertices, vertices * surface.grid.spacing - BOUND)
+    np.testing.assert_array_equal(
+        surface.vertices, vertices.astype(np.float64) * surface.grid.spacing - BOUND
+    )
 
 
 def test_points_near_the_surface_are_projected_without_extracting_it(rng):

@@ -76,3 +76,13 @@ def test_the_same_surface_gives_the_same_light(cavity):
     samples = samples_in(cavity, [0.05, 0, 0], light)
     a, b = (torch.stack(around(Radiosity(cavity, gray), samples, light)) for _ in range(2))
     assert torch.equal(a, b)
+
+
+def test_what_is_kept_of_lights_answers_as_if_it_were_new(cavity):
+    radiosity, lights = Radiosity(cavity, gray), [torch.tensor([0.1, 0.1, z / 40]) for z in range(10)]
+    samples = samples_in(cavity, [0.05, 0, 0], lights[0])
+    first = [around(radiosity, samples, light) for light in lights]  # more than are kept
+    for light, known in reversed(list(zip(lights, first))):
+        for a, b in zip(around(radiosity, samples, light), known):
+            assert torch.equal(a, b)
+    assert not torch.equal(first[0][0], first[1][0])
