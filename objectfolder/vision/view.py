@@ -196,8 +196,8 @@ def _coverage(
         return surface.caster.occluded(rays.origin, rays.through(pixel[line], x, y))
 
     first, last = hit.argmax(1), SIDE - 1 - hit[:, ::-1].argmax(1)
-    some: np.ndarray = hit.any(1)
-    begin, end = np.zeros(len(hit), np.float32), np.array(some, np.float32)
+    some = np.logical_or.reduce(hit, axis=1)
+    begin, end = np.zeros(len(hit), np.float32), some.astype(np.float32)
     # The line's ends: the bare one, if the sample next to it hits; the covered one, if no sample does.
     ends = np.flatnonzero(~some | (first == 0))
     reached = met(ends, np.where(some[ends], END, 1 - END))
