@@ -99,9 +99,9 @@ def sample_presses(
     Returns
     -------
     (count, 3) float64
-        Tilt theta, up to 15 degrees, and its direction phi, both in radians, and depth in metres; each uniform.
-        Depths are in the sensor's own range, ``press_depth`` of its profile: 0.5 to 2 mm for DIGIT, as
-        published.
+        Tilt theta, up to 15 degrees, and its direction phi, both in radians, and depth in metres, each
+        uniform. Depths are in the sensor's own range, ``press_depth`` of its profile: 0.5 to 2 mm for DIGIT,
+        as published.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Commands on an Object File: info, query."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -9,6 +9,9 @@ from rich.table import Table
 
 from objectfolder.cli.console import console
 from objectfolder.errors import ObjectFolderError
+
+if TYPE_CHECKING:
+    from objectfolder.objectfile import ObjectFile
 
 query_app = typer.Typer(no_args_is_help=True, help="Ask an Object File: `vision`, `audio` or `touch`.")
 
@@ -226,5 +229,5 @@ def _load_array(path: Path, width: int, hint: str = "") -> np.ndarray:
     return np.asarray(array, np.float64)
 
 
-def _parameters(obj, modality: str) -> int:
+def _parameters(obj: "ObjectFile", modality: str) -> int:
     return sum(v.size for name, v in obj.tensors.items() if name.startswith(modality + "."))
