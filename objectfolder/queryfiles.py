@@ -106,17 +106,17 @@ def sample_presses(
     Raises
     ------
     ObjectFolderError
-        If the object's touch net knows only one way to press.
+        If the object has no touch net, or one that knows a single way to press.
     """
-    touch = obj.header["touch"]
     if sensor is None:
-        if touch["kind"] == "image":
-            known = float(touch["net"]["press_depth"])
+        name, net = obj.sensor, obj.header["touch"]["net"]
+        if "press_depth" in net:
+            known = float(net["press_depth"])
             raise ObjectFolderError(
-                f"{obj.key}: its touch net stores images of one press, {known:g} m deep and without a tilt; "
-                f"leave gelinfo out and query with that depth (--depth {known:g})"
+                f"{obj.key}: its touch net stores images of one press of {name}, {known:g} m deep and without "
+                f"a tilt; leave gelinfo out and query with that depth (--depth {known:g})"
             )
-        sensor = SensorProfile.from_dict(touch["net"]["sensor"])
+        sensor = SensorProfile.from_dict(net["sensor"])
     low, high = sensor.press_depth
     return _generator(seed).uniform((0, 0, low), (MAX_TILT, 2 * math.pi, high), (count, 3))
 
