@@ -1,6 +1,7 @@
 """How `make docs` builds the site: these Markdown pages, and a reference from docstrings and `--help`."""
 
 import pkgutil
+import re
 import sys
 from importlib.metadata import version as installed_version
 from pathlib import Path
@@ -45,7 +46,6 @@ nitpick_ignore_regex = [
 autodoc_default_options = {
     "members": True,
     "member-order": "bysource",
-    "show-inheritance": True,
     "exclude-members": "model_config",
 }
 autodoc_mock_imports = ["bpy", "pyrender", "OpenGL"]
@@ -100,7 +100,6 @@ def resolve_short_name(
     found = [(name, entry) for name, entry in found if entry.objtype != "module"]
     if len(found) != 1:
         return None
-    print("SHORT", node.source, node["reftarget"], found[0][0])
     name, entry = found[0]
     return make_refnode(app.builder, node["refdoc"], entry.docname, entry.node_id, content, name)
 
@@ -108,12 +107,13 @@ def resolve_short_name(
 def keep_signature(
     app: Sphinx, what: str, name: str, obj: Any, options: Any, args: str | None, result: str | None
 ) -> tuple[str | None, str | None]:
-    """Answer before numpydoc, which gives signatures to what has none, and fails."""
-    return args, result
+    """Answer before numpydoc, which gives signatures to what has none, and fails; make defaults readable."""
+    return args and args.replace("<factory>", "..."), result
 
 
-def check_docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
-    """Warn where parameters are documented that do not exist, or sections that numpydoc does not know."""
+def prepare_docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+    """Link pages that are named; warn of parameters that do not exist, and of unknown sections."""
+    lines[:] = [re.sub(r"\bdocs/(\w+)\.md\b", r":doc:`/\1`", line) for line in lines]
     if (getattr(obj, "__module__", None) or "").startswith("objectfolder."):
         for code, problem in validate(name)["errors"]:
             if code in ("PR02", "GL06", "GL07"):
@@ -131,6 +131,6 @@ def setup(app: Sphinx) -> None:
     """Extend Sphinx."""
     app.add_directive("package", PackageDirective)
     app.connect("autodoc-process-signature", keep_signature, priority=1)
-    app.connect("autodoc-process-docstring", check_docstring, priority=1)
+    app.connect("autodoc-process-docstring", prepare_docstring, priority=1)
     app.connect("missing-reference", resolve_short_name)
     app.connect("env-check-consistency", check_complete)

@@ -113,8 +113,8 @@ def sample_presses(
         if "press_depth" in net:
             known = float(net["press_depth"])
             raise ObjectFolderError(
-                f"{obj.key}: its touch net stores images of one press of {name}, {known:g} m deep and without "
-                f"a tilt; leave gelinfo out and query with that depth (--depth {known:g})"
+                f"{obj.key}: its touch net stores images of one press of {name}, {known:g} m deep and "
+                f"without a tilt; leave gelinfo out and query with that depth (--depth {known:g})"
             )
         sensor = SensorProfile.from_dict(net["sensor"])
     low, high = sensor.press_depth
