@@ -3,6 +3,7 @@
 import pkgutil
 import re
 import sys
+import warnings
 from importlib.metadata import version as installed_version
 from pathlib import Path
 from typing import Any, ClassVar
@@ -53,6 +54,9 @@ autodoc_typehints_format = "short"
 python_use_unqualified_type_names = True
 maximum_signature_line_length = 90
 numpydoc_show_class_members = False
+# Of what our modules import; it is not shown.
+warnings.filterwarnings("ignore", r"potentially wrong underline length(.|\n)*site-packages", UserWarning)
+viewcode_follow_imported_members = False
 
 html_theme = "furo"
 html_title = f"objectfolder {release}"
