@@ -30,7 +30,7 @@ lint: setup
 
 # The site: build/site/index.html. Warnings are errors.
 docs: setup
-	$(BIN)/sphinx-build --fail-on-warning --keep-going --quiet docs build/site
+	$(BIN)/sphinx-build --fresh-env --write-all --fail-on-warning --keep-going --quiet docs build/site
 
 # Needs node and npm.
 gltf-validate: setup
