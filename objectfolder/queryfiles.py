@@ -70,6 +70,12 @@ def sample_strikes(
     ------
     ObjectFolderError
         If the force is not a positive, finite number, or the directions are unknown.
+
+    Examples
+    --------
+    >>> strikes = sample_strikes(mug, 20)
+    >>> mug.impact(strikes[:, :3], strikes[:, 3:], duration=0.1).shape
+    (20, 1600)
     """
     _check_positive("force", force)
     if directions not in DIRECTIONS:
@@ -107,6 +113,12 @@ def sample_presses(
     ------
     ObjectFolderError
         If the object has no touch net, or one that knows a single way to press.
+
+    Examples
+    --------
+    >>> tilt, azimuth, depth = sample_presses(mug, 5).T
+    >>> mug.touch(mug.sample_surface(5), depth, tilt=tilt, azimuth=azimuth).shape
+    (5, 160, 120, 3)
     """
     if sensor is None:
         name, net = obj.sensor, obj.header["touch"]["net"]
