@@ -1,6 +1,5 @@
 """How `make docs` builds the site: these Markdown pages, and a reference from docstrings and `--help`."""
 
-import pkgutil
 import re
 import sys
 import warnings
@@ -61,6 +60,7 @@ viewcode_follow_imported_members = False
 html_theme = "furo"
 html_title = f"objectfolder {release}"
 html_copy_source = False
+html_show_copyright = False
 html_theme_options = {"navigation_with_keys": True}
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
@@ -78,7 +78,7 @@ class PackageDirective(SphinxDirective):
         skipped = self.options.get("skip", "").split()
         lines: list[str] = []
         for module in modules(package):
-            name = module.removeprefix(package + ".")
+            name = module.removeprefix(package).removeprefix(".")
             if name.partition(".")[0] not in skipped:
                 lines += [name, "-" * len(name), "", f".. automodule:: {module}", ""]
         self.content = StringList(lines, self.get_source_info()[0])
@@ -86,11 +86,11 @@ class PackageDirective(SphinxDirective):
 
 
 def modules(package: str) -> list[str]:
-    """Dotted names of the modules in a package and those within, in order."""
-    root = ROOT.joinpath(*package.split("."))
-    return sorted(
-        module.name for module in pkgutil.walk_packages([str(root)], package + ".") if not module.ispkg
-    )
+    """Dotted names of a package's modules, and of those within, but the command line's and empty ones."""
+    files = sorted(ROOT.joinpath(*package.split(".")).rglob("*.py"))
+    parts = [file.relative_to(ROOT).with_suffix("").parts for file in files if file.stat().st_size]
+    names = [".".join(part for part in path if part != "__init__") for path in parts]
+    return [name for name in names if name != "objectfolder" and not name.startswith("objectfolder.cli")]
 
 
 def resolve_short_name(
@@ -126,8 +126,7 @@ def prepare_docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any,
 
 def check_complete(app: Sphinx, env: BuildEnvironment) -> None:
     """Warn of modules that are on no page."""
-    ours = {name for name in modules("objectfolder") if not name.startswith("objectfolder.cli")}
-    for name in sorted(ours - set(env.domains.python_domain.modules)):
+    for name in sorted(set(modules("objectfolder")) - set(env.domains.python_domain.modules)):
         log.warning("module %s is on no page of docs/reference", name)
 
 
