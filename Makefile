@@ -5,7 +5,7 @@ JOBS ?= 2
 PIP_ARGS ?=
 BIN := .venv/bin
 
-.PHONY: setup demo test test-slow fuzz lint gltf-validate clean
+.PHONY: setup demo test test-slow fuzz lint docs gltf-validate clean
 
 setup: .venv/installed
 
@@ -34,6 +34,10 @@ lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# The site: build/site/index.html. Warnings are errors.
+docs: setup
+	$(BIN)/sphinx-build --fresh-env --write-all --fail-on-warning --keep-going --quiet docs build/site
 
 # Needs node and npm.
 gltf-validate: setup

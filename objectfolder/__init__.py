@@ -1,7 +1,7 @@
 """Object Files: implicit multisensory objects that can be seen, struck and touched.
 
->>> from objectfolder import ObjectFile                        # doctest: +SKIP
->>> mug = ObjectFile.load("build/mug/ObjectFile.safetensors")  # doctest: +SKIP
+>>> from objectfolder import ObjectFile
+>>> mug = ObjectFile.load("build/mug/ObjectFile.safetensors")
 """
 
 from importlib import import_module

@@ -148,6 +148,12 @@ def write_npz(path: str | Path, **arrays: Any) -> None:
         np.savez_compressed(temporary, **arrays)
 
 
+def write_npy(path: str | Path, array: np.ndarray) -> None:
+    """Write an array of numbers as ``.npy``."""
+    with atomic(path) as temporary, temporary.open("wb") as stream:
+        np.save(stream, array, allow_pickle=False)
+
+
 def write_safetensors(path: str | Path, tensors: dict[str, Any], header: dict[str, Any]) -> None:
     """Write numpy tensors and a JSON header (stored under one metadata key, so the bytes are stable)."""
     from safetensors.numpy import save_file

@@ -149,7 +149,7 @@ def evaluate_gains(file: ObjectFile, modes: dict[str, np.ndarray], rows: np.ndar
     scores = gain_errors(predicted, true_shapes, energy_weights(damped, damping), 1 / damped)
     stored = file.tuning()
     return scores | {
-        "worst_mode_hz": float(damped[scores.pop("worst_mode")] / (2 * np.pi)),
+        "worst_mode_hz": float(damped[int(scores.pop("worst_mode"))] / (2 * np.pi)),
         "frequency_error": float(np.abs(stored.damped_frequency.numpy() / damped - 1).max()),
         "decay_time_error": float(np.abs(damping / stored.damping.numpy() - 1).max()),
         "points": len(rows),

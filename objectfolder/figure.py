@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.image import AxesImage
 
 DPI = 120
-ENLARGED = 4  # times an error is shown
+ENLARGED = 4  #: times an error is shown
 DYNAMIC_RANGE = 80.0  # dB of a spectrogram that are shown
 
 

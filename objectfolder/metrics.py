@@ -67,7 +67,9 @@ class SpectrogramErrors:
         }
 
 
-def gain_errors(predicted: np.ndarray, shapes: np.ndarray, energy: np.ndarray, gain: np.ndarray) -> dict:
+def gain_errors(
+    predicted: np.ndarray, shapes: np.ndarray, energy: np.ndarray, gain: np.ndarray
+) -> dict[str, float]:
     """Relative errors of mode shapes (P, 3, M).
 
     Parameters

@@ -4,7 +4,7 @@ The format is described in docs/objectfile.md. Reading it needs no mesh, no pick
 """
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -63,6 +63,24 @@ class ObjectFile:
     ------
     ObjectFolderError
         If the header is not that of an Object File this version can read.
+
+    Examples
+    --------
+    >>> mug = ObjectFile.load("build/mug/ObjectFile.safetensors")
+    >>> mug.view(camera=[[2.0, 1.0, 1.2]], light=[[0.5, 0.5, 0.7]]).shape
+    (1, 256, 256, 3)
+    >>> mug.render([2.0, 1.0, 1.2], [0.5, 0.5, 0.7], resolution=64).depth.shape
+    (1, 64, 64)
+    >>> points = mug.sample_surface(5)
+    >>> mug.impact(points, forces=[0, 0, 1.0], duration=0.5).shape
+    (5, 8000)
+    >>> mug.touch(points, depth=0.001).shape
+    (5, 160, 120, 3)
+    >>> mug.press(points, depth=[0.0005, 0.001, 0.001, 0.002, 0.002]).force.shape
+    (5,)
+    >>> nearest, distance = mug.nearest(points * 1.01)
+    >>> bool((distance < 0.01 * mug.scale).all())
+    True
     """
 
     def __init__(
@@ -185,7 +203,7 @@ class ObjectFile:
     @overload
     def view(
         self,
-        camera: np.ndarray | list,
+        camera: np.ndarray | Sequence[Any],
         light: Rows,
         resolution: int = ...,
         intrinsics: Intrinsics | None = ...,
@@ -259,7 +277,7 @@ class ObjectFile:
     @overload
     def impact(
         self,
-        points: np.ndarray | list,
+        points: np.ndarray | Sequence[Any],
         forces: Rows,
         sample_rate: float = ...,
         duration: float = ...,
@@ -361,7 +379,7 @@ class ObjectFile:
     @overload
     def touch(
         self,
-        points: np.ndarray | list,
+        points: np.ndarray | Sequence[Any],
         depth: Scalars = ...,
         angle: Scalars = ...,
         tilt: Scalars = ...,

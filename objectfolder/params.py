@@ -102,7 +102,7 @@ class RenderViewsParams(Section):  # noqa: D101
 
 class RenderTouchParams(Section):  # noqa: D101
     locations: Literal["surface", "vertices"]  #: random points by area, or every vertex (as the paper)
-    train: int = Count  #: contacts; with `vertices`, every vertex is used and split 80/10/10
+    train: int = Count  #: contacts; with ``vertices``, every vertex is used and split 80/10/10
     val: int = Count
     test: int = Count
     renderer: Literal["gel", "tacto"]  #: the deformed gel, or what TACTO draws (sensor: tacto_digit)
@@ -139,7 +139,7 @@ class TrainVisionParams(Section):  # noqa: D101
     steps: int = Count
     batch: int = Count
     learning_rate: float = Field(gt=0)
-    osf: VisionOsf  #: net and training of that kind; the fields above are those of `surface`
+    osf: VisionOsf  #: net and training of that kind; the fields above are those of ``surface``
 
 
 class AudioSize(Section):  # noqa: D101
@@ -168,7 +168,7 @@ class TrainAudioParams(Section):  # noqa: D101
     net: Literal["gains", "spectrogram"]
     sizes: list[AudioSize] = Field(min_length=1)  #: the first that is large enough, else the last
     batch: int = Count
-    spectrogram: AudioSpectrogram  #: net and training of that kind; the fields above are those of `gains`
+    spectrogram: AudioSpectrogram  #: net and training of that kind; the fields above are those of ``gains``
 
     def size(self, modes: int) -> AudioSize:
         """Return the size for a number of modes."""
@@ -190,7 +190,7 @@ class TrainTouchParams(Section):  # noqa: D101
     offset_span: float = Field(gt=0)  #: search range of the depth offset, metres
     rounds: int = Count
     contacts: int = Count  #: training and validation contacts used at most
-    image: TouchImage  #: net and training of that kind; the fields above are those of `geometric`
+    image: TouchImage  #: net and training of that kind; the fields above are those of ``geometric``
 
 
 class EvaluateParams(Section):  # noqa: D101
@@ -223,6 +223,7 @@ OBJECT_FIELDS: dict[str, tuple[str, ...]] = {
     "pack": ("material",),
     "evaluate": (),
 }
+#: Shared parameters, by the stage that reads them.
 SHARED: dict[str, tuple[str, ...]] = {
     "modal": ("seed",),
     "render_views": ("seed",),

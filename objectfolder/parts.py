@@ -27,7 +27,7 @@ _VISION: dict[str, type[SurfaceNet] | type[OsfNet]] = {"surface": SurfaceNet, "o
 _AUDIO: dict[str, type[GainsNet] | type[SpectrogramNet]] = {"gains": GainsNet, "spectrogram": SpectrogramNet}
 
 
-class _once(cached_property):
+class _once(cached_property[Any]):
     """Computed at first use, by one thread, whoever else asks meanwhile."""
 
     def __get__(self, instance: Any, owner: Any = None) -> Any:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from objectfolder.artifacts import file_digest
 
-PACKAGES = ("objectfolder", "stages")
+PACKAGES = ("objectfolder", "stages")  #: whose modules are ours
 
 
 def imported_files(script: str | Path, root: str | Path = ".") -> list[str]:

@@ -33,7 +33,7 @@ def run(stage: Callable[[str], None], description: str | None) -> None:
         sys.exit(f"{stage.__module__.rpartition('.')[2]} {key}: {error}")
 
 
-def progress(description: str) -> Callable[[Iterable], Iterable]:
+def progress(description: str) -> Callable[[Iterable[Any]], Iterable[Any]]:
     """Return a function that wraps an iteration in a progress bar, where somebody watches."""
     return lambda items: track(items, description, console=_console, disable=not _console.is_terminal)
 

@@ -22,7 +22,7 @@ def main(key: str) -> None:
     )
     generator = torch_generator(params.seed, key, "train_audio")
 
-    def fitted(train: Callable, config: AudioConfig | SpectrogramConfig, **options: Any) -> tuple:
+    def fitted(train: Callable[..., Any], config: AudioConfig | SpectrogramConfig, **options: Any) -> Any:
         return train(
             modes["points"],
             modes["shapes"],

@@ -15,6 +15,7 @@ from objectfolder.artifacts import (
     read_safetensors,
     write_curve,
     write_json,
+    write_npy,
     write_npz,
     write_png,
     write_safetensors,
@@ -92,6 +93,17 @@ def test_npz_round_trip_and_same_bytes_at_any_time(tmp_path, monkeypatch):
     for name, value in ARRAYS.items():
         np.testing.assert_array_equal(back[name], value)
         assert back[name].dtype == np.asarray(value).dtype
+
+
+def test_npy_round_trip_and_nothing_pickled(tmp_path):
+    write_npy(tmp_path / "a.npy", ARRAYS["a"].T)
+    back = np.load(tmp_path / "a.npy", allow_pickle=False)
+    np.testing.assert_array_equal(back, ARRAYS["a"].T)
+    assert back.dtype == ARRAYS["a"].dtype
+    with pytest.raises(ValueError, match="pickle"):
+        write_npy(tmp_path / "a.npy", np.array([{}], object))
+    assert names(tmp_path) == ["a.npy"]
+    np.testing.assert_array_equal(np.load(tmp_path / "a.npy"), ARRAYS["a"].T)
 
 
 def test_safetensors_round_trip_and_same_bytes_whatever_the_order(tmp_path):

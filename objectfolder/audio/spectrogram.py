@@ -5,7 +5,7 @@ import torch
 from objectfolder.errors import ObjectFolderError
 
 WINDOW, HOP, FFT = 400, 160, 512
-SAMPLE_RATE = 16000
+SAMPLE_RATE = 16000  #: Hz
 DURATION = 2.0
 SHAPE = (FFT // 2 + 1, 1 + round(SAMPLE_RATE * DURATION) // HOP)  #: of one spectrogram: (257, 201)
 

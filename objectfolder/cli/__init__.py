@@ -6,7 +6,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from objectfolder.cli import objectfile, objects, sensor, upkeep, workspace
+from objectfolder.cli import objectfile, objects, sample, sensor, upkeep, workspace
 from objectfolder.errors import ObjectFolderError
 
 __all__ = ["app", "main"]
@@ -33,6 +33,7 @@ for command in (
 ):
     app.command()(command)
 app.add_typer(objectfile.query_app, name="query")
+app.add_typer(sample.sample_app, name="sample")
 app.add_typer(sensor.sensor_app, name="sensor")
 
 

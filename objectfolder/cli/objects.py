@@ -1,7 +1,7 @@
 """Commands that bring objects into a workspace: add, fetch."""
 
 from pathlib import Path
-from typing import Annotated, get_args
+from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
 from rich.console import Console
@@ -9,6 +9,9 @@ from rich.markup import escape
 
 from objectfolder.cli.console import console, tracked
 from objectfolder.errors import ObjectFolderError
+
+if TYPE_CHECKING:
+    from objectfolder.intake import Finding
 
 
 def add(
@@ -82,7 +85,7 @@ def add(
     )
 
 
-def _print_notes(findings) -> None:
+def _print_notes(findings: "list[Finding]") -> None:
     for finding in findings:
         if finding.notes:
             text = f"{finding.candidate.key}: {'; '.join(finding.notes)}"

@@ -111,7 +111,8 @@ def build(
     root : Path
         Workspace, the directory that holds ``dvc.yaml``.
     on_event : callable
-        Called in this thread with every `Planned`, `Started`, `Lost` and `Finished`.
+        Called in this thread with every `Planned`, `Started`, `Lost` and
+        `summary.Finished`.
     make_workers : callable
         Makes what runs the commands; default: this machine.
 

@@ -11,7 +11,7 @@ from objectfolder.materials import Material
 ESTIMATED = 8  # lowest modes whose error is estimated
 TOLERANCE = 1e-4  # residual of the modes that the estimate compares; their frequencies' is its square
 MAX_ORDER = 3  # of convergence that the estimate believes in
-NODES_PER_WAVE = 6  # that resolve it: three quadratic elements
+NODES_PER_WAVE = 6  #: that resolve it: three quadratic elements
 
 
 def lowest_frequencies(solid: Solid, material: Material, scale: float, count: int = ESTIMATED) -> np.ndarray:

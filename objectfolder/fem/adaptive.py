@@ -14,7 +14,7 @@ from objectfolder.materials import Material
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.topology import Mesh, signed_volume
 
-MIN_WALL = 0.3  # cells; solids with thinner walls get the fine grid
+MIN_WALL = 0.3  #: cells; solids with thinner walls get the fine grid
 _SAMPLES = 100_000  # of the surface, to see which cells it touches
 _UNKNOWNS = 12  # of each element at least: a corner and three edges of its own
 _GROWTH = 1.8  # power of the resolution by which unknowns grow, at least: thin sheets with free edges

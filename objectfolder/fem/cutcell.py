@@ -29,7 +29,7 @@ from objectfolder.mesh.topology import signed_volume
 
 EMPTY_FILL = 1e-3  # parts of cells with less material are left out
 FICTITIOUS = 1e-6  # stiffness and mass of the void in a cut cell, relative to the material
-MAX_VOLUME_ERROR = 0.05  # of the cells, before it is corrected
+MAX_VOLUME_ERROR = 0.05  #: of the cells, before it is corrected
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class CutCells:
     resolution: int  #: cells along each axis of the grid
     dropped_volume: float = 0.0  #: share of the volume in pieces that touch the main one nowhere
     volume_error: float = 0.0  #: of the elements' occupancy, relative to the surface's exact volume
-    #: (E,) int64, cells along each side of each element; more than one inside a solid (`blocks`)
+    #: (E,) int64, cells along each side of each element; more than one inside a solid (``blocks``)
     width: np.ndarray = field(default_factory=lambda: np.ones(0, np.int64))
     hanging: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))  #: (H,) nodes that follow
     hanging_element: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))  #: (H,), these

@@ -12,6 +12,7 @@ from objectfolder.fem.elasticity import Solid
 from objectfolder.fem.tetrahedra import Tetrahedra, tetrahedra
 from objectfolder.fem.voxel import Voxels, voxels
 
+#: Kinds of finite elements.
 Element = Literal["cut_cell_hex20", "hex8", "hex8_incompatible", "tet10"]
 
 

@@ -1,6 +1,7 @@
 """From a solid and a material to modal data at points of the surface."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +26,7 @@ class ModalData:
     damped_frequency: np.ndarray  #: (M,) angular, rad/s
     shapes: np.ndarray  #: (P, 3, M) float32 mode shapes at the points, kg^-1/2
     residuals: np.ndarray  #: (M,)
-    report: dict  #: what ``modal.json`` holds
+    report: dict[str, Any]  #: what ``modal.json`` holds
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays without the report."""
@@ -132,7 +133,7 @@ def refined_analysis(
     return modal_analysis(cells, points, material, scale, max_frequency, max_modes, name, wall)
 
 
-def checks(report: dict) -> dict[str, bool]:
+def checks(report: dict[str, Any]) -> dict[str, bool]:
     """Judge a report: whether every mode solves its equation, and rigid motions cost no energy."""
     return {
         "residuals_ok": report["residual_max"] < MAX_RESIDUAL,

@@ -4,7 +4,7 @@ import numpy as np
 
 from objectfolder.errors import ObjectFolderError
 
-MAX_DROPPED = 0.05  # share of the volume in specks beside the main piece
+MAX_DROPPED = 0.05  #: share of the volume in specks beside the main piece
 
 
 def main_piece(piece: np.ndarray, volume: np.ndarray, name: str) -> tuple[np.ndarray, float]:

@@ -1,6 +1,7 @@
 """From a closed surface to what the modalities share: elements for the FEM, a distance grid for the rest."""
 
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +19,7 @@ class Voxels:
     cells: Solid
     values: np.ndarray  #: (R, R, R) int8; see `objectfolder.mesh.grid.DistanceGrid`
     band: float
-    report: dict  #: what ``voxelize.json`` holds
+    report: dict[str, Any]  #: what ``voxelize.json`` holds
 
 
 def voxelize(

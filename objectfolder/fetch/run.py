@@ -1,4 +1,4 @@
-"""Fetch objects of a catalogue: obtain, check, unpack, and add each as `objectfolder add` does."""
+"""Fetch objects of a catalogue: obtain, check, unpack, and add each as ``objectfolder add`` does."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

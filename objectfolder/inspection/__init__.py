@@ -22,6 +22,7 @@ from objectfolder.params import check_key
 
 __all__ = ["STAGES", "Inspection", "inspect", "print_inspection"]
 
+#: What inspects each stage.
 STAGES: dict[str, Callable[[Build], Inspection]] = {
     "normalize": inspect_normalize,
     "voxelize": inspect_voxelize,

@@ -1,5 +1,8 @@
 """Inspections of render_views and render_touch: the images that nets learn from and are scored on."""
 
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
 import numpy as np
 import torch
 
@@ -10,6 +13,10 @@ from objectfolder.inspection.scene import CLAY, VIEW_FROM, draw, triangles
 from objectfolder.mesh.ply import read_surface
 from objectfolder.vision.cameras import Intrinsics, project
 from objectfolder.vision.color import COVERED, lit_foreground, on_white
+
+if TYPE_CHECKING:
+    import pyvista
+    from matplotlib.axes import Axes
 
 COLORS = {"train": ("blue", "#2563eb"), "val": ("orange", "#f59e0b"), "test": ("green", "#16a34a")}
 
@@ -86,13 +93,14 @@ def inspect_render_touch(build: Build) -> Inspection:
     _show_touches(left.subplots(4, 8).flat, splits["train"])
     surface, scale = read_surface(build.surface), read_json(build.normalize)["scale_m"]
     right.suptitle(", ".join(f"{split} {name}" for split, (name, _) in COLORS.items()))
-    for axes, view_from in zip(right.subplots(2, 1), (VIEW_FROM, tuple(-x for x in VIEW_FROM))):
+    x, y, z = VIEW_FROM
+    for axes, view_from in zip(right.subplots(2, 1), (VIEW_FROM, (-x, -y, -z))):
         show_image(axes, _draw_contacts(*surface, scale, splits, view_from))
     picture = save(figure, picture_path(build, "render_touch"))
     return Inspection(f"render_touch@{build.key}", table, [picture, build.touch_sheet])
 
 
-def _show_views(panels, views: dict[str, np.ndarray]) -> None:
+def _show_views(panels: Iterable["Axes"], views: dict[str, np.ndarray]) -> None:
     rgba = views["rgba"]
     intrinsics = Intrinsics(rgba.shape[2], rgba.shape[1], float(views["focal"]))
     azimuth, elevation = _angles(views["camera_to_world"][:, :3, 3])
@@ -109,15 +117,17 @@ def _show_views(panels, views: dict[str, np.ndarray]) -> None:
         axes.set(xticks=[], yticks=[])
         place, depth = project(light[None], pose, intrinsics)
         before = depth[0] < np.linalg.norm(pose[:3, 3])
+        column, row = np.clip(place[0], 4, np.array([intrinsics.width, intrinsics.height]) - 4)
         axes.scatter(
-            *np.clip(place[0], 4, np.array([intrinsics.width, intrinsics.height]) - 4),
+            column,
+            row,
             s=45,
             facecolors="#facc15" if before else "none",
             edgecolors="#a16207",
         )
 
 
-def _show_touches(panels, contacts: dict[str, np.ndarray]) -> None:
+def _show_touches(panels: Iterable["Axes"], contacts: dict[str, np.ndarray]) -> None:
     for index, axes in enumerate(panels):
         axes.set_axis_off()
         if index < len(contacts["images"]):
@@ -128,9 +138,13 @@ def _show_touches(panels, contacts: dict[str, np.ndarray]) -> None:
 
 
 def _draw_contacts(
-    vertices: np.ndarray, faces: np.ndarray, scale: float, splits: dict, view_from
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    scale: float,
+    splits: dict[str, dict[str, np.ndarray]],
+    view_from: tuple[float, float, float],
 ) -> np.ndarray:
-    def add(plotter) -> None:
+    def add(plotter: "pyvista.Plotter") -> None:
         plotter.add_mesh(triangles(vertices, faces), color=CLAY)
         for split, contacts in splits.items():
             if len(contacts["points"]):

@@ -2,6 +2,7 @@
 
 import csv
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -91,7 +92,7 @@ def inspect_evaluate(build: Build) -> Inspection:
     return Inspection(f"evaluate@{build.key}", list(_leaves(read_json(build.metrics))), sheets)
 
 
-def _pack_picture(build: Build, file: ObjectFile):
+def _pack_picture(build: Build, file: ObjectFile) -> Path:
     points = file.sample_surface(TOUCHES)
     title = f"pack@{build.key}: answers of the Object File ({file.material}, {file.scale * 1000:g} mm)"
     figure = page(14, 12, title)

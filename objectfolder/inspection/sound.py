@@ -1,5 +1,7 @@
 """Inspection of modal: the modes, their shapes and the sound of a strike."""
 
+from pathlib import Path
+
 import numpy as np
 import torch
 
@@ -59,7 +61,9 @@ def inspect_modal(build: Build) -> Inspection:
     return Inspection(f"modal@{build.key}", table, pictures)
 
 
-def _modal_picture(build: Build, modes: dict, frequency: np.ndarray, decay: np.ndarray, scale: float):
+def _modal_picture(
+    build: Build, modes: dict[str, np.ndarray], frequency: np.ndarray, decay: np.ndarray, scale: float
+) -> Path:
     vertices, faces = read_surface(build.surface)
     shapes = modes["shapes"][: len(vertices)]  # the surface's vertices are the first points
     figure = page(15, 13.5, f"modal@{build.key}: first mode shapes, exaggerated (colour: amplitude)")

@@ -102,7 +102,7 @@ class _File:
                     f"{path} needs the glTF extension {name}, which is not supported; export it without"
                 )
         self.buffers = [self._buffer(buffer) for buffer in self.document.get("buffers", [])]
-        self.materials: dict[int | None, tuple[Material, dict]] = {None: (Material(), {})}
+        self.materials: dict[int | None, tuple[Material, dict[str, Any]]] = {None: (Material(), {})}
         self.changes: Counter[str] = Counter()
 
     def read(self) -> Parts:
@@ -137,7 +137,7 @@ class _File:
             queue += [(child, transform) for child in reversed(node.get("children", []))]
         return placed
 
-    def _part(self, primitive: dict, transform: np.ndarray) -> Part | None:
+    def _part(self, primitive: dict[str, Any], transform: np.ndarray) -> Part | None:
         mode, attributes = primitive.get("mode", TRIANGLES), primitive["attributes"]
         if mode not in (TRIANGLES, STRIP, FAN):
             self.changes["points or lines left out"] += 1
@@ -168,7 +168,7 @@ class _File:
             normals = self._accessor(attributes["NORMAL"], 3) @ _of_normals(transform[:3, :3]).T
         return Part(placed, faces, material, uv, colors, normals)
 
-    def _material(self, index: int | None) -> tuple[Material, dict]:
+    def _material(self, index: int | None) -> tuple[Material, dict[str, Any]]:
         """Return a material, and the texture info of its base colour."""
         if index in self.materials:
             return self.materials[index]
@@ -194,7 +194,7 @@ class _File:
         self.materials[index] = made, info or {}
         return self.materials[index]
 
-    def _texture(self, info: dict) -> tuple[Any, tuple[str, str]]:
+    def _texture(self, info: dict[str, Any]) -> tuple[Any, tuple[str, str]]:
         texture = self.document["textures"][info["index"]]
         source = texture.get("extensions", {}).get("EXT_texture_webp", texture).get("source")
         if source is None:
@@ -216,7 +216,7 @@ class _File:
         wrap = (WRAPS[sampler.get("wrapS", 10497)], WRAPS[sampler.get("wrapT", 10497)])
         return read_image(data, name, self.path), wrap
 
-    def _buffer(self, buffer: dict) -> bytes:
+    def _buffer(self, buffer: dict[str, Any]) -> bytes:
         data = self._fetch(buffer["uri"]) if "uri" in buffer else self.binary
         if len(data) < buffer["byteLength"]:
             where = buffer.get("uri", "its binary chunk")[:80]
@@ -282,7 +282,7 @@ def _triangles(corners: np.ndarray, mode: int) -> np.ndarray:
     return strip
 
 
-def _transform(node: dict) -> np.ndarray:
+def _transform(node: dict[str, Any]) -> np.ndarray:
     """Matrix (4, 4) of a node: its own, or translation x rotation (quaternion x, y, z, w) x scale."""
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
@@ -310,7 +310,7 @@ def _of_normals(linear: np.ndarray) -> np.ndarray:
     return cofactors if np.linalg.det(linear) >= 0 else -cofactors
 
 
-def _transform_uv(uv: np.ndarray, transform: dict) -> np.ndarray:
+def _transform_uv(uv: np.ndarray, transform: dict[str, Any]) -> np.ndarray:
     """Apply ``KHR_texture_transform``: scale, rotate counter-clockwise as seen (v points down), move."""
     u, v = (uv * transform.get("scale", (1, 1))).T
     cos, sin = math.cos(transform.get("rotation", 0)), math.sin(transform.get("rotation", 0))

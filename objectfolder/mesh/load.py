@@ -23,7 +23,7 @@ READERS: dict[str, Callable[[Path], Parts]] = {
     ".stl": read_polygons,
     ".off": read_polygons,
 }
-FORMATS = tuple(READERS)
+FORMATS = tuple(READERS)  #: suffixes of the mesh files that are read
 MAX_REACH = 1e30  # in any unit; keeps products of coordinates finite
 # How files of other formats begin that people rename by mistake.
 BEGINNINGS = {

@@ -1,6 +1,7 @@
 """Bring a source mesh into the unit frame, and derive its closed physical surface."""
 
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,7 @@ class Normalized:
     source_centre: np.ndarray  #: (3,) centre of the bounding box, in the z-up source's units
     source_size: float  #: longest side of the bounding box, in the source's units
 
-    def report(self, scale: float, up: str) -> dict:
+    def report(self, scale: float, up: str) -> dict[str, Any]:
         """Return what ``normalize.json`` holds; lengths in metres where the name ends in ``_m``."""
         surface = self.surface
         return {
@@ -75,7 +76,7 @@ def normalize(
     return Normalized(visual, surface, centre, size)
 
 
-def _in_metres(rung: Rung, scale: float) -> dict:
+def _in_metres(rung: Rung, scale: float) -> dict[str, Any]:
     values = asdict(rung)
     for name in ("volume_before", "volume_after"):
         volume = values.pop(name)

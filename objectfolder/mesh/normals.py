@@ -117,7 +117,7 @@ def split(faces: np.ndarray, corners: np.ndarray, count: int) -> tuple[np.ndarra
     Returns
     -------
     vertex : (V',) int array
-        Which vertex each is a copy of. The first `count` are the vertices themselves.
+        Which vertex each is a copy of. The first ``count`` are the vertices themselves.
     faces : (F, 3) int array
     normals : (V', 3) array, unit
     """

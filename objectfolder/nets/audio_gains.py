@@ -8,6 +8,7 @@ the second. The large matrices are stored as int8.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +23,7 @@ from objectfolder.nets.soap import Soap
 from objectfolder.nets.spline import SplineGrid, touched
 
 ENERGY_SHARE = 0.8  # of the energy-weighted error in the loss; the rest weighs by gain
-DROPPED = 0.012  # of the weighted shapes (root mean square) that training does not see: faster
+DROPPED = 0.012  #: of the weighted shapes (root mean square) that training does not see: faster
 RIDGE = 1e-6  # of the output layer's least squares, relative to a feature's power
 # The first layer is small, and its weights of position and of features differ in size.
 INT8 = ("grid.table", "sines.layers.1.weight", "output.weight")
@@ -96,7 +97,7 @@ class GainsNet(nn.Module):
         self.output = nn.Linear(features, 3 * len(damping))
 
     def features(self, points: torch.Tensor, rows: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-        """Evaluate the second layer at (N, 3) points of the unit frame and the grid's `nodes` of them."""
+        """Evaluate the second layer at (N, 3) points of the unit frame and the grid's nodes of them."""
         return self.sines(torch.cat([2 * points, self.grid.lookup(rows, weights)], 1))
 
     def forward(self, points: torch.Tensor) -> torch.Tensor:
@@ -160,7 +161,7 @@ def train_gains(
     val: np.ndarray,
     config: AudioConfig,
     generator: torch.Generator,
-    report=lambda point: None,
+    report: Callable[[CurvePoint], None] = lambda point: None,
 ) -> tuple[GainsNet, list[CurvePoint]]:
     """Fit a `GainsNet` to mode shapes at surface points.
 

@@ -1,12 +1,13 @@
 """Multiresolution hash encoding (Mueller et al. 2022) in torch.
 
 Interpolating a table is a product with a sparse matrix of eight weights per row. On a CPU the
-backward pass of `embedding_bag` would dominate training; scipy's transposed product is many times faster.
+backward pass of ``embedding_bag`` would dominate training; scipy's transposed product is many times faster.
 """
 
 import itertools
 import lzma
 import math
+from typing import Any
 
 import numpy as np
 import torch
@@ -115,13 +116,13 @@ class HashGrid(nn.Module):
 
 class _SparseLookup(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, table: torch.Tensor, rows: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+    def forward(ctx: Any, table: torch.Tensor, rows: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
         ctx.entries = len(table)
         ctx.save_for_backward(rows, weights)
         return F.embedding_bag(rows.view(-1, 8), table, mode="sum", per_sample_weights=weights.view(-1, 8))
 
     @staticmethod
-    def backward(ctx, *gradients: torch.Tensor):
+    def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor, None, None]:
         rows, weights = ctx.saved_tensors
         product = transposed_product if rows.is_cpu else scattered_product
         return product(rows, weights, gradients[0], ctx.entries), None, None

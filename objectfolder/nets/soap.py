@@ -26,7 +26,7 @@ class Soap(torch.optim.Optimizer):
         super().__init__(params, {"lr": lr, "beta": beta, "eps": eps})
 
     @torch.no_grad()
-    def step(self, closure: Callable | None = None) -> None:  # type: ignore[override]
+    def step(self, closure: Callable[[], Any] | None = None) -> None:  # type: ignore[override]
         """Update every parameter that has a gradient."""
         for group in self.param_groups:
             for parameter in group["params"]:

@@ -21,7 +21,7 @@ from objectfolder.vision.color import on_white, shown_error
 from objectfolder.vision.picture import Picture
 from objectfolder.vision.volume import Rays, resampled, stratified, visibility
 
-VAL_RAYS = 1 << 12
+VAL_RAYS = 1 << 12  #: of which the validation loss is the mean
 _CHUNK = 32  # rays drawn at once: their activations stay in the cache
 _NORMAL_STEP = 0.01  # unit frame; over which the density's slope is taken
 _NEAREST = 0.01  # unit frame; a light is no closer than this to what it lights

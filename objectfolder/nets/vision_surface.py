@@ -76,7 +76,7 @@ class SurfaceNet(nn.Module):
         points, normals : (S, 3) tensors
             Of the stored surface, unit frame.
         features : (S, F) tensor
-            Of `grid` there.
+            Of ``grid`` there.
         """
         a = self.appearance(torch.cat([features, points], 1))
         return a[:, :3] + 0.5, normals + a[:, 3:]
@@ -166,7 +166,7 @@ class SurfaceNet(nn.Module):
         ----------
         inputs : BounceInputs
         transport : (S, T) tensor
-            Of the grid `transport`.
+            Of the grid ``transport``.
         """
         b = columns(self.bounced(joined([inputs.features, transport], 1))).split(3, 1)
         diffuse = inputs.gathered * F.softplus(b[2] + 0.5) + 0.5 * F.softplus(b[0] - 4)
@@ -243,7 +243,7 @@ class Baked:
     """Attributes of a surface's vertices; they are interpolated over triangles smaller than a usual pixel."""
 
     look: torch.Tensor  #: (V, 6), base colour, linear, and unit shading normal
-    transport: torch.Tensor  #: (V, T), features of the grid `transport`
+    transport: torch.Tensor  #: (V, T), features of the grid ``transport``
     radiosity: Radiosity
 
     def to(self, device: torch.device | str) -> "Baked":

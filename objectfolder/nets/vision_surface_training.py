@@ -124,7 +124,13 @@ def train_surface(
         )
     rng = np.random.default_rng(int(torch.randint(2**31, (1,), generator=generator)))
 
-    def fitted(learn, check, steps: int, batch: int, shown=lambda point: None) -> list[CurvePoint]:
+    def fitted(
+        learn: _Points | _Pixels,
+        check: _Points | _Pixels,
+        steps: int,
+        batch: int,
+        shown: Callable[[CurvePoint], None] = lambda point: None,
+    ) -> list[CurvePoint]:
         batches = iter(minibatches(len(learn), batch, generator))
         chunks = torch.arange(len(check)).split(CHUNK)
         return fit(

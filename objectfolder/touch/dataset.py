@@ -1,6 +1,7 @@
 """Ground-truth touches of an object: contacts on its exact surface."""
 
 from collections.abc import Callable, Iterable
+from typing import Any
 
 import igl
 import numpy as np
@@ -54,7 +55,7 @@ def render_contacts(
     renderer: str = "gel",
     depth: float | None = None,
     angle: float | None = None,
-    progress: Callable[[Iterable], Iterable] = iter,
+    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
 ) -> dict[str, np.ndarray]:
     """Press the sensor at points of a closed surface.
 

@@ -1,6 +1,7 @@
 """What the sensor's camera sees of the gel."""
 
 import math
+from typing import Any
 
 import numpy as np
 import torch
@@ -180,7 +181,7 @@ def shade(point: Vectors, normal: Vectors, profile: SensorProfile) -> torch.Tens
     alpha2 = profile.roughness**4
     k = (profile.roughness + 1) ** 2 / 8
 
-    def of_lights(values: list) -> torch.Tensor:
+    def of_lights(values: list[Any]) -> torch.Tensor:
         return torch.tensor(values, device=point[0].device).reshape(-1, *[1] * point[0].dim())
 
     away = unit(point)

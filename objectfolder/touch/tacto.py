@@ -66,7 +66,7 @@ class TactoReference:
             baseColorFactor=grey, metallicFactor=profile.metallic, roughnessFactor=profile.roughness
         )
 
-        def mesh(positions: np.ndarray, normals: np.ndarray, indices: np.ndarray | None):
+        def mesh(positions: np.ndarray, normals: np.ndarray, indices: np.ndarray | None) -> pyrender.Mesh:
             return pyrender.Mesh(
                 [
                     pyrender.Primitive(

@@ -30,7 +30,7 @@ class Intrinsics:
     center: tuple[float, float] | None = None  #: column, row of the principal point; default: the middle
     focal_y: float | None = None  #: vertically; default: as horizontally, that is, square pixels
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1 or not (0 < self.fx < math.inf and 0 < self.fy < math.inf):
             raise ObjectFolderError(f"intrinsics {self}: width, height and focal length must be positive")
         if not (math.isfinite(self.cx) and math.isfinite(self.cy)):
@@ -95,7 +95,9 @@ def sphere_points(count: int, radius: float, rng: np.random.Generator) -> np.nda
     return radius * points / np.linalg.norm(points, axis=1, keepdims=True)
 
 
-def look_at(positions: np.ndarray, target: np.ndarray | tuple = (0.0, 0.0, 0.0)) -> np.ndarray:
+def look_at(
+    positions: np.ndarray, target: np.ndarray | tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> np.ndarray:
     """Camera-to-world matrices of cameras that look at a target with z up.
 
     Cameras within 11.5 degrees of the poles take y as up.

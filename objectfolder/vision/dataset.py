@@ -1,6 +1,7 @@
 """Views of an object with random cameras and lights."""
 
 from collections.abc import Callable, Iterable
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,7 +19,7 @@ def render_split(
     samples: int,
     intrinsics: Intrinsics,
     rng: np.random.Generator,
-    progress: Callable[[Iterable], Iterable] = iter,
+    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
     halves: bool = False,
 ) -> dict[str, np.ndarray]:
     """Render views with cameras and lights uniform on their spheres (supplementary C).

@@ -34,7 +34,7 @@ class Scene:
     mesh: TexturedMesh
     ambient: float = 0.0  #: radiance that comes from every direction, beside the point light
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not len(self.mesh.faces) or not np.isfinite(self.mesh.vertices).all():
             raise ObjectFolderError("the mesh to render has no faces, or vertices that are not finite")
         if not 0 <= self.ambient < math.inf:

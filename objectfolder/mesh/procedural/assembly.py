@@ -35,7 +35,7 @@ class Look:
     seed: int = 0
 
     def paint(self, axis: Sequence[float] | np.ndarray | None = None, piece: int = 0) -> Paint:
-        """Paint of one piece, its grain along `axis`."""
+        """Paint of one piece, its grain along ``axis``."""
         direction = None if axis is None else [float(x) for x in axis]
         return finish(self.finish, self.size, self.color, self.accent, self.seed + piece, direction).paint
 

@@ -30,7 +30,7 @@ class Atlas:
     resolution: int  #: texels on a side
 
     def uv(self, chart: int, xy: np.ndarray) -> np.ndarray:
-        """Texture coordinates (N, 2) of map coordinates `xy` (N, 2), m, in one chart."""
+        """Texture coordinates (N, 2) of map coordinates ``xy`` (N, 2), m, in one chart."""
         return (self.origins[chart] + self.density * xy) / self.resolution
 
     def bake(self) -> np.ndarray:
@@ -71,7 +71,7 @@ def _shelves(sizes: np.ndarray, resolution: int) -> np.ndarray | None:
 
 
 def pack(charts: Sequence[Chart], resolution: int) -> Atlas:
-    """Lay charts out at the greatest common texel density that fits a `resolution` x `resolution` square.
+    """Lay charts out at the greatest common texel density that fits a ``resolution`` x ``resolution`` square.
 
     Raises
     ------

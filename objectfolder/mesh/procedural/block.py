@@ -57,7 +57,7 @@ def block(
     rounding : float
         Radius of the edges, m; 0 leaves them sharp.
     finish, color, seed
-        See `finish`.
+        See ``finish``.
     accent : str, optional
         Colour inside the holes, or of the studs; by default the block's own, darker in a hole.
     texture_size : int

@@ -9,7 +9,7 @@ from objectfolder.mesh.procedural.extrusion import prism, rectangle
 from objectfolder.mesh.procedural.finish import Paint
 from objectfolder.mesh.procedural.texture import over, stroke
 
-#: Where `finish` puts the middle of the trunk, across the grain along x, in sizes of the object.
+#: Where ``finish`` puts the middle of the trunk, across the grain along x, in sizes of the object.
 PITH = (0.62, -0.50)
 #: Axis of the trunk in a board's frame (along, across, through): off its length, so that rings make arches.
 TRUNK = (1.0, 0.02, 0.07)
@@ -104,7 +104,7 @@ def leg(
     bevel: float,
     taper: float = 1.0,
 ) -> Part:
-    """Build a square leg, m, on the point `foot`; it narrows to `taper` of its size there."""
+    """Build a square leg, m, on the point ``foot``; it narrows to ``taper`` of its size there."""
     post = prism([rectangle(size, size, 2 * bevel, 3)], height, spacing, bevel, 1)
 
     def narrow(points: np.ndarray) -> np.ndarray:

@@ -42,7 +42,7 @@ def cup(
     radius, height, wall : float
         Outer radius at the lip, height of the whole, and thickness of the wall and the floor, m.
     base_radius : float
-        Radius to which the wall would run down to the floor, m; larger than `radius` narrows the mouth.
+        Radius to which the wall would run down to the floor, m; larger than ``radius`` narrows the mouth.
     rounding : float
         Radius of the bend from the floor into the wall, m: large ones make the bowl of a goblet.
     bulge : float

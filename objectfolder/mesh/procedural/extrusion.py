@@ -18,7 +18,7 @@ ROUND_STEPS = 3  #: facets of a rounded edge between a side and a flat
 
 
 def rectangle(length: float, width: float, corner: float = 0.0, steps: int = 5) -> np.ndarray:
-    """Outline (N, 2) of a rectangle about the origin, its corners rounded to radius `corner`, m."""
+    """Outline (N, 2) of a rectangle about the origin, its corners rounded to radius ``corner``, m."""
     x, y = length / 2 - corner, width / 2 - corner
     middles = [(x, y), (-x, y), (-x, -y), (x, -y)]
     if corner == 0:
@@ -28,7 +28,7 @@ def rectangle(length: float, width: float, corner: float = 0.0, steps: int = 5) 
 
 
 def regular(sides: int, radius: float, turn: float = 0.0) -> np.ndarray:
-    """Outline (sides, 2) of a regular polygon about the origin, its first corner at angle `turn`, rad."""
+    """Outline (sides, 2) of a regular polygon about the origin, its first corner at angle ``turn``, rad."""
     return arc((0.0, 0.0), radius, turn, turn + 2 * np.pi, sides)[:-1]
 
 
@@ -39,7 +39,7 @@ def area(outline: np.ndarray) -> float:
 
 
 def inset(outline: np.ndarray, distance: float) -> np.ndarray:
-    """Outline (N, 2) whose sides lie `distance`, m, further into the solid; corners stay corners.
+    """Outline (N, 2) whose sides lie ``distance``, m, further into the solid; corners stay corners.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def prism(
     bevel: float = 0.0,
     steps: int = ROUND_STEPS,
 ) -> manifold3d.Manifold:
-    """Extrude a plate from z = 0 to `height`; flats carry an even mesh.
+    """Extrude a plate from z = 0 to ``height``; flats carry an even mesh.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def solid(vertices: np.ndarray, faces: np.ndarray) -> manifold3d.Manifold:
 
 
 def triangulate(rings: Sequence[np.ndarray], spacing: float) -> tuple[np.ndarray, np.ndarray]:
-    """Fill outlines with triangles about `spacing`, m, on a side.
+    """Fill outlines with triangles about ``spacing``, m, on a side.
 
     Returns
     -------

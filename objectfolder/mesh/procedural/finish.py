@@ -23,7 +23,7 @@ BOARD = 0.2  #: size, m, from which wood keeps the width of its rings instead of
 TILT = Rotation.from_euler("zyx", [0.71, 0.43, 1.13]).as_matrix()
 #: Short of 1, at which a scene with one point light and no surroundings to mirror is black.
 METALLIC = 0.4
-PATTERNS = ("stripes", "dots", "waves")  #: of `print`, chosen by the seed
+PATTERNS = ("stripes", "dots", "waves")  #: of ``print``, chosen by the seed
 
 
 @dataclass(frozen=True)
@@ -76,11 +76,11 @@ def finish(
     size : float
         Longest side of the object, m: it sets the scale of the pattern.
     color, accent : str, optional
-        Hexadecimal sRGB such as `e8dcc4`; by default the finish's own. The accent colours what pools towards
-        z = 0 in a glaze, wood's late growth, a metal's patina, the speckle of plastic, the ink of a print and
-        the streaks of glass.
+        Hexadecimal sRGB such as ``e8dcc4``; by default the finish's own. The accent colours what pools
+        towards z = 0 in a glaze, wood's late growth, a metal's patina, the speckle of plastic, the ink of a
+        print and the streaks of glass.
     seed : int
-        Which piece of it; `print` takes its pattern from it: stripes, dots, waves, then stripes again.
+        Which piece of it; ``print`` takes its pattern from it: stripes, dots, waves, then stripes again.
     axis : sequence of 3 floats, optional
         Along which wood grows and metal is brushed. By default wood lies roughly along x and metal is turned
         on a lathe about z.

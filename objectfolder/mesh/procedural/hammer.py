@@ -43,7 +43,7 @@ def hammer(
     head : str
         "claw", "club" (eight sides, two faces) or "mallet" (a round block).
     finish, color, seed
-        See `finish`.
+        See ``finish``.
     accent : str, optional
         Colour of the handle; by default it is of the head's.
     texture_size : int

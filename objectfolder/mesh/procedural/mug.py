@@ -269,7 +269,7 @@ def sprig(x: np.ndarray, z: np.ndarray, length: float) -> np.ndarray:
 
 
 def leaf(along: np.ndarray, side: np.ndarray, length: float) -> np.ndarray:
-    """Opacity (N,) of a leaf from 0 to `length` on its axis, m, with its midrib left bare."""
+    """Opacity (N,) of a leaf from 0 to ``length`` on its axis, m, with its midrib left bare."""
     t = np.clip(along / length, 0, 1)
     half = 0.62 * length * t**0.8 * (1 - t) ** 0.9
     blade = smoothstep(0.0002, -0.0002, np.abs(side) - half) * (along > 0) * (along < length)

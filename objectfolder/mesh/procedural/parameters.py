@@ -25,7 +25,7 @@ def require_between(generator: str, low: float, high: float, why: str, **dimensi
 
 
 def require_texture_size(generator: str, texture_size: int) -> None:
-    """Raise `ObjectFolderError` unless `texture_size` is a whole number of texels from 64 to 8192."""
+    """Raise `ObjectFolderError` unless ``texture_size`` is a whole number of texels from 64 to 8192."""
     if not isinstance(texture_size, int) or isinstance(texture_size, bool) or not 64 <= texture_size <= 8192:
         raise ObjectFolderError(
             f"{generator}: texture_size={texture_size!r}: expected a whole number of texels, 64 to 8192"
@@ -49,7 +49,7 @@ def require_count(generator: str, low: int, high: int, **count: int) -> None:
 
 
 def require_not_negative(generator: str, high: float, why: str, **dimension: float) -> None:
-    """Raise `ObjectFolderError` unless the dimension is a number from 0 to `high`."""
+    """Raise `ObjectFolderError` unless the dimension is a number from 0 to ``high``."""
     for name, value in dimension.items():
         number = isinstance(value, int | float) and not isinstance(value, bool)
         if not number or not 0 <= value <= high:

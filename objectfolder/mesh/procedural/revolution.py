@@ -18,13 +18,13 @@ SHORT = 0.3  #: length, in distances from the axis, under which a run of a turne
 
 
 def arc(centre: tuple[float, float], radius: float, start: float, stop: float, pieces: int) -> np.ndarray:
-    """Points (pieces + 1, 2) on a circle from angle `start` to `stop`, rad."""
+    """Points (pieces + 1, 2) on a circle from angle ``start`` to ``stop``, rad."""
     angle = np.linspace(start, stop, pieces + 1)
     return np.asarray(centre) + radius * np.stack([np.cos(angle), np.sin(angle)], 1)
 
 
 def polyline(*parts: np.ndarray, step: float) -> np.ndarray:
-    """Join parts end to end, without repeated points, and divide segments longer than `step`."""
+    """Join parts end to end, without repeated points, and divide segments longer than ``step``."""
     points = np.concatenate(parts)
     gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     points = points[np.append(True, gaps > 1e-6 * gaps.sum())]
@@ -41,7 +41,7 @@ def _arc_length(profile: np.ndarray) -> np.ndarray:
 
 
 def spin(rz: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Points (N, 3) of radius and height `rz` (N, 2) at an angle (N,) about z."""
+    """Points (N, 3) of radius and height ``rz`` (N, 2) at an angle (N,) about z."""
     return np.stack([rz[:, 0] * np.cos(angle), rz[:, 0] * np.sin(angle), rz[:, 1]], 1)
 
 

@@ -19,7 +19,7 @@ STEP = 0.055  #: longest piece of a profile, in sizes of the section
 
 
 def rounded(corners: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """Polyline through `corners` (N, 2) with arcs of `radii` (N - 2,) in the corners between.
+    """Polyline through ``corners`` (N, 2) with arcs of ``radii`` (N - 2,) in the corners between.
 
     An arc takes no more than half of each segment beside it.
     """
@@ -76,7 +76,7 @@ def wall_about(middle: np.ndarray, thickness: float) -> manifold3d.CrossSection:
 
 
 def ring_under(middle: np.ndarray, radius: float, width: float) -> manifold3d.CrossSection:
-    """Foot of outer `radius` and `width` from z = 0 up to the curve (N, 2) of the wall above it."""
+    """Foot of outer ``radius`` and ``width`` from z = 0 up to the curve (N, 2) of the wall above it."""
     r = np.linspace(radius - width, radius, 24)
     below = np.stack([r, np.interp(r, *middle[: int(np.argmax(middle[:, 0])) + 1].T)], 1)
     return ring(np.concatenate([[[radius - width, 0.0], [radius, 0.0]], below[::-1]]))
@@ -85,7 +85,7 @@ def ring_under(middle: np.ndarray, radius: float, width: float) -> manifold3d.Cr
 def soften(
     section: manifold3d.CrossSection, concave: float = 0.0, convex: float = 0.0
 ) -> manifold3d.CrossSection:
-    """Round the inner corners by a radius `concave`, then the outer ones by a radius `convex`, m."""
+    """Round the inner corners by a radius ``concave``, then the outer ones by a radius ``convex``, m."""
     if concave > 0:
         section = offset(offset(section, concave), -concave)
     if convex > 0:
@@ -132,9 +132,9 @@ def split_at_lip(profile: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def even_rows(part: np.ndarray, whole: np.ndarray, coarse: float = COARSE) -> np.ndarray:
-    """Points (M, 2) along `part` (N, 2), closer where it bends, that keep its lowest and widest points.
+    """Points (M, 2) along ``part`` (N, 2), closer where it bends, that keep its lowest and widest points.
 
-    The rows are spaced so that chords leave the curve by some `coarse` of the size of `whole`.
+    The rows are spaced so that chords leave the curve by some ``coarse`` of the size of ``whole``.
     """
     size = np.ptp(whole * [2, 1], axis=0).max()
     stops = {0, len(part) - 1, int(np.argmin(part[:, 1])), int(np.argmax(part[:, 0]))}

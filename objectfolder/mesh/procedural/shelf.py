@@ -56,7 +56,7 @@ def shelf(
     bevel : float
         Radius of rounded edges, m; 0 leaves them sharp.
     finish, color, accent, seed
-        See `finish`.
+        See ``finish``.
     texture_size : int
         Texels on a side.
 

@@ -51,7 +51,7 @@ def weld(patches: Sequence[Patch], atlas: Atlas) -> manifold3d.Manifold:
 def textured(
     solid: manifold3d.Manifold, atlas: Atlas, roughness: float, metallic: float = 0.0
 ) -> TexturedMesh:
-    """Bake the atlas and return the solid with it; `roughness` and `metallic` are the principled BSDF's."""
+    """Bake the atlas, and return the solid so; ``roughness`` and ``metallic`` are the principled BSDF's."""
     mesh = solid.to_mesh64()
     properties = np.asarray(mesh.vert_properties, np.float64)
     return TexturedMesh(

@@ -51,7 +51,7 @@ def spoon(
     point : float
         How much narrower the bowl is at its tip than an ellipse, 0 to 0.3.
     finish, color, accent, seed
-        See `finish`.
+        See ``finish``.
     texture_size : int
         Texels on a side.
 

@@ -54,7 +54,7 @@ def stool(
     dish : float
         Depth of the hollow of the seat, m.
     finish, color, accent, seed
-        See `finish`.
+        See ``finish``.
     texture_size : int
         Texels on a side.
 

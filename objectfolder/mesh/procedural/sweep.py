@@ -21,7 +21,7 @@ def tube(
     path : ndarray, shape (N, 3)
         Middles of the sections, m.
     width, thickness : ndarray, shape (N,), or float
-        Full size of the section along `side` and across it, m.
+        Full size of the section along ``side`` and across it, m.
     side : ndarray, shape (3,)
         Unit normal of the path's plane.
     segments : int

@@ -61,14 +61,14 @@ def table(
     bevel : float
         Radius of rounded edges, m; 0 leaves them sharp.
     finish, color, accent, seed
-        See `finish`.
+        See ``finish``.
     texture_size : int
         Texels on a side.
 
     Returns
     -------
     TexturedMesh
-        One closed surface; x and y about 0, z from 0 to `height`.
+        One closed surface; x and y about 0, z from 0 to ``height``.
 
     Raises
     ------

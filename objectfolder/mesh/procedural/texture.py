@@ -11,23 +11,23 @@ LATTICE = 32  #: period of the noise, cells
 
 
 def rgb(code: str) -> np.ndarray:
-    """Colour (3,) in [0, 1] of a hexadecimal sRGB code such as `e8dcc4`."""
+    """Colour (3,) in [0, 1] of a hexadecimal sRGB code such as ``e8dcc4``."""
     return np.frombuffer(bytes.fromhex(code), np.uint8) / 255
 
 
 def smoothstep(low: float, high: float, x: np.ndarray) -> np.ndarray:
-    """Rise from 0 at `low` to 1 at `high` with no slope at either; `low` > `high` falls instead."""
+    """Rise from 0 at ``low`` to 1 at ``high`` with no slope at either; ``low`` > ``high`` falls instead."""
     t = np.clip((x - low) / (high - low), 0, 1)
     return t * t * (3 - 2 * t)
 
 
 def over(base: np.ndarray, colour: np.ndarray, cover: np.ndarray) -> np.ndarray:
-    """Lay `colour` (3,) or (N, 3) over `base` (N, 3) with opacity `cover` (N,) in [0, 1]."""
+    """Lay ``colour`` (3,) or (N, 3) over ``base`` (N, 3) with opacity ``cover`` (N,) in [0, 1]."""
     return base + cover[:, None] * (colour - base)
 
 
 def stroke(distance: np.ndarray, half_width: float, soft: float) -> np.ndarray:
-    """Opacity (N,) of a band of `half_width` about `distance` 0, its edges `soft` wide; all in m."""
+    """Opacity (N,) of a band of ``half_width`` about ``distance`` 0, its edges ``soft`` wide; all in m."""
     return smoothstep(half_width + soft / 2, half_width - soft / 2, np.abs(distance))
 
 

@@ -51,7 +51,7 @@ def toy(
     count : int
         Rings of a tower, 3 to 8.
     finish, color, seed
-        See `finish`; rings without a colour take those of the rainbow.
+        See ``finish``; rings without a colour take those of the rainbow.
     accent : str, optional
         Colour of the wheels or the bill; rings go from the colour to it.
     texture_size : int

@@ -49,7 +49,7 @@ def dress(
     Parameters
     ----------
     name, color, accent, seed
-        As for `finish`.
+        As for ``finish``.
     size : float
         Longest side of the vessel, m.
     lip : float
@@ -103,7 +103,7 @@ def lobed(
     weight: Callable[[np.ndarray], np.ndarray],
     twist: float = 0.0,
 ) -> Warp | None:
-    """Warp that draws a round vessel out into `lobes` lobes, None for a round one.
+    """Warp that draws a round vessel out into ``lobes`` lobes, None for a round one.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def turn(profile: np.ndarray, look: Dress, texture_size: int, warp: Warp | None 
 def revolved(profile: np.ndarray, coarse: float = COARSE) -> manifold3d.Manifold:
     """Return the bare solid turned from a dense profile (N, 2), m, that runs from the axis to the axis.
 
-    `coarse` is how far its rows may leave the profile, in sizes of it.
+    ``coarse`` is how far its rows may leave the profile, in sizes of it.
     """
     top = int(np.argmax(profile[:, 1]))
     halves = [half for half in (profile[: top + 1], profile[top:]) if len(half) > 1]

@@ -45,7 +45,7 @@ def wrench(
     ends : str
         "combination" of open jaws and a ring, "open" or "ring" at both ends.
     finish, color, accent, seed
-        See `finish`.
+        See ``finish``.
     texture_size : int
         Texels on a side.
 

@@ -8,10 +8,11 @@ import json
 import math
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-DONE = "objectfolder: rendered"
+DONE = "objectfolder: rendered"  #: the line that says so
 OLDEST = (4, 2)  # its principled BSDF has the sockets that are named here
 
 
@@ -58,7 +59,7 @@ def main(folder: Path) -> None:
         print(DONE, flush=True)
 
 
-def _set_up_cycles(scene, settings: dict) -> None:
+def _set_up_cycles(scene: Any, settings: dict[str, Any]) -> None:
     scene.render.engine = "CYCLES"
     cycles, render = scene.cycles, scene.render
     cycles.device = "CPU"
@@ -78,7 +79,7 @@ def _set_up_cycles(scene, settings: dict) -> None:
     cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = bounces
 
 
-def _add_object(bpy, scene, folder: Path, settings: dict) -> None:
+def _add_object(bpy: Any, scene: Any, folder: Path, settings: dict[str, Any]) -> None:
     # From arrays: Blender's importers turn the axes.
     with np.load(folder / "mesh.npz") as arrays:
         names = ("vertices", "faces", "uv", "colors", "normals")
@@ -103,7 +104,7 @@ def _add_object(bpy, scene, folder: Path, settings: dict) -> None:
     scene.collection.objects.link(bpy.data.objects.new("object", mesh))
 
 
-def _material(bpy, folder: Path, settings: dict):
+def _material(bpy: Any, folder: Path, settings: dict[str, Any]) -> Any:
     material = bpy.data.materials.new("surface")
     material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links
@@ -125,7 +126,7 @@ def _material(bpy, folder: Path, settings: dict):
     return material
 
 
-def _render(bpy, scene, folder: Path) -> np.ndarray:
+def _render(bpy: Any, scene: Any, folder: Path) -> np.ndarray:
     """(H, W, 4) float32, linear, premultiplied."""
     path = folder / "image.exr"
     scene.render.filepath = str(path)

@@ -104,7 +104,7 @@ class CyclesRenderer:
 
 
 def blender_command() -> list[str]:
-    """Command that runs `blender_scene` where there is Blender; the folder comes last.
+    """Command that runs ``blender_scene`` where there is Blender; the folder comes last.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def blender_command() -> list[str]:
 
 
 def write_scene(scene: Scene, folder: Path) -> None:
-    """Write what `blender_scene` builds its scene from: ``scene.json``, ``mesh.npz``, ``texture.png``."""
+    """Write what ``blender_scene`` builds its scene from: ``scene.json``, ``mesh.npz``, ``texture.png``."""
     mesh = scene.mesh
     uv = np.zeros((0, 2)) if mesh.uv is None else mesh.uv
     normals = np.zeros((0, 3)) if mesh.normals is None else mesh.normals
@@ -149,7 +149,7 @@ def write_scene(scene: Scene, folder: Path) -> None:
         Image.fromarray(mesh.texture).save(folder / "texture.png")
 
 
-def _end(process: subprocess.Popen) -> None:
+def _end(process: subprocess.Popen[str]) -> None:
     assert process.stdin is not None
     assert process.stdout is not None
     with suppress(BrokenPipeError):

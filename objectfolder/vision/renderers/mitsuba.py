@@ -1,6 +1,7 @@
 """Ground-truth views with Mitsuba 3; its scalar variant needs no system library and repeats its bytes."""
 
 import math
+from typing import Any
 
 import drjit
 import mitsuba as mi
@@ -123,7 +124,7 @@ class MitsubaRenderer:
         return image
 
 
-def _base_color(scene: Scene) -> dict:
+def _base_color(scene: Scene) -> dict[str, Any]:
     if scene.base_color == "texture":
         return {
             "type": "bitmap",

@@ -9,7 +9,7 @@ from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.scene import LIGHT_INTENSITY, Scene
 
 GAMMA = 2.2  # that pyrender's shader encodes with
-MAX_SIDE = 4  # samples per side of a pixel
+MAX_SIDE = 4  #: samples per side of a pixel
 NEAR, FAR = 1e-3, 1e3
 
 
@@ -38,7 +38,7 @@ class RasterRenderer:
     ) -> np.ndarray:
         """Render one view; see `objectfolder.vision.renderers.registry.Renderer`.
 
-        Samples lie on a regular grid of at most `MAX_SIDE`^2; the seed is not used.
+        Samples lie on a regular grid, at most `MAX_SIDE` a side; the seed is not used.
         """
         side = min(max(round(samples**0.5), 1), MAX_SIDE)
         height, width = side * intrinsics.height, side * intrinsics.width

@@ -1,0 +1,139 @@
+"""How `make docs` builds the site: these Markdown pages, and a reference from docstrings and `--help`."""
+
+import re
+import sys
+import warnings
+from importlib.metadata import version as installed_version
+from pathlib import Path
+from typing import Any, ClassVar
+
+from docutils import nodes
+from docutils.parsers.rst import directives
+from docutils.statemachine import StringList
+from numpydoc.validate import validate
+from sphinx.addnodes import pending_xref
+from sphinx.application import Sphinx
+from sphinx.environment import BuildEnvironment
+from sphinx.util import logging
+from sphinx.util.docutils import SphinxDirective
+from sphinx.util.nodes import make_refnode
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+log = logging.getLogger(__name__)
+
+project = "objectfolder"
+release = installed_version("objectfolder")
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.viewcode",
+    "numpydoc",
+    "myst_parser",
+    "sphinx_copybutton",
+    "sphinxcontrib.typer",
+]
+
+myst_heading_anchors = 4
+
+# What stands in single backticks in a docstring is a name of ours, and has to exist; so has any type of ours.
+default_role = "py:obj"
+nitpicky = True
+nitpick_ignore_regex = [
+    ("py:(class|data|exc|obj)", r"(?!objectfolder\.)[\w.]+\.\w+"),
+    ("py:class", r"\w+|objectfolder\..*\._\w+"),
+]
+autodoc_default_options = {
+    "members": True,
+    "member-order": "bysource",
+    "exclude-members": "model_config",
+}
+autodoc_mock_imports = ["bpy", "pyrender", "OpenGL"]
+autodoc_typehints_format = "short"
+python_use_unqualified_type_names = True
+maximum_signature_line_length = 90
+numpydoc_show_class_members = False
+# Of what our modules import; it is not shown.
+warnings.filterwarnings("ignore", r"potentially wrong underline length(.|\n)*site-packages", UserWarning)
+viewcode_follow_imported_members = False
+
+html_theme = "furo"
+html_title = f"objectfolder {release}"
+html_copy_source = False
+html_show_copyright = False
+html_theme_options = {"navigation_with_keys": True}
+copybutton_prompt_text = r">>> |\.\.\. |\$ "
+copybutton_prompt_is_regexp = True
+
+
+class PackageDirective(SphinxDirective):
+    """A section for each module of a package, but those named in ``:skip:``; other pages have these."""
+
+    required_arguments = 1
+    option_spec: ClassVar[dict[str, Any]] = {"skip": directives.unchanged}
+
+    def run(self) -> list[nodes.Node]:
+        """Expand into automodule directives."""
+        package = self.arguments[0]
+        skipped = self.options.get("skip", "").split()
+        lines: list[str] = []
+        for module in modules(package):
+            name = module.removeprefix(package).removeprefix(".")
+            if name.partition(".")[0] not in skipped:
+                lines += [name, "-" * len(name), "", f".. automodule:: {module}", ""]
+        self.content = StringList(lines, self.get_source_info()[0])
+        return self.parse_content_to_nodes(allow_section_headings=True)
+
+
+def modules(package: str) -> list[str]:
+    """Dotted names of a package's modules, and of those within, but the command line's and empty ones."""
+    files = sorted(ROOT.joinpath(*package.split(".")).rglob("*.py"))
+    parts = [file.relative_to(ROOT).with_suffix("").parts for file in files if file.stat().st_size]
+    names = [".".join(part for part in path if part != "__init__") for path in parts]
+    return [name for name in names if name != "objectfolder" and not name.startswith("objectfolder.cli")]
+
+
+def resolve_short_name(
+    app: Sphinx, env: BuildEnvironment, node: pending_xref, content: nodes.TextElement
+) -> nodes.Node | None:
+    """Find what a docstring names without its module, where only one thing is named so."""
+    if node.get("reftype") not in ("obj", "exc"):
+        return None
+    domain = env.domains.python_domain
+    found = domain.find_obj(env, "", "", node["reftarget"], None, 1)
+    found = [(name, entry) for name, entry in found if entry.objtype != "module"]
+    if len(found) != 1:
+        return None
+    name, entry = found[0]
+    return make_refnode(app.builder, node["refdoc"], entry.docname, entry.node_id, content, name)
+
+
+def keep_signature(
+    app: Sphinx, what: str, name: str, obj: Any, options: Any, args: str | None, result: str | None
+) -> tuple[str | None, str | None]:
+    """Answer before numpydoc, which gives signatures to what has none, and fails; make defaults readable."""
+    return args and args.replace("<factory>", "..."), result
+
+
+def prepare_docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+    """Link pages that are named; warn of parameters that do not exist, and of unknown sections."""
+    lines[:] = [re.sub(r"\bdocs/(\w+)\.md\b", r":doc:`/\1`", line) for line in lines]
+    if (getattr(obj, "__module__", None) or "").startswith("objectfolder."):
+        for code, problem in validate(name)["errors"]:
+            if code in ("PR02", "GL06", "GL07"):
+                log.warning("docstring of %s: %s", name, problem)
+
+
+def check_complete(app: Sphinx, env: BuildEnvironment) -> None:
+    """Warn of modules that are on no page."""
+    for name in sorted(set(modules("objectfolder")) - set(env.domains.python_domain.modules)):
+        log.warning("module %s is on no page of docs/reference", name)
+
+
+def setup(app: Sphinx) -> None:
+    """Extend Sphinx."""
+    app.add_directive("package", PackageDirective)
+    app.connect("autodoc-process-signature", keep_signature, priority=1)
+    app.connect("autodoc-process-docstring", prepare_docstring, priority=1)
+    app.connect("missing-reference", resolve_short_name)
+    app.connect("env-check-consistency", check_complete)

@@ -1,0 +1,132 @@
+"""Commands that write query files: sample."""
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from objectfolder.cli.console import console
+from objectfolder.cli.objectfile import FileArgument
+from objectfolder.errors import ObjectFolderError
+
+sample_app = typer.Typer(
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+    help="Write random, valid query files: `vision`, `audio` or `touch`; `query` answers them.",
+)
+
+OutArgument = Annotated[Path, typer.Argument(metavar="OUT.npy", help="The file to write.")]
+CountOption = Annotated[int, typer.Option("-n", "--count", min=1, help="Queries, one per row.")]
+SeedOption = Annotated[int, typer.Option(min=0, help="The same seed gives the same file.")]
+
+
+@sample_app.command()
+def vision(
+    out: OutArgument,
+    count: CountOption = 20,
+    seed: SeedOption = 0,
+    radius: Annotated[float, typer.Option(help="Of the sphere that cameras are on.")] = 2.5,
+    light_radius: Annotated[float, typer.Option(help="Of the sphere that lights are on.")] = 1.0,
+) -> None:
+    """Write views, (N, 6): camera xyz, light xyz, each uniform on a sphere around the object.
+
+    Unit frame: the object's longest side is 1. It takes no object, as all are looked at alike. Then:
+
+    `objectfolder query vision FILE OUT.npy IMAGES/`
+    """
+    from objectfolder.queryfiles import sample_views
+
+    _write({out: sample_views(count, seed, radius, light_radius)})
+
+
+@sample_app.command()
+def audio(
+    file: FileArgument,
+    out: OutArgument,
+    count: CountOption = 20,
+    seed: SeedOption = 0,
+    force: Annotated[float, typer.Option(help="Length of every impulse, N s.")] = 1.0,
+    directions: Annotated[
+        str,
+        typer.Option(
+            help="normal: along the inward surface normal, as a hammer strikes; random: anywhere inward."
+        ),
+    ] = "normal",
+    forces: Annotated[
+        Path | None,
+        typer.Option(metavar="FORCES.npy", help="Write impulses (N, 3) here, and only points to OUT.npy."),
+    ] = None,
+) -> None:
+    """Write strikes, (N, 6): points on the surface (metres), uniform by area, and impulses (N s).
+
+    With `--forces`, two files of (N, 3), as the published dataset has them. Then:
+
+    `objectfolder query audio FILE OUT.npy SOUNDS/ [--forces FORCES.npy]`
+    """
+    from objectfolder.objectfile import ObjectFile
+    from objectfolder.queryfiles import sample_strikes
+
+    _check_names(out, forces)
+    rows = sample_strikes(ObjectFile.load(file), count, seed, force, directions)
+    _write({out: rows} if forces is None else {out: rows[:, :3], forces: rows[:, 3:]})
+
+
+@sample_app.command()
+def touch(
+    file: FileArgument,
+    out: OutArgument,
+    count: CountOption = 20,
+    seed: SeedOption = 0,
+    gelinfo: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="GELINFO.npy",
+            help="Also write (N, 3): tilt theta up to 15 degrees, its direction phi (both in radians), depth "
+            "in the sensor's range (metres).",
+        ),
+    ] = None,
+    sensor: Annotated[
+        str | None,
+        typer.Option(help="Whose depths: a name (`sensor list`) or a .yaml file; default: the stored."),
+    ] = None,
+) -> None:
+    """Write contacts, (N, 3): points on the surface (metres), uniform by area.
+
+    With `--gelinfo`, how the sensor leans and how far it is pressed besides. Then:
+
+    `objectfolder query touch FILE OUT.npy IMAGES/ [--gelinfo GELINFO.npy]`
+    """
+    from objectfolder.objectfile import ObjectFile
+    from objectfolder.queryfiles import sample_presses
+    from objectfolder.touch.profiles import load_profile
+
+    _check_names(out, gelinfo)
+    if sensor is not None and gelinfo is None:
+        raise ObjectFolderError("--sensor chooses the depths of --gelinfo, which is not given")
+    obj = ObjectFile.load(file)
+    arrays = {out: obj.sample_surface(count, seed)}
+    if gelinfo is not None:
+        profile = None if sensor is None else load_profile(sensor)
+        arrays[gelinfo] = sample_presses(obj, count, seed, profile)
+    _write(arrays)
+
+
+def _check_names(*paths: Path | None) -> None:
+    """Refuse what would be written over something else, before any work."""
+    given = [path for path in paths if path is not None]
+    for path in given:
+        if path.suffix != ".npy":
+            raise ObjectFolderError(f"cannot write queries to {path}: expected the name of a .npy file")
+    if len(set(given)) < len(given):
+        raise ObjectFolderError(f"{given[0]} is given twice: expected two files")
+
+
+def _write(arrays: dict[Path, np.ndarray]) -> None:
+    from objectfolder.artifacts import write_npy
+
+    _check_names(*arrays)
+    for path, array in arrays.items():
+        write_npy(path, array)
+    shapes = " and ".join(f"{path} {array.shape}" for path, array in arrays.items())
+    console.print(f"wrote {shapes}", highlight=False, soft_wrap=True, markup=False)
