@@ -6,9 +6,10 @@ either absent or complete; every reader checks what it needs and names the file 
 
 import hashlib
 import json
+import math
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,8 @@ from objectfolder.errors import ObjectFolderError
 
 SPLITS = ("train", "val", "test")
 MODALITIES = ("vision", "audio", "touch")
+MAX_BYTES = 2**30  #: of a safetensors file; a thousand times what an Object File takes
+MAX_HEADER = 2**20  #: characters of its JSON header
 
 
 class Build:
@@ -232,24 +235,73 @@ def read_npz(path: str | Path, *required: str) -> dict[str, np.ndarray]:
     return arrays
 
 
-def read_safetensors(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Read tensors and JSON header written by `write_safetensors`.
+class StoredTensors(Mapping[str, np.ndarray]):
+    """Tensors of a safetensors file, each read from the mapped file when it is asked for.
 
     Raises
     ------
     ObjectFolderError
-        If the file is missing, damaged, or not one of ours.
+        On reading, if a tensor is of a type that numpy lacks.
+    """
+
+    def __init__(self, path: Path, stream: Any):
+        self._path, self._stream = path, stream
+        self._names = tuple(sorted(stream.keys()))
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        if name not in self._names:
+            raise KeyError(name)
+        try:
+            return self._stream.get_tensor(name)
+        except Exception as error:
+            raise ObjectFolderError(f"{self._path}: tensor {name} cannot be read: {error}") from error
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def size(self, name: str) -> int:
+        """Count the numbers of a tensor without reading them."""
+        return math.prod(self._stream.get_slice(name).get_shape())
+
+
+def open_safetensors(path: str | Path) -> tuple[StoredTensors, Any]:
+    """Open a file that `write_safetensors` wrote: its tensors, unread, and its JSON header.
+
+    Nothing in the file is executed. Its sizes are checked against each other before any memory is taken.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the file is missing, damaged, too large, or not one of ours.
     """
     from safetensors import safe_open
 
     path = _existing(path)
+    size = path.stat().st_size
+    if size > MAX_BYTES:
+        raise ObjectFolderError(f"{path} has {size:,} bytes, expected at most {MAX_BYTES:,}")
     try:
-        with safe_open(str(path), framework="numpy") as stream:
-            tensors = {name: stream.get_tensor(name) for name in stream.keys()}  # noqa: SIM118
-            header = (stream.metadata() or {}).get("objectfolder")
-        return tensors, json.loads(header) if header is not None else {}
+        stream = safe_open(str(path), framework="numpy")
+        header = (stream.metadata() or {}).get("objectfolder")
+        if header is not None and len(header) > MAX_HEADER:
+            raise ValueError(f"its header has {len(header):,} characters, expected at most {MAX_HEADER:,}")
+        values = json.loads(header, parse_constant=_no_number) if header is not None else {}
+        return StoredTensors(path, stream), values
     except Exception as error:
         raise ObjectFolderError(f"{path} is not a readable safetensors file: {error}") from error
+
+
+def read_safetensors(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Read all tensors and the JSON header; otherwise as `open_safetensors`."""
+    tensors, header = open_safetensors(path)
+    return dict(tensors), header
+
+
+def _no_number(name: str) -> None:
+    raise ValueError(f"its header holds {name}, which is not JSON")
 
 
 def _existing(path: str | Path) -> Path:

@@ -3,24 +3,23 @@
 The format is described in docs/objectfile.md. Reading it needs no mesh, no pickle and no network.
 """
 
-import dataclasses
 import logging
-import lzma
-import math
-from collections.abc import Iterator
-from contextlib import contextmanager
-from functools import cached_property, partial
+from collections.abc import Iterator, Mapping
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
+import torch
 
 from objectfolder import materials, query
-from objectfolder.artifacts import read_safetensors, write_safetensors
+from objectfolder.arguments import Rows, Scalars, alike, rows
+from objectfolder.artifacts import open_safetensors, write_safetensors
+from objectfolder.audio.bank import Bank
 from objectfolder.audio.tuning import Tuning, retune, stored_modes
 from objectfolder.errors import ObjectFolderError
+from objectfolder.fileformat import checked_header
 from objectfolder.materials import Material
-from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.nets.audio_gains import GainsNet
@@ -28,34 +27,37 @@ from objectfolder.nets.audio_spectrogram import SpectrogramNet
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.touch_image import ImageTouch
 from objectfolder.nets.vision_osf import OsfNet
-from objectfolder.nets.vision_surface import SurfaceNet
+from objectfolder.parts import Parts
 from objectfolder.touch.profiles import SensorProfile, load_profile
 from objectfolder.touch.simulate import Touches
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.picture import Drawer, Views
-from objectfolder.vision.view import Shader, draw
+from objectfolder.vision.view import draw
 
-SCHEMA = 2
-MAX_RESOLUTION = 512  #: of the stored distance grid
-MODALITIES = ("vision", "audio", "touch")
-_VISION: dict[str, type[SurfaceNet] | type[OsfNet]] = {"surface": SurfaceNet, "osf": OsfNet}
-_AUDIO: dict[str, type[GainsNet] | type[SpectrogramNet]] = {"gains": GainsNet, "spectrogram": SpectrogramNet}
-_KINDS = {"vision": tuple(_VISION), "audio": tuple(_AUDIO), "touch": ("geometric", "image")}
+if TYPE_CHECKING:
+    import trimesh
+
+_BANKS = 4  # kinds of sound whose responses are kept
 log = logging.getLogger(__name__)
-_REQUIRED = ("schema", "key", "material", "scale", "geometry", "vision", "audio", "touch")
 
 
 class ObjectFile:
     """One object. Points of contacts and strikes are in the object frame (metres), cameras and lights in
     the unit frame (the object's longest side is 1); docs/conventions.md draws both.
 
+    Queries take numpy arrays, lists, or torch tensors of any real type. Where the first argument is a tensor,
+    so is the answer of `view`, `impact` and `touch`, on its device; no gradients flow. The answer to a row
+    depends on that row only. Several threads may ask one object.
+
     Parameters
     ----------
     header : dict
-    tensors : dict of arrays
+    tensors : mapping of arrays
         Named ``geometry.*``, ``vision.*``, ``audio.*``, ``touch.*``.
     path : path, optional
         Named in errors.
+    device : str or torch.device, optional
+        Where nets are evaluated. Rays are cast on the CPU.
 
     Raises
     ------
@@ -64,39 +66,35 @@ class ObjectFile:
     """
 
     def __init__(
-        self, header: dict[str, Any], tensors: dict[str, np.ndarray], path: str | Path = "Object File"
+        self,
+        header: dict[str, Any],
+        tensors: Mapping[str, np.ndarray],
+        path: str | Path = "Object File",
+        device: str | torch.device = "cpu",
     ):
-        missing = [name for name in _REQUIRED if name not in header]
-        if missing:
-            raise ObjectFolderError(f"{path} is not an Object File: its header lacks {', '.join(missing)}")
-        if header["schema"] != SCHEMA:
-            older = header["schema"] in range(SCHEMA)
-            raise ObjectFolderError(
-                f"{path} has schema {header['schema']}, this version reads {SCHEMA}; "
-                + ("rebuild it with `objectfolder build`" if older else "update objectfolder")
-            )
-        for modality, kinds in _KINDS.items():
-            found = header[modality].get("kind") if isinstance(header[modality], dict) else None
-            if found not in kinds:
-                expected = " or ".join(map(repr, kinds))
-                raise ObjectFolderError(f"{path}: {modality} net of kind {found!r}, expected {expected}")
-        scale = header["scale"]
-        if isinstance(scale, bool) or not isinstance(scale, int | float) or not 0 < scale < math.inf:
-            raise ObjectFolderError(f"{path}: scale is {scale!r}, expected the object's size in metres")
-        self.header = header
+        self.header = checked_header(header, path)
         self.tensors = tensors
+        self.device = torch.device(device)
+        self._parts = Parts(self.header, tensors, self.device)
+        self._bank = lru_cache(_BANKS)(self._new_bank)
 
     @classmethod
-    def load(cls, path: str | Path) -> "ObjectFile":
-        """Read an Object File.
+    def load(cls, path: str | Path, device: str | torch.device = "cpu") -> "ObjectFile":
+        """Open an Object File: its header is checked, and what a question needs is read when it is asked.
+
+        Parameters
+        ----------
+        path : path
+        device : str or torch.device, optional
+            Where nets are evaluated, such as "cuda".
 
         Raises
         ------
         ObjectFolderError
             If the file is missing, damaged, or not an Object File.
         """
-        tensors, header = read_safetensors(path)
-        return cls(header, tensors, path)
+        tensors, header = open_safetensors(path)
+        return cls(header, tensors, path, device)
 
     def check(self) -> None:
         """Read everything that the file holds, as queries do when they first need it.
@@ -106,12 +104,11 @@ class ObjectFile:
         ObjectFolderError
             If a part is damaged.
         """
-        for part in ("surface", "_vision", "_audio", "_touch"):
-            getattr(self, part)
+        self._parts.check()
 
     def save(self, path: str | Path) -> None:
         """Write the Object File; the same object gives the same bytes."""
-        write_safetensors(path, self.tensors, self.header)
+        write_safetensors(path, dict(self.tensors), self.header)
 
     @property
     def key(self) -> str:
@@ -129,15 +126,25 @@ class ObjectFile:
         return float(self.header["scale"])
 
     @property
+    def bounds(self) -> np.ndarray:
+        """Lowest and highest coordinates of the surface; (2, 3), object frame, metres."""
+        return self.surface.bounds * self.scale
+
+    @property
+    def surface(self) -> Isosurface:
+        """The stored surface, unit frame; extracted at first use."""
+        return self._parts.surface
+
+    @property
     def sensor(self) -> str:
         """Name of the stored tactile sensor."""
-        stored = self.header["touch"]["net"]["sensor"]
+        stored = self._parts.described("touch")["net"]["sensor"]
         return stored if isinstance(stored, str) else stored["name"]
 
     @property
     def frequencies(self) -> np.ndarray:
         """Frequencies of the modes, Hz; (M,)."""
-        return self._audio.damped_frequency.numpy() / (2 * np.pi)
+        return self._parts.audio.damped_frequency.cpu().numpy() / (2 * np.pi)
 
     def tuning(self, material: str | Material | None = None, scale: float | None = None) -> Tuning:
         """Return the modes of this shape in another material or size; see `objectfolder.audio.tuning.retune`.
@@ -151,59 +158,122 @@ class ObjectFile:
         """
         net = self._gains
         if material is None and scale is None:
-            return stored_modes(net.damped_frequency, net.damping)
+            return stored_modes(net.damped_frequency.cpu(), net.damping.cpu())
         if material is not None and not isinstance(material, Material):
             material = materials.material(material)
-        with self._checked("description of the sound"):
+        with self._parts.checked("description of the sound"):
             low, high = self.header["audio"]["band_hz"]
             own = Material(self.material, **self.header["material_properties"])
         return retune(
-            net.damped_frequency,
-            net.damping,
+            net.damped_frequency.cpu(),
+            net.damping.cpu(),
             (float(low), float(high)),
             (own, self.scale),
             (own if material is None else material, self.scale if scale is None else scale),
         )
 
+    @overload
     def view(
         self,
-        camera: np.ndarray,
-        light: np.ndarray,
+        camera: torch.Tensor,
+        light: Rows,
+        resolution: int = ...,
+        intrinsics: Intrinsics | None = ...,
+        supersample: bool = ...,
+    ) -> torch.Tensor: ...
+
+    @overload
+    def view(
+        self,
+        camera: np.ndarray | list,
+        light: Rows,
+        resolution: int = ...,
+        intrinsics: Intrinsics | None = ...,
+        supersample: bool = ...,
+    ) -> np.ndarray: ...
+
+    def view(
+        self,
+        camera: Rows,
+        light: Rows,
         resolution: int = 256,
         intrinsics: Intrinsics | None = None,
         supersample: bool = True,
-    ) -> np.ndarray:
+    ) -> np.ndarray | torch.Tensor:
         """Render the object on white; see `objectfolder.query.view`.
 
         Parameters
         ----------
+        camera : (N, 3) or (N, 4, 4) array
+            Positions, unit frame, that look at the object with z up, or camera-to-world matrices.
+        light : (N, 3) array
+            Point lights, unit frame.
         resolution : int
             Of a square picture with the default field of view.
         intrinsics : Intrinsics, optional
             Any other camera.
         supersample : bool
-            Without, every pixel is the ray through its centre: faster, and jagged at edges. A net of kind
-            ``osf`` knows no other.
+            Without, every pixel is the ray through its centre: faster, and jagged at edges. Only a net of
+            kind ``surface`` knows the difference.
+
+        Returns
+        -------
+        (N, H, W, 3) float32, sRGB in [0, 1]
         """
         draw = self._drawer(supersample)
-        return query.view(draw, camera, light, intrinsics or Intrinsics.square(resolution))
+        images = query.view(draw, camera, light, intrinsics or Intrinsics.square(resolution))
+        return alike(images, camera)
 
     def render(
         self,
-        camera: np.ndarray,
-        light: np.ndarray,
+        camera: Rows,
+        light: Rows,
         resolution: int = 256,
         intrinsics: Intrinsics | None = None,
         supersample: bool = True,
     ) -> Views:
-        """Render all that is known of each pixel: colour, alpha, depth, normal; otherwise as `view`."""
+        """Render all that is known of each pixel: colour, alpha, depth, normal; otherwise as `view`.
+
+        Returns
+        -------
+        Views
+            Of numpy arrays.
+        """
         draw = self._drawer(supersample)
         return query.render(draw, self.scale, camera, light, intrinsics or Intrinsics.square(resolution))
 
+    @overload
     def impact(
         self,
-        points: np.ndarray,
-        forces: np.ndarray,
+        points: torch.Tensor,
+        forces: Rows,
+        sample_rate: float = ...,
+        duration: float = ...,
+        response: str = ...,
+        tolerance: float = ...,
+        contact_time: float = ...,
+        material: str | Material | None = ...,
+        scale: float | None = ...,
+    ) -> torch.Tensor: ...
+
+    @overload
+    def impact(
+        self,
+        points: np.ndarray | list,
+        forces: Rows,
+        sample_rate: float = ...,
+        duration: float = ...,
+        response: str = ...,
+        tolerance: float = ...,
+        contact_time: float = ...,
+        material: str | Material | None = ...,
+        scale: float | None = ...,
+    ) -> np.ndarray: ...
+
+    def impact(
+        self,
+        points: Rows,
+        forces: Rows,
         sample_rate: float = 16000,
         duration: float = 2.0,
         response: str = "displacement",
@@ -211,28 +281,52 @@ class ObjectFile:
         contact_time: float = 0.0,
         material: str | Material | None = None,
         scale: float | None = None,
-    ) -> np.ndarray:
-        """Strike the object, or one of its shape; see `objectfolder.query.impact`.
+    ) -> np.ndarray | torch.Tensor:
+        """Strike the object, or one of its shape, with impulses; see docs/sound.md.
 
         Parameters
         ----------
+        points : (N, 3) array
+            Object frame, metres; snapped to the surface.
+        forces : (N, 3) array
+            Impulse vectors, N s, object frame; the sound is linear in them.
+        sample_rate : float
+            Hz. Modes at or above half of it are left out.
+        duration : float
+            Seconds.
+        response : {"displacement", "velocity", "acceleration"}
+            Of the modes, summed: m kg^1/2 and its time derivatives.
+        tolerance : float
+            Refuse points further from the surface, fraction of the size.
+        contact_time : float
+            Duration of the strike, seconds: half a sine of force whose integral is the impulse. 0 is an
+            instant.
         material : str or Material, optional
             What the struck object is made of. Another Poisson ratio makes the answer approximate: a warning
             says how far off it may be.
         scale : float, optional
             Longest side of the struck object, metres, in which ``points`` are given as well. A warning says
             where modes are lacking.
+
+        Returns
+        -------
+        (N, samples) float32, absolute amplitude
+
+        Raises
+        ------
+        ObjectFolderError
+            If shapes do not fit, values are not finite or too large, or a point is off the surface.
         """
         size = self.scale if scale is None else scale
-        if isinstance(self._audio, SpectrogramNet):
+        if isinstance(self._parts.audio, SpectrogramNet):
             if material is not None or scale is not None or contact_time:
                 raise ObjectFolderError(
                     f"{self.key}: its audio net stores spectrograms; material, scale and contact_time need "
                     "modes, which train_audio.net: gains stores"
                 )
-            return query.impact_spectrogram(
-                self.surface,
-                self._audio,
+            heard = query.impact_spectrogram(
+                self._parts.solid,
+                self._parts.audio,
                 size,
                 points,
                 forces,
@@ -241,41 +335,65 @@ class ObjectFile:
                 response,
                 tolerance,
             )
-        tuning = self.tuning(material, scale)
+            return alike(heard, points)
+        tuning, bank = self._bank(sample_rate, duration, response, contact_time, material, scale)
         for note in tuning.notes:
             log.warning("%s: %s", self.key, note)
-        return query.impact(
-            self.surface,
-            self._gains,
-            size,
-            points,
-            forces,
-            sample_rate,
-            duration,
-            response,
-            tolerance,
-            contact_time,
-            tuning,
-        )
+        heard = query.impact(self._parts.solid, self._gains, size, points, forces, tuning, bank, tolerance)
+        return alike(heard, points)
 
-    def mode_shapes(self, points: np.ndarray, tolerance: float = query.TOLERANCE) -> np.ndarray:
+    def mode_shapes(self, points: Rows, tolerance: float = query.TOLERANCE) -> np.ndarray:
         """Gains of unit impulses along x, y and z; see `objectfolder.query.mode_shapes`."""
-        return query.mode_shapes(self.surface, self._gains, self.scale, points, tolerance).numpy()
+        return query.mode_shapes(self._parts.solid, self._gains, self.scale, points, tolerance).cpu().numpy()
+
+    @overload
+    def touch(
+        self,
+        points: torch.Tensor,
+        depth: Scalars = ...,
+        angle: Scalars = ...,
+        tilt: Scalars = ...,
+        azimuth: Scalars = ...,
+        tolerance: float = ...,
+        sensor: str | Path | SensorProfile | None = ...,
+    ) -> torch.Tensor: ...
+
+    @overload
+    def touch(
+        self,
+        points: np.ndarray | list,
+        depth: Scalars = ...,
+        angle: Scalars = ...,
+        tilt: Scalars = ...,
+        azimuth: Scalars = ...,
+        tolerance: float = ...,
+        sensor: str | Path | SensorProfile | None = ...,
+    ) -> np.ndarray: ...
 
     def touch(
         self,
-        points: np.ndarray,
-        depth: np.ndarray | float = 0.001,
-        angle: np.ndarray | float = 0.0,
-        tilt: np.ndarray | float = 0.0,
-        azimuth: np.ndarray | float = 0.0,
+        points: Rows,
+        depth: Scalars = 0.001,
+        angle: Scalars = 0.0,
+        tilt: Scalars = 0.0,
+        azimuth: Scalars = 0.0,
         tolerance: float = query.TOLERANCE,
         sensor: str | Path | SensorProfile | None = None,
-    ) -> np.ndarray:
+    ) -> np.ndarray | torch.Tensor:
         """Press a tactile sensor on the object; see `objectfolder.query.touch`.
 
         Parameters
         ----------
+        points : (N, 3) array
+            Contact points, object frame, metres.
+        depth : float or (N,) array
+            How far the gel's apex is pressed past the surface, metres.
+        angle : float or (N,) array
+            Rotation of the sensor about the outward contact normal, radians.
+        tilt, azimuth : float or (N,) array
+            Lean of the sensor from the contact normal, and its direction, radians.
+        tolerance : float
+            Refuse points further from the surface, fraction of the size.
         sensor : str, Path or SensorProfile, optional
             Name of a profile that comes with the package, a ``.yaml`` file, or a profile. Default: the stored
             one.
@@ -284,20 +402,30 @@ class ObjectFile:
         -------
         (N, H, W, 3) uint8, RGB
         """
-        if isinstance(self._touch, ImageTouch) and sensor is None:
-            return query.touch_image(
-                self.surface, self._touch, self.scale, points, depth, angle, tilt, azimuth, tolerance
+        if isinstance(self._parts.touch, ImageTouch) and sensor is None:
+            images = query.touch_image(
+                self._parts.solid,
+                self._parts.touch,
+                self.scale,
+                points,
+                depth,
+                angle,
+                tilt,
+                azimuth,
+                tolerance,
             )
-        found = self.touches(points, depth, angle, tilt, azimuth, tolerance, sensor)
-        return np.concatenate([part.images for part in found])
+        else:
+            found = self.touches(points, depth, angle, tilt, azimuth, tolerance, sensor)
+            images = np.concatenate([part.images for part in found])
+        return alike(images, points)
 
     def press(
         self,
-        points: np.ndarray,
-        depth: np.ndarray | float = 0.001,
-        angle: np.ndarray | float = 0.0,
-        tilt: np.ndarray | float = 0.0,
-        azimuth: np.ndarray | float = 0.0,
+        points: Rows,
+        depth: Scalars = 0.001,
+        angle: Scalars = 0.0,
+        tilt: Scalars = 0.0,
+        azimuth: Scalars = 0.0,
         tolerance: float = query.TOLERANCE,
         sensor: str | Path | SensorProfile | None = None,
     ) -> Touches:
@@ -308,11 +436,11 @@ class ObjectFile:
 
     def touches(
         self,
-        points: np.ndarray,
-        depth: np.ndarray | float = 0.001,
-        angle: np.ndarray | float = 0.0,
-        tilt: np.ndarray | float = 0.0,
-        azimuth: np.ndarray | float = 0.0,
+        points: Rows,
+        depth: Scalars = 0.001,
+        angle: Scalars = 0.0,
+        tilt: Scalars = 0.0,
+        azimuth: Scalars = 0.0,
         tolerance: float = query.TOLERANCE,
         sensor: str | Path | SensorProfile | None = None,
     ) -> Iterator[Touches]:
@@ -327,128 +455,64 @@ class ObjectFile:
         rng = np.random.default_rng(seed)
         return sample_surface(self.surface.vertices, self.surface.faces, count, rng) * self.scale
 
-    @cached_property
-    def surface(self) -> Isosurface:
-        """The stored surface, unit frame; extracted at first use."""
-        packed = self._tensor("geometry.sdf_lzma").tobytes()
-        with self._checked("distance grid"):
-            config = self.header["geometry"]
-            resolution = int(config["resolution"])
-            # The limits stop a hostile file from filling the memory.
-            if not 2 <= resolution <= MAX_RESOLUTION:
-                raise ValueError(f"resolution {resolution}")
-            raw = lzma.LZMADecompressor(memlimit=2**30).decompress(packed, resolution**3)
-            values = np.frombuffer(raw, np.int8).reshape((resolution,) * 3)
-            return Isosurface(DistanceGrid(values, config["band"]))
+    def nearest(self, points: Rows) -> tuple[np.ndarray, np.ndarray]:
+        """Points of the surface that are nearest to given ones.
 
-    @cached_property
-    def _vision(self) -> SurfaceNet | OsfNet:
-        vision = self.header["vision"]
-        with self._checked("vision net"):
-            return _VISION[vision["kind"]].from_tensors(self._group("vision"), vision["net"])
+        Parameters
+        ----------
+        points : (N, 3) array
+            Object frame, metres.
 
-    @cached_property
-    def _shader(self) -> Shader:
-        with self._checked("vision net"):
-            return cast("SurfaceNet", self._vision).shader(self.surface)
+        Returns
+        -------
+        nearest : (N, 3) float64, object frame, metres
+        distance : (N,) float64, metres
+        """
+        places = rows("points", points, 3)
+        if not len(places):
+            return places, np.zeros(0)
+        nearest, distance = self.surface.nearest(places / self.scale)
+        return nearest * self.scale, distance * self.scale
+
+    def to_mesh(self) -> "trimesh.Trimesh":
+        """Return the stored surface as triangles, object frame, metres, with its normals."""
+        import trimesh
+
+        surface = self.surface
+        return trimesh.Trimesh(
+            surface.vertices * self.scale, surface.faces, vertex_normals=surface.normals, process=False
+        )
 
     def _drawer(self, supersample: bool) -> Drawer:
-        if isinstance(self._vision, OsfNet):
-            return self._vision.picture
-        return partial(draw, self.surface, self._shader, supersample=supersample)
-
-    @cached_property
-    def _audio(self) -> GainsNet | SpectrogramNet:
-        audio = self.header["audio"]
-        with self._checked("audio net"):
-            return _AUDIO[audio["kind"]].from_tensors(self._group("audio"), audio["net"])
+        if isinstance(self._parts.vision, OsfNet):
+            return self._parts.vision.picture
+        return partial(draw, self.surface, self._parts.shader, supersample=supersample)
 
     @property
     def _gains(self) -> GainsNet:
-        if not isinstance(self._audio, GainsNet):
+        if not isinstance(self._parts.audio, GainsNet):
             raise ObjectFolderError(
                 f"{self.key}: its audio net stores spectrograms, no modes; train_audio.net: gains stores them"
             )
-        return self._audio
+        return self._parts.audio
 
-    @cached_property
-    def _touch(self) -> GeometricTouch | ImageTouch:
-        tensors = self._group("touch")
-        tensors.pop("mean_image", None)  # for the evaluation
-        touch, surface = self.header["touch"], self.surface
-        with self._checked("touch net"):
-            if touch["kind"] == "image":
-                return ImageTouch.from_tensors(tensors, touch["net"])
-            return GeometricTouch.from_tensors(surface, self.scale, tensors, touch["net"])
+    def _new_bank(
+        self,
+        sample_rate: float,
+        duration: float,
+        response: str,
+        contact_time: float,
+        material: str | Material | None,
+        scale: float | None,
+    ) -> tuple[Tuning, Bank]:
+        tuning = self.tuning(material, scale)
+        return tuning, Bank(tuning, sample_rate, duration, response, contact_time, self.device)
 
     @property
     def _geometric(self) -> GeometricTouch:
-        if not isinstance(self._touch, GeometricTouch):
+        if not isinstance(self._parts.touch, GeometricTouch):
             raise ObjectFolderError(
                 f"{self.key}: its touch net stores images of one sensor, no shapes or forces; "
                 "train_touch.net: geometric answers with them, and for other sensors"
             )
-        return self._touch
-
-    @contextmanager
-    def _checked(self, what: str) -> Iterator[None]:
-        """Name the object and the part that its header or tensors do not describe."""
-        try:
-            yield
-        except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError, lzma.LZMAError) as error:
-            raise ObjectFolderError(
-                f"{self.key}: the stored {what} is damaged ({error}); rebuild it"
-            ) from error
-
-    def _group(self, prefix: str) -> dict[str, np.ndarray]:
-        start = prefix + "."
-        return {name[len(start) :]: value for name, value in self.tensors.items() if name.startswith(start)}
-
-    def _tensor(self, name: str) -> np.ndarray:
-        if name not in self.tensors:
-            raise ObjectFolderError(f"{self.key}: the Object File lacks tensor {name}")
-        return self.tensors[name]
-
-
-def pack(
-    key: str,
-    material: str,
-    normalize: dict[str, Any],
-    sdf: dict[str, np.ndarray],
-    nets: dict[str, tuple[dict[str, np.ndarray], dict[str, Any]]],
-    provenance: dict[str, str],
-) -> ObjectFile:
-    """Join geometry and the three nets.
-
-    Parameters
-    ----------
-    key, material : str
-    normalize : dict
-        ``normalize.json``: scale and the transform to the source mesh.
-    sdf : dict
-        ``values`` int8 and ``band``.
-    nets : dict
-        Per modality its tensors and header, as the training stages wrote them.
-    provenance : dict
-        SHA-256 of each input, by name.
-    """
-    properties = dataclasses.asdict(materials.material(material))
-    del properties["name"]
-    # xz's default; a preset of 9 saves under 1 %.
-    packed = lzma.compress(sdf["values"].tobytes(), preset=6)
-    tensors = {"geometry.sdf_lzma": np.frombuffer(packed, np.uint8)}
-    header: dict[str, Any] = {
-        "schema": SCHEMA,
-        "key": key,
-        "material": material,
-        "material_properties": properties,
-        "scale": normalize["scale_m"],
-        "source": {name: normalize[name] for name in ("source_centre", "source_size", "source_up")},
-        "geometry": {"resolution": len(sdf["values"]), "band": float(sdf["band"])},
-        "provenance": provenance,
-    }
-    for modality in MODALITIES:
-        net_tensors, net_header = nets[modality]
-        tensors.update({f"{modality}.{name}": value for name, value in net_tensors.items()})
-        header[modality] = net_header
-    return ObjectFile(header, tensors, key)
+        return self._parts.touch

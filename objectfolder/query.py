@@ -10,9 +10,11 @@ from dataclasses import fields
 import numpy as np
 import torch
 
+from objectfolder.arguments import Rows, Scalars, numbers, paired, rows, scalars
+from objectfolder.audio.bank import Bank
 from objectfolder.audio.spectrogram import DURATION, SAMPLE_RATE, sounds_of
-from objectfolder.audio.synthesis import audible, gains, sinusoid_bank
-from objectfolder.audio.tuning import Tuning, stored_modes
+from objectfolder.audio.synthesis import gains
+from objectfolder.audio.tuning import Tuning
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.audio_gains import GainsNet
@@ -27,12 +29,12 @@ from objectfolder.vision.picture import Drawer, Views
 
 TOLERANCE = 0.02  #: points further than this from the surface (fraction of the size) are refused
 UNMOVED = 0.25  #: voxels; contact points nearer to the stored surface stay where they are
-_BLOCK = 16  # sounds mixed at once, always: a row's bits must not depend on its batch
+_BATCH = 1024  # strikes whose mode shapes are in the memory at once
 
 log = logging.getLogger(__name__)
 
 
-def view(draw: Drawer, camera: np.ndarray, light: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
+def view(draw: Drawer, camera: Rows, light: Rows, intrinsics: Intrinsics) -> np.ndarray:
     """Render the object on white.
 
     Parameters
@@ -62,9 +64,7 @@ def view(draw: Drawer, camera: np.ndarray, light: np.ndarray, intrinsics: Intrin
     return images
 
 
-def render(
-    draw: Drawer, scale: float, camera: np.ndarray, light: np.ndarray, intrinsics: Intrinsics
-) -> Views:
+def render(draw: Drawer, scale: float, camera: Rows, light: Rows, intrinsics: Intrinsics) -> Views:
     """Render colour, alpha, depth and normals; otherwise as `view`, whose images are ``rgb`` of these.
 
     Where an edge crosses a pixel, its colour is a mean of samples. Its depth and normal are of one point: the
@@ -86,55 +86,48 @@ def render(
     return views
 
 
-def _poses_and_lights(camera: np.ndarray, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _poses_and_lights(camera: Rows, light: Rows) -> tuple[np.ndarray, np.ndarray]:
     """Camera-to-world matrices (N, 4, 4) and lights (N, 3) of a query."""
-    camera = np.asarray(camera, np.float64)
-    if camera.ndim in (2, 3) and camera.shape[-2:] == (4, 4):
-        poses = camera.reshape(-1, 4, 4)
-    elif camera.ndim in (1, 2) and camera.shape[-1] == 3:
-        poses = look_at(camera)
+    places = numbers("camera", camera)
+    if places.ndim in (2, 3) and places.shape[-2:] == (4, 4):
+        poses = places.reshape(-1, 4, 4)
+    elif places.ndim in (1, 2) and places.shape[-1] == 3:
+        poses = look_at(places)
     else:
-        raise ObjectFolderError(f"camera has shape {camera.shape}, expected (N, 3) or (N, 4, 4)")
-    lights = _rows("light", light, 3)
-    poses, lights = _paired("camera", poses, "light", lights)
+        raise ObjectFolderError(f"camera has shape {places.shape}, expected (N, 3) or (N, 4, 4)")
+    lights = rows("light", light, 3)
+    poses, lights = paired("camera", poses, "light", lights)
     if not np.isfinite(poses).all():
         raise ObjectFolderError("camera holds values that are not finite")
     return poses, lights
 
 
 def impact(
-    surface: Isosurface,
+    surface: Isosurface | None,
     net: GainsNet,
     scale: float,
-    points: np.ndarray,
-    forces: np.ndarray,
-    sample_rate: float,
-    duration: float,
-    response: str,
+    points: Rows,
+    forces: Rows,
+    tuning: Tuning,
+    bank: Bank,
     tolerance: float,
-    contact_time: float = 0.0,
-    tuning: Tuning | None = None,
 ) -> np.ndarray:
     """Strike the object with impulses.
 
     Parameters
     ----------
+    surface : Isosurface, optional
+        To which points are snapped; without, they are taken as they are.
     points : (N, 3) array
-        Object frame, metres; snapped to the surface.
+        Object frame, metres.
     forces : (N, 3) array
         Impulse vectors, N s, object frame; the sound is linear in them.
-    sample_rate : float
-        Hz. Modes above half of it are left out.
-    duration : float
-        Seconds.
-    response : {"displacement", "velocity", "acceleration"}
-        Of the modes, summed: m kg^1/2 and its time derivatives.
+    tuning : Tuning
+        Modes of the struck object; ``scale`` is its longest side.
+    bank : Bank
+        Of that tuning.
     tolerance : float
         Refuse points further from the surface, fraction of the size.
-    contact_time : float
-        Duration of the strike, seconds: half a sine of force whose integral is the impulse. 0 is an instant.
-    tuning : Tuning, optional
-        Modes of an object of another material or of size ``scale``; default: the stored ones.
 
     Returns
     -------
@@ -145,42 +138,37 @@ def impact(
     ObjectFolderError
         If shapes do not fit, values are not finite or too large, or a point is off the surface.
     """
-    if tuning is None:
-        tuning = stored_modes(net.damped_frequency, net.damping)
-    points, forces = _paired("points", _rows("points", points, 3), "forces", _rows("forces", forces, 3))
-    shapes = mode_shapes(surface, net, scale, points, tolerance)[..., tuning.modes] * tuning.shape_factor
-    frequency, damping = tuning.damped_frequency, tuning.damping
-    bank = sinusoid_bank(frequency, damping, sample_rate, duration, response, contact_time)
-    heard = int(audible(frequency, sample_rate).sum())
+    places, impulses = paired("points", rows("points", points, 3), "forces", rows("forces", forces, 3))
+    places = snap(surface, places / scale, tolerance)
+    heard, modes = len(bank.heard), len(tuning.modes)
     if heard == 0:
         log.warning(
             "silent: none of the object's %d modes lies below the Nyquist frequency of %g Hz",
-            len(damping),
-            sample_rate / 2,
+            modes,
+            bank.sample_rate / 2,
         )
-    elif heard < len(damping):
-        log.info("%d of %d modes lie above the Nyquist frequency", len(damping) - heard, len(damping))
-    g = gains(shapes, torch.from_numpy(forces).float())
-    sounds = np.empty((len(points), bank.shape[1]), np.float32)
-    for start in range(0, len(points), _BLOCK):
-        block = torch.zeros(_BLOCK, g.shape[1])
-        rows = g[start : start + _BLOCK]
-        block[: len(rows)] = rows
-        sounds[start : start + _BLOCK] = (block @ bank)[: len(rows)].numpy()
+    elif heard < modes:
+        log.info("%d of %d modes lie above the Nyquist frequency", modes - heard, modes)
+    sounds = np.empty((len(places), bank.samples), np.float32)
+    for start in range(0, len(places), _BATCH):
+        part = slice(start, start + _BATCH)
+        shapes = net.shapes(torch.from_numpy(places[part]))[..., tuning.modes[bank.heard]]
+        force = torch.from_numpy(impulses[part] * tuning.shape_factor).float().to(shapes.device)
+        sounds[part] = bank.mix(gains(shapes, force))
     if not np.isfinite(sounds).all():
         raise ObjectFolderError(
-            f"impulses of up to {np.abs(forces).max():g} N s give sounds that single precision cannot hold; "
+            f"impulses of up to {np.abs(impulses).max():g} N s give sounds beyond single precision; "
             "the sound is linear in them: scale them down"
         )
     return sounds
 
 
 def impact_spectrogram(
-    surface: Isosurface,
+    surface: Isosurface | None,
     net: SpectrogramNet,
     scale: float,
-    points: np.ndarray,
-    forces: np.ndarray,
+    points: Rows,
+    forces: Rows,
     sample_rate: float,
     duration: float,
     response: str,
@@ -200,17 +188,17 @@ def impact_spectrogram(
             f"{response} at {sample_rate} Hz, {duration:g} s. A net of kind gains answers that "
             "(train_audio.net: gains)"
         )
-    points, forces = _paired("points", _rows("points", points, 3), "forces", _rows("forces", forces, 3))
-    snapped = torch.from_numpy(snap(surface, points / scale, tolerance))
-    sounds = np.empty((len(points), samples), np.float32)
-    for sound, point, force in zip(sounds, snapped, torch.from_numpy(forces).float()):
-        spectrum = (net.spectrograms(point[None])[0] * force[:, None, None]).sum(0)
+    places, impulses = paired("points", rows("points", points, 3), "forces", rows("forces", forces, 3))
+    snapped = torch.from_numpy(snap(surface, places / scale, tolerance))
+    sounds = np.empty((len(places), samples), np.float32)
+    for sound, point, force in zip(sounds, snapped, torch.from_numpy(impulses).float()):
+        spectrum = (net.spectrograms(point[None])[0].cpu() * force[:, None, None]).sum(0)
         sound[:] = sounds_of(spectrum[None])[0, :samples].numpy()
     return sounds
 
 
 def mode_shapes(
-    surface: Isosurface, net: GainsNet, scale: float, points: np.ndarray, tolerance: float
+    surface: Isosurface | None, net: GainsNet, scale: float, points: Rows, tolerance: float
 ) -> torch.Tensor:
     """Mass-normalised mode shapes: the modal gains of unit impulses along the three axes.
 
@@ -225,17 +213,17 @@ def mode_shapes(
     -------
     (N, 3, M) float32 tensor, kg^-1/2
     """
-    snapped = snap(surface, _rows("points", points, 3) / scale, tolerance)
+    snapped = snap(surface, rows("points", points, 3) / scale, tolerance)
     return net.shapes(torch.from_numpy(snapped))
 
 
 def touch(
     net: GeometricTouch,
-    points: np.ndarray,
-    depth: np.ndarray | float,
-    angle: np.ndarray | float,
-    tilt: np.ndarray | float,
-    azimuth: np.ndarray | float,
+    points: Rows,
+    depth: Scalars,
+    angle: Scalars,
+    tilt: Scalars,
+    azimuth: Scalars,
     tolerance: float,
 ) -> Iterator[Touches]:
     """Press a tactile sensor on the object.
@@ -266,7 +254,7 @@ def touch(
         At once: if shapes do not fit, values are not finite, a depth is negative or beyond the gel, or a
         point is off the surface.
     """
-    points, depths, angles, tilts, azimuths = _contacts(points, depth, angle, tilt, azimuth)
+    contacts, depths, angles, tilts, azimuths = _contacts(points, depth, angle, tilt, azimuth)
     limit = net.profile.max_indentation
     wrong = np.flatnonzero((depths < 0) | (depths > limit))
     if len(wrong):
@@ -275,7 +263,7 @@ def touch(
             f"0 to {limit:g} m"
         )
     unmoved = UNMOVED * net.surface.grid.spacing
-    places = snap(net.surface, points / net.scale, tolerance, unmoved) * net.scale
+    places = snap(net.surface, contacts / net.scale, tolerance, unmoved) * net.scale
     normals = net.normals(places)
     if tilts.any():
         frames = sensor_frames(normals, angles)
@@ -296,14 +284,14 @@ def joined(parts: Iterable[Touches]) -> Touches:
 
 
 def touch_image(
-    surface: Isosurface,
+    surface: Isosurface | None,
     net: ImageTouch,
     scale: float,
-    points: np.ndarray,
-    depth: np.ndarray | float,
-    angle: np.ndarray | float,
-    tilt: np.ndarray | float,
-    azimuth: np.ndarray | float,
+    points: Rows,
+    depth: Scalars,
+    angle: Scalars,
+    tilt: Scalars,
+    azimuth: Scalars,
     tolerance: float,
 ) -> np.ndarray:
     """Press the sensor on an object whose touch net stores images; otherwise as `touch`.
@@ -317,7 +305,7 @@ def touch_image(
     ObjectFolderError
         If another depth, angle or tilt is asked for than what the net has learnt.
     """
-    points, depths, angles, tilts, _ = _contacts(points, depth, angle, tilt, azimuth)
+    contacts, depths, angles, tilts, _ = _contacts(points, depth, angle, tilt, azimuth)
     learnt = {"depth": (depths, net.press_depth), "angle": (angles, net.angle), "tilt": (tilts, 0.0)}
     for name, (values, known) in learnt.items():
         wrong = np.flatnonzero(np.abs(values - known) > 1e-6)
@@ -327,24 +315,28 @@ def touch_image(
                 f"of the point alone, and learnt depth {net.press_depth:g} m, angle {net.angle:g}, tilt 0; "
                 "a net of kind geometric answers others (train_touch.net: geometric)"
             )
-    return net.images(snap(surface, points / scale, tolerance))
+    return net.images(snap(surface, contacts / scale, tolerance))
 
 
 def _contacts(
-    points: np.ndarray,
-    depth: np.ndarray | float,
-    angle: np.ndarray | float,
-    tilt: np.ndarray | float,
-    azimuth: np.ndarray | float,
+    points: Rows,
+    depth: Scalars,
+    angle: Scalars,
+    tilt: Scalars,
+    azimuth: Scalars,
 ) -> tuple[np.ndarray, ...]:
     """Checked points (N, 3), and depths, angles, tilts and azimuths (N,)."""
-    points = _rows("points", points, 3)
+    places = rows("points", points, 3)
     named = (("depth", depth), ("angle", angle), ("tilt", tilt), ("azimuth", azimuth))
-    return points, *(_scalars(name, value, len(points)) for name, value in named)
+    return places, *(scalars(name, value, len(places)) for name, value in named)
 
 
-def snap(surface: Isosurface, points: np.ndarray, tolerance: float, unmoved: float = 0.0) -> np.ndarray:
+def snap(
+    surface: Isosurface | None, points: np.ndarray, tolerance: float, unmoved: float = 0.0
+) -> np.ndarray:
     """Move points to the surface; both (N, 3), unit frame. Those nearer than ``unmoved`` stay.
+
+    All stay where no surface is known.
 
     Raises
     ------
@@ -353,7 +345,7 @@ def snap(surface: Isosurface, points: np.ndarray, tolerance: float, unmoved: flo
     """
     if not tolerance >= 0:
         raise ObjectFolderError(f"tolerance is {tolerance!r}, expected a fraction of the size")
-    if len(points) == 0:
+    if len(points) == 0 or surface is None:
         return points
     snapped, distance = surface.nearest(points)
     far = np.flatnonzero(distance > tolerance)
@@ -365,34 +357,3 @@ def snap(surface: Isosurface, points: np.ndarray, tolerance: float, unmoved: flo
             "ObjectFile.sample_surface gives valid ones"
         )
     return np.where((distance < unmoved)[:, None], points, snapped)
-
-
-def _rows(name: str, values: np.ndarray, width: int) -> np.ndarray:
-    """Check an (N, width) array of finite numbers; one row may come without its first axis."""
-    array = np.asarray(values, np.float64)
-    if array.ndim == 1 and len(array) == width:
-        array = array[None]
-    if array.ndim != 2 or array.shape[1] != width:
-        raise ObjectFolderError(f"{name} has shape {np.shape(values)}, expected (N, {width})")
-    if not np.isfinite(array).all():
-        row = int(np.flatnonzero(~np.isfinite(array).all(1))[0])
-        raise ObjectFolderError(f"{name}: row {row} is {array[row].tolist()}, expected finite numbers")
-    return array
-
-
-def _paired(a_name: str, a: np.ndarray, b_name: str, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Give two arrays as many rows; one row serves all of the other's."""
-    if len(a) != len(b) and 1 not in (len(a), len(b)):
-        raise ObjectFolderError(f"{a_name} has {len(a)} rows, {b_name} {len(b)}; expected as many, or one")
-    count = len(b) if len(a) == 1 else len(a)
-    return tuple(np.repeat(x, count, 0) if len(x) == 1 else x for x in (a, b))  # type: ignore[return-value]
-
-
-def _scalars(name: str, values: np.ndarray | float, count: int) -> np.ndarray:
-    array = np.asarray(values, np.float64)
-    if array.ndim > 1 or array.size not in (1, count):
-        raise ObjectFolderError(f"{name} has shape {array.shape}, expected one number or {count} of them")
-    wrong = np.flatnonzero(~np.isfinite(array))
-    if len(wrong):
-        raise ObjectFolderError(f"{name}: row {wrong[0]} is {array.flat[wrong[0]]}, expected finite numbers")
-    return np.broadcast_to(array.reshape(-1), (count,)) if array.size == 1 else array

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from objectfolder.artifacts import SPLITS, Build, read_json, read_npz, read_safetensors
+from objectfolder.artifacts import MODALITIES, SPLITS, Build, read_json, read_npz, read_safetensors
 from objectfolder.errors import ObjectFolderError
 from objectfolder.evaluation import summary_row
 from objectfolder.fem.elements import restored
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.load import load_mesh
 from objectfolder.mesh.ply import read_surface
-from objectfolder.objectfile import MODALITIES, ObjectFile
+from objectfolder.objectfile import ObjectFile
 
 #: Shapes of arrays; a letter is the same number throughout a file.
 MODES = {
@@ -99,10 +99,10 @@ def _json(path: Path, names: tuple[str, ...]) -> None:
 
 
 def _net(path: Path) -> None:
-    tensors, header = read_safetensors(path)
+    _, header = read_safetensors(path)
     missing = [name for name in ("kind", "net") if name not in header]
-    if missing or not tensors:
-        raise ObjectFolderError(f"{path} is no net: it lacks {', '.join(missing) or 'tensors'}; rebuild it")
+    if missing:
+        raise ObjectFolderError(f"{path} is no net: it lacks {', '.join(missing)}; rebuild it")
 
 
 def _curve(path: Path) -> None:

@@ -1,7 +1,7 @@
 """pack: three nets, sdf.npz, normalize.json, material -> ObjectFile.safetensors."""
 
-from objectfolder.artifacts import Build, file_digest, read_json, read_npz, read_safetensors
-from objectfolder.objectfile import MODALITIES, pack
+from objectfolder.artifacts import MODALITIES, Build, file_digest, read_json, read_npz, read_safetensors
+from objectfolder.packing import pack
 from objectfolder.params import stage_params
 from stages import run
 

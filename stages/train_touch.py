@@ -1,6 +1,5 @@
 """train_touch: touches, sdf.npz, sensor profile -> touch.safetensors, touch_curve.csv."""
 
-import numpy as np
 import torch
 
 from objectfolder.artifacts import Build, read_npz, write_curve, write_safetensors
@@ -21,8 +20,6 @@ def main(key: str) -> None:
     build, section, scale = Build(key), params.section, params.object.scale
     profile = load_profile(params.sensor)
     train, val = (read_npz(build.touch(split), *ROWS, "renderer") for split in ("train", "val"))
-    # The mean training image is the baseline that evaluation prints beside the score.
-    mean = train["images"].mean(0, dtype=np.float64).round().astype(np.uint8)
     net: GeometricTouch | ImageTouch
     if section.net == "geometric":
         surface = Isosurface(DistanceGrid.from_arrays(read_npz(build.sdf, "values", "band")))
@@ -36,9 +33,7 @@ def main(key: str) -> None:
         config = ImageConfig(**section.image.model_dump())
         net, curve = train_image(train, val, scale, profile.name, config, generator, log_point, device)
     tensors, header = net.to_tensors()
-    write_safetensors(
-        build.net("touch"), {**tensors, "mean_image": mean}, {"kind": section.net, "net": header}
-    )
+    write_safetensors(build.net("touch"), tensors, {"kind": section.net, "net": header})
     write_curve(build.curve("touch"), curve)
 
 

@@ -12,7 +12,8 @@ from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.nets.audio_gains import AudioConfig, train_gains
 from objectfolder.nets.vision_surface import SurfaceNet
-from objectfolder.objectfile import ObjectFile, pack
+from objectfolder.objectfile import ObjectFile
+from objectfolder.packing import pack
 from objectfolder.touch.profiles import load_profile
 
 SIDES = (1.0, 0.6, 0.3)
@@ -64,7 +65,7 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
             "vision": (look_tensors, {"kind": "surface", "net": look_config}),
             "audio": (sound_tensors, {"kind": "gains", "net": sound_config, "band_hz": band_hz}),
             "touch": (
-                {"mean_image": np.zeros((profile.height, profile.width, 3), np.uint8)},
+                {},
                 {"kind": "geometric", "net": feel_config},
             ),
         },

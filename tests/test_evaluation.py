@@ -157,7 +157,7 @@ def test_a_silent_object_has_no_score_and_nothing_that_is_not_a_number(brick, mo
     if kept.start:
         high = modes["damped_frequency"].copy()
         high[-1] = 2 * np.pi * 9000
-        brick = ObjectFile(brick.header, brick.tensors | {"audio.damped_frequency": high})
+        brick = ObjectFile(brick.header, {**brick.tensors, "audio.damped_frequency": high})
         modes = modes | {"damped_frequency": high}
     silent, none = mute(brick, modes, kept)
     scores = score(silent, none, strikes)

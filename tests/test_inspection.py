@@ -15,6 +15,7 @@ from PIL import Image
 from rich.console import Console
 
 from objectfolder.artifacts import (
+    MODALITIES,
     SPLITS,
     Build,
     atomic,
@@ -44,7 +45,7 @@ from objectfolder.nets.audio_gains import GainsNet
 from objectfolder.nets.fit import CurvePoint
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.vision_surface import SurfaceNet
-from objectfolder.objectfile import MODALITIES, pack
+from objectfolder.packing import pack
 from objectfolder.touch.profiles import load_profile
 from objectfolder.vision.cameras import look_at, sphere_points
 
@@ -145,7 +146,7 @@ def _nets(build):
     touch = GeometricTouch(Isosurface(DistanceGrid.from_arrays(sdf)), SCALE, load_profile("digit"))
     mean = np.full((160, 120, 3), 100, np.uint8)
     _, header = touch.to_tensors()
-    write_safetensors(build.net("touch"), {"mean_image": mean}, {"kind": "geometric", "net": header})
+    write_safetensors(build.net("touch"), {"background": mean}, {"kind": "geometric", "net": header})
     curve = [CurvePoint(10, 0.5, 0.6, 1.0), CurvePoint(20, 0.1, 0.25, 2.0), CurvePoint(30, 0.05, 0.3, 3.0)]
     for modality in MODALITIES:
         write_curve(build.curve(modality), curve)
@@ -332,7 +333,7 @@ def test_pack_rows(root):
     assert rows["geometry.resolution"] == "32"
     assert rows["touch.net.sensor"] == "digit"
     assert rows["made from sdf"] == "ab" * 6
-    assert rows["  touch.mean_image"] == "uint8 160x120x3, 56.2 KB"
+    assert rows["  touch.background"] == "uint8 160x120x3, 56.2 KB"
 
 
 def test_evaluate_rows(root):

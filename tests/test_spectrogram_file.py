@@ -18,7 +18,7 @@ def file(brick, tmp_path_factory):
     """The brick with a net that answers something."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        net = SpectrogramNet(brick._audio.damped_frequency, -1e-4, 2e-4, 16, 2, 2, 3)
+        net = SpectrogramNet(brick._parts.audio.damped_frequency, -1e-4, 2e-4, 16, 2, 2, 3)
         for branch in net.branches:
             torch.nn.init.normal_(branch.output.weight, std=1.0)
     tensors, config = net.to_tensors()
@@ -71,8 +71,8 @@ def test_its_scores_stand_beside_silence(file, brick):
     modes = {
         "points": points,
         "shapes": brick.mode_shapes(points * brick.scale),
-        "damped_frequency": brick._audio.damped_frequency.numpy(),
-        "damping": brick._audio.damping.numpy(),
+        "damped_frequency": brick._parts.audio.damped_frequency.numpy(),
+        "damping": brick._parts.audio.damping.numpy(),
     }
     strikes = Strikes.random(np.arange(10, 20), 2, np.random.default_rng(0))
     scores = evaluate_sounds(file, modes, strikes, np.random.default_rng(0))

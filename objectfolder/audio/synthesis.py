@@ -7,6 +7,7 @@ import torch
 from objectfolder.errors import ObjectFolderError
 
 RESPONSES = ("displacement", "velocity", "acceleration")
+_STRIDE = 256  # samples between those whose exponentials are computed
 
 
 def sinusoid_bank(
@@ -47,34 +48,87 @@ def sinusoid_bank(
     ObjectFolderError
         For an unknown response, a rate or duration that is not positive, or a negative contact time.
     """
-    if response not in RESPONSES:
-        raise ObjectFolderError(f"response {response!r} is not one of {', '.join(RESPONSES)}")
+    samples = count_samples(sample_rate, duration)
+    heard = audible(damped_frequency, sample_rate)
+    bank = torch.zeros(len(heard), samples, device=heard.device)
+    modes = damped_frequency[heard], damping[heard]
+    bank[heard] = responses(*modes, sample_rate, range(samples), response, contact_time)
+    return bank
+
+
+def count_samples(sample_rate: float, duration: float) -> int:
+    """Number of samples of a sound.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there are none: a rate or duration that is not positive.
+    """
     samples = sample_rate * duration
     samples = round(samples) if sample_rate > 0 and math.isfinite(samples) else 0
     if samples <= 0:
         raise ObjectFolderError(
             f"sample rate {sample_rate} Hz and duration {duration} s give no samples; both must be positive"
         )
+    return samples
+
+
+def responses(
+    damped_frequency: torch.Tensor,
+    damping: torch.Tensor,
+    sample_rate: float,
+    samples: range,
+    response: str = "displacement",
+    contact_time: float = 0.0,
+) -> torch.Tensor:
+    """Some samples of `sinusoid_bank`, aliased or not; (M, len(samples)) float32.
+
+    Parameters
+    ----------
+    samples : range
+        Consecutive ones.
+
+    Raises
+    ------
+    ObjectFolderError
+        For an unknown response or a negative contact time.
+    """
+    if response not in RESPONSES:
+        raise ObjectFolderError(f"response {response!r} is not one of {', '.join(RESPONSES)}")
     if not 0 <= contact_time < math.inf:
         raise ObjectFolderError(f"contact time is {contact_time} s, expected a finite duration or 0")
-    time = torch.arange(samples, dtype=torch.float64) / sample_rate
     order = RESPONSES.index(response)
     s = torch.complex(-damping.double(), damped_frequency.double())[:, None]
+    time = torch.arange(samples.start, samples.stop, dtype=torch.float64, device=s.device) / sample_rate
     contact = time[time < contact_time]
-    bank = torch.empty(len(s), samples, dtype=torch.float64)
+    bank = torch.empty(len(s), len(samples), device=s.device)
     if len(contact):
-        bank[:, : len(contact)] = half_sine_response(s, contact, contact_time, order)
+        bank[:, : len(contact)] = half_sine_response(s, contact, contact_time, order).float()
     state = (
-        _state(s, torch.ones(1, dtype=torch.float64), contact_time) if contact_time else torch.ones_like(s)
+        _state(s, torch.ones(1, dtype=torch.float64, device=s.device), contact_time)
+        if contact_time
+        else torch.ones_like(s)
     )
     # Once it is free, a mode rings as exp(s t), whose derivatives are s exp(s t) and s^2 exp(s t).
-    state = state * s**order / s.imag
-    free = time[len(contact) :] - contact_time
-    bank[:, len(contact) :] = (
-        state.abs() * torch.exp(s.real * free) * torch.sin(s.imag * free + state.angle())
-    )
-    bank[~audible(damped_frequency, sample_rate)] = 0
-    return bank.float()
+    free = bank[:, len(contact) :]
+    if free.numel():
+        start = float(time[len(contact)]) - contact_time
+        free[:] = _ringing(state * s**order / s.imag, s, start, 1 / sample_rate, free.shape[1])
+    return bank
+
+
+def _ringing(state: torch.Tensor, s: torch.Tensor, start: float, step: float, count: int) -> torch.Tensor:
+    """Imaginary part of state exp(s t) at regular times; (M, count) float32.
+
+    exp(s (a + b)) = exp(s a) exp(s b): two short tables instead of an exponential for each sample.
+    """
+    near = torch.arange(_STRIDE, dtype=torch.float64, device=s.device) * step
+    far = start + torch.arange(-(-count // _STRIDE), dtype=torch.float64, device=s.device) * (_STRIDE * step)
+    fast, slow = torch.exp(s * near)[:, None, :], (state * torch.exp(s * far))[:, :, None]
+    wave = torch.empty(len(s), far.shape[0], _STRIDE, device=s.device)
+    for out, x, y in zip(wave, fast, slow):  # mode by mode: what lies between stays in the cache
+        out.copy_(torch.addcmul(x.imag * y.real, x.real, y.imag))
+    return wave.flatten(1)[:, :count]
 
 
 def half_sine_response(

@@ -1,14 +1,19 @@
 """Commands on an Object File: info, query."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
+from rich.markup import escape
 from rich.table import Table
 
 from objectfolder.cli.console import console
 from objectfolder.errors import ObjectFolderError
+from objectfolder.fileformat import PARTS, known_kinds
+
+if TYPE_CHECKING:
+    from objectfolder.objectfile import ObjectFile
 
 query_app = typer.Typer(no_args_is_help=True, help="Ask an Object File: `vision`, `audio` or `touch`.")
 
@@ -31,24 +36,12 @@ def info(file: FileArgument) -> None:
     from objectfolder.objectfile import ObjectFile
 
     obj = ObjectFile.load(file)
-    frequencies = obj.frequencies
-    table = Table(title=f"{obj.key} ({file.stat().st_size / 1024:.0f} KB)", show_header=False)
-    rows = {
-        "material": obj.material,
-        "longest side": f"{obj.scale:g} m",
-        "geometry": f"{obj.header['geometry']['resolution']}^3 distance grid",
-        "vision": f"{obj.header['vision']['kind']}, {_parameters(obj, 'vision'):,} parameters",
-        "audio": f"{obj.header['audio']['kind']}, {len(frequencies)} modes"
-        + (
-            f" from {frequencies.min():.0f} to {frequencies.max():.0f} Hz"
-            if len(frequencies)
-            else " (silent)"
-        ),
-        "touch": f"{obj.header['touch']['kind']}, sensor {obj.sensor}",
-        "schema": str(obj.header["schema"]),
-    }
-    for row in rows.items():
-        table.add_row(*row)
+    table = Table(title=f"{obj.key} ({file.stat().st_size / 1000:.0f} KB)", show_header=False)
+    rows = {"material": obj.material, "longest side": f"{obj.scale:g} m"}
+    rows |= {part: _summary_of(obj, part) for part in PARTS}
+    rows["format"] = obj.header["format"]
+    for name, value in rows.items():
+        table.add_row(name, escape(value))
     console.print(table)
 
 
@@ -226,5 +219,20 @@ def _load_array(path: Path, width: int, hint: str = "") -> np.ndarray:
     return np.asarray(array, np.float64)
 
 
-def _parameters(obj, modality: str) -> int:
-    return sum(v.size for name, v in obj.tensors.items() if name.startswith(modality + "."))
+def _summary_of(obj: "ObjectFile", part: str) -> str:
+    """What a part holds, in a line; nothing is read for it but the modes."""
+    if part not in obj.header:
+        return "none"
+    kind = obj.header[part]["kind"]
+    if kind not in known_kinds(part):
+        return f"{kind}, which this version does not know"
+    if part == "geometry":
+        return f"{kind}, {obj.header[part]['resolution']}^3"
+    if part == "touch":
+        return f"{kind}, sensor {obj.sensor}"
+    if part == "vision":
+        return kind
+    frequencies = obj.frequencies
+    if not len(frequencies):
+        return f"{kind}, no modes: silent"
+    return f"{kind}, {len(frequencies)} modes from {frequencies.min():.0f} to {frequencies.max():.0f} Hz"

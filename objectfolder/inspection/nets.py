@@ -1,7 +1,7 @@
 """Inspections of the trained nets, the Object File and its metrics."""
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -119,7 +119,7 @@ def _pack_picture(build: Build, file: ObjectFile):
     return save(figure, picture_path(build, "pack"))
 
 
-def _tensor_rows(tensors: dict[str, np.ndarray]) -> list[tuple[str, str]]:
+def _tensor_rows(tensors: Mapping[str, np.ndarray]) -> list[tuple[str, str]]:
     listed = [
         (
             f"  {name}",

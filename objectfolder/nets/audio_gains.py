@@ -26,7 +26,7 @@ DROPPED = 0.012  # of the weighted shapes (root mean square) that training does 
 RIDGE = 1e-6  # of the output layer's least squares, relative to a feature's power
 # The first layer is small, and its weights of position and of features differ in size.
 INT8 = ("grid.table", "sines.layers.1.weight", "output.weight")
-BLOCK = 1024  # queries run in blocks of this many rows, so that a row's bits do not depend on its batch
+BLOCK = 32  # queries run in blocks of this many rows, so that a row's bits do not depend on its batch
 
 
 @dataclass(frozen=True)
@@ -106,13 +106,13 @@ class GainsNet(nn.Module):
 
     @torch.no_grad()
     def shapes(self, points: torch.Tensor) -> torch.Tensor:
-        """Mode shapes at (N, 3) points of the unit frame, kg^-1/2; (N, 3, M)."""
+        """Mode shapes at (N, 3) points of the unit frame, kg^-1/2; (N, 3, M), on the device of the net."""
         out = []
-        for block in points.float().split(BLOCK):
-            padded = torch.zeros(BLOCK, 3)
+        for block in points.to(self.amplitude.device, torch.float32).split(BLOCK):
+            padded = block.new_zeros(BLOCK, 3)
             padded[: len(block)] = block
             out.append(self(padded)[: len(block)])
-        empty = torch.zeros(0, 3, len(self.damping))
+        empty = self.amplitude.new_zeros(0, 3, len(self.damping))
         return (torch.cat(out) if out else empty) * self.amplitude
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

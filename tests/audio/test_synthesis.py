@@ -166,7 +166,8 @@ def test_modes_at_or_above_nyquist_are_silent_and_never_alias():
 
 def test_the_same_sound_at_two_rates():
     w, c = mode(440, 3)
-    np.testing.assert_array_equal(sinusoid_bank(w, c, 16000)[0], sinusoid_bank(w, c, 48000)[0, ::3])
+    low, high = sinusoid_bank(w, c, 16000)[0], sinusoid_bank(w, c, 48000)[0, ::3]
+    np.testing.assert_allclose(low, high, rtol=1e-6, atol=1e-13)
 
 
 def test_gains_are_linear_in_the_force(rng):

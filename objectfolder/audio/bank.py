@@ -1,0 +1,74 @@
+"""Sounds of many strikes on the same modes: the modes' responses are made once and mixed by gains."""
+
+import numpy as np
+import torch
+
+from objectfolder.audio.synthesis import audible, count_samples, responses
+from objectfolder.audio.tuning import Tuning
+
+BLOCK = 16  # sounds mixed at once, always: a row's bits must not depend on its batch
+PIECE = 1 << 15  # samples mixed at once
+KEPT = 1 << 27  # bytes; responses that take more are made anew for every block of sounds
+
+
+class Bank:
+    """Responses of modes to unit impulses; modes at or above half the sample rate alias, and are left out.
+
+    Parameters
+    ----------
+    tuning : Tuning
+        Modes of the object.
+    sample_rate, duration, response, contact_time
+        See `objectfolder.audio.synthesis.sinusoid_bank`.
+    device : torch.device, optional
+        Where sounds are mixed.
+
+    Attributes
+    ----------
+    heard : (H,) int64 tensor
+        Which of the tuning's modes sound.
+    sample_rate : float
+    samples : int
+
+    Raises
+    ------
+    ObjectFolderError
+        As `objectfolder.audio.synthesis.sinusoid_bank`.
+    """
+
+    def __init__(
+        self,
+        tuning: Tuning,
+        sample_rate: float,
+        duration: float,
+        response: str,
+        contact_time: float,
+        device: torch.device | str = "cpu",
+    ):
+        self.sample_rate = sample_rate
+        self.samples = count_samples(sample_rate, duration)
+        self.heard = torch.nonzero(audible(tuning.damped_frequency, sample_rate))[:, 0]
+        self.device = torch.device(device)
+        self._modes = tuning.damped_frequency[self.heard], tuning.damping[self.heard]
+        self._strike = response, contact_time
+        kept = 4 * len(self.heard) * self.samples <= KEPT
+        self._pieces = [self._piece(start) for start in range(0, self.samples, PIECE)] if kept else []
+        if not kept:
+            self._piece(self.samples - 1)  # refuses what cannot be asked
+
+    def mix(self, gains: torch.Tensor) -> np.ndarray:
+        """Sounds (N, samples), float32, of modal gains (N, H) of the heard modes."""
+        sounds = np.empty((len(gains), self.samples), np.float32)
+        for first in range(0, len(gains), BLOCK):
+            rows = gains[first : first + BLOCK]
+            block = torch.zeros(BLOCK, gains.shape[1], device=self.device)
+            block[: len(rows)] = rows
+            out = torch.from_numpy(sounds[first : first + BLOCK])
+            for i, start in enumerate(range(0, self.samples, PIECE)):
+                piece = self._pieces[i] if self._pieces else self._piece(start)
+                out[:, start : start + PIECE] = (block @ piece)[: len(rows)]
+        return sounds
+
+    def _piece(self, start: int) -> torch.Tensor:
+        span = range(start, min(start + PIECE, self.samples))
+        return responses(*self._modes, self.sample_rate, span, *self._strike).to(self.device)

@@ -1,0 +1,75 @@
+"""The distance grid as a short byte stream, without loss.
+
+xz finds what repeats, in the grid as it is (designed objects) or in what a prediction misses (scanned ones):
+the shorter stream is kept.
+"""
+
+import lzma
+
+import numpy as np
+
+#: What is subtracted before compression: nothing, or what the two planes before (along x) go on to.
+PREDICTORS = ("none", "planes")
+
+_MEMORY = 2**28  # bytes that a decompressor may take
+# Differences have no text-like context, neither in their neighbours nor in their alignment.
+_FILTERS = {
+    "none": [{"id": lzma.FILTER_LZMA2, "preset": 6}],
+    "planes": [{"id": lzma.FILTER_LZMA2, "preset": 6, "lc": 0, "pb": 0}],
+}
+
+
+def pack_grid(values: np.ndarray) -> tuple[np.ndarray, str]:
+    """Compress a grid.
+
+    Parameters
+    ----------
+    values : (R, R, R) int8 array, -127 to 127
+
+    Returns
+    -------
+    stream : (bytes,) uint8 array
+    predictor : {"none", "planes"}
+    """
+    forms = {"none": values, "planes": _residuals(values)}
+    streams = {name: lzma.compress(form.tobytes(), filters=_FILTERS[name]) for name, form in forms.items()}
+    shortest = min(PREDICTORS, key=lambda name: len(streams[name]))
+    return np.frombuffer(streams[shortest], np.uint8), shortest
+
+
+def unpack_grid(stream: np.ndarray, resolution: int, predictor: str) -> np.ndarray:
+    """Return the (R, R, R) int8 grid that `pack_grid` compressed.
+
+    Raises
+    ------
+    ValueError
+        If the stream holds another number of values; it is never unpacked further than one too many.
+    lzma.LZMAError
+        If it is damaged.
+    """
+    size = resolution**3
+    raw = lzma.LZMADecompressor(memlimit=_MEMORY).decompress(stream.tobytes(), size + 1)
+    if len(raw) != size:
+        raise ValueError(f"{len(raw)} values or more in the grid, expected {size}")
+    values = np.frombuffer(raw, np.int8).reshape((resolution,) * 3)
+    return values if predictor == "none" else _restored(values)
+
+
+def _residuals(values: np.ndarray) -> np.ndarray:
+    """Values less their prediction, modulo 256."""
+    wide = values.astype(np.int16)
+    predicted = np.zeros_like(wide)
+    predicted[1] = wide[0]
+    predicted[2:] = (2 * wide[1:-1] - wide[:-2]).clip(-127, 127)
+    return (wide - predicted).astype(np.int8)
+
+
+def _restored(residuals: np.ndarray) -> np.ndarray:
+    """Inverse of `_residuals`."""
+    values = np.empty_like(residuals)
+    before = last = np.zeros(residuals.shape[1:], np.int16)
+    for i, residual in enumerate(residuals):
+        predicted = last if i < 2 else (2 * last - before).clip(-127, 127)
+        values[i] = (predicted + residual).astype(np.int8)
+        before, last = last, values[i].astype(np.int16)
+    return values
