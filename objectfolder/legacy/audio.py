@@ -67,9 +67,8 @@ def gains_net(audio: Part, frame: Frame) -> ReleasedGains:
             tensors[name] = tensors[name][heard]
         branches.append(network_of(tensors, 3))
     config = {"frame": frame.to_dict(), "bounds": box(normalizer)}
-    modes = [torch.from_numpy(x).float() for x in (frequencies, dampings)]
-    low, high, *modes = ((x.float()[..., heard] for x in (low, high, *modes)))
-    return ReleasedGains(branches, config, *modes, low, high)
+    modes = (torch.from_numpy(frequencies), torch.from_numpy(dampings), low, high)
+    return ReleasedGains(branches, config, *(x.float()[..., heard] for x in modes))
 
 
 def box(part: Part) -> list[list[float]]:

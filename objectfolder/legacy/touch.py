@@ -36,6 +36,7 @@ def image_net(touch: Part, frame: Frame, bounds: np.ndarray) -> ReleasedImage:
         "coordinates": [float(bounds.min()), float(bounds.max())],
         "press_depth": PRESS_DEPTH,
         "angle": 0.0,
+        "sensor": "tacto_digit",
     }
     return ReleasedImage(net, config)
 

@@ -51,14 +51,21 @@ class ReleasedGains:
         self.damped_frequency = 2 * math.pi * frequencies.double()  #: (M,) rad/s
         self.damping = dampings.double().abs()  #: (M,) 1/s
 
+    def to(self, device: str | torch.device) -> "ReleasedGains":
+        """Move to a device, and return itself."""
+        self.branches = [branch.to(device) for branch in self.branches]
+        for name in ("_frequencies", "_dampings", "_low", "_high", "damped_frequency", "damping"):
+            setattr(self, name, getattr(self, name).to(device))
+        return self
+
     @torch.no_grad()
     def shapes(self, points: torch.Tensor) -> torch.Tensor:
         """Gains times angular frequency at (N, 3) points of the unit frame; (N, 3, M) float32."""
         low, high = self._bounds
-        x = torch.from_numpy((self.frame.released(points) - low) / (high - low)).float()
-        out = torch.empty(len(x), 3, len(self.damping))
+        x = torch.from_numpy((self.frame.released(points.cpu()) - low) / (high - low)).float().to(self._low)
+        out = x.new_empty(len(x), 3, len(self.damping))
         for rows, block in zip(out.split(BLOCK), x.split(BLOCK)):
-            padded = torch.zeros(BLOCK, 3)
+            padded = x.new_zeros(BLOCK, 3)
             padded[: len(block)] = block
             answers = torch.stack([branch(padded) for branch in self.branches], 1)
             rows[:] = (answers * (self._high - self._low) + self._low)[: len(block)]
@@ -67,10 +74,10 @@ class ReleasedGains:
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Tensors and configuration, for storing."""
         tensors = {
-            "frequencies": self._frequencies.numpy(),
-            "dampings": self._dampings.numpy(),
-            "low": self._low.numpy(),
-            "high": self._high.numpy(),
+            "frequencies": self._frequencies.cpu().numpy(),
+            "dampings": self._dampings.cpu().numpy(),
+            "low": self._low.cpu().numpy(),
+            "high": self._high.cpu().numpy(),
         }
         for axis, branch in zip(AXES, self.branches):
             tensors |= stored(branch, f"{axis}.")

@@ -4,7 +4,7 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -64,6 +64,13 @@ class ReleasedKilo(ReleasedVision):
         self._row[cells] = torch.arange(len(cells))
         self._depth = sum(name.startswith("points.") and name.endswith(".weight") for name in weights)
         self.coarse = self.fine = self
+
+    def to(self, device: str | torch.device) -> Self:
+        """Move to a device, and return itself."""
+        self.weights = {name: value.to(device) for name, value in self.weights.items()}
+        for name in ("voxel_mask", "_low", "_high", "_cell", "_voxel", "_row"):
+            setattr(self, name, getattr(self, name).to(device))
+        return super().to(device)
 
     def occupied(self, points: torch.Tensor) -> torch.Tensor:
         """Which of (N, 3) points are in an occupied voxel of a cell with a net; (N,) bool."""
@@ -144,9 +151,9 @@ class ReleasedKilo(ReleasedVision):
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Tensors and configuration, for storing."""
-        tensors = {name: value.numpy() for name, value in self.weights.items()}
+        tensors = {name: value.cpu().numpy() for name, value in self.weights.items()}
         tensors["cells"] = self.cells.numpy().astype(np.int32)
-        tensors["occupied"] = np.packbits(self.voxel_mask.numpy())
+        tensors["occupied"] = np.packbits(self.voxel_mask.cpu().numpy())
         sizes = {name: list(getattr(self, name)) for name in ("grid", "voxels", "octaves")}
         return tensors, {**asdict(self.march), **sizes, "box": self.box}
 
@@ -166,5 +173,5 @@ class ReleasedKilo(ReleasedVision):
 
 def _index(place: torch.Tensor, sizes: tuple[int, ...]) -> torch.Tensor:
     """Number of the cell, row by row, at (N, 3) places in cells; (N,)."""
-    cell = torch.minimum(place.long().clamp(min=0), torch.tensor(sizes) - 1)
+    cell = torch.minimum(place.long().clamp(min=0), torch.tensor(sizes, device=place.device) - 1)
     return (cell[:, 0] * sizes[1] + cell[:, 1]) * sizes[2] + cell[:, 2]

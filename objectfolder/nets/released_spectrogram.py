@@ -62,14 +62,20 @@ class ReleasedSpectrogram:
         bins = np.stack(np.meshgrid(frequency, time, indexing="ij"), -1).reshape(-1, 2)
         self._bins = torch.from_numpy(bins.astype(np.float32))
 
+    def to(self, device: str | torch.device) -> "ReleasedSpectrogram":
+        """Move to a device, and return itself."""
+        self.branches = [branch.to(device) for branch in self.branches]
+        self._bins, self._values = self._bins.to(device), self._values.to(device)
+        return self
+
     @torch.no_grad()
     def spectrograms(self, points: torch.Tensor) -> torch.Tensor:
         """Complex spectrograms at (N, 3) points of the unit frame; (N, 3, 257, 201)."""
-        out = torch.empty(len(points), 3, *SHAPE, dtype=torch.complex64)
-        place = (self.frame.released(points) + self._translation) * self._scale * GRID
+        out = torch.empty(len(points), 3, *SHAPE, dtype=torch.complex64, device=self._bins.device)
+        place = (self.frame.released(points.cpu()) + self._translation) * self._scale * GRID
         for image, index in zip(out, self._tree.query(place, NEIGHBOURS)[1]):
             near = (self.vertices[index] - self._low) / (self._high - self._low)
-            answers = [self._answers(vertex) for vertex in torch.from_numpy(near.astype(np.float32))]
+            answers = [self._answers(vertex) for vertex in torch.from_numpy(near).float().to(self._bins)]
             image[:] = torch.view_as_complex(torch.stack(answers).sum(0)).view(3, *SHAPE)
         return out
 

@@ -58,14 +58,19 @@ class ReleasedImage:
             raise ValueError(f"{len(network.output.weight)} colours")
         self._pixels = torch.from_numpy(2 * _places(IMAGE_SIZE) - 1).float()
 
+    def to(self, device: str | torch.device) -> "ReleasedImage":
+        """Move to a device, and return itself."""
+        self.network, self._pixels = self.network.to(device), self._pixels.to(device)
+        return self
+
     @torch.no_grad()
     def images(self, points: np.ndarray) -> np.ndarray:
         """Tactile images at (N, 3) points of the unit frame; (N, 160, 120, 3) uint8."""
         x = 2 * (self.frame.released(points) - self._low) / self._high - 1
         out = np.empty((len(x), *IMAGE_SIZE, 3), np.uint8)
-        for image, point in zip(out, torch.from_numpy(x).float()):
+        for image, point in zip(out, torch.from_numpy(x).float().to(self._pixels)):
             grey = (evaluated(self.network, point, self._pixels) + 1) / 2 * 255
-            image[:] = grey.round().clamp(0, 255).to(torch.uint8).view(*IMAGE_SIZE, 3).numpy()
+            image[:] = grey.round().clamp(0, 255).to(torch.uint8).view(*IMAGE_SIZE, 3).cpu().numpy()
         return out
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -103,6 +108,11 @@ class ReleasedDepth:
         self.profile = SensorProfile.from_dict(config["sensor"])
         self._optics: dict[SensorProfile, Optics] = {}
 
+    def to(self, device: str | torch.device) -> "ReleasedDepth":
+        """Move the net to a device, and return itself; sensors are pressed on the CPU."""
+        self.network, self._pixels = self.network.to(device), self._pixels.to(device)
+        return self
+
     @torch.no_grad()
     def depth_maps(
         self, points: np.ndarray, depths: np.ndarray, tilts: np.ndarray, azimuths: np.ndarray
@@ -122,16 +132,7 @@ class ReleasedDepth:
         ObjectFolderError
             If a depth or tilt is outside what the net has learnt.
         """
-        for name, values, (low, high) in (
-            ("depth", depths, PRESS_DEPTHS),
-            ("tilt", tilts, (0.0, MAX_TILT)),
-        ):
-            wrong = np.flatnonzero(~((values >= low - _ROUNDING) & (values <= high + _ROUNDING)))
-            if len(wrong):
-                raise ObjectFolderError(
-                    f"{name}: row {wrong[0]} is {values[wrong[0]]:g}; the released net has learnt {low:g} to "
-                    f"{high:g}"
-                )
+        self.require(depths, tilts)
         low, high = self._bounds
         pressed = (depths - PRESS_DEPTHS[0]) / (PRESS_DEPTHS[1] - PRESS_DEPTHS[0])
         x = np.column_stack(
@@ -144,10 +145,23 @@ class ReleasedDepth:
             ]
         )
         maps = np.empty((len(x), *DEPTH_SIZE), np.float32)
-        for out, row in zip(maps, torch.from_numpy(x).float()):
+        for out, row in zip(maps, torch.from_numpy(x).float().to(self._pixels)):
             depth = evaluated(self.network, row, self._pixels).view(*DEPTH_SIZE)
-            out[:] = depth.numpy() * (DEPTHS[1] - DEPTHS[0]) + DEPTHS[0]
+            out[:] = depth.cpu().numpy() * (DEPTHS[1] - DEPTHS[0]) + DEPTHS[0]
         return maps
+
+    def require(self, depths: np.ndarray, tilts: np.ndarray) -> None:
+        """Raise ObjectFolderError unless the net has learnt these press depths and tilts."""
+        for name, values, (low, high) in (
+            ("depth", depths, PRESS_DEPTHS),
+            ("tilt", tilts, (0.0, MAX_TILT)),
+        ):
+            wrong = np.flatnonzero(~((values >= low - _ROUNDING) & (values <= high + _ROUNDING)))
+            if len(wrong):
+                raise ObjectFolderError(
+                    f"{name}: row {wrong[0]} is {values[wrong[0]]:g}; the released net has learnt {low:g} to "
+                    f"{high:g}"
+                )
 
     def touches(
         self,

@@ -6,7 +6,7 @@ The kind of many small nets is in `released_kilo`.
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 import torch
@@ -20,6 +20,7 @@ from objectfolder.vision.picture import Picture
 
 MAX_SAMPLES = 4096  # of a ray
 _INVISIBLE = 1e-8  # weight of a sample in its pixel whose colour is not asked for
+_DEVICE_CHUNKS = 64  # chunks at once elsewhere than on a CPU
 _NORMAL_STEP = 0.01  # unit frame; over which the density's slope is taken
 
 
@@ -62,7 +63,7 @@ class March:
         share = weights[:, 1:-1] + 1e-5
         share = share / share.sum(1, keepdim=True)
         cumulative = torch.cat([torch.zeros_like(share[:, :1]), share.cumsum(1)], 1)
-        target = torch.linspace(0.0, 1.0, self.more).expand(len(share), -1).contiguous()
+        target = torch.linspace(0.0, 1.0, self.more).to(share).expand(len(share), -1).contiguous()
         above = torch.searchsorted(cumulative, target, right=True)
         below, above = (above - 1).clamp(min=0), above.clamp(max=cumulative.shape[1] - 1)
         (c0, c1), (t0, t1) = ([x.gather(1, i) for i in (below, above)] for x in (cumulative, ends))
@@ -124,7 +125,7 @@ class ReleasedVision:
     ----------
     march : March
     chunk : int
-        Rays at once.
+        Rays at once on a CPU, where their activations are to stay in the cache.
     """
 
     coarse: Field  #: finds where `fine` looks
@@ -133,6 +134,12 @@ class ReleasedVision:
     def __init__(self, march: March, chunk: int):
         self.march = march
         self.chunk = chunk
+        self.device = torch.device("cpu")
+
+    def to(self, device: str | torch.device) -> Self:
+        """Move to a device, and return itself."""
+        self.device = torch.device(device)
+        return self
 
     @torch.no_grad()
     def picture(self, camera_to_world: np.ndarray, light: np.ndarray, intrinsics: Intrinsics) -> Picture:
@@ -151,12 +158,13 @@ class ReleasedVision:
             Depth is the mean of what the ray sees. The normal is the way in which the density falls there,
             zero where it does not.
         """
-        origin, directions = _rays(camera_to_world, intrinsics, self.march.pixel)
-        towards = torch.from_numpy(np.asarray(light, np.float32))
-        rgba = torch.zeros(len(directions), 4)
-        depth = torch.full((len(directions),), math.inf)
-        normals = torch.zeros(len(directions), 3)
-        for index in torch.arange(len(directions)).split(self.chunk):
+        origin, directions = (x.to(self.device) for x in _rays(camera_to_world, intrinsics, self.march.pixel))
+        towards = torch.from_numpy(np.asarray(light, np.float32)).to(self.device)
+        rgba = directions.new_zeros(len(directions), 4)
+        depth = directions.new_full((len(directions),), math.inf)
+        normals = torch.zeros_like(directions)
+        chunk = self.chunk if self.device.type == "cpu" else self.chunk * _DEVICE_CHUNKS
+        for index in torch.arange(len(directions), device=self.device).split(chunk):
             ways = directions[index]
             shown, alpha, distance = self._look(origin, ways, towards)
             rgb = srgb_to_linear((shown + 1 - alpha[:, None]).clamp(0, 1))
@@ -169,14 +177,14 @@ class ReleasedVision:
             normals[index[met]] = -ascent(_everywhere(self.fine), points, _NORMAL_STEP)
         rgba[depth == math.inf] = 0
         size = intrinsics.height, intrinsics.width
-        return Picture(*(x.view(*size, *x.shape[1:]).numpy() for x in (rgba, depth, normals)))
+        return Picture(*(x.view(*size, *x.shape[1:]).cpu().numpy() for x in (rgba, depth, normals)))
 
     def _look(
         self, origin: torch.Tensor, ways: torch.Tensor, light: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Blended colour (N, 3), alpha (N,) and mean distance times alpha (N,)."""
         length = torch.linalg.vector_norm(ways, dim=1, keepdim=True)
-        distance = self.march.distances().expand(len(ways), -1)
+        distance = self.march.distances().to(ways).expand(len(ways), -1)
         if self.march.more:
             density = _everywhere(self.coarse)(_points(origin, ways, distance))
             distance = self.march.refined(distance, _weights(density.view_as(distance), distance, length))
@@ -216,6 +224,12 @@ class ReleasedNerf(ReleasedVision):
         self.crop = crop
         self.fine = Network(nets["fine"], crop)
         self.coarse = Network(nets.get("coarse", nets["fine"]), crop)
+
+    def to(self, device: str | torch.device) -> Self:
+        """Move to a device, and return itself."""
+        for net in self.nets.values():
+            net.to(device)
+        return super().to(device)
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Tensors and configuration, for storing."""

@@ -156,25 +156,25 @@ def rays(pose, size, focal):
 
 
 def rendered(answer, pose, light, size, focal, near=0.01, far=4.0, samples=64, more=128):
-    """Picture on white, (size, size, 3), alpha and mean distance; ``answer(which, points, views, lights)``."""
+    """Picture on white, alpha and mean distance; ``answer(which, points, views, lights)`` is the net."""
     origin, ways = rays(pose, size, focal)
     image, alphas, depths = np.empty((size, size, 3)), np.empty((size, size)), np.empty((size, size))
-    for place in np.ndindex(size, size):
-        way = ways[place]
+    t = np.linspace(0, 1, samples)
+    first = near * (1 - t) + far * t
+
+    def ask(which, distance, way):
         length = np.linalg.norm(way)
-        t = np.linspace(0, 1, samples)
-        distance = near * (1 - t) + far * t
+        points = origin + distance[:, None] * way
+        views = np.tile(way / length, (len(points), 1))
+        color, density = answer(which, points, views, np.tile(light, (len(points), 1)))
+        return composed(color, density, distance, length)
 
-        def ask(which, distance):
-            points = origin + distance[:, None] * way
-            views = np.tile(way / length, (len(points), 1))
-            color, density = answer(which, points, views, np.tile(light, (len(points), 1)))
-            return composed(color, density, distance, length)
-
+    for place in np.ndindex(size, size):
+        distance = first
         if more:
-            weights, _ = ask("coarse", distance)
+            weights, _ = ask("coarse", distance, ways[place])
             distance = refined(distance, weights, more)
-        weights, image[place] = ask("fine", distance)
+        weights, image[place] = ask("fine", distance, ways[place])
         alphas[place], depths[place] = weights.sum(), weights @ distance
     return image, alphas, depths
 
@@ -189,7 +189,10 @@ def released_1(seed=0, width=16, density=0.0, **where):
     return {
         "VisionNet": {
             "global_step": 200000,
-            "optimizer_state_dict": {"state": {0: {"step": 3, "exp_avg": torch.zeros(2)}}, "param_groups": []},
+            "optimizer_state_dict": {
+                "state": {0: {"step": 3, "exp_avg": torch.zeros(2)}},
+                "param_groups": [],
+            },
             "network_fn_state_dict": nerf_state(rng, width, density=density),
             "network_fine_state_dict": nerf_state(rng, width, density=density),
         },
@@ -214,9 +217,8 @@ def released_2(seed=0, width=16, modes=7):
     audio_state = OrderedDict()
     for axis in "xyz":
         audio_state |= mlp_state(rng, 3, modes, width, prefix=f"module.model_{axis}.")
-    normalizer = {
-        f"f{i}_{end}": float(sign * rng.uniform(0.5, 2)) for i in (1, 2, 3) for end, sign in (("min", -1), ("max", 1))
-    }
+    ends = (("min", -1), ("max", 1))
+    normalizer = {f"f{i}_{end}": float(sign * rng.uniform(0.5, 2)) for i in (1, 2, 3) for end, sign in ends}
     return {
         "VisionNet": {"cfg": config_2(width), "model_state_dict": nerf_state(rng, width)},
         "AudioNet": {
@@ -310,7 +312,7 @@ def kilo(vision, points, views, lights):
         x = 2 * (point - start) / ((high - low) / grid) - 1
 
         def layer(name, x, net=net):
-            weight, bias = (state[f"{name}.{part}"][net].numpy().astype(np.float64) for part in ("weight", "bias"))
+            weight, bias = (state[f"{name}.{part}"][net].double().numpy() for part in ("weight", "bias"))
             return x @ weight + bias
 
         x = kilo_encode(x[None], cfg["num_frequencies"])[0]
