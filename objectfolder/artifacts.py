@@ -12,7 +12,7 @@ import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -298,6 +298,50 @@ def read_safetensors(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str,
     """Read all tensors and the JSON header; otherwise as `open_safetensors`."""
     tensors, header = open_safetensors(path)
     return dict(tensors), header
+
+
+def read_rows(path: str | Path, width: int, hint: str = "") -> np.ndarray:
+    """Read the (N, width) real numbers of a ``.npy`` file; float64.
+
+    Parameters
+    ----------
+    hint : str
+        Ends the message of an error about the shape.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the file is missing, no array of real numbers, or of another shape. It is never unpickled, and no
+        memory is taken for more than it holds.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ObjectFolderError(f"{path} does not exist; expected a .npy file of shape (N, {width})")
+    try:
+        with path.open("rb") as stream:
+            shape, dtype = _npy_header(stream)
+            if dtype.kind not in "fiu":
+                raise ObjectFolderError(f"{path} holds {dtype}, expected real numbers")
+            if len(shape) != 2 or shape[1] != width:
+                raise ObjectFolderError(f"{path} has shape {shape}, expected (N, {width}){hint}")
+            # numpy would take the memory before it sees that the file is too short.
+            if shape[0] * width * dtype.itemsize > path.stat().st_size:
+                raise ValueError(f"it is too short for an array of shape {shape}")
+            stream.seek(0)
+            return np.load(stream, allow_pickle=False).astype(np.float64)
+    except (ValueError, OSError, EOFError, TypeError, SyntaxError, MemoryError) as error:
+        raise ObjectFolderError(f"{path} is not a .npy file of numbers: {error}") from error
+
+
+def _npy_header(stream: BinaryIO) -> tuple[tuple[int, ...], np.dtype]:
+    version = np.lib.format.read_magic(stream)
+    if version == (1, 0):
+        shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+    elif version == (2, 0):
+        shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
+    else:
+        raise ValueError(f"its version is {version}, expected 1.0 or 2.0")
+    return shape, dtype
 
 
 def _no_number(name: str) -> None:

@@ -1,6 +1,9 @@
 import dataclasses
+import hashlib
 import json
 import logging
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -507,3 +510,75 @@ def test_one_row_serves_all_of_the_others(brick):
     lights = np.array([[1.0, 0, 0], [0, 0, 1.0]])
     images = brick.view([2.5, 0, 0], lights, resolution=16)
     np.testing.assert_array_equal(images, brick.view([[2.5, 0, 0]] * 2, lights, resolution=16))
+
+
+def test_tensors_in_tensors_out(brick, rng):
+    points, forces = brick.sample_surface(3), rng.standard_normal((3, 3))
+    cameras, lights = sphere_points(2, 2.5, rng), sphere_points(2, 1.0, rng)
+    for question, first, rest in (
+        (lambda p, f: brick.impact(p, f, duration=0.05), points, forces),
+        (lambda p, d: brick.touch(p, depth=d), points, np.full(3, 0.0007)),
+        (lambda c, l: brick.view(c, l, 24), cameras, lights),
+    ):
+        arrays = question(first, rest)
+        tensors = question(torch.from_numpy(first), torch.from_numpy(rest))
+        assert isinstance(arrays, np.ndarray)
+        assert isinstance(tensors, torch.Tensor)
+        assert tensors.device == torch.device("cpu")
+        np.testing.assert_array_equal(tensors.numpy(), arrays)
+        assert isinstance(question(first, torch.from_numpy(rest)), np.ndarray)
+
+
+def test_the_nearest_points_bounds_and_mesh_of_a_brick(brick, rng):
+    half = np.array(SIDES) * SCALE / 2
+    np.testing.assert_allclose(brick.bounds, [-half, half], atol=0.01 * SCALE)
+    outside = half * [3, 0.2, 0.2]
+    nearest, distance = brick.nearest(outside)
+    np.testing.assert_allclose(nearest, [half * [1, 0.2, 0.2]], atol=0.01 * SCALE)
+    np.testing.assert_allclose(distance, 2 * half[0], atol=0.01 * SCALE)
+    assert brick.nearest(np.zeros((0, 3)))[0].shape == (0, 3)
+    mesh = brick.to_mesh()
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(np.prod(SIDES) * SCALE**3, rel=0.03)
+    np.testing.assert_array_equal(mesh.bounds, brick.bounds)
+    points = brick.sample_surface(200, seed=3)
+    nearest, distance = brick.nearest(points)
+    assert distance.max() < 0.1 * brick.surface.grid.spacing * SCALE
+    np.testing.assert_allclose(np.linalg.norm(nearest - points, axis=1), distance, atol=1e-12)
+
+
+def test_a_large_batch_of_strikes_takes_no_more_than_its_answer(brick, rng):
+    points = np.repeat(brick.sample_surface(10), 300, axis=0)
+    forces = rng.standard_normal((3000, 3))
+    whole = brick.impact(points, forces, duration=0.01)
+    np.testing.assert_array_equal(brick.impact(points[1500:], forces[1500:], duration=0.01), whole[1500:])
+
+
+def _mixed(file, count, seed):
+    """Queries of all kinds in random order, each a function of nothing."""
+    rng = np.random.default_rng(seed)
+    points = file.sample_surface(count, seed)
+    asked = []
+    for point, force, kind in zip(points, rng.standard_normal((count, 3)), rng.integers(0, 20, count)):
+        if kind == 0:
+            camera, light = (sphere_points(1, radius, rng) for radius in (2.5, 1.0))
+            asked.append(partial(file.view, camera, light, 16))
+        elif kind < 4:
+            asked.append(partial(file.touch, point, rng.uniform(0, 0.001), rng.uniform(0, 6)))
+        elif kind == 4:
+            asked.append(partial(file.impact, point, force, 8000, 0.05, material="steel", scale=SCALE))
+        else:
+            asked.append(partial(file.impact, point, force, duration=0.05))
+    return asked
+
+
+@pytest.mark.parametrize("count", [400, pytest.param(10000, marks=pytest.mark.slow)])
+def test_threads_get_the_bytes_that_one_gets(brick_path, count):
+    def digests(pool):
+        # Opened here: the parts are read while threads ask for them.
+        asked = _mixed(ObjectFile.load(brick_path), count, seed=5)
+        return list(pool(lambda ask: hashlib.sha256(ask().tobytes()).digest(), asked))
+
+    with ThreadPoolExecutor(4) as threads:
+        together = digests(threads.map)
+    assert together == digests(map)

@@ -8,6 +8,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from objectfolder.artifacts import read_rows
 from objectfolder.cli.console import console
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fileformat import PARTS, known_kinds
@@ -60,7 +61,7 @@ def vision(
     from objectfolder.artifacts import write_npz, write_png
     from objectfolder.objectfile import ObjectFile
 
-    obj, rows = ObjectFile.load(file), _load_array(queries, 6)
+    obj, rows = ObjectFile.load(file), read_rows(queries, 6)
     for i, row in enumerate(rows, 1):
         views = obj.render(row[:3], row[3:], resolution, supersample=supersample)
         write_png(out / f"{i}.png", (views.rgb[0] * 255).round().astype(np.uint8))
@@ -99,10 +100,10 @@ def audio(
     from objectfolder.artifacts import atomic
     from objectfolder.objectfile import ObjectFile
 
-    points = _load_array(
+    points = read_rows(
         vertices, 3 if forces else 6, "" if forces else " (points and impulses), or give --forces"
     )
-    impulse = _load_array(forces, 3) if forces else points[:, 3:]
+    impulse = read_rows(forces, 3) if forces else points[:, 3:]
     obj = ObjectFile.load(file)
     sounds = obj.impact(
         points[:, :3],
@@ -162,8 +163,8 @@ def touch(
     unknown = [name for name in wanted if name not in TOUCH_OUTPUTS]
     if unknown:
         raise ObjectFolderError(f"--outputs {unknown[0]!r} is not one of {', '.join(TOUCH_OUTPUTS)}")
-    points = _load_array(vertices, 3)
-    tilt, azimuth, depths = _load_array(gelinfo, 3).T if gelinfo else (0.0, 0.0, depth)
+    points = read_rows(vertices, 3)
+    tilt, azimuth, depths = read_rows(gelinfo, 3).T if gelinfo else (0.0, 0.0, depth)
     obj = ObjectFile.load(file)
     query: dict[str, Any] = {"depth": depths, "tilt": tilt, "azimuth": azimuth, "sensor": sensor}
     if obj.header.get("touch", {}).get("kind") in ("image", "released_image") and wanted == ["image"]:
@@ -202,21 +203,6 @@ def _summary(rows: np.ndarray) -> str:
     text += f", area {area.min():.3g} to {area.max():.3g} mm2"
     blocked = int((columns["obstructed"] > 0).sum())
     return text + (f"; {blocked} obstructed: a real sensor would not get there" if blocked else "")
-
-
-def _load_array(path: Path, width: int, hint: str = "") -> np.ndarray:
-    if not path.is_file():
-        raise ObjectFolderError(f"{path} does not exist; expected a .npy file of shape (N, {width})")
-    try:
-        array = np.load(path, allow_pickle=False)
-    except (ValueError, OSError, EOFError) as error:
-        raise ObjectFolderError(f"{path} is not a .npy file of numbers: {error}") from error
-    if isinstance(array, np.ndarray) and array.dtype.kind not in "fiu":
-        raise ObjectFolderError(f"{path} holds {array.dtype}, expected real numbers")
-    if not isinstance(array, np.ndarray) or array.ndim != 2 or array.shape[1] != width:
-        shape = getattr(array, "shape", None)
-        raise ObjectFolderError(f"{path} has shape {shape}, expected (N, {width}){hint}")
-    return np.asarray(array, np.float64)
 
 
 def _summary_of(obj: "ObjectFile", part: str) -> str:

@@ -56,6 +56,7 @@ class Isosurface:
             self._tree = cKDTree(self.vertices)
         points = np.asarray(points, np.float64)
         near = np.abs(self.grid.distance(torch.from_numpy(points)).numpy()) < 0.9 * self.grid.band
+        near &= (np.abs(points) <= BOUND).all(1)  # beyond, the grid goes on as at its border
         start = np.where(near[:, None], points, self.vertices[self._tree.query(points)[1]])
         position = torch.from_numpy(start)
         for _ in range(steps):
