@@ -4,7 +4,7 @@ import math
 import re
 import warnings
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +84,8 @@ class Part:
         # Strides of zero make any size of a few bytes.
         if value.numel() * value.element_size() > Path(self.path).stat().st_size:
             raise self.wrong(key, f"{_described(value)}, more than the file holds", expected)
-        value = value.detach().float().contiguous()
+        # A copy: the file is mapped into memory, and may be replaced.
+        value = value.detach().contiguous().to(torch.float32, copy=True)
         if not torch.isfinite(value).all():
             raise self.wrong(key, "values that are not finite", "finite numbers")
         return value
@@ -136,9 +137,12 @@ class Part:
             raise self.wrong(key, f"{value:g}", f"a whole number from {low} to {high}")
         return int(value)
 
-    def flag(self, key: str) -> bool:
-        """Return whether a key is there and true."""
-        return self.values.get(key) not in (None, False, 0, "None")
+    def setting(self, key: str, default: Any = None) -> bool | int | float | str | None:
+        """Return a number, truth value or text, where ``"None"`` stands for None."""
+        value = self.values.get(key, default)
+        if value is not None and not isinstance(value, bool | int | float | str):
+            raise self.wrong(key, _described(value), "a number, truth value or text")
+        return None if value == "None" else value
 
     def mask(self, key: str, size: int) -> np.ndarray:
         """Return a tensor or array of truth values, flat."""
@@ -148,7 +152,7 @@ class Part:
             if value.layout == torch.strided and value.device.type == "cpu" and value.numel() == size:
                 if size > Path(self.path).stat().st_size:
                     raise self.wrong(key, f"{_described(value)}, more than the file holds", expected)
-                return value.flatten().bool().numpy()
+                return value.flatten().bool().clone().numpy()
         elif isinstance(value, StoredArray) and value.value.dtype.kind in "bu" and value.value.size == size:
             return value.value.reshape(-1).astype(bool)
         raise self.wrong(key, _described(value), expected)
@@ -227,14 +231,6 @@ def _check_archive(path: Path, size: int) -> None:
     pickles = [entry.file_size for entry in entries if entry.filename.endswith("data.pkl")]
     if max(pickles, default=0) > MAX_PICKLE:
         raise ObjectFolderError(f"{path}: data.pkl has {max(pickles)} bytes, expected at most {MAX_PICKLE}")
-
-
-def layers(state: Part, prefix: str) -> Iterator[int]:
-    """Numbers of the layers ``prefix.N.weight`` in a state dictionary, from 0 until one is missing."""
-    number = 0
-    while f"{prefix}.{number}.weight" in state:
-        yield number
-        number += 1
 
 
 def _rows(value: Any, limit: int) -> Any:

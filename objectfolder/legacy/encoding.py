@@ -3,8 +3,10 @@
 import numpy as np
 import torch
 
-from objectfolder.legacy.checkpoint import Part, layers
+from objectfolder.legacy.checkpoint import Part
 from objectfolder.nets.positional import SKIP
+
+DEPTH = 8  #: layers of every net but those of KiloOSF, if its settings do not say another
 
 
 def by_octave(inputs: int, octaves: int) -> np.ndarray:
@@ -36,7 +38,9 @@ def octaves_of(state: Part, key: str, channels: int, inputs: int) -> int:
     return octaves
 
 
-def trunk(state: Part, inputs: int, prefix: str, refeed: bool = True) -> tuple[dict[str, torch.Tensor], int]:
+def trunk(
+    state: Part, inputs: int, prefix: str, refeed: bool = True, depth: int = DEPTH
+) -> tuple[dict[str, torch.Tensor], int]:
     """Read the layers ``pts_linears.N`` as those of a `SkipNetwork`.
 
     Parameters
@@ -47,6 +51,7 @@ def trunk(state: Part, inputs: int, prefix: str, refeed: bool = True) -> tuple[d
         Of the names that are returned.
     refeed : bool
         Whether the input joins again after the layer of index 4.
+    depth : int
 
     Returns
     -------
@@ -58,7 +63,7 @@ def trunk(state: Part, inputs: int, prefix: str, refeed: bool = True) -> tuple[d
     octaves = octaves_of(state, "pts_linears.0.weight", channels, inputs)
     order = by_octave(inputs, octaves)
     tensors = {}
-    for i in layers(state, "pts_linears"):
+    for i in range(depth):
         joined = channels if i == SKIP + 1 and refeed else 0
         size = width + joined if i else channels
         weight = state.tensor(f"pts_linears.{i}.weight", width, size)

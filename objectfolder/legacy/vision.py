@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from objectfolder.legacy.checkpoint import Part, layers
-from objectfolder.legacy.encoding import by_number, by_octave, octaves_of, trunk
+from objectfolder.legacy.checkpoint import Part
+from objectfolder.legacy.encoding import DEPTH, by_number, by_octave, octaves_of, trunk
 from objectfolder.nets.positional import SKIP
 from objectfolder.nets.released_kilo import MARGIN, MAX_CELLS, ReleasedKilo
 from objectfolder.nets.released_vision import MAX_SAMPLES, March, ReleasedNerf, scattering_of
@@ -45,11 +45,12 @@ def configured_net(vision: Part, crop: float | None = None) -> ReleasedNerf | Re
     if isinstance(first, torch.Tensor) and first.ndim == 3:
         return _kilo(vision, cfg, state)
     march = _march(cfg, refine=True)
-    refeed = cfg.values.get("refeed_position_index")
-    if refeed not in (None, "None", SKIP) or isinstance(refeed, bool):
+    refeed = cfg.setting("refeed_position_index")
+    if refeed not in (None, SKIP):
         raise cfg.wrong("refeed_position_index", repr(refeed)[:40], f"{SKIP} or 'None'")
+    depth = cfg.integer("num_hidden_layers", 1, 32)
     parts = {"coarse": "model_coarse.", "fine": "model_fine."} if march.more else {"fine": ""}
-    nets = {name: _net(state.below(p) if p else state, refeed == SKIP) for name, p in parts.items()}
+    nets = {name: _net(state.below(p) if p else state, refeed == SKIP, depth) for name, p in parts.items()}
     for name, net in nets.items():
         expected = (cfg.integer("num_frequencies", 0, 64), cfg.integer("num_frequencies_direction", 0, 64))
         if net.octaves != expected:
@@ -59,9 +60,9 @@ def configured_net(vision: Part, crop: float | None = None) -> ReleasedNerf | Re
 
 def _march(cfg: Part, refine: bool) -> March:
     for name in _UNKNOWN:
-        if cfg.flag(name):
+        if cfg.setting(name):
             raise cfg.wrong(name, "set", "a file without it: how it is rendered then is not known here")
-    if not cfg.flag("blender_white_background"):
+    if not cfg.setting("blender_white_background"):
         raise cfg.wrong("blender_white_background", "not set", "true: pictures on white")
     near, far = cfg.number("near"), cfg.number("far")
     if not 0 < near < far:
@@ -70,12 +71,12 @@ def _march(cfg: Part, refine: bool) -> March:
     more = cfg.integer("num_importance_samples_per_ray", 0, MAX_SAMPLES)
     if more and not refine:
         raise cfg.wrong("num_importance_samples_per_ray", f"{more}", "0 in a file with a grid of nets")
-    return March(near, far, samples, more, cfg.flag("llff_lindisp"))
+    return March(near, far, samples, more, bool(cfg.setting("llff_lindisp")))
 
 
-def _net(state: Part, refeed: bool = True) -> ScatteringFunction:
+def _net(state: Part, refeed: bool = True, depth: int = DEPTH) -> ScatteringFunction:
     """Read a net of point, view and light."""
-    tensors, octaves = trunk(state, 3, "trunk.", refeed)
+    tensors, octaves = trunk(state, 3, "trunk.", refeed, depth)
     width = len(tensors["trunk.hidden.0.weight"])
     # The names of the original, and of the paper's own description.
     bottleneck = "bottleneck_linear" if "bottleneck_linear.weight" in state else "feature_linear"
@@ -102,11 +103,11 @@ def _net(state: Part, refeed: bool = True) -> ScatteringFunction:
 
 
 def _kilo(vision: Part, cfg: Part, state: Part) -> ReleasedKilo:
-    if not cfg.flag("late_feed_direction"):
+    if not cfg.setting("late_feed_direction"):
         raise cfg.wrong("late_feed_direction", "not set", "true")
-    if cfg.flag("refeed_position_index") or cfg.values.get("refeed_position_index") == 0:
+    if cfg.setting("refeed_position_index") is not None:
         raise cfg.wrong("refeed_position_index", "set", "'None' in a file with a grid of nets")
-    if cfg.values.get("nonlinearity", "relu") != "relu":
+    if cfg.setting("nonlinearity", "relu") != "relu":
         raise cfg.wrong("nonlinearity", repr(cfg.values["nonlinearity"])[:40], "'relu'")
     march = _march(cfg, refine=False)
     grid = _sizes(cfg, "fixed_resolution", MAX_CELLS)
@@ -123,20 +124,14 @@ def _kilo(vision: Part, cfg: Part, state: Part) -> ReleasedKilo:
     cells = _asked(occupied, voxels, grid)
     width = cfg.integer("hidden_layer_size", 1, 4096)
     branch = cfg.integer("direction_layer_size", 1, 4096)
-    names = {
-        f"points.{i}": (f"pts_linears.{i}", point if i == 0 else width, width)
-        for i in layers(state, "pts_linears")
-    }
+    depth = cfg.integer("num_hidden_layers", 1, 32)
+    names = {f"points.{i}": (f"pts_linears.{i}", point if i == 0 else width, width) for i in range(depth)}
     names |= {
         "density": ("alpha_linear", width, 1),
         "feature": ("feature_linear", width, width),
         "direction": ("direction_layer", width + view + light, branch),
         "color": ("rgb_linear", branch, 3),
     }
-    if len(names) - 4 != cfg.integer("num_hidden_layers", 1, 64):
-        raise cfg.wrong(
-            "num_hidden_layers", f"{cfg.number('num_hidden_layers'):g}", f"{len(names) - 4}, as the nets have"
-        )
     orders = {
         "points.0": by_number(3, octaves[0]),
         "direction": np.concatenate(

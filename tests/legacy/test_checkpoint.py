@@ -208,5 +208,5 @@ def test_a_file_that_claims_a_large_tensor_takes_no_memory(tmp_path):
     assert raw.count(struct.pack("<q", 3)) >= 1  # how many numbers follow
     path = tmp_path / "file.pth"
     path.write_bytes(raw.replace(struct.pack("<q", 3), struct.pack("<q", 1 << 50)))
-    with pytest.raises(ObjectFolderError, match="file.pth"):
+    with pytest.raises(ObjectFolderError, match=r"file\.pth"):
         read_checkpoint(path).tensor("a", 3)

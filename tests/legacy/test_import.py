@@ -2,6 +2,7 @@
 
 import copy
 import logging
+import re
 
 import numpy as np
 import pytest
@@ -14,9 +15,17 @@ from typer.testing import CliRunner
 from objectfolder import ObjectFile
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
+from objectfolder.legacy import convert as converter
+from objectfolder.legacy import touch
+from objectfolder.legacy.audio import gains_net, spectrogram_net
+from objectfolder.legacy.checkpoint import Part, read_checkpoint
 from objectfolder.legacy.convert import Options, convert
 from objectfolder.legacy.encoding import by_number, by_octave
+from objectfolder.legacy.touch import depth_net, image_net
+from objectfolder.legacy.vision import configured_net, nerf_net
 from objectfolder.nets.positional import encoded
+from objectfolder.nets.released import Frame
+from objectfolder.touch.profiles import load_profile
 from objectfolder.vision.cameras import Intrinsics
 
 BOUNDS = np.array([[-0.09, -0.12, -0.07], [0.11, 0.08, 0.13]])
@@ -35,6 +44,12 @@ def file(tmp_path):
         return convert(path, Options(**options))
 
     return write
+
+
+@pytest.fixture
+def quick_gel(monkeypatch):
+    """Look at fewer contacts for the untouched gel."""
+    monkeypatch.setattr(touch, "_PROBES", 1)
 
 
 def saved(obj, tmp_path):
@@ -110,8 +125,8 @@ def test_an_answer_depends_on_its_own_row_only(file):
     together = second.impact(many, np.tile(np.eye(3), (7, 1)))
     for i in range(3):
         np.testing.assert_array_equal(second.impact(POINTS[i], np.eye(3)[i])[0], together[i + 18])
-    sound = first.impact(POINTS[:2], np.eye(3)[:2])
-    np.testing.assert_array_equal(first.impact(POINTS[1], np.eye(3)[1])[0], sound[1])
+    sound = first.impact(POINTS[:2], np.eye(3)[:2], duration=0.1)
+    np.testing.assert_array_equal(first.impact(POINTS[1], np.eye(3)[1], duration=0.1)[0], sound[1])
 
 
 def test_kiloosf_keeps_only_the_nets_that_are_asked(file, tmp_path):
@@ -179,38 +194,53 @@ def leaves(values, path=()):
             yield (*path, key)
 
 
-#: What no part reads.
+#: What no part reads, or has a default.
 UNUSED = ("global_step", "optimizer_state_dict", "views_linears", "perturb", "raw_noise_std", "model_type")
 UNUSED += (
     "direction_layer_size",
-    "num_hidden_layers",
     "hidden_layer_size",
     "llff_lindisp",
     "no_color_sigmoid",
+    "refeed_position",
+    "threshold",
 )
-UNUSED += ("refeed_position_index",)
 
 
-@pytest.mark.parametrize("make", [released.released_1, released.released_2])
-def test_every_missing_key_is_named(file, make):
-    whole = make(1, 4)
-    for path in leaves(whole):
-        if any(name in key for key in path for name in UNUSED):
-            continue
-        values = copy.deepcopy(whole)
-        place = values
-        for key in path[:-1]:
-            place = place[key]
-        del place[path[-1]]
-        notes = file(values, bounds=BOUNDS).header["imported"]["notes"]
-        assert len(notes) == 1, path
-        named = ".".join(path).replace("module.", "")
-        last_layer = "pts_linears.7" in named or named.endswith((".voxel_vertex", ".xyz_min", ".xyz_max"))
-        assert named in notes[0] or last_layer, (named, notes)
+def without(values, path):
+    """Nested dictionaries less one entry."""
+    name, *rest = path
+    return {k: without(v, rest) if k == name else v for k, v in values.items() if rest or k != name}
 
 
-def test_points_are_those_of_the_released_file_or_of_the_centred_mesh(file, tmp_path):
+@pytest.mark.parametrize("make", [released.released_1, released.released_2, released.released_kilo])
+def test_every_missing_key_is_named(tmp_path, quick_gel, make):
+    torch.save(make(1, 4), tmp_path / "file.pth")
+    whole = read_checkpoint(tmp_path / "file.pth").values
+    readers = {
+        "VisionNet": lambda part: (nerf_net if make is released.released_1 else configured_net)(part),
+        "AudioNet": lambda part: (spectrogram_net if make is released.released_1 else gains_net)(
+            part, Frame()
+        ),
+        "TouchNet": lambda part: (
+            image_net(part, Frame(), BOUNDS)
+            if make is released.released_1
+            else depth_net(part, Frame(), load_profile("gelsight_r15"))
+        ),
+    }
+    needed = [p for p in leaves(whole) if not any(name in key for key in p for name in UNUSED)]
+    assert len(needed) > 20
+    for path in needed:
+        if path[-1] == "occupancy_grid":
+            continue  # without, every net is asked
+        part = Part("file.pth", "", without(whole, path)).part(path[0])
+        named = re.escape(".".join(path).replace("module.", ""))
+        with pytest.raises(ObjectFolderError, match=named):
+            readers[path[0]](Part(tmp_path / "file.pth", path[0], part.values))
+
+
+def test_points_are_those_of_the_released_file_or_of_the_centred_mesh(file, tmp_path, monkeypatch):
     """With a mesh, the object frame is centred and metric, and points are snapped."""
+    monkeypatch.setattr(converter, "RESOLUTION", 48)
     trimesh = pytest.importorskip("trimesh")
     mesh = trimesh.creation.box(bounds=BOUNDS * 100)  # the file's coordinates are centimetres
     mesh.export(tmp_path / "box.ply")
@@ -230,7 +260,7 @@ def test_points_are_those_of_the_released_file_or_of_the_centred_mesh(file, tmp_
 
 
 def test_cropping_changes_nothing_inside(file):
-    values = released.released_1(5, density=-1.0)
+    values = released.released_1(5, density=5.0)
     whole, cropped = file(values), file(values, crop=10.0)
     np.testing.assert_array_equal(
         whole.view(CAMERAS, LIGHT, intrinsics=SMALL), cropped.view(CAMERAS, LIGHT, intrinsics=SMALL)
@@ -324,8 +354,8 @@ MUTANTS = st.sampled_from(
 
 
 @given(st.data())
-@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_any_other_structure_is_an_error_or_an_object_file(file, data):
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_any_other_structure_is_an_error_or_an_object_file(file, quick_gel, data):
     make = data.draw(st.sampled_from([released.released_1, released.released_2, released.released_kilo]))
     values = make(0, 4)
     paths = sorted(leaves(values))
@@ -333,17 +363,12 @@ def test_any_other_structure_is_an_error_or_an_object_file(file, data):
         path = data.draw(st.sampled_from(paths))
         place = values
         for key in path[: data.draw(st.integers(1, len(path))) - 1]:
-            place = place[key] if isinstance(place, dict) and key in place else values
-        key = data.draw(st.sampled_from(sorted(place, key=str))) if place else "x"
-        place[key] = data.draw(MUTANTS)
+            place = place[key] if isinstance(place.get(key), dict) else place
+        place[data.draw(st.sampled_from(sorted(place))) if place else "x"] = data.draw(MUTANTS)
     try:
         obj = file(values, bounds=BOUNDS)
         obj.check()
-        if "audio" in obj.header:
-            obj.impact(POINTS[:1], np.ones((1, 3)))
-        if "touch" in obj.header:
-            obj.touch(POINTS[:1])
         if "vision" in obj.header:
-            obj.view(CAMERAS[:1], LIGHT, intrinsics=Intrinsics(2, 2, 3.0))
+            assert np.isfinite(obj.view(CAMERAS[:1], LIGHT, intrinsics=Intrinsics(2, 2, 3.0))).all()
     except ObjectFolderError:
         pass

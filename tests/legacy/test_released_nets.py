@@ -55,7 +55,7 @@ def same_picture(picture, image, alpha, depth):
 
 @pytest.mark.parametrize("width", [16, 256])
 def test_views_of_1_0_are_the_released_rendering(saved, width):
-    values = released.released_1(1 if width == 16 else 4, width, density=-1.0)
+    values = released.released_1(1 if width == 16 else 8, width, density=-1.0)
     net = again(nerf_net(saved(values).part("VisionNet")))
     assert isinstance(net, ReleasedNerf)
     states = {
@@ -81,16 +81,18 @@ def test_sounds_of_1_0_are_the_released_spectrograms(saved):
     vertices = audio["voxel_vertex"]
     nearest = np.argsort(np.linalg.norm(vertices - place, axis=1))[:4]
     frequency, time = np.meshgrid(np.arange(257) / 256, np.arange(201) / 200, indexing="ij")
-    expected = np.zeros((3, 257, 201), complex)
+    some = np.arange(0, frequency.size, 37)
+    expected = np.zeros((3, len(some)), complex)
     for vertex in vertices[nearest]:
         normal = (vertex - vertices.min()) / (vertices.max() - vertices.min())
         bins = np.stack([*(np.full(frequency.size, c) for c in normal), frequency.ravel(), time.ravel()], 1)
+        bins = bins[some]
         for i, axis in enumerate("xyz"):
             out = released.mlp(audio["model_state_dict"], bins, prefix=f"module.model_{axis}.")
             low, high = (float(audio["normalizer"][f"f{i + 1}_{end}"]) for end in ("min", "max"))
             out = out * (high - low) + low
-            expected[i] += (out[:, 0] + 1j * out[:, 1]).reshape(257, 201)
-    found = net.spectrograms(torch.from_numpy(point))[0].numpy()
+            expected[i] += out[:, 0] + 1j * out[:, 1]
+    found = net.spectrograms(torch.from_numpy(point))[0].flatten(1).numpy()[:, some]
     np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
 
 
