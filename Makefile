@@ -5,7 +5,7 @@ JOBS ?= 2
 PIP_ARGS ?=
 BIN := .venv/bin
 
-.PHONY: setup demo test test-slow lint gltf-validate clean
+.PHONY: setup demo test test-slow fuzz lint gltf-validate clean
 
 setup: .venv/installed
 
@@ -22,6 +22,13 @@ test: setup
 
 test-slow: setup
 	$(BIN)/pytest -m slow
+
+# Ten minutes each.
+fuzz: setup
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt atheris
+	$(BIN)/python fuzz/objectfile.py -max_total_time=600
+	$(BIN)/python fuzz/queryfiles.py -max_total_time=600
+	$(BIN)/pytest --hypothesis-profile=fuzz tests/test_hostile_files.py
 
 lint: setup
 	$(BIN)/ruff check .

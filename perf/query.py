@@ -1,0 +1,199 @@
+"""Queries of Object Files: `python perf/query.py FILE ... [--mixed N] [--json FILE]`.
+
+Of every file, each figure from a fresh process with one thread, CPU time: from starting Python to the first
+touch; views of 256 x 256 with one sample per pixel and with more at edges; sounds of two seconds and touches,
+one at a time and in batches; beside the seconds that the authors publish for their released files on a GPU.
+With --mixed, N queries of all kinds from four threads and one after the other, whose bytes are compared.
+Needs the base install only. Exits with 1 if a target is missed.
+"""
+
+import argparse
+import hashlib
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from statistics import median
+
+from rich.console import Console
+from rich.table import Table
+
+#: Title; target for every file; published: ObjectFolder 1.0 and 2.0 (Gao et al. 2022, Table 1), on a GPU.
+FIGURES: dict[str, tuple[str, float, float | None, float | None]] = {
+    "first_touch_s": ("start to first touch, s", 2.5, None, None),
+    "view_ms": ("view, ms", 70.0, 3699.0, 62.0),
+    "view_single_ms": ("1 sample, ms", 40.0, None, None),
+    "impact_ms": ("impact, ms", 5.0, 420.0, 35.0),
+    "impact_batch_ms": ("in batches", 1.0, None, None),
+    "touch_ms": ("touch, ms", 10.0, 10.0, 14.0),
+    "touch_batch_ms": ("in batches", 10.0, None, None),
+    "peak_mb": ("peak MB", 1024.0, None, None),
+    "file_kb": ("file, KB", 1300.0, 15600.0, None),
+}
+MEDIAN_KB = 900.0  #: of all files
+VIEWS, SINGLE, BATCH = 12, 40, 64
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def milliseconds(ask: Callable, arguments: list) -> float:
+    """Median CPU time of calls with each of some arguments; a call before them is not counted."""
+    ask(*arguments[0])
+    times = []
+    for one in arguments:
+        start = time.process_time()
+        ask(*one)
+        times.append(1000 * (time.process_time() - start))
+    return median(times)
+
+
+def first(path: str) -> dict:
+    """Import, load and touch, in this process; what Python itself takes to start counts."""
+    from objectfolder import ObjectFile
+
+    ObjectFile.load(path).touch([[0.0, 0.0, 0.0]], tolerance=1.0)
+    return {"first_touch_s": time.process_time()}
+
+
+def speed(path: str) -> dict:
+    """Time all queries in this process."""
+    import numpy as np
+    import torch
+
+    from objectfolder import ObjectFile
+    from objectfolder.vision.cameras import sphere_points
+
+    torch.set_num_threads(1)
+    file, rng = ObjectFile.load(path), np.random.default_rng(0)
+    cameras, lights = sphere_points(VIEWS, 2.5, rng), sphere_points(VIEWS, 1.0, rng)
+    points, forces = file.sample_surface(BATCH), rng.standard_normal((BATCH, 3))
+    singly = list(zip(points[:SINGLE, None], forces[:SINGLE, None]))
+    together = [(points, forces)] * 5
+    pairs = list(zip(cameras[:, None], lights[:, None]))
+    touch = lambda points, _: file.touch(points)  # noqa: E731
+    return {
+        "object": file.key,
+        "view_ms": milliseconds(file.view, pairs),
+        "view_single_ms": milliseconds(partial(file.view, supersample=False), pairs),
+        "impact_ms": milliseconds(file.impact, singly),
+        "impact_batch_ms": milliseconds(file.impact, together) / BATCH,
+        "touch_ms": milliseconds(touch, singly),
+        "touch_batch_ms": milliseconds(touch, together[:2]) / BATCH,
+        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        "file_kb": Path(path).stat().st_size / 1000,
+    }
+
+
+def mixed(path: str, count: str) -> dict:
+    """Compare the bytes of many queries from four threads with those of one after the other."""
+    import numpy as np
+
+    from objectfolder import ObjectFile
+    from objectfolder.vision.cameras import sphere_points
+
+    def queries() -> list[Callable]:
+        file, rng = ObjectFile.load(path), np.random.default_rng(0)
+        points = file.sample_surface(int(count))
+        asked: list[Callable] = []
+        for point, force, kind in zip(points, rng.standard_normal(points.shape), rng.random(len(points))):
+            camera, light = (sphere_points(1, radius, rng) for radius in (2.5, 1.0))
+            if kind < 0.04:
+                asked.append(partial(file.view, camera, light, 128))
+            elif kind < 0.4:
+                asked.append(partial(file.touch, point, rng.uniform(0, 0.001), rng.uniform(0, 6)))
+            else:
+                asked.append(partial(file.impact, point, force, duration=rng.choice([0.5, 2.0])))
+        return asked
+
+    def digest(ask: Callable) -> bytes:
+        return hashlib.sha256(ask().tobytes()).digest()
+
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(digest, queries()))
+    differing = sum(a != b for a, b in zip(together, map(digest, queries()), strict=True))
+    return {"mixed_queries": len(together), "differing": differing}
+
+
+JOBS = {"first": first, "speed": speed, "mixed": mixed}
+
+
+def fresh(job: str, *arguments: str) -> dict:
+    """Run a job of this file in a process of its own."""
+    done = subprocess.run(
+        [sys.executable, __file__, "--job", job, *arguments],
+        capture_output=True,
+        text=True,
+        env={**os.environ, **dict.fromkeys(THREADS, "1")},
+    )
+    if done.returncode:
+        sys.exit(f"{' '.join(arguments)}: {(done.stderr.strip().splitlines() or ['failed'])[-1]}")
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def misses(rows: list[dict]) -> list[str]:
+    """Targets that are missed, in words."""
+    found = [
+        f"{row['object']}: {title} {row[name]:.3g}, expected at most {target:g}"
+        for row in rows
+        for name, (title, target, *_) in FIGURES.items()
+        if row[name] > target
+    ]
+    middle = median(row["file_kb"] for row in rows)
+    if middle > MEDIAN_KB:
+        found.append(f"median file {middle:.0f} KB, expected at most {MEDIAN_KB:g}")
+    return found + [f"{row['object']}: threads differ" for row in rows if row.get("differing")]
+
+
+def show(rows: list[dict], console: Console) -> None:
+    table = Table(title="Queries of Object Files, CPU time of one thread")
+    table.add_column("object")
+    for title, *_ in FIGURES.values():
+        table.add_column(title, justify="right")
+    for row in rows:
+        table.add_row(row["object"], *(f"{row[name]:.3g}" for name in FIGURES))
+    table.add_section()
+    for i, name in enumerate(("target, at most", "released 1.0 on a GPU", "released 2.0 on a GPU"), 1):
+        table.add_row(name, *("" if figure[i] is None else f"{figure[i]:g}" for figure in FIGURES.values()))
+    console.print(table)
+    for row in (row for row in rows if "mixed_queries" in row):
+        console.print(
+            f"{row['object']}: {row['mixed_queries']} mixed queries from 4 threads, of which "
+            f"{row['differing']} differ from those asked one after the other"
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("files", nargs="*", help="Object Files")
+    parser.add_argument("--mixed", type=int, help="compare so many queries of the first file")
+    parser.add_argument("--json", type=Path, help="also write the figures here")
+    parser.add_argument("--job", nargs="+", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.job:
+        job, *rest = arguments.job
+        print(json.dumps(JOBS[job](*rest)))
+        return
+    rows = [
+        fresh("speed", path) | {"first_touch_s": median(fresh("first", path)["first_touch_s"] for _ in "abc")}
+        for path in arguments.files
+    ]
+    if arguments.mixed:
+        rows[0] |= fresh("mixed", arguments.files[0], str(arguments.mixed))
+    console = Console(width=max(Console().width, 130))
+    show(rows, console)
+    if arguments.json:
+        arguments.json.write_text(json.dumps({"objects": rows}, indent=2) + "\n")
+    missed = misses(rows)
+    console.print("targets: " + ("; ".join(missed) or f"met by all {len(rows)}"), soft_wrap=True)
+    sys.exit(bool(missed))
+
+
+if __name__ == "__main__":
+    main()
