@@ -15,7 +15,7 @@ from objectfolder.nets.released_vision import March, ReleasedVision
 
 MARGIN = 0.001  #: points nearer to the end of the grid are outside
 MAX_CELLS = 1 << 18
-_CHUNK = 1024  # rays at once
+_CHUNK = 2048  # rays at once
 
 
 class ReleasedKilo(ReleasedVision):
@@ -75,9 +75,11 @@ class ReleasedKilo(ReleasedVision):
     def occupied(self, points: torch.Tensor) -> torch.Tensor:
         """Which of (N, 3) points are in an occupied voxel of a cell with a net; (N,) bool."""
         inside = ((points > self._low + MARGIN) & (points < self._high - MARGIN)).all(1)
-        place = torch.where(inside[:, None], points, self._low)
+        index = inside.nonzero()[:, 0]
+        place = points[index]
         voxel = _index((place - self._low) / self._voxel, self.voxels)
-        return inside & self.voxel_mask[voxel] & (self._row[self._cell_of(place)] >= 0)
+        held = self.voxel_mask[voxel] & (self._row[self._cell_of(place)] >= 0)
+        return inside.index_copy(0, index, held)
 
     def density(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Density (N,) and last hidden layer (N, width) at (N, 3) occupied points."""

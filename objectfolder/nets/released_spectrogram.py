@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.spatial import KDTree
 
 from objectfolder.audio.spectrogram import SHAPE
 from objectfolder.nets.released import Frame, ReleasedNetwork, float_tensors, network_of, stored
@@ -42,6 +41,8 @@ class ReleasedSpectrogram:
     damped_frequency = torch.zeros(0, dtype=torch.float64)  #: no modes are known
 
     def __init__(self, branches: list[ReleasedNetwork], vertices: np.ndarray, config: dict[str, Any]):
+        from scipy.spatial import KDTree  # half a second, which no other kind takes
+
         self.branches = branches
         self.vertices = np.asarray(vertices, np.float64)
         self.config = config

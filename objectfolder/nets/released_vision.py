@@ -20,7 +20,7 @@ from objectfolder.vision.picture import Picture
 
 MAX_SAMPLES = 4096  # of a ray
 _INVISIBLE = 1e-8  # weight of a sample in its pixel whose colour is not asked for
-_DEVICE_CHUNKS = 64  # chunks at once elsewhere than on a CPU
+_DEVICE_CHUNK = 2048  # rays at once elsewhere than on a CPU
 _NORMAL_STEP = 0.01  # unit frame; over which the density's slope is taken
 
 
@@ -125,7 +125,7 @@ class ReleasedVision:
     ----------
     march : March
     chunk : int
-        Rays at once on a CPU, where their activations are to stay in the cache.
+        Rays at once on a CPU.
     """
 
     coarse: Field  #: finds where `fine` looks
@@ -163,7 +163,7 @@ class ReleasedVision:
         rgba = directions.new_zeros(len(directions), 4)
         depth = directions.new_full((len(directions),), math.inf)
         normals = torch.zeros_like(directions)
-        chunk = self.chunk if self.device.type == "cpu" else self.chunk * _DEVICE_CHUNKS
+        chunk = self.chunk if self.device.type == "cpu" else _DEVICE_CHUNK
         for index in torch.arange(len(directions), device=self.device).split(chunk):
             ways = directions[index]
             shown, alpha, distance = self._look(origin, ways, towards)
