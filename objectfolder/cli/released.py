@@ -41,9 +41,7 @@ def import_released(
     ] = None,
     crop: Annotated[
         float | None,
-        typer.Option(
-            help="See nothing outside [-CROP, CROP]^3, unit frame: 0.6 renders several times faster."
-        ),
+        typer.Option(help="See nothing outside [-CROP, CROP]^3, unit frame: 0.6 halves the time."),
     ] = None,
 ) -> None:
     """Convert a released ObjectFolder 1.0 or 2.0 file; nothing that is pickled in it is run.
@@ -61,8 +59,6 @@ def import_released(
     obj = convert(file, options)
     obj.save(out)
     held = [f"{m} ({obj.header[m]['kind']})" for m in ("geometry", *MODALITIES) if m in obj.header]
-    for note in obj.header["imported"]["notes"]:
-        console.print(f"[yellow]{note}[/]", highlight=False, soft_wrap=True)
     console.print(
         f"{out}: {obj.header['imported']['release']}, {', '.join(held)}; {out.stat().st_size / 1e6:.1f} MB, "
         f"longest side {obj.scale:g} m",
