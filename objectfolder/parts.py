@@ -122,7 +122,10 @@ class Parts:
         packed = self._tensor("geometry.distances")
         with self.checked("distance grid"):
             values = unpack_grid(packed, int(config["resolution"]), config["predictor"])
-            return Isosurface(DistanceGrid(values, config["band"]))
+            surface = Isosurface(DistanceGrid(values, config["band"]))
+            if not len(surface.faces):
+                raise ValueError("no surface")
+            return surface
 
     @property
     def solid(self) -> Isosurface | None:
@@ -143,7 +146,7 @@ class Parts:
         net = self.vision
         assert isinstance(net, SurfaceNet)
         with self.checked("vision net"):
-            return net.shader(self.surface)
+            return net.shader(self.surface, self.device)
 
     @_once
     def audio(self) -> AudioNet:

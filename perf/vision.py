@@ -1,10 +1,12 @@
-"""Vision, object by object: `python perf/vision.py renderers|training|query [--workspace DIR] [KEY ...]`.
+"""Vision, object by object: `python perf/vision.py COMMAND [--workspace DIR] [KEY ...]`.
 
 Every figure comes from a fresh process with one thread; seconds are CPU seconds. `renderers` (needs
 `objectfolder build render_views`) draws the same views with every renderer that is installed: ms per image,
 peak memory, and how far apart the pictures are. `training` (needs voxelize as well) trains the surface net
 with the workspace's params.yaml; it scores the test views once, at the end. `query` (needs pack) times the
-views of the Object File, beside a net of the paper's size. Exits with 1 if a target is missed.
+views of the Object File, beside a net of the paper's size. `primary` (needs pack) finds what each pixel's ray
+meets in two ways: triangles of the stored surface in a ray caster, which views use, and a sphere tracer that
+steps through the stored distances. Exits with 1 if a target is missed.
 """
 
 import argparse
@@ -38,10 +40,11 @@ from objectfolder.nets.vision_surface_training import VisionConfig, train_surfac
 from objectfolder.objectfile import ObjectFile
 from objectfolder.query import view as query_view
 from objectfolder.seeding import torch_generator
-from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere_points
+from objectfolder.vision.cameras import Intrinsics, camera_rays, covered_rectangle, look_at, sphere_points
 from objectfolder.vision.color import COVERED, lit_foreground, on_white
 from objectfolder.vision.renderers.registry import RENDERERS, make_renderer
 from objectfolder.vision.scene import Scene
+from objectfolder.vision.trace import weighted_rows
 from objectfolder.vision.view import draw as draw_surface
 from objectfolder.vision.volume import Rays
 
@@ -60,6 +63,7 @@ OSF_SAMPLES = (64, 128)  # the paper's (supplementary E), as is the shape
 OSF_SHAPE = {"width": 256, "depth": 8, "branch_width": 128, "branch_depth": 4}
 OSF_OCTAVES = {"point_octaves": 10, "direction_octaves": 4}
 OSF_ROWS = 2  # of pixels that are timed
+MAX_STEPS = 500  # of a ray that a sphere tracer follows
 SHOWN = 6  # views in a picture
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -162,6 +166,81 @@ def query(workspace: str, key: str, count: str) -> dict:
     return row | {"peak_mb": peak_mb()}
 
 
+def primary(workspace: str, key: str, count: str) -> dict:
+    """Time what the rays of views meet, with the ray caster and with a sphere tracer, in this process.
+
+    The picture that is compared is the cosine between ray and normal.
+    """
+    torch.set_num_threads(1)
+    rng = np.random.default_rng(0)
+    poses, intrinsics = look_at(sphere_points(int(count), 2.5, rng)), Intrinsics()
+    surface = ObjectFile.load(Build(key, workspace).object_file).surface
+    start = cpu_seconds()
+    corners, table = (
+        np.array(np.meshgrid(*surface.bounds.T)).reshape(3, -1).T,
+        torch.from_numpy(surface.normals),
+    )
+    surface.caster.occluded(np.ones((1, 3)), np.ones((1, 3)))  # Embree builds its tree at the first ray
+    row: dict = {
+        "object": key,
+        "ms_extract": 1000 * (cpu_seconds() - start),
+        "ms_caster": 0.0,
+        "ms_tracer": 0.0,
+    }
+    pictures, apart, steps = [], [], 0
+    for pose in poses:
+        left, top, right, bottom = covered_rectangle(corners, pose, intrinsics)
+        columns, rows = np.meshgrid(np.arange(left, right) + 0.5, np.arange(top, bottom) + 0.5)
+        origins, directions = camera_rays(pose, intrinsics, np.stack([columns.ravel(), rows.ravel()], 1))
+        start = cpu_seconds()
+        ray, distance, face, weights = surface.caster.intersect(origins, directions)
+        corner = torch.from_numpy(surface.faces.take(face, 0))
+        normals = weighted_rows(table, corner, torch.from_numpy(weights)).numpy()
+        between = cpu_seconds()
+        met, depth, seen, taken = sphere_trace(surface, origins, directions)
+        row["ms_caster"] += 1000 * (between - start) / len(poses)
+        row["ms_tracer"] += 1000 * (cpu_seconds() - between) / len(poses)
+        steps = max(steps, taken)
+        picture, depths = np.zeros((2, intrinsics.height * intrinsics.width)), np.zeros((2, len(origins)))
+        for i, (hit, along, n) in enumerate(((ray, distance, normals), (met, depth, seen))):
+            cosine = -(n / np.linalg.norm(n, axis=1, keepdims=True) * directions[hit]).sum(1)
+            picture[i, hit], depths[i, hit] = cosine.clip(0), along
+        pictures.append(np.square(picture[0] - picture[1]).mean())
+        both = (depths > 0).all(0)
+        apart.append(np.abs(depths[0] - depths[1])[both] / surface.grid.spacing)
+        row["hits_apart"] = row.get("hits_apart", 0) + int(((depths > 0).any(0) & ~both).sum()) / len(poses)
+    voxels = np.concatenate(apart)
+    row |= {"steps": steps, "psnr_picture": float(psnr(np.mean(pictures)))}
+    return row | {"voxels_median": float(np.median(voxels)), "voxels_99": float(np.quantile(voxels, 0.99))}
+
+
+def sphere_trace(
+    surface: Isosurface, origins: np.ndarray, directions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    """Where rays meet the zero level of the distances: rays, depths, normals, and steps taken.
+
+    Each ray steps by the distance that the grid tells, from the surface's bounds on, and ends within a
+    fiftieth of a voxel of the surface. Rays that are through are left out of further steps.
+    """
+    low, high = (torch.from_numpy(b.astype(np.float32)) for b in surface.bounds)
+    origin, direction = torch.from_numpy(origins), torch.from_numpy(directions)
+    planes = torch.stack([(low - origin) / direction, (high - origin) / direction])
+    near, far = planes.amin(0).amax(1), planes.amax(0).amin(1)
+    active = (near < far).nonzero()[:, 0]
+    along, found, depths, steps = near[active], [], [], 0
+    while len(active) and steps < MAX_STEPS:
+        distance = surface.grid.distance(origin[active] + direction[active] * along[:, None])
+        met = distance < surface.grid.spacing / 50
+        found.append(active[met])
+        depths.append(along[met])
+        along = along + distance
+        going = ~met & (along < far[active])
+        active, along, steps = active[going], along[going], steps + 1
+    ray, depth = torch.cat(found), torch.cat(depths)
+    normals = surface.grid.normals(origin[ray] + direction[ray] * depth[:, None])
+    return ray.numpy(), depth.numpy(), normals.numpy(), steps
+
+
 def query_osf() -> dict:
     """Time a net of the paper's size on a few rows of pixels in the middle of a view, in this process.
 
@@ -247,7 +326,7 @@ def fresh(job: str, *arguments: str) -> dict:
     return json.loads(done.stdout.splitlines()[-1])
 
 
-JOBS = {"draw": draw, "train": train, "query": query, "query_osf": query_osf}
+JOBS = {"draw": draw, "train": train, "query": query, "query_osf": query_osf, "primary": primary}
 
 
 def run_job(job: str, *arguments: str) -> None:
@@ -321,6 +400,19 @@ QUERY = {
 }
 
 
+PRIMARY = {
+    "object": ("object", ""),
+    "ms_extract": ("extract ms", ".0f"),
+    "ms_caster": ("ms, ray caster", ".1f"),
+    "ms_tracer": ("ms, sphere tracer", ".1f"),
+    "steps": ("steps", ""),
+    "voxels_median": ("depth apart, voxels", ".3f"),
+    "voxels_99": ("99 %", ".2f"),
+    "hits_apart": ("pixels only one meets", ".0f"),
+    "psnr_picture": ("picture dB", ".1f"),
+}
+
+
 def show_training(rows: list[dict], console: Console) -> None:
     show_rows(rows, "Training of the surface net, and its PSNR", TRAINING, console)
 
@@ -332,6 +424,15 @@ def show_query(rows: list[dict], console: Console) -> None:
             f"osf: the paper's size, untrained; {row['rays_timed']} of {row['rays']} rays timed, extrapolated"
         )
         console.print(note, markup=False, soft_wrap=True)
+
+
+def show_primary(rows: list[dict], console: Console) -> None:
+    show_rows(
+        rows,
+        "What the rays of a view of 256 x 256 meet: CPU ms, and how far two ways are apart",
+        PRIMARY,
+        console,
+    )
 
 
 def misses_training(rows: list[dict]) -> list[str]:
@@ -390,6 +491,7 @@ def main() -> None:
         ("renderers", "time and compare the renderers"),
         ("training", "time the training of the surface net"),
         ("query", "time views of Object Files"),
+        ("primary", "compare the ray caster with a sphere tracer"),
     ):
         command = commands.add_parser(name, help=text)
         command.add_argument("keys", nargs="*", help="objects (default: all of params.yaml)")
@@ -409,6 +511,10 @@ def main() -> None:
         rows = [{"object": key} | fresh("train", str(workspace), key) for key in keys]
         missed = misses_training(rows)
         show_training(rows, console)
+    elif command == "primary":
+        rows = [{"object": key} | fresh("primary", str(workspace), key, str(arguments.views)) for key in keys]
+        missed = beyond(rows, {})
+        show_primary(rows, console)
     else:
         views = str(arguments.views)
         rows = [{"object": key} | fresh("query", str(workspace), key, views) for key in keys]

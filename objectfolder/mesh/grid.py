@@ -26,9 +26,10 @@ class DistanceGrid:
         self.values = np.asarray(values, np.int8)
         self.band = float(band)
         self.spacing = 2 * BOUND / (len(self.values) - 1)
-        volume = torch.from_numpy(self.values.astype(np.float32) * np.float32(self.band / 127))
-        # grid_sample wants (batch, channel, z, y, x).
-        self._volume = volume.permute(2, 1, 0).contiguous()[None, None]
+        volume = self.values.astype(np.float32)
+        volume *= np.float32(self.band / 127)
+        # grid_sample wants (batch, channel, z, y, x), of any strides.
+        self._volume = torch.from_numpy(volume).permute(2, 1, 0)[None, None]
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, np.ndarray]) -> "DistanceGrid":

@@ -1,8 +1,9 @@
 """The surface that the stored distance grid describes: what queries see and touch, without the mesh."""
 
+from functools import cached_property
+
 import numpy as np
 import torch
-from skimage.measure import marching_cubes
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.grid import BOUND, DistanceGrid
@@ -12,34 +13,69 @@ from objectfolder.mesh.raycast import RayCaster
 class Isosurface:
     """Triangles of a distance grid's zero level, in the unit frame, ready for ray casting.
 
+    All but the grid is made when it is first asked for.
+
     Parameters
     ----------
     grid : DistanceGrid
 
-    Attributes
-    ----------
-    vertices : (V, 3) float64
-    faces : (F, 3) int64, counter-clockwise seen from outside
-    normals : (V, 3) float32, outward, of unit length
-    bounds : (2, 3) float64, lowest and highest coordinates of the vertices
-    caster : RayCaster
+    Raises
+    ------
+    ObjectFolderError
+        If no surface runs through the grid.
     """
 
     def __init__(self, grid: DistanceGrid):
         self.grid = grid
         if not grid.values.min() < 0 < grid.values.max():
             raise ObjectFolderError("the distance grid holds no surface: every sample is on one side of it")
-        v, f, _, _ = marching_cubes(grid.values.astype(np.float32), 0.0, allow_degenerate=False)
-        self.vertices = v.astype(np.float64) * grid.spacing - BOUND
-        self.faces = f.astype(np.int64)
-        self.normals = grid.normals(torch.from_numpy(self.vertices.astype(np.float32))).numpy()
-        self.bounds = np.stack([self.vertices.min(0), self.vertices.max(0)])
-        self.caster = RayCaster(self.vertices, self.faces)
+
+    @cached_property
+    def _mesh(self) -> tuple[np.ndarray, np.ndarray]:
+        from skimage.measure import marching_cubes
+
+        values = self.grid.values
+        vertices, faces, _, _ = marching_cubes(
+            values.astype(np.float32), 0.0, allow_degenerate=False, mask=_crossed(values)
+        )
+        return vertices.astype(np.float64) * self.grid.spacing - BOUND, faces.astype(np.int64)
+
+    @property
+    def vertices(self) -> np.ndarray:
+        """Corners of the triangles; (V, 3) float64."""
+        return self._mesh[0]
+
+    @property
+    def faces(self) -> np.ndarray:
+        """Triangles, counter-clockwise seen from outside; (F, 3) int64."""
+        return self._mesh[1]
+
+    @cached_property
+    def normals(self) -> np.ndarray:
+        """Outward unit normals at the vertices; (V, 3) float32."""
+        return self.grid.normals(torch.from_numpy(self.vertices.astype(np.float32))).numpy()
+
+    @cached_property
+    def bounds(self) -> np.ndarray:
+        """Lowest and highest coordinates of the vertices; (2, 3) float64."""
+        return np.stack([self.vertices.min(0), self.vertices.max(0)])
+
+    @cached_property
+    def caster(self) -> RayCaster:
+        """The triangles, ready for rays."""
+        return RayCaster(self.vertices, self.faces)
+
+    @cached_property
+    def _tree(self):
+        from scipy.spatial import cKDTree
+
+        return cKDTree(self.vertices)
 
     def nearest(self, points: np.ndarray, steps: int = 3) -> tuple[np.ndarray, np.ndarray]:
         """Project points to the surface.
 
-        The nearest vertex of the surface, then Newton steps along the distance's gradient.
+        Where the grid knows the distance, Newton steps along its gradient; elsewhere from the nearest vertex
+        of the surface.
 
         Parameters
         ----------
@@ -50,17 +86,32 @@ class Isosurface:
         projected : (N, 3) float64
         distance : (N,) float64, from the given points
         """
-        from scipy.spatial import cKDTree
-
-        if not hasattr(self, "_tree"):
-            self._tree = cKDTree(self.vertices)
         points = np.asarray(points, np.float64)
-        near = np.abs(self.grid.distance(torch.from_numpy(points)).numpy()) < 0.9 * self.grid.band
-        near &= (np.abs(points) <= BOUND).all(1)  # beyond, the grid goes on as at its border
-        start = np.where(near[:, None], points, self.vertices[self._tree.query(points)[1]])
+        far = np.abs(self.grid.distance(torch.from_numpy(points)).numpy()) >= 0.9 * self.grid.band
+        far |= (np.abs(points) > BOUND).any(1)  # beyond, the grid goes on as at its border
+        start = points.copy()
+        if far.any():
+            start[far] = self.vertices[self._tree.query(points[far])[1]]
         position = torch.from_numpy(start)
         for _ in range(steps):
             step = self.grid.distance(position)[:, None] * self.grid.normals(position.to(torch.float32))
             position = position - step.to(torch.float64)
         projected = position.numpy()
         return projected, np.linalg.norm(projected - points, axis=1)
+
+
+def _crossed(values: np.ndarray) -> np.ndarray:
+    """Cells that the surface may run through, marked at their upper corner; (R, R, R) bool.
+
+    Marching cubes passes over the others, which are most, without looking at their samples.
+    """
+    cells = len(values) - 1
+    inside = np.packbits(values <= 0, axis=2)  # eight samples at once
+    some, every = inside != 0, inside == 255
+    # Cells of a byte reach into the next one; bits beyond the last sample are 0.
+    some[:, :, :-1], every[:, :, :-1] = some[:, :, :-1] | some[:, :, 1:], every[:, :, :-1] & every[:, :, 1:]
+    for _ in range(2):
+        some, every = (some[:-1] | some[1:]).swapaxes(0, 1), (every[:-1] & every[1:]).swapaxes(0, 1)
+    crossed = np.zeros(values.shape, bool)
+    crossed[1:, 1:, 1:] = np.repeat(some & ~every, 8, axis=2)[:, :, :cells]
+    return crossed

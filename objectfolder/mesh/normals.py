@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-import scipy.sparse as sp
 
 CREASE = math.radians(40)  #: between two faces, from which on their common edge is seen as one
 MOSTLY = 0.5  #: of a file's normals that are of no use: then the others are not believed either
@@ -24,6 +23,8 @@ def area_vectors(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 def averaged(normals: np.ndarray, faces: np.ndarray, rounds: int) -> np.ndarray:
     """Unit normals (V, 3), each the mean of its own and its neighbours', so many times over."""
+    import scipy.sparse as sp  # a quarter of a second
+
     count = len(normals)
     one, other = faces[:, [0, 1, 1, 2, 2, 0]].ravel(), faces[:, [1, 0, 2, 1, 0, 2]].ravel()
     near = sp.csr_matrix((np.ones(len(one)), (one, other)), (count, count))

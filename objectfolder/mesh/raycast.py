@@ -19,9 +19,8 @@ class RayCaster:
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray):
         self._scene = rtcore_scene.EmbreeScene()
-        triangles = np.ascontiguousarray(np.asarray(vertices, np.float32)[faces])
         # The Python object owns the buffers that Embree reads: keep it.
-        self._mesh = TriangleMesh(self._scene, triangles)
+        self._mesh = TriangleMesh(self._scene, np.asarray(vertices, np.float32), np.asarray(faces))
 
     def first_hit(
         self, origins: np.ndarray, directions: np.ndarray, max_distance: np.ndarray | None = None
@@ -30,7 +29,8 @@ class RayCaster:
 
         Parameters
         ----------
-        origins, directions : (N, 3) arrays
+        origins : (N, 3) or (3,) array
+        directions : (N, 3) array
         max_distance : (N,) array, optional
             Rays end here; a short ray is a cheap ray.
 
@@ -39,13 +39,7 @@ class RayCaster:
         distance : (N,) float32, ``inf`` where nothing is hit
         face : (N,) int64, -1 where nothing is hit
         """
-        hit = self._scene.run(
-            np.ascontiguousarray(origins, np.float32),
-            np.ascontiguousarray(directions, np.float32),
-            dists=_lengths(max_distance),
-            query="INTERSECT",
-            output=1,
-        )
+        hit = self._run(origins, directions, max_distance)
         face = hit["primID"].astype(np.int64)
         # Embree reports 1e37 on a miss.
         return np.where(face >= 0, hit["tfar"], np.float32(np.inf)).astype(np.float32), face
@@ -57,7 +51,8 @@ class RayCaster:
 
         Parameters
         ----------
-        origins, directions : (N, 3) arrays
+        origins : (N, 3) or (3,) array
+        directions : (N, 3) array
         max_distance : (N,) array, optional
             Rays end here.
 
@@ -69,24 +64,18 @@ class RayCaster:
         weights : (H, 3) float32
             Barycentric, of the face's corners.
         """
-        hit = self._scene.run(
-            np.ascontiguousarray(origins, np.float32),
-            np.ascontiguousarray(directions, np.float32),
-            dists=_lengths(max_distance),
-            query="INTERSECT",
-            output=1,
-        )
+        hit = self._run(origins, directions, max_distance)
         ray = np.flatnonzero(hit["primID"] >= 0)
-        u, v = hit["u"][ray], hit["v"][ray]
-        weights = np.stack([1 - u - v, u, v], 1).astype(np.float32)
-        return ray, hit["tfar"][ray].astype(np.float32), hit["primID"][ray].astype(np.int64), weights
+        u, v, distance, face = (hit[name].take(ray) for name in ("u", "v", "tfar", "primID"))
+        return ray, distance, face.astype(np.int64), np.stack([1 - u - v, u, v], 1)
 
     def first_crossing(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distance to the first triangle along each ray, and from which side the ray meets it.
 
         Parameters
         ----------
-        origins, directions : (N, 3) arrays
+        origins : (N, 3) or (3,) array
+        directions : (N, 3) array
 
         Returns
         -------
@@ -95,20 +84,34 @@ class RayCaster:
             The triangle's corners run clockwise as the ray sees them: of a closed surface, it comes from
             within.
         """
-        directions = np.ascontiguousarray(directions, np.float32)
-        hit = self._scene.run(
-            np.ascontiguousarray(origins, np.float32), directions, query="INTERSECT", output=1
-        )
+        hit = self._run(origins, directions)
         met = hit["primID"] >= 0
         leaving = met & ((hit["Ng"] * directions).sum(axis=1) > 0)
         return np.where(met, hit["tfar"], np.float32(np.inf)), leaving
 
-    def occluded(self, origins: np.ndarray, directions: np.ndarray, max_distance: np.ndarray) -> np.ndarray:
-        """Whether anything lies within ``max_distance`` along each ray; (N,) bool."""
-        _, face = self.first_hit(origins, directions, max_distance)
-        return face >= 0
+    def occluded(
+        self, origins: np.ndarray, directions: np.ndarray, max_distance: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Whether anything lies along each ray, within ``max_distance`` if given; (N,) bool."""
+        rays = _rays(origins, directions)
+        return self._scene.run(*rays, dists=_lengths(max_distance), query="OCCLUDED") >= 0
+
+    def _run(
+        self, origins: np.ndarray, directions: np.ndarray, max_distance: np.ndarray | None = None
+    ) -> dict[str, np.ndarray]:
+        rays = _rays(origins, directions)
+        return self._scene.run(*rays, dists=_lengths(max_distance), query="INTERSECT", output=1)
 
 
 def _lengths(max_distance: np.ndarray | None) -> np.ndarray | None:
     """A copy, because Embree's wrapper writes the distances it finds into it."""
     return None if max_distance is None else np.array(max_distance, np.float32)
+
+
+def _rays(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Origins and directions in single precision, of any strides; Embree's wrapper wants to write to them."""
+    origins, directions = (np.require(v, np.float32, "W") for v in (origins, directions))
+    if origins.ndim == 1:
+        strides = 0, origins.strides[0]
+        origins = np.lib.stride_tricks.as_strided(origins, directions.shape, strides)
+    return origins, directions

@@ -4,16 +4,16 @@ Interpolating a table is a product with a sparse matrix of eight weights per row
 backward pass of `embedding_bag` would dominate training; scipy's transposed product is many times faster.
 """
 
+import itertools
 import lzma
 import math
 
 import numpy as np
-import scipy.sparse as sp
 import torch
 import torch.nn.functional as F
 from torch import nn
 
-_PRIMES = (1, 2654435761, 805459861)
+_PRIMES = (1, 2654435761 - 2**32, 805459861)  # the lower 32 bits of a product are all that is used
 
 
 class HashGrid(nn.Module):
@@ -52,23 +52,29 @@ class HashGrid(nn.Module):
 
         Compute them once for points that are looked up often.
         """
-        rows, weights = [], []
-        bits = torch.tensor([[(c >> axis) & 1 for axis in range(3)] for c in range(8)])
+        count, width = len(x), 8 * len(self.resolutions)
+        rows, weights = x.new_empty(count, width, dtype=torch.int32), x.new_empty(count, width)
+        axes = x.clamp(0, 1).mT.contiguous()
         for level, resolution in enumerate(self.resolutions):
-            position = x.clamp(0, 1) * resolution
+            position = axes * resolution
             base = position.floor().clamp(max=resolution - 1)
-            fraction = (position - base)[:, None, :]
-            corner = base.long()[:, None, :] + bits
-            if self._hashed[level]:
-                mixed = (
-                    corner[..., 0] * _PRIMES[0] ^ corner[..., 1] * _PRIMES[1] ^ corner[..., 2] * _PRIMES[2]
-                )
-                row = mixed & (2 ** self.config["table_bits"] - 1)
-            else:
-                row = corner[..., 0] + (resolution + 1) * (corner[..., 1] + (resolution + 1) * corner[..., 2])
-            rows.append((row + self.offsets[level]).int())
-            weights.append(torch.where(bits.bool(), fraction, 1 - fraction).prod(-1))
-        return torch.cat(rows, 1), torch.cat(weights, 1)
+            upper = position - base
+            shares = (1 - upper, upper)
+            hashed, side = self._hashed[level], resolution + 1
+            # What each coordinate adds to the row's number: of the lower and the upper corner.
+            factors = x.new_tensor(_PRIMES if hashed else (1, side, side**2), dtype=torch.int32)[:, None]
+            first = base.int() * factors
+            terms = (first, first + factors)
+            join = torch.bitwise_xor if hashed else torch.add
+            for a, b in itertools.product(range(2), range(2)):
+                row, weight = join(terms[a][0], terms[b][1]), shares[a][0] * shares[b][1]
+                for c in range(2):
+                    column, number = 8 * level + a + 2 * b + 4 * c, join(row, terms[c][2])
+                    if hashed:
+                        number &= 2 ** self.config["table_bits"] - 1
+                    rows[:, column] = number + self.offsets[level]
+                    weights[:, column] = weight * shares[c][2]
+        return rows, weights
 
     def lookup(self, rows: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
         """Interpolated features for `corners`' output; (N, levels * features)."""
@@ -125,6 +131,8 @@ def transposed_product(
     rows: torch.Tensor, weights: torch.Tensor, gradient: torch.Tensor, entries: int
 ) -> torch.Tensor:
     """Gradient (entries, F) of a table: that of each point (N, F), by eight weights, to eight rows (8 N,)."""
+    import scipy.sparse as sp  # training needs it, queries do not
+
     starts = np.arange(0, len(rows) + 1, 8, dtype=np.int32)
     matrix = sp.csr_matrix((weights.numpy(), rows.numpy(), starts), shape=(len(gradient), entries))
     return torch.from_numpy(matrix.T @ np.ascontiguousarray(gradient.numpy()))

@@ -6,8 +6,9 @@ top of the diffuse interreflection of the stored surface: a small grid and an ML
 and light are, what the surface gathers and what it mirrors.
 """
 
+import copy
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from objectfolder.vision.bsdf import fresnel, principled
 from objectfolder.vision.color import srgb_to_linear
 from objectfolder.vision.radiosity import Radiosity
 from objectfolder.vision.trace import SurfaceSamples
+from objectfolder.vision.vectors import columns, dot, joined, select, unit
 from objectfolder.vision.view import Shader
 
 #: Of the grid of what bounces.
@@ -29,7 +31,8 @@ TRANSPORT = {"levels": 2, "features": 4, "table_bits": 13, "coarsest": 8, "fines
 GRIDS = ("grid", "transport")
 NEAREST = 1e-3  # distance of a light, unit frame: one on the surface would be infinitely bright
 FAMILIAR = 0.1  # training lights are further off
-CHUNK = 50_000  # points that are looked up at once
+CHUNK = 50_000  # points that are shaded at once
+BAKED = 2**14  # vertices that are looked up at once
 
 
 class SurfaceNet(nn.Module):
@@ -82,17 +85,19 @@ class SurfaceNet(nn.Module):
         self, samples: SurfaceSamples, light: torch.Tensor, base_color: torch.Tensor, normals: torch.Tensor
     ) -> torch.Tensor:
         """Radiance straight from the light; (S, 3) as base colours (linear) and unit shading normals."""
-        to_light = light - samples.points
-        squared = (to_light * to_light).sum(-1, keepdim=True).clamp(min=NEAREST**2)
+        lit = samples.lit.nonzero()[:, 0]
+        to_light = light - select(samples.points, lit)
+        squared = dot(to_light, to_light)
         reflected = principled(
-            normals,
-            samples.directions,
-            F.normalize(to_light, dim=-1),
-            base_color,
+            select(normals, lit),
+            select(samples.directions, lit),
+            unit(to_light),
+            select(base_color, lit),
             self.config["roughness"],
             self.config["metallic"],
         )
-        return reflected * (samples.lit[:, None] / squared)
+        radiance = base_color.new_zeros(base_color.shape[::-1])
+        return radiance.index_copy_(1, lit, (reflected / squared.clamp(min=NEAREST**2)).mT).mT
 
     def bounce_inputs(
         self,
@@ -116,31 +121,33 @@ class SurfaceNet(nn.Module):
         p, n, view = samples.points, normals, samples.directions
         to_light = light - p
         # No view has taught lights that are closer than this.
-        squared = (to_light * to_light).sum(-1, keepdim=True).clamp(min=FAMILIAR**2)
-        l = F.normalize(to_light, dim=-1)
-        nl = (n * l).sum(-1, keepdim=True)
-        nh = (n * F.normalize(l - view, dim=-1)).sum(-1, keepdim=True).clamp(0, 1)
-        nv = -(n * view).sum(-1, keepdim=True)
+        squared = dot(to_light, to_light).clamp(min=FAMILIAR**2)
+        l = unit(to_light)
+        nl, nv = dot(n, l), -dot(n, view)
+        away = view + 2 * nv * n
+        nh = dot(n, unit(l - view)).clamp(0, 1)
+        nh8 = nh.square().square().square()
+        sine, cosine = torch.sin(4 * p), torch.cos(4 * p)
         lit, received = samples.lit[:, None].float(), nl.clamp(min=0) / squared
-        gathered, mirrored = baked.radiosity.around(samples, n, light.numpy())
+        gathered, mirrored = baked.radiosity.around(samples, away, light)
         mirrored = mirrored * fresnel(nv, base_color, self.config["metallic"])
-        columns = [
+        features = [
             p,
-            torch.sin(4 * p),
-            torch.cos(4 * p),
-            torch.sin(8 * p),
-            torch.cos(8 * p),
+            sine,
+            cosine,
+            2 * sine * cosine,  # those of the double angle
+            1 - 2 * sine * sine,
             light.expand(len(p), 3),
             samples.normals,
             n,
             view,
             l,
-            view + 2 * nv * n,
+            away,
             nl,
             nv,
             nh,
-            nh**8,
-            nh**32,
+            nh8,
+            nh8.square().square(),
             received,
             lit,
             lit * received,
@@ -150,7 +157,7 @@ class SurfaceNet(nn.Module):
             torch.log1p(4 * gathered),
             torch.log1p(16 * mirrored),
         ]
-        return BounceInputs(torch.cat(columns, -1), gathered, mirrored)
+        return BounceInputs(joined(features, 1), gathered, mirrored)
 
     def indirect(self, inputs: "BounceInputs", transport: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Light that has bounced: what a white surface would reflect, and what any does; (S, 3) each.
@@ -161,26 +168,36 @@ class SurfaceNet(nn.Module):
         transport : (S, T) tensor
             Of the grid `transport`.
         """
-        b = self.bounced(torch.cat([inputs.features, transport], 1)).split(3, 1)
+        b = columns(self.bounced(joined([inputs.features, transport], 1))).split(3, 1)
         diffuse = inputs.gathered * F.softplus(b[2] + 0.5) + 0.5 * F.softplus(b[0] - 4)
         return diffuse, inputs.mirrored * F.softplus(b[3]) + 0.1 * F.softplus(b[1] - 5)
 
-    def shader(self, surface: Isosurface) -> Shader:
+    def shader(self, surface: Isosurface, device: torch.device | str = "cpu") -> Shader:
         """Return what shades samples of one surface.
 
         Samples of one pixel share the light that bounces, which is smooth.
-        """
-        baked = self.bake(surface)
 
-        @torch.no_grad()
+        Parameters
+        ----------
+        surface : Isosurface
+        device : torch.device or str
+            Where samples are shaded. Rays are cast on the CPU.
+        """
+        net, baked = copy.deepcopy(self).to(device), self.bake(surface).to(device)
+
+        @torch.inference_mode()
         def shade(samples: SurfaceSamples, light: torch.Tensor, pixel: np.ndarray) -> torch.Tensor:
+            samples, light = samples.to(device), light.to(device)
             base_color, normals = baked.look_of(samples)
-            direct = self.direct(samples, light, base_color, normals)
-            one, group = map(torch.from_numpy, np.unique(pixel, return_index=True, return_inverse=True)[1:])
-            each = samples.select(one)
-            inputs = self.bounce_inputs(baked, each, light, base_color[one], normals[one], direct[one])
-            diffuse, glossy = self.indirect(inputs, each.interpolated(baked.transport))
-            return direct + base_color * diffuse[group] + glossy[group]
+            direct = net.direct(samples, light, base_color, normals)
+            one, group = (torch.from_numpy(index).to(device) for index in _firsts(pixel))
+            bounced = []
+            for part in one.split(CHUNK):
+                each, looks = samples.select(part), (select(v, part) for v in (base_color, normals, direct))
+                inputs = net.bounce_inputs(baked, each, light, *looks)
+                bounced.append(net.indirect(inputs, columns(each.interpolated(baked.transport))))
+            diffuse, glossy = (select(joined(parts), group) for parts in zip(*bounced))
+            return (direct + base_color * diffuse + glossy).cpu()
 
         return shade
 
@@ -189,7 +206,7 @@ class SurfaceNet(nn.Module):
         """Evaluate once what depends on the point alone, at the surface's vertices and patches."""
         points = torch.from_numpy(surface.vertices.astype(np.float32))
         looks, transport = [], []
-        for p, n in zip(points.split(CHUNK), torch.from_numpy(surface.normals).split(CHUNK)):
+        for p, n in zip(points.split(BAKED), torch.from_numpy(surface.normals).split(BAKED)):
             cube = in_cube(p)
             color, shading = self.looks(p, n, self.grid(cube))
             looks.append(torch.cat([srgb_to_linear(color.clamp(0, 1)), F.normalize(shading, dim=-1)], 1))
@@ -229,10 +246,14 @@ class Baked:
     transport: torch.Tensor  #: (V, T), features of the grid `transport`
     radiosity: Radiosity
 
+    def to(self, device: torch.device | str) -> "Baked":
+        """Return these on a device, but for the radiosity, which answers from the CPU."""
+        return replace(self, look=self.look.to(device), transport=self.transport.to(device))
+
     def look_of(self, samples: SurfaceSamples) -> tuple[torch.Tensor, torch.Tensor]:
         """Base colours, linear, and unit shading normals; (S, 3) each."""
-        values = samples.interpolated(self.look)
-        return values[:, :3], F.normalize(values[:, 3:], dim=-1)
+        values = columns(samples.interpolated(self.look))
+        return values[:, :3], unit(values[:, 3:])
 
 
 @dataclass(frozen=True)
@@ -246,6 +267,17 @@ class BounceInputs:
     def select(self, index: torch.Tensor) -> "BounceInputs":
         """Return those of some samples, in single precision."""
         return BounceInputs(self.features[index].float(), self.gathered[index], self.mirrored[index])
+
+
+def _firsts(groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First row of each group, in the order of rows, and which of these groups each row belongs to."""
+    rows = np.arange(len(groups))
+    first = np.empty(groups.max() + 1, np.int64)
+    first[groups[::-1]] = rows[::-1]
+    one = np.flatnonzero(first[groups] == rows)
+    number = np.empty_like(first)
+    number[groups[one]] = np.arange(len(one))
+    return one, number[groups]
 
 
 def in_cube(points: torch.Tensor) -> torch.Tensor:

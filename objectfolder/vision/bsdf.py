@@ -3,7 +3,8 @@
 import math
 
 import torch
-import torch.nn.functional as F
+
+from objectfolder.vision.vectors import dot, unit
 
 REFRACTIVE_INDEX = 1.5  # principled specular 0.5
 MIN_ALPHA = 0.001
@@ -37,15 +38,15 @@ def principled(
     -------
     (S, 3) tensor, 0 where camera or light are behind the surface
     """
-    half = F.normalize(light - view, dim=-1)
-    seen, received = _dot(normal, -view), _dot(normal, light)
+    half = unit(light - view)
+    seen, received = -dot(normal, view), dot(normal, light)
     facing = (seen > 0) & (received > 0)
     seen, received = seen.clamp(min=1e-4), received.clamp(min=1e-6)
-    grazing = _dot(half, light)  # cosine between the half vector and either direction
+    grazing = dot(half, light)  # cosine between the half vector and either direction
     squared = max(MIN_ALPHA, roughness**2) ** 2
-    along = _dot(normal, half)
+    along = dot(normal, half)
     across = half - along * normal  # its length is exact where the cosine is nearly 1
-    distribution = squared / (math.pi * (squared * along**2 + _dot(across, across)) ** 2)
+    distribution = squared / (math.pi * (squared * along**2 + dot(across, across)) ** 2)
     reflected = fresnel(grazing, base_color, metallic)
     specular = math.pi / 4 * reflected * distribution * _masking(seen, squared) * _masking(received, squared)
     at_light, at_eye, retro = _schlick(received), _schlick(seen), 2 * roughness * grazing**2
@@ -70,12 +71,10 @@ def fresnel(cosine: torch.Tensor, base_color: torch.Tensor, metallic: float) -> 
     return share
 
 
-def _dot(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-    return (a * b).sum(-1, keepdim=True)
-
-
 def _schlick(cosine: torch.Tensor) -> torch.Tensor:
-    return (1 - cosine).clamp(0, 1) ** 5
+    rest = (1 - cosine).clamp(0, 1)
+    squared = rest * rest
+    return squared * squared * rest
 
 
 def _dielectric(cosine: torch.Tensor) -> torch.Tensor:

@@ -152,6 +152,60 @@ def camera_rays(
     return origins.astype(np.float32), directions.astype(np.float32)
 
 
+class PixelRays:
+    """Rays through an image's pixels, of any length: several times faster than `camera_rays`.
+
+    Along each ray, distance is depth: its direction's component along the optical axis is 1.
+
+    Parameters
+    ----------
+    camera_to_world : (4, 4) array
+    intrinsics : Intrinsics
+    left, top, right, bottom : int
+        The part of the image, columns from left to before right, whose pixels are numbered row by row.
+    """
+
+    def __init__(
+        self,
+        camera_to_world: np.ndarray,
+        intrinsics: Intrinsics,
+        left: int,
+        top: int,
+        right: int,
+        bottom: int,
+    ):
+        self.shape = bottom - top, right - left
+        self.origin = camera_to_world[:3, 3].astype(np.float32)  #: (3,), of all
+        right_axis, up, backward = camera_to_world[:3, :3].T
+        backward = backward / np.linalg.norm(backward)
+        columns = (np.arange(left, right) - intrinsics.cx) / intrinsics.fx
+        rows = (intrinsics.cy - np.arange(top, bottom)) / intrinsics.fy
+        # Of the upper left corners of pixels, and of steps of one pixel.
+        self._columns = (columns * right_axis[:, None] - backward[:, None]).astype(np.float32)
+        self._rows = (rows * up[:, None]).astype(np.float32)
+        self._right = (right_axis / intrinsics.fx).astype(np.float32)[:, None]
+        self._down = (-up / intrinsics.fy).astype(np.float32)[:, None]
+
+    def centres(self) -> np.ndarray:
+        """Directions of rays through all pixels' centres; (P, 3) float32."""
+        half = 0.5 * self._right + 0.5 * self._down
+        return (self._rows[:, :, None] + (self._columns + half)[:, None]).reshape(3, -1).T
+
+    def through(self, pixels: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Directions of rays; (K, 3) float32.
+
+        Parameters
+        ----------
+        pixels : (K,) int array
+            Numbers of pixels.
+        x, y : (K,) float32 arrays
+            Position from a pixel's upper left corner, 0 to 1.
+        """
+        row, column = np.divmod(pixels, self.shape[1])
+        corner = self._rows.take(row, 1) + self._columns.take(column, 1)
+        return (corner + (x * self._right + y * self._down)).T
+
+
 def project(
     points: np.ndarray, camera_to_world: np.ndarray, intrinsics: Intrinsics
 ) -> tuple[np.ndarray, np.ndarray]:

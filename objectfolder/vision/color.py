@@ -1,9 +1,12 @@
 """From linear radiance with coverage to the image that is shown and scored."""
 
+from functools import reduce
+
 import numpy as np
 import torch
 
 COVERED = 0.999  #: alpha of a pixel that the object fills
+CHUNK = 2**20  # pixels that are encoded at once
 LIT = 0.01  #: radiance of a lit pixel, relative to white
 
 
@@ -24,7 +27,15 @@ def srgb_to_linear(x: torch.Tensor) -> torch.Tensor:
 
 def on_white(rgba: torch.Tensor) -> torch.Tensor:
     """Composite premultiplied linear RGBA (..., 4) on white and encode; (..., 3) in [0, 1]."""
-    return linear_to_srgb((rgba[..., :3] + (1 - rgba[..., 3:])).clamp(0, 1))
+    pixels = rgba.reshape(-1, 4)
+    white = linear_to_srgb(torch.ones(1, dtype=rgba.dtype, device=rgba.device))
+    shown = white.repeat(len(pixels), 3)
+    # Most of a picture is bare, and a large one is encoded in parts, for the sake of memory.
+    for part, into in zip(pixels.split(CHUNK), shown.split(CHUNK)):
+        drawn = reduce(torch.logical_or, (part != 0).unbind(1)).nonzero()[:, 0]
+        color = part.index_select(0, drawn)
+        into.index_copy_(0, drawn, linear_to_srgb((color[:, :3] + (1 - color[:, 3:])).clamp(0, 1)))
+    return shown.view(*rgba.shape[:-1], 3)
 
 
 def lit_foreground(rgba: np.ndarray) -> np.ndarray:

@@ -7,30 +7,43 @@ import torch
 import torch.nn.functional as F
 
 from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.vision.vectors import columns, dot, joined, select, unit
 
 SHADOW_OFFSET = 0.05  # voxels along the normal where shadow rays start: further off, shadows move
 
 
 @dataclass(frozen=True)
 class SurfaceSamples:
-    """Visible points of a surface; tensors share their first dimension S."""
+    """Visible points of a surface; tensors share their first dimension S.
+
+    The columns of what `trace` returns lie each in one piece of memory; see `objectfolder.vision.vectors`.
+    """
 
     ray: torch.Tensor  #: (S,) int64, which ray saw the point
     points: torch.Tensor  #: (S, 3) float32, unit frame
     normals: torch.Tensor  #: (S, 3) float32, outward
-    directions: torch.Tensor  #: (S, 3) float32, from the camera
+    directions: torch.Tensor  #: (S, 3) float32, from the camera, of unit length
+    distance: (
+        torch.Tensor
+    )  #: (S,) float32, from the camera, in lengths of the ray's direction as it was given
     lit: torch.Tensor  #: (S,) bool, faces the light and is not in shadow
     corners: torch.Tensor  #: (S, 3) int64, vertices of the triangle that holds the point
     weights: torch.Tensor  #: (S, 3) float32, barycentric
 
     def select(self, index: torch.Tensor) -> "SurfaceSamples":
         """Return some of the samples."""
-        return SurfaceSamples(*(getattr(self, field.name)[index] for field in fields(self)))
+        return SurfaceSamples(*(select(getattr(self, field.name), index) for field in fields(self)))
 
     def joined(self, others: "SurfaceSamples") -> "SurfaceSamples":
         """Return these samples, then the others."""
+        if not len(self.ray):
+            return others
         pairs = ((getattr(self, field.name), getattr(others, field.name)) for field in fields(self))
-        return SurfaceSamples(*map(torch.cat, pairs))
+        return SurfaceSamples(*(joined(pair) for pair in pairs))
+
+    def to(self, device: torch.device | str) -> "SurfaceSamples":
+        """Return these samples on a device."""
+        return SurfaceSamples(*(getattr(self, field.name).to(device) for field in fields(self)))
 
     def interpolated(self, attributes: torch.Tensor) -> torch.Tensor:
         """Values at the samples of attributes (V, C) at the surface's vertices; (S, C)."""
@@ -49,43 +62,35 @@ def trace(
 
     Parameters
     ----------
-    origins, directions : (N, 3) float32 arrays, unit frame; directions of unit length
+    origins : (N, 3) or (3,) float32 array, unit frame
+    directions : (N, 3) float32 array
     light : (3,) array, unit frame
     """
     ray, distance, face, barycentric = surface.caster.intersect(origins, directions)
-    directions = directions[ray]
-    points = origins[ray] + directions * distance[:, None]
-    corners, weights = torch.from_numpy(surface.faces[face]), torch.from_numpy(barycentric)
-    normals = F.normalize(weighted_rows(torch.from_numpy(surface.normals), corners, weights), dim=1).numpy()
-    lit = is_lit(surface, points, normals, light)
-    return SurfaceSamples(
-        ray=torch.from_numpy(ray),
-        points=torch.from_numpy(points),
-        normals=torch.from_numpy(normals),
-        directions=torch.from_numpy(directions),
-        lit=torch.from_numpy(lit),
-        corners=corners,
-        weights=weights,
-    )
+    index, t = torch.from_numpy(ray), torch.from_numpy(distance)
+    away = torch.from_numpy(directions.T.take(ray, 1)).T
+    start = torch.tensor(origins) if origins.ndim == 1 else torch.from_numpy(origins.T.take(ray, 1)).T
+    points = start + away * t[:, None]
+    corners, weights = torch.from_numpy(surface.faces.take(face, 0)), torch.from_numpy(barycentric)
+    normals = unit(columns(weighted_rows(torch.from_numpy(surface.normals), corners, weights)))
+    lit = is_lit(surface, points, normals, torch.from_numpy(np.asarray(light, np.float32)))
+    return SurfaceSamples(index, points, normals, unit(away), t, lit, corners, weights)
 
 
-def is_lit(surface: Isosurface, points: np.ndarray, normals: np.ndarray, light: np.ndarray) -> np.ndarray:
+def is_lit(
+    surface: Isosurface, points: torch.Tensor, normals: torch.Tensor, light: torch.Tensor
+) -> torch.Tensor:
     """Which points of the surface face a light that nothing hides; (S,) bool.
 
     Parameters
     ----------
-    points, normals : (S, 3) float32 arrays, unit frame
-    light : (3,) array, unit frame
+    points, normals : (S, 3) float32 tensors, unit frame
+    light : (3,) float32 tensor, unit frame
     """
-    light = np.asarray(light, np.float32)
-    lit = _dot(light - points, normals) > 0
-    facing = np.flatnonzero(lit)
-    start = points[facing] + normals[facing] * np.float32(SHADOW_OFFSET * surface.grid.spacing)
-    to_light = light - start
-    length = np.sqrt(_dot(to_light, to_light))
-    lit[facing] = ~surface.caster.occluded(start, to_light / length[:, None], length)
+    lit = dot(light - points, normals)[:, 0] > 0
+    facing = lit.nonzero()[:, 0]
+    start = select(points, facing) + select(normals, facing) * (SHADOW_OFFSET * surface.grid.spacing)
+    # The ray's direction is as long as the way to the light.
+    end = np.ones(len(facing), np.float32)
+    lit[facing] = torch.from_numpy(~surface.caster.occluded(start.numpy(), (light - start).numpy(), end))
     return lit
-
-
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.einsum("sk,sk->s", a, b)

@@ -1,33 +1,34 @@
 """Draw a stored surface: rays, shading, and extra samples where the picture has edges."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import torch
 
 from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.vision.cameras import Intrinsics, camera_rays, covered_rectangle
+from objectfolder.vision.cameras import Intrinsics, PixelRays, covered_rectangle
 from objectfolder.vision.picture import Picture
 from objectfolder.vision.trace import SurfaceSamples, trace
 
 CREASE = 0.35  # difference of neighbouring unit normals
-
-
-def offsets(side: int) -> np.ndarray:
-    """Regular sample positions within a pixel; (side^2, 2)."""
-    axis = (np.arange(side) + 0.5) / side
-    return np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
-
-
-SHADED = offsets(3)  #: samples of pixels with edges
-LINES, HALVINGS = 4, 5  #: across a silhouette's pixel, and how often they are halved to find where it is cut
+SIDE = 3  # pixels with edges have a square of as many samples, the middle one at the centre
+OTHERS = SIDE**2 - 1
+AXIS = (np.arange(SIDE, dtype=np.float32) + 0.5) / SIDE
+AROUND = np.delete(
+    np.stack(np.meshgrid(AXIS, AXIS)).reshape(2, -1), OTHERS // 2, axis=1
+)  # x, y off the centre
+HALVINGS = 5  # of the stretch between two samples in which a silhouette cuts a line of them
+END = np.float32(1 / 64)  # pixels; a line that is met so near to its end is taken to be met up to it
+TILE = 2**18  # pixels that are drawn at once: what bounds the memory of a large picture
+MARGIN = 2  # pixels beyond a tile that its own depend on
 
 #: Samples, light (3,) and the pixel (S,) that each belongs to -> linear radiance (S, 3).
 Shader = Callable[[SurfaceSamples, torch.Tensor, np.ndarray], torch.Tensor]
+#: Of some rays: colour (3, N), whether they hit or what they cover (N,), depth (N,) and normal (3, N).
+Images = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
-@torch.no_grad()
+@torch.inference_mode()
 def draw(
     surface: Isosurface,
     shade: Shader,
@@ -39,7 +40,8 @@ def draw(
     """Render one view of a stored surface.
 
     One ray through every pixel that the object may cover; where silhouettes, shadow edges or creases
-    cross a pixel, the samples `SHADED`; on silhouettes, more rays find how much of a pixel is covered.
+    cross a pixel, a square of samples; on silhouettes, more rays find how much of a pixel is covered. Large
+    pictures are drawn a few rows at a time.
 
     Parameters
     ----------
@@ -65,141 +67,173 @@ def draw(
     normals = np.zeros((height, width, 3), np.float32)
     corners = np.array(np.meshgrid(*surface.bounds.T)).reshape(3, -1).T
     left, top, right, bottom = covered_rectangle(corners, camera_to_world, intrinsics)
-    if left < right and top < bottom:
-        centre = intrinsics.cx - left, intrinsics.cy - top
-        part = replace(intrinsics, width=right - left, height=bottom - top, center=centre)
-        window = slice(top, bottom), slice(left, right)
-        rgba[window], depth[window], normals[window] = _draw(
-            surface, shade, camera_to_world, light, part, supersample
-        )
+    rows, columns = max(TILE // max(right - left, 1), 1), slice(left, right)
+    for start in range(top, bottom if left < right else top, rows):
+        stop = min(start + rows, bottom)
+        first, last = max(start - MARGIN, top), min(stop + MARGIN, bottom)
+        rays = PixelRays(camera_to_world, intrinsics, left, first, right, last)
+        inner = slice(start - first, stop - first)
+        for whole, part in zip((rgba, depth, normals), _draw(surface, shade, rays, light, supersample)):
+            whole[start:stop, columns] = part[inner]
     return Picture(rgba, depth, normals)
 
 
 def _draw(
-    surface: Isosurface,
-    shade: Shader,
-    camera_to_world: np.ndarray,
-    light: np.ndarray,
-    intrinsics: Intrinsics,
-    supersample: bool,
+    surface: Isosurface, shade: Shader, rays: PixelRays, light: np.ndarray, supersample: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    height, width = intrinsics.height, intrinsics.width
-    count = height * width
-    everywhere = np.arange(count)
-    centre = _cast(surface, camera_to_world, light, intrinsics, everywhere, np.full((1, 2), 0.5))
+    """Linear premultiplied RGBA, depth and normals of a part of an image."""
+    height, width = rays.shape
+    light = np.asarray(light, np.float32)
+    centre = trace(surface, rays.origin, rays.centres(), light)
     seen = centre.ray.numpy()
-    normals = np.zeros((count, 3), np.float32)
-    normals[seen] = centre.normals.numpy()
-    edge = np.zeros(count, bool)
+    images = color, alpha, depth, normals = _images(height * width)
+    alpha[seen], depth[seen] = 1, centre.distance.numpy()
+    normals[:, seen] = centre.normals.numpy().T
+    edges = np.zeros(0, np.int64)
     if supersample:
-        state = np.zeros(count, np.int8)
-        state[seen] = 1 + centre.lit.numpy()
-        edge = _varies(state, height, width, 0) | _varies(normals, height, width, CREASE)
-    edge_pixels = np.flatnonzero(edge)
-    fine = _cast(surface, camera_to_world, light, intrinsics, edge_pixels, SHADED)
-    inner = np.flatnonzero(~edge[seen])
-    samples = centre.select(torch.from_numpy(inner)).joined(fine)
-    pixel = np.concatenate([seen[inner], edge_pixels[fine.ray.numpy() // len(SHADED)]])
-    radiance = np.zeros((0, 3), np.float32)
-    if len(pixel):
-        radiance = shade(samples, torch.from_numpy(np.asarray(light, np.float32)), pixel).numpy()
-    hits = np.bincount(pixel, minlength=count)
-    summed = np.stack([np.bincount(pixel, weights=c, minlength=count) for c in radiance.T], 1)
-    color = summed / np.maximum(hits, 1)[:, None]
-    alpha = np.where(edge, hits / len(SHADED), hits)
-    if supersample:
-        silhouette = np.flatnonzero(_varies(alpha, height, width, 0) & (hits > 0))
-        padded = np.pad(alpha.reshape(height, width), 1, mode="edge")
-        slopes = np.stack([padded[2:, 1:-1] - padded[:-2, 1:-1], padded[1:-1, 2:] - padded[1:-1, :-2]], -1)
-        slopes = slopes.reshape(count, 2)[silhouette]
-        alpha[silhouette] = _coverage(surface, camera_to_world, intrinsics, silhouette, slopes)
-    rgba = np.concatenate([color * alpha[:, None], alpha[:, None]], 1).astype(np.float32)
-    depth = np.full(count, np.inf, np.float32)
-    depth[seen] = _depth(centre, camera_to_world)
-    pixel, nearest = _nearest_misses(fine, edge_pixels, np.isinf(depth), camera_to_world)
-    depth[pixel], normals[pixel] = _depth(nearest, camera_to_world), nearest.normals.numpy()
-    empty = rgba[:, 3] == 0
-    depth[empty], normals[empty] = np.inf, 0
-    size = height, width
-    return rgba.reshape(*size, 4), depth.reshape(size), normals.reshape(*size, 3)
+        state = np.zeros(height * width, np.float32)
+        state[seen] = 10 * (1 + centre.lit.numpy())  # further apart than normals can be
+        edges = np.flatnonzero(_varies(np.concatenate([normals, state[None]]), rays.shape, CREASE))
+    around = rays.through(np.repeat(edges, OTHERS), *np.tile(AROUND, len(edges)))
+    fine = trace(surface, rays.origin, around, light)
+    ray = fine.ray.numpy()
+    pixel = np.concatenate([edges[ray // OTHERS], seen])
+    if not len(pixel):
+        return _shaped(images, rays.shape)
+    radiance = shade(fine.joined(centre), torch.from_numpy(light), pixel).numpy().T
+    color[:, seen] = radiance[:, len(ray) :]
+    if len(edges):
+        found = _images(len(edges) * OTHERS)
+        for whole, part in zip(found, (radiance[:, : len(ray)], 1, fine.distance, fine.normals.T)):
+            whole[..., ray] = part
+        _refine(surface, rays, edges, images, found)
+    return _shaped(images, rays.shape)
 
 
-def _depth(samples: SurfaceSamples, camera_to_world: np.ndarray) -> np.ndarray:
-    """Distance along the optical axis; (S,)."""
-    return (samples.points.numpy() - camera_to_world[:3, 3]) @ -camera_to_world[:3, 2]
+def _images(count: int) -> Images:
+    """Colour, coverage, depth and normal of rays that meet nothing."""
+    zeros, infinite = np.zeros((7, count), np.float32), np.full(count, np.inf, np.float32)
+    return zeros[:3], zeros[3], infinite, zeros[4:]
 
 
-def _nearest_misses(
-    fine: SurfaceSamples, edge_pixels: np.ndarray, missed: np.ndarray, camera_to_world: np.ndarray
-) -> tuple[np.ndarray, SurfaceSamples]:
-    """Pixels whose centre missed although other samples hit, and the sample nearest to the camera in each."""
-    pixel = edge_pixels[fine.ray.numpy() // len(SHADED)]
-    index = np.flatnonzero(missed[pixel])
-    index = index[np.argsort(_depth(fine, camera_to_world)[index], kind="stable")]
-    found, first = np.unique(pixel[index], return_index=True)
-    return found, fine.select(torch.from_numpy(index[first]))
+def _shaped(images: Images, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Linear premultiplied RGBA (H, W, 4), depth (H, W) and normals (H, W, 3)."""
+    color, alpha, depth, normals = images
+    rgba = np.concatenate([color * alpha, alpha[None]])
+    return rgba.T.reshape(*shape, 4), depth.reshape(shape), normals.T.reshape(*shape, 3)
 
 
-def _pixel_rays(
-    camera_to_world: np.ndarray, intrinsics: Intrinsics, pixels: np.ndarray, offsets: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    corner = np.stack([pixels % intrinsics.width, pixels // intrinsics.width], 1)
-    positions = (corner[:, None, :] + offsets).reshape(-1, 2)
-    return camera_rays(camera_to_world, intrinsics, positions)
+def _refine(surface: Isosurface, rays: PixelRays, edges: np.ndarray, images: Images, found: Images) -> None:
+    """Put what the other samples of edge pixels found into the images.
+
+    Parameters
+    ----------
+    edges : (E,) int array
+        Numbers of pixels.
+    images
+        Of the rays through pixels' centres.
+    found
+        Of the other samples of edge pixels.
+    """
+    color, alpha, depth, normals = images
+    hit = np.insert(found[1].reshape(-1, OTHERS), OTHERS // 2, alpha[edges], axis=1) > 0
+    hits = hit.sum(1, dtype=np.float32)
+    summed = color[:, edges] + found[0].reshape(3, -1, OTHERS).sum(2)
+    color[:, edges] = summed / np.maximum(hits, 1)
+    alpha[edges] = hits / SIDE**2
+    silhouette = np.flatnonzero(_varies(alpha[None], rays.shape, 0)[edges] & (hits > 0))
+    pixels = edges[silhouette]
+    lines = hit[silhouette].reshape(-1, SIDE, SIDE)
+    alpha[pixels] = _coverage(surface, rays, pixels, lines, _slopes(alpha.reshape(rays.shape), pixels))
+    # Where the centre misses, the nearest of the others.
+    missed = np.flatnonzero(np.isinf(depth[edges]))
+    nearest = OTHERS * missed + found[2].reshape(-1, OTHERS)[missed].argmin(1)
+    depth[edges[missed]], normals[:, edges[missed]] = found[2][nearest], found[3][:, nearest]
+    empty = edges[alpha[edges] == 0]
+    depth[empty], normals[:, empty] = np.inf, 0
 
 
-def _cast(
-    surface: Isosurface,
-    camera_to_world: np.ndarray,
-    light: np.ndarray,
-    intrinsics: Intrinsics,
-    pixels: np.ndarray,
-    offsets: np.ndarray,
-) -> SurfaceSamples:
-    return trace(surface, *_pixel_rays(camera_to_world, intrinsics, pixels, offsets), light)
+def _slopes(image: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How an image grows down the rows and along the columns at some of its pixels; (P,) each."""
+    padded = np.pad(image, 1, mode="edge")
+    row, column = np.divmod(pixels, image.shape[1])
+    down = padded[row + 2, column + 1] - padded[row, column + 1]
+    return down, padded[row + 1, column + 2] - padded[row + 1, column]
 
 
 def _coverage(
     surface: Isosurface,
-    camera_to_world: np.ndarray,
-    intrinsics: Intrinsics,
+    rays: PixelRays,
     pixels: np.ndarray,
-    slopes: np.ndarray,
+    hit: np.ndarray,
+    slopes: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
     """Share of each pixel that the surface covers; (P,).
 
-    Lines across the silhouette are halved until the cut is found.
+    Each pixel's samples are taken as lines across the silhouette. A line is covered from one cut to another
+    one or to its end, and each cut lies between a sample that hits and one, or an end of the line, that does
+    not: halving finds it.
 
     Parameters
     ----------
-    slopes : (P, 2) array
+    hit : (P, SIDE, SIDE) bool array
+        What the pixels' samples met.
+    slopes : two (P,) arrays
         How coverage grows down the rows and along the columns.
     """
-    upright = (np.abs(slopes[:, 0]) >= np.abs(slopes[:, 1]))[:, None]
-    grows = np.where(upright, slopes[:, :1], slopes[:, 1:]) >= 0
-    lines = np.broadcast_to((np.arange(LINES) + 0.5) / LINES, (len(pixels), LINES))
-    low, high = np.zeros(lines.shape), np.ones(lines.shape)  # from the bare side to the covered one
+    down, along = slopes
+    upright = np.abs(down) >= np.abs(along)
+    grows = np.where(upright, down, along) >= 0
+    # Lines (P, SIDE) of samples, each from the bare side to the covered one.
+    hit = np.where(upright[:, None, None], hit.transpose(0, 2, 1), hit)
+    hit = np.where(grows[:, None, None], hit, hit[:, :, ::-1]).reshape(-1, SIDE)
+    pixel, upright, grows = (np.repeat(of_pixel, SIDE) for of_pixel in (pixels, upright, grows))
+    across = np.tile(AXIS, len(pixels))
+
+    def met(line: np.ndarray, position: np.ndarray) -> np.ndarray:
+        forward = np.where(grows[line], position, 1 - position)
+        x, y = np.where(upright[line], (across[line], forward), (forward, across[line]))
+        return surface.caster.occluded(rays.origin, rays.through(pixel[line], x, y))
+
+    first, last = hit.argmax(1), SIDE - 1 - hit[:, ::-1].argmax(1)
+    some = np.logical_or.reduce(hit, axis=1)
+    begin, end = np.zeros(len(hit), np.float32), some.astype(np.float32)
+    # The line's ends: the bare one, if the sample next to it hits; the covered one, if no sample does.
+    ends = np.flatnonzero(~some | (first == 0))
+    reached = met(ends, np.where(some[ends], END, 1 - END))
+    end[ends[reached]] = 1
+    whole = np.zeros(len(hit), bool)
+    whole[ends] = some[ends] == reached
+    bare, far = np.flatnonzero(~whole), np.flatnonzero(some & (last < SIDE - 1))
+    # Of each cut: its line, and the nearest places on it that hit and that miss.
+    line = np.concatenate([bare, far])
+    hits = np.concatenate([np.where(some[bare], AXIS[first[bare]], 1 - END), AXIS[last[far]]])
+    below = np.where(first[bare] > 0, AXIS[first[bare] - 1], END)
+    misses = np.concatenate([np.where(some[bare], below, AXIS[-1]), AXIS[(last[far] + 1) % SIDE]])
     for _ in range(HALVINGS):
-        middle = (low + high) / 2
-        along = np.where(grows, middle, 1 - middle)
-        positions = np.stack([np.where(upright, lines, along), np.where(upright, along, lines)], 2)
-        rays = _pixel_rays(camera_to_world, intrinsics, pixels, positions)
-        met = (surface.caster.first_hit(*rays)[1] >= 0).reshape(lines.shape)
-        low, high = np.where(met, low, middle), np.where(met, middle, high)
-    # A line that is met everywhere, or nowhere, is taken for whole.
-    cut = np.where(low == 0, 0, np.where(high == 1, 1, (low + high) / 2))
-    return 1 - cut.mean(1)
+        middle = (hits + misses) / 2
+        reached = met(line, middle)
+        hits, misses = np.where(reached, middle, hits), np.where(reached, misses, middle)
+    cut = (hits + misses) / 2
+    begin[bare], end[far] = cut[: len(bare)], cut[len(bare) :]
+    return (end - begin).reshape(-1, SIDE).mean(1)
 
 
-def _varies(values: np.ndarray, height: int, width: int, tolerance: float) -> np.ndarray:
-    """Pixels that differ by more than a tolerance from one of their eight neighbours; (H*W,) bool."""
-    image = values.reshape(height, width, -1)
-    varies = np.zeros((height, width), bool)
-    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
-        # Each pixel against one neighbour; both are marked.
-        here = slice(0, height - down), slice(max(-right, 0), width - max(right, 0))
-        there = slice(down, height), slice(max(right, 0), width + min(right, 0))
-        apart = (np.abs(image[here] - image[there]) > tolerance).any(-1)
-        varies[here] |= apart
-        varies[there] |= apart
+def _varies(values: np.ndarray, shape: tuple[int, int], tolerance: float) -> np.ndarray:
+    """Pixels that differ by more than a tolerance from one of their eight neighbours; (H*W,) bool.
+
+    Parameters
+    ----------
+    values : (K, H*W) array
+    """
+    height, width = shape
+    varies = np.zeros(shape, bool)
+    for image in values.reshape(-1, height, width):
+        for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+            # Each pixel against one neighbour; both are marked.
+            here = slice(0, height - down), slice(max(-right, 0), width - max(right, 0))
+            there = slice(down, height), slice(max(right, 0), width + min(right, 0))
+            apart = np.abs(image[here] - image[there]) > tolerance
+            varies[here] |= apart
+            varies[there] |= apart
     return varies.ravel()

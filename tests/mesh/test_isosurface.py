@@ -1,8 +1,12 @@
 import numpy as np
 import pytest
 import torch
+from scipy.ndimage import gaussian_filter
+from skimage.measure import marching_cubes
 from solids import TURN, box, isosurface, sphere
 
+from objectfolder.mesh.grid import BOUND, DistanceGrid
+from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.topology import is_closed, signed_volume
 
 SOLIDS = {
@@ -74,3 +78,24 @@ def test_nearest_of_a_row_does_not_depend_on_its_batch(case, rng):
     for i in (0, 7, 64):
         for a, b in zip(surface.nearest(points[i : i + 1]), whole):
             np.testing.assert_array_equal(a[0], b[i])
+
+
+@pytest.mark.parametrize("resolution", [31, 32, 41])
+def test_cells_that_are_passed_over_hold_no_surface(rng, resolution):
+    """Marching cubes that looks at every cell finds the same triangles, to the bit."""
+    noise = gaussian_filter(rng.standard_normal((resolution,) * 3), 1.5)
+    values = np.clip(np.rint(400 * noise), -127, 127).astype(np.int8)
+    surface = Isosurface(DistanceGrid(values, 0.05))
+    vertices, faces, _, _ = marching_cubes(values.astype(np.float32), 0.0, allow_degenerate=False)
+    np.testing.assert_array_equal(surface.faces, faces)
+    np.testing.assert_array_equal(
+        surface.vertices, vertices.astype(np.float64) * surface.grid.spacing - BOUND
+    )
+
+
+def test_points_near_the_surface_are_projected_without_extracting_it(rng):
+    surface = isosurface(SOLIDS["sphere"][0])
+    direction = rng.standard_normal((20, 3))
+    direction *= 0.421 / np.linalg.norm(direction, axis=1, keepdims=True)
+    surface.nearest(direction)
+    assert set(vars(surface)) == {"grid"}

@@ -38,3 +38,19 @@ def test_the_face_that_is_hit():
 def test_no_rays():
     distance, face = RayCaster(*box((1, 1, 1))).first_hit(np.zeros((0, 3)), np.zeros((0, 3)))
     assert distance.shape == face.shape == (0,)
+
+
+def test_one_origin_and_any_strides_serve_all_rays(rng):
+    caster = RayCaster(*box((1, 1, 1)))
+    origin = np.float32([0.3, -0.2, 2])
+    directions = (rng.uniform(-0.8, 0.8, (3, 300)) - origin[:, None]).astype(np.float32).T
+    origins = np.tile(origin, (300, 1))
+    expected = caster.intersect(origins, np.ascontiguousarray(directions))
+    assert 50 < len(expected[0]) < 250
+    frozen = origin.copy()
+    frozen.flags.writeable = False
+    for start in (origin, frozen, np.broadcast_to(origin, (300, 3))):
+        for found, known in zip(caster.intersect(start, directions), expected):
+            np.testing.assert_array_equal(found, known)
+    occluded = caster.occluded(origin, directions)
+    assert np.flatnonzero(occluded).tolist() == expected[0].tolist()

@@ -93,6 +93,15 @@ def test_samples_of_a_pixel_share_what_bounces_and_nothing_else(ball, samples, n
     assert (together > direct).all()
 
 
+def test_a_shader_on_a_device_answers_alike_and_leaves_the_net_alone(ball, samples, net):
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    pixel = np.arange(len(samples.points)) // 2
+    there, here = (net.shader(ball, device=where)(samples, LIGHT, pixel) for where in (device, "cpu"))
+    assert there.device == torch.device("cpu")
+    torch.testing.assert_close(there, here, rtol=1e-3, atol=1e-4)
+    assert {p.device for p in net.parameters()} == {torch.device("cpu")}
+
+
 @pytest.fixture(scope="module")
 def painted():
     vertices, faces = sphere(0.45, 4)

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, project, sphere_points
+from objectfolder.vision.cameras import Intrinsics, PixelRays, camera_rays, look_at, project, sphere_points
 
 positions = st.lists(st.floats(-5, 5), min_size=3, max_size=3).filter(lambda p: np.linalg.norm(p) > 1e-2)
 
@@ -128,3 +128,22 @@ def test_a_camera_matrix_projects_as_it_says():
 def test_a_matrix_of_no_pinhole_camera_is_refused(matrix, reason):
     with pytest.raises(ObjectFolderError, match=reason):
         Intrinsics.from_matrix(matrix, 4, 4)
+
+
+def test_rays_of_part_of_an_image_are_its_rays_at_unit_depth(rng):
+    intrinsics = Intrinsics(120, 80, 150.0, center=(31.5, 70.25), focal_y=130.0)
+    pose = look_at(np.array([1.9, -1.2, 0.8]))[0]
+    rays = PixelRays(pose, intrinsics, 20, 7, 90, 60)
+    assert rays.shape == (53, 70)
+    columns, rows = np.meshgrid(np.arange(20, 90), np.arange(7, 60))
+    corner = np.stack([columns.ravel(), rows.ravel()], 1)
+    pixels = rng.integers(0, 53 * 70, 500)
+    x, y = rng.random((2, 500), np.float32)
+    for found, places in (
+        (rays.centres(), corner + 0.5),
+        (rays.through(pixels, x, y), corner[pixels] + np.stack([x, y], 1)),
+    ):
+        origins, expected = camera_rays(pose, intrinsics, places)
+        np.testing.assert_array_equal(origins, np.broadcast_to(rays.origin, origins.shape))
+        np.testing.assert_allclose(found / np.linalg.norm(found, axis=1, keepdims=True), expected, atol=5e-7)
+        np.testing.assert_allclose(found @ -pose[:3, 2], 1, atol=1e-6)

@@ -27,3 +27,12 @@ def test_white_shows_where_nothing_covers_it():
     np.testing.assert_allclose(image[2, 0], 1)
     assert image.max() <= 1
     np.testing.assert_allclose(image[3], linear_to_srgb(torch.tensor(0.5)))
+
+
+def test_a_picture_is_composited_pixel_by_pixel():
+    """The bare ones too, which are passed over."""
+    generator = torch.Generator().manual_seed(0)
+    rgba = torch.rand(9, 7, 4, generator=generator) * (torch.rand(9, 7, 1, generator=generator) > 0.5)
+    expected = linear_to_srgb((rgba[..., :3] + (1 - rgba[..., 3:])).clamp(0, 1))
+    assert torch.equal(on_white(rgba), expected)
+    assert torch.equal(on_white(rgba.transpose(0, 1)), expected.transpose(0, 1))

@@ -3,6 +3,7 @@ import pytest
 import torch
 from solids import TURN, box, isosurface, join, sphere
 
+from objectfolder.vision import view
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, project
 from objectfolder.vision.trace import trace
 from objectfolder.vision.view import draw
@@ -45,7 +46,7 @@ def test_coverage_of_a_sphere_is_its_projected_area(ball, position):
 
 
 @pytest.mark.parametrize(
-    ("sides", "mean", "worst"), [((0.5, 0.6, 0.7), 0.006, 0.02), ((0.9, 0.03, 0.03), 0.01, 0.07)]
+    ("sides", "mean", "worst"), [((0.5, 0.6, 0.7), 0.006, 0.03), ((0.9, 0.03, 0.03), 0.01, 0.07)]
 )
 def test_coverage_is_that_of_many_rays(sides, mean, worst):
     """A board whose silhouettes are straight, and a needle that is narrower than two pixels."""
@@ -234,6 +235,31 @@ def test_a_picture_of_one_pixel(ball):
     picture = draw(ball, white, look_at(np.array([2.5, 0, 0]))[0], LIGHT, Intrinsics(1, 1, 10.0))
     assert picture.rgba.shape == (1, 1, 4)
     assert picture.normals.shape == (1, 1, 3)
+
+
+@pytest.mark.parametrize("supersample", [True, False])
+def test_a_picture_that_is_drawn_in_tiles_is_the_same_to_the_bit(ball, monkeypatch, supersample):
+    pose, intrinsics = look_at(np.array([2.1, -1.2, 0.6]))[0], Intrinsics(90, 80, 110.0)
+    whole = draw(ball, lambert, pose, LIGHT, intrinsics, supersample)
+    for pixels in (1, 500, 2000):  # rows of one, of a few, and of many
+        monkeypatch.setattr(view, "TILE", pixels)
+        tiled = draw(ball, lambert, pose, LIGHT, intrinsics, supersample)
+        for name in ("rgba", "depth", "normals"):
+            np.testing.assert_array_equal(getattr(tiled, name), getattr(whole, name))
+
+
+def test_a_large_picture_is_shaded_in_parts(ball):
+    """What is shaded at once does not grow with the picture."""
+    shaded = []
+
+    def counting(samples, light, pixel):
+        shaded.append(len(pixel))
+        return white(samples, light, pixel)
+
+    pose = look_at(np.array([2.1, -1.2, 0.6]))[0]
+    alpha = draw(ball, counting, pose, LIGHT, Intrinsics.square(2048)).rgba[..., 3]
+    assert (alpha > 0).sum() > 3 * view.TILE
+    assert max(shaded) < 1.3 * view.TILE
 
 
 def test_resolution_converges(ball):
