@@ -4,6 +4,7 @@ docs/objectfile.md says it in words; objectfile.schema.json, beside this module,
 """
 
 import json
+import re
 from functools import cache
 from importlib import resources
 from typing import TYPE_CHECKING, Any
@@ -72,17 +73,17 @@ def checked_header(header: Any, path: object) -> dict[str, Any]:
                 f"{path} is an Object File of before format 1.0; rebuild it with `objectfolder build`"
             )
         raise ObjectFolderError(f"{path} is not an Object File: its header lacks format")
-    problem = min(_validator().iter_errors(header), key=lambda e: (len(e.path), str(e.path)), default=None)
-    if problem is not None and list(problem.path) == ["format"]:
+    if not re.fullmatch(r"[0-9]{1,4}\.[0-9]{1,4}", str(header["format"])):
         raise ObjectFolderError(
             f"{path} has format {header['format']!r}, expected text like {format_name()!r}"
         )
-    version = tuple(map(int, header["format"].split("."))) if isinstance(header["format"], str) else FORMAT
+    version = tuple(map(int, str(header["format"]).split(".")))
     if version[0] != FORMAT[0]:
         raise ObjectFolderError(
             f"{path} has format {header['format']}, this version reads {FORMAT[0]}.x; "
             + ("update objectfolder" if version > FORMAT else "rebuild it with `objectfolder build`")
         )
+    problem = min(_validator().iter_errors(header), key=lambda e: (len(e.path), str(e.path)), default=None)
     if problem is not None:
         place = ".".join(map(str, problem.path)) or "its header"
         raise ObjectFolderError(

@@ -24,9 +24,12 @@ from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.nets.audio_gains import GainsNet
 from objectfolder.nets.audio_spectrogram import SpectrogramNet
+from objectfolder.nets.released_gains import ReleasedGains
+from objectfolder.nets.released_spectrogram import ReleasedSpectrogram
+from objectfolder.nets.released_touch import ReleasedDepth, ReleasedImage
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.touch_image import ImageTouch
-from objectfolder.nets.vision_osf import OsfNet
+from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.parts import Parts
 from objectfolder.touch.profiles import SensorProfile, load_profile
 from objectfolder.touch.simulate import Touches
@@ -179,6 +182,11 @@ class ObjectFile:
             return stored_modes(net.damped_frequency.cpu(), net.damping.cpu())
         if material is not None and not isinstance(material, Material):
             material = materials.material(material)
+        if "band_hz" not in self.header["audio"] or "material_properties" not in self.header:
+            raise ObjectFolderError(
+                f"{self.key}: the file does not say what its modes are of, as imported ones do not; it "
+                "answers in its own material and size only"
+            )
         with self._parts.checked("description of the sound"):
             low, high = self.header["audio"]["band_hz"]
             own = Material(self.material, **self.header["material_properties"])
@@ -336,7 +344,7 @@ class ObjectFile:
             If shapes do not fit, values are not finite or too large, or a point is off the surface.
         """
         size = self.scale if scale is None else scale
-        if isinstance(self._parts.audio, SpectrogramNet):
+        if isinstance(self._parts.audio, SpectrogramNet | ReleasedSpectrogram):
             if material is not None or scale is not None or contact_time:
                 raise ObjectFolderError(
                     f"{self.key}: its audio net stores spectrograms; material, scale and contact_time need "
@@ -420,7 +428,7 @@ class ObjectFile:
         -------
         (N, H, W, 3) uint8, RGB
         """
-        if isinstance(self._parts.touch, ImageTouch) and sensor is None:
+        if isinstance(self._parts.touch, ImageTouch | ReleasedImage) and sensor is None:
             images = query.touch_image(
                 self._parts.solid,
                 self._parts.touch,
@@ -463,9 +471,23 @@ class ObjectFile:
         sensor: str | Path | SensorProfile | None = None,
     ) -> Iterator[Touches]:
         """Answer as `press`, a few contacts at a time: for more of them than the memory holds."""
+        profile = sensor if isinstance(sensor, SensorProfile | None) else load_profile(sensor)
+        if isinstance(self._parts.touch, ReleasedDepth):
+            return query.touch_depth(
+                self._parts.solid,
+                self._parts.touch,
+                self.scale,
+                points,
+                depth,
+                angle,
+                tilt,
+                azimuth,
+                tolerance,
+                profile,
+            )
         net = self._geometric
-        if sensor is not None:
-            net = net.with_sensor(sensor if isinstance(sensor, SensorProfile) else load_profile(sensor))
+        if profile is not None:
+            net = net.with_sensor(profile)
         return query.touch(net, points, depth, angle, tilt, azimuth, tolerance)
 
     def sample_surface(self, count: int, seed: int = 0) -> np.ndarray:
@@ -502,13 +524,13 @@ class ObjectFile:
         )
 
     def _drawer(self, supersample: bool) -> Drawer:
-        if isinstance(self._parts.vision, OsfNet):
+        if not isinstance(self._parts.vision, SurfaceNet):
             return self._parts.vision.picture
         return partial(draw, self.surface, self._parts.shader, supersample=supersample)
 
     @property
-    def _gains(self) -> GainsNet:
-        if not isinstance(self._parts.audio, GainsNet):
+    def _gains(self) -> GainsNet | ReleasedGains:
+        if not isinstance(self._parts.audio, GainsNet | ReleasedGains):
             raise ObjectFolderError(
                 f"{self.key}: its audio net stores spectrograms, no modes; train_audio.net: gains stores them"
             )

@@ -17,14 +17,39 @@ from objectfolder.mesh.gridcodec import unpack_grid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.audio_gains import GainsNet
 from objectfolder.nets.audio_spectrogram import SpectrogramNet
+from objectfolder.nets.released_gains import ReleasedGains
+from objectfolder.nets.released_kilo import ReleasedKilo
+from objectfolder.nets.released_spectrogram import ReleasedSpectrogram
+from objectfolder.nets.released_touch import ReleasedDepth, ReleasedImage
+from objectfolder.nets.released_vision import ReleasedNerf
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.touch_image import ImageTouch
 from objectfolder.nets.vision_osf import OsfNet
 from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.vision.view import Shader
 
-_VISION: dict[str, type[SurfaceNet] | type[OsfNet]] = {"surface": SurfaceNet, "osf": OsfNet}
-_AUDIO: dict[str, type[GainsNet] | type[SpectrogramNet]] = {"gains": GainsNet, "spectrogram": SpectrogramNet}
+VisionNet = SurfaceNet | OsfNet | ReleasedNerf | ReleasedKilo
+AudioNet = GainsNet | SpectrogramNet | ReleasedGains | ReleasedSpectrogram
+TouchNet = GeometricTouch | ImageTouch | ReleasedImage | ReleasedDepth
+
+_VISION: dict[str, type[VisionNet]] = {
+    "surface": SurfaceNet,
+    "osf": OsfNet,
+    "released_nerf": ReleasedNerf,
+    "released_kilo": ReleasedKilo,
+}
+_AUDIO: dict[str, type[AudioNet]] = {
+    "gains": GainsNet,
+    "spectrogram": SpectrogramNet,
+    "released_gains": ReleasedGains,
+    "released_spectrogram": ReleasedSpectrogram,
+}
+#: Those that are complete without the surface.
+_TOUCH: dict[str, type[ImageTouch | ReleasedImage | ReleasedDepth]] = {
+    "image": ImageTouch,
+    "released_image": ReleasedImage,
+    "released_depth": ReleasedDepth,
+}
 
 
 class _once(cached_property[Any]):
@@ -108,7 +133,7 @@ class Parts:
         return self.surface if "geometry" in self.header else None
 
     @_once
-    def vision(self) -> SurfaceNet | OsfNet:
+    def vision(self) -> VisionNet:
         """The vision net."""
         vision = self.described("vision")
         with self.checked("vision net"):
@@ -124,7 +149,7 @@ class Parts:
             return net.shader(self.surface, self.device)
 
     @_once
-    def audio(self) -> GainsNet | SpectrogramNet:
+    def audio(self) -> AudioNet:
         """The audio net."""
         audio = self.described("audio")
         with self.checked("audio net"):
@@ -132,13 +157,13 @@ class Parts:
             return kind.from_tensors(self._group("audio"), net).to(self.device)
 
     @_once
-    def touch(self) -> GeometricTouch | ImageTouch:
+    def touch(self) -> TouchNet:
         """The touch net."""
         touch = self.described("touch")
         tensors, net = self._group("touch"), known_net("touch", touch)
-        if touch["kind"] == "image":
+        if touch["kind"] in _TOUCH:
             with self.checked("touch net"):
-                return ImageTouch.from_tensors(tensors, net).to(self.device)
+                return _TOUCH[touch["kind"]].from_tensors(tensors, net).to(self.device)
         surface = self.surface
         with self.checked("touch net"):
             return GeometricTouch.from_tensors(surface, self.scale, tensors, net)

@@ -19,9 +19,13 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.audio_gains import GainsNet
 from objectfolder.nets.audio_spectrogram import SpectrogramNet
+from objectfolder.nets.released_gains import ReleasedGains
+from objectfolder.nets.released_spectrogram import ReleasedSpectrogram
+from objectfolder.nets.released_touch import ReleasedDepth, ReleasedImage
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.touch_image import ImageTouch
 from objectfolder.touch.contact import sensor_frames
+from objectfolder.touch.profiles import SensorProfile
 from objectfolder.touch.simulate import Touches
 from objectfolder.vision.cameras import Intrinsics, look_at
 from objectfolder.vision.color import on_white
@@ -104,7 +108,7 @@ def _poses_and_lights(camera: Rows, light: Rows) -> tuple[np.ndarray, np.ndarray
 
 def impact(
     surface: Isosurface | None,
-    net: GainsNet,
+    net: GainsNet | ReleasedGains,
     scale: float,
     points: Rows,
     forces: Rows,
@@ -165,7 +169,7 @@ def impact(
 
 def impact_spectrogram(
     surface: Isosurface | None,
-    net: SpectrogramNet,
+    net: SpectrogramNet | ReleasedSpectrogram,
     scale: float,
     points: Rows,
     forces: Rows,
@@ -198,7 +202,11 @@ def impact_spectrogram(
 
 
 def mode_shapes(
-    surface: Isosurface | None, net: GainsNet, scale: float, points: Rows, tolerance: float
+    surface: Isosurface | None,
+    net: GainsNet | ReleasedGains,
+    scale: float,
+    points: Rows,
+    tolerance: float,
 ) -> torch.Tensor:
     """Mass-normalised mode shapes: the modal gains of unit impulses along the three axes.
 
@@ -285,7 +293,7 @@ def joined(parts: Iterable[Touches]) -> Touches:
 
 def touch_image(
     surface: Isosurface | None,
-    net: ImageTouch,
+    net: ImageTouch | ReleasedImage,
     scale: float,
     points: Rows,
     depth: Scalars,
@@ -316,6 +324,35 @@ def touch_image(
                 "a net of kind geometric answers others (train_touch.net: geometric)"
             )
     return net.images(snap(surface, contacts / scale, tolerance))
+
+
+def touch_depth(
+    surface: Isosurface | None,
+    net: ReleasedDepth,
+    scale: float,
+    points: Rows,
+    depth: Scalars,
+    angle: Scalars,
+    tilt: Scalars,
+    azimuth: Scalars,
+    tolerance: float,
+    profile: SensorProfile | None,
+) -> Iterator[Touches]:
+    """Press a sensor on an object whose touch net stores depth maps; otherwise as `touch`.
+
+    Raises
+    ------
+    ObjectFolderError
+        At once: if an angle is asked for, or a depth or tilt beyond what the net has learnt.
+    """
+    contacts, depths, angles, tilts, azimuths = _contacts(points, depth, angle, tilt, azimuth)
+    turned = np.flatnonzero(angles)
+    if len(turned):
+        raise ObjectFolderError(
+            f"angle: row {turned[0]} is {angles[turned[0]]:g}; a released touch net knows tilt, no rotation"
+        )
+    net.require(depths, tilts)
+    return net.touches(snap(surface, contacts / scale, tolerance), depths, tilts, azimuths, profile)
 
 
 def _contacts(

@@ -167,7 +167,7 @@ def touch(
     tilt, azimuth, depths = read_rows(gelinfo, 3).T if gelinfo else (0.0, 0.0, depth)
     obj = ObjectFile.load(file)
     query: dict[str, Any] = {"depth": depths, "tilt": tilt, "azimuth": azimuth, "sensor": sensor}
-    if obj.header["touch"]["kind"] == "image" and wanted == ["image"]:
+    if obj.header.get("touch", {}).get("kind") in ("image", "released_image") and wanted == ["image"]:
         images = obj.touch(points, **query)
         for i, image in enumerate(images, 1):
             write_png(out / f"{i}.png", image)
@@ -217,6 +217,8 @@ def _summary_of(obj: "ObjectFile", part: str) -> str:
     if part == "touch":
         return f"{kind}, sensor {obj.sensor}"
     if part == "vision":
+        return kind
+    if kind == "released_spectrogram":
         return kind
     frequencies = obj.frequencies
     if not len(frequencies):

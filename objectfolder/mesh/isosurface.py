@@ -1,6 +1,7 @@
 """The surface that the stored distance grid describes: what queries see and touch, without the mesh."""
 
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -8,6 +9,9 @@ import torch
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.grid import BOUND, DistanceGrid
 from objectfolder.mesh.raycast import RayCaster
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 
 class Isosurface:
@@ -66,7 +70,7 @@ class Isosurface:
         return RayCaster(self.vertices, self.faces)
 
     @cached_property
-    def _tree(self):
+    def _tree(self) -> "cKDTree":
         from scipy.spatial import cKDTree
 
         return cKDTree(self.vertices)

@@ -14,6 +14,12 @@ def octave_angles(x: torch.Tensor, octaves: int, lowest: float = math.pi) -> tor
     return (x[:, :, None] * (lowest * 2.0 ** torch.arange(octaves, device=x.device))).flatten(1)
 
 
+def encoded(x: torch.Tensor, octaves: int, lowest: float = math.pi) -> torch.Tensor:
+    """Coordinates with sines and cosines of their octaves; (N, D) to (N, D (1 + 2 octaves))."""
+    angle = octave_angles(x, octaves, lowest)
+    return torch.cat([x, angle.sin(), angle.cos()], 1)
+
+
 class SkipNetwork(nn.Module):
     """ReLU layers; the input joins again after the fifth.
 

@@ -15,7 +15,7 @@ from torch import nn
 
 from objectfolder.mesh.grid import BOUND, ascent
 from objectfolder.nets.fit import CurvePoint, fit, minibatches
-from objectfolder.nets.positional import SkipNetwork, octave_angles, with_half_weights
+from objectfolder.nets.positional import SkipNetwork, encoded, with_half_weights
 from objectfolder.vision.cameras import Intrinsics, camera_rays
 from objectfolder.vision.color import on_white, shown_error
 from objectfolder.vision.picture import Picture
@@ -78,7 +78,7 @@ class ScatteringFunction(nn.Module):
 
     def forward(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Density (N,), and what `scattered` wants to know (N, width), at (N, 3) points."""
-        hidden = self.trunk(_encoded(points, self.octaves[0]))
+        hidden = self.trunk(encoded(points, self.octaves[0], 1.0))
         return torch.relu(self.density(hidden))[:, 0], hidden
 
     def scattered(self, hidden: torch.Tensor, incoming: torch.Tensor, outgoing: torch.Tensor) -> torch.Tensor:
@@ -86,7 +86,7 @@ class ScatteringFunction(nn.Module):
 
         The sigmoid is scaled so that black and white are within reach.
         """
-        directions = [_encoded(d, self.octaves[1]) for d in (outgoing, incoming)]
+        directions = [encoded(d, self.octaves[1], 1.0) for d in (outgoing, incoming)]
         x = self.branch(torch.cat([self.bottleneck(hidden), *directions], 1))
         return 1.2 * torch.sigmoid(self.fraction(x)) - 0.1
 
@@ -202,12 +202,6 @@ class OsfNet(nn.Module):
         net = cls(**config)
         net.load_state_dict({name: torch.from_numpy(np.array(value)) for name, value in tensors.items()})
         return net.eval()
-
-
-def _encoded(x: torch.Tensor, octaves: int) -> torch.Tensor:
-    """Coordinates with sines and cosines of their octaves; (N, 3) to (N, 3 (1 + 2 octaves))."""
-    angle = octave_angles(x, octaves, 1.0)
-    return torch.cat([x, angle.sin(), angle.cos()], 1)
 
 
 def _visibility(

@@ -54,7 +54,11 @@ def press(
     scale: float = 1.0,
 ) -> Contacts:
     """Press the sensor on an object. Parameters are those of `heightmaps`."""
-    height, obstructed = heightmaps(caster, points, normals, angles, depths, profile, scale)
+    return contacts_of(*heightmaps(caster, points, normals, angles, depths, profile, scale), profile)
+
+
+def contacts_of(height: np.ndarray, obstructed: np.ndarray, profile: SensorProfile) -> Contacts:
+    """Press what the heightmaps (N, H, W) of `heightmaps` show into the sensor's gel."""
     displacement, pressure = deform(height, profile)
     mask = height > 0 if profile.gel == "rigid" else pressure > 0
     area = pixel_area(profile)

@@ -1,0 +1,67 @@
+"""The command on files of others: import."""
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from objectfolder.cli.console import console
+
+
+def import_released(
+    file: Annotated[Path, typer.Argument(metavar="FILE.pth", help="A released ObjectFile.pth.")],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="The Object File to write: NAME.safetensors.")],
+    key: Annotated[str | None, typer.Option(help="Object key; default: from the file's folder.")] = None,
+    material: Annotated[str, typer.Option(help="What the object is made of.")] = "unknown",
+    scale: Annotated[
+        float | None,
+        typer.Option(
+            help="Longest side in metres; default: of the mesh, the bounds, or what a 2.0 file says."
+        ),
+    ] = None,
+    bounds: Annotated[
+        tuple[float, float, float, float, float, float] | None,
+        typer.Option(
+            metavar="XMIN YMIN ZMIN XMAX YMAX ZMAX",
+            help="Of the object, in the file's coordinates; touch of a 1.0 file needs them, or --mesh.",
+        ),
+    ] = None,
+    mesh: Annotated[
+        Path | None,
+        typer.Option(
+            help="The object's mesh, in the file's coordinates: gives bounds, and a surface to snap to."
+        ),
+    ] = None,
+    sensor: Annotated[
+        str, typer.Option(help="Sensor that makes images of 2.0's depth maps (`sensor list`).")
+    ] = "gelsight_r15",
+    gel: Annotated[
+        Path | None, typer.Option(help="calibs/depth_bg.npy of the released code; default: estimated.")
+    ] = None,
+    crop: Annotated[
+        float | None,
+        typer.Option(help="See nothing outside [-CROP, CROP]^3, unit frame: 0.6 halves the time."),
+    ] = None,
+) -> None:
+    """Convert a released ObjectFolder 1.0 or 2.0 file; nothing that is pickled in it is run.
+
+    All that the file holds is converted: VisionNet (NeRF or KiloOSF), AudioNet, TouchNet. What cannot be is
+    left out, with a warning that says why. docs/released.md tells what differs from the released code.
+
+    `objectfolder import Objects/25/ObjectFile.pth bowl.safetensors --bounds -0.1 -0.1 -0.05 0.1 0.1 0.05`
+    """
+    from objectfolder.artifacts import MODALITIES
+    from objectfolder.legacy.convert import Options, convert
+
+    box = None if bounds is None else np.reshape(bounds, (2, 3))
+    options = Options(key, material, scale, box, mesh, sensor, gel, crop)
+    obj = convert(file, options)
+    obj.save(out)
+    held = [f"{m} ({obj.header[m]['kind']})" for m in ("geometry", *MODALITIES) if m in obj.header]
+    console.print(
+        f"{out}: {obj.header['imported']['release']}, {', '.join(held)}; {out.stat().st_size / 1e6:.1f} MB, "
+        f"longest side {obj.scale:g} m",
+        highlight=False,
+        soft_wrap=True,
+    )

@@ -1,0 +1,101 @@
+"""What the nets of released ObjectFolder files share: their network, its storing, and where its points are.
+
+They keep 32-bit weights: they are to answer as the original does.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from objectfolder.nets.positional import SKIP, SkipNetwork, encoded
+
+
+class ReleasedNetwork(SkipNetwork):
+    """ReLU network of numbers, each with sin and cos of 2^k times it, k from 0 below ``octaves``.
+
+    Parameters
+    ----------
+    inputs : int
+        Numbers, before they are encoded.
+    width, depth, octaves, outputs : int
+    """
+
+    def __init__(self, inputs: int, width: int, depth: int, octaves: int, outputs: int):
+        super().__init__(inputs * (1 + 2 * octaves), width, depth)
+        self.octaves = octaves
+        self.output = nn.Linear(width, outputs)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Evaluate at (N, inputs); (N, outputs)."""
+        return self.output(super().forward(encoded(x, self.octaves, 1.0)))
+
+
+def network_of(tensors: dict[str, torch.Tensor], inputs: int, prefix: str = "") -> ReleasedNetwork:
+    """Build the network that tensors of a state dictionary describe; their own shapes say how large it is.
+
+    Raises
+    ------
+    ValueError, KeyError, RuntimeError
+        If they describe none.
+    """
+    state = {name.removeprefix(prefix): t for name, t in tensors.items() if name.startswith(prefix)}
+    width, channels = state["hidden.0.weight"].shape
+    octaves, rest = divmod(channels // inputs - 1, 2)
+    if rest or channels % inputs or octaves < 0:
+        raise ValueError(f"{channels} channels of {inputs} inputs")
+    shape = inputs, width, _depth(state), octaves, len(state["output.weight"])
+    return filled(lambda: ReleasedNetwork(*shape), state)
+
+
+def filled(make, state: dict[str, torch.Tensor]):
+    """Make a module without memory of its own, and give it these tensors."""
+    with torch.device("meta"):  # a false size asks for nothing before the tensors are compared with it
+        net = make()
+    net.load_state_dict(state, assign=True)
+    return net.eval().requires_grad_(False)
+
+
+def float_tensors(tensors: dict[str, np.ndarray]) -> dict[str, torch.Tensor]:
+    """Stored arrays as float32 tensors."""
+    return {name: torch.from_numpy(np.array(value, np.float32)) for name, value in tensors.items()}
+
+
+def stored(net: nn.Module, prefix: str = "") -> dict[str, np.ndarray]:
+    """Tensors of a net for storing."""
+    return {prefix + name: value.cpu().numpy() for name, value in net.state_dict().items()}
+
+
+def _depth(state: dict[str, torch.Tensor]) -> int:
+    depth = sum(name.startswith("hidden.") and name.endswith(".weight") for name in state)
+    if depth > 4 * SKIP:
+        raise ValueError(f"{depth} layers")
+    return depth
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Where points of the unit frame lie in the coordinates of a released file: origin + unit * point."""
+
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    unit: float = 1.0
+
+    def released(self, points: Any) -> np.ndarray:
+        """Coordinates of the released file, float64, of (N, 3) points of the unit frame."""
+        return np.asarray(self.origin) + self.unit * np.asarray(points, np.float64)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready dictionary; `from_dict` reads it."""
+        return {"origin": list(self.origin), "unit": self.unit}
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> "Frame":
+        """Inverse of `to_dict`."""
+        x, y, z = map(float, values["origin"])
+        unit = float(values["unit"])
+        if not (all(map(math.isfinite, (x, y, z))) and 0 < unit < math.inf):
+            raise ValueError(f"frame {values}")
+        return cls((x, y, z), unit)
