@@ -66,7 +66,7 @@ def _text(value: Any) -> str:
 
 
 #: What a released file may name beside torch's own: numpy's names, before and since version 2.
-STAND_INS: list[Callable | tuple[Callable, str]] = [
+STAND_INS: list[Callable[..., Any] | tuple[Callable[..., Any], str]] = [
     (StoredArray, "numpy.ndarray"),
     (StoredDtype, "numpy.dtype"),
     *((_reconstruct, f"numpy.{core}.multiarray._reconstruct") for core in ("core", "_core")),

@@ -4,14 +4,17 @@ They keep 32-bit weights: they are to answer as the original does.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
 from torch import nn
 
 from objectfolder.nets.positional import SKIP, SkipNetwork, encoded
+
+_Net = TypeVar("_Net", bound=nn.Module)
 
 
 class ReleasedNetwork(SkipNetwork):
@@ -51,7 +54,7 @@ def network_of(tensors: dict[str, torch.Tensor], inputs: int, prefix: str = "") 
     return filled(lambda: ReleasedNetwork(*shape), state)
 
 
-def filled(make, state: dict[str, torch.Tensor]):
+def filled(make: Callable[[], _Net], state: dict[str, torch.Tensor]) -> _Net:
     """Make a module without memory of its own, and give it these tensors."""
     with torch.device("meta"):  # a false size asks for nothing before the tensors are compared with it
         net = make()
