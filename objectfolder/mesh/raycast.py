@@ -100,7 +100,7 @@ class RayCaster:
             np.ascontiguousarray(origins, np.float32), directions, query="INTERSECT", output=1
         )
         met = hit["primID"] >= 0
-        leaving = met & ((hit["Ng"] * directions).sum(axis=1) > 0)
+        leaving = met & (np.einsum("ni,ni->n", hit["Ng"], directions) > 0)
         return np.where(met, hit["tfar"], np.float32(np.inf)), leaving
 
     def occluded(self, origins: np.ndarray, directions: np.ndarray, max_distance: np.ndarray) -> np.ndarray:
