@@ -1,6 +1,7 @@
 """What the sensor's camera sees of the gel."""
 
 import math
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -8,7 +9,7 @@ from torch.nn.functional import pad
 
 from objectfolder.touch.camera import gel_depth, ray_directions
 from objectfolder.touch.photographs import read_picture
-from objectfolder.touch.profiles import SensorProfile
+from objectfolder.touch.profiles import Light, SensorProfile
 
 Vectors = tuple[torch.Tensor, torch.Tensor, torch.Tensor]  #: x, y and z apart, as fast code wants them
 
@@ -83,8 +84,8 @@ class Optics:
         # One at a time on a CPU: which of its instructions compute a pixel depends on the place in the batch.
         chunk = 1 if self.device.type == "cpu" else _CHUNK
         for out, moved in zip(images.split(chunk), displacement.to(self.device).float().split(chunk)):
-            change = self.change(moved).add_(background)
-            out.copy_(change.round_().clamp_(0, 255).permute(0, 2, 3, 1))
+            levels = self.change(moved).add_(background).round_().clamp_(0, 255)
+            torch.stack(levels.to(torch.uint8).unbind(1), dim=-1, out=out)
         return images
 
     def change(self, displacement: torch.Tensor) -> torch.Tensor:
@@ -101,15 +102,18 @@ class Optics:
 
     def _sharp_change(self, displacement: torch.Tensor) -> torch.Tensor:
         """As `change`, before the optical blur."""
-        change = torch.zeros(len(displacement), 3, *displacement.shape[1:], device=self.device)
         rows, columns = self._window(displacement)
         moved = displacement[:, rows, columns].contiguous()
         maps = self._maps[:, rows, columns].contiguous()
         display = self._display(maps, moved, *self._slopes(moved))
         display -= self.untouched[:, None, rows, columns]
         # Exactly none where the gel is at rest.
-        display *= (moved != 0) * (255 * self.profile.gain)
-        change[:, :, rows, columns] = display.transpose(0, 1)
+        display *= moved.sign().abs_().mul_(255 * self.profile.gain)
+        display = display.transpose(0, 1)
+        if moved.shape == displacement.shape:
+            return display
+        change = torch.zeros(len(displacement), 3, *displacement.shape[1:], device=self.device)
+        change[:, :, rows, columns] = display
         return change
 
     def _display(
@@ -127,32 +131,39 @@ class Optics:
         Gaussian-weighted means of the differences between neighbours. Those across a step, or across the
         rim of the contact, where the slope jumps, do not count: the edge stays sharp.
         """
-        inside = displacement != 0
+        # Masks of ones and zeros: torch is slow with truth values.
+        inside = displacement.sign().abs_()
+        apart = displacement + (1 - inside)  # the rim is a step of about a metre
         step = _STEP * self.profile.pixel_pitch
-        sums = torch.zeros(3, *displacement.shape, device=self.device)
+        weights = _gaussian(self.profile.slope_smoothing / self.profile.pixel_pitch)
+        around = len(weights) - 1  # pixels of nothing, for the blur
+        count, height, width = displacement.shape
+        padded = torch.zeros(3, count, height + 2 * around, width + 2 * around, device=self.device)
+        sums = padded.narrow(-1, around, width).narrow(-2, around, height)
         for total, pitch, axis in zip(sums, self._pitch, (2, 1)):
-            size = displacement.shape[axis] - 1
-            here, ahead = displacement.narrow(axis, 0, size), displacement.narrow(axis, 1, size)
+            here, ahead = _neighbours(apart, axis)
             difference = here - ahead
-            counts = inside.narrow(axis, 0, size) & inside.narrow(axis, 1, size) & (difference.abs() < step)
+            counts = (step - difference.abs()).sign_().clamp_min_(0)
             difference *= counts
             # To both pixels that the difference lies between; half, where both neighbours count.
             weight = torch.zeros_like(displacement)
-            for start in (0, 1):
-                total.narrow(axis, start, size).add_(difference)
-                weight.narrow(axis, start, size).add_(counts)
+            for to, of in zip(_neighbours(total, axis), _neighbours(weight, axis)):
+                to += difference
+                of += counts
             total /= weight.clamp_min_(1).mul_(pitch)
         sums[2] = inside
-        smooth = _blur_on_black(sums, self.profile.slope_smoothing / self.profile.pixel_pitch)
-        return smooth[:2] / smooth[2].clamp_min(1e-12)
+        smooth = _weighted(_weighted(padded, weights, -1), weights, -2)
+        return smooth[:2].div_(smooth[2].clamp_min_(1e-12))
 
     def _window(self, displacement: torch.Tensor) -> tuple[slice, slice]:
         """Rows and columns that hold every displaced pixel; all on a GPU, which need not wait then."""
         height, width = displacement.shape[1:]
         if self.device.type != "cpu":
             return slice(0, height), slice(0, width)
-        moved = (displacement != 0).any(0).numpy()
-        found = [np.flatnonzero(moved.any(axis)) for axis in (1, 0)]
+        moved = displacement.numpy() != 0
+        if moved[:, [0, -1]].any(axis=(0, 2)).all() and moved[:, :, [0, -1]].any(axis=(0, 1)).all():
+            return slice(0, height), slice(0, width)
+        found = [np.flatnonzero(moved.any(axis=axes)) for axes in ((0, 2), (0, 1))]
         rows, columns = (slice(int(f[0]), int(f[-1]) + 1) if f.size else slice(0, 1) for f in found)
         return rows, columns
 
@@ -180,38 +191,43 @@ def shade(point: Vectors, normal: Vectors, profile: SensorProfile) -> torch.Tens
     alpha2 = profile.roughness**4
     k = (profile.roughness + 1) ** 2 / 8
 
-    def of_lights(values: list) -> torch.Tensor:
-        return torch.tensor(values, device=point[0].device).reshape(-1, *[1] * point[0].dim())
+    square, height = _dot(point, point), _dot(normal, point)
+    inverse_size = square.rsqrt()
+    size, facing = square * inverse_size, (height * inverse_size).neg_()
+    # With an axis of lights in front from here on; in place, because memory is what takes the time.
+    at = _positions(profile.lights, size.device).reshape(3, -1, *[1] * size.dim())
+    light_view, lit = _dot(point, at), _dot(normal, at)
+    inverse = torch.add(square, light_view, alpha=-2).add_(_dot(at, at)).rsqrt_()
+    light_view.mul_(inverse_size).neg_().add_(size).mul_(inverse).add_(1).clamp_min_(1e-12)
+    lit.sub_(height).mul_(inverse)
 
-    away = unit(point)
-    facing = -_dot(normal, away)
     cos_view = facing.abs().clamp_(0.001, 1)
+    cos_light = lit.clamp(0.001, 1)
+    # The half vector h = (l + v) / |l + v| enters by its products only, and |l + v|² = 2 (1 + l·v).
+    spread = lit.add_(facing).clamp_min_(0)
+    spread.mul_(spread).div_(light_view).mul_((alpha2 - 1) / 2).add_(1).clamp_min_(alpha2)
+    grazing = light_view.mul_(0.5).sqrt_().neg_().add_(1)
+    fresnel = grazing * grazing
+    fresnel.mul_(fresnel).mul_(grazing).mul_(1 - f0).add_(f0)
+    divisor = torch.mul(cos_light, 4 * cos_view, out=grazing).add_(0.001).mul_(spread).mul_(spread)
+    divisor.mul_(torch.mul(cos_light, 1 - k, out=spread).add_(k))
     # Shadowing, and the constant of the distribution.
     view_term = cos_view / (cos_view * (1 - k) + k) * (alpha2 / math.pi)
-    # From here on with an axis of lights in front; in place, because memory is what takes the time.
-    x, y, z = (p - of_lights([light.position[i] for light in profile.lights]) for i, p in enumerate(point))
-    inverse = _dot((x, y, z), (x, y, z)).rsqrt_()
-    lit = _dot(normal, (x, y, z)).mul_(inverse).neg_()
-    # The half vector h = (l + v) / |l + v| enters by its products only, and |l + v|² = 2 (1 + l·v).
-    light_view = _dot(away, (x, y, z)).mul_(inverse).add_(1)
-    half = (2 * light_view).clamp_min_(1e-12).rsqrt_()
-    grazing = light_view.mul_(half).clamp_(0, 1).neg_().add_(1)
-    fresnel = torch.mul(grazing, grazing, out=x)
-    fresnel.mul_(fresnel).mul_(grazing).mul_(1 - f0).add_(f0)
-    spread = torch.add(lit, facing, out=y).mul_(half).clamp_(0, 1)
-    spread.mul_(spread).mul_(alpha2 - 1).add_(1)
-    cos_light = lit.clamp_(0.001, 1)
-    divisor = torch.mul(cos_light, 1 - k, out=half).add_(k).mul_(spread).mul_(spread)
-    divisor.mul_(torch.mul(cos_light, cos_view, out=z).mul_(4).add_(0.001))
-    specular = torch.mul(cos_light, view_term, out=z).mul_(fresnel).div_(divisor)
-    reflected = specular.sub_(fresnel, alpha=diffuse).add_(diffuse).mul_(cos_light)
-    reflected.mul_(inverse.mul_(inverse).mul_(of_lights([light.intensity for light in profile.lights])))
-    radiance = torch.full((3, *point[0].shape), profile.ambient, device=point[0].device)
+    specular = torch.mul(cos_light, view_term, out=spread).div_(divisor)
+    reflected = specular.sub_(diffuse).mul_(fresnel).add_(diffuse).mul_(cos_light)
+    reflected.mul_(inverse).mul_(inverse)
+    radiance = torch.full((3, *size.shape), profile.ambient, device=size.device)
     for light, seen in zip(profile.lights, reflected):
         for total, weight in zip(radiance, light.color):
             if weight:
-                total.add_(seen, alpha=weight)
+                total.add_(seen, alpha=weight * light.intensity)
     return radiance.clamp_(0, 1).log_().div_(profile.gamma).exp_()  # twice as fast as a power
+
+
+@lru_cache(maxsize=64)  # of sensors
+def _positions(lights: tuple[Light, ...], device: torch.device) -> torch.Tensor:
+    """(3, L) float32."""
+    return torch.tensor([light.position for light in lights], device=device).T
 
 
 def blur(images: torch.Tensor, sigma: float) -> torch.Tensor:
@@ -220,39 +236,30 @@ def blur(images: torch.Tensor, sigma: float) -> torch.Tensor:
     Cut off at two deviations (rounded up), mirrored at the border. A sum of shifted images: its bits do not
     depend on the batch.
     """
-    if sigma == 0:
-        return images
     weights = _gaussian(sigma)
     radius = len(weights) - 1
-    padded = pad(images, (radius,) * 4, mode="reflect")
+    images = pad(images, (radius,) * 4, mode="reflect")
     for axis in (-1, -2):
-        size = padded.shape[axis] - 2 * radius
-        total = padded.narrow(axis, radius, size) * weights[0]
-        for shift in range(1, radius + 1):
-            for start in (radius - shift, radius + shift):
-                total.add_(padded.narrow(axis, start, size), alpha=weights[shift])
-        padded = total
-    return padded
-
-
-def _blur_on_black(images: torch.Tensor, sigma: float) -> torch.Tensor:
-    """As `blur`, but zero beyond the border."""
-    if sigma == 0:
-        return images
-    weights = _gaussian(sigma)
-    for axis in (-1, -2):
-        size = images.shape[axis]
-        total = images * weights[0]
-        for shift, weight in enumerate(weights[1:size], 1):
-            for here, there in ((0, shift), (shift, 0)):
-                moved = images.narrow(axis, there, size - shift)
-                total.narrow(axis, here, size - shift).add_(moved, alpha=weight)
-        images = total
+        images = _weighted(images, weights, axis)
     return images
 
 
+def _weighted(images: torch.Tensor, weights: list[float], axis: int) -> torch.Tensor:
+    """Sum of shifted images, with symmetric weights from the centre; shorter by the shifts."""
+    radius = len(weights) - 1
+    size = images.shape[axis] - 2 * radius
+    total = images.narrow(axis, radius, size) * weights[0]
+    for shift in range(1, radius + 1):
+        for start in (radius - shift, radius + shift):
+            total.add_(images.narrow(axis, start, size), alpha=weights[shift])
+    return total
+
+
+@lru_cache(maxsize=64)  # of sensors
 def _gaussian(sigma: float) -> list[float]:
-    """Right half of a normalised discrete Gaussian, from its centre."""
+    """Right half of a normalised discrete Gaussian, from its centre; deviation 0 is a point."""
+    if sigma == 0:
+        return [1.0]
     weights = np.exp(-(np.arange(math.ceil(2 * sigma) + 1) ** 2) / (2 * sigma**2))
     return (weights / (2 * weights.sum() - 1)).tolist()
 
@@ -261,6 +268,12 @@ def unit(a: Vectors) -> Vectors:
     """Vectors of length 1."""
     scale = _dot(a, a).rsqrt()
     return a[0] * scale, a[1] * scale, a[2] * scale
+
+
+def _neighbours(images: torch.Tensor, axis: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """All but the last and all but the first along an axis."""
+    size = images.shape[axis] - 1
+    return images.narrow(axis, 0, size), images.narrow(axis, 1, size)
 
 
 def _dot(a: Vectors, b: Vectors) -> torch.Tensor:
