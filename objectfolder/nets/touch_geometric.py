@@ -7,19 +7,20 @@ smooth its normals are.
 """
 
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
 from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.mesh.normals import averaged
 from objectfolder.nets.fit import CurvePoint
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile, require_renderer
 from objectfolder.touch.simulate import Touches, press
-from objectfolder.touch.tacto_rays import TactoRays, smooth_normals
+
+if TYPE_CHECKING:
+    from objectfolder.touch.tacto_rays import TactoRays
 
 #: Rounds of smoothing that are tried for renderer tacto.
 SMOOTHING = (1, 2, 4, 8)
@@ -49,6 +50,8 @@ class GeometricTouch:
         Where images of renderer gel are drawn. Rays and gels stay on the CPU.
     """
 
+    _rays: "TactoRays | None"
+
     def __init__(
         self,
         surface: Isosurface,
@@ -75,8 +78,12 @@ class GeometricTouch:
     def smooth(self, rounds: int) -> None:
         """Set ``smoothing``."""
         self.smoothing = rounds
-        self._rays: TactoRays | None = None
+        self._rays = None
         if self.renderer == "tacto":
+            # Here, because they load SciPy's sparse matrices, which no other touch needs.
+            from objectfolder.mesh.normals import averaged
+            from objectfolder.touch.tacto_rays import TactoRays, smooth_normals
+
             vertices, faces = self.surface.vertices, self.surface.faces
             normals = averaged(smooth_normals(vertices, faces), faces, rounds)
             self._rays = TactoRays(vertices, faces, self.profile, self.scale, normals)

@@ -197,9 +197,9 @@ def heightmaps(
 
 @lru_cache(maxsize=16)  # of sensors and objects
 def _pixels(profile: SensorProfile, scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rays (M, 3), such that distances in caster units come out in metres of depth, and the gel's depths (M,).
+    """Rays (M, 3) of the pixels, on which distances come out in metres of depth, and depths (M,) of the gel.
 
-    Float32, camera frame.
+    Float32; directions in caster units, camera frame.
     """
     rays = (ray_directions(profile).reshape(-1, 3) / scale).astype(np.float32)
     return rays, gel_depth(profile).ravel().astype(np.float32)

@@ -41,8 +41,6 @@ class Optics:
 
     Attributes
     ----------
-    background : (H, W, 3) uint8 tensor
-        The untouched sensor: the profile's picture, or a synthetic one.
     untouched : (3, H, W) float32 tensor
         Shading of the undeformed gel, 0 to 1.
 
@@ -71,6 +69,7 @@ class Optics:
 
     @property
     def background(self) -> torch.Tensor:
+        """The untouched sensor: the profile's picture, a synthetic one, or what was set; (H, W, 3) uint8."""
         return self._background
 
     @background.setter
@@ -179,7 +178,10 @@ class Optics:
         whole = slice(0, height), slice(0, width)
         if self.device.type != "cpu":
             return whole
-        if displacement[:, [0, -1]].any(axis=(0, 2)).all() and displacement[..., [0, -1]].any(axis=(0, 1)).all():
+        if (
+            displacement[:, [0, -1]].any(axis=(0, 2)).all()
+            and displacement[..., [0, -1]].any(axis=(0, 1)).all()
+        ):
             return whole
         found = [np.flatnonzero(displacement.any(axis=axes)) for axes in ((0, 2), (0, 1))]
         rows, columns = (slice(int(f[0]), int(f[-1]) + 1) if f.size else slice(0, 1) for f in found)
