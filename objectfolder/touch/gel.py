@@ -13,13 +13,13 @@ from objectfolder.touch.profiles import SensorProfile
 _SPACING = 2.5
 
 # Gap that may be left where there is pressure, and overlap where there is none, of the deepest overlap.
-_TOLERANCE = 1e-2
+_TOLERANCE = 8e-3
 
 _MAX_STEPS = 300  # tens are usual
 _COARSEST = 40  # pixels along the shorter side
 
 # Of the preconditioner: no wave is softer than this, relative to the stiffest of the grid.
-_SOFTEST = 0.07
+_SOFTEST = 0.06
 
 # Length of the first step, and bounds of the others; 1 would be right for a perfect preconditioner.
 _STEP, _STEPS = 0.7, (0.2, 3.0)
