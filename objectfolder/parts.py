@@ -166,7 +166,7 @@ class Parts:
                 return _TOUCH[touch["kind"]].from_tensors(tensors, net).to(self.device)
         surface = self.surface
         with self.checked("touch net"):
-            return GeometricTouch.from_tensors(surface, self.scale, tensors, net)
+            return GeometricTouch.from_tensors(surface, self.scale, tensors, net, self.device)
 
     @contextmanager
     def checked(self, what: str) -> Iterator[None]:

@@ -86,7 +86,7 @@ class RayCaster:
         """
         hit = self._run(origins, directions)
         met = hit["primID"] >= 0
-        leaving = met & ((hit["Ng"] * directions).sum(axis=1) > 0)
+        leaving = met & (np.einsum("ni,ni->n", hit["Ng"], directions) > 0)
         return np.where(met, hit["tfar"], np.float32(np.inf)), leaving
 
     def occluded(

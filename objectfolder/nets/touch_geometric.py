@@ -7,19 +7,20 @@ smooth its normals are.
 """
 
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
 from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.mesh.normals import averaged
 from objectfolder.nets.fit import CurvePoint
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile, require_renderer
 from objectfolder.touch.simulate import Touches, press
-from objectfolder.touch.tacto_rays import TactoRays, smooth_normals
+
+if TYPE_CHECKING:
+    from objectfolder.touch.tacto_rays import TactoRays
 
 #: Rounds of smoothing that are tried for renderer tacto.
 SMOOTHING = (1, 2, 4, 8)
@@ -45,7 +46,11 @@ class GeometricTouch:
     smoothing : int
         Rounds in which normals of the stored surface are averaged for renderer tacto. TACTO draws a mesh with
         interpolated vertex normals, which its triangles make smoother than the surface is.
+    device : str or torch.device
+        Where images of renderer gel are drawn. Rays and gels stay on the CPU.
     """
+
+    _rays: "TactoRays | None"
 
     def __init__(
         self,
@@ -56,6 +61,7 @@ class GeometricTouch:
         renderer: str = "gel",
         background: np.ndarray | None = None,
         smoothing: int = 0,
+        device: str | torch.device = "cpu",
     ):
         self.surface = surface
         self.scale = scale
@@ -63,7 +69,7 @@ class GeometricTouch:
         self.depth_offset = depth_offset
         self.renderer = renderer
         self._others: dict[SensorProfile, GeometricTouch] = {}
-        self._optics = Optics(profile)
+        self._optics = Optics(profile, device)
         if background is not None:
             self._optics.background = torch.from_numpy(np.array(background))
         require_renderer(profile, renderer)
@@ -72,17 +78,24 @@ class GeometricTouch:
     def smooth(self, rounds: int) -> None:
         """Set ``smoothing``."""
         self.smoothing = rounds
-        self._rays: TactoRays | None = None
+        self._rays = None
         if self.renderer == "tacto":
+            # Here, because they load SciPy's sparse matrices, which no other touch needs.
+            from objectfolder.mesh.normals import averaged
+            from objectfolder.touch.tacto_rays import TactoRays, smooth_normals
+
             vertices, faces = self.surface.vertices, self.surface.faces
             normals = averaged(smooth_normals(vertices, faces), faces, rounds)
             self._rays = TactoRays(vertices, faces, self.profile, self.scale, normals)
-            self._rays.background = self._optics.background.numpy()
+            self._rays.background = self._optics.background.cpu().numpy()
 
     def with_sensor(self, profile: SensorProfile) -> "GeometricTouch":
         """Press another sensor on the same surface; its gel is rendered, whatever the renderer was."""
         if profile not in self._others:  # its optics take as long as a touch
-            self._others[profile] = GeometricTouch(self.surface, self.scale, profile, self.depth_offset)
+            net = GeometricTouch(
+                self.surface, self.scale, profile, self.depth_offset, device=self._optics.device
+            )
+            self._others.setdefault(profile, net)  # threads that come here together get the same
         return self._others[profile]
 
     def normals(self, points: np.ndarray) -> np.ndarray:
@@ -101,7 +114,7 @@ class GeometricTouch:
             contact = points[part], normals[part], angles[part], pressed[part]
             contacts = press(self.surface.caster, *contact, self.profile, self.scale)
             if self._rays is None:
-                images = self._optics.render(torch.from_numpy(contacts.displacement)).numpy()
+                images = self._optics.render(torch.from_numpy(contacts.displacement)).cpu().numpy()
             else:
                 images, _ = self._rays.render(*contact)
             yield Touches(**vars(contacts), images=images, profile=self.profile)
@@ -120,7 +133,7 @@ class GeometricTouch:
         sensor = self.profile.to_dict()
         tensors = {}
         if self.profile.background_image:
-            tensors["background"] = self._optics.background.numpy()
+            tensors["background"] = self._optics.background.cpu().numpy()
             sensor |= {"background_image": "", "background_sha256": ""}
         return tensors, {
             "sensor": sensor,
@@ -131,14 +144,19 @@ class GeometricTouch:
 
     @classmethod
     def from_tensors(
-        cls, surface: Isosurface, scale: float, tensors: dict[str, np.ndarray], config: dict[str, Any]
+        cls,
+        surface: Isosurface,
+        scale: float,
+        tensors: dict[str, np.ndarray],
+        config: dict[str, Any],
+        device: str | torch.device = "cpu",
     ) -> "GeometricTouch":
         """Inverse of `to_tensors`."""
         profile, background = SensorProfile.from_dict(config["sensor"]), tensors.get("background")
         if background is not None and background.shape != (profile.height, profile.width, 3):
             raise ValueError(f"background of shape {background.shape}")
         offset, smoothing = float(config["depth_offset"]), int(config["smoothing"])
-        return cls(surface, scale, profile, offset, config["renderer"], background, smoothing)
+        return cls(surface, scale, profile, offset, config["renderer"], background, smoothing, device)
 
 
 def fit_contacts(

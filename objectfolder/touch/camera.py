@@ -1,5 +1,7 @@
 """The sensor's pinhole camera and the undeformed gel that it sees."""
 
+from functools import lru_cache
+
 import numpy as np
 
 from objectfolder.touch.profiles import SensorProfile
@@ -58,12 +60,18 @@ def gel_normals(displacement: np.ndarray, profile: SensorProfile) -> np.ndarray:
     return normals.astype(np.float32)
 
 
+@lru_cache(maxsize=64)
 def pixel_area(profile: SensorProfile) -> np.ndarray:
-    """Area of undeformed gel that a pixel sees, projected along the optical axis; (H, W), m², float64."""
+    """Area of undeformed gel that a pixel sees, projected along the optical axis; (H, W), m², float64.
+
+    One array for all who ask: not to be written to.
+    """
     directions, depth = ray_directions(profile), gel_depth(profile)
     vertical, horizontal = profile.half_extent
     pitch = 2 * vertical / profile.height, 2 * horizontal / profile.width
     (y_row, y_column), (z_row, z_column) = (
         np.gradient(directions[..., axis] * depth, *pitch) for axis in (1, 2)
     )
-    return np.abs(y_row * z_column - y_column * z_row) * pitch[0] * pitch[1]
+    area = np.abs(y_row * z_column - y_column * z_row) * pitch[0] * pitch[1]
+    area.setflags(write=False)
+    return area

@@ -1,7 +1,7 @@
 """Geometry of a contact: its normal, the pose of the sensor, and how far the object is in the gel."""
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 
@@ -171,27 +171,38 @@ def heightmaps(
     _check_contacts(points, normals, angles, depths, profile)
     frames = sensor_frames(normals, angles)
     cameras = ((points + normals * (profile.camera_to_gel - depths)[:, None]) / scale).astype(np.float32)
-    # Directions in caster units make distances come out in metres of depth.
-    rays = (ray_directions(profile).reshape(-1, 3) / scale).astype(np.float32)
-    gel = gel_depth(profile).ravel().astype(np.float32)
+    rays, gel = _pixels(profile, scale)
     gap = np.float32(GAP * profile.elastomer_thickness)
     limit, base = gel + gap, gel - np.float32(profile.elastomer_thickness)
+    enclosed = _enclosed(caster, cameras)
 
     height = np.empty((len(points), profile.height, profile.width), np.float32)
     obstructed = np.empty(len(points))
     for i, (frame, camera) in enumerate(zip(frames, cameras)):  # one image at a time bounds the memory
         directions = rays @ frame.T.astype(np.float32)
-        distance, _ = caster.first_hit(np.broadcast_to(camera, rays.shape), directions, limit)
-        blocked = np.flatnonzero(distance < base)
-        if _encloses(caster, camera):
-            blocked = np.arange(len(rays))
+        if enclosed[i]:
+            blocked, distance = np.arange(len(rays)), np.empty_like(gel)
+        else:
+            distance, _ = caster.first_hit(np.broadcast_to(camera, rays.shape), directions, limit)
+            blocked = np.flatnonzero(distance < base)
         if blocked.size:
             begin, onward = base[blocked], directions[blocked]
             rest, leaving = caster.first_crossing(camera + begin[:, None] * onward, onward)
             distance[blocked] = np.where(leaving, 0, begin + rest)
-        height[i] = (gel - distance).clip(-gap, profile.max_indentation).reshape(height.shape[1:])
+        np.subtract(gel, distance, out=distance)
+        distance.clip(-gap, profile.max_indentation, out=height[i].reshape(-1))
         obstructed[i] = blocked.size / len(rays)
     return height, obstructed
+
+
+@lru_cache(maxsize=16)  # of sensors and objects
+def _pixels(profile: SensorProfile, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rays (M, 3) of the pixels, on which distances come out in metres of depth, and depths (M,) of the gel.
+
+    Float32; directions in caster units, camera frame.
+    """
+    rays = (ray_directions(profile).reshape(-1, 3) / scale).astype(np.float32)
+    return rays, gel_depth(profile).ravel().astype(np.float32)
 
 
 def _check_contacts(
@@ -212,7 +223,8 @@ def _check_contacts(
         )
 
 
-def _encloses(caster: RayCaster, point: np.ndarray) -> bool:
-    """Whether the closed surface encloses a point (caster units), by the vote of three rays."""
-    _, leaving = caster.first_crossing(np.broadcast_to(point, _PROBES.shape), _PROBES)
-    return bool(leaving.sum() >= 2)
+def _enclosed(caster: RayCaster, points: np.ndarray) -> np.ndarray:
+    """Whether the closed surface encloses points (N, 3) in caster units, by the vote of three rays; (N,)."""
+    directions = np.tile(_PROBES, (len(points), 1))
+    _, leaving = caster.first_crossing(points.repeat(len(_PROBES), axis=0), directions)
+    return leaving.reshape(-1, len(_PROBES)).sum(axis=1) >= 2

@@ -1,17 +1,20 @@
 """What the sensor's camera sees of the gel."""
 
 import math
+from functools import lru_cache
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import torch
-from torch.nn.functional import pad
 
 from objectfolder.touch.camera import gel_depth, ray_directions
 from objectfolder.touch.photographs import read_picture
-from objectfolder.touch.profiles import SensorProfile
+from objectfolder.touch.profiles import Light, SensorProfile
 
-Vectors = tuple[torch.Tensor, torch.Tensor, torch.Tensor]  #: x, y and z apart, as fast code wants them
+#: An array, or a tensor. Both are computed with alike: NumPy is quicker at small images, torch knows GPUs.
+Array = Any
+Vectors = tuple[Array, Array, Array]  #: x, y and z apart, as fast code wants them
 
 # Reflectance of a dielectric at normal incidence, as in glTF.
 _DIELECTRIC = 0.04
@@ -38,8 +41,6 @@ class Optics:
 
     Attributes
     ----------
-    background : (H, W, 3) uint8 tensor
-        The untouched sensor: the profile's picture, or a synthetic one.
     untouched : (3, H, W) float32 tensor
         Shading of the undeformed gel, 0 to 1.
 
@@ -52,19 +53,29 @@ class Optics:
     def __init__(self, profile: SensorProfile, device: str | torch.device = "cpu"):
         self.profile = profile
         self.device = torch.device(device)
-        rays = torch.from_numpy(ray_directions(profile))
-        gel = torch.from_numpy(gel_depth(profile))
+        rays, gel = ray_directions(profile), gel_depth(profile)
         self._pitch = (float(rays[0, 0, 1] - rays[0, 1, 1]), float(rays[0, 0, 2] - rays[1, 0, 2]))
-        along_z, along_y = torch.gradient(gel, spacing=(-self._pitch[1], -self._pitch[0]))
-        maps = torch.stack([rays[..., 1], rays[..., 2], gel, along_y, along_z])
-        self._maps = maps.float().to(self.device)
+        along_z, along_y = np.gradient(gel, -self._pitch[1], -self._pitch[0])
+        maps = np.stack([rays[..., 1], rays[..., 2], gel, along_y, along_z])
+        self._maps = self._own(torch.from_numpy(maps))
         if profile.background_image:
             background = read_picture(profile.background_image, profile)
         else:
             background = _synthetic_background(profile)
-        self.background = torch.from_numpy(background).to(self.device)
-        still = torch.zeros_like(self._maps[:1])
-        self.untouched = self._display(self._maps, still, still, still)[:, 0]
+        self.background = torch.from_numpy(background)
+        still = 0 * self._maps[:1]
+        self._still = self._display(self._maps, still, still, still)
+        self.untouched = torch.as_tensor(self._still)[:, 0]
+
+    @property
+    def background(self) -> torch.Tensor:
+        """The untouched sensor: the profile's picture, a synthetic one, or what was set; (H, W, 3) uint8."""
+        return self._background
+
+    @background.setter
+    def background(self, picture: torch.Tensor) -> None:
+        self._background = picture.to(self.device)
+        self._planes = self._own(self._background.permute(2, 0, 1).contiguous())
 
     def render(self, displacement: torch.Tensor) -> torch.Tensor:
         """Images of the deformed gel.
@@ -80,18 +91,25 @@ class Optics:
         else is in the batch.
         """
         images = torch.empty(*displacement.shape, 3, dtype=torch.uint8, device=self.device)
-        background = self.background.permute(2, 0, 1).float()
-        # One at a time on a CPU: which of its instructions compute a pixel depends on the place in the batch.
+        library = _library(self._planes)
+        # One at a time on a CPU, whose caches hold no more.
         chunk = 1 if self.device.type == "cpu" else _CHUNK
-        for out, moved in zip(images.split(chunk), displacement.to(self.device).float().split(chunk)):
-            change = self.change(moved).add_(background)
-            out.copy_(change.round_().clamp_(0, 255).permute(0, 2, 3, 1))
+        for out, moved in zip(images.split(chunk), displacement.split(chunk)):
+            levels = self._change(self._own(moved))
+            levels += self._planes
+            library.round(levels, out=levels)
+            library.clip(levels, 0, 255, out=levels)
+            # To bytes first: what takes long is to spread three planes over the pixels.
+            planes = library.empty(levels.shape, dtype=library.uint8, device=levels.device)
+            planes[:] = levels
+            pixels = out.numpy() if library is np else out
+            for channel in range(3):
+                pixels[..., channel] = planes[:, channel]
         return images
 
     def change(self, displacement: torch.Tensor) -> torch.Tensor:
         """Grey levels (N, 3, H, W), float32, by which a displacement (N, H, W) brightens the image."""
-        sigma = self.profile.image_smoothing / self.profile.pixel_pitch
-        return blur(self._sharp_change(displacement.to(self.device).float()), sigma)
+        return torch.as_tensor(self._change(self._own(displacement)))
 
     def noise(self, images: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
         """Add the camera's pixel noise to (N, H, W, 3) uint8 images; none if the profile has none."""
@@ -100,29 +118,31 @@ class Optics:
         noise = torch.randn(images.shape, generator=generator) * self.profile.noise_std
         return (images + noise.to(images.device)).round().clamp(0, 255).to(torch.uint8)
 
-    def _sharp_change(self, displacement: torch.Tensor) -> torch.Tensor:
-        """As `change`, before the optical blur."""
-        change = torch.zeros(len(displacement), 3, *displacement.shape[1:], device=self.device)
-        rows, columns = self._window(displacement)
-        moved = displacement[:, rows, columns].contiguous()
-        maps = self._maps[:, rows, columns].contiguous()
-        display = self._display(maps, moved, *self._slopes(moved))
-        display -= self.untouched[:, None, rows, columns]
-        # Exactly none where the gel is at rest.
-        display *= (moved != 0) * (255 * self.profile.gain)
-        change[:, :, rows, columns] = display.transpose(0, 1)
-        return change
+    def _own(self, values: torch.Tensor) -> Array:
+        """Values in single precision, as and where the optics compute."""
+        values = values.to(self.device, torch.float32)
+        return values.numpy() if self.device.type == "cpu" else values
 
-    def _display(
-        self, maps: torch.Tensor, moved: torch.Tensor, slope_y: torch.Tensor, slope_z: torch.Tensor
-    ) -> torch.Tensor:
+    def _change(self, displacement: Array) -> Array:
+        rows, columns = self._window(displacement)
+        moved = displacement[:, rows, columns]
+        display = self._display(self._maps[:, rows, columns], moved, *self._slopes(moved))
+        display -= self._still[:, :, rows, columns]
+        display *= 255 * self.profile.gain
+        display *= moved != 0  # exactly none where the gel is at rest
+        change = _zeros((len(displacement), 3, *displacement.shape[1:]), displacement)
+        for channel, brighter in enumerate(display):
+            change[:, channel, rows, columns] = brighter
+        return blur(change, self.profile.image_smoothing / self.profile.pixel_pitch)
+
+    def _display(self, maps: Array, moved: Array, slope_y: Array, slope_z: Array) -> Array:
         """Display values (3, N, H, W) of a displacement (N, H, W) with its derivatives along the image."""
         y, z, gel, gel_y, gel_z = maps
         depth, along_y, along_z = gel - moved, gel_y - slope_y, gel_z - slope_z
         normal = unit((-(depth + y * along_y + z * along_z), along_y, along_z))
         return shade((depth, y * depth, z * depth), normal, self.profile)
 
-    def _slopes(self, displacement: torch.Tensor) -> torch.Tensor:
+    def _slopes(self, displacement: Array) -> Array:
         """Derivatives (2, N, H, W) of the displacement along y and z of the image plane.
 
         Gaussian-weighted means of the differences between neighbours. Those across a step, or across the
@@ -130,35 +150,45 @@ class Optics:
         """
         inside = displacement != 0
         step = _STEP * self.profile.pixel_pitch
-        sums = torch.zeros(3, *displacement.shape, device=self.device)
-        for total, pitch, axis in zip(sums, self._pitch, (2, 1)):
-            size = displacement.shape[axis] - 1
-            here, ahead = displacement.narrow(axis, 0, size), displacement.narrow(axis, 1, size)
+        weights = _gaussian(self.profile.slope_smoothing / self.profile.pixel_pitch)
+        around = len(weights) - 1  # pixels of nothing, for the blur
+        count, height, width = displacement.shape
+        padded = _zeros((3, count, height + 2 * around, width + 2 * around), displacement)
+        sums = padded[:, :, around : around + height, around : around + width]
+        for total, pitch, axis in zip(sums, self._pitch, (-1, -2)):
+            here, ahead = _neighbours(displacement, axis)
             difference = here - ahead
-            counts = inside.narrow(axis, 0, size) & inside.narrow(axis, 1, size) & (difference.abs() < step)
+            counts = abs(difference) < step
+            for among in _neighbours(inside, axis):
+                counts &= among
             difference *= counts
             # To both pixels that the difference lies between; half, where both neighbours count.
-            weight = torch.zeros_like(displacement)
-            for start in (0, 1):
-                total.narrow(axis, start, size).add_(difference)
-                weight.narrow(axis, start, size).add_(counts)
-            total /= weight.clamp_min_(1).mul_(pitch)
+            weight = _zeros(displacement.shape, displacement)
+            for to, of in zip(_neighbours(total, axis), _neighbours(weight, axis)):
+                to += difference
+                of += counts
+            total /= weight.clip(1, 2) * pitch
         sums[2] = inside
-        smooth = _blur_on_black(sums, self.profile.slope_smoothing / self.profile.pixel_pitch)
-        return smooth[:2] / smooth[2].clamp_min(1e-12)
+        smooth = _weighted(_weighted(padded, weights, -1), weights, -2)
+        return smooth[:2] / smooth[2].clip(1e-12, 1)
 
-    def _window(self, displacement: torch.Tensor) -> tuple[slice, slice]:
+    def _window(self, displacement: Array) -> tuple[slice, slice]:
         """Rows and columns that hold every displaced pixel; all on a GPU, which need not wait then."""
         height, width = displacement.shape[1:]
+        whole = slice(0, height), slice(0, width)
         if self.device.type != "cpu":
-            return slice(0, height), slice(0, width)
-        moved = (displacement != 0).any(0).numpy()
-        found = [np.flatnonzero(moved.any(axis)) for axis in (1, 0)]
+            return whole
+        if (
+            displacement[:, [0, -1]].any(axis=(0, 2)).all()
+            and displacement[..., [0, -1]].any(axis=(0, 1)).all()
+        ):
+            return whole
+        found = [np.flatnonzero(displacement.any(axis=axes)) for axes in ((0, 2), (0, 1))]
         rows, columns = (slice(int(f[0]), int(f[-1]) + 1) if f.size else slice(0, 1) for f in found)
         return rows, columns
 
 
-def shade(point: Vectors, normal: Vectors, profile: SensorProfile) -> torch.Tensor:
+def shade(point: Vectors, normal: Vectors, profile: SensorProfile) -> Array:
     """Display values of surface points under the profile's lights.
 
     Lambert and GGX with Smith's and Schlick's terms (glTF 2.0, appendix B), with the bounds that pyrender's
@@ -166,56 +196,89 @@ def shade(point: Vectors, normal: Vectors, profile: SensorProfile) -> torch.Tens
 
     Parameters
     ----------
-    point : three (...) float32 tensors
+    point : three (...) float32 arrays or tensors
         Metres, camera frame.
-    normal : three (...) float32 tensors
+    normal : three (...) float32 arrays or tensors
         Unit, towards the camera.
     profile : SensorProfile
 
     Returns
     -------
-    (3, ...) float32 tensor, 0 to 1
+    (3, ...) float32 array or tensor, 0 to 1
     """
     f0 = _DIELECTRIC * (1 - profile.metallic) + profile.albedo * profile.metallic
     diffuse = profile.albedo * (1 - _DIELECTRIC) * (1 - profile.metallic) / math.pi
     alpha2 = profile.roughness**4
     k = (profile.roughness + 1) ** 2 / 8
+    library = _library(point[0])
 
-    def of_lights(values: list[Any]) -> torch.Tensor:
-        return torch.tensor(values, device=point[0].device).reshape(-1, *[1] * point[0].dim())
-
-    away = unit(point)
-    facing = -_dot(normal, away)
-    cos_view = facing.abs().clamp_(0.001, 1)
+    square, height = _dot(point, point), _dot(normal, point)
+    size = library.sqrt(square)
+    facing = -height / size
+    cos_view = abs(facing).clip(0.001, 1)
     # Shadowing, and the constant of the distribution.
     view_term = cos_view / (cos_view * (1 - k) + k) * (alpha2 / math.pi)
-    # From here on with an axis of lights in front; in place, because memory is what takes the time.
-    x, y, z = (p - of_lights([light.position[i] for light in profile.lights]) for i, p in enumerate(point))
-    inverse = _dot((x, y, z), (x, y, z)).rsqrt_()
-    lit = _dot(normal, (x, y, z)).mul_(inverse).neg_()
+    # With an axis of lights in front from here on; in place, because memory is what takes the time.
+    at = _positions(profile.lights, square)
+    light_view, lit = _dot(point, at), _dot(normal, at)
+    distance = light_view * -2
+    distance += square
+    distance += _dot(at, at)
+    library.sqrt(distance, out=distance)
+    light_view /= -size
+    light_view += size
+    light_view /= distance
+    light_view += 1
+    library.clip(light_view, 1e-12, 2, out=light_view)
+    lit -= height
+    lit /= distance
+    cos_light = lit.clip(0.001, 1)
     # The half vector h = (l + v) / |l + v| enters by its products only, and |l + v|² = 2 (1 + l·v).
-    light_view = _dot(away, (x, y, z)).mul_(inverse).add_(1)
-    half = (2 * light_view).clamp_min_(1e-12).rsqrt_()
-    grazing = light_view.mul_(half).clamp_(0, 1).neg_().add_(1)
-    fresnel = torch.mul(grazing, grazing, out=x)
-    fresnel.mul_(fresnel).mul_(grazing).mul_(1 - f0).add_(f0)
-    spread = torch.add(lit, facing, out=y).mul_(half).clamp_(0, 1)
-    spread.mul_(spread).mul_(alpha2 - 1).add_(1)
-    cos_light = lit.clamp_(0.001, 1)
-    divisor = torch.mul(cos_light, 1 - k, out=half).add_(k).mul_(spread).mul_(spread)
-    divisor.mul_(torch.mul(cos_light, cos_view, out=z).mul_(4).add_(0.001))
-    specular = torch.mul(cos_light, view_term, out=z).mul_(fresnel).div_(divisor)
-    reflected = specular.sub_(fresnel, alpha=diffuse).add_(diffuse).mul_(cos_light)
-    reflected.mul_(inverse.mul_(inverse).mul_(of_lights([light.intensity for light in profile.lights])))
-    radiance = torch.full((3, *point[0].shape), profile.ambient, device=point[0].device)
+    spread = lit
+    spread += facing
+    library.clip(spread, 0, 2, out=spread)
+    spread *= spread
+    spread /= light_view
+    spread *= (alpha2 - 1) / 2
+    spread += 1
+    library.clip(spread, alpha2, 1, out=spread)
+    grazing = light_view
+    grazing *= 0.5
+    library.sqrt(grazing, out=grazing)
+    grazing -= 1
+    fresnel = grazing * grazing
+    fresnel *= fresnel
+    fresnel *= grazing
+    fresnel *= f0 - 1
+    fresnel += f0
+    divisor = library.multiply(cos_light, 4 * cos_view, out=grazing)
+    divisor += 0.001
+    divisor *= spread
+    divisor *= spread
+    shadowing = library.multiply(cos_light, 1 - k, out=spread)
+    shadowing += k
+    divisor *= shadowing
+    reflected = library.multiply(cos_light, view_term, out=spread)
+    reflected /= divisor
+    reflected -= diffuse
+    reflected *= fresnel
+    reflected += diffuse
+    reflected *= cos_light
+    reflected /= distance
+    reflected /= distance
+    radiance = _zeros((3, *square.shape), square)
+    radiance += profile.ambient
     for light, seen in zip(profile.lights, reflected):
         for total, weight in zip(radiance, light.color):
             if weight:
-                total.add_(seen, alpha=weight)
-    return radiance.clamp_(0, 1).log_().div_(profile.gamma).exp_()  # twice as fast as a power
+                total += seen * (weight * light.intensity)
+    # A power, twice as fast.
+    library.log(library.clip(radiance, 1e-30, 1, out=radiance), out=radiance)
+    radiance /= profile.gamma
+    return library.exp(radiance, out=radiance)
 
 
-def blur(images: torch.Tensor, sigma: float) -> torch.Tensor:
+def blur(images: Array, sigma: float) -> Array:
     """Gaussian blur of (N, C, H, W) float images; ``sigma`` in pixels, 0 for none.
 
     Cut off at two deviations (rounded up), mirrored at the border. A sum of shifted images: its bits do not
@@ -225,47 +288,76 @@ def blur(images: torch.Tensor, sigma: float) -> torch.Tensor:
         return images
     weights = _gaussian(sigma)
     radius = len(weights) - 1
-    padded = pad(images, (radius,) * 4, mode="reflect")
+    count, channels, height, width = images.shape
+    padded = _zeros((count, channels, height + 2 * radius, width + 2 * radius), images)
+    padded[..., radius:-radius, radius:-radius] = images
+    flip = _library(images).flip
     for axis in (-1, -2):
-        size = padded.shape[axis] - 2 * radius
-        total = padded.narrow(axis, radius, size) * weights[0]
-        for shift in range(1, radius + 1):
-            for start in (radius - shift, radius + shift):
-                total.add_(padded.narrow(axis, start, size), alpha=weights[shift])
-        padded = total
-    return padded
-
-
-def _blur_on_black(images: torch.Tensor, sigma: float) -> torch.Tensor:
-    """As `blur`, but zero beyond the border."""
-    if sigma == 0:
-        return images
-    weights = _gaussian(sigma)
-    for axis in (-1, -2):
-        size = images.shape[axis]
-        total = images * weights[0]
-        for shift, weight in enumerate(weights[1:size], 1):
-            for here, there in ((0, shift), (shift, 0)):
-                moved = images.narrow(axis, there, size - shift)
-                total.narrow(axis, here, size - shift).add_(moved, alpha=weight)
-        images = total
-    return images
-
-
-def _gaussian(sigma: float) -> list[float]:
-    """Right half of a normalised discrete Gaussian, from its centre."""
-    weights = np.exp(-(np.arange(math.ceil(2 * sigma) + 1) ** 2) / (2 * sigma**2))
-    return (weights / (2 * weights.sum() - 1)).tolist()
+        for side, inner in ((0, radius + 1), (-radius, -2 * radius - 1)):
+            margin = _cut(padded, axis, side, radius)
+            margin[:] = flip(_cut(padded, axis, inner, radius), (axis,))
+    return _weighted(_weighted(padded, weights, -1), weights, -2)
 
 
 def unit(a: Vectors) -> Vectors:
     """Vectors of length 1."""
-    scale = _dot(a, a).rsqrt()
-    return a[0] * scale, a[1] * scale, a[2] * scale
+    length = _library(a[0]).sqrt(_dot(a, a))
+    return a[0] / length, a[1] / length, a[2] / length
 
 
-def _dot(a: Vectors, b: Vectors) -> torch.Tensor:
-    return torch.addcmul(torch.addcmul(a[0] * b[0], a[1], b[1]), a[2], b[2])
+def _dot(a: Vectors, b: Vectors) -> Array:
+    total = a[0] * b[0]
+    total += a[1] * b[1]
+    total += a[2] * b[2]
+    return total
+
+
+def _weighted(images: Array, weights: list[float], axis: int) -> Array:
+    """Sum of shifted images with symmetric weights, given from the centre on; shorter by the shifts."""
+    radius = len(weights) - 1
+    size = images.shape[axis] - 2 * radius
+    total = _cut(images, axis, radius, size) * weights[0]
+    for shift in range(1, radius + 1):
+        pair = _cut(images, axis, radius - shift, size) + _cut(images, axis, radius + shift, size)
+        pair *= weights[shift]
+        total += pair
+    return total
+
+
+def _neighbours(images: Array, axis: int) -> tuple[Array, Array]:
+    """All but the last and all but the first along an axis."""
+    return _cut(images, axis, 0, -1), _cut(images, axis, 1, -1)
+
+
+def _cut(images: Array, axis: int, start: int, size: int) -> Array:
+    """Part of the last axis (-1) or the one before (-2); a negative size is what is not in it."""
+    start %= images.shape[axis]
+    stop = start + (size if size >= 0 else images.shape[axis] + size)
+    return images[..., start:stop] if axis == -1 else images[..., start:stop, :]
+
+
+def _library(of: Array) -> ModuleType:
+    return torch if isinstance(of, torch.Tensor) else np
+
+
+def _zeros(shape: tuple[int, ...], like: Array) -> Array:
+    library = _library(like)
+    return library.zeros(shape, dtype=library.float32, device=like.device)
+
+
+def _positions(lights: tuple[Light, ...], like: Array) -> Array:
+    """Positions of the lights, to be computed with maps; (3, L, 1...) float32."""
+    places = np.array([light.position for light in lights], np.float32).T.reshape(3, -1, *[1] * like.ndim)
+    return places if _library(like) is np else torch.as_tensor(places, device=like.device)
+
+
+@lru_cache(maxsize=64)
+def _gaussian(sigma: float) -> list[float]:
+    """Right half of a normalised discrete Gaussian, from its centre; deviation 0 is a point."""
+    if sigma == 0:
+        return [1.0]
+    weights = np.exp(-(np.arange(math.ceil(2 * sigma) + 1) ** 2) / (2 * sigma**2))
+    return (weights / (2 * weights.sum() - 1)).tolist()
 
 
 def _synthetic_background(profile: SensorProfile) -> np.ndarray:

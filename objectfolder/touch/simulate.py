@@ -61,8 +61,7 @@ def contacts_of(height: np.ndarray, obstructed: np.ndarray, profile: SensorProfi
     """Press what the heightmaps (N, H, W) of `heightmaps` show into the sensor's gel."""
     displacement, pressure = deform(height, profile)
     mask = height > 0 if profile.gel == "rigid" else pressure > 0
-    area = pixel_area(profile)
-    total = (mask * area).sum(axis=(1, 2))
+    total, volume, force = (_integrals(of, profile) for of in (mask, height * mask, pressure))
     return Contacts(
         height=height,
         displacement=displacement,
@@ -70,10 +69,16 @@ def contacts_of(height: np.ndarray, obstructed: np.ndarray, profile: SensorProfi
         mask=mask,
         area=total,
         max_penetration=height.max(axis=(1, 2), initial=0).astype(np.float64),
-        mean_penetration=(height * mask * area).sum(axis=(1, 2)) / np.where(total > 0, total, 1),
-        force=(pressure * area).sum(axis=(1, 2)),
+        mean_penetration=volume / np.where(total > 0, total, 1),
+        force=force,
         obstructed=obstructed,
     )
+
+
+def _integrals(images: np.ndarray, profile: SensorProfile) -> np.ndarray:
+    """Sums of images (N, H, W) over the area, (N,) float64; one at a time, as the caches like it."""
+    area = pixel_area(profile)
+    return np.array([np.multiply(image, area).sum() for image in images], np.float64)
 
 
 def touch_images(

@@ -1,4 +1,5 @@
 import dataclasses
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -142,3 +143,21 @@ def test_normals_are_smoothed_as_the_triangles_of_the_truth_do():
     found = answer(net, truth)
     assert decibel(found, truth["images"]) > before + 1
     assert curve[-1].train_loss == pytest.approx(np.mean((found / 255.0 - truth["images"] / 255.0) ** 2))
+
+
+def test_device_draws_the_images_only(surface, points):
+    """No test machine has a GPU: the tensors of `meta` have no values, and refuse to become an image."""
+    profile = load_profile("digit")
+    net = GeometricTouch(surface, SCALE, profile, device="meta")
+    assert net.with_sensor(load_profile("tacto_digit"))._optics.device.type == "meta"
+    tensors, config = net.to_tensors()
+    assert GeometricTouch.from_tensors(surface, SCALE, tensors, config, "meta")._optics.device.type == "meta"
+    with pytest.raises(NotImplementedError, match="meta"):
+        answer(net, contacts(points[:1], profile))
+
+
+def test_threads_share_the_nets_of_other_sensors(surface):
+    net = GeometricTouch(surface, SCALE, load_profile("digit"))
+    with ThreadPoolExecutor(4) as pool:
+        others = list(pool.map(net.with_sensor, [load_profile("tacto_digit")] * 8))
+    assert all(other is others[0] for other in others)

@@ -231,6 +231,40 @@ def test_rows_do_not_depend_on_the_batch(digit):
             np.testing.assert_array_equal(alone[0], together[row])
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_solution_is_that_of_a_hundred_times_tighter_tolerance(digit, monkeypatch, seed):
+    height = terrain(digit, seed)
+    displacement, pressure = deform(height, digit)
+    monkeypatch.setattr("objectfolder.touch.gel._TOLERANCE", 1e-4)
+    exact, exact_pressure = deform(height, digit)
+    assert pressure.sum(dtype=float) == pytest.approx(exact_pressure.sum(dtype=float), rel=5e-3)
+    assert np.abs(displacement - exact).max() < 0.01 * height.max()
+
+
+def test_needle_that_coarse_grids_do_not_see_is_felt(digit):
+    height = np.full((1, digit.height, digit.width), -0.6 * MM, np.float32)
+    height[0, 70, 50] = 1 * MM
+    displacement, pressure = deform(height, digit)
+    assert np.flatnonzero(pressure[0]) == [70 * digit.width + 50]
+    assert displacement[0, 70, 50] == np.float32(1 * MM)
+    # The layer's own response to a load on one pixel.
+    layer = Layer(digit.elastomer_thickness, digit.young_modulus, digit.poisson_ratio)
+    pitch = digit.pixel_pitch
+    waves = 2 * np.pi * np.hypot(*np.meshgrid(*[np.fft.fftfreq(1024, pitch)] * 2))
+    assert pressure.max() * layer.compliance(waves).mean() == pytest.approx(1 * MM, rel=0.02)
+
+
+def test_unreachable_pixels_are_never_pressed(digit):
+    """Beside a post the gel bulges past the height that stands for out of reach."""
+    height = np.full((1, digit.height, digit.width), -1e-9, np.float32)
+    height[0, 60:100, 40:80] = 2 * MM
+    displacement, pressure = deform(height, digit)
+    assert displacement.min() < -1e-5
+    outside = height[0] < 0
+    assert (displacement[0][outside] < -1e-8).any()
+    assert not pressure[0][outside].any()
+
+
 def test_gel_that_does_not_converge_says_so(digit, monkeypatch):
     monkeypatch.setattr("objectfolder.touch.gel._MAX_STEPS", 1)
     with pytest.raises(ObjectFolderError, match="did not converge"):

@@ -154,6 +154,44 @@ def test_batch_has_the_bits_of_single_images(digit, optics):
     assert torch.equal(optics.render(moved.flip(0)), together.flip(0))
 
 
+@pytest.mark.parametrize("name", ["digit", "tacto_digit"])
+def test_tensors_and_arrays_give_the_same_image(name, monkeypatch):
+    """On other devices than the CPU the optics compute with tensors."""
+    profile = load_profile(name)
+    rng = np.random.default_rng(0)
+    moved = torch.cat([bump(profile, *rng.uniform(30, 90, 2), width=w) for w in (3.0, 6.0, 20.0)])
+    moved[1] -= 1e-5
+    moved[2, :, :40] = 0
+    change = Optics(profile).change(moved)
+    monkeypatch.setattr(Optics, "_own", lambda self, values: values.float())
+    tensors = Optics(profile)
+    assert isinstance(tensors._maps, torch.Tensor)
+    assert change.abs().max() > 20
+    torch.testing.assert_close(tensors.change(moved), change, rtol=0, atol=1e-3)
+    difference = tensors.render(moved).int() - Optics(profile).background.int()
+    assert (difference - change.permute(0, 2, 3, 1)).abs().max() <= 0.501
+
+
+def test_image_is_that_of_its_own_window_alone(digit, optics):
+    """What is computed within the bounds of the contact is what the whole image has."""
+    moved = bump(digit, 80, 60, width=4.0)
+    moved[moved < 1e-6] = 0
+    touched = np.argwhere(moved[0].numpy())
+    assert touched.min(axis=0).min() > 10
+    # A change far from the contact makes the window the whole image.
+    far = moved.clone()
+    far[0, [0, -1]] = far[0, :, [0, -1]] = 1e-4
+    near = np.s_[:, :, 15:-15, 15:-15]
+    torch.testing.assert_close(optics.change(far)[near], optics.change(moved)[near], rtol=0, atol=1e-4)
+
+
+def test_background_can_be_replaced(digit):
+    optics = Optics(digit)
+    optics.background = torch.full((digit.height, digit.width, 3), 77, dtype=torch.uint8)
+    still = torch.zeros(1, digit.height, digit.width)
+    assert optics.render(still).unique().tolist() == [77]
+
+
 def test_blur_keeps_constants_and_has_its_variance():
     ones = torch.ones(1, 1, 20, 30)
     assert (blur(ones, 1.4) - 1).abs().max() < 1e-6

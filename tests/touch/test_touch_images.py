@@ -1,3 +1,4 @@
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -54,6 +55,18 @@ def test_repeats_to_the_bit(contacts, batch, digit):
     np.testing.assert_array_equal(images, batch[0])
     for name, value in vars(batch[1]).items():
         np.testing.assert_array_equal(getattr(found, name), value)
+
+
+def test_threads_get_the_same_bits(contacts, batch, digit, optics):
+    block, *contact = contacts
+
+    def row(i):
+        return touch_images(block, *(c[i : i + 1] for c in contact), digit, optics)
+
+    with ThreadPoolExecutor(4) as pool:
+        for i, (images, found) in zip(4 * list(range(9)), pool.map(row, 4 * list(range(9)))):
+            np.testing.assert_array_equal(images[0], batch[0][i])
+            np.testing.assert_array_equal(found.pressure[0], batch[1].pressure[i])
 
 
 def test_no_contacts_give_no_images(contacts, digit, optics):
