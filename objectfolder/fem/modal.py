@@ -116,7 +116,7 @@ def refined_analysis(
     max_modes: int,
     name: str = "object",
 ) -> ModalData:
-    """Modes of a solid, on a finer grid if it needs one (`refined`), evaluated at points.
+    """Modes of a solid at points; on a finer grid if it needs one, see `objectfolder.fem.adaptive.refined`.
 
     Parameters
     ----------

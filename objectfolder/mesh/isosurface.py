@@ -38,11 +38,13 @@ class Isosurface:
     def _mesh(self) -> tuple[np.ndarray, np.ndarray]:
         from skimage.measure import marching_cubes
 
-        values = self.grid.values
+        box = _box(self.grid.values <= 0)
+        values = self.grid.values[tuple(box)]
         vertices, faces, _, _ = marching_cubes(
             values.astype(np.float32), 0.0, allow_degenerate=False, mask=_crossed(values)
         )
-        return vertices.astype(np.float64) * self.grid.spacing - BOUND, faces.astype(np.int64)
+        index = vertices.astype(np.float64) + [side.start for side in box]
+        return index * self.grid.spacing - BOUND, faces.astype(np.int64)
 
     @property
     def vertices(self) -> np.ndarray:
@@ -104,12 +106,21 @@ class Isosurface:
         return projected, np.linalg.norm(projected - points, axis=1)
 
 
+def _box(inside: np.ndarray) -> list[slice]:
+    """Samples inside and their neighbours, axis by axis; the others are not worth a look."""
+    sides = []
+    for axis, count in enumerate(inside.shape):
+        found = np.flatnonzero(inside.any(tuple({0, 1, 2} - {axis})))
+        sides.append(slice(max(int(found[0]) - 1, 0), min(int(found[-1]) + 2, count)))
+    return sides
+
+
 def _crossed(values: np.ndarray) -> np.ndarray:
-    """Cells that the surface may run through, marked at their upper corner; (R, R, R) bool.
+    """Cells that the surface may run through, marked at their upper corner; bool.
 
     Marching cubes passes over the others, which are most, without looking at their samples.
     """
-    cells = len(values) - 1
+    cells = values.shape[2] - 1
     inside = np.packbits(values <= 0, axis=2)  # eight samples at once
     some, every = inside != 0, inside == 255
     # Cells of a byte reach into the next one; bits beyond the last sample are 0.

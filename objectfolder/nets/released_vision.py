@@ -1,6 +1,6 @@
 """VisionNets of released ObjectFolder files: how they look along a ray, and the kind of one large net.
 
-The kind of many small nets is in `released_kilo`.
+The kind of many small nets is in `objectfolder.nets.released_kilo`.
 """
 
 import math
