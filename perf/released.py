@@ -1,10 +1,13 @@
-"""How long imported files of the released sizes take to answer, on one core: `python perf/released.py`.
+"""How long imported files of the released sizes take to answer: `python perf/released.py [--json FILE]`.
 
 The nets are random: how long they take does not depend on their weights, but for KiloOSF on how much of the
 grid is occupied (a ball of diameter 1 here).
 """
 
+import argparse
+import json
 import time
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -72,6 +75,9 @@ def milliseconds(ask, repeats=3):
 
 
 def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", type=Path, help="also write the figures here")
+    arguments = parser.parse_args()
     torch.set_num_threads(1)
     torch.manual_seed(0)
     pose, light = look_at(np.array([1.5, -1.6, 1.2]))[0], np.array([0, 0.6, 0.8])
@@ -109,6 +115,8 @@ def main():
     }
     for name, value in rows.items():
         print(f"{name:45}{value:12,.1f} ms")
+    if arguments.json:
+        arguments.json.write_text(json.dumps(rows, indent=2) + "\n")
 
 
 if __name__ == "__main__":

@@ -8,8 +8,10 @@ import math
 import platform
 from collections.abc import Callable
 from pathlib import Path
+from statistics import median
 from typing import Any
 
+from query import FIGURES, MEDIAN_KB
 from ruamel.yaml import YAML
 
 from objectfolder.artifacts import atomic
@@ -310,6 +312,66 @@ def query(figures: dict) -> list[str]:
     return lines
 
 
+def queries(figures: dict) -> list[str]:
+    """Table of what `perf/query.py` has measured."""
+    titles = [title for title, *_ in FIGURES.values()]
+    lines = [
+        "\n## Queries\n",
+        "`python perf/query.py FILE ... --mixed 10000 --json build/perf/query.json`: Object Files of preset "
+        "`standard`; fresh processes with one thread, CPU time, medians. A view has 256 x 256 pixels, a "
+        "sound two seconds at 16 kHz, a touch the soft gel of `digit`. The first touch counts from the start "
+        "of Python, with all imports. The authors' figures are theirs (Gao et al. 2022, Table 1), on a GPU "
+        "that they do not name.",
+        "",
+        f"| object | {' | '.join(titles)} |",
+        "|---" * (len(titles) + 1) + "|",
+    ]
+    for row in figures["objects"]:
+        lines.append(f"| {row['object']} | {' | '.join(f'{row[name]:.3g}' for name in FIGURES)} |")
+    for i, name in enumerate(("target, at most", "released 1.0, GPU", "released 2.0, GPU"), 1):
+        known = ("" if figure[i] is None else f"{figure[i]:g}" for figure in FIGURES.values())
+        lines.append(f"| {name} | {' | '.join(known)} |")
+    middle = median(row["file_kb"] for row in figures["objects"])
+    lines += ["", f"Median size: {middle:.0f} KB (target {MEDIAN_KB:.0f})."]
+    lines += [
+        f"{row['object']}: {row['mixed_queries']} mixed queries from four threads, {row['differing']} of them "
+        "with other bytes than when asked one after the other."
+        for row in figures["objects"]
+        if "mixed_queries" in row
+    ]
+    return lines
+
+
+def released(figures: dict) -> list[str]:
+    """Table of what `perf/released.py` has measured."""
+    return [
+        "\n## Queries of released files\n",
+        "`python perf/released.py --json build/perf/released.json`: files of ObjectFolder 1.0 and 2.0 after "
+        "`objectfolder import`; nets of the released size with random weights, one thread, CPU time.",
+        "",
+        "| query | CPU ms |",
+        "|---|---|",
+        *(f"| {name} | {value:.3g} |" for name, value in figures.items()),
+    ]
+
+
+def primary(figures: dict) -> list[str]:
+    """Table of what `perf/vision.py primary` has measured."""
+    lines = [
+        "\n`python perf/vision.py primary --json build/perf/vision_primary.json`: what the ray through each "
+        "pixel's centre meets, by the ray caster that queries use and by a sphere tracer on the same grid.",
+        "",
+        "| object | caster ms | its surface, once, ms | tracer ms | depth apart, voxels: median, 99 % "
+        "| pixels that one meets |",
+        "|---" * 6 + "|",
+    ]
+    return lines + [
+        f"| {r['object']} | {r['ms_caster']:.1f} | {r['ms_extract']:.0f} | {r['ms_tracer']:.1f} | "
+        f"{r['voxels_median']:.3f}, {r['voxels_99']:.2f} | {r['hits_apart']:.0f} |"
+        for r in figures["primary"]
+    ]
+
+
 def measured(name: str, layout: Callable[[Any], list[str]]) -> list[str]:
     """Lay out the figures that `perf/NAME.py --json build/perf/NAME.json` has left, if it has."""
     path = ROOT / "build" / "perf" / f"{name}.json"
@@ -551,6 +613,9 @@ def main() -> None:
         *measured("renderers", renderers),
         *measured("vision_training", training),
         *measured("vision_query", query),
+        *measured("vision_primary", primary),
+        *measured("query", queries),
+        *measured("released", released),
         *measured("touch_accuracy", touch_accuracy),
         *measured("touch_speed", touch_speed),
         *measured("touch_query", touch_query),
