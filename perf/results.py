@@ -334,8 +334,8 @@ def queries(figures: dict) -> list[str]:
     middle = median(row["file_kb"] for row in figures["objects"])
     lines += ["", f"Median size: {middle:.0f} KB (target {MEDIAN_KB:.0f})."]
     lines += [
-        f"{row['object']}: {row['mixed_queries']} mixed queries from four threads, {row['differing']} of them "
-        "with other bytes than when asked one after the other."
+        f"{row['object']}: {row['mixed_queries']} mixed queries from four threads, of which "
+        f"{row['differing']} have other bytes than when asked one after the other."
         for row in figures["objects"]
         if "mixed_queries" in row
     ]

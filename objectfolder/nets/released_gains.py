@@ -15,8 +15,8 @@ BLOCK = 16  # points at once, always: a row's bits must not depend on its batch
 class ReleasedGains:
     """Modes of an object and how loud a force along x, y or z makes each of them.
 
-    The original's sound is the sum of gain * exp(-abs(damping) t) * sin(2 pi frequency t). A mode of shape g is
-    displaced by g / w exp(-c t) sin(w t); so g = gain * w gives the original's sound as displacement.
+    The original's sound is the sum of gain * exp(-abs(damping) t) * sin(2 pi frequency t). A mode of shape g
+    is displaced by g / w exp(-c t) sin(w t); so g = gain * w gives the original's sound as displacement.
 
     Parameters
     ----------
