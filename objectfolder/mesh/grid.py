@@ -8,6 +8,7 @@ import torch
 import torch.nn.functional as F
 
 BOUND = 0.52  #: the grid spans [-BOUND, BOUND]^3 of the unit frame
+_CORNERS = [[1.0, -1, -1], [-1, -1, 1], [-1, 1, -1], [1, 1, 1]]  # of a tetrahedron
 BAND_VOXELS = 2.5  #: distances are clipped to this many voxels
 
 
@@ -62,6 +63,14 @@ class DistanceGrid:
         """Outward unit normals at (N, 3) points, from tetrahedral differences half a voxel wide; (N, 3)."""
         return ascent(self.distance, points, self.spacing / 2)
 
+    def distance_and_normals(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return `distance` and `normals` at (N, 3) points, in one pass over the grid."""
+        points = points.to(torch.float32)
+        corner = points.new_tensor(_CORNERS)
+        taps = points + corner[:, None] * (self.spacing / 2)
+        value = self.distance(torch.cat([points[None], taps]).view(-1, 3)).view(5, -1)
+        return value[0], _direction(value[1:], corner)
+
 
 def _keys(t: np.ndarray) -> np.ndarray:
     """Weights (..., 4) of the samples at -1, 0, 1, 2 for cubic convolution at t from 0 to 1."""
@@ -75,10 +84,14 @@ def ascent(field: Callable[[torch.Tensor], torch.Tensor], points: torch.Tensor, 
 
     Zero where the field is constant.
     """
-    corner = points.new_tensor([[1.0, -1, -1], [-1, -1, 1], [-1, 1, -1], [1, 1, 1]])
+    corner = points.new_tensor(_CORNERS)
     taps = (points[None] + corner[:, None] * step).reshape(-1, 3)
-    value = field(taps).view(4, -1)
-    return F.normalize((value[..., None] * corner[:, None]).sum(0), dim=-1, eps=1e-20)
+    return _direction(field(taps).view(4, -1), corner)
+
+
+def _direction(values: torch.Tensor, corner: torch.Tensor) -> torch.Tensor:
+    """Unit direction in which values (4, N) at the corners of tetrahedra grow; (N, 3)."""
+    return F.normalize((values[..., None] * corner[:, None]).sum(0), dim=-1, eps=1e-20)
 
 
 def quantise(distance: np.ndarray, band: float) -> np.ndarray:

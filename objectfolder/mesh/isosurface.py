@@ -100,8 +100,8 @@ class Isosurface:
             start[far] = self.vertices[self._tree.query(points[far])[1]]
         position = torch.from_numpy(start)
         for _ in range(steps):
-            step = self.grid.distance(position)[:, None] * self.grid.normals(position.to(torch.float32))
-            position = position - step.to(torch.float64)
+            distance, normals = self.grid.distance_and_normals(position)
+            position = position - (distance[:, None] * normals).to(torch.float64)
         projected = position.numpy()
         return projected, np.linalg.norm(projected - points, axis=1)
 
