@@ -136,6 +136,11 @@ def fresh(job: str, *arguments: str) -> dict:
     return json.loads(done.stdout.splitlines()[-1])
 
 
+def shown(value: float | None) -> str:
+    """Three digits or more, without an exponent; nothing for None."""
+    return "" if value is None else f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
+
+
 def misses(rows: list[dict]) -> list[str]:
     """Targets that are missed, in words."""
     found = [
@@ -156,10 +161,10 @@ def show(rows: list[dict], console: Console) -> None:
     for title, *_ in FIGURES.values():
         table.add_column(title, justify="right")
     for row in rows:
-        table.add_row(row["object"], *(f"{row[name]:.3g}" for name in FIGURES))
+        table.add_row(row["object"], *(shown(row[name]) for name in FIGURES))
     table.add_section()
     for i, name in enumerate(("target, at most", "released 1.0 on a GPU", "released 2.0 on a GPU"), 1):
-        table.add_row(name, *("" if figure[i] is None else f"{figure[i]:g}" for figure in FIGURES.values()))
+        table.add_row(name, *(shown(figure[i]) for figure in FIGURES.values()))
     console.print(table)
     for row in (row for row in rows if "mixed_queries" in row):
         console.print(

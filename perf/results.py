@@ -11,7 +11,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from query import FIGURES, MEDIAN_KB
+from query import FIGURES, MEDIAN_KB, shown
 from ruamel.yaml import YAML
 
 from objectfolder.artifacts import atomic
@@ -327,9 +327,9 @@ def queries(figures: dict) -> list[str]:
         "|---" * (len(titles) + 1) + "|",
     ]
     for row in figures["objects"]:
-        lines.append(f"| {row['object']} | {' | '.join(f'{row[name]:.3g}' for name in FIGURES)} |")
+        lines.append(f"| {row['object']} | {' | '.join(shown(row[name]) for name in FIGURES)} |")
     for i, name in enumerate(("target, at most", "released 1.0, GPU", "released 2.0, GPU"), 1):
-        known = ("" if figure[i] is None else f"{figure[i]:g}" for figure in FIGURES.values())
+        known = (shown(figure[i]) for figure in FIGURES.values())
         lines.append(f"| {name} | {' | '.join(known)} |")
     middle = median(row["file_kb"] for row in figures["objects"])
     lines += ["", f"Median size: {middle:.0f} KB (target {MEDIAN_KB:.0f})."]
@@ -351,7 +351,7 @@ def released(figures: dict) -> list[str]:
         "",
         "| query | CPU ms |",
         "|---|---|",
-        *(f"| {name} | {value:.3g} |" for name, value in figures.items()),
+        *(f"| {name} | {shown(value)} |" for name, value in figures.items()),
     ]
 
 
