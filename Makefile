@@ -28,6 +28,7 @@ fuzz: setup
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt atheris
 	$(BIN)/python fuzz/objectfile.py -max_total_time=600
 	$(BIN)/python fuzz/queryfiles.py -max_total_time=600
+	$(BIN)/python fuzz/released.py -max_total_time=600
 	$(BIN)/pytest --hypothesis-profile=fuzz tests/test_hostile_files.py
 
 lint: setup
