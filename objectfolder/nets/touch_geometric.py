@@ -6,7 +6,9 @@ one number that quantising the surface makes uncertain, the effective press dept
 smooth its normals are.
 """
 
+import threading
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
 #: Rounds of smoothing that are tried for renderer tacto.
 SMOOTHING = (1, 2, 4, 8)
 
+_OTHERS = 8  # sensors that are kept beside the stored one: their optics take as long as a touch
 _BATCH = 16  # bounds the memory that contacts take beside their images
 
 
@@ -68,7 +71,7 @@ class GeometricTouch:
         self.profile = profile
         self.depth_offset = depth_offset
         self.renderer = renderer
-        self._others: dict[SensorProfile, GeometricTouch] = {}
+        self._other, self._lock = lru_cache(_OTHERS)(self._new_other), threading.Lock()
         self._optics = Optics(profile, device)
         if background is not None:
             self._optics.background = torch.from_numpy(np.array(background))
@@ -91,12 +94,13 @@ class GeometricTouch:
 
     def with_sensor(self, profile: SensorProfile) -> "GeometricTouch":
         """Press another sensor on the same surface; its gel is rendered, whatever the renderer was."""
-        if profile not in self._others:  # its optics take as long as a touch
-            net = GeometricTouch(
-                self.surface, self.scale, profile, self.depth_offset, device=self._optics.device
-            )
-            self._others.setdefault(profile, net)  # threads that come here together get the same
-        return self._others[profile]
+        with self._lock:  # threads that come here together get the same
+            return self._other(profile)
+
+    def _new_other(self, profile: SensorProfile) -> "GeometricTouch":
+        return GeometricTouch(
+            self.surface, self.scale, profile, self.depth_offset, device=self._optics.device
+        )
 
     def normals(self, points: np.ndarray) -> np.ndarray:
         """Contact normals at (N, 3) points of the object frame; (N, 3)."""

@@ -1,7 +1,7 @@
 """How the gel gives way: exactly, or as an elastic layer on a rigid base."""
 
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 
 import numpy as np
 import scipy.fft
@@ -188,7 +188,7 @@ def _sum_of_products(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.einsum("ij,ij->", a, b))  # unlike BLAS in one order, whatever the number of threads
 
 
-@cache
+@lru_cache(maxsize=32)  # two for each sensor
 def _compliance(rows: int, columns: int, pitch: float, layer: Layer) -> np.ndarray:
     """Of the waves of `_respond`, twice each, for real and imaginary parts; (rows // 2 + 1, 2 columns)."""
     along_rows, along_columns = scipy.fft.rfftfreq(rows, pitch), scipy.fft.fftfreq(columns, pitch)
@@ -196,7 +196,7 @@ def _compliance(rows: int, columns: int, pitch: float, layer: Layer) -> np.ndarr
     return layer.compliance(wavenumber).astype(np.float32).repeat(2, axis=1)
 
 
-@cache
+@lru_cache(maxsize=32)
 def _stencil(pitch: float, layer: Layer) -> tuple[np.float32, np.float32, np.float32]:
     """Weights of a pixel, of those beside it and of those across its corners, Pa/m.
 

@@ -14,6 +14,7 @@ from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.metrics import psnr
 from objectfolder.nets.touch_geometric import GeometricTouch, fit_contacts
+from objectfolder.touch import gel
 from objectfolder.touch.dataset import render_contacts
 from objectfolder.touch.profiles import load_profile
 from objectfolder.touch.tacto_rays import TactoRays
@@ -161,3 +162,18 @@ def test_threads_share_the_nets_of_other_sensors(surface):
     with ThreadPoolExecutor(4) as pool:
         others = list(pool.map(net.with_sensor, [load_profile("tacto_digit")] * 8))
     assert all(other is others[0] for other in others)
+
+
+def test_any_number_of_sensors_takes_bounded_memory(surface):
+    """As when somebody varies a sensor at random."""
+    net, profile = GeometricTouch(surface, SCALE, load_profile("digit")), load_profile("digit")
+    varied = [dataclasses.replace(profile, young_modulus=1e5 + i) for i in range(40)]
+    for one in varied:
+        next(
+            net.with_sensor(one).touches(*[np.array([[0.4 * SCALE, 0, 0]]), np.eye(3)[:1], *np.zeros((2, 1))])
+        )
+    kept = net._other.cache_info()
+    assert kept.misses == 40
+    assert kept.currsize < 10
+    assert gel._compliance.cache_info().currsize < 40
+    assert net.with_sensor(varied[-1]) is net.with_sensor(varied[-1])
