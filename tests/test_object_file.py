@@ -284,6 +284,17 @@ def test_numbers_that_are_none_are_refused(edit, brick, name):
         QUESTIONS[name.split(".")[0]](edit(**{name: spoilt}))
 
 
+@pytest.mark.parametrize("name", ["damped_frequency", "damping", "amplitude"])
+@pytest.mark.parametrize("change", ["longer", "square", "negative"])
+def test_modes_that_cannot_be_are_refused(edit, brick, name, change):
+    value = brick.tensors[f"audio.{name}"].copy()
+    changed = {"longer": np.append(value, value), "square": value[None], "negative": -value}[change]
+    if change == "negative" and name == "amplitude":
+        return  # the same shapes, upside down
+    with pytest.raises(ObjectFolderError, match=r"^brick: the stored audio net is damaged .*modes"):
+        edit(**{f"audio.{name}": changed}).impact([[0.05, 0, 0]], [[0, 0, 1]])
+
+
 def test_only_what_a_question_needs_is_read(brick_path):
     file, read = ObjectFile.load(brick_path), []
 

@@ -130,7 +130,13 @@ class GainsNet(nn.Module):
 
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "GainsNet":
-        """Inverse of `to_tensors`."""
+        """Inverse of `to_tensors`.
+
+        Raises
+        ------
+        LookupError, RuntimeError, TypeError, ValueError
+            If they are not what it returns.
+        """
         nodes = (config["resolution"] + 2) ** 3
         used = torch.from_numpy(np.unpackbits(tensors["grid.used"], count=nodes).astype(bool))
         state = {}
@@ -142,6 +148,11 @@ class GainsNet(nn.Module):
             else:
                 state[name] = torch.from_numpy(np.array(value))
         state["grid.used"] = used
+        modes = [state[name] for name in ("damped_frequency", "damping", "amplitude")]
+        if any(of_modes.shape != (modes[0].numel(),) for of_modes in modes):
+            raise ValueError(f"modes of shapes {', '.join(str(tuple(x.shape)) for x in modes)}")
+        if (modes[0] <= 0).any() or (modes[1] < 0).any():
+            raise ValueError("modes that do not swing, or grow")
         net = cls(state["damped_frequency"], state["damping"], state["amplitude"], used, **config)
         net.load_state_dict(state)
         return net.eval()
