@@ -2,7 +2,7 @@
 
 Small files like those of ObjectFolder 1.0 and 2.0, in both formats of torch, are damaged: bytes anywhere, or
 of the pickle, or the end cut off. Whatever comes out is converted or refused with an ObjectFolderError;
-anything else, also more than 20 seconds or 2 GiB, stops the run and leaves the input behind.
+anything else, also more than 20 seconds or 8 GiB, stops the run and leaves the input behind.
 """
 
 import io
@@ -80,7 +80,7 @@ def main() -> None:
         with suppress(ObjectFolderError):
             convert(path, options)
 
-    limits = ["-timeout=20", "-rss_limit_mb=2048", "-len_control=0", "-max_len=256"]
+    limits = ["-timeout=20", "-rss_limit_mb=8192", "-len_control=0", "-max_len=256"]
     atheris.Setup([sys.argv[0], *limits, f"-artifact_prefix={FOLDER}/", *sys.argv[1:]], once)
     atheris.Fuzz()
 
