@@ -4,11 +4,15 @@ import numpy as np
 import pytest
 import torch
 from brick import build_brick
+from hypothesis import settings
 from threadpoolctl import threadpool_limits
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.inspection.scene import draw
 from objectfolder.objectfile import ObjectFile
+
+# `make fuzz` takes it; tests that set a number of examples themselves keep to that.
+settings.register_profile("fuzz", max_examples=2000)
 
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     # So starts what a script runs in the background; processes that tests interrupt would inherit it.

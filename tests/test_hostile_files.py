@@ -14,8 +14,6 @@ from objectfolder.artifacts import read_rows, read_safetensors, write_safetensor
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fileformat import checked_header
 
-# `make fuzz` runs more: tests that set no number of examples of their own follow the profile.
-settings.register_profile("fuzz", max_examples=2000)
 quick = settings(deadline=None, suppress_health_check=list(HealthCheck))
 
 WORDS = st.sampled_from(
