@@ -490,6 +490,33 @@ class ObjectFile:
             net = net.with_sensor(profile)
         return query.touch(net, points, depth, angle, tilt, azimuth, tolerance)
 
+    def depth_maps(
+        self,
+        points: Rows,
+        depth: Scalars = 0.001,
+        tilt: Scalars = 0.0,
+        azimuth: Scalars = 0.0,
+        tolerance: float = query.TOLERANCE,
+    ) -> np.ndarray:
+        """Depth maps that the touch net of an imported 2.0 file answers itself; otherwise as `touch`.
+
+        Returns
+        -------
+        (N, 120, 160) float32, metres from the released sensor's camera
+
+        Raises
+        ------
+        ObjectFolderError
+            If the file holds no such net: `press` has the heights of all others.
+        """
+        net = self._parts.touch
+        if not isinstance(net, ReleasedDepth):
+            raise ObjectFolderError(
+                f"{self.key}: its touch net stores no depth maps, as those of imported 2.0 files; "
+                "press() gives heights"
+            )
+        return query.depth_maps(self._parts.solid, net, self.scale, points, depth, tilt, azimuth, tolerance)
+
     def sample_surface(self, count: int, seed: int = 0) -> np.ndarray:
         """Random surface points, uniform by area; (count, 3), object frame, metres."""
         rng = np.random.default_rng(seed)

@@ -355,6 +355,27 @@ def touch_depth(
     return net.touches(snap(surface, contacts / scale, tolerance), depths, tilts, azimuths, profile)
 
 
+def depth_maps(
+    surface: Isosurface | None,
+    net: ReleasedDepth,
+    scale: float,
+    points: Rows,
+    depth: Scalars,
+    tilt: Scalars,
+    azimuth: Scalars,
+    tolerance: float,
+) -> np.ndarray:
+    """What a released touch net answers itself, metres from its camera; (N, 120, 160) float32.
+
+    Raises
+    ------
+    ObjectFolderError
+        If a depth or tilt is beyond what the net has learnt.
+    """
+    contacts, depths, _, tilts, azimuths = _contacts(points, depth, 0.0, tilt, azimuth)
+    return net.depth_maps(snap(surface, contacts / scale, tolerance), depths, tilts, azimuths)
+
+
 def _contacts(
     points: Rows,
     depth: Scalars,

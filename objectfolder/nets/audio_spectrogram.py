@@ -84,10 +84,11 @@ class SpectrogramNet(nn.Module):
     @torch.no_grad()
     def spectrograms(self, points: torch.Tensor) -> torch.Tensor:
         """Complex spectrograms at (N, 3) points of the unit frame, m kg^1/2 per N s; (N, 3, 257, 201)."""
-        bins = torch.arange(math.prod(SHAPE))
+        device = self.range.device
+        bins = torch.arange(math.prod(SHAPE), device=device)
         low, high = self.range.tolist()
-        out = torch.empty(len(points), 3, *SHAPE, dtype=torch.complex64)
-        for image, point in zip(out, points.float()):
+        out = torch.empty(len(points), 3, *SHAPE, dtype=torch.complex64, device=device)
+        for image, point in zip(out, points.to(device, torch.float32)):
             values = self(point.expand(len(bins), 3), bins) * (high - low) + low
             image[:] = torch.view_as_complex(values.transpose(0, 1).contiguous()).view(3, *SHAPE)
         return out

@@ -58,7 +58,7 @@ def _nodes(x: torch.Tensor, resolution: int) -> tuple[torch.Tensor, torch.Tensor
     t = (position - cell).float()
     # (N, 3 axes, 3 nodes)
     weights = torch.stack([(1 - t) ** 2 / 2, 0.5 + t - t * t, t * t / 2], -1)
-    along = cell[:, :, None] + _OFFSETS
+    along = cell[:, :, None] + _OFFSETS.to(x.device)
     side = resolution + 2
     index = (along[:, 0, :, None, None] * side + along[:, 1, None, :, None]) * side + along[:, 2, None, None]
     product = weights[:, 0, :, None, None] * weights[:, 1, None, :, None] * weights[:, 2, None, None]

@@ -86,11 +86,12 @@ class ImageTouch(nn.Module):
     def images(self, points: np.ndarray) -> np.ndarray:
         """Tactile images at (N, 3) points of the unit frame; (N, H, W, 3) uint8."""
         height, width = self.image_size
-        pixels = torch.arange(height * width)
+        device = self.network.output.weight.device
+        pixels = torch.arange(height * width, device=device)
         images = np.empty((len(points), height, width, 3), np.uint8)
-        for image, point in zip(images, torch.from_numpy(np.asarray(points, np.float32))):
+        for image, point in zip(images, torch.from_numpy(np.asarray(points, np.float32)).to(device)):
             grey = (self(point.expand(len(pixels), 3), pixels) + 1) * 127.5
-            image[:] = grey.round().clamp(0, 255).to(torch.uint8).view(height, width, 3).numpy()
+            image[:] = grey.round().clamp(0, 255).to(torch.uint8).view(height, width, 3).cpu().numpy()
         return images
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

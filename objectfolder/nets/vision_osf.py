@@ -173,13 +173,15 @@ class OsfNet(nn.Module):
             Depth is the mean of what the ray sees. The normal is the way in which the density falls there,
             zero where it does not.
         """
-        origins, directions = camera_rays(camera_to_world, intrinsics, _centres(intrinsics))
-        rays = Rays.through_cube(torch.from_numpy(origins), torch.from_numpy(directions), BOUND)
-        rgba = torch.zeros(len(origins), 4)
-        depth = torch.full((len(origins),), math.inf)
-        normals = torch.zeros(len(origins), 3)
-        forward = torch.from_numpy(-camera_to_world[:3, 2].astype(np.float32))
-        towards = torch.from_numpy(np.asarray(light, np.float32))
+        device = self.fine.density.weight.device
+        found = camera_rays(camera_to_world, intrinsics, _centres(intrinsics))
+        origins, directions = (torch.from_numpy(x).to(device) for x in found)
+        rays = Rays.through_cube(origins, directions, BOUND)
+        rgba = origins.new_zeros(len(origins), 4)
+        depth = origins.new_full((len(origins),), math.inf)
+        normals = torch.zeros_like(origins)
+        forward = torch.from_numpy(-camera_to_world[:3, 2].astype(np.float32)).to(device)
+        towards = torch.from_numpy(np.asarray(light, np.float32)).to(device)
         for index in (rays.far > rays.near).nonzero()[:, 0].split(_CHUNK):
             part = rays[index]
             radiance, alpha, distance = self._look(part, self._sample(part, None)[0], towards)
@@ -190,7 +192,7 @@ class OsfNet(nn.Module):
             points = part.points(distance[:, None])[:, 0]
             normals[index[met]] = -ascent(lambda p: self.fine(p)[0], points, _NORMAL_STEP)
         size = intrinsics.height, intrinsics.width
-        return Picture(*(x.view(*size, *x.shape[1:]).numpy() for x in (rgba, depth, normals)))
+        return Picture(*(x.view(*size, *x.shape[1:]).cpu().numpy() for x in (rgba, depth, normals)))
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Tensors (weights as float16) and configuration."""

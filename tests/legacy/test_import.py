@@ -103,6 +103,12 @@ def test_a_file_of_2_0_answers_all_three_questions(file, tmp_path):
         obj.touch(POINTS, tilt=0.5)
     with pytest.raises(ObjectFolderError, match="angle: row 0"):
         obj.touch(POINTS, angle=0.5)
+    maps = obj.depth_maps(POINTS, depth=[0.0005, 0.001, 0.002], tilt=0.1, azimuth=[0, 1, 2])
+    net = obj._parts.touch
+    exact = net.depth_maps(
+        POINTS / obj.scale, np.array([0.0005, 0.001, 0.002]), np.full(3, 0.1), np.arange(3)
+    )
+    np.testing.assert_array_equal(maps, exact)
     other = obj.touch(POINTS[:1], sensor="digit")
     assert other.shape == (1, 160, 120, 3)
 

@@ -150,6 +150,14 @@ def test_an_object_without_modes(tmp_path):
     assert back.shapes(torch.zeros(2, 3)).shape == (2, 3, 0)
 
 
+def test_every_tensor_is_on_the_device_of_the_net(trained):
+    """Meta tensors hold nothing, but refuse to meet those of another device."""
+    net = GainsNet.from_tensors(*trained[0].to_tensors()).to("meta")
+    shapes = net.shapes(torch.zeros(5, 3))
+    assert shapes.device.type == "meta"
+    assert shapes.shape == (5, 3, 3)
+
+
 def test_energy_weight_is_the_energy_of_the_displacement():
     w, c = 2 * np.pi * 200, 4.0
     t = np.linspace(0, 5, 2_000_001)
