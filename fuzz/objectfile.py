@@ -14,7 +14,6 @@ import sys
 import tempfile
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import atheris
 
@@ -23,6 +22,7 @@ with atheris.instrument_imports(include=["objectfolder"]):
     import numpy as np
     import torch
     from brick import build_brick
+    from damage import leaves
 
     from objectfolder.errors import ObjectFolderError
     from objectfolder.objectfile import ObjectFile
@@ -30,16 +30,6 @@ with atheris.instrument_imports(include=["objectfolder"]):
 
 SPICE = (0, -1, 1, 2, 0.5, 1e308, -1e-308, 2**31, 2**63, True, None, "", "x", "../..", [], {}, [[]], "none")
 FOLDER = Path(tempfile.mkdtemp(prefix="fuzz"))
-
-
-def leaves(value: Any) -> list[tuple[Any, Any]]:
-    """Return containers and keys of all values within one."""
-    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    found = []
-    for key, item in items:
-        found.append((value, key))
-        found += leaves(item)
-    return found
 
 
 def damaged(data: atheris.FuzzedDataProvider, whole: bytes) -> bytes:

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from damage import leaves
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
@@ -27,12 +28,6 @@ JSON = st.recursive(
     ),
     max_leaves=12,
 )
-
-
-def leaves(value):
-    """Containers and keys of all values within one."""
-    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    return [leaf for key, item in items for leaf in [(value, key), *leaves(item)]]
 
 
 @quick
