@@ -11,6 +11,7 @@ from ruamel.yaml.comments import CommentedMap
 
 from objectfolder import params
 from objectfolder.artifacts import atomic
+from objectfolder.benchmarks.params import check_tasks
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.load import default_up, load_mesh
 from objectfolder.mesh.references import references
@@ -182,20 +183,32 @@ def apply_preset(name: str, root: Path = Path()) -> list[str]:
     ObjectFolderError
         If there is no such preset, or the result is invalid.
     """
+    params_path = root / params.PARAMS_FILE
+    document, values = _editable(params_path)
+    preset, path = read_preset(name, root)
+    changed = [section for section, content in preset.items() if values.get(section) != content]
+    params.check_all({**values, **preset}, path)
+    check_tasks({**values, **preset}, path)
+    for section in changed:
+        document[section] = preset[section]
+    _write(params_path, document)
+    return changed
+
+
+def read_preset(name: str, root: Path = Path()) -> tuple[dict[str, Any], Path]:
+    """Return the sections of ``params/<name>.yaml``, and its path.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there is no such preset.
+    """
     folder = root / "params"
     path = folder / f"{name}.yaml"
     if not path.is_file():
         known = ", ".join(sorted(p.stem for p in folder.glob("*.yaml"))) or "none"
         raise ObjectFolderError(f"no preset {name!r} in {folder}/; expected one of {known}")
-    params_path = root / params.PARAMS_FILE
-    document, values = _editable(params_path)
-    preset = YAML(typ="safe").load(path.read_text())
-    changed = [section for section, content in preset.items() if values.get(section) != content]
-    params.check_all({**values, **preset}, path)
-    for section in changed:
-        document[section] = preset[section]
-    _write(params_path, document)
-    return changed
+    return YAML(typ="safe").load(path.read_text()), path
 
 
 def _editable(path: Path) -> tuple[Any, dict[str, Any]]:

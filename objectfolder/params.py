@@ -197,6 +197,11 @@ class EvaluateParams(Section):  # noqa: D101
     impacts: int = Count  #: random impacts whose spectrograms are scored
 
 
+class ObserveParams(Section):  # noqa: D101
+    observations: int = Field(ge=10, multiple_of=10)  #: of each modality, for the benchmarks
+    resolution: int = Field(ge=8)  #: of views, pixels along a side
+
+
 SECTIONS: dict[str, type[Section]] = {
     "normalize": NormalizeParams,
     "voxelize": VoxelizeParams,
@@ -207,6 +212,7 @@ SECTIONS: dict[str, type[Section]] = {
     "train_audio": TrainAudioParams,
     "train_touch": TrainTouchParams,
     "evaluate": EvaluateParams,
+    "observe": ObserveParams,
 }
 
 #: What each stage declares: fields of its object's entry, and (`SHARED`) values that stages share.
@@ -222,7 +228,10 @@ OBJECT_FIELDS: dict[str, tuple[str, ...]] = {
     "train_touch": ("scale",),
     "pack": ("material",),
     "evaluate": (),
+    "observe": (),
 }
+#: Stages over all objects; objectfolder/benchmarks/params.py has their parameters.
+TASKS = ("recognize", "retrieve", "reconstruct")
 #: Shared parameters, by the stage that reads them.
 SHARED: dict[str, tuple[str, ...]] = {
     "modal": ("seed",),
@@ -232,6 +241,7 @@ SHARED: dict[str, tuple[str, ...]] = {
     "train_audio": ("seed",),
     "train_touch": ("seed", "sensor"),
     "evaluate": ("seed",),
+    "observe": ("seed",),
 }
 
 
@@ -269,7 +279,8 @@ def check_key(key: Any, where: str = "object key") -> str:
     ObjectFolderError
         If it is not a slug. DVC drops integer keys silently and takes a dot for a path.
     """
-    if isinstance(key, str) and KEY.fullmatch(key) and key not in SECTIONS and key not in OBJECT_FIELDS:
+    stages = {*SECTIONS, *OBJECT_FIELDS, *TASKS}
+    if isinstance(key, str) and KEY.fullmatch(key) and key not in stages:
         return key
     reason = (
         "DVC drops integer keys silently"
@@ -277,7 +288,7 @@ def check_key(key: Any, where: str = "object key") -> str:
         else "DVC reads a dot as a path into the parameters"
         if isinstance(key, str) and "." in key
         else "it is the name of a stage"
-        if key in OBJECT_FIELDS
+        if isinstance(key, str) and key in stages
         else "keys become file and stage names"
     )
     raise ObjectFolderError(
@@ -299,7 +310,7 @@ def object_entry(key: str, values: dict[str, Any], path: str | Path = PARAMS_FIL
         raise ObjectFolderError(
             f"{path} has no object {key!r} (it has {known}); add it with `objectfolder add`"
         )
-    valid = _validate(ObjectEntry, values["objects"][key], f"{path}: objects.{key}")
+    valid = validate(ObjectEntry, values["objects"][key], f"{path}: objects.{key}")
     home = PurePosixPath("data/objects") / key
     mesh = PurePosixPath(valid.mesh)
     if home not in mesh.parents or ".." in mesh.parts:
@@ -323,7 +334,7 @@ def stage_params(stage: str, key: str, path: str | Path = PARAMS_FILE) -> Simple
     if stage in SECTIONS:
         if stage not in values:
             raise ObjectFolderError(f"{path} lacks section {stage!r}; run `objectfolder preset quick`")
-        section = _validate(SECTIONS[stage], values[stage], f"{path}: {stage}")
+        section = validate(SECTIONS[stage], values[stage], f"{path}: {stage}")
     return SimpleNamespace(
         object=SimpleNamespace(**{field: getattr(entry, field) for field in OBJECT_FIELDS[stage]}),
         section=section,
@@ -337,7 +348,7 @@ def procedural_entry(key: str, path: str | Path = PARAMS_FILE) -> tuple[str, dic
     entry = values["procedural"].get(key)
     if entry is None:
         raise ObjectFolderError(f"{path}: procedural has no {key!r}")
-    valid = _validate(ProceduralEntry, entry, f"{path}: procedural.{key}")
+    valid = validate(ProceduralEntry, entry, f"{path}: procedural.{key}")
     return valid.generator, dict(valid.model_extra or {})
 
 
@@ -353,19 +364,26 @@ def check_all(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
                 f"{path}: objects.{key} lacks {', '.join(lacking)}, which DVC tracks; add `{fields}`"
             )
     for key, entry in values["procedural"].items():
-        _validate(ProceduralEntry, entry, f"{path}: procedural.{key}")
+        validate(ProceduralEntry, entry, f"{path}: procedural.{key}")
     for name, model in SECTIONS.items():
         if name not in values:
             raise ObjectFolderError(f"{path} lacks section {name!r}; run `objectfolder preset quick`")
-        _validate(model, values[name], f"{path}: {name}")
+        validate(model, values[name], f"{path}: {name}")
     _shared(values, path)
 
 
 def _shared(values: dict[str, Any], path: str | Path) -> Shared:
-    return _validate(Shared, {name: values.get(name) for name in Shared.model_fields}, str(path))
+    return validate(Shared, {name: values.get(name) for name in Shared.model_fields}, str(path))
 
 
-def _validate(model: type[BaseModel], value: Any, where: str) -> Any:
+def validate(model: type[BaseModel], value: Any, where: str) -> Any:
+    """Return a section as its model.
+
+    Raises
+    ------
+    ObjectFolderError
+        If a field is lacking, unknown or wrong; the message begins with ``where``.
+    """
     try:
         return model.model_validate(value)
     except ValidationError as error:

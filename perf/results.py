@@ -372,10 +372,22 @@ def primary(figures: dict) -> list[str]:
     ]
 
 
-def measured(name: str, layout: Callable[[Any], list[str]]) -> list[str]:
-    """Lay out the figures that `perf/NAME.py --json build/perf/NAME.json` has left, if it has."""
-    path = ROOT / "build" / "perf" / f"{name}.json"
-    return layout(json.loads(path.read_text())) if path.is_file() else []
+def measured(*parts: tuple[str, Callable[[Any], list[str]]]) -> list[str]:
+    """Lay out one section: what `perf/NAME.py --json build/perf/NAME.json` has left, if all of it is there."""
+    paths = [ROOT / "build" / "perf" / f"{name}.json" for name, _ in parts]
+    if not all(path.is_file() for path in paths):
+        return []
+    return [line for path, (_, layout) in zip(paths, parts) for line in layout(json.loads(path.read_text()))]
+
+
+def merged(old: str, new: str) -> str:
+    """Replace the sections of a page that were measured anew; the others stay as they are."""
+    head, *kept = old.split("\n## ")
+    new_head, *fresh = new.split("\n## ")
+    titles = [section.partition("\n")[0] for section in fresh]
+    by_title = dict(zip(titles, fresh))
+    sections = [by_title.pop(section.partition("\n")[0], section) for section in kept]
+    return "\n## ".join(part.rstrip() + "\n" for part in [new_head or head, *sections, *by_title.values()])
 
 
 def touch_accuracy(figures: dict) -> list[str]:
@@ -557,26 +569,17 @@ def engine_starter(figures: dict) -> list[str]:
     ]
 
 
-def main() -> None:
+def scores(metrics: dict[str, dict]) -> list[str]:
+    """Scores of every object that `objectfolder build` has evaluated, and what the page begins with."""
     values = YAML(typ="safe").load((ROOT / "params.yaml").read_text())
-    files = sorted((ROOT / "metrics").glob("*.json"))
-    metrics = {p.stem: json.loads(p.read_text()) for p in files}
-    cpu = next(
-        (
-            l.split(":")[1].strip()
-            for l in Path("/proc/cpuinfo").read_text().splitlines()
-            if "model name" in l
-        ),
-        "",
-    )
     lines = [
         "# Results",
         "",
         "Regenerate: `make demo`, then geometry, modal_accuracy, modal, audio, vision, touch, engine and",
-        "results in perf/. Objects other than the starters were added with `objectfolder add` from YCB,",
-        "Google Scanned Objects and Poly Haven.",
+        "results in perf/; a section whose figures are not there stays as it is. Objects other than the",
+        "starters were added with `objectfolder add` from YCB, Google Scanned Objects and Poly Haven.",
         "",
-        f"Machine: {cpu or platform.processor()}, one thread per stage. "
+        f"Machine: {processor()}, one thread per stage. "
         f"Preset `{preset(values)}`, seed {values['seed']}. PSNR in dB, data in [0, 1], peak 1, "
         "on held-out data; beside every score a baseline that knows nothing.",
         *table(metrics, "vision", VISION),
@@ -610,28 +613,43 @@ def main() -> None:
         "with AWGN rows 32.0 / 26.2 / 24.2. "
         "In its audio convention a silent prediction scores as the `baseline_silence` column "
         "does, so compare the difference.",
-        *measured("renderers", renderers),
-        *measured("vision_training", training),
-        *measured("vision_query", query),
-        *measured("vision_primary", primary),
-        *measured("query", queries),
-        *measured("released", released),
-        *measured("touch_accuracy", touch_accuracy),
-        *measured("touch_speed", touch_speed),
-        *measured("touch_query", touch_query),
-        *measured("touch_dataset", touch_dataset),
-        *measured("touch_net", touch_net),
-        *measured("touch_image", touch_image),
-        *measured("geometry", geometry),
-        *measured("modal_accuracy", accuracy),
-        *measured("modal", modal),
-        *measured("audio", audio),
-        *measured("engine_scale", engine_scale),
-        *measured("engine_efficiency", engine_efficiency),
-        *measured("engine_starter", engine_starter),
     ]
-    with atomic(ROOT / "docs" / "results.md") as path:
-        path.write_text("\n".join(lines) + "\n")
+    return lines
+
+
+def processor() -> str:
+    models = [l for l in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in l]
+    return models[0].split(":")[1].strip() if models else platform.processor()
+
+
+def main() -> None:
+    metrics = {p.stem: json.loads(p.read_text()) for p in sorted((ROOT / "metrics").glob("*.json"))}
+    lines = [
+        *(scores(metrics) if metrics else []),
+        *measured(("renderers", renderers)),
+        *measured(("vision_training", training)),
+        *measured(("vision_query", query), ("vision_primary", primary)),
+        *measured(("query", queries)),
+        *measured(("released", released)),
+        *measured(("touch_accuracy", touch_accuracy), ("touch_speed", touch_speed)),
+        *measured(("touch_query", touch_query), ("touch_dataset", touch_dataset)),
+        *measured(("touch_net", touch_net)),
+        *measured(("touch_image", touch_image)),
+        *measured(("geometry", geometry)),
+        *measured(("modal_accuracy", accuracy)),
+        *measured(("modal", modal)),
+        *measured(("audio", audio)),
+        *measured(
+            ("engine_scale", engine_scale),
+            ("engine_efficiency", engine_efficiency),
+            ("engine_starter", engine_starter),
+        ),
+        *benchmarks(),
+    ]
+    page = ROOT / "docs" / "results.md"
+    text = merged(page.read_text(), "\n".join(lines))
+    with atomic(page) as path:
+        path.write_text(text)
 
 
 if __name__ == "__main__":

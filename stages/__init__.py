@@ -15,13 +15,15 @@ from objectfolder.errors import ObjectFolderError
 _console = Console(stderr=True)
 
 
-def run(stage: Callable[[str], None], description: str | None) -> None:
-    """Run a stage for the object named on the command line.
+def run(
+    stage: Callable[[str], None], description: str | None, of: str = "object key, as in params.yaml"
+) -> None:
+    """Run a stage for what is named on the command line: an object, or the split of a benchmark.
 
     One thread, so that the same inputs give the same bytes whoever runs the stage beside what else.
     """
     parser = argparse.ArgumentParser(description=description)
-    parser.add_argument("key", help="object key, as in params.yaml")
+    parser.add_argument("key", help=of)
     key = parser.parse_args().key
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     try:

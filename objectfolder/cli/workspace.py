@@ -69,6 +69,7 @@ def build(
     """
     from objectfolder import params
     from objectfolder.artifacts import check_writable
+    from objectfolder.benchmarks.params import check_tasks
     from objectfolder.engine.build import Options, local_workers
     from objectfolder.engine.build import build as run_build
     from objectfolder.engine.progress import Progress, print_summary
@@ -79,6 +80,7 @@ def build(
         raise ObjectFolderError(f"--address {address} is for --engine ray; give both")
     values = params.read()
     params.check_all(values)
+    check_tasks(values)
     require_renderer(load_profile(values["sensor"]), values["render_touch"]["renderer"])
     if dry_run:
         from objectfolder.cli.statusview import print_outlook

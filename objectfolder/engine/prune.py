@@ -12,6 +12,7 @@ from dvc.exceptions import DvcException
 from dvc.repo import Repo
 
 from objectfolder.artifacts import Build
+from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.engine import emit
 from objectfolder.engine.failures import LOGS
 from objectfolder.engine.lockfile import LockFiles
@@ -98,6 +99,7 @@ def prune(waste: Waste, root: str | Path = ".") -> None:
             remove(entry)
         for key in waste.keys:
             _remove_empty(Build(key, root).dir)
+            _remove_empty(Benchmarks(root / "benchmarks").observations(key))
         for address in waste.addresses:
             lockfiles.remove(root / LOCK, address)
         lockfiles.flush()
@@ -105,8 +107,9 @@ def prune(waste: Waste, root: str | Path = ".") -> None:
 
 def _survey(repo: Repo, root: Path, lockfiles: LockFiles) -> Waste:
     params = read_params(root)
-    living = {str(key) for group in ("objects", "procedural") for key in params.get(group) or {}}
     addresses = {stage.addressing for stage in repo.index.stages}
+    living = {str(key) for group in ("objects", "procedural") for key in params.get(group) or {}}
+    living |= {address.partition("@")[2] for address in addresses}  # splits of benchmarks
     stages = lockfiles.stages(root / LOCK)
     dead = {
         a: e for a, e in stages.items() if a not in addresses and a.partition("@")[2] not in {"", *living}
@@ -165,8 +168,9 @@ def _files(root: Path, key: str, dead: list[dict[str, Any]]) -> tuple[Path, ...]
     build = Build(key, root)
     found = {*build.artifacts(), build.solved_modes, build.metrics, *(root / LOGS).glob(f"*@{key}.*")}
     found |= set(build.inspections.rglob("*"))
+    homes = (build.dir, Benchmarks(root / "benchmarks").observations(key))
     for out in (root / out["path"] for entry in dead for out in entry.get("outs", [])):
-        if out.is_relative_to(build.dir):
+        if any(out.is_relative_to(home) for home in homes):
             found |= {out, *out.rglob("*")}
     return tuple(sorted(path for path in found if path.is_file() or path.is_symlink()))
 
@@ -194,7 +198,8 @@ def _of_keys(keys: set[str]) -> re.Pattern[str]:
     """Outputs of these objects in an entry of the run cache."""
     names = "|".join(map(re.escape, sorted(keys))) or "(?!)"
     return re.compile(
-        rf"^- path: (?:(?:build|data/objects)/({names})(?:/|$)|metrics/({names})\.json$)", re.MULTILINE
+        rf"^- path: (?:(?:build|data/objects|benchmarks/observations)/({names})(?:/|$)|metrics/({names})\.json$)",
+        re.MULTILINE,
     )
 
 

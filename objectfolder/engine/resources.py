@@ -57,6 +57,10 @@ NEEDS = {
     "train_touch/image": Needs(100000, gpus=1.0, memory_mb=8000, timeout=None),
     "pack": Needs(memory_mb=500),
     "evaluate": Needs(20, memory_mb=2000, timeout=3 * HOUR),
+    "observe": Needs(5, memory_mb=1500, timeout=3 * HOUR),
+    "recognize": Needs(1200, gpus=1.0, memory_mb=4000, timeout=None),
+    "retrieve": Needs(1200, gpus=1.0, memory_mb=4000, timeout=None),
+    "reconstruct": Needs(1200, gpus=1.0, memory_mb=4000, timeout=None),
 }
 
 

@@ -7,11 +7,14 @@ from ruamel.yaml import YAML
 
 from objectfolder import params
 from objectfolder.artifacts import code_list
+from objectfolder.benchmarks import params as benchmarks
+from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.sources import imported_files
 
 ROOT = Path(__file__).parents[2]
 STAGES = YAML(typ="safe").load((ROOT / "dvc.yaml").read_text())["stages"]
 HASH_CODE = STAGES.pop("hash_code")
+OF_OBJECTS = sorted(set(STAGES) - {"generate", *params.TASKS})
 
 
 def modules(*stages):
@@ -35,7 +38,7 @@ def test_code_lists_are_made_from_all_sources():
     assert HASH_CODE["outs"] == [code_list("any").parent.as_posix()]
 
 
-@pytest.mark.parametrize("stage", sorted(set(STAGES) - {"generate"}))
+@pytest.mark.parametrize("stage", OF_OBJECTS)
 def test_declared_params_are_the_ones_the_stage_gets(stage):
     fields = {f"objects.${{key}}.{field}" for field in params.OBJECT_FIELDS[stage]}
     section = {stage} & set(params.SECTIONS)
@@ -46,7 +49,18 @@ def test_declared_params_are_the_ones_the_stage_gets(stage):
     assert set(vars(got)) == {"object", "section", *params.SHARED.get(stage, ())}
 
 
-@pytest.mark.parametrize("stage", sorted(set(STAGES) - {"pack", "evaluate"}))
+@pytest.mark.parametrize("task", params.TASKS)
+def test_tasks_declare_their_section_and_all_observations(task):
+    declared = STAGES[task]["do"]
+    assert STAGES[task]["foreach"] == f"${{benchmarks.{task}}}"
+    assert set(declared["params"]) == {"seed", "encode", task}
+    assert Benchmarks().observations("any").parent.as_posix() in declared["deps"]
+    assert STAGES["observe"]["do"]["outs"] == [Benchmarks().observations("${key}").as_posix()]
+    got = vars(benchmarks.stage_params(task, ROOT / "params.yaml"))
+    assert set(got) == {"seed", "encode", "section", "keys"}
+
+
+@pytest.mark.parametrize("stage", sorted({*OF_OBJECTS, "generate"} - {"pack", "evaluate", "observe"}))
 def test_queries_may_change_without_rebuilding(stage):
     assert not {"objectfolder/query.py", "objectfolder/objectfile.py"} & modules(stage)
 
@@ -66,22 +80,27 @@ def test_lanes_do_not_depend_on_each_other():
     assert "fem" not in folders("render_views", "render_touch", "train_audio")
 
 
-def test_command_takes_the_object_key_only():
-    assert all(s["do"]["cmd"] == f"python -m stages.{name} ${{key}}" for name, s in STAGES.items())
+def test_command_takes_one_word_only():
+    for name, stage in STAGES.items():
+        word = "item" if name in params.TASKS else "key"
+        assert stage["do"]["cmd"] == f"python -m stages.{name} ${{{word}}}"
 
 
 def test_outputs_are_disjoint_and_inside_the_workspace():
-    outs = [o for s in STAGES.values() for o in s["do"].get("outs", []) + s["do"].get("metrics", [])]
+    kinds = ("outs", "metrics", "plots")
+    outs = [out for stage in STAGES.values() for kind in kinds for out in stage["do"].get(kind, [])]
     assert len(outs) == len(set(outs))
-    assert all(o.startswith(("build/${key}/", "data/objects/${key}", "metrics/${key}")) for o in outs)
+    homes = ("build/${key}/", "data/objects/${key}", "metrics/${key}", "benchmarks/")
+    assert all(out.startswith(homes) for out in outs)
 
 
 @pytest.mark.parametrize("preset", ["quick", "standard", "paper"])
 def test_presets_are_complete_and_valid(preset):
     values = params.read(ROOT / "params.yaml")
     sections = YAML(typ="safe").load((ROOT / "params" / f"{preset}.yaml").read_text())
-    assert set(sections) == set(params.SECTIONS)
+    assert set(sections) == {*params.SECTIONS, *benchmarks.SECTIONS}
     params.check_all({**values, **sections})
+    benchmarks.check_tasks({**values, **sections})
 
 
 def test_params_yaml_holds_the_starter_catalogue_at_preset_quick():

@@ -1,0 +1,218 @@
+"""Commands that run the benchmark tasks on Object Files, without the pipeline: bench."""
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from objectfolder.cli.console import console, print_wide
+from objectfolder.errors import ObjectFolderError
+
+bench_app = typer.Typer(
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+    help="Run the paper's benchmark tasks on Object Files: `recognition`, `retrieval`, `reconstruction`.\n\n"
+    "Objects are observed first: random views, impacts and touches are drawn from each Object File and kept in "
+    "OUT/observations, so that the next task begins with them. What was interrupted goes on where it was.",
+)
+
+FilesArgument = Annotated[
+    list[Path] | None,
+    typer.Argument(
+        metavar="[FILE]...",
+        help="Object Files, or folders to search for them; default: those of the workspace, build/*.",
+    ),
+]
+PresetOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="quick, standard or paper: how much is observed, how long nets train (params/NAME.yaml). Default: what "
+        "params.yaml says.",
+    ),
+]
+OutOption = Annotated[
+    Path | None, typer.Option(metavar="FOLDER", help="Where results go; default: benchmarks/PRESET.")
+]
+SplitOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--split",
+        help="seen: other observations of the trained objects; unseen: other objects. Repeat it for both; "
+        "default: all that the task knows.",
+    ),
+]
+SeedsOption = Annotated[
+    int | None, typer.Option(min=1, help="Runs whose mean is the result; default: the preset's.")
+]
+EncoderOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME|FILE.py:NAME",
+        help="Encoder of views, spectrograms and touches: resnet18, or one that FILE.py registers (docs/benchmarks.md).",
+    ),
+]
+WeightsOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE.pth",
+        help="Weights to start from, such as torchvision's resnet18 of ImageNet; default: random.",
+    ),
+]
+ThreadsOption = Annotated[
+    int | None,
+    typer.Option(
+        min=1, help="Threads; default: all cores. Numbers repeat exactly for the same number of threads."
+    ),
+]
+DeviceOption = Annotated[
+    str | None, typer.Option(help="Where nets train, such as cpu or cuda; default: a GPU if there is one.")
+]
+
+
+@bench_app.command()
+def recognition(
+    files: FilesArgument = None,
+    preset: PresetOption = None,
+    out: OutOption = None,
+    seeds: SeedsOption = None,
+    encoder: EncoderOption = None,
+    weights: WeightsOption = None,
+    threads: ThreadsOption = None,
+    device: DeviceOption = None,
+) -> None:
+    """Which object is it, from a view, an impact sound, a touch, or several of them?
+
+    Accuracy on held-out observations with its 95 % interval over seeds, beside chance and the paper's Table 2.
+
+    `objectfolder bench recognition --preset quick`
+    """
+    _run("recognize", files, preset, out, None, seeds, encoder, weights, threads, device)
+
+
+@bench_app.command()
+def retrieval(
+    files: FilesArgument = None,
+    preset: PresetOption = None,
+    out: OutOption = None,
+    split: SplitOption = None,
+    seeds: SeedsOption = None,
+    encoder: EncoderOption = None,
+    weights: WeightsOption = None,
+    threads: ThreadsOption = None,
+    device: DeviceOption = None,
+) -> None:
+    """Find the sounds of what is seen, the touches of what is heard, and so on.
+
+    Mean average precision for all six directions, beside CCA, chance and the paper's Table 3.
+
+    `objectfolder bench retrieval --preset quick --split unseen`
+    """
+    _run("retrieve", files, preset, out, split, seeds, encoder, weights, threads, device)
+
+
+@bench_app.command()
+def reconstruction(
+    files: FilesArgument = None,
+    preset: PresetOption = None,
+    out: OutOption = None,
+    split: SplitOption = None,
+    seeds: SeedsOption = None,
+    encoder: EncoderOption = None,
+    weights: WeightsOption = None,
+    threads: ThreadsOption = None,
+    device: DeviceOption = None,
+) -> None:
+    """What shape is it, from a view, an impact sound, or both?
+
+    IoU, Chamfer-L1 and normal consistency, beside the average shape and the paper's Table 4. The net for views is
+    kept: `objectfolder reconstruct PHOTO.jpg MESH.ply --model OUT/reconstruct_seen.safetensors`.
+
+    `objectfolder bench reconstruction --preset quick --split seen`
+    """
+    _run("reconstruct", files, preset, out, split, seeds, encoder, weights, threads, device)
+
+
+def _run(
+    task: str,
+    files: list[Path] | None,
+    preset: str | None,
+    out: Path | None,
+    splits: list[str] | None,
+    seeds: int | None,
+    encoder: str | None,
+    weights: Path | None,
+    threads: int | None,
+    device: str | None,
+) -> None:
+    import torch
+
+    from objectfolder import params as objects
+    from objectfolder.benchmarks.encoders import read_weights
+    from objectfolder.benchmarks.layout import Benchmarks
+    from objectfolder.benchmarks.params import splits_of, task_params
+    from objectfolder.benchmarks.splits import named_split
+    from objectfolder.benchmarks.tables import table
+    from objectfolder.benchmarks.tasks import run_task
+    from objectfolder.catalog import read_preset
+
+    known = splits_of(task)
+    splits = list(dict.fromkeys(splits or known))
+    for split in splits:
+        if split not in known:
+            raise ObjectFolderError(f"--split {split!r} is unknown here, expected {' or '.join(known)}")
+    values, path = objects.read(), Path(objects.PARAMS_FILE)
+    if preset is not None:
+        sections, path = read_preset(preset)
+        values |= sections
+    if encoder is not None:
+        values["encode"] = {**values["encode"], "encoder": encoder}
+    if seeds is not None:
+        values[task] = {**values[task], "seeds": seeds}
+    params = task_params(task, values, path)
+    started = read_weights(weights) if weights is not None else None
+    folder = Benchmarks(out if out is not None else Path("benchmarks") / (preset or "own"))
+    torch.set_num_threads(threads or os.cpu_count() or 1)
+    device = device or ("cuda" if torch.cuda.is_available() else "cpu")
+    observations = _observe(_object_files(files), values, path, folder)
+    for split in splits:
+        named_split(
+            split, observations.keys, observations.count
+        )  # what cannot be split is said before any work
+    for split in splits:
+        run_task(task, split, observations, params, folder, _progress(), weights=started, device=device)
+    for split in splits:
+        print_wide(table(task, split, folder), console)
+        console.print(f"{folder.result(task, split)}  curves: {folder.curve(task, split)}", soft_wrap=True)
+
+
+def _object_files(given: list[Path] | None) -> dict[str, Path]:
+    """Object Files by key; the first look at each, so that a bad one is named before any work."""
+    from objectfolder.artifacts import Build
+    from objectfolder.objectfile import ObjectFile
+
+    name = Build("any").object_file.name
+    places = given or [Build("any").dir.parent]
+    paths: list[Path] = []
+    for place in places:
+        found = (
+            sorted(place.rglob("*.safetensors") if given else place.glob(f"*/{name}"))
+            if place.is_dir()
+            else [place]
+        )
+        # Beside Object Files a workspace holds nets.
+        paths += [path for path in found if path.name == name] or found
+    if not paths:
+        raise ObjectFolderError(
+            f"no Object Files in {', '.join(map(str, places))}; build some with `objectfolder build`, or name them"
+        )
+    files: dict[str, Path] = {}
+    for path in paths:
+        key = ObjectFile.load(path).key
+        if key in files:
+            raise ObjectFolderError(
+                f"{path} and {files[key]} are both of the object {key}; give each object once"
+            )
+        files[key] = path
+    return files

@@ -1,0 +1,20 @@
+"""observe: ObjectFile.safetensors -> benchmarks/observations/<object>: random views, impacts and touches."""
+
+from objectfolder.artifacts import Build
+from objectfolder.benchmarks.layout import Benchmarks
+from objectfolder.benchmarks.sampling import sample_observations
+from objectfolder.objectfile import ObjectFile
+from objectfolder.params import stage_params
+from stages import run
+
+
+def main(key: str) -> None:
+    params = stage_params("observe", key)
+    section = params.section
+    file = ObjectFile.load(Build(key).object_file)
+    folder = Benchmarks().observations(key)
+    sample_observations(file, section.observations, section.resolution, params.seed, folder, print)
+
+
+if __name__ == "__main__":
+    run(main, __doc__)
