@@ -373,7 +373,7 @@ def primary(figures: dict) -> list[str]:
 
 
 def measured(*parts: tuple[str, Callable[[Any], list[str]]]) -> list[str]:
-    """Lay out one section: what `perf/NAME.py --json build/perf/NAME.json` has left, if all of it is there."""
+    """Lay out a section: what `perf/NAME.py --json build/perf/NAME.json` has left, if all of it is there."""
     paths = [ROOT / "build" / "perf" / f"{name}.json" for name, _ in parts]
     if not all(path.is_file() for path in paths):
         return []

@@ -13,7 +13,7 @@ def main(key: str) -> None:
     section = params.section
     file = ObjectFile.load(Build(key).object_file)
     folder = Benchmarks().observations(key)
-    sample_observations(file, section.observations, section.resolution, params.seed, folder, print)
+    sample_observations(file, section.observations, section.resolution, params.seed, folder)
 
 
 if __name__ == "__main__":

@@ -27,6 +27,10 @@ class Benchmarks:
         """Training curves (CSV)."""
         return self.dir / f"{task}_{split}.csv"
 
+    def machine(self, task: str, split: str) -> Path:
+        """Undeclared: how long it took, on what (JSON)."""
+        return self.dir / f"{task}_{split}_machine.json"
+
     def model(self, task: str, split: str) -> Path:
         """A net that can be asked later."""
         return self.dir / f"{task}_{split}.safetensors"

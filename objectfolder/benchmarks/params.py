@@ -23,7 +23,6 @@ class EncodeParams(Section):  # noqa: D101
 class Training(Section):
     """What the tasks share."""
 
-    seeds: int = Count  #: runs whose mean is the result
     epochs: int = Count  #: at most
     batch: int = Field(ge=2)
     learning_rate: float = Field(gt=0)
@@ -32,10 +31,12 @@ class Training(Section):
 
 
 class RecognizeParams(Training):  # noqa: D101
+    seeds: int = Count  #: runs whose mean is the result
     fusion_epochs: int = Count  #: of several modalities together, after each was trained alone
 
 
 class RetrieveParams(Training):  # noqa: D101
+    seeds: int = Count  #: runs whose mean is the result
     margin: float = Field(gt=0)  #: of the triplet losses, cosine distance
     embedding: int = Count  #: features that are compared
 

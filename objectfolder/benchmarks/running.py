@@ -3,50 +3,26 @@
 import csv
 import hashlib
 import inspect
+import platform
+import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from shutil import rmtree
 from types import SimpleNamespace
 from typing import Any, Protocol
 
-import numpy as np
+import torch
 
 import objectfolder
-from objectfolder.artifacts import atomic, file_digest, write_json, write_png, write_safetensors
+from objectfolder.artifacts import atomic, file_digest, write_json
 from objectfolder.benchmarks.encoders import InputSizes, Weights
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.observations import Observations
 from objectfolder.benchmarks.splits import Split, named_split
 from objectfolder.sources import digests
 
-
-@dataclass(frozen=True)
-class Outcome:
-    """What a task leaves.
-
-    Parameters
-    ----------
-    scores : dict
-        Numbers, for JSON.
-    columns : sequence of str
-        Of ``curve``.
-    curve : list of rows
-        Training curves.
-    seconds : float
-        Of training, those of interrupted calls included.
-    model : (tensors, header), optional
-        A net that can be asked later.
-    sheet : (H, W, 3) uint8 array, optional
-        A picture to look at.
-    """
-
-    scores: dict[str, Any]
-    columns: Sequence[str]
-    curve: list[list[Any]]
-    seconds: float
-    model: tuple[dict[str, np.ndarray], dict[str, Any]] | None = None
-    sheet: np.ndarray | None = None
+#: What a task leaves in its progress folder under these names is kept: a net to be asked, a picture to look at.
+KEPT = {"model.safetensors": Benchmarks.model, "sheet.png": Benchmarks.sheet}
 
 
 class Task(Protocol):
@@ -65,31 +41,34 @@ class Task(Protocol):
         progress: Path,
         device: str,
         report: Callable[[str], None],
-    ) -> Outcome:
-        """Train and score."""
+    ) -> tuple[dict[str, Any], list[list[Any]]]:
+        """Return scores, with the ``seconds`` they took, and rows of training curves."""
 
 
 def run_task(
     name: str,
     task: Task,
+    columns: Sequence[str],
     split: str,
     observations: Observations,
     params: SimpleNamespace,
     folder: Benchmarks,
     report: Callable[[str], None],
     weights: Weights | None = None,
-    device: str = "cpu",
-) -> Outcome:
+    device: str | None = None,
+) -> float:
     """Run a task on one split and write its scores, curves and what else it has.
 
-    What an interrupted call has done is kept and gone on from, unless observations, parameters, weights or the code
-    of the task have changed.
+    An interrupted call is gone on from, unless observations, parameters, weights or the
+    code of the task have changed.
 
     Parameters
     ----------
     name : str
         Of the task, one of `objectfolder.params.TASKS`.
     task : callable
+    columns : sequence of str
+        Of its training curves.
     split : str
     observations : Observations
     params : SimpleNamespace
@@ -99,8 +78,12 @@ def run_task(
         Called with a line about each epoch.
     weights : Weights, optional
         That encoders start from.
-    device : str
-        Where nets train.
+    device : str, optional
+        Where nets train; default: a GPU, if there is one.
+
+    Returns
+    -------
+    Seconds that training and scoring took, those of interrupted calls included.
 
     Raises
     ------
@@ -117,7 +100,7 @@ def run_task(
     )
     progress = folder.progress(name, split, hashlib.sha256(repr(identity).encode()).hexdigest())
     rows = named_split(split, observations.keys, observations.count)
-    outcome = task(
+    scores, curve = task(
         observations,
         rows,
         params.section,
@@ -126,19 +109,26 @@ def run_task(
         weights=weights,
         seed=params.seed,
         progress=progress,
-        device=device,
+        device=device or ("cuda" if torch.cuda.is_available() else "cpu"),
         report=report,
     )
+    seconds = scores.pop("seconds")  # the rest is the same whenever it is run
     with atomic(folder.curve(name, split)) as temporary, temporary.open("w", newline="") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerows([outcome.columns, *outcome.curve])
-    if outcome.model is not None:
-        write_safetensors(folder.model(name, split), *outcome.model)
-    if outcome.sheet is not None:
-        write_png(folder.sheet(name, split), outcome.sheet)
-    write_json(folder.result(name, split), outcome.scores)
+        csv.writer(stream, lineterminator="\n").writerows([columns, *curve])
+    for left, path in KEPT.items():
+        if (progress / left).exists():
+            (progress / left).replace(path(folder, name, split))
+    write_json(folder.result(name, split), scores)
     rmtree(progress, ignore_errors=True)
-    return outcome
+    return seconds
+
+
+def machine(device: str | None = None) -> str:
+    """Name of the processor that nets train on."""
+    if device != "cpu" and torch.cuda.is_available():
+        return torch.cuda.get_device_name(device)
+    models = re.findall(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text())
+    return models[0] if models else platform.processor()
 
 
 def _code(task: Task) -> str:

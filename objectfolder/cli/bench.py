@@ -2,19 +2,24 @@
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from objectfolder.cli.console import console, print_wide
+from objectfolder.cli.console import console, print_wide, tracked
 from objectfolder.errors import ObjectFolderError
+
+if TYPE_CHECKING:
+    from objectfolder.benchmarks.layout import Benchmarks
+    from objectfolder.benchmarks.observations import Observations
+    from objectfolder.params import ObserveParams
 
 bench_app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="markdown",
     help="Run the paper's benchmark tasks on Object Files: `recognition`, `retrieval`, `reconstruction`.\n\n"
-    "Objects are observed first: random views, impacts and touches are drawn from each Object File and kept in "
-    "OUT/observations, so that the next task begins with them. What was interrupted goes on where it was.",
+    "Objects are observed first: random views, impacts and touches are drawn from each Object File and kept "
+    "in OUT/observations, where the next task finds them. What was interrupted goes on where it was.",
 )
 
 FilesArgument = Annotated[
@@ -28,8 +33,8 @@ PresetOption = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
-        help="quick, standard or paper: how much is observed, how long nets train (params/NAME.yaml). Default: what "
-        "params.yaml says.",
+        help="quick, standard or paper: how much is observed, how long nets train (params/NAME.yaml). "
+        "Default: what params.yaml says.",
     ),
 ]
 OutOption = Annotated[
@@ -50,7 +55,8 @@ EncoderOption = Annotated[
     str | None,
     typer.Option(
         metavar="NAME|FILE.py:NAME",
-        help="Encoder of views, spectrograms and touches: resnet18, or one that FILE.py registers (docs/benchmarks.md).",
+        help="Encoder of views, spectrograms and touches: resnet18, or one that FILE.py registers "
+        "(docs/benchmarks.md).",
     ),
 ]
 WeightsOption = Annotated[
@@ -62,9 +68,7 @@ WeightsOption = Annotated[
 ]
 ThreadsOption = Annotated[
     int | None,
-    typer.Option(
-        min=1, help="Threads; default: all cores. Numbers repeat exactly for the same number of threads."
-    ),
+    typer.Option(min=1, help="Default: all cores. The same number gives the same figures."),
 ]
 DeviceOption = Annotated[
     str | None, typer.Option(help="Where nets train, such as cpu or cuda; default: a GPU if there is one.")
@@ -84,7 +88,7 @@ def recognition(
 ) -> None:
     """Which object is it, from a view, an impact sound, a touch, or several of them?
 
-    Accuracy on held-out observations with its 95 % interval over seeds, beside chance and the paper's Table 2.
+    Accuracy on held-out observations, with its 95 % interval over seeds, beside chance and the paper's.
 
     `objectfolder bench recognition --preset quick`
     """
@@ -126,8 +130,8 @@ def reconstruction(
 ) -> None:
     """What shape is it, from a view, an impact sound, or both?
 
-    IoU, Chamfer-L1 and normal consistency, beside the average shape and the paper's Table 4. The net for views is
-    kept: `objectfolder reconstruct PHOTO.jpg MESH.ply --model OUT/reconstruct_seen.safetensors`.
+    IoU, Chamfer-L1 and normal consistency, beside the average shape and the paper's Table 4. The net for
+    views is kept: `objectfolder reconstruct PHOTO.jpg MESH.ply --model OUT/reconstruct_seen.safetensors`.
 
     `objectfolder bench reconstruction --preset quick --split seen`
     """
@@ -149,13 +153,21 @@ def _run(
     import torch
 
     from objectfolder import params as objects
+    from objectfolder.artifacts import read_json, write_json
+    from objectfolder.benchmarks import recognition, reconstruction, retrieval
     from objectfolder.benchmarks.encoders import read_weights
     from objectfolder.benchmarks.layout import Benchmarks
     from objectfolder.benchmarks.params import splits_of, task_params
-    from objectfolder.benchmarks.splits import named_split
+    from objectfolder.benchmarks.running import machine, run_task
+    from objectfolder.benchmarks.splits import label_order, named_split
     from objectfolder.benchmarks.tables import table
-    from objectfolder.benchmarks.tasks import run_task
     from objectfolder.catalog import read_preset
+
+    run, columns = {
+        "recognize": (recognition.recognize, recognition.CURVE_COLUMNS),
+        "retrieve": (retrieval.retrieve, retrieval.CURVE_COLUMNS),
+        "reconstruct": (reconstruction.reconstruct, reconstruction.CURVE_COLUMNS),
+    }[task]
 
     known = splits_of(task)
     splits = list(dict.fromkeys(splits or known))
@@ -173,17 +185,21 @@ def _run(
     params = task_params(task, values, path)
     started = read_weights(weights) if weights is not None else None
     folder = Benchmarks(out if out is not None else Path("benchmarks") / (preset or "own"))
-    torch.set_num_threads(threads or os.cpu_count() or 1)
-    device = device or ("cuda" if torch.cuda.is_available() else "cpu")
-    observations = _observe(_object_files(files), values, path, folder)
+    threads = threads or os.cpu_count() or 1
+    torch.set_num_threads(threads)
+    paths = _object_files(files)
+    observe = objects.validate(objects.ObserveParams, values.get("observe"), f"{path}: observe")
+    for split in splits:  # what cannot be split is said before any work
+        named_split(split, label_order(paths), observe.observations)
+    observations = _observe(paths, observe, params.seed, folder, threads)
     for split in splits:
-        named_split(
-            split, observations.keys, observations.count
-        )  # what cannot be split is said before any work
+        seconds = run_task(
+            task, run, columns, split, observations, params, folder, console.print, started, device
+        )
+        took = {"seconds": seconds, "threads": threads, "machine": machine(device)}
+        write_json(folder.machine(task, split), took)
     for split in splits:
-        run_task(task, split, observations, params, folder, _progress(), weights=started, device=device)
-    for split in splits:
-        print_wide(table(task, split, folder), console)
+        print_wide(table(task, split, read_json(folder.result(task, split))), console)
         console.print(f"{folder.result(task, split)}  curves: {folder.curve(task, split)}", soft_wrap=True)
 
 
@@ -204,9 +220,7 @@ def _object_files(given: list[Path] | None) -> dict[str, Path]:
         # Beside Object Files a workspace holds nets.
         paths += [path for path in found if path.name == name] or found
     if not paths:
-        raise ObjectFolderError(
-            f"no Object Files in {', '.join(map(str, places))}; build some with `objectfolder build`, or name them"
-        )
+        raise ObjectFolderError(f"no Object Files in {', '.join(map(str, places))}; build some, or name them")
     files: dict[str, Path] = {}
     for path in paths:
         key = ObjectFile.load(path).key
@@ -216,3 +230,37 @@ def _object_files(given: list[Path] | None) -> dict[str, Path]:
             )
         files[key] = path
     return files
+
+
+def _observe(
+    paths: dict[str, Path], params: "ObserveParams", seed: int, folder: "Benchmarks", jobs: int
+) -> "Observations":
+    """Observe each object, several at a time; those that are observed already are left alone."""
+    from concurrent.futures import ProcessPoolExecutor, as_completed
+    from multiprocessing import get_context
+
+    from objectfolder.benchmarks.observations import Observations
+
+    folders = {key: folder.observations(key) for key in paths}
+    with ProcessPoolExecutor(min(jobs, len(paths)), get_context("spawn")) as pool:
+        waiting = [
+            pool.submit(_observe_one, path, params.observations, params.resolution, seed, folders[key])
+            for key, path in paths.items()
+        ]
+        try:
+            for done in tracked(as_completed(waiting), "observing objects", len(waiting)):
+                done.result()
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    return Observations(folders)
+
+
+def _observe_one(path: Path, count: int, resolution: int, seed: int, folder: Path) -> None:
+    import torch
+
+    from objectfolder.benchmarks.sampling import sample_observations
+    from objectfolder.objectfile import ObjectFile
+
+    torch.set_num_threads(1)
+    sample_observations(ObjectFile.load(path), count, resolution, seed, folder)

@@ -197,10 +197,8 @@ def _other_files(repo: Repo, root: Path) -> list[str]:
 def _of_keys(keys: set[str]) -> re.Pattern[str]:
     """Outputs of these objects in an entry of the run cache."""
     names = "|".join(map(re.escape, sorted(keys))) or "(?!)"
-    return re.compile(
-        rf"^- path: (?:(?:build|data/objects|benchmarks/observations)/({names})(?:/|$)|metrics/({names})\.json$)",
-        re.MULTILINE,
-    )
+    folders = "build|data/objects|benchmarks/observations"
+    return re.compile(rf"^- path: (?:(?:{folders})/({names})(?:/|$)|metrics/({names})\.json$)", re.MULTILINE)
 
 
 def _with_members(repo: Repo, oids: Iterable[str]) -> Iterator[str]:

@@ -94,6 +94,20 @@ TINY = {
         },
     },
     "evaluate": {"impacts": 4},
+    "observe": {"observations": 10, "resolution": 32},
+    "encode": {"image": 28, "spectrogram": [33, 26], "touch": [40, 30]},
+    "recognize": {"seeds": 2, "epochs": 2, "fusion_epochs": 1, "batch": 8},
+    "retrieve": {"seeds": 1, "epochs": 2, "batch": 8, "embedding": 16},
+    "reconstruct": {
+        "epochs": 2,
+        "batch": 8,
+        "points": 64,
+        "width": 16,
+        "blocks": 1,
+        "resolution": 16,
+        "score_points": 500,
+        "views": 1,
+    },
 }
 CLOSING = {"wall": None, "bridge": "all"}
 TINY_OBJECTS = {
@@ -170,7 +184,7 @@ class Workspace:
 
     def artifacts(self) -> dict[str, bytes]:
         """Contents of all files but logs and what a stage keeps for itself."""
-        files = [p for folder in ("build", "metrics") for p in (self.root / folder).rglob("*")]
+        files = [p for folder in ("build", "metrics", "benchmarks") for p in (self.root / folder).rglob("*")]
         return {
             p.relative_to(self.root).as_posix(): p.read_bytes()
             for p in files

@@ -1,0 +1,132 @@
+"""Tables of scores, beside chance, baselines and the paper's figures (Gao et al., CoRL 2021, Tables 2 to 4)."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+#: Accuracy over 100 objects, %.
+PAPER_RECOGNITION = {"V": 94.8, "A": 98.3, "T": 72.4, "VA": 99.5, "VT": 97.2, "AT": 99.0, "VAT": 99.8}
+#: Mean average precision, theirs and that of their CCA; seen objects.
+PAPER_RETRIEVAL = {
+    "V->A": (0.90, 0.57),
+    "V->T": (0.50, 0.24),
+    "A->V": (0.92, 0.59),
+    "A->T": (0.55, 0.31),
+    "T->V": (0.48, 0.29),
+    "T->A": (0.64, 0.33),
+}
+#: IoU, Chamfer-L1, normal consistency; seen objects.
+PAPER_RECONSTRUCTION = {
+    "average_shape": (0.0675, 0.1067, 0.6312),
+    "V": (0.8809, 0.0046, 0.9522),
+    "A": (0.8729, 0.0048, 0.9504),
+    "VA": (0.8906, 0.0043, 0.9535),
+}
+NAMES = {"V": "image", "A": "audio", "VA": "image + audio", "average_shape": "average shape"}
+
+
+@dataclass(frozen=True)
+class Table:
+    """Text in rows and columns.
+
+    Parameters
+    ----------
+    title : str
+    columns : tuple of str
+    rows : list of tuples of str
+    note : str
+        What to know in order to read it.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: list[tuple[str, ...]]
+    note: str
+
+    def markdown(self) -> str:
+        """Return a Markdown table with its note."""
+        lines = [self.columns, ("---",) * len(self.columns), *self.rows]
+        return "\n".join([*(f"| {' | '.join(line)} |" for line in lines), "", self.note])
+
+
+def table(task: str, split: str, scores: Mapping[str, Any]) -> Table:
+    """Lay out what a task has scored on a split.
+
+    Parameters
+    ----------
+    task : str
+        One of `objectfolder.params.TASKS`.
+    split : str
+    scores : mapping
+        What the task returned, as its JSON file holds it.
+    """
+    layouts: dict[str, Callable[[str, Mapping[str, Any]], Table]] = {
+        "recognize": _recognition,
+        "retrieve": _retrieval,
+        "reconstruct": _reconstruction,
+    }
+    return layouts[task](split, scores)
+
+
+def _recognition(split: str, scores: Mapping[str, Any]) -> Table:
+    rows = []
+    for modalities, paper in PAPER_RECOGNITION.items():
+        if modalities in scores:
+            score = scores[modalities]
+            seeds = " ".join(f"{100 * value:.1f}" for value in score["seeds"])
+            rows.append((modalities, _percent(score), seeds, f"{paper:.1f}"))
+    rows.append(("chance", f"{100 * scores['chance']:.1f}", "", "1.0"))
+    return Table(
+        f"Instance recognition, {scores['objects']} objects: accuracy in %",
+        ("modalities", "accuracy", "each seed", "paper, 100 objects"),
+        rows,
+        _rows_note(split, scores),
+    )
+
+
+def _retrieval(split: str, scores: Mapping[str, Any]) -> Table:
+    rows = []
+    for direction, (paper, paper_cca) in PAPER_RETRIEVAL.items():
+        score = scores[split][direction]
+        papers = (f"{paper:.2f}", f"{paper_cca:.2f}") if split == "seen" else ("-", "-")
+        ours = (_map(score), f"{score['cca']:.3f}", f"{score['chance']:.3f}")
+        rows.append((direction, *ours, *papers))
+    return Table(
+        f"Cross-sensory retrieval, {split} objects: mean average precision",
+        ("direction", "mAP", "CCA", "chance", "paper", "paper's CCA"),
+        rows,
+        _rows_note(split, scores),
+    )
+
+
+def _reconstruction(split: str, scores: Mapping[str, Any]) -> Table:
+    rows = []
+    for variant, paper in PAPER_RECONSTRUCTION.items():
+        score = scores[split][variant]
+        ours = [_figure(score[name]) for name in ("iou", "chamfer_l1", "normal_consistency")]
+        papers = " / ".join(f"{value:.4f}" for value in paper) if split == "seen" else "-"
+        rows.append((NAMES[variant], *ours, papers))
+    return Table(
+        f"3D reconstruction, {split} objects",
+        ("from", "IoU", "Chamfer-L1", "normal consistency", "paper: IoU / Chamfer-L1 / normal consistency"),
+        rows,
+        _rows_note(split, scores),
+    )
+
+
+def _percent(score: Mapping[str, Any]) -> str:
+    return f"{100 * score['accuracy']:.1f}" + _interval(score, 100, ".1f")
+
+
+def _map(score: Mapping[str, Any]) -> str:
+    return f"{score['map']:.3f}" + _interval(score, 1, ".3f")
+
+
+def _interval(score: Mapping[str, Any], factor: float, digits: str) -> str:
+    """95 %, where there are seeds enough to tell."""
+    half = score["interval_95"]
+    return "" if half is None else f" ± {factor * half:{digits}}"
+
+
+def _figure(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4f}"

@@ -1,0 +1,19 @@
+"""recognize: observations of all objects -> benchmarks/recognize_<split>.json, .csv: which object is it?"""
+
+from objectfolder.benchmarks.recognition import CURVE_COLUMNS, recognize
+
+from objectfolder.benchmarks.layout import Benchmarks
+from objectfolder.benchmarks.observations import Observations
+from objectfolder.benchmarks.params import stage_params
+from objectfolder.benchmarks.running import run_task
+from stages import run
+
+
+def main(split: str) -> None:
+    params, folder = stage_params("recognize"), Benchmarks()
+    observations = Observations({key: folder.observations(key) for key in params.keys})
+    run_task("recognize", recognize, CURVE_COLUMNS, split, observations, params, folder, print)
+
+
+if __name__ == "__main__":
+    run(main, __doc__, "split, seen or unseen")

@@ -1,0 +1,19 @@
+"""reconstruct: observations of all objects -> benchmarks/reconstruct_<split>.{json,csv,safetensors,png}."""
+
+from objectfolder.benchmarks.reconstruction import CURVE_COLUMNS, reconstruct
+
+from objectfolder.benchmarks.layout import Benchmarks
+from objectfolder.benchmarks.observations import Observations
+from objectfolder.benchmarks.params import stage_params
+from objectfolder.benchmarks.running import run_task
+from stages import run
+
+
+def main(split: str) -> None:
+    params, folder = stage_params("reconstruct"), Benchmarks()
+    observations = Observations({key: folder.observations(key) for key in params.keys})
+    run_task("reconstruct", reconstruct, CURVE_COLUMNS, split, observations, params, folder, print)
+
+
+if __name__ == "__main__":
+    run(main, __doc__, "split, seen or unseen")

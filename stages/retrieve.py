@@ -1,0 +1,19 @@
+"""retrieve: observations of all objects -> benchmarks/retrieve_<split>.json, .csv: by another sense."""
+
+from objectfolder.benchmarks.retrieval import CURVE_COLUMNS, retrieve
+
+from objectfolder.benchmarks.layout import Benchmarks
+from objectfolder.benchmarks.observations import Observations
+from objectfolder.benchmarks.params import stage_params
+from objectfolder.benchmarks.running import run_task
+from stages import run
+
+
+def main(split: str) -> None:
+    params, folder = stage_params("retrieve"), Benchmarks()
+    observations = Observations({key: folder.observations(key) for key in params.keys})
+    run_task("retrieve", retrieve, CURVE_COLUMNS, split, observations, params, folder, print)
+
+
+if __name__ == "__main__":
+    run(main, __doc__, "split, seen or unseen")
