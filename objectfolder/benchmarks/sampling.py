@@ -141,7 +141,8 @@ def _draw_ten(file: ObjectFile, seed: int, ten: int) -> Queries:
 
     views = sample_views(TEN, drawn("vision"))
     strikes = sample_strikes(file, TEN, drawn("audio"), directions="random")
-    impulse = np.exp(rng("force").uniform(*np.log(FORCES), TEN))
+    weakest, strongest = np.log(FORCES)
+    impulse = np.exp(rng("force").uniform(weakest, strongest, TEN))
     net = file.header["touch"]["net"]
     known = net.get("press_depth")
     return {
