@@ -14,7 +14,11 @@ from typing import Any
 from query import FIGURES, MEDIAN_KB, shown
 from ruamel.yaml import YAML
 
-from objectfolder.artifacts import atomic
+from objectfolder.artifacts import atomic, read_json
+from objectfolder.benchmarks import tables
+from objectfolder.benchmarks.layout import Benchmarks
+from objectfolder.benchmarks.params import splits_of
+from objectfolder.params import TASKS
 
 ROOT = Path(__file__).parents[1]
 VISION = (
@@ -68,6 +72,15 @@ TOUCH = (
     "obstructed_fraction",
     "baseline_mean_image",
     "contacts",
+)
+
+
+COMMANDS = {"recognize": "recognition", "retrieve": "retrieval", "reconstruct": "reconstruction"}
+BENCHMARKS = (
+    "What is observed, the splits and what differs from the paper: [benchmarks.md](benchmarks.md). The",
+    "paper's figures are of its 100 objects with ImageNet's weights; ours, where nothing else is said, of",
+    "fewer objects with smaller inputs and random weights: they show what the tasks do, and do not repeat",
+    "the paper's.",
 )
 
 
@@ -615,6 +628,27 @@ def scores(metrics: dict[str, dict]) -> list[str]:
         "does, so compare the difference.",
     ]
     return lines
+
+
+def benchmarks() -> list[str]:
+    """Tables of what `objectfolder bench` has left in benchmarks/PRESET."""
+    lines = []
+    runs = [(task, split) for task in TASKS for split in splits_of(task)]
+    for name in ("quick", "standard", "paper"):
+        folder = Benchmarks(ROOT / "benchmarks" / name)
+        for task, split in runs:
+            result = folder.result(task, split)
+            if not result.is_file():
+                continue
+            took = read_json(folder.machine(task, split))
+            shown = tables.table(task, split, read_json(result))
+            lines += [
+                f"\n### {shown.title}\n",
+                f"`objectfolder bench {COMMANDS[task]} --preset {name}`: {took['seconds'] / 60:.0f} "
+                f"minutes of training and scoring, {took['threads']} threads, {took['machine']}.\n",
+                shown.markdown(),
+            ]
+    return ["\n## Benchmarks\n", *BENCHMARKS, *lines] if lines else []
 
 
 def processor() -> str:

@@ -21,7 +21,7 @@ from objectfolder.benchmarks.observations import Observations
 from objectfolder.benchmarks.splits import Split, named_split
 from objectfolder.sources import digests
 
-#: What a task leaves in its progress folder under these names is kept: a net to be asked, a picture to look at.
+#: What a task leaves in its progress folder under these names is kept: a net to ask, a picture to look at.
 KEPT = {"model.safetensors": Benchmarks.model, "sheet.png": Benchmarks.sheet}
 
 

@@ -1,4 +1,4 @@
-"""Tables of scores, beside chance, baselines and the paper's figures (Gao et al., CoRL 2021, Tables 2 to 4)."""
+"""Tables of scores beside chance, baselines and the paper's figures (Gao et al., CoRL 2021, Tables 2-4)."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -75,19 +75,19 @@ def _recognition(split: str, scores: Mapping[str, Any]) -> Table:
             score = scores[modalities]
             seeds = " ".join(f"{100 * value:.1f}" for value in score["seeds"])
             rows.append((modalities, _percent(score), seeds, f"{paper:.1f}"))
-    rows.append(("chance", f"{100 * scores['chance']:.1f}", "", "1.0"))
+    rows.append(("chance", f"{100 * scores['chance']['majority']:.1f}", "", "1.0"))
     return Table(
         f"Instance recognition, {scores['objects']} objects: accuracy in %",
         ("modalities", "accuracy", "each seed", "paper, 100 objects"),
         rows,
-        _rows_note(split, scores),
+        _note(scores),
     )
 
 
 def _retrieval(split: str, scores: Mapping[str, Any]) -> Table:
     rows = []
     for direction, (paper, paper_cca) in PAPER_RETRIEVAL.items():
-        score = scores[split][direction]
+        score = scores[direction]
         papers = (f"{paper:.2f}", f"{paper_cca:.2f}") if split == "seen" else ("-", "-")
         ours = (_map(score), f"{score['cca']:.3f}", f"{score['chance']:.3f}")
         rows.append((direction, *ours, *papers))
@@ -95,14 +95,14 @@ def _retrieval(split: str, scores: Mapping[str, Any]) -> Table:
         f"Cross-sensory retrieval, {split} objects: mean average precision",
         ("direction", "mAP", "CCA", "chance", "paper", "paper's CCA"),
         rows,
-        _rows_note(split, scores),
+        _note(scores),
     )
 
 
 def _reconstruction(split: str, scores: Mapping[str, Any]) -> Table:
     rows = []
     for variant, paper in PAPER_RECONSTRUCTION.items():
-        score = scores[split][variant]
+        score = scores[variant]
         ours = [_figure(score[name]) for name in ("iou", "chamfer_l1", "normal_consistency")]
         papers = " / ".join(f"{value:.4f}" for value in paper) if split == "seen" else "-"
         rows.append((NAMES[variant], *ours, papers))
@@ -110,7 +110,19 @@ def _reconstruction(split: str, scores: Mapping[str, Any]) -> Table:
         f"3D reconstruction, {split} objects",
         ("from", "IoU", "Chamfer-L1", "normal consistency", "paper: IoU / Chamfer-L1 / normal consistency"),
         rows,
-        _rows_note(split, scores),
+        _note(scores),
+    )
+
+
+def _note(scores: Mapping[str, Any]) -> str:
+    """What was learnt from and tested with."""
+    rows, duplicates = scores["rows"], scores["duplicates"]
+    dropped = ", ".join(
+        f"{counts['test']} of {name}" for name, counts in duplicates.items() if counts["test"]
+    )
+    return (
+        f"{rows['train']} rows to train with, {rows['val']} for validation, {rows['test']} for the test; test "
+        f"rows with a duplicate in training or validation, which were dropped: {dropped or 'none'}."
     )
 
 
