@@ -121,8 +121,8 @@ def _note(scores: Mapping[str, Any]) -> str:
         f"{counts['test']} of {name}" for name, counts in duplicates.items() if counts["test"]
     )
     return (
-        f"{rows['train']} rows to train with, {rows['val']} for validation, {rows['test']} for the test; test "
-        f"rows with a duplicate in training or validation, which were dropped: {dropped or 'none'}."
+        f"{rows['train']} rows to train with, {rows['val']} for validation, {rows['test']} for the test; "
+        f"test rows with a duplicate in training or validation, which were dropped: {dropped or 'none'}."
     )
 
 
