@@ -240,10 +240,10 @@ configs:
 {observations.count} of each per object, drawn from their Object Files. Split `{split.name}`:
 {len(split.train)} rows to train, {len(split.val)} to validate, {len(split.test)} to test.
 
-- `vision`: {side} x {side} sRGB on white; `vision_camera`, `vision_light`: where they were, in the frame in which
-  the object's longest side is 1.
-- `audio`: {seconds:g} s at {_rate(observations)} Hz, float WAV at absolute, tiny scale; `audio_point`: metres;
-  `audio_force`: impulse, N s.
+- `vision`: {side} x {side} sRGB on white; `vision_camera`, `vision_light`: where they were, in the frame in
+  which the object's longest side is 1.
+- `audio`: {seconds:g} s at {_rate(observations)} Hz, float WAV at absolute, tiny scale; `audio_point`:
+  metres; `audio_force`: impulse, N s.
 - `touch`: {height} x {width}, of the sensor in `sensor`; `touch_point`: metres; `touch_depth`: of the press,
   metres.
 - `label`: the object; `observation`: its number; `material`; `scale`: longest side, metres.
