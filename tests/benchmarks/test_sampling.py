@@ -5,7 +5,7 @@ import logging
 import numpy as np
 import pytest
 
-from objectfolder.benchmarks import sampling
+from objectfolder.benchmarks import sampling, space
 from objectfolder.benchmarks.sampling import ask, draw_queries, object_digest, sample_observations
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile import ObjectFile
@@ -216,10 +216,10 @@ def test_wrong_numbers_are_refused(brick, tmp_path, count, resolution, message):
 
 def test_small_disk_is_refused_before_any_work(brick, tmp_path, monkeypatch):
     needed = 10 * (16 * 16 * 3 + 32000 * 4 + 160 * 120 * 3)
-    usage = sampling.shutil.disk_usage(tmp_path)
-    monkeypatch.setattr(sampling.shutil, "disk_usage", lambda path: usage._replace(free=needed - 1))
+    usage = space.shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(space.shutil, "disk_usage", lambda path: usage._replace(free=needed - 1))
     folder = tmp_path / "folder"
-    message = f"brick: no space .* in {folder}: {needed:,} bytes needed, {needed - 1:,} free; make room"
+    message = f"brick: observations: no space in {folder}: at least {needed:,} bytes needed, {needed - 1:,} f"
     with pytest.raises(ObjectFolderError, match=message):
         sample_observations(brick, COUNT, SIDE, 7, folder)
     assert not folder.exists()
@@ -235,7 +235,7 @@ def test_disk_that_fills_up_says_so_and_keeps_what_is_complete(brick, sampled, t
 
     with monkeypatch.context() as patch:
         patch.setattr(sampling, "ask", full)
-        with pytest.raises(ObjectFolderError, match=f"brick: no space for its observations in {tmp_path}: "):
+        with pytest.raises(ObjectFolderError, match=f"brick: observations: no space in {tmp_path}: "):
             sample_observations(brick, COUNT, SIDE, 7, tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["queries.npz", "vision.json", "vision.npy"]
     sample_observations(brick, COUNT, SIDE, 7, tmp_path)
