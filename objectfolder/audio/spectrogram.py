@@ -23,9 +23,7 @@ def spectrogram(sounds: torch.Tensor) -> torch.Tensor:
             f"sounds of {sounds.shape[-1]} samples are too short, expected over {FFT // 2}"
         )
     window = torch.hann_window(WINDOW, device=sounds.device)
-    return torch.stft(
-        sounds, FFT, hop_length=HOP, win_length=WINDOW, window=window, return_complex=True
-    )
+    return torch.stft(sounds, FFT, hop_length=HOP, win_length=WINDOW, window=window, return_complex=True)
 
 
 def sounds_of(spectra: torch.Tensor) -> torch.Tensor:
