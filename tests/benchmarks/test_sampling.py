@@ -8,6 +8,7 @@ import pytest
 from objectfolder.benchmarks import sampling, space
 from objectfolder.benchmarks.sampling import ask, draw_queries, object_digest, sample_observations
 from objectfolder.errors import ObjectFolderError
+from objectfolder.nets.touch_image import ImageTouch
 from objectfolder.objectfile import ObjectFile
 from objectfolder.touch.profiles import load_profile
 
@@ -271,6 +272,17 @@ def test_observations_that_show_nothing_are_counted(brick):
     empty = ask(brick, queries, "touch", SIDE)[1]
     assert empty.tolist() == (~brick.press(queries["touch_point"], [0.001, 0]).mask.any((1, 2))).tolist()
     assert not empty[0]
+
+
+def test_net_that_knows_one_press_is_asked_for_that(brick, tmp_path):
+    net = ImageTouch("digit", (6, 4), 0.0012, 0.3, width=8, depth=2, point_octaves=2, pixel_octaves=2)
+    images, config = net.to_tensors()
+    tensors = {name: value for name, value in brick.tensors.items() if not name.startswith("touch.")}
+    tensors |= {f"touch.{name}": value for name, value in images.items()}
+    file = ObjectFile(brick.header | {"touch": {"kind": "image", "net": config}}, tensors)
+    sample_observations(file, COUNT, SIDE, 7, tmp_path)
+    assert (np.load(tmp_path / "queries.npz")["touch_depth"] == 0.0012).all()
+    assert np.load(tmp_path / "touch.npy").shape == (10, 6, 4, 3)
 
 
 def test_silent_object_is_named(brick, tmp_path, monkeypatch, caplog):
