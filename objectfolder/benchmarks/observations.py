@@ -173,8 +173,10 @@ def _record(key: str, folder: Path) -> dict[str, Any]:
         raise ObjectFolderError(
             f"{key}: {folder / RECORD} is of version {known}, expected {VERSION}; sample the object again"
         )
-    if record["key"] != key:
-        raise ObjectFolderError(f"{folder} holds observations of {record['key']}, expected those of {key}")
+    if record.get("key") != key:
+        raise ObjectFolderError(
+            f"{folder} holds observations of {record.get('key')}, expected those of {key}"
+        )
     return record
 
 

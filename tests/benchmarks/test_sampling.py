@@ -8,6 +8,7 @@ import pytest
 from objectfolder.benchmarks import sampling, space
 from objectfolder.benchmarks.sampling import ask, draw_queries, object_digest, sample_observations
 from objectfolder.errors import ObjectFolderError
+from objectfolder.nets.touch_image import ImageTouch
 from objectfolder.objectfile import ObjectFile
 from objectfolder.touch.profiles import load_profile
 
@@ -273,6 +274,17 @@ def test_observations_that_show_nothing_are_counted(brick):
     assert not empty[0]
 
 
+def test_net_that_knows_one_press_is_asked_for_that(brick, tmp_path):
+    net = ImageTouch("digit", (6, 4), 0.0012, 0.3, width=8, depth=2, point_octaves=2, pixel_octaves=2)
+    images, config = net.to_tensors()
+    tensors = {name: value for name, value in brick.tensors.items() if not name.startswith("touch.")}
+    tensors |= {f"touch.{name}": value for name, value in images.items()}
+    file = ObjectFile(brick.header | {"touch": {"kind": "image", "net": config}}, tensors)
+    sample_observations(file, COUNT, SIDE, 7, tmp_path)
+    assert (np.load(tmp_path / "queries.npz")["touch_depth"] == 0.0012).all()
+    assert np.load(tmp_path / "touch.npy").shape == (10, 6, 4, 3)
+
+
 def test_silent_object_is_named(brick, tmp_path, monkeypatch, caplog):
     answer = sampling.ask
 
@@ -287,7 +299,9 @@ def test_silent_object_is_named(brick, tmp_path, monkeypatch, caplog):
     assert json.loads((tmp_path / "observations.json").read_text())["arrays"]["audio"]["empty"] == 10
 
 
-def test_progress_is_reported(brick, tmp_path):
+def test_observations_do_not_depend_on_how_many_follow(brick, sampled, tmp_path):
     heard = []
-    sample_observations(brick, 20, 8, 7, tmp_path, lambda modality, done: heard.append((modality, done)))
+    sample_observations(brick, 20, SIDE, 7, tmp_path, lambda modality, done: heard.append((modality, done)))
     assert heard == [(name, done) for name in ("vision", "audio", "touch") for done in (10, 20)]
+    for name in ("vision", "audio", "touch"):
+        assert (np.load(tmp_path / f"{name}.npy")[:10] == np.load(sampled / f"{name}.npy")).all()
