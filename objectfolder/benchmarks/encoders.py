@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from runpy import run_path
 
 import numpy as np
 import torch
@@ -38,6 +39,12 @@ def register_encoder(name: str) -> Callable[[Factory], Factory]:
 register_encoder("resnet18")(ResNet18)
 
 
+def own_file(name: str) -> Path | None:
+    """File that registers an encoder, of a name such as ``mine.py:small``."""
+    file, colon, _ = name.rpartition(":")
+    return Path(file) if colon else None
+
+
 class Weights(dict[str, torch.Tensor]):
     """Tensors of a checkpoint by name, and the file they are from."""
 
@@ -54,6 +61,7 @@ def make_encoder(name: str, modality: str, weights: Weights | None = None) -> nn
     Parameters
     ----------
     name : str
+        Registered, or ``FILE.py:NAME``: that Python file is run, and registers it.
     modality : str
         "vision", "audio" or "touch".
     weights : Weights, optional
@@ -65,6 +73,12 @@ def make_encoder(name: str, modality: str, weights: Weights | None = None) -> nn
     ObjectFolderError
         If there is no such encoder, or the weights are of another one.
     """
+    file = own_file(name)
+    if file is not None:
+        if not file.is_file():
+            raise ObjectFolderError(f"encoder {name}: {file} does not exist; expected FILE.py:NAME")
+        run_path(str(file))
+        name = name.rpartition(":")[2]
     if name not in _FACTORIES:
         raise ObjectFolderError(
             f"encoder {name!r} is not one of {', '.join(sorted(_FACTORIES))}; "

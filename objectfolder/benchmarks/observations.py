@@ -1,7 +1,7 @@
 """Observations of several objects, as one memory-mapped table for all benchmarks.
 
 `objectfolder.benchmarks.sampling` writes a folder per object: ``vision.npy``, ``audio.npy``, ``touch.npy``,
-``queries.npz`` and, last, ``observations.json``, without which a folder is incomplete.
+``queries.npz``, the Object File and, last, ``observations.json``, without which a folder is incomplete.
 """
 
 import hashlib
@@ -19,6 +19,7 @@ from objectfolder.errors import ObjectFolderError
 VERSION = 1  #: of how observations are drawn and stored; older ones are not mixed with newer
 RECORD = "observations.json"
 QUERIES = "queries.npz"
+SOURCE = "ObjectFile.safetensors"  #: what was observed; tasks about shape ask it for the surface
 
 
 def array_path(folder: Path, modality: str) -> Path:
@@ -153,6 +154,10 @@ class Observations:
     def queries(self, key: str) -> dict[str, np.ndarray]:
         """What an object was asked: see `objectfolder.benchmarks.sampling.draw_queries`."""
         return read_npz(self._folders[key] / QUERIES)
+
+    def object_file(self, key: str) -> Path:
+        """Return the Object File that was observed."""
+        return self._folders[key] / SOURCE
 
     def _of(self, modality: str) -> list[np.ndarray]:
         if modality not in self._arrays:

@@ -15,7 +15,7 @@ import torch
 
 import objectfolder
 from objectfolder.artifacts import atomic, file_digest, write_json
-from objectfolder.benchmarks.encoders import InputSizes, Weights
+from objectfolder.benchmarks.encoders import InputSizes, Weights, own_file
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.observations import Observations
 from objectfolder.benchmarks.splits import Split, named_split

@@ -12,7 +12,7 @@ import numpy as np
 
 from objectfolder.artifacts import MODALITIES, atomic, read_json, write_json, write_npz
 from objectfolder.audio.spectrogram import DURATION, SAMPLE_RATE
-from objectfolder.benchmarks.observations import QUERIES, RECORD, VERSION, array_path
+from objectfolder.benchmarks.observations import QUERIES, RECORD, SOURCE, VERSION, array_path
 from objectfolder.benchmarks.space import enough_space
 from objectfolder.benchmarks.splits import TEN, check_count
 from objectfolder.errors import ObjectFolderError
@@ -57,7 +57,8 @@ def sample_observations(
     seed : int
     folder : path
         Of this object alone. It gets ``vision.npy``, ``audio.npy`` and ``touch.npy``, each with a ``.json``
-        that says what it is of; ``queries.npz``, see `draw_queries`; and last ``observations.json``.
+        that says what it is of; ``queries.npz``, see `draw_queries`; the Object File; and last
+        ``observations.json``.
     report : callable
         Called with a modality and how many of its observations are there.
 
@@ -85,7 +86,8 @@ def sample_observations(
         "seed": seed,
     }
     arrays = {modality: _written(folder, modality, request) for modality in MODALITIES}
-    if all(arrays.values()) and _stored(folder / RECORD) == request | {"arrays": arrays}:
+    whole = all((folder / name).is_file() for name in (QUERIES, SOURCE))
+    if whole and all(arrays.values()) and _stored(folder / RECORD) == request | {"arrays": arrays}:
         return
     (folder / RECORD).unlink(missing_ok=True)
     queries = draw_queries(file, count, seed)
@@ -100,6 +102,7 @@ def sample_observations(
     hint = ", or sample fewer or smaller observations; what is complete is kept"
     with enough_space(f"{file.key}: observations", folder, needed, hint):
         write_npz(folder / QUERIES, **queries)
+        file.save(folder / SOURCE)
         for modality in missing:
             array = _write(file, queries, modality, shapes[modality], folder, report)
             write_json(folder / f"{modality}.json", {"request": request, "array": array})

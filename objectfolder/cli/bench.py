@@ -26,7 +26,7 @@ FilesArgument = Annotated[
     list[Path] | None,
     typer.Argument(
         metavar="[FILE]...",
-        help="Object Files, or folders to search for them; default: those of the workspace, build/*.",
+        help="Object Files, or folders that hold some (ObjectFile.safetensors); default: build.",
     ),
 ]
 PresetOption = Annotated[
@@ -206,19 +206,15 @@ def _run(
 def _object_files(given: list[Path] | None) -> dict[str, Path]:
     """Object Files by key; the first look at each, so that a bad one is named before any work."""
     from objectfolder.artifacts import Build
+    from objectfolder.benchmarks.observations import RECORD
     from objectfolder.objectfile import ObjectFile
 
     name = Build("any").object_file.name
     places = given or [Build("any").dir.parent]
     paths: list[Path] = []
     for place in places:
-        found = (
-            sorted(place.rglob("*.safetensors") if given else place.glob(f"*/{name}"))
-            if place.is_dir()
-            else [place]
-        )
-        # Beside Object Files a workspace holds nets.
-        paths += [path for path in found if path.name == name] or found
+        found = sorted(place.rglob(name)) if place.is_dir() else [place]
+        paths += [path for path in found if not (path.parent / RECORD).exists()]  # not those kept as observed
     if not paths:
         raise ObjectFolderError(f"no Object Files in {', '.join(map(str, places))}; build some, or name them")
     files: dict[str, Path] = {}
