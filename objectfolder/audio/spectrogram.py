@@ -22,9 +22,8 @@ def spectrogram(sounds: torch.Tensor) -> torch.Tensor:
         raise ObjectFolderError(
             f"sounds of {sounds.shape[-1]} samples are too short, expected over {FFT // 2}"
         )
-    return torch.stft(
-        sounds, FFT, hop_length=HOP, win_length=WINDOW, window=torch.hann_window(WINDOW), return_complex=True
-    )
+    window = torch.hann_window(WINDOW, device=sounds.device)
+    return torch.stft(sounds, FFT, hop_length=HOP, win_length=WINDOW, window=window, return_complex=True)
 
 
 def sounds_of(spectra: torch.Tensor) -> torch.Tensor:

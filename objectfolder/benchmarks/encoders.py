@@ -151,7 +151,11 @@ class InputSizes:
 
 
 def prepare(
-    modality: str, raw: np.ndarray, sizes: InputSizes, rng: np.random.Generator | None = None
+    modality: str,
+    raw: np.ndarray,
+    sizes: InputSizes,
+    rng: np.random.Generator | None = None,
+    device: str | torch.device = "cpu",
 ) -> torch.Tensor:
     """Make an encoder's input of observations (supplementary I.1).
 
@@ -167,6 +171,8 @@ def prepare(
         Spectrograms and touches are average-pooled to it.
     rng : numpy Generator, optional
         Places the crop of each view; default: the centre.
+    device : str or torch.device
+        Where it is computed, and returned.
 
     Returns
     -------
@@ -178,14 +184,14 @@ def prepare(
         If the observations are smaller than the sizes.
     """
     if modality == "vision":
-        return _normalised(_crops(raw, sizes.image, rng))
+        return _normalised(_crops(raw, sizes.image, rng).to(device))
     if modality == "audio":
-        magnitude = spectrogram(torch.from_numpy(raw)).abs()
+        magnitude = spectrogram(torch.from_numpy(raw).to(device)).abs()
         peak = magnitude.amax((1, 2), keepdim=True)
         relative = magnitude / torch.where(peak > 0, peak, 1)
         decibels = 20 * relative.clamp(min=10 ** (-FLOOR / 20)).log10()
         return _pooled(1 + decibels[:, None] / FLOOR, sizes.spectrogram, "spectrogram")
-    return _pooled(_normalised(torch.from_numpy(raw).movedim(-1, 1)), sizes.touch, "touch")
+    return _pooled(_normalised(torch.from_numpy(raw).to(device).movedim(-1, 1)), sizes.touch, "touch")
 
 
 def _crops(raw: np.ndarray, side: int, rng: np.random.Generator | None) -> torch.Tensor:
@@ -204,7 +210,7 @@ def _crops(raw: np.ndarray, side: int, rng: np.random.Generator | None) -> torch
 
 
 def _normalised(pixels: torch.Tensor) -> torch.Tensor:
-    mean, deviation = (torch.tensor(x)[:, None, None] for x in (MEAN, DEVIATION))
+    mean, deviation = (torch.tensor(x, device=pixels.device)[:, None, None] for x in (MEAN, DEVIATION))
     return (pixels.float() / 255 - mean) / deviation
 
 
