@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import astuple
+from dataclasses import astuple, dataclass
 from itertools import combinations
 from pathlib import Path
 from typing import Any, Protocol
@@ -29,9 +29,9 @@ Batch = tuple[torch.Tensor, torch.Tensor, torch.Tensor]  #: inputs of both strea
 PAIRS: tuple[Pair, ...] = tuple(combinations(MODALITIES, 2))
 CURVE_COLUMNS = ("split", "first", "second", "seed", "epoch", "train_loss", "val_map")
 FEATURE_SIZES = {"vision": (16, 16), "audio": (64, 8), "touch": (16, 12)}  #: pixels that CCA is given
-DIMENSIONS = (2, 4, 8, 16, 32, 64, 128)  #: principal components and canonical variates that CCA is tried with
+DIMENSIONS = (1, 2, 4, 8, 16, 32, 64, 128)  #: principal components and variates that CCA is tried with
 CHUNK = 64  #: rows, at most, that are embedded at once
-STATISTICS = 512  #: training rows that the batch normalisation's statistics are taken from
+STATISTICS = 256  #: training rows that the batch normalisation's statistics are taken from
 
 
 class Params(Protocol):
@@ -190,7 +190,6 @@ def retrieve(
     weights : Weights, optional
         That the encoders start from.
     seed : int
-        Of the first net of each pair; the others have the following ones.
     progress : Path
         Folder that keeps finished scores and the state of a training, from which an interrupted call goes on.
         Those of other data or parameters are not taken. Remove it afterwards.
@@ -218,29 +217,14 @@ def retrieve(
     for whole in splits:
         split, results["duplicates"][whole.name] = without_duplicates(whole, observations, MODALITIES)
         results["rows"][whole.name] = {name: len(getattr(split, name)) for name in SPLITS}
+        task = _Task(observations, split, params, encoder, sizes, weights, seed, progress, device, report)
         labels = observations.labels[split.test]
         chance = chance_map(labels, labels)
-        features = {modality: _features(observations, modality, split, sizes) for modality in MODALITIES}
+        features = {modality: _features(task, modality) for modality in MODALITIES}
         results[split.name], results["cca"][split.name] = {}, {}
         for pair in PAIRS:
-            baseline, chosen = _correlated(pair, features, observations.labels, split)
-            results["cca"][split.name]["-".join(pair)] = chosen
-            runs = [
-                _trained(
-                    observations,
-                    split,
-                    pair,
-                    params,
-                    encoder,
-                    sizes,
-                    weights,
-                    run_seed,
-                    progress,
-                    device,
-                    report,
-                )
-                for run_seed in range(seed, seed + params.seeds)
-            ]
+            baseline, results["cca"][split.name]["-".join(pair)] = _correlated(task, pair, features)
+            runs = [_finished(task, pair, run) for run in range(params.seeds)]
             for direction in baseline:
                 values = [run["map"][direction] for run in runs]
                 results[split.name][direction] = {
@@ -250,168 +234,179 @@ def retrieve(
                     "cca": baseline[direction],
                     "chance": chance,
                 }
-            for i, run in enumerate(runs):
-                curves += [[split.name, *pair, seed + i, *point] for point in run["curve"]]
-                seconds += run["seconds"]
+            curves += [[split.name, *pair, i, *point] for i, run in enumerate(runs) for point in run["curve"]]
+            seconds += sum(run["seconds"] for run in runs)
     return {**results, "seconds": seconds}, curves
 
 
-def _trained(
-    observations: Observations,
-    split: Split,
-    pair: Pair,
-    params: Params,
-    encoder: str,
-    sizes: InputSizes,
-    weights: Weights | None,
-    seed: int,
-    progress: Path,
-    device: str | torch.device,
-    report: Callable[[str], None],
-) -> dict[str, Any]:
-    """Train one net and score it; or read what an earlier call wrote."""
-    title = f"{split.name} {pair[0]}-{pair[1]} seed {seed}"
-    identity = {
-        "observations": observations.digest,
-        "rows": [getattr(split, name).tolist() for name in SPLITS],
-        "params": [getattr(params, name) for name in sorted(Params.__annotations__) if name != "seeds"],
-        "encoder": [encoder, astuple(sizes), None if weights is None else file_digest(weights.path)],
-    }
-    digest = hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:16]
-    finished = progress / f"{title.replace(' ', '_')}_{digest}.json"
-    if finished.is_file():
-        return read_json(finished)
+@dataclass(frozen=True)
+class _Task:
+    """Arguments of `retrieve`, of one split."""
 
-    labels = observations.labels
-    classes = np.unique(labels[split.train])
-    purpose = ("retrieve", split.name, *pair)
-    with seeded(seed, *purpose, "net"):
-        net = TwoStream(
-            [make_encoder(encoder, modality, weights) for modality in pair], params.embedding, len(classes)
-        )
+    observations: Observations
+    split: Split
+    params: Params
+    encoder: str
+    sizes: InputSizes
+    weights: Weights | None
+    seed: int
+    progress: Path
+    device: str | torch.device
+    report: Callable[[str], None]
+
+    def inputs(self, modality: str, rows: np.ndarray, rng: np.random.Generator | None = None) -> torch.Tensor:
+        """What the encoder of a modality is given of some rows."""
+        return prepare(modality, self.observations.read(modality, rows), self.sizes, rng, self.device)
+
+    def chunks(self, modality: str, rows: np.ndarray) -> Iterator[torch.Tensor]:
+        """The same of many rows, some at a time."""
+        for some in np.array_split(rows, -(-len(rows) // CHUNK)):
+            yield self.inputs(modality, some)
+
+    def maps(self, pair: Pair, embeddings: Sequence[np.ndarray], rows: np.ndarray) -> dict[str, float]:
+        """Mean average precision by direction, of embeddings of the same rows in two modalities."""
+        labels = self.observations.labels[rows]
+        return {
+            f"{pair[query][0].upper()}->{pair[1 - query][0].upper()}": mean_average_precision(
+                embeddings[query], labels, embeddings[1 - query], labels
+            )
+            for query in (0, 1)
+        }
+
+    def result(self, pair: Pair, run: int) -> Path:
+        """Where one net's scores are kept; another place for other data or parameters."""
+        identity = {
+            "observations": self.observations.digest,
+            "rows": [getattr(self.split, name).tolist() for name in SPLITS],
+            "params": [
+                getattr(self.params, name) for name in sorted(Params.__annotations__) if name != "seeds"
+            ],
+            "encoder": [self.encoder, astuple(self.sizes), self.weights and file_digest(self.weights.path)],
+            "seed": self.seed,
+        }
+        digest = hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:16]
+        return self.progress / f"{self.split.name}_{pair[0]}_{pair[1]}_{run}_{digest}.json"
+
+
+def _finished(task: _Task, pair: Pair, run: int) -> dict[str, Any]:
+    """Scores of one net; trained if no earlier call did."""
+    path = task.result(pair, run)
+    if not path.is_file():
+        checkpoint = path.with_suffix(".pt")
+        net, curve = _trained(task, pair, run, checkpoint)
+        scores = task.maps(pair, _embeddings(task, net, pair, task.split.test), task.split.test)
+        seconds = sum(point.seconds for point in curve)
+        write_json(path, {"map": scores, "curve": [astuple(p)[:3] for p in curve], "seconds": seconds})
+        checkpoint.unlink()
+    return read_json(path)
+
+
+def _trained(task: _Task, pair: Pair, run: int, checkpoint: Path) -> tuple[TwoStream, list[EpochPoint]]:
+    """Train one net, or go on from its checkpoint."""
+    params, rows, labels = task.params, task.split.train, task.observations.labels
+    classes = np.unique(labels[rows])
+    purpose = ("retrieve", task.split.name, *pair, str(run))
+    with seeded(task.seed, *purpose):
+        encoders = [make_encoder(task.encoder, modality, task.weights) for modality in pair]
+        net = TwoStream(encoders, params.embedding, len(classes))
 
     def epoch_batches(epoch: int) -> Iterator[Batch]:
-        rng = numpy_generator(seed, *purpose, f"epoch {epoch}")
-        for rows in paired_batches(split.train, labels[split.train], params.batch, rng):
-            first, second = (prepare(m, observations.read(m, r), sizes, rng) for m, r in zip(pair, rows))
-            yield first, second, torch.from_numpy(np.searchsorted(classes, labels[rows[0]]))
+        rng = numpy_generator(task.seed, *purpose, f"epoch {epoch}")
+        for paired in paired_batches(rows, labels[rows], params.batch, rng):
+            first, second = (task.inputs(m, some, rng) for m, some in zip(pair, paired))
+            targets = torch.from_numpy(np.searchsorted(classes, labels[paired[0]]))
+            yield first, second, targets.to(task.device)
 
     def batch_loss(batch: Batch) -> torch.Tensor:
-        *pictures, targets = (x.to(device) for x in batch)
-        first, second = (net.embed(stream, x) for stream, x in enumerate(pictures))
+        *inputs, targets = batch
+        first, second = (net.embed(stream, x) for stream, x in enumerate(inputs))
         classification = sum(F.cross_entropy(net.classify(x), targets) for x in (first, second))
         return cross_sensory_loss(first, second, targets, params.margin) + classification
 
-    def inputs(stream: int, rows: np.ndarray) -> Iterator[torch.Tensor]:
-        for chunk in _chunks(rows):
-            yield prepare(pair[stream], observations.read(pair[stream], chunk), sizes).to(device)
+    sample = numpy_generator(task.seed, *purpose, "statistics").permutation(rows)[:STATISTICS]
 
-    def scores(rows: np.ndarray) -> dict[str, float]:
-        embeddings = [
-            torch.cat([net.embed(stream, x) for x in inputs(stream, rows)]).float().cpu().numpy()
-            for stream in (0, 1)
-        ]
-        return _maps(pair, embeddings, labels[rows])
+    def val_score() -> float:
+        # The running averages of batch normalisation lag behind weights that change fast: on small data the
+        # first epochs score near chance, however well they separate the batches (Wu and Johnson 2021).
+        for modality, module in zip(pair, net.encoders):
+            update_bn(task.chunks(modality, sample), module)
+        scores = task.maps(pair, _embeddings(task, net, pair, task.split.val), task.split.val)
+        return sum(scores.values()) / 2
 
-    sample = numpy_generator(seed, *purpose, "statistics").permutation(split.train)[:STATISTICS]
-
-    def validation() -> float:
-        # Running averages lag behind weights that change fast: the first epochs would score near chance
-        # however well they separate the training batches (Wu and Johnson 2021).
-        for stream, encoder in enumerate(net.encoders):
-            update_bn(inputs(stream, sample), encoder)
-        return _mean(scores(split.val))
-
-    def progress_line(point: EpochPoint) -> None:
-        report(
-            f"{title}: epoch {point.epoch} of {params.epochs}, loss {point.train_loss:.3f}, "
+    def report(point: EpochPoint) -> None:
+        task.report(
+            f"retrieve {task.split.name}, {pair[0]} and {pair[1]}, seed {run + 1} of {params.seeds}, "
+            f"epoch {point.epoch} of {params.epochs}: training loss {point.train_loss:.3f}, "
             f"validation mAP {point.val_score:.3f}, {point.seconds:.0f} s"
         )
 
-    checkpoint = finished.with_suffix(".pt")
     curve = train(
         net,
         epoch_batches,
         batch_loss,
-        validation,
+        val_score,
         epochs=params.epochs,
         learning_rate=params.learning_rate,
         weight_decay=params.weight_decay,
         patience=params.patience,
         checkpoint=checkpoint,
-        device=device,
-        report=progress_line,
+        device=task.device,
+        report=report,
     )
-    with torch.no_grad():
-        run = {
-            "map": scores(split.test),
-            "curve": [[point.epoch, point.train_loss, point.val_score] for point in curve],
-            "seconds": sum(point.seconds for point in curve),
-        }
-    write_json(finished, run)
-    checkpoint.unlink()
-    return run
+    return net, curve
+
+
+@torch.no_grad()
+def _embeddings(task: _Task, net: TwoStream, pair: Pair, rows: np.ndarray) -> list[np.ndarray]:
+    """Embeddings (n, embedding) of both streams."""
+    return [
+        torch.cat([net.embed(stream, x) for x in task.chunks(modality, rows)]).cpu().numpy()
+        for stream, modality in enumerate(pair)
+    ]
+
+
+def _features(task: _Task, modality: str) -> dict[str, np.ndarray]:
+    """What CCA knows of a split's rows: white components of the encoder's input at few pixels; (n, D)."""
+    shape = FEATURE_SIZES[modality]
+    features = {
+        name: torch.cat(
+            [
+                F.adaptive_avg_pool2d(x, shape).flatten(1)
+                for x in task.chunks(modality, getattr(task.split, name))
+            ]
+        )
+        for name in SPLITS
+    }
+    whiten = cca.whitening(features["train"].cpu().numpy(), max(DIMENSIONS))
+    return {name: whiten(value.cpu().numpy()) for name, value in features.items()}
 
 
 def _correlated(
-    pair: Pair, features: dict[str, dict[str, np.ndarray]], labels: np.ndarray, split: Split
+    task: _Task, pair: Pair, features: dict[str, dict[str, np.ndarray]]
 ) -> tuple[dict[str, float], dict[str, int]]:
     """Score CCA by direction, with the dimensions that are best on the validation rows."""
-    sides = [features[modality] for modality in pair]
-
-    def scores(rows: str, dimensions: int, components: int) -> dict[str, float]:
-        variates = [
-            side[rows][:, :dimensions] @ matrix[:, :components]
-            for side, matrix in zip(sides, found[dimensions])
-        ]
-        return _maps(pair, variates, labels[getattr(split, rows)])
-
+    split, sides = task.split, [features[modality] for modality in pair]
     found = {
         dimensions: cca.directions(
-            sides[0]["train"][:, :dimensions], sides[1]["train"][:, :dimensions], labels[split.train]
+            sides[0]["train"][:, :dimensions],
+            sides[1]["train"][:, :dimensions],
+            task.observations.labels[split.train],
         )
         for dimensions in DIMENSIONS
     }
+
+    def scores(name: str, dimensions: int, components: int) -> dict[str, float]:
+        variates = [
+            side[name][:, :dimensions] @ matrix[:, :components]
+            for side, matrix in zip(sides, found[dimensions])
+        ]
+        return task.maps(pair, variates, getattr(split, name))
+
     tried = {
-        (dimensions, components): _mean(scores("val", dimensions, components))
+        (dimensions, components): sum(scores("val", dimensions, components).values())
         for dimensions in DIMENSIONS
         for components in DIMENSIONS
         if components <= found[dimensions][0].shape[1]
     }
     dimensions, components = max(tried, key=tried.__getitem__)
     return scores("test", dimensions, components), {"dimensions": dimensions, "components": components}
-
-
-def _features(
-    observations: Observations, modality: str, split: Split, sizes: InputSizes
-) -> dict[str, np.ndarray]:
-    """What CCA knows of each row of a split: components of the encoder's input at few pixels; (n, D)."""
-    shape = FEATURE_SIZES[modality]
-
-    def pixels(rows: np.ndarray) -> np.ndarray:
-        x = prepare(modality, observations.read(modality, rows), sizes)
-        return F.adaptive_avg_pool2d(x, shape).flatten(1).numpy()
-
-    features = {
-        name: np.concatenate([pixels(rows) for rows in _chunks(getattr(split, name))]) for name in SPLITS
-    }
-    whiten = cca.whitening(features["train"], max(DIMENSIONS))
-    return {name: whiten(value) for name, value in features.items()}
-
-
-def _maps(pair: Pair, embeddings: Sequence[np.ndarray], labels: np.ndarray) -> dict[str, float]:
-    """Mean average precision by direction, of embeddings of the same rows in two modalities."""
-    return {
-        f"{pair[query][0].upper()}->{pair[1 - query][0].upper()}": mean_average_precision(
-            embeddings[query], labels, embeddings[1 - query], labels
-        )
-        for query in (0, 1)
-    }
-
-
-def _mean(scores: dict[str, float]) -> float:
-    return sum(scores.values()) / len(scores)
-
-
-def _chunks(rows: np.ndarray) -> list[np.ndarray]:
-    return np.array_split(rows, -(-len(rows) // CHUNK))
