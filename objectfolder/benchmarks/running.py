@@ -92,12 +92,9 @@ def run_task(
     """
     encode = params.encode
     sizes = InputSizes(encode.image, tuple(encode.spectrogram), tuple(encode.touch))
-    identity = (
-        observations.digest,
-        params,
-        _code(task),
-        "" if weights is None else file_digest(weights.path),
-    )
+    files = [None if weights is None else weights.path, own_file(encode.encoder)]
+    given = [file_digest(path) for path in files if path is not None]
+    identity = (observations.digest, params, _code(task), given)
     progress = folder.progress(name, split, hashlib.sha256(repr(identity).encode()).hexdigest())
     rows = named_split(split, observations.keys, observations.count)
     scores, curve = task(
