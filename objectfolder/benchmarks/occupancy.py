@@ -19,7 +19,8 @@ from objectfolder.mesh.sampling import sample_surface
 from objectfolder.objectfile import ObjectFile
 from objectfolder.seeding import numpy_generator
 
-HALF_SIDE = 0.55  #: points fill [-HALF_SIDE, HALF_SIDE]^3: the unit cube and a tenth, as Occupancy Networks has it
+#: Points fill [-HALF_SIDE, HALF_SIDE]^3: the unit cube and a tenth, as in Occupancy Networks.
+HALF_SIDE = 0.55
 NEAR = 0.02  #: standard deviation of the points near the surface, fraction of the longest side
 CHUNK = 2**20  # points that are looked up at once
 
@@ -104,9 +105,7 @@ class Occupancy:
         """Occupancy of the grid's nodes; (len(objects), resolution^3) bool."""
         return np.unpackbits(self.grid_inside[objects], axis=1, count=int(self.resolution) ** 3).astype(bool)
 
-    def draw(
-        self, labels: np.ndarray, count: int, rng: np.random.Generator
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def draw(self, labels: np.ndarray, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Draw training points for objects: half of them uniform, half near the surface.
 
         Parameters
@@ -131,7 +130,12 @@ class Occupancy:
 
 
 def sample_occupancy(
-    surfaces: Mapping[str, Callable[[], Isosurface]], train: int, val: int, score: int, resolution: int, seed: int
+    surfaces: Mapping[str, Callable[[], Isosurface]],
+    train: int,
+    val: int,
+    score: int,
+    resolution: int,
+    seed: int,
 ) -> Occupancy:
     """Sample the occupancy of objects.
 

@@ -1,6 +1,8 @@
 """Occupancy Networks (Mescheder et al. 2019) behind features of images and sounds (supplementary I.3)."""
 
+import math
 from collections.abc import Mapping
+from typing import Any, cast
 
 import torch
 import torch.nn.functional as F
@@ -67,19 +69,24 @@ class OccupancyDecoder(nn.Module):
     width : int
         Numbers that describe a point between layers.
     blocks : int
+    frequencies : int
+        Octaves of sines and cosines that a point's coordinates come with. The paper has none, and hundreds of
+        thousands of steps; with a few, thin walls are learnt in hundreds.
     embedding : int
     """
 
-    def __init__(self, width: int = 256, blocks: int = 5, embedding: int = EMBEDDING):
+    def __init__(self, width: int = 256, blocks: int = 5, frequencies: int = 0, embedding: int = EMBEDDING):
         super().__init__()
-        self.first = nn.Linear(3, width)
+        self.frequencies = frequencies
+        self.first = nn.Linear(3 + 6 * frequencies, width)
         self.blocks = nn.ModuleList(ConditionalBlock(embedding, width) for _ in range(blocks))
         self.norm = ConditionalBatchNorm(embedding, width)
         self.last = nn.Linear(width, 1)
 
     def forward(self, points: torch.Tensor, embedding: torch.Tensor) -> torch.Tensor:
         """Logits (B, P) of (B, P, 3) points of objects described by a (B, embedding) tensor."""
-        hidden = self.first(points)
+        angles = [points * (math.pi * 2**octave) for octave in range(self.frequencies)]
+        hidden = self.first(torch.cat([points, *map(torch.sin, angles), *map(torch.cos, angles)], -1))
         for block in self.blocks:
             hidden = block(hidden, embedding)
         return self.last(F.relu(self.norm(hidden, embedding)))[..., 0]
@@ -91,17 +98,22 @@ class Reconstructor(nn.Module):
     Parameters
     ----------
     encoders : mapping of str to nn.Module
-        Of each modality, in the order in which features are concatenated; ``features`` is how many each gives.
-    width, blocks : int
+        Of each modality, in the order in which features are concatenated; each says how many ``features``
+        it gives.
+    width, blocks, frequencies : int
         Of the decoder.
     """
 
-    def __init__(self, encoders: Mapping[str, nn.Module], width: int = 256, blocks: int = 5):
+    def __init__(
+        self, encoders: Mapping[str, nn.Module], width: int = 256, blocks: int = 5, frequencies: int = 0
+    ):
         super().__init__()
         self.encoders = nn.ModuleDict(dict(encoders))
-        features = sum(int(encoder.features) for encoder in encoders.values())  # type: ignore[arg-type]
-        self.fusion = nn.Sequential(nn.Linear(features, EMBEDDING), nn.ReLU(), nn.Linear(EMBEDDING, EMBEDDING))
-        self.decoder = OccupancyDecoder(width, blocks)
+        features = sum(int(cast(Any, encoder).features) for encoder in encoders.values())
+        self.fusion = nn.Sequential(
+            nn.Linear(features, EMBEDDING), nn.ReLU(), nn.Linear(EMBEDDING, EMBEDDING)
+        )
+        self.decoder = OccupancyDecoder(width, blocks, frequencies)
 
     def embed(self, inputs: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """Describe the shapes that a batch of images, sounds, or both, of the same objects show; (B, 256)."""
@@ -115,12 +127,9 @@ class Reconstructor(nn.Module):
 
 @torch.no_grad()
 def occupancy_logits(
-    decoder: OccupancyDecoder, embedding: torch.Tensor, points: torch.Tensor, chunk: int = 2**15
+    decoder: OccupancyDecoder, embedding: torch.Tensor, points: torch.Tensor, chunk: int = 2**12
 ) -> torch.Tensor:
     """Logits (B, P) at (P, 3) points that all objects share, a chunk of points at a time."""
     return torch.stack(
-        [
-            torch.cat([decoder(part[None], one[None])[0] for part in points.split(chunk)])
-            for one in embedding
-        ]
+        [torch.cat([decoder(part[None], one[None])[0] for part in points.split(chunk)]) for one in embedding]
     )

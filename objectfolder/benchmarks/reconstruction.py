@@ -55,6 +55,7 @@ class ReconstructParams(Protocol):
     points: int
     width: int
     blocks: int
+    frequencies: int
     learning_rate: float
     weight_decay: float
     patience: int
@@ -128,9 +129,9 @@ def reconstruct(
 ) -> tuple[dict[str, Any], dict[str, list[list[float]]]]:
     """Train and score all variants on all splits.
 
-    An interrupted call goes on where it was: ``folder`` keeps what is finished, and the running training. Test
-    rows are looked at once, after everything was chosen on validation rows. Every variant trains at most
-    ``epochs`` epochs; VA half as many, as it starts from the encoders of V and A and from V's decoder.
+    An interrupted call goes on where it was: ``folder`` keeps what is finished, and the running training.
+    Test rows are looked at once, after everything was chosen on validation rows. Every variant trains at
+    most ``epochs`` epochs; VA half as many, as it starts from the encoders of V and A and from V's decoder.
 
     Parameters
     ----------
@@ -200,12 +201,15 @@ def average_shape(task: Task, split: Split) -> dict[str, Any]:
         return inside[learnt].mean(0, dtype=np.float32)
 
     guess = mean(occupancy.val_inside)
-    level, _ = best_level(np.broadcast_to(guess, (len(val), len(guess))), occupancy.val_inside[val], THRESHOLDS)
+    guesses = np.broadcast_to(guess, (len(val), len(guess)))
+    level, _ = best_level(guesses, occupancy.val_inside[val], THRESHOLDS)
     side = int(occupancy.resolution)
     grid = occupancy.grid(learnt).mean(0, dtype=np.float32).reshape(side, side, side)
     inside = mean(occupancy.score_inside) > level
     mesh = extract_mesh(grid, level)
-    return _scores(task, split, "average_shape", test, lambda i: inside, lambda i: mesh) | {"threshold": level}
+    return _scores(task, split, "average_shape", test, lambda i: inside, lambda i: mesh) | {
+        "threshold": level
+    }
 
 
 def best_level(values: np.ndarray, inside: np.ndarray, levels: np.ndarray) -> tuple[float, float]:
@@ -285,6 +289,7 @@ def _trained(
         observations.shape("vision")[0],
         params.width,
         params.blocks,
+        params.frequencies,
         params.resolution,
         tuple(observations.keys[label] for label in np.unique(labels[split.train])),
     )
@@ -294,7 +299,9 @@ def _trained(
     def epoch_batches(epoch: int) -> Iterator[Batch]:
         rng = numpy_generator(task.seed, *purpose, f"epoch {epoch}")
         for rows in shuffled(split.train, params.batch, rng):
-            inputs = {m: prepare(m, observations.read(m, rows), task.sizes, rng).to(device) for m in modalities}
+            inputs = {
+                m: prepare(m, observations.read(m, rows), task.sizes, rng).to(device) for m in modalities
+            }
             points, inside = occupancy.draw(labels[rows], params.points, rng)
             yield inputs, torch.from_numpy(points).to(device), torch.from_numpy(inside).to(device)
 

@@ -31,6 +31,7 @@ class Setup:
     view: int  #: side of the views that are cropped, pixels
     width: int  #: of the decoder
     blocks: int
+    frequencies: int
     resolution: int  #: nodes along a side for marching cubes
     keys: tuple[str, ...]  #: objects that it was trained on
     threshold: float = 0.5  #: occupancy above which a point is inside
@@ -90,7 +91,7 @@ class ShapeModel:
         return self.logits(embedding, points) > self.level
 
     def mesh(self, embedding: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices (V, 3), unit frame, and faces (F, 3) of one shape, embedding (256,); none of an empty one."""
+        """Vertices (V, 3), unit frame, and faces (F, 3) of the shape of an embedding (256,)."""
         side = self.setup.resolution
         values = self.logits(embedding[None], self._grid)[0]
         return extract_mesh(values.reshape(side, side, side), self.level)
@@ -103,7 +104,7 @@ class ShapeModel:
 def new_net(setup: Setup, weights: Mapping[str, torch.Tensor] | None = None) -> Reconstructor:
     """Make an untrained net, from torch's global generator; encoders may start from given weights."""
     encoders = {name: make_encoder(setup.encoder, name, weights) for name in setup.modalities}  # type: ignore[arg-type]
-    return Reconstructor(encoders, setup.width, setup.blocks)
+    return Reconstructor(encoders, setup.width, setup.blocks, setup.frequencies)
 
 
 def save_model(path: str | Path, model: ShapeModel) -> None:
@@ -150,6 +151,6 @@ def _setup(header: Mapping[str, Any]) -> Setup:
     values["sizes"] = InputSizes(int(sizes["image"]), tuple(sizes["spectrogram"]), tuple(sizes["touch"]))
     setup = Setup(**values | {name: tuple(values[name]) for name in ("modalities", "keys")})
     positive = (setup.view, setup.width, setup.blocks, setup.sizes.image)
-    if min(positive) < 1 or setup.resolution < 2 or not 0 < setup.threshold < 1:
+    if min(positive) < 1 or setup.resolution < 2 or setup.frequencies < 0 or not 0 < setup.threshold < 1:
         raise ValueError("its sizes are out of range")
     return setup

@@ -92,7 +92,7 @@ def test_squares_at_right_angles_have_no_normals_in_common():
     square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
     faces = np.array([[0, 1, 2], [0, 2, 3]])
     flat, upright = (sampled_surface(v, faces, 500, rng()) for v in (square, square[:, [2, 0, 1]]))
-    lifted = sampled_surface(square + [0, 0, 0.5], faces[:, ::-1], 500, rng())
+    lifted = sampled_surface(square + np.array([0, 0, 0.5]), faces[:, ::-1], 500, rng())
     assert surface_scores(flat, upright)[1] == 0
     assert surface_scores(flat, lifted) == pytest.approx((0.5, 1), abs=0.01)  # whichever way they face
 
@@ -122,7 +122,8 @@ def test_extracted_surface_is_closed_at_the_border_and_around_every_part():
     nodes = grid_points(40)
     two = join(sphere(0.2, 3, (-0.3, 0, 0)), sphere(0.1, 3, (0.35, 0, 0)))
     depth = np.maximum(
-        0.2 - np.linalg.norm(nodes + [0.3, 0, 0], axis=1), 0.1 - np.linalg.norm(nodes - [0.35, 0, 0], axis=1)
+        0.2 - np.linalg.norm(nodes + np.array([0.3, 0, 0]), axis=1),
+        0.1 - np.linalg.norm(nodes - [0.35, 0, 0], axis=1),
     ).reshape(40, 40, 40)
     mesh = trimesh.Trimesh(*extract_mesh(depth, 0.0))
     assert mesh.body_count == 2
