@@ -6,7 +6,18 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from objectfolder.cli import bench, export, objectfile, objects, released, sample, sensor, upkeep, workspace
+from objectfolder.cli import (
+    bench,
+    export,
+    objectfile,
+    objects,
+    reconstruct,
+    released,
+    sample,
+    sensor,
+    upkeep,
+    workspace,
+)
 from objectfolder.errors import ObjectFolderError
 
 __all__ = ["app", "main"]
@@ -30,6 +41,7 @@ for command in (
     workspace.preset,
     workspace.inspect,
     objectfile.info,
+    reconstruct.reconstruct,
 ):
     app.command()(command)
 app.command("import")(released.import_released)

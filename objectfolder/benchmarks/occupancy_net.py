@@ -1,0 +1,135 @@
+"""Occupancy Networks (Mescheder et al. 2019) behind features of images and sounds (supplementary I.3)."""
+
+import math
+from collections.abc import Mapping
+from typing import Any, cast
+
+import torch
+import torch.nn.functional as F
+from torch import nn
+
+EMBEDDING = 256  #: numbers that describe a shape to the decoder
+
+
+class ConditionalBatchNorm(nn.Module):
+    """Batch normalisation over all points of a batch, whose scale and shift each object's embedding chooses.
+
+    At first every object has scale 1 and shift 0.
+
+    Parameters
+    ----------
+    embedding, width : int
+        Numbers that describe an object, and that describe a point.
+    """
+
+    def __init__(self, embedding: int, width: int):
+        super().__init__()
+        self.gamma, self.beta = nn.Linear(embedding, width), nn.Linear(embedding, width)
+        for layer, value in ((self.gamma, 1.0), (self.beta, 0.0)):
+            nn.init.zeros_(layer.weight)
+            nn.init.constant_(layer.bias, value)
+        self.norm = nn.BatchNorm1d(width, affine=False)
+
+    def forward(self, points: torch.Tensor, embedding: torch.Tensor) -> torch.Tensor:
+        """Normalise (B, P, width) points of objects described by a (B, embedding) tensor."""
+        gamma, beta = self.gamma(embedding)[:, None], self.beta(embedding)[:, None]
+        if self.training:
+            return torch.addcmul(beta, gamma, self.norm(points.flatten(0, 1)).view_as(points))
+        # The running statistics belong to scale and shift: one pass over the points, not two.
+        mean, variance = self.norm.running_mean, self.norm.running_var
+        assert mean is not None
+        assert variance is not None
+        gamma = gamma * torch.rsqrt(variance + self.norm.eps)
+        return torch.addcmul(beta - gamma * mean, gamma, points)
+
+
+class ConditionalBlock(nn.Module):
+    """Two fully-connected layers, each behind `ConditionalBatchNorm` and ReLU, added to their input.
+
+    The second layer starts at 0, so that the block starts as the identity.
+    """
+
+    def __init__(self, embedding: int, width: int):
+        super().__init__()
+        self.norm1, self.norm2 = (ConditionalBatchNorm(embedding, width) for _ in range(2))
+        self.layer1, self.layer2 = (nn.Linear(width, width) for _ in range(2))
+        nn.init.zeros_(self.layer2.weight)
+
+    def forward(self, points: torch.Tensor, embedding: torch.Tensor) -> torch.Tensor:
+        """Transform (B, P, width) points."""
+        hidden = self.layer1(F.relu(self.norm1(points, embedding)))
+        return points + self.layer2(F.relu(self.norm2(hidden, embedding)))
+
+
+class OccupancyDecoder(nn.Module):
+    """From points and an embedding of a shape to the logits that the points are inside.
+
+    Parameters
+    ----------
+    width : int
+        Numbers that describe a point between layers.
+    blocks : int
+    frequencies : int
+        Octaves of sines and cosines that a point's coordinates come with. The paper has none, and hundreds of
+        thousands of steps; with a few, thin walls are learnt in hundreds.
+    embedding : int
+    """
+
+    def __init__(self, width: int = 256, blocks: int = 5, frequencies: int = 0, embedding: int = EMBEDDING):
+        super().__init__()
+        self.frequencies = frequencies
+        self.first = nn.Linear(3 + 6 * frequencies, width)
+        self.blocks = nn.ModuleList(ConditionalBlock(embedding, width) for _ in range(blocks))
+        self.norm = ConditionalBatchNorm(embedding, width)
+        self.last = nn.Linear(width, 1)
+
+    def forward(self, points: torch.Tensor, embedding: torch.Tensor) -> torch.Tensor:
+        """Logits (B, P) of (B, P, 3) points of objects described by a (B, embedding) tensor."""
+        angles = [points * (math.pi * 2**octave) for octave in range(self.frequencies)]
+        hidden = self.first(torch.cat([points, *map(torch.sin, angles), *map(torch.cos, angles)], -1))
+        for block in self.blocks:
+            hidden = block(hidden, embedding)
+        return self.last(F.relu(self.norm(hidden, embedding)))[..., 0]
+
+
+class Reconstructor(nn.Module):
+    """IMAGE2MESH, AUDIO2MESH or IMAGE+AUDIO2MESH: encoders, two fully-connected layers, an occupancy decoder.
+
+    Parameters
+    ----------
+    encoders : mapping of str to nn.Module
+        Of each modality, in the order in which features are concatenated; each says how many ``features``
+        it gives.
+    width, blocks, frequencies : int
+        Of the decoder.
+    """
+
+    def __init__(
+        self, encoders: Mapping[str, nn.Module], width: int = 256, blocks: int = 5, frequencies: int = 0
+    ):
+        super().__init__()
+        self.encoders = nn.ModuleDict(dict(encoders))
+        features = sum(int(cast(Any, encoder).features) for encoder in encoders.values())
+        self.fusion = nn.Sequential(
+            nn.Linear(features, EMBEDDING), nn.ReLU(), nn.Linear(EMBEDDING, EMBEDDING)
+        )
+        self.decoder = OccupancyDecoder(width, blocks, frequencies)
+
+    def embed(self, inputs: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        """Describe the shapes that a batch of images, sounds, or both, of the same objects show; (B, 256)."""
+        features = [encoder(inputs[modality]) for modality, encoder in self.encoders.items()]
+        return self.fusion(torch.cat(features, 1))
+
+    def forward(self, inputs: Mapping[str, torch.Tensor], points: torch.Tensor) -> torch.Tensor:
+        """Logits (B, P) that points (B, P, 3), unit frame, are inside; their sigmoid is the occupancy."""
+        return self.decoder(points, self.embed(inputs))
+
+
+@torch.no_grad()
+def occupancy_logits(
+    decoder: OccupancyDecoder, embedding: torch.Tensor, points: torch.Tensor, chunk: int = 2**12
+) -> torch.Tensor:
+    """Logits (B, P) at (P, 3) points that all objects share, a chunk of points at a time."""
+    return torch.stack(
+        [torch.cat([decoder(part[None], one[None])[0] for part in points.split(chunk)]) for one in embedding]
+    )

@@ -1,0 +1,62 @@
+"""Command that makes a mesh of a photograph: reconstruct."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from objectfolder.cli.console import console
+from objectfolder.errors import ObjectFolderError
+
+
+def reconstruct(
+    photo: Annotated[Path, typer.Argument(metavar="PHOTO", help="A picture of one object.")],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="The mesh to write: .obj, .ply or .glb.")],
+    model: Annotated[Path, typer.Option(help="IMAGE2MESH, a .safetensors file of the benchmark.")],
+    mask: Annotated[
+        Path | None, typer.Option(help="A picture of the same size, white where the object is.")
+    ] = None,
+    background: Annotated[
+        str | None, typer.Option(metavar="R,G,B", help="Colour of a plain background, 0 to 255 each.")
+    ] = None,
+    tolerance: Annotated[
+        int, typer.Option(min=0, max=255, help="Levels by which the object differs from the background.")
+    ] = 30,
+) -> None:
+    """Reconstruct an object's shape from one picture (unit frame: the longest side is 1).
+
+    The background is removed by the picture's transparency if it has any, else by `--mask`, else by
+    `--background`. The model knows objects like those that it was trained on.
+    """
+    from objectfolder.benchmarks.photograph import (
+        check_mesh_name,
+        cut_out,
+        framed,
+        photograph_to_mesh,
+        read_picture,
+        write_mesh,
+    )
+    from objectfolder.benchmarks.shape_model import load_model
+
+    check_mesh_name(out)
+    colour = None if background is None else _colour(background)
+    picture = read_picture(photo)
+    shape = None if mask is None else read_picture(mask, "L")
+    rgba = cut_out(picture, shape, colour, tolerance, str(photo))
+    trained = load_model(model)
+    vertices, faces = photograph_to_mesh(trained, framed(rgba, trained.setup.view))
+    write_mesh(out, vertices, faces)
+    console.print(
+        f"wrote {out}: {len(vertices):,} vertices, {len(faces):,} triangles",
+        highlight=False,
+        soft_wrap=True,
+        markup=False,
+    )
+
+
+def _colour(text: str) -> tuple[int, int, int]:
+    parts = text.split(",")
+    if len(parts) != 3 or not all(part.strip().isdecimal() and int(part) < 256 for part in parts):
+        raise ObjectFolderError(f"--background {text!r}: expected three levels, such as 255,255,255")
+    red, green, blue = map(int, parts)
+    return red, green, blue

@@ -1,0 +1,238 @@
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from solids import box, sphere
+from torch import nn
+
+from objectfolder.benchmarks import encoders, reconstruction
+from objectfolder.benchmarks.encoders import InputSizes, register_encoder
+from objectfolder.benchmarks.occupancy import sample_occupancy
+from objectfolder.benchmarks.reconstruction import (
+    VARIANTS,
+    Task,
+    average_shape,
+    best_level,
+    model_path,
+    reconstruct,
+    selected,
+)
+from objectfolder.benchmarks.shape_model import load_model, save_model
+from objectfolder.benchmarks.splits import Split
+from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.grid import DistanceGrid
+from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.mesh.sdf import distance_grid
+
+SOLIDS = {
+    "ball": sphere(0.45, 3),
+    "block": box((1, 0.3, 0.3)),
+    "slab": box((0.3, 0.3, 1)),
+    "cube": box((0.6, 0.6, 0.6)),
+}
+COUNT = 20
+SURFACES = {key: Isosurface(DistanceGrid(*distance_grid(*solid, 40))) for key, solid in SOLIDS.items()}
+PARAMS = SimpleNamespace(
+    epochs=4,
+    batch=8,
+    points=128,
+    width=24,
+    blocks=1,
+    frequencies=1,
+    learning_rate=1e-2,
+    weight_decay=1e-4,
+    patience=4,
+    resolution=12,
+    score_points=1500,
+    views=2,
+)
+SIZES = InputSizes(12, (16, 10), (8, 6))
+
+
+class Observed:
+    """Pictures of one grey and hums of one pitch per object, with a little noise: easy to tell apart."""
+
+    keys, count, digest = tuple(SOLIDS), COUNT, "observed"
+    labels = np.repeat(np.arange(len(SOLIDS)), COUNT)
+
+    def shape(self, modality):
+        return self.read(modality, np.array([0])).shape[1:]
+
+    def read(self, modality, rows):
+        noise = np.stack([np.random.default_rng(row).normal(size=(16, 16, 3)) for row in rows])
+        label = np.asarray(rows) // COUNT
+        if modality == "vision":
+            return (40 + 50 * label[:, None, None, None] + 5 * noise).clip(0, 255).astype(np.uint8)
+        time = np.arange(32000) / 16000
+        hum = np.sin(2 * np.pi * (500 * (1 + label[:, None])) * time)
+        return (hum * (1 + 0.1 * noise[:, 0, 0, :1])).astype(np.float32)
+
+
+@register_encoder("tiny")
+class Tiny(nn.Module):
+    features = 16
+
+    def __init__(self, channels):
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.AdaptiveAvgPool2d((8, 2)),
+            nn.Flatten(),
+            nn.Linear(16 * channels, 16),
+            nn.BatchNorm1d(16),
+            nn.ReLU(),
+        )
+
+    def forward(self, x):
+        return self.layers(x)
+
+
+@pytest.fixture
+def task(tmp_path, monkeypatch):
+    """Four solids whose surfaces are known, without Object Files."""
+    opened = {key: (lambda surface=surface: surface) for key, surface in SURFACES.items()}
+    occupancy = sample_occupancy(opened, 3000, 600, PARAMS.score_points, PARAMS.resolution, 0)
+    monkeypatch.setattr(reconstruction, "cached_occupancy", lambda *given: occupancy)
+    load = SimpleNamespace(load=lambda path: SimpleNamespace(surface=SURFACES[path.name]))
+    monkeypatch.setattr(reconstruction, "ObjectFile", load)
+    return Task(Observed(), {key: tmp_path / key for key in SOLIDS}, PARAMS, "tiny", SIZES, 0, tmp_path)
+
+
+@pytest.fixture(autouse=True)
+def _one_thread():
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+def untimed(results):
+    """Results without what a clock told."""
+    return json.loads(
+        json.dumps(results), object_hook=lambda d: {k: v for k, v in d.items() if k != "seconds"}
+    )
+
+
+def test_every_variant_beats_the_average_shape_and_a_rerun_gives_the_same(task, tmp_path):
+    results, curves = reconstruct(task, tmp_path / "a", splits=("seen",))
+    seen = results["seen"]
+    assert set(seen) == {*VARIANTS, "average_shape", "perfect", "duplicates"}
+    for variant in VARIANTS:
+        scores = seen[variant]
+        assert scores["iou"] > seen["average_shape"]["iou"] + 0.1
+        assert seen["perfect"]["chamfer_l1"] < scores["chamfer_l1"] < seen["average_shape"]["chamfer_l1"]
+        assert scores["normal_consistency"] < seen["perfect"]["normal_consistency"]
+        assert scores["samples"] == 2 * len(SOLIDS)
+        assert scores["iou"] == pytest.approx(np.mean(list(scores["per_object"].values())))
+        rows = curves[f"seen_{variant}"]
+        assert [row[0] for row in rows] == list(range(1, len(rows) + 1))
+        assert max(row[2] for row in rows) == scores["val_iou"]
+    assert len(curves["seen_VA"]) == 2  # half of the others' four: it starts from them
+    again, curves_again = reconstruct(task, tmp_path / "b", splits=("seen",))
+    assert untimed(again) == untimed(results)
+    assert curves_again == curves
+    names = sorted(path.name for path in (tmp_path / "a").iterdir())
+    assert names == sorted(f"seen_{v}.{end}" for v in VARIANTS for end in ("json", "safetensors"))
+    assert all(
+        (tmp_path / "a" / n).read_bytes() == (tmp_path / "b" / n).read_bytes() for n in names if "safet" in n
+    )
+
+
+def test_an_interrupted_call_goes_on_to_the_same_numbers(task, tmp_path, monkeypatch):
+    whole, curves = reconstruct(task, tmp_path / "whole", splits=("seen",))
+    points = []
+
+    def interrupt(name, point):
+        points.append((name, point.epoch))
+        if points[-1] == ("seen A", 2):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        reconstruct(task, tmp_path / "part", ("seen",), interrupt)
+    went_on = []
+    results, curves_again = reconstruct(
+        task, tmp_path / "part", ("seen",), lambda name, point: went_on.append((name, point.epoch))
+    )
+    assert went_on[0] == ("seen A", 3)  # V is not trained again, nor the first two epochs of A
+    assert untimed(results) == untimed(whole)
+    assert curves_again == curves
+    # What is finished is read, and only what follows from the same request.
+    monkeypatch.setattr(reconstruction, "train", lambda *a, **k: pytest.fail("trained"))
+    assert untimed(reconstruct(task, tmp_path / "part", ("seen",))[0]) == untimed(whole)
+    with pytest.raises(pytest.fail.Exception, match="trained"):
+        reconstruct(replace(task, seed=1), tmp_path / "part", ("seen",))
+
+
+def test_selection_is_the_first_views_of_each_object(task):
+    rows = np.array([3, 5, 7, 21, 40, 41, 42])
+    assert selected(rows, task).tolist() == [3, 5, 21, 40, 41]
+
+
+def test_average_shape_is_the_mean_of_the_training_objects(task):
+    label = {key: i for i, key in enumerate(SOLIDS)}
+
+    def rows(*keys):
+        return np.concatenate([np.arange(4) + COUNT * label[key] for key in keys])
+
+    # Trained on one object and tested on it, the average is that object.
+    same = average_shape(task, Split("one", rows("cube"), rows("cube"), rows("cube")))
+    assert same["iou"] == 1
+    assert same["per_object"] == {"cube": 1}
+    # Of two that are tested on a third: where both are, or where either is, as validation prefers.
+    inside = task.occupancy.score_inside
+    block, slab, cube = (inside[label[key]] for key in ("block", "slab", "cube"))
+    both = average_shape(task, Split("two", rows("block", "slab"), rows("cube"), rows("cube")))
+    candidates = [(both_ & cube).sum() / (both_ | cube).sum() for both_ in (block & slab, block | slab)]
+    assert both["iou"] == pytest.approx(max(candidates))
+    assert both["threshold"] == (0.05 if candidates[1] >= candidates[0] else 0.5)
+
+
+def test_best_level_by_hand():
+    values = np.array([[0.1, 0.4, 0.6, 0.9], [0.2, 0.3, 0.7, 0.8]])
+    inside = np.array([[0, 0, 1, 1], [0, 0, 0, 1]], bool)
+    assert best_level(values, inside, np.array([0.05, 0.5, 0.75])) == (0.5, 0.75)
+    assert best_level(values, inside, np.array([0.35, 0.65, 0.75])) == (0.75, 0.75)
+    assert best_level(values, inside, np.array([0.95, 0.99])) == (0.95, 0.0)  # empty answers are no error
+
+
+def test_model_file_keeps_everything_and_refuses_what_it_is_not(task, tmp_path, brick_path):
+    reconstruct(task, tmp_path / "a", splits=("seen",))
+    path = model_path(tmp_path / "a", "seen", "V")
+    model = load_model(path)
+    assert model.setup.keys == tuple(SOLIDS)
+    assert model.setup.modalities == ("vision",)
+    assert model.setup.view == 16
+    save_model(tmp_path / "copy.safetensors", model)
+    assert (tmp_path / "copy.safetensors").read_bytes() == path.read_bytes()
+    view = Observed().read("vision", np.array([9, 30]))
+    embedding = model.embed({"vision": view})
+    torch.testing.assert_close(embedding[1:], load_model(path).embed({"vision": view[1:]}))
+    points = task.occupancy.score_points
+    inside = model.is_inside(embedding, points)
+    probability = torch.from_numpy(model.logits(embedding, points)).double().sigmoid().numpy()
+    clear = np.abs(probability - model.setup.threshold) > 1e-6
+    assert np.array_equal(inside[clear], (probability > model.setup.threshold)[clear])
+    vertices, faces = model.mesh(embedding[0])
+    level = torch.from_numpy(model.logits(embedding[:1], vertices.astype(np.float32))).sigmoid()
+    assert len(faces) > 20
+    assert (level - model.setup.threshold).abs().median() < 0.1
+    with pytest.raises(ObjectFolderError, match="no reconstruction model"):
+        load_model(brick_path)
+    with pytest.raises(ObjectFolderError, match="does not exist"):
+        load_model(tmp_path / "none.safetensors")
+    broken = replace(model, setup=replace(model.setup, width=25))
+    save_model(tmp_path / "wrong.safetensors", broken)
+    with pytest.raises(ObjectFolderError, match="damaged"):
+        load_model(tmp_path / "wrong.safetensors")
+
+
+def test_encoders_start_from_given_weights(task, tmp_path):
+    weights = encoders.Weights(tmp_path, Tiny(3).state_dict())
+    ones = {name: torch.ones_like(value) for name, value in weights.items()}
+    net = reconstruction.new_net(
+        reconstruction.Setup(("vision",), "tiny", SIZES, 16, 8, 1, 0, 8, ("ball",)),
+        encoders.Weights(tmp_path, ones),
+    )
+    assert all((value == 1).all() for value in net.encoders["vision"].state_dict().values())
