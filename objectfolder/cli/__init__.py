@@ -65,4 +65,6 @@ def main() -> None:
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] == "objectfolder":
             raise
-        sys.exit(f"error: {error.name} is not installed; this needs: pip install -e '.[build]' (make setup)")
+        sys.exit(
+            f"error: {error.name} is not installed; this needs: pip install -e '.[build,bench]' (make setup)"
+        )

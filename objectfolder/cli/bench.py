@@ -1,6 +1,7 @@
 """Commands that run the benchmark tasks on Object Files, without the pipeline: bench."""
 
 import os
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,7 +13,11 @@ from objectfolder.errors import ObjectFolderError
 if TYPE_CHECKING:
     from objectfolder.benchmarks.layout import Benchmarks
     from objectfolder.benchmarks.observations import Observations
+    from objectfolder.benchmarks.tables import Table
     from objectfolder.params import ObserveParams
+
+#: Of each task; only that one is imported.
+MODULES = {"recognize": "recognition", "retrieve": "retrieval", "reconstruct": "reconstruction"}
 
 bench_app = typer.Typer(
     no_args_is_help=True,
@@ -154,8 +159,7 @@ def _run(
 
     from objectfolder import params as objects
     from objectfolder.artifacts import read_json, write_json
-    from objectfolder.benchmarks import recognition, reconstruction, retrieval
-    from objectfolder.benchmarks.encoders import read_weights
+    from objectfolder.benchmarks.encoders import make_encoder, read_weights
     from objectfolder.benchmarks.layout import Benchmarks
     from objectfolder.benchmarks.params import splits_of, task_params
     from objectfolder.benchmarks.running import machine, run_task
@@ -163,11 +167,8 @@ def _run(
     from objectfolder.benchmarks.tables import table
     from objectfolder.catalog import read_preset
 
-    run, columns = {
-        "recognize": (recognition.recognize, recognition.CURVE_COLUMNS),
-        "retrieve": (retrieval.retrieve, retrieval.CURVE_COLUMNS),
-        "reconstruct": (reconstruction.reconstruct, reconstruction.CURVE_COLUMNS),
-    }[task]
+    module = import_module(f"objectfolder.benchmarks.{MODULES[task]}")
+    run, columns = getattr(module, task), module.CURVE_COLUMNS
 
     known = splits_of(task)
     splits = list(dict.fromkeys(splits or known))
@@ -184,6 +185,7 @@ def _run(
         values[task] = {**values[task], "seeds": seeds}
     params = task_params(task, values, path)
     started = read_weights(weights) if weights is not None else None
+    make_encoder(params.encode.encoder, "vision", started)  # a wrong one is said before any work
     folder = Benchmarks(out if out is not None else Path("benchmarks") / (preset or "own"))
     threads = threads or os.cpu_count() or 1
     torch.set_num_threads(threads)
@@ -199,8 +201,20 @@ def _run(
         took = {"seconds": seconds, "threads": threads, "machine": machine(device)}
         write_json(folder.machine(task, split), took)
     for split in splits:
-        print_wide(table(task, split, read_json(folder.result(task, split))), console)
+        _print(table(task, split, read_json(folder.result(task, split))))
         console.print(f"{folder.result(task, split)}  curves: {folder.curve(task, split)}", soft_wrap=True)
+
+
+def _print(shown: "Table") -> None:
+    from rich.table import Table
+
+    grid = Table(title=shown.title)
+    for i, column in enumerate(shown.columns):
+        grid.add_column(column, justify="right" if i else "left")
+    for row in shown.rows:
+        grid.add_row(*row)
+    print_wide(grid)
+    console.print(shown.note, soft_wrap=True)
 
 
 def _object_files(given: list[Path] | None) -> dict[str, Path]:
@@ -213,7 +227,7 @@ def _object_files(given: list[Path] | None) -> dict[str, Path]:
     places = given or [Build("any").dir.parent]
     paths: list[Path] = []
     for place in places:
-        found = sorted(place.rglob(name)) if place.is_dir() else [place]
+        found = sorted(place.rglob(name)) if place.is_dir() else [place] if given else []
         paths += [path for path in found if not (path.parent / RECORD).exists()]  # not those kept as observed
     if not paths:
         raise ObjectFolderError(f"no Object Files in {', '.join(map(str, places))}; build some, or name them")
