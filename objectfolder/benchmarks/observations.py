@@ -6,7 +6,7 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,36 @@ QUERIES = "queries.npz"
 def array_path(folder: Path, modality: str) -> Path:
     """Return where a folder holds one modality."""
     return folder / f"{modality}.npy"
+
+
+def find_folders(paths: Iterable[str | Path]) -> dict[str, Path]:
+    """Find folders of complete observations, by key.
+
+    Parameters
+    ----------
+    paths : iterable of paths
+        Such folders, or folders that hold them at any depth.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there are none in a path, or two of one object.
+    """
+    found: dict[str, Path] = {}
+    for path in map(Path, paths):
+        folders = sorted(record.parent for record in path.rglob(RECORD))
+        if not folders:
+            raise ObjectFolderError(
+                f"{path} holds no observations: no {RECORD} in it or below; sample objects"
+            )
+        for folder in folders:
+            record = read_json(folder / RECORD)
+            key = str(record.get("key")) if isinstance(record, dict) else ""
+            if found.setdefault(key, folder) != folder:
+                raise ObjectFolderError(
+                    f"{key}: both {found[key]} and {folder} hold its observations; give one"
+                )
+    return found
 
 
 class Observations:
@@ -143,8 +173,10 @@ def _record(key: str, folder: Path) -> dict[str, Any]:
         raise ObjectFolderError(
             f"{key}: {folder / RECORD} is of version {known}, expected {VERSION}; sample the object again"
         )
-    if record["key"] != key:
-        raise ObjectFolderError(f"{folder} holds observations of {record['key']}, expected those of {key}")
+    if record.get("key") != key:
+        raise ObjectFolderError(
+            f"{folder} holds observations of {record.get('key')}, expected those of {key}"
+        )
     return record
 
 

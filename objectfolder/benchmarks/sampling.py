@@ -1,13 +1,10 @@
 """Observations of one object, drawn from its Object File: views, sounds, touches (supplementary I.1)."""
 
-import errno
 import hashlib
 import json
 import logging
 import math
-import shutil
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +13,7 @@ import numpy as np
 from objectfolder.artifacts import MODALITIES, atomic, read_json, write_json, write_npz
 from objectfolder.audio.spectrogram import DURATION, SAMPLE_RATE
 from objectfolder.benchmarks.observations import QUERIES, RECORD, VERSION, array_path
+from objectfolder.benchmarks.space import enough_space
 from objectfolder.benchmarks.splits import TEN, check_count
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fileformat import PARTS
@@ -29,7 +27,6 @@ _DTYPES: dict[str, np.dtype[Any]] = {
     "audio": np.dtype(np.float32),
     "touch": np.dtype(np.uint8),
 }
-_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 log = logging.getLogger(__name__)
 
@@ -100,7 +97,8 @@ def sample_observations(
     }
     missing = [modality for modality, array in arrays.items() if array is None]
     needed = sum(_bytes(modality, shapes[modality]) for modality in missing)
-    with _enough_space(file.key, folder, needed):
+    hint = ", or sample fewer or smaller observations; what is complete is kept"
+    with enough_space(f"{file.key}: observations", folder, needed, hint):
         write_npz(folder / QUERIES, **queries)
         for modality in missing:
             array = _write(file, queries, modality, shapes[modality], folder, report)
@@ -266,25 +264,3 @@ def _write(
 
 def _bytes(modality: str, shape: tuple[int, ...]) -> int:
     return math.prod(shape) * _DTYPES[modality].itemsize
-
-
-@contextmanager
-def _enough_space(key: str, folder: Path, needed: int) -> Iterator[None]:
-    """Refuse to start on a disk that is too small, and say so where it fills up on the way."""
-    there = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
-
-    def shortage() -> str:
-        free = shutil.disk_usage(there).free
-        return (
-            f"{key}: no space for its observations in {folder}: {needed:,} bytes needed, {free:,} free; "
-            "make room, or sample fewer or smaller ones; what is complete is kept"
-        )
-
-    if shutil.disk_usage(there).free < needed:
-        raise ObjectFolderError(shortage())
-    try:
-        yield
-    except OSError as error:
-        if error.errno in _FULL:
-            raise ObjectFolderError(shortage()) from error
-        raise

@@ -6,7 +6,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from objectfolder.cli import objectfile, objects, released, sample, sensor, upkeep, workspace
+from objectfolder.cli import export, objectfile, objects, released, sample, sensor, upkeep, workspace
 from objectfolder.errors import ObjectFolderError
 
 __all__ = ["app", "main"]
@@ -36,6 +36,7 @@ app.command("import")(released.import_released)
 app.add_typer(objectfile.query_app, name="query")
 app.add_typer(sample.sample_app, name="sample")
 app.add_typer(sensor.sensor_app, name="sensor")
+app.add_typer(export.export_app, name="export")
 
 
 def main() -> None:

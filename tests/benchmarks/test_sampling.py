@@ -5,9 +5,10 @@ import logging
 import numpy as np
 import pytest
 
-from objectfolder.benchmarks import sampling
+from objectfolder.benchmarks import sampling, space
 from objectfolder.benchmarks.sampling import ask, draw_queries, object_digest, sample_observations
 from objectfolder.errors import ObjectFolderError
+from objectfolder.nets.touch_image import ImageTouch
 from objectfolder.objectfile import ObjectFile
 from objectfolder.touch.profiles import load_profile
 
@@ -216,10 +217,10 @@ def test_wrong_numbers_are_refused(brick, tmp_path, count, resolution, message):
 
 def test_small_disk_is_refused_before_any_work(brick, tmp_path, monkeypatch):
     needed = 10 * (16 * 16 * 3 + 32000 * 4 + 160 * 120 * 3)
-    usage = sampling.shutil.disk_usage(tmp_path)
-    monkeypatch.setattr(sampling.shutil, "disk_usage", lambda path: usage._replace(free=needed - 1))
+    usage = space.shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(space.shutil, "disk_usage", lambda path: usage._replace(free=needed - 1))
     folder = tmp_path / "folder"
-    message = f"brick: no space .* in {folder}: {needed:,} bytes needed, {needed - 1:,} free; make room"
+    message = f"brick: observations: no space in {folder}: at least {needed:,} bytes needed, {needed - 1:,} f"
     with pytest.raises(ObjectFolderError, match=message):
         sample_observations(brick, COUNT, SIDE, 7, folder)
     assert not folder.exists()
@@ -235,7 +236,7 @@ def test_disk_that_fills_up_says_so_and_keeps_what_is_complete(brick, sampled, t
 
     with monkeypatch.context() as patch:
         patch.setattr(sampling, "ask", full)
-        with pytest.raises(ObjectFolderError, match=f"brick: no space for its observations in {tmp_path}: "):
+        with pytest.raises(ObjectFolderError, match=f"brick: observations: no space in {tmp_path}: "):
             sample_observations(brick, COUNT, SIDE, 7, tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["queries.npz", "vision.json", "vision.npy"]
     sample_observations(brick, COUNT, SIDE, 7, tmp_path)
@@ -265,12 +266,23 @@ def test_observations_that_show_nothing_are_counted(brick):
     queries = {name: values[:2] for name, values in draw_queries(brick, 10, 0).items()}
     queries["audio_force"] = np.array([[0, 0, 0], [0, 0, 0.5]])
     queries["touch_depth"] = np.array([0.001, 0.0])
-    queries["vision_camera"] = np.array([[2.5, 0, 0], [1e6, 0, 0]])
+    queries["vision_camera"] = np.array([[0, 0, 2.5], [0, 0, 1e6]])
     assert ask(brick, queries, "audio", SIDE)[1].tolist() == [True, False]
-    assert ask(brick, queries, "vision", 3)[1].tolist() == [False, True]
+    assert ask(brick, queries, "vision", 4)[1].tolist() == [False, True]
     empty = ask(brick, queries, "touch", SIDE)[1]
     assert empty.tolist() == (~brick.press(queries["touch_point"], [0.001, 0]).mask.any((1, 2))).tolist()
     assert not empty[0]
+
+
+def test_net_that_knows_one_press_is_asked_for_that(brick, tmp_path):
+    net = ImageTouch("digit", (6, 4), 0.0012, 0.3, width=8, depth=2, point_octaves=2, pixel_octaves=2)
+    images, config = net.to_tensors()
+    tensors = {name: value for name, value in brick.tensors.items() if not name.startswith("touch.")}
+    tensors |= {f"touch.{name}": value for name, value in images.items()}
+    file = ObjectFile(brick.header | {"touch": {"kind": "image", "net": config}}, tensors)
+    sample_observations(file, COUNT, SIDE, 7, tmp_path)
+    assert (np.load(tmp_path / "queries.npz")["touch_depth"] == 0.0012).all()
+    assert np.load(tmp_path / "touch.npy").shape == (10, 6, 4, 3)
 
 
 def test_silent_object_is_named(brick, tmp_path, monkeypatch, caplog):
@@ -287,7 +299,9 @@ def test_silent_object_is_named(brick, tmp_path, monkeypatch, caplog):
     assert json.loads((tmp_path / "observations.json").read_text())["arrays"]["audio"]["empty"] == 10
 
 
-def test_progress_is_reported(brick, tmp_path):
+def test_observations_do_not_depend_on_how_many_follow(brick, sampled, tmp_path):
     heard = []
-    sample_observations(brick, 20, 8, 7, tmp_path, lambda modality, done: heard.append((modality, done)))
+    sample_observations(brick, 20, SIDE, 7, tmp_path, lambda modality, done: heard.append((modality, done)))
     assert heard == [(name, done) for name in ("vision", "audio", "touch") for done in (10, 20)]
+    for name in ("vision", "audio", "touch"):
+        assert (np.load(tmp_path / f"{name}.npy")[:10] == np.load(sampled / f"{name}.npy")).all()
