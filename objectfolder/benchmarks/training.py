@@ -15,6 +15,7 @@ from objectfolder.artifacts import atomic
 from objectfolder.errors import ObjectFolderError
 
 WARM_UP = 20  #: steps until the learning rate is reached
+MOMENTUM = 0.1  #: least weight of a batch in the statistics of batch normalisation, torch's own
 FORMAT = "objectfolder benchmark training 1"  #: of a checkpoint
 
 Batch = TypeVar("Batch")
@@ -89,6 +90,7 @@ def train(
         "weight_decay": weight_decay,
         "patience": patience,
     }
+    norms = [module for module in net.modules() if isinstance(module, nn.modules.batchnorm._BatchNorm)]
     curve: list[EpochPoint] = []
     best, step = _copied(net), 0
     if checkpoint is not None and checkpoint.is_file():
@@ -102,6 +104,10 @@ def train(
             step += 1
             for group in optimizer.param_groups:
                 group["lr"] = learning_rate * min(1, step / WARM_UP) * decay
+            # The statistics start as the mean of the batches so far: what they held before, such as a
+            # variance of 1, would spoil the first epochs' scores where the true one is small.
+            for norm in norms:
+                norm.momentum = max(MOMENTUM, 1 / step)
             optimizer.zero_grad(set_to_none=True)
             with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
                 loss = batch_loss(batch)

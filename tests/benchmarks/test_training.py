@@ -112,6 +112,22 @@ def test_rate_warms_up_and_then_falls_as_a_cosine(monkeypatch):
     np.testing.assert_allclose(rates, expected, rtol=1e-12)
 
 
+def test_statistics_of_batch_normalisation_forget_what_they_held_before():
+    """Inputs of variance 1e-6 take no more steps than others to be normalised in evaluation."""
+    norm = nn.BatchNorm1d(4)
+    net = nn.Sequential(norm, nn.Linear(4, 2))
+    x = 5 + 1e-3 * torch.randn(64, 4, generator=torch.Generator().manual_seed(0))
+    batches = list(x.split(8))
+
+    def loss(batch):
+        return net(batch).square().mean()
+
+    train(net, lambda epoch: batches, loss, lambda: 0.0, epochs=1, learning_rate=1e-3, patience=1)
+    expected = [torch.stack([f(batch, 0) for batch in batches]).mean(0) for f in (torch.mean, torch.var)]
+    torch.testing.assert_close(norm.running_mean, expected[0])
+    torch.testing.assert_close(norm.running_var, expected[1], rtol=1e-3, atol=0)
+
+
 def test_net_is_in_evaluation_and_without_gradients_while_it_is_scored():
     net, (batches, loss, _), settings = _problem()
 
