@@ -175,9 +175,9 @@ def retrieve(
     """Train and score the retrieval of each pair of modalities, on each split (main paper, Table 3).
 
     Queries are the test rows of one modality, the gallery those of the other; relevant is what is of the same
-    object. Test rows are read once, after the training. The epoch is chosen by the validation rows, ranked
-    among some training rows. The baseline CCA is fitted on the same training rows, and its dimensions are
-    chosen in the same way.
+    object. The epoch is chosen by the validation rows, ranked among some training rows. The baseline CCA is
+    fitted on the same training rows, and its dimensions are chosen in the same way. Nothing is chosen by the
+    test rows, which a net meets once, after its training.
 
     Parameters
     ----------
