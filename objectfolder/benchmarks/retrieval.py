@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import astuple, dataclass
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -25,13 +25,14 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.seeding import numpy_generator, seeded
 
 Pair = tuple[str, str]  #: two modalities
+Maps = dict[str, float]  #: mean average precision by direction, such as V->A
 Batch = tuple[torch.Tensor, torch.Tensor, torch.Tensor]  #: inputs of both streams, classes of the rows
 PAIRS: tuple[Pair, ...] = tuple(combinations(MODALITIES, 2))
 CURVE_COLUMNS = ("split", "first", "second", "seed", "epoch", "train_loss", "val_map")
 FEATURE_SIZES = {"vision": (16, 16), "audio": (64, 8), "touch": (16, 12)}  #: pixels that CCA is given
 DIMENSIONS = (1, 2, 4, 8, 16, 32, 64, 128)  #: principal components and variates that CCA is tried with
 CHUNK = 64  #: rows, at most, that are embedded at once
-STATISTICS = 256  #: training rows that the batch normalisation's statistics are taken from
+SAMPLE = 256  #: training rows for the statistics of batch normalisation, and in the gallery of validation
 
 
 class Params(Protocol):
@@ -174,8 +175,9 @@ def retrieve(
     """Train and score the retrieval of each pair of modalities, on each split (main paper, Table 3).
 
     Queries are the test rows of one modality, the gallery those of the other; relevant is what is of the same
-    object. Test rows are read once, after the training. What the baseline CCA is fitted on are the same
-    training rows, and what it is tried with is chosen by the same validation rows.
+    object. The epoch is chosen by the validation rows, ranked among some training rows. The baseline CCA is
+    fitted on the same training rows, and its dimensions are chosen in the same way. Nothing is chosen by the
+    test rows, which a net meets once, after its training.
 
     Parameters
     ----------
@@ -263,12 +265,26 @@ class _Task:
         for some in np.array_split(rows, -(-len(rows) // CHUNK)):
             yield self.inputs(modality, some)
 
-    def maps(self, pair: Pair, embeddings: Sequence[np.ndarray], rows: np.ndarray) -> dict[str, float]:
-        """Mean average precision by direction, of embeddings of the same rows in two modalities."""
+    @property
+    def sample(self) -> np.ndarray:
+        """Some training rows."""
+        rng = numpy_generator(self.seed, "retrieve", self.split.name, "sample")
+        return rng.permutation(self.split.train)[:SAMPLE]
+
+    @property
+    def validation(self) -> np.ndarray:
+        """Gallery of the validation: its rows, which are the queries, and among them training rows.
+
+        The few validation objects of the split ``unseen`` alone, or the only one, would tell little.
+        """
+        return np.concatenate([self.split.val, self.sample])
+
+    def maps(self, pair: Pair, embeddings: Sequence[np.ndarray], rows: np.ndarray, queries: int) -> Maps:
+        """Score embeddings of rows in two modalities: the first rows are queries, all of them the gallery."""
         labels = self.observations.labels[rows]
         return {
             f"{pair[query][0].upper()}->{pair[1 - query][0].upper()}": mean_average_precision(
-                embeddings[query], labels, embeddings[1 - query], labels
+                embeddings[query][:queries], labels[:queries], embeddings[1 - query], labels
             )
             for query in (0, 1)
         }
@@ -294,7 +310,8 @@ def _finished(task: _Task, pair: Pair, run: int) -> dict[str, Any]:
     if not path.is_file():
         checkpoint = path.with_suffix(".pt")
         net, curve = _trained(task, pair, run, checkpoint)
-        scores = task.maps(pair, _embeddings(task, net, pair, task.split.test), task.split.test)
+        rows = task.split.test
+        scores = task.maps(pair, _embeddings(task, net, pair, rows), rows, len(rows))
         seconds = sum(point.seconds for point in curve)
         write_json(path, {"map": scores, "curve": [astuple(p)[:3] for p in curve], "seconds": seconds})
         checkpoint.unlink()
@@ -323,14 +340,13 @@ def _trained(task: _Task, pair: Pair, run: int, checkpoint: Path) -> tuple[TwoSt
         classification = sum(F.cross_entropy(net.classify(x), targets) for x in (first, second))
         return cross_sensory_loss(first, second, targets, params.margin) + classification
 
-    sample = numpy_generator(task.seed, *purpose, "statistics").permutation(rows)[:STATISTICS]
-
     def val_score() -> float:
         # The running averages of batch normalisation lag behind weights that change fast: on small data the
         # first epochs score near chance, however well they separate the batches (Wu and Johnson 2021).
         for modality, module in zip(pair, net.encoders):
-            update_bn(task.chunks(modality, sample), module)
-        scores = task.maps(pair, _embeddings(task, net, pair, task.split.val), task.split.val)
+            update_bn(task.chunks(modality, task.sample), module)
+        rows = task.validation
+        scores = task.maps(pair, _embeddings(task, net, pair, rows), rows, len(task.split.val))
         return sum(scores.values()) / 2
 
     def report(point: EpochPoint) -> None:
@@ -368,45 +384,42 @@ def _embeddings(task: _Task, net: TwoStream, pair: Pair, rows: np.ndarray) -> li
 def _features(task: _Task, modality: str) -> dict[str, np.ndarray]:
     """What CCA knows of a split's rows: white components of the encoder's input at few pixels; (n, D)."""
     shape = FEATURE_SIZES[modality]
-    features = {
-        name: torch.cat(
-            [
-                F.adaptive_avg_pool2d(x, shape).flatten(1)
-                for x in task.chunks(modality, getattr(task.split, name))
-            ]
-        )
-        for name in SPLITS
+
+    def pixels(rows: np.ndarray) -> np.ndarray:
+        inputs = task.chunks(modality, rows)
+        return torch.cat([F.adaptive_avg_pool2d(x, shape).flatten(1) for x in inputs]).cpu().numpy()
+
+    train = pixels(task.split.train)
+    whiten = cca.whitening(train, max(DIMENSIONS))
+    return {
+        "train": whiten(train),
+        "validation": whiten(pixels(task.validation)),
+        "test": whiten(pixels(task.split.test)),
     }
-    whiten = cca.whitening(features["train"].cpu().numpy(), max(DIMENSIONS))
-    return {name: whiten(value.cpu().numpy()) for name, value in features.items()}
 
 
 def _correlated(
     task: _Task, pair: Pair, features: dict[str, dict[str, np.ndarray]]
-) -> tuple[dict[str, float], dict[str, int]]:
+) -> tuple[Maps, dict[str, int]]:
     """Score CCA by direction, with the dimensions that are best on the validation rows."""
-    split, sides = task.split, [features[modality] for modality in pair]
-    found = {
-        dimensions: cca.directions(
-            sides[0]["train"][:, :dimensions],
-            sides[1]["train"][:, :dimensions],
-            task.observations.labels[split.train],
-        )
-        for dimensions in DIMENSIONS
-    }
+    first, second = (features[modality] for modality in pair)
+    labels = task.observations.labels[task.split.train]
+    found = {d: cca.directions(first["train"][:, :d], second["train"][:, :d], labels) for d in DIMENSIONS}
 
-    def scores(name: str, dimensions: int, components: int) -> dict[str, float]:
-        variates = [
+    def variates(name: str, dimensions: int, components: int) -> list[np.ndarray]:
+        return [
             side[name][:, :dimensions] @ matrix[:, :components]
-            for side, matrix in zip(sides, found[dimensions])
+            for side, matrix in zip((first, second), found[dimensions])
         ]
-        return task.maps(pair, variates, getattr(split, name))
 
+    validation, test = task.validation, task.split.test
     tried = {
-        (dimensions, components): sum(scores("val", dimensions, components).values())
-        for dimensions in DIMENSIONS
-        for components in DIMENSIONS
-        if components <= found[dimensions][0].shape[1]
+        chosen: sum(
+            task.maps(pair, variates("validation", *chosen), validation, len(task.split.val)).values()
+        )
+        for chosen in product(DIMENSIONS, DIMENSIONS)
+        if chosen[1] <= found[chosen[0]][0].shape[1]
     }
-    dimensions, components = max(tried, key=tried.__getitem__)
-    return scores("test", dimensions, components), {"dimensions": dimensions, "components": components}
+    chosen = max(tried, key=tried.__getitem__)
+    scores = task.maps(pair, variates("test", *chosen), test, len(test))
+    return scores, dict(zip(("dimensions", "components"), chosen))

@@ -283,12 +283,14 @@ def test_test_rows_are_read_after_the_training_only(tmp_path, monkeypatch):
     assert from_tests[-2:] == [True, True]
 
 
-def test_unseen_objects(tmp_path):
+def test_unseen_objects_and_one_to_choose_the_epoch_by(tmp_path):
     table = Table(8)
     of = [np.flatnonzero(np.isin(table.labels, objects)) for objects in ([0, 2, 3, 5, 7], [1], [4, 6])]
-    results, _ = run(table, tmp_path, [Split("unseen", *of)], epochs=2)
+    results, curves = run(table, tmp_path, [Split("unseen", *of)], epochs=2)
     assert results["rows"]["unseen"] == {"train": 100, "val": 20, "test": 40}
     assert all(0.5 < score["chance"] < 0.6 for score in results["unseen"].values())  # of two objects
+    assert all(0 < row[6] < 1 for row in curves)
+    assert len({row[6] for row in curves}) > 1
 
 
 def test_same_numbers_again_and_after_an_interruption(tmp_path, monkeypatch):
