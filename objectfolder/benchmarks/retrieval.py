@@ -28,7 +28,7 @@ Pair = tuple[str, str]  #: two modalities
 Maps = dict[str, float]  #: mean average precision by direction, such as V->A
 Batch = tuple[torch.Tensor, torch.Tensor, torch.Tensor]  #: inputs of both streams, classes of the rows
 PAIRS: tuple[Pair, ...] = tuple(combinations(MODALITIES, 2))
-CURVE_COLUMNS = ("split", "first", "second", "seed", "epoch", "train_loss", "val_map")
+CURVE_COLUMNS = ("first", "second", "seed", "epoch", "train_loss", "val_map")
 FEATURE_SIZES = {"vision": (16, 16), "audio": (64, 8), "touch": (16, 12)}  #: pixels that CCA is given
 DIMENSIONS = (1, 2, 4, 8, 16, 32, 64, 128)  #: principal components and variates that CCA is tried with
 CHUNK = 64  #: rows, at most, that are embedded at once
@@ -161,7 +161,7 @@ def paired_batches(
 
 def retrieve(
     observations: Observations,
-    splits: Sequence[Split],
+    split: Split,
     params: Params,
     encoder: str,
     sizes: InputSizes,
@@ -172,7 +172,7 @@ def retrieve(
     device: str | torch.device = "cpu",
     report: Callable[[str], None] = lambda line: None,
 ) -> tuple[dict[str, Any], list[list[Any]]]:
-    """Train and score the retrieval of each pair of modalities, on each split (main paper, Table 3).
+    """Train and score the retrieval of each pair of modalities (main paper, Table 3).
 
     Queries are the test rows of one modality, the gallery those of the other; relevant is what is of the same
     object. The epoch is chosen by the validation rows, ranked among some training rows. The baseline CCA is
@@ -182,7 +182,7 @@ def retrieve(
     Parameters
     ----------
     observations : Observations
-    splits : sequence of Split
+    split : Split
         Validation and test rows that have a duplicate among earlier rows, in any modality, are dropped here.
     params : Params
         Sizes of the training; ``seeds`` nets are trained for each pair.
@@ -202,9 +202,9 @@ def retrieve(
     Returns
     -------
     dict
-        By split and direction (such as ``V->A``: seen, what does it sound like?): ``map`` (mean over the
-        seeds), its ``interval_95``, ``seeds`` (one value each), ``cca`` and ``chance``. Then ``objects``,
-        and by split ``rows``, ``duplicates`` and what was chosen for ``cca``; ``seconds`` of training.
+        ``directions``, such as ``V->A`` (seen, what does it sound like?): ``map`` (mean over the seeds), its
+        ``interval_95``, ``seeds`` (one value each), ``cca`` and ``chance``. Then ``objects``, ``rows``,
+        ``duplicates``, what was chosen for ``cca``, and ``seconds`` of training.
     list
         Rows of the training curves, see `CURVE_COLUMNS`.
 
@@ -213,32 +213,37 @@ def retrieve(
     ObjectFolderError
         If a split cannot be trained on or scored, or a training diverges.
     """
-    results: dict[str, Any] = {"objects": len(observations.keys), "rows": {}, "duplicates": {}, "cca": {}}
+    split, duplicates = without_duplicates(split, observations, MODALITIES)
+    task = _Task(observations, split, params, encoder, sizes, weights, seed, progress, device, report)
+    labels = observations.labels[split.test]
+    chance = chance_map(labels, labels)
+    features = {modality: _features(task, modality) for modality in MODALITIES}
+    directions: dict[str, Any] = {}
+    chosen: dict[str, Any] = {}
     curves: list[list[Any]] = []
     seconds = 0.0
-    for whole in splits:
-        split, results["duplicates"][whole.name] = without_duplicates(whole, observations, MODALITIES)
-        results["rows"][whole.name] = {name: len(getattr(split, name)) for name in SPLITS}
-        task = _Task(observations, split, params, encoder, sizes, weights, seed, progress, device, report)
-        labels = observations.labels[split.test]
-        chance = chance_map(labels, labels)
-        features = {modality: _features(task, modality) for modality in MODALITIES}
-        results[split.name], results["cca"][split.name] = {}, {}
-        for pair in PAIRS:
-            baseline, results["cca"][split.name]["-".join(pair)] = _correlated(task, pair, features)
-            runs = [_finished(task, pair, run) for run in range(params.seeds)]
-            for direction in baseline:
-                values = [run["map"][direction] for run in runs]
-                results[split.name][direction] = {
-                    "map": float(np.mean(values)),
-                    "interval_95": interval_95(values),
-                    "seeds": values,
-                    "cca": baseline[direction],
-                    "chance": chance,
-                }
-            curves += [[split.name, *pair, i, *point] for i, run in enumerate(runs) for point in run["curve"]]
-            seconds += sum(run["seconds"] for run in runs)
-    return {**results, "seconds": seconds}, curves
+    for pair in PAIRS:
+        baseline, chosen["-".join(pair)] = _correlated(task, pair, features)
+        runs = [_finished(task, pair, run) for run in range(params.seeds)]
+        for direction in baseline:
+            values = [run["map"][direction] for run in runs]
+            directions[direction] = {
+                "map": float(np.mean(values)),
+                "interval_95": interval_95(values),
+                "seeds": values,
+                "cca": baseline[direction],
+                "chance": chance,
+            }
+        curves += [[*pair, i, *point] for i, run in enumerate(runs) for point in run["curve"]]
+        seconds += sum(run["seconds"] for run in runs)
+    return {
+        "directions": directions,
+        "cca": chosen,
+        "objects": len(observations.keys),
+        "rows": {name: len(getattr(split, name)) for name in SPLITS},
+        "duplicates": duplicates,
+        "seconds": seconds,
+    }, curves
 
 
 @dataclass(frozen=True)

@@ -87,7 +87,7 @@ def _recognition(split: str, scores: Mapping[str, Any]) -> Table:
 def _retrieval(split: str, scores: Mapping[str, Any]) -> Table:
     rows = []
     for direction, (paper, paper_cca) in PAPER_RETRIEVAL.items():
-        score = scores[direction]
+        score = scores["directions"][direction]
         papers = (f"{paper:.2f}", f"{paper_cca:.2f}") if split == "seen" else ("-", "-")
         ours = (_map(score), f"{score['cca']:.3f}", f"{score['chance']:.3f}")
         rows.append((direction, *ours, *papers))

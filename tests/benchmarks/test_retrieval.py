@@ -92,9 +92,9 @@ def params(**changed):
     return SimpleNamespace(**(values | changed))
 
 
-def run(table, progress, splits=None, **changed):
-    splits = [per_sample(table.keys, table.count)] if splits is None else splits
-    return retrieve(table, splits, params(**changed), "test_linear", SIZES, seed=3, progress=progress)
+def run(table, progress, split=None, **changed):
+    split = per_sample(table.keys, table.count) if split is None else split
+    return retrieve(table, split, params(**changed), "test_linear", SIZES, seed=3, progress=progress)
 
 
 def unit(*degrees):
@@ -234,8 +234,8 @@ def learnt(tmp_path_factory):
 
 def test_learns_what_the_senses_share(learnt):
     _, results, _ = learnt
-    assert set(results["seen"]) == DIRECTIONS
-    for score in results["seen"].values():
+    assert set(results["directions"]) == DIRECTIONS
+    for score in results["directions"].values():
         assert score["map"] == pytest.approx(np.mean(score["seeds"]))
         assert len(score["seeds"]) == 2
         assert score["interval_95"] >= 0
@@ -247,24 +247,22 @@ def test_learns_what_the_senses_share(learnt):
 def test_says_what_it_is_of(learnt):
     _, results, curves = learnt
     assert results["objects"] == 6
-    assert results["rows"]["seen"] == {"train": 96, "val": 12, "test": 12}
-    assert results["duplicates"]["seen"]["audio"] == {"val": 0, "test": 0}
+    assert results["rows"] == {"train": 96, "val": 12, "test": 12}
+    assert results["duplicates"]["audio"] == {"val": 0, "test": 0}
     assert results["seconds"] > 0
     json.dumps(results, allow_nan=False)
     assert len(curves) <= 3 * 2 * 5
     assert {len(row) for row in curves} == {len(CURVE_COLUMNS)}
-    assert {tuple(row[:4]) for row in curves} == {
-        ("seen", a, b, s)
-        for a, b in [("vision", "audio"), ("vision", "touch"), ("audio", "touch")]
-        for s in (0, 1)
+    assert {tuple(row[:3]) for row in curves} == {
+        (a, b, s) for a, b in [("vision", "audio"), ("vision", "touch"), ("audio", "touch")] for s in (0, 1)
     }
 
 
 def test_nothing_is_found_where_the_senses_share_nothing(tmp_path):
     # Ten objects, and for each modality other labels: memorising the training rows must not help.
     results, curves = run(Table(10, strangers=True), tmp_path, epochs=10, patience=10)
-    assert min(row[5] for row in curves) < 0.95 * max(row[5] for row in curves)  # learns rows by heart
-    scores = results["seen"].values()
+    assert min(row[4] for row in curves) < 0.95 * max(row[4] for row in curves)  # learns rows by heart
+    scores = results["directions"].values()
     chance = next(iter(scores))["chance"]
     assert np.mean([score["map"] for score in scores]) == pytest.approx(chance, abs=0.05)
     assert np.mean([score["cca"] for score in scores]) == pytest.approx(chance, abs=0.05)
@@ -277,7 +275,7 @@ def test_test_rows_are_read_after_the_training_only(tmp_path, monkeypatch):
     monkeypatch.setattr(retrieval, "_features", lambda *_: {})
     monkeypatch.setattr(retrieval, "_correlated", lambda *_: ({"V->A": 0.0}, {}))
     monkeypatch.setattr(retrieval, "PAIRS", (("vision", "audio"),))
-    run(table, tmp_path, [split])
+    run(table, tmp_path, split)
     from_tests = [np.isin(rows, split.test).any() for _, rows in table.reads]
     assert sum(from_tests) == 2
     assert from_tests[-2:] == [True, True]
@@ -286,11 +284,11 @@ def test_test_rows_are_read_after_the_training_only(tmp_path, monkeypatch):
 def test_unseen_objects_and_one_to_choose_the_epoch_by(tmp_path):
     table = Table(8)
     of = [np.flatnonzero(np.isin(table.labels, objects)) for objects in ([0, 2, 3, 5, 7], [1], [4, 6])]
-    results, curves = run(table, tmp_path, [Split("unseen", *of)], epochs=2)
-    assert results["rows"]["unseen"] == {"train": 100, "val": 20, "test": 40}
-    assert all(0.5 < score["chance"] < 0.6 for score in results["unseen"].values())  # of two objects
-    assert all(0 < row[6] < 1 for row in curves)
-    assert len({row[6] for row in curves}) > 1
+    results, curves = run(table, tmp_path, Split("unseen", *of), epochs=2)
+    assert results["rows"] == {"train": 100, "val": 20, "test": 40}
+    assert all(0.5 < score["chance"] < 0.6 for score in results["directions"].values())  # of two objects
+    assert all(0 < row[5] < 1 for row in curves)
+    assert len({row[5] for row in curves}) > 1
 
 
 def test_same_numbers_again_and_after_an_interruption(tmp_path, monkeypatch):
@@ -307,7 +305,7 @@ def test_same_numbers_again_and_after_an_interruption(tmp_path, monkeypatch):
         if "vision and touch" in line and "epoch 2" in line:
             raise Interrupted
 
-    arguments = (table, [per_sample(table.keys, table.count)], params(epochs=3), "test_linear", SIZES)
+    arguments = (table, per_sample(table.keys, table.count), params(epochs=3), "test_linear", SIZES)
     with pytest.raises(Interrupted):
         retrieve(*arguments, seed=3, progress=tmp_path / "cut", report=stop_in_the_second_training)
     assert sorted(path.suffix for path in (tmp_path / "cut").iterdir()) == [".json", ".pt"]
