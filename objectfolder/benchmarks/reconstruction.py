@@ -38,13 +38,17 @@ from objectfolder.seeding import numpy_generator, seeded
 #: What each variant looks at. VA comes last: it starts from the encoders of the others.
 VARIANTS: dict[str, tuple[str, ...]] = {"V": ("vision",), "A": ("audio",), "VA": ("vision", "audio")}
 CURVE = ("epoch", "train_loss", "val_iou")  #: columns of a training curve
+#: Steps from one encoded batch, each on other points; all but the first train fusion and decoder alone.
+#: Shapes take many more steps to learn than features, and encoders most of the time.
+POINT_SETS = 4
 POOL = 2**16  #: points of each kind to train on, per object
 VAL_POINTS = 2**12  #: uniform points to validate on
 #: Occupancies that are tried as the threshold; the best on validation is taken.
 THRESHOLDS = np.linspace(0.05, 0.95, 19).round(2)
 
 
-Batch = tuple[dict[str, torch.Tensor], torch.Tensor, torch.Tensor]
+#: Inputs of the encoders, or None for those of the batch before; points; whether they are inside.
+Batch = tuple[dict[str, torch.Tensor] | None, torch.Tensor, torch.Tensor]
 
 
 class ReconstructParams(Protocol):
@@ -307,12 +311,21 @@ def _trained(
             inputs = {
                 m: prepare(m, observations.read(m, rows), task.sizes, rng).to(device) for m in modalities
             }
-            points, inside = occupancy.draw(labels[rows], params.points, rng)
-            yield inputs, torch.from_numpy(points).to(device), torch.from_numpy(inside).to(device)
+            for given in (inputs, *[None] * (POINT_SETS - 1)):
+                points, inside = occupancy.draw(labels[rows], params.points, rng)
+                yield given, torch.from_numpy(points).to(device), torch.from_numpy(inside).to(device)
+
+    encoded: list[torch.Tensor] = []
 
     def batch_loss(batch: Batch) -> torch.Tensor:
         inputs, points, inside = batch
-        return F.binary_cross_entropy_with_logits(net(inputs, points), inside.float())
+        if inputs is None:
+            (features,) = encoded
+        else:
+            features = net.features(inputs)
+            encoded[:] = [features.detach()]
+        logits = net.decoder(points, net.fusion(features))
+        return F.binary_cross_entropy_with_logits(logits, inside.float())
 
     model = ShapeModel(setup, net)
     val = selected(split.val, task)
