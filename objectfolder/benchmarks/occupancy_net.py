@@ -115,10 +115,13 @@ class Reconstructor(nn.Module):
         )
         self.decoder = OccupancyDecoder(width, blocks, frequencies)
 
+    def features(self, inputs: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        """Encode a batch of images, sounds, or both, of the same objects; (B, 512) or (B, 1024)."""
+        return torch.cat([encoder(inputs[modality]) for modality, encoder in self.encoders.items()], 1)
+
     def embed(self, inputs: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """Describe the shapes that a batch of images, sounds, or both, of the same objects show; (B, 256)."""
-        features = [encoder(inputs[modality]) for modality, encoder in self.encoders.items()]
-        return self.fusion(torch.cat(features, 1))
+        return self.fusion(self.features(inputs))
 
     def forward(self, inputs: Mapping[str, torch.Tensor], points: torch.Tensor) -> torch.Tensor:
         """Logits (B, P) that points (B, P, 3), unit frame, are inside; their sigmoid is the occupancy."""

@@ -21,7 +21,7 @@ from objectfolder.artifacts import read_json, write_json
 from objectfolder.benchmarks.encoders import InputSizes, prepare
 from objectfolder.benchmarks.observations import Observations
 from objectfolder.benchmarks.occupancy import Occupancy, cached_occupancy
-from objectfolder.benchmarks.occupancy_net import Reconstructor
+from objectfolder.benchmarks.occupancy_net import EMBEDDING, Reconstructor
 from objectfolder.benchmarks.shape_model import Setup, ShapeModel, load_model, new_net, save_model
 from objectfolder.benchmarks.shapes import (
     Surface,
@@ -38,13 +38,17 @@ from objectfolder.seeding import numpy_generator, seeded
 #: What each variant looks at. VA comes last: it starts from the encoders of the others.
 VARIANTS: dict[str, tuple[str, ...]] = {"V": ("vision",), "A": ("audio",), "VA": ("vision", "audio")}
 CURVE = ("epoch", "train_loss", "val_iou")  #: columns of a training curve
+#: Steps from one encoded batch, each on other points; all but the first train fusion and decoder alone.
+#: Shapes take many more steps to learn than features, and encoders most of the time.
+POINT_SETS = 4
 POOL = 2**16  #: points of each kind to train on, per object
 VAL_POINTS = 2**12  #: uniform points to validate on
 #: Occupancies that are tried as the threshold; the best on validation is taken.
 THRESHOLDS = np.linspace(0.05, 0.95, 19).round(2)
 
 
-Batch = tuple[dict[str, torch.Tensor], torch.Tensor, torch.Tensor]
+#: Inputs of the encoders, or None for those of the batch before; points; whether they are inside.
+Batch = tuple[dict[str, torch.Tensor] | None, torch.Tensor, torch.Tensor]
 
 
 class ReconstructParams(Protocol):
@@ -131,7 +135,8 @@ def reconstruct(
 
     An interrupted call goes on where it was: ``folder`` keeps what is finished, and the running training.
     Test rows are looked at once, after everything was chosen on validation rows. Every variant trains at
-    most ``epochs`` epochs; VA half as many, as it starts from the encoders of V and A and from V's decoder.
+    most ``epochs`` epochs; VA half as many, as it starts from the encoders of V and A, and from the fusion
+    and the decoder of the one that validates better.
 
     Parameters
     ----------
@@ -181,6 +186,10 @@ def model_path(folder: Path, split: str, variant: str) -> Path:
     return folder / f"{split}_{variant}.safetensors"
 
 
+def _result_path(folder: Path, split: str, variant: str) -> Path:
+    return folder / f"{split}_{variant}.json"
+
+
 def selected(rows: np.ndarray, task: Task) -> np.ndarray:
     """Return the rows that are scored: the first ``views`` of each object, in order."""
     labels = task.observations.labels[rows]
@@ -226,7 +235,7 @@ def _finished(
     task: Task, split: Split, variant: str, folder: Path, report: Callable[[str, EpochPoint], None]
 ) -> dict[str, Any]:
     """Scores and curve of a variant: read, if they are there and of the same request, or made."""
-    path, model = folder / f"{split.name}_{variant}.json", model_path(folder, split.name, variant)
+    path, model = _result_path(folder, split.name, variant), model_path(folder, split.name, variant)
     request = _request(task, split, variant)
     if path.is_file() and model.is_file():
         stored: dict[str, Any] = read_json(path)
@@ -302,12 +311,21 @@ def _trained(
             inputs = {
                 m: prepare(m, observations.read(m, rows), task.sizes, rng).to(device) for m in modalities
             }
-            points, inside = occupancy.draw(labels[rows], params.points, rng)
-            yield inputs, torch.from_numpy(points).to(device), torch.from_numpy(inside).to(device)
+            for given in (inputs, *[None] * (POINT_SETS - 1)):
+                points, inside = occupancy.draw(labels[rows], params.points, rng)
+                yield given, torch.from_numpy(points).to(device), torch.from_numpy(inside).to(device)
+
+    encoded: list[torch.Tensor] = []
 
     def batch_loss(batch: Batch) -> torch.Tensor:
         inputs, points, inside = batch
-        return F.binary_cross_entropy_with_logits(net(inputs, points), inside.float())
+        if inputs is None:
+            (features,) = encoded
+        else:
+            features = net.features(inputs)
+            encoded[:] = [features.detach()]
+        logits = net.decoder(points, net.fusion(features))
+        return F.binary_cross_entropy_with_logits(logits, inside.float())
 
     model = ShapeModel(setup, net)
     val = selected(split.val, task)
@@ -343,12 +361,28 @@ def _started(
         net = new_net(setup, task.weights)
     if len(setup.modalities) == 1:
         return net, task.params.epochs
-    parts = [load_model(model_path(folder, split.name, variant)).net for variant in ("V", "A")]
+    parts = {variant: load_model(model_path(folder, split.name, variant)).net for variant in ("V", "A")}
+    scores = {v: read_json(_result_path(folder, split.name, v))["scores"]["val_iou"] for v in parts}
+    _start_from(net, list(parts.values()), parts[max(scores, key=lambda variant: scores[variant])])
+    return net, -(-task.params.epochs // 2)
+
+
+def _start_from(net: Reconstructor, parts: Sequence[Reconstructor], best: Reconstructor) -> None:
+    """Give a net the encoders of nets of one modality each; it answers as the best of them at first."""
     for part in parts:
         for modality, encoder in part.encoders.items():
             net.encoders[modality].load_state_dict(encoder.state_dict())
-    net.decoder.load_state_dict(parts[0].decoder.state_dict())
-    return net, -(-task.params.epochs // 2)
+    net.decoder.load_state_dict(best.decoder.state_dict())
+    fusion = best.fusion.state_dict()
+    widths = [part.fusion.get_parameter("0.weight").shape[1] for part in parts]
+    fusion["0.weight"] = torch.cat(
+        [
+            fusion["0.weight"] if part is best else torch.zeros(EMBEDDING, width)
+            for part, width in zip(parts, widths)
+        ],
+        1,
+    )
+    net.fusion.load_state_dict(fusion)
 
 
 def score_model(task: Task, split: Split, variant: str, model: ShapeModel) -> dict[str, Any]:
