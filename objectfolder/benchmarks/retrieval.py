@@ -12,7 +12,6 @@ import numpy as np
 import torch
 from torch import nn
 from torch.nn import functional as F
-from torch.optim.swa_utils import update_bn
 
 from objectfolder.artifacts import MODALITIES, SPLITS, file_digest, read_json, write_json
 from objectfolder.benchmarks import cca
@@ -346,10 +345,6 @@ def _trained(task: _Task, pair: Pair, run: int, checkpoint: Path) -> tuple[TwoSt
         return cross_sensory_loss(first, second, targets, params.margin) + classification
 
     def val_score() -> float:
-        # The running averages of batch normalisation lag behind weights that change fast: on small data the
-        # first epochs score near chance, however well they separate the batches (Wu and Johnson 2021).
-        for modality, module in zip(pair, net.encoders):
-            update_bn(task.chunks(modality, task.sample), module)
         rows = task.validation
         scores = task.maps(pair, _embeddings(task, net, pair, rows), rows, len(task.split.val))
         return sum(scores.values()) / 2

@@ -2,8 +2,9 @@
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import astuple, dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,10 +16,11 @@ from objectfolder.artifacts import atomic
 from objectfolder.errors import ObjectFolderError
 
 WARM_UP = 20  #: steps until the learning rate is reached
-MOMENTUM = 0.1  #: least weight of a batch in the statistics of batch normalisation, torch's own
+STATISTICS = 8  #: batches that the statistics of batch normalisation are taken from, after each epoch
 FORMAT = "objectfolder benchmark training 1"  #: of a checkpoint
 
 Batch = TypeVar("Batch")
+Norm = nn.modules.batchnorm._BatchNorm
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ def train(
         "weight_decay": weight_decay,
         "patience": patience,
     }
-    norms = [module for module in net.modules() if isinstance(module, nn.modules.batchnorm._BatchNorm)]
+    norms = [module for module in net.modules() if isinstance(module, Norm)]
     curve: list[EpochPoint] = []
     best, step = _copied(net), 0
     if checkpoint is not None and checkpoint.is_file():
@@ -104,10 +106,6 @@ def train(
             step += 1
             for group in optimizer.param_groups:
                 group["lr"] = learning_rate * min(1, step / WARM_UP) * decay
-            # The statistics start as the mean of the batches so far: what they held before, such as a
-            # variance of 1, would spoil the first epochs' scores where the true one is small.
-            for norm in norms:
-                norm.momentum = max(MOMENTUM, 1 / step)
             optimizer.zero_grad(set_to_none=True)
             with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
                 loss = batch_loss(batch)
@@ -115,6 +113,7 @@ def train(
             optimizer.step()
             losses.append(loss.detach())
         train_loss = torch.stack(losses).double().mean().item()
+        _renew(norms, islice(epoch_batches(epoch), STATISTICS), batch_loss)
         net.eval()
         with torch.no_grad():
             score = float(val_score())
@@ -142,6 +141,22 @@ def train(
     net.load_state_dict(best)
     net.eval()
     return curve
+
+
+def _renew(
+    norms: Sequence[Norm], batches: Iterable[Batch], batch_loss: Callable[[Batch], torch.Tensor]
+) -> None:
+    """Take the statistics of batch normalisation anew, as means over some batches (Wu and Johnson 2021).
+
+    Running averages lag behind weights that change fast: on small data the first epochs would score near
+    chance, however well they separate their batches.
+    """
+    for norm in norms:
+        norm.reset_running_stats()
+        norm.momentum = None  # the mean of all batches, not a running average
+    with torch.no_grad():
+        for batch in batches if norms else ():
+            batch_loss(batch)
 
 
 def shuffled(rows: np.ndarray, batch: int, rng: np.random.Generator) -> Iterator[np.ndarray]:
