@@ -45,6 +45,7 @@ class ReconstructParams(Training):  # noqa: D101
     points: int = Count  #: whose occupancy is learned, per observation and step
     width: int = Count  #: of the occupancy network
     blocks: int = Count
+    frequencies: int = Field(ge=0, le=12)  #: octaves of the points' positional encoding; 0 is the paper's
     resolution: int = Field(ge=8)  #: of marching cubes
     score_points: int = Count  #: of IoU, and of either surface for the distances
     views: int = Count  #: test observations per object that are meshed
