@@ -99,8 +99,10 @@ def check_tasks(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
     for task in TASKS:
         task_params(task, values, path)
     if "benchmarks" not in values:
-        empty = {task: [] for task in TASKS}
-        raise ObjectFolderError(f"{path} lacks `benchmarks`, the splits that a build runs; add {empty}")
+        empty = ", ".join(f"{task}: []" for task in TASKS)
+        raise ObjectFolderError(
+            f"{path} lacks `benchmarks`, the splits that a build runs; add `benchmarks: {{{empty}}}`"
+        )
     validate(Splits, values["benchmarks"], f"{path}: benchmarks")
 
 

@@ -4,25 +4,25 @@ From an image, a sound, or both to the object's shape in its own frame, by an oc
 encoders of the other benchmarks. IMAGE2MESH is "V", AUDIO2MESH "A", IMAGE+AUDIO2MESH "VA".
 """
 
-import hashlib
-import json
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import astuple, dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
+from shutil import copyfile
 from typing import Any, Protocol
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 
-from objectfolder.artifacts import read_json, write_json
-from objectfolder.benchmarks.encoders import InputSizes, prepare
+from objectfolder.artifacts import SPLITS, read_json, write_json, write_png
+from objectfolder.benchmarks.encoders import InputSizes, Weights, prepare
 from objectfolder.benchmarks.observations import Observations
 from objectfolder.benchmarks.occupancy import Occupancy, cached_occupancy
 from objectfolder.benchmarks.occupancy_net import EMBEDDING, Reconstructor
 from objectfolder.benchmarks.shape_model import Setup, ShapeModel, load_model, new_net, save_model
+from objectfolder.benchmarks.shape_pictures import sheet
 from objectfolder.benchmarks.shapes import (
     Surface,
     extract_mesh,
@@ -30,14 +30,16 @@ from objectfolder.benchmarks.shapes import (
     sampled_surface,
     surface_scores,
 )
-from objectfolder.benchmarks.splits import Split, named_split, without_duplicates
+from objectfolder.benchmarks.splits import Split, without_duplicates
 from objectfolder.benchmarks.training import EpochPoint, shuffled, train
+from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile import ObjectFile
 from objectfolder.seeding import numpy_generator, seeded
 
+SHOWN = 8  #: test rows in the picture
 #: What each variant looks at. VA comes last: it starts from the encoders of the others.
 VARIANTS: dict[str, tuple[str, ...]] = {"V": ("vision",), "A": ("audio",), "VA": ("vision", "audio")}
-CURVE = ("epoch", "train_loss", "val_iou")  #: columns of a training curve
+CURVE_COLUMNS = ("variant", "epoch", "train_loss", "val_iou")
 #: Steps from one encoded batch, each on other points; all but the first train fusion and decoder alone.
 #: Shapes take many more steps to learn than features, and encoders most of the time.
 POINT_SETS = 4
@@ -70,41 +72,26 @@ class ReconstructParams(Protocol):
 
 @dataclass(frozen=True)
 class Task:
-    """What all variants share.
-
-    Parameters
-    ----------
-    observations : Observations
-    files : mapping of str to Path
-        Object Files by key.
-    params : ReconstructParams
-    encoder : str
-    sizes : InputSizes
-    seed : int
-    cache : Path
-        Folder that keeps occupancy samples (``occupancy.npz``).
-    weights : mapping of str to torch.Tensor, optional
-        What encoders start from; see `objectfolder.benchmarks.encoders.read_weights`.
-    device : str
-    """
+    """Arguments of `reconstruct`, and what is made of them once."""
 
     observations: Observations
-    files: Mapping[str, Path]
+    split: Split
     params: ReconstructParams
     encoder: str
     sizes: InputSizes
     seed: int
-    cache: Path
-    weights: Mapping[str, torch.Tensor] | None = None
-    device: str = "cpu"
+    progress: Path
+    weights: Weights | None = None
+    device: str | torch.device = "cpu"
+    report: Callable[[str], None] = lambda line: None
 
     @cached_property
     def occupancy(self) -> Occupancy:
         """Occupancy samples of all objects; made at first use, or read."""
-        files = {key: self.files[key] for key in self.observations.keys}
+        files = {key: self.observations.object_file(key) for key in self.observations.keys}
         p = self.params
         return cached_occupancy(
-            self.cache / "occupancy.npz", files, POOL, VAL_POINTS, p.score_points, p.resolution, self.seed
+            self.progress / "occupancy.npz", files, POOL, VAL_POINTS, p.score_points, p.resolution, self.seed
         )
 
     @cached_property
@@ -112,9 +99,12 @@ class Task:
         """Sampled surface of an object, by label."""
         return cache(lambda label: self._surface(label, "truth"))
 
+    def surface(self, label: int) -> Isosurface:
+        """Stored surface of an object."""
+        return ObjectFile.load(self.observations.object_file(self.observations.keys[label])).surface
+
     def _surface(self, label: int, purpose: str) -> Surface:
-        key = self.observations.keys[label]
-        surface = ObjectFile.load(self.files[key]).surface
+        key, surface = self.observations.keys[label], self.surface(label)
         rng = numpy_generator(self.seed, "reconstruct", "surface", purpose, key)
         sampled = sampled_surface(surface.vertices, surface.faces, self.params.score_points, rng)
         assert sampled is not None  # an Object File without a surface is refused when it is read
@@ -126,68 +116,82 @@ class Task:
 
 
 def reconstruct(
-    task: Task,
-    folder: Path,
-    splits: Sequence[str] = ("seen", "unseen"),
-    report: Callable[[str, EpochPoint], None] = lambda name, point: None,
-) -> tuple[dict[str, Any], dict[str, list[list[float]]]]:
-    """Train and score all variants on all splits.
+    observations: Observations,
+    split: Split,
+    params: ReconstructParams,
+    encoder: str,
+    sizes: InputSizes,
+    *,
+    weights: Weights | None = None,
+    seed: int,
+    progress: Path,
+    device: str | torch.device = "cpu",
+    report: Callable[[str], None] = lambda line: None,
+) -> tuple[dict[str, Any], list[list[Any]]]:
+    """Train and score all variants (main paper, Table 4).
 
-    An interrupted call goes on where it was: ``folder`` keeps what is finished, and the running training.
-    Test rows are looked at once, after everything was chosen on validation rows. Every variant trains at
-    most ``epochs`` epochs; VA half as many, as it starts from the encoders of V and A, and from the fusion
-    and the decoder of the one that validates better.
+    Test rows are looked at once, after everything was chosen on validation rows. Every variant trains at most
+    ``epochs`` epochs; VA half as many, as it starts from the encoders of V and A, and from the fusion and the
+    decoder of the one that validates better.
 
     Parameters
     ----------
-    task : Task
-    folder : Path
-        Of this benchmark alone.
-    splits : sequence of str
-        "seen": test views and sounds of objects that were trained on, as in the paper. "unseen": of others.
-    report : callable
-        Called with "seen V" or the like and each new point of a training curve.
+    observations : Observations
+    split : Split
+        Kept-back rows that show what is learnt from are dropped.
+    params : ReconstructParams
+    encoder : str
+        Name of the encoders (`objectfolder.benchmarks.encoders.register_encoder`).
+    sizes : InputSizes
+    weights : Weights, optional
+        That encoders start from.
+    seed : int
+    progress : Path
+        Folder of what is finished, and of checkpoints. A call that was interrupted goes on from it: it must
+        be empty, or of a call with the same arguments. The model of views is left there as
+        ``model.safetensors``, and a picture of some meshes as ``sheet.png``.
+    device : str or torch.device, optional
+    report : callable, optional
+        Called with a line about each epoch.
 
     Returns
     -------
     dict
-        By split, then by variant or ``average_shape`` (the mean occupancy of the training objects): ``iou``,
+        By variant, and ``average_shape`` (the mean occupancy of the training objects): ``iou``,
         ``chamfer_l1``, ``normal_consistency`` (see `objectfolder.benchmarks.shapes`), means over ``samples``
         test rows, of which ``empty`` gave no surface; ``threshold``; ``per_object``, IoU by key; of variants
-        also ``epochs``, ``val_iou`` and ``seconds``. Beside them ``perfect``, the surface scores of the truth
-        against itself, and ``duplicates``, rows that were dropped because the training set holds the like.
-    dict
-        By "seen_V" or the like, rows of a training curve, whose columns are `CURVE`.
+        also ``epochs`` and ``val_iou``. Beside them ``perfect``, the surface scores of the truth against
+        itself, ``objects``, ``rows``, ``duplicates`` that were dropped, and ``seconds``.
+    list
+        Rows of the training curves: `CURVE_COLUMNS`.
 
     Raises
     ------
     ObjectFolderError
-        If files or checkpoints are damaged, a split cannot be made, or training diverges.
+        If files or checkpoints are damaged, or training diverges.
     """
-    results: dict[str, Any] = {}
-    curves: dict[str, list[list[float]]] = {}
-    for name in splits:
-        made = named_split(name, task.observations.keys, task.observations.count)
-        split, duplicates = without_duplicates(made, task.observations, ("vision", "audio"))
-        results[name] = {"duplicates": duplicates}
-        for variant in VARIANTS:
-            done = _finished(task, split, variant, folder, report)
-            results[name][variant] = done["scores"]
-            curves[f"{name}_{variant}"] = done["curve"]
-        results[name]["average_shape"] = average_shape(task, split)
-        chosen = task.observations.labels[selected(split.test, task)]
-        floors = np.mean([task.floor(int(label)) for label in np.unique(chosen)], 0)
-        results[name]["perfect"] = dict(zip(("chamfer_l1", "normal_consistency"), floors.tolist()))
-    return results, curves
+    split, duplicates = without_duplicates(split, observations, ("vision", "audio"))
+    task = Task(observations, split, params, encoder, sizes, seed, progress, weights, device, report)
+    finished = {variant: _finished(task, variant) for variant in VARIANTS}
+    chosen = np.unique(observations.labels[selected(split.test, task)])
+    floors = np.mean([task.floor(int(label)) for label in chosen], 0)
+    scores = {
+        **{variant: done["scores"] for variant, done in finished.items()},
+        "average_shape": average_shape(task),
+        "perfect": dict(zip(("chamfer_l1", "normal_consistency"), floors.tolist())),
+        "objects": len(observations.keys),
+        "rows": {name: len(getattr(split, name)) for name in SPLITS},
+        "duplicates": duplicates,
+        "seconds": sum(done["seconds"] for done in finished.values()),
+    }
+    copyfile(model_path(task, "V"), progress / "model.safetensors")
+    write_png(progress / "sheet.png", _sheet(task))
+    return scores, [[variant, *row] for variant, done in finished.items() for row in done["curve"]]
 
 
-def model_path(folder: Path, split: str, variant: str) -> Path:
-    """Where `reconstruct` keeps a trained model, such as IMAGE2MESH of split "seen", variant "V"."""
-    return folder / f"{split}_{variant}.safetensors"
-
-
-def _result_path(folder: Path, split: str, variant: str) -> Path:
-    return folder / f"{split}_{variant}.json"
+def model_path(task: Task, variant: str) -> Path:
+    """Where a trained model is kept until all are finished."""
+    return task.progress / f"{variant}.safetensors"
 
 
 def selected(rows: np.ndarray, task: Task) -> np.ndarray:
@@ -197,12 +201,12 @@ def selected(rows: np.ndarray, task: Task) -> np.ndarray:
     return np.concatenate(chosen)
 
 
-def average_shape(task: Task, split: Split) -> dict[str, Any]:
+def average_shape(task: Task) -> dict[str, Any]:
     """Score the mean occupancy of the training objects, the same answer whatever is seen or heard.
 
     The threshold is the best one on validation rows.
     """
-    labels, occupancy = task.observations.labels, task.occupancy
+    split, labels, occupancy = task.split, task.observations.labels, task.occupancy
     learnt = np.unique(labels[split.train])
     test, val = labels[selected(split.test, task)], labels[selected(split.val, task)]
 
@@ -216,9 +220,7 @@ def average_shape(task: Task, split: Split) -> dict[str, Any]:
     grid = occupancy.grid(learnt).mean(0, dtype=np.float32).reshape(side, side, side)
     inside = mean(occupancy.score_inside) > level
     mesh = extract_mesh(grid, level)
-    return _scores(task, split, "average_shape", test, lambda i: inside, lambda i: mesh) | {
-        "threshold": level
-    }
+    return _scores(task, "average_shape", test, lambda i: inside, lambda i: mesh) | {"threshold": level}
 
 
 def best_level(values: np.ndarray, inside: np.ndarray, levels: np.ndarray) -> tuple[float, float]:
@@ -231,65 +233,32 @@ def best_level(values: np.ndarray, inside: np.ndarray, levels: np.ndarray) -> tu
     return float(levels[best]), scores[best]
 
 
-def _finished(
-    task: Task, split: Split, variant: str, folder: Path, report: Callable[[str, EpochPoint], None]
-) -> dict[str, Any]:
-    """Scores and curve of a variant: read, if they are there and of the same request, or made."""
-    path, model = _result_path(folder, split.name, variant), model_path(folder, split.name, variant)
-    request = _request(task, split, variant)
-    if path.is_file() and model.is_file():
-        stored: dict[str, Any] = read_json(path)
-        if stored.get("request") == request:
-            return stored
-    start = time.perf_counter()
-    checkpoint = folder / f".{split.name}_{variant}.{request[:16]}.pt"
-    trained, curve = _trained(
-        task, split, variant, folder, checkpoint, lambda point: report(f"{split.name} {variant}", point)
-    )
-    save_model(model, trained)
-    scores = score_model(task, split, variant, trained) | {
-        "epochs": len(curve),
-        "val_iou": max(point.val_score for point in curve),
-        "seconds": sum(point.seconds for point in curve) + time.perf_counter() - start,
-    }
-    done = {
-        "request": request,
-        "scores": scores,
-        "curve": [[point.epoch, point.train_loss, point.val_score] for point in curve],
-    }
-    write_json(path, done)
-    checkpoint.unlink(missing_ok=True)
-    return done
+def _finished(task: Task, variant: str) -> dict[str, Any]:
+    """Scores and curve of a variant; trained if no earlier call did."""
+    path = task.progress / f"{variant}.json"
+    if not path.is_file():
+        start = time.perf_counter()
+        checkpoint = task.progress / f"{variant}.pt"
+        model, curve = _trained(task, variant, checkpoint)
+        save_model(model_path(task, variant), model)
+        scores = score_model(task, variant, model) | {
+            "epochs": len(curve),
+            "val_iou": max(point.val_score for point in curve),
+        }
+        done = {
+            "scores": scores,
+            "curve": [astuple(point)[:3] for point in curve],
+            "seconds": time.perf_counter() - start,
+        }
+        write_json(path, done)
+        checkpoint.unlink(missing_ok=True)
+    stored: dict[str, Any] = read_json(path)
+    return stored
 
 
-def _request(task: Task, split: Split, variant: str) -> str:
-    """Digest of all that scores follow from."""
-    names = ReconstructParams.__annotations__
-    weights = hashlib.sha256()
-    for name, value in sorted((task.weights or {}).items()):
-        weights.update(name.encode() + value.contiguous().numpy().tobytes())
-    said = {
-        "observations": task.observations.digest,
-        "split": [split.name, *(rows.tolist() for rows in (split.train, split.val, split.test))],
-        "variant": variant,
-        "params": {name: getattr(task.params, name) for name in names},
-        "encoder": task.encoder,
-        "sizes": asdict(task.sizes),
-        "seed": task.seed,
-        "weights": weights.hexdigest(),
-    }
-    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
-
-
-def _trained(
-    task: Task,
-    split: Split,
-    variant: str,
-    folder: Path,
-    checkpoint: Path,
-    report: Callable[[EpochPoint], None],
-) -> tuple[ShapeModel, list[EpochPoint]]:
-    observations, occupancy, params = task.observations, task.occupancy, task.params
+def _trained(task: Task, variant: str, checkpoint: Path) -> tuple[ShapeModel, list[EpochPoint]]:
+    """Train one variant, or go on from its checkpoint."""
+    observations, occupancy, params, split = task.observations, task.occupancy, task.params, task.split
     labels, modalities, device = observations.labels, VARIANTS[variant], torch.device(task.device)
     setup = Setup(
         modalities,
@@ -303,7 +272,7 @@ def _trained(
         tuple(observations.keys[label] for label in np.unique(labels[split.train])),
     )
     purpose = ("reconstruct", split.name, variant)
-    net, epochs = _started(task, setup, split, folder, purpose)
+    net, epochs = _started(task, setup, purpose)
 
     def epoch_batches(epoch: int) -> Iterator[Batch]:
         rng = numpy_generator(task.seed, *purpose, f"epoch {epoch}")
@@ -336,6 +305,12 @@ def _trained(
         logits = model.logits(model.embed(seen), occupancy.val_points)
         return best_level(logits, truth, np.log(THRESHOLDS / (1 - THRESHOLDS)))
 
+    def told(point: EpochPoint) -> None:
+        task.report(
+            f"reconstruct {split.name}, {variant}, epoch {point.epoch} of {epochs}: training loss "
+            f"{point.train_loss:.3f}, validation IoU {point.val_score:.3f}, {point.seconds:.0f} s"
+        )
+
     curve = train(
         net,
         epoch_batches,
@@ -347,22 +322,20 @@ def _trained(
         patience=params.patience,
         checkpoint=checkpoint,
         device=device,
-        report=report,
+        report=told,
     )
     threshold = round(float(torch.tensor(validated()[0]).sigmoid()), 4)
     return ShapeModel(replace(setup, threshold=threshold), net), curve
 
 
-def _started(
-    task: Task, setup: Setup, split: Split, folder: Path, purpose: tuple[str, ...]
-) -> tuple[Reconstructor, int]:
+def _started(task: Task, setup: Setup, purpose: tuple[str, ...]) -> tuple[Reconstructor, int]:
     """Give the net that training starts from and the number of epochs."""
     with seeded(task.seed, *purpose):
         net = new_net(setup, task.weights)
     if len(setup.modalities) == 1:
         return net, task.params.epochs
-    parts = {variant: load_model(model_path(folder, split.name, variant)).net for variant in ("V", "A")}
-    scores = {v: read_json(_result_path(folder, split.name, v))["scores"]["val_iou"] for v in parts}
+    parts = {variant: load_model(model_path(task, variant)).net for variant in ("V", "A")}
+    scores = {v: _finished(task, v)["scores"]["val_iou"] for v in parts}
     _start_from(net, list(parts.values()), parts[max(scores, key=lambda variant: scores[variant])])
     return net, -(-task.params.epochs // 2)
 
@@ -385,14 +358,13 @@ def _start_from(net: Reconstructor, parts: Sequence[Reconstructor], best: Recons
     net.fusion.load_state_dict(fusion)
 
 
-def score_model(task: Task, split: Split, variant: str, model: ShapeModel) -> dict[str, Any]:
+def score_model(task: Task, variant: str, model: ShapeModel) -> dict[str, Any]:
     """Score a trained model on the selected test rows."""
-    rows = selected(split.test, task)
+    rows = selected(task.split.test, task)
     embedding = model.embed({m: task.observations.read(m, rows) for m in model.setup.modalities})
     points = task.occupancy.score_points
     scores = _scores(
         task,
-        split,
         variant,
         task.observations.labels[rows],
         lambda i: model.is_inside(embedding[i : i + 1], points)[0],
@@ -403,7 +375,6 @@ def score_model(task: Task, split: Split, variant: str, model: ShapeModel) -> di
 
 def _scores(
     task: Task,
-    split: Split,
     name: str,
     labels: np.ndarray,
     inside: Callable[[int], np.ndarray],
@@ -413,7 +384,7 @@ def _scores(
     iou, surfaces, empty = np.zeros(len(labels)), np.zeros((len(labels), 2)), 0
     for i, label in enumerate(labels):
         iou[i] = intersection_over_union(inside(i), task.occupancy.score_inside[label])
-        rng = numpy_generator(task.seed, "reconstruct", "surface", split.name, name, str(i))
+        rng = numpy_generator(task.seed, "reconstruct", "surface", task.split.name, name, str(i))
         predicted = sampled_surface(*mesh(i), task.params.score_points, rng)
         surfaces[i] = surface_scores(predicted, task.truth(int(label)))
         empty += predicted is None
@@ -426,3 +397,18 @@ def _scores(
         "empty": empty,
         "per_object": {keys[label]: float(iou[labels == label].mean()) for label in np.unique(labels)},
     }
+
+
+def _sheet(task: Task) -> np.ndarray:
+    """Draw some test rows: the view; what V, A and VA make of it and of the sound; the truth."""
+    rows = selected(task.split.test, task)
+    rows = rows[np.unique(np.linspace(0, len(rows) - 1, SHOWN).round().astype(int))]
+    shapes = []
+    for variant, modalities in VARIANTS.items():
+        model = load_model(model_path(task, variant))
+        embedding = model.embed({name: task.observations.read(name, rows) for name in modalities})
+        shapes.append([model.mesh(one) for one in embedding])
+    truth = [task.surface(int(label)) for label in task.observations.labels[rows]]
+    shapes.append([(surface.vertices, surface.faces) for surface in truth])
+    views = task.observations.read("vision", rows)
+    return sheet(views, [list(meshes) for meshes in zip(*shapes)])

@@ -1,6 +1,6 @@
 """Tables of scores beside chance, baselines and the paper's figures (Gao et al., CoRL 2021, Tables 2-4)."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,14 +33,14 @@ class Table:
     ----------
     title : str
     columns : tuple of str
-    rows : list of tuples of str
+    rows : sequence of tuples of str
     note : str
         What to know in order to read it.
     """
 
     title: str
     columns: tuple[str, ...]
-    rows: list[tuple[str, ...]]
+    rows: Sequence[tuple[str, ...]]
     note: str
 
     def markdown(self) -> str:

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from solids import box, sphere
 from torch import nn
 
@@ -13,16 +14,16 @@ from objectfolder.benchmarks import encoders, reconstruction
 from objectfolder.benchmarks.encoders import InputSizes, register_encoder
 from objectfolder.benchmarks.occupancy import HALF_SIDE, sample_occupancy
 from objectfolder.benchmarks.reconstruction import (
+    CURVE_COLUMNS,
     VARIANTS,
     Task,
     average_shape,
     best_level,
-    model_path,
     reconstruct,
     selected,
 )
 from objectfolder.benchmarks.shape_model import Setup, ShapeModel, load_model, new_net, save_model
-from objectfolder.benchmarks.splits import Split
+from objectfolder.benchmarks.splits import Split, per_sample
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
@@ -59,6 +60,9 @@ class Observed:
 
     keys, count, digest = tuple(SOLIDS), COUNT, "observed"
     labels = np.repeat(np.arange(len(SOLIDS)), COUNT)
+
+    def object_file(self, key):
+        return Path(key)
 
     def shape(self, modality):
         return self.read(modality, np.array([0])).shape[1:]
@@ -100,7 +104,17 @@ def task(tmp_path, monkeypatch):
     monkeypatch.setattr(reconstruction, "cached_occupancy", lambda *given: occupancy)
     load = SimpleNamespace(load=lambda path: SimpleNamespace(surface=SURFACES[path.name]))
     monkeypatch.setattr(reconstruction, "ObjectFile", load)
-    return Task(Observed(), {key: tmp_path / key for key in SOLIDS}, PARAMS, "tiny", SIZES, 0, tmp_path)
+    return Task(Observed(), per_sample(Observed.keys, COUNT), PARAMS, "tiny", SIZES, 0, tmp_path)
+
+
+def run(progress, report=lambda line: None):
+    """Scores but for the time they took, and curves."""
+    split = per_sample(Observed.keys, COUNT)
+    scores, curves = reconstruct(
+        Observed(), split, PARAMS, "tiny", SIZES, seed=0, progress=progress, report=report
+    )
+    assert scores.pop("seconds") > 0
+    return json.loads(json.dumps(scores, allow_nan=False)), curves
 
 
 @pytest.fixture(autouse=True)
@@ -111,17 +125,10 @@ def _one_thread():
     torch.set_num_threads(threads)
 
 
-def untimed(results):
-    """Results without what a clock told."""
-    return json.loads(
-        json.dumps(results), object_hook=lambda d: {k: v for k, v in d.items() if k != "seconds"}
-    )
-
-
 def test_every_variant_beats_the_average_shape_and_an_interrupted_call_goes_on(task, tmp_path, monkeypatch):
-    results, curves = reconstruct(task, tmp_path / "a", splits=("seen",))
-    seen = results["seen"]
-    assert set(seen) == {*VARIANTS, "average_shape", "perfect", "duplicates"}
+    seen, curves = run(tmp_path / "a")
+    assert set(seen) == {*VARIANTS, "average_shape", "perfect", "objects", "rows", "duplicates"}
+    assert seen["rows"] == {"train": 64, "val": 8, "test": 8}
     for variant in VARIANTS:
         scores = seen[variant]
         assert scores["iou"] > seen["average_shape"]["iou"] + 0.1
@@ -129,34 +136,33 @@ def test_every_variant_beats_the_average_shape_and_an_interrupted_call_goes_on(t
         assert scores["normal_consistency"] < seen["perfect"]["normal_consistency"]
         assert scores["samples"] == 2 * len(SOLIDS)
         assert scores["iou"] == pytest.approx(np.mean(list(scores["per_object"].values())))
-        rows = curves[f"seen_{variant}"]
-        assert [row[0] for row in rows] == list(range(1, len(rows) + 1))
-        assert max(row[2] for row in rows) == scores["val_iou"]
-    assert len(curves["seen_VA"]) == PARAMS.epochs / 2
-    assert curves["seen_VA"][0][1] < 0.9 * curves["seen_V"][0][1]  # it starts from what the others learnt
+        rows = [row for row in curves if row[0] == variant]
+        assert [row[1] for row in rows] == list(range(1, len(rows) + 1))
+        assert max(row[3] for row in rows) == scores["val_iou"]
+        assert all(len(row) == len(CURVE_COLUMNS) for row in rows)
+    first = {variant: next(row for row in curves if row[0] == variant) for variant in VARIANTS}
+    assert len([row for row in curves if row[0] == "VA"]) == PARAMS.epochs / 2
+    assert first["VA"][2] < 0.9 * first["V"][2]  # it starts from what the others learnt
+    model, picture = (tmp_path / "a" / name for name in ("model.safetensors", "sheet.png"))
+    assert load_model(model).setup.modalities == ("vision",)
+    with Image.open(picture) as page:
+        assert page.size[0] > page.size[1] / 2 > 200
 
-    def interrupt(name, point):
-        if (name, point.epoch) == ("seen A", 2):
+    def interrupt(line):
+        if "A, epoch 2" in line:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        reconstruct(task, tmp_path / "b", ("seen",), interrupt)
+        run(tmp_path / "b", interrupt)
     went_on = []
-    again, curves_again = reconstruct(
-        task, tmp_path / "b", ("seen",), lambda name, point: went_on.append((name, point.epoch))
-    )
-    assert went_on[0] == ("seen A", 3)  # V is not trained again, nor the first two epochs of A
-    assert untimed(again) == untimed(results)
-    assert curves_again == curves
-    names = [model_path(Path(), "seen", variant).name for variant in VARIANTS]
-    assert all((tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes() for name in names)
-    left = {path.name for path in (tmp_path / "b").iterdir()}
-    assert left == {*names, *(name.replace("safetensors", "json") for name in names)}
-    # What is finished is read, and only what follows from the same request.
+    assert run(tmp_path / "b", went_on.append) == (seen, curves)
+    assert "seen, A, epoch 3" in went_on[0]  # V is not trained again, nor the first two epochs of A
+    for name in ("model.safetensors", "sheet.png"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+    assert not list((tmp_path / "b").glob("*.pt"))
+    # What is finished is read.
     monkeypatch.setattr(reconstruction, "train", lambda *a, **k: pytest.fail("trained"))
-    assert untimed(reconstruct(task, tmp_path / "b", ("seen",))[0]) == untimed(results)
-    with pytest.raises(pytest.fail.Exception, match="trained"):
-        reconstruct(replace(task, seed=1), tmp_path / "b", ("seen",))
+    assert run(tmp_path / "b") == (seen, curves)
 
 
 def test_selection_is_the_first_views_of_each_object(task):
@@ -171,13 +177,13 @@ def test_average_shape_is_the_mean_of_the_training_objects(task):
         return np.concatenate([np.arange(4) + COUNT * label[key] for key in keys])
 
     # Trained on one object and tested on it, the average is that object.
-    same = average_shape(task, Split("one", rows("cube"), rows("cube"), rows("cube")))
+    same = average_shape(replace(task, split=Split("one", rows("cube"), rows("cube"), rows("cube"))))
     assert same["iou"] == 1
     assert same["per_object"] == {"cube": 1}
     # Of two that are tested on a third: where both are, or where either is, as validation prefers.
     inside = task.occupancy.score_inside
     block, slab, cube = (inside[label[key]] for key in ("block", "slab", "cube"))
-    both = average_shape(task, Split("two", rows("block", "slab"), rows("cube"), rows("cube")))
+    both = average_shape(replace(task, split=Split("two", rows("block", "slab"), rows("cube"), rows("cube"))))
     candidates = [(both_ & cube).sum() / (both_ | cube).sum() for both_ in (block & slab, block | slab)]
     assert both["iou"] == pytest.approx(max(candidates))
     assert both["threshold"] == (0.05 if candidates[1] >= candidates[0] else 0.5)
