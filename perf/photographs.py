@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from objectfolder.artifacts import Build, read_npz
+from objectfolder.artifacts import Build, read_npz, write_json
 from objectfolder.benchmarks.observations import Observations
 from objectfolder.benchmarks.occupancy import is_inside, uniform_points
 from objectfolder.benchmarks.photograph import photograph_scores, view_scores
@@ -50,19 +50,22 @@ def scores(model_path: Path, root: Path, observations: Path, seed: int = 0) -> d
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("model", type=Path, help="seen_V.safetensors of the reconstruction benchmark")
+    parser.add_argument("model", type=Path, help="reconstruct_seen.safetensors of the benchmark")
     parser.add_argument("--root", type=Path, default=Path(), help="workspace whose build/ has the views")
     parser.add_argument("--observations", type=Path, required=True, help="folder with a folder per object")
+    parser.add_argument("--json", type=Path, help="also write the figures here")
     given = parser.parse_args()
     rows = scores(given.model, given.root, given.observations)
     conditions = list(next(iter(rows.values())))
     table = Table("object", *conditions, title="IoU of IMAGE2MESH")
     for key, row in rows.items():
         table.add_row(key, *(f"{row[name]:.3f}" for name in conditions))
-    means = {name: np.mean([row[name] for row in rows.values()]) for name in conditions}
+    means = {name: float(np.mean([row[name] for row in rows.values()])) for name in conditions}
     table.add_section()
     table.add_row("mean", *(f"{means[name]:.3f}" for name in conditions))
     Console().print(table)
+    if given.json:
+        write_json(given.json, {"objects": rows, "mean": means})
 
 
 if __name__ == "__main__":

@@ -648,7 +648,23 @@ def benchmarks() -> list[str]:
                 f"minutes of training and scoring, {took['threads']} threads, {took['machine']}.\n",
                 shown.markdown(),
             ]
-    return ["\n## Benchmarks\n", *BENCHMARKS, *lines] if lines else []
+    if not lines:
+        return []
+    return ["\n## Benchmarks\n", *BENCHMARKS, *lines, *measured(("photographs", photographs))]
+
+
+def photographs(figures: dict) -> list[str]:
+    """Table of what `perf/photographs.py` has measured."""
+    return [
+        "\n### Reconstruction from another renderer's pictures\n",
+        "`python perf/photographs.py benchmarks/quick/reconstruct_seen.safetensors --observations "
+        "benchmarks/quick/observations --json build/perf/photographs.json`: mean IoU of the model of views, "
+        "on test views of the Object Files that it was trained with, and on path-traced pictures of the meshes.",
+        "",
+        f"| {' | '.join(figures['mean'])} |",
+        "|---" * len(figures["mean"]) + "|",
+        f"| {' | '.join(f'{value:.3f}' for value in figures['mean'].values())} |",
+    ]
 
 
 def processor() -> str:

@@ -17,7 +17,7 @@ import torch
 import torch.nn.functional as F
 
 from objectfolder.artifacts import SPLITS, read_json, write_json, write_png
-from objectfolder.benchmarks.encoders import InputSizes, Weights, prepare
+from objectfolder.benchmarks.encoders import InputSizes, Weights, make_encoder, prepare
 from objectfolder.benchmarks.observations import Observations
 from objectfolder.benchmarks.occupancy import Occupancy, cached_occupancy
 from objectfolder.benchmarks.occupancy_net import EMBEDDING, Reconstructor
@@ -171,6 +171,8 @@ def reconstruct(
         If files or checkpoints are damaged, or training diverges.
     """
     split, duplicates = without_duplicates(split, observations, ("vision", "audio"))
+    make_encoder(encoder, "vision", weights)
+    encoder = encoder.rpartition(":")[2]  # a model's file names no code that is run when it is read
     task = Task(observations, split, params, encoder, sizes, seed, progress, weights, device, report)
     finished = {variant: _finished(task, variant) for variant in VARIANTS}
     chosen = np.unique(observations.labels[selected(split.test, task)])

@@ -124,7 +124,8 @@ def load_model(path: str | Path, device: str | torch.device = "cpu") -> ShapeMod
     tensors, header = read_safetensors(path)
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise ObjectFolderError(
-            f"{path} holds no reconstruction model of this version; `objectfolder benchmark` trains one"
+            f"{path} holds no reconstruction model of this version; train one with `objectfolder bench "
+            "reconstruction`"
         )
     try:
         setup = _setup(header)

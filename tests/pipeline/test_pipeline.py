@@ -18,6 +18,8 @@ from ruamel.yaml import YAML
 
 from objectfolder import ObjectFile
 from objectfolder.artifacts import Build, read_json, read_npz
+from objectfolder.benchmarks.layout import Benchmarks
+from objectfolder.benchmarks.shape_model import load_model
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.load import load_mesh
 from objectfolder.mesh.ply import read_surface
@@ -332,3 +334,35 @@ def test_bad_object_keys_are_refused_with_the_reason(workspace, key):
     assert done.returncode == 1
     assert f"{key!r} is not a valid object key" in done.stderr.replace("\n", " ")
     shutil.rmtree(workspace.root)
+
+
+def test_benchmarks_are_stages_over_all_objects(built):
+    """Which splits run is a parameter; they follow from the observations of all objects."""
+    with built.edit() as values:
+        values["benchmarks"] = {"recognize": ["seen"], "retrieve": [], "reconstruct": ["seen"]}
+    assert built.build() == {"recognize@seen", "reconstruct@seen"}
+    folder = Benchmarks(built.root / "benchmarks")
+    scores = read_json(folder.result("recognize", "seen"))
+    assert scores["objects"] == 2
+    assert scores["VAT"]["accuracy"] <= 1
+    assert folder.sheet("reconstruct", "seen").stat().st_size > 1000
+    assert load_model(folder.model("reconstruct", "seen")).setup.modalities == ("vision",)
+    before = {path: path.read_bytes() for path in folder.dir.glob("*_seen*")}
+    assert len(before) == 6
+    assert "up to date" in built.run("-m", "dvc", "status").stdout
+    assert built.build() == set()
+    shown = built.run("-m", "dvc", "metrics", "show", "benchmarks/recognize_seen.json").stdout
+    assert "VAT.accuracy" in shown
+    assert "recognize@seen" in built.cli("status", "recognize").stdout
+    # A rerun gives the same bytes; another length of one task leaves the other alone.
+    built.run("-m", "stages.recognize", "seen")
+    assert {path: path.read_bytes() for path in before} == before
+    with built.edit() as values:
+        values["recognize"]["epochs"] += 1
+    assert built.build() == {"recognize@seen"}
+    # Objects are pruned with their observations; benchmarks stay.
+    assert "nothing" in built.cli("prune", "--dry-run").stdout
+    with built.edit() as values:
+        values["recognize"]["epochs"] -= 1
+        values["benchmarks"] = {"recognize": [], "retrieve": [], "reconstruct": []}
+    assert built.build() == set()
