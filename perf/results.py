@@ -659,7 +659,7 @@ def photographs(figures: dict) -> list[str]:
         "\n### Reconstruction from another renderer's pictures\n",
         "`python perf/photographs.py benchmarks/quick/reconstruct_seen.safetensors --observations "
         "benchmarks/quick/observations --json build/perf/photographs.json`: mean IoU of the model of views, "
-        "on test views of the Object Files that it was trained with, and on path-traced pictures of the meshes.",
+        "on test views of the Object Files that it was trained with, and on path-traced pictures of meshes.",
         "",
         f"| {' | '.join(figures['mean'])} |",
         "|---" * len(figures["mean"]) + "|",

@@ -195,14 +195,16 @@ def _run(
         named_split(split, label_order(paths), observe.observations)
     observations = _observe(paths, observe, params.seed, folder, threads)
     for split in splits:
-        seconds = run_task(
-            task, run, columns, split, observations, params, folder, console.print, started, device
-        )
+        seconds = run_task(task, run, columns, split, observations, params, folder, _say, started, device)
         took = {"seconds": seconds, "threads": threads, "machine": machine(device)}
         write_json(folder.machine(task, split), took)
     for split in splits:
         _print(table(task, split, read_json(folder.result(task, split))))
         console.print(f"{folder.result(task, split)}  curves: {folder.curve(task, split)}", soft_wrap=True)
+
+
+def _say(line: str) -> None:
+    console.print(line, soft_wrap=True, highlight=False)
 
 
 def _print(shown: "Table") -> None:

@@ -1,0 +1,57 @@
+from pathlib import Path
+
+import pytest
+
+from objectfolder.benchmarks.params import SECTIONS, check_tasks, splits_of, stage_params, task_params
+from objectfolder.errors import ObjectFolderError
+from objectfolder.params import TASKS, check_key, read
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def values():
+    return read(ROOT / "params.yaml")
+
+
+def test_a_task_gets_its_section_what_encoders_see_and_the_seed(values):
+    for task in TASKS:
+        params = task_params(task, values)
+        assert params.section == SECTIONS[task].model_validate(values[task])
+        assert params.encode.model_dump() == values["encode"]
+        assert params.seed == values["seed"]
+    assert stage_params("retrieve", ROOT / "params.yaml").keys == tuple(values["objects"])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"retrieve": None}, "retrieve"),
+        ({"recognize": {"seeds": 0}}, "recognize: seeds"),
+        ({"encode": {"image": 4}}, "encode: image"),
+        ({"encode": {"touch": [40]}}, "encode: touch"),
+        ({"reconstruct": {"wide": 3}}, "reconstruct: wide"),
+        ({"benchmarks": {"retrieve": ["sen"]}}, "benchmarks: retrieve.0"),
+        ({"benchmarks": {"recognize": ["unseen"]}}, "benchmarks: recognize.0"),
+    ],
+)
+def test_wrong_values_are_named(values, change, message):
+    for section, fields in change.items():
+        values[section] = None if fields is None else {**values[section], **fields}
+    with pytest.raises(ObjectFolderError, match=f"params.yaml: {message}"):
+        check_tasks(values)
+
+
+@pytest.mark.parametrize("section", ["encode", "recognize", "benchmarks"])
+def test_lacking_sections_say_what_to_do(values, section):
+    del values[section]
+    with pytest.raises(ObjectFolderError, match=r"lacks .*(preset quick|add `benchmarks: \{recognize: \[\])"):
+        check_tasks(values)
+
+
+def test_splits_and_reserved_names():
+    assert splits_of("recognize") == ("seen",)
+    assert splits_of("reconstruct") == ("seen", "unseen")
+    for task in TASKS:
+        with pytest.raises(ObjectFolderError, match="name of a stage"):
+            check_key(task)
