@@ -127,7 +127,6 @@ def reconstruction(
     preset: PresetOption = None,
     out: OutOption = None,
     split: SplitOption = None,
-    seeds: SeedsOption = None,
     encoder: EncoderOption = None,
     weights: WeightsOption = None,
     threads: ThreadsOption = None,
@@ -140,7 +139,7 @@ def reconstruction(
 
     `objectfolder bench reconstruction --preset quick --split seen`
     """
-    _run("reconstruct", files, preset, out, split, seeds, encoder, weights, threads, device)
+    _run("reconstruct", files, preset, out, split, None, encoder, weights, threads, device)
 
 
 def _run(
@@ -180,9 +179,9 @@ def _run(
         sections, path = read_preset(preset)
         values |= sections
     if encoder is not None:
-        values["encode"] = {**values["encode"], "encoder": encoder}
+        values["encode"] = {**(values.get("encode") or {}), "encoder": encoder}
     if seeds is not None:
-        values[task] = {**values[task], "seeds": seeds}
+        values[task] = {**(values.get(task) or {}), "seeds": seeds}
     params = task_params(task, values, path)
     started = read_weights(weights) if weights is not None else None
     make_encoder(params.encode.encoder, "vision", started)  # a wrong one is said before any work

@@ -28,7 +28,7 @@ from objectfolder.vision.view import draw
 
 pytestmark = pytest.mark.xdist_group("pipeline")
 LANES = ("normalize", "voxelize", "modal", "render_views", "render_touch")
-NETS = ("train_vision", "train_audio", "train_touch", "pack", "evaluate")
+NETS = ("train_vision", "train_audio", "train_touch", "pack", "evaluate", "observe")
 
 
 def test_everything_is_built_and_a_second_build_runs_nothing(built):
@@ -83,7 +83,9 @@ def test_dvc_repro_of_one_stage_finds_it_up_to_date(built):
 def test_changed_material_reruns_the_audio_lane_of_that_object_only(built):
     with built.edit() as values:
         values["objects"]["cube"]["material"] = "plastic"
-    assert built.build() == {f"{stage}@cube" for stage in ("modal", "train_audio", "pack", "evaluate")}
+    assert built.build() == {
+        f"{stage}@cube" for stage in ("modal", "train_audio", "pack", "evaluate", "observe")
+    }
     with built.edit() as values:
         values["objects"]["cube"]["material"] = "wood"
     assert built.build() == set()  # all restored from the run cache
@@ -128,7 +130,9 @@ def test_a_smaller_object_is_not_solved_again(built):
 def test_changed_training_reruns_that_lane_only(built):
     with built.edit() as values:
         values["train_audio"]["sizes"][0]["steps"] += 50
-    assert built.build("bell") == {f"{stage}@bell" for stage in ("train_audio", "pack", "evaluate")}
+    assert built.build("bell") == {
+        f"{stage}@bell" for stage in ("train_audio", "pack", "evaluate", "observe")
+    }
     with built.edit() as values:
         values["train_audio"]["sizes"][0]["steps"] -= 50
     assert built.build() == set()  # restored
@@ -137,7 +141,9 @@ def test_changed_training_reruns_that_lane_only(built):
 def test_the_papers_audio_net_is_a_choice(built):
     with built.edit() as values:
         values["train_audio"]["net"] = "spectrogram"
-    assert built.build("bell") == {f"{stage}@bell" for stage in ("train_audio", "pack", "evaluate")}
+    assert built.build("bell") == {
+        f"{stage}@bell" for stage in ("train_audio", "pack", "evaluate", "observe")
+    }
     bell = ObjectFile.load(built.root / "build/bell/ObjectFile.safetensors")
     assert bell.header["audio"]["kind"] == "spectrogram"
     assert bell.impact(bell.sample_surface(1), [0, 0, 1]).shape == (1, 32000)
@@ -151,7 +157,9 @@ def test_the_papers_audio_net_is_a_choice(built):
 def test_the_papers_vision_net_is_a_choice(built):
     with built.edit() as values:
         values["train_vision"]["net"] = "osf"
-    assert built.build("bell") == {f"{stage}@bell" for stage in ("train_vision", "pack", "evaluate")}
+    assert built.build("bell") == {
+        f"{stage}@bell" for stage in ("train_vision", "pack", "evaluate", "observe")
+    }
     bell = ObjectFile.load(built.root / "build/bell/ObjectFile.safetensors")
     assert bell.header["vision"]["kind"] == "osf"
     assert bell.view([2.5, 0, 0], [0.5, 0, 0.8], resolution=16).shape == (1, 16, 16, 3)
@@ -172,7 +180,7 @@ def test_the_papers_touch_net_on_the_papers_images_is_a_choice(built):
         values["sensor"] = "tacto_digit"
         values["render_touch"] |= {"renderer": "tacto", "depth": 0.001, "angle": 0.0}
         values["train_touch"]["net"] = "image"
-    lane = ("render_touch", "train_touch", "pack", "evaluate")
+    lane = ("render_touch", "train_touch", "pack", "evaluate", "observe")
     assert built.build("bell") == {f"{stage}@bell" for stage in lane}
     bell = ObjectFile.load(built.root / "build/bell/ObjectFile.safetensors")
     assert bell.header["touch"]["kind"] == "image"
@@ -226,7 +234,7 @@ def test_generated_mesh_is_the_same_bytes_twice(built):
 
 
 def test_inspect(built, opengl):
-    stages = ("voxelize", "modal", "pack", "evaluate")
+    stages = ("voxelize", "modal", "pack", "evaluate", "observe")
     built.cli_in_turn(*(["inspect", f"{stage}@cube"] for stage in stages))
     assert "build" in built.cli("inspect", "modal@nothing", ok=False).stderr
 
