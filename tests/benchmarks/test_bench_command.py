@@ -10,7 +10,7 @@ import torch
 from ruamel.yaml import YAML
 from typer.testing import CliRunner
 
-from objectfolder.artifacts import write_safetensors
+from objectfolder.artifacts import open_safetensors, write_safetensors
 from objectfolder.benchmarks import running
 from objectfolder.benchmarks.splits import object_split
 from objectfolder.cli import app
@@ -104,6 +104,8 @@ def test_a_task_prints_its_table_and_gives_the_same_bytes_again(files, workspace
     assert {"epoch", "train_loss"} < set(curve[0])
     assert not list(Path("first/.progress").iterdir())
     assert json.loads(Path(f"first/{name}_machine.json").read_text())["threads"] == 1
+    if command == "reconstruction":  # a model names no file whose code would run when it is read
+        assert open_safetensors(f"first/{name}.safetensors")[1]["encoder"] == "tiny"
     bench(command, files, "--out", "second", *split)
     assert results(Path("first")) == results(Path("second"))
 
