@@ -1,4 +1,4 @@
-"""Observations in the formats of two libraries: WebDataset shards, and a folder for Hugging Face `datasets`.
+"""Observations in the formats of two libraries: WebDataset shards, a folder for Hugging Face ``datasets``.
 
 Views and touches are PNG, sounds float WAV at absolute scale. The same observations give the same bytes.
 """
@@ -35,7 +35,7 @@ def write_webdataset(
     shard: int = 1000,
     report: Report = lambda done, total: None,
 ) -> None:
-    """Write tar files that `webdataset` reads.
+    """Write tar files that ``webdataset`` reads.
 
     A sample has ``vision.png``, ``audio.wav``, ``touch.png`` and ``json``: label, key, material, scale and
     what was asked, see `objectfolder.benchmarks.sampling.draw_queries`. Samples are shuffled, as readers
@@ -174,7 +174,7 @@ def _members(sample: dict[str, Any]) -> dict[str, Any]:
 
 
 def _columns(sample: dict[str, Any]) -> dict[str, Any]:
-    """Columns of a sample of `datasets`, which has a name for each label."""
+    """Columns of a sample of ``datasets``, which has a name for each label."""
     name, suffixes = f"{sample['key']}_{sample['observation']:06d}", {"audio": "wav"}
     stored = {
         modality: {"bytes": sample[modality], "path": f"{name}_{modality}.{suffixes.get(modality, 'png')}"}
@@ -223,7 +223,7 @@ def _new_folder(out: Path, observations: Observations, samples: int) -> Iterator
 
 
 def _card(observations: Observations, split: Split) -> str:
-    """README.md of a folder for `datasets`: where it looks for files, and for people."""
+    """README.md of a folder for ``datasets``: where it looks for files, and for people."""
     files = "".join(f"  - {{split: {name}, path: data/{name}-*.parquet}}\n" for name in _HUB_SPLITS.values())
     side, (height, width, _) = observations.shape("vision")[0], observations.shape("touch")
     seconds = observations.shape("audio")[0] / _rate(observations)

@@ -17,7 +17,7 @@ from objectfolder.vision.color import on_white
 #: Share of the frame's side that a length of 1 fills at the distance of the training cameras' target: 0.556.
 FILL = Intrinsics().focal / (CAMERA_RADIUS * Intrinsics().width)
 FORMATS = (".obj", ".ply", ".glb")
-TOLERANCE = 30  #: levels, of 255, by which the object differs from a plain background
+DIFFERENCE = 30  #: levels, of 255, by which the object differs from a plain background
 OPAQUE = 250  #: alpha above which a pixel of a picture counts as fully covered
 _OBJECT = 0.5  # alpha above which a pixel counts as the object
 
@@ -44,7 +44,7 @@ def cut_out(
     picture: np.ndarray,
     mask: np.ndarray | None = None,
     background: tuple[int, int, int] | None = None,
-    tolerance: int = TOLERANCE,
+    tolerance: int = DIFFERENCE,
     name: str = "the picture",
 ) -> np.ndarray:
     """Remove a picture's background.

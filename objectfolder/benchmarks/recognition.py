@@ -24,7 +24,7 @@ from objectfolder.seeding import numpy_generator, seeded
 LETTERS = {"V": "vision", "A": "audio", "T": "touch"}
 #: V, A, T, VA, VT, AT, VAT: what an object is told by; the rows of the main paper's Table 2.
 COMBINATIONS = tuple("".join(letters) for size in (1, 2, 3) for letters in combinations(LETTERS, size))
-CURVE_COLUMNS = ("seed", "modalities", "epoch", "train_loss", "val_accuracy")
+CURVE_COLUMNS = ("seed", "modalities", "epoch", "train_loss", "val_accuracy")  #: of the training curves
 FUSION_RATE = 0.1  #: learning rate of encoders that are trained already, relative to that of new ones
 
 Inputs = dict[str, torch.Tensor]  #: by letter

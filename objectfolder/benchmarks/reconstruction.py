@@ -39,7 +39,7 @@ from objectfolder.seeding import numpy_generator, seeded
 SHOWN = 8  #: test rows in the picture
 #: What each variant looks at. VA comes last: it starts from the encoders of the others.
 VARIANTS: dict[str, tuple[str, ...]] = {"V": ("vision",), "A": ("audio",), "VA": ("vision", "audio")}
-CURVE_COLUMNS = ("variant", "epoch", "train_loss", "val_iou")
+CURVE_COLUMNS = ("variant", "epoch", "train_loss", "val_iou")  #: of the training curves
 #: Steps from one encoded batch, each on other points; all but the first train fusion and decoder alone.
 #: Shapes take many more steps to learn than features, and encoders most of the time.
 POINT_SETS = 4
