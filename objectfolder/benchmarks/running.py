@@ -115,7 +115,7 @@ def run_task(
     for left, path in KEPT.items():
         if (progress / left).exists():
             (progress / left).replace(path(folder, name, split))
-    write_json(folder.result(name, split), scores)
+    write_json(folder.result(name, split), scores | {"keys": observations.keys})
     rmtree(progress, ignore_errors=True)
     return seconds
 

@@ -1,6 +1,7 @@
 """Commands that run the benchmark tasks on Object Files, without the pipeline: bench."""
 
 import os
+import time
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -194,9 +195,10 @@ def _run(
         named_split(split, label_order(paths), observe.observations)
     observations = _observe(paths, observe, params.seed, folder, threads)
     for split in splits:
+        before = time.process_time()
         seconds = run_task(task, run, columns, split, observations, params, folder, _say, started, device)
-        took = {"seconds": seconds, "threads": threads, "machine": machine(device)}
-        write_json(folder.machine(task, split), took)
+        took = {"seconds": seconds, "cpu_seconds": time.process_time() - before}
+        write_json(folder.machine(task, split), took | {"threads": threads, "machine": machine(device)})
     for split in splits:
         _print(table(task, split, read_json(folder.result(task, split))))
         console.print(f"{folder.result(task, split)}  curves: {folder.curve(task, split)}", soft_wrap=True)
