@@ -80,7 +80,8 @@ BENCHMARKS = (
     "What is observed, the splits and what differs from the paper: [benchmarks.md](benchmarks.md). The",
     "paper's figures are of its 100 objects with ImageNet's weights; ours, where nothing else is said, of",
     "fewer objects with smaller inputs and random weights: they show what the tasks do, and do not repeat",
-    "the paper's. Object Files of preset `quick`, seed 0. CPU minutes stand beside: other jobs ran, too.",
+    "the paper's. Object Files of preset `quick` (with fewer test views and contacts, on which they do not",
+    "depend), seed 0. CPU minutes stand beside: other jobs ran, too.",
 )
 
 
