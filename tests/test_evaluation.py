@@ -310,7 +310,8 @@ def test_touches_beside_the_mean_image_and_their_forces(brick):
     }
     mean = np.full((160, 120, 3), 100.0)
     perfect = evaluate_touch(brick, contacts, mean)
-    assert perfect["psnr"] == perfect["psnr_contact"] == 200
+    assert perfect["psnr"] == pytest.approx(200, abs=1e-3)  # float32: the last digit is the machine's
+    assert perfect["psnr_contact"] == pytest.approx(200, abs=1e-3)
     assert perfect["force_error"] == 0
     error = np.mean((found.images / 255.0 - mean / 255.0) ** 2)
     assert perfect["baseline_mean_image"] == pytest.approx(-10 * np.log10(error), abs=1e-3)

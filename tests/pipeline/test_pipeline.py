@@ -237,7 +237,7 @@ def test_generated_mesh_is_the_same_bytes_twice(built):
 
 
 def test_inspect(built, opengl):
-    stages = ("voxelize", "modal", "pack", "evaluate", "observe")
+    stages = ("voxelize", "modal", "pack", "evaluate")
     built.cli_in_turn(*(["inspect", f"{stage}@cube"] for stage in stages))
     assert "build" in built.cli("inspect", "modal@nothing", ok=False).stderr
 
