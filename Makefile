@@ -18,7 +18,7 @@ demo: setup
 	$(BIN)/objectfolder build -j $(JOBS)
 
 test: setup
-	$(BIN)/pytest -n $(JOBS) --dist loadscope
+	$(BIN)/pytest -n $(JOBS) --dist loadscope --no-loadscope-reorder
 
 test-slow: setup
 	$(BIN)/pytest -m slow

@@ -53,15 +53,47 @@ class Weights(dict[str, torch.Tensor]):
         self.path = path
 
 
+def registered(name: str) -> str:
+    """Make sure that an encoder is known, and give the name that it is registered under.
+
+    Parameters
+    ----------
+    name : str
+        Registered, or ``FILE.py:NAME``: that Python file is run, and registers it.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there is no such encoder.
+    """
+    file = own_file(name)
+    if file is not None:
+        if not file.is_file():
+            raise ObjectFolderError(f"encoder {name}: {file} does not exist; expected FILE.py:NAME")
+        run_path(str(file))
+    bare = name.rpartition(":")[2]
+    _factory(bare)
+    return bare
+
+
+def _factory(name: str) -> Factory:
+    if name not in _FACTORIES:
+        raise ObjectFolderError(
+            f"encoder {name!r} is not one of {', '.join(sorted(_FACTORIES))}; "
+            "make your own known with objectfolder.benchmarks.encoders.register_encoder"
+        )
+    return _FACTORIES[name]
+
+
 def make_encoder(name: str, modality: str, weights: Weights | None = None) -> nn.Module:
-    """Make the encoder of a name for a modality.
+    """Make the encoder of a registered name for a modality.
 
     Its random parameters come from torch's global generator: make it within `objectfolder.seeding.seeded`.
 
     Parameters
     ----------
     name : str
-        Registered, or ``FILE.py:NAME``: that Python file is run, and registers it.
+        As `registered` gives it. No file is run here: names come from models of strangers, too.
     modality : str
         "vision", "audio" or "touch".
     weights : Weights, optional
@@ -73,18 +105,7 @@ def make_encoder(name: str, modality: str, weights: Weights | None = None) -> nn
     ObjectFolderError
         If there is no such encoder, or the weights are of another one.
     """
-    file = own_file(name)
-    if file is not None:
-        if not file.is_file():
-            raise ObjectFolderError(f"encoder {name}: {file} does not exist; expected FILE.py:NAME")
-        run_path(str(file))
-        name = name.rpartition(":")[2]
-    if name not in _FACTORIES:
-        raise ObjectFolderError(
-            f"encoder {name!r} is not one of {', '.join(sorted(_FACTORIES))}; "
-            "make your own known with objectfolder.benchmarks.encoders.register_encoder"
-        )
-    encoder = _FACTORIES[name](CHANNELS[modality])
+    encoder = _factory(name)(CHANNELS[modality])
     if weights is not None:
         encoder.load_state_dict(_matched(weights, encoder.state_dict(), name))
     return encoder

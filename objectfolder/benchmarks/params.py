@@ -42,6 +42,7 @@ class RetrieveParams(Training):  # noqa: D101
 
 
 class ReconstructParams(Training):  # noqa: D101
+    naming: float = Field(ge=0)  #: weight of a loss for naming the object by its features; 0 is the paper's
     points: int = Count  #: whose occupancy is learned, per observation and step
     width: int = Count  #: of the occupancy network
     blocks: int = Count

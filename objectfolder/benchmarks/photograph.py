@@ -3,23 +3,18 @@
 from pathlib import Path
 
 import numpy as np
-import torch
 from PIL import Image, ImageOps
 
 from objectfolder.artifacts import atomic
+from objectfolder.benchmarks.framing import OBJECT, framed, resized, shown
 from objectfolder.benchmarks.shape_model import ShapeModel
 from objectfolder.benchmarks.shapes import intersection_over_union
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.srgb import decode, encode
-from objectfolder.vision.cameras import CAMERA_RADIUS, Intrinsics
-from objectfolder.vision.color import on_white
 
-#: Share of the frame's side that a length of 1 fills at the distance of the training cameras' target: 0.556.
-FILL = Intrinsics().focal / (CAMERA_RADIUS * Intrinsics().width)
 FORMATS = (".obj", ".ply", ".glb")
 DIFFERENCE = 30  #: levels, of 255, by which the object differs from a plain background
 OPAQUE = 250  #: alpha above which a pixel of a picture counts as fully covered
-_OBJECT = 0.5  # alpha above which a pixel counts as the object
 
 
 def read_picture(path: str | Path, mode: str = "RGBA") -> np.ndarray:
@@ -94,63 +89,10 @@ def cut_out(
             f"{name} does not say where the object is; expected one of three: a picture with transparency, "
             "a mask of the object (--mask), or the colour of a plain background (--background R,G,B)"
         )
-    if not (alpha > _OBJECT).any():
+    if not (alpha > OBJECT).any():
         raise ObjectFolderError(f"{name} has no foreground by {how}; check that it shows the object")
     linear = decode(picture[..., :3].astype(np.float32) / 255).astype(np.float32)
     return np.concatenate([linear * alpha[..., None], alpha[..., None]], -1)
-
-
-def framed(rgba: np.ndarray, side: int) -> np.ndarray:
-    """Show a cut-out object as training views show theirs: in the middle, on white, as large.
-
-    How far away it is cannot be known: its longer side in the picture is taken to be the object's longest, 1.
-
-    Parameters
-    ----------
-    rgba : (H, W, 4) float32 array
-        Linear and premultiplied; some of it is the object.
-    side : int
-        Pixels of the view.
-
-    Returns
-    -------
-    (side, side, 3) uint8, sRGB
-    """
-    solid = rgba[..., 3] > _OBJECT
-    (top, bottom), (left, right) = (
-        (found[0], found[-1] + 1) for found in (np.flatnonzero(solid.any(axis)) for axis in (1, 0))
-    )
-    half = max(bottom - top, right - left) / FILL / 2
-    row, column = (top + bottom) / 2, (left + right) / 2
-    return shown(_window(rgba, row - half, column - half, 2 * half, side))
-
-
-def shown(rgba: np.ndarray) -> np.ndarray:
-    """Composite linear premultiplied RGBA (..., 4) on white; (..., 3) uint8, sRGB."""
-    return np.round(on_white(torch.from_numpy(rgba)).numpy() * 255).astype(np.uint8)
-
-
-def resized(rgba: np.ndarray, side: int) -> np.ndarray:
-    """Resample a square linear RGBA picture as a whole; (side, side, 4) float32."""
-    return _window(rgba, 0.0, 0.0, float(len(rgba)), side)
-
-
-def _window(rgba: np.ndarray, top: float, left: float, length: float, side: int) -> np.ndarray:
-    """Resample a square part, transparent beyond the picture; (side, side, 4) float32."""
-    first = np.floor([top, left]).astype(int)
-    size = int(np.ceil(length)) + 1
-    part = np.zeros((size, size, 4), np.float32)
-    low = np.maximum(first, 0)
-    high = np.minimum(first + size, rgba.shape[:2])
-    a, b = low - first, high - first
-    part[a[0] : b[0], a[1] : b[1]] = rgba[low[0] : high[0], low[1] : high[1]]
-    y, x = top - first[0], left - first[1]
-    box = (x, y, x + length, y + length)
-    channels = [
-        np.asarray(Image.fromarray(part[..., i]).resize((side, side), Image.Resampling.BILINEAR, box))
-        for i in range(4)
-    ]
-    return np.stack(channels, -1)
 
 
 def photograph_to_mesh(model: ShapeModel, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

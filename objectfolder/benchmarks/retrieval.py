@@ -1,25 +1,22 @@
 """Cross-sensory retrieval: find, by one sense, the same object as met by another (supplementary I.2)."""
 
-import hashlib
-import json
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import astuple, dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import astuple
 from itertools import combinations, product
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
 from torch import nn
 from torch.nn import functional as F
 
-from objectfolder.artifacts import MODALITIES, SPLITS, file_digest, read_json, write_json
+from objectfolder.artifacts import MODALITIES
 from objectfolder.benchmarks import cca
-from objectfolder.benchmarks.encoders import InputSizes, Weights, make_encoder, prepare
-from objectfolder.benchmarks.observations import Observations
+from objectfolder.benchmarks.job import Job
+from objectfolder.benchmarks.params import RetrieveParams
 from objectfolder.benchmarks.scores import chance_map, interval_95, mean_average_precision
-from objectfolder.benchmarks.splits import Split, without_duplicates
-from objectfolder.benchmarks.training import EpochPoint, train
+from objectfolder.benchmarks.training import EpochPoint
 from objectfolder.errors import ObjectFolderError
 from objectfolder.seeding import numpy_generator, seeded
 
@@ -31,20 +28,7 @@ CURVE_COLUMNS = ("first", "second", "seed", "epoch", "train_loss", "val_map")  #
 FEATURE_SIZES = {"vision": (16, 16), "audio": (64, 8), "touch": (16, 12)}  #: pixels that CCA is given
 DIMENSIONS = (1, 2, 4, 8, 16, 32, 64, 128)  #: principal components and variates that CCA is tried with
 CHUNK = 64  #: rows, at most, that are embedded at once
-SAMPLE = 256  #: training rows for the statistics of batch normalisation, and in the gallery of validation
-
-
-class Params(Protocol):
-    """How the nets are trained; `objectfolder.benchmarks.params` has them."""
-
-    seeds: int
-    epochs: int
-    batch: int
-    learning_rate: float
-    weight_decay: float
-    patience: int
-    margin: float
-    embedding: int
+SAMPLE = 256  #: training rows in the gallery of validation
 
 
 class TwoStream(nn.Module):
@@ -158,19 +142,7 @@ def paired_batches(
     yield from zip(np.split(first, ends), np.split(second, ends))
 
 
-def retrieve(
-    observations: Observations,
-    split: Split,
-    params: Params,
-    encoder: str,
-    sizes: InputSizes,
-    *,
-    weights: Weights | None = None,
-    seed: int,
-    progress: Path,
-    device: str | torch.device = "cpu",
-    report: Callable[[str], None] = lambda line: None,
-) -> tuple[dict[str, Any], list[list[Any]]]:
+def retrieve(job: Job[RetrieveParams]) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train and score the retrieval of each pair of modalities (main paper, Table 3).
 
     Queries are the test rows of one modality, the gallery those of the other; relevant is what is of the same
@@ -178,32 +150,12 @@ def retrieve(
     fitted on the same training rows, and its dimensions are chosen in the same way. Nothing is chosen by the
     test rows, which a net meets once, after its training.
 
-    Parameters
-    ----------
-    observations : Observations
-    split : Split
-        Validation and test rows that have a duplicate among earlier rows, in any modality, are dropped here.
-    params : Params
-        Sizes of the training; ``seeds`` nets are trained for each pair.
-    encoder : str
-        Name of the encoders (`objectfolder.benchmarks.encoders.register_encoder`).
-    sizes : InputSizes
-    weights : Weights, optional
-        That the encoders start from.
-    seed : int
-    progress : Path
-        Folder that keeps finished scores and the state of a training, from which an interrupted call goes on.
-        Those of other data or parameters are not taken. Remove it afterwards.
-    device : str or torch.device
-    report : callable
-        Called with a line about each epoch.
-
     Returns
     -------
     dict
         ``directions``, such as ``V->A`` (seen, what does it sound like?): ``map`` (mean over the seeds), its
-        ``interval_95``, ``seeds`` (one value each), ``cca`` and ``chance``. Then ``objects``, ``rows``,
-        ``duplicates``, what was chosen for ``cca``, and ``seconds`` of training.
+        ``interval_95``, ``seeds`` (one value each), ``cca`` and ``chance``. Then what was chosen for ``cca``,
+        what `Job.without_duplicates` says, and ``seconds`` of training.
     list
         Rows of the training curves, see `CURVE_COLUMNS`.
 
@@ -212,18 +164,17 @@ def retrieve(
     ObjectFolderError
         If a split cannot be trained on or scored, or a training diverges.
     """
-    split, duplicates = without_duplicates(split, observations, MODALITIES)
-    task = _Task(observations, split, params, encoder, sizes, weights, seed, progress, device, report)
-    labels = observations.labels[split.test]
+    job, rows = job.without_duplicates(MODALITIES)
+    labels = job.observations.labels[job.split.test]
     chance = chance_map(labels, labels)
-    features = {modality: _features(task, modality) for modality in MODALITIES}
+    features = {modality: _features(job, modality) for modality in MODALITIES}
     directions: dict[str, Any] = {}
     chosen: dict[str, Any] = {}
     curves: list[list[Any]] = []
     seconds = 0.0
     for pair in PAIRS:
-        baseline, chosen["-".join(pair)] = _correlated(task, pair, features)
-        runs = [_finished(task, pair, run) for run in range(params.seeds)]
+        baseline, chosen["-".join(pair)] = _correlated(job, pair, features)
+        runs = [_finished(job, pair, run) for run in range(job.params.seeds)]
         for direction in baseline:
             values = [run["map"][direction] for run in runs]
             directions[direction] = {
@@ -235,108 +186,44 @@ def retrieve(
             }
         curves += [[*pair, i, *point] for i, run in enumerate(runs) for point in run["curve"]]
         seconds += sum(run["seconds"] for run in runs)
-    return {
-        "directions": directions,
-        "cca": chosen,
-        "objects": len(observations.keys),
-        "rows": {name: len(getattr(split, name)) for name in SPLITS},
-        "duplicates": duplicates,
-        "seconds": seconds,
-    }, curves
+    return {"directions": directions, "cca": chosen, **rows, "seconds": seconds}, curves
 
 
-@dataclass(frozen=True)
-class _Task:
-    """Arguments of `retrieve`, of one split."""
-
-    observations: Observations
-    split: Split
-    params: Params
-    encoder: str
-    sizes: InputSizes
-    weights: Weights | None
-    seed: int
-    progress: Path
-    device: str | torch.device
-    report: Callable[[str], None]
-
-    def inputs(self, modality: str, rows: np.ndarray, rng: np.random.Generator | None = None) -> torch.Tensor:
-        """What the encoder of a modality is given of some rows."""
-        return prepare(modality, self.observations.read(modality, rows), self.sizes, rng, self.device)
-
-    def chunks(self, modality: str, rows: np.ndarray) -> Iterator[torch.Tensor]:
-        """The same of many rows, some at a time."""
-        for some in np.array_split(rows, -(-len(rows) // CHUNK)):
-            yield self.inputs(modality, some)
-
-    @property
-    def sample(self) -> np.ndarray:
-        """Some training rows."""
-        rng = numpy_generator(self.seed, "retrieve", self.split.name, "sample")
-        return rng.permutation(self.split.train)[:SAMPLE]
-
-    @property
-    def validation(self) -> np.ndarray:
-        """Gallery of the validation: its rows, which are the queries, and among them training rows.
-
-        The few validation objects of the split ``unseen`` alone, or the only one, would tell little.
-        """
-        return np.concatenate([self.split.val, self.sample])
-
-    def maps(self, pair: Pair, embeddings: Sequence[np.ndarray], rows: np.ndarray, queries: int) -> Maps:
-        """Score embeddings of rows in two modalities: the first rows are queries, all of them the gallery."""
-        labels = self.observations.labels[rows]
-        return {
-            f"{pair[query][0].upper()}->{pair[1 - query][0].upper()}": mean_average_precision(
-                embeddings[query][:queries], labels[:queries], embeddings[1 - query], labels
-            )
-            for query in (0, 1)
-        }
-
-    def result(self, pair: Pair, run: int) -> Path:
-        """Where one net's scores are kept; another place for other data or parameters."""
-        identity = {
-            "observations": self.observations.digest,
-            "rows": [getattr(self.split, name).tolist() for name in SPLITS],
-            "params": [
-                getattr(self.params, name) for name in sorted(Params.__annotations__) if name != "seeds"
-            ],
-            "encoder": [self.encoder, astuple(self.sizes), self.weights and file_digest(self.weights.path)],
-            "seed": self.seed,
-        }
-        digest = hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:16]
-        return self.progress / f"{self.split.name}_{pair[0]}_{pair[1]}_{run}_{digest}.json"
-
-
-def _finished(task: _Task, pair: Pair, run: int) -> dict[str, Any]:
+def _finished(job: Job[RetrieveParams], pair: Pair, run: int) -> dict[str, Any]:
     """Scores of one net; trained if no earlier call did."""
-    path = task.result(pair, run)
-    if not path.is_file():
-        checkpoint = path.with_suffix(".pt")
-        net, curve = _trained(task, pair, run, checkpoint)
-        rows = task.split.test
-        scores = task.maps(pair, _embeddings(task, net, pair, rows), rows, len(rows))
-        seconds = sum(point.seconds for point in curve)
-        write_json(path, {"map": scores, "curve": [astuple(p)[:3] for p in curve], "seconds": seconds})
-        checkpoint.unlink()
-    return read_json(path)
+    name = f"{pair[0]}_{pair[1]}_{run}"
+    checkpoint = job.progress / f"{name}.pt"
+
+    def make() -> dict[str, Any]:
+        net, curve = _trained(job, pair, run, checkpoint)
+        rows = job.split.test
+        return {
+            "map": _maps(job, pair, _embeddings(job, net, pair, rows), rows, len(rows)),
+            "curve": [astuple(point)[:3] for point in curve],
+            "seconds": sum(point.seconds for point in curve),
+        }
+
+    result = job.finished(name, make)
+    checkpoint.unlink(missing_ok=True)
+    return result
 
 
-def _trained(task: _Task, pair: Pair, run: int, checkpoint: Path) -> tuple[TwoStream, list[EpochPoint]]:
+def _trained(
+    job: Job[RetrieveParams], pair: Pair, run: int, checkpoint: Path
+) -> tuple[TwoStream, list[EpochPoint]]:
     """Train one net, or go on from its checkpoint."""
-    params, rows, labels = task.params, task.split.train, task.observations.labels
+    params, rows, labels = job.params, job.split.train, job.observations.labels
     classes = np.unique(labels[rows])
-    purpose = ("retrieve", task.split.name, *pair, str(run))
-    with seeded(task.seed, *purpose):
-        encoders = [make_encoder(task.encoder, modality, task.weights) for modality in pair]
-        net = TwoStream(encoders, params.embedding, len(classes))
+    purpose = ("retrieve", job.split.name, *pair, str(run))
+    with seeded(job.seed, *purpose):
+        net = TwoStream([job.make_encoder(modality) for modality in pair], params.embedding, len(classes))
 
     def epoch_batches(epoch: int) -> Iterator[Batch]:
-        rng = numpy_generator(task.seed, *purpose, f"epoch {epoch}")
+        rng = numpy_generator(job.seed, *purpose, f"epoch {epoch}")
         for paired in paired_batches(rows, labels[rows], params.batch, rng):
-            first, second = (task.inputs(m, some, rng) for m, some in zip(pair, paired))
+            first, second = (job.inputs(m, some, rng) for m, some in zip(pair, paired))
             targets = torch.from_numpy(np.searchsorted(classes, labels[paired[0]]))
-            yield first, second, targets.to(task.device)
+            yield first, second, targets.to(job.device)
 
     def batch_loss(batch: Batch) -> torch.Tensor:
         *inputs, targets = batch
@@ -345,65 +232,82 @@ def _trained(task: _Task, pair: Pair, run: int, checkpoint: Path) -> tuple[TwoSt
         return cross_sensory_loss(first, second, targets, params.margin) + classification
 
     def val_score() -> float:
-        rows = task.validation
-        scores = task.maps(pair, _embeddings(task, net, pair, rows), rows, len(task.split.val))
+        rows = _validation(job)
+        scores = _maps(job, pair, _embeddings(job, net, pair, rows), rows, len(job.split.val))
         return sum(scores.values()) / 2
 
-    def report(point: EpochPoint) -> None:
-        task.report(
-            f"retrieve {task.split.name}, {pair[0]} and {pair[1]}, seed {run + 1} of {params.seeds}, "
-            f"epoch {point.epoch} of {params.epochs}: training loss {point.train_loss:.3f}, "
-            f"validation mAP {point.val_score:.3f}, {point.seconds:.0f} s"
-        )
-
-    curve = train(
+    curve = job.train(
+        f"retrieve {job.split.name}, {pair[0]} and {pair[1]}, seed {run + 1} of {params.seeds}",
         net,
         epoch_batches,
         batch_loss,
         val_score,
-        epochs=params.epochs,
-        learning_rate=params.learning_rate,
-        weight_decay=params.weight_decay,
-        patience=params.patience,
-        checkpoint=checkpoint,
-        device=task.device,
-        report=report,
+        "mAP",
+        checkpoint,
     )
     return net, curve
 
 
+def _validation(job: Job[RetrieveParams]) -> np.ndarray:
+    """Gallery of the validation: its rows, which are the queries, and among them training rows.
+
+    The few validation objects of the split ``unseen`` alone, or the only one, would tell little.
+    """
+    rng = numpy_generator(job.seed, "retrieve", job.split.name, "sample")
+    return np.concatenate([job.split.val, rng.permutation(job.split.train)[:SAMPLE]])
+
+
+def _maps(
+    job: Job[RetrieveParams], pair: Pair, embeddings: Sequence[np.ndarray], rows: np.ndarray, queries: int
+) -> Maps:
+    """Score embeddings of rows in two modalities: the first rows are queries, all of them the gallery."""
+    labels = job.observations.labels[rows]
+    return {
+        f"{pair[query][0].upper()}->{pair[1 - query][0].upper()}": mean_average_precision(
+            embeddings[query][:queries], labels[:queries], embeddings[1 - query], labels
+        )
+        for query in (0, 1)
+    }
+
+
+def _chunks(job: Job[RetrieveParams], modality: str, rows: np.ndarray) -> Iterator[torch.Tensor]:
+    """What the encoder of a modality is given of many rows, some at a time."""
+    for some in np.array_split(rows, -(-len(rows) // CHUNK)):
+        yield job.inputs(modality, some)
+
+
 @torch.no_grad()
-def _embeddings(task: _Task, net: TwoStream, pair: Pair, rows: np.ndarray) -> list[np.ndarray]:
+def _embeddings(job: Job[RetrieveParams], net: TwoStream, pair: Pair, rows: np.ndarray) -> list[np.ndarray]:
     """Embeddings (n, embedding) of both streams."""
     return [
-        torch.cat([net.embed(stream, x) for x in task.chunks(modality, rows)]).cpu().numpy()
+        torch.cat([net.embed(stream, x) for x in _chunks(job, modality, rows)]).cpu().numpy()
         for stream, modality in enumerate(pair)
     ]
 
 
-def _features(task: _Task, modality: str) -> dict[str, np.ndarray]:
+def _features(job: Job[RetrieveParams], modality: str) -> dict[str, np.ndarray]:
     """What CCA knows of a split's rows: white components of the encoder's input at few pixels; (n, D)."""
     shape = FEATURE_SIZES[modality]
 
     def pixels(rows: np.ndarray) -> np.ndarray:
-        inputs = task.chunks(modality, rows)
+        inputs = _chunks(job, modality, rows)
         return torch.cat([F.adaptive_avg_pool2d(x, shape).flatten(1) for x in inputs]).cpu().numpy()
 
-    train = pixels(task.split.train)
+    train = pixels(job.split.train)
     whiten = cca.whitening(train, max(DIMENSIONS))
     return {
         "train": whiten(train),
-        "validation": whiten(pixels(task.validation)),
-        "test": whiten(pixels(task.split.test)),
+        "validation": whiten(pixels(_validation(job))),
+        "test": whiten(pixels(job.split.test)),
     }
 
 
 def _correlated(
-    task: _Task, pair: Pair, features: dict[str, dict[str, np.ndarray]]
+    job: Job[RetrieveParams], pair: Pair, features: dict[str, dict[str, np.ndarray]]
 ) -> tuple[Maps, dict[str, int]]:
     """Score CCA by direction, with the dimensions that are best on the validation rows."""
     first, second = (features[modality] for modality in pair)
-    labels = task.observations.labels[task.split.train]
+    labels = job.observations.labels[job.split.train]
     found = {d: cca.directions(first["train"][:, :d], second["train"][:, :d], labels) for d in DIMENSIONS}
 
     def variates(name: str, dimensions: int, components: int) -> list[np.ndarray]:
@@ -412,14 +316,14 @@ def _correlated(
             for side, matrix in zip((first, second), found[dimensions])
         ]
 
-    validation, test = task.validation, task.split.test
+    validation, test = _validation(job), job.split.test
     tried = {
         chosen: sum(
-            task.maps(pair, variates("validation", *chosen), validation, len(task.split.val)).values()
+            _maps(job, pair, variates("validation", *chosen), validation, len(job.split.val)).values()
         )
         for chosen in product(DIMENSIONS, DIMENSIONS)
         if chosen[1] <= found[chosen[0]][0].shape[1]
     }
     chosen = max(tried, key=tried.__getitem__)
-    scores = task.maps(pair, variates("test", *chosen), test, len(test))
+    scores = _maps(job, pair, variates("test", *chosen), test, len(test))
     return scores, dict(zip(("dimensions", "components"), chosen))

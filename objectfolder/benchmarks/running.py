@@ -9,40 +9,26 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from shutil import rmtree
 from types import SimpleNamespace
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 
 import objectfolder
 from objectfolder.artifacts import atomic, file_digest, write_json
-from objectfolder.benchmarks.encoders import InputSizes, Weights, own_file
+from objectfolder.benchmarks.encoders import InputSizes, Weights, own_file, registered
+from objectfolder.benchmarks.job import Job
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.observations import Observations
-from objectfolder.benchmarks.splits import Split, named_split
+from objectfolder.benchmarks.splits import named_split
 from objectfolder.sources import digests
 
 #: What a task leaves in its progress folder under these names is kept: a net to ask, a picture to look at.
 KEPT = {"model.safetensors": Benchmarks.model, "sheet.png": Benchmarks.sheet}
 
 
-class Task(Protocol):
-    """A task, such as `objectfolder.benchmarks.recognition.recognize`."""
-
-    def __call__(
-        self,
-        observations: Observations,
-        split: Split,
-        params: Any,
-        encoder: str,
-        sizes: InputSizes,
-        *,
-        weights: Weights | None,
-        seed: int,
-        progress: Path,
-        device: str,
-        report: Callable[[str], None],
-    ) -> tuple[dict[str, Any], list[list[Any]]]:
-        """Return scores, with the ``seconds`` they took, and rows of training curves."""
+#: A task, such as `objectfolder.benchmarks.recognition.recognize`: it gives scores, with the ``seconds`` that
+#: they took, and rows of training curves.
+Task = Callable[[Job[Any]], tuple[dict[str, Any], list[list[Any]]]]
 
 
 def run_task(
@@ -96,18 +82,19 @@ def run_task(
     given = [file_digest(path) for path in files if path is not None]
     identity = (observations.digest, params, _code(task), given)
     progress = folder.progress(name, split, hashlib.sha256(repr(identity).encode()).hexdigest())
-    rows = named_split(split, observations.keys, observations.count)
     scores, curve = task(
-        observations,
-        rows,
-        params.section,
-        encode.encoder,
-        sizes,
-        weights=weights,
-        seed=params.seed,
-        progress=progress,
-        device=device or ("cuda" if torch.cuda.is_available() else "cpu"),
-        report=report,
+        Job(
+            observations,
+            named_split(split, observations.keys, observations.count),
+            params.section,
+            registered(encode.encoder),
+            sizes,
+            params.seed,
+            progress,
+            weights,
+            device or ("cuda" if torch.cuda.is_available() else "cpu"),
+            report,
+        )
     )
     seconds = scores.pop("seconds")  # the rest is the same whenever it is run
     with atomic(folder.curve(name, split)) as temporary, temporary.open("w", newline="") as stream:

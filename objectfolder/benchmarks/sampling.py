@@ -73,22 +73,10 @@ def sample_observations(
     if resolution < 1:
         raise ObjectFolderError(f"{file.key}: views of {resolution} pixels, expected a positive number")
     _require_parts(file)
-    request = {
-        "version": VERSION,
-        "key": file.key,
-        "material": file.material,
-        "scale": file.scale,
-        "sensor": file.sensor,
-        "object_sha256": object_digest(file),
-        "count": count,
-        "resolution": resolution,
-        "sample_rate": SAMPLE_RATE,
-        "seed": seed,
-    }
-    arrays = {modality: _written(folder, modality, request) for modality in MODALITIES}
-    whole = all((folder / name).is_file() for name in (QUERIES, SOURCE))
-    if whole and all(arrays.values()) and _stored(folder / RECORD) == request | {"arrays": arrays}:
+    if are_sampled(file, count, resolution, seed, folder):
         return
+    request = _request(file, count, resolution, seed)
+    arrays = {modality: _written(folder, modality, request) for modality in MODALITIES}
     (folder / RECORD).unlink(missing_ok=True)
     queries = draw_queries(file, count, seed)
     one = ask(file, {name: rows[:1] for name, rows in queries.items()}, "touch", resolution)[0]
@@ -108,6 +96,15 @@ def sample_observations(
             write_json(folder / f"{modality}.json", {"request": request, "array": array})
             arrays[modality] = array
         write_json(folder / RECORD, request | {"arrays": arrays})
+
+
+def are_sampled(file: ObjectFile, count: int, resolution: int, seed: int, folder: str | Path) -> bool:
+    """Whether a folder holds all observations that `sample_observations` would write there."""
+    folder, request = Path(folder), _request(file, count, resolution, seed)
+    if not all((folder / name).is_file() for name in (QUERIES, SOURCE)):
+        return False
+    arrays = {modality: _written(folder, modality, request) for modality in MODALITIES}
+    return all(arrays.values()) and _stored(folder / RECORD) == request | {"arrays": arrays}
 
 
 def draw_queries(file: ObjectFile, count: int, seed: int) -> Queries:
@@ -200,6 +197,22 @@ def object_digest(file: ObjectFile) -> str:
         tensor = np.ascontiguousarray(file.tensors[name])
         digest.update(f"{name} {tensor.dtype.str} {tensor.shape}".encode() + tensor.tobytes())
     return digest.hexdigest()
+
+
+def _request(file: ObjectFile, count: int, resolution: int, seed: int) -> dict[str, Any]:
+    """What observations are of; those of another request are drawn anew."""
+    return {
+        "version": VERSION,
+        "key": file.key,
+        "material": file.material,
+        "scale": file.scale,
+        "sensor": file.sensor,
+        "object_sha256": object_digest(file),
+        "count": count,
+        "resolution": resolution,
+        "sample_rate": SAMPLE_RATE,
+        "seed": seed,
+    }
 
 
 def _require_parts(file: ObjectFile) -> None:

@@ -11,13 +11,14 @@ import numpy as np
 import torch
 
 from objectfolder.artifacts import read_safetensors, write_safetensors
-from objectfolder.benchmarks.encoders import InputSizes, make_encoder, prepare
+from objectfolder.benchmarks.encoders import InputSizes, Weights, make_encoder, prepare
+from objectfolder.benchmarks.framing import framed_views
 from objectfolder.benchmarks.occupancy import grid_points
 from objectfolder.benchmarks.occupancy_net import Reconstructor, occupancy_logits
 from objectfolder.benchmarks.shapes import extract_mesh
 from objectfolder.errors import ObjectFolderError
 
-FORMAT = "objectfolder reconstruction 1"
+FORMAT = "objectfolder reconstruction 2"
 ROWS = 64  # observations that are encoded at once
 
 
@@ -73,7 +74,9 @@ class ShapeModel:
         parts = [
             self.net.embed(
                 {
-                    name: prepare(name, observations[name][start : start + ROWS], self.setup.sizes).to(device)
+                    name: shape_inputs(
+                        name, observations[name][start : start + ROWS], self.setup.sizes, device=device
+                    )
                     for name in self.setup.modalities
                 }
             )
@@ -101,9 +104,20 @@ class ShapeModel:
         return grid_points(self.setup.resolution)
 
 
-def new_net(setup: Setup, weights: Mapping[str, torch.Tensor] | None = None) -> Reconstructor:
+def shape_inputs(
+    modality: str,
+    raw: np.ndarray,
+    sizes: InputSizes,
+    rng: np.random.Generator | None = None,
+    device: str | torch.device = "cpu",
+) -> torch.Tensor:
+    """Make the input of a reconstructor's encoder: views are framed first, the rest is `prepare`'s."""
+    return prepare(modality, framed_views(raw) if modality == "vision" else raw, sizes, rng, device)
+
+
+def new_net(setup: Setup, weights: Weights | None = None) -> Reconstructor:
     """Make an untrained net, from torch's global generator; encoders may start from given weights."""
-    encoders = {name: make_encoder(setup.encoder, name, weights) for name in setup.modalities}  # type: ignore[arg-type]
+    encoders = {name: make_encoder(setup.encoder, name, weights) for name in setup.modalities}
     return Reconstructor(encoders, setup.width, setup.blocks, setup.frequencies)
 
 

@@ -43,6 +43,7 @@ def train(
     learning_rate: float,
     weight_decay: float = 0.0,
     patience: int,
+    statistics: int = STATISTICS,
     checkpoint: Path | None = None,
     device: str | torch.device = "cpu",
     report: Callable[[EpochPoint], None] = lambda point: None,
@@ -69,6 +70,8 @@ def train(
         Peak rate.
     patience : int
         Training stops after so many epochs without a better score.
+    statistics : int
+        Batches that the statistics of batch normalisation are taken from, after each epoch.
     checkpoint : Path, optional
         File that keeps the state after each epoch, from which the same call goes on; remove it afterwards.
     report : callable
@@ -113,7 +116,7 @@ def train(
             optimizer.step()
             losses.append(loss.detach())
         train_loss = torch.stack(losses).double().mean().item()
-        _renew(norms, islice(epoch_batches(epoch), STATISTICS), batch_loss)
+        _renew(norms, islice(epoch_batches(epoch), statistics), batch_loss)
         net.eval()
         with torch.no_grad():
             score = float(val_score())

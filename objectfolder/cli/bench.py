@@ -159,7 +159,7 @@ def _run(
 
     from objectfolder import params as objects
     from objectfolder.artifacts import read_json, write_json
-    from objectfolder.benchmarks.encoders import make_encoder, read_weights
+    from objectfolder.benchmarks.encoders import make_encoder, read_weights, registered
     from objectfolder.benchmarks.layout import Benchmarks
     from objectfolder.benchmarks.params import splits_of, task_params
     from objectfolder.benchmarks.running import machine, run_task
@@ -185,7 +185,7 @@ def _run(
         values[task] = {**(values.get(task) or {}), "seeds": seeds}
     params = task_params(task, values, path)
     started = read_weights(weights) if weights is not None else None
-    make_encoder(params.encode.encoder, "vision", started)  # a wrong one is said before any work
+    make_encoder(registered(params.encode.encoder), "vision", started)  # a wrong one is said before any work
     folder = Benchmarks(out if out is not None else Path("benchmarks") / (preset or "own"))
     threads = threads or os.cpu_count() or 1
     torch.set_num_threads(threads)
@@ -253,13 +253,16 @@ def _observe(
     from multiprocessing import get_context
 
     from objectfolder.benchmarks.observations import Observations
+    from objectfolder.benchmarks.sampling import are_sampled
+    from objectfolder.objectfile import ObjectFile
 
+    wanted = (params.observations, params.resolution, seed)
     folders = {key: folder.observations(key) for key in paths}
-    with ProcessPoolExecutor(min(jobs, len(paths)), get_context("spawn")) as pool:
-        waiting = [
-            pool.submit(_observe_one, path, params.observations, params.resolution, seed, folders[key])
-            for key, path in paths.items()
-        ]
+    new = [key for key in paths if not are_sampled(ObjectFile.load(paths[key]), *wanted, folders[key])]
+    if not new:
+        return Observations(folders)
+    with ProcessPoolExecutor(min(jobs, len(new)), get_context("spawn")) as pool:
+        waiting = [pool.submit(_observe_one, paths[key], *wanted, folders[key]) for key in new]
         try:
             for done in tracked(as_completed(waiting), "observing objects", len(waiting)):
                 done.result()

@@ -28,10 +28,10 @@ def reconstruct(
     The background is removed by the picture's transparency if it has any, else by `--mask`, else by
     `--background`. The model knows objects like those that it was trained on.
     """
+    from objectfolder.benchmarks.framing import framed
     from objectfolder.benchmarks.photograph import (
         check_mesh_name,
         cut_out,
-        framed,
         photograph_to_mesh,
         read_picture,
         write_mesh,

@@ -12,9 +12,12 @@ from typer.testing import CliRunner
 
 from objectfolder.artifacts import open_safetensors, write_safetensors
 from objectfolder.benchmarks import running
+from objectfolder.benchmarks.layout import Benchmarks
+from objectfolder.benchmarks.sampling import sample_observations
 from objectfolder.benchmarks.splits import object_split
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile import ObjectFile
 from objectfolder.params import read
 
 ROOT = Path(__file__).parents[2]
@@ -54,8 +57,17 @@ def files(brick, tmp_path_factory):
     return folder
 
 
+@pytest.fixture(scope="module")
+def observed(files, tmp_path_factory):
+    """Their observations; what the same call draws twice is another file's test."""
+    folder = Benchmarks(tmp_path_factory.mktemp("observed"))
+    for path in files.glob("*/ObjectFile.safetensors"):
+        sample_observations(ObjectFile.load(path), 10, 12, 0, folder.observations(path.parent.name))
+    return folder.dir
+
+
 @pytest.fixture
-def workspace(tmp_path, monkeypatch):
+def workspace(tmp_path, monkeypatch, observed):
     values = read(ROOT / "params.yaml")
     for section, content in TINY.items():
         values[section] = {**values[section], **content}
@@ -63,6 +75,8 @@ def workspace(tmp_path, monkeypatch):
         YAML().dump(values, stream)
     shutil.copytree(ROOT / "params", tmp_path / "params")
     (tmp_path / "mine.py").write_text(ENCODER)
+    for name in ("first", "second", "parts", "out"):  # "whole" is observed by the command
+        shutil.copytree(observed, tmp_path / name)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

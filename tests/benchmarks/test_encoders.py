@@ -5,7 +5,14 @@ from torch import nn
 
 from objectfolder.audio.spectrogram import SAMPLE_RATE
 from objectfolder.benchmarks import encoders
-from objectfolder.benchmarks.encoders import InputSizes, make_encoder, prepare, read_weights, register_encoder
+from objectfolder.benchmarks.encoders import (
+    InputSizes,
+    make_encoder,
+    prepare,
+    read_weights,
+    register_encoder,
+    registered,
+)
 from objectfolder.benchmarks.resnet import ResNet18
 from objectfolder.errors import ObjectFolderError
 
@@ -181,3 +188,22 @@ def test_observations_smaller_than_the_sizes_are_refused(rng):
         prepare("vision", np.zeros((1, 48, 64, 3), np.uint8), SIZES)
     with pytest.raises(ObjectFolderError, match="touch of 60 x 48 is smaller than the encoder's 64 x 48"):
         prepare("touch", np.zeros((1, 60, 48, 3), np.uint8), SIZES)
+
+
+def test_a_file_registers_its_encoder_and_is_run_by_nobody_else(tmp_path, monkeypatch):
+    monkeypatch.setattr(encoders, "_FACTORIES", dict(encoders._FACTORIES))
+    path = tmp_path / "mine.py"
+    path.write_text(
+        "from torch import nn\n"
+        "from objectfolder.benchmarks.encoders import register_encoder\n"
+        'register_encoder("of_a_file")(lambda channels: nn.Conv2d(channels, 1, 1))\n'
+    )
+    with pytest.raises(ObjectFolderError, match="is not one of"):  # a model's header may say anything
+        make_encoder(f"{path}:of_a_file", "vision")
+    assert "of_a_file" not in encoders._FACTORIES
+    assert registered(f"{path}:of_a_file") == "of_a_file"
+    assert make_encoder("of_a_file", "audio").in_channels == 1
+    with pytest.raises(ObjectFolderError, match="'nothing' is not one of"):
+        registered(f"{path}:nothing")
+    with pytest.raises(ObjectFolderError, match=r"mine2\.py does not exist"):
+        registered(f"{tmp_path / 'mine2.py'}:of_a_file")

@@ -10,10 +10,8 @@ from typer.testing import CliRunner
 
 from objectfolder.benchmarks.encoders import InputSizes, register_encoder
 from objectfolder.benchmarks.photograph import (
-    FILL,
     cluttered,
     cut_out,
-    framed,
     photograph_conditions,
     photograph_scores,
     read_picture,
@@ -25,7 +23,7 @@ from objectfolder.errors import ObjectFolderError
 VIEW = 32
 
 
-@register_encoder("mean")
+@register_encoder("middle")
 class Mean(nn.Module):
     """One feature: how dark the middle of the picture is."""
 
@@ -56,7 +54,7 @@ def mask_of(box=(10, 20, 40, 35), size=(80, 60)):
 @pytest.fixture
 def model():
     """A net that sees a ball: the darker the middle of the picture, the larger."""
-    setup = Setup(("vision",), "mean", InputSizes(28, (8, 8), (8, 8)), VIEW, 4, 1, 0, 24, ("ball",))
+    setup = Setup(("vision",), "middle", InputSizes(28, (8, 8), (8, 8)), VIEW, 4, 1, 0, 24, ("ball",))
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         net = new_net(setup).eval()
@@ -77,7 +75,7 @@ class Ball(nn.Module):
 @pytest.fixture
 def model_path(tmp_path):
     """An untrained net whose answer is everything above a plane."""
-    setup = Setup(("vision",), "mean", InputSizes(28, (8, 8), (8, 8)), VIEW, 4, 1, 0, 12, ("ball",))
+    setup = Setup(("vision",), "middle", InputSizes(28, (8, 8), (8, 8)), VIEW, 4, 1, 0, 12, ("ball",))
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         net = new_net(setup).eval()
@@ -111,33 +109,6 @@ def test_specks_elsewhere_are_not_the_object():
     image = picture()
     image[2, 70] = (0, 0, 0, 255)
     assert np.array_equal(cut_out(image, background=(0, 255, 0))[..., 3] == 1, mask_of() > 0)
-
-
-def test_framed_object_is_in_the_middle_and_as_large_as_in_training_views():
-    assert pytest.approx(355.56 / 256 / 2.5) == FILL
-    for box in ((10, 20, 40, 35), (0, 0, 7, 60), (70, 50, 80, 60)):
-        left, top, right, bottom = box
-        view = framed(cut_out(picture(box=box), mask=mask_of(box)), 64)
-        assert view.shape == (64, 64, 3)
-        assert (view[[0, -1]] == 255).all()
-        dark = view[..., 1] < 140  # half covered, in sRGB about 188
-        rows, columns = np.flatnonzero(dark.any(1)), np.flatnonzero(dark.any(0))
-        longest = max(right - left, bottom - top)
-        for found, length in ((columns, right - left), (rows, bottom - top)):
-            assert len(found) == pytest.approx(length / longest * FILL * 64, abs=2)
-            assert found.mean() == pytest.approx(31.5, abs=1)
-        assert view[32, 32] == pytest.approx([200, 30, 30], abs=1)  # its colour stays
-
-
-def test_framing_takes_no_notice_of_size_place_or_background():
-    small = framed(cut_out(picture(), mask=mask_of()), VIEW)
-    moved = (45, 40, 75, 55)
-    assert np.array_equal(framed(cut_out(picture(box=moved), mask=mask_of(moved)), VIEW), small)
-    other = picture(background=(9, 9, 9))
-    assert np.array_equal(framed(cut_out(other, mask=mask_of()), VIEW), small)
-    twice, larger = (20, 40, 80, 70), (160, 120)
-    big = framed(cut_out(picture(box=twice, size=larger), mask=mask_of(twice, larger)), VIEW)
-    assert np.abs(big.astype(int) - small).mean() < 3
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from torch import nn
 
 from objectfolder.benchmarks import encoders
 from objectfolder.benchmarks.encoders import InputSizes, register_encoder
+from objectfolder.benchmarks.job import Job
 from objectfolder.benchmarks.recognition import COMBINATIONS, CURVE_COLUMNS, Classifier, fused, recognize
 from objectfolder.benchmarks.splits import per_object, per_sample
 from objectfolder.errors import ObjectFolderError
@@ -72,7 +73,7 @@ def _small_encoder(monkeypatch):
 def _run(table, folder, split=None, **changes):
     params = SimpleNamespace(**{**vars(PARAMS), **changes})
     split = split or per_sample(table.keys, table.count)
-    scores, curve = recognize(table, split, params, "small", SIZES, seed=1, progress=folder)
+    scores, curve = recognize(Job(table, split, params, "small", SIZES, seed=1, progress=folder))
     return {name: value for name, value in scores.items() if name != "seconds"}, curve
 
 
@@ -164,6 +165,7 @@ def test_test_rows_are_read_once_with_the_best_epoch(tmp_path):
 
 def test_interrupted_recognition_goes_on_to_the_same_numbers(tmp_path):
     table = Table(20)
+    split = per_sample(table.keys, table.count)
     whole = _run(table, tmp_path / "whole")
     lines = []
 
@@ -178,16 +180,7 @@ def test_interrupted_recognition_goes_on_to_the_same_numbers(tmp_path):
     # In the middle of a single modality, after one, in a fusion, and in the second seed.
     for at in (2, 3, 11, 16):
         with pytest.raises(KeyboardInterrupt):
-            recognize(
-                table,
-                per_sample(table.keys, table.count),
-                PARAMS,
-                "small",
-                SIZES,
-                seed=1,
-                progress=tmp_path / "parts",
-                report=stop(at),
-            )
+            recognize(Job(table, split, PARAMS, "small", SIZES, 1, tmp_path / "parts", report=stop(at)))
     assert _run(table, tmp_path / "parts") == whole
     assert len(lines) == 16
     assert len(set(lines)) == 16  # no epoch twice
@@ -203,7 +196,7 @@ def test_another_seed_gives_other_nets(tmp_path):
     table = Table(20, noise=200)
     split = per_sample(table.keys, table.count)
     curves = [
-        recognize(table, split, PARAMS, "small", SIZES, seed=seed, progress=tmp_path / str(i))[1]
+        recognize(Job(table, split, PARAMS, "small", SIZES, seed=seed, progress=tmp_path / str(i)))[1]
         for i, seed in enumerate((1, 2))
     ]
     assert all(a[3] != b[3] for a, b in zip(*curves))

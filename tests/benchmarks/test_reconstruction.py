@@ -10,20 +10,14 @@ from PIL import Image
 from solids import box, sphere
 from torch import nn
 
-from objectfolder.benchmarks import encoders, reconstruction
+from objectfolder.benchmarks import encoders, job, truth
 from objectfolder.benchmarks.encoders import InputSizes, register_encoder
+from objectfolder.benchmarks.job import Job
 from objectfolder.benchmarks.occupancy import HALF_SIDE, sample_occupancy
-from objectfolder.benchmarks.reconstruction import (
-    CURVE_COLUMNS,
-    VARIANTS,
-    Task,
-    average_shape,
-    best_level,
-    reconstruct,
-    selected,
-)
+from objectfolder.benchmarks.reconstruction import CURVE_COLUMNS, VARIANTS, first_rows, reconstruct
 from objectfolder.benchmarks.shape_model import Setup, ShapeModel, load_model, new_net, save_model
-from objectfolder.benchmarks.splits import Split, per_sample
+from objectfolder.benchmarks.splits import per_sample
+from objectfolder.benchmarks.truth import Truth, best_level
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
@@ -45,6 +39,7 @@ PARAMS = SimpleNamespace(
     width=24,
     blocks=1,
     frequencies=1,
+    naming=1.0,
     learning_rate=5e-3,
     weight_decay=1e-4,
     patience=8,
@@ -78,7 +73,7 @@ class Observed:
         return (hum * (1 + 0.1 * noise[:, 0, 0, :1])).astype(np.float32)
 
 
-@register_encoder("tiny")
+@register_encoder("tiny_shapes")
 class Tiny(nn.Module):
     features = 16
 
@@ -97,21 +92,21 @@ class Tiny(nn.Module):
 
 
 @pytest.fixture
-def task(tmp_path, monkeypatch):
+def occupancy(monkeypatch):
     """Four solids whose surfaces are known, without Object Files."""
     opened = {key: (lambda surface=surface: surface) for key, surface in SURFACES.items()}
-    occupancy = sample_occupancy(opened, 3000, 600, PARAMS.score_points, PARAMS.resolution, 0)
-    monkeypatch.setattr(reconstruction, "cached_occupancy", lambda *given: occupancy)
+    sampled = sample_occupancy(opened, 3000, 600, PARAMS.score_points, PARAMS.resolution, 0)
+    monkeypatch.setattr(truth, "cached_occupancy", lambda *given: sampled)
     load = SimpleNamespace(load=lambda path: SimpleNamespace(surface=SURFACES[path.name]))
-    monkeypatch.setattr(reconstruction, "ObjectFile", load)
-    return Task(Observed(), per_sample(Observed.keys, COUNT), PARAMS, "tiny", SIZES, 0, tmp_path)
+    monkeypatch.setattr(truth, "ObjectFile", load)
+    return sampled
 
 
 def run(progress, report=lambda line: None):
     """Scores but for the time they took, and curves."""
     split = per_sample(Observed.keys, COUNT)
     scores, curves = reconstruct(
-        Observed(), split, PARAMS, "tiny", SIZES, seed=0, progress=progress, report=report
+        Job(Observed(), split, PARAMS, "tiny_shapes", SIZES, seed=0, progress=progress, report=report)
     )
     assert scores.pop("seconds") > 0
     return json.loads(json.dumps(scores, allow_nan=False)), curves
@@ -125,7 +120,9 @@ def _one_thread():
     torch.set_num_threads(threads)
 
 
-def test_every_variant_beats_the_average_shape_and_an_interrupted_call_goes_on(task, tmp_path, monkeypatch):
+def test_every_variant_beats_the_average_shape_and_an_interrupted_call_goes_on(
+    occupancy, tmp_path, monkeypatch
+):
     seen, curves = run(tmp_path / "a")
     assert set(seen) == {*VARIANTS, "average_shape", "perfect", "objects", "rows", "duplicates"}
     assert seen["rows"] == {"train": 64, "val": 8, "test": 8}
@@ -161,29 +158,28 @@ def test_every_variant_beats_the_average_shape_and_an_interrupted_call_goes_on(t
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
     assert not list((tmp_path / "b").glob("*.pt"))
     # What is finished is read.
-    monkeypatch.setattr(reconstruction, "train", lambda *a, **k: pytest.fail("trained"))
+    monkeypatch.setattr(job, "train", lambda *a, **k: pytest.fail("trained"))
     assert run(tmp_path / "b") == (seen, curves)
 
 
-def test_selection_is_the_first_views_of_each_object(task):
+def test_selection_is_the_first_rows_of_each_object():
     rows = np.array([3, 5, 7, 21, 40, 41, 42])
-    assert selected(rows, task).tolist() == [3, 5, 21, 40, 41]
+    assert first_rows(rows, Observed.labels, 2).tolist() == [3, 5, 21, 40, 41]
 
 
-def test_average_shape_is_the_mean_of_the_training_objects(task):
-    label = {key: i for i, key in enumerate(SOLIDS)}
+def test_average_shape_is_the_mean_of_the_training_objects(occupancy, tmp_path):
+    shapes = Truth({key: Path(key) for key in SOLIDS}, PARAMS.score_points, PARAMS.resolution, 0, tmp_path)
 
-    def rows(*keys):
-        return np.concatenate([np.arange(4) + COUNT * label[key] for key in keys])
+    def labels(*keys):
+        return np.array([shapes.keys.index(key) for key in keys])
 
-    # Trained on one object and tested on it, the average is that object.
-    same = average_shape(replace(task, split=Split("one", rows("cube"), rows("cube"), rows("cube"))))
+    # Of one object, tested on it, the average is that object.
+    same = shapes.average_shape(*[labels("cube")] * 3)
     assert same["iou"] == 1
     assert same["per_object"] == {"cube": 1}
     # Of two that are tested on a third: where both are, or where either is, as validation prefers.
-    inside = task.occupancy.score_inside
-    block, slab, cube = (inside[label[key]] for key in ("block", "slab", "cube"))
-    both = average_shape(replace(task, split=Split("two", rows("block", "slab"), rows("cube"), rows("cube"))))
+    block, slab, cube = occupancy.score_inside[labels("block", "slab", "cube")]
+    both = shapes.average_shape(labels("block", "slab"), labels("cube"), labels("cube"))
     candidates = [(both_ & cube).sum() / (both_ | cube).sum() for both_ in (block & slab, block | slab)]
     assert both["iou"] == pytest.approx(max(candidates))
     assert both["threshold"] == (0.05 if candidates[1] >= candidates[0] else 0.5)
@@ -197,8 +193,8 @@ def test_best_level_by_hand():
     assert best_level(values, inside, np.array([0.95, 0.99])) == (0.95, 0.0)  # empty answers are no error
 
 
-def test_model_file_keeps_everything_and_refuses_what_it_is_not(task, tmp_path, brick_path):
-    setup = Setup(("vision",), "tiny", SIZES, 16, 8, 1, 2, 8, tuple(SOLIDS), 0.45)
+def test_model_file_keeps_everything_and_refuses_what_it_is_not(occupancy, tmp_path, brick_path):
+    setup = Setup(("vision",), "tiny_shapes", SIZES, 16, 8, 1, 2, 8, tuple(SOLIDS), 0.45)
     with seeded(0, "model"):
         net = new_net(setup).eval()
     nn.init.normal_(net.decoder.blocks[0].norm1.beta.weight)  # not 0: the embedding counts
@@ -211,7 +207,7 @@ def test_model_file_keeps_everything_and_refuses_what_it_is_not(task, tmp_path, 
     view = Observed().read("vision", np.array([9, 30]))
     embedding = model.embed({"vision": view})
     torch.testing.assert_close(embedding[1:], load_model(path).embed({"vision": view[1:]}))
-    points = task.occupancy.score_points
+    points = occupancy.score_points
     inside = model.is_inside(embedding, points)
     probability = torch.from_numpy(model.logits(embedding, points)).double().sigmoid().numpy()
     clear = np.abs(probability - model.setup.threshold) > 1e-6
@@ -233,11 +229,11 @@ def test_model_file_keeps_everything_and_refuses_what_it_is_not(task, tmp_path, 
         load_model(tmp_path / "wrong.safetensors")
 
 
-def test_encoders_start_from_given_weights(task, tmp_path):
+def test_encoders_start_from_given_weights(tmp_path):
     weights = encoders.Weights(tmp_path, Tiny(3).state_dict())
     ones = {name: torch.ones_like(value) for name, value in weights.items()}
     net = new_net(
-        Setup(("vision",), "tiny", SIZES, 16, 8, 1, 0, 8, ("ball",)),
+        Setup(("vision",), "tiny_shapes", SIZES, 16, 8, 1, 0, 8, ("ball",)),
         encoders.Weights(tmp_path, ones),
     )
     assert all((value == 1).all() for value in net.encoders["vision"].state_dict().values())

@@ -68,6 +68,7 @@ def test_large_errors_are_refined_and_small_ones_are_not():
     assert refine(THICK, 0.06, FineGrid(16, 4, 10**6, error * 1.01)).resolution == 8
 
 
+@pytest.mark.slow
 def test_refining_brings_the_frequencies_nearer():
     solid = frame()
     fine, coarse = refine(solid, 0.1), cut_cells(*solid, 8, 4)

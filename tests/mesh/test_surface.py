@@ -404,7 +404,7 @@ def test_what_encloses_nothing_is_refused_by_name(monkeypatch, vertices, faces):
         close_surface(np.asarray(vertices, float), np.asarray(faces), "lamp")
 
 
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=3, deadline=None)
 @given(SEEDS)
 def test_garbage_is_refused_or_becomes_a_closed_outward_surface(seed):
     rng = np.random.default_rng(seed)

@@ -4,7 +4,6 @@ import subprocess
 
 import pytest
 from conftest import Workspace
-from ruamel.yaml import YAML
 
 pytestmark = pytest.mark.xdist_group("pipeline")
 
@@ -30,7 +29,7 @@ def test_fresh_clone_of_a_built_workspace_runs_nothing(built, tmp_path):
     fresh = Workspace(tmp_path / "clone")
     fresh.run("-m", "dvc", "remote", "add", "-d", "store", str(tmp_path / "store"))
     done = fresh.cli("build", "--pull", "-j", "2")
-    stages = YAML(typ="safe").load((built.root / "dvc.lock").read_text())["stages"]
+    stages = built.run("-m", "dvc", "stage", "list", "--name-only").stdout.split()
     assert f"{len(stages)} restored in" in done.stdout
     artifacts = fresh.artifacts()
     assert {f"build/{key}/ObjectFile.safetensors" for key in ("bell", "cube")} <= set(artifacts)
