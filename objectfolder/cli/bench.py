@@ -2,9 +2,11 @@
 
 import os
 import time
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,7 +15,6 @@ from objectfolder.errors import ObjectFolderError
 
 if TYPE_CHECKING:
     from objectfolder.benchmarks.layout import Benchmarks
-    from objectfolder.benchmarks.observations import Observations
     from objectfolder.benchmarks.tables import Table
     from objectfolder.params import ObserveParams
 
@@ -74,7 +75,11 @@ WeightsOption = Annotated[
 ]
 ThreadsOption = Annotated[
     int | None,
-    typer.Option(min=1, help="Default: all cores. The same number gives the same figures."),
+    typer.Option(
+        min=1,
+        help="Default: all cores; splits share them and run side by side. The same number gives the same "
+        "figures.",
+    ),
 ]
 DeviceOption = Annotated[
     str | None, typer.Option(help="Where nets train, such as cpu or cuda; default: a GPU if there is one.")
@@ -158,17 +163,13 @@ def _run(
     import torch
 
     from objectfolder import params as objects
-    from objectfolder.artifacts import read_json, write_json
+    from objectfolder.artifacts import read_json
     from objectfolder.benchmarks.encoders import make_encoder, read_weights, registered
     from objectfolder.benchmarks.layout import Benchmarks
     from objectfolder.benchmarks.params import splits_of, task_params
-    from objectfolder.benchmarks.running import machine, run_task
     from objectfolder.benchmarks.splits import label_order, named_split
     from objectfolder.benchmarks.tables import table
     from objectfolder.catalog import read_preset
-
-    module = import_module(f"objectfolder.benchmarks.{MODULES[task]}")
-    run, columns = getattr(module, task), module.CURVE_COLUMNS
 
     known = splits_of(task)
     splits = list(dict.fromkeys(splits or known))
@@ -188,20 +189,68 @@ def _run(
     make_encoder(registered(params.encode.encoder), "vision", started)  # a wrong one is said before any work
     folder = Benchmarks(out if out is not None else Path("benchmarks") / (preset or "own"))
     threads = threads or os.cpu_count() or 1
-    torch.set_num_threads(threads)
     paths = _object_files(files)
     observe = objects.validate(objects.ObserveParams, values.get("observe"), f"{path}: observe")
     for split in splits:  # what cannot be split is said before any work
         named_split(split, label_order(paths), observe.observations)
-    observations = _observe(paths, observe, params.seed, folder, threads)
-    for split in splits:
-        before = time.process_time()
-        seconds = run_task(task, run, columns, split, observations, params, folder, _say, started, device)
-        took = {"seconds": seconds, "cpu_seconds": time.process_time() - before}
-        write_json(folder.machine(task, split), took | {"threads": threads, "machine": machine(device)})
+    folders = _observe(paths, observe, params.seed, folder, threads)
+    on_gpu = torch.cuda.is_available() if device is None else device != "cpu"
+    together = 1 if on_gpu else min(threads, len(splits))
+    calls = [(task, split, folders, params, folder, weights, threads // together, device) for split in splits]
+    if together > 1:
+        for _ in _in_processes(_run_split, calls, together):
+            pass
+    else:
+        for call in calls:
+            _run_split(*call)
     for split in splits:
         _print(table(task, split, read_json(folder.result(task, split))))
         console.print(f"{folder.result(task, split)}  curves: {folder.curve(task, split)}", soft_wrap=True)
+
+
+def _run_split(
+    task: str,
+    split: str,
+    folders: dict[str, Path],
+    params: SimpleNamespace,
+    folder: "Benchmarks",
+    weights: Path | None,
+    threads: int,
+    device: str | None,
+) -> None:
+    """Run a task on one split, and write what it took beside the results."""
+    import torch
+
+    from objectfolder.artifacts import write_json
+    from objectfolder.benchmarks.encoders import read_weights
+    from objectfolder.benchmarks.observations import Observations
+    from objectfolder.benchmarks.running import machine, run_task
+
+    torch.set_num_threads(threads)
+    module = import_module(f"objectfolder.benchmarks.{MODULES[task]}")
+    run, columns = getattr(module, task), module.CURVE_COLUMNS
+    started = None if weights is None else read_weights(weights)
+    before = time.process_time()
+    seconds = run_task(
+        task, run, columns, split, Observations(folders), params, folder, _say, started, device
+    )
+    took = {"seconds": seconds, "cpu_seconds": time.process_time() - before}
+    write_json(folder.machine(task, split), took | {"threads": threads, "machine": machine(device)})
+
+
+def _in_processes(call: Callable[..., None], arguments: list[tuple[Any, ...]], jobs: int) -> Iterator[None]:
+    """Call a function with each of the arguments, several at a time; give an item for each that is done."""
+    from concurrent.futures import ProcessPoolExecutor, as_completed
+    from multiprocessing import get_context
+
+    with ProcessPoolExecutor(min(jobs, len(arguments)), get_context("spawn")) as pool:
+        waiting = [pool.submit(call, *given) for given in arguments]
+        try:
+            for done in as_completed(waiting):
+                yield done.result()
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
 
 
 def _say(line: str) -> None:
@@ -247,29 +296,22 @@ def _object_files(given: list[Path] | None) -> dict[str, Path]:
 
 def _observe(
     paths: dict[str, Path], params: "ObserveParams", seed: int, folder: "Benchmarks", jobs: int
-) -> "Observations":
+) -> dict[str, Path]:
     """Observe each object, several at a time; those that are observed already are left alone."""
-    from concurrent.futures import ProcessPoolExecutor, as_completed
-    from multiprocessing import get_context
-
-    from objectfolder.benchmarks.observations import Observations
     from objectfolder.benchmarks.sampling import are_sampled
     from objectfolder.objectfile import ObjectFile
 
     wanted = (params.observations, params.resolution, seed)
     folders = {key: folder.observations(key) for key in paths}
-    new = [key for key in paths if not are_sampled(ObjectFile.load(paths[key]), *wanted, folders[key])]
-    if not new:
-        return Observations(folders)
-    with ProcessPoolExecutor(min(jobs, len(new)), get_context("spawn")) as pool:
-        waiting = [pool.submit(_observe_one, paths[key], *wanted, folders[key]) for key in new]
-        try:
-            for done in tracked(as_completed(waiting), "observing objects", len(waiting)):
-                done.result()
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
-    return Observations(folders)
+    new = [
+        (path, *wanted, folders[key])
+        for key, path in paths.items()
+        if not are_sampled(ObjectFile.load(path), *wanted, folders[key])
+    ]
+    if new:  # starting processes takes seconds
+        for _ in tracked(_in_processes(_observe_one, new, jobs), "observing objects", len(new)):
+            pass
+    return folders
 
 
 def _observe_one(path: Path, count: int, resolution: int, seed: int, folder: Path) -> None:

@@ -82,7 +82,8 @@ def workspace(tmp_path, monkeypatch, observed):
 
 
 def bench(*arguments):
-    done = CliRunner().invoke(app, ["bench", *map(str, arguments), "--threads", "1"])
+    threads = () if "--threads" in arguments else ("--threads", "1")
+    done = CliRunner().invoke(app, ["bench", *map(str, arguments), *threads])
     if done.exception and not isinstance(done.exception, SystemExit):
         raise done.exception
     assert done.exit_code == 0, done.output
@@ -148,6 +149,16 @@ def test_an_interrupted_task_goes_on_and_ends_the_same(files, workspace, monkeyp
     assert results(Path("parts")) == results(Path("whole"))
 
 
+def test_splits_that_run_side_by_side_give_what_each_gives_alone(files, workspace):
+    for split in ("seen", "unseen"):
+        bench("reconstruction", files, "--out", "first", "--split", split)
+    assert len(results(Path("first"))) == 8
+    output = bench("reconstruction", files, "--out", "second", "--threads", "2")
+    assert all(f"reconstruct_{split}.json" in output for split in ("seen", "unseen"))
+    assert results(Path("first")) == results(Path("second"))
+    assert json.loads(Path("second/reconstruct_unseen_machine.json").read_text())["threads"] == 1
+
+
 def test_another_seed_or_encoder_begins_anew(files, workspace):
     bench("recognition", files, "--out", "out")
     before = results(Path("out"))
@@ -176,6 +187,11 @@ def test_what_is_wrong_is_said_before_any_work(files, workspace, tmp_path):
     torch.save({"layer9.weight": torch.zeros(3)}, "other.pth")
     assert "layer9.weight" in refused("recognition", files, "--preset", "quick", "--weights", "other.pth")
     assert "nowhere.py does not exist" in refused("recognition", files, "--encoder", "nowhere.py:net")
+
+
+def test_a_split_with_nothing_to_tell_apart_is_refused(files, workspace):
+    with pytest.raises(ObjectFolderError, match=r"split unseen trains on brick_\d+ alone"):
+        bench("retrieval", files, "--out", "first", "--split", "unseen")
 
 
 def test_an_object_file_that_lacks_a_part_is_named(brick, files, workspace):

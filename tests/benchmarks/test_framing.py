@@ -60,7 +60,8 @@ def test_what_is_framed_already_stays_where_it_is():
 def test_cut_out_objects_are_framed_as_views_are():
     for box in BOXES:
         view = framed(cut(box), SIDE)
-        check(view, box, 188)  # as light as half the white        onto_white = rectangle(box, view[32, 32])
+        check(view, box, 188)  # as light as half the white
+        onto_white = rectangle(box, view[32, 32])
         assert np.abs(framed_views(onto_white[None])[0].astype(int) - view).mean() < 7
 
 
