@@ -15,7 +15,7 @@ from objectfolder.artifacts import file_digest, read_npz, write_npz
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.grid import BOUND
 from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.mesh.sampling import sample_surface
+from objectfolder.mesh.sampling import sample_faces, sample_surface
 from objectfolder.objectfile import ObjectFile
 from objectfolder.seeding import numpy_generator
 
@@ -71,16 +71,11 @@ def grid_points(resolution: int) -> np.ndarray:
 def surface_points(
     vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points uniform by area, and unit normals of their triangles; two (count, 3) float64.
-
-    A triangle without area is never drawn.
-    """
-    corners = np.asarray(vertices, np.float64)[faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(normal, axis=1)
-    face = rng.choice(len(faces), count, p=area / area.sum())
-    weight = rng.dirichlet((1, 1, 1), count)[:, :, None]  # uniform on a triangle
-    return (weight * corners[face]).sum(1), normal[face] / area[face, None]
+    """Points uniform by area, and unit normals of their triangles; two (count, 3) float64."""
+    points, face = sample_faces(vertices, faces, count, rng)
+    a, b, c = (np.asarray(vertices, np.float64)[faces[face, i]] for i in range(3))
+    normal = np.cross(b - a, c - a)
+    return points, normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
 @dataclass(frozen=True)

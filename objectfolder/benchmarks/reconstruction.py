@@ -72,7 +72,7 @@ def reconstruct(job: Job[ReconstructParams]) -> tuple[dict[str, Any], list[list[
     truth = _truth(job)
     finished = {variant: _finished(job, truth, variant) for variant in VARIANTS}
     labels, split = job.observations.labels, job.split
-    learnt, val, test = (np.unique(labels[split.train]), labels[_validation(job)], labels[_test(job)])
+    learnt, val, test = (np.unique(labels[split.train]), labels[validation_rows(job)], labels[_test(job)])
     scores = {
         **{variant: done["scores"] for variant, done in finished.items()},
         "average_shape": truth.average_shape(learnt, val, test),
@@ -96,7 +96,7 @@ def _test(job: Job[ReconstructParams]) -> np.ndarray:
     return first_rows(job.split.test, job.observations.labels, job.params.views)
 
 
-def _validation(job: Job[ReconstructParams]) -> np.ndarray:
+def validation_rows(job: Job[ReconstructParams]) -> np.ndarray:
     """Rows that epochs and thresholds are chosen by: of objects without validation rows, training rows.
 
     A threshold that is best for the few validation objects of the split ``unseen`` may leave every other
@@ -188,7 +188,7 @@ def _trained(
         return loss if inputs is None else loss + params.naming * F.cross_entropy(naming(features), names)
 
     model = ShapeModel(setup, net)
-    val = _validation(job)
+    val = validation_rows(job)
     seen = {modality: observations.read(modality, val) for modality in modalities}
     inside = occupancy.val_inside[labels[val]]
 

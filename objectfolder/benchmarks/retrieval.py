@@ -167,8 +167,8 @@ def retrieve(job: Job[RetrieveParams]) -> tuple[dict[str, Any], list[list[Any]]]
     learnt = np.unique(job.observations.labels[job.split.train])
     if len(learnt) < 2:
         raise ObjectFolderError(
-            f"split {job.split.name} trains on {job.observations.keys[learnt[0]]} alone, expected two objects "
-            "at least: what is found is told from what is not; add training objects"
+            f"split {job.split.name} trains on {job.observations.keys[learnt[0]]} alone, expected two "
+            "objects at least: what is found is told from what is not; add training objects"
         )
     job, rows = job.without_duplicates(MODALITIES)
     labels = job.observations.labels[job.split.test]

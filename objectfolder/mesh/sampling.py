@@ -3,17 +3,27 @@
 import numpy as np
 
 
-def sample_surface(
+def sample_faces(
     vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.random.Generator
-) -> np.ndarray:
-    """Points distributed uniformly by area; (count, 3) float64."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points distributed uniformly by area, (count, 3) float64, and the faces they lie on, (count,) int64.
+
+    A face without area is never drawn.
+    """
     a, b, c = (np.asarray(vertices, np.float64)[faces[:, i]] for i in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     face = rng.choice(len(faces), count, p=area / area.sum())
     u, v = rng.random((2, count, 1))
     outside = u + v > 1
     u, v = np.where(outside, 1 - u, u), np.where(outside, 1 - v, v)
-    return a[face] + u * (b[face] - a[face]) + v * (c[face] - a[face])
+    return a[face] + u * (b[face] - a[face]) + v * (c[face] - a[face]), face
+
+
+def sample_surface(
+    vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.random.Generator
+) -> np.ndarray:
+    """Points distributed uniformly by area; (count, 3) float64."""
+    return sample_faces(vertices, faces, count, rng)[0]
 
 
 def split_rows(count: int, rng: np.random.Generator, val: float = 0.1, test: float = 0.1) -> np.ndarray:

@@ -14,9 +14,15 @@ from objectfolder.benchmarks import encoders, job, truth
 from objectfolder.benchmarks.encoders import InputSizes, register_encoder
 from objectfolder.benchmarks.job import Job
 from objectfolder.benchmarks.occupancy import HALF_SIDE, sample_occupancy
-from objectfolder.benchmarks.reconstruction import CURVE_COLUMNS, VARIANTS, first_rows, reconstruct
+from objectfolder.benchmarks.reconstruction import (
+    CURVE_COLUMNS,
+    VARIANTS,
+    first_rows,
+    reconstruct,
+    validation_rows,
+)
 from objectfolder.benchmarks.shape_model import Setup, ShapeModel, load_model, new_net, save_model
-from objectfolder.benchmarks.splits import per_sample
+from objectfolder.benchmarks.splits import Split, per_sample
 from objectfolder.benchmarks.truth import Truth, best_level
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.grid import DistanceGrid
@@ -165,6 +171,15 @@ def test_every_variant_beats_the_average_shape_and_an_interrupted_call_goes_on(
 def test_selection_is_the_first_rows_of_each_object():
     rows = np.array([3, 5, 7, 21, 40, 41, 42])
     assert first_rows(rows, Observed.labels, 2).tolist() == [3, 5, 21, 40, 41]
+
+
+def test_of_objects_without_validation_rows_training_rows_help_to_choose(tmp_path):
+    ball, block, slab, cube = (np.arange(COUNT) + i * COUNT for i in range(4))
+    seen = per_sample(Observed.keys, COUNT)
+    unseen = Split("unseen", np.concatenate([ball, slab]), block, cube)
+    for split, rows in ((seen, seen.val), (unseen, np.concatenate([block[:2], ball[:2], slab[:2]]))):
+        job = Job(Observed(), split, PARAMS, "tiny_shapes", SIZES, 0, tmp_path)
+        assert validation_rows(job).tolist() == rows.tolist()
 
 
 def test_average_shape_is_the_mean_of_the_training_objects(occupancy, tmp_path):
