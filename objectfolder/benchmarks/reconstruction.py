@@ -213,7 +213,7 @@ def _trained(
 
 def _start_from_parts(job: Job[ReconstructParams], truth: Truth, net: Reconstructor) -> int:
     """Make a net of several modalities start from nets of one each; give the epochs that it still needs."""
-    parts = {variant: load_model(_model_path(job, variant), job.device).net for variant in ("V", "A")}
+    parts = {variant: load_model(_model_path(job, variant)).net for variant in ("V", "A")}
     scores = {variant: _finished(job, truth, variant)["scores"]["val_iou"] for variant in parts}
     _start_from(net, list(parts.values()), parts[max(scores, key=lambda variant: scores[variant])])
     return -(-job.params.epochs // 2)
