@@ -193,6 +193,7 @@ def _run(
     observe = objects.validate(objects.ObserveParams, values.get("observe"), f"{path}: observe")
     for split in splits:  # what cannot be split is said before any work
         named_split(split, label_order(paths), observe.observations)
+    console.print(f"{len(paths)} objects, {observe.observations} observations of each")
     folders = _observe(paths, observe, params.seed, folder, threads)
     on_gpu = torch.cuda.is_available() if device is None else device != "cpu"
     together = 1 if on_gpu else min(threads, len(splits))
