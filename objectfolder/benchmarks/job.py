@@ -16,17 +16,17 @@ from objectfolder.benchmarks.params import Training
 from objectfolder.benchmarks.splits import Split, without_duplicates
 from objectfolder.benchmarks.training import STATISTICS, EpochPoint, train
 
-Params = TypeVar("Params", bound=Training)
-Batch = TypeVar("Batch")
+_Params = TypeVar("_Params", bound=Training)
+_Batch = TypeVar("_Batch")
 
 
 @dataclass(frozen=True)
-class Job(Generic[Params]):
-    """Train and score a task's nets on one split of observations."""
+class Job(Generic[_Params]):
+    """Train and score a task's nets on one split of observations; ``report`` gets a line about each epoch."""
 
     observations: Observations
     split: Split
-    params: Params  #: the task's section of ``params.yaml``
+    params: _Params  #: the task's section of ``params.yaml``
     encoder: str  #: registered in `objectfolder.benchmarks.encoders`
     sizes: InputSizes
     seed: int
@@ -35,9 +35,9 @@ class Job(Generic[Params]):
     progress: Path
     weights: Weights | None = None  #: that encoders start from; default: random ones
     device: str | torch.device = "cpu"
-    report: Callable[[str], None] = lambda line: None  #: called with a line about each epoch
+    report: Callable[[str], None] = lambda line: None
 
-    def without_duplicates(self, modalities: Sequence[str]) -> tuple["Job[Params]", dict[str, Any]]:
+    def without_duplicates(self, modalities: Sequence[str]) -> tuple["Job[_Params]", dict[str, Any]]:
         """Drop kept-back rows that show what is learnt from.
 
         Returns
@@ -59,7 +59,7 @@ class Job(Generic[Params]):
         return make_encoder(self.encoder, modality, self.weights)
 
     def inputs(self, modality: str, rows: np.ndarray, rng: np.random.Generator | None = None) -> torch.Tensor:
-        """What the encoder of a modality is given of some rows; see `prepare`."""
+        """What a modality's encoder is given of rows; see `objectfolder.benchmarks.encoders.prepare`."""
         return prepare(modality, self.observations.read(modality, rows), self.sizes, rng, self.device)
 
     def labels(self, rows: np.ndarray) -> torch.Tensor:
@@ -70,8 +70,8 @@ class Job(Generic[Params]):
         self,
         title: str,
         net: nn.Module,
-        epoch_batches: Callable[[int], Iterable[Batch]],
-        batch_loss: Callable[[Batch], torch.Tensor],
+        epoch_batches: Callable[[int], Iterable[_Batch]],
+        batch_loss: Callable[[_Batch], torch.Tensor],
         val_score: Callable[[], float],
         score: str,
         checkpoint: Path,

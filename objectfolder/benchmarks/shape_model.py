@@ -111,7 +111,7 @@ def shape_inputs(
     rng: np.random.Generator | None = None,
     device: str | torch.device = "cpu",
 ) -> torch.Tensor:
-    """Make the input of a reconstructor's encoder: views are framed first, the rest is `prepare`'s."""
+    """Make a reconstructor's input: `objectfolder.benchmarks.encoders.prepare` of framed views."""
     return prepare(modality, framed_views(raw) if modality == "vision" else raw, sizes, rng, device)
 
 
