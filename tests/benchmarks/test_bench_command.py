@@ -149,13 +149,13 @@ def test_an_interrupted_task_goes_on_and_ends_the_same(files, workspace, monkeyp
     assert results(Path("parts")) == results(Path("whole"))
 
 
-def test_splits_that_run_side_by_side_give_what_each_gives_alone(files, workspace):
-    for split in ("seen", "unseen"):
-        bench("reconstruction", files, "--out", "first", "--split", split)
-    assert len(results(Path("first"))) == 8
+def test_a_split_beside_another_gives_what_it_gives_alone(files, workspace):
+    bench("reconstruction", files, "--out", "first", "--split", "unseen")
+    alone = results(Path("first"))
+    assert len(alone) == 4
     output = bench("reconstruction", files, "--out", "second", "--threads", "2")
     assert all(f"reconstruct_{split}.json" in output for split in ("seen", "unseen"))
-    assert results(Path("first")) == results(Path("second"))
+    assert alone.items() < results(Path("second")).items()
     assert json.loads(Path("second/reconstruct_unseen_machine.json").read_text())["threads"] == 1
 
 

@@ -216,6 +216,7 @@ def test_stages_die_with_the_engine_and_the_next_build_completes(located, cluste
     assert "up to date" in located.dvc("status")
 
 
+@pytest.mark.slow
 def test_stage_whose_node_dies_runs_again_on_another(located, cluster):
     located.control("solve@mug", "60")
     engine = start(located, cluster)

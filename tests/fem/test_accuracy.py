@@ -23,7 +23,7 @@ def test_free_plate_thinner_than_a_cell():
     assert perf.plate("converged", perf.KIRCHHOFF).value <= 0.01
 
 
-@pytest.mark.parametrize("wall", [0.5, 1, 2])
+@pytest.mark.parametrize("wall", [0.5, 1, pytest.param(2, marks=pytest.mark.slow)])
 def test_free_cylinder_with_a_wall_of_few_cells(wall):
     assert perf.cylinder(wall).value <= 0.01
 

@@ -107,7 +107,7 @@ def torus():
     return np.array(mesh.vertices), np.array(mesh.faces, np.int64)
 
 
-@pytest.mark.parametrize("resolution", [128, 192, 256])
+@pytest.mark.parametrize("resolution", [128, 192, pytest.param(256, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("solid", "distance"),
     [

@@ -132,7 +132,7 @@ def test_a_visible_sheet_gets_the_wall_that_is_asked_for_else_two_percent_and_a_
 
 @settings(max_examples=3, deadline=None)
 @given(SEEDS)
-@pytest.mark.parametrize("share", [0.002, 0.02])
+@pytest.mark.parametrize("share", [pytest.param(0.002, marks=pytest.mark.slow), 0.02])
 def test_deleted_faces_are_closed_again(mug, share, seed):
     vertices, faces = mug
     kept = np.random.default_rng(seed).random(len(faces)) >= share
@@ -404,7 +404,7 @@ def test_what_encloses_nothing_is_refused_by_name(monkeypatch, vertices, faces):
         close_surface(np.asarray(vertices, float), np.asarray(faces), "lamp")
 
 
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=2, deadline=None)
 @given(SEEDS)
 def test_garbage_is_refused_or_becomes_a_closed_outward_surface(seed):
     rng = np.random.default_rng(seed)

@@ -233,6 +233,7 @@ def file(brick, trained, tmp_path_factory):
     return ObjectFile.load(path)
 
 
+@pytest.mark.slow
 def test_it_learns_new_views_under_new_lights_from_pictures_alone(file, views, trained):
     """Far better than white and than the mean image, as the Object File answers."""
     test = painted_ball(8, 2)
@@ -245,6 +246,7 @@ def test_it_learns_new_views_under_new_lights_from_pictures_alone(file, views, t
     assert min(losses) < 0.1 * losses[0]
 
 
+@pytest.mark.slow
 def test_its_depth_is_the_balls(trained):
     """Alpha and depth of a sphere, though no view has told either."""
     picture = trained[0].picture(POSE, np.array([0.8, 0, 0.6]), Intrinsics.square(15))
@@ -254,6 +256,7 @@ def test_its_depth_is_the_balls(trained):
     assert picture.rgba[0, 0, 3] < 0.05
 
 
+@pytest.mark.slow
 def test_views_are_answered_row_by_row(file):
     cameras, lights = sphere_points(3, 2.5, np.random.default_rng(0)), np.array([0.0, 0.6, 0.8])
     images = file.view(cameras, lights, resolution=10)
@@ -266,6 +269,7 @@ def test_views_are_answered_row_by_row(file):
     assert wide.shape == (1, 5, 9, 3)
 
 
+@pytest.mark.slow
 def test_storing_costs_less_than_a_grey_level(tmp_path, trained):
     write_safetensors(tmp_path / "v.safetensors", *trained[0].to_tensors())
     back = OsfNet.from_tensors(*read_safetensors(tmp_path / "v.safetensors"))
