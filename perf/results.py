@@ -81,7 +81,7 @@ BENCHMARKS = (
     "paper's figures are of its 100 objects with ImageNet's weights; ours, where nothing else is said, of",
     "fewer objects with smaller inputs and random weights: they show what the tasks do, and do not repeat",
     "the paper's. Object Files of preset `quick` (with fewer test views and contacts, on which they do not",
-    "depend), seed 0. The splits of a task ran side by side; nothing else ran.",
+    "depend), seed 0. The splits of a task ran side by side; little else ran.",
 )
 
 
