@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -48,9 +48,9 @@ class Truth:
         return cached_occupancy(path, self.files, *sizes, self.seed)
 
     @cached_property
-    def sampled(self) -> dict[int, Surface]:
-        """Sampled surface of each object."""
-        return {label: self._sampled(label, "truth") for label in range(len(self.files))}
+    def sampled(self) -> Callable[[int], Surface]:
+        """Give the sampled surface of an object; only those that are asked for are sampled, and kept."""
+        return cache(lambda label: self._sampled(label, "truth"))
 
     def surface(self, label: int) -> Isosurface:
         """Stored surface of an object."""
@@ -58,7 +58,7 @@ class Truth:
 
     def floor(self, labels: Sequence[int] | np.ndarray) -> dict[str, float]:
         """Surface scores of objects sampled anew: what a perfect answer would get."""
-        scores = [surface_scores(self._sampled(int(i), "floor"), self.sampled[int(i)]) for i in labels]
+        scores = [surface_scores(self._sampled(int(i), "floor"), self.sampled(int(i))) for i in labels]
         return dict(zip(("chamfer_l1", "normal_consistency"), np.mean(scores, 0).tolist()))
 
     def scores(
@@ -91,7 +91,7 @@ class Truth:
             iou[i] = intersection_over_union(inside(i), self.occupancy.score_inside[label])
             rng = numpy_generator(self.seed, "reconstruct", "surface", purpose, str(i))
             predicted = sampled_surface(*mesh(i), self.points, rng)
-            surfaces[i] = surface_scores(predicted, self.sampled[int(label)])
+            surfaces[i] = surface_scores(predicted, self.sampled(int(label)))
             empty += predicted is None
         chamfer, consistency = surfaces.mean(0).tolist()
         return {
