@@ -1,0 +1,322 @@
+"""Collect grasps of an object: what was seen, what both fingers felt, how it ended (supplementary I.4)."""
+
+import hashlib
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from objectfolder.artifacts import atomic, read_json, write_json, write_npz
+from objectfolder.benchmarks.grasps import ARRAYS, FORMAT, OPTIONAL, RECORD, array_path
+from objectfolder.benchmarks.sampling import object_digest
+from objectfolder.envs.body import RigidBody
+from objectfolder.envs.camera import ExternalCamera
+from objectfolder.envs.fingers import Presses, TrueSurface, feel, press_depths, presses, sensor_profile
+from objectfolder.envs.grasping import Grasps, GraspScene, hand_axes, lowest_hand, rotation, turned
+from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile import ObjectFile
+from objectfolder.seeding import numpy_generator
+
+POSES = (
+    "poses.npz"  #: where objects and hands were, what touched where: all that a grasp can be run again from
+)
+FORCES = (1.0, 40.0)  #: of each jaw, N, log-uniform
+PLACES = 0.03  #: objects stand up to so far from the origin along x and y, m
+INSIDE = 0.8  #: hands come down over the object's silhouette shrunk so much
+SHIFT, TURN, STRENGTH = 0.001, np.radians(1.0), 0.03  #: perturbations: standard deviations, m, rad, fraction
+BATCH = 32  #: grasps that are tried together; the unit of progress
+ATTEMPTS = 20000  #: poses in a row of which none is free, before an object is given up
+
+Report = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What to collect of each object."""
+
+    grasps: int
+    perturbations: int  #: repetitions of each grasp, slightly changed, for the soft label
+    image: int  #: side of the camera's pictures, pixels
+    touch: tuple[int, int]  #: height and width of tactile images
+
+
+@dataclass(frozen=True)
+class Attempts:
+    """N grasps to try; world frame."""
+
+    objects: np.ndarray  #: (N, 7)
+    hands: np.ndarray  #: (N, 4)
+    forces: np.ndarray  #: (N,)
+
+    def take(self, rows: np.ndarray) -> "Attempts":
+        """Some of them."""
+        return Attempts(self.objects[rows], self.hands[rows], self.forces[rows])
+
+
+def collect_grasps(
+    file: ObjectFile,
+    body: RigidBody,
+    wanted: Wanted,
+    seed: int,
+    folder: str | Path,
+    surface: tuple[np.ndarray, np.ndarray] | None = None,
+    threads: int = 1,
+    report: Report = lambda done, total: None,
+) -> None:
+    """Grasp an object at random places until there are as many grasps as wanted, and write what they show.
+
+    Positions, orientations and forces are random. Those at which the open gripper would run into the object
+    are not tried, and those in which not both pads touch it do not count; the record says how many there were.
+    What is interrupted goes on where it was. The same bytes follow for any number of threads.
+
+    Parameters
+    ----------
+    file : ObjectFile
+    body : RigidBody
+        The same object's.
+    wanted : Wanted
+    seed : int
+    folder : path
+        Gets ``record.json`` and the arrays of `objectfolder.benchmarks.grasps.ARRAYS`.
+    surface : tuple of arrays, optional
+        The source's closed surface: vertices, unit frame, and faces. Adds the array ``explicit``.
+    threads : int
+        Of the simulation.
+    report : callable
+        Called with the number of grasps that are there and that are wanted.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the object does not fit the gripper or cannot be grasped, or the Object File lacks look or touch.
+    """
+    folder = Path(folder)
+    if are_collected(file, wanted, seed, surface is not None, folder):
+        return
+    _require_parts(file)
+    scene = GraspScene(body, threads=threads)
+    truth = None if surface is None else _truth(file, surface)
+    rests = scene.rests(numpy_generator(seed, file.key, "rests"))
+    request = _request(file, wanted, seed, truth is not None)
+    progress = folder / ".progress" / hashlib.sha256(repr(request).encode()).hexdigest()[:16]
+    (folder / RECORD).unlink(missing_ok=True)
+    camera = ExternalCamera(wanted.image)
+    batches: list[dict[str, np.ndarray]] = []
+    paths: list[Path] = []
+    done = 0
+    while done < wanted.grasps:
+        path = progress / f"{len(paths):05d}.npz"
+        if not path.is_file():
+            rng = numpy_generator(seed, file.key, "grasps", str(len(paths)))
+            tried = label_grasps(scene, rests, wanted.perturbations, rng)
+            write_npz(path, **_observed(file, body, camera, wanted.touch, truth, *tried))
+        with np.load(path) as stored:
+            batches.append({name: stored[name] for name in stored.files if stored[name].ndim < 4})
+            done += len(stored["success"])
+        paths.append(path)
+        report(min(done, wanted.grasps), wanted.grasps)
+    counts = {name: int(sum(b[name].sum() for b in batches)) for name in ("drawn", "free", "touched")}
+    success = np.concatenate([b["success"] for b in batches])[: wanted.grasps]
+    digest = _write(folder, paths, wanted.grasps)
+    record = request | {"digest": digest, "attempts": counts, "success_rate": float(success.mean())}
+    write_json(folder / RECORD, record | {"mass": body.mass, "friction": body.friction})
+    shutil.rmtree(folder / ".progress")
+
+
+def are_collected(file: ObjectFile, wanted: Wanted, seed: int, explicit: bool, folder: str | Path) -> bool:
+    """Whether a folder holds all that `collect_grasps` would write there."""
+    request = _request(file, wanted, seed, explicit)
+    try:
+        record = read_json(Path(folder) / RECORD)
+    except ObjectFolderError:  # missing or damaged: made again
+        return False
+    return isinstance(record, dict) and record | request == record
+
+
+def draw_attempts(
+    scene: GraspScene, rests: np.ndarray, count: int, rng: np.random.Generator
+) -> tuple[Attempts, int]:
+    """Draw grasps whose start is free, and say how many poses that took.
+
+    The object rests as one of its drops did, turned about the vertical and moved. The hand comes down over a
+    random point of its silhouette, to any height, from any direction; the force is log-uniform over `FORCES`.
+
+    Raises
+    ------
+    ObjectFolderError
+        If none of `ATTEMPTS` poses in a row is free.
+    """
+    found: list[Attempts] = []
+    drawn, since, points = 0, 0, np.concatenate([hull.vertices for hull in scene.body.hulls])
+    while sum(len(part.forces) for part in found) < count:
+        n = 4 * count
+        rest = rests[rng.integers(len(rests), size=n)]
+        places = rng.uniform(-PLACES, PLACES, (n, 2))
+        objects = turned(rest, rng.uniform(-np.pi, np.pi, n), places)
+        body = np.stack([_placed(points, pose) for pose in objects])
+        over = body[np.arange(n), rng.integers(len(points), size=n), :2]
+        hands = np.empty((n, 4))
+        hands[:, :2] = places + INSIDE * rng.random((n, 1)) * (over - places)
+        hands[:, 2] = rng.uniform(lowest_hand(), np.maximum(body[:, :, 2].max(1), lowest_hand() + SHIFT))
+        hands[:, 3] = rng.uniform(-np.pi / 2, np.pi / 2, n)
+        forces = np.exp(rng.uniform(*np.log(FORCES), n))
+        free = np.flatnonzero(scene.free(objects, hands))
+        drawn, since = drawn + n, 0 if len(free) else since + n
+        found.append(Attempts(objects, hands, forces).take(free))
+        if since > ATTEMPTS:
+            raise ObjectFolderError(
+                f"{scene.body.key}: the open gripper fits over it in none of {since} random poses; it may be "
+                "too wide as it lies: build it at a smaller scale, or take another object"
+            )
+    joined = Attempts(*(np.concatenate(parts) for parts in zip(*(vars(part).values() for part in found))))
+    return joined.take(np.arange(count)), drawn
+
+
+def label_grasps(
+    scene: GraspScene, rests: np.ndarray, perturbations: int, rng: np.random.Generator
+) -> tuple[Grasps, dict[str, np.ndarray]]:
+    """Try `BATCH` grasps; those that both pads touch get labels.
+
+    Returns
+    -------
+    Grasps
+    dict
+        What else to store of them: where the object stood before (``start``), the share of ``perturbations``
+        that succeed (``soft``), numbers of poses that were ``drawn``, ``free`` and ``touched``.
+    """
+    attempts, drawn = draw_attempts(scene, rests, BATCH, rng)
+    closed = scene.close(attempts.objects, attempts.hands, attempts.forces)
+    rows = np.flatnonzero(closed.touched.all(1))
+    grasps, attempts = scene.lift(closed.take(rows)), attempts.take(rows)
+    successes, trials = grasps.success.astype(int), np.ones(len(rows), int)
+    for changed in _perturbed(attempts, perturbations, rng):
+        free = np.flatnonzero(scene.free(changed.objects, changed.hands))
+        successes[free] += scene.grasp(*vars(changed.take(free)).values()).success
+        trials[free] += 1
+    return grasps, {
+        "start": attempts.objects,
+        "soft": (successes / trials).astype(np.float32),
+        "drawn": np.array(drawn),
+        "free": np.array(BATCH),
+        "touched": np.array(len(rows)),
+    }
+
+
+def _perturbed(attempts: Attempts, count: int, rng: np.random.Generator) -> Iterator[Attempts]:
+    n = len(attempts.forces)
+    for _ in range(count):
+        shift = np.c_[rng.normal(0, SHIFT, (n, 3)), rng.normal(0, TURN, n)]
+        hands = attempts.hands + shift
+        hands[:, 2] = np.maximum(hands[:, 2], lowest_hand())
+        yield Attempts(attempts.objects, hands, attempts.forces * np.exp(rng.normal(0, STRENGTH, n)))
+
+
+def _observed(
+    file: ObjectFile,
+    body: RigidBody,
+    camera: ExternalCamera,
+    touch: tuple[int, int],
+    truth: TrueSurface | None,
+    grasps: Grasps,
+    more: dict[str, np.ndarray],
+) -> dict[str, np.ndarray]:
+    """All arrays of a batch."""
+    pressed = presses(grasps.objects, grasps.hands, grasps.contacts)
+    depths = press_depths(file, pressed, grasps.forces.ravel())
+    middle = grasps.contacts.mean(1) - np.stack([_placed(body.centre, pose) for pose in grasps.objects])
+    pictures = zip(grasps.objects, grasps.hands, grasps.width)
+    arrays = {
+        "success": grasps.success,
+        "width": grasps.width.astype(np.float32),
+        "offset": np.einsum("nij,ni->nj", hand_axes(grasps.hands), middle).astype(np.float32),
+        "force": grasps.forces.mean(1).astype(np.float32),
+        "image": np.stack([camera.picture(file, *given) for given in pictures]),
+        "touch": _images(feel, file, pressed, depths, touch),
+        "objects": grasps.objects,
+        "hands": grasps.hands,
+        "contacts": grasps.contacts,
+        "depths": depths.reshape(-1, 2),
+    }
+    if truth is not None:
+        arrays[OPTIONAL] = _images(TrueSurface.feel, truth, pressed, depths, touch)
+    return arrays | more
+
+
+def _images(
+    ask: Callable[[Any, Presses, np.ndarray], np.ndarray],
+    source: Any,
+    pressed: Presses,
+    depths: np.ndarray,
+    size: tuple[int, int],
+) -> np.ndarray:
+    """Tactile images of both fingers at the stored size; (N, 2, h, w, 3) uint8."""
+    images = torch.from_numpy(ask(source, pressed, depths)).permute(0, 3, 1, 2).float()
+    small = torch.nn.functional.adaptive_avg_pool2d(images, size).round().to(torch.uint8)
+    return small.permute(0, 2, 3, 1).reshape(-1, 2, *size, 3).numpy()
+
+
+def _write(folder: Path, paths: list[Path], count: int) -> str:
+    """Write what batches hold, array by array; SHA-256 of all of it."""
+    digest = hashlib.sha256()
+    with np.load(paths[0]) as first:
+        rows = {name: first[name][:1] for name in first.files if first[name].ndim}
+    for name in ARRAYS:
+        if name not in rows:
+            array_path(folder, name).unlink(missing_ok=True)
+            continue
+        example, left = rows[name], count
+        header = {"descr": example.dtype.str, "fortran_order": False, "shape": (count, *example.shape[1:])}
+        with atomic(array_path(folder, name)) as temporary, temporary.open("wb") as stream:
+            np.lib.format.write_array_header_1_0(stream, header)
+            for part in _parts(paths, name):
+                content = part[:left].tobytes()
+                left -= min(left, len(part))
+                digest.update(content)
+                stream.write(content)
+    others = [name for name in rows if name not in ARRAYS]
+    write_npz(folder / POSES, **{name: np.concatenate(list(_parts(paths, name)))[:count] for name in others})
+    return digest.hexdigest()
+
+
+def _parts(paths: list[Path], name: str) -> Iterator[np.ndarray]:
+    for path in paths:
+        with np.load(path) as stored:
+            yield stored[name]
+
+
+def _request(file: ObjectFile, wanted: Wanted, seed: int, explicit: bool) -> dict[str, Any]:
+    """What grasps are of; those of another request are collected anew."""
+    return {
+        "format": FORMAT,
+        "key": file.key,
+        "material": file.material,
+        "scale": file.scale,
+        "object_sha256": object_digest(file),
+        "count": wanted.grasps,
+        "wanted": {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(wanted).items()},
+        "explicit": explicit,
+        "seed": seed,
+    }
+
+
+def _require_parts(file: ObjectFile) -> None:
+    lacking = [part for part in ("geometry", "vision", "touch") if part not in file.header]
+    if lacking:
+        raise ObjectFolderError(
+            f"{file.key}: the Object File holds no {' and no '.join(lacking)}; grasps are seen and felt: "
+            "leave it out, or build it whole"
+        )
+
+
+def _truth(file: ObjectFile, surface: tuple[np.ndarray, np.ndarray]) -> TrueSurface:
+    vertices, faces = surface
+    return TrueSurface(vertices * file.scale, faces, sensor_profile(file))
+
+
+def _placed(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Points (..., 3) of an object at a pose (7,)."""
+    return points @ rotation(pose[3:]).T + pose[:3]

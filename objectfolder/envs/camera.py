@@ -1,0 +1,112 @@
+"""Pictures of an object between the jaws, without OpenGL: the Object File's own look, and boxes."""
+
+import numpy as np
+import torch
+
+from objectfolder.envs.grasping import hand_axes, rotation
+from objectfolder.envs.gripper import boxes
+from objectfolder.objectfile import ObjectFile
+from objectfolder.vision.cameras import Intrinsics, look_at
+from objectfolder.vision.color import on_white
+
+CAMERA = np.array([0.34, -0.42, 0.30])  #: of the external camera, world frame, m
+TARGET = np.array([0.0, 0.0, 0.05])  #: what it looks at
+FIELD = 0.34  #: width of what it sees at that distance, m
+TOWARDS_LIGHT = np.array([0.5, -0.4, 0.77])  #: unit vector, world frame
+AMBIENT = 0.25
+TABLE = (0.45, 0.47, 0.5)  #: linear RGB
+
+
+class ExternalCamera:
+    """A camera that stands beside the table.
+
+    Parameters
+    ----------
+    resolution : int
+        Side of its square pictures, pixels.
+    """
+
+    def __init__(self, resolution: int):
+        distance = float(np.linalg.norm(CAMERA - TARGET))
+        self.intrinsics = Intrinsics(resolution, resolution, resolution * distance / FIELD)
+        self.pose = look_at(CAMERA[None], TARGET)[0]
+        middle = np.arange(resolution) + 0.5 - resolution / 2
+        x, y = np.meshgrid(middle, -middle)
+        rays = np.stack([x, y, np.full_like(x, -self.intrinsics.focal)], -1) / self.intrinsics.focal
+        #: of pixels, world frame, unit length along the optical axis; (H W, 3)
+        self._rays = rays.reshape(-1, 3) @ self.pose[:3, :3].T
+
+    def picture(self, file: ObjectFile, place: np.ndarray, hand: np.ndarray, width: float) -> np.ndarray:
+        """Draw an object, the table, and the gripper.
+
+        Parameters
+        ----------
+        file : ObjectFile
+        place : (7,) array
+            Position and quaternion of the object, world frame.
+        hand : (4,) array
+            Pose of the gripper.
+        width : float
+            Opening of its jaws, metres.
+
+        Returns
+        -------
+        (H, W, 3) uint8, sRGB
+        """
+        world = rotation(place[3:])
+        camera = np.eye(4)
+        camera[:3, :3] = world.T @ self.pose[:3, :3]
+        camera[:3, 3] = world.T @ (CAMERA - place[:3]) / file.scale
+        light = world.T @ TOWARDS_LIGHT
+        seen = file.render(camera[None], light[None], intrinsics=self.intrinsics)
+        color, depth = self._scene(hand, width)
+        side = self.intrinsics.width
+        behind = np.concatenate([color, np.isfinite(depth)[:, None]], 1).reshape(side, side, 4)
+        front = (seen.depth[0] < depth.reshape(side, side))[..., None]
+        rgba = np.where(front, seen.rgba[0] + (1 - seen.rgba[0, ..., 3:]) * behind, behind)
+        shown = on_white(torch.from_numpy(rgba.astype(np.float32)))
+        return np.round(shown.numpy() * 255).astype(np.uint8)
+
+    def _scene(self, hand: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
+        """Colours (P, 3) and depths (P,) of table and gripper."""
+        with np.errstate(divide="ignore"):
+            depth = -CAMERA[2] / self._rays[:, 2]
+        depth = np.where(depth > 0, depth, np.inf)
+        lit = AMBIENT + (1 - AMBIENT) * TOWARDS_LIGHT[2]
+        color = np.where(np.isfinite(depth)[:, None], lit * np.array(TABLE), 0.0)
+        axes = hand_axes(hand[None])[0]
+        origin, rays, light = (v @ axes for v in (CAMERA - hand[:3], self._rays, TOWARDS_LIGHT))
+        for box in boxes():
+            center = box.center + np.array([box.jaw * width / 2, 0.0, 0.0])
+            distance, normals = box_hits(origin - center, rays, box.size)
+            nearer = distance < depth
+            shade = AMBIENT + (1 - AMBIENT) * np.maximum(normals[nearer] @ light, 0)
+            color[nearer], depth[nearer] = shade[:, None] * np.array(box.color), distance[nearer]
+        return color, depth
+
+
+def box_hits(origin: np.ndarray, rays: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where rays enter a box about the origin, by slabs.
+
+    Parameters
+    ----------
+    origin : (3,) array
+        Outside of it.
+    rays : (P, 3) array
+    size : (3,) array
+        Half sides.
+
+    Returns
+    -------
+    distance : (P,) in lengths of the rays; infinite where they miss
+    normals : (P, 3) of the sides that they enter through
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        near, far = ((-np.sign(rays) * size * side - origin) / rays for side in (1, -1))
+    near, far = np.nan_to_num(near, nan=-np.inf), np.nan_to_num(far, nan=np.inf)
+    entry, side = near.max(1), near.argmax(1)
+    hit = (entry <= far.min(1)) & (entry > 0)
+    normals = np.zeros_like(rays)
+    index = np.arange(len(rays))
+    normals[index, side] = -np.sign(rays[index, side])
+    return np.where(hit, entry, np.inf), normals

@@ -1,0 +1,132 @@
+"""A parallel-jaw gripper after Schunk's WSG 50, with DIGIT pads, made of boxes.
+
+Its frame: origin midway between the pads' centres, x along which the jaws close, z up along the approach.
+Sizes in metres: 110 mm of stroke, pads of 20 mm x 30 mm (supplementary I.4).
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+STROKE = 0.11  #: opening of the jaws
+PAD = np.array([0.002, 0.010, 0.015])  #: half sides of a pad: thickness, width, height
+FINGER = np.array([0.009, 0.012, 0.030])  #: half sides of what carries a pad
+FINGER_AT = np.array([0.014, 0.0, 0.012])  #: its centre, from the pad's face
+PALM = np.array([0.073, 0.025, 0.0367])  #: half sides of the hand above the fingers
+PALM_AT = np.array([0.0, 0.0, 0.0823])  #: its centre
+TIP = FINGER[2] - FINGER_AT[2]  #: of a finger, below the pads' centre
+SIDES = ("left", "right")  #: jaws; the left one closes towards -x
+AXES = ("x", "y", "z", "yaw")  #: joints of the hand, and their actuators
+SPEED = 0.14  #: of each closing jaw, m/s
+STIFFNESS, DAMPING = 3000.0, 60.0  #: of the jaws' position control, N/m and N s/m
+JOINT_DAMPING = 20.0  #: of a jaw's guide, N s/m
+#: How far a jaw that closes at `SPEED` is behind its target.
+LAG = SPEED * (DAMPING + JOINT_DAMPING) / STIFFNESS
+
+_PAD_SOFTNESS = 0.008  # time constant of contacts with a pad, s: an elastomer, not a stone
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box that moves with the hand or with a jaw."""
+
+    size: np.ndarray  #: (3,) half sides
+    center: np.ndarray  #: (3,) in the gripper's frame, with the jaws closed
+    jaw: float  #: how its x moves with a jaw's opening: 1 left, -1 right, 0 not
+    color: tuple[float, float, float]  #: linear RGB
+
+
+def boxes() -> list[Box]:
+    """All boxes of the gripper, for who draws it."""
+    metal, gel = (0.12, 0.12, 0.13), (0.55, 0.2, 0.12)
+    made = [Box(PALM, PALM_AT, 0.0, metal)]
+    for sign in (1.0, -1.0):
+        mirror = np.array([sign, 1.0, 1.0])
+        made.append(Box(FINGER, FINGER_AT * mirror, sign, metal))
+        made.append(Box(PAD, np.array([PAD[0], 0.0, 0.0]) * mirror, sign, gel))
+    return made
+
+
+def add_gripper(spec: mujoco.MjSpec, friction: float, reach: float = 0.0) -> None:
+    """Add the gripper, its actuators and its sensors of contact to a scene.
+
+    Joints and position actuators ``x``, ``y``, ``z``, ``yaw`` move the hand, which weighs nothing; ``left``
+    and ``right`` the jaws, 0 closed, half of `STROKE` open.
+
+    Parameters
+    ----------
+    spec : MjSpec
+    friction : float
+        Sliding friction between pads and object.
+    reach : float
+        Fingers and palm go so far up, metres: they then fill what they sweep when they come down.
+    """
+    box, slide = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtJoint.mjJNT_SLIDE
+    up = np.array([0.0, 0.0, reach / 2])
+    hand = spec.worldbody.add_body(name="hand", gravcomp=1)
+    for name, axis in zip(AXES, (*np.eye(3), np.eye(3)[2])):
+        turns = name == "yaw"
+        kind = mujoco.mjtJoint.mjJNT_HINGE if turns else slide
+        hand.add_joint(name=name, type=kind, axis=axis, armature=0.02 if turns else 1.0)
+        _position(spec, name, 400.0 if turns else 20000.0)
+    hand.add_geom(name="palm", type=box, size=PALM + up, pos=PALM_AT + up, mass=1.2)
+    for side, turn in zip(SIDES, ([1, 0, 0, 0], [0, 0, 0, 1])):
+        jaw = hand.add_body(name=side, quat=turn, gravcomp=1)
+        jaw.add_joint(
+            name=side,
+            type=slide,
+            axis=[1, 0, 0],
+            range=[0, STROKE / 2],
+            limited=True,
+            damping=np.array([JOINT_DAMPING, 0, 0]),
+            armature=0.2,
+        )
+        jaw.add_geom(name=f"{side}_finger", type=box, size=FINGER + up, pos=FINGER_AT + up, mass=0.1)
+        jaw.add_geom(
+            name=f"{side}_pad",
+            type=box,
+            size=PAD + up,
+            pos=np.array([PAD[0], 0, 0]) + up,
+            mass=0.02,
+            condim=4,
+            friction=[friction, 0.005, 0.0001],
+            solref=[_PAD_SOFTNESS, 1],
+            priority=1,
+        )
+        _position(spec, side, STIFFNESS, DAMPING)
+        _contact_sensor(spec, side)
+    spec.add_exclude(bodyname1="left", bodyname2="right")
+    spec.add_equality(  # both jaws are as open: the default polynomial
+        type=mujoco.mjtEq.mjEQ_JOINT,
+        objtype=mujoco.mjtObj.mjOBJ_JOINT,
+        name1="left",
+        name2="right",
+        solref=[0.004, 1],
+    )
+
+
+def _position(spec: mujoco.MjSpec, joint: str, stiffness: float, damping: float | None = None) -> None:
+    """Add a position actuator; critically damped by default."""
+    actuator = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    if damping is None:
+        actuator.set_to_position(kp=stiffness, dampratio=1.0)
+    else:
+        actuator.set_to_position(kp=stiffness, kv=damping)
+        actuator.forcelimited, actuator.forcerange = True, [-80.0, 80.0]
+
+
+def _contact_sensor(spec: mujoco.MjSpec, side: str) -> None:
+    """Add what a pad feels of the object: number of contacts, net force, where it acts; world frame."""
+    data = mujoco.mjtConDataField
+    fields = (data.mjCONDATA_FOUND, data.mjCONDATA_FORCE, data.mjCONDATA_POS)
+    net_force = 3
+    spec.add_sensor(
+        name=side,
+        type=mujoco.mjtSensor.mjSENS_CONTACT,
+        objtype=mujoco.mjtObj.mjOBJ_GEOM,
+        objname=f"{side}_pad",
+        reftype=mujoco.mjtObj.mjOBJ_BODY,
+        refname="object",
+        intprm=[sum(1 << int(field) for field in fields), net_force, 1],
+    )
