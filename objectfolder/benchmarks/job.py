@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 import torch
@@ -11,20 +11,34 @@ from torch import nn
 
 from objectfolder.artifacts import SPLITS, read_json, write_json
 from objectfolder.benchmarks.encoders import InputSizes, Weights, make_encoder, prepare
-from objectfolder.benchmarks.observations import Observations
 from objectfolder.benchmarks.params import Training
-from objectfolder.benchmarks.splits import Split, without_duplicates
+from objectfolder.benchmarks.splits import Rows, Split, without_duplicates
 from objectfolder.benchmarks.training import STATISTICS, EpochPoint, train
 
 _Params = TypeVar("_Params", bound=Training)
 _Batch = TypeVar("_Batch")
 
 
+class Samples(Rows, Protocol):
+    """What tasks need of `objectfolder.benchmarks.observations.Observations`, or of grasps."""
+
+    keys: tuple[str, ...]  #: objects in the order of labels
+    count: int  #: samples per object
+    labels: np.ndarray  #: object of each row
+
+    @property
+    def digest(self) -> str:
+        """Of all that is read."""
+
+    def shape(self, modality: str) -> tuple[int, ...]:
+        """Shape of a row."""
+
+
 @dataclass(frozen=True)
 class Job(Generic[_Params]):
     """Train and score a task's nets on one split of observations; ``report`` gets a line about each epoch."""
 
-    observations: Observations
+    observations: Samples
     split: Split
     params: _Params  #: the task's section of ``params.yaml``
     encoder: str  #: registered in `objectfolder.benchmarks.encoders`

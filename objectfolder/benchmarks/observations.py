@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from objectfolder.artifacts import MODALITIES, read_json, read_npz
+from objectfolder.benchmarks.arrays import map_array, read_rows
 from objectfolder.benchmarks.splits import label_order
 from objectfolder.errors import ObjectFolderError
 
@@ -140,16 +141,7 @@ class Observations:
         IndexError
             If there is no such row.
         """
-        arrays, rows = self._of(modality), np.asarray(rows, np.int64)
-        wrong = rows[(rows < 0) | (rows >= len(self))]
-        if len(wrong):
-            raise IndexError(f"row {wrong[0]} of {len(self)}")
-        objects, within = np.divmod(rows, self.count)
-        out = np.empty((len(rows), *arrays[0].shape[1:]), arrays[0].dtype)
-        for i in np.unique(objects):
-            mine = objects == i
-            out[mine] = arrays[i][within[mine]]
-        return out
+        return read_rows(self._of(modality), rows)
 
     def queries(self, key: str) -> dict[str, np.ndarray]:
         """What an object was asked: see `objectfolder.benchmarks.sampling.draw_queries`."""
@@ -198,10 +190,7 @@ def _check_alike(modality: str, records: Mapping[str, dict[str, Any]]) -> None:
 
 def _open(key: str, folder: Path, modality: str, record: dict[str, Any]) -> np.ndarray:
     path, shape = array_path(folder, modality), tuple(record["arrays"][modality]["shape"])
-    try:
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise ObjectFolderError(f"{key}: {path} is damaged ({error}); sample the object again") from error
+    array = map_array(key, path, "sample the object again")
     if array.shape != shape:
         raise ObjectFolderError(
             f"{key}: {path} has shape {array.shape}, expected {shape}; sample the object again"

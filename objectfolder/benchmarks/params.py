@@ -2,9 +2,9 @@
 
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, field_validator
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.params import PARAMS_FILE, TASKS, Section, Shared, read, validate
@@ -52,11 +52,28 @@ class ReconstructParams(Training):  # noqa: D101
     views: int = Count  #: test observations per object that are meshed
 
 
+class GraspStabilityParams(Training):  # noqa: D101
+    seeds: int = Count  #: runs whose mean is the result
+    #: Grasps that are learnt from, ascending; what exceeds those that there are ends with all of them.
+    sizes: list[Annotated[int, Field(ge=2)]] = Field(min_length=1)
+    epoch_grasps: int = Count  #: an epoch over fewer of them goes over each as often as fits into so many
+    fusion_epochs: int = Count  #: of vision and touch together, after each was trained alone
+    hidden: int = Count  #: units between both fully connected layers, for each of vision and touch
+
+    @field_validator("sizes")
+    @classmethod
+    def _ascending(cls, sizes: list[int]) -> list[int]:
+        if sizes != sorted(set(sizes)):
+            raise ValueError("expected ascending numbers, none twice")
+        return sizes
+
+
 SECTIONS: dict[str, type[Section]] = {
     "encode": EncodeParams,
     "recognize": RecognizeParams,
     "retrieve": RetrieveParams,
     "reconstruct": ReconstructParams,
+    "grasp_stability": GraspStabilityParams,
 }
 
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import astuple, replace
 from pathlib import Path
 from shutil import copyfile
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -18,6 +18,7 @@ from torch import nn
 
 from objectfolder.artifacts import write_png
 from objectfolder.benchmarks.job import Job
+from objectfolder.benchmarks.observations import Observations
 from objectfolder.benchmarks.occupancy_net import EMBEDDING, Reconstructor
 from objectfolder.benchmarks.params import ReconstructParams
 from objectfolder.benchmarks.shape_model import (
@@ -109,7 +110,8 @@ def validation_rows(job: Job[ReconstructParams]) -> np.ndarray:
 
 
 def _truth(job: Job[ReconstructParams]) -> Truth:
-    files = {key: job.observations.object_file(key) for key in job.observations.keys}
+    observations = cast(Observations, job.observations)
+    files = {key: observations.object_file(key) for key in observations.keys}
     return Truth(files, job.params.score_points, job.params.resolution, job.seed, job.progress)
 
 

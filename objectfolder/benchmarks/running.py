@@ -16,9 +16,8 @@ import torch
 import objectfolder
 from objectfolder.artifacts import atomic, file_digest, write_json
 from objectfolder.benchmarks.encoders import InputSizes, Weights, own_file, registered
-from objectfolder.benchmarks.job import Job
+from objectfolder.benchmarks.job import Job, Samples
 from objectfolder.benchmarks.layout import Benchmarks
-from objectfolder.benchmarks.observations import Observations
 from objectfolder.benchmarks.splits import named_split
 from objectfolder.sources import digests
 
@@ -36,7 +35,7 @@ def run_task(
     task: Task,
     columns: Sequence[str],
     split: str,
-    observations: Observations,
+    observations: Samples,
     params: SimpleNamespace,
     folder: Benchmarks,
     report: Callable[[str], None],
@@ -56,7 +55,7 @@ def run_task(
     columns : sequence of str
         Of its training curves.
     split : str
-    observations : Observations
+    observations : Observations or Grasps
     params : SimpleNamespace
         ``section``, ``encode`` and ``seed``; see `objectfolder.benchmarks.params.task_params`.
     folder : Benchmarks

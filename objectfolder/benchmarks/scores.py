@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import ndtri, stdtrit
 
 from objectfolder.errors import ObjectFolderError
 
@@ -42,6 +42,26 @@ def interval_95(values: Sequence[float]) -> float | None:
     if count < 2:
         return None
     return float(stdtrit(count - 1, 0.975) * np.std(values, ddof=1) / np.sqrt(count))
+
+
+def wilson_95(share: float, count: int) -> tuple[float, float]:
+    """95 % confidence interval of a probability, of which a share was observed (Wilson 1927).
+
+    Parameters
+    ----------
+    share : float
+        Of successes, in [0, 1].
+    count : int
+        Of independent trials.
+
+    Returns
+    -------
+    Lower and upper end, within [0, 1].
+    """
+    z = ndtri(0.975)
+    middle = (share + z**2 / (2 * count)) / (1 + z**2 / count)
+    half = z * np.sqrt(share * (1 - share) / count + z**2 / (4 * count**2)) / (1 + z**2 / count)
+    return float(max(middle - half, 0)), float(min(middle + half, 1))
 
 
 def mean_average_precision(
