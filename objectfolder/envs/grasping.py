@@ -33,7 +33,7 @@ DROPS = 64  #: random orientations from which resting poses come
 class Physics:
     """How contacts are simulated: the settings that docs/benchmarks.md chooses by a study of convergence."""
 
-    timestep: float = 0.001  #: s
+    timestep: float = 0.002  #: s
     cone: str = "elliptic"  #: of friction: elliptic or pyramidal
     impratio: float = 10.0  #: stiffness of friction relative to that of normal forces
     speed: float = SPEED  #: of each closing jaw, m/s
