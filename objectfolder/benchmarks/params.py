@@ -52,11 +52,30 @@ class ReconstructParams(Training):  # noqa: D101
     views: int = Count  #: test observations per object that are meshed
 
 
+class ReachParams(Section):
+    """Proximal policy optimisation (PPO); names are those of Schulman et al. 2017 where they have any."""
+
+    simulator: Literal["objectfolder", "metaworld"]  #: whose hand: objectfolder/envs/reach.py, or the Sawyer's
+    seeds: int = Count  #: trainings
+    steps: int = Count  #: control steps of a training, at most
+    horizon: int = Count  #: control steps (12.5 ms) of an episode
+    goals: int = Count  #: of the test, and as many others of the validation
+    environments: int = Count  #: side by side
+    rollout: int = Count  #: control steps in each of them between updates
+    batch: int = Field(ge=2)
+    epochs: int = Count  #: over what a rollout has seen
+    learning_rate: float = Field(gt=0)
+    discount: float = Field(gt=0, le=1)  #: gamma, per control step
+    width: int = Count  #: of both hidden layers
+    log_deviation: float  #: natural logarithm of the actions' first standard deviation
+
+
 SECTIONS: dict[str, type[Section]] = {
     "encode": EncodeParams,
     "recognize": RecognizeParams,
     "retrieve": RetrieveParams,
     "reconstruct": ReconstructParams,
+    "reach": ReachParams,
 }
 
 
@@ -93,6 +112,12 @@ def task_params(task: str, values: dict[str, Any], path: str | Path = PARAMS_FIL
     section, encode = (_section(name, values, path) for name in (task, "encode"))
     shared = validate(Shared, {name: values.get(name) for name in Shared.model_fields}, str(path))
     return SimpleNamespace(section=section, encode=encode, seed=shared.seed)
+
+
+def reach_params(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> SimpleNamespace:
+    """Return what reach reads: its ``section`` and ``seed``; as `task_params`."""
+    shared = validate(Shared, {name: values.get(name) for name in Shared.model_fields}, str(path))
+    return SimpleNamespace(section=_section("reach", values, path), seed=shared.seed)
 
 
 def check_tasks(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
