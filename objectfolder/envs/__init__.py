@@ -1,4 +1,4 @@
-"""Object Files in a rigid-body simulator: bodies for MuJoCo, and Gymnasium environments with them.
+"""Objects as rigid bodies of physics engines, and environments in which robots move them.
 
 ``gymnasium.make("objectfolder.envs:ObjectFolder/Reach-v0", file="build/mug/ObjectFile.safetensors")``
 """

@@ -1,0 +1,220 @@
+"""The stored surface as a few convex hulls, which is what physics engines collide."""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from objectfolder.artifacts import read_npz, write_npz
+from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile import ObjectFile
+
+MAX_HULLS = 16
+MAX_VERTICES = 48  #: of a hull; the time of a collision grows with it
+_THRESHOLD = 0.05  # concavity that is left, coacd's default
+_DETAIL = 0.003  # by which the surface may move before it is cut up, fraction of the longest side
+# A shallow search: a tenth of coacd's default time, and hulls about as tight.
+_SEARCH = {"mcts_iterations": 20, "mcts_nodes": 10, "mcts_max_depth": 2, "resolution": 1000}
+_FLAT = 1e-6  # how far a vertex may be in front of a face of a convex hull, fraction of its longest side
+
+
+def convex_hulls(mesh: trimesh.Trimesh, max_hulls: int = MAX_HULLS) -> tuple[trimesh.Trimesh, ...]:
+    """Cut a solid into parts that are nearly convex, and give their convex hulls (CoACD, Wei et al. 2022).
+
+    The same mesh gives the same hulls, whatever the number of threads. Cavities that nothing leads to are
+    filled first.
+
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh
+        Closed. One that is not is made so on a coarse grid, at some loss of accuracy.
+    max_hulls : int
+        At most.
+
+    Returns
+    -------
+    tuple of trimesh.Trimesh
+        Closed and convex, of at most `MAX_VERTICES` vertices, in the frame of the mesh.
+
+    Raises
+    ------
+    ObjectFolderError
+        If coacd or manifold3d is not installed, ``max_hulls`` is below 1, or the mesh encloses nothing.
+    """
+    if max_hulls < 1:
+        raise ObjectFolderError(f"max_hulls is {max_hulls}, expected at least 1")
+    coacd = _coacd()
+    parts = coacd.run_coacd(
+        coacd.Mesh(*_outer_shape(mesh)),
+        threshold=_THRESHOLD,
+        max_convex_hull=max_hulls,
+        decimate=True,
+        max_ch_vertex=MAX_VERTICES,
+        **_SEARCH,
+    )
+    if not parts:
+        raise ObjectFolderError(
+            f"coacd found no hull of a mesh of {len(mesh.faces)} faces; expected a closed surface"
+        )
+    hulls = tuple(trimesh.Trimesh(vertices, faces, process=False) for vertices, faces in parts)
+    for k, hull in enumerate(hulls):
+        _check(hull, f"coacd's hull {k}", "check that the surface is closed")
+    return hulls
+
+
+def write_hulls(path: str | Path, hulls: Sequence[trimesh.Trimesh], source: str = "") -> None:
+    """Write hulls as ``.npz``.
+
+    Parameters
+    ----------
+    path : path
+    hulls : sequence of trimesh.Trimesh
+    source : str
+        Says what they were made of; `hulls_source` gives it back.
+    """
+    write_npz(
+        path,
+        vertices=np.concatenate([hull.vertices for hull in hulls]),
+        faces=np.concatenate([hull.faces for hull in hulls]).astype(np.int32),
+        vertex_counts=np.array([len(hull.vertices) for hull in hulls], np.int32),
+        face_counts=np.array([len(hull.faces) for hull in hulls], np.int32),
+        source=np.array(source),
+    )
+
+
+def read_hulls(path: str | Path) -> tuple[trimesh.Trimesh, ...]:
+    """Read what `write_hulls` wrote.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the file is missing or damaged, or a hull in it is not closed and convex.
+    """
+    return _unpacked(path, _arrays(path))
+
+
+def cached_hulls(
+    file: ObjectFile, folder: str | Path, max_hulls: int = MAX_HULLS
+) -> tuple[trimesh.Trimesh, ...]:
+    """Hulls of an Object File, object frame, metres, kept in ``folder/<key>.npz``.
+
+    They are made anew (seconds to half a minute) where the file holds another surface, or was made with
+    other settings.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the file holds no geometry, or what is kept is damaged.
+    """
+    path = Path(folder) / f"{file.key}.npz"
+    source = _source(file, max_hulls)
+    if path.exists():
+        arrays = _arrays(path)
+        if str(arrays["source"]) == source:
+            return _unpacked(path, arrays)
+    hulls = convex_hulls(file.to_mesh(), max_hulls)
+    write_hulls(path, hulls, source)
+    return hulls
+
+
+def close_pinholes(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Add the triangles that marching cubes may leave out where a sample of the grid is exactly zero."""
+    faces = np.asarray(mesh.faces, np.int64)
+    edges, count = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), len(mesh.vertices)
+    single = ~np.isin(edges @ [count, 1], edges @ [1, count])  # edges of which no other face has the reverse
+    if not single.any():
+        return mesh
+    after = {b: a for a, b in edges[single].tolist()}
+    missing = [
+        (b, a, after[a]) for b, a in after.items() if after.get(after.get(a)) == b == min(b, a, after[a])
+    ]
+    added = np.array(missing, np.int64).reshape(-1, 3)
+    return trimesh.Trimesh(mesh.vertices, np.concatenate([faces, added]), process=False)
+
+
+def _outer_shape(mesh: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces with a hundredth of the triangles and no closed cavities.
+
+    A mesh that is not closed is left as it is: coacd closes it on a grid of its own.
+    """
+    try:
+        from manifold3d import Manifold, Mesh64
+    except ImportError as error:
+        raise _missing("manifold3d") from error
+    closed = close_pinholes(mesh)
+    solid = Manifold(Mesh64(np.asarray(closed.vertices), np.asarray(closed.faces, np.uint64)))
+    shells = [shell for shell in solid.simplify(_DETAIL * float(mesh.extents.max())).decompose()]
+    outer = [shell.to_mesh64() for shell in shells if shell.volume() > 0]
+    if not outer:
+        return np.asarray(closed.vertices, np.float64), np.asarray(closed.faces, np.int32)
+    starts = np.cumsum([0, *(len(shell.vert_properties) for shell in outer)])
+    vertices = np.concatenate([shell.vert_properties[:, :3] for shell in outer])
+    faces = np.concatenate([shell.tri_verts.astype(np.int32) + k for shell, k in zip(outer, starts)])
+    return vertices, faces
+
+
+def _check(hull: trimesh.Trimesh, name: str, remedy: str) -> None:
+    """Raise unless a hull is closed, oriented outward and convex."""
+    if not np.isfinite(hull.vertices).all():
+        raise ObjectFolderError(f"{name} has vertices that are not finite; {remedy}")
+    if not (hull.is_watertight and hull.is_winding_consistent and hull.volume > 0):
+        raise ObjectFolderError(f"{name} is not a closed surface that is oriented outward; {remedy}")
+    heights = hull.vertices @ hull.face_normals.T - (hull.triangles[:, 0] * hull.face_normals).sum(1)
+    if heights.max() > _FLAT * hull.extents.max():
+        raise ObjectFolderError(f"{name} is not convex; {remedy}")
+
+
+def _arrays(path: str | Path) -> dict[str, np.ndarray]:
+    return read_npz(path, "vertices", "faces", "vertex_counts", "face_counts", "source")
+
+
+def _unpacked(path: str | Path, arrays: dict[str, np.ndarray]) -> tuple[trimesh.Trimesh, ...]:
+    vertices, faces = arrays["vertices"], arrays["faces"]
+    vertex_counts, face_counts = arrays["vertex_counts"], arrays["face_counts"]
+    remedy = "delete it and make the hulls anew"
+    sizes = (vertex_counts.sum(), 3), (face_counts.sum(), 3)
+    if (
+        not len(face_counts)
+        or (vertices.shape, faces.shape) != sizes
+        or len(vertex_counts) != len(face_counts)
+    ):
+        raise ObjectFolderError(f"{path} does not hold the hulls that it counts; {remedy}")
+    hulls = []
+    for k, (points, triangles) in enumerate(
+        zip(np.split(vertices, vertex_counts.cumsum()[:-1]), np.split(faces, face_counts.cumsum()[:-1]))
+    ):
+        name = f"{path}: hull {k}"
+        if not len(triangles) or triangles.min() < 0 or triangles.max() >= len(points):
+            raise ObjectFolderError(f"{name} has faces of vertices that it lacks; {remedy}")
+        hulls.append(trimesh.Trimesh(points, triangles, process=False))
+        _check(hulls[-1], name, remedy)
+    return tuple(hulls)
+
+
+def _source(file: ObjectFile, max_hulls: int) -> str:
+    """Digest of all that decides on the hulls of an Object File."""
+    if "geometry" not in file.header:
+        raise ObjectFolderError(f"{file.key}: the file holds no geometry, so it has no hulls")
+    settings = (max_hulls, MAX_VERTICES, _THRESHOLD, _DETAIL, _SEARCH, version("coacd"))
+    said = json.dumps([file.header["geometry"], file.scale, settings], sort_keys=True)
+    digest = hashlib.sha256(said.encode())
+    digest.update(np.ascontiguousarray(file.tensors["geometry.distances"]).tobytes())
+    return digest.hexdigest()
+
+
+def _coacd() -> Any:
+    try:
+        import coacd
+    except ImportError as error:
+        raise _missing("coacd") from error
+    coacd.set_log_level("error")
+    return coacd
+
+
+def _missing(library: str) -> ObjectFolderError:
+    return ObjectFolderError(f"{library} is not installed; this needs: pip install 'objectfolder[rl]'")
