@@ -16,6 +16,7 @@ class Benchmarks:
 
     def __init__(self, folder: str | Path = "benchmarks"):
         self.dir = Path(folder)
+        self.hulls = self.dir / "hulls"  #: undeclared: made anew where the Object File has changed
 
     def observations(self, key: str) -> Path:
         """Folder of one object's observations."""

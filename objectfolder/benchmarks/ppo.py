@@ -151,7 +151,7 @@ def _actor(model: PPO, envs: VecNormalize) -> Actor:
 
 
 def _moments(statistics: RunningMeanStd) -> list[torch.Tensor]:
-    return [torch.as_tensor(value).clone() for value in (statistics.mean, statistics.var, statistics.count)]
+    return [torch.tensor(np.asarray(value)) for value in (statistics.mean, statistics.var, statistics.count)]
 
 
 def _statistics(moments: list[torch.Tensor]) -> RunningMeanStd:
