@@ -1,6 +1,8 @@
 """Where benchmarks leave their files: the only place that names a path in the folder of a run."""
 
+import hashlib
 from pathlib import Path
+from typing import Any
 
 
 class Benchmarks:
@@ -14,6 +16,7 @@ class Benchmarks:
 
     def __init__(self, folder: str | Path = "benchmarks"):
         self.dir = Path(folder)
+        self.hulls = self.dir / "hulls"  #: undeclared: made anew where the Object File has changed
 
     def observations(self, key: str) -> Path:
         """Folder of one object's observations."""
@@ -39,6 +42,11 @@ class Benchmarks:
         """A picture to look at."""
         return self.dir / f"{task}_{split}.png"
 
-    def progress(self, task: str, split: str, identity: str) -> Path:
+    def film(self, task: str, split: str) -> Path:
+        """A moving picture to look at."""
+        return self.dir / f"{task}_{split}.gif"
+
+    def progress(self, task: str, split: str, identity: Any) -> Path:
         """Undeclared: what an interrupted run goes on from, as long as nothing that it depends on changed."""
-        return self.dir / ".progress" / f"{task}_{split}_{identity[:16]}"
+        digest = hashlib.sha256(repr(identity).encode()).hexdigest()
+        return self.dir / ".progress" / f"{task}_{split}_{digest[:16]}"

@@ -68,12 +68,62 @@ class GraspStabilityParams(Training):  # noqa: D101
         return sizes
 
 
+class ReachParams(Section):
+    """Proximal policy optimisation (PPO); names are those of Schulman et al. 2017 where they have any."""
+
+    simulator: Literal["objectfolder", "metaworld"]  #: whose hand: objectfolder/envs/reach.py, or the Sawyer's
+    seeds: int = Count  #: trainings
+    steps: int = Count  #: control steps of a training, at most
+    horizon: int = Count  #: control steps (12.5 ms) of an episode
+    goals: int = Count  #: of the test, and as many others of the validation
+    environments: int = Count  #: side by side
+    rollout: int = Count  #: control steps in each of them between updates
+    batch: int = Field(ge=2)
+    epochs: int = Count  #: over what a rollout has seen
+    learning_rate: float = Field(gt=0)
+    discount: float = Field(gt=0, le=1)  #: gamma, per control step
+    width: int = Count  #: of both hidden layers
+    log_deviation: float  #: natural logarithm of the actions' first standard deviation
+
+
+class GraspDataParams(Section):
+    """What is collected of each object that is grasped."""
+
+    grasps: int = Field(ge=10, multiple_of=10)
+    perturbations: int = Field(ge=0)  #: repetitions of each grasp, slightly changed, for the soft label
+    image: int = Field(ge=8)  #: side of the camera's pictures, pixels
+    touch: list[int] = Sizes  #: height and width of tactile images, pixels; the sensor's: 160, 120
+
+
+class GraspPolicyParams(Section):
+    """Trust region policy optimisation (TRPO); names are those of the supplementary, I.4, where it has any."""
+
+    seeds: int = Count  #: trainings
+    episodes: int = Count  #: of a training
+    environments: int = Count  #: episodes side by side
+    rollout: int = Field(ge=2, multiple_of=2)  #: steps in each of them between updates
+    updates: int = Count  #: between validations
+    batch: int = Field(ge=2)  #: of the value function
+    learning_rate: float = Field(gt=0)  #: of the value function
+    discount: float = Field(gt=0, le=1)  #: gamma
+    gae: float = Field(ge=0, le=1)  #: lambda of generalised advantage estimation
+    damping: float = Field(gt=0)  #: alpha of the conjugate gradients
+    divergence: float = Field(gt=0)  #: delta, KL divergence of an update
+    width: int = Count  #: of both hidden layers
+    log_deviation: float  #: natural logarithm of the actions' first standard deviation
+    rollouts: int = Count  #: episodes of the test, and as many others of the validation
+    presses: int = Count  #: poses at which both fingers' features are kept
+
+
 SECTIONS: dict[str, type[Section]] = {
     "encode": EncodeParams,
     "recognize": RecognizeParams,
     "retrieve": RetrieveParams,
     "reconstruct": ReconstructParams,
     "grasp_stability": GraspStabilityParams,
+    "grasp_data": GraspDataParams,
+    "grasp_policy": GraspPolicyParams,
+    "reach": ReachParams,
 }
 
 
@@ -110,6 +160,12 @@ def task_params(task: str, values: dict[str, Any], path: str | Path = PARAMS_FIL
     section, encode = (_section(name, values, path) for name in (task, "encode"))
     shared = validate(Shared, {name: values.get(name) for name in Shared.model_fields}, str(path))
     return SimpleNamespace(section=section, encode=encode, seed=shared.seed)
+
+
+def reach_params(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> SimpleNamespace:
+    """Return what reach reads: its ``section`` and ``seed``; as `task_params`."""
+    shared = validate(Shared, {name: values.get(name) for name in Shared.model_fields}, str(path))
+    return SimpleNamespace(section=_section("reach", values, path), seed=shared.seed)
 
 
 def check_tasks(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:

@@ -1,7 +1,6 @@
 """Run a task on one split and leave its results: what the stages and the command line share."""
 
 import csv
-import hashlib
 import inspect
 import platform
 import re
@@ -21,8 +20,13 @@ from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.splits import named_split
 from objectfolder.sources import digests
 
-#: What a task leaves in its progress folder under these names is kept: a net to ask, a picture to look at.
-KEPT = {"model.safetensors": Benchmarks.model, "sheet.png": Benchmarks.sheet}
+#: What a task leaves in its progress folder under these names is kept: a net to ask, a picture or a film to
+#: look at.
+KEPT = {
+    "model.safetensors": Benchmarks.model,
+    "sheet.png": Benchmarks.sheet,
+    "episodes.gif": Benchmarks.film,
+}
 
 
 #: A task, such as `objectfolder.benchmarks.recognition.recognize`: it gives scores, with the ``seconds`` that
@@ -79,8 +83,8 @@ def run_task(
     sizes = InputSizes(encode.image, tuple(encode.spectrogram), tuple(encode.touch))
     files = [None if weights is None else weights.path, own_file(encode.encoder)]
     given = [file_digest(path) for path in files if path is not None]
-    identity = (observations.digest, params, _code(task), given)
-    progress = folder.progress(name, split, hashlib.sha256(repr(identity).encode()).hexdigest())
+    identity = (observations.digest, params, code_digest(task), given)
+    progress = folder.progress(name, split, identity)
     scores, curve = task(
         Job(
             observations,
@@ -95,14 +99,32 @@ def run_task(
             report,
         )
     )
-    seconds = scores.pop("seconds")  # the rest is the same whenever it is run
+    return leave(name, split, folder, progress, scores | {"keys": observations.keys}, columns, curve)
+
+
+def leave(
+    name: str,
+    split: str,
+    folder: Benchmarks,
+    progress: Path,
+    scores: dict[str, Any],
+    columns: Sequence[str],
+    curve: Sequence[Sequence[Any]],
+) -> float:
+    """Write scores and curves of a task that is done, keep the files of `KEPT`, remove its progress.
+
+    Returns
+    -------
+    The ``seconds`` among the scores, which are not written: the rest is the same whenever it is run.
+    """
     with atomic(folder.curve(name, split)) as temporary, temporary.open("w", newline="") as stream:
         csv.writer(stream, lineterminator="\n").writerows([columns, *curve])
     for left, path in KEPT.items():
         if (progress / left).exists():
             (progress / left).replace(path(folder, name, split))
-    write_json(folder.result(name, split), scores | {"keys": observations.keys})
+    write_json(folder.result(name, split), {k: v for k, v in scores.items() if k != "seconds"})
     rmtree(progress, ignore_errors=True)
+    seconds: float = scores["seconds"]
     return seconds
 
 
@@ -114,7 +136,7 @@ def machine(device: str | None = None) -> str:
     return models[0] if models else platform.processor()
 
 
-def _code(task: Task) -> str:
+def code_digest(task: Callable[..., Any]) -> str:
     """Digests of all modules of ours that a task runs."""
     package = Path(objectfolder.__file__).parent
     return digests(Path(inspect.getfile(task)).relative_to(package.parent), package.parent)

@@ -22,6 +22,12 @@ PAPER_RECONSTRUCTION = {
     "A": (0.8729, 0.0048, 0.9504),
     "VA": (0.8906, 0.0043, 0.9535),
 }
+REACH_POLICIES = {
+    "ppo": "PPO",
+    "controller": "straight to the goal",
+    "random": "random actions",
+    "nothing": "none",
+}
 NAMES = {"V": "image", "A": "audio", "VA": "image + audio", "average_shape": "average shape"}
 
 
@@ -66,6 +72,41 @@ def table(task: str, split: str, scores: Mapping[str, Any]) -> Table:
         "reconstruct": _reconstruction,
     }
     return layouts[task](split, scores)
+
+
+def reach_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
+    """Lay out what `objectfolder.benchmarks.reach.reach` has scored, by object."""
+    rows = []
+    for key, score in scores.items():
+        for policy, name in REACH_POLICIES.items():
+            played = score[policy]
+            rows.append(
+                (
+                    key,
+                    name,
+                    *(_rate(played[when]) for when in ("last", "any")),
+                    f"{1000 * played['distance']:.0f}",
+                    f"{played['return'] / score['horizon']:.2f}",
+                    "/".join(f"{steps / 1000:.0f}k" for steps in score["steps"]) if policy == "ppo" else "-",
+                    "100" if policy == "ppo" else "-",
+                )
+            )
+    first = next(iter(scores.values()))
+    return Table(
+        "Reach: success in %",
+        (
+            *("object", "policy", "at the last step", "at any time", "mm from the goal at the end"),
+            *("reward per step, of 10", "steps of training", "paper"),
+        ),
+        rows,
+        f"{first['episodes']} fresh goals per training, {first['horizon']} control steps each; in brackets the "
+        f"95 % interval (Clopper and Pearson). Hand: {first['simulator']}.",
+    )
+
+
+def _rate(share: Mapping[str, Any]) -> str:
+    low, high = share["interval_95"]
+    return f"{100 * share['rate']:.0f} ({100 * low:.0f}-{100 * high:.0f})"
 
 
 def _recognition(split: str, scores: Mapping[str, Any]) -> Table:

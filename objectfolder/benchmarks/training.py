@@ -18,6 +18,7 @@ from objectfolder.errors import ObjectFolderError
 WARM_UP = 20  #: steps until the learning rate is reached
 STATISTICS = 8  #: batches that the statistics of batch normalisation are taken from, after each epoch
 FORMAT = "objectfolder benchmark training 1"  #: of a checkpoint
+REMOVE = "remove it, and this training starts over"
 
 Batch = TypeVar("Batch")
 Norm = nn.modules.batchnorm._BatchNorm
@@ -146,6 +147,35 @@ def train(
     return curve
 
 
+def read_checkpoint(path: Path, form: str, settings: dict[str, Any]) -> dict[str, Any]:
+    """Read the state of a training; nothing in the file is executed.
+
+    Parameters
+    ----------
+    path : Path
+        File by ``torch.save``.
+    form, settings
+        What its entries ``format`` and ``settings`` have to be.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it is damaged, or of another training.
+    """
+    try:
+        stored: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # the unpickler raises what it likes
+        reason = str(error).partition("\n")[0]
+        raise ObjectFolderError(f"{path} is damaged ({reason}); {REMOVE}") from error
+    if not isinstance(stored, dict) or stored.get("format") != form:
+        raise ObjectFolderError(f"{path} is not a checkpoint of a benchmark's training; {REMOVE}")
+    if stored["settings"] != settings:
+        raise ObjectFolderError(
+            f"{path} is of a training with {stored['settings']}, expected {settings}; {REMOVE}"
+        )
+    return stored
+
+
 def _renew(
     norms: Sequence[Norm], batches: Iterable[Batch], batch_loss: Callable[[Batch], torch.Tensor]
 ) -> None:
@@ -191,20 +221,9 @@ def _resume(
     checkpoint: Path, net: nn.Module, optimizer: torch.optim.Optimizer, settings: dict[str, Any]
 ) -> tuple[list[EpochPoint], dict[str, torch.Tensor], int]:
     """Put net and optimizer in the state of a checkpoint; give curve, best state and count of steps."""
-    remove = "remove it, and this training starts over"
-    try:
-        stored = torch.load(checkpoint, map_location="cpu", weights_only=True)
-    except Exception as error:  # the unpickler raises what it likes
-        reason = str(error).partition("\n")[0]
-        raise ObjectFolderError(f"{checkpoint} is damaged ({reason}); {remove}") from error
-    if not isinstance(stored, dict) or stored.get("format") != FORMAT:
-        raise ObjectFolderError(f"{checkpoint} is not a checkpoint of a benchmark's training; {remove}")
-    if stored["settings"] != settings:
-        raise ObjectFolderError(
-            f"{checkpoint} is of a training with {stored['settings']}, expected {settings}; {remove}"
-        )
+    stored = read_checkpoint(checkpoint, FORMAT, settings)
     if _shapes(stored["net"]) != _shapes(net.state_dict()):
-        raise ObjectFolderError(f"{checkpoint} is of another net; {remove}")
+        raise ObjectFolderError(f"{checkpoint} is of another net; {REMOVE}")
     net.load_state_dict(stored["net"])
     optimizer.load_state_dict(stored["optimizer"])
     device = next(net.parameters()).device

@@ -1,1 +1,15 @@
-"""Objects as rigid bodies of physics engines, and environments in which robots move them."""
+"""Objects as rigid bodies of physics engines, and environments in which robots move them.
+
+``gymnasium.make("objectfolder.envs:ObjectFolder/Reach-v0", file="build/mug/ObjectFile.safetensors")``
+"""
+
+from objectfolder.errors import ObjectFolderError
+
+try:
+    import gymnasium
+except ModuleNotFoundError as error:
+    raise ObjectFolderError(
+        f"{error.name} is not installed; this needs: pip install 'objectfolder[rl]'"
+    ) from error
+
+gymnasium.register(id="ObjectFolder/Reach-v0", entry_point="objectfolder.envs.reach:ReachEnv")

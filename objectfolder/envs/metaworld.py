@@ -1,0 +1,128 @@
+"""Meta-World's own reach-v3, Sawyer arm and all, with an Object File in place of its cylinder.
+
+Needs ``metaworld`` 3.1.1, which pins another MuJoCo: give it an environment of its own (docs/benchmarks.md).
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import gymnasium
+import mujoco
+import numpy as np
+from gymnasium.spaces import Box
+
+from objectfolder.envs.body import RigidBody, add_body
+from objectfolder.envs.reach import OBJECT_HIGH, OBJECT_LOW, check_size, lowest, what_stands
+from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile import ObjectFile
+
+if TYPE_CHECKING:
+    import trimesh
+
+try:
+    from metaworld.envs.sawyer_reach_v3 import SawyerReachEnvV3
+except ModuleNotFoundError as error:
+    raise ObjectFolderError(
+        f"{error.name} is not installed; this needs metaworld 3.1.1 in an environment of its own, since it "
+        "pins another MuJoCo: see docs/benchmarks.md, Reach"
+    ) from error
+
+WELD = [0, 0, 0, 0, 0, 0, -1, 0, 0, 0, 5]  #: what Meta-World writes into a weld; MuJoCo has added numbers since
+
+
+class SawyerReachObject(SawyerReachEnvV3):
+    """`SawyerReachEnvV3` whose object is ours; goals are observed, and drawn from the seeded generator."""
+
+    def __init__(self, body: RigidBody):
+        self._body = body  # the base class builds the simulation in its __init__
+        super().__init__()
+        self._freeze_rand_vec, self.seeded_rand_vec = False, True
+        self._set_task_called = True
+        self._partially_observable = False
+        self.__dict__.pop("sawyer_observation_space", None)  # the one without goals
+        height = -lowest(body)
+        self.init_config["obj_init_pos"][2] = height
+        space = self._random_reset_space
+        low, high = space.low.copy(), space.high.copy()
+        low[:3], high[:3] = (*OBJECT_LOW, height), (*OBJECT_HIGH, height)
+        self._random_reset_space = Box(low, high, dtype=np.float64)
+
+    def _initialize_simulation(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        spec = mujoco.MjSpec.from_file(self.fullpath)
+        old = spec.body("obj")
+        spec.delete(old) if hasattr(spec, "delete") else spec.detach_body(old)  # MuJoCo 4, and 3.3
+        add_body(spec, self._body, "obj")
+        model = spec.compile()
+        model.vis.global_.offwidth, model.vis.global_.offheight = self.width, self.height
+        return model, mujoco.MjData(model)
+
+    def reset_mocap_welds(self) -> None:
+        welds = self.model.eq_type == mujoco.mjtEq.mjEQ_WELD
+        self.model.eq_data[welds, : len(WELD)] = WELD
+
+    def _get_pos_objects(self) -> np.ndarray:
+        return self.data.body("obj").xpos.copy()
+
+    def _get_quat_objects(self) -> np.ndarray:
+        return np.roll(self.data.body("obj").xquat, -1)  # x, y, z, w, as Meta-World has it
+
+
+class MetaWorldReach(gymnasium.Env[np.ndarray, np.ndarray]):
+    """Meta-World's reach-v3 with an object of one's own, as a plain Gymnasium environment.
+
+    As `objectfolder.envs.reach.ReachEnv`, with the Sawyer arm. ``reset`` takes a seed, which Meta-World's own
+    ignores, and goals are part of the observation, as in MT1.
+
+    Parameters
+    ----------
+    file : ObjectFile, path or RigidBody
+    hulls : sequence of trimesh.Trimesh, optional
+        Convex parts of the object, object frame, m; default: computed, and kept in the user's cache.
+    horizon : int
+        Control steps (12.5 ms) of an episode, at most 500.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the object is too large for the scene.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+
+    def __init__(
+        self,
+        file: "ObjectFile | RigidBody | str | Path",
+        hulls: "Sequence[trimesh.Trimesh] | None" = None,
+        horizon: int = 500,
+    ):
+        if not 1 <= horizon <= SawyerReachEnvV3.max_path_length:
+            raise ObjectFolderError(f"horizon is {horizon}, expected 1 to {SawyerReachEnvV3.max_path_length}")
+        body = what_stands(file, hulls)
+        check_size(body)
+        self.env = SawyerReachObject(body)
+        self.horizon = horizon
+        self.observation_space = self.env.sawyer_observation_space
+        self.action_space = self.env.action_space
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Put hand and object back, the object and the goal at random places."""
+        super().reset(seed=seed)
+        self.env.seed(int(self.np_random.integers(2**31)))
+        observation, _ = self.env.reset()
+        return self._inside(observation), {}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Simulate one control step, 12.5 ms."""
+        observation, reward, _, _, info = self.env.step(action)
+        said = {"success": float(info["success"]), "distance": float(info["obj_to_target"])}
+        return observation, float(reward), False, self.env.curr_path_length >= self.horizon, said
+
+    def close(self) -> None:
+        """Free what Meta-World holds."""
+        self.env.close()
+
+    def _inside(self, observation: np.ndarray) -> np.ndarray:
+        return np.clip(observation, self.observation_space.low, self.observation_space.high)  # type: ignore[attr-defined]
