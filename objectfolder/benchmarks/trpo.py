@@ -15,6 +15,7 @@ from objectfolder.artifacts import atomic
 from objectfolder.benchmarks.actor import Actor
 from objectfolder.benchmarks.params import GraspPolicyParams
 from objectfolder.benchmarks.training import read_checkpoint
+from objectfolder.envs.grasp import STEPS
 from objectfolder.seeding import numpy_generator
 
 FORMAT = "objectfolder TRPO 1"  #: of a checkpoint
@@ -153,7 +154,7 @@ def train_trpo(
         success = validate(actor)
         if not curve or success >= max(row[2] for row in curve):
             best = actor
-        done = (curve[-1][0] if curve else 0) + params.updates * steps // EPISODE
+        done = (curve[-1][0] if curve else 0) + params.updates * steps // STEPS
         curve.append([done, float(np.mean(episodes)), success])
         seconds = before + time.perf_counter() - start
         state = {

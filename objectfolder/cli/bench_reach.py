@@ -32,7 +32,9 @@ def reach(
     ] = False,
     jobs: Annotated[
         int | None,
-        typer.Option(min=1, help="Objects side by side, each on one thread; default: as many as there are cores."),
+        typer.Option(
+            min=1, help="Objects side by side, each on one thread; default: as many as there are cores."
+        ),
     ] = None,
 ) -> None:
     """Move a gripper to a goal, with an object in between: Meta-World's reach, and PPO.

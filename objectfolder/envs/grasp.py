@@ -212,6 +212,11 @@ class GraspTask:
         success[free] = self.scene.grasp(rests[free], hands[free], np.full(len(free), FORCE)).success
         return success
 
+    def free(self, objects: np.ndarray, hands: np.ndarray) -> np.ndarray:
+        """Whether the open gripper comes down there; (N,) bool."""
+        hands = self._relative(objects, hands)
+        return self.scene.free(np.tile(self.rest, (len(hands), 1)), hands)
+
     def bank(
         self, count: int, seed: int, report: Callable[[int, int], None] = lambda done, total: None
     ) -> TouchBank:

@@ -70,6 +70,16 @@ class Grasps:
     success: np.ndarray  #: (N,) bool, it was held by both pads
 
 
+@dataclass(frozen=True)
+class Frame:
+    """A moment of a grasp; world frame."""
+
+    phase: str
+    place: np.ndarray  #: (7,) of the object
+    hand: np.ndarray  #: (4,)
+    width: float  #: opening of the jaws, m
+
+
 class GraspScene:
     """An object on a table under a gripper.
 
@@ -239,6 +249,54 @@ class GraspScene:
         with the hand. Rows that let it fall are not simulated to the end.
         """
         return self.lift(self.close(objects, hands, forces))
+
+    def watch(self, place: np.ndarray, hand: np.ndarray, force: float, every: float) -> list[Frame]:
+        """One grasp through all its phases: reach, close, lift, hold, put back, release.
+
+        Parameters
+        ----------
+        place : (7,) array
+            Of the object at rest.
+        hand : (4,) array
+        force : float
+            N.
+        every : float
+            Seconds between frames.
+        """
+        open_, shut = STROKE / 2, -STROKE
+        travel = STROKE / 2 / self.physics.speed
+        #: by phase: seconds, height over the grasp at its end, jaws at its end
+        phases = (
+            ("reach", 0.6, 0.0, open_),
+            ("close", travel + TICK, 0.0, shut),
+            ("lift", 0.5, LIFT, shut),
+            ("hold", 0.5, LIFT, shut),
+            ("put back", 0.5, 0.0, shut),
+            ("release", 0.5, 0.0, open_),
+        )
+        above, jaws, controls, names = LIFT, open_, [], []
+        for name, seconds, height, aim in phases:
+            u = np.linspace(0, 1, round(seconds / self.physics.timestep) + 1)[1:]
+            part = self._controls(hand[None], np.array([jaws]), len(u))[0]
+            part[:, self.model.actuator("z").id] += above + (height - above) * (
+                10 * u**3 - 15 * u**4 + 6 * u**5
+            )
+            if name == "close":
+                closing = open_ - self.physics.speed * seconds * u
+                part[:, self._motors] = np.where(u < travel / seconds, closing, shut)[:, None]
+            elif name == "release":
+                part[:, self._motors] = (STROKE / 2 * np.minimum(2 * u, 1))[:, None]
+            controls.append(part)
+            names += [name] * len(u)
+            above, jaws = height, aim
+        start = self._states(place[None], hand[None] + [0, 0, LIFT, 0], np.array([STROKE / 2]))
+        states, _ = self._pool.rollout(
+            [self._with_force(force)], self._data, start, control=np.concatenate(controls)[None]
+        )
+        rows = range(0, len(names), max(round(every / self.physics.timestep), 1))
+        poses, hands = self._pose(states[0]), states[0][:, self._state(self._hand)]
+        widths = states[0][:, self._state(self._jaws)].sum(1)
+        return [Frame(names[row], poses[row], hands[row], float(widths[row])) for row in rows]
 
     def _compile(self, reach: float = 0.0) -> mujoco.MjModel:
         spec = self.physics.scene()

@@ -28,7 +28,19 @@ except ModuleNotFoundError as error:
         "pins another MuJoCo: see docs/benchmarks.md, Reach"
     ) from error
 
-WELD = [0, 0, 0, 0, 0, 0, -1, 0, 0, 0, 5]  #: what Meta-World writes into a weld; MuJoCo has added numbers since
+WELD = [
+    0,
+    0,
+    0,
+    0,
+    0,
+    0,
+    -1,
+    0,
+    0,
+    0,
+    5,
+]  #: what Meta-World writes into a weld; MuJoCo has added numbers since
 
 
 class SawyerReachObject(SawyerReachEnvV3):

@@ -131,7 +131,11 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         qpos[self._object : self._object + 3] = *place, self._height
         self.data.mocap_pos[self._mark] = self.goal
         mujoco.mj_forward(self.model, self.data)
-        self._margin, self._steps, self._before = float(np.linalg.norm(HAND_START - self.goal)), 0, self._now()
+        self._margin, self._steps, self._before = (
+            float(np.linalg.norm(HAND_START - self.goal)),
+            0,
+            self._now(),
+        )
         return self._observation(), {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
