@@ -12,6 +12,7 @@ import trimesh
 from scipy.spatial import ConvexHull
 
 from objectfolder.artifacts import read_npz, write_npz
+from objectfolder.envs.solid import joined, missing, simplified
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile import ObjectFile
 
@@ -51,9 +52,9 @@ def convex_hulls(mesh: trimesh.Trimesh, max_hulls: int = MAX_HULLS) -> tuple[tri
     if max_hulls < 1:
         raise ObjectFolderError(f"max_hulls is {max_hulls}, expected at least 1")
     coacd = _coacd()
-    vertices, faces, closed = _outer_shape(mesh)
+    shape, closed = _outer_shape(mesh)
     parts = coacd.run_coacd(
-        coacd.Mesh(vertices, faces),
+        coacd.Mesh(shape.vertices, shape.faces),
         threshold=_THRESHOLD,
         max_convex_hull=max_hulls,
         preprocess_mode="off" if closed else "on",
@@ -123,40 +124,14 @@ def cached_hulls(
     return hulls
 
 
-def close_pinholes(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Add the triangles that marching cubes may leave out where a sample of the grid is exactly zero."""
-    faces = np.asarray(mesh.faces, np.int64)
-    edges, count = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), len(mesh.vertices)
-    single = ~np.isin(edges @ [count, 1], edges @ [1, count])  # edges of which no other face has the reverse
-    if not single.any():
-        return mesh
-    after = {b: a for a, b in edges[single].tolist()}
-    missing = [
-        (b, a, after[a]) for b, a in after.items() if after.get(after.get(a)) == b == min(b, a, after[a])
-    ]
-    added = np.array(missing, np.int64).reshape(-1, 3)
-    return trimesh.Trimesh(mesh.vertices, np.concatenate([faces, added]), process=False)
-
-
-def _outer_shape(mesh: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Vertices and faces with a hundredth of the triangles and no closed cavities, and whether it is closed.
+def _outer_shape(mesh: trimesh.Trimesh) -> tuple[trimesh.Trimesh, bool]:
+    """A hundredth of the triangles and no closed cavities, and whether it is closed.
 
     A mesh that is not closed is left as it is: coacd closes it on a grid of its own.
     """
-    try:
-        from manifold3d import Manifold, Mesh64
-    except ImportError as error:
-        raise _missing("manifold3d") from error
-    closed = close_pinholes(mesh)
-    solid = Manifold(Mesh64(np.asarray(closed.vertices), np.asarray(closed.faces, np.uint64)))
-    shells = solid.simplify(_DETAIL * float(mesh.extents.max())).decompose()
-    outer = [shell.to_mesh64() for shell in shells if shell.volume() > 0]
-    if not outer:
-        return np.asarray(closed.vertices, np.float64), np.asarray(closed.faces, np.int32), False
-    starts = np.cumsum([0, *(len(shell.vert_properties) for shell in outer)])
-    vertices = np.concatenate([shell.vert_properties[:, :3] for shell in outer])
-    faces = np.concatenate([shell.tri_verts.astype(np.int32) + k for shell, k in zip(outer, starts)])
-    return vertices, faces, True
+    shells = simplified(mesh, _DETAIL * float(mesh.extents.max()))
+    outer = [shell for shell in shells if shell.volume > 0]
+    return (joined(outer), True) if outer else (mesh, False)
 
 
 def _convex_hull(points: np.ndarray, size: float) -> trimesh.Trimesh | None:
@@ -243,10 +218,6 @@ def _coacd() -> Any:
     try:
         import coacd
     except ImportError as error:
-        raise _missing("coacd") from error
+        raise missing("coacd") from error
     coacd.set_log_level("error")
     return coacd
-
-
-def _missing(library: str) -> ObjectFolderError:
-    return ObjectFolderError(f"{library} is not installed; this needs: pip install 'objectfolder[rl]'")
