@@ -18,15 +18,17 @@ if TYPE_CHECKING:
 export_app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="markdown",
-    help="Write observations as a `webdataset` or for Hugging Face `datasets`; objects for MuJoCo (`mjcf`) or "
-    "PyBullet (`urdf`).",
+    help="Write observations as a `webdataset` or for Hugging Face `datasets`, and objects for physics "
+    "engines: MuJoCo (`mjcf`), PyBullet and others (`urdf`).",
 )
 
 OutArgument = Annotated[Path, typer.Argument(metavar="OUT", help="Folder to make.")]
 FoldersArgument = Annotated[
     list[Path], typer.Argument(metavar="FOLDER...", help="Folders of observations, or what holds them.")
 ]
-FilesArgument = Annotated[list[Path], typer.Argument(metavar="FILE...", help="ObjectFile.safetensors of objects.")]
+FilesArgument = Annotated[
+    list[Path], typer.Argument(metavar="FILE...", help="ObjectFile.safetensors of objects.")
+]
 HullsOption = Annotated[int, typer.Option(min=1, help="Convex hulls of an object, at most.")]
 SplitOption = Annotated[
     str,
@@ -38,9 +40,7 @@ SplitOption = Annotated[
 def webdataset(
     out: OutArgument,
     folders: FoldersArgument,
-    split: FilesArgument = Annotated[list[Path], typer.Argument(metavar="FILE...", help="ObjectFile.safetensors of objects.")]
-HullsOption = Annotated[int, typer.Option(min=1, help="Convex hulls of an object, at most.")]
-SplitOption = "seen",
+    split: SplitOption = "seen",
     shard: Annotated[int, typer.Option(min=1, help="Samples of a tar file.")] = 1000,
 ) -> None:
     """Write tar files for the WebDataset library: train-000000.tar ... val- ... test-...
@@ -59,9 +59,7 @@ SplitOption = "seen",
 
 
 @export_app.command()
-def datasets(out: OutArgument, folders: FoldersArgument, split: FilesArgument = Annotated[list[Path], typer.Argument(metavar="FILE...", help="ObjectFile.safetensors of objects.")]
-HullsOption = Annotated[int, typer.Option(min=1, help="Convex hulls of an object, at most.")]
-SplitOption = "seen") -> None:
+def datasets(out: OutArgument, folders: FoldersArgument, split: SplitOption = "seen") -> None:
     """Write a folder for the Datasets library of Hugging Face: Parquet files and a card, README.md.
 
     Then, in Python, without a network: `datasets.load_dataset("OUT")`
