@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 
 from objectfolder import materials
-from objectfolder.envs.hulls import close_pinholes
+from objectfolder.envs.solid import close_pinholes
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile import ObjectFile
 
