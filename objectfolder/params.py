@@ -230,8 +230,11 @@ OBJECT_FIELDS: dict[str, tuple[str, ...]] = {
     "evaluate": (),
     "observe": (),
 }
-#: Stages over all objects; objectfolder/benchmarks/params.py has their parameters.
-TASKS = ("recognize", "retrieve", "reconstruct")
+#: Stages over all objects, or those that are grasped, by split; objectfolder/benchmarks/params.py has their
+#: parameters.
+TASKS = ("recognize", "retrieve", "reconstruct", "grasp_stability")
+#: Stages of the objects that ``benchmarks`` in ``params.yaml`` names.
+ROBOT_STAGES = ("decompose", "grasp_data", "grasp_policy", "reach")
 #: Shared parameters, by the stage that reads them.
 SHARED: dict[str, tuple[str, ...]] = {
     "modal": ("seed",),
@@ -279,7 +282,7 @@ def check_key(key: Any, where: str = "object key") -> str:
     ObjectFolderError
         If it is not a slug. DVC drops integer keys silently and takes a dot for a path.
     """
-    stages = {*SECTIONS, *OBJECT_FIELDS, *TASKS}
+    stages = {*SECTIONS, *OBJECT_FIELDS, *TASKS, *ROBOT_STAGES}
     if isinstance(key, str) and KEY.fullmatch(key) and key not in stages:
         return key
     reason = (

@@ -2,7 +2,7 @@
 
 from objectfolder.artifacts import Build
 from objectfolder.benchmarks.layout import Benchmarks
-from objectfolder.benchmarks.params import reach_params
+from objectfolder.benchmarks.params import robot_params
 from objectfolder.benchmarks.reach import run_reach
 from objectfolder.envs.hulls import cached_hulls
 from objectfolder.objectfile import ObjectFile

@@ -4,6 +4,7 @@ import copy
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import astuple
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -158,17 +159,17 @@ def grasp_stability(job: Job[GraspStabilityParams]) -> tuple[dict[str, Any], lis
     )
     sizes = {min(size, len(order)): size for size in reversed(params.sizes)}
     for size in sizes:
-        _check_both_outcomes(grasps.success[order[:size]], split.name)
+        _check_outcomes(grasps.success[order[:size]], split.name)
     curve: list[list[Any]] = []
     seconds, by_size = 0.0, {}
     for size in sorted(sizes):
-        answers = {name: answer[None] for name, answer in baselines(grasps, order[:size], split.test).items()}
+        train = order[:size]
+        told = job.finished(f"{size}_baselines", partial(_baselines, grasps, train, split.test))
+        answers = {name: np.array([answer]) for name, answer in told.items()}
         for name in names:
-            units = [_finished(job, order[:size], run, name, names[-1]) for run in range(params.seeds)]
-            answers[name] = np.array([unit["logits"] for unit in units])
-            for transferred, source in TRANSFERRED.items():
-                if name == source and grasps.has_explicit:
-                    answers[transferred] = np.array([unit["on_explicit"] for unit in units])
+            units = [_finished(job, train, run, name, names[-1]) for run in range(params.seeds)]
+            for answer in units[0]["logits"]:
+                answers[answer] = np.array([unit["logits"][answer] for unit in units])
             curve += [[size, run, name, *row] for run, unit in enumerate(units) for row in unit["curve"]]
             seconds += sum(unit["seconds"] for unit in units)
         by_size[str(size)] = {"asked": sizes[size], **_measured(answers, grasps.success[split.test])}
@@ -176,7 +177,11 @@ def grasp_stability(job: Job[GraspStabilityParams]) -> tuple[dict[str, Any], lis
     return {"sizes": by_size, "success": shares, **rows, "seconds": seconds}, curve
 
 
-def _check_both_outcomes(success: np.ndarray, split: str) -> None:
+def _baselines(grasps: Grasps, train: np.ndarray, test: np.ndarray) -> dict[str, list[float]]:
+    return {name: answer.tolist() for name, answer in baselines(grasps, train, test).items()}
+
+
+def _check_outcomes(success: np.ndarray, split: str) -> None:
     if success.all() or not success.any():
         end = "succeed" if success[0] else "fail"
         raise ObjectFolderError(
@@ -221,14 +226,18 @@ def _finished(
     def make() -> dict[str, Any]:
         net, curve = _trained(job, train, run, name)
         start = time.perf_counter()
-        arrays, result = VARIANTS[name], {}
-        asked = {"logits": arrays}
-        if name in TRANSFERRED.values() and cast(Grasps, job.observations).has_explicit:
-            asked["on_explicit"] = arrays | {"T": "explicit"}
-        for answer, given in asked.items():
-            result[answer] = _logits(job, net, given, job.split.test).tolist()
+        given = {name: VARIANTS[name]}
+        if cast(Grasps, job.observations).has_explicit:
+            given |= {
+                answer: VARIANTS[name] | {"T": "explicit"}
+                for answer, source in TRANSFERRED.items()
+                if source == name
+            }
+        logits = {
+            answer: _logits(job, net, arrays, job.split.test).tolist() for answer, arrays in given.items()
+        }
         seconds = sum(point.seconds for point in curve) + time.perf_counter() - start
-        return {**result, "curve": [astuple(point)[:3] for point in curve], "seconds": seconds}
+        return {"logits": logits, "curve": [astuple(point)[:3] for point in curve], "seconds": seconds}
 
     result = job.finished(_checkpoint(job, train, run, name).stem, make)
     # Fusions start from the nets of single streams, which are kept until the last of a seed.

@@ -22,6 +22,10 @@ class Benchmarks:
         """Folder of one object's observations."""
         return self.dir / "observations" / key
 
+    def grasps(self, key: str) -> Path:
+        """Folder of one object's grasps."""
+        return self.dir / "grasps" / key
+
     def result(self, task: str, split: str) -> Path:
         """Scores (JSON)."""
         return self.dir / f"{task}_{split}.json"

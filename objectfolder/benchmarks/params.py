@@ -1,5 +1,6 @@
 """Typed parameters of the benchmarks: the sections of ``params.yaml`` for what is done with all objects."""
 
+from collections.abc import Collection
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Annotated, Any, Literal
@@ -7,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, Field, field_validator
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.params import PARAMS_FILE, TASKS, Section, Shared, read, validate
+from objectfolder.params import PARAMS_FILE, ROBOT_STAGES, TASKS, Section, Shared, read, validate
 
 Count = Field(ge=1)
 Sizes = Field(min_length=2, max_length=2)
@@ -88,6 +89,10 @@ class ReachParams(Section):
     log_deviation: float  #: natural logarithm of the actions' first standard deviation
 
 
+class DecomposeParams(Section):  # noqa: D101
+    hulls: int = Count  #: at most, of an object
+
+
 class GraspDataParams(Section):
     """What is collected of each object that is grasped."""
 
@@ -122,6 +127,7 @@ SECTIONS: dict[str, type[Section]] = {
     "recognize": RecognizeParams,
     "retrieve": RetrieveParams,
     "reconstruct": ReconstructParams,
+    "decompose": DecomposeParams,
     "grasp_stability": GraspStabilityParams,
     "grasp_data": GraspDataParams,
     "grasp_policy": GraspPolicyParams,
@@ -129,12 +135,17 @@ SECTIONS: dict[str, type[Section]] = {
 }
 
 
-class Splits(Section):
-    """Splits on which a build runs each task: ``benchmarks`` in ``params.yaml``."""
+class Wanted(Section):
+    """What a build runs: ``benchmarks`` in ``params.yaml``, by stage the splits or the objects."""
 
     recognize: list[Literal["seen"]]
     retrieve: list[Literal["seen", "unseen"]]
     reconstruct: list[Literal["seen", "unseen"]]
+    grasp_stability: list[Literal["seen", "unseen"]]
+    decompose: list[str]
+    grasp_data: list[str]
+    grasp_policy: list[str]
+    reach: list[str]
 
 
 def splits_of(task: str) -> tuple[str, ...]:
@@ -164,30 +175,67 @@ def task_params(task: str, values: dict[str, Any], path: str | Path = PARAMS_FIL
     return SimpleNamespace(section=section, encode=encode, seed=shared.seed)
 
 
-def reach_params(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> SimpleNamespace:
-    """Return what reach reads: its ``section`` and ``seed``; as `task_params`."""
+def robot_params(stage: str, values: dict[str, Any], path: str | Path = PARAMS_FILE) -> SimpleNamespace:
+    """Return what a stage of `objectfolder.params.ROBOT_STAGES` reads: ``section`` and ``seed``.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the section is lacking or wrong.
+    """
     shared = validate(Shared, {name: values.get(name) for name in Shared.model_fields}, str(path))
-    return SimpleNamespace(section=_section("reach", values, path), seed=shared.seed)
+    return SimpleNamespace(section=_section(stage, values, path), seed=shared.seed)
 
 
 def check_tasks(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
-    """Validate all sections about benchmarks, before a long build starts."""
+    """Validate all sections about benchmarks, before a long build starts.
+
+    Raises
+    ------
+    ObjectFolderError
+        If one is lacking or wrong, ``benchmarks`` names an object that does not exist, or asks for a stage
+        without that which it depends on.
+    """
     for task in TASKS:
         task_params(task, values, path)
+    for stage in ROBOT_STAGES:
+        robot_params(stage, values, path)
     if "benchmarks" not in values:
-        empty = ", ".join(f"{task}: []" for task in TASKS)
+        empty = ", ".join(f"{name}: []" for name in Wanted.model_fields)
         raise ObjectFolderError(
-            f"{path} lacks `benchmarks`, the splits that a build runs; add `benchmarks: {{{empty}}}`"
+            f"{path} lacks `benchmarks`, what a build runs; add `benchmarks: {{{empty}}}`"
         )
-    validate(Splits, values["benchmarks"], f"{path}: benchmarks")
+    wanted = validate(Wanted, values["benchmarks"], f"{path}: benchmarks")
+    for stage in ROBOT_STAGES:
+        keys = getattr(wanted, stage)
+        _require(f"{path}: benchmarks.{stage}", keys, values["objects"], "is no object")
+        _require(f"{path}: benchmarks.{stage}", keys, wanted.decompose, "lacks in benchmarks.decompose")
+    if wanted.grasp_stability and len(wanted.grasp_data) < 2:
+        raise ObjectFolderError(
+            f"{path}: benchmarks.grasp_stability needs grasps of two objects at least; name them in "
+            "benchmarks.grasp_data"
+        )
+
+
+def _require(where: str, keys: list[str], known: Collection[str], fault: str) -> None:
+    wrong = [key for key in keys if key not in known]
+    if wrong:
+        raise ObjectFolderError(f"{where}: {wrong[0]} {fault}; expected one of {', '.join(known) or 'none'}")
 
 
 def stage_params(task: str, path: str | Path = PARAMS_FILE) -> SimpleNamespace:
-    """Return a task's parameters from ``params.yaml``, and the ``keys`` of all objects."""
+    """Return a task's parameters from ``params.yaml``, and the ``keys`` of its objects."""
     values = read(path)
     params = task_params(task, values, path)
-    params.keys = tuple(values["objects"])
+    params.keys = tuple(
+        values["benchmarks"]["grasp_data"] if task == "grasp_stability" else values["objects"]
+    )
     return params
+
+
+def robot_stage_params(stage: str, path: str | Path = PARAMS_FILE) -> SimpleNamespace:
+    """Return a robot stage's parameters from ``params.yaml``."""
+    return robot_params(stage, read(path), path)
 
 
 def _section(name: str, values: dict[str, Any], path: str | Path) -> BaseModel:

@@ -47,7 +47,7 @@ def reach(
     from objectfolder import params as objects
     from objectfolder.artifacts import read_json
     from objectfolder.benchmarks.layout import Benchmarks
-    from objectfolder.benchmarks.params import reach_params
+    from objectfolder.benchmarks.params import robot_params
     from objectfolder.benchmarks.tables import reach_table
     from objectfolder.catalog import read_preset
 
@@ -59,7 +59,7 @@ def reach(
     if metaworld:
         asked["simulator"] = "metaworld"
     values["reach"] = {**(values.get("reach") or {}), **asked}
-    params = reach_params(values, path)
+    params = robot_params("reach", values, path)
     folder = Benchmarks(out if out is not None else Path("benchmarks") / (preset or "own"))
     paths = _object_files(files)
     calls = [(file, params, folder) for file in paths.values()]

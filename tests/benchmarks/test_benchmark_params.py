@@ -7,6 +7,19 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.params import TASKS, check_key, read
 
 ROOT = Path(__file__).parents[2]
+ENCODE = {"encoder": "resnet18", "image": 56, "spectrogram": [64, 50], "touch": [64, 48]}
+STABILITY = {
+    "seeds": 1,
+    "sizes": [100, 1000],
+    "epochs": 6,
+    "epoch_grasps": 400,
+    "fusion_epochs": 1,
+    "hidden": 128,
+    "batch": 32,
+    "learning_rate": 0.001,
+    "weight_decay": 0.01,
+    "patience": 3,
+}
 
 
 @pytest.fixture
@@ -55,3 +68,12 @@ def test_splits_and_reserved_names():
     for task in TASKS:
         with pytest.raises(ObjectFolderError, match="name of a stage"):
             check_key(task)
+
+
+@pytest.mark.parametrize("sizes", [[], [1, 100], [1000, 100], [100, 100]])
+def test_sizes_ascend(sizes):
+    values = {"seed": 0, "sensor": "digit", "encode": ENCODE, "grasp_stability": STABILITY | {"sizes": sizes}}
+    with pytest.raises(ObjectFolderError, match=r"params.yaml: grasp_stability: sizes"):
+        task_params("grasp_stability", values)
+    values["grasp_stability"] = STABILITY
+    assert task_params("grasp_stability", values).section.sizes == [100, 1000]

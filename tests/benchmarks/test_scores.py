@@ -6,7 +6,13 @@ from scipy import stats
 from sklearn.metrics import average_precision_score
 
 from objectfolder.benchmarks import scores
-from objectfolder.benchmarks.scores import accuracy, chance_map, interval_95, mean_average_precision
+from objectfolder.benchmarks.scores import (
+    accuracy,
+    chance_map,
+    interval_95,
+    mean_average_precision,
+    wilson_95,
+)
 from objectfolder.errors import ObjectFolderError
 
 
@@ -167,3 +173,9 @@ def test_refused():
         mean_average_precision(one, labels, one * np.nan, labels)
     with pytest.raises(ObjectFolderError, match="no query"):
         chance_map(labels, np.array([], int))
+
+
+@pytest.mark.parametrize(("right", "count"), [(0, 5), (7, 7), (3, 10), (150, 200)])
+def test_wilsons_interval_is_that_of_scipy(right, count):
+    expected = stats.binomtest(right, count).proportion_ci(method="wilson")
+    assert wilson_95(right / count, count) == pytest.approx((expected.low, expected.high))

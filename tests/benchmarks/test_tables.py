@@ -46,3 +46,33 @@ def test_reconstruction_beside_the_average_shape():
     shown = table("reconstruct", "seen", scores)
     assert list(cells(shown)) == ["average shape", "image", "audio", "image + audio"]
     assert cells(shown)["audio"] == ("0.5000", "0.0200", "0.7500", "0.8729 / 0.0048 / 0.9504")
+
+
+def test_grasp_stability_by_number_of_grasps():
+    def score(value, low, high):
+        return {"accuracy": value, "wilson_95": [low, high], "balanced_accuracy": 0.5, "auc": None}
+
+    few = {"V": score(0.5, 0.25, 0.75), "VT": score(0.625, 0.4, 0.8), "majority": score(0.5, 0.25, 0.75)}
+    many = {"V": score(0.75, 0.5, 0.875), "VT": score(1.0, 0.875, 1.0), "majority": score(0.5, 0.25, 0.75)}
+    differences = [
+        {"VT - V": {"difference": value, "interval_95": half}}
+        for value, half in ((-0.125, None), (0.25, 0.1))
+    ]
+    scores = {
+        "sizes": {
+            "1600": {"asked": 10000, "compared": differences[1], **many},
+            "200": {"asked": 200, "compared": differences[0], **few},
+        },
+        "success": {"train": 0.5, "val": 0.5, "test": 0.25},
+        **ROWS,
+    }
+    shown = table("grasp_stability", "unseen", scores)
+    assert shown.columns == ("from", "200", "all 1,600 (of 10,000)", "balanced accuracy", "AUC")
+    assert cells(shown) == {
+        "vision": ("50.0 (25-75)", "75.0 (50-88)", "0.500", "-"),
+        "vision + touch": ("62.5 (40-80)", "100.0 (88-100)", "0.500", "-"),
+        "commonest outcome": ("50.0 (25-75)", "50.0 (25-75)", "0.500", "-"),
+        "vision + touch − vision": ("-12.5", "+25.0 ± 10.0", "", ""),
+    }
+    assert "Of the test grasps 25 % succeed, of those for training 50 %" in shown.note
+    assert "unseen objects" in shown.title
