@@ -54,6 +54,7 @@ class Build:
         self.vision_sheet = self.dir / "vision.png"
         self.sound_sheet = self.dir / "sound.png"
         self.object_file = self.dir / "ObjectFile.safetensors"
+        self.hulls = self.dir / "hulls.npz"  #: of objects that robots handle alone
         self.inspections = self.dir / "inspect"  #: undeclared: looking makes nothing stale
         self.metrics = self.root / "metrics" / f"{key}.json"
 

@@ -2,18 +2,15 @@
 
 from objectfolder.artifacts import Build
 from objectfolder.benchmarks.layout import Benchmarks
-from objectfolder.benchmarks.params import robot_params
+from objectfolder.benchmarks.params import robot_stage_params
 from objectfolder.benchmarks.reach import run_reach
-from objectfolder.envs.hulls import cached_hulls
-from objectfolder.objectfile import ObjectFile
-from objectfolder.params import read
+from objectfolder.envs.hulls import read_hulls
 from stages import run
 
 
 def main(key: str) -> None:
-    build, folder = Build(key), Benchmarks()
-    hulls = cached_hulls(ObjectFile.load(build.object_file), folder.hulls)
-    run_reach(build.object_file, hulls, reach_params(read()), folder, print)
+    build, params = Build(key), robot_stage_params("reach")
+    run_reach(build.object_file, read_hulls(build.hulls), params, Benchmarks(), print)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import torch
 
 from objectfolder.artifacts import atomic, read_json, write_json, write_npz
 from objectfolder.benchmarks.grasps import ARRAYS, FORMAT, OPTIONAL, RECORD, array_path
+from objectfolder.benchmarks.params import GraspDataParams
 from objectfolder.benchmarks.sampling import object_digest
 from objectfolder.envs.body import RigidBody
 from objectfolder.envs.camera import ExternalCamera
@@ -42,6 +43,12 @@ class Wanted:
     perturbations: int  #: repetitions of each grasp, slightly changed, for the soft label
     image: int  #: side of the camera's pictures, pixels
     touch: tuple[int, int]  #: height and width of tactile images
+
+    @classmethod
+    def of(cls, params: GraspDataParams) -> "Wanted":
+        """What the section of ``params.yaml`` says."""
+        height, width = params.touch
+        return cls(params.grasps, params.perturbations, params.image, (height, width))
 
 
 @dataclass(frozen=True)

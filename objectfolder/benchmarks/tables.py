@@ -22,6 +22,15 @@ PAPER_RECONSTRUCTION = {
     "A": (0.8729, 0.0048, 0.9504),
     "VA": (0.8906, 0.0043, 0.9535),
 }
+#: Rows of grasping, in their order, and the paper's success in %.
+GRASP_POLICIES = {
+    "touch": ("touch", "75.5"),
+    "touch_exact": ("touch, exact", "-"),
+    "width": ("width alone", "-"),
+    "blind": ("blind", "-"),
+    "random": ("random actions", "53.0"),
+    "nothing": ("none", "-"),
+}
 REACH_POLICIES = {
     "ppo": "PPO",
     "controller": "straight to the goal",
@@ -116,6 +125,24 @@ def reach_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
         rows,
         f"{first['episodes']} fresh goals per training, {first['horizon']} control steps each; in brackets the "
         f"95 % interval (Clopper and Pearson). Hand: {first['simulator']}.",
+    )
+
+
+def grasping_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
+    """Lay out what `objectfolder.benchmarks.grasp_policy.grasp_policy` has scored, by object."""
+    rows = []
+    for key, score in scores.items():
+        for policy, (name, paper) in GRASP_POLICIES.items():
+            seeds = " ".join(f"{100 * value:.1f}" for value in score[policy]["seeds"])
+            rows.append((key, name, _rate(score[policy]), seeds, paper))
+    first = next(iter(scores.values()))
+    return Table(
+        "Grasping by touch: success in %",
+        ("object", "policy", "success", "each seed", "paper"),
+        rows,
+        f"{first['rollouts']} fresh rollouts per seed, {first['episodes']} episodes of training; in brackets the "
+        f"95 % interval (Wilson) over all rollouts. While policies learn, and in row touch, features are those of "
+        f"the nearest of {first['presses']} presses; exact: each is asked of the Object File.",
     )
 
 

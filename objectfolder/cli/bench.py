@@ -14,19 +14,28 @@ from objectfolder.cli.console import console, print_wide, tracked
 from objectfolder.errors import ObjectFolderError
 
 if TYPE_CHECKING:
+    from objectfolder.benchmarks.grasp_data import Wanted
     from objectfolder.benchmarks.layout import Benchmarks
+    from objectfolder.benchmarks.params import GraspDataParams
     from objectfolder.benchmarks.tables import Table
     from objectfolder.params import ObserveParams
 
 #: Of each task; only that one is imported.
-MODULES = {"recognize": "recognition", "retrieve": "retrieval", "reconstruct": "reconstruction"}
+MODULES = {
+    "recognize": "recognition",
+    "retrieve": "retrieval",
+    "reconstruct": "reconstruction",
+    "grasp_stability": "grasp_stability",
+}
 
 bench_app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="markdown",
-    help="Run the paper's benchmark tasks on Object Files: `recognition`, `retrieval`, `reconstruction`.\n\n"
+    help="Run the paper's benchmark tasks on Object Files: `recognition`, `retrieval`, `reconstruction`, and, "
+    "with a robot, `stability`, `grasping`, `reach`.\n\n"
     "Objects are observed first: random views, impacts and touches are drawn from each Object File and kept "
-    "in OUT/observations, where the next task finds them. What was interrupted goes on where it was.",
+    "in OUT/observations, where the next task finds them; grasps in OUT/grasps. What was interrupted goes on "
+    "where it was.",
 )
 
 FilesArgument = Annotated[
@@ -166,7 +175,7 @@ def _run(
     from objectfolder.artifacts import read_json
     from objectfolder.benchmarks.encoders import make_encoder, read_weights, registered
     from objectfolder.benchmarks.layout import Benchmarks
-    from objectfolder.benchmarks.params import splits_of, task_params
+    from objectfolder.benchmarks.params import robot_params, splits_of, task_params
     from objectfolder.benchmarks.splits import label_order, named_split
     from objectfolder.benchmarks.tables import table
     from objectfolder.catalog import read_preset
@@ -190,11 +199,21 @@ def _run(
     folder = Benchmarks(out if out is not None else Path("benchmarks") / (preset or "own"))
     threads = threads or os.cpu_count() or 1
     paths = _object_files(files)
-    observe = objects.validate(objects.ObserveParams, values.get("observe"), f"{path}: observe")
+    grasped = task == "grasp_stability"
+    if grasped:
+        wanted = robot_params("grasp_data", values, path).section
+        count = wanted.grasps
+    else:
+        observe = objects.validate(objects.ObserveParams, values.get("observe"), f"{path}: observe")
+        count = observe.observations
     for split in splits:  # what cannot be split is said before any work
-        named_split(split, label_order(paths), observe.observations)
-    console.print(f"{len(paths)} objects, {observe.observations} observations of each")
-    folders = _observe(paths, observe, params.seed, folder, threads)
+        named_split(split, label_order(paths), count)
+    console.print(f"{len(paths)} objects, {count} {'grasps' if grasped else 'observations'} of each")
+    if grasped:
+        hulls = robot_params("decompose", values, path).section.hulls
+        folders = _grasp(paths, wanted, hulls, params.seed, folder, threads)
+    else:
+        folders = _observe(paths, observe, params.seed, folder, threads)
     on_gpu = torch.cuda.is_available() if device is None else device != "cpu"
     together = 1 if on_gpu else min(threads, len(splits))
     calls = [(task, split, folders, params, folder, weights, threads // together, device) for split in splits]
@@ -224,6 +243,7 @@ def _run_split(
 
     from objectfolder.artifacts import write_json
     from objectfolder.benchmarks.encoders import read_weights
+    from objectfolder.benchmarks.grasps import Grasps
     from objectfolder.benchmarks.observations import Observations
     from objectfolder.benchmarks.running import machine, run_task
 
@@ -232,9 +252,8 @@ def _run_split(
     run, columns = getattr(module, task), module.CURVE_COLUMNS
     started = None if weights is None else read_weights(weights)
     before = time.process_time()
-    seconds = run_task(
-        task, run, columns, split, Observations(folders), params, folder, _say, started, device
-    )
+    samples = Grasps(folders) if task == "grasp_stability" else Observations(folders)
+    seconds = run_task(task, run, columns, split, samples, params, folder, _say, started, device)
     took = {"seconds": seconds, "cpu_seconds": time.process_time() - before}
     write_json(folder.machine(task, split), took | {"threads": threads, "machine": machine(device)})
 
@@ -313,6 +332,56 @@ def _observe(
         for _ in tracked(_in_processes(_observe_one, new, jobs), "observing objects", len(new)):
             pass
     return folders
+
+
+def _grasp(
+    paths: dict[str, Path], params: "GraspDataParams", hulls: int, seed: int, folder: "Benchmarks", jobs: int
+) -> dict[str, Path]:
+    """Collect grasps of each object, several at a time; those that are there already are left alone."""
+    from objectfolder.artifacts import Build
+    from objectfolder.benchmarks.grasp_data import Wanted, are_collected
+    from objectfolder.objectfile import ObjectFile
+
+    wanted, folders = Wanted.of(params), {key: folder.grasps(key) for key in paths}
+    surfaces = {key: path.with_name(Build(key).surface.name) for key, path in paths.items()}
+    lacking = [key for key, surface in surfaces.items() if not surface.is_file()]
+    if lacking:
+        _say(
+            f"no true surface beside the Object File of {', '.join(lacking)}: touches are the Object Files' "
+            "alone, without explicit ones to compare them with"
+        )
+    new = [
+        (path, None if lacking else surfaces[key], wanted, hulls, seed, folder)
+        for key, path in paths.items()
+        if not are_collected(ObjectFile.load(path), wanted, seed, not lacking, folders[key])
+    ]
+    if new:
+        for _ in tracked(_in_processes(_grasp_one, new, jobs), "grasping objects", len(new)):
+            pass
+    return folders
+
+
+def _grasp_one(
+    path: Path, surface: Path | None, wanted: "Wanted", hulls: int, seed: int, folder: "Benchmarks"
+) -> None:
+    import torch
+    from threadpoolctl import threadpool_limits
+
+    from objectfolder.benchmarks.grasp_data import collect_grasps
+    from objectfolder.envs.body import rigid_body
+    from objectfolder.envs.hulls import cached_hulls
+    from objectfolder.mesh.ply import read_surface
+    from objectfolder.objectfile import ObjectFile
+
+    torch.set_num_threads(1)
+    with threadpool_limits(1):
+        file = ObjectFile.load(path)
+        body = rigid_body(file, cached_hulls(file, folder.hulls, hulls))
+        truth = None if surface is None else read_surface(surface)
+        start = time.perf_counter()
+        collect_grasps(file, body, wanted, seed, folder.grasps(file.key), truth)
+        took = time.perf_counter() - start
+    _say(f"{file.key}: {wanted.grasps} grasps in {took:.0f} s, {wanted.grasps / took:.1f} per second")
 
 
 def _observe_one(path: Path, count: int, resolution: int, seed: int, folder: Path) -> None:

@@ -61,6 +61,11 @@ NEEDS = {
     "recognize": Needs(1200, gpus=1.0, memory_mb=4000, timeout=None),
     "retrieve": Needs(1200, gpus=1.0, memory_mb=4000, timeout=None),
     "reconstruct": Needs(1200, gpus=1.0, memory_mb=4000, timeout=None),
+    "decompose": Needs(15, memory_mb=1500),
+    "grasp_data": Needs(60, memory_mb=2000, timeout=None),
+    "grasp_stability": Needs(600, gpus=1.0, memory_mb=4000, timeout=None),
+    "grasp_policy": Needs(3000, memory_mb=2000, timeout=None),
+    "reach": Needs(300, memory_mb=2000, timeout=None),
 }
 
 

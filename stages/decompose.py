@@ -1,0 +1,17 @@
+"""decompose: ObjectFile.safetensors -> hulls.npz: the surface as a few convex hulls, which physics collides."""
+
+from objectfolder.artifacts import Build
+from objectfolder.benchmarks.params import robot_stage_params
+from objectfolder.envs.hulls import convex_hulls, write_hulls
+from objectfolder.objectfile import ObjectFile
+from stages import run
+
+
+def main(key: str) -> None:
+    build, params = Build(key), robot_stage_params("decompose")
+    surface = ObjectFile.load(build.object_file).to_mesh()
+    write_hulls(build.hulls, convex_hulls(surface, params.section.hulls))
+
+
+if __name__ == "__main__":
+    run(main, __doc__)

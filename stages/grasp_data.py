@@ -1,0 +1,24 @@
+"""grasp_data: Object File, hulls, true surface -> benchmarks/grasps/<object>: seen, felt, and how it ended."""
+
+from objectfolder.artifacts import Build
+from objectfolder.benchmarks.grasp_data import Wanted, collect_grasps
+from objectfolder.benchmarks.layout import Benchmarks
+from objectfolder.benchmarks.params import robot_stage_params
+from objectfolder.envs.body import rigid_body
+from objectfolder.envs.hulls import read_hulls
+from objectfolder.mesh.ply import read_surface
+from objectfolder.objectfile import ObjectFile
+from stages import run
+
+
+def main(key: str) -> None:
+    build, params = Build(key), robot_stage_params("grasp_data")
+    file = ObjectFile.load(build.object_file)
+    body = rigid_body(file, read_hulls(build.hulls))
+    wanted = Wanted.of(params.section)
+    surface = read_surface(build.surface)
+    collect_grasps(file, body, wanted, params.seed, Benchmarks().grasps(key), surface)
+
+
+if __name__ == "__main__":
+    run(main, __doc__)

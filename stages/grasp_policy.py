@@ -1,0 +1,18 @@
+"""grasp_policy: Object File, hulls -> benchmarks/grasp_policy_<object>.json, .csv, .gif, .safetensors: TRPO."""
+
+from objectfolder.artifacts import Build
+from objectfolder.benchmarks.grasp_policy import run_grasp_policy
+from objectfolder.benchmarks.layout import Benchmarks
+from objectfolder.benchmarks.params import robot_stage_params
+from objectfolder.envs.hulls import read_hulls
+from stages import run
+
+
+def main(key: str) -> None:
+    build = Build(key)
+    params = robot_stage_params("grasp_policy")
+    run_grasp_policy(build.object_file, read_hulls(build.hulls), params, Benchmarks(), print)
+
+
+if __name__ == "__main__":
+    run(main, __doc__)
