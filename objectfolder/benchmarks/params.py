@@ -109,7 +109,8 @@ class GraspPolicyParams(Section):
     episodes: int = Count  #: of a training
     environments: int = Count  #: episodes side by side
     rollout: int = Field(ge=2, multiple_of=2)  #: steps in each of them between updates
-    updates: int = Count  #: between validations
+    updates: int = Count  #: of a part, after which the policy is validated and kept
+    patience: int = Count  #: parts without a better validation after which training stops
     batch: int = Field(ge=2)  #: of the value function
     learning_rate: float = Field(gt=0)  #: of the value function
     discount: float = Field(gt=0, le=1)  #: gamma

@@ -143,7 +143,7 @@ def train_trpo(
         model.policy.load_state_dict(stored["policy"])
         model.policy.optimizer.load_state_dict(stored["optimizer"])
     start, steps = time.perf_counter(), params.rollout * env.num_envs
-    while not curve or curve[-1][0] < params.episodes:
+    while not _finished(curve, params):
         model.set_env(envs, force_reset=True)
         model.set_random_seed(_part_seed(seed, purpose, len(curve) + 1))
         model.num_timesteps = 0
@@ -170,6 +170,14 @@ def train_trpo(
             torch.save(state, temporary)
         report(int(done), curve[-1][1], success, seconds)
     return best, curve, before + time.perf_counter() - start
+
+
+def _finished(curve: list[list[float]], params: GraspPolicyParams) -> bool:
+    """Whether all episodes are played, or validation was not better for as many parts as ``patience``."""
+    if not curve or curve[-1][0] >= params.episodes:
+        return bool(curve)
+    best = max(range(len(curve)), key=lambda part: curve[part][2])
+    return len(curve) - 1 - best >= params.patience
 
 
 def _part_seed(seed: int, purpose: tuple[str, ...], part: int) -> int:
