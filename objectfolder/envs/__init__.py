@@ -12,4 +12,9 @@ except ModuleNotFoundError as error:
         f"{error.name} is not installed; this needs: pip install 'objectfolder[rl]'"
     ) from error
 
+gymnasium.register(
+    id="ObjectFolder/Grasp-v0",
+    entry_point="objectfolder.envs.grasp:GraspEnv",
+    vector_entry_point="objectfolder.envs.grasp:GraspVectorEnv",
+)
 gymnasium.register(id="ObjectFolder/Reach-v0", entry_point="objectfolder.envs.reach:ReachEnv")

@@ -101,12 +101,13 @@ def box_hits(origin: np.ndarray, rays: np.ndarray, size: np.ndarray) -> tuple[np
     distance : (P,) in lengths of the rays; infinite where they miss
     normals : (P, 3) of the sides that they enter through
     """
+    sign = np.where(rays < 0, -1.0, 1.0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        near, far = ((-np.sign(rays) * size * side - origin) / rays for side in (1, -1))
+        near, far = ((-sign * size * side - origin) / rays for side in (1, -1))
     near, far = np.nan_to_num(near, nan=-np.inf), np.nan_to_num(far, nan=np.inf)
     entry, side = near.max(1), near.argmax(1)
     hit = (entry <= far.min(1)) & (entry > 0)
     normals = np.zeros_like(rays)
     index = np.arange(len(rays))
-    normals[index, side] = -np.sign(rays[index, side])
+    normals[index, side] = -sign[index, side]
     return np.where(hit, entry, np.inf), normals

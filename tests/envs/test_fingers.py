@@ -1,0 +1,81 @@
+import numpy as np
+import pytest
+
+from objectfolder.envs.fingers import TrueSurface, feel, press_depths, presses, sensor_angles, sensor_profile
+from objectfolder.envs.grasping import turned
+from objectfolder.touch.contact import sensor_frames
+
+
+def unit(vectors):
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def test_angles_point_the_sensor_where_it_looks(rng):
+    """What `ObjectFile.touch` makes of angle, tilt and azimuth is the sensor that was asked for."""
+    normals, outward = unit(rng.normal(size=(50, 3))), unit(rng.normal(size=(50, 3)))
+    up = unit(np.cross(outward, rng.normal(size=(50, 3))))
+    angle, tilt, azimuth = sensor_angles(normals, outward, up)
+    frames = sensor_frames(normals, angle)
+    lean = np.cos(azimuth)[:, None] * frames[:, :, 2] - np.sin(azimuth)[:, None] * frames[:, :, 1]
+    assert np.cos(tilt)[:, None] * normals + np.sin(tilt)[:, None] * lean == pytest.approx(outward, abs=1e-9)
+    assert sensor_frames(outward, angle)[:, :, 2] == pytest.approx(up, abs=1e-9)
+
+
+def test_contacts_in_the_frame_of_the_object():
+    place = turned(np.array([[0.0, 0, 0.05, 1, 0, 0, 0]]), [np.pi / 2], np.array([[0.3, 0.0]]))
+    hand = np.array([[0.3, 0.0, 0.05, np.pi / 2]])
+    # Jaws close along the world's y, which is the object's x.
+    pressed = presses(place, hand, np.array([[[0.3, 0.02, 0.05], [0.3, -0.02, 0.06]]]))
+    assert pressed.points == pytest.approx(np.array([[0.02, 0, 0], [-0.02, 0, 0.01]]), abs=1e-12)
+    assert pressed.outward == pytest.approx(np.array([[1, 0, 0], [-1, 0, 0]]), abs=1e-12)
+    assert pressed.up == pytest.approx(np.array([[0, 0, 1], [0, 0, 1]]), abs=1e-12)
+
+
+@pytest.fixture(scope="module")
+def on_faces(brick):
+    """Both fingers on the middles of the faces at y = +-3 cm."""
+    hand = np.array([[0, 0, 0, np.pi / 2]])
+    contacts = np.array([[[0, 0.03, 0], [0, -0.03, 0]]])
+    return presses(np.array([[0.0, 0, 0, 1, 0, 0, 0]]), hand, contacts)
+
+
+def test_the_gel_pushes_back_with_the_force_of_the_jaws(brick, on_faces):
+    wanted = np.array([5.0, 20.0])
+    depths = press_depths(brick, on_faces, wanted)
+    assert depths[1] > depths[0]
+    for row, (force, depth) in enumerate(zip(wanted, depths)):
+        felt = brick.press(on_faces.points[[row]], depth).force[0]
+        assert felt == pytest.approx(force, rel=0.15)
+
+
+def test_a_force_beyond_the_sensor_is_as_deep_as_it_takes(brick, on_faces):
+    deepest = sensor_profile(brick).max_indentation
+    assert press_depths(brick, on_faces, np.array([1e6, 1e6])) == pytest.approx([deepest, deepest])
+
+
+def test_implicit_and_true_touches_agree(brick, on_faces):
+    """The brick's surface is flat, so that the stored distances hold it exactly."""
+    half = np.array([0.05, 0.03, 0.015])
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half
+    from scipy.spatial import ConvexHull
+
+    hull = ConvexHull(corners)
+    flip = (
+        np.einsum(
+            "ni,ni->n",
+            np.cross(
+                corners[hull.simplices[:, 1]] - corners[hull.simplices[:, 0]],
+                corners[hull.simplices[:, 2]] - corners[hull.simplices[:, 0]],
+            ),
+            hull.equations[:, :3],
+        )
+        < 0
+    )
+    faces = np.where(flip[:, None], hull.simplices[:, ::-1], hull.simplices)
+    truth = TrueSurface(corners, faces, sensor_profile(brick))
+    depths = np.array([0.0012, 0.0008])
+    implicit, explicit = feel(brick, on_faces, depths), truth.feel(on_faces, depths)
+    assert implicit.shape == (2, 160, 120, 3)
+    assert np.abs(implicit.astype(int) - explicit).mean() < 1
+    untouched = brick.press(on_faces.points, 0.0).images
+    assert np.abs(implicit.astype(int) - untouched).mean() > 2
