@@ -192,7 +192,7 @@ def label_grasps(
     -------
     Grasps
     dict
-        What else to store of them: where the object stood before (``start``), the share of ``perturbations``
+        What else to store of them: where the object stood before (``start``), the greatest force of each jaw (``limits``), the share of ``perturbations``
         that succeed (``soft``), numbers of poses that were ``drawn``, ``free`` and ``touched``.
     """
     attempts, drawn = draw_attempts(scene, rests, BATCH, rng)
@@ -206,6 +206,7 @@ def label_grasps(
         trials[free] += 1
     return grasps, {
         "start": attempts.objects,
+        "limits": attempts.forces,
         "soft": (successes / trials).astype(np.float32),
         "drawn": np.array(drawn),
         "free": np.array(BATCH),

@@ -1,0 +1,171 @@
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
+
+import objectfolder.envs  # noqa: F401, registers
+from objectfolder.envs.body import rigid_body
+from objectfolder.envs.grasp import (
+    ACTION,
+    STEPS,
+    Episodes,
+    GraspEnv,
+    GraspTask,
+    GraspVectorEnv,
+    TouchBank,
+    TouchFeatures,
+)
+from objectfolder.envs.grasping import lowest_hand
+from objectfolder.envs.hulls import cached_hulls, convex_hulls
+from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile import ObjectFile
+
+
+@pytest.fixture(scope="module")
+def task(brick):
+    return GraspTask(brick, rigid_body(brick, convex_hulls(brick.to_mesh())))
+
+
+@pytest.fixture(scope="module")
+def hulls(brick, tmp_path_factory):
+    """So that environments need not make them."""
+    folder = tmp_path_factory.mktemp("hulls")
+    cached_hulls(brick, folder)
+    return folder
+
+
+@pytest.mark.parametrize("observation", ["features", "images", "width", "blind"])
+def test_checkers_have_nothing_to_say(brick, hulls, observation):
+    env = GraspEnv(brick, observation, hulls, render_mode="rgb_array")
+    check_env(env)
+    if observation != "images":  # for which SB3 wants one image, not two
+        check_env_for_sb3(env)
+
+
+def test_made_by_name(brick_path, hulls):
+    env = gymnasium.make("ObjectFolder/Grasp-v0", file=brick_path, hulls=hulls, observation="blind")
+    _, info = env.reset(seed=0)
+    *_, info = env.step(env.action_space.sample())
+    assert info == {}
+    _, reward, terminated, truncated, info = env.step(env.action_space.sample())
+    assert terminated
+    assert not truncated
+    assert info == {"success": reward == 1}
+
+
+def test_same_seed_same_trajectory(task):
+    def play(seed):
+        env = GraspVectorEnv(6, task=task)
+        seen = [env.reset(seed=seed)[0]]
+        rng = np.random.default_rng(5)
+        rewards = []
+        for _ in range(2 * STEPS):
+            observed, reward, *_ = env.step(rng.uniform(-1, 1, (6, 4)))
+            seen.append(observed)
+            rewards.append(reward)
+        return np.stack(seen).tobytes(), np.stack(rewards).tobytes()
+
+    assert play(3) == play(3)
+    assert play(3)[0] != play(4)[0]
+
+
+def test_one_environment_is_a_row_of_many(task, brick, hulls):
+    """Observations and rewards of an episode do not depend on who else plays."""
+    episodes = Episodes(task, "features", None)
+    seen = episodes.begin(4, np.random.default_rng(0))
+    places, hands = episodes.objects.copy(), episodes.hands.copy()
+    actions = np.random.default_rng(1).uniform(-1, 1, (STEPS, 4, 4))
+    for action in actions:
+        rewards = episodes.act(action)
+    for row in range(4):
+        one = Episodes(task, "features", None)
+        one.begin(1, np.random.default_rng(0))
+        one.objects, one.hands = places[[row]], hands[[row]]
+        assert np.array_equal(one.look()[0], seen[row])
+        for action in actions:
+            reward = one.act(action[[row]])
+        assert reward[0] == rewards[row]
+
+
+def test_a_centred_grasp_holds_and_one_beside_it_does_not(task):
+    objects = np.zeros((3, 3))
+    hands = np.array([[0, 0, lowest_hand(), 0], [0, 0.08, lowest_hand(), 0], [0.06, 0, lowest_hand(), 0]])
+    assert task.held(objects, hands).tolist() == [True, False, False]
+    assert task.free(objects, hands).tolist() == [True, True, False]
+
+
+def test_what_fingers_would_touch(task):
+    """The short side of the brick, 6 cm, lies along x; turned by 0.1 rad it is wider."""
+    touch = task.touch(np.array([[0, 0, 0], [0, 0, 0.1], [0.01, 0, 0]]), np.tile([0, 0, 0.02, 0.0], (3, 1)))
+    assert touch.touched.all()
+    assert touch.width[0] == pytest.approx(0.06, abs=0.001)
+    assert touch.width[1] > touch.width[0] + 0.0005
+    assert touch.width[2] == pytest.approx(touch.width[0], abs=1e-6)
+    away = task.touch(np.zeros((1, 3)), np.array([[0, 0.2, 0.02, 0]]))
+    assert not away.touched.any()
+    assert away.width[0] == 0
+
+
+def test_touches_agree_with_the_simulation(task):
+    """Rays find the opening at which simulated jaws come to rest."""
+    hands = np.array([[0.004, 0.01, 0.02, 0.05], [0.0, -0.02, 0.022, -0.1]])
+    touch = task.touch(np.zeros((2, 3)), hands)
+    closed = task.scene.close(np.tile(task.rest, (2, 1)), hands, np.full(2, 4.0))
+    assert touch.width == pytest.approx(closed.width, abs=0.003)
+
+
+def test_actions_move_the_hand(task):
+    hands = task.moved(np.array([[0.0, 0.0, 0.05, 0.0]]), np.array([[1.0, -1.0, 0.5, 5.0]]))
+    assert hands[0] == pytest.approx(np.array([0, 0, 0.05, 0]) + ACTION * [1, -1, 0.5, 1])
+    assert task.moved(hands, np.array([[0, 0, -100, 0]]))[0, 2] >= lowest_hand()
+
+
+def test_features_are_zero_without_a_touch_and_tell_an_edge_from_a_face(task):
+    episodes = Episodes(task, "features", None)
+    episodes.objects, episodes.hands = np.zeros((3, 3)), np.tile([0, 0, 0.02, 0.0], (3, 1))
+    episodes.hands[1, 1], episodes.hands[2, 1] = 0.045, 0.3
+    felt = episodes.look()[:, : 2 * TouchFeatures.size]
+    assert not felt[2].any()
+    assert np.abs(felt[0] - felt[1]).max() > 0.1
+    assert felt[0].any()
+
+
+def test_a_bank_gives_the_nearest_touch(task, tmp_path):
+    bank = task.bank(12, 0)
+    assert np.array_equal(bank(bank.pressed), bank.features)
+    assert task.bank(12, 0).features.tobytes() == bank.features.tobytes()
+    bank.save(tmp_path / "bank.npz", "brick")
+    again = TouchBank.load(tmp_path / "bank.npz", "brick")
+    assert np.array_equal(again(bank.pressed), bank.features)
+    assert TouchBank.load(tmp_path / "bank.npz", "another") is None
+    exact = TouchFeatures(task.file)
+    assert np.array_equal(exact(bank.pressed), bank.features)
+
+
+def test_pictures_show_the_episode(brick, hulls):
+    env = GraspEnv(brick, "blind", hulls, render_mode="rgb_array")
+    env.reset(seed=1)
+    before = env.render()
+    env.step(np.array([0, 1.0, 1.0, 1.0]))
+    after = env.render()
+    assert before.shape == (256, 256, 3)
+    assert 0.005 < (before != after).any(2).mean() < 0.5
+    assert GraspEnv(brick, "blind", hulls).render() is None
+
+
+def test_files_that_cannot_be_grasped(brick, hulls):
+    with pytest.raises(ObjectFolderError, match="observation 'smell' is unknown, expected one of features"):
+        GraspEnv(brick, "smell", hulls)
+    header = {name: value for name, value in brick.header.items() if name != "touch"}
+    numb = ObjectFile(header, brick.tensors)
+    with pytest.raises(ObjectFolderError, match="brick: the Object File holds no touch"):
+        GraspEnv(numb, "features", hulls)
+    with pytest.raises(ObjectFolderError, match="needs an Object File"):
+        GraspVectorEnv(2)
+
+
+def test_damaged_hulls_are_named(brick, tmp_path):
+    (tmp_path / "brick.npz").write_bytes(b"no archive")
+    with pytest.raises(ObjectFolderError, match="brick.npz"):
+        GraspEnv(brick, "blind", tmp_path)
