@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 
 from objectfolder import materials
-from objectfolder.envs.solid import close_pinholes
+from objectfolder.envs.solid import close_holes
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile import ObjectFile
 
@@ -57,7 +57,7 @@ def rigid_body(file: ObjectFile, hulls: Sequence[trimesh.Trimesh]) -> RigidBody:
     """
     if not hulls:
         raise ObjectFolderError(f"{file.key}: no hulls to collide with; expected at least one")
-    surface = close_pinholes(file.to_mesh())
+    surface = close_holes(file.to_mesh())
     _check_fit(file.key, surface.bounds, hulls)
     surface.density = density(file)
     properties = surface.mass_properties
