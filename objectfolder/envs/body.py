@@ -81,7 +81,14 @@ def density(file: ObjectFile) -> float:
         If neither knows the material.
     """
     stored = file.header.get("material_properties")
-    return float(stored["density"]) if stored else materials.material(file.material).density
+    if stored:
+        return float(stored["density"])
+    if file.material.lower() not in materials.MATERIALS:
+        raise ObjectFolderError(
+            f"{file.key}: its density is not known: the file stores none, and {file.material!r} is "
+            f"none of {', '.join(materials.MATERIALS)}; import it again with --material"
+        )
+    return materials.material(file.material).density
 
 
 def add_body(

@@ -21,7 +21,7 @@ MAX_VERTICES = 128  #: of a hull; the time of a step hardly depends on them
 _THRESHOLD = 0.05  # concavity that is left, coacd's default
 _SHAVE = 0.002  # by which a hull may shrink to have fewer vertices, fraction of the longest side
 _DETAIL = 0.003  # by which the surface may move before it is cut up, fraction of the longest side
-# A shallow search: a tenth of coacd's default time, and hulls about as tight.
+# A shallow search: three times the iterations take twice as long, for hulls a tenth smaller.
 _SEARCH = {"mcts_iterations": 20, "mcts_nodes": 10, "mcts_max_depth": 2, "resolution": 1000}
 _FLAT = 1e-6  # height that counts as none, fraction of the longest side
 

@@ -103,6 +103,13 @@ def test_density_is_the_files_own(brick):
     assert density(ObjectFile({**header, "material": "glass"}, brick.tensors)) == 2600
 
 
+def test_unknown_density_is_said(bracket):
+    with pytest.raises(
+        ObjectFolderError, match=r"thing: its density is not known: .* 'unknown' is none of ceramic"
+    ):
+        density(ObjectFile({**bracket.header, "material": "unknown"}, bracket.tensors))
+
+
 def test_hulls_of_another_frame_are_refused(brick):
     hull = brick.to_mesh().convex_hull
     for wrong in (hull.copy().apply_scale(10), hull.copy().apply_translation([0.02, 0, 0])):
