@@ -4,6 +4,8 @@ FILE are Object Files. Needs the extra `rl`. Distances are in percent of the lon
 
 beyond: how far the outside of the hulls is from the stored surface, where it is outside of the solid.
 short: how far the surface is outside of all hulls. volume: of the hulls' union over the solid's.
+mass_error, inertia_error: of the stored solid, percent (inertia of its largest entry), where surface.ply of
+the build lies beside the file.
 """
 
 import argparse
@@ -20,6 +22,7 @@ from rich.table import Table
 from objectfolder.artifacts import write_json
 from objectfolder.envs.hulls import convex_hulls
 from objectfolder.envs.solid import close_holes
+from objectfolder.mesh.ply import read_surface
 from objectfolder.objectfile import ObjectFile
 from objectfolder.seeding import numpy_generator
 
@@ -59,6 +62,14 @@ def measure(file: ObjectFile) -> dict:
     }
 
 
+def mass_errors(file: ObjectFile, source: Path) -> dict[str, float]:
+    """Percent by which the stored solid differs from the mesh that it was built from."""
+    true = trimesh.Trimesh(*read_surface(source), process=False).apply_scale(file.scale).mass_properties
+    stored = close_holes(file.to_mesh()).mass_properties
+    inertia = np.abs(np.asarray(stored.inertia) - true.inertia).max() / np.abs(true.inertia).max()
+    return {"mass_error": 100 * (stored.volume / true.volume - 1), "inertia_error": 100 * float(inertia)}
+
+
 def spread(distances: np.ndarray) -> dict[str, float]:
     """Percent."""
     numbers = {"mean": distances.mean(), "95": np.quantile(distances, 0.95), "max": distances.max()}
@@ -71,11 +82,15 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    found = {file.key: measure(file) for file in map(ObjectFile.load, arguments.files)}
-    table = Table("object", *next(iter(found.values())))
+    found = {}
+    for path in arguments.files:
+        file, source = ObjectFile.load(path), path.with_name("surface.ply")
+        found[file.key] = measure(file) | (mass_errors(file, source) if source.exists() else {})
+    columns = list(dict.fromkeys(name for values in found.values() for name in values))
+    table = Table("object", *columns)
     for key, values in found.items():
-        table.add_row(key, *(f"{value:.3g}" for value in values.values()))
-    Console(width=160).print(table)
+        table.add_row(key, *(f"{values[name]:.3g}" if name in values else "" for name in columns))
+    Console(width=200).print(table)
     if arguments.json:
         write_json(arguments.json, found)
 
