@@ -1,6 +1,7 @@
 """The stored surface as a closed solid, and with fewer triangles."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 import trimesh
@@ -8,8 +9,11 @@ import trimesh
 from objectfolder.errors import ObjectFolderError
 
 
-def close_pinholes(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Add the triangles that marching cubes may leave out where a sample of the grid is exactly zero."""
+def close_holes(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Close each hole by a fan of triangles; the mesh itself, if it has none.
+
+    Marching cubes may leave out a triangle where a sample of the grid is exactly zero.
+    """
     faces = np.asarray(mesh.faces, np.int64)
     edges, count = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), len(mesh.vertices)
     # Edges of which no other face has the reverse.
@@ -17,10 +21,12 @@ def close_pinholes(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     if not len(single):
         return mesh
     after = {b: a for a, b in (divmod(edge, count) for edge in single.tolist())}
-    missing = [
-        (b, a, after[a]) for b, a in after.items() if after.get(after.get(a)) == b == min(b, a, after[a])
-    ]
-    added = np.array(missing, np.int64).reshape(-1, 3)
+    added = []
+    while after:
+        loop = [next(iter(after))]
+        while (vertex := after.pop(loop[-1], loop[0])) != loop[0]:
+            loop.append(vertex)
+        added += [(loop[0], b, c) for b, c in pairwise(loop[1:])]
     return trimesh.Trimesh(mesh.vertices, np.concatenate([faces, added]), process=False)
 
 
@@ -47,8 +53,10 @@ def simplified(mesh: trimesh.Trimesh, tolerance: float) -> tuple[trimesh.Trimesh
         from manifold3d import Manifold, Mesh64
     except ImportError as error:
         raise missing("manifold3d") from error
-    closed = close_pinholes(mesh)
+    closed = close_holes(mesh)
     solid = Manifold(Mesh64(np.asarray(closed.vertices), np.asarray(closed.faces, np.uint64)))
+    if solid.is_empty():
+        return ()
     shells = (shell.to_mesh64() for shell in solid.simplify(tolerance).decompose())
     return tuple(
         trimesh.Trimesh(shell.vert_properties[:, :3], shell.tri_verts.astype(np.int64), process=False)
