@@ -29,9 +29,10 @@ from objectfolder.seeding import numpy_generator
 STEPS = 2  #: of an episode
 OBSERVATIONS = ("features", "images", "width", "blind")
 FORCE = 15.0  #: of each jaw, N
-PROBE = 0.0008  #: depth at which fingers feel, m
+PROBE = 0.0015  #: depth at which fingers feel, m
 FEATURES = (8, 6)  #: height and width of what a tactile image is averaged to
-CONTRAST = 8.0  #: of features: differences of images are small
+CONTRAST = 16.0  #: of features: differences of images, which are small; the bound of all observations
+STATE = 3  #: numbers beside what is felt: see `GraspEnv`
 #: An object starts up to so far from under the hand along its short side, m; along its long side, share of it;
 #: turned by so much, rad.
 START = (0.02, 0.4, 0.75)
@@ -39,6 +40,7 @@ START = (0.02, 0.4, 0.75)
 ACTION = np.array([0.012, 0.025, 0.008, 0.35])
 START_HEIGHT = 0.5  #: hands start within this share of the object's height, but not lower than they can
 PAD_RAYS = (7, 9)  #: across and up a pad, to see what it would touch first
+DROPS = 12  #: of the object, of which that is taken which lies lowest
 TOUCHING = 0.0007  #: what is so close behind the first touch is touched, too, m
 
 Feel = Callable[[Presses], np.ndarray]
@@ -78,7 +80,7 @@ class TouchFeatures:
             return np.zeros((0, self.size), np.float32)
         change = (torch.from_numpy(self.images(pressed)).float() - torch.from_numpy(self.untouched)) / 255
         pooled = torch.nn.functional.adaptive_avg_pool2d(change.permute(0, 3, 1, 2), FEATURES)
-        return CONTRAST * pooled.flatten(1).numpy()
+        return (CONTRAST * pooled.flatten(1)).clamp(-CONTRAST, CONTRAST).numpy()
 
 
 class TouchBank:
@@ -261,13 +263,13 @@ class Episodes:
 
     def space(self) -> spaces.Space:
         """Of one episode's observations."""
-        state = spaces.Box(-np.inf, np.inf, (len(self._state(np.zeros(1), np.zeros((1, 4)))[0]),), np.float32)
+        state = spaces.Box(-CONTRAST, CONTRAST, (STATE,), np.float32)
         if self.observation == "images":
             profile = sensor_profile(self.task.file)
             shape = (2, profile.height, profile.width, 3)
             return spaces.Dict({"touch": spaces.Box(0, 255, shape, np.uint8), "state": state})
         if self.observation == "features":
-            return spaces.Box(-np.inf, np.inf, (2 * TouchFeatures.size + state.shape[0],), np.float32)
+            return spaces.Box(-CONTRAST, CONTRAST, (2 * TouchFeatures.size + STATE,), np.float32)
         return state
 
     def begin(self, count: int, rng: np.random.Generator) -> Any:
@@ -450,7 +452,7 @@ def picture(episodes: Episodes, row: int, resolution: int = 256) -> np.ndarray:
 
 def _lying(scene: GraspScene, rng: np.random.Generator) -> np.ndarray:
     """Of all resting poses that with the lowest centre of mass, its longer side along y; (7,)."""
-    rests = scene.rests(rng)
+    rests = scene.rests(rng, DROPS)
     heights = [(rotation(pose[3:]) @ scene.body.centre + pose[:3])[2] for pose in rests]
     pose = rests[int(np.argmin(np.round(heights, 4)))]
     points = np.concatenate([hull.vertices for hull in scene.body.hulls]) @ rotation(pose[3:]).T

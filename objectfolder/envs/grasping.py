@@ -24,8 +24,9 @@ CLOSING = 7  #: ticks in which a jaw crosses its stroke and comes to rest, at mo
 AT_REST = 0.005  #: speed of a jaw that has closed, m/s
 CLEARANCE = 0.002  #: between the object and jaws that start to close, m
 PENETRATION = 1e-4  #: what counts as two bodies in one place, m
-SETTLING = 3.0  #: seconds that a dropped object gets to come to rest
-STILL = 0.02  #: speed of one that did, m/s and rad/s
+SETTLING = 4.0  #: seconds that a dropped object gets to come to rest
+LOOK = 0.5  #: seconds between looks whether it did
+STILL = 0.01  #: speed of one that did, m/s and rad/s
 DROPS = 64  #: random orientations from which resting poses come
 
 
@@ -140,14 +141,17 @@ class GraspScene:
         places = np.c_[np.zeros((count, 2)), 0.002 - low, turns]
         away = np.tile([0.0, 0.0, 1.0, 0.0], (count, 1))
         states = self._states(places, away, np.full(count, STROKE / 2))
-        controls = self._controls(away, np.full(count, STROKE / 2), round(SETTLING / self.physics.timestep))
-        states, _ = self._advance([self.model] * count, states, controls)
-        moving = np.abs(self._velocity(states)).max(1)
-        still = np.flatnonzero(moving < STILL)
+        controls = self._controls(away[:1], np.full(1, STROKE / 2), round(LOOK / self.physics.timestep))
+        moving, speeds = np.arange(count), np.full(count, np.inf)
+        for _ in range(round(SETTLING / LOOK)):
+            states[moving], _ = self._advance([self.model] * len(moving), states[moving], controls)
+            speeds[moving] = np.abs(self._velocity(states[moving])).max(1)
+            moving = np.flatnonzero(speeds > STILL)
+        still = np.flatnonzero(speeds < STILL)
         if not len(still):
             raise ObjectFolderError(
                 f"{self.body.key}: none of {count} drops came to rest within {SETTLING:g} s, the slowest "
-                f"moves at {moving.min():.2g}; it rolls or rocks: give it a flatter side"
+                f"moves at {speeds.min():.2g}; it rolls or rocks: give it a flatter side"
             )
         found = self._pose(states)[still]
         found[:, :2] = 0
