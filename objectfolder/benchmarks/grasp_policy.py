@@ -36,7 +36,7 @@ CURVE_COLUMNS = ("policy", "seed", "episodes", "train_success", "val_success")  
 #: What trained policies observe: all; all but the tactile images; what is known without touching.
 OBSERVED = {"touch": "features", "width": "width", "blind": "blind"}
 BASELINES = ("random", "nothing")
-FRAME, PIXELS = 0.05, 256  #: seconds between frames of a film, and their side
+FRAME, PIXELS = 0.1, 160  #: seconds between frames of a film, and their side
 
 Policy = Callable[[Any], np.ndarray]  #: observations of N episodes -> (N, 4) actions
 
@@ -127,7 +127,7 @@ def grasp_policy(
         }
     best = actors["touch", 0]
     best.save(progress / "model.safetensors", f"Grasp-v0 {key}")
-    write_gif(progress / "episodes.gif", film(task, bank, best, seed), FRAME)
+    write_gif(progress / "episodes.gif", film(task, bank, best, params.rollouts, seed), FRAME)
     return scores | {
         "rollouts": params.rollouts,
         "episodes": params.episodes,
@@ -145,10 +145,10 @@ def play(episodes: Episodes, policy: Policy, count: int, rng: np.random.Generato
     return rewards > 0
 
 
-def film(task: GraspTask, bank: TouchBank, actor: Actor, seed: int) -> list[np.ndarray]:
-    """Frames (H, W, 3) of a success and, if one in 100 fails, of a failure; a line below them says which."""
+def film(task: GraspTask, bank: TouchBank, actor: Actor, count: int, seed: int) -> list[np.ndarray]:
+    """Frames (H, W, 3) of the first success and the first failure of ``count`` rollouts; a line below says which."""
     episodes = Episodes(task, "features", bank)
-    held = play(episodes, actor, 100, numpy_generator(seed, "grasp_policy", task.file.key, "film"))
+    held = play(episodes, actor, count, numpy_generator(seed, "grasp_policy", task.file.key, "film"))
     free = task.free(episodes.objects, episodes.hands)
     shown = [*np.flatnonzero(held)[:1], *np.flatnonzero(~held & free)[:1]]
     camera, frames = ExternalCamera(PIXELS), []
