@@ -66,5 +66,7 @@ class Actor:
         """
         tensors, header = open_safetensors(path)
         if header.get("format") != FORMAT:
-            raise ObjectFolderError(f"{path} is no trained policy ({FORMAT}); train one: objectfolder bench reach")
+            raise ObjectFolderError(
+                f"{path} is no trained policy ({FORMAT}); train one: objectfolder bench reach"
+            )
         return cls.of(tensors)

@@ -90,7 +90,7 @@ def random_policy(rng: np.random.Generator) -> Policy:
 
 
 def environments(simulator: str, body: RigidBody, horizon: int) -> Callable[..., Env]:
-    """Return what makes the environments of a task: ``objectfolder``, or ``metaworld`` with the Sawyer arm."""
+    """Return what makes environments: of ``objectfolder``, or of ``metaworld`` with its Sawyer arm."""
     if simulator == "metaworld":
         from objectfolder.envs.metaworld import MetaWorldReach
 
@@ -144,8 +144,8 @@ def reach(
         def say(done: int, figures: tuple[float, ...], elapsed: float, run: int = run) -> None:
             report(
                 f"reach {body.key}, seed {run + 1} of {params.seeds}: {done} of at most {params.steps} steps, "
-                f"validation success {100 * figures[0]:.0f} % at the last step, {100 * figures[1]:.0f} % at any "
-                f"time, {elapsed:.0f} s"
+                f"validation success {100 * figures[0]:.0f} % at the last step, "
+                f"{100 * figures[1]:.0f} % at any time, {elapsed:.0f} s"
             )
 
         purpose = ("reach", body.key, str(run))
@@ -157,7 +157,7 @@ def reach(
     trained = [episodes(env, actor, goals["test"]) for actor in actors]
     rng = numpy_generator(seed, "reach", body.key, "random")
     baselines = {"controller": controller, "random": random_policy(rng), "nothing": nothing}
-    scores = {name: _summary([episodes(env, policy, goals["test"])]) for name, policy in baselines.items()}
+    scores = {name: _summary([episodes(env, act, goals["test"])]) for name, act in baselines.items()}
     actors[0].save(progress / "model.safetensors", f"reach {body.key}, {params.simulator}")
     if "rgb_array" in env.metadata["render_modes"]:
         shown = [trained[0].last.argmax(), *np.flatnonzero(~trained[0].last)[:1]]

@@ -87,8 +87,7 @@ def reach_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
                     *(_rate(played[when]) for when in ("last", "any")),
                     f"{1000 * played['distance']:.0f}",
                     f"{played['return'] / score['horizon']:.2f}",
-                    "/".join(f"{steps / 1000:.0f}k" for steps in score["steps"]) if policy == "ppo" else "-",
-                    "100" if policy == "ppo" else "-",
+                    *((_thousands(score["steps"]), "100") if policy == "ppo" else ("-", "-")),
                 )
             )
     first = next(iter(scores.values()))
@@ -102,6 +101,10 @@ def reach_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
         f"{first['episodes']} fresh goals per training, {first['horizon']} control steps each; in brackets the "
         f"95 % interval (Clopper and Pearson). Hand: {first['simulator']}.",
     )
+
+
+def _thousands(steps: Sequence[int]) -> str:
+    return "/".join(f"{count / 1000:.0f}k" for count in steps)
 
 
 def _rate(share: Mapping[str, Any]) -> str:

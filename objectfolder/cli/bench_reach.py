@@ -32,7 +32,9 @@ def reach(
     ] = False,
     jobs: Annotated[
         int | None,
-        typer.Option(min=1, help="Objects side by side, each on one thread; default: as many as there are cores."),
+        typer.Option(
+            min=1, help="Objects side by side, each on one thread; default: as many as there are cores."
+        ),
     ] = None,
 ) -> None:
     """Move a gripper to a goal, with an object in between: Meta-World's reach, and PPO.
@@ -70,10 +72,8 @@ def reach(
             _reach_one(*call)
     _print(reach_table({key: read_json(folder.result("reach", key)) for key in paths}))
     for key in paths:
-        console.print(
-            f"{folder.result('reach', key)}  curves: {folder.curve('reach', key)}  film: {folder.film('reach', key)}",
-            soft_wrap=True,
-        )
+        result, curve, film = (path("reach", key) for path in (folder.result, folder.curve, folder.film))
+        console.print(f"{result}  curves: {curve}  film: {film}", soft_wrap=True)
 
 
 def _reach_one(path: Path, params: SimpleNamespace, folder: Any) -> None:

@@ -5,7 +5,7 @@ Needs ``metaworld`` 3.1.1, which pins another MuJoCo: give it an environment of 
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import mujoco
@@ -28,7 +28,19 @@ except ModuleNotFoundError as error:
         "pins another MuJoCo: see docs/benchmarks.md, Reach"
     ) from error
 
-WELD = [0, 0, 0, 0, 0, 0, -1, 0, 0, 0, 5]  #: what Meta-World writes into a weld; MuJoCo has added numbers since
+WELD = [
+    0,
+    0,
+    0,
+    0,
+    0,
+    0,
+    -1,
+    0,
+    0,
+    0,
+    5,
+]  #: what Meta-World writes into a weld; MuJoCo has added numbers since
 
 
 class SawyerReachObject(SawyerReachEnvV3):
@@ -43,7 +55,7 @@ class SawyerReachObject(SawyerReachEnvV3):
         self.__dict__.pop("sawyer_observation_space", None)  # the one without goals
         height = -lowest(body)
         self.init_config["obj_init_pos"][2] = height
-        space = self._random_reset_space
+        space: Box = self._random_reset_space
         low, high = space.low.copy(), space.high.copy()
         low[:3], high[:3] = (*OBJECT_LOW, height), (*OBJECT_HIGH, height)
         self._random_reset_space = Box(low, high, dtype=np.float64)
@@ -58,6 +70,7 @@ class SawyerReachObject(SawyerReachEnvV3):
         return model, mujoco.MjData(model)
 
     def reset_mocap_welds(self) -> None:
+        """Let the hand follow its target: as Meta-World does it, for MuJoCo 4 too."""
         welds = self.model.eq_type == mujoco.mjtEq.mjEQ_WELD
         self.model.eq_data[welds, : len(WELD)] = WELD
 
@@ -88,7 +101,7 @@ class MetaWorldReach(gymnasium.Env[np.ndarray, np.ndarray]):
         If the object is too large for the scene.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+    metadata = {"render_modes": []}  # noqa: RUF012 - as the base class has it
 
     def __init__(
         self,

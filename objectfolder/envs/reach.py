@@ -7,7 +7,7 @@ Meta-World 3.1.1 (Yu et al. 2020, CoRL); the Sawyer arm is left out: its hand fl
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import mujoco
@@ -87,7 +87,7 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     >>> observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 80}
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 80}  # noqa: RUF012 - as the base class has it
 
     def __init__(
         self,
@@ -131,7 +131,11 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         qpos[self._object : self._object + 3] = *place, self._height
         self.data.mocap_pos[self._mark] = self.goal
         mujoco.mj_forward(self.model, self.data)
-        self._margin, self._steps, self._before = float(np.linalg.norm(HAND_START - self.goal)), 0, self._now()
+        self._margin, self._steps, self._before = (
+            float(np.linalg.norm(HAND_START - self.goal)),
+            0,
+            self._now(),
+        )
         return self._observation(), {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
@@ -149,7 +153,7 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         info = {"success": float(distance <= SUCCESS_RADIUS), "distance": distance}
         return self._observation(), reward(distance, self._margin), False, self._steps >= self.horizon, info
 
-    def render(self) -> np.ndarray | None:  # type: ignore[override]
+    def render(self) -> np.ndarray | None:
         """Picture of the scene, (height, width, 3) uint8; None without ``render_mode``."""
         if self.render_mode is None:
             return None

@@ -1,4 +1,5 @@
 import shutil
+from itertools import pairwise
 from types import SimpleNamespace
 
 import gymnasium
@@ -89,7 +90,14 @@ def _score(actor):
 
 def _train(checkpoint, steps=512, validate=_score, report=lambda *point: None, **changes):
     params = TINY.model_copy(
-        update={"steps": steps, "rollout": 16, "environments": 4, "batch": 32, "learning_rate": 0.01, **changes}
+        update={
+            "steps": steps,
+            "rollout": 16,
+            "environments": 4,
+            "batch": 32,
+            "learning_rate": 0.01,
+            **changes,
+        }
     )
     return train_ppo(Line, params, 0, ("test",), validate, checkpoint, report)
 
@@ -102,7 +110,7 @@ def test_ppo_learns_and_stops_when_nothing_fails_twice(tmp_path):
     actor, curve, seconds = _train(tmp_path / "a.pt", steps=12800)
     assert _score(actor)[0] == 1
     assert curve[-1][1] == curve[-2][1] == 1
-    assert all(row[1] == 0 or after[1] == 0 for row, after in zip(curve[:-2], curve[1:-1]))
+    assert not any(row[1] == after[1] == 1 for row, after in pairwise(curve[:-1]))
     assert [row[0] for row in curve] == [128 * (part + 1) for part in range(len(curve))]  # 2 rollouts of 64
     assert seconds > 0
 
@@ -128,7 +136,9 @@ def test_an_interrupted_training_goes_on_to_the_same_bytes(tmp_path):
     assert reported == [384, 512]
     assert again == curve
     assert _bytes(resumed) == _bytes(whole)
-    finished, again, _ = _train(tmp_path / "part.pt", **never, report=lambda *point: pytest.fail("it is done"))
+    finished, again, _ = _train(
+        tmp_path / "part.pt", **never, report=lambda *point: pytest.fail("it is done")
+    )
     assert again == curve
     assert _bytes(finished) == _bytes(whole)
 
@@ -176,7 +186,10 @@ def test_the_arrays_act_as_the_policy_does(monkeypatch, tmp_path):
 
 def test_an_actor_is_read_as_it_was_written(tmp_path):
     rng = np.random.default_rng(0)
-    layers = [(rng.standard_normal((3, 2)), rng.standard_normal(3)), (rng.standard_normal((1, 3)), np.ones(1))]
+    layers = [
+        (rng.standard_normal((3, 2)), rng.standard_normal(3)),
+        (rng.standard_normal((1, 3)), np.ones(1)),
+    ]
     actor = Actor(np.zeros(2), np.ones(2), layers)
     actor.save(tmp_path / "actor.safetensors", "test")
     read = Actor.load(tmp_path / "actor.safetensors")
@@ -188,7 +201,9 @@ def test_an_actor_is_read_as_it_was_written(tmp_path):
 
 def test_an_actor_by_hand():
     actor = Actor(
-        np.array([1.0, 0.0]), np.array([2.0, 1e-9]), [(np.eye(2), np.zeros(2)), (np.array([[1.0, 1.0]]), np.ones(1))]
+        np.array([1.0, 0.0]),
+        np.array([2.0, 1e-9]),
+        [(np.eye(2), np.zeros(2)), (np.array([[1.0, 1.0]]), np.ones(1))],
     )
     np.testing.assert_allclose(actor(np.array([2.0, 0.0])), [min(1, np.tanh(0.5) + 1)])
     np.testing.assert_allclose(actor(np.array([1.0, -1.0])), [np.tanh(-10) + 1], atol=1e-9)  # cut at 10

@@ -171,7 +171,9 @@ def test_the_object_rests_until_it_is_hit(body):
     np.testing.assert_allclose(resting[4:11], first[4:11], atol=1e-3)
     hit = resting
     for step in range(140):  # above its side, down to the table, across
-        goal = first[4:7] + ([0, -0.1, 0.2] if step < 40 else [0, -0.1, 0.05] if step < 90 else [0, 0.05, 0.05])
+        goal = first[4:7] + (
+            [0, -0.1, 0.2] if step < 40 else [0, -0.1, 0.05] if step < 90 else [0, 0.05, 0.05]
+        )
         hit, *_ = env.step(_action(*np.clip(30 * (goal - hit[:3]), -1, 1), 1))
     assert np.linalg.norm(hit[4:6] - first[4:6]) > 0.01
 
@@ -200,7 +202,8 @@ def test_what_is_too_large_is_refused(body, scale, axis):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"), [({"horizon": 0}, "horizon is 0"), ({"render_mode": "human"}, "'human' is unknown")]
+    ("arguments", "message"),
+    [({"horizon": 0}, "horizon is 0"), ({"render_mode": "human"}, "'human' is unknown")],
 )
 def test_wrong_arguments_are_named(body, arguments, message):
     with pytest.raises(ObjectFolderError, match=message):
