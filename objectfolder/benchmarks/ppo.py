@@ -143,11 +143,11 @@ def _part_seed(seed: int, purpose: tuple[str, ...], part: int) -> int:
 def _actor(model: PPO, envs: VecNormalize) -> Actor:
     """Mean action of the policy as it is now."""
     policy, statistics = model.policy, cast(RunningMeanStd, envs.obs_rms)
-    inner = cast(torch.nn.Sequential, policy.mlp_extractor.policy_net)
-    linear = [layer for layer in inner if isinstance(layer, torch.nn.Linear)]
+    inner = (*policy.mlp_extractor.policy_net, policy.action_net)
     layers = [
         (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy())
-        for layer in (*linear, policy.action_net)
+        for layer in inner
+        if isinstance(layer, torch.nn.Linear)
     ]
     return Actor(statistics.mean.copy(), np.sqrt(statistics.var + VARIANCE_FLOOR), layers)
 

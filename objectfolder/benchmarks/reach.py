@@ -142,10 +142,10 @@ def reach(
     for run in range(params.seeds):
 
         def say(done: int, figures: tuple[float, ...], elapsed: float, run: int = run) -> None:
+            last, ever = (round(100 * share) for share in figures[:2])
             report(
-                f"reach {body.key}, seed {run + 1} of {params.seeds}: {done} of at most {params.steps} steps, "
-                f"validation success {100 * figures[0]:.0f} % at the last step, "
-                f"{100 * figures[1]:.0f} % at any time, {elapsed:.0f} s"
+                f"reach {body.key}, seed {run + 1} of {params.seeds}, {done} of {params.steps} steps: "
+                f"validation success {last} % at the last step, {ever} % at any time, {elapsed:.0f} s"
             )
 
         purpose = ("reach", body.key, str(run))
@@ -203,7 +203,7 @@ def run_reach(
 ) -> float:
     """Run the task with an Object File, and write scores, curves, policy and film.
 
-    An interrupted call is gone on from, unless object, hulls, parameters or the code of the task have changed.
+    An interrupted call is gone on from, unless object, hulls, parameters or the task's code have changed.
 
     Parameters
     ----------

@@ -13,7 +13,15 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from objectfolder.envs.body import RigidBody, add_body
-from objectfolder.envs.reach import OBJECT_HIGH, OBJECT_LOW, check_size, lowest, what_stands
+from objectfolder.envs.reach import (
+    GOAL_HIGH,
+    GOAL_LOW,
+    OBJECT_HIGH,
+    OBJECT_LOW,
+    check_size,
+    lowest,
+    what_stands,
+)
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile import ObjectFile
 
@@ -55,10 +63,8 @@ class SawyerReachObject(SawyerReachEnvV3):
         self.__dict__.pop("sawyer_observation_space", None)  # the one without goals
         height = -lowest(body)
         self.init_config["obj_init_pos"][2] = height
-        space: Box = self._random_reset_space
-        low, high = space.low.copy(), space.high.copy()
-        low[:3], high[:3] = (*OBJECT_LOW, height), (*OBJECT_HIGH, height)
-        self._random_reset_space = Box(low, high, dtype=np.float64)
+        low, high = (*OBJECT_LOW, height, *GOAL_LOW), (*OBJECT_HIGH, height, *GOAL_HIGH)
+        self._random_reset_space = Box(np.array(low), np.array(high), dtype=np.float64)
 
     def _initialize_simulation(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
         spec = mujoco.MjSpec.from_file(self.fullpath)

@@ -6,8 +6,11 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
+import typer
 from gymnasium.spaces import Box
 from PIL import Image
+from ruamel.yaml import YAML
+from typer.testing import CliRunner
 
 from objectfolder.artifacts import read_json, write_safetensors
 from objectfolder.benchmarks import ppo
@@ -27,6 +30,8 @@ from objectfolder.benchmarks.reach import (
     reach,
     run_reach,
 )
+from objectfolder.benchmarks.tables import reach_table
+from objectfolder.cli.bench_reach import reach as reach_command
 from objectfolder.envs.body import rigid_body
 from objectfolder.envs.reach import ReachEnv
 from objectfolder.errors import ObjectFolderError
@@ -305,3 +310,39 @@ def test_params_are_read_and_checked(tmp_path):
         reach_params(values)
     with pytest.raises(ObjectFolderError, match="lacks section 'reach'"):
         reach_params({"seed": 0, "sensor": "digit"})
+
+
+def _played(last, ever):
+    share = {"interval_95": [0.96378, 1.0]}
+    shares = {"last": share | {"rate": last}, "any": share | {"rate": ever}}
+    return shares | {"return": 950.0, "distance": 0.0123, "seeds": [last]}
+
+
+def test_a_table_has_a_row_for_each_policy_of_each_object():
+    policies = dict.fromkeys(POLICIES, _played(0.97, 1.0))
+    scores = policies | {
+        "episodes": 100,
+        "horizon": 100,
+        "simulator": "objectfolder",
+        "steps": [163840, 81920],
+    }
+    shown = reach_table({"cup": scores, "die": scores})
+    assert [row[0] for row in shown.rows] == ["cup"] * 4 + ["die"] * 4
+    assert shown.rows[0] == ("cup", "PPO", "97 (96-100)", "100 (96-100)", "12", "9.50", "164k/82k", "100")
+    assert shown.rows[3][1:] == ("none", "97 (96-100)", "100 (96-100)", "12", "9.50", "-", "-")
+    assert all(len(row) == len(shown.columns) for row in shown.rows)
+
+
+def test_the_command_runs_the_task_and_shows_the_table(brick_path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    values = {"seed": 0, "sensor": "digit", "objects": {}, "procedural": {}, "reach": TINY.model_dump()}
+    YAML().dump(values, tmp_path / "params.yaml")
+    app = typer.Typer()
+    app.command()(reach_command)
+    told = CliRunner().invoke(app, [str(brick_path), "--out", "here", "--jobs", "1"], catch_exceptions=False)
+    assert told.exit_code == 0
+    assert "brick" in told.output
+    folder = Benchmarks("here")
+    assert read_json(folder.result("reach", "brick"))["episodes"] == TINY.goals
+    assert read_json(folder.machine("reach", "brick"))["threads"] == 1
+    assert (folder.hulls / "brick.npz").is_file()

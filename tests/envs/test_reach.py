@@ -1,5 +1,7 @@
+import sys
 import warnings
 from dataclasses import replace
+from importlib import import_module
 
 import gymnasium
 import numpy as np
@@ -216,6 +218,16 @@ def test_wrong_actions_are_named(body, action):
     env.reset(seed=0)
     with pytest.raises(ObjectFolderError, match="expected 4 finite numbers"):
         env.step(np.array(action))
+
+
+def test_without_metaworld_it_is_said_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "metaworld", None)
+    monkeypatch.delitem(sys.modules, "metaworld.envs.sawyer_reach_v3", raising=False)
+    monkeypatch.delitem(sys.modules, "objectfolder.envs.metaworld", raising=False)
+    with pytest.raises(
+        ObjectFolderError, match=r"metaworld.* is not installed; this needs metaworld 3\.1\.1"
+    ):
+        import_module("objectfolder.envs.metaworld")
 
 
 def test_metaworld_with_an_own_object(body):
