@@ -55,9 +55,6 @@ class ReconstructParams(Training):  # noqa: D101
 class ReachParams(Section):
     """Proximal policy optimisation (PPO); names are those of Schulman et al. 2017 where they have any."""
 
-    simulator: Literal[
-        "objectfolder", "metaworld"
-    ]  #: whose hand: objectfolder/envs/reach.py, or the Sawyer's
     seeds: int = Count  #: trainings
     steps: int = Count  #: control steps of a training, at most
     horizon: int = Count  #: control steps (12.5 ms) of an episode

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 #: Of the training curves; figures are those of the validation goals.
 CURVE_COLUMNS = ("seed", "steps", "val_last", "val_any", "val_return", "val_distance")
+TASKS = ("reach", "reach_metaworld")  #: with a floating hand, and with Meta-World's Sawyer arm
 POLICIES = ("ppo", "controller", "random", "nothing")  #: that are scored
 GAIN = 0.5  #: of the controller: share of the way to the goal that it asks for in a step
 FRAME_STEPS = 4  #: control steps from one frame of a film to the next: 20 per second
@@ -89,13 +90,13 @@ def random_policy(rng: np.random.Generator) -> Policy:
     return lambda observation: rng.uniform(-1, 1, 4).astype(np.float32)
 
 
-def environments(simulator: str, body: RigidBody, horizon: int) -> Callable[..., Env]:
-    """Return what makes environments: of ``objectfolder``, or of ``metaworld`` with its Sawyer arm."""
-    if simulator == "metaworld":
-        from objectfolder.envs.metaworld import MetaWorldReach
+def environment(task: str) -> Callable[..., Env]:
+    """Class of the environments of a task, one of `TASKS`."""
+    if task == "reach":
+        return ReachEnv
+    from objectfolder.envs.metaworld import MetaWorldReach
 
-        return partial(MetaWorldReach, body, horizon=horizon)
-    return partial(ReachEnv, body, horizon=horizon)
+    return MetaWorldReach
 
 
 def reach(
@@ -104,6 +105,7 @@ def reach(
     seed: int,
     progress: Path,
     report: Callable[[str], None] = lambda line: None,
+    task: str = "reach",
 ) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train PPO with one object on the table, and score it on goals that no training met.
 
@@ -118,6 +120,8 @@ def reach(
         interrupted goes on from it: it must be empty, or of a call with the same arguments.
     report : callable
         Called with a line about each part of a training.
+    task : str
+        One of `TASKS`.
 
     Returns
     -------
@@ -129,7 +133,7 @@ def reach(
     list
         Rows of the training curves: `CURVE_COLUMNS`.
     """
-    make = environments(params.simulator, body, params.horizon)
+    make = partial(environment(task), body, horizon=params.horizon)
     goals = {part: fresh_seeds(seed, body.key, part, params.goals) for part in ("val", "test")}
     env = make()
 
@@ -144,11 +148,11 @@ def reach(
         def say(done: int, figures: tuple[float, ...], elapsed: float, run: int = run) -> None:
             last, ever = (round(100 * share) for share in figures[:2])
             report(
-                f"reach {body.key}, seed {run + 1} of {params.seeds}, {done} of {params.steps} steps: "
+                f"{task} {body.key}, seed {run + 1} of {params.seeds}, {done} of {params.steps} steps: "
                 f"validation success {last} % at the last step, {ever} % at any time, {elapsed:.0f} s"
             )
 
-        purpose = ("reach", body.key, str(run))
+        purpose = (task, body.key, str(run))
         actor, rows, took = train_ppo(make, params, seed, purpose, validate, progress / f"{run}.pt", say)
         actors.append(actor)
         curve += [[run, int(row[0]), *row[1:]] for row in rows]
@@ -158,7 +162,7 @@ def reach(
     rng = numpy_generator(seed, "reach", body.key, "random")
     baselines = {"controller": controller, "random": random_policy(rng), "nothing": nothing}
     scores = {name: _summary([episodes(env, act, goals["test"])]) for name, act in baselines.items()}
-    actors[0].save(progress / "model.safetensors", f"reach {body.key}, {params.simulator}")
+    actors[0].save(progress / "model.safetensors", f"{task} {body.key}")
     if "rgb_array" in env.metadata["render_modes"]:
         shown = [trained[0].last.argmax(), *np.flatnonzero(~trained[0].last)[:1]]
         frames = film(make(render_mode="rgb_array"), actors[0], [goals["test"][i] for i in shown])
@@ -169,7 +173,7 @@ def reach(
         **scores,
         "episodes": params.goals,
         "horizon": params.horizon,
-        "simulator": params.simulator,
+        "task": task,
         "steps": steps,
         "seconds": seconds,
     }, curve
@@ -200,6 +204,7 @@ def run_reach(
     params: SimpleNamespace,
     folder: Benchmarks,
     report: Callable[[str], None],
+    task: str = "reach",
 ) -> float:
     """Run the task with an Object File, and write scores, curves, policy and film.
 
@@ -215,6 +220,8 @@ def run_reach(
     folder : Benchmarks
     report : callable
         Called with a line about each part of a training.
+    task : str
+        One of `TASKS`.
 
     Returns
     -------
@@ -228,9 +235,9 @@ def run_reach(
     body = rigid_body(ObjectFile.load(path), hulls)
     shapes = hashlib.sha256(b"".join(np.ascontiguousarray(hull.vertices).tobytes() for hull in hulls))
     identity = (file_digest(path), shapes.hexdigest(), params, code_digest(reach))
-    progress = folder.progress("reach", body.key, identity)
-    scores, curve = reach(body, params.section, params.seed, progress, report)
-    return leave("reach", body.key, folder, progress, scores, CURVE_COLUMNS, curve)
+    progress = folder.progress(task, body.key, identity)
+    scores, curve = reach(body, params.section, params.seed, progress, report, task)
+    return leave(task, body.key, folder, progress, scores, CURVE_COLUMNS, curve)
 
 
 def _summary(played: Sequence[Episodes]) -> dict[str, Any]:

@@ -23,6 +23,7 @@ PAPER_RECONSTRUCTION = {
     "VA": (0.8906, 0.0043, 0.9535),
 }
 PAPER_REACH = "100"  #: success with each of three objects, %; the paper does not say when
+HANDS = {"reach": "floating hand", "reach_metaworld": "Meta-World's Sawyer arm"}
 REACH_POLICIES = {
     "ppo": "PPO",
     "controller": "straight to the goal",
@@ -93,14 +94,14 @@ def reach_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
             )
     first = next(iter(scores.values()))
     return Table(
-        "Reach: success in %",
+        f"Reach, {HANDS[first['task']]}: success in %",
         (
             *("object", "policy", "at the last step", "at any time", "mm from the goal at the end"),
             *("reward per step, of 10", "steps of training", "paper"),
         ),
         rows,
         f"{first['episodes']} fresh goals per training, {first['horizon']} control steps each; in brackets "
-        f"the 95 % interval (Clopper and Pearson). Hand: {first['simulator']}.",
+        f"the 95 % interval (Clopper and Pearson).",
     )
 
 

@@ -4,7 +4,7 @@ import os
 import time
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -19,7 +19,9 @@ from objectfolder.cli.bench import (
     _say,
 )
 from objectfolder.cli.console import console
-from objectfolder.errors import ObjectFolderError
+
+if TYPE_CHECKING:
+    from objectfolder.benchmarks.layout import Benchmarks
 
 
 def reach(
@@ -55,14 +57,13 @@ def reach(
     if preset is not None:
         sections, path = read_preset(preset)
         values |= sections
-    asked: dict[str, Any] = {} if seeds is None else {"seeds": seeds}
-    if metaworld:
-        asked["simulator"] = "metaworld"
-    values["reach"] = {**(values.get("reach") or {}), **asked}
+    if seeds is not None:
+        values["reach"] = {**(values.get("reach") or {}), "seeds": seeds}
+    task = "reach_metaworld" if metaworld else "reach"
     params = reach_params(values, path)
     folder = Benchmarks(out if out is not None else Path("benchmarks") / (preset or "own"))
     paths = _object_files(files)
-    calls = [(file, params, folder) for file in paths.values()]
+    calls = [(task, file, params, folder) for file in paths.values()]
     jobs = jobs or os.cpu_count() or 1
     if min(jobs, len(calls)) > 1:
         for _ in _in_processes(_reach_one, calls, jobs):
@@ -70,13 +71,13 @@ def reach(
     else:
         for call in calls:
             _reach_one(*call)
-    _print(reach_table({key: read_json(folder.result("reach", key)) for key in paths}))
+    _print(reach_table({key: read_json(folder.result(task, key)) for key in paths}))
     for key in paths:
-        result, curve, film = (path("reach", key) for path in (folder.result, folder.curve, folder.film))
-        console.print(f"{result}  curves: {curve}  film: {film}", soft_wrap=True)
+        result, curve = folder.result(task, key), folder.curve(task, key)
+        console.print(f"{result}  curves: {curve}", soft_wrap=True)
 
 
-def _reach_one(path: Path, params: SimpleNamespace, folder: Any) -> None:
+def _reach_one(task: str, path: Path, params: SimpleNamespace, folder: "Benchmarks") -> None:
     """Run the task with one object, and write what it took beside the results."""
     import torch
     from threadpoolctl import threadpool_limits
@@ -91,9 +92,6 @@ def _reach_one(path: Path, params: SimpleNamespace, folder: Any) -> None:
     before = time.process_time()
     with threadpool_limits(1):
         file = ObjectFile.load(path)
-        try:
-            seconds = run_reach(path, cached_hulls(file, folder.hulls), params, folder, _say)
-        except ObjectFolderError as error:
-            raise ObjectFolderError(f"{path}: {error}") from error
+        seconds = run_reach(path, cached_hulls(file, folder.hulls), params, folder, _say, task)
     took = {"seconds": seconds, "cpu_seconds": time.process_time() - before, "threads": 1}
-    write_json(folder.machine("reach", file.key), took | {"machine": machine("cpu")})
+    write_json(folder.machine(task, file.key), took | {"machine": machine("cpu")})

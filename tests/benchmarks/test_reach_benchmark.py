@@ -37,7 +37,6 @@ from objectfolder.envs.reach import ReachEnv
 from objectfolder.errors import ObjectFolderError
 
 TINY = ReachParams(
-    simulator="objectfolder",
     seeds=1,
     steps=32,
     horizon=8,
@@ -284,7 +283,7 @@ def test_a_run_leaves_its_files_and_goes_on_where_it_was(brick_path, hulls, tmp_
     run_reach(brick_path, hulls, params, whole, print)
     files = {path.name for path in whole.dir.iterdir()} - {".progress"}
     assert files == {f"reach_brick.{suffix}" for suffix in ("json", "csv", "gif", "safetensors")}
-    assert read_json(whole.result("reach", "brick"))["simulator"] == "objectfolder"
+    assert read_json(whole.result("reach", "brick"))["task"] == "reach"
     with Image.open(whole.film("reach", "brick")) as picture:
         assert picture.n_frames >= 2
     assert not any((whole.dir / ".progress").iterdir())
@@ -305,8 +304,8 @@ def test_a_run_leaves_its_files_and_goes_on_where_it_was(brick_path, hulls, tmp_
 def test_params_are_read_and_checked(tmp_path):
     values = {"seed": 3, "sensor": "digit", "reach": TINY.model_dump()}
     assert reach_params(values) == SimpleNamespace(section=TINY, seed=3)
-    values["reach"] |= {"simulator": "bullet"}
-    with pytest.raises(ObjectFolderError, match="reach: simulator"):
+    values["reach"] |= {"discount": 1.5}
+    with pytest.raises(ObjectFolderError, match="reach: discount"):
         reach_params(values)
     with pytest.raises(ObjectFolderError, match="lacks section 'reach'"):
         reach_params({"seed": 0, "sensor": "digit"})
