@@ -204,9 +204,14 @@ def scene(body: RigidBody) -> mujoco.MjModel:
     Raises
     ------
     ObjectFolderError
-        If the object is too large.
+        If the object is too large, or MuJoCo too old.
     """
     check_size(body)
+    if int(mujoco.__version__.partition(".")[0]) < 4:
+        raise ObjectFolderError(
+            f"MuJoCo {mujoco.__version__} is installed, expected 4 or newer (metaworld pins an older one, for "
+            "an environment of its own): pip install 'objectfolder[rl]'"
+        )
     spec = mujoco.MjSpec()
     spec.option.timestep = TIME_STEP
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC

@@ -322,7 +322,7 @@ def test_a_table_has_a_row_for_each_policy_of_each_object():
     scores = policies | {
         "episodes": 100,
         "horizon": 100,
-        "simulator": "objectfolder",
+        "task": "reach",
         "steps": [163840, 81920],
     }
     shown = reach_table({"cup": scores, "die": scores})

@@ -212,6 +212,12 @@ def test_wrong_arguments_are_named(body, arguments, message):
         ReachEnv(body, **arguments)
 
 
+def test_an_older_mujoco_is_named(body, monkeypatch):
+    monkeypatch.setattr("mujoco.__version__", "3.3.0")
+    with pytest.raises(ObjectFolderError, match=r"MuJoCo 3\.3\.0 is installed, expected 4"):
+        ReachEnv(body)
+
+
 @pytest.mark.parametrize("action", [[0, 0, 0], [0, 0, np.nan, 0]])
 def test_wrong_actions_are_named(body, action):
     env = ReachEnv(body)
