@@ -5,9 +5,8 @@ Views and touches are PNG, sounds float WAV at absolute scale. The same observat
 
 import io
 import json
-import shutil
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from scipy.io import wavfile
 
 from objectfolder.artifacts import MODALITIES, SPLITS, write_json, write_text
 from objectfolder.benchmarks.observations import Observations
-from objectfolder.benchmarks.space import enough_space
+from objectfolder.benchmarks.space import new_folder
 from objectfolder.benchmarks.splits import Split
 from objectfolder.errors import ObjectFolderError
 from objectfolder.seeding import numpy_generator
@@ -204,22 +203,10 @@ def _total(split: Split) -> int:
     return sum(len(getattr(split, name)) for name in SPLITS)
 
 
-@contextmanager
-def _new_folder(out: Path, observations: Observations, samples: int) -> Iterator[Path]:
-    """Give a folder that takes its name when all is written."""
-    if out.exists():
-        raise ObjectFolderError(f"{out} exists already: choose another name, or delete it")
-    temporary = out.with_name(f".{out.name}.tmp")
+def _new_folder(out: Path, observations: Observations, samples: int) -> AbstractContextManager[Path]:
     # What sounds take; images get smaller by an amount that is not known before.
     needed = samples * 4 * observations.shape("audio")[0]
-    try:
-        with enough_space("export", out, needed, ", or export fewer objects"):
-            shutil.rmtree(temporary, ignore_errors=True)
-            temporary.mkdir(parents=True)
-            yield temporary
-            temporary.rename(out)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+    return new_folder("export", out, needed, ", or export fewer objects")
 
 
 def _card(observations: Observations, split: Split) -> str:

@@ -47,3 +47,25 @@ def enough_space(what: str, folder: Path, needed: int, hint: str) -> Iterator[No
         if error.errno in _FULL:
             raise shortage() from error
         raise
+
+
+@contextmanager
+def new_folder(what: str, out: Path, needed: int, hint: str) -> Iterator[Path]:
+    """Give a folder that takes its name when all is written; otherwise as `enough_space`.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the folder exists already.
+    """
+    if out.exists():
+        raise ObjectFolderError(f"{out} exists already: choose another name, or delete it")
+    temporary = out.with_name(f".{out.name}.tmp")
+    try:
+        with enough_space(what, out, needed, hint):
+            shutil.rmtree(temporary, ignore_errors=True)
+            temporary.mkdir(parents=True)
+            yield temporary
+            temporary.rename(out)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""Commands that write observations in the formats of other libraries: export."""
+"""Commands that write observations and objects in the formats of other libraries and engines: export."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -6,24 +6,30 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from objectfolder.cli.console import console
+from objectfolder.cli.console import console, tracked
 from objectfolder.errors import ObjectFolderError
 
 if TYPE_CHECKING:
     from objectfolder.benchmarks.export import Report
     from objectfolder.benchmarks.observations import Observations
     from objectfolder.benchmarks.splits import Split
+    from objectfolder.objectfile import ObjectFile
 
 export_app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="markdown",
-    help="Write observations as a `webdataset` or for Hugging Face `datasets`.",
+    help="Write observations as a `webdataset` or for Hugging Face `datasets`, and objects for physics "
+    "engines: MuJoCo (`mjcf`), PyBullet and others (`urdf`).",
 )
 
 OutArgument = Annotated[Path, typer.Argument(metavar="OUT", help="Folder to make.")]
 FoldersArgument = Annotated[
     list[Path], typer.Argument(metavar="FOLDER...", help="Folders of observations, or what holds them.")
 ]
+FilesArgument = Annotated[
+    list[Path], typer.Argument(metavar="FILE...", help="ObjectFile.safetensors of objects.")
+]
+HullsOption = Annotated[int, typer.Option(min=1, help="Convex hulls of an object, at most.")]
 SplitOption = Annotated[
     str,
     typer.Option(help="seen: every object in all splits; unseen: objects of the test in no other split."),
@@ -66,6 +72,57 @@ def datasets(out: OutArgument, folders: FoldersArgument, split: SplitOption = "s
     _export(out, folders, split, write, "datasets")
 
 
+@export_app.command()
+def mjcf(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None:
+    """Write a folder OUT/KEY for MuJoCo per object: a body with a free joint, hulls, texture, mass, inertia.
+
+    Then, in Python: `mujoco.MjModel.from_xml_path("OUT/KEY/KEY.xml")`. Half a minute per object.
+    """
+    _require("rl", "mujoco", "coacd", "manifold3d")
+    from objectfolder.envs.export import write_mjcf
+
+    _export_objects(out, files, hulls, write_mjcf)
+
+
+@export_app.command()
+def urdf(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None:
+    """Write a folder OUT/KEY for PyBullet and other readers of URDF per object: a link as of `mjcf`.
+
+    Then, in Python: `loadURDF("OUT/KEY/KEY.urdf", flags=URDF_USE_INERTIA_FROM_FILE)`. Half a minute per
+    object.
+    """
+    _require("rl", "mujoco", "coacd", "manifold3d")
+    from objectfolder.envs.export import write_urdf
+
+    _export_objects(out, files, hulls, write_urdf)
+
+
+def _export_objects(
+    out: Path, files: list[Path], hulls: int, write: "Callable[[ObjectFile, Path, int], Path]"
+) -> None:
+    from objectfolder.objectfile import ObjectFile
+
+    objects = [ObjectFile.load(file) for file in files]
+    # Before hulls of the first objects take their time.
+    for i, (file, found) in enumerate(zip(files, objects)):
+        if (out / found.key).exists():
+            raise ObjectFolderError(f"{out / found.key} exists already: choose another folder, or delete it")
+        if found.key in (other.key for other in objects[:i]):
+            raise ObjectFolderError(f"{file}: a second object {found.key}; export it to another folder")
+    for found in tracked(objects, "exporting objects", len(objects)):
+        console.print(str(write(found, out, hulls)), highlight=False, soft_wrap=True)
+
+
+def _require(extra: str, *libraries: str) -> None:
+    from importlib.util import find_spec
+
+    for library in libraries:
+        if find_spec(library) is None:
+            raise ObjectFolderError(
+                f"{library} is not installed; this needs: pip install 'objectfolder[{extra}]'"
+            )
+
+
 def _export(
     out: Path,
     folders: list[Path],
@@ -73,13 +130,10 @@ def _export(
     write: "Callable[[Observations, Split, Report], None]",
     library: str,
 ) -> None:
-    from importlib.util import find_spec
-
     from objectfolder.benchmarks.observations import Observations, find_folders
     from objectfolder.benchmarks.splits import named_split
 
-    if find_spec(library) is None:
-        raise ObjectFolderError(f"{library} is not installed; this needs: pip install 'objectfolder[hub]'")
+    _require("hub", library)
     observations = Observations(find_folders(folders))
     chosen = named_split(split, observations.keys, observations.count)
     with console.status("") as status:

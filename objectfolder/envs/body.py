@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 
 from objectfolder import materials
-from objectfolder.envs.hulls import close_pinholes
+from objectfolder.envs.solid import close_holes
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile import ObjectFile
 
@@ -57,7 +57,7 @@ def rigid_body(file: ObjectFile, hulls: Sequence[trimesh.Trimesh]) -> RigidBody:
     """
     if not hulls:
         raise ObjectFolderError(f"{file.key}: no hulls to collide with; expected at least one")
-    surface = close_pinholes(file.to_mesh())
+    surface = close_holes(file.to_mesh())
     _check_fit(file.key, surface.bounds, hulls)
     surface.density = density(file)
     properties = surface.mass_properties
@@ -81,7 +81,14 @@ def density(file: ObjectFile) -> float:
         If neither knows the material.
     """
     stored = file.header.get("material_properties")
-    return float(stored["density"]) if stored else materials.material(file.material).density
+    if stored:
+        return float(stored["density"])
+    if file.material.lower() not in materials.MATERIALS:
+        raise ObjectFolderError(
+            f"{file.key}: its density is not known: the file stores none, and {file.material!r} is "
+            f"none of {', '.join(materials.MATERIALS)}; import it again with --material"
+        )
+    return materials.material(file.material).density
 
 
 def add_body(

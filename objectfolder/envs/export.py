@@ -1,0 +1,158 @@
+"""Objects for physics engines: folders with MJCF (MuJoCo) or URDF (PyBullet, MuJoCo and others)."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from xml.etree import ElementTree as xml
+
+import mujoco
+import numpy as np
+import trimesh
+from trimesh.exchange.obj import export_obj
+
+from objectfolder.artifacts import write_text
+from objectfolder.benchmarks.space import new_folder
+from objectfolder.envs.body import ROLLING, TORSIONAL, RigidBody, add_body, density, rigid_body
+from objectfolder.envs.hulls import MAX_HULLS, convex_hulls
+from objectfolder.envs.visual import PLAIN, visual_mesh
+from objectfolder.objectfile import ObjectFile
+
+_NEEDED = 8 * 2**20  # bytes of a folder, about: mesh and texture
+_VISUAL, _COLLISION = 2, 3  # groups of geoms; MuJoCo's viewer shows the former only
+
+
+def write_mjcf(
+    file: ObjectFile,
+    out: str | Path,
+    max_hulls: int = MAX_HULLS,
+    hulls: Sequence[trimesh.Trimesh] | None = None,
+) -> Path:
+    """Write a folder that MuJoCo loads: ``mujoco.MjModel.from_xml_path("OUT/<key>/<key>.xml")``.
+
+    The body, named as the object, has a free joint and the mass and inertia of `rigid_body`; hulls collide
+    (group 3), the textured surface is seen (group 2).
+
+    Parameters
+    ----------
+    file : ObjectFile
+    out : path
+        Where the folder, named as the object, is made.
+    max_hulls : int
+        At most.
+    hulls : sequence of trimesh.Trimesh, optional
+        Default: made now, which takes up to half a minute.
+
+    Returns
+    -------
+    Path
+        Of the XML file.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the folder is there already, the file holds no geometry, or an extra is not installed.
+    """
+    folder = Path(out) / file.key
+    with new_folder(f"{file.key}: export", folder, _NEEDED, "") as new:
+        body = rigid_body(file, convex_hulls(file.to_mesh(), max_hulls) if hulls is None else hulls)
+        textured = _write_meshes(new, file, body)
+        write_text(new / f"{file.key}.xml", _mjcf(new, body, density(file), textured))
+    return folder / f"{file.key}.xml"
+
+
+def write_urdf(
+    file: ObjectFile,
+    out: str | Path,
+    max_hulls: int = MAX_HULLS,
+    hulls: Sequence[trimesh.Trimesh] | None = None,
+) -> Path:
+    """Write a folder with a URDF of one link; otherwise as `write_mjcf`.
+
+    PyBullet takes the mass from it, and the inertia if it is told so:
+    ``loadURDF("OUT/<key>/<key>.urdf", flags=URDF_USE_INERTIA_FROM_FILE)``. Friction is an extension of
+    PyBullet's, which others ignore. MuJoCo welds the link to the world: URDF has no free joints.
+
+    Returns
+    -------
+    Path
+        Of the URDF file.
+    """
+    folder = Path(out) / file.key
+    with new_folder(f"{file.key}: export", folder, _NEEDED, "") as new:
+        body = rigid_body(file, convex_hulls(file.to_mesh(), max_hulls) if hulls is None else hulls)
+        _write_meshes(new, file, body)
+        write_text(new / f"{file.key}.urdf", _urdf(body))
+    return folder / f"{file.key}.urdf"
+
+
+def _write_meshes(folder: Path, file: ObjectFile, body: RigidBody) -> bool:
+    """Write visual.obj, with a texture where there is one, and the hulls; whether there is a texture."""
+    for k, hull in enumerate(body.hulls):
+        write_text(folder / _hull_name(k), export_obj(hull, include_normals=False, header=None))
+    text, more = export_obj(
+        visual_mesh(file), include_normals=True, return_texture=True, mtl_name="visual.mtl", header=None
+    )
+    write_text(folder / "visual.obj", text)
+    for name, content in more.items():
+        (folder / name).write_bytes(content)
+    return "visual.png" in more
+
+
+def _hull_name(k: int) -> str:
+    return f"hull{k:02d}.obj"
+
+
+def _mjcf(folder: Path, body: RigidBody, density: float, textured: bool) -> str:
+    """Model of one body; compiled here, so that what MuJoCo refuses is never written."""
+    spec = mujoco.MjSpec()
+    spec.modelname = body.key
+    spec.assets = {path.name: path.read_bytes() for path in folder.iterdir()}
+    added = add_body(spec, body, body.key)
+    for k, (mesh, geom) in enumerate(zip(spec.meshes, added.geoms)):
+        mesh.uservert, mesh.userface, mesh.file = [], [], _hull_name(k)
+        geom.group, geom.density = _COLLISION, density
+    look = spec.add_material(name="look", rgba=[1, 1, 1, 1] if textured else [PLAIN] * 3 + [1])
+    if textured:
+        spec.add_texture(name="look", type=mujoco.mjtTexture.mjTEXTURE_2D, file="visual.png")
+        look.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "look"
+    spec.add_mesh(name="visual", file="visual.obj", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+    added.add_geom(
+        name=f"{body.key}_visual",
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname="visual",
+        material="look",
+        group=_VISUAL,
+        contype=0,
+        conaffinity=0,
+        density=0,
+    )
+    spec.compile()
+    return spec.to_xml()
+
+
+def _urdf(body: RigidBody) -> str:
+    """Robot of one link, whose inertial frame is along the principal axes."""
+    robot = xml.Element("robot", name=body.key)
+    compiler = {"fusestatic": "false", "discardvisual": "false", "balanceinertia": "false"}
+    xml.SubElement(xml.SubElement(robot, "mujoco"), "compiler", compiler)
+    link = xml.SubElement(robot, "link", name=body.key)
+    contact = xml.SubElement(link, "contact")
+    frictions = {"lateral": body.friction, "spinning": TORSIONAL, "rolling": ROLLING}
+    for name, value in frictions.items():
+        xml.SubElement(contact, f"{name}_friction", value=_numbers(value))
+    inertial = xml.SubElement(link, "inertial")
+    xml.SubElement(inertial, "origin", xyz=_numbers(*body.centre), rpy="0 0 0")
+    xml.SubElement(inertial, "mass", value=_numbers(body.mass))
+    axes = {f"i{'xyz'[i]}{'xyz'[j]}": _numbers(body.inertia[i, j]) for i in range(3) for j in range(i, 3)}
+    xml.SubElement(inertial, "inertia", axes)
+    names = {"visual": ["visual.obj"], "collision": [_hull_name(k) for k in range(len(body.hulls))]}
+    for kind, files in names.items():
+        for name in files:
+            part = xml.SubElement(link, kind, name=Path(name).stem)
+            xml.SubElement(part, "origin", xyz="0 0 0", rpy="0 0 0")
+            xml.SubElement(xml.SubElement(part, "geometry"), "mesh", filename=name, scale="1 1 1")
+    xml.indent(robot)
+    return xml.tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _numbers(*values: float | np.floating) -> str:
+    return " ".join(f"{float(value):.9g}" for value in values)

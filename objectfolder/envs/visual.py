@@ -1,0 +1,134 @@
+"""The stored surface as a light mesh with a texture, for engines that draw triangles."""
+
+import numpy as np
+import torch
+import trimesh
+from PIL import Image
+
+from objectfolder.envs.solid import joined, simplified
+from objectfolder.nets.vision_surface import SurfaceNet, in_cube
+from objectfolder.objectfile import ObjectFile
+from objectfolder.parts import Parts
+
+PLAIN = 0.7  #: grey, sRGB, of what stores no base colours
+TEXELS = 1024  #: on a side of the texture
+_DETAIL = 0.001  # by which the surface may move, fraction of the longest side
+_MARGIN = 1  # texels around a face, so that bilinear filtering finds no neighbour
+_CHUNK = 2**17  # points that the net is asked for at once
+
+
+def visual_mesh(file: ObjectFile) -> trimesh.Trimesh:
+    """Return the surface with some thousands of triangles; object frame, metres.
+
+    Where the vision net stores base colours (kind ``surface``) they become a texture, which knows no
+    reflections; all else is grey.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the file holds no geometry, or manifold3d is not installed.
+    """
+    whole = file.to_mesh()
+    mesh = joined(simplified(whole, _DETAIL * file.scale) or [whole])
+    net = Parts(file.header, file.tensors, torch.device("cpu")).vision if "vision" in file.header else None
+    normals = file.surface.grid.normals(torch.from_numpy((mesh.vertices / file.scale).astype(np.float32)))
+    if not isinstance(net, SurfaceNet):
+        return trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=normals.numpy(), process=False)
+    corners = np.asarray(mesh.triangles)
+    longest = np.linalg.norm(np.roll(corners, -1, 1) - corners, axis=2).argmax(1)
+    order = np.take_along_axis(mesh.faces, (longest[:, None] + np.arange(3)) % 3, 1)
+    corners = np.asarray(mesh.vertices)[order] / file.scale
+    uv, image = _texture(net, corners)
+    return trimesh.Trimesh(
+        corners.reshape(-1, 3) * file.scale,
+        np.arange(corners.shape[0] * 3).reshape(-1, 3),
+        vertex_normals=normals.numpy()[order].reshape(-1, 3),
+        visual=trimesh.visual.TextureVisuals(
+            uv.reshape(-1, 2),
+            trimesh.visual.material.SimpleMaterial(
+                image=Image.fromarray(image), diffuse=[255] * 4, name="visual"
+            ),
+        ),
+        process=False,
+    )
+
+
+def _texture(net: SurfaceNet, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Texture coordinates (F, 3, 2) of faces, and a square image (T, T, 3) in which each has its rectangle.
+
+    Parameters
+    ----------
+    net : SurfaceNet
+    corners : (F, 3, 3) array
+        Of the faces, unit frame; first the longest edge.
+    """
+    start, along = corners[:, 0], corners[:, 1] - corners[:, 0]
+    length = np.linalg.norm(along, axis=1)
+    along = along / length[:, None]
+    up = corners[:, 2] - start
+    foot = (up * along).sum(1)
+    up = up - foot[:, None] * along
+    height = np.linalg.norm(up, axis=1)
+    up = up / np.maximum(height, np.finfo(float).tiny)[:, None]
+    density, origins, sizes = _packed(np.stack([length, height], 1))
+    texel = np.repeat(np.arange(len(sizes)), sizes.prod(1))
+    number = np.arange(len(texel)) - np.repeat(sizes.prod(1).cumsum() - sizes.prod(1), sizes.prod(1))
+    place = np.stack([number % sizes[texel, 0], number // sizes[texel, 0]], 1)
+    away = (place - _MARGIN) / density
+    points = start[texel] + away[:, :1] * along[texel] + away[:, 1:] * up[texel]
+    image = np.full((TEXELS, TEXELS, 3), np.uint8(round(255 * PLAIN)))
+    column, row = (origins[texel] + place).T
+    image[row, column] = _base_colors(net, points)
+    local = np.stack(
+        [
+            np.stack([0 * length, 0 * length], 1),
+            np.stack([length, 0 * length], 1),
+            np.stack([foot, height], 1),
+        ],
+        1,
+    )
+    uv = (origins[:, None] + _MARGIN + 0.5 + density * local) / TEXELS
+    return uv * [1, -1] + [0, 1], image
+
+
+def _packed(sides: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """Rows of rectangles, sorted by height, as large as the image holds.
+
+    Parameters
+    ----------
+    sides : (F, 2) array
+        Width and height, unit frame.
+
+    Returns
+    -------
+    density : float
+        Texels of a unit.
+    origins, sizes : (F, 2) int arrays
+        Column and row of the first texel, and texels, margins included.
+    """
+    density = TEXELS / np.sqrt(sides.prod(1).sum())
+    while True:
+        sizes = np.ceil(density * sides).astype(np.int64) + 1 + 2 * _MARGIN
+        origins = np.zeros_like(sizes)
+        column = row = tall = 0
+        for k in np.lexsort((sizes[:, 0], -sizes[:, 1])).tolist():
+            width, height = sizes[k].tolist()
+            if column + width > TEXELS:
+                column, row = 0, row + tall
+            if not column:
+                tall = height
+            origins[k] = column, row
+            column += width
+        if row + tall <= TEXELS and sizes.max() <= TEXELS:
+            return density, origins, sizes
+        density *= 0.93
+
+
+@torch.no_grad()
+def _base_colors(net: SurfaceNet, points: np.ndarray) -> np.ndarray:
+    """Bytes (S, 3), sRGB, of points near the surface, unit frame."""
+    colors = []
+    for part in torch.from_numpy(points.astype(np.float32)).split(_CHUNK):
+        color, _ = net.looks(part, torch.zeros_like(part), net.grid(in_cube(part)))
+        colors.append((255 * color.clamp(0, 1)).round().to(torch.uint8))
+    return torch.cat(colors).numpy()

@@ -1,0 +1,84 @@
+"""Accuracy and cost of the hulls that objects collide with: `python perf/hulls.py FILE ... [--json OUT]`.
+
+FILE are Object Files. Needs the extra `rl`. Distances are in percent of the longest side.
+
+beyond: how far the outside of the hulls is from the stored surface, where it is outside of the solid.
+short: how far the surface is outside of all hulls. volume: of the hulls' union over the solid's.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+import trimesh
+from manifold3d import Manifold, Mesh64, OpType
+from rich.console import Console
+from rich.table import Table
+
+from objectfolder.artifacts import write_json
+from objectfolder.envs.hulls import convex_hulls
+from objectfolder.envs.solid import close_holes
+from objectfolder.objectfile import ObjectFile
+from objectfolder.seeding import numpy_generator
+
+POINTS = 20_000
+
+
+def measure(file: ObjectFile) -> dict:
+    mesh = file.to_mesh()
+    start = time.process_time()
+    hulls = convex_hulls(mesh)
+    seconds = time.process_time() - start
+    planes = [(hull.face_normals, (hull.triangles[:, 0] * hull.face_normals).sum(1)) for hull in hulls]
+
+    def heights(points: np.ndarray) -> np.ndarray:
+        """How far points are outside of each hull, at least; (H, N)."""
+        return np.stack([(points @ normals.T - offsets).max(1) for normals, offsets in planes])
+
+    rng = numpy_generator(0, file.key, "perf", "hulls")
+    area = sum(hull.area for hull in hulls)
+    counts = [int(POINTS * hull.area / area) for hull in hulls]
+    samples = [trimesh.sample.sample_surface(hull, n, seed=rng)[0] for hull, n in zip(hulls, counts)]
+    points, own = np.concatenate(samples), np.repeat(np.arange(len(hulls)), counts)
+    above = heights(points)
+    above[own, np.arange(len(points))] = np.inf
+    points = points[above.min(0) > 0]
+    outside = file.surface.grid.distance(torch.from_numpy(points / file.scale)).numpy() > 0
+    beyond = np.where(outside, file.nearest(points)[1], 0) / file.scale
+    short = np.maximum(heights(file.sample_surface(POINTS)).min(0), 0) / file.scale
+    solids = [Manifold(Mesh64(np.asarray(h.vertices), np.asarray(h.faces, np.uint64))) for h in hulls]
+    return {
+        "hulls": len(hulls),
+        "vertices": max(len(hull.vertices) for hull in hulls),
+        "seconds": seconds,
+        "volume": Manifold.batch_boolean(solids, OpType.Add).volume() / close_holes(mesh).volume,
+        **{f"beyond_{name}": value for name, value in spread(beyond).items()},
+        **{f"short_{name}": value for name, value in spread(short).items()},
+    }
+
+
+def spread(distances: np.ndarray) -> dict[str, float]:
+    """Percent."""
+    numbers = {"mean": distances.mean(), "95": np.quantile(distances, 0.95), "max": distances.max()}
+    return {name: 100 * float(value) for name, value in numbers.items()}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("files", nargs="+", type=Path, metavar="FILE")
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    found = {file.key: measure(file) for file in map(ObjectFile.load, arguments.files)}
+    table = Table("object", *next(iter(found.values())))
+    for key, values in found.items():
+        table.add_row(key, *(f"{value:.3g}" for value in values.values()))
+    Console(width=160).print(table)
+    if arguments.json:
+        write_json(arguments.json, found)
+
+
+if __name__ == "__main__":
+    main()

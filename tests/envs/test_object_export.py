@@ -1,0 +1,194 @@
+"""Objects that MuJoCo and PyBullet load."""
+
+import sys
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from typer.testing import CliRunner
+
+from objectfolder.cli import app
+from objectfolder.envs import export, visual
+from objectfolder.envs.body import rigid_body
+from objectfolder.envs.export import write_mjcf, write_urdf
+from objectfolder.envs.hulls import convex_hulls
+from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile import ObjectFile
+from objectfolder.parts import Parts
+
+WRITERS = pytest.mark.parametrize("write", [write_mjcf, write_urdf])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _small_textures():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(visual, "TEXELS", 64)
+        yield
+
+
+@pytest.fixture(scope="module")
+def body(brick):
+    return rigid_body(brick, convex_hulls(brick.to_mesh()))
+
+
+@pytest.fixture(scope="module")
+def mjcf(brick, body, tmp_path_factory):
+    return write_mjcf(brick, tmp_path_factory.mktemp("mjcf"), hulls=body.hulls)
+
+
+@pytest.fixture(scope="module")
+def urdf(brick, body, tmp_path_factory):
+    return write_urdf(brick, tmp_path_factory.mktemp("urdf"), hulls=body.hulls)
+
+
+@pytest.fixture
+def bullet():
+    pybullet = pytest.importorskip("pybullet", reason="PyBullet is not installed")
+    client = pybullet.connect(pybullet.DIRECT)
+    yield pybullet
+    pybullet.disconnect(client)
+
+
+def content(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def tensor(turn, diagonal):
+    turn = np.reshape(turn, (3, 3))
+    return turn @ np.diag(diagonal) @ turn.T
+
+
+def turned(quaternion):
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, quaternion)
+    return matrix
+
+
+@pytest.mark.parametrize("path", ["mjcf", "urdf"])
+def test_mujoco_loads_mass_and_shape(request, brick, body, path):
+    model = mujoco.MjModel.from_xml_path(str(request.getfixturevalue(path)))
+    found = model.body("brick")
+    assert found.mass[0] == pytest.approx(0.1 * 0.06 * 0.03 * 1070, rel=0.01)
+    assert found.mass[0] == pytest.approx(body.mass, rel=1e-5)
+    np.testing.assert_allclose(found.ipos, body.centre, atol=1e-8)
+    own = tensor(turned(found.iquat), found.inertia)
+    np.testing.assert_allclose(own, body.inertia, atol=1e-5 * body.inertia.max())
+    assert model.ngeom == len(body.hulls) + 1
+    assert model.njnt == (path == "mjcf")
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    for geom in range(model.ngeom):  # hulls and the surface, in the object frame
+        mesh = model.geom_dataid[geom]
+        vertices = model.mesh_vert[model.mesh_vertadr[mesh] :][: model.mesh_vertnum[mesh]]
+        placed = vertices @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+        assert len(body.hulls) == 1
+        np.testing.assert_allclose([placed.min(0), placed.max(0)], brick.bounds, atol=0.005 * brick.scale)
+
+
+def test_only_hulls_collide_in_mujoco(mjcf):
+    model = mujoco.MjModel.from_xml_path(str(mjcf))
+    hull, seen = model.geom("brick_hull0"), model.geom("brick_visual")
+    assert (hull.contype, hull.conaffinity, seen.contype, seen.conaffinity) == (1, 1, 0, 0)
+    np.testing.assert_allclose(hull.friction, [0.5, 0.005, 0.0001])
+    assert 'density="1070"' in mjcf.read_text()
+
+
+def test_pybullet_loads_mass_and_inertia(bullet, urdf, body):
+    loaded = bullet.loadURDF(str(urdf), flags=bullet.URDF_USE_INERTIA_FROM_FILE)
+    mass, friction, inertia, position, orientation, *_ = bullet.getDynamicsInfo(loaded, -1)
+    assert mass == pytest.approx(body.mass, rel=1e-6)
+    assert friction == 0.5
+    np.testing.assert_allclose(position, body.centre, atol=1e-8)
+    own = tensor(bullet.getMatrixFromQuaternion(orientation), inertia)
+    np.testing.assert_allclose(own, body.inertia, atol=1e-4 * body.inertia.max())
+    assert len(bullet.getCollisionShapeData(loaded, -1)) == len(body.hulls)
+
+
+def test_object_rests_in_pybullet(bullet, urdf, brick):
+    bullet.setGravity(0, 0, -9.81)
+    bullet.createMultiBody(0, bullet.createCollisionShape(bullet.GEOM_PLANE))
+    loaded = bullet.loadURDF(str(urdf), [0, 0, 0.02], flags=bullet.URDF_USE_INERTIA_FROM_FILE)
+    for _ in range(240):
+        bullet.stepSimulation()
+    (_, _, height), turn = bullet.getBasePositionAndOrientation(loaded)
+    assert height == pytest.approx(0.015, abs=0.001)
+    assert abs(turn[3]) > 0.9999
+
+
+def test_texture_has_the_base_colours(brick, mjcf):
+    """As OpenGL reads them: the first row of MuJoCo's texture is at 0."""
+    model = mujoco.MjModel.from_xml_path(str(mjcf))
+    mesh = model.mesh("visual").id
+    geom = model.geom("brick_visual").id
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    faces = slice(model.mesh_faceadr[mesh], model.mesh_faceadr[mesh] + model.mesh_facenum[mesh])
+    vertices = model.mesh_vert[model.mesh_vertadr[mesh] :][model.mesh_face[faces]].mean(1)
+    places = model.mesh_texcoord[model.mesh_texcoordadr[mesh] :][model.mesh_facetexcoord[faces]].mean(1)
+    width, height = model.tex_width[0], model.tex_height[0]
+    image = model.tex_data[: 3 * width * height].reshape(height, width, 3)
+    column, row = (places * [width, height]).astype(int).T
+    points = (vertices @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]) / brick.scale
+    net = Parts(brick.header, brick.tensors, torch.device("cpu")).vision
+    colors = visual._base_colors(net, points)
+    assert np.ptp(colors.astype(int), axis=0).max() > 4
+    assert (
+        np.abs(image[row, column].astype(int) - colors).max() < np.ptp(colors.astype(int), axis=0).max() / 2
+    )
+
+
+def test_the_same_object_gives_the_same_bytes(brick, body, mjcf, tmp_path):
+    again = write_mjcf(brick, tmp_path, hulls=body.hulls)
+    assert content(again.parent) == content(mjcf.parent)
+
+
+def test_object_without_a_look_is_grey(brick, body, tmp_path):
+    header = {name: value for name, value in brick.header.items() if name != "vision"}
+    path = write_mjcf(ObjectFile(header, brick.tensors), tmp_path, hulls=body.hulls)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    assert model.ntex == 0
+    np.testing.assert_allclose(model.material("look").rgba, [0.7, 0.7, 0.7, 1])
+
+
+@WRITERS
+def test_existing_folder_is_refused(brick, tmp_path, write):
+    (tmp_path / "brick").mkdir()
+    with pytest.raises(ObjectFolderError, match=f"{tmp_path}/brick exists already"):
+        write(brick, tmp_path)
+
+
+@WRITERS
+def test_what_is_broken_off_leaves_nothing(brick, body, tmp_path, write, monkeypatch):
+    def fail(file):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(export, "visual_mesh", fail)
+    with pytest.raises(KeyboardInterrupt):
+        write(brick, tmp_path, hulls=body.hulls)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", ["mjcf", "urdf"])
+def test_command_writes_what_mujoco_loads(brick_path, tmp_path, kind):
+    arguments = ["export", kind, str(tmp_path / "out"), str(brick_path), "--hulls", "1"]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.exception
+    [printed] = result.stdout.split()
+    assert mujoco.MjModel.from_xml_path(printed).body("brick").mass[0] == pytest.approx(0.1926, rel=0.01)
+    again = CliRunner().invoke(app, arguments)
+    assert "out/brick exists already" in str(again.exception)
+
+
+def test_command_refuses_two_objects_of_a_name(brick_path, tmp_path):
+    result = CliRunner().invoke(app, ["export", "mjcf", str(tmp_path / "out"), *[str(brick_path)] * 2])
+    assert "a second object brick" in str(result.exception)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("library", ["mujoco", "coacd", "manifold3d"])
+def test_library_that_is_not_there_is_named(brick_path, tmp_path, monkeypatch, library):
+    monkeypatch.setitem(sys.modules, library, None)
+    result = CliRunner().invoke(app, ["export", "urdf", str(tmp_path / "out"), str(brick_path)])
+    assert isinstance(result.exception, ObjectFolderError)
+    assert f"{library} is not installed; this needs: pip install 'objectfolder[rl]'" in str(result.exception)
