@@ -209,8 +209,8 @@ def scene(body: RigidBody) -> mujoco.MjModel:
     check_size(body)
     if int(mujoco.__version__.partition(".")[0]) < 4:
         raise ObjectFolderError(
-    """Return what an environment is given as a rigid body; without hulls, those in the user's cache."""
-            "an environment of its own): pip install 'objectfolder[rl]'"
+            f"MuJoCo {mujoco.__version__} is installed, expected 4 or newer (metaworld pins an older one, "
+            "for an environment of its own): pip install 'objectfolder[rl]'"
         )
     spec = mujoco.MjSpec()
     spec.option.timestep = TIME_STEP
