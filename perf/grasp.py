@@ -1,8 +1,8 @@
 """Grasps: do labels depend on the time step, and how many are there per second?
 
-`python perf/grasp.py labels FILE FILE FILE [--json FILE]`: the same grasps, half of them successes, with a time step of
-0.25 ms and with longer ones, for several settings of contacts. Exits with 1 if fewer than 97 % agree at
-1 ms with the settings that the library uses.
+`python perf/grasp.py labels FILE FILE FILE [--json FILE]`: the same grasps, half of them successes, with a
+time step of 0.25 ms and with longer ones, for several settings of contacts. Exits with 1 if fewer than 97 %
+agree at 1 ms with the settings that the library uses.
 
 `python perf/grasp.py speed FILE ... [--json FILE]`: labelled grasps per second, with and without pictures.
 """

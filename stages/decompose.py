@@ -1,4 +1,4 @@
-"""decompose: ObjectFile.safetensors -> hulls.npz: the surface as a few convex hulls, which physics collides."""
+"""decompose: ObjectFile.safetensors -> hulls.npz: the surface as a few convex hulls."""
 
 from objectfolder.artifacts import Build
 from objectfolder.benchmarks.params import robot_stage_params

@@ -1,4 +1,4 @@
-"""grasp_data: Object File, hulls, true surface -> benchmarks/grasps/<object>: seen, felt, and how it ended."""
+"""grasp_data: Object File, hulls, surface.ply -> benchmarks/grasps/<object>: seen, felt, how it ended."""
 
 from objectfolder.artifacts import Build
 from objectfolder.benchmarks.grasp_data import Wanted, collect_grasps

@@ -1,4 +1,4 @@
-"""grasp_policy: Object File, hulls -> benchmarks/grasp_policy_<object>.json, .csv, .gif, .safetensors: TRPO."""
+"""grasp_policy: Object File, hulls -> benchmarks/grasp_policy_<object>.json, .csv, .safetensors, .gif."""
 
 from objectfolder.artifacts import Build
 from objectfolder.benchmarks.grasp_policy import run_grasp_policy

@@ -74,10 +74,10 @@ def collect_grasps(
     threads: int = 1,
     report: Report = lambda done, total: None,
 ) -> None:
-    """Grasp an object at random places until there are as many grasps as wanted, and write what they show.
+    """Grasp an object at random places, and write what was seen and felt and how it ended.
 
     Positions, orientations and forces are random. Those at which the open gripper would run into the object
-    are not tried, and those in which not both pads touch it do not count; the record says how many there were.
+    are not tried, and those in which not both pads touch it do not count; the record tells their numbers.
     What is interrupted goes on where it was. The same bytes follow for any number of threads.
 
     Parameters
@@ -170,7 +170,8 @@ def draw_attempts(
         hands[:, :2] = places + INSIDE * rng.random((n, 1)) * (over - places)
         hands[:, 2] = rng.uniform(lowest_hand(), np.maximum(body[:, :, 2].max(1), lowest_hand() + SHIFT))
         hands[:, 3] = rng.uniform(-np.pi / 2, np.pi / 2, n)
-        forces = np.exp(rng.uniform(*np.log(FORCES), n))
+        weakest, strongest = np.log(FORCES)
+        forces = np.exp(rng.uniform(weakest, strongest, n))
         free = np.flatnonzero(scene.free(objects, hands))
         drawn, since = drawn + n, 0 if len(free) else since + n
         found.append(Attempts(objects, hands, forces).take(free))
@@ -192,8 +193,9 @@ def label_grasps(
     -------
     Grasps
     dict
-        What else to store of them: where the object stood before (``start``), the greatest force of each jaw (``limits``), the share of ``perturbations``
-        that succeed (``soft``), numbers of poses that were ``drawn``, ``free`` and ``touched``.
+        What else to store of them: where the object stood before (``start``), the greatest force of each jaw
+        (``limits``), the share of ``perturbations`` that succeed (``soft``), numbers of poses that were
+        ``drawn``, ``free`` and ``touched``.
     """
     attempts, drawn = draw_attempts(scene, rests, BATCH, rng)
     closed = scene.close(attempts.objects, attempts.hands, attempts.forces)

@@ -1,20 +1,18 @@
 """Learn to grasp by touch: TRPO in ``ObjectFolder/Grasp-v0`` (supplementary I.4)."""
 
-import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from objectfolder.artifacts import file_digest
 from objectfolder.benchmarks.actor import Actor
 from objectfolder.benchmarks.film import write_gif
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.params import GraspPolicyParams
-from objectfolder.benchmarks.running import code_digest, leave
-from objectfolder.benchmarks.scores import wilson_95
+from objectfolder.benchmarks.running import leave, object_identity
+from objectfolder.benchmarks.scores import share_95
 from objectfolder.benchmarks.trpo import train_trpo
 from objectfolder.envs.body import rigid_body
 from objectfolder.envs.camera import ExternalCamera
@@ -35,7 +33,6 @@ from objectfolder.seeding import numpy_generator
 CURVE_COLUMNS = ("policy", "seed", "episodes", "train_success", "val_success")  #: of the training curves
 #: What trained policies observe: all; all but the tactile images; what is known without touching.
 OBSERVED = {"touch": "features", "width": "width", "blind": "blind"}
-BASELINES = ("random", "nothing")
 FRAME, PIXELS = 0.1, 160  #: seconds between frames of a film, and their side
 
 Policy = Callable[[Any], np.ndarray]  #: observations of N episodes -> (N, 4) actions
@@ -68,9 +65,9 @@ def grasp_policy(
     Returns
     -------
     dict
-        By policy (`OBSERVED`, ``touch_exact`` and `BASELINES`) the ``rate`` of success, its ``interval_95`` over
-        all rollouts (Wilson), and the rates of the ``seeds``; numbers of ``rollouts`` per seed, of
-        ``episodes`` and of ``presses`` that the bank holds; ``seconds`` of training.
+        By policy (`OBSERVED`, ``touch_exact``, ``random`` and ``nothing``) the ``rate`` of success, its
+        ``interval_95`` over all rollouts (Wilson), and the rates of the ``seeds``; numbers of ``rollouts`` per
+        seed, of ``episodes`` and of ``presses`` that the bank holds; ``seconds`` of training.
     list
         Rows of the training curves: `CURVE_COLUMNS`.
     """
@@ -110,21 +107,25 @@ def grasp_policy(
             curve += [[name, run, int(row[0]), *row[1:]] for row in rows]
             seconds += took
     rng = numpy_generator(seed, "grasp_policy", key, "random")
-    policies: dict[str, tuple[str, Feel | None, list[Policy]]] = {
-        name: (observation, bank, [actors[name, run] for run in range(params.seeds)])
+
+    def random(seen: Any) -> np.ndarray:
+        return rng.uniform(-1, 1, (len(seen), 4))
+
+    def nothing(seen: Any) -> np.ndarray:
+        return np.zeros((len(seen), 4))
+
+    by_seed = range(params.seeds)
+    policies: dict[str, tuple[str, Feel | None, Sequence[Policy]]] = {
+        name: (observation, bank, [actors[name, run] for run in by_seed])
         for name, observation in OBSERVED.items()
     }
     policies["touch_exact"] = ("features", TouchFeatures(task.file), policies["touch"][2])
-    policies["random"] = ("blind", None, [lambda seen: rng.uniform(-1, 1, (len(seen), 4))] * params.seeds)
-    policies["nothing"] = ("blind", None, [lambda seen: np.zeros((len(seen), 4))])
+    policies["random"] = ("blind", None, [random for _ in by_seed])
+    policies["nothing"] = ("blind", None, [nothing])
     scores: dict[str, Any] = {}
     for name, (observation, features, runs) in policies.items():
         success = np.stack([rollouts(observation, features, policy, "test") for policy in runs])
-        scores[name] = {
-            "rate": float(success.mean()),
-            "interval_95": list(wilson_95(float(success.mean()), success.size)),
-            "seeds": [float(rate) for rate in success.mean(1)],
-        }
+        scores[name] = share_95(success) | {"seeds": [float(rate) for rate in success.mean(1)]}
     best = actors["touch", 0]
     best.save(progress / "model.safetensors", f"Grasp-v0 {key}")
     write_gif(progress / "episodes.gif", film(task, bank, best, params.rollouts, seed), FRAME)
@@ -146,7 +147,7 @@ def play(episodes: Episodes, policy: Policy, count: int, rng: np.random.Generato
 
 
 def film(task: GraspTask, bank: TouchBank, actor: Actor, count: int, seed: int) -> list[np.ndarray]:
-    """Frames (H, W, 3) of the first success and the first failure of ``count`` rollouts; a line below says which."""
+    """Frames (H, W, 3) of the first success and the first failure of ``count`` rollouts, marked below."""
     episodes = Episodes(task, "features", bank)
     held = play(episodes, actor, count, numpy_generator(seed, "grasp_policy", task.file.key, "film"))
     free = task.free(episodes.objects, episodes.hands)
@@ -172,7 +173,7 @@ def run_grasp_policy(
 ) -> float:
     """Run the task with an Object File, and write scores, curves, policy and film.
 
-    An interrupted call is gone on from, unless object, hulls, parameters or the code of the task have changed.
+    An interrupted call is gone on from, unless object, hulls, parameters or the task's code have changed.
 
     Parameters
     ----------
@@ -198,8 +199,7 @@ def run_grasp_policy(
     """
     file = ObjectFile.load(path)
     task = GraspTask(file, rigid_body(file, hulls), threads)
-    shapes = hashlib.sha256(b"".join(np.ascontiguousarray(hull.vertices).tobytes() for hull in hulls))
-    identity = (file_digest(path), shapes.hexdigest(), params, code_digest(grasp_policy))
+    identity = object_identity(path, hulls, params, grasp_policy)
     progress = folder.progress("grasp_policy", file.key, identity)
     scores, curve = grasp_policy(task, params.section, params.seed, progress, report)
     return leave("grasp_policy", file.key, folder, progress, scores, CURVE_COLUMNS, curve)

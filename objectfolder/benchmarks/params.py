@@ -72,9 +72,6 @@ class GraspStabilityParams(Training):  # noqa: D101
 class ReachParams(Section):
     """Proximal policy optimisation (PPO); names are those of Schulman et al. 2017 where they have any."""
 
-    simulator: Literal[
-        "objectfolder", "metaworld"
-    ]  #: whose hand: objectfolder/envs/reach.py, or the Sawyer's
     seeds: int = Count  #: trainings
     steps: int = Count  #: control steps of a training, at most
     horizon: int = Count  #: control steps (12.5 ms) of an episode
@@ -103,7 +100,7 @@ class GraspDataParams(Section):
 
 
 class GraspPolicyParams(Section):
-    """Trust region policy optimisation (TRPO); names are those of the supplementary, I.4, where it has any."""
+    """Trust region policy optimisation (TRPO), with the constants of the supplementary, I.4."""
 
     seeds: int = Count  #: trainings
     episodes: int = Count  #: of a training

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 import gymnasium
 import numpy as np
@@ -99,7 +99,8 @@ def train_ppo(
         best = Actor.of({name: value.numpy() for name, value in stored["best"].items()})
         model.policy.load_state_dict(stored["policy"])
         model.policy.optimizer.load_state_dict(stored["optimizer"])
-        envs.obs_rms, envs.ret_rms = (_statistics(stored[name]) for name in ("observations", "returns"))
+        envs.obs_rms = _statistics(stored["observations"])  # type: ignore[assignment]
+        envs.ret_rms = _statistics(stored["returns"])
     start = time.perf_counter()
     while not _finished(curve, params.steps):
         model.set_env(envs, force_reset=True)
@@ -120,7 +121,7 @@ def train_ppo(
             "best": {name: torch.from_numpy(value) for name, value in best.tensors().items()},
             "policy": model.policy.state_dict(),
             "optimizer": model.policy.optimizer.state_dict(),
-            "observations": _moments(envs.obs_rms),
+            "observations": _moments(cast(RunningMeanStd, envs.obs_rms)),
             "returns": _moments(envs.ret_rms),
         }
         with atomic(checkpoint) as temporary:
@@ -141,11 +142,12 @@ def _part_seed(seed: int, purpose: tuple[str, ...], part: int) -> int:
 
 def _actor(model: PPO, envs: VecNormalize) -> Actor:
     """Mean action of the policy as it is now."""
-    policy, statistics = model.policy, envs.obs_rms
-    linear = [layer for layer in policy.mlp_extractor.policy_net if isinstance(layer, torch.nn.Linear)]
+    policy, statistics = model.policy, cast(RunningMeanStd, envs.obs_rms)
+    inner = (*policy.mlp_extractor.policy_net, policy.action_net)
     layers = [
         (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy())
-        for layer in (*linear, policy.action_net)
+        for layer in inner
+        if isinstance(layer, torch.nn.Linear)
     ]
     return Actor(statistics.mean.copy(), np.sqrt(statistics.var + VARIANCE_FLOOR), layers)
 

@@ -1,6 +1,5 @@
 """Reach with an object of one's own: PPO on the task of Meta-World's MT1 (supplementary J)."""
 
-import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -10,15 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
-from PIL import Image
-from scipy.stats import binomtest
 
-from objectfolder.artifacts import atomic, file_digest
 from objectfolder.benchmarks.actor import Actor
+from objectfolder.benchmarks.film import write_gif
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.params import ReachParams
 from objectfolder.benchmarks.ppo import train_ppo
-from objectfolder.benchmarks.running import code_digest, leave
+from objectfolder.benchmarks.running import leave, object_identity
+from objectfolder.benchmarks.scores import share_95
 from objectfolder.envs.body import RigidBody, rigid_body
 from objectfolder.envs.reach import ACTION_SCALE, TIP, ReachEnv
 from objectfolder.objectfile import ObjectFile
@@ -29,9 +27,10 @@ if TYPE_CHECKING:
 
 #: Of the training curves; figures are those of the validation goals.
 CURVE_COLUMNS = ("seed", "steps", "val_last", "val_any", "val_return", "val_distance")
+TASKS = ("reach", "reach_metaworld")  #: with a floating hand, and with Meta-World's Sawyer arm
 POLICIES = ("ppo", "controller", "random", "nothing")  #: that are scored
 GAIN = 0.5  #: of the controller: share of the way to the goal that it asks for in a step
-FRAME_STEPS = 4  #: control steps from one frame of a film to the next: 20 per second
+FRAME_STEPS, FRAME = 4, 0.05  #: from one frame of a film to the next: control steps, seconds
 
 Policy = Callable[[np.ndarray], np.ndarray]  #: observation (39,) -> action (4,)
 Env = gymnasium.Env[np.ndarray, np.ndarray]
@@ -89,13 +88,13 @@ def random_policy(rng: np.random.Generator) -> Policy:
     return lambda observation: rng.uniform(-1, 1, 4).astype(np.float32)
 
 
-def environments(simulator: str, body: RigidBody, horizon: int) -> Callable[..., Env]:
-    """Return what makes the environments of a task: ``objectfolder``, or ``metaworld`` with the Sawyer arm."""
-    if simulator == "metaworld":
-        from objectfolder.envs.metaworld import MetaWorldReach
+def environment(task: str) -> Callable[..., Env]:
+    """Class of the environments of a task, one of `TASKS`."""
+    if task == "reach":
+        return ReachEnv
+    from objectfolder.envs.metaworld import MetaWorldReach
 
-        return partial(MetaWorldReach, body, horizon=horizon)
-    return partial(ReachEnv, body, horizon=horizon)
+    return MetaWorldReach
 
 
 def reach(
@@ -104,6 +103,7 @@ def reach(
     seed: int,
     progress: Path,
     report: Callable[[str], None] = lambda line: None,
+    task: str = "reach",
 ) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train PPO with one object on the table, and score it on goals that no training met.
 
@@ -118,18 +118,20 @@ def reach(
         interrupted goes on from it: it must be empty, or of a call with the same arguments.
     report : callable
         Called with a line about each part of a training.
+    task : str
+        One of `TASKS`.
 
     Returns
     -------
     dict
         For each of `POLICIES` its success at the ``last`` step and at ``any`` time, both with ``interval_95``
-        (Clopper and Pearson, over all episodes), mean ``return`` and ``distance`` at the end (m); for PPO the
+        (Wilson, over all episodes), mean ``return`` and ``distance`` at the end (m); for PPO the
         success of each of the ``seeds``. The numbers of ``episodes`` and, for each training, of control
         ``steps``; ``seconds`` of training.
     list
         Rows of the training curves: `CURVE_COLUMNS`.
     """
-    make = environments(params.simulator, body, params.horizon)
+    make = partial(environment(task), body, horizon=params.horizon)
     goals = {part: fresh_seeds(seed, body.key, part, params.goals) for part in ("val", "test")}
     env = make()
 
@@ -142,13 +144,13 @@ def reach(
     for run in range(params.seeds):
 
         def say(done: int, figures: tuple[float, ...], elapsed: float, run: int = run) -> None:
+            last, ever = (round(100 * share) for share in figures[:2])
             report(
-                f"reach {body.key}, seed {run + 1} of {params.seeds}: {done} of at most {params.steps} steps, "
-                f"validation success {100 * figures[0]:.0f} % at the last step, {100 * figures[1]:.0f} % at any "
-                f"time, {elapsed:.0f} s"
+                f"{task} {body.key}, seed {run + 1} of {params.seeds}, {done} of {params.steps} steps: "
+                f"validation success {last} % at the last step, {ever} % at any time, {elapsed:.0f} s"
             )
 
-        purpose = ("reach", body.key, str(run))
+        purpose = (task, body.key, str(run))
         actor, rows, took = train_ppo(make, params, seed, purpose, validate, progress / f"{run}.pt", say)
         actors.append(actor)
         curve += [[run, int(row[0]), *row[1:]] for row in rows]
@@ -157,19 +159,19 @@ def reach(
     trained = [episodes(env, actor, goals["test"]) for actor in actors]
     rng = numpy_generator(seed, "reach", body.key, "random")
     baselines = {"controller": controller, "random": random_policy(rng), "nothing": nothing}
-    scores = {name: _summary([episodes(env, policy, goals["test"])]) for name, policy in baselines.items()}
-    actors[0].save(progress / "model.safetensors", f"reach {body.key}, {params.simulator}")
+    scores = {name: _summary([episodes(env, act, goals["test"])]) for name, act in baselines.items()}
+    actors[0].save(progress / "model.safetensors", f"{task} {body.key}")
     if "rgb_array" in env.metadata["render_modes"]:
         shown = [trained[0].last.argmax(), *np.flatnonzero(~trained[0].last)[:1]]
         frames = film(make(render_mode="rgb_array"), actors[0], [goals["test"][i] for i in shown])
-        write_gif(progress / "episodes.gif", frames)
+        write_gif(progress / "episodes.gif", frames, FRAME)
     env.close()
     return {
         "ppo": _summary(trained),
         **scores,
         "episodes": params.goals,
         "horizon": params.horizon,
-        "simulator": params.simulator,
+        "task": task,
         "steps": steps,
         "seconds": seconds,
     }, curve
@@ -187,23 +189,17 @@ def film(env: Env, policy: Policy, seeds: Sequence[int]) -> list[np.ndarray]:
     return frames
 
 
-def write_gif(path: Path, frames: Sequence[np.ndarray]) -> None:
-    """Write frames as a GIF that repeats, 20 frames per second."""
-    first, *rest = [Image.fromarray(frame) for frame in frames]
-    with atomic(path) as temporary:
-        first.save(temporary, save_all=True, append_images=rest, duration=50, loop=0)
-
-
 def run_reach(
     path: Path,
     hulls: "Sequence[trimesh.Trimesh]",
     params: SimpleNamespace,
     folder: Benchmarks,
     report: Callable[[str], None],
+    task: str = "reach",
 ) -> float:
     """Run the task with an Object File, and write scores, curves, policy and film.
 
-    An interrupted call is gone on from, unless object, hulls, parameters or the code of the task have changed.
+    An interrupted call is gone on from, unless object, hulls, parameters or the task's code have changed.
 
     Parameters
     ----------
@@ -211,10 +207,12 @@ def run_reach(
     hulls : sequence of trimesh.Trimesh
         Convex parts of the object.
     params : SimpleNamespace
-        ``section`` and ``seed``; see `objectfolder.benchmarks.params.reach_params`.
+        ``section`` and ``seed``; see `objectfolder.benchmarks.params.robot_params`.
     folder : Benchmarks
     report : callable
         Called with a line about each part of a training.
+    task : str
+        One of `TASKS`.
 
     Returns
     -------
@@ -226,24 +224,17 @@ def run_reach(
         If the object does not fit into the scene.
     """
     body = rigid_body(ObjectFile.load(path), hulls)
-    shapes = hashlib.sha256(b"".join(np.ascontiguousarray(hull.vertices).tobytes() for hull in hulls))
-    identity = (file_digest(path), shapes.hexdigest(), params, code_digest(reach))
-    progress = folder.progress("reach", body.key, identity)
-    scores, curve = reach(body, params.section, params.seed, progress, report)
-    return leave("reach", body.key, folder, progress, scores, CURVE_COLUMNS, curve)
+    progress = folder.progress(task, body.key, object_identity(path, hulls, params, reach))
+    scores, curve = reach(body, params.section, params.seed, progress, report, task)
+    return leave(task, body.key, folder, progress, scores, CURVE_COLUMNS, curve)
 
 
 def _summary(played: Sequence[Episodes]) -> dict[str, Any]:
     last, ever = (np.array([getattr(part, name) for part in played]) for name in ("last", "ever"))
     return {
-        "last": _share(last),
-        "any": _share(ever),
+        "last": share_95(last),
+        "any": share_95(ever),
         "return": float(np.mean([part.returns for part in played])),
         "distance": float(np.mean([part.distance for part in played])),
         "seeds": [float(value) for value in last.mean(1)],
     }
-
-
-def _share(success: np.ndarray) -> dict[str, Any]:
-    interval = binomtest(int(success.sum()), success.size).proportion_ci(0.95, "exact")
-    return {"rate": float(success.mean()), "interval_95": [float(interval.low), float(interval.high)]}

@@ -1,6 +1,7 @@
 """Run a task on one split and leave its results: what the stages and the command line share."""
 
 import csv
+import hashlib
 import inspect
 import platform
 import re
@@ -8,8 +9,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from shutil import rmtree
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 
 import objectfolder
@@ -19,6 +21,9 @@ from objectfolder.benchmarks.job import Job, Samples
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.splits import named_split
 from objectfolder.sources import digests
+
+if TYPE_CHECKING:
+    import trimesh
 
 #: What a task leaves in its progress folder under these names is kept: a net to ask, a picture or a film to
 #: look at.
@@ -126,6 +131,23 @@ def leave(
     rmtree(progress, ignore_errors=True)
     seconds: float = scores["seconds"]
     return seconds
+
+
+def object_identity(
+    path: Path, hulls: "Sequence[trimesh.Trimesh]", params: SimpleNamespace, task: Callable[..., Any]
+) -> tuple[Any, ...]:
+    """All that the results of a robot's task with an object follow from, for `Benchmarks.progress`.
+
+    Parameters
+    ----------
+    path : Path
+        The Object File.
+    hulls : sequence of trimesh.Trimesh
+    params : SimpleNamespace
+    task : callable
+    """
+    shapes = hashlib.sha256(b"".join(np.ascontiguousarray(hull.vertices).tobytes() for hull in hulls))
+    return file_digest(path), shapes.hexdigest(), params, code_digest(task)
 
 
 def machine(device: str | None = None) -> str:

@@ -1,6 +1,7 @@
 """How good answers are: accuracy, mean average precision, and how sure we are of a mean."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtri, stdtrit
@@ -62,6 +63,22 @@ def wilson_95(share: float, count: int) -> tuple[float, float]:
     middle = (share + z**2 / (2 * count)) / (1 + z**2 / count)
     half = z * np.sqrt(share * (1 - share) / count + z**2 / (4 * count**2)) / (1 + z**2 / count)
     return float(max(middle - half, 0)), float(min(middle + half, 1))
+
+
+def share_95(success: np.ndarray) -> dict[str, Any]:
+    """Rate of success and its 95 % interval (`wilson_95`), over all episodes together.
+
+    Parameters
+    ----------
+    success : bool array of any shape
+
+    Returns
+    -------
+    dict
+        ``rate`` and ``interval_95``, a list of both ends.
+    """
+    rate = float(np.mean(success))
+    return {"rate": rate, "interval_95": list(wilson_95(rate, np.size(success)))}
 
 
 def mean_average_precision(

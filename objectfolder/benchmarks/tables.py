@@ -31,6 +31,8 @@ GRASP_POLICIES = {
     "random": ("random actions", "53.0"),
     "nothing": ("none", "-"),
 }
+PAPER_REACH = "100"  #: success with each of three objects, %; the paper does not say when
+HANDS = {"reach": "floating hand", "reach_metaworld": "Meta-World's Sawyer arm"}
 REACH_POLICIES = {
     "ppo": "PPO",
     "controller": "straight to the goal",
@@ -111,20 +113,19 @@ def reach_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
                     *(_rate(played[when]) for when in ("last", "any")),
                     f"{1000 * played['distance']:.0f}",
                     f"{played['return'] / score['horizon']:.2f}",
-                    "/".join(f"{steps / 1000:.0f}k" for steps in score["steps"]) if policy == "ppo" else "-",
-                    "100" if policy == "ppo" else "-",
+                    *((_thousands(score["steps"]), PAPER_REACH) if policy == "ppo" else ("-", "-")),
                 )
             )
     first = next(iter(scores.values()))
     return Table(
-        "Reach: success in %",
+        f"Reach, {HANDS[first['task']]}: success in %",
         (
             *("object", "policy", "at the last step", "at any time", "mm from the goal at the end"),
             *("reward per step, of 10", "steps of training", "paper"),
         ),
         rows,
-        f"{first['episodes']} fresh goals per training, {first['horizon']} control steps each; in brackets the "
-        f"95 % interval (Clopper and Pearson). Hand: {first['simulator']}.",
+        f"{first['episodes']} fresh goals per training, {first['horizon']} control steps each; in brackets "
+        f"the 95 % interval (Wilson).",
     )
 
 
@@ -140,10 +141,14 @@ def grasping_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
         "Grasping by touch: success in %",
         ("object", "policy", "success", "each seed", "paper"),
         rows,
-        f"{first['rollouts']} fresh rollouts per seed, {first['episodes']} episodes of training; in brackets the "
-        f"95 % interval (Wilson) over all rollouts. While policies learn, and in row touch, features are those of "
-        f"the nearest of {first['presses']} presses; exact: each is asked of the Object File.",
+        f"{first['rollouts']} fresh rollouts per seed, at most {first['episodes']} episodes of training; in "
+        "brackets the 95 % interval (Wilson) over all rollouts. While policies learn, and in row touch, "
+        f"features are those of the nearest of {first['presses']} presses; exact: the Object File is asked.",
     )
+
+
+def _thousands(steps: Sequence[int]) -> str:
+    return "/".join(f"{count / 1000:.0f}k" for count in steps)
 
 
 def _rate(share: Mapping[str, Any]) -> str:

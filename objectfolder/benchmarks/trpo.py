@@ -149,13 +149,13 @@ def train_trpo(
         model.num_timesteps = 0
         model.ep_info_buffer = None
         model.learn(params.updates * steps, reset_num_timesteps=False)
-        episodes = [episode["r"] for episode in model.ep_info_buffer or ()]
+        played: Any = model.ep_info_buffer
         actor = _actor(model)
         success = validate(actor)
         if not curve or success >= max(row[2] for row in curve):
             best = actor
         done = (curve[-1][0] if curve else 0) + params.updates * steps // STEPS
-        curve.append([done, float(np.mean(episodes)), success])
+        curve.append([done, float(np.mean([episode["r"] for episode in played])), success])
         seconds = before + time.perf_counter() - start
         state = {
             "format": FORMAT,
@@ -186,7 +186,7 @@ def _part_seed(seed: int, purpose: tuple[str, ...], part: int) -> int:
 
 def _actor(model: TRPO) -> Actor:
     """Mean action of the policy as it is now."""
-    policy = model.policy
+    policy: Any = model.policy
     linear = [layer for layer in policy.mlp_extractor.policy_net if isinstance(layer, torch.nn.Linear)]
     layers = [
         (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy())

@@ -8,8 +8,7 @@ from rich.markup import escape
 
 from objectfolder.cli import (
     bench,
-    bench_grasp,
-    bench_reach,
+    bench_robots,
     export,
     objectfile,
     objects,
@@ -50,8 +49,9 @@ app.command("import")(released.import_released)
 app.add_typer(objectfile.query_app, name="query")
 app.add_typer(sample.sample_app, name="sample")
 app.add_typer(sensor.sensor_app, name="sensor")
-for command in (bench_grasp.stability, bench_grasp.grasping, bench_reach.reach):
-    bench.bench_app.command()(command)
+bench.bench_app.command()(bench_robots.stability)
+bench.bench_app.command()(bench_robots.grasping)
+bench.bench_app.command()(bench_robots.reach)
 app.add_typer(bench.bench_app, name="bench")
 app.add_typer(export.export_app, name="export")
 

@@ -31,8 +31,8 @@ MODULES = {
 bench_app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="markdown",
-    help="Run the paper's benchmark tasks on Object Files: `recognition`, `retrieval`, `reconstruction`, and, "
-    "with a robot, `stability`, `grasping`, `reach`.\n\n"
+    help="Run the paper's benchmark tasks on Object Files: `recognition`, `retrieval`, `reconstruction`, and,"
+    " with a robot, `stability`, `grasping`, `reach`.\n\n"
     "Objects are observed first: random views, impacts and touches are drawn from each Object File and kept "
     "in OUT/observations, where the next task finds them; grasps in OUT/grasps. What was interrupted goes on "
     "where it was.",

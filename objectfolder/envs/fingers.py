@@ -93,8 +93,10 @@ def press_depths(file: ObjectFile, pressed: Presses, forces: np.ndarray) -> np.n
     profile = sensor_profile(file)
     coarse = replace(profile, height=profile.height // COARSE, width=profile.width // COARSE)
     depths = np.geomspace(LEAST_DEPTH, profile.max_indentation, LEVELS)
-    points, angles = _queries(file, pressed)
-    felt = np.stack([file.press(points, depth, *angles, sensor=coarse).force for depth in depths], 1)
+    points, angle, tilt, azimuth = _queries(file, pressed)
+    felt = np.stack(
+        [file.press(points, depth, angle, tilt, azimuth, sensor=coarse).force for depth in depths], 1
+    )
     felt = np.maximum.accumulate(np.maximum(felt, 1e-9), 1)
     levels, wanted = np.log(depths), np.log(np.maximum(forces, 1e-9))
     return np.exp([np.interp(f, row, levels) for f, row in zip(wanted, np.log(felt))])
@@ -106,10 +108,10 @@ def feel(file: ObjectFile, pressed: Presses, depths: np.ndarray) -> np.ndarray:
     A touch net that stores images of points knows one depth and one direction; it gets the points alone.
     """
     net = file.header["touch"]["net"]
-    points, angles = _queries(file, pressed)
+    points, angle, tilt, azimuth = _queries(file, pressed)
     if "press_depth" in net:
         return file.touch(points, depths, float(net.get("angle", 0.0)))
-    return file.touch(points, depths, *angles)
+    return file.touch(points, depths, angle, tilt, azimuth)
 
 
 class TrueSurface:
@@ -146,8 +148,8 @@ def sensor_profile(file: ObjectFile) -> SensorProfile:
     return load_profile(stored) if isinstance(stored, str) else SensorProfile.from_dict(stored)
 
 
-def _queries(file: ObjectFile, pressed: Presses) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-    """Nearest points of the surface, and what to ask the touch net there."""
+def _queries(file: ObjectFile, pressed: Presses) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Nearest points of the surface, and angle, tilt and azimuth to ask the touch net for there."""
     points, _ = file.nearest(pressed.points)
     normals = contact_normals(file.surface.grid.smooth_distance, points / file.scale, NORMAL_RADIUS)
-    return points, sensor_angles(normals, pressed.outward, pressed.up)
+    return points, *sensor_angles(normals, pressed.outward, pressed.up)

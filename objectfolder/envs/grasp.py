@@ -33,8 +33,8 @@ PROBE = 0.0015  #: depth at which fingers feel, m
 FEATURES = (8, 6)  #: height and width of what a tactile image is averaged to
 CONTRAST = 16.0  #: of features: differences of images, which are small; the bound of all observations
 STATE = 3  #: numbers beside what is felt: see `GraspEnv`
-#: An object starts up to so far from under the hand along its short side, m; along its long side, share of it;
-#: turned by so much, rad.
+#: An object starts up to so far from under the hand along its short side, m; along its long side, share of
+#: it; turned by so much, rad.
 START = (0.02, 0.4, 0.75)
 #: What an action of 1 moves: across and along, m; up, m; rad.
 ACTION = np.array([0.012, 0.025, 0.008, 0.35])
@@ -156,7 +156,8 @@ class GraspTask:
         spread = np.array([START[0], START[1] * self.size[1], START[2]])
         objects = rng.uniform(-spread, spread, (count, 3))
         hands = np.zeros((count, 4))
-        hands[:, 2] = rng.uniform(*self.heights, count)
+        low, high = self.heights
+        hands[:, 2] = rng.uniform(low, high, count)
         return objects, hands
 
     def moved(self, hands: np.ndarray, actions: np.ndarray) -> np.ndarray:
@@ -261,7 +262,7 @@ class Episodes:
         if self.features is None and self.observation in ("features", "images"):
             self.features = TouchFeatures(self.task.file)
 
-    def space(self) -> spaces.Space:
+    def space(self) -> spaces.Space[Any]:
         """Of one episode's observations."""
         state = spaces.Box(-CONTRAST, CONTRAST, (STATE,), np.float32)
         if self.observation == "images":
@@ -317,11 +318,13 @@ class Episodes:
 
 
 class GraspEnv(gymnasium.Env[Any, np.ndarray]):
-    """One object, one gripper, two fingers that feel: ``gymnasium.make("ObjectFolder/Grasp-v0", file=...)``.
+    """One object, one gripper, two fingers that feel.
+
+    ``gymnasium.make("objectfolder.envs:ObjectFolder/Grasp-v0", file="build/mug/ObjectFile.safetensors")``
 
     Observation (float32): features of the left and the right finger's tactile images; then which step it is,
-    the height of the hand, and the opening of the jaws when they touch. Action: dx, dy, dz, dphi in [-1, 1], in
-    units of `ACTION`. Reward: 1 for an object that is held after the last step, else 0.
+    the height of the hand, and the opening of the jaws when they touch. Action: dx, dy, dz, dphi in [-1, 1],
+    in units of `ACTION`. Reward: 1 for an object that is held after the last step, else 0.
 
     Parameters
     ----------

@@ -119,8 +119,8 @@ class GraspScene:
         width = self._narrowest()
         if width > STROKE:
             raise ObjectFolderError(
-                f"{body.key} is too large for the gripper: at its narrowest {1000 * width:.0f} mm across, and "
-                f"the jaws open {1000 * STROKE:.0f} mm; take a smaller object, or build it at a smaller scale"
+                f"{body.key} is too large for the gripper: at its narrowest {1000 * width:.0f} mm across, "
+                f"and the jaws open {1000 * STROKE:.0f} mm; take a smaller object, or build it at a smaller scale"
             )
 
     def rests(self, rng: np.random.Generator, count: int = DROPS) -> np.ndarray:
@@ -158,7 +158,7 @@ class GraspScene:
         return found
 
     def free(self, objects: np.ndarray, hands: np.ndarray) -> np.ndarray:
-        """Whether the open gripper comes down to (N, 4) poses past (N, 7) objects and the table; (N,) bool."""
+        """Whether the open gripper comes down to (N, 4) poses past (N, 7) objects; (N,) bool."""
         model, data, clear = self._reach, self._reach_data, []
         for place, hand in zip(objects, hands):
             mujoco.mj_resetData(model, data)

@@ -5,7 +5,7 @@ Needs ``metaworld`` 3.1.1, which pins another MuJoCo: give it an environment of 
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import mujoco
@@ -13,7 +13,15 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from objectfolder.envs.body import RigidBody, add_body
-from objectfolder.envs.reach import OBJECT_HIGH, OBJECT_LOW, check_size, lowest, what_stands
+from objectfolder.envs.reach import (
+    GOAL_HIGH,
+    GOAL_LOW,
+    OBJECT_HIGH,
+    OBJECT_LOW,
+    check_size,
+    lowest,
+    what_stands,
+)
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile import ObjectFile
 
@@ -55,10 +63,8 @@ class SawyerReachObject(SawyerReachEnvV3):
         self.__dict__.pop("sawyer_observation_space", None)  # the one without goals
         height = -lowest(body)
         self.init_config["obj_init_pos"][2] = height
-        space = self._random_reset_space
-        low, high = space.low.copy(), space.high.copy()
-        low[:3], high[:3] = (*OBJECT_LOW, height), (*OBJECT_HIGH, height)
-        self._random_reset_space = Box(low, high, dtype=np.float64)
+        low, high = (*OBJECT_LOW, height, *GOAL_LOW), (*OBJECT_HIGH, height, *GOAL_HIGH)
+        self._random_reset_space = Box(np.array(low), np.array(high), dtype=np.float64)
 
     def _initialize_simulation(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
         spec = mujoco.MjSpec.from_file(self.fullpath)
@@ -70,6 +76,7 @@ class SawyerReachObject(SawyerReachEnvV3):
         return model, mujoco.MjData(model)
 
     def reset_mocap_welds(self) -> None:
+        """Let the hand follow its target: as Meta-World does it, for MuJoCo 4 too."""
         welds = self.model.eq_type == mujoco.mjtEq.mjEQ_WELD
         self.model.eq_data[welds, : len(WELD)] = WELD
 
@@ -100,7 +107,7 @@ class MetaWorldReach(gymnasium.Env[np.ndarray, np.ndarray]):
         If the object is too large for the scene.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+    metadata = {"render_modes": []}  # noqa: RUF012 - as the base class has it
 
     def __init__(
         self,

@@ -7,7 +7,7 @@ Meta-World 3.1.1 (Yu et al. 2020, CoRL); the Sawyer arm is left out: its hand fl
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import mujoco
@@ -87,7 +87,7 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     >>> observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 80}
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 80}  # noqa: RUF012 - as the base class has it
 
     def __init__(
         self,
@@ -153,7 +153,7 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         info = {"success": float(distance <= SUCCESS_RADIUS), "distance": distance}
         return self._observation(), reward(distance, self._margin), False, self._steps >= self.horizon, info
 
-    def render(self) -> np.ndarray | None:  # type: ignore[override]
+    def render(self) -> np.ndarray | None:
         """Picture of the scene, (height, width, 3) uint8; None without ``render_mode``."""
         if self.render_mode is None:
             return None
@@ -204,9 +204,14 @@ def scene(body: RigidBody) -> mujoco.MjModel:
     Raises
     ------
     ObjectFolderError
-        If the object is too large.
+        If the object is too large, or MuJoCo too old.
     """
     check_size(body)
+    if int(mujoco.__version__.partition(".")[0]) < 4:
+        raise ObjectFolderError(
+            f"MuJoCo {mujoco.__version__} is installed, expected 4 or newer (metaworld pins an older one, "
+            "for an environment of its own): pip install 'objectfolder[rl]'"
+        )
     spec = mujoco.MjSpec()
     spec.option.timestep = TIME_STEP
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC

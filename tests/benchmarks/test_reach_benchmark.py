@@ -1,18 +1,23 @@
 import shutil
+from itertools import pairwise
 from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
 import pytest
 import torch
+import typer
 from gymnasium.spaces import Box
+from objectfolder.cli.bench_reach import reach as reach_command
 from PIL import Image
+from ruamel.yaml import YAML
+from typer.testing import CliRunner
 
 from objectfolder.artifacts import read_json, write_safetensors
 from objectfolder.benchmarks import ppo
 from objectfolder.benchmarks.actor import Actor
 from objectfolder.benchmarks.layout import Benchmarks
-from objectfolder.benchmarks.params import ReachParams, reach_params
+from objectfolder.benchmarks.params import ReachParams, robot_params
 from objectfolder.benchmarks.ppo import train_ppo
 from objectfolder.benchmarks.reach import (
     CURVE_COLUMNS,
@@ -26,12 +31,12 @@ from objectfolder.benchmarks.reach import (
     reach,
     run_reach,
 )
+from objectfolder.benchmarks.tables import reach_table
 from objectfolder.envs.body import rigid_body
 from objectfolder.envs.reach import ReachEnv
 from objectfolder.errors import ObjectFolderError
 
 TINY = ReachParams(
-    simulator="objectfolder",
     seeds=1,
     steps=32,
     horizon=8,
@@ -109,7 +114,7 @@ def test_ppo_learns_and_stops_when_nothing_fails_twice(tmp_path):
     actor, curve, seconds = _train(tmp_path / "a.pt", steps=12800)
     assert _score(actor)[0] == 1
     assert curve[-1][1] == curve[-2][1] == 1
-    assert all(row[1] == 0 or after[1] == 0 for row, after in zip(curve[:-2], curve[1:-1]))
+    assert not any(row[1] == after[1] == 1 for row, after in pairwise(curve[:-1]))
     assert [row[0] for row in curve] == [128 * (part + 1) for part in range(len(curve))]  # 2 rollouts of 64
     assert seconds > 0
 
@@ -278,7 +283,7 @@ def test_a_run_leaves_its_files_and_goes_on_where_it_was(brick_path, hulls, tmp_
     run_reach(brick_path, hulls, params, whole, print)
     files = {path.name for path in whole.dir.iterdir()} - {".progress"}
     assert files == {f"reach_brick.{suffix}" for suffix in ("json", "csv", "gif", "safetensors")}
-    assert read_json(whole.result("reach", "brick"))["simulator"] == "objectfolder"
+    assert read_json(whole.result("reach", "brick"))["task"] == "reach"
     with Image.open(whole.film("reach", "brick")) as picture:
         assert picture.n_frames >= 2
     assert not any((whole.dir / ".progress").iterdir())
@@ -298,9 +303,45 @@ def test_a_run_leaves_its_files_and_goes_on_where_it_was(brick_path, hulls, tmp_
 
 def test_params_are_read_and_checked(tmp_path):
     values = {"seed": 3, "sensor": "digit", "reach": TINY.model_dump()}
-    assert reach_params(values) == SimpleNamespace(section=TINY, seed=3)
-    values["reach"] |= {"simulator": "bullet"}
-    with pytest.raises(ObjectFolderError, match="reach: simulator"):
-        reach_params(values)
+    assert robot_params("reach", values) == SimpleNamespace(section=TINY, seed=3)
+    values["reach"] |= {"discount": 1.5}
+    with pytest.raises(ObjectFolderError, match="reach: discount"):
+        robot_params("reach", values)
     with pytest.raises(ObjectFolderError, match="lacks section 'reach'"):
-        reach_params({"seed": 0, "sensor": "digit"})
+        robot_params("reach", {"seed": 0, "sensor": "digit"})
+
+
+def _played(last, ever):
+    share = {"interval_95": [0.96378, 1.0]}
+    shares = {"last": share | {"rate": last}, "any": share | {"rate": ever}}
+    return shares | {"return": 950.0, "distance": 0.0123, "seeds": [last]}
+
+
+def test_a_table_has_a_row_for_each_policy_of_each_object():
+    policies = dict.fromkeys(POLICIES, _played(0.97, 1.0))
+    scores = policies | {
+        "episodes": 100,
+        "horizon": 100,
+        "task": "reach",
+        "steps": [163840, 81920],
+    }
+    shown = reach_table({"cup": scores, "die": scores})
+    assert [row[0] for row in shown.rows] == ["cup"] * 4 + ["die"] * 4
+    assert shown.rows[0] == ("cup", "PPO", "97 (96-100)", "100 (96-100)", "12", "9.50", "164k/82k", "100")
+    assert shown.rows[3][1:] == ("none", "97 (96-100)", "100 (96-100)", "12", "9.50", "-", "-")
+    assert all(len(row) == len(shown.columns) for row in shown.rows)
+
+
+def test_the_command_runs_the_task_and_shows_the_table(brick_path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    values = {"seed": 0, "sensor": "digit", "objects": {}, "procedural": {}, "reach": TINY.model_dump()}
+    YAML().dump(values, tmp_path / "params.yaml")
+    app = typer.Typer()
+    app.command()(reach_command)
+    told = CliRunner().invoke(app, [str(brick_path), "--out", "here", "--jobs", "1"], catch_exceptions=False)
+    assert told.exit_code == 0
+    assert "brick" in told.output
+    folder = Benchmarks("here")
+    assert read_json(folder.result("reach", "brick"))["episodes"] == TINY.goals
+    assert read_json(folder.machine("reach", "brick"))["threads"] == 1
+    assert (folder.hulls / "brick.npz").is_file()

@@ -183,5 +183,5 @@ def test_files_that_cannot_be_grasped(brick, hulls):
 
 def test_damaged_hulls_are_named(brick, tmp_path):
     (tmp_path / "brick.npz").write_bytes(b"no archive")
-    with pytest.raises(ObjectFolderError, match="brick.npz"):
+    with pytest.raises(ObjectFolderError, match=r"brick\.npz"):
         GraspEnv(brick, "blind", tmp_path)

@@ -94,10 +94,10 @@ def test_the_table_does_not_mind_where_a_grasp_is(scene, flat):
 
 
 def test_what_the_gripper_would_run_into_is_not_free(scene, flat):
-    hands = np.concatenate([over(scene), over(scene, yaw=np.pi / 2), over(scene) - [0, 0, 0.01, 0]])
+    hands = np.concatenate([over(scene), over(scene, yaw=np.pi / 2), over(scene) - np.array([0, 0, 0.01, 0])])
     # Over its 6 cm; over its 10 cm, which the jaws just clear; through the table.
     assert scene.free(np.repeat(flat, 3, 0), hands).tolist() == [True, True, False]
-    beside = over(scene) + [0.045, 0, 0, 0]  # a finger would come down on the brick
+    beside = over(scene) + np.array([0.045, 0, 0, 0])  # a finger would come down on the brick
     assert scene.free(flat, beside).tolist() == [False]
 
 

@@ -1,5 +1,7 @@
+import sys
 import warnings
 from dataclasses import replace
+from importlib import import_module
 
 import gymnasium
 import numpy as np
@@ -210,12 +212,28 @@ def test_wrong_arguments_are_named(body, arguments, message):
         ReachEnv(body, **arguments)
 
 
+def test_an_older_mujoco_is_named(body, monkeypatch):
+    monkeypatch.setattr("mujoco.__version__", "3.3.0")
+    with pytest.raises(ObjectFolderError, match=r"MuJoCo 3\.3\.0 is installed, expected 4"):
+        ReachEnv(body)
+
+
 @pytest.mark.parametrize("action", [[0, 0, 0], [0, 0, np.nan, 0]])
 def test_wrong_actions_are_named(body, action):
     env = ReachEnv(body)
     env.reset(seed=0)
     with pytest.raises(ObjectFolderError, match="expected 4 finite numbers"):
         env.step(np.array(action))
+
+
+def test_without_metaworld_it_is_said_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "metaworld", None)
+    monkeypatch.delitem(sys.modules, "metaworld.envs.sawyer_reach_v3", raising=False)
+    monkeypatch.delitem(sys.modules, "objectfolder.envs.metaworld", raising=False)
+    with pytest.raises(
+        ObjectFolderError, match=r"metaworld.* is not installed; this needs metaworld 3\.1\.1"
+    ):
+        import_module("objectfolder.envs.metaworld")
 
 
 def test_metaworld_with_an_own_object(body):
