@@ -66,8 +66,8 @@ def grasp_policy(
     -------
     dict
         By policy (`OBSERVED`, ``touch_exact``, ``random`` and ``nothing``) the ``rate`` of success, its
-        ``interval_95`` over all rollouts (Wilson), and the rates of the ``seeds``; numbers of ``rollouts`` per
-        seed, of ``episodes`` and of ``presses`` that the bank holds; ``seconds`` of training.
+        ``interval_95`` over all rollouts (Wilson), and the rates of the ``seeds``; the numbers of
+        ``rollouts`` per seed, of ``episodes`` of a training and of ``presses`` that the bank holds; ``seconds`` of training.
     list
         Rows of the training curves: `CURVE_COLUMNS`.
     """
@@ -92,16 +92,12 @@ def grasp_policy(
                     f"{took:.0f} s"
                 )
 
+            def validate(actor: Actor, observation: str = observation) -> float:
+                return float(rollouts(observation, bank, actor, "val").mean())
+
+            purpose = ("grasp_policy", key, name, str(run))
             actor, rows, took = train_trpo(
-                env,
-                params,
-                seed,
-                ("grasp_policy", key, name, str(run)),
-                lambda actor, observation=observation: float(
-                    rollouts(observation, bank, actor, "val").mean()
-                ),
-                progress / f"{name}_{run}.pt",
-                say,
+                env, params, seed, purpose, validate, progress / f"{name}_{run}.pt", say
             )
             actors[name, run] = actor
             curve += [[name, run, int(row[0]), *row[1:]] for row in rows]

@@ -120,7 +120,7 @@ class GraspScene:
         if width > STROKE:
             raise ObjectFolderError(
                 f"{body.key} is too large for the gripper: at its narrowest {1000 * width:.0f} mm across, "
-                f"and the jaws open {1000 * STROKE:.0f} mm; take a smaller object, or build it at a smaller scale"
+                f"and the jaws open {1000 * STROKE:.0f} mm; take another object, or build it smaller"
             )
 
     def rests(self, rng: np.random.Generator, count: int = DROPS) -> np.ndarray:

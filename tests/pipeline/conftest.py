@@ -110,6 +110,20 @@ TINY = {
         "score_points": 500,
         "views": 1,
     },
+    "decompose": {"hulls": 2},
+    "grasp_data": {"grasps": 10, "perturbations": 0, "image": 16, "touch": [16, 12]},
+    "grasp_policy": {
+        "seeds": 1,
+        "episodes": 8,
+        "environments": 2,
+        "rollout": 4,
+        "updates": 1,
+        "batch": 8,
+        "width": 8,
+        "rollouts": 4,
+        "presses": 4,
+    },
+    "reach": {"steps": 256, "goals": 2, "horizon": 5, "environments": 2, "rollout": 8, "batch": 8, "width": 8},
 }
 CLOSING = {"wall": None, "bridge": "all"}
 TINY_OBJECTS = {

@@ -6,7 +6,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from objectfolder import params
-from objectfolder.artifacts import code_list
+from objectfolder.artifacts import Build, code_list
 from objectfolder.benchmarks import params as benchmarks
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.sources import imported_files
@@ -14,7 +14,7 @@ from objectfolder.sources import imported_files
 ROOT = Path(__file__).parents[2]
 STAGES = YAML(typ="safe").load((ROOT / "dvc.yaml").read_text())["stages"]
 HASH_CODE = STAGES.pop("hash_code")
-OF_OBJECTS = sorted(set(STAGES) - {"generate", *params.TASKS})
+OF_OBJECTS = sorted(set(STAGES) - {"generate", *params.TASKS, *params.ROBOT_STAGES})
 
 
 def modules(*stages):
@@ -54,10 +54,23 @@ def test_tasks_declare_their_section_and_all_observations(task):
     declared = STAGES[task]["do"]
     assert STAGES[task]["foreach"] == f"${{benchmarks.{task}}}"
     assert set(declared["params"]) == {"seed", "encode", task}
-    assert Benchmarks().observations("any").parent.as_posix() in declared["deps"]
+    seen = Benchmarks().grasps if task == "grasp_stability" else Benchmarks().observations
+    assert seen("any").parent.as_posix() in declared["deps"]
     assert STAGES["observe"]["do"]["outs"] == [Benchmarks().observations("${key}").as_posix()]
+    assert STAGES["grasp_data"]["do"]["outs"] == [Benchmarks().grasps("${item}").as_posix()]
     got = vars(benchmarks.stage_params(task, ROOT / "params.yaml"))
     assert set(got) == {"seed", "encode", "section", "keys"}
+
+
+@pytest.mark.parametrize("stage", params.ROBOT_STAGES)
+def test_what_robots_do_declares_its_section_and_the_hulls(stage):
+    declared = STAGES[stage]["do"]
+    assert STAGES[stage]["foreach"] == f"${{benchmarks.{stage}}}"
+    assert declared["params"] == ["seed", stage]
+    hulls = Build("${item}").hulls.as_posix()
+    assert hulls in (declared["outs"] if stage == "decompose" else declared["deps"])
+    got = vars(benchmarks.robot_stage_params(stage, ROOT / "params.yaml"))
+    assert set(got) == {"seed", "section"}
 
 
 @pytest.mark.parametrize("stage", sorted({*OF_OBJECTS, "generate"} - {"pack", "evaluate", "observe"}))
@@ -82,7 +95,7 @@ def test_lanes_do_not_depend_on_each_other():
 
 def test_command_takes_one_word_only():
     for name, stage in STAGES.items():
-        word = "item" if name in params.TASKS else "key"
+        word = "item" if name in {*params.TASKS, *params.ROBOT_STAGES} else "key"
         assert stage["do"]["cmd"] == f"python -m stages.{name} ${{{word}}}"
 
 
@@ -91,7 +104,7 @@ def test_outputs_are_disjoint_and_inside_the_workspace():
     given = [out for stage in STAGES.values() for kind in kinds for out in stage["do"].get(kind, [])]
     outs = [next(iter(out)) if isinstance(out, dict) else out for out in given]
     assert len(outs) == len(set(outs))
-    homes = ("build/${key}/", "data/objects/${key}", "metrics/${key}", "benchmarks/")
+    homes = ("build/${key}/", "build/${item}/", "data/objects/${key}", "metrics/${key}", "benchmarks/")
     assert all(out.startswith(homes) for out in outs)
 
 

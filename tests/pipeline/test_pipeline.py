@@ -18,6 +18,7 @@ from ruamel.yaml import YAML
 
 from objectfolder import ObjectFile
 from objectfolder.artifacts import Build, read_json, read_npz
+from objectfolder.benchmarks.grasps import Grasps
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.shape_model import load_model
 from objectfolder.errors import ObjectFolderError
@@ -270,6 +271,7 @@ def test_published_query_formats(built, tmp_path):
     assert "(2, 5), expected (N, 6)" in refused.stderr
 
 
+@pytest.mark.slow  # tests/engine has the cheap ones
 def test_killed_stage_leaves_nothing_half_written_and_the_next_build_resumes(workspace):
     workspace.build("normalize@cube")
     command = [sys.executable, "-c", "from objectfolder.cli import main; main()", "build", "voxelize@cube"]
@@ -350,10 +352,11 @@ def test_bad_object_keys_are_refused_with_the_reason(workspace, key):
     shutil.rmtree(workspace.root)
 
 
+@pytest.mark.slow
 def test_benchmarks_are_stages_over_all_objects(built):
     """Which splits run is a parameter; they follow from the observations of all objects."""
     with built.edit() as values:
-        values["benchmarks"] = {"recognize": ["seen"], "retrieve": [], "reconstruct": []}
+        values["benchmarks"]["recognize"] = ["seen"]
     assert built.build() == {"recognize@seen"}
     folder = Benchmarks(built.root / "benchmarks")
     scores = read_json(folder.result("recognize", "seen"))
@@ -370,17 +373,33 @@ def test_benchmarks_are_stages_over_all_objects(built):
     assert "recognize@seen" in shown
     assert "nothing to remove" in shown
     with built.edit() as values:
-        values["benchmarks"] = {"recognize": [], "retrieve": [], "reconstruct": []}
+        values["benchmarks"]["recognize"] = []
 
 
 @pytest.mark.slow
 def test_a_trained_reconstructor_is_an_output(built):
     with built.edit() as values:
-        values["benchmarks"] = {"recognize": [], "retrieve": [], "reconstruct": ["seen"]}
+        values["benchmarks"]["reconstruct"] = ["seen"]
     assert built.build() == {"reconstruct@seen"}
     folder = Benchmarks(built.root / "benchmarks")
     assert folder.sheet("reconstruct", "seen").stat().st_size > 1000
     assert load_model(folder.model("reconstruct", "seen")).setup.modalities == ("vision",)
     assert built.build() == set()
     with built.edit() as values:
-        values["benchmarks"] = {"recognize": [], "retrieve": [], "reconstruct": []}
+        values["benchmarks"]["reconstruct"] = []
+
+
+@pytest.mark.slow
+def test_what_robots_do_are_stages_of_the_objects_that_are_named(built):
+    with built.edit() as values:
+        values["benchmarks"] |= {stage: ["bell"] for stage in ROBOT_STAGES}
+    assert built.build() == {f"{stage}@bell" for stage in ROBOT_STAGES}
+    assert Grasps({"bell": Benchmarks(built.root / "benchmarks").grasps("bell")}).has_explicit
+    assert built.build() == set()
+    folder = Benchmarks(built.root / "benchmarks")
+    results = {path: path.read_bytes() for path in [*folder.dir.glob("*_bell*"), Build("bell", built.root).hulls]}
+    for stage in ROBOT_STAGES:
+        built.run("-m", f"stages.{stage}", "bell")
+    assert {path: path.read_bytes() for path in results} == results
+    with built.edit() as values:
+        values["benchmarks"] |= {stage: [] for stage in ROBOT_STAGES}
