@@ -148,7 +148,8 @@ def grasp_stability(job: Job[GraspStabilityParams]) -> tuple[dict[str, Any], lis
         encoder is unknown.
     """
     job, rows = job.without_duplicates(("image",))
-    job = replace(job, sizes=replace(job.sizes, touch=tuple(job.params.touch)))
+    height, width = job.params.touch
+    job = replace(job, sizes=replace(job.sizes, touch=(height, width)))
     grasps, split, params = cast(Grasps, job.observations), job.split, job.params
     names = [name for name, arrays in VARIANTS.items() if "explicit" not in arrays.values()]
     if grasps.has_explicit:
