@@ -3,7 +3,7 @@
 import copy
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
@@ -148,6 +148,8 @@ def grasp_stability(job: Job[GraspStabilityParams]) -> tuple[dict[str, Any], lis
         encoder is unknown.
     """
     job, rows = job.without_duplicates(("image",))
+    height, width = job.params.touch
+    job = replace(job, sizes=replace(job.sizes, touch=(height, width)))
     grasps, split, params = cast(Grasps, job.observations), job.split, job.params
     names = [name for name, arrays in VARIANTS.items() if "explicit" not in arrays.values()]
     if grasps.has_explicit:

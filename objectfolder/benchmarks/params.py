@@ -60,6 +60,7 @@ class GraspStabilityParams(Training):  # noqa: D101
     epoch_grasps: int = Count  #: an epoch over fewer of them goes over each as often as fits into so many
     fusion_epochs: int = Count  #: of vision and touch together, after each was trained alone
     hidden: int = Count  #: units between both fully connected layers, for each of vision and touch
+    touch: list[int] = Sizes  #: height and width that touches are averaged to, instead of those of ``encode``
 
     @field_validator("sizes")
     @classmethod

@@ -15,6 +15,7 @@ STABILITY = {
     "epoch_grasps": 400,
     "fusion_epochs": 1,
     "hidden": 128,
+    "touch": [32, 24],
     "batch": 32,
     "learning_rate": 0.001,
     "weight_decay": 0.01,

@@ -22,7 +22,7 @@ from objectfolder.benchmarks.job import Job
 from objectfolder.benchmarks.splits import object_split, per_object, per_sample
 from objectfolder.errors import ObjectFolderError
 
-SIZES = InputSizes(image=8, spectrogram=(16, 8), touch=(8, 6))
+SIZES = InputSizes(image=8, spectrogram=(16, 8), touch=(99, 99))
 PARAMS = SimpleNamespace(
     seeds=1,
     sizes=[40, 1000],
@@ -30,6 +30,7 @@ PARAMS = SimpleNamespace(
     epoch_grasps=120,
     fusion_epochs=1,
     hidden=8,
+    touch=[4, 3],
     batch=16,
     learning_rate=0.02,
     weight_decay=0.01,
