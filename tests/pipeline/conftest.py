@@ -123,7 +123,15 @@ TINY = {
         "rollouts": 4,
         "presses": 4,
     },
-    "reach": {"steps": 256, "goals": 2, "horizon": 5, "environments": 2, "rollout": 8, "batch": 8, "width": 8},
+    "reach": {
+        "steps": 256,
+        "goals": 2,
+        "horizon": 5,
+        "environments": 2,
+        "rollout": 8,
+        "batch": 8,
+        "width": 8,
+    },
 }
 CLOSING = {"wall": None, "bridge": "all"}
 TINY_OBJECTS = {

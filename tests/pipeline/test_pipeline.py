@@ -24,6 +24,7 @@ from objectfolder.benchmarks.shape_model import load_model
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.load import load_mesh
 from objectfolder.mesh.ply import read_surface
+from objectfolder.params import ROBOT_STAGES
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.view import draw
 
@@ -397,7 +398,9 @@ def test_what_robots_do_are_stages_of_the_objects_that_are_named(built):
     assert Grasps({"bell": Benchmarks(built.root / "benchmarks").grasps("bell")}).has_explicit
     assert built.build() == set()
     folder = Benchmarks(built.root / "benchmarks")
-    results = {path: path.read_bytes() for path in [*folder.dir.glob("*_bell*"), Build("bell", built.root).hulls]}
+    results = {
+        path: path.read_bytes() for path in [*folder.dir.glob("*_bell*"), Build("bell", built.root).hulls]
+    }
     for stage in ROBOT_STAGES:
         built.run("-m", f"stages.{stage}", "bell")
     assert {path: path.read_bytes() for path in results} == results
