@@ -67,7 +67,8 @@ def grasp_policy(
     dict
         By policy (`OBSERVED`, ``touch_exact``, ``random`` and ``nothing``) the ``rate`` of success, its
         ``interval_95`` over all rollouts (Wilson), and the rates of the ``seeds``; the numbers of
-        ``rollouts`` per seed, of ``episodes`` of a training and of ``presses`` that the bank holds; ``seconds`` of training.
+        ``rollouts`` per seed, of ``episodes`` of a training and of ``presses`` that the bank holds;
+        ``seconds`` of training.
     list
         Rows of the training curves: `CURVE_COLUMNS`.
     """
