@@ -10,6 +10,7 @@ GEOMETRY: dict[str, tuple[str, ...]] = {
     "geometry": ("width", "offset"),
     "geometry_force": ("width", "offset", "force"),
 }
+#: Names of all baselines.
 BASELINES = ("majority", "object_majority", *GEOMETRY)
 
 

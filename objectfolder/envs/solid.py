@@ -74,5 +74,5 @@ def joined(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
 
 
 def missing(library: str) -> ObjectFolderError:
-    """Error that names a library of the extra `rl` which is not installed."""
+    """Error that names a library of the extra ``rl`` which is not installed."""
     return ObjectFolderError(f"{library} is not installed; this needs: pip install 'objectfolder[rl]'")

@@ -8,7 +8,6 @@ import pytest
 import torch
 import typer
 from gymnasium.spaces import Box
-from objectfolder.cli.bench_reach import reach as reach_command
 from PIL import Image
 from ruamel.yaml import YAML
 from typer.testing import CliRunner
@@ -32,6 +31,7 @@ from objectfolder.benchmarks.reach import (
     run_reach,
 )
 from objectfolder.benchmarks.tables import reach_table
+from objectfolder.cli.bench_robots import reach as reach_command
 from objectfolder.envs.body import rigid_body
 from objectfolder.envs.reach import ReachEnv
 from objectfolder.errors import ObjectFolderError
@@ -269,8 +269,11 @@ def test_scores_have_everything_and_are_the_same_again(body, tmp_path):
         assert 0 <= low <= scores[name]["last"]["rate"] <= scores[name]["any"]["rate"] <= 1
         assert low <= high
     assert len(scores["ppo"]["seeds"]) == 2
-    # Two of two: Clopper and Pearson's lower end is the square root of 0.025; of none the upper is 1 - that.
-    assert scores["nothing"]["last"] == {"rate": 0, "interval_95": [0, pytest.approx(1 - 0.025**0.5)]}
+    # Of none of n the upper end of Wilson's interval is z^2 / (n + z^2).
+    assert scores["nothing"]["last"] == {
+        "rate": 0,
+        "interval_95": [0, pytest.approx(1.96**2 / (2 + 1.96**2), abs=1e-4)],
+    }
     again, curve_again = reach(body, params, 0, tmp_path / "b")
     assert curve_again == curve
     assert again | {"seconds": 0} == scores | {"seconds": 0}
@@ -334,7 +337,8 @@ def test_a_table_has_a_row_for_each_policy_of_each_object():
 
 def test_the_command_runs_the_task_and_shows_the_table(brick_path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    values = {"seed": 0, "sensor": "digit", "objects": {}, "procedural": {}, "reach": TINY.model_dump()}
+    values = {"seed": 0, "sensor": "digit", "objects": {}, "procedural": {}}
+    values |= {"decompose": {"hulls": 4}, "reach": TINY.model_dump()}
     YAML().dump(values, tmp_path / "params.yaml")
     app = typer.Typer()
     app.command()(reach_command)
