@@ -52,7 +52,7 @@ WELD = [
 
 
 class SawyerReachObject(SawyerReachEnvV3):
-    """`SawyerReachEnvV3` whose object is ours; goals are observed, and drawn from the seeded generator."""
+    """``SawyerReachEnvV3`` whose object is ours; goals are observed, and drawn from the seeded generator."""
 
     def __init__(self, body: RigidBody):
         self._body = body  # the base class builds the simulation in its __init__
