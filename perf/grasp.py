@@ -23,7 +23,7 @@ from objectfolder.artifacts import write_json
 from objectfolder.benchmarks.grasp_data import (
     BATCH,
     Attempts,
-    Wanted,
+    Plan,
     collect_grasps,
     draw_attempts,
     label_grasps,
@@ -122,7 +122,7 @@ def speed(
         labels = labelled / (time.perf_counter() - start)
         with tempfile.TemporaryDirectory() as folder:
             start = time.perf_counter()
-            wanted = Wanted(count, perturbations, image, touch)
+            wanted = Plan(count, perturbations, image, touch)
             collect_grasps(file, body, wanted, 0, folder, threads=threads)
             whole = count / (time.perf_counter() - start)
         rows.append(

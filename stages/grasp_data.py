@@ -1,7 +1,7 @@
 """grasp_data: Object File, hulls, surface.ply -> benchmarks/grasps/<object>: seen, felt, how it ended."""
 
 from objectfolder.artifacts import Build
-from objectfolder.benchmarks.grasp_data import Wanted, collect_grasps
+from objectfolder.benchmarks.grasp_data import Plan, collect_grasps
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.params import robot_stage_params
 from objectfolder.envs.body import rigid_body
@@ -15,7 +15,7 @@ def main(key: str) -> None:
     build, params = Build(key), robot_stage_params("grasp_data")
     file = ObjectFile.load(build.object_file)
     body = rigid_body(file, read_hulls(build.hulls))
-    wanted = Wanted.of(params.section)
+    wanted = Plan.of(params.section)
     surface = read_surface(build.surface)
     collect_grasps(file, body, wanted, params.seed, Benchmarks().grasps(key), surface)
 

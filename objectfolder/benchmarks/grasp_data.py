@@ -17,7 +17,8 @@ from objectfolder.benchmarks.sampling import object_digest
 from objectfolder.envs.body import RigidBody
 from objectfolder.envs.camera import ExternalCamera
 from objectfolder.envs.fingers import Presses, TrueSurface, feel, press_depths, presses, sensor_profile
-from objectfolder.envs.grasping import Grasps, GraspScene, hand_axes, lowest_hand, rotation, turned
+from objectfolder.envs.grasping import GraspScene, Outcomes, lowest_hand
+from objectfolder.envs.poses import hand_axes, rotation, turned
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile import ObjectFile
 from objectfolder.seeding import numpy_generator
@@ -36,7 +37,7 @@ Report = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
-class Wanted:
+class Plan:
     """What to collect of each object."""
 
     grasps: int
@@ -45,7 +46,7 @@ class Wanted:
     touch: tuple[int, int]  #: height and width of tactile images
 
     @classmethod
-    def of(cls, params: GraspDataParams) -> "Wanted":
+    def of(cls, params: GraspDataParams) -> "Plan":
         """What the section of ``params.yaml`` says."""
         height, width = params.touch
         return cls(params.grasps, params.perturbations, params.image, (height, width))
@@ -67,7 +68,7 @@ class Attempts:
 def collect_grasps(
     file: ObjectFile,
     body: RigidBody,
-    wanted: Wanted,
+    wanted: Plan,
     seed: int,
     folder: str | Path,
     surface: tuple[np.ndarray, np.ndarray] | None = None,
@@ -85,7 +86,7 @@ def collect_grasps(
     file : ObjectFile
     body : RigidBody
         The same object's.
-    wanted : Wanted
+    wanted : Plan
     seed : int
     folder : path
         Gets ``record.json`` and the arrays of `objectfolder.benchmarks.grasps.ARRAYS`.
@@ -134,7 +135,7 @@ def collect_grasps(
     shutil.rmtree(folder / ".progress")
 
 
-def are_collected(file: ObjectFile, wanted: Wanted, seed: int, explicit: bool, folder: str | Path) -> bool:
+def are_collected(file: ObjectFile, wanted: Plan, seed: int, explicit: bool, folder: str | Path) -> bool:
     """Whether a folder holds all that `collect_grasps` would write there."""
     request = _request(file, wanted, seed, explicit)
     try:
@@ -186,12 +187,12 @@ def draw_attempts(
 
 def label_grasps(
     scene: GraspScene, rests: np.ndarray, perturbations: int, rng: np.random.Generator
-) -> tuple[Grasps, dict[str, np.ndarray]]:
+) -> tuple[Outcomes, dict[str, np.ndarray]]:
     """Try `BATCH` grasps; those that both pads touch get labels.
 
     Returns
     -------
-    Grasps
+    Outcomes
     dict
         What else to store of them: where the object stood before (``start``), the greatest force of each jaw
         (``limits``), the share of ``perturbations`` that succeed (``soft``), numbers of poses that were
@@ -231,7 +232,7 @@ def _observed(
     camera: ExternalCamera,
     touch: tuple[int, int],
     truth: TrueSurface | None,
-    grasps: Grasps,
+    grasps: Outcomes,
     more: dict[str, np.ndarray],
 ) -> dict[str, np.ndarray]:
     """All arrays of a batch."""
@@ -298,7 +299,7 @@ def _parts(paths: list[Path], name: str) -> Iterator[np.ndarray]:
             yield stored[name]
 
 
-def _request(file: ObjectFile, wanted: Wanted, seed: int, explicit: bool) -> dict[str, Any]:
+def _request(file: ObjectFile, wanted: Plan, seed: int, explicit: bool) -> dict[str, Any]:
     """What grasps are of; those of another request are collected anew."""
     return {
         "format": FORMAT,

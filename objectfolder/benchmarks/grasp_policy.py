@@ -16,17 +16,9 @@ from objectfolder.benchmarks.scores import share_95
 from objectfolder.benchmarks.trpo import train_trpo
 from objectfolder.envs.body import rigid_body
 from objectfolder.envs.camera import ExternalCamera
-from objectfolder.envs.grasp import (
-    FORCE,
-    STEPS,
-    Episodes,
-    Feel,
-    GraspTask,
-    GraspVectorEnv,
-    TouchBank,
-    TouchFeatures,
-)
-from objectfolder.envs.grasping import turned
+from objectfolder.envs.features import Feel, TouchBank, TouchFeatures
+from objectfolder.envs.grasp import FORCE, STEPS, Episodes, GraspTask, GraspVectorEnv
+from objectfolder.envs.poses import turned
 from objectfolder.objectfile import ObjectFile
 from objectfolder.seeding import numpy_generator
 

@@ -14,7 +14,7 @@ from objectfolder.cli.console import console, print_wide, tracked
 from objectfolder.errors import ObjectFolderError
 
 if TYPE_CHECKING:
-    from objectfolder.benchmarks.grasp_data import Wanted
+    from objectfolder.benchmarks.grasp_data import Plan
     from objectfolder.benchmarks.layout import Benchmarks
     from objectfolder.benchmarks.params import GraspDataParams
     from objectfolder.benchmarks.tables import Table
@@ -339,10 +339,10 @@ def _grasp(
 ) -> dict[str, Path]:
     """Collect grasps of each object, several at a time; those that are there already are left alone."""
     from objectfolder.artifacts import Build
-    from objectfolder.benchmarks.grasp_data import Wanted, are_collected
+    from objectfolder.benchmarks.grasp_data import Plan, are_collected
     from objectfolder.objectfile import ObjectFile
 
-    wanted, folders = Wanted.of(params), {key: folder.grasps(key) for key in paths}
+    wanted, folders = Plan.of(params), {key: folder.grasps(key) for key in paths}
     surfaces = {key: path.with_name(Build(key).surface.name) for key, path in paths.items()}
     lacking = [key for key, surface in surfaces.items() if not surface.is_file()]
     if lacking:
@@ -362,7 +362,7 @@ def _grasp(
 
 
 def _grasp_one(
-    path: Path, surface: Path | None, wanted: "Wanted", hulls: int, seed: int, folder: "Benchmarks"
+    path: Path, surface: Path | None, wanted: "Plan", hulls: int, seed: int, folder: "Benchmarks"
 ) -> None:
     import torch
     from threadpoolctl import threadpool_limits

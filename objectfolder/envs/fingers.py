@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from objectfolder.envs.grasping import hand_axes, rotation
+from objectfolder.envs.poses import hand_axes, rotation
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.objectfile import ObjectFile
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals, sensor_frames

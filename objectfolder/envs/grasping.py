@@ -15,6 +15,7 @@ from mujoco import rollout
 
 from objectfolder.envs.body import RigidBody, add_body
 from objectfolder.envs.gripper import AXES, LAG, SIDES, SPEED, STROKE, TIP, add_gripper
+from objectfolder.envs.poses import hand_axes, rotation
 from objectfolder.errors import ObjectFolderError
 
 LIFT = 0.1  #: height to which objects are lifted, m
@@ -57,7 +58,7 @@ class Physics:
 
 
 @dataclass(frozen=True)
-class Grasps:
+class Outcomes:
     """What N grasps were and did; world frame, metres."""
 
     objects: np.ndarray  #: (N, 7) position and quaternion (w, x, y, z) of the object between closed jaws
@@ -211,7 +212,7 @@ class GraspScene:
         states, felt = self._advance(models, states, controls)
         return Closed(self, models, hands, states, felt.reshape(-1, 2, 7))
 
-    def lift(self, closed: "Closed") -> Grasps:
+    def lift(self, closed: "Closed") -> Outcomes:
         """Lift and hold what the jaws have closed on; see `grasp`."""
         states, before = closed.states.copy(), closed.states
         touched = closed.touched
@@ -234,7 +235,7 @@ class GraspScene:
             for at in (before, states)
             for offset in [self._pose(at)[:, :3] - at[:, self._state(self._hand[:3])]]
         ]
-        return Grasps(
+        return Outcomes(
             objects=closed.objects,
             hands=closed.hands,
             width=closed.width,
@@ -246,7 +247,7 @@ class GraspScene:
             success=success,
         )
 
-    def grasp(self, objects: np.ndarray, hands: np.ndarray, forces: np.ndarray) -> Grasps:
+    def grasp(self, objects: np.ndarray, hands: np.ndarray, forces: np.ndarray) -> Outcomes:
         """Close the jaws on objects, lift and hold them; parameters as of `close`.
 
         A grasp succeeds if both pads still touch the object when it was held for half a second, and it rose
@@ -401,34 +402,6 @@ class Closed:
     def contacts(self) -> np.ndarray:
         """Where forces act on the pads, world frame; (N, 2, 3)."""
         return self.felt[:, :, 4:7]
-
-
-def hand_axes(hands: np.ndarray) -> np.ndarray:
-    """Axes of the gripper at (N, 4) poses, as columns: closing, lateral, up; (N, 3, 3)."""
-    yaw = np.asarray(hands)[:, 3]
-    cos, sin, zero = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)
-    return np.stack([cos, -sin, zero, sin, cos, zero, zero, zero, zero + 1], 1).reshape(-1, 3, 3)
-
-
-def rotation(quaternion: np.ndarray) -> np.ndarray:
-    """Rotation matrix (3, 3) of a unit quaternion (w, x, y, z)."""
-    matrix = np.zeros(9)
-    mujoco.mju_quat2Mat(matrix, np.asarray(quaternion, np.float64))
-    return matrix.reshape(3, 3)
-
-
-def turned(poses: np.ndarray, yaws: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Turn (N, 7) poses by yaws (N,) about the vertical through the origin, then move them by (N, 2)."""
-    yaws = np.asarray(yaws, np.float64)
-    cos, sin = np.cos(yaws), np.sin(yaws)
-    x, y, z = poses[:, :3].T
-    moved = np.stack([cos * x - sin * y, sin * x + cos * y, z], 1)
-    moved[:, :2] += places
-    half = np.stack([np.cos(yaws / 2), 0 * yaws, 0 * yaws, np.sin(yaws / 2)], 1)
-    quaternions = np.empty((len(poses), 4))
-    for out, turn, pose in zip(quaternions, half, poses):
-        mujoco.mju_mulQuat(out, turn, pose[3:])
-    return np.c_[moved, quaternions]
 
 
 def lowest_hand() -> float:

@@ -4,15 +4,16 @@ import numpy as np
 import pytest
 
 from objectfolder.benchmarks import grasp_data
-from objectfolder.benchmarks.grasp_data import FORCES, Wanted, are_collected, collect_grasps, draw_attempts
+from objectfolder.benchmarks.grasp_data import FORCES, Plan, are_collected, collect_grasps, draw_attempts
 from objectfolder.benchmarks.grasps import ARRAYS, Grasps
 from objectfolder.envs.body import rigid_body
-from objectfolder.envs.grasping import GraspScene, lowest_hand, rotation
+from objectfolder.envs.grasping import GraspScene, lowest_hand
 from objectfolder.envs.hulls import convex_hulls
+from objectfolder.envs.poses import rotation
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile import ObjectFile
 
-WANTED = Wanted(10, 1, 24, (16, 12))
+WANTED = Plan(10, 1, 24, (16, 12))
 
 
 @pytest.fixture(scope="module")

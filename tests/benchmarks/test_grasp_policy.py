@@ -7,7 +7,8 @@ from objectfolder.benchmarks.grasp_policy import CURVE_COLUMNS, grasp_policy, pl
 from objectfolder.benchmarks.params import GraspPolicyParams
 from objectfolder.benchmarks.tables import grasping_table
 from objectfolder.envs.body import rigid_body
-from objectfolder.envs.grasp import Episodes, GraspTask, TouchFeatures
+from objectfolder.envs.features import TouchFeatures
+from objectfolder.envs.grasp import Episodes, GraspTask
 from objectfolder.envs.hulls import convex_hulls
 
 PARAMS = GraspPolicyParams(

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from objectfolder.envs.fingers import TrueSurface, feel, press_depths, presses, sensor_angles, sensor_profile
-from objectfolder.envs.grasping import turned
+from objectfolder.envs.poses import turned
 from objectfolder.touch.contact import sensor_frames
 
 

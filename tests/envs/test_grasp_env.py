@@ -6,16 +6,8 @@ from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 import objectfolder.envs  # noqa: F401, registers
 from objectfolder.envs.body import rigid_body
-from objectfolder.envs.grasp import (
-    ACTION,
-    STEPS,
-    Episodes,
-    GraspEnv,
-    GraspTask,
-    GraspVectorEnv,
-    TouchBank,
-    TouchFeatures,
-)
+from objectfolder.envs.features import TouchBank, TouchFeatures
+from objectfolder.envs.grasp import ACTION, STEPS, Episodes, GraspEnv, GraspTask, GraspVectorEnv
 from objectfolder.envs.grasping import lowest_hand
 from objectfolder.envs.hulls import cached_hulls, convex_hulls
 from objectfolder.errors import ObjectFolderError

@@ -3,9 +3,10 @@ import numpy as np
 import pytest
 
 from objectfolder.envs.body import RigidBody, rigid_body
-from objectfolder.envs.grasping import LIFT, GraspScene, Physics, hand_axes, lowest_hand, rotation, turned
+from objectfolder.envs.grasping import LIFT, GraspScene, Physics, lowest_hand
 from objectfolder.envs.gripper import SIDES, STROKE, add_gripper
 from objectfolder.envs.hulls import convex_hulls
+from objectfolder.envs.poses import hand_axes, rotation, turned
 from objectfolder.errors import ObjectFolderError
 
 GRAVITY = 9.81

@@ -1,0 +1,32 @@
+"""Poses of objects, (7,) position and quaternion (w, x, y, z), and of the gripper, (4,) x, y, z, yaw."""
+
+import mujoco
+import numpy as np
+
+
+def hand_axes(hands: np.ndarray) -> np.ndarray:
+    """Axes of the gripper at (N, 4) poses, as columns: closing, lateral, up; (N, 3, 3)."""
+    yaw = np.asarray(hands)[:, 3]
+    cos, sin, zero = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)
+    return np.stack([cos, -sin, zero, sin, cos, zero, zero, zero, zero + 1], 1).reshape(-1, 3, 3)
+
+
+def rotation(quaternion: np.ndarray) -> np.ndarray:
+    """Rotation matrix (3, 3) of a unit quaternion (w, x, y, z)."""
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, np.asarray(quaternion, np.float64))
+    return matrix.reshape(3, 3)
+
+
+def turned(poses: np.ndarray, yaws: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Turn (N, 7) poses by yaws (N,) about the vertical through the origin, then move them by (N, 2)."""
+    yaws = np.asarray(yaws, np.float64)
+    cos, sin = np.cos(yaws), np.sin(yaws)
+    x, y, z = poses[:, :3].T
+    moved = np.stack([cos * x - sin * y, sin * x + cos * y, z], 1)
+    moved[:, :2] += places
+    half = np.stack([np.cos(yaws / 2), 0 * yaws, 0 * yaws, np.sin(yaws / 2)], 1)
+    quaternions = np.empty((len(poses), 4))
+    for out, turn, pose in zip(quaternions, half, poses):
+        mujoco.mju_mulQuat(out, turn, pose[3:])
+    return np.c_[moved, quaternions]
