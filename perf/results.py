@@ -12,13 +12,13 @@ from statistics import median
 from typing import Any
 
 from query import FIGURES, MEDIAN_KB, shown
+from robot_results import grasps_per_second, labels, robot_tables
 from ruamel.yaml import YAML
 
 from objectfolder.artifacts import atomic, read_json
 from objectfolder.benchmarks import tables
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.params import splits_of
-from objectfolder.params import TASKS
 
 ROOT = Path(__file__).parents[1]
 VISION = (
@@ -635,7 +635,7 @@ def benchmarks() -> list[str]:
     """Tables of what `objectfolder bench` has left in benchmarks/PRESET."""
     lines: list[str] = []
     objects: dict[str, None] = {}
-    runs = [(task, split) for task in TASKS for split in splits_of(task)]
+    runs = [(task, split) for task in COMMANDS for split in splits_of(task)]
     for name in ("quick", "standard", "paper"):
         folder = Benchmarks(ROOT / "benchmarks" / name)
         for task, split in runs:
@@ -665,6 +665,15 @@ def benchmarks() -> list[str]:
         if keys
     ]
     return ["\n## Benchmarks\n", *BENCHMARKS, "", *named, *lines, *measured(("photographs", photographs))]
+
+
+def robots() -> list[str]:
+    """Tables of what robots have left in benchmarks/PRESET, and of what `perf/grasp.py` has measured."""
+    shown = measured(("grasp_labels", labels)) + measured(("grasp_speed", grasps_per_second))
+    lines = robot_tables(ROOT / "benchmarks") + shown
+    return ["\n## Robots\n", "What is asked and how: [benchmarks.md](benchmarks.md#grasps).", *lines] * bool(
+        lines
+    )
 
 
 def photographs(figures: dict) -> list[str]:
@@ -709,6 +718,7 @@ def main() -> None:
             ("engine_starter", engine_starter),
         ),
         *benchmarks(),
+        *robots(),
     ]
     page = ROOT / "docs" / "results.md"
     text = merged(page.read_text(), "\n".join(lines))

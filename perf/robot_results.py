@@ -1,0 +1,85 @@
+"""Tables of docs/results.md about robots; `perf/results.py` puts them there."""
+
+from pathlib import Path
+
+from objectfolder.artifacts import read_json
+from objectfolder.benchmarks import tables
+from objectfolder.benchmarks.layout import Benchmarks
+from objectfolder.benchmarks.params import splits_of
+
+#: Tasks with one object: the command, and the layout of its table.
+OF_ONE = {
+    "grasp_policy": ("grasping", tables.grasping_table),
+    "reach": ("reach", tables.reach_table),
+    "reach_metaworld": ("reach --metaworld", tables.reach_table),
+}
+
+
+def robot_tables(root: Path) -> list[str]:
+    """Tables of what `objectfolder bench` has left in the folders of presets."""
+    lines: list[str] = []
+    for preset in ("quick", "standard", "paper"):
+        folder = Benchmarks(root / preset)
+        for split in splits_of("grasp_stability"):
+            if folder.result("grasp_stability", split).is_file():
+                scores = read_json(folder.result("grasp_stability", split))
+                command = f"stability --preset {preset} --split {split}"
+                took = [read_json(folder.machine("grasp_stability", split))]
+                lines += laid_out(tables.table("grasp_stability", split, scores), command, took)
+                lines.append(f"\nObjects: {', '.join(scores['keys'])}.")
+        for task, (command, layout) in OF_ONE.items():
+            ran = [path.stem.removeprefix(f"{task}_") for path in sorted(folder.dir.glob(f"{task}_*.csv"))]
+            keys = [key for key in ran if folder.machine(task, key).is_file()]
+            if keys:
+                took = [read_json(folder.machine(task, key)) for key in keys]
+                shown = layout({key: read_json(folder.result(task, key)) for key in keys})
+                files = " ".join(f"build/{key}" for key in keys)
+                lines += laid_out(shown, f"{command} --preset {preset} {files}", took)
+    return lines
+
+
+def laid_out(shown: tables.Table, command: str, took: list[dict]) -> list[str]:
+    """Table under the command that prints it, and what that took."""
+    first, cpu = took[0], sum(run["cpu_seconds"] for run in took) / 60
+    minutes = " + ".join(f"{run['seconds'] / 60:.0f}" for run in took)
+    return [
+        f"\n### {shown.title}\n",
+        f"`objectfolder bench {command}`: {minutes} minutes with {first['threads']} thread(s), {cpu:.0f} of CPU; "
+        f"{first['machine']}.\n",
+        shown.markdown(),
+    ]
+
+
+def labels(figures: dict) -> list[str]:
+    """Table of what `perf/grasp.py labels` has measured."""
+    rows = figures["rows"]
+    steps = sorted({row["timestep_ms"] for row in rows})
+    by = {(row["setting"], row["timestep_ms"]): row for row in rows}
+    lines = [
+        "\n### Do labels of grasps depend on the time step?\n",
+        f"`python perf/grasp.py labels FILE ... --json build/perf/grasp_labels.json`: {rows[0]['trials']} grasps of "
+        f"{', '.join(rows[0]['by_object'])}, of which half succeed. Share that ends as with a time step of "
+        f"0.25 ms, %; in brackets grasps per CPU second; {figures['machine']}.\n",
+        f"| contacts | {' | '.join(f'{step:g} ms' for step in steps)} |",
+        "|---" * (1 + len(steps)) + "|",
+    ]
+    for setting in dict.fromkeys(row["setting"] for row in rows):
+        cells = [by[setting, step] for step in steps]
+        shown = (f"{100 * cell['agreement']:.1f} ({cell['trials_per_cpu_second']:.0f})" for cell in cells)
+        lines.append(f"| {setting} | {' | '.join(shown)} |")
+    return lines
+
+
+def grasps_per_second(figures: dict) -> list[str]:
+    """Table of what `perf/grasp.py speed` has measured."""
+    lines = [
+        "\n### Grasps per second\n",
+        "`python perf/grasp.py speed FILE ... --json build/perf/grasp_speed.json`: labelled grasps, each repeated "
+        f"twice with small changes, two threads; {figures['machine']}. Targets: 15 and 5.\n",
+        "| object | hulls | labels alone | with pictures and touches |",
+        "|---|---|---|---|",
+    ]
+    return lines + [
+        f"| {row['object']} | {row['hulls']} | {row['labels']:.1f} | {row['pictures and touches']:.1f} |"
+        for row in figures["rows"]
+    ]
