@@ -671,9 +671,8 @@ def robots() -> list[str]:
     """Tables of what robots have left in benchmarks/PRESET, and of what `perf/grasp.py` has measured."""
     shown = measured(("grasp_labels", labels)) + measured(("grasp_speed", grasps_per_second))
     lines = robot_tables(ROOT / "benchmarks") + shown
-    return ["\n## Robots\n", "What is asked and how: [benchmarks.md](benchmarks.md#grasps).", *lines] * bool(
-        lines
-    )
+    told = "What is asked and how: [benchmarks.md](benchmarks.md#grasps)."
+    return ["\n## Robots\n", told, *lines] if lines else []
 
 
 def photographs(figures: dict) -> list[str]:

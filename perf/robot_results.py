@@ -44,8 +44,8 @@ def laid_out(shown: tables.Table, command: str, took: list[dict]) -> list[str]:
     minutes = " + ".join(f"{run['seconds'] / 60:.0f}" for run in took)
     return [
         f"\n### {shown.title}\n",
-        f"`objectfolder bench {command}`: {minutes} minutes with {first['threads']} thread(s), {cpu:.0f} of CPU; "
-        f"{first['machine']}.\n",
+        f"`objectfolder bench {command}`: {minutes} minutes with {first['threads']} thread(s), "
+        f"{cpu:.0f} of CPU; {first['machine']}.\n",
         shown.markdown(),
     ]
 
@@ -57,9 +57,9 @@ def labels(figures: dict) -> list[str]:
     by = {(row["setting"], row["timestep_ms"]): row for row in rows}
     lines = [
         "\n### Do labels of grasps depend on the time step?\n",
-        f"`python perf/grasp.py labels FILE ... --json build/perf/grasp_labels.json`: {rows[0]['trials']} grasps of "
-        f"{', '.join(rows[0]['by_object'])}, of which half succeed. Share that ends as with a time step of "
-        f"0.25 ms, %; in brackets grasps per CPU second; {figures['machine']}.\n",
+        f"`python perf/grasp.py labels FILE ... --json build/perf/grasp_labels.json`: {rows[0]['trials']} "
+        f"grasps of {', '.join(rows[0]['by_object'])}, of which half succeed. Share that ends as with a time "
+        f"step of 0.25 ms, %; in brackets grasps per CPU second; {figures['machine']}.\n",
         f"| contacts | {' | '.join(f'{step:g} ms' for step in steps)} |",
         "|---" * (1 + len(steps)) + "|",
     ]
@@ -74,8 +74,8 @@ def grasps_per_second(figures: dict) -> list[str]:
     """Table of what `perf/grasp.py speed` has measured."""
     lines = [
         "\n### Grasps per second\n",
-        "`python perf/grasp.py speed FILE ... --json build/perf/grasp_speed.json`: labelled grasps, each repeated "
-        f"twice with small changes, two threads; {figures['machine']}. Targets: 15 and 5.\n",
+        "`python perf/grasp.py speed FILE ... --json build/perf/grasp_speed.json`: labelled grasps, each "
+        f"repeated twice with small changes, two threads; {figures['machine']}. Targets: 15 and 5.\n",
         "| object | hulls | labels alone | with pictures and touches |",
         "|---|---|---|---|",
     ]
