@@ -14,10 +14,12 @@ from objectfolder.artifacts import atomic, read_json, write_json, write_npz
 from objectfolder.benchmarks.grasps import ARRAYS, FORMAT, OPTIONAL, RECORD, array_path
 from objectfolder.benchmarks.params import GraspDataParams
 from objectfolder.benchmarks.sampling import object_digest
+from objectfolder.benchmarks.space import enough_space
 from objectfolder.envs.body import RigidBody
 from objectfolder.envs.camera import ExternalCamera
 from objectfolder.envs.fingers import Presses, TrueSurface, feel, press_depths, presses, sensor_profile
 from objectfolder.envs.grasping import GraspScene, Outcomes, lowest_hand
+from objectfolder.envs.gripper import PAD
 from objectfolder.envs.poses import hand_axes, rotation, turned
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile import ObjectFile
@@ -32,6 +34,7 @@ INSIDE = 0.8  #: hands come down over the object's silhouette shrunk so much
 SHIFT, TURN, STRENGTH = 0.001, np.radians(1.0), 0.03  #: perturbations: standard deviations, m, rad, fraction
 BATCH = 32  #: grasps that are tried together; the unit of progress
 ATTEMPTS = 20000  #: poses in a row of which none is free, before an object is given up
+EMPTY = 10  #: batches in a row in which both pads touch nothing, before it is
 
 Report = Callable[[int, int], None]
 
@@ -50,6 +53,10 @@ class Plan:
         """What the section of ``params.yaml`` says."""
         height, width = params.touch
         return cls(params.grasps, params.perturbations, params.image, (height, width))
+
+    def bytes(self, explicit: bool) -> int:
+        """Of the pictures of a grasp."""
+        return 3 * (self.image**2 + 2 * (1 + explicit) * self.touch[0] * self.touch[1])
 
 
 @dataclass(frozen=True)
@@ -103,41 +110,42 @@ def collect_grasps(
         If the object does not fit the gripper or cannot be grasped, or the Object File lacks look or touch.
     """
     folder = Path(folder)
-    if are_collected(file, wanted, seed, surface is not None, folder):
+    if are_collected(file, body, wanted, seed, surface is not None, folder):
         return
     _require_parts(file)
     scene = GraspScene(body, threads=threads)
     truth = None if surface is None else _truth(file, surface)
     rests = scene.rests(numpy_generator(seed, file.key, "rests"))
-    request = _request(file, wanted, seed, truth is not None)
+    request = _request(file, body, wanted, seed, truth is not None)
     progress = folder / ".progress" / hashlib.sha256(repr(request).encode()).hexdigest()[:16]
     (folder / RECORD).unlink(missing_ok=True)
     camera = ExternalCamera(wanted.image)
-    batches: list[dict[str, np.ndarray]] = []
     paths: list[Path] = []
-    done = 0
-    while done < wanted.grasps:
-        path = progress / f"{len(paths):05d}.npz"
-        if not path.is_file():
-            rng = numpy_generator(seed, file.key, "grasps", str(len(paths)))
-            tried = label_grasps(scene, rests, wanted.perturbations, rng)
-            write_npz(path, **_observed(file, body, camera, wanted.touch, truth, *tried))
-        with np.load(path) as stored:
-            batches.append({name: stored[name] for name in stored.files if stored[name].ndim < 4})
-            done += len(stored["success"])
-        paths.append(path)
-        report(min(done, wanted.grasps), wanted.grasps)
-    counts = {name: int(sum(b[name].sum() for b in batches)) for name in ("drawn", "free", "touched")}
-    success = np.concatenate([b["success"] for b in batches])[: wanted.grasps]
-    digest = _write(folder, paths, wanted.grasps)
-    record = request | {"digest": digest, "attempts": counts, "success_rate": float(success.mean())}
-    write_json(folder / RECORD, record | {"mass": body.mass, "friction": body.friction})
+    counts = dict.fromkeys(("drawn", "free", "touched"), 0)
+    needed = 2 * wanted.grasps * wanted.bytes(explicit=truth is not None)  # batches, then arrays
+    with enough_space(f"{file.key}: grasps", folder, needed, ", or collect fewer or smaller ones"):
+        while counts["touched"] < wanted.grasps:
+            path = progress / f"{len(paths):05d}.npz"
+            if not path.is_file():
+                rng = numpy_generator(seed, file.key, "grasps", str(len(paths)))
+                tried = label_grasps(scene, rests, wanted.perturbations, rng)
+                write_npz(path, **_observed(file, body, camera, wanted.touch, truth, *tried))
+            with np.load(path) as stored:
+                counts = {name: count + int(stored[name]) for name, count in counts.items()}
+            paths.append(path)
+            report(min(counts["touched"], wanted.grasps), wanted.grasps)
+        digest = _write(folder, paths, wanted.grasps)
+        success = np.concatenate(list(_parts(paths, "success")))[: wanted.grasps]
+        record = request | {"digest": digest, "attempts": counts, "success_rate": float(success.mean())}
+        write_json(folder / RECORD, record | {"mass": body.mass})
     shutil.rmtree(folder / ".progress")
 
 
-def are_collected(file: ObjectFile, wanted: Plan, seed: int, explicit: bool, folder: str | Path) -> bool:
+def are_collected(
+    file: ObjectFile, body: RigidBody, wanted: Plan, seed: int, explicit: bool, folder: str | Path
+) -> bool:
     """Whether a folder holds all that `collect_grasps` would write there."""
-    request = _request(file, wanted, seed, explicit)
+    request = _request(file, body, wanted, seed, explicit)
     try:
         record = read_json(Path(folder) / RECORD)
     except ObjectFolderError:  # missing or damaged: made again
@@ -188,7 +196,7 @@ def draw_attempts(
 def label_grasps(
     scene: GraspScene, rests: np.ndarray, perturbations: int, rng: np.random.Generator
 ) -> tuple[Outcomes, dict[str, np.ndarray]]:
-    """Try `BATCH` grasps; those that both pads touch get labels.
+    """Try `BATCH` grasps, or more until both pads touch the object in one; those get labels.
 
     Returns
     -------
@@ -197,10 +205,26 @@ def label_grasps(
         What else to store of them: where the object stood before (``start``), the greatest force of each jaw
         (``limits``), the share of ``perturbations`` that succeed (``soft``), numbers of poses that were
         ``drawn``, ``free`` and ``touched``.
+
+    Raises
+    ------
+    ObjectFolderError
+        If no free pose is found, or the pads touch nothing in `EMPTY` batches.
     """
-    attempts, drawn = draw_attempts(scene, rests, BATCH, rng)
-    closed = scene.close(attempts.objects, attempts.hands, attempts.forces)
-    rows = np.flatnonzero(closed.touched.all(1))
+    drawn = free_poses = 0
+    for _ in range(EMPTY):
+        attempts, poses = draw_attempts(scene, rests, BATCH, rng)
+        closed = scene.close(attempts.objects, attempts.hands, attempts.forces)
+        rows = np.flatnonzero(closed.touched.all(1))
+        drawn, free_poses = drawn + poses, free_poses + BATCH
+        if len(rows):
+            break
+    else:
+        raise ObjectFolderError(
+            f"{scene.body.key}: both pads touch it in none of {free_poses} grasps; pads reach down to "
+            f"{1000 * (lowest_hand() - PAD[2]):.0f} mm over the table, so it may be too small or too flat: "
+            "take another object, or build it larger"
+        )
     grasps, attempts = scene.lift(closed.take(rows)), attempts.take(rows)
     successes, trials = grasps.success.astype(int), np.ones(len(rows), int)
     for changed in _perturbed(attempts, perturbations, rng):
@@ -212,7 +236,7 @@ def label_grasps(
         "limits": attempts.forces,
         "soft": (successes / trials).astype(np.float32),
         "drawn": np.array(drawn),
-        "free": np.array(BATCH),
+        "free": np.array(free_poses),
         "touched": np.array(len(rows)),
     }
 
@@ -299,14 +323,17 @@ def _parts(paths: list[Path], name: str) -> Iterator[np.ndarray]:
             yield stored[name]
 
 
-def _request(file: ObjectFile, wanted: Plan, seed: int, explicit: bool) -> dict[str, Any]:
+def _request(file: ObjectFile, body: RigidBody, wanted: Plan, seed: int, explicit: bool) -> dict[str, Any]:
     """What grasps are of; those of another request are collected anew."""
+    shape = b"".join(np.ascontiguousarray(hull.vertices).tobytes() for hull in body.hulls)
     return {
         "format": FORMAT,
         "key": file.key,
         "material": file.material,
         "scale": file.scale,
         "object_sha256": object_digest(file),
+        "hulls_sha256": hashlib.sha256(shape).hexdigest(),
+        "friction": body.friction,
         "count": wanted.grasps,
         "wanted": {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(wanted).items()},
         "explicit": explicit,

@@ -340,6 +340,9 @@ def _grasp(
     """Collect grasps of each object, several at a time; those that are there already are left alone."""
     from objectfolder.artifacts import Build
     from objectfolder.benchmarks.grasp_data import Plan, are_collected
+    from objectfolder.benchmarks.grasps import RECORD
+    from objectfolder.envs.body import rigid_body
+    from objectfolder.envs.hulls import cached_hulls
     from objectfolder.objectfile import ObjectFile
 
     wanted, folders = Plan.of(params), {key: folder.grasps(key) for key in paths}
@@ -350,11 +353,14 @@ def _grasp(
             f"no true surface beside the Object File of {', '.join(lacking)}: touches are the Object Files' "
             "alone, without explicit ones to compare them with"
         )
-    new = [
-        (path, None if lacking else surfaces[key], wanted, hulls, seed, folder)
-        for key, path in paths.items()
-        if not are_collected(ObjectFile.load(path), wanted, seed, not lacking, folders[key])
-    ]
+    new = []
+    for key, path in paths.items():
+        if (folders[key] / RECORD).is_file():  # and so its hulls
+            file = ObjectFile.load(path)
+            body = rigid_body(file, cached_hulls(file, folder.hulls, hulls))
+            if are_collected(file, body, wanted, seed, not lacking, folders[key]):
+                continue
+        new.append((path, None if lacking else surfaces[key], wanted, hulls, seed, folder))
     if new:
         for _ in tracked(_in_processes(_grasp_one, new, jobs), "grasping objects", len(new)):
             pass

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -88,14 +89,14 @@ def test_interrupted_and_threaded_collections_are_the_same(
     with pytest.raises(Interrupted):
         collect_grasps(brick, body, WANTED, 0, tmp_path / "brick", surface, report=stop)
     assert not (tmp_path / "brick" / "record.json").exists()
-    assert not are_collected(brick, WANTED, 0, True, tmp_path / "brick")
+    assert not are_collected(brick, body, WANTED, 0, True, tmp_path / "brick")
     tried = []
     first = grasp_data.label_grasps
     monkeypatch.setattr(grasp_data, "label_grasps", lambda *args: tried.append(0) or first(*args))
     collect_grasps(brick, body, WANTED, 0, tmp_path / "brick", surface, threads=2)
     assert contents(tmp_path / "brick") == contents(collected)
     assert len(tried) == 1  # of two batches the first was there
-    assert are_collected(brick, WANTED, 0, True, tmp_path / "brick")
+    assert are_collected(brick, body, WANTED, 0, True, tmp_path / "brick")
     collect_grasps(brick, body, WANTED, 0, tmp_path / "brick", surface)
     assert len(tried) == 1
 
@@ -120,3 +121,17 @@ def test_a_file_without_touch_is_refused(brick, body, tmp_path):
     with pytest.raises(ObjectFolderError, match="brick: the Object File holds no touch"):
         collect_grasps(ObjectFile(header, brick.tensors), body, WANTED, 0, tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_flatter_than_pads_reach_is_said(brick, tmp_path):
+    crumb = ObjectFile(brick.header | {"key": "crumb", "scale": 0.003}, brick.tensors)
+    tiny = rigid_body(crumb, convex_hulls(crumb.to_mesh()))
+    with pytest.raises(ObjectFolderError, match=r"crumb: both pads touch it in none of \d+ .* 4 mm over"):
+        collect_grasps(crumb, tiny, WANTED, 0, tmp_path)
+
+
+def test_other_hulls_are_another_collection(brick, body, surface, collected):
+    assert are_collected(brick, body, WANTED, 0, True, collected)
+    moved = replace(body, hulls=tuple(hull.copy().apply_scale(1.01) for hull in body.hulls))
+    assert not are_collected(brick, moved, WANTED, 0, True, collected)
+    assert not are_collected(brick, body, WANTED, 0, False, collected)
