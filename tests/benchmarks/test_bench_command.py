@@ -149,6 +149,7 @@ def test_an_interrupted_task_goes_on_and_ends_the_same(files, workspace, monkeyp
     assert results(Path("parts")) == results(Path("whole"))
 
 
+@pytest.mark.slow
 def test_a_split_beside_another_gives_what_it_gives_alone(files, workspace):
     bench("reconstruction", files, "--out", "first", "--split", "unseen")
     alone = results(Path("first"))

@@ -62,6 +62,7 @@ def test_scores_curves_and_what_is_kept(whole):
     assert "75.5" in shown.rows[0]
 
 
+@pytest.mark.slow
 def test_an_interrupted_training_goes_on_to_the_same(task, whole, tmp_path):
     class Interrupted(Exception):
         pass

@@ -151,6 +151,7 @@ def test_stages_run_on_both_nodes_with_the_python_and_environment_of_the_node(lo
     assert not list((located.root / "build/.logs").glob("cluster-*"))
 
 
+@pytest.mark.slow
 def test_stages_of_half_a_gpu_share_it(make_workspace, cluster, monkeypatch):
     workspace = make_workspace(
         "stages:\n"
@@ -172,6 +173,7 @@ def test_stages_of_half_a_gpu_share_it(make_workspace, cluster, monkeypatch):
     assert (workspace.root / "build/mug").read_text() == "0"
 
 
+@pytest.mark.slow
 def test_stages_of_a_whole_gpu_take_turns_and_too_large_ones_are_cut_down(located, cluster, monkeypatch):
     monkeypatch.setitem(resources.NEEDS, "prepare", Needs(gpus=1.0))
     monkeypatch.setitem(resources.NEEDS, "solve", Needs(cpus=64, gpus=8.0, memory_mb=10**8))

@@ -116,7 +116,7 @@ def content(workspace):
     }
 
 
-@pytest.mark.parametrize("kind", ["directory", "s3"])
+@pytest.mark.parametrize("kind", ["directory", pytest.param("s3", marks=pytest.mark.slow)])
 def test_fresh_clone_gets_a_whole_build_without_running_a_stage(shared, kind, request):
     if kind == "s3":
         add_s3(shared, request.getfixturevalue("server"))

@@ -240,6 +240,7 @@ def test_generated_mesh_is_the_same_bytes_twice(built):
     assert path.read_bytes() == before
 
 
+@pytest.mark.slow  # tests/test_inspection.py has the cheap ones
 def test_inspect(built, opengl):
     stages = ("voxelize", "modal", "pack", "evaluate")
     built.cli_in_turn(*(["inspect", f"{stage}@cube"] for stage in stages))
