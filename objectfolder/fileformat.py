@@ -15,7 +15,7 @@ from objectfolder.errors import ObjectFolderError
 if TYPE_CHECKING:
     from jsonschema import Draft202012Validator
 
-FORMAT = (1, 0)  #: major, minor: a reader reads every file of its major version
+FORMAT = (1, 1)  #: major, minor: a reader reads every file of its major version
 PARTS = ("geometry", *MODALITIES)
 
 

@@ -26,7 +26,7 @@ def pack(
     ----------
     key, material : str
     normalize : dict
-        ``normalize.json``: scale and the transform to the source mesh.
+        ``normalize.json``: scale, mass properties and the transform to the source mesh.
     sdf : dict
         ``values`` int8 and ``band``.
     nets : dict
@@ -51,6 +51,7 @@ def pack(
         "material_properties": properties,
         "scale": normalize["scale_m"],
         "source": {name: normalize[name] for name in ("source_centre", "source_size", "source_up")},
+        "solid": normalize["solid"],
         "geometry": geometry,
         "provenance": provenance,
     }

@@ -44,7 +44,16 @@ TOUCHES = {
     "renderer": "",
 }
 SDF = {"values": "nnn", "band": ""}
-NORMALIZE = ("scale_m", "source_centre", "source_size", "source_up", "volume_m3", "rungs", "warnings")
+NORMALIZE = (
+    "scale_m",
+    "source_centre",
+    "source_size",
+    "source_up",
+    "solid",
+    "volume_m3",
+    "rungs",
+    "warnings",
+)
 
 
 def checks(build: Build) -> dict[Path, Callable[[Path], Any]]:

@@ -49,7 +49,7 @@ HULLS = Path("benchmarks/hulls")
 
 
 def balanced(body: RigidBody, count: int, seed: int, threads: int) -> Attempts:
-    """Grasps that both pads touch; half of them succeed with a time step of 1 ms."""
+    """Grasps that both pads touch; half of them succeed as the library simulates them."""
     scene = GraspScene(body, threads=threads)
     rests = scene.rests(numpy_generator(seed, body.key, "rests"))
     found: dict[bool, list[Attempts]] = {True: [], False: []}

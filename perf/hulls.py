@@ -4,8 +4,8 @@ FILE are Object Files. Needs the extra `rl`. Distances are in percent of the lon
 
 beyond: how far the outside of the hulls is from the stored surface, where it is outside of the solid.
 short: how far the surface is outside of all hulls. volume: of the hulls' union over the solid's.
-mass_error, inertia_error: of the stored solid, percent (inertia of its largest entry), where surface.ply of
-the build lies beside the file.
+mass_error, inertia_error: of the rigid body, percent (inertia of its largest entry), where solid.ply of the
+build lies beside the file. stored_mass_error, stored_inertia_error: were they those of the stored surface.
 """
 
 import argparse
@@ -20,6 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 from objectfolder.artifacts import write_json
+from objectfolder.envs.body import density, rigid_body
 from objectfolder.envs.hulls import convex_hulls
 from objectfolder.envs.solid import close_holes
 from objectfolder.mesh.ply import read_surface
@@ -63,11 +64,17 @@ def measure(file: ObjectFile) -> dict:
 
 
 def mass_errors(file: ObjectFile, source: Path) -> dict[str, float]:
-    """Percent by which the stored solid differs from the mesh that it was built from."""
-    true = trimesh.Trimesh(*read_surface(source), process=False).apply_scale(file.scale).mass_properties
-    stored = close_holes(file.to_mesh()).mass_properties
-    inertia = np.abs(np.asarray(stored.inertia) - true.inertia).max() / np.abs(true.inertia).max()
-    return {"mass_error": 100 * (stored.volume / true.volume - 1), "inertia_error": 100 * float(inertia)}
+    """Percent by which mass and inertia differ from those of the mesh that the object was built from."""
+    true = trimesh.Trimesh(*read_surface(source), process=False).apply_scale(file.scale)
+    true.density = density(file)
+    expected, errors = true.mass_properties, {}
+    told = {name: content for name, content in file.header.items() if name != "solid"}
+    for prefix, given in (("", file), ("stored_", ObjectFile(told, file.tensors))):
+        body = rigid_body(given, [given.to_mesh().convex_hull])
+        inertia = np.abs(body.inertia - expected.inertia).max() / np.abs(expected.inertia).max()
+        errors |= {f"{prefix}mass_error": 100 * (body.mass / expected.mass - 1)}
+        errors |= {f"{prefix}inertia_error": 100 * float(inertia)}
+    return errors
 
 
 def spread(distances: np.ndarray) -> dict[str, float]:
@@ -84,7 +91,7 @@ def main() -> None:
     torch.set_num_threads(1)
     found = {}
     for path in arguments.files:
-        file, source = ObjectFile.load(path), path.with_name("surface.ply")
+        file, source = ObjectFile.load(path), path.with_name("solid.ply")
         found[file.key] = measure(file) | (mass_errors(file, source) if source.exists() else {})
     columns = list(dict.fromkeys(name for values in found.values() for name in values))
     table = Table("object", *columns)

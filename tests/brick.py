@@ -8,6 +8,7 @@ from objectfolder.fem.band import solved_band
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.modal import modal_analysis
 from objectfolder.materials import material
+from objectfolder.mesh.normalize import mass_properties
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.nets.audio_gains import AudioConfig, train_gains
@@ -59,7 +60,10 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
     return pack(
         "brick",
         "plastic",
-        {"scale_m": scale, "source_centre": [0, 0, 0], "source_size": 1.0, "source_up": "z"},
+        {
+            **{"scale_m": scale, "source_centre": [0, 0, 0], "source_size": 1.0, "source_up": "z"},
+            "solid": mass_properties(solid),
+        },
         {"values": values, "band": np.float64(band)},
         {
             "vision": (look_tensors, {"kind": "surface", "net": look_config}),

@@ -9,6 +9,7 @@ import gymnasium
 import numpy as np
 import torch
 from stable_baselines3 import PPO
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
@@ -91,6 +92,7 @@ def train_ppo(
         seed=_part_seed(seed, purpose, 0),
         device="cpu",  # two small layers: a GPU is slower
     )
+    model.set_logger(Logger(folder=None, output_formats=[]))  # its own leaves a folder in /tmp per training
     curve: list[list[float]] = []
     best, before = _actor(model, envs), 0.0
     if checkpoint.is_file():

@@ -9,6 +9,7 @@ import gymnasium
 import numpy as np
 import torch
 from sb3_contrib import TRPO
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv
 
 from objectfolder.artifacts import atomic
@@ -134,6 +135,7 @@ def train_trpo(
         seed=_part_seed(seed, purpose, 0),
         device="cpu",  # two small layers: a GPU is slower
     )
+    model.set_logger(Logger(folder=None, output_formats=[]))  # its own leaves a folder in /tmp per training
     curve: list[list[float]] = []
     best, before = _actor(model), 0.0
     if checkpoint.is_file():

@@ -41,7 +41,10 @@ class RigidBody:
 
 
 def rigid_body(file: ObjectFile, hulls: Sequence[trimesh.Trimesh]) -> RigidBody:
-    """Mass properties of what the stored surface encloses, full of the object's material.
+    """Mass properties of the solid, full of the object's material.
+
+    The solid is what the source's closed surface encloses, as the file tells; in files of before format 1.1,
+    which do not, what the stored surface encloses.
 
     Parameters
     ----------
@@ -52,21 +55,20 @@ def rigid_body(file: ObjectFile, hulls: Sequence[trimesh.Trimesh]) -> RigidBody:
     Raises
     ------
     ObjectFolderError
-        If the file holds no geometry, there are no hulls, or they are not of this object: their bounds are
-        further from the surface's than a tenth of its size.
+        If the file holds no geometry, no body has the mass properties that it tells, there are no hulls, or
+        they are not of this object: their bounds are further from the surface's than a tenth of its size.
     """
     if not hulls:
         raise ObjectFolderError(f"{file.key}: no hulls to collide with; expected at least one")
     surface = close_holes(file.to_mesh())
     _check_fit(file.key, surface.bounds, hulls)
-    surface.density = density(file)
-    properties = surface.mass_properties
+    volume, centre, inertia = _moments(file, surface)
     return RigidBody(
         key=file.key,
         hulls=tuple(hulls),
-        mass=float(properties.mass),
-        centre=np.asarray(properties.center_mass),
-        inertia=np.asarray(properties.inertia),
+        mass=density(file) * volume,
+        centre=centre,
+        inertia=density(file) * inertia,
         friction=FRICTION.get(file.material.lower(), _OTHER_FRICTION),
         bounds=np.asarray(surface.bounds),
     )
@@ -121,6 +123,23 @@ def add_body(
             friction=[body.friction, TORSIONAL, ROLLING],
         )
     return added
+
+
+def _moments(file: ObjectFile, surface: trimesh.Trimesh) -> tuple[float, np.ndarray, np.ndarray]:
+    """Volume, centre and inertia (3, 3) at density 1, metres."""
+    if "solid" not in file.header:
+        found = surface.mass_properties
+        return float(found.volume), np.asarray(found.center_mass), np.asarray(found.inertia)
+    solid, size = file.header["solid"], file.scale
+    xx, yy, zz, xy, xz, yz = solid["inertia"]
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    principal = np.linalg.eigvalsh(inertia)
+    if not 0 < principal[0] <= principal[2] <= principal[:2].sum():
+        raise ObjectFolderError(
+            f"{file.key}: no body has the principal moments of inertia that the file tells, "
+            f"{principal.tolist()}; build it again"
+        )
+    return solid["volume"] * size**3, size * np.array(solid["centre"]), size**5 * inertia
 
 
 def _check_fit(key: str, bounds: np.ndarray, hulls: Sequence[trimesh.Trimesh]) -> None:

@@ -4,9 +4,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+import trimesh
 
 from objectfolder.mesh.surface import Rung, Surface, close_surface
 from objectfolder.mesh.textured import TexturedMesh, appearance_report
+from objectfolder.mesh.topology import Mesh
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,7 @@ class Normalized:
             "deviation_mean_m": surface.deviation_mean * scale,
             "deviation_mean_percent": surface.deviation_mean * 100,
             "volume_m3": surface.volume * scale**3,
+            "solid": mass_properties(surface.mesh),
             "components": surface.components,
             "cavities": surface.cavities,
             "overlap_fraction": surface.certificate.outside_fraction,
@@ -74,6 +77,24 @@ def normalize(
     visual = mesh.with_vertices((mesh.vertices - centre) / size)
     surface = close_surface(visual.vertices, visual.faces, name, wall, bridging)
     return Normalized(visual, surface, centre, size)
+
+
+def mass_properties(surface: Mesh) -> dict[str, Any]:
+    """Volume, centre of mass and inertia of what a closed surface encloses, at density 1.
+
+    Returns
+    -------
+    dict
+        ``volume``, ``centre`` [x, y, z], and ``inertia`` [xx, yy, zz, xy, xz, yz] about it; in the frame of
+        the surface.
+    """
+    found = trimesh.Trimesh(*surface, process=False).mass_properties
+    inertia = np.asarray(found.inertia)
+    return {
+        "volume": float(found.volume),
+        "centre": np.asarray(found.center_mass).tolist(),
+        "inertia": inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist(),
+    }
 
 
 def _in_metres(rung: Rung, scale: float) -> dict[str, Any]:

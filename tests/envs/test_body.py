@@ -92,6 +92,35 @@ def test_mass_of_a_ball():
     np.testing.assert_allclose(body.centre, 0, atol=1e-3 * SCALE)
 
 
+def test_mass_is_the_sources_where_the_file_tells_it(brick):
+    """The analytic brick, exactly: the grid that its surface is stored in rounds its edges off."""
+    sides = np.array([1.0, 0.6, 0.3]) * brick.scale
+    _, mass, inertia = cuboid(
+        sides, np.zeros(3), brick.header["material_properties"]["density"] * sides.prod()
+    )
+    body = rigid_body(brick, [brick.to_mesh().convex_hull])
+    assert body.mass == pytest.approx(mass, rel=1e-12)
+    np.testing.assert_allclose(body.inertia, inertia, atol=1e-12 * inertia.max())
+    np.testing.assert_allclose(body.centre, 0, atol=1e-15)
+
+
+def test_products_of_inertia_keep_their_places(brick):
+    told = {"volume": 0.2, "centre": [0.1, 0, -0.1], "inertia": [3e-2, 2.5e-2, 2e-2, 1e-3, 2e-3, 3e-3]}
+    body = rigid_body(
+        ObjectFile({**brick.header, "solid": told}, brick.tensors), [brick.to_mesh().convex_hull]
+    )
+    expected = [[3e-2, 1e-3, 2e-3], [1e-3, 2.5e-2, 3e-3], [2e-3, 3e-3, 2e-2]]
+    np.testing.assert_allclose(body.inertia, 1070 * brick.scale**5 * np.array(expected))
+    np.testing.assert_allclose(body.centre, brick.scale * np.array([0.1, 0, -0.1]))
+
+
+@pytest.mark.parametrize("inertia", [[1, 1, 3, 0, 0, 0], [1, 1, -1, 0, 0, 0], [1, 1, 1, 2, 0, 0]])
+def test_inertia_that_no_body_has_is_refused(brick, inertia):
+    told = {**brick.header["solid"], "inertia": [1e-3 * value for value in inertia]}
+    with pytest.raises(ObjectFolderError, match="brick: no body has the principal moments of inertia"):
+        rigid_body(ObjectFile({**brick.header, "solid": told}, brick.tensors), [brick.to_mesh().convex_hull])
+
+
 def test_density_is_the_files_own(brick):
     assert density(brick) == 1070
     header = {

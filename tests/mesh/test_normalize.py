@@ -30,6 +30,10 @@ def test_report_is_in_metres():
     report = done.report(0.1, "y")
     assert report["volume_m3"] == pytest.approx(8 * (0.1 / 4) ** 3)
     assert report["scale_m"] == 0.1
+    assert report["solid"]["volume"] == pytest.approx(0.5 * 1 * 0.25)
+    assert report["solid"]["inertia"] == pytest.approx(
+        [0.125 / 12 * s for s in (1 + 0.25**2, 0.5**2 + 0.25**2, 1 + 0.5**2, 0, 0, 0)]
+    )
     assert report["source_up"] == "y"
     assert report["source_size"] == 4
 
