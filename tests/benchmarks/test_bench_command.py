@@ -125,6 +125,7 @@ def test_a_task_prints_its_table_and_gives_the_same_bytes_again(files, workspace
     assert results(Path("first")) == results(Path("second"))
 
 
+@pytest.mark.slow  # each task has it without the command
 def test_an_interrupted_task_goes_on_and_ends_the_same(files, workspace, monkeypatch):
     bench("recognition", files, "--out", "whole")
     lines, run_task = [], running.run_task

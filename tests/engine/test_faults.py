@@ -353,7 +353,10 @@ def test_damaged_cached_data_is_an_error_that_names_it(make_workspace, caplog):
     assert build(root=workspace.root).ok
 
 
-@pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.999])
+@pytest.mark.parametrize(
+    "share",
+    [0.0, pytest.param(0.01, marks=pytest.mark.slow), pytest.param(0.5, marks=pytest.mark.slow), 0.999],
+)
 def test_truncated_lock_file_is_restored(workspace, share, caplog):
     build(root=workspace.root)
     workspace.ran()

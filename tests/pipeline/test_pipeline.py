@@ -322,6 +322,7 @@ def test_an_interrupted_training_leaves_nothing_and_restarts_to_the_same_bytes(b
     assert {path: path.read_bytes() for path in outputs} == before
 
 
+@pytest.mark.slow  # tests/engine has it of stages that cost nothing
 def test_a_broken_object_does_not_stop_the_others(workspace):
     home = workspace.root / "data/objects/cube"
     home.mkdir(parents=True)

@@ -13,6 +13,7 @@ def git(root, *arguments):
     subprocess.run(["git", *identity, *arguments], cwd=root, check=True, capture_output=True)
 
 
+@pytest.mark.slow  # tests/engine/test_remotes.py has it of stages that cost nothing
 def test_fresh_clone_of_a_built_workspace_runs_nothing(built, tmp_path):
     built.run("-m", "dvc", "remote", "add", "--local", "-d", "store", str(tmp_path / "store"))
     try:
