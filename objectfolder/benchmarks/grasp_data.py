@@ -18,7 +18,7 @@ from objectfolder.benchmarks.space import enough_space
 from objectfolder.envs.body import RigidBody
 from objectfolder.envs.camera import ExternalCamera
 from objectfolder.envs.fingers import Presses, TrueSurface, feel, press_depths, presses, sensor_profile
-from objectfolder.envs.grasping import GraspScene, Outcomes, lowest_hand
+from objectfolder.envs.grasping import GraspScene, Outcomes, Physics, lowest_hand
 from objectfolder.envs.gripper import PAD
 from objectfolder.envs.poses import hand_axes, rotation, turned
 from objectfolder.errors import ObjectFolderError
@@ -47,12 +47,13 @@ class Plan:
     perturbations: int  #: repetitions of each grasp, slightly changed, for the soft label
     image: int  #: side of the camera's pictures, pixels
     touch: tuple[int, int]  #: height and width of tactile images
+    timestep: float = Physics.timestep  #: of the simulation, s
 
     @classmethod
     def of(cls, params: GraspDataParams) -> "Plan":
         """What the section of ``params.yaml`` says."""
         height, width = params.touch
-        return cls(params.grasps, params.perturbations, params.image, (height, width))
+        return cls(params.grasps, params.perturbations, params.image, (height, width), params.timestep)
 
     def bytes(self, explicit: bool) -> int:
         """Of the pictures of a grasp."""
@@ -113,7 +114,7 @@ def collect_grasps(
     if are_collected(file, body, wanted, seed, surface is not None, folder):
         return
     _require_parts(file)
-    scene = GraspScene(body, threads=threads)
+    scene = GraspScene(body, Physics(timestep=wanted.timestep), threads)
     truth = None if surface is None else _truth(file, surface)
     rests = scene.rests(numpy_generator(seed, file.key, "rests"))
     request = _request(file, body, wanted, seed, truth is not None)

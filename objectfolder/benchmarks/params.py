@@ -98,6 +98,7 @@ class GraspDataParams(Section):
     perturbations: int = Field(ge=0)  #: repetitions of each grasp, slightly changed, for the soft label
     image: int = Field(ge=8)  #: side of the camera's pictures, pixels
     touch: list[int] = Sizes  #: height and width of tactile images, pixels; the sensor's: 160, 120
+    timestep: float = Field(gt=0, le=0.004)  #: of the simulation, s
 
 
 class GraspPolicyParams(Section):

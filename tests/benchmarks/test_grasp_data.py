@@ -8,7 +8,7 @@ from objectfolder.benchmarks import grasp_data
 from objectfolder.benchmarks.grasp_data import FORCES, Plan, are_collected, collect_grasps, draw_attempts
 from objectfolder.benchmarks.grasps import ARRAYS, Grasps
 from objectfolder.envs.body import rigid_body
-from objectfolder.envs.grasping import GraspScene, lowest_hand
+from objectfolder.envs.grasping import GraspScene, Physics, lowest_hand
 from objectfolder.envs.hulls import convex_hulls
 from objectfolder.envs.poses import rotation
 from objectfolder.errors import ObjectFolderError
@@ -135,3 +135,18 @@ def test_other_hulls_are_another_collection(brick, body, surface, collected):
     moved = replace(body, hulls=tuple(hull.copy().apply_scale(1.01) for hull in body.hulls))
     assert not are_collected(brick, moved, WANTED, 0, True, collected)
     assert not are_collected(brick, body, WANTED, 0, False, collected)
+
+
+def test_another_time_step_is_another_collection(brick, body, surface, collected, tmp_path, monkeypatch):
+    finer = replace(WANTED, timestep=0.001)
+    assert not are_collected(brick, body, finer, 0, True, collected)
+    asked = []
+
+    def scene(body, physics, threads):
+        asked.append(physics)
+        raise ObjectFolderError("enough")
+
+    monkeypatch.setattr(grasp_data, "GraspScene", scene)
+    with pytest.raises(ObjectFolderError, match="enough"):
+        collect_grasps(brick, body, finer, 0, tmp_path, surface)
+    assert asked == [Physics(timestep=0.001)]
