@@ -671,7 +671,11 @@ def robots() -> list[str]:
     """Tables of what robots have left in benchmarks/PRESET, and of what `perf/grasp.py` has measured."""
     shown = measured(("grasp_labels", labels)) + measured(("grasp_speed", grasps_per_second))
     lines = robot_tables(ROOT / "benchmarks") + shown
-    told = "What is asked and how: [benchmarks.md](benchmarks.md#grasps)."
+    told = (
+        "What is asked and how: [benchmarks.md](benchmarks.md#grasps). Seed 0. Minutes hold what else the "
+        "machine did. Nets of explicit touches are trained apart: their difference is that of two trainings, "
+        "too; rows `tested with explicit` ask one net."
+    )
     return ["\n## Robots\n", told, *lines] if lines else []
 
 
