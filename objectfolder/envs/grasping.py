@@ -19,7 +19,7 @@ from objectfolder.envs.poses import hand_axes, rotation
 from objectfolder.errors import ObjectFolderError
 
 LIFT = 0.1  #: height to which objects are lifted, m
-HELD = 0.8  #: an object is held if it rises by more than this share of it
+HELD = 0.8  #: an object follows the hand if it rises by more than this share of its way
 TICK = 0.1  #: seconds between looks at jaws that close
 CLOSING = 7  #: ticks in which a jaw crosses its stroke and comes to rest, at most
 AT_REST = 0.005  #: speed of a jaw that has closed, m/s
@@ -69,7 +69,7 @@ class Outcomes:
     forces: np.ndarray  #: (N, 2) normal forces, N
     rise: np.ndarray  #: (N,) of the object from closing to the end of holding
     slip: np.ndarray  #: (N,) how far its origin moved meanwhile in the gripper's frame
-    success: np.ndarray  #: (N,) bool, it was held by both pads
+    success: np.ndarray  #: (N,) bool, it followed the hand between both pads
 
 
 @dataclass(frozen=True)
@@ -250,8 +250,10 @@ class GraspScene:
     def grasp(self, objects: np.ndarray, hands: np.ndarray, forces: np.ndarray) -> Outcomes:
         """Close the jaws on objects, lift and hold them; parameters as of `close`.
 
-        A grasp succeeds if both pads still touch the object when it was held for half a second, and it rose
-        with the hand. Rows that let it fall are not simulated to the end.
+        A grasp succeeds if the object follows the hand: half-way up, at the top, and after half a second there
+        both pads touch it, and its origin has risen by more than `HELD` of the hand's way. So one that tilts
+        instead of rising has failed, even if it hangs between the jaws at the end. Rows that have failed are
+        not simulated any further.
         """
         return self.lift(self.close(objects, hands, forces))
 
