@@ -102,8 +102,8 @@ def results(folder):
 @pytest.mark.parametrize(
     ("command", "name"),
     [
-        ("recognition", "recognize_seen"),
-        ("retrieval", "retrieve_seen"),
+        pytest.param("recognition", "recognize_seen", marks=pytest.mark.slow),
+        pytest.param("retrieval", "retrieve_seen", marks=pytest.mark.slow),
         ("reconstruction", "reconstruct_seen"),
     ],
 )

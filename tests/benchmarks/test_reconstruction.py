@@ -126,6 +126,7 @@ def _one_thread():
     torch.set_num_threads(threads)
 
 
+@pytest.mark.slow
 def test_every_variant_beats_the_average_shape_and_an_interrupted_call_goes_on(
     occupancy, tmp_path, monkeypatch
 ):

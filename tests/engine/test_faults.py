@@ -308,8 +308,8 @@ def cached(workspace, oid):
     [
         ("prepare", "file", True),
         ("solve", "file in a directory", False),
-        ("solve", "directory", True),
-        ("pack", "metric", True),
+        pytest.param("solve", "directory", True, marks=pytest.mark.slow),
+        pytest.param("pack", "metric", True, marks=pytest.mark.slow),
     ],
 )
 def test_damaged_cached_object_is_not_delivered_but_built_again(workspace, stage, what, with_lock, caplog):

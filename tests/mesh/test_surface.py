@@ -162,6 +162,7 @@ def test_a_jittered_soup_is_welded(mug, rng, jitter):
     assert jitter < surface.deviation_max < 100 * jitter
 
 
+@pytest.mark.slow
 def test_a_soup_that_welding_cannot_close_is_remeshed_with_a_warning(mug, rng, monkeypatch):
     monkeypatch.setattr("objectfolder.mesh.remesh.RESOLUTION", 64)
     vertices, faces = soup(mug)
@@ -404,6 +405,7 @@ def test_what_encloses_nothing_is_refused_by_name(monkeypatch, vertices, faces):
         close_surface(np.asarray(vertices, float), np.asarray(faces), "lamp")
 
 
+@pytest.mark.slow
 @settings(max_examples=2, deadline=None)
 @given(SEEDS)
 def test_garbage_is_refused_or_becomes_a_closed_outward_surface(seed):

@@ -40,6 +40,7 @@ def test_arrays_that_do_not_fit_together_are_named(built, tmp_path, name):
     assert f"lacks {name}" in validate(checks(build)[build.modes], build.modes)
 
 
+@pytest.mark.slow
 def test_a_recorded_artifact_that_is_not_valid_is_rebuilt(built):
     """Its hash is right: a stage wrote it so."""
     build = Build("cube", built.root)

@@ -252,6 +252,7 @@ def test_impossible_requests_are_refused(build, parameters, words):
 unit = st.floats(0, 1)
 
 
+@pytest.mark.slow
 @settings(max_examples=6, deadline=None, derandomize=True, phases=[Phase.generate])
 @given(st.floats(0.4, 1.2), unit, unit, unit, unit, st.sampled_from(["rectangle", "oval"]), st.booleans())
 def test_any_sane_table_is_solid(width, long, high, thick, slim, shape, pillar):
@@ -267,6 +268,7 @@ def test_any_sane_table_is_solid(width, long, high, thick, slim, shape, pillar):
     check_charts(mesh)
 
 
+@pytest.mark.slow
 @settings(max_examples=6, deadline=None, derandomize=True, phases=[Phase.generate])
 @given(st.floats(0.2, 0.5), unit, unit, unit, unit, st.integers(3, 6))
 def test_any_sane_stool_is_solid(diameter, high, thick, slim, wide, legs):
@@ -281,6 +283,7 @@ def test_any_sane_stool_is_solid(diameter, high, thick, slim, wide, legs):
     check_charts(mesh)
 
 
+@pytest.mark.slow
 @settings(max_examples=6, deadline=None, derandomize=True, phases=[Phase.generate])
 @given(
     st.floats(0.4, 1.5), unit, unit, unit, st.integers(1, 6), st.sampled_from(["open", "doors", "drawers"])

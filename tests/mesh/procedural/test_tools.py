@@ -263,6 +263,7 @@ def test_impossible_requests_are_refused(build, parameters, words):
 unit = st.floats(0, 1)
 
 
+@pytest.mark.slow
 @settings(max_examples=5, deadline=None, derandomize=True, phases=[Phase.generate])
 @given(st.floats(0.005, 0.04), unit, unit, st.sampled_from(["combination", "open", "ring"]))
 def test_any_sane_wrench_is_solid(size, long, thick, ends):
@@ -271,6 +272,7 @@ def test_any_sane_wrench_is_solid(size, long, thick, ends):
     check_charts(mesh)
 
 
+@pytest.mark.slow
 @settings(max_examples=5, deadline=None, derandomize=True, phases=[Phase.generate])
 @given(st.floats(0.015, 0.08), unit, unit, unit, st.sampled_from(["claw", "club", "mallet"]))
 def test_any_sane_hammer_is_solid(diameter, long, slim, reach, head):
@@ -285,6 +287,7 @@ def test_any_sane_hammer_is_solid(diameter, long, slim, reach, head):
     check_charts(mesh)
 
 
+@pytest.mark.slow
 @settings(max_examples=6, deadline=None, derandomize=True, phases=[Phase.generate])
 @given(st.floats(0.03, 0.1), unit, unit, unit, unit, st.booleans())
 def test_any_sane_spoon_is_solid(bowl, wide, deep, thick, far, hooked):
@@ -299,6 +302,7 @@ def test_any_sane_spoon_is_solid(bowl, wide, deep, thick, far, hooked):
     check_charts(mesh)
 
 
+@pytest.mark.slow
 @settings(max_examples=6, deadline=None, derandomize=True, phases=[Phase.generate])
 @given(st.floats(0.03, 0.3), unit, unit, unit, st.integers(1, 4), st.integers(1, 4),
        st.sampled_from(["round", "star", "mixed"]), st.booleans())  # fmt: skip
@@ -315,6 +319,7 @@ def test_any_sane_block_is_solid(length, wide, high, fat, rows, columns, hole, b
     check_charts(mesh)
 
 
+@pytest.mark.slow
 @settings(max_examples=4, deadline=None, derandomize=True, phases=[Phase.generate])
 @given(st.floats(0.03, 0.5), st.floats(0.75, 1.3), st.integers(3, 8), st.sampled_from(KINDS))
 def test_any_sane_toy_is_solid(size, plump, count, kind):
