@@ -250,10 +250,10 @@ class GraspScene:
     def grasp(self, objects: np.ndarray, hands: np.ndarray, forces: np.ndarray) -> Outcomes:
         """Close the jaws on objects, lift and hold them; parameters as of `close`.
 
-        A grasp succeeds if the object follows the hand: half-way up, at the top, and after half a second there
-        both pads touch it, and its origin has risen by more than `HELD` of the hand's way. So one that tilts
-        instead of rising has failed, even if it hangs between the jaws at the end. Rows that have failed are
-        not simulated any further.
+        A grasp succeeds if the object follows the hand: half-way up, at the top, and after half a second
+        there both pads touch it, and its origin has risen by more than `HELD` of the hand's way. So one that
+        tilts instead of rising has failed, even if it hangs between the jaws at the end. Rows that have
+        failed are not simulated any further.
         """
         return self.lift(self.close(objects, hands, forces))
 
