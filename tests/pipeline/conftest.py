@@ -40,6 +40,8 @@ TINY = {
         "levels": 4,
         "finest": 64,
         "width": 16,
+        "point_steps": 20,
+        "point_batch": 1024,
         "steps": 40,
         "batch": 512,
         "osf": {
@@ -65,7 +67,7 @@ TINY = {
                 "width": 32,
                 "features": 32,
                 "frequency": 6.0,
-                "steps": 200,
+                "steps": 60,
                 "learning_rate": 0.005,
                 "grid_rate": 3.0,
             }
