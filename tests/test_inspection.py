@@ -264,6 +264,7 @@ def test_modal_rows(root):
     assert grams == pytest.approx(VOLUME * 2.7, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_modal_tells_of_a_reused_solve(tmp_path, root):
     source, build = Build("brick", root), Build("brick", tmp_path)
     report = read_json(source.modal) | {"reused": True, "count_below_max_frequency": None, "truncated": True}

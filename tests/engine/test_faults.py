@@ -80,7 +80,7 @@ def half_copies(workspace):
 # Killed
 
 
-@pytest.mark.parametrize("whom", ["command", "supervisor"])
+@pytest.mark.parametrize("whom", [pytest.param("command", marks=pytest.mark.slow), "supervisor"])
 def test_killed_stage_is_said_in_words_and_its_half_output_is_not_taken(workspace, whom):
     workspace.control("prepare@mug", "half")
     half = workspace.root / "build/mug/prepare.txt"
@@ -355,7 +355,12 @@ def test_damaged_cached_data_is_an_error_that_names_it(make_workspace, caplog):
 
 @pytest.mark.parametrize(
     "share",
-    [0.0, pytest.param(0.01, marks=pytest.mark.slow), pytest.param(0.5, marks=pytest.mark.slow), 0.999],
+    [
+        0.0,
+        pytest.param(0.01, marks=pytest.mark.slow),
+        pytest.param(0.5, marks=pytest.mark.slow),
+        pytest.param(0.999, marks=pytest.mark.slow),
+    ],
 )
 def test_truncated_lock_file_is_restored(workspace, share, caplog):
     build(root=workspace.root)
@@ -389,7 +394,14 @@ def test_torn_rwlock_file_is_replaced(workspace, garbage):
     assert build(["prepare@mug"], root=workspace.root).ok
 
 
-@pytest.mark.parametrize("broken", [b"objects: [", b"\xff\xfe\x00", None])
+@pytest.mark.parametrize(
+    "broken",
+    [
+        b"objects: [",
+        pytest.param(b"\xff\xfe\x00", marks=pytest.mark.slow),
+        pytest.param(None, marks=pytest.mark.slow),
+    ],
+)
 def test_params_broken_during_a_build_fail_stages_and_no_more(workspace, broken):
     path = workspace.root / "params.yaml"
     good = path.read_bytes()
@@ -493,7 +505,7 @@ def test_exception_in_a_worker_fails_its_stage_only(workspace, monkeypatch):
 # Two at once
 
 
-@pytest.mark.parametrize("other", ["build", "dvc repro"])
+@pytest.mark.parametrize("other", ["build", pytest.param("dvc repro", marks=pytest.mark.slow)])
 def test_second_build_can_wait_for_the_first(workspace, other, caplog):
     workspace.control("prepare@mug", "60")
     engine = "from objectfolder.engine.build import build; build()"

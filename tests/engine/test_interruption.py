@@ -45,7 +45,10 @@ def test_killed_engine_leaves_no_child_and_the_next_build_completes(workspace):
     resume(workspace)
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, -signal.SIGINT), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"),
+    [(signal.SIGINT, -signal.SIGINT), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)],
+)
 def test_interrupted_engine_keeps_what_has_finished(workspace, number, code):
     engine, stage = start_and_hang(workspace)
     engine.send_signal(number)

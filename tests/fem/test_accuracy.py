@@ -45,6 +45,7 @@ def test_volume_of_thin_aligned_boards():
     assert perf.aligned_volume().value <= 0.003
 
 
+@pytest.mark.slow
 def test_the_estimate_is_of_the_size_of_the_error_where_the_solid_is_smooth():
     solid = box((1, 0.3, 0.05), (0, 0.01, 0.013))
     grid, fine = (cut_cells(*solid, r, 8) for r in (8, 48))

@@ -26,6 +26,7 @@ REAL = {
     "ycb_medium_clamp": "obj",
     "ycb_mug": "obj",
 }
+SLOW = ("polyhaven_wooden_table", "ycb_medium_clamp")  # beside a plate, a bell and a mug
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +108,7 @@ def torus():
     return np.array(mesh.vertices), np.array(mesh.faces, np.int64)
 
 
-@pytest.mark.parametrize("resolution", [128, 192, pytest.param(256, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("resolution", [128, *(pytest.param(n, marks=pytest.mark.slow) for n in (192, 256))])
 @pytest.mark.parametrize(
     ("solid", "distance"),
     [
@@ -142,7 +143,9 @@ def test_trilinear_distance_to_a_torus_is_right_to_a_twentieth_of_a_voxel(rng):
 
 
 @pytest.mark.skipif(not OBJECTS.is_dir(), reason="needs the shared objects")
-@pytest.mark.parametrize("name", REAL)
+@pytest.mark.parametrize(
+    "name", [pytest.param(key, marks=[pytest.mark.slow] if key in SLOW else []) for key in REAL]
+)
 def test_no_sign_of_a_real_object_is_wrong(name, rng):
     """Against libigl's winding number, which knows nothing of columns.
 

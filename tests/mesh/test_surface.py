@@ -153,7 +153,7 @@ def test_flipped_faces_are_turned_back(mug, seed):
     assert surface.volume == pytest.approx(signed_volume(*mug))
 
 
-@pytest.mark.parametrize("jitter", [1e-6, 1e-5])
+@pytest.mark.parametrize("jitter", [1e-6, pytest.param(1e-5, marks=pytest.mark.slow)])
 def test_a_jittered_soup_is_welded(mug, rng, jitter):
     vertices, faces = soup(mug)
     surface = close_surface(vertices + rng.normal(size=vertices.shape) * jitter, faces)
@@ -228,6 +228,7 @@ def test_pieces_that_are_too_far_apart_are_named_with_volumes_and_gaps():
     assert "33.3% of the volume, 5.00% of the size away from piece 1" in text
 
 
+@pytest.mark.slow
 def test_bridging_can_be_switched_off():
     pieces = join(box((0.4, 0.4, 0.4), (-0.205, 0, 0)), box((0.4, 0.4, 0.4), (0.205, 0, 0)))
     assert close_surface(*pieces).components == 1

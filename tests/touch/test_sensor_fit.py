@@ -64,7 +64,7 @@ def noisy(images, rng):
     return np.clip(images + rng.normal(0, NOISE, images.shape), 0, 255).round().astype(np.uint8)
 
 
-@pytest.mark.parametrize("with_untouched", [True, False])
+@pytest.mark.parametrize("with_untouched", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_lights_and_background_are_found(rigid, real, pictures, untouched, with_untouched):
     fit = fit_sensor(pictures, RADIUS, rigid, untouched if with_untouched else None)
     factors = {light.color: light.factor for light in fit.lights}
