@@ -11,7 +11,7 @@ from objectfolder.benchmarks.params import splits_of
 OF_ONE = {
     "grasp_policy": ("grasping", tables.grasping_table),
     "reach": ("reach", tables.reach_table),
-    "reach_metaworld": ("reach --metaworld", tables.reach_table),
+    "metaworld_reach": ("reach --metaworld", tables.reach_table),
 }
 
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 #: Of the training curves; figures are those of the validation goals.
 CURVE_COLUMNS = ("seed", "steps", "val_last", "val_any", "val_return", "val_distance")
-TASKS = ("reach", "reach_metaworld")  #: with a floating hand, and with Meta-World's Sawyer arm
+TASKS = ("reach", "metaworld_reach")  #: with a floating hand, and with Meta-World's Sawyer arm
 POLICIES = ("ppo", "controller", "random", "nothing")  #: that are scored
 GAIN = 0.5  #: of the controller: share of the way to the goal that it asks for in a step
 FRAME_STEPS, FRAME = 4, 0.05  #: from one frame of a film to the next: control steps, seconds

@@ -32,7 +32,7 @@ GRASP_POLICIES = {
     "nothing": ("none", "-"),
 }
 PAPER_REACH = "100"  #: success with each of three objects, %; the paper does not say when
-HANDS = {"reach": "floating hand", "reach_metaworld": "Meta-World's Sawyer arm"}
+HANDS = {"reach": "floating hand", "metaworld_reach": "Meta-World's Sawyer arm"}
 REACH_POLICIES = {
     "ppo": "PPO",
     "controller": "straight to the goal",

@@ -108,7 +108,7 @@ def reach(
     from objectfolder.artifacts import read_json
     from objectfolder.benchmarks.tables import reach_table
 
-    task = "reach_metaworld" if metaworld else "reach"
+    task = "metaworld_reach" if metaworld else "reach"
     params, hulls, folder = _asked("reach", preset, out, seeds)
     paths = _object_files(files)
     calls = [(task, file, hulls, params, folder) for file in paths.values()]
