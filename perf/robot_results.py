@@ -6,6 +6,7 @@ from objectfolder.artifacts import read_json
 from objectfolder.benchmarks import tables
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.params import splits_of
+from objectfolder.catalog import read_preset
 
 #: Tasks with one object: the command, and the layout of its table.
 OF_ONE = {
@@ -24,6 +25,9 @@ def robot_tables(root: Path) -> list[str]:
             if folder.result("grasp_stability", split).is_file():
                 scores = read_json(folder.result("grasp_stability", split))
                 command = f"stability --preset {preset} --split {split}"
+                seeds = len(next(iter(scores["sizes"].values()))["V"]["seeds"])
+                if seeds != read_preset(preset, root.parent)[0]["grasp_stability"]["seeds"]:
+                    command += f" --seeds {seeds}"
                 took = [read_json(folder.machine("grasp_stability", split))]
                 lines += laid_out(tables.table("grasp_stability", split, scores), command, took)
                 lines.append(f"\nObjects: {', '.join(scores['keys'])}.")

@@ -48,12 +48,15 @@ def test_reconstruction_beside_the_average_shape():
     assert cells(shown)["audio"] == ("0.5000", "0.0200", "0.7500", "0.8729 / 0.0048 / 0.9504")
 
 
-def test_grasp_stability_by_number_of_grasps():
-    def score(value, low, high):
-        return {"accuracy": value, "wilson_95": [low, high], "balanced_accuracy": 0.5, "auc": None}
+def held(rate, low, high, *seeds):
+    """What grasp stability says of one variant."""
+    interval = {"accuracy": rate, "wilson_95": [low, high]}
+    return interval | {"balanced_accuracy": 0.5, "auc": None, "seeds": seeds or (rate,)}
 
-    few = {"V": score(0.5, 0.25, 0.75), "VT": score(0.625, 0.4, 0.8), "majority": score(0.5, 0.25, 0.75)}
-    many = {"V": score(0.75, 0.5, 0.875), "VT": score(1.0, 0.875, 1.0), "majority": score(0.5, 0.25, 0.75)}
+
+def test_grasp_stability_by_number_of_grasps():
+    few = {"V": held(0.5, 0.25, 0.75), "VT": held(0.625, 0.4, 0.8), "majority": held(0.5, 0.25, 0.75)}
+    many = {"V": held(0.75, 0.5, 0.875), "VT": held(1.0, 0.875, 1.0), "majority": held(0.5, 0.25, 0.75)}
     differences = [
         {"VT - V": {"difference": value, "interval_95": half}}
         for value, half in ((-0.125, None), (0.25, 0.1))
@@ -76,3 +79,22 @@ def test_grasp_stability_by_number_of_grasps():
     }
     assert "Of the test grasps 25 % succeed, of those for training 50 %" in shown.note
     assert "unseen objects" in shown.title
+
+
+def test_grasp_stability_shows_each_of_several_seeds():
+    found = {
+        "asked": 100,
+        "V": held(0.5, 0.25, 0.75, 0.25, 0.75),
+        "VT": held(0.75, 0.5, 0.875, 0.75, 0.75),
+        "majority": held(0.5, 0.25, 0.75),
+        "compared": {"VT - V": {"difference": 0.25, "interval_95": 0.1}},
+    }
+    success = {"train": 0.5, "test": 0.25}
+    shown = table("grasp_stability", "seen", {"sizes": {"100": found}, "success": success, **ROWS})
+    assert shown.columns[-1] == "each seed"
+    assert {name: row[-1] for name, row in cells(shown).items()} == {
+        "vision": "25.0 75.0",
+        "vision + touch": "75.0 75.0",
+        "commonest outcome": "-",
+        "vision + touch − vision": "+50.0 +0.0",
+    }
