@@ -161,7 +161,9 @@ def write_safetensors(path: str | Path, tensors: dict[str, Any], header: dict[st
 
     with atomic(path) as temporary:
         contiguous = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
+        mode = temporary.stat().st_mode  # safetensors lets nobody else read what it writes
         save_file(contiguous, temporary, metadata={"objectfolder": json.dumps(header, sort_keys=True)})
+        temporary.chmod(mode)
 
 
 def write_png(path: str | Path, image: np.ndarray) -> None:

@@ -120,6 +120,13 @@ def test_safetensors_round_trip_and_same_bytes_whatever_the_order(tmp_path):
         np.testing.assert_array_equal(back[name], value)
 
 
+def test_safetensors_may_be_read_by_whom_other_files_may(tmp_path):
+    write_safetensors(tmp_path / "a.safetensors", {"x": np.zeros(1)}, {})
+    write_json(tmp_path / "a.json", {})
+    modes = {path.stat().st_mode for path in tmp_path.iterdir()}
+    assert len(modes) == 1
+
+
 def test_object_arrays_are_not_written(tmp_path):
     with pytest.raises(TypeError, match="a would be pickled"):
         write_npz(tmp_path / "a.npz", a=np.array([{}], object))
