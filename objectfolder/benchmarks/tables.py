@@ -218,9 +218,9 @@ def _stability(split: str, scores: Mapping[str, Any]) -> Table:
     for pair in largest["compared"]:
         first, second = pair.split(" - ")
         differences = [found["compared"][pair] for found in sizes]
-        cells = [f"{100 * d['difference']:+.1f}{_interval(d, 100, '.1f')}" for d in differences]
+        cells = [f"{100 * d['difference']:+z.1f}{_interval(d, 100, '.1f')}" for d in differences]
         by_seed = zip(largest[first]["seeds"], largest[second]["seeds"])
-        each = " ".join(f"{100 * (rate - other):+.1f}" for rate, other in by_seed)
+        each = " ".join(f"{100 * (rate - other):+z.1f}" for rate, other in by_seed)
         name = f"{PREDICTED_FROM[first]} − {PREDICTED_FROM[second]}"
         rows.append((name, *cells, "", "", *[each] * repeated))
     heads = [
