@@ -8,11 +8,12 @@ from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.params import splits_of
 from objectfolder.catalog import read_preset
 
-#: Tasks with one object: the command, and the layout of its table.
+#: Tasks with one object: the command, the layout of its table, the section of parameters, and the policy that
+#: every seed has trained.
 OF_ONE = {
-    "grasp_policy": ("grasping", tables.grasping_table),
-    "reach": ("reach", tables.reach_table),
-    "metaworld_reach": ("reach --metaworld", tables.reach_table),
+    "grasp_policy": ("grasping", tables.grasping_table, "grasp_policy", "touch"),
+    "reach": ("reach", tables.reach_table, "reach", "ppo"),
+    "metaworld_reach": ("reach --metaworld", tables.reach_table, "reach", "ppo"),
 }
 
 
@@ -20,26 +21,32 @@ def robot_tables(root: Path) -> list[str]:
     """Tables of what `objectfolder bench` has left in the folders of presets."""
     lines: list[str] = []
     for preset in ("quick", "standard", "paper"):
-        folder = Benchmarks(root / preset)
+        folder, sections = Benchmarks(root / preset), read_preset(preset, root.parent)[0]
         for split in splits_of("grasp_stability"):
             if folder.result("grasp_stability", split).is_file():
                 scores = read_json(folder.result("grasp_stability", split))
+                found = next(iter(scores["sizes"].values()))
                 command = f"stability --preset {preset} --split {split}"
-                seeds = len(next(iter(scores["sizes"].values()))["V"]["seeds"])
-                if seeds != read_preset(preset, root.parent)[0]["grasp_stability"]["seeds"]:
-                    command += f" --seeds {seeds}"
+                command += _seeds(found["V"], sections["grasp_stability"])
                 took = [read_json(folder.machine("grasp_stability", split))]
                 lines += laid_out(tables.table("grasp_stability", split, scores), command, took)
                 lines.append(f"\nObjects: {', '.join(scores['keys'])}.")
-        for task, (command, layout) in OF_ONE.items():
+        for task, (command, layout, section, policy) in OF_ONE.items():
             ran = [path.stem.removeprefix(f"{task}_") for path in sorted(folder.dir.glob(f"{task}_*.csv"))]
             keys = [key for key in ran if folder.machine(task, key).is_file()]
             if keys:
                 took = [read_json(folder.machine(task, key)) for key in keys]
-                shown = layout({key: read_json(folder.result(task, key)) for key in keys})
+                scores = {key: read_json(folder.result(task, key)) for key in keys}
+                seeds = _seeds(scores[keys[0]][policy], sections[section])
                 files = " ".join(f"build/{key}" for key in keys)
-                lines += laid_out(shown, f"{command} --preset {preset} {files}", took)
+                lines += laid_out(layout(scores), f"{command} --preset {preset}{seeds} {files}", took)
     return lines
+
+
+def _seeds(score: dict, preset: dict) -> str:
+    """Option of the command whose number of seeds is not the preset's."""
+    count = len(score["seeds"])
+    return "" if count == preset["seeds"] else f" --seeds {count}"
 
 
 def laid_out(shown: tables.Table, command: str, took: list[dict]) -> list[str]:
