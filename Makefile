@@ -17,8 +17,9 @@ setup: .venv/installed
 demo: setup
 	$(BIN)/objectfolder build -j $(JOBS)
 
+# A process that dies ends the run: what is left of its file would be lost, and the rest might wait for it.
 test: setup
-	$(BIN)/pytest -n $(JOBS) --dist loadscope --no-loadscope-reorder
+	$(BIN)/pytest -n $(JOBS) --dist loadscope --no-loadscope-reorder --max-worker-restart 0
 
 test-slow: setup
 	$(BIN)/pytest -m slow

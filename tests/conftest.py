@@ -11,8 +11,10 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.inspection.scene import draw
 from objectfolder.objectfile import ObjectFile
 
-# `make fuzz` takes it; tests that set a number of examples themselves keep to that.
+# The same examples everywhere; `make fuzz` tries others. Tests that set a number of examples keep to it.
+settings.register_profile("same", derandomize=True, database=None)
 settings.register_profile("fuzz", max_examples=2000)
+settings.load_profile("same")
 
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     # So starts what a script runs in the background; processes that tests interrupt would inherit it.

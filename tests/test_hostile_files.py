@@ -2,6 +2,8 @@
 
 import copy
 import math
+import resource
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,6 +32,36 @@ JSON = st.recursive(
 )
 
 
+QUESTIONS = (
+    lambda file: file.impact([[0, 0, 0.015]], [[0, 0, 1.0]], duration=0.01),
+    lambda file: file.touch([[0, 0, 0.015]], 0.0005),
+    lambda file: file.nearest([[0, 0, 0.015]])[0],
+    lambda file: file.frequencies,
+)
+#: What a number of a header may be turned into.
+EXTREMES = (-1e300, -1, 0, 5e-324, 1e-300, 1e-9, 0.3, 1, 3, 1000, 10**6, 10**9, 1e300, 2**70)
+
+
+@pytest.fixture
+def two_gigabytes_more():
+    """Whoever asks for more gets a MemoryError, and the machine lives on."""
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (taken + 2**31, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+def refused_or_finite(path):
+    """Ask everything of a file."""
+    for question in QUESTIONS:
+        try:
+            answer = question(ObjectFile.load(path))
+        except ObjectFolderError:
+            continue
+        assert np.isfinite(answer).all()
+
+
 @quick
 @given(JSON)
 def test_any_header_is_refused_or_one(value):
@@ -43,7 +75,9 @@ def test_any_header_is_refused_or_one(value):
 @pytest.mark.filterwarnings("ignore")
 @quick
 @given(data=st.data())
-def test_a_changed_file_is_refused_or_answers_finitely(brick_path, tmp_path_factory, data):
+def test_a_changed_file_is_refused_or_answers_finitely(
+    brick_path, tmp_path_factory, two_gigabytes_more, data
+):
     tensors, header = read_safetensors(brick_path)
     header = copy.deepcopy(header)
     for _ in range(data.draw(st.integers(0, 2))):
@@ -55,18 +89,22 @@ def test_a_changed_file_is_refused_or_answers_finitely(brick_path, tmp_path_fact
         tensors[name] = data.draw(arrays(tensors[name].dtype, shapes))
     path = tmp_path_factory.mktemp("hostile") / "file.safetensors"
     write_safetensors(path, tensors, header)
-    questions = (
-        lambda file: file.impact([[0, 0, 0.015]], [[0, 0, 1.0]], duration=0.01),
-        lambda file: file.touch([[0, 0, 0.015]], 0.0005),
-        lambda file: file.nearest([[0, 0, 0.015]])[0],
-        lambda file: file.frequencies,
-    )
-    for question in questions:
-        try:
-            answer = question(ObjectFile.load(path))
-        except ObjectFolderError:
+    refused_or_finite(path)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_every_number_of_a_header_is_refused_or_answers_finitely(brick_path, tmp_path, two_gigabytes_more):
+    tensors, header = read_safetensors(brick_path)
+    for place, (container, key) in enumerate(leaves(header)):
+        if isinstance(container[key], bool) or not isinstance(container[key], int | float):
             continue
-        assert np.isfinite(answer).all()
+        for value in EXTREMES:
+            changed = copy.deepcopy(header)
+            inner, name = leaves(changed)[place]
+            inner[name] = value
+            write_safetensors(tmp_path / "file.safetensors", tensors, changed)
+            refused_or_finite(tmp_path / "file.safetensors")
 
 
 @quick

@@ -115,6 +115,12 @@ class SensorProfile:
             "gel_dome_radius",
             f"more than {seen:.4g}, so that the dome fills the field of view",
         )
+        # The border that a gel or a blur needs around the picture takes memory as these.
+        side = min(self.height, self.width) * self.pixel_pitch
+        for name, part in (("elastomer_thickness", 2), ("slope_smoothing", 4), ("image_smoothing", 4)):
+            most = side / part
+            expected = f"at most {most:.4g}, 1/{part} of the picture's shorter side on the gel"
+            self._require(getattr(self, name) <= most, name, expected)
         low, high = self.press_depth
         self._require(low <= high <= self.max_indentation, "press_depth", "[low, high] up to max_indentation")
         self._require(len(self.lights) > 0, "lights", "at least one light")

@@ -151,6 +151,9 @@ def test_non_negative_fields_reject_the_rest(name, value):
         ("gel_dome_radius", 0.006),
         ("background_image", 3),
         ("slope_smoothing", -1e-4),
+        ("slope_smoothing", 0.0048),
+        ("image_smoothing", 0.0048),  # of 19.1 mm seen
+        ("image_smoothing", 1.0),
         ("background_color", [0.1, 0.2]),
         ("background_color", [0.1, 0.2, 3]),
         ("press_depth", [0.002, 0.001]),
@@ -167,3 +170,10 @@ def test_non_negative_fields_reject_the_rest(name, value):
 def test_wrong_value_is_named(name, value):
     with pytest.raises(ObjectFolderError, match=name):
         SensorProfile.from_dict(DIGIT.to_dict() | {name: value})
+
+
+def test_a_field_of_view_narrower_than_the_gel_is_thick_is_refused():
+    """Its borders would be a thousand times as wide as the picture."""
+    narrow = {"vertical_fov_deg": 0.01, "slope_smoothing": 0, "image_smoothing": 0}
+    with pytest.raises(ObjectFolderError, match=r"elastomer_thickness = .* the picture's shorter side"):
+        SensorProfile.from_dict(DIGIT.to_dict() | narrow)
