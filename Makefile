@@ -17,9 +17,11 @@ setup: .venv/installed
 demo: setup
 	$(BIN)/objectfolder build -j $(JOBS)
 
-# A process that dies ends the run: what is left of its file would be lost, and the rest might wait for it.
+# A test that hangs is killed after ten minutes and says where it was; a process that dies ends the run, as
+# pytest-xdist would else wait for tests that it had lost.
 test: setup
-	$(BIN)/pytest -n $(JOBS) --dist loadscope --no-loadscope-reorder --max-worker-restart 0
+	$(BIN)/pytest -n $(JOBS) --dist loadscope --no-loadscope-reorder --max-worker-restart 0 \
+	  -o faulthandler_timeout=600 -o faulthandler_exit_on_timeout=true
 
 test-slow: setup
 	$(BIN)/pytest -m slow
