@@ -81,7 +81,7 @@ class ReachParams(Section):
     rollout: int = Count  #: control steps in each of them between updates
     batch: int = Field(ge=2)
     epochs: int = Count  #: over what a rollout has seen
-    learning_rate: float = Field(gt=0)
+    learning_rate: float = Field(gt=0)  #: at the start; linear to 0 at `steps`
     discount: float = Field(gt=0, le=1)  #: gamma, per control step
     width: int = Count  #: of both hidden layers
     log_deviation: float  #: natural logarithm of the actions' first standard deviation

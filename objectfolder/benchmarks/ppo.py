@@ -20,7 +20,7 @@ from objectfolder.benchmarks.training import read_checkpoint
 from objectfolder.seeding import numpy_generator
 
 ROUNDS = 10  #: rollouts and updates of a part, after which the policy is validated and kept
-SOLVED = 2  #: parts in a row without a failure in validation, after which training stops
+SOLVED = 3  #: parts in a row without a failure in validation, after which training stops
 #: Added to the variance of observations: what hardly moves in training, such as an object that nothing hits,
 #: must not become huge when it does. 1 cm, or 1 degree.
 VARIANCE_FLOOR = 1e-4
@@ -80,20 +80,25 @@ def train_ppo(
         gamma=params.discount,
         epsilon=VARIANCE_FLOOR,
     )
+    curve: list[list[float]] = []
+
+    def learning_rate(_: float) -> float:
+        """Linear to 0: Stable-Baselines3 tells the progress of a part, which is not that of the training."""
+        return params.learning_rate * (1 - (curve[-1][0] if curve else 0) / params.steps)
+
     model = PPO(
         "MlpPolicy",
         envs,
         n_steps=params.rollout,
         batch_size=params.batch,
         n_epochs=params.epochs,
-        learning_rate=params.learning_rate,
+        learning_rate=learning_rate,
         gamma=params.discount,
         policy_kwargs={"net_arch": [params.width] * 2, "log_std_init": params.log_deviation},
         seed=_part_seed(seed, purpose, 0),
         device="cpu",  # two small layers: a GPU is slower
     )
     model.set_logger(Logger(folder=None, output_formats=[]))  # its own leaves a folder in /tmp per training
-    curve: list[list[float]] = []
     best, before = _actor(model, envs), 0.0
     if checkpoint.is_file():
         stored = read_checkpoint(checkpoint, FORMAT, settings)
