@@ -20,7 +20,7 @@ from objectfolder.benchmarks.training import read_checkpoint
 from objectfolder.seeding import numpy_generator
 
 ROUNDS = 10  #: rollouts and updates of a part, after which the policy is validated and kept
-SOLVED = 3  #: parts in a row without a failure in validation, after which training stops
+SOLVED = 2  #: parts in a row without a failure in validation, after which training stops
 #: Added to the variance of observations: what hardly moves in training, such as an object that nothing hits,
 #: must not become huge when it does. 1 cm, or 1 degree.
 VARIANCE_FLOOR = 1e-4
