@@ -263,7 +263,13 @@ def _in_processes(call: Callable[..., None], arguments: list[tuple[Any, ...]], j
     from concurrent.futures import ProcessPoolExecutor, as_completed
     from multiprocessing import get_context
 
-    with ProcessPoolExecutor(min(jobs, len(arguments)), get_context("spawn")) as pool:
+    from objectfolder.engine.supervisor import die_with
+
+    # A process whose parent was killed would finish its task, for nobody, and then wait for ever.
+    pool = ProcessPoolExecutor(
+        min(jobs, len(arguments)), get_context("spawn"), initializer=die_with, initargs=(os.getpid(),)
+    )
+    with pool:
         waiting = [pool.submit(call, *given) for given in arguments]
         try:
             for done in as_completed(waiting):

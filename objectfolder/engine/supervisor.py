@@ -48,7 +48,9 @@ def main(engine: int, report: int, commands: list[str]) -> None:
 
 
 def die_with(parent: int) -> None:
-    """End the whole group when the parent ends."""
+    """Get SIGTERM when the parent ends; the supervisor ends its whole group then. Only Linux can do it."""
+    if sys.platform != "linux":
+        return
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
     if os.getppid() != parent:  # it died before the kernel was asked to watch it
         sys.exit()
