@@ -2,11 +2,10 @@
 
 import os
 import time
-from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -179,6 +178,7 @@ def _run(
     from objectfolder.benchmarks.splits import label_order, named_split
     from objectfolder.benchmarks.tables import table
     from objectfolder.catalog import read_preset
+    from objectfolder.engine.pool import in_processes
 
     known = splits_of(task)
     splits = list(dict.fromkeys(splits or known))
@@ -218,7 +218,7 @@ def _run(
     together = 1 if on_gpu else min(threads, len(splits))
     calls = [(task, split, folders, params, folder, weights, threads // together, device) for split in splits]
     if together > 1:
-        for _ in _in_processes(_run_split, calls, together):
+        for _ in in_processes(_run_split, calls, together):
             pass
     else:
         for call in calls:
@@ -256,27 +256,6 @@ def _run_split(
     seconds = run_task(task, run, columns, split, samples, params, folder, _say, started, device)
     took = {"seconds": seconds, "cpu_seconds": time.process_time() - before}
     write_json(folder.machine(task, split), took | {"threads": threads, "machine": machine(device)})
-
-
-def _in_processes(call: Callable[..., None], arguments: list[tuple[Any, ...]], jobs: int) -> Iterator[None]:
-    """Call a function with each of the arguments, several at a time; give an item for each that is done."""
-    from concurrent.futures import ProcessPoolExecutor, as_completed
-    from multiprocessing import get_context
-
-    from objectfolder.engine.supervisor import die_with
-
-    # A process whose parent was killed would finish its task, for nobody, and then wait for ever.
-    pool = ProcessPoolExecutor(
-        min(jobs, len(arguments)), get_context("spawn"), initializer=die_with, initargs=(os.getpid(),)
-    )
-    with pool:
-        waiting = [pool.submit(call, *given) for given in arguments]
-        try:
-            for done in as_completed(waiting):
-                yield done.result()
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
 
 
 def _say(line: str) -> None:
@@ -325,6 +304,7 @@ def _observe(
 ) -> dict[str, Path]:
     """Observe each object, several at a time; those that are observed already are left alone."""
     from objectfolder.benchmarks.sampling import are_sampled
+    from objectfolder.engine.pool import in_processes
     from objectfolder.objectfile import ObjectFile
 
     wanted = (params.observations, params.resolution, seed)
@@ -335,7 +315,7 @@ def _observe(
         if not are_sampled(ObjectFile.load(path), *wanted, folders[key])
     ]
     if new:  # starting processes takes seconds
-        for _ in tracked(_in_processes(_observe_one, new, jobs), "observing objects", len(new)):
+        for _ in tracked(in_processes(_observe_one, new, jobs), "observing objects", len(new)):
             pass
     return folders
 
@@ -347,6 +327,7 @@ def _grasp(
     from objectfolder.artifacts import Build
     from objectfolder.benchmarks.grasp_data import Plan, are_collected
     from objectfolder.benchmarks.grasps import RECORD
+    from objectfolder.engine.pool import in_processes
     from objectfolder.envs.body import rigid_body
     from objectfolder.envs.hulls import cached_hulls
     from objectfolder.objectfile import ObjectFile
@@ -368,7 +349,7 @@ def _grasp(
                 continue
         new.append((path, None if lacking else surfaces[key], wanted, hulls, seed, folder))
     if new:
-        for _ in tracked(_in_processes(_grasp_one, new, jobs), "grasping objects", len(new)):
+        for _ in tracked(in_processes(_grasp_one, new, jobs), "grasping objects", len(new)):
             pass
     return folders
 

@@ -18,7 +18,6 @@ from objectfolder.cli.bench import (
     SplitOption,
     ThreadsOption,
     WeightsOption,
-    _in_processes,
     _object_files,
     _print,
     _run,
@@ -107,6 +106,7 @@ def reach(
     """
     from objectfolder.artifacts import read_json
     from objectfolder.benchmarks.tables import reach_table
+    from objectfolder.engine.pool import in_processes
 
     task = "metaworld_reach" if metaworld else "reach"
     params, hulls, folder = _asked("reach", preset, out, seeds)
@@ -114,7 +114,7 @@ def reach(
     calls = [(task, file, hulls, params, folder) for file in paths.values()]
     jobs = jobs or os.cpu_count() or 1
     if min(jobs, len(calls)) > 1:
-        for _ in _in_processes(_reach_one, calls, jobs):
+        for _ in in_processes(_reach_one, calls, jobs):
             pass
     else:
         for call in calls:

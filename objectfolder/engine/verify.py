@@ -8,10 +8,9 @@ import json
 import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +27,7 @@ from objectfolder.artifacts import Build, atomic
 from objectfolder.engine import steps
 from objectfolder.engine.build import Options, build
 from objectfolder.engine.graph import address_of, plan
+from objectfolder.engine.pool import process_pool
 from objectfolder.engine.savedruns import entries, outputs, remove
 from objectfolder.engine.summary import Addressed, Listener, Summary
 from objectfolder.engine.workspace import owned
@@ -277,7 +277,7 @@ def _validate(survey: _Survey, jobs: int | None, track: Track) -> None:
         and survey.good(f.path, f.oid)
     ]
     many = len(todo) >= MANY
-    executor: Executor = ProcessPoolExecutor(jobs, get_context("spawn")) if many else ThreadPoolExecutor(jobs)
+    executor: Executor = process_pool(jobs) if many else ThreadPoolExecutor(jobs)
     with executor as pool:
         problems = track(pool.map(_problem, todo), "validating", len(todo))
         survey.invalid |= {path: problem for (*_, path), problem in zip(todo, problems) if problem}
