@@ -29,26 +29,8 @@ with atheris.instrument_imports(include=["objectfolder"]):
     from objectfolder.vision import radiosity
 
 SPICE = (
-    0,
-    -1,
-    1,
-    2,
-    0.5,
-    1000,
-    1e308,
-    1e-300,
-    -1e-308,
-    2**31,
-    2**63,
-    True,
-    None,
-    "",
-    "x",
-    "../..",
-    [],
-    {},
-    [[]],
-    "none",
+    *(0, -1, 1, 2, 0.5, 1000, 1e308, 1e-300, -1e-308, 2**31, 2**63),
+    *(True, None, "", "x", "../..", [], {}, [[]], "none"),
 )
 FOLDER = Path(tempfile.mkdtemp(prefix="fuzz"))
 
