@@ -8,8 +8,9 @@ import torch
 from matplotlib.figure import Figure
 
 from objectfolder import ObjectFile
-from objectfolder.artifacts import Build, atomic
 from objectfolder.audio.spectrogram import spectrogram
+from objectfolder.io import atomic
+from objectfolder.workspace.layout import Build
 
 CAMERAS = np.array([[1.9, -1.2, 1.1], [-1.6, -1.6, 1.2], [0.6, 2.0, 1.5]])
 LIGHTS = np.array([[0.5, -0.6, 0.75], [-0.2, -0.9, 0.5], [0.6, 0.4, 0.8]])

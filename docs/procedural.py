@@ -6,15 +6,15 @@ import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
 
-from objectfolder import params
-from objectfolder.artifacts import atomic
-from objectfolder.contact_sheet import tile
+from objectfolder.figures import tile
+from objectfolder.io import atomic
 from objectfolder.mesh.procedural import generate
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.vision.cameras import Intrinsics, look_at, project
 from objectfolder.vision.color import on_white
 from objectfolder.vision.renderers.mitsuba import MitsubaRenderer
 from objectfolder.vision.scene import Scene
+from objectfolder.workspace import params
 
 DOCS = Path(__file__).parent
 CATALOGUE = DOCS.parent / "catalogs/procedural.yaml"

@@ -25,7 +25,7 @@ with atheris.instrument_imports(include=["objectfolder"]):
     from damage import leaves
 
     from objectfolder.errors import ObjectFolderError
-    from objectfolder.objectfile import ObjectFile
+    from objectfolder.objectfile.file import ObjectFile
     from objectfolder.vision import radiosity
 
 SPICE = (

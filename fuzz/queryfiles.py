@@ -16,9 +16,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 with atheris.instrument_imports(include=["objectfolder"]):
     import numpy as np
 
-    from objectfolder.arguments import rows
-    from objectfolder.artifacts import read_rows
     from objectfolder.errors import ObjectFolderError
+    from objectfolder.io import read_rows
+    from objectfolder.objectfile.arguments import rows
 
 FOLDER = Path(tempfile.mkdtemp(prefix="fuzz"))
 DTYPES = (

@@ -15,14 +15,14 @@ from pathlib import Path
 
 import atheris
 
-sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[1] / "tests" / "legacy")]
+sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[1] / "tests" / "support")]
 with atheris.instrument_imports(include=["objectfolder"]):
     import numpy as np
     import released_files
     import torch
 
     from objectfolder.errors import ObjectFolderError
-    from objectfolder.legacy.convert import Options, convert
+    from objectfolder.released.convert import Options, convert
 
 FOLDER = Path(tempfile.mkdtemp(prefix="fuzz"))
 PICKLE = 2000  # bytes at the start of a file of the older format, where its structure is

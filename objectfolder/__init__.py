@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from objectfolder.objectfile import ObjectFile
+    from objectfolder.objectfile.file import ObjectFile
 
 __all__ = ["ObjectFile"]
 
@@ -17,5 +17,5 @@ def __getattr__(name: str) -> Any:
     # Lazy, so that a stage that imports one corner of the library does not load torch,
     # and does not depend on the query code.
     if name == "ObjectFile":
-        return import_module("objectfolder.objectfile").ObjectFile
+        return import_module("objectfolder.objectfile.file").ObjectFile
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -19,13 +19,14 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
-from objectfolder import params
-from objectfolder.artifacts import Build, atomic, read_npz, read_safetensors, write_safetensors
 from objectfolder.audio.spectrogram import SAMPLE_RATE, spectrogram
 from objectfolder.audio.synthesis import audible, sinusoid_bank
+from objectfolder.io import atomic, read_npz, read_safetensors, write_safetensors
 from objectfolder.metrics import SpectrogramErrors, gain_errors
 from objectfolder.nets.audio_gains import AudioConfig, GainsNet, energy_weights, train_gains
 from objectfolder.seeding import torch_generator
+from objectfolder.workspace import params
+from objectfolder.workspace.layout import Build
 
 ROOT = Path(__file__).parents[1]
 FEW_MODES, MANY_MODES = 75, 200  # each has its targets; objects with more modes have none

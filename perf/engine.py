@@ -24,9 +24,9 @@ from rich.console import Console
 from rich.table import Table
 from ruamel.yaml import YAML
 
-from objectfolder.artifacts import atomic
 from objectfolder.engine.build import Options, build
 from objectfolder.engine.summary import Status
+from objectfolder.io import atomic
 
 ROOT = Path(__file__).parents[1]
 PEER_SECONDS, IDLE_SECONDS = 60.0, 180.0  # where DVC alone is stopped

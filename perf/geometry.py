@@ -17,13 +17,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from objectfolder import params
-from objectfolder.artifacts import atomic
 from objectfolder.errors import ObjectFolderError
+from objectfolder.io import atomic
 from objectfolder.mesh.grid import BOUND, band_width
-from objectfolder.mesh.load import load_mesh
 from objectfolder.mesh.normalize import normalize
+from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.sdf import distance_grid
+from objectfolder.workspace import params
 
 ROOT = Path(__file__).parents[1]
 MAX_SECONDS = 10.0  # CPU time of normalize and voxelize of one object, loading included

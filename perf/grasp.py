@@ -19,8 +19,7 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
-from objectfolder.artifacts import write_json
-from objectfolder.benchmarks.grasp_data import (
+from objectfolder.benchmarks.datasets.grasp_data import (
     BATCH,
     Attempts,
     Plan,
@@ -28,11 +27,12 @@ from objectfolder.benchmarks.grasp_data import (
     draw_attempts,
     label_grasps,
 )
-from objectfolder.benchmarks.running import machine
+from objectfolder.benchmarks.tasks.running import machine
 from objectfolder.envs.body import RigidBody, rigid_body
 from objectfolder.envs.grasping import GraspScene, Physics
 from objectfolder.envs.hulls import cached_hulls
-from objectfolder.objectfile import ObjectFile
+from objectfolder.io import write_json
+from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator
 
 REFERENCE = 0.00025  #: time step, s

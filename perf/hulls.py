@@ -19,12 +19,12 @@ from manifold3d import Manifold, Mesh64, OpType
 from rich.console import Console
 from rich.table import Table
 
-from objectfolder.artifacts import write_json
 from objectfolder.envs.body import density, rigid_body
 from objectfolder.envs.hulls import convex_hulls
 from objectfolder.envs.solid import close_holes
+from objectfolder.io import write_json
 from objectfolder.mesh.ply import read_surface
-from objectfolder.objectfile import ObjectFile
+from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator
 
 POINTS = 20_000

@@ -22,19 +22,20 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
-from objectfolder import params
-from objectfolder.artifacts import Build, atomic, read_npz
 from objectfolder.audio.synthesis import sinusoid_bank
 from objectfolder.fem.adaptive import FineGrid, refined
 from objectfolder.fem.eigen import solve_modes
 from objectfolder.fem.elasticity import Solid
 from objectfolder.fem.elements import restored
 from objectfolder.fem.modal import MIN_FREQUENCY, refined_analysis
+from objectfolder.io import atomic, read_npz
 from objectfolder.materials import material
+from objectfolder.mesh.closing.thickness import wall_thickness
+from objectfolder.mesh.closing.topology import Mesh
 from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.sampling import sample_surface
-from objectfolder.mesh.thickness import wall_thickness
-from objectfolder.mesh.topology import Mesh
+from objectfolder.workspace import params
+from objectfolder.workspace.layout import Build
 
 ROOT = Path(__file__).parents[1]
 MAX_SECONDS = 180.0  # of the modal stage

@@ -21,19 +21,19 @@ from numpy.polynomial import legendre
 from rich.console import Console
 from rich.table import Table
 
-from objectfolder import params
-from objectfolder.artifacts import atomic
 from objectfolder.fem.adaptive import FineGrid
 from objectfolder.fem.blocks import merge_full_blocks
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.eigen import Modes, solve_modes
 from objectfolder.fem.elements import discretize
 from objectfolder.fem.modal import refined_analysis
+from objectfolder.io import atomic
 from objectfolder.materials import Material, material
-from objectfolder.mesh.load import load_mesh
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.procedural import generate
+from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.sampling import sample_surface
+from objectfolder.workspace import params
 
 ROOT = Path(__file__).parents[1]
 STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)

@@ -11,14 +11,15 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from objectfolder.artifacts import Build, read_npz, write_json
-from objectfolder.benchmarks.observations import Observations
-from objectfolder.benchmarks.occupancy import is_inside, uniform_points
-from objectfolder.benchmarks.photograph import photograph_scores, view_scores
-from objectfolder.benchmarks.shape_model import load_model
-from objectfolder.benchmarks.splits import per_sample
-from objectfolder.objectfile import ObjectFile
+from objectfolder.benchmarks.datasets.observations import Observations
+from objectfolder.benchmarks.datasets.occupancy import is_inside, uniform_points
+from objectfolder.benchmarks.datasets.splits import per_sample
+from objectfolder.benchmarks.models.shape_model import load_model
+from objectfolder.benchmarks.tasks.photograph import photograph_scores, view_scores
+from objectfolder.io import read_npz, write_json
+from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator
+from objectfolder.workspace.layout import Build
 
 SCORE_POINTS = 30000
 

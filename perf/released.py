@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from objectfolder.nets.released import Frame, ReleasedNetwork
-from objectfolder.nets.released_gains import ReleasedGains
-from objectfolder.nets.released_kilo import ReleasedKilo
-from objectfolder.nets.released_spectrogram import ReleasedSpectrogram
-from objectfolder.nets.released_touch import APEX, DEPTH_SIZE, ReleasedDepth, ReleasedImage
-from objectfolder.nets.released_vision import March, ReleasedNerf
+from objectfolder.nets.released.gains import ReleasedGains
+from objectfolder.nets.released.kilo import ReleasedKilo
+from objectfolder.nets.released.network import Frame, ReleasedNetwork
+from objectfolder.nets.released.spectrogram import ReleasedSpectrogram
+from objectfolder.nets.released.touch import APEX, DEPTH_SIZE, ReleasedDepth, ReleasedImage
+from objectfolder.nets.released.vision import March, ReleasedNerf
 from objectfolder.nets.vision_osf import ScatteringFunction
 from objectfolder.touch.profiles import load_profile
 from objectfolder.vision.cameras import Intrinsics, look_at

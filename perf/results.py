@@ -15,10 +15,10 @@ from query import FIGURES, MEDIAN_KB, shown
 from robot_results import grasps_per_second, labels, robot_tables
 from ruamel.yaml import YAML
 
-from objectfolder.artifacts import atomic, read_json
-from objectfolder.benchmarks import tables
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.params import splits_of
+from objectfolder.benchmarks.scoring import tables
+from objectfolder.io import atomic, read_json
 
 ROOT = Path(__file__).parents[1]
 VISION = (

@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from objectfolder.artifacts import read_json
-from objectfolder.benchmarks import tables
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.params import splits_of
-from objectfolder.catalog import read_preset
+from objectfolder.benchmarks.scoring import tables
+from objectfolder.io import read_json
+from objectfolder.workspace.objects import read_preset
 
 #: Tasks with one object: the command, the layout of its table, the section of parameters, and the policy that
 #: every seed has trained.

@@ -29,23 +29,23 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
-from objectfolder import ObjectFile, params
-from objectfolder.artifacts import Build, atomic, write_npz, write_png
-from objectfolder.contact_sheet import tile
+from objectfolder import ObjectFile
 from objectfolder.errors import ObjectFolderError
-from objectfolder.evaluation import touch_scores
+from objectfolder.figures import tile
+from objectfolder.io import atomic, write_npz, write_png
+from objectfolder.mesh.closing.surface import close_surface
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.mesh.load import load_mesh
 from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.raycast import RayCaster
+from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.sdf import distance_grid
-from objectfolder.mesh.surface import close_surface
 from objectfolder.metrics import psnr
 from objectfolder.nets.touch_geometric import GeometricTouch, fit_contacts
 from objectfolder.nets.touch_image import ImageConfig, train_image
-from objectfolder.query import UNMOVED, snap
+from objectfolder.objectfile.evaluation import touch_scores
+from objectfolder.objectfile.query import UNMOVED, snap
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals, heightmaps
 from objectfolder.touch.dataset import render_contacts
 from objectfolder.touch.gel import deform
@@ -54,6 +54,8 @@ from objectfolder.touch.profiles import SensorProfile, load_profile
 from objectfolder.touch.simulate import touch_images
 from objectfolder.touch.tacto import TactoReference
 from objectfolder.touch.tacto_rays import TactoRays
+from objectfolder.workspace import params
+from objectfolder.workspace.layout import Build
 
 ROOT = Path(__file__).parents[1]
 PICTURES = ROOT / "build" / "perf"

@@ -25,20 +25,19 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
-from objectfolder import params
-from objectfolder.artifacts import SPLITS, Build, atomic, read_npz, write_npz, write_png
-from objectfolder.contact_sheet import tile
 from objectfolder.errors import ObjectFolderError
-from objectfolder.evaluation import evaluate_vision
+from objectfolder.figures import tile
+from objectfolder.io import atomic, read_npz, write_npz, write_png
 from objectfolder.mesh.grid import BOUND, DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.mesh.load import load_mesh
+from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.metrics import psnr
 from objectfolder.nets.vision_osf import OsfNet
 from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.nets.vision_surface_training import VisionConfig, train_surface
-from objectfolder.objectfile import ObjectFile
-from objectfolder.query import view as query_view
+from objectfolder.objectfile.evaluation import evaluate_vision
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.objectfile.query import view as query_view
 from objectfolder.seeding import torch_generator
 from objectfolder.vision.cameras import Intrinsics, camera_rays, covered_rectangle, look_at, sphere_points
 from objectfolder.vision.color import COVERED, lit_foreground, on_white
@@ -47,6 +46,8 @@ from objectfolder.vision.scene import Scene
 from objectfolder.vision.trace import weighted_rows
 from objectfolder.vision.view import draw as draw_surface
 from objectfolder.vision.volume import Rays
+from objectfolder.workspace import params
+from objectfolder.workspace.layout import SPLITS, Build
 
 ROOT = Path(__file__).parents[1]
 PICTURES = ROOT / "build" / "perf"

@@ -1,9 +1,9 @@
 """decompose: ObjectFile.safetensors -> hulls.npz: the surface as a few convex hulls."""
 
-from objectfolder.artifacts import Build
 from objectfolder.benchmarks.params import robot_stage_params
 from objectfolder.envs.hulls import convex_hulls, write_hulls
-from objectfolder.objectfile import ObjectFile
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.workspace.layout import Build
 from stages import run
 
 

@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from objectfolder.artifacts import Build, read_npz, write_json
 from objectfolder.audio.spectrogram import SHAPE
-from objectfolder.evaluation import (
+from objectfolder.figures import page, save, show_answers, show_views
+from objectfolder.io import read_npz, write_json
+from objectfolder.objectfile.evaluation import (
     Strikes,
     evaluate_awgn,
     evaluate_gains,
@@ -15,10 +16,10 @@ from objectfolder.evaluation import (
     strike_sounds,
     view_answers,
 )
-from objectfolder.figure import page, save, show_answers, show_views
-from objectfolder.objectfile import ObjectFile
-from objectfolder.params import stage_params
+from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator
+from objectfolder.workspace.layout import Build
+from objectfolder.workspace.params import stage_params
 from stages import run
 
 SHOWN = 4  # strikes whose spectrograms are drawn

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from objectfolder.artifacts import atomic
+from objectfolder.io import atomic
 from objectfolder.mesh.procedural import generate
-from objectfolder.params import procedural_entry
+from objectfolder.workspace.params import procedural_entry
 from stages import run
 
 

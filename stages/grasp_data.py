@@ -1,13 +1,13 @@
 """grasp_data: Object File, hulls, surface.ply -> benchmarks/grasps/<object>: seen, felt, how it ended."""
 
-from objectfolder.artifacts import Build
-from objectfolder.benchmarks.grasp_data import Plan, collect_grasps
+from objectfolder.benchmarks.datasets.grasp_data import Plan, collect_grasps
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.params import robot_stage_params
 from objectfolder.envs.body import rigid_body
 from objectfolder.envs.hulls import read_hulls
 from objectfolder.mesh.ply import read_surface
-from objectfolder.objectfile import ObjectFile
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.workspace.layout import Build
 from stages import run
 
 

@@ -1,10 +1,10 @@
 """grasp_policy: Object File, hulls -> benchmarks/grasp_policy_<object>.json, .csv, .safetensors, .gif."""
 
-from objectfolder.artifacts import Build
-from objectfolder.benchmarks.grasp_policy import run_grasp_policy
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.params import robot_stage_params
+from objectfolder.benchmarks.tasks.grasp_policy import run_grasp_policy
 from objectfolder.envs.hulls import read_hulls
+from objectfolder.workspace.layout import Build
 from stages import run
 
 

@@ -1,10 +1,10 @@
 """grasp_stability: grasps of all objects -> benchmarks/grasp_stability_<split>.json, .csv: will it hold?"""
 
-from objectfolder.benchmarks.grasp_stability import CURVE_COLUMNS, grasp_stability
-from objectfolder.benchmarks.grasps import Grasps
+from objectfolder.benchmarks.datasets.grasps import Grasps
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.params import stage_params
-from objectfolder.benchmarks.running import run_task
+from objectfolder.benchmarks.tasks.grasp_stability import CURVE_COLUMNS, grasp_stability
+from objectfolder.benchmarks.tasks.running import run_task
 from stages import run
 
 

@@ -6,8 +6,9 @@ import it and no others, and dvc.lock stays small.
 
 from pathlib import Path
 
-from objectfolder.artifacts import code_list, write_text
-from objectfolder.sources import digests
+from objectfolder.io import write_text
+from objectfolder.workspace.code_digests import digests
+from objectfolder.workspace.layout import code_list
 
 
 def main() -> None:

@@ -4,18 +4,19 @@ from contextlib import suppress
 
 import numpy as np
 
-from objectfolder.artifacts import Build, file_digest, keep, read_npz, write_json, write_npz
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.adaptive import FineGrid
 from objectfolder.fem.band import solved_band
 from objectfolder.fem.elements import restored
 from objectfolder.fem.modal import refined_analysis
 from objectfolder.fem.reuse import Request, problem, rescaled, solution
+from objectfolder.io import file_digest, keep, read_npz, write_json, write_npz
 from objectfolder.materials import material
 from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.sampling import sample_surface, split_rows
-from objectfolder.params import stage_params
 from objectfolder.seeding import numpy_generator
+from objectfolder.workspace.layout import Build
+from objectfolder.workspace.params import stage_params
 from stages import run
 
 

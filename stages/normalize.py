@@ -1,10 +1,11 @@
 """normalize: source mesh -> visual.glb, surface.ply (seen, touched), solid.ply (vibrates), normalize.json."""
 
-from objectfolder.artifacts import Build, atomic, write_json
-from objectfolder.mesh.load import load_mesh
+from objectfolder.io import atomic, write_json
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.ply import write_surface
-from objectfolder.params import stage_params
+from objectfolder.mesh.reading.load import load_mesh
+from objectfolder.workspace.layout import Build
+from objectfolder.workspace.params import stage_params
 from stages import run
 
 

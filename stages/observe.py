@@ -1,10 +1,10 @@
 """observe: ObjectFile.safetensors -> benchmarks/observations/<object>: random views, impacts and touches."""
 
-from objectfolder.artifacts import Build
+from objectfolder.benchmarks.datasets.sampling import sample_observations
 from objectfolder.benchmarks.layout import Benchmarks
-from objectfolder.benchmarks.sampling import sample_observations
-from objectfolder.objectfile import ObjectFile
-from objectfolder.params import stage_params
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.workspace.layout import Build
+from objectfolder.workspace.params import stage_params
 from stages import run
 
 

@@ -1,8 +1,9 @@
 """pack: three nets, sdf.npz, normalize.json, material -> ObjectFile.safetensors."""
 
-from objectfolder.artifacts import MODALITIES, Build, file_digest, read_json, read_npz, read_safetensors
-from objectfolder.packing import pack
-from objectfolder.params import stage_params
+from objectfolder.io import file_digest, read_json, read_npz, read_safetensors
+from objectfolder.objectfile.packing import pack
+from objectfolder.workspace.layout import MODALITIES, Build
+from objectfolder.workspace.params import stage_params
 from stages import run
 
 

@@ -1,10 +1,10 @@
 """reach: Object File and its hulls -> benchmarks/reach_<key>.json, .csv, .safetensors, .gif: PPO on reach."""
 
-from objectfolder.artifacts import Build
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.params import robot_stage_params
-from objectfolder.benchmarks.reach import run_reach
+from objectfolder.benchmarks.tasks.reach import run_reach
 from objectfolder.envs.hulls import read_hulls
+from objectfolder.workspace.layout import Build
 from stages import run
 
 

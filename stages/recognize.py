@@ -1,10 +1,10 @@
 """recognize: observations of all objects -> benchmarks/recognize_<split>.json, .csv: which object is it?"""
 
+from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.layout import Benchmarks
-from objectfolder.benchmarks.observations import Observations
 from objectfolder.benchmarks.params import stage_params
-from objectfolder.benchmarks.recognition import CURVE_COLUMNS, recognize
-from objectfolder.benchmarks.running import run_task
+from objectfolder.benchmarks.tasks.recognition import CURVE_COLUMNS, recognize
+from objectfolder.benchmarks.tasks.running import run_task
 from stages import run
 
 

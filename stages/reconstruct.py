@@ -1,10 +1,10 @@
 """reconstruct: observations of all objects -> benchmarks/reconstruct_<split>.{json,csv,safetensors,png}."""
 
+from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.layout import Benchmarks
-from objectfolder.benchmarks.observations import Observations
 from objectfolder.benchmarks.params import stage_params
-from objectfolder.benchmarks.reconstruction import CURVE_COLUMNS, reconstruct
-from objectfolder.benchmarks.running import run_task
+from objectfolder.benchmarks.tasks.reconstruction import CURVE_COLUMNS, reconstruct
+from objectfolder.benchmarks.tasks.running import run_task
 from stages import run
 
 

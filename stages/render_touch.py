@@ -1,12 +1,13 @@
 """render_touch: surface.ply, sensor profile -> touch/{train,val,test}.npz, touch.png (a contact sheet)."""
 
-from objectfolder.artifacts import SPLITS, Build, write_npz, write_png
-from objectfolder.contact_sheet import tile
+from objectfolder.figures import tile
+from objectfolder.io import write_npz, write_png
 from objectfolder.mesh.ply import read_surface
-from objectfolder.params import stage_params
 from objectfolder.seeding import numpy_generator
 from objectfolder.touch.dataset import contact_points, render_contacts
 from objectfolder.touch.profiles import load_profile
+from objectfolder.workspace.layout import SPLITS, Build
+from objectfolder.workspace.params import stage_params
 from stages import progress, run
 
 

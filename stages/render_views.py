@@ -3,16 +3,17 @@
 import numpy as np
 import torch
 
-from objectfolder.artifacts import SPLITS, Build, write_npz, write_png
-from objectfolder.contact_sheet import tile
-from objectfolder.mesh.load import load_mesh
-from objectfolder.params import stage_params
+from objectfolder.figures import tile
+from objectfolder.io import write_npz, write_png
+from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.seeding import numpy_generator
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.color import on_white
 from objectfolder.vision.dataset import render_split
 from objectfolder.vision.renderers.registry import make_renderer
 from objectfolder.vision.scene import Scene
+from objectfolder.workspace.layout import SPLITS, Build
+from objectfolder.workspace.params import stage_params
 from stages import progress, run
 
 

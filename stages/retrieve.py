@@ -1,10 +1,10 @@
 """retrieve: observations of all objects -> benchmarks/retrieve_<split>.json, .csv: by another sense."""
 
+from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.layout import Benchmarks
-from objectfolder.benchmarks.observations import Observations
 from objectfolder.benchmarks.params import stage_params
-from objectfolder.benchmarks.retrieval import CURVE_COLUMNS, retrieve
-from objectfolder.benchmarks.running import run_task
+from objectfolder.benchmarks.tasks.retrieval import CURVE_COLUMNS, retrieve
+from objectfolder.benchmarks.tasks.running import run_task
 from stages import run
 
 

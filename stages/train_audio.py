@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from objectfolder.artifacts import Build, read_npz, write_curve, write_safetensors
+from objectfolder.io import read_npz, write_curve, write_safetensors
 from objectfolder.nets.audio_gains import AudioConfig, train_gains
 from objectfolder.nets.audio_spectrogram import SpectrogramConfig, train_spectrogram
-from objectfolder.params import stage_params
 from objectfolder.seeding import torch_generator
+from objectfolder.workspace.layout import Build
+from objectfolder.workspace.params import stage_params
 from stages import log_point, run
 
 

@@ -2,14 +2,15 @@
 
 import torch
 
-from objectfolder.artifacts import Build, read_npz, write_curve, write_safetensors
+from objectfolder.io import read_npz, write_curve, write_safetensors
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.touch_geometric import GeometricTouch, fit_contacts
 from objectfolder.nets.touch_image import ImageConfig, ImageTouch, train_image
-from objectfolder.params import stage_params
 from objectfolder.seeding import torch_generator
 from objectfolder.touch.profiles import load_profile
+from objectfolder.workspace.layout import Build
+from objectfolder.workspace.params import stage_params
 from stages import log_point, run
 
 ROWS = ("images", "points", "angles", "depths")

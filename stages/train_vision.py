@@ -2,16 +2,17 @@
 
 import torch
 
-from objectfolder.artifacts import Build, read_npz, write_curve, write_safetensors
+from objectfolder.io import read_npz, write_curve, write_safetensors
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.mesh.load import load_mesh
+from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.nets.vision_osf import OsfConfig, OsfNet, train_osf
 from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.nets.vision_surface_training import VisionConfig, train_surface
-from objectfolder.params import stage_params
 from objectfolder.seeding import torch_generator
 from objectfolder.vision.scene import Scene
+from objectfolder.workspace.layout import Build
+from objectfolder.workspace.params import stage_params
 from stages import log_point, run
 
 

@@ -1,10 +1,11 @@
 """voxelize: solid.ply -> solid.npz (elements); surface.ply -> sdf.npz (distance grid); voxelize.json."""
 
-from objectfolder.artifacts import Build, write_json, write_npz
 from objectfolder.fem.elements import stored
 from objectfolder.fem.voxelize import voxelize
+from objectfolder.io import write_json, write_npz
 from objectfolder.mesh.ply import read_surface
-from objectfolder.params import stage_params
+from objectfolder.workspace.layout import Build
+from objectfolder.workspace.params import stage_params
 from stages import run
 
 

@@ -9,7 +9,7 @@ from threadpoolctl import threadpool_limits
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.inspection.scene import draw
-from objectfolder.objectfile import ObjectFile
+from objectfolder.objectfile.file import ObjectFile
 
 # The same examples everywhere; `make fuzz` tries others. Tests that set a number of examples keep to it.
 settings.register_profile("same", derandomize=True, database=None)

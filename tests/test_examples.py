@@ -20,7 +20,7 @@ from objectfolder.mesh.raycast import RayCaster
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-MODULES = ["objectfolder", "objectfolder.objectfile", "objectfolder.queryfiles"]
+MODULES = ["objectfolder", "objectfolder.objectfile.file", "objectfolder.objectfile.query_files"]
 #: A comment that begins with a shape: ``(N, 160, 120, 3) uint8``.
 SHAPE = re.compile(r"#\s*\(((?:\w+,\s*)*\w*)\)")
 

@@ -4,8 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from skimage.metrics import structural_similarity
 
-from objectfolder.evaluation import evaluate_awgn
 from objectfolder.metrics import awgn_psnr, gain_errors, psnr, ssim
+from objectfolder.objectfile.evaluation import evaluate_awgn
 
 
 def test_psnr_of_known_errors():

@@ -8,14 +8,14 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, Field, field_validator
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.params import PARAMS_FILE, ROBOT_STAGES, TASKS, Section, Shared, read, validate
+from objectfolder.workspace.params import PARAMS_FILE, ROBOT_STAGES, TASKS, Section, Shared, read, validate
 
 Count = Field(ge=1)
 Sizes = Field(min_length=2, max_length=2)
 
 
 class EncodeParams(Section):  # noqa: D101
-    encoder: str  #: registered in objectfolder/benchmarks/encoders.py
+    encoder: str  #: registered in objectfolder/benchmarks/models/encoders.py
     image: int = Field(ge=8)  #: side of the crop of a view, pixels
     spectrogram: list[int] = Sizes  #: bins and frames; the paper's: 257, 201
     touch: list[int] = Sizes  #: height and width, pixels; the paper's: 160, 120
@@ -159,7 +159,7 @@ def task_params(task: str, values: dict[str, Any], path: str | Path = PARAMS_FIL
     Parameters
     ----------
     task : str
-        One of `objectfolder.params.TASKS`.
+        One of `objectfolder.workspace.params.TASKS`.
     values : dict
         Contents of ``params.yaml``, perhaps with a preset merged into it.
     path : path, optional
@@ -176,7 +176,7 @@ def task_params(task: str, values: dict[str, Any], path: str | Path = PARAMS_FIL
 
 
 def robot_params(stage: str, values: dict[str, Any], path: str | Path = PARAMS_FILE) -> SimpleNamespace:
-    """Return what a stage of `objectfolder.params.ROBOT_STAGES` reads: ``section`` and ``seed``.
+    """Return what a stage of `objectfolder.workspace.params.ROBOT_STAGES` reads: ``section`` and ``seed``.
 
     Raises
     ------

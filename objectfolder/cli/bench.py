@@ -13,11 +13,11 @@ from objectfolder.cli.console import console, print_wide, tracked
 from objectfolder.errors import ObjectFolderError
 
 if TYPE_CHECKING:
-    from objectfolder.benchmarks.grasp_data import Plan
+    from objectfolder.benchmarks.datasets.grasp_data import Plan
     from objectfolder.benchmarks.layout import Benchmarks
     from objectfolder.benchmarks.params import GraspDataParams
-    from objectfolder.benchmarks.tables import Table
-    from objectfolder.params import ObserveParams
+    from objectfolder.benchmarks.scoring.tables import Table
+    from objectfolder.workspace.params import ObserveParams
 
 #: Of each task; only that one is imported.
 MODULES = {
@@ -170,15 +170,15 @@ def _run(
 ) -> None:
     import torch
 
-    from objectfolder import params as objects
-    from objectfolder.artifacts import read_json
-    from objectfolder.benchmarks.encoders import make_encoder, read_weights, registered
+    from objectfolder.benchmarks.datasets.splits import label_order, named_split
     from objectfolder.benchmarks.layout import Benchmarks
+    from objectfolder.benchmarks.models.encoders import make_encoder, read_weights, registered
     from objectfolder.benchmarks.params import robot_params, splits_of, task_params
-    from objectfolder.benchmarks.splits import label_order, named_split
-    from objectfolder.benchmarks.tables import table
-    from objectfolder.catalog import read_preset
+    from objectfolder.benchmarks.scoring.tables import table
     from objectfolder.engine.pool import in_processes
+    from objectfolder.io import read_json
+    from objectfolder.workspace import params as objects
+    from objectfolder.workspace.objects import read_preset
 
     known = splits_of(task)
     splits = list(dict.fromkeys(splits or known))
@@ -241,14 +241,14 @@ def _run_split(
     """Run a task on one split, and write what it took beside the results."""
     import torch
 
-    from objectfolder.artifacts import write_json
-    from objectfolder.benchmarks.encoders import read_weights
-    from objectfolder.benchmarks.grasps import Grasps
-    from objectfolder.benchmarks.observations import Observations
-    from objectfolder.benchmarks.running import machine, run_task
+    from objectfolder.benchmarks.datasets.grasps import Grasps
+    from objectfolder.benchmarks.datasets.observations import Observations
+    from objectfolder.benchmarks.models.encoders import read_weights
+    from objectfolder.benchmarks.tasks.running import machine, run_task
+    from objectfolder.io import write_json
 
     torch.set_num_threads(threads)
-    module = import_module(f"objectfolder.benchmarks.{MODULES[task]}")
+    module = import_module(f"objectfolder.benchmarks.tasks.{MODULES[task]}")
     run, columns = getattr(module, task), module.CURVE_COLUMNS
     started = None if weights is None else read_weights(weights)
     before = time.process_time()
@@ -276,9 +276,9 @@ def _print(shown: "Table") -> None:
 
 def _object_files(given: list[Path] | None) -> dict[str, Path]:
     """Object Files by key; the first look at each, so that a bad one is named before any work."""
-    from objectfolder.artifacts import Build
-    from objectfolder.benchmarks.observations import RECORD
-    from objectfolder.objectfile import ObjectFile
+    from objectfolder.benchmarks.datasets.observations import RECORD
+    from objectfolder.objectfile.file import ObjectFile
+    from objectfolder.workspace.layout import Build
 
     name = Build("any").object_file.name
     places = given or [Build("any").dir.parent]
@@ -303,9 +303,9 @@ def _observe(
     paths: dict[str, Path], params: "ObserveParams", seed: int, folder: "Benchmarks", jobs: int
 ) -> dict[str, Path]:
     """Observe each object, several at a time; those that are observed already are left alone."""
-    from objectfolder.benchmarks.sampling import are_sampled
+    from objectfolder.benchmarks.datasets.sampling import are_sampled
     from objectfolder.engine.pool import in_processes
-    from objectfolder.objectfile import ObjectFile
+    from objectfolder.objectfile.file import ObjectFile
 
     wanted = (params.observations, params.resolution, seed)
     folders = {key: folder.observations(key) for key in paths}
@@ -324,13 +324,13 @@ def _grasp(
     paths: dict[str, Path], params: "GraspDataParams", hulls: int, seed: int, folder: "Benchmarks", jobs: int
 ) -> dict[str, Path]:
     """Collect grasps of each object, several at a time; those that are there already are left alone."""
-    from objectfolder.artifacts import Build
-    from objectfolder.benchmarks.grasp_data import Plan, are_collected
-    from objectfolder.benchmarks.grasps import RECORD
+    from objectfolder.benchmarks.datasets.grasp_data import Plan, are_collected
+    from objectfolder.benchmarks.datasets.grasps import RECORD
     from objectfolder.engine.pool import in_processes
     from objectfolder.envs.body import rigid_body
     from objectfolder.envs.hulls import cached_hulls
-    from objectfolder.objectfile import ObjectFile
+    from objectfolder.objectfile.file import ObjectFile
+    from objectfolder.workspace.layout import Build
 
     wanted, folders = Plan.of(params), {key: folder.grasps(key) for key in paths}
     surfaces = {key: path.with_name(Build(key).surface.name) for key, path in paths.items()}
@@ -360,11 +360,11 @@ def _grasp_one(
     import torch
     from threadpoolctl import threadpool_limits
 
-    from objectfolder.benchmarks.grasp_data import collect_grasps
+    from objectfolder.benchmarks.datasets.grasp_data import collect_grasps
     from objectfolder.envs.body import rigid_body
     from objectfolder.envs.hulls import cached_hulls
     from objectfolder.mesh.ply import read_surface
-    from objectfolder.objectfile import ObjectFile
+    from objectfolder.objectfile.file import ObjectFile
 
     torch.set_num_threads(1)
     with threadpool_limits(1):
@@ -380,8 +380,8 @@ def _grasp_one(
 def _observe_one(path: Path, count: int, resolution: int, seed: int, folder: Path) -> None:
     import torch
 
-    from objectfolder.benchmarks.sampling import sample_observations
-    from objectfolder.objectfile import ObjectFile
+    from objectfolder.benchmarks.datasets.sampling import sample_observations
+    from objectfolder.objectfile.file import ObjectFile
 
     torch.set_num_threads(1)
     sample_observations(ObjectFile.load(path), count, resolution, seed, folder)

@@ -67,8 +67,8 @@ def grasping(
 
     `objectfolder bench grasping --preset quick build/tonic_bottle`
     """
-    from objectfolder.artifacts import read_json
-    from objectfolder.benchmarks.tables import grasping_table
+    from objectfolder.benchmarks.scoring.tables import grasping_table
+    from objectfolder.io import read_json
 
     params, hulls, folder = _asked("grasp_policy", preset, out, seeds)
     paths = _object_files(files)
@@ -104,9 +104,9 @@ def reach(
 
     `objectfolder bench reach --preset quick build/mug build/bowl build/die`
     """
-    from objectfolder.artifacts import read_json
-    from objectfolder.benchmarks.tables import reach_table
+    from objectfolder.benchmarks.scoring.tables import reach_table
     from objectfolder.engine.pool import in_processes
+    from objectfolder.io import read_json
 
     task = "metaworld_reach" if metaworld else "reach"
     params, hulls, folder = _asked("reach", preset, out, seeds)
@@ -129,10 +129,10 @@ def _asked(
     stage: str, preset: str | None, out: Path | None, seeds: int | None
 ) -> tuple[SimpleNamespace, int, "Benchmarks"]:
     """Parameters of a robot's task, the greatest number of hulls, and where results go."""
-    from objectfolder import params as objects
     from objectfolder.benchmarks.layout import Benchmarks
     from objectfolder.benchmarks.params import robot_params
-    from objectfolder.catalog import read_preset
+    from objectfolder.workspace import params as objects
+    from objectfolder.workspace.objects import read_preset
 
     values, path = objects.read(), Path(objects.PARAMS_FILE)
     if preset is not None:
@@ -152,11 +152,11 @@ def _grasping_one(
     import torch
     from threadpoolctl import threadpool_limits
 
-    from objectfolder.artifacts import write_json
-    from objectfolder.benchmarks.grasp_policy import run_grasp_policy
-    from objectfolder.benchmarks.running import machine
+    from objectfolder.benchmarks.tasks.grasp_policy import run_grasp_policy
+    from objectfolder.benchmarks.tasks.running import machine
     from objectfolder.envs.hulls import cached_hulls
-    from objectfolder.objectfile import ObjectFile
+    from objectfolder.io import write_json
+    from objectfolder.objectfile.file import ObjectFile
 
     torch.set_num_threads(1)
     before = time.process_time()
@@ -178,11 +178,11 @@ def _reach_one(task: str, path: Path, hulls: int, params: SimpleNamespace, folde
     import torch
     from threadpoolctl import threadpool_limits
 
-    from objectfolder.artifacts import write_json
-    from objectfolder.benchmarks.reach import run_reach
-    from objectfolder.benchmarks.running import machine
+    from objectfolder.benchmarks.tasks.reach import run_reach
+    from objectfolder.benchmarks.tasks.running import machine
     from objectfolder.envs.hulls import cached_hulls
-    from objectfolder.objectfile import ObjectFile
+    from objectfolder.io import write_json
+    from objectfolder.objectfile.file import ObjectFile
 
     torch.set_num_threads(1)
     before = time.process_time()

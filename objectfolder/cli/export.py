@@ -10,10 +10,10 @@ from objectfolder.cli.console import console, tracked
 from objectfolder.errors import ObjectFolderError
 
 if TYPE_CHECKING:
-    from objectfolder.benchmarks.export import Report
-    from objectfolder.benchmarks.observations import Observations
-    from objectfolder.benchmarks.splits import Split
-    from objectfolder.objectfile import ObjectFile
+    from objectfolder.benchmarks.datasets.export import Report
+    from objectfolder.benchmarks.datasets.observations import Observations
+    from objectfolder.benchmarks.datasets.splits import Split
+    from objectfolder.objectfile.file import ObjectFile
 
 export_app = typer.Typer(
     no_args_is_help=True,
@@ -50,7 +50,7 @@ def webdataset(
 
     `webdataset.WebDataset("OUT/train-{000000..000003}.tar").decode("rgb")`
     """
-    from objectfolder.benchmarks.export import write_webdataset
+    from objectfolder.benchmarks.datasets.export import write_webdataset
 
     def write(observations: "Observations", chosen: "Split", report: "Report") -> None:
         write_webdataset(observations, chosen, out, shard, report)
@@ -64,7 +64,7 @@ def datasets(out: OutArgument, folders: FoldersArgument, split: SplitOption = "s
 
     Then, in Python, without a network: `datasets.load_dataset("OUT")`
     """
-    from objectfolder.benchmarks.export import write_datasets
+    from objectfolder.benchmarks.datasets.export import write_datasets
 
     def write(observations: "Observations", chosen: "Split", report: "Report") -> None:
         write_datasets(observations, chosen, out, report)
@@ -100,7 +100,7 @@ def urdf(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> Non
 def _export_objects(
     out: Path, files: list[Path], hulls: int, write: "Callable[[ObjectFile, Path, int], Path]"
 ) -> None:
-    from objectfolder.objectfile import ObjectFile
+    from objectfolder.objectfile.file import ObjectFile
 
     objects = [ObjectFile.load(file) for file in files]
     # Before hulls of the first objects take their time.
@@ -130,8 +130,8 @@ def _export(
     write: "Callable[[Observations, Split, Report], None]",
     library: str,
 ) -> None:
-    from objectfolder.benchmarks.observations import Observations, find_folders
-    from objectfolder.benchmarks.splits import named_split
+    from objectfolder.benchmarks.datasets.observations import Observations, find_folders
+    from objectfolder.benchmarks.datasets.splits import named_split
 
     _require("hub", library)
     observations = Observations(find_folders(folders))

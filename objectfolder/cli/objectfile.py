@@ -8,13 +8,13 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from objectfolder.artifacts import read_rows
 from objectfolder.cli.console import console
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fileformat import PARTS, known_kinds
+from objectfolder.io import read_rows
+from objectfolder.objectfile.header import PARTS, known_kinds
 
 if TYPE_CHECKING:
-    from objectfolder.objectfile import ObjectFile
+    from objectfolder.objectfile.file import ObjectFile
 
 query_app = typer.Typer(no_args_is_help=True, help="Ask an Object File: `vision`, `audio` or `touch`.")
 
@@ -34,7 +34,7 @@ OutArgument = Annotated[Path, typer.Argument(metavar="OUT", help="Folder for 1.p
 
 def info(file: FileArgument) -> None:
     """Show what an Object File holds."""
-    from objectfolder.objectfile import ObjectFile
+    from objectfolder.objectfile.file import ObjectFile
 
     obj = ObjectFile.load(file)
     table = Table(title=f"{obj.key} ({file.stat().st_size / 1000:.0f} KB)", show_header=False)
@@ -58,8 +58,8 @@ def vision(
     supersample: Annotated[bool, typer.Option(help="Take more samples at edges; without, faster.")] = True,
 ) -> None:
     """Render views. Positions are in the unit frame: the object's longest side is 1."""
-    from objectfolder.artifacts import write_npz, write_png
-    from objectfolder.objectfile import ObjectFile
+    from objectfolder.io import write_npz, write_png
+    from objectfolder.objectfile.file import ObjectFile
 
     obj, rows = ObjectFile.load(file), read_rows(queries, 6)
     for i, row in enumerate(rows, 1):
@@ -97,8 +97,8 @@ def audio(
     """Strike the object; writes float WAV at absolute, tiny amplitude: --normalize makes it audible."""
     import soundfile
 
-    from objectfolder.artifacts import atomic
-    from objectfolder.objectfile import ObjectFile
+    from objectfolder.io import atomic
+    from objectfolder.objectfile.file import ObjectFile
 
     points = read_rows(
         vertices, 3 if forces else 6, "" if forces else " (points and impulses), or give --forces"
@@ -156,8 +156,8 @@ def touch(
     displacement in metres, pressure in Pa, normals of the gel); and contacts.csv: force, area, penetration
     and obstruction of each contact. docs/touch.md defines them.
     """
-    from objectfolder.artifacts import write_npz, write_png, write_table
-    from objectfolder.objectfile import ObjectFile
+    from objectfolder.io import write_npz, write_png, write_table
+    from objectfolder.objectfile.file import ObjectFile
 
     wanted = [name.strip() for name in outputs.split(",")]
     unknown = [name for name in wanted if name not in TOUCH_OUTPUTS]

@@ -11,7 +11,7 @@ from objectfolder.cli.console import console, tracked
 from objectfolder.errors import ObjectFolderError
 
 if TYPE_CHECKING:
-    from objectfolder.intake import Finding
+    from objectfolder.workspace.discover import Finding
 
 
 def add(
@@ -48,9 +48,9 @@ def add(
     In a folder, each mesh file is an object, and each subfolder that holds one. --material is that of all;
     materials.csv (lines `name,material`) or materials.yaml in the folder names others.
     """
-    from objectfolder import params
-    from objectfolder.catalog import add_catalogue, add_mesh
-    from objectfolder.intake import UNITS, Candidate, examine, table
+    from objectfolder.workspace import params
+    from objectfolder.workspace.discover import UNITS, Candidate, examine, table
+    from objectfolder.workspace.objects import add_catalogue, add_mesh
 
     if mesh.suffix in (".yaml", ".yml"):
         if dry_run:
@@ -102,9 +102,9 @@ def _add_folder(
     dry_run: bool,
 ) -> bool:
     """Examine and add the objects in a folder; whether none was refused."""
-    from objectfolder import params
-    from objectfolder.catalog import add_mesh
-    from objectfolder.intake import discover, survey, table
+    from objectfolder.workspace import params
+    from objectfolder.workspace.discover import discover, survey, table
+    from objectfolder.workspace.objects import add_mesh
 
     candidates = discover(folder, material)
     examined = survey(candidates, params.read(), up, unit, wall, bridge)
@@ -159,10 +159,10 @@ def fetch(
     `objectfolder fetch --all --from ~/meshes`. What breaks off goes on with the same command.
     The meshes have their own licences, kept with each as SOURCE.txt.
     """
-    from objectfolder import params
     from objectfolder.fetch import report
     from objectfolder.fetch.catalogue import read_catalogue, select
     from objectfolder.fetch.run import Status, fetch_all
+    from objectfolder.workspace import params
 
     published = read_catalogue(catalogue, url or ())
     present = params.read()["objects"]

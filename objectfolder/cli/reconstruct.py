@@ -28,15 +28,15 @@ def reconstruct(
     The background is removed by the picture's transparency if it has any, else by `--mask`, else by
     `--background`. The model knows objects like those that it was trained on.
     """
-    from objectfolder.benchmarks.framing import framed
-    from objectfolder.benchmarks.photograph import (
+    from objectfolder.benchmarks.datasets.framing import framed
+    from objectfolder.benchmarks.models.shape_model import load_model
+    from objectfolder.benchmarks.tasks.photograph import (
         check_mesh_name,
         cut_out,
         photograph_to_mesh,
         read_picture,
         write_mesh,
     )
-    from objectfolder.benchmarks.shape_model import load_model
 
     check_mesh_name(out)
     colour = None if background is None else _colour(background)

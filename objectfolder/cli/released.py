@@ -51,8 +51,8 @@ def import_released(
 
     `objectfolder import Objects/25/ObjectFile.pth bowl.safetensors --bounds -0.1 -0.1 -0.05 0.1 0.1 0.05`
     """
-    from objectfolder.artifacts import MODALITIES
-    from objectfolder.legacy.convert import Options, convert
+    from objectfolder.released.convert import Options, convert
+    from objectfolder.workspace.layout import MODALITIES
 
     box = None if bounds is None else np.reshape(bounds, (2, 3))
     options = Options(key, material, scale, box, mesh, sensor, gel, crop)

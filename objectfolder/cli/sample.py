@@ -35,7 +35,7 @@ def vision(
 
     `objectfolder query vision FILE OUT.npy IMAGES/`
     """
-    from objectfolder.queryfiles import sample_views
+    from objectfolder.objectfile.query_files import sample_views
 
     _write({out: sample_views(count, seed, radius, light_radius)})
 
@@ -64,8 +64,8 @@ def audio(
 
     `objectfolder query audio FILE OUT.npy SOUNDS/ [--forces FORCES.npy]`
     """
-    from objectfolder.objectfile import ObjectFile
-    from objectfolder.queryfiles import sample_strikes
+    from objectfolder.objectfile.file import ObjectFile
+    from objectfolder.objectfile.query_files import sample_strikes
 
     _check_names(out, forces)
     rows = sample_strikes(ObjectFile.load(file), count, seed, force, directions)
@@ -97,8 +97,8 @@ def touch(
 
     `objectfolder query touch FILE OUT.npy IMAGES/ [--gelinfo GELINFO.npy]`
     """
-    from objectfolder.objectfile import ObjectFile
-    from objectfolder.queryfiles import sample_presses
+    from objectfolder.objectfile.file import ObjectFile
+    from objectfolder.objectfile.query_files import sample_presses
     from objectfolder.touch.profiles import load_profile
 
     _check_names(out, gelinfo)
@@ -123,7 +123,7 @@ def _check_names(*paths: Path | None) -> None:
 
 
 def _write(arrays: dict[Path, np.ndarray]) -> None:
-    from objectfolder.artifacts import write_npy
+    from objectfolder.io import write_npy
 
     _check_names(*arrays)
     for path, array in arrays.items():

@@ -67,14 +67,14 @@ def build(
     `objectfolder build --engine ray` (docs/pipeline.md: what a cluster must share).
     Logs of stages are in build/.logs. `dvc status`, `dvc repro` and `dvc metrics show` work as usual.
     """
-    from objectfolder import params
-    from objectfolder.artifacts import check_writable
     from objectfolder.benchmarks.params import check_tasks
     from objectfolder.engine.build import Options, local_workers
     from objectfolder.engine.build import build as run_build
     from objectfolder.engine.progress import Progress, print_summary
     from objectfolder.engine.ray import ray_workers
+    from objectfolder.io import check_writable
     from objectfolder.touch.profiles import load_profile, require_renderer
+    from objectfolder.workspace import params
 
     if address is not None and engine is Engine.LOCAL:
         raise ObjectFolderError(f"--address {address} is for --engine ray; give both")
@@ -109,7 +109,7 @@ def build(
 
 def preset(name: Annotated[str, typer.Argument(help="quick, standard or paper (files in params/).")]) -> None:
     """Merge a preset into params.yaml: how many views, how fine the FEM, how long to train."""
-    from objectfolder.catalog import apply_preset
+    from objectfolder.workspace.objects import apply_preset
 
     changed = apply_preset(name)
     console.print(f"preset {name}: changed {', '.join(changed) or 'nothing'}; next: objectfolder build")
@@ -131,8 +131,9 @@ def inspect(
 
 def _print_metrics(keys: list[str]) -> None:
     """Print the metrics table, and where to look."""
-    from objectfolder.artifacts import Build, read_json
-    from objectfolder.evaluation import summary_row
+    from objectfolder.io import read_json
+    from objectfolder.objectfile.evaluation import summary_row
+    from objectfolder.workspace.layout import Build
 
     rows = [summary_row(key, read_json(Build(key).metrics)) for key in keys]
     table = Table(title="Held-out PSNR in dB / that of a baseline that knows nothing")

@@ -15,13 +15,16 @@ from queue import Empty, SimpleQueue
 from dvc.exceptions import DvcException
 from dvc.repo import Repo
 
-from objectfolder.engine import disk, failures, remote, steps
+from objectfolder.engine import failures
+from objectfolder.engine.dvc import full_disk as disk
+from objectfolder.engine.dvc import remote, steps
+from objectfolder.engine.dvc.graph import Plan, plan
+from objectfolder.engine.dvc.lockfile import LockFiles
+from objectfolder.engine.dvc.repository import held, read_params
+from objectfolder.engine.dvc.runcache import RunCache, remove_damaged
 from objectfolder.engine.failures import LOGS, log_path
-from objectfolder.engine.graph import Plan, plan
-from objectfolder.engine.lockfile import LockFiles
 from objectfolder.engine.process import Outcome, describe, tail
 from objectfolder.engine.resources import Machine, Needs, cores, needs_of
-from objectfolder.engine.runcache import RunCache, remove_damaged
 from objectfolder.engine.schedule import Schedule, object_groups
 from objectfolder.engine.summary import (
     Finished,
@@ -35,7 +38,6 @@ from objectfolder.engine.summary import (
 )
 from objectfolder.engine.workers import Finished as FinishedQueue
 from objectfolder.engine.workers import LocalWorkers, WorkerLost, Workers
-from objectfolder.engine.workspace import held, read_params
 from objectfolder.errors import ObjectFolderError
 
 OBJECTS_PER_CORE = 2  # that are worked on at a time

@@ -10,9 +10,9 @@ from dvc.dependency import ParamsDependency
 from dvc.exceptions import DvcException
 from dvc.stage import Stage
 
-from objectfolder.artifacts import write_json
 from objectfolder.engine.summary import StageResult
 from objectfolder.errors import ObjectFolderError
+from objectfolder.io import write_json
 
 LOGS = Path("build/.logs")
 

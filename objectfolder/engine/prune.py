@@ -11,14 +11,14 @@ from typing import Any
 from dvc.exceptions import DvcException
 from dvc.repo import Repo
 
-from objectfolder.artifacts import Build
 from objectfolder.benchmarks.layout import Benchmarks
-from objectfolder.engine import emit
+from objectfolder.engine.dvc import emit
+from objectfolder.engine.dvc.lockfile import LockFiles
+from objectfolder.engine.dvc.repository import held, read_params
+from objectfolder.engine.dvc.savedruns import entries, outputs, remove
 from objectfolder.engine.failures import LOGS
-from objectfolder.engine.lockfile import LockFiles
-from objectfolder.engine.savedruns import entries, outputs, remove
-from objectfolder.engine.workspace import held, read_params
 from objectfolder.errors import ObjectFolderError
+from objectfolder.workspace.layout import Build
 
 LOCK = "dvc.lock"
 _OID = re.compile(r"\b[0-9a-f]{32}(?:\.dir)?\b")

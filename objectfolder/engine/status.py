@@ -15,14 +15,15 @@ from dvc_data.hashfile.hash_info import HashInfo
 from dvc_data.hashfile.meta import Meta
 from dvc_data.hashfile.tree import Tree
 
-from objectfolder.artifacts import code_list
-from objectfolder.engine import failures, steps
-from objectfolder.engine.graph import Plan, plan
-from objectfolder.engine.savedruns import saved_run
+from objectfolder.engine import failures
+from objectfolder.engine.dvc import steps
+from objectfolder.engine.dvc.graph import Plan, plan
+from objectfolder.engine.dvc.repository import owned
+from objectfolder.engine.dvc.savedruns import saved_run
 from objectfolder.engine.summary import Addressed
-from objectfolder.engine.workspace import owned
 from objectfolder.errors import ObjectFolderError
-from objectfolder.sources import digests
+from objectfolder.workspace.code_digests import digests
+from objectfolder.workspace.layout import code_list
 
 #: What an output will hold: metadata and hash of the file, or of the files in the directory, by path in it.
 Content = dict[tuple[str, ...], tuple[Meta, HashInfo]]

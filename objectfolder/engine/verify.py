@@ -23,16 +23,17 @@ from dvc_data.hashfile.hash_info import HashInfo
 from dvc_data.hashfile.meta import Meta
 from dvc_data.hashfile.tree import Tree
 
-from objectfolder.artifacts import Build, atomic
-from objectfolder.engine import steps
 from objectfolder.engine.build import Options, build
-from objectfolder.engine.graph import address_of, plan
+from objectfolder.engine.dvc import steps
+from objectfolder.engine.dvc.graph import address_of, plan
+from objectfolder.engine.dvc.repository import owned
+from objectfolder.engine.dvc.savedruns import entries, outputs, remove
 from objectfolder.engine.pool import process_pool
-from objectfolder.engine.savedruns import entries, outputs, remove
 from objectfolder.engine.summary import Addressed, Listener, Summary
-from objectfolder.engine.workspace import owned
 from objectfolder.errors import ObjectFolderError
-from objectfolder.validation import checks, validate
+from objectfolder.io import atomic
+from objectfolder.workspace.layout import Build
+from objectfolder.workspace.validate import checks, validate
 
 READ_ONLY = 0o444  # DVC's mark of a cached object whose hash is known
 

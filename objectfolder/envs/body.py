@@ -10,7 +10,7 @@ import trimesh
 from objectfolder import materials
 from objectfolder.envs.solid import close_holes
 from objectfolder.errors import ObjectFolderError
-from objectfolder.objectfile import ObjectFile
+from objectfolder.objectfile.file import ObjectFile
 
 #: Sliding friction by material, dry, against a table or a silicone elastomer. Assumed: handbooks give
 #: ranges of +-0.1 and more, and an elastomer's depends on load and wear.

@@ -5,7 +5,7 @@ import torch
 
 from objectfolder.envs.gripper import boxes
 from objectfolder.envs.poses import hand_axes, rotation
-from objectfolder.objectfile import ObjectFile
+from objectfolder.objectfile.file import ObjectFile
 from objectfolder.vision.cameras import Intrinsics, look_at
 from objectfolder.vision.color import on_white
 

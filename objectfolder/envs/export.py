@@ -9,12 +9,12 @@ import numpy as np
 import trimesh
 from trimesh.exchange.obj import export_obj
 
-from objectfolder.artifacts import write_text
-from objectfolder.benchmarks.space import new_folder
+from objectfolder.disk import new_folder
 from objectfolder.envs.body import ROLLING, TORSIONAL, RigidBody, add_body, density, rigid_body
 from objectfolder.envs.hulls import MAX_HULLS, convex_hulls
 from objectfolder.envs.visual import PLAIN, visual_mesh
-from objectfolder.objectfile import ObjectFile
+from objectfolder.io import write_text
+from objectfolder.objectfile.file import ObjectFile
 
 _NEEDED = 8 * 2**20  # bytes of a folder, about: mesh and texture
 _VISUAL, _COLLISION = 2, 3  # groups of geoms; MuJoCo's viewer shows the former only

@@ -7,9 +7,9 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from objectfolder.artifacts import read_npz, write_npz
 from objectfolder.envs.fingers import Presses, feel, sensor_profile
-from objectfolder.objectfile import ObjectFile
+from objectfolder.io import read_npz, write_npz
+from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.optics import Optics
 
 PROBE = 0.0015  #: depth at which fingers feel, m

@@ -7,7 +7,7 @@ import numpy as np
 
 from objectfolder.envs.poses import hand_axes, rotation
 from objectfolder.mesh.raycast import RayCaster
-from objectfolder.objectfile import ObjectFile
+from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals, sensor_frames
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile

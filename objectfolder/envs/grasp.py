@@ -22,7 +22,7 @@ from objectfolder.envs.gripper import PAD, STROKE
 from objectfolder.envs.hulls import cached_hulls
 from objectfolder.envs.poses import rotation, turned
 from objectfolder.errors import ObjectFolderError
-from objectfolder.objectfile import ObjectFile
+from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator
 
 STEPS = 2  #: of an episode

@@ -11,10 +11,10 @@ import numpy as np
 import trimesh
 from scipy.spatial import ConvexHull
 
-from objectfolder.artifacts import read_npz, write_npz
 from objectfolder.envs.solid import joined, missing, simplified
 from objectfolder.errors import ObjectFolderError
-from objectfolder.objectfile import ObjectFile
+from objectfolder.io import read_npz, write_npz
+from objectfolder.objectfile.file import ObjectFile
 
 MAX_HULLS = 16
 MAX_VERTICES = 128  #: of a hull; the time of a step hardly depends on them

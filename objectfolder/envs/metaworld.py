@@ -23,7 +23,7 @@ from objectfolder.envs.reach import (
     what_stands,
 )
 from objectfolder.errors import ObjectFolderError
-from objectfolder.objectfile import ObjectFile
+from objectfolder.objectfile.file import ObjectFile
 
 if TYPE_CHECKING:
     import trimesh

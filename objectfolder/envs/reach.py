@@ -18,7 +18,7 @@ from objectfolder.envs.body import RigidBody, add_body, rigid_body
 from objectfolder.envs.drawing import draw, view_rays
 from objectfolder.envs.hulls import cached_hulls
 from objectfolder.errors import ObjectFolderError
-from objectfolder.objectfile import ObjectFile
+from objectfolder.objectfile.file import ObjectFile
 
 if TYPE_CHECKING:
     import trimesh

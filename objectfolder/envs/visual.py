@@ -7,8 +7,8 @@ from PIL import Image
 
 from objectfolder.envs.solid import joined, simplified
 from objectfolder.nets.vision_surface import SurfaceNet, in_cube
-from objectfolder.objectfile import ObjectFile
-from objectfolder.parts import Parts
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.objectfile.parts import Parts
 
 PLAIN = 0.7  #: grey, sRGB, of what stores no base colours
 TEXELS = 1024  #: on a side of the texture

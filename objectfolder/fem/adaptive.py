@@ -11,8 +11,8 @@ from objectfolder.fem.cutcell import MAX_VOLUME_ERROR, CutCells, cut_cells
 from objectfolder.fem.elasticity import Solid
 from objectfolder.fem.occupancy import MARGIN
 from objectfolder.materials import Material
+from objectfolder.mesh.closing.topology import Mesh, signed_volume
 from objectfolder.mesh.sampling import sample_surface
-from objectfolder.mesh.topology import Mesh, signed_volume
 
 MIN_WALL = 0.3  #: cells; solids with thinner walls get the fine grid
 _SAMPLES = 100_000  # of the surface, to see which cells it touches

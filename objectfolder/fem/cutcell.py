@@ -25,7 +25,7 @@ from objectfolder.fem.hex20 import NODES, shape_functions, shape_gradients
 from objectfolder.fem.occupancy import DEGREE, MARGIN, Occupancy, components, measure
 from objectfolder.fem.pieces import main_piece
 from objectfolder.materials import Material
-from objectfolder.mesh.topology import signed_volume
+from objectfolder.mesh.closing.topology import signed_volume
 
 EMPTY_FILL = 1e-3  # parts of cells with less material are left out
 FICTITIOUS = 1e-6  # stiffness and mass of the void in a cut cell, relative to the material

@@ -10,8 +10,8 @@ from objectfolder.fem.adaptive import FineGrid, refined
 from objectfolder.fem.eigen import solve_modes
 from objectfolder.fem.elasticity import Solid
 from objectfolder.materials import Material
-from objectfolder.mesh.thickness import wall_thickness
-from objectfolder.mesh.topology import Mesh
+from objectfolder.mesh.closing.thickness import wall_thickness
+from objectfolder.mesh.closing.topology import Mesh
 
 MAX_RESIDUAL, MAX_RIGID_HZ = 1e-8, 0.1
 MIN_FREQUENCY = 20.0  # Hz, the lower end of hearing (supplementary C)

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.artifacts import file_digest
 from objectfolder.fem.modal import MIN_FREQUENCY, ModalData, checks
 from objectfolder.fem.similarity import similarity
+from objectfolder.io import file_digest
 from objectfolder.materials import Material
 
 #: Modules beside this one that the modal stage does not read; the solid's digest stands for what cut it.

@@ -18,7 +18,7 @@ from objectfolder.fem.elasticity import FiniteElements, elasticity, scatter, str
 from objectfolder.fem.occupancy import components
 from objectfolder.fem.pieces import main_piece
 from objectfolder.materials import Material
-from objectfolder.mesh.topology import signed_volume
+from objectfolder.mesh.closing.topology import signed_volume
 
 ENVELOPE = 5e-4  # how far the mesh may leave the surface, of the bounding box's diagonal
 EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])  # their middles are nodes 5 to 10

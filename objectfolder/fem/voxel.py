@@ -17,8 +17,8 @@ from objectfolder.fem.hex20 import NODES
 from objectfolder.fem.occupancy import MARGIN
 from objectfolder.fem.pieces import main_piece
 from objectfolder.materials import Material
+from objectfolder.mesh.closing.topology import signed_volume
 from objectfolder.mesh.scanline import inside
-from objectfolder.mesh.topology import signed_volume
 
 CORNERS = NODES[:8]  #: (8, 3) nodes of the hexahedron on [-1, 1]^3
 _GAUSS = 1 / np.sqrt(3)

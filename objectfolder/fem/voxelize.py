@@ -7,9 +7,9 @@ import numpy as np
 
 from objectfolder.fem.elasticity import Solid
 from objectfolder.fem.elements import Element, discretize
+from objectfolder.mesh.closing.topology import Mesh, signed_volume
 from objectfolder.mesh.scanline import check_winding
 from objectfolder.mesh.sdf import check_resolved, distance_grid
-from objectfolder.mesh.topology import Mesh, signed_volume
 
 
 @dataclass(frozen=True)

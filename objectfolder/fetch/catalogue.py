@@ -10,9 +10,9 @@ from urllib.parse import quote, urlsplit
 from pydantic import Field, ValidationError, field_validator
 from ruamel.yaml import YAML, YAMLError
 
-from objectfolder import params
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import material
+from objectfolder.workspace import params
 
 
 class Source(params.Section):

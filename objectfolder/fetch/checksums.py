@@ -5,8 +5,8 @@ from pathlib import Path
 
 from ruamel.yaml import YAML, YAMLError
 
-from objectfolder.artifacts import atomic
 from objectfolder.errors import ObjectFolderError
+from objectfolder.io import atomic
 
 PATH = Path("data/checksums.yaml")
 HEADER = (

@@ -3,10 +3,10 @@
 import shutil
 from pathlib import Path
 
-from objectfolder.catalog import references
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fetch.catalogue import Source
-from objectfolder.mesh.load import FORMATS
+from objectfolder.mesh.reading.load import FORMATS
+from objectfolder.workspace.objects import references
 
 
 def find_mesh(tree: Path, source: Source) -> Path:

@@ -8,9 +8,6 @@ from tempfile import TemporaryDirectory
 
 import trimesh
 
-from objectfolder import params
-from objectfolder.artifacts import check_writable, file_digest
-from objectfolder.catalog import add_mesh
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fetch import checksums
 from objectfolder.fetch.archive import unpack
@@ -19,6 +16,9 @@ from objectfolder.fetch.download import Reporter, download_to, silent
 from objectfolder.fetch.layout import collect, find_mesh
 from objectfolder.fetch.local import find_local
 from objectfolder.fetch.polyhaven import download_polyhaven
+from objectfolder.io import check_writable, file_digest
+from objectfolder.workspace import params
+from objectfolder.workspace.objects import add_mesh
 
 CACHE = Path("build/.fetch")  #: unfinished downloads
 SOURCE_FILE = "SOURCE.txt"  #: beside the mesh

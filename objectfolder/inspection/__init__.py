@@ -11,14 +11,14 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from objectfolder.artifacts import Build
 from objectfolder.errors import ObjectFolderError
 from objectfolder.inspection.data import inspect_render_touch, inspect_render_views
 from objectfolder.inspection.geometry import export_vtu, inspect_normalize, inspect_voxelize
 from objectfolder.inspection.nets import inspect_evaluate, inspect_net, inspect_pack
 from objectfolder.inspection.record import Inspection
 from objectfolder.inspection.sound import inspect_modal
-from objectfolder.params import check_key
+from objectfolder.workspace.layout import Build
+from objectfolder.workspace.params import check_key
 
 __all__ = ["STAGES", "Inspection", "inspect", "print_inspection"]
 

@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from objectfolder.artifacts import SPLITS, Build, read_json, read_npz
-from objectfolder.figure import columns, page, rows, save, show_image
+from objectfolder.figures import columns, page, rows, save, show_image
 from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
 from objectfolder.inspection.scene import CLAY, VIEW_FROM, draw, triangles
+from objectfolder.io import read_json, read_npz
 from objectfolder.mesh.ply import read_surface
 from objectfolder.vision.cameras import Intrinsics, project
 from objectfolder.vision.color import COVERED, lit_foreground, on_white
+from objectfolder.workspace.layout import SPLITS, Build
 
 if TYPE_CHECKING:
     import pyvista

@@ -7,18 +7,19 @@ from typing import TYPE_CHECKING, Any
 import igl
 import numpy as np
 
-from objectfolder.artifacts import Build, atomic, read_json, read_npz
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.cutcell import CutCells
 from objectfolder.fem.elements import restored
-from objectfolder.figure import page, rows, save, show_image
+from objectfolder.figures import page, rows, save, show_image
 from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
 from objectfolder.inspection.scene import CLAY, VIEW_FROM, add_textured, draw, hexahedra, triangles
+from objectfolder.io import atomic, read_json, read_npz
+from objectfolder.mesh.closing.topology import signed_volume
 from objectfolder.mesh.grid import BOUND, DistanceGrid
-from objectfolder.mesh.load import load_mesh
 from objectfolder.mesh.ply import read_surface
+from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.textured import TexturedMesh
-from objectfolder.mesh.topology import signed_volume
+from objectfolder.workspace.layout import Build
 
 if TYPE_CHECKING:
     import pyvista

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.artifacts import Build, read_json, read_safetensors
-from objectfolder.figure import page, rows, save, show_image, show_spectrogram
+from objectfolder.figures import page, rows, save, show_image, show_spectrogram
 from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
-from objectfolder.objectfile import ObjectFile
+from objectfolder.io import read_json, read_safetensors
+from objectfolder.objectfile.file import ObjectFile
 from objectfolder.vision.cameras import CAMERA_RADIUS
+from objectfolder.workspace.layout import Build
 
 LOSSES = {
     "vision": "squared error of sRGB",

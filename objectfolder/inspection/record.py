@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from objectfolder.artifacts import Build
 from objectfolder.errors import ObjectFolderError
+from objectfolder.workspace.layout import Build
 
 
 @dataclass(frozen=True)

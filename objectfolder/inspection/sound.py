@@ -5,14 +5,15 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from objectfolder.artifacts import Build, read_json, read_npz
 from objectfolder.audio.spectrogram import SAMPLE_RATE
 from objectfolder.audio.synthesis import gains, sinusoid_bank
-from objectfolder.figure import page, rows, save, show_image, show_spectrogram
+from objectfolder.figures import page, rows, save, show_image, show_spectrogram
 from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
 from objectfolder.inspection.scene import draw, triangles
+from objectfolder.io import read_json, read_npz
 from objectfolder.mesh.ply import read_surface
 from objectfolder.nets.audio_gains import energy_weights
+from objectfolder.workspace.layout import Build
 
 LISTED = 12  # modes in the table
 DRAWN = 6  # mode shapes in the picture

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from objectfolder.mesh.surface import Rung, Surface, close_surface
+from objectfolder.mesh.closing.surface import Rung, Surface, close_surface
+from objectfolder.mesh.closing.topology import Mesh
 from objectfolder.mesh.textured import TexturedMesh, appearance_report
-from objectfolder.mesh.topology import Mesh
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import numpy as np
 import trimesh
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.topology import Mesh
+from objectfolder.mesh.closing.topology import Mesh
 
 
 def write_surface(path: str | Path, surface: Mesh) -> None:

@@ -5,9 +5,9 @@ import numpy as np
 from skimage.measure import marching_cubes
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.closing.topology import signed_volume
 from objectfolder.mesh.grid import BOUND, band_width, coarse_spacing, quantise
 from objectfolder.mesh.scanline import inside
-from objectfolder.mesh.topology import signed_volume
 
 MIN_KEPT_VOLUME = 0.7
 _COARSE_STEP = 4

@@ -12,8 +12,8 @@ from scipy.optimize import least_squares
 from skimage.filters import threshold_otsu
 from skimage.measure import label, regionprops
 
-from objectfolder.artifacts import atomic, file_digest, write_json, write_png
 from objectfolder.errors import ObjectFolderError
+from objectfolder.io import atomic, file_digest, write_json, write_png
 from objectfolder.metrics import psnr
 from objectfolder.touch.camera import gel_depth, ray_directions
 from objectfolder.touch.contact import GAP

@@ -45,7 +45,7 @@ class TactoReference:
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray, profile: SensorProfile, scale: float = 1.0):
         try:
-            from objectfolder.opengl import canvas, pyrender
+            from objectfolder.vision.opengl import canvas, pyrender
 
             self._canvas = canvas()
         except ImportError as error:

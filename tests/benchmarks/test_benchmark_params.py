@@ -4,7 +4,7 @@ import pytest
 
 from objectfolder.benchmarks.params import SECTIONS, check_tasks, splits_of, stage_params, task_params
 from objectfolder.errors import ObjectFolderError
-from objectfolder.params import TASKS, check_key, read
+from objectfolder.workspace.params import TASKS, check_key, read
 
 ROOT = Path(__file__).parents[2]
 ENCODE = {"encoder": "resnet18", "image": 56, "spectrogram": [64, 50], "touch": [64, 48]}

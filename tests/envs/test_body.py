@@ -7,11 +7,11 @@ from solids import box, join, sphere
 from objectfolder.envs.body import FRICTION, RigidBody, add_body, density, rigid_body
 from objectfolder.envs.hulls import convex_hulls
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fileformat import format_name
 from objectfolder.materials import MATERIALS
 from objectfolder.mesh.gridcodec import pack_grid
 from objectfolder.mesh.sdf import distance_grid
-from objectfolder.objectfile import ObjectFile
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.objectfile.header import format_name
 
 SCALE = 0.2
 

@@ -11,7 +11,7 @@ from objectfolder.envs.grasp import ACTION, STEPS, Episodes, GraspEnv, GraspTask
 from objectfolder.envs.grasping import lowest_hand
 from objectfolder.envs.hulls import cached_hulls, convex_hulls
 from objectfolder.errors import ObjectFolderError
-from objectfolder.objectfile import ObjectFile
+from objectfolder.objectfile.file import ObjectFile
 
 
 @pytest.fixture(scope="module")

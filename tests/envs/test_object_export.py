@@ -14,8 +14,8 @@ from objectfolder.envs.body import rigid_body
 from objectfolder.envs.export import write_mjcf, write_urdf
 from objectfolder.envs.hulls import convex_hulls
 from objectfolder.errors import ObjectFolderError
-from objectfolder.objectfile import ObjectFile
-from objectfolder.parts import Parts
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.objectfile.parts import Parts
 
 WRITERS = pytest.mark.parametrize("write", [write_mjcf, write_urdf])
 

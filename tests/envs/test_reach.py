@@ -238,7 +238,7 @@ def test_without_metaworld_it_is_said_what_to_install(monkeypatch):
 
 def test_metaworld_with_an_own_object(body):
     pytest.importorskip("metaworld", reason="metaworld has an environment of its own (docs/benchmarks.md)")
-    from objectfolder.benchmarks.reach import controller, episodes
+    from objectfolder.benchmarks.tasks.reach import controller, episodes
     from objectfolder.envs.metaworld import MetaWorldReach
 
     env = MetaWorldReach(body, horizon=80)

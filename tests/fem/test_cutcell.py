@@ -6,10 +6,7 @@ from numpy.polynomial.legendre import legint, legval
 from solids import TURN, box, full_cells, join, sphere
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.cutcell import (
-    cut_cells,
-    node_count,
-)
+from objectfolder.fem.cutcell import cut_cells, node_count
 from objectfolder.fem.eigen import rigid_motions, solve_modes
 from objectfolder.fem.elasticity import elasticity
 from objectfolder.fem.elements import restored, stored

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from solids import box, join, sphere
 
-from objectfolder.artifacts import write_json, write_npz
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.voxelize import voxelize
+from objectfolder.io import write_json, write_npz
 
 SIDES = (1.0, 0.5, 0.25)
 SIZES = {

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from objectfolder import params
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fetch.catalogue import read_catalogue, select
 from objectfolder.fetch.run import source_text
 from objectfolder.materials import MATERIALS
+from objectfolder.workspace import params
 
 ROOT = Path(__file__).parents[2]
 PATH = ROOT / "catalogs/objectfolder1.yaml"

@@ -11,7 +11,6 @@ import trimesh
 from publisher import box_obj, gso, polyhaven, tgz, ycb
 from typer.testing import CliRunner
 
-from objectfolder import params
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fetch.catalogue import read_catalogue
@@ -19,7 +18,8 @@ from objectfolder.fetch.checksums import read_checksums
 from objectfolder.fetch.download import WAITS
 from objectfolder.fetch.local import find_local
 from objectfolder.fetch.run import SIZE_TOLERANCE, Status, fetch_all, fetch_object
-from objectfolder.mesh.load import load_mesh
+from objectfolder.mesh.reading.load import load_mesh
+from objectfolder.workspace import params
 
 CATALOGUE = Path("catalogs/objectfolder1.yaml")
 OBJECTS = Path(__file__).parents[3] / "shared" / "objects"

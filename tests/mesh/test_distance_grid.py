@@ -10,8 +10,8 @@ from solids import TURN, box, sphere
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.grid import BAND_VOXELS, BOUND, DistanceGrid, band_width, quantise
 from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.mesh.load import load_mesh
 from objectfolder.mesh.normalize import normalize
+from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.sdf import check_resolved, distance_grid
 
 RESOLUTION = 64

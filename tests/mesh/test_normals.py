@@ -3,10 +3,10 @@ import pytest
 from gltf_scene import Scene
 from solids import box, sphere
 
-from objectfolder.mesh.load import load_mesh
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.normals import area_vectors, averaged, creased, split, unit, usable
 from objectfolder.mesh.procedural import GENERATORS, generate
+from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.textured import TexturedMesh, appearance_report
 
 WHOLE = np.s_[:]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from objectfolder.artifacts import read_safetensors, write_safetensors
+from objectfolder.io import read_safetensors, write_safetensors
 from objectfolder.metrics import gain_errors
 from objectfolder.nets import int8
 from objectfolder.nets.audio_gains import INT8, AudioConfig, GainsNet, energy_weights, train_gains

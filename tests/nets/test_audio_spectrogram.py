@@ -2,15 +2,11 @@ import numpy as np
 import pytest
 import torch
 
-from objectfolder.artifacts import read_safetensors, write_safetensors
 from objectfolder.audio.spectrogram import SHAPE, sounds_of, spectrogram
 from objectfolder.audio.synthesis import sinusoid_bank
+from objectfolder.io import read_safetensors, write_safetensors
 from objectfolder.metrics import SpectrogramErrors
-from objectfolder.nets.audio_spectrogram import (
-    SpectrogramConfig,
-    SpectrogramNet,
-    train_spectrogram,
-)
+from objectfolder.nets.audio_spectrogram import SpectrogramConfig, SpectrogramNet, train_spectrogram
 from objectfolder.nets.positional import PointwiseNetwork
 
 CONFIG = SpectrogramConfig(

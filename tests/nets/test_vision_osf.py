@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from objectfolder import ObjectFile
-from objectfolder.artifacts import read_safetensors, write_safetensors
-from objectfolder.evaluation import evaluate_vision
+from objectfolder.io import read_safetensors, write_safetensors
 from objectfolder.metrics import psnr
 from objectfolder.nets.vision_osf import OsfConfig, OsfNet, ScatteringFunction, train_osf
+from objectfolder.objectfile.evaluation import evaluate_vision
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere_points
 from objectfolder.vision.color import on_white
 from objectfolder.vision.volume import Rays

@@ -5,8 +5,8 @@ import pytest
 import torch
 from solids import isosurface, sphere
 
-from objectfolder.artifacts import read_safetensors, write_safetensors
 from objectfolder.errors import ObjectFolderError
+from objectfolder.io import read_safetensors, write_safetensors
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.nets.vision_surface_training import VisionConfig, train_surface

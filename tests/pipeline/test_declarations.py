@@ -5,11 +5,11 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
-from objectfolder import params
-from objectfolder.artifacts import Build, code_list
 from objectfolder.benchmarks import params as benchmarks
 from objectfolder.benchmarks.layout import Benchmarks
-from objectfolder.sources import imported_files
+from objectfolder.workspace import params
+from objectfolder.workspace.code_digests import imported_files
+from objectfolder.workspace.layout import Build, code_list
 
 ROOT = Path(__file__).parents[2]
 STAGES = YAML(typ="safe").load((ROOT / "dvc.yaml").read_text())["stages"]
@@ -75,7 +75,7 @@ def test_what_robots_do_declares_its_section_and_the_hulls(stage):
 
 @pytest.mark.parametrize("stage", sorted({*OF_OBJECTS, "generate"} - {"pack", "evaluate", "observe"}))
 def test_queries_may_change_without_rebuilding(stage):
-    assert not {"objectfolder/query.py", "objectfolder/objectfile.py"} & modules(stage)
+    assert not {"objectfolder/objectfile/query.py", "objectfolder/objectfile/file.py"} & modules(stage)
 
 
 @pytest.mark.parametrize("stage", STAGES)

@@ -17,16 +17,17 @@ from conftest import Workspace
 from ruamel.yaml import YAML
 
 from objectfolder import ObjectFile
-from objectfolder.artifacts import Build, read_json, read_npz
-from objectfolder.benchmarks.grasps import Grasps
+from objectfolder.benchmarks.datasets.grasps import Grasps
 from objectfolder.benchmarks.layout import Benchmarks
-from objectfolder.benchmarks.shape_model import load_model
+from objectfolder.benchmarks.models.shape_model import load_model
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.load import load_mesh
+from objectfolder.io import read_json, read_npz
 from objectfolder.mesh.ply import read_surface
-from objectfolder.params import ROBOT_STAGES
+from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.view import draw
+from objectfolder.workspace.layout import Build
+from objectfolder.workspace.params import ROBOT_STAGES
 
 pytestmark = pytest.mark.xdist_group("pipeline")
 LANES = ("normalize", "voxelize", "modal", "render_views", "render_touch")

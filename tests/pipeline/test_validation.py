@@ -5,9 +5,10 @@ import shutil
 import numpy as np
 import pytest
 
-from objectfolder.artifacts import Build, read_npz, write_npz
 from objectfolder.engine.verify import verify
-from objectfolder.validation import checks, validate
+from objectfolder.io import read_npz, write_npz
+from objectfolder.workspace.layout import Build
+from objectfolder.workspace.validate import checks, validate
 
 pytestmark = pytest.mark.xdist_group("pipeline")
 

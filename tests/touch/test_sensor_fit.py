@@ -5,9 +5,9 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from objectfolder.artifacts import read_json
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
+from objectfolder.io import read_json
 from objectfolder.touch.calibration import find_imprint, fit_sensor
 from objectfolder.touch.camera import gel_depth, ray_directions
 from objectfolder.touch.optics import Optics

@@ -8,9 +8,9 @@ import torch
 import trimesh
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.load import load_mesh
+from objectfolder.mesh.closing.surface import close_surface
 from objectfolder.mesh.raycast import RayCaster
-from objectfolder.mesh.surface import close_surface
+from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.metrics import psnr
 from objectfolder.touch.contact import heightmaps
 from objectfolder.touch.optics import Optics
@@ -121,7 +121,7 @@ def test_gel_of_the_reference_lies_on_the_profiles_dome(tacto):
 
 def test_without_pyrender_the_reference_says_what_to_install(tacto, bumpy, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyrender", None)
-    monkeypatch.delitem(sys.modules, "objectfolder.opengl", raising=False)
+    monkeypatch.delitem(sys.modules, "objectfolder.vision.opengl", raising=False)
     with pytest.raises(ObjectFolderError, match=r"pip install 'objectfolder\[raster\]'.*libegl1"):
         TactoReference(*bumpy, tacto)
 

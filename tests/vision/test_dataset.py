@@ -5,9 +5,9 @@ import pytest
 import torch
 from solids import box, join, sphere
 
-from objectfolder.evaluation import evaluate_vision
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.metrics import psnr
+from objectfolder.objectfile.evaluation import evaluate_vision
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.color import on_white
 from objectfolder.vision.dataset import render_split, shown_noise

@@ -18,12 +18,12 @@ from solids import box, sphere
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.normals import unit
 from objectfolder.mesh.textured import TexturedMesh
-from objectfolder.params import RenderViewsParams
 from objectfolder.vision.cameras import Intrinsics, covered_rectangle, look_at, project, sphere_points
 from objectfolder.vision.dataset import render_split
 from objectfolder.vision.renderers import blender_scene, cycles
 from objectfolder.vision.renderers.registry import NEEDS, RENDERERS, make_renderer
 from objectfolder.vision.scene import Scene
+from objectfolder.workspace.params import RenderViewsParams
 
 ROOT = Path(__file__).parents[2]
 FRONT = look_at(np.array([2.5, 0, 0]))[0]
@@ -283,7 +283,7 @@ def test_renderers_that_are_not_installed_say_which_extra(monkeypatch):
     with pytest.raises(ObjectFolderError, match=r"pip install 'objectfolder\[cycles\]'.* or put Blender"):
         make_renderer("cycles", Scene(square()))
     monkeypatch.setitem(sys.modules, "pyrender", None)
-    monkeypatch.delitem(sys.modules, "objectfolder.opengl", raising=False)
+    monkeypatch.delitem(sys.modules, "objectfolder.vision.opengl", raising=False)
     monkeypatch.delitem(sys.modules, "objectfolder.vision.renderers.raster", raising=False)
     with pytest.raises(ObjectFolderError, match=r"pip install 'objectfolder\[raster\]'"):
         make_renderer("raster", Scene(square()))

@@ -3,14 +3,7 @@
 import numpy as np
 
 from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
-from objectfolder.mesh.procedural.section import (
-    half_outline,
-    ring,
-    ring_under,
-    rounded,
-    soften,
-    wall_about,
-)
+from objectfolder.mesh.procedural.section import half_outline, ring, ring_under, rounded, soften, wall_about
 from objectfolder.mesh.procedural.texture import smoothstep
 from objectfolder.mesh.procedural.vessel import dress, lobed, turn
 from objectfolder.mesh.textured import TexturedMesh

@@ -8,14 +8,7 @@ from objectfolder.mesh.procedural.atlas import Chart, pack
 from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
 from objectfolder.mesh.procedural.revolution import arc, disc, polyline, sleeve
 from objectfolder.mesh.procedural.solid import Patch, textured, weld
-from objectfolder.mesh.procedural.texture import (
-    lattice,
-    noise,
-    over,
-    rgb,
-    smoothstep,
-    stroke,
-)
+from objectfolder.mesh.procedural.texture import lattice, noise, over, rgb, smoothstep, stroke
 from objectfolder.mesh.textured import TexturedMesh
 
 GLAZE, TEAL, DEEP, SAGE, OCHRE, CLAY = map(rgb, ("f3ecdd", "2f7f86", "1c4f5c", "5f8f6b", "d9973c", "a8623a"))

@@ -4,8 +4,8 @@ import numpy as np
 from PIL import Image
 
 from objectfolder.mesh.normals import area_vectors, unit
-from objectfolder.opengl import canvas, pyrender
 from objectfolder.vision.cameras import Intrinsics
+from objectfolder.vision.opengl import canvas, pyrender
 from objectfolder.vision.scene import LIGHT_INTENSITY, Scene
 
 GAMMA = 2.2  # that pyrender's shader encodes with

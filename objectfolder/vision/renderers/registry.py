@@ -63,7 +63,7 @@ def _raster(scene: Scene) -> Renderer:
     return RasterRenderer(scene)
 
 
-#: How each renderer is made; `objectfolder.params` lists the same names.
+#: How each renderer is made; `objectfolder.workspace.params` lists the same names.
 RENDERERS: dict[str, Callable[[Scene], Renderer]] = {
     "mitsuba": _mitsuba("scalar_rgb"),
     "mitsuba-llvm": _mitsuba("llvm_ad_rgb"),

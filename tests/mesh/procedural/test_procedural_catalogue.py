@@ -6,11 +6,12 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
-from objectfolder import catalog, params
 from objectfolder.fem.voxelize import voxelize
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.procedural import GENERATORS, generate
 from objectfolder.mesh.textured import TexturedMesh
+from objectfolder.workspace import objects as catalog
+from objectfolder.workspace import params
 
 ROOT = Path(__file__).parents[3]
 CATALOGUE = ROOT / "catalogs/procedural.yaml"

@@ -1,0 +1,361 @@
+"""Collect grasps of an object: what was seen, what both fingers felt, how it ended (supplementary I.4)."""
+
+import hashlib
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from objectfolder.benchmarks.datasets.grasps import ARRAYS, FORMAT, OPTIONAL, RECORD, array_path
+from objectfolder.benchmarks.datasets.sampling import object_digest
+from objectfolder.benchmarks.params import GraspDataParams
+from objectfolder.disk import enough_space
+from objectfolder.envs.body import RigidBody
+from objectfolder.envs.camera import ExternalCamera
+from objectfolder.envs.fingers import Presses, TrueSurface, feel, press_depths, presses, sensor_profile
+from objectfolder.envs.grasping import GraspScene, Outcomes, Physics, lowest_hand
+from objectfolder.envs.gripper import PAD
+from objectfolder.envs.poses import hand_axes, rotation, turned
+from objectfolder.errors import ObjectFolderError
+from objectfolder.io import atomic, read_json, write_json, write_npz
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.seeding import numpy_generator
+
+POSES = (
+    "poses.npz"  #: where objects and hands were, what touched where: all that a grasp can be run again from
+)
+FORCES = (1.0, 40.0)  #: of each jaw, N, log-uniform
+PLACES = 0.03  #: objects stand up to so far from the origin along x and y, m
+INSIDE = 0.8  #: hands come down over the object's silhouette shrunk so much
+SHIFT, TURN, STRENGTH = 0.001, np.radians(1.0), 0.03  #: perturbations: standard deviations, m, rad, fraction
+BATCH = 32  #: grasps that are tried together; the unit of progress
+ATTEMPTS = 20000  #: poses in a row of which none is free, before an object is given up
+EMPTY = 10  #: batches in a row in which both pads touch nothing, before it is
+
+Report = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to collect of each object."""
+
+    grasps: int
+    perturbations: int  #: repetitions of each grasp, slightly changed, for the soft label
+    image: int  #: side of the camera's pictures, pixels
+    touch: tuple[int, int]  #: height and width of tactile images
+    timestep: float = Physics.timestep  #: of the simulation, s
+
+    @classmethod
+    def of(cls, params: GraspDataParams) -> "Plan":
+        """What the section of ``params.yaml`` says."""
+        height, width = params.touch
+        return cls(params.grasps, params.perturbations, params.image, (height, width), params.timestep)
+
+    def bytes(self, explicit: bool) -> int:
+        """Of the pictures of a grasp."""
+        return 3 * (self.image**2 + 2 * (1 + explicit) * self.touch[0] * self.touch[1])
+
+
+@dataclass(frozen=True)
+class Attempts:
+    """N grasps to try; world frame."""
+
+    objects: np.ndarray  #: (N, 7)
+    hands: np.ndarray  #: (N, 4)
+    forces: np.ndarray  #: (N,)
+
+    def take(self, rows: np.ndarray) -> "Attempts":
+        """Some of them."""
+        return Attempts(self.objects[rows], self.hands[rows], self.forces[rows])
+
+
+def collect_grasps(
+    file: ObjectFile,
+    body: RigidBody,
+    wanted: Plan,
+    seed: int,
+    folder: str | Path,
+    surface: tuple[np.ndarray, np.ndarray] | None = None,
+    threads: int = 1,
+    report: Report = lambda done, total: None,
+) -> None:
+    """Grasp an object at random places, and write what was seen and felt and how it ended.
+
+    Positions, orientations and forces are random. Those at which the open gripper would run into the object
+    are not tried, and those in which not both pads touch it do not count; the record tells their numbers.
+    What is interrupted goes on where it was. The same bytes follow for any number of threads.
+
+    Parameters
+    ----------
+    file : ObjectFile
+    body : RigidBody
+        The same object's.
+    wanted : Plan
+    seed : int
+    folder : path
+        Gets ``record.json`` and the arrays of `objectfolder.benchmarks.datasets.grasps.ARRAYS`.
+    surface : tuple of arrays, optional
+        The source's closed surface: vertices, unit frame, and faces. Adds the array ``explicit``.
+    threads : int
+        Of the simulation.
+    report : callable
+        Called with the number of grasps that are there and that are wanted.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the object does not fit the gripper or cannot be grasped, or the Object File lacks look or touch.
+    """
+    folder = Path(folder)
+    if are_collected(file, body, wanted, seed, surface is not None, folder):
+        return
+    _require_parts(file)
+    scene = GraspScene(body, Physics(timestep=wanted.timestep), threads)
+    truth = None if surface is None else _truth(file, surface)
+    rests = scene.rests(numpy_generator(seed, file.key, "rests"))
+    request = _request(file, body, wanted, seed, truth is not None)
+    progress = folder / ".progress" / hashlib.sha256(repr(request).encode()).hexdigest()[:16]
+    (folder / RECORD).unlink(missing_ok=True)
+    camera = ExternalCamera(wanted.image)
+    paths: list[Path] = []
+    counts = dict.fromkeys(("drawn", "free", "touched"), 0)
+    needed = 2 * wanted.grasps * wanted.bytes(explicit=truth is not None)  # batches, then arrays
+    with enough_space(f"{file.key}: grasps", folder, needed, ", or collect fewer or smaller ones"):
+        while counts["touched"] < wanted.grasps:
+            path = progress / f"{len(paths):05d}.npz"
+            if not path.is_file():
+                rng = numpy_generator(seed, file.key, "grasps", str(len(paths)))
+                tried = label_grasps(scene, rests, wanted.perturbations, rng)
+                write_npz(path, **_observed(file, body, camera, wanted.touch, truth, *tried))
+            with np.load(path) as stored:
+                counts = {name: count + int(stored[name]) for name, count in counts.items()}
+            paths.append(path)
+            report(min(counts["touched"], wanted.grasps), wanted.grasps)
+        digest = _write(folder, paths, wanted.grasps)
+        success = np.concatenate(list(_parts(paths, "success")))[: wanted.grasps]
+        record = request | {"digest": digest, "attempts": counts, "success_rate": float(success.mean())}
+        write_json(folder / RECORD, record | {"mass": body.mass})
+    shutil.rmtree(folder / ".progress")
+
+
+def are_collected(
+    file: ObjectFile, body: RigidBody, wanted: Plan, seed: int, explicit: bool, folder: str | Path
+) -> bool:
+    """Whether a folder holds all that `collect_grasps` would write there."""
+    request = _request(file, body, wanted, seed, explicit)
+    try:
+        record = read_json(Path(folder) / RECORD)
+    except ObjectFolderError:  # missing or damaged: made again
+        return False
+    return isinstance(record, dict) and record | request == record
+
+
+def draw_attempts(
+    scene: GraspScene, rests: np.ndarray, count: int, rng: np.random.Generator
+) -> tuple[Attempts, int]:
+    """Draw grasps whose start is free, and say how many poses that took.
+
+    The object rests as one of its drops did, turned about the vertical and moved. The hand comes down over a
+    random point of its silhouette, to any height, from any direction; the force is log-uniform over `FORCES`.
+
+    Raises
+    ------
+    ObjectFolderError
+        If none of `ATTEMPTS` poses in a row is free.
+    """
+    found: list[Attempts] = []
+    drawn, since, points = 0, 0, np.concatenate([hull.vertices for hull in scene.body.hulls])
+    while sum(len(part.forces) for part in found) < count:
+        n = 4 * count
+        rest = rests[rng.integers(len(rests), size=n)]
+        places = rng.uniform(-PLACES, PLACES, (n, 2))
+        objects = turned(rest, rng.uniform(-np.pi, np.pi, n), places)
+        body = np.stack([_placed(points, pose) for pose in objects])
+        over = body[np.arange(n), rng.integers(len(points), size=n), :2]
+        hands = np.empty((n, 4))
+        hands[:, :2] = places + INSIDE * rng.random((n, 1)) * (over - places)
+        hands[:, 2] = rng.uniform(lowest_hand(), np.maximum(body[:, :, 2].max(1), lowest_hand() + SHIFT))
+        hands[:, 3] = rng.uniform(-np.pi / 2, np.pi / 2, n)
+        weakest, strongest = np.log(FORCES)
+        forces = np.exp(rng.uniform(weakest, strongest, n))
+        free = np.flatnonzero(scene.free(objects, hands))
+        drawn, since = drawn + n, 0 if len(free) else since + n
+        found.append(Attempts(objects, hands, forces).take(free))
+        if since > ATTEMPTS:
+            raise ObjectFolderError(
+                f"{scene.body.key}: the open gripper fits over it in none of {since} random poses; it may be "
+                "too wide as it lies: build it at a smaller scale, or take another object"
+            )
+    joined = Attempts(*(np.concatenate(parts) for parts in zip(*(vars(part).values() for part in found))))
+    return joined.take(np.arange(count)), drawn
+
+
+def label_grasps(
+    scene: GraspScene, rests: np.ndarray, perturbations: int, rng: np.random.Generator
+) -> tuple[Outcomes, dict[str, np.ndarray]]:
+    """Try `BATCH` grasps, or more until both pads touch the object in one; those get labels.
+
+    Returns
+    -------
+    Outcomes
+    dict
+        What else to store of them: where the object stood before (``start``), the greatest force of each jaw
+        (``limits``), the share of ``perturbations`` that succeed (``soft``), numbers of poses that were
+        ``drawn``, ``free`` and ``touched``.
+
+    Raises
+    ------
+    ObjectFolderError
+        If no free pose is found, or the pads touch nothing in `EMPTY` batches.
+    """
+    drawn = free_poses = 0
+    for _ in range(EMPTY):
+        attempts, poses = draw_attempts(scene, rests, BATCH, rng)
+        closed = scene.close(attempts.objects, attempts.hands, attempts.forces)
+        rows = np.flatnonzero(closed.touched.all(1))
+        drawn, free_poses = drawn + poses, free_poses + BATCH
+        if len(rows):
+            break
+    else:
+        raise ObjectFolderError(
+            f"{scene.body.key}: both pads touch it in none of {free_poses} grasps; pads reach down to "
+            f"{1000 * (lowest_hand() - PAD[2]):.0f} mm over the table, so it may be too small or too flat: "
+            "take another object, or build it larger"
+        )
+    grasps, attempts = scene.lift(closed.take(rows)), attempts.take(rows)
+    successes, trials = grasps.success.astype(int), np.ones(len(rows), int)
+    for changed in _perturbed(attempts, perturbations, rng):
+        free = np.flatnonzero(scene.free(changed.objects, changed.hands))
+        successes[free] += scene.grasp(*vars(changed.take(free)).values()).success
+        trials[free] += 1
+    return grasps, {
+        "start": attempts.objects,
+        "limits": attempts.forces,
+        "soft": (successes / trials).astype(np.float32),
+        "drawn": np.array(drawn),
+        "free": np.array(free_poses),
+        "touched": np.array(len(rows)),
+    }
+
+
+def _perturbed(attempts: Attempts, count: int, rng: np.random.Generator) -> Iterator[Attempts]:
+    n = len(attempts.forces)
+    for _ in range(count):
+        shift = np.c_[rng.normal(0, SHIFT, (n, 3)), rng.normal(0, TURN, n)]
+        hands = attempts.hands + shift
+        hands[:, 2] = np.maximum(hands[:, 2], lowest_hand())
+        yield Attempts(attempts.objects, hands, attempts.forces * np.exp(rng.normal(0, STRENGTH, n)))
+
+
+def _observed(
+    file: ObjectFile,
+    body: RigidBody,
+    camera: ExternalCamera,
+    touch: tuple[int, int],
+    truth: TrueSurface | None,
+    grasps: Outcomes,
+    more: dict[str, np.ndarray],
+) -> dict[str, np.ndarray]:
+    """All arrays of a batch."""
+    pressed = presses(grasps.objects, grasps.hands, grasps.contacts)
+    depths = press_depths(file, pressed, grasps.forces.ravel())
+    middle = grasps.contacts.mean(1) - np.stack([_placed(body.centre, pose) for pose in grasps.objects])
+    pictures = zip(grasps.objects, grasps.hands, grasps.width)
+    arrays = {
+        "success": grasps.success,
+        "width": grasps.width.astype(np.float32),
+        "offset": np.einsum("nij,ni->nj", hand_axes(grasps.hands), middle).astype(np.float32),
+        "force": grasps.forces.mean(1).astype(np.float32),
+        "image": np.stack([camera.picture(file, *given) for given in pictures]),
+        "touch": _images(feel, file, pressed, depths, touch),
+        "objects": grasps.objects,
+        "hands": grasps.hands,
+        "contacts": grasps.contacts,
+        "depths": depths.reshape(-1, 2),
+    }
+    if truth is not None:
+        arrays[OPTIONAL] = _images(TrueSurface.feel, truth, pressed, depths, touch)
+    return arrays | more
+
+
+def _images(
+    ask: Callable[[Any, Presses, np.ndarray], np.ndarray],
+    source: Any,
+    pressed: Presses,
+    depths: np.ndarray,
+    size: tuple[int, int],
+) -> np.ndarray:
+    """Tactile images of both fingers at the stored size; (N, 2, h, w, 3) uint8."""
+    images = torch.from_numpy(ask(source, pressed, depths)).permute(0, 3, 1, 2).float()
+    small = torch.nn.functional.adaptive_avg_pool2d(images, size).round().to(torch.uint8)
+    return small.permute(0, 2, 3, 1).reshape(-1, 2, *size, 3).numpy()
+
+
+def _write(folder: Path, paths: list[Path], count: int) -> str:
+    """Write what batches hold, array by array; SHA-256 of all of it."""
+    digest = hashlib.sha256()
+    with np.load(paths[0]) as first:
+        rows = {name: first[name][:1] for name in first.files if first[name].ndim}
+    for name in ARRAYS:
+        if name not in rows:
+            array_path(folder, name).unlink(missing_ok=True)
+            continue
+        example, left = rows[name], count
+        header = {"descr": example.dtype.str, "fortran_order": False, "shape": (count, *example.shape[1:])}
+        with atomic(array_path(folder, name)) as temporary, temporary.open("wb") as stream:
+            np.lib.format.write_array_header_1_0(stream, header)
+            for part in _parts(paths, name):
+                content = part[:left].tobytes()
+                left -= min(left, len(part))
+                digest.update(content)
+                stream.write(content)
+    others = [name for name in rows if name not in ARRAYS]
+    write_npz(folder / POSES, **{name: np.concatenate(list(_parts(paths, name)))[:count] for name in others})
+    return digest.hexdigest()
+
+
+def _parts(paths: list[Path], name: str) -> Iterator[np.ndarray]:
+    for path in paths:
+        with np.load(path) as stored:
+            yield stored[name]
+
+
+def _request(file: ObjectFile, body: RigidBody, wanted: Plan, seed: int, explicit: bool) -> dict[str, Any]:
+    """What grasps are of; those of another request are collected anew."""
+    shape = b"".join(np.ascontiguousarray(hull.vertices).tobytes() for hull in body.hulls)
+    return {
+        "format": FORMAT,
+        "key": file.key,
+        "material": file.material,
+        "scale": file.scale,
+        "object_sha256": object_digest(file),
+        "hulls_sha256": hashlib.sha256(shape).hexdigest(),
+        "friction": body.friction,
+        "count": wanted.grasps,
+        "wanted": {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(wanted).items()},
+        "explicit": explicit,
+        "seed": seed,
+    }
+
+
+def _require_parts(file: ObjectFile) -> None:
+    lacking = [part for part in ("geometry", "vision", "touch") if part not in file.header]
+    if lacking:
+        raise ObjectFolderError(
+            f"{file.key}: the Object File holds no {' and no '.join(lacking)}; grasps are seen and felt: "
+            "leave it out, or build it whole"
+        )
+
+
+def _truth(file: ObjectFile, surface: tuple[np.ndarray, np.ndarray]) -> TrueSurface:
+    vertices, faces = surface
+    return TrueSurface(vertices * file.scale, faces, sensor_profile(file))
+
+
+def _placed(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Points (..., 3) of an object at a pose (7,)."""
+    return points @ rotation(pose[3:]).T + pose[:3]

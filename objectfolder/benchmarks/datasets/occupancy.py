@@ -1,0 +1,215 @@
+"""Which points are inside an object, learnt from its Object File alone (Occupancy Networks' training data).
+
+The solid is the physical one: what the stored surface encloses is occupied. A mug's wall is occupied, the
+room for the coffee is not.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.io import file_digest, read_npz, write_npz
+from objectfolder.mesh.grid import BOUND
+from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.mesh.sampling import sample_faces, sample_surface
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.seeding import numpy_generator
+
+#: Points fill [-HALF_SIDE, HALF_SIDE]^3: the unit cube and a tenth, as in Occupancy Networks.
+HALF_SIDE = 0.55
+NEAR = 0.02  #: standard deviation of the points near the surface, fraction of the longest side
+CHUNK = 2**20  # points that are looked up at once
+
+
+def is_inside(surface: Isosurface, points: np.ndarray) -> np.ndarray:
+    """Whether points are inside the solid that the stored surface encloses.
+
+    The sign of the stored signed distance, trilinear between samples. Beyond the stored grid is outside.
+
+    Parameters
+    ----------
+    surface : Isosurface
+    points : (..., 3) array
+        Unit frame.
+
+    Returns
+    -------
+    (...) bool
+    """
+    flat = torch.from_numpy(np.asarray(points, np.float32).reshape(-1, 3))
+    distance = torch.cat([surface.grid.distance(part) for part in flat.split(CHUNK)])
+    within = flat.abs().amax(1) <= BOUND
+    return ((distance <= 0) & within).numpy().reshape(np.shape(points)[:-1])
+
+
+def uniform_points(count: int, rng: np.random.Generator) -> np.ndarray:
+    """Points uniform in the cube of side 1.1; (count, 3) float32."""
+    return rng.uniform(-HALF_SIDE, HALF_SIDE, (count, 3)).astype(np.float32)
+
+
+def near_points(surface: Isosurface, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Points around the surface, normally distributed in each axis; (count, 3) float16.
+
+    A third of them are inside a thin wall that uniform points all but miss. They are rounded before anyone
+    asks whether they are inside, so the answers are exact.
+    """
+    on_surface = sample_surface(surface.vertices, surface.faces, count, rng)
+    moved = on_surface + rng.normal(scale=NEAR, size=on_surface.shape)
+    return moved.clip(-HALF_SIDE, HALF_SIDE).astype(np.float16)
+
+
+def grid_points(resolution: int) -> np.ndarray:
+    """Nodes of a regular grid that spans the cube; (resolution^3, 3) float32, the last axis fastest."""
+    axis = np.linspace(-HALF_SIDE, HALF_SIDE, resolution, dtype=np.float32)
+    return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
+
+
+def surface_points(
+    vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points uniform by area, and unit normals of their triangles; two (count, 3) float64."""
+    points, face = sample_faces(vertices, faces, count, rng)
+    a, b, c = (np.asarray(vertices, np.float64)[faces[face, i]] for i in range(3))
+    normal = np.cross(b - a, c - a)
+    return points, normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+
+@dataclass(frozen=True)
+class Occupancy:
+    """Occupied or not: K objects at points that they share, and at points near each one's surface.
+
+    Scores and validation use uniform points only: the IoU of uniform points estimates the ratio of volumes.
+    """
+
+    train_points: np.ndarray  #: (P, 3) float32, uniform, to train on
+    train_inside: np.ndarray  #: (K, P) bool
+    near_points: np.ndarray  #: (K, P, 3) float16, around each surface, to train on
+    near_inside: np.ndarray  #: (K, P) bool
+    val_points: np.ndarray  #: (V, 3) float32, uniform, to validate on
+    val_inside: np.ndarray  #: (K, V) bool
+    score_points: np.ndarray  #: (S, 3) float32, uniform, for the scores
+    score_inside: np.ndarray  #: (K, S) bool
+    grid_inside: np.ndarray  #: (K, G) uint8, bits of the nodes of `grid_points`
+    resolution: np.ndarray  #: nodes along a side of that grid
+
+    def grid(self, objects: np.ndarray) -> np.ndarray:
+        """Occupancy of the grid's nodes; (len(objects), resolution^3) bool."""
+        return np.unpackbits(self.grid_inside[objects], axis=1, count=int(self.resolution) ** 3).astype(bool)
+
+    def draw(self, labels: np.ndarray, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Draw training points for objects: half of them uniform, half near the surface.
+
+        Parameters
+        ----------
+        labels : (B,) int array
+            Objects, which may repeat.
+        count : int
+            Points each.
+
+        Returns
+        -------
+        points : (B, count, 3) float32
+        inside : (B, count) bool
+        """
+        near = count // 2
+        one = rng.integers(self.near_inside.shape[1], size=(len(labels), near))
+        other = rng.integers(len(self.train_points), size=(len(labels), count - near))
+        row = np.asarray(labels)[:, None]
+        points = np.concatenate([self.near_points[row, one], self.train_points[other]], 1)
+        inside = np.concatenate([self.near_inside[row, one], self.train_inside[row, other]], 1)
+        return points.astype(np.float32), inside
+
+
+def sample_occupancy(
+    surfaces: Mapping[str, Callable[[], Isosurface]],
+    train: int,
+    val: int,
+    score: int,
+    resolution: int,
+    seed: int,
+) -> Occupancy:
+    """Sample the occupancy of objects.
+
+    Parameters
+    ----------
+    surfaces : mapping of str to callable
+        Key to what gives the stored surface, in label order; one surface at a time is held.
+    train, val, score : int
+        Numbers of points: uniform and near ones for training, uniform ones for validation, for scores.
+    resolution : int
+        Nodes along a side of the grid.
+    seed : int
+    """
+    pools = {
+        name: uniform_points(count, numpy_generator(seed, "occupancy", name))
+        for name, count in {"train": train, "val": val, "score": score}.items()
+    }
+    nodes = grid_points(resolution)
+    rows: dict[str, list[np.ndarray]] = {name: [] for name in [*pools, "near", "near_inside", "grid"]}
+    for key, surface_of in surfaces.items():
+        surface = surface_of()
+        near = near_points(surface, train, numpy_generator(seed, "occupancy", "near", key))
+        rows["near"].append(near)
+        rows["near_inside"].append(is_inside(surface, near))
+        rows["grid"].append(np.packbits(is_inside(surface, nodes)))
+        for name, points in pools.items():
+            rows[name].append(is_inside(surface, points))
+    stacked = {name: np.stack(values) for name, values in rows.items()}
+    return Occupancy(
+        pools["train"],
+        stacked["train"],
+        stacked["near"],
+        stacked["near_inside"],
+        pools["val"],
+        stacked["val"],
+        pools["score"],
+        stacked["score"],
+        stacked["grid"],
+        np.asarray(resolution),
+    )
+
+
+def cached_occupancy(
+    path: Path, files: Mapping[str, Path], train: int, val: int, score: int, resolution: int, seed: int
+) -> Occupancy:
+    """Sample the occupancy of Object Files, or read it if the same was sampled before.
+
+    Parameters
+    ----------
+    path : Path
+        An ``.npz``; written anew where it holds other objects, numbers or another seed.
+    files : mapping of str to Path
+        Key to Object File, in label order.
+    train, val, score, resolution, seed : int
+        See `sample_occupancy`.
+
+    Raises
+    ------
+    ObjectFolderError
+        If a file cannot be read, or holds no surface, or what is at ``path`` is damaged.
+    """
+    made_of = [f"{key} {file_digest(file)}" for key, file in files.items()]
+    identity = np.array([*made_of, f"{train} {val} {score} {resolution} {seed} {HALF_SIDE} {NEAR}"])
+    if path.is_file():
+        names = [field.name for field in fields(Occupancy)]
+        arrays = read_npz(path, "identity", *names)
+        if np.array_equal(arrays["identity"], identity):
+            return Occupancy(**{name: arrays[name] for name in names})
+    surfaces = {key: _opener(key, file) for key, file in files.items()}
+    occupancy = sample_occupancy(surfaces, train, val, score, resolution, seed)
+    write_npz(path, identity=identity, **vars(occupancy))
+    return occupancy
+
+
+def _opener(key: str, file: Path) -> Callable[[], Isosurface]:
+    def surface() -> Isosurface:
+        opened = ObjectFile.load(file)
+        if opened.key != key:
+            raise ObjectFolderError(f"{file} holds {opened.key}, expected {key}")
+        return opened.surface
+
+    return surface

@@ -1,0 +1,283 @@
+"""Observations of one object, drawn from its Object File: views, sounds, touches (supplementary I.1)."""
+
+import hashlib
+import json
+import logging
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from objectfolder.audio.spectrogram import DURATION, SAMPLE_RATE
+from objectfolder.benchmarks.datasets.observations import QUERIES, RECORD, SOURCE, VERSION, array_path
+from objectfolder.benchmarks.datasets.splits import TEN, check_count
+from objectfolder.disk import enough_space
+from objectfolder.errors import ObjectFolderError
+from objectfolder.io import atomic, read_json, write_json, write_npz
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.objectfile.header import PARTS
+from objectfolder.objectfile.query_files import sample_presses, sample_strikes, sample_views
+from objectfolder.seeding import numpy_generator
+from objectfolder.workspace.layout import MODALITIES
+
+FORCES = (0.1, 1.0)  #: N s, weakest and strongest impulse
+_DTYPES: dict[str, np.dtype[Any]] = {
+    "vision": np.dtype(np.uint8),
+    "audio": np.dtype(np.float32),
+    "touch": np.dtype(np.uint8),
+}
+
+log = logging.getLogger(__name__)
+
+#: What is asked, by name: (N, 3) or (N,) float64.
+Queries = dict[str, np.ndarray]
+
+
+def sample_observations(
+    file: ObjectFile,
+    count: int,
+    resolution: int,
+    seed: int,
+    folder: str | Path,
+    report: Callable[[str, int], None] = lambda modality, done: None,
+) -> None:
+    """Draw views, impact sounds and touches of an object, and write them to a folder.
+
+    A call that was interrupted goes on with the modality it was at; where the folder is complete, nothing is
+    done. What it holds of another Object File, count, resolution or seed is replaced.
+
+    Parameters
+    ----------
+    file : ObjectFile
+    count : int
+        Observations of each modality, a multiple of ten. The first n are the same whatever the count.
+    resolution : int
+        Side of the views, pixels.
+    seed : int
+    folder : path
+        Of this object alone. It gets ``vision.npy``, ``audio.npy`` and ``touch.npy``, each with a ``.json``
+        that says what it is of; ``queries.npz``, see `draw_queries`; the Object File; and last
+        ``observations.json``.
+    report : callable
+        Called with a modality and how many of its observations are there.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the count is no multiple of ten, the Object File lacks a part, a question fails, or the disk is
+        full.
+    """
+    folder = Path(folder)
+    check_count(count)
+    if resolution < 1:
+        raise ObjectFolderError(f"{file.key}: views of {resolution} pixels, expected a positive number")
+    _require_parts(file)
+    if are_sampled(file, count, resolution, seed, folder):
+        return
+    request = _request(file, count, resolution, seed)
+    arrays = {modality: _written(folder, modality, request) for modality in MODALITIES}
+    (folder / RECORD).unlink(missing_ok=True)
+    queries = draw_queries(file, count, seed)
+    one = ask(file, {name: rows[:1] for name, rows in queries.items()}, "touch", resolution)[0]
+    shapes = {
+        "vision": (count, resolution, resolution, 3),
+        "audio": (count, round(SAMPLE_RATE * DURATION)),
+        "touch": (count, *one.shape[1:]),
+    }
+    missing = [modality for modality, array in arrays.items() if array is None]
+    needed = sum(_bytes(modality, shapes[modality]) for modality in missing)
+    hint = ", or sample fewer or smaller observations; what is complete is kept"
+    with enough_space(f"{file.key}: observations", folder, needed, hint):
+        write_npz(folder / QUERIES, **queries)
+        file.save(folder / SOURCE)
+        for modality in missing:
+            array = _write(file, queries, modality, shapes[modality], folder, report)
+            write_json(folder / f"{modality}.json", {"request": request, "array": array})
+            arrays[modality] = array
+        write_json(folder / RECORD, request | {"arrays": arrays})
+
+
+def are_sampled(file: ObjectFile, count: int, resolution: int, seed: int, folder: str | Path) -> bool:
+    """Whether a folder holds all observations that `sample_observations` would write there."""
+    folder, request = Path(folder), _request(file, count, resolution, seed)
+    if not all((folder / name).is_file() for name in (QUERIES, SOURCE)):
+        return False
+    arrays = {modality: _written(folder, modality, request) for modality in MODALITIES}
+    return all(arrays.values()) and _stored(folder / RECORD) == request | {"arrays": arrays}
+
+
+def draw_queries(file: ObjectFile, count: int, seed: int) -> Queries:
+    """Draw what an object is asked.
+
+    Parameters
+    ----------
+    file : ObjectFile
+    count : int
+        A multiple of ten: each ten rows are drawn on their own, so that they do not depend on the count.
+    seed : int
+
+    Returns
+    -------
+    dict
+        ``vision_camera`` and ``vision_light`` (N, 3), unit frame: uniform on the spheres of the paper's data
+        (supplementary C). ``audio_point`` (N, 3), metres, uniform by area, and ``audio_force`` (N, 3), N s,
+        uniform over the directions into the object, of log-uniform length over `FORCES`. ``touch_point``
+        (N, 3), metres, uniform by area, and ``touch_depth`` (N,), metres, uniform over the sensor's
+        ``press_depth``, or the one depth that a net of kind ``image`` knows.
+    """
+    tens = [_draw_ten(file, seed, ten) for ten in range(count // TEN)]
+    return {name: np.concatenate([rows[name] for rows in tens]) for name in tens[0]}
+
+
+def _draw_ten(file: ObjectFile, seed: int, ten: int) -> Queries:
+    def rng(purpose: str) -> np.random.Generator:
+        return numpy_generator(seed, file.key, "observations", purpose, str(ten))
+
+    def drawn(purpose: str) -> int:
+        return int(rng(purpose).integers(2**63))
+
+    views = sample_views(TEN, drawn("vision"))
+    strikes = sample_strikes(file, TEN, drawn("audio"), directions="random")
+    weakest, strongest = np.log(FORCES)
+    impulse = np.exp(rng("force").uniform(weakest, strongest, TEN))
+    net = file.header["touch"]["net"]
+    known = net.get("press_depth")
+    return {
+        "vision_camera": views[:, :3],
+        "vision_light": views[:, 3:],
+        "audio_point": strikes[:, :3],
+        "audio_force": strikes[:, 3:] * impulse[:, None],
+        "touch_point": file.sample_surface(TEN, drawn("touch")),
+        "touch_depth": (
+            sample_presses(file, TEN, drawn("depth"))[:, 2] if known is None else np.full(TEN, float(known))
+        ),
+    }
+
+
+def ask(file: ObjectFile, queries: Queries, modality: str, resolution: int) -> tuple[np.ndarray, np.ndarray]:
+    """Answer queries in one modality.
+
+    Parameters
+    ----------
+    file : ObjectFile
+    queries : dict
+        See `draw_queries`; any number of rows.
+    modality : {"vision", "audio", "touch"}
+    resolution : int
+        Side of the views, pixels.
+
+    Returns
+    -------
+    (N, ...) array
+        Observations as `objectfolder.benchmarks.datasets.observations.Observations.read` gives them.
+    (N,) bool array
+        Which of them show nothing: no pixel of the object, no sound, no contact.
+    """
+    if modality == "vision":
+        views = file.render(queries["vision_camera"], queries["vision_light"], resolution)
+        return np.round(views.rgb * 255).astype(np.uint8), ~np.any(views.alpha, axis=(1, 2))
+    if modality == "audio":
+        sounds = file.impact(
+            queries["audio_point"], queries["audio_force"], SAMPLE_RATE, DURATION, "displacement"
+        )
+        return sounds, ~np.any(sounds, axis=1)
+    net = file.header["touch"]["net"]
+    points, depth, angle = queries["touch_point"], queries["touch_depth"], float(net.get("angle", 0.0))
+    if "press_depth" in net:  # stores images alone
+        return file.touch(points, depth, angle), np.zeros(len(points), bool)
+    felt = file.press(points, depth, angle)
+    return felt.images, ~np.any(felt.mask, axis=(1, 2))
+
+
+def object_digest(file: ObjectFile) -> str:
+    """SHA-256 of all that an Object File holds, wherever it lies; hexadecimal."""
+    digest = hashlib.sha256(json.dumps(file.header, sort_keys=True).encode())
+    for name in sorted(file.tensors):
+        tensor = np.ascontiguousarray(file.tensors[name])
+        digest.update(f"{name} {tensor.dtype.str} {tensor.shape}".encode() + tensor.tobytes())
+    return digest.hexdigest()
+
+
+def _request(file: ObjectFile, count: int, resolution: int, seed: int) -> dict[str, Any]:
+    """What observations are of; those of another request are drawn anew."""
+    return {
+        "version": VERSION,
+        "key": file.key,
+        "material": file.material,
+        "scale": file.scale,
+        "sensor": file.sensor,
+        "object_sha256": object_digest(file),
+        "count": count,
+        "resolution": resolution,
+        "sample_rate": SAMPLE_RATE,
+        "seed": seed,
+    }
+
+
+def _require_parts(file: ObjectFile) -> None:
+    lacking = [part for part in PARTS if part not in file.header]
+    if lacking:
+        raise ObjectFolderError(
+            f"{file.key}: the Object File holds no {' and no '.join(lacking)}; benchmarks look at, strike "
+            "and touch every object: leave it out, or build it whole"
+        )
+
+
+def _written(folder: Path, modality: str, request: dict[str, Any]) -> dict[str, Any] | None:
+    """What is said about an array that is there, complete, and of this request."""
+    path, stored = array_path(folder, modality), _stored(folder / f"{modality}.json")
+    if stored is None or stored.get("request") != request or not path.is_file():
+        return None
+    array: dict[str, Any] = stored["array"]
+    return array if path.stat().st_size == array["bytes"] else None
+
+
+def _stored(path: Path) -> dict[str, Any] | None:
+    try:
+        value = read_json(path)
+    except ObjectFolderError:  # missing or damaged: made again
+        return None
+    return value if isinstance(value, dict) else None
+
+
+def _write(
+    file: ObjectFile,
+    queries: Queries,
+    modality: str,
+    shape: tuple[int, ...],
+    folder: Path,
+    report: Callable[[str, int], None],
+) -> dict[str, Any]:
+    """Write the observations of one modality, ten at a time, and say what they are."""
+    path, dtype, digest, empty = array_path(folder, modality), _DTYPES[modality], hashlib.sha256(), 0
+    header = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
+    with atomic(path) as temporary, temporary.open("wb") as stream:
+        np.lib.format.write_array_header_1_0(stream, header)
+        for start in range(0, shape[0], TEN):
+            rows = {name: values[start : start + TEN] for name, values in queries.items()}
+            block = f"{file.key}: {modality} observations {start} to {start + TEN - 1}"
+            try:
+                answers, nothing = ask(file, rows, modality, shape[1])
+            except ObjectFolderError as error:
+                raise ObjectFolderError(f"{block}: {error}") from error
+            if answers.shape != (TEN, *shape[1:]) or answers.dtype != dtype:
+                raise ObjectFolderError(
+                    f"{block}: answers are {answers.dtype} {answers.shape}, expected {dtype} {shape[1:]} each"
+                )
+            if not np.isfinite(answers).all():
+                raise ObjectFolderError(f"{block}: values are not finite; rebuild the object")
+            content = answers.tobytes()
+            digest.update(content)
+            stream.write(content)
+            empty += int(nothing.sum())
+            report(modality, start + TEN)
+    if empty:
+        log.warning("%s: %d of %d observations of %s show nothing", file.key, empty, shape[0], modality)
+    size = path.stat().st_size
+    return {"shape": list(shape), "sha256": digest.hexdigest(), "bytes": size, "empty": empty}
+
+
+def _bytes(modality: str, shape: tuple[int, ...]) -> int:
+    return math.prod(shape) * _DTYPES[modality].itemsize

@@ -1,0 +1,234 @@
+"""Which observations are learnt from, and which are kept back: frozen lists, by sample and by object.
+
+``data/objects.csv`` numbers the objects of the shipped catalogues: a list that is only ever appended to, of
+every ten consecutive objects 7 for training, 1 for validation and 2 for tests. ``data/samples.txt`` has a
+letter (t, v, e) for every observation of an object: of every ten 8, 1 and 1, the paper's shares
+(supplementary I.1). Both were drawn once, at random, and never change, so that scores stay comparable.
+"""
+
+import csv
+import hashlib
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import Protocol
+
+import numpy as np
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.workspace.layout import SPLITS
+
+TEN = 10  #: observations of an object come in tens, each with 8 for training, 1 for validation, 1 for tests
+_LETTERS = dict(zip("tve", SPLITS))
+_CHUNK = 64  # rows that are read at once
+
+
+@dataclass(frozen=True)
+class Split:
+    """Rows for training, validation and tests; each (n,) int64, ascending, no row twice.
+
+    With N observations per object, row r is observation ``r % N`` of object ``r // N``.
+    """
+
+    name: str
+    train: np.ndarray
+    val: np.ndarray
+    test: np.ndarray
+
+
+class Rows(Protocol):
+    """Where rows are read from, such as `objectfolder.benchmarks.datasets.observations.Observations`."""
+
+    def read(self, modality: str, rows: np.ndarray) -> np.ndarray:
+        """Observations (B, ...) of one modality."""
+
+
+def label_order(keys: Iterable[str]) -> tuple[str, ...]:
+    """Return objects in the order of their labels: the frozen list's first, then others by key."""
+    given, listed = set(keys), _listed()
+    return *(key for key in listed if key in given), *sorted(given - listed.keys())
+
+
+def object_split(key: str) -> str:
+    """Return the split of an object, ``train``, ``val`` or ``test``: it does not depend on other objects.
+
+    Objects that the frozen list lacks go by a hash of their key, in the same shares.
+    """
+    listed = _listed()
+    if key in listed:
+        return listed[key]
+    digit = int.from_bytes(hashlib.sha256(key.encode()).digest()) % TEN
+    return "train" if digit < 7 else "val" if digit == 7 else "test"
+
+
+def check_count(count: int) -> None:
+    """Raise ObjectFolderError unless a number of observations comes in tens."""
+    if count < TEN or count % TEN:
+        raise ObjectFolderError(
+            f"{count} observations per object, expected a multiple of {TEN}: each ten has 8 for training, "
+            "1 for validation, 1 for tests"
+        )
+
+
+def per_sample(keys: Sequence[str], count: int) -> Split:
+    """Split ``seen``: of every object 80 % of the observations to learn from, 10 % and 10 % kept back.
+
+    Parameters
+    ----------
+    keys : sequence of str
+        Objects in the order of their rows.
+    count : int
+        Observations per object. The first n are in the same splits whatever the count.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there are fewer than two objects, or the count is no multiple of ten.
+    """
+    letters = _sample_splits(keys, count)
+    return Split("seen", *(_rows(letters == name, [True] * len(keys)) for name in SPLITS))
+
+
+def per_object(keys: Sequence[str], count: int) -> Split:
+    """Split ``unseen``: objects in the test rows are in no training or validation row.
+
+    Validation has objects of its own where the frozen list gives some. Where it gives none, it has the
+    observations of training objects that ``seen`` validates with, and training goes without them.
+
+    Parameters
+    ----------
+    keys : sequence of str
+        Objects in the order of their rows.
+    count : int
+        Observations per object.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there are fewer than two objects, the count is no multiple of ten, or no object is for training or
+        none for tests.
+    """
+    letters = _sample_splits(keys, count)
+    of_objects = np.array([object_split(key) for key in keys])
+    for name in ("train", "test"):
+        if name not in of_objects:
+            listed = [key for key, split in _listed().items() if split == name]
+            raise ObjectFolderError(
+                f"split unseen: of {_named(keys)} none is a {name} object; add one of those that the list of "
+                f"objects gives to {name} ({_named(listed)}), or use split seen"
+            )
+    train, val, test = (of_objects == name for name in SPLITS)
+    if val.any():
+        every = np.ones(count, bool)
+        return Split("unseen", _rows(every, train), _rows(every, val), _rows(every, test))
+    kept = letters == "val"
+    return Split("unseen", _rows(~kept, train), _rows(kept, train), _rows(np.ones(count, bool), test))
+
+
+#: By name: trained on every object, and tested on objects that were never met.
+NAMED: dict[str, Callable[[Sequence[str], int], Split]] = {"seen": per_sample, "unseen": per_object}
+
+
+def named_split(name: str, keys: Sequence[str], count: int) -> Split:
+    """Make a split by its name, ``seen`` or ``unseen``; see `per_sample` and `per_object`.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there is no split of that name, or it cannot be made of these objects.
+    """
+    if name not in NAMED:
+        raise ObjectFolderError(f"split {name!r} is unknown, expected one of {', '.join(NAMED)}")
+    return NAMED[name](keys, count)
+
+
+def without_duplicates(
+    split: Split, observations: Rows, modalities: Sequence[str]
+) -> tuple[Split, dict[str, dict[str, int]]]:
+    """Drop kept-back rows that show, to the byte, what is learnt from.
+
+    Two presses on a flat face may give one image. A validation row is dropped if what it holds in any of the
+    modalities is in a training row, of any object; a test row also if it is in a validation row.
+
+    Parameters
+    ----------
+    split : Split
+    observations : Observations
+    modalities : sequence of str
+        Those that the task looks at.
+
+    Returns
+    -------
+    Split
+    dict
+        By modality, how many rows of ``val`` and of ``test`` had a duplicate.
+
+    Raises
+    ------
+    ObjectFolderError
+        If no validation or no test row is left.
+    """
+    duplicated = {
+        "val": np.zeros((len(modalities), len(split.val)), bool),
+        "test": np.zeros((len(modalities), len(split.test)), bool),
+    }
+    for i, modality in enumerate(modalities):
+        seen = set(_digests(observations, modality, split.train))
+        held = list(_digests(observations, modality, split.val))
+        duplicated["val"][i] = [digest in seen for digest in held]
+        seen.update(held)
+        duplicated["test"][i] = [digest in seen for digest in _digests(observations, modality, split.test)]
+    counts = {
+        modality: {name: int(found[i].sum()) for name, found in duplicated.items()}
+        for i, modality in enumerate(modalities)
+    }
+    val, test = (getattr(split, name)[~found.any(0)] for name, found in duplicated.items())
+    for name, rows in (("validation", val), ("test", test)):
+        if not len(rows):
+            raise ObjectFolderError(
+                f"split {split.name}: every {name} row has a duplicate among the rows before it ({counts}); "
+                "are the objects silent, or all alike? Leave out such a modality or such objects"
+            )
+    return Split(split.name, split.train, val, test), counts
+
+
+def _digests(observations: Rows, modality: str, rows: np.ndarray) -> Iterable[bytes]:
+    for start in range(0, len(rows), _CHUNK):
+        for row in observations.read(modality, rows[start : start + _CHUNK]):
+            yield hashlib.blake2b(row.tobytes(), digest_size=16).digest()
+
+
+def _rows(of_count: np.ndarray, of_objects: Sequence[bool] | np.ndarray) -> np.ndarray:
+    """Rows of the chosen observations of the chosen objects."""
+    return np.flatnonzero(np.outer(of_objects, of_count)).astype(np.int64)
+
+
+def _sample_splits(keys: Sequence[str], count: int) -> np.ndarray:
+    """Split of each of an object's observations; (count,) str."""
+    if len(keys) < 2:
+        raise ObjectFolderError(
+            f"objects: {_named(keys) or 'none'}; a benchmark tells objects apart, and needs two at least"
+        )
+    check_count(count)
+    return np.resize(_frozen_samples(), count)
+
+
+def _named(keys: Sequence[str], most: int = 8) -> str:
+    return ", ".join(keys[:most]) + (f" and {len(keys) - most} more" if len(keys) > most else "")
+
+
+@cache
+def _listed() -> dict[str, str]:
+    """Split of each object of the frozen list, in the order of labels."""
+    rows = csv.DictReader(_data("objects.csv").splitlines())
+    return {row["key"]: row["split"] for row in rows}
+
+
+@cache
+def _frozen_samples() -> np.ndarray:
+    return np.array([_LETTERS[letter] for letter in _data("samples.txt") if letter in _LETTERS])
+
+
+def _data(name: str) -> str:
+    return (files("objectfolder.benchmarks") / "data" / name).read_text()

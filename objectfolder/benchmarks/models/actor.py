@@ -1,0 +1,72 @@
+"""A trained policy as plain arrays: observation in, action out, and a file that needs no pickle."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.io import open_safetensors, write_safetensors
+
+FORMAT = "objectfolder actor 1"
+CLIP = 10.0  #: standard deviations beyond which a normalised observation is cut
+
+
+@dataclass(frozen=True)
+class Actor:
+    """Mean action of a Gaussian policy: normalisation, layers with tanh between them, a cut to [-1, 1].
+
+    Parameters
+    ----------
+    mean, deviation : (n,) float64
+        Of the observations that were trained with.
+    layers : sequence of pairs
+        Weight (out, in) and bias (out,) of each layer, float32.
+    """
+
+    mean: np.ndarray
+    deviation: np.ndarray
+    layers: Sequence[tuple[np.ndarray, np.ndarray]]
+
+    def __call__(self, observation: np.ndarray) -> np.ndarray:
+        """Observations (..., n) to actions (..., m), float32."""
+        x = np.clip((observation - self.mean) / self.deviation, -CLIP, CLIP).astype(np.float32)
+        *hidden, (weight, bias) = self.layers
+        for inner, shift in hidden:
+            x = np.tanh(x @ inner.T + shift)
+        return np.clip(x @ weight.T + bias, -1, 1)
+
+    def tensors(self) -> dict[str, np.ndarray]:
+        """Return all arrays by name."""
+        named = {"mean": self.mean, "deviation": self.deviation}
+        for i, (weight, bias) in enumerate(self.layers):
+            named |= {f"layers.{i}.weight": weight, f"layers.{i}.bias": bias}
+        return named
+
+    @classmethod
+    def of(cls, tensors: Mapping[str, np.ndarray]) -> "Actor":
+        """Put together what `tensors` gave."""
+        count = sum(name.endswith(".weight") for name in tensors)
+        layers = [(tensors[f"layers.{i}.weight"], tensors[f"layers.{i}.bias"]) for i in range(count)]
+        return cls(tensors["mean"], tensors["deviation"], layers)
+
+    def save(self, path: str | Path, task: str) -> None:
+        """Write a safetensors file; ``task`` says what the policy was trained for."""
+        write_safetensors(path, self.tensors(), {"format": FORMAT, "task": task})
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Actor":
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        ObjectFolderError
+            If it is something else.
+        """
+        tensors, header = open_safetensors(path)
+        if header.get("format") != FORMAT:
+            raise ObjectFolderError(
+                f"{path} is no trained policy ({FORMAT}); train one: objectfolder bench reach"
+            )
+        return cls.of(tensors)

@@ -1,0 +1,258 @@
+"""Encoders by name, weights trained elsewhere, and what each modality looks like to an encoder."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from runpy import run_path
+
+import numpy as np
+import torch
+from torch import nn
+
+from objectfolder.audio.spectrogram import spectrogram
+from objectfolder.benchmarks.models.resnet import ResNet18
+from objectfolder.errors import ObjectFolderError
+
+CHANNELS = {"vision": 3, "audio": 1, "touch": 3}  #: of what `prepare` gives
+FLOOR = 80.0  #: dB below a spectrogram's maximum under which nothing is seen
+#: Of ImageNet's photographs, sRGB in [0, 1].
+MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+
+Factory = Callable[[int], nn.Module]
+_FACTORIES: dict[str, Factory] = {}
+
+
+def register_encoder(name: str) -> Callable[[Factory], Factory]:
+    """Make an encoder known under a name; a decorator.
+
+    What it decorates takes the number of input channels and gives a module with an attribute ``features``,
+    which maps (B, channels, H, W) to (B, features).
+    """
+
+    def register(factory: Factory) -> Factory:
+        _FACTORIES[name] = factory
+        return factory
+
+    return register
+
+
+register_encoder("resnet18")(ResNet18)
+
+
+def own_file(name: str) -> Path | None:
+    """File that registers an encoder, of a name such as ``mine.py:small``."""
+    file, colon, _ = name.rpartition(":")
+    return Path(file) if colon else None
+
+
+class Weights(dict[str, torch.Tensor]):
+    """Tensors of a checkpoint by name, and the file they are from."""
+
+    def __init__(self, path: Path, tensors: Mapping[str, torch.Tensor]):
+        super().__init__(tensors)
+        self.path = path
+
+
+def registered(name: str) -> str:
+    """Make sure that an encoder is known, and give the name that it is registered under.
+
+    Parameters
+    ----------
+    name : str
+        Registered, or ``FILE.py:NAME``: that Python file is run, and registers it.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there is no such encoder.
+    """
+    file = own_file(name)
+    if file is not None:
+        if not file.is_file():
+            raise ObjectFolderError(f"encoder {name}: {file} does not exist; expected FILE.py:NAME")
+        run_path(str(file))
+    bare = name.rpartition(":")[2]
+    _factory(bare)
+    return bare
+
+
+def _factory(name: str) -> Factory:
+    if name not in _FACTORIES:
+        raise ObjectFolderError(
+            f"encoder {name!r} is not one of {', '.join(sorted(_FACTORIES))}; "
+            "make your own known with objectfolder.benchmarks.models.encoders.register_encoder"
+        )
+    return _FACTORIES[name]
+
+
+def make_encoder(name: str, modality: str, weights: Weights | None = None) -> nn.Module:
+    """Make the encoder of a registered name for a modality.
+
+    Its random parameters come from torch's global generator: make it within `objectfolder.seeding.seeded`.
+
+    Parameters
+    ----------
+    name : str
+        As `registered` gives it. No file is run here: names come from models of strangers, too.
+    modality : str
+        "vision", "audio" or "touch".
+    weights : Weights, optional
+        Parameters to start from. A convolution over three channels is summed over them where the encoder
+        takes one.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there is no such encoder, or the weights are of another one.
+    """
+    encoder = _factory(name)(CHANNELS[modality])
+    if weights is not None:
+        encoder.load_state_dict(_matched(weights, encoder.state_dict(), name))
+    return encoder
+
+
+def read_weights(path: str | Path) -> Weights:
+    """Read an encoder's weights from a file that ``torch.save`` wrote, such as torchvision's for ImageNet.
+
+    The last layer (``fc``) is left out, and so is the prefix ``module.`` of parallel training. Nothing in the
+    file is executed.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the file is missing or no such file.
+    """
+    path = Path(path)
+    expected = "expected a dictionary of tensors by name, such as torchvision's resnet18 file"
+    if not path.is_file():
+        raise ObjectFolderError(f"{path} does not exist; {expected}")
+    try:
+        stored = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # the unpickler raises what it likes
+        reason = str(error).partition("\n")[0]
+        raise ObjectFolderError(f"{path} is not a readable checkpoint ({reason}); {expected}") from error
+    if isinstance(stored, Mapping) and isinstance(stored.get("state_dict"), Mapping):
+        stored = stored["state_dict"]
+    if not isinstance(stored, Mapping) or not stored:
+        raise ObjectFolderError(f"{path} holds {type(stored).__name__}; {expected}")
+    others = [str(name) for name, value in stored.items() if not isinstance(value, torch.Tensor)]
+    if others:
+        raise ObjectFolderError(f"{path} holds {_some(others)}, which are no tensors; {expected}")
+    tensors = {str(name).removeprefix("module."): value for name, value in stored.items()}
+    broken = [name for name, value in tensors.items() if not value.isfinite().all()]
+    if broken:
+        raise ObjectFolderError(f"{path}: {_some(broken)} are not finite; take another file")
+    return Weights(path, {name: value for name, value in tensors.items() if not name.startswith("fc.")})
+
+
+def _matched(weights: Weights, expected: Mapping[str, torch.Tensor], encoder: str) -> dict[str, torch.Tensor]:
+    """Tensors of the weights as an encoder's state dictionary has them."""
+    # Files from before PyTorch 0.4 lack the counters, which a fixed momentum does not use.
+    missing = [n for n in expected if n not in weights and not n.endswith("num_batches_tracked")]
+    unexpected = [name for name in weights if name not in expected]
+    if missing or unexpected:
+        differences = [
+            f"{word} {_some(names)}"
+            for word, names in [("lacks", missing), ("unexpectedly holds", unexpected)]
+            if names
+        ]
+        raise ObjectFolderError(
+            f"{weights.path} {' and '.join(differences)}; expected the {len(expected)} tensors of {encoder}"
+        )
+    matched = dict(expected)
+    for name, value in weights.items():
+        shape = expected[name].shape
+        if value.ndim == 4 and value.shape[1] == 3 and shape[1] == 1:
+            value = value.sum(1, keepdim=True)  # a grey picture gives the same as its three equal channels
+        if value.shape != shape:
+            raise ObjectFolderError(
+                f"{weights.path}: {name} has shape {tuple(value.shape)}, expected {tuple(shape)} of {encoder}"
+            )
+        matched[name] = value
+    return matched
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+
+
+@dataclass(frozen=True)
+class InputSizes:
+    """Pixels that an encoder is given."""
+
+    image: int  #: side of the crop of a view
+    spectrogram: tuple[int, int]  #: frequencies, times
+    touch: tuple[int, int]  #: height, width
+
+
+def prepare(
+    modality: str,
+    raw: np.ndarray,
+    sizes: InputSizes,
+    rng: np.random.Generator | None = None,
+    device: str | torch.device = "cpu",
+) -> torch.Tensor:
+    """Make an encoder's input of observations (supplementary I.1).
+
+    Parameters
+    ----------
+    modality : str
+    raw : array
+        "vision": (B, H, W, 3) uint8 sRGB, cropped and normalised as ImageNet's photographs.
+        "audio": (B, samples) float32 at 16 kHz. Its magnitude spectrogram in decibels below the sound's own
+        maximum, so that the force does not matter, from 0 (80 dB below, or silence) to 1.
+        "touch": (B, h, w, 3) uint8, normalised as views.
+    sizes : InputSizes
+        Spectrograms and touches are average-pooled to it.
+    rng : numpy Generator, optional
+        Places the crop of each view; default: the centre.
+    device : str or torch.device
+        Where it is computed, and returned.
+
+    Returns
+    -------
+    (B, channels, H, W) float32
+
+    Raises
+    ------
+    ObjectFolderError
+        If the observations are smaller than the sizes.
+    """
+    if modality == "vision":
+        return _normalised(_crops(raw, sizes.image, rng).to(device))
+    if modality == "audio":
+        magnitude = spectrogram(torch.from_numpy(raw).to(device)).abs()
+        peak = magnitude.amax((1, 2), keepdim=True)
+        relative = magnitude / torch.where(peak > 0, peak, 1)
+        decibels = 20 * relative.clamp(min=10 ** (-FLOOR / 20)).log10()
+        return _pooled(1 + decibels[:, None] / FLOOR, sizes.spectrogram, "spectrogram")
+    return _pooled(_normalised(torch.from_numpy(raw).to(device).movedim(-1, 1)), sizes.touch, "touch")
+
+
+def _crops(raw: np.ndarray, side: int, rng: np.random.Generator | None) -> torch.Tensor:
+    """Square parts of views, (B, H, W, 3) -> (B, 3, side, side)."""
+    spare = np.subtract(raw.shape[1:3], side)
+    if spare.min() < 0:
+        height, width = raw.shape[1:3]
+        raise ObjectFolderError(
+            f"views of {height} x {width} pixels are smaller than the encoder's image {side}"
+        )
+    corner = (
+        np.tile(spare // 2, (len(raw), 1)) if rng is None else rng.integers(spare + 1, size=(len(raw), 2))
+    )
+    windows = np.lib.stride_tricks.sliding_window_view(raw, (side, side), axis=(1, 2))
+    return torch.from_numpy(windows[np.arange(len(raw)), corner[:, 0], corner[:, 1]])
+
+
+def _normalised(pixels: torch.Tensor) -> torch.Tensor:
+    mean, deviation = (torch.tensor(x, device=pixels.device)[:, None, None] for x in (MEAN, DEVIATION))
+    return (pixels.float() / 255 - mean) / deviation
+
+
+def _pooled(x: torch.Tensor, size: tuple[int, int], name: str) -> torch.Tensor:
+    height, width = x.shape[2:]
+    if height < size[0] or width < size[1]:
+        raise ObjectFolderError(
+            f"{name} of {height} x {width} is smaller than the encoder's {size[0]} x {size[1]}"
+        )
+    return nn.functional.adaptive_avg_pool2d(x, size)

@@ -1,0 +1,171 @@
+"""A trained reconstructor with all that it takes to use it, and the file that keeps it."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from objectfolder.benchmarks.datasets.framing import framed_views
+from objectfolder.benchmarks.datasets.occupancy import grid_points
+from objectfolder.benchmarks.models.encoders import InputSizes, Weights, make_encoder, prepare
+from objectfolder.benchmarks.models.occupancy_net import Reconstructor, occupancy_logits
+from objectfolder.benchmarks.scoring.shapes import extract_mesh
+from objectfolder.errors import ObjectFolderError
+from objectfolder.io import read_safetensors, write_safetensors
+
+FORMAT = "objectfolder reconstruction 2"
+ROWS = 64  # observations that are encoded at once
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What a reconstructor is made of; the header of its file."""
+
+    modalities: tuple[str, ...]  #: what it looks at, in this order: "vision", "audio", or both
+    encoder: str  #: a name of `objectfolder.benchmarks.models.encoders`
+    sizes: InputSizes
+    view: int  #: side of the views that are cropped, pixels
+    width: int  #: of the decoder
+    blocks: int
+    frequencies: int
+    resolution: int  #: nodes along a side for marching cubes
+    keys: tuple[str, ...]  #: objects that it was trained on
+    threshold: float = 0.5  #: occupancy above which a point is inside
+
+
+@dataclass(frozen=True)
+class ShapeModel:
+    """A reconstructor in evaluation mode.
+
+    Parameters
+    ----------
+    setup : Setup
+    net : Reconstructor
+    """
+
+    setup: Setup
+    net: Reconstructor
+
+    @property
+    def level(self) -> float:
+        """Logit above which a point is inside."""
+        return math.log(self.setup.threshold / (1 - self.setup.threshold))
+
+    @torch.no_grad()
+    def embed(self, observations: Mapping[str, np.ndarray]) -> torch.Tensor:
+        """Describe the shapes that observations show.
+
+        Parameters
+        ----------
+        observations : mapping of str to array
+            By modality, B rows each, from `Observations.read`.
+
+        Returns
+        -------
+        (B, 256) float32
+        """
+        device = next(self.net.parameters()).device
+        count = len(observations[self.setup.modalities[0]])
+        parts = [
+            self.net.embed(
+                {
+                    name: shape_inputs(
+                        name, observations[name][start : start + ROWS], self.setup.sizes, device=device
+                    )
+                    for name in self.setup.modalities
+                }
+            )
+            for start in range(0, count, ROWS)
+        ]
+        return torch.cat(parts)
+
+    def logits(self, embedding: torch.Tensor, points: np.ndarray) -> np.ndarray:
+        """Logits (B, P) that points (P, 3), unit frame, are inside each of B shapes."""
+        places = torch.from_numpy(points).to(embedding.device)
+        return occupancy_logits(self.net.decoder, embedding, places).cpu().numpy()
+
+    def is_inside(self, embedding: torch.Tensor, points: np.ndarray) -> np.ndarray:
+        """Whether points (P, 3), unit frame, are inside each of B shapes; (B, P) bool."""
+        return self.logits(embedding, points) > self.level
+
+    def mesh(self, embedding: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices (V, 3), unit frame, and faces (F, 3) of the shape of an embedding (256,)."""
+        side = self.setup.resolution
+        values = self.logits(embedding[None], self._grid)[0]
+        return extract_mesh(values.reshape(side, side, side), self.level)
+
+    @cached_property
+    def _grid(self) -> np.ndarray:
+        return grid_points(self.setup.resolution)
+
+
+def shape_inputs(
+    modality: str,
+    raw: np.ndarray,
+    sizes: InputSizes,
+    rng: np.random.Generator | None = None,
+    device: str | torch.device = "cpu",
+) -> torch.Tensor:
+    """Make a reconstructor's input: `objectfolder.benchmarks.models.encoders.prepare` of framed views."""
+    return prepare(modality, framed_views(raw) if modality == "vision" else raw, sizes, rng, device)
+
+
+def new_net(setup: Setup, weights: Weights | None = None) -> Reconstructor:
+    """Make an untrained net, from torch's global generator; encoders may start from given weights."""
+    encoders = {name: make_encoder(setup.encoder, name, weights) for name in setup.modalities}
+    return Reconstructor(encoders, setup.width, setup.blocks, setup.frequencies)
+
+
+def save_model(path: str | Path, model: ShapeModel) -> None:
+    """Write a trained model: its tensors, and its setup as the header of a safetensors file."""
+    tensors = {name: value.detach().cpu().numpy() for name, value in model.net.state_dict().items()}
+    write_safetensors(path, tensors, {"format": FORMAT, **asdict(model.setup)})
+
+
+def load_model(path: str | Path, device: str | torch.device = "cpu") -> ShapeModel:
+    """Read a model that `save_model` wrote; nothing in the file is executed.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the file is missing, damaged, or holds something else.
+    """
+    tensors, header = read_safetensors(path)
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        raise ObjectFolderError(
+            f"{path} holds no reconstruction model of this version; train one with `objectfolder bench "
+            "reconstruction`"
+        )
+    try:
+        setup = _setup(header)
+        net = new_net(setup)
+        expected = net.state_dict()
+        if expected.keys() != tensors.keys():
+            wrong = sorted(expected.keys() ^ tensors.keys())
+            raise ValueError(f"{len(wrong)} tensors are missing or too many, such as {wrong[0]}")
+        # Numbers come back as arrays of one.
+        net.load_state_dict(
+            {name: torch.from_numpy(value.reshape(expected[name].shape)) for name, value in tensors.items()}
+        )
+        broken = [name for name, value in net.state_dict().items() if not value.isfinite().all()]
+        if broken:
+            raise ValueError(f"{broken[0]} is not finite")
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise ObjectFolderError(f"{path} is damaged ({error}); train the model again") from error
+    return ShapeModel(setup, net.to(device).eval())
+
+
+def _setup(header: Mapping[str, Any]) -> Setup:
+    values = {name: value for name, value in header.items() if name != "format"}
+    sizes = values["sizes"]
+    values["sizes"] = InputSizes(int(sizes["image"]), tuple(sizes["spectrogram"]), tuple(sizes["touch"]))
+    setup = Setup(**values | {name: tuple(values[name]) for name in ("modalities", "keys")})
+    positive = (setup.view, setup.width, setup.blocks, setup.sizes.image)
+    if min(positive) < 1 or setup.resolution < 2 or setup.frequencies < 0 or not 0 < setup.threshold < 1:
+        raise ValueError("its sizes are out of range")
+    return setup

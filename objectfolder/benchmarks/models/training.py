@@ -1,0 +1,231 @@
+"""The training loop of every benchmark net: epochs that can be resumed."""
+
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import astuple, dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+from torch import nn
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.io import atomic
+
+WARM_UP = 20  #: steps until the learning rate is reached
+STATISTICS = 8  #: batches that the statistics of batch normalisation are taken from, after each epoch
+FORMAT = "objectfolder benchmark training 1"  #: of a checkpoint
+REMOVE = "remove it, and this training starts over"
+
+Batch = TypeVar("Batch")
+Norm = nn.modules.batchnorm._BatchNorm
+
+
+@dataclass(frozen=True)
+class EpochPoint:
+    """One row of a training curve."""
+
+    epoch: int  #: from 1
+    train_loss: float  #: mean over the batches
+    val_score: float  #: higher is better
+    seconds: float  #: of this epoch
+
+
+def train(
+    net: nn.Module,
+    epoch_batches: Callable[[int], Iterable[Batch]],
+    batch_loss: Callable[[Batch], torch.Tensor],
+    val_score: Callable[[], float],
+    *,
+    epochs: int,
+    learning_rate: float,
+    weight_decay: float = 0.0,
+    patience: int,
+    statistics: int = STATISTICS,
+    checkpoint: Path | None = None,
+    device: str | torch.device = "cpu",
+    report: Callable[[EpochPoint], None] = lambda point: None,
+) -> list[EpochPoint]:
+    """Train a net with AdamW, warm-up and cosine decay; leave it at its best epoch, in evaluation mode.
+
+    The same arguments give the same net, whether or not the call was interrupted in between. For that, what
+    is random must follow from the epoch's number: nothing may be drawn from a generator that lives on.
+
+    Parameters
+    ----------
+    net : nn.Module
+        Moved to the device and trained in place.
+    epoch_batches : callable
+        Gives the batches of an epoch; the first is 1.
+    batch_loss : callable
+        Loss of a batch; in bfloat16 where that is safe on CUDA, in float32 elsewhere.
+    val_score : callable
+        Score on the validation split after each epoch, in evaluation mode and without gradients; higher is
+        better.
+    epochs : int
+        At most; the learning rate decays over all of them.
+    learning_rate : float
+        Peak rate.
+    patience : int
+        Training stops after so many epochs without a better score.
+    statistics : int
+        Batches that the statistics of batch normalisation are taken from, after each epoch.
+    checkpoint : Path, optional
+        File that keeps the state after each epoch, from which the same call goes on; remove it afterwards.
+    report : callable
+        Called with each new point of the curve.
+
+    Returns
+    -------
+    The training curve.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the training diverges, or the checkpoint is damaged or of another training.
+    """
+    device = torch.device(device)
+    net.to(device)
+    optimizer = torch.optim.AdamW(net.parameters(), lr=learning_rate, weight_decay=weight_decay, fused=True)
+    settings = {
+        "epochs": epochs,
+        "learning_rate": learning_rate,
+        "weight_decay": weight_decay,
+        "patience": patience,
+    }
+    norms = [module for module in net.modules() if isinstance(module, Norm)]
+    curve: list[EpochPoint] = []
+    best, step = _copied(net), 0
+    if checkpoint is not None and checkpoint.is_file():
+        curve, best, step = _resume(checkpoint, net, optimizer, settings)
+    while len(curve) < epochs and len(curve) - _best_epoch(curve) < patience:
+        epoch, start = len(curve) + 1, time.perf_counter()
+        decay = 0.5 * (1 + math.cos(math.pi * (epoch - 1) / epochs))
+        net.train()
+        losses = []
+        for batch in epoch_batches(epoch):
+            step += 1
+            for group in optimizer.param_groups:
+                group["lr"] = learning_rate * min(1, step / WARM_UP) * decay
+            optimizer.zero_grad(set_to_none=True)
+            with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
+                loss = batch_loss(batch)
+            loss.backward()
+            optimizer.step()
+            losses.append(loss.detach())
+        train_loss = torch.stack(losses).double().mean().item()
+        _renew(norms, islice(epoch_batches(epoch), statistics), batch_loss)
+        net.eval()
+        with torch.no_grad():
+            score = float(val_score())
+        if not math.isfinite(train_loss) or math.isnan(score):
+            raise ObjectFolderError(
+                f"epoch {epoch} has a training loss of {train_loss} and a validation score of {score}; "
+                f"expected finite ones: take a smaller learning_rate than {learning_rate:g}"
+            )
+        curve.append(EpochPoint(epoch, train_loss, score, time.perf_counter() - start))
+        if _best_epoch(curve) == epoch:
+            best = _copied(net)
+        if checkpoint is not None:
+            state = {
+                "format": FORMAT,
+                "settings": settings,
+                "curve": [astuple(point) for point in curve],
+                "step": step,
+                "net": net.state_dict(),
+                "best": best,
+                "optimizer": optimizer.state_dict(),
+            }
+            with atomic(checkpoint) as temporary:
+                torch.save(state, temporary)
+        report(curve[-1])
+    net.load_state_dict(best)
+    net.eval()
+    return curve
+
+
+def read_checkpoint(path: Path, form: str, settings: dict[str, Any]) -> dict[str, Any]:
+    """Read the state of a training; nothing in the file is executed.
+
+    Parameters
+    ----------
+    path : Path
+        File by ``torch.save``.
+    form, settings
+        What its entries ``format`` and ``settings`` have to be.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it is damaged, or of another training.
+    """
+    try:
+        stored: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # the unpickler raises what it likes
+        reason = str(error).partition("\n")[0]
+        raise ObjectFolderError(f"{path} is damaged ({reason}); {REMOVE}") from error
+    if not isinstance(stored, dict) or stored.get("format") != form:
+        raise ObjectFolderError(f"{path} is not a checkpoint of a benchmark's training; {REMOVE}")
+    if stored["settings"] != settings:
+        raise ObjectFolderError(
+            f"{path} is of a training with {stored['settings']}, expected {settings}; {REMOVE}"
+        )
+    return stored
+
+
+def _renew(
+    norms: Sequence[Norm], batches: Iterable[Batch], batch_loss: Callable[[Batch], torch.Tensor]
+) -> None:
+    """Take the statistics of batch normalisation anew, as means over some batches (Wu and Johnson 2021).
+
+    Running averages lag behind weights that change fast: on small data the first epochs would score near
+    chance, however well they separate their batches.
+    """
+    for norm in norms:
+        norm.reset_running_stats()
+        norm.momentum = None  # the mean of all batches, not a running average
+    with torch.no_grad():
+        for batch in batches if norms else ():
+            batch_loss(batch)
+
+
+def shuffled(rows: np.ndarray, batch: int, rng: np.random.Generator) -> Iterator[np.ndarray]:
+    """Give each row once, in random order and in batches.
+
+    A last batch of a single row is merged into the one before, because batch normalisation needs two.
+    """
+    order = rng.permutation(rows)
+    ends = list(range(batch, len(order), batch))
+    if ends and len(order) - ends[-1] == 1:
+        ends.pop()
+    yield from np.split(order, ends)
+
+
+def _best_epoch(curve: list[EpochPoint]) -> int:
+    """Epoch of the best score, the first of equals; 0 before the first."""
+    return max(curve, key=lambda point: point.val_score).epoch if curve else 0
+
+
+def _copied(net: nn.Module) -> dict[str, torch.Tensor]:
+    return {name: value.clone() for name, value in net.state_dict().items()}
+
+
+def _shapes(state: dict[str, torch.Tensor]) -> dict[str, torch.Size]:
+    return {name: value.shape for name, value in state.items()}
+
+
+def _resume(
+    checkpoint: Path, net: nn.Module, optimizer: torch.optim.Optimizer, settings: dict[str, Any]
+) -> tuple[list[EpochPoint], dict[str, torch.Tensor], int]:
+    """Put net and optimizer in the state of a checkpoint; give curve, best state and count of steps."""
+    stored = read_checkpoint(checkpoint, FORMAT, settings)
+    if _shapes(stored["net"]) != _shapes(net.state_dict()):
+        raise ObjectFolderError(f"{checkpoint} is of another net; {REMOVE}")
+    net.load_state_dict(stored["net"])
+    optimizer.load_state_dict(stored["optimizer"])
+    device = next(net.parameters()).device
+    best = {name: value.to(device) for name, value in stored["best"].items()}
+    return [EpochPoint(*row) for row in stored["curve"]], best, stored["step"]

@@ -1,0 +1,67 @@
+"""Pictures of meshes, without OpenGL."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from PIL import Image
+
+from objectfolder.figures import tile
+from objectfolder.mesh.raycast import RayCaster
+from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at
+
+SIDE = 128  #: pixels of a picture
+CAMERA = np.array([1.5, -1.5, 1.35])  #: unit frame
+
+
+def shaded(vertices: np.ndarray, faces: np.ndarray, side: int = SIDE) -> np.ndarray:
+    """Draw a mesh as a camera with a lamp beside it sees it.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array
+        Unit frame.
+    faces : (F, 3) int array
+        Without any, the picture is white.
+    side : int
+        Pixels.
+
+    Returns
+    -------
+    (side, side, 3) uint8
+    """
+    picture = np.full((side * side, 3), 255, np.uint8)
+    if len(faces):
+        across = np.arange(side) + 0.5
+        pixels = np.stack(np.meshgrid(across, across), -1).reshape(-1, 2)
+        origins, directions = camera_rays(look_at(CAMERA)[0], Intrinsics.square(side), pixels)
+        ray, _, face, _ = RayCaster(vertices, faces).intersect(origins, directions)
+        a, b, c = (vertices[faces[face, i]] for i in range(3))
+        normals = np.cross(b - a, c - a)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        facing = np.abs((normals * directions[ray]).sum(1))
+        picture[ray] = (np.outer(0.2 + 0.75 * facing, (150, 190, 225))).astype(np.uint8)
+    return picture.reshape(side, side, 3)
+
+
+def sheet(views: np.ndarray, meshes: Sequence[Sequence[tuple[np.ndarray, np.ndarray]]]) -> np.ndarray:
+    """Lay out views and, beside each, meshes; a row of each.
+
+    Parameters
+    ----------
+    views : (N, H, W, 3) uint8 array
+    meshes : N sequences of (vertices, faces)
+        As many for each view.
+
+    Returns
+    -------
+    (H', W', 3) uint8
+    """
+    pictures = [
+        picture
+        for view, shapes in zip(views, meshes)
+        for picture in (
+            np.asarray(Image.fromarray(view).resize((SIDE, SIDE))),
+            *(shaded(vertices, faces) for vertices, faces in shapes),
+        )
+    ]
+    return tile(np.stack(pictures), columns=1 + len(meshes[0]))

@@ -1,0 +1,273 @@
+"""Tables of scores beside chance, baselines and the paper's figures (Gao et al., CoRL 2021, Tables 2-4)."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+#: Accuracy over 100 objects, %.
+PAPER_RECOGNITION = {"V": 94.8, "A": 98.3, "T": 72.4, "VA": 99.5, "VT": 97.2, "AT": 99.0, "VAT": 99.8}
+#: Mean average precision, theirs and that of their CCA; seen objects.
+PAPER_RETRIEVAL = {
+    "V->A": (0.90, 0.57),
+    "V->T": (0.50, 0.24),
+    "A->V": (0.92, 0.59),
+    "A->T": (0.55, 0.31),
+    "T->V": (0.48, 0.29),
+    "T->A": (0.64, 0.33),
+}
+#: IoU, Chamfer-L1, normal consistency; seen objects.
+PAPER_RECONSTRUCTION = {
+    "average_shape": (0.0675, 0.1067, 0.6312),
+    "V": (0.8809, 0.0046, 0.9522),
+    "A": (0.8729, 0.0048, 0.9504),
+    "VA": (0.8906, 0.0043, 0.9535),
+}
+#: Rows of grasping, in their order, and the paper's success in %.
+GRASP_POLICIES = {
+    "touch": ("touch", "75.5"),
+    "touch_exact": ("touch, exact", "-"),
+    "width": ("width alone", "-"),
+    "blind": ("blind", "-"),
+    "random": ("random actions", "53.0"),
+    "nothing": ("none", "-"),
+}
+PAPER_REACH = "100"  #: success with each of three objects, %; the paper does not say when
+HANDS = {"reach": "floating hand", "metaworld_reach": "Meta-World's Sawyer arm"}
+REACH_POLICIES = {
+    "ppo": "PPO",
+    "controller": "straight to the goal",
+    "random": "random actions",
+    "nothing": "none",
+}
+#: Rows of grasp stability, in their order.
+PREDICTED_FROM = {
+    "V": "vision",
+    "T": "touch",
+    "VT": "vision + touch",
+    "T_explicit": "explicit touch",
+    "VT_explicit": "vision + explicit touch",
+    "T_on_explicit": "touch, tested with explicit",
+    "VT_on_explicit": "vision + touch, tested with explicit",
+    "majority": "commonest outcome",
+    "object_majority": "commonest outcome of the object",
+    "geometry": "width, offset",
+    "geometry_force": "width, offset, force",
+}
+NAMES = {"V": "image", "A": "audio", "VA": "image + audio", "average_shape": "average shape"}
+
+
+@dataclass(frozen=True)
+class Table:
+    """Text in rows and columns.
+
+    Parameters
+    ----------
+    title : str
+    columns : tuple of str
+    rows : sequence of tuples of str
+    note : str
+        What to know in order to read it.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: Sequence[tuple[str, ...]]
+    note: str
+
+    def markdown(self) -> str:
+        """Return a Markdown table with its note."""
+        lines = [self.columns, ("---",) * len(self.columns), *self.rows]
+        return "\n".join([*(f"| {' | '.join(line)} |" for line in lines), "", self.note])
+
+
+def table(task: str, split: str, scores: Mapping[str, Any]) -> Table:
+    """Lay out what a task has scored on a split.
+
+    Parameters
+    ----------
+    task : str
+        One of `objectfolder.workspace.params.TASKS`.
+    split : str
+    scores : mapping
+        What the task returned, as its JSON file holds it.
+    """
+    layouts: dict[str, Callable[[str, Mapping[str, Any]], Table]] = {
+        "recognize": _recognition,
+        "retrieve": _retrieval,
+        "reconstruct": _reconstruction,
+        "grasp_stability": _stability,
+    }
+    return layouts[task](split, scores)
+
+
+def reach_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
+    """Lay out what `objectfolder.benchmarks.tasks.reach.reach` has scored, by object."""
+    rows = []
+    for key, score in scores.items():
+        for policy, name in REACH_POLICIES.items():
+            played = score[policy]
+            rows.append(
+                (
+                    key,
+                    name,
+                    *(_rate(played[when]) for when in ("last", "any")),
+                    f"{1000 * played['distance']:.0f}",
+                    f"{played['return'] / score['horizon']:.2f}",
+                    *((_thousands(score["steps"]), PAPER_REACH) if policy == "ppo" else ("-", "-")),
+                )
+            )
+    first = next(iter(scores.values()))
+    return Table(
+        f"Reach, {HANDS[first['task']]}: success in %",
+        (
+            *("object", "policy", "at the last step", "at any time", "mm from the goal at the end"),
+            *("reward per step, of 10", "steps of training", "paper"),
+        ),
+        rows,
+        f"{first['episodes']} fresh goals per training, {first['horizon']} control steps each; in brackets "
+        f"the 95 % interval (Wilson).",
+    )
+
+
+def grasping_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
+    """Lay out what `objectfolder.benchmarks.tasks.grasp_policy.grasp_policy` has scored, by object."""
+    rows = []
+    for key, score in scores.items():
+        for policy, (name, paper) in GRASP_POLICIES.items():
+            seeds = " ".join(f"{100 * value:.1f}" for value in score[policy]["seeds"])
+            rows.append((key, name, _rate(score[policy]), seeds, paper))
+    first = next(iter(scores.values()))
+    return Table(
+        "Grasping by touch: success in %",
+        ("object", "policy", "success", "each seed", "paper"),
+        rows,
+        f"{first['rollouts']} fresh rollouts per seed, at most {first['episodes']} episodes of training; in "
+        "brackets the 95 % interval (Wilson) over all rollouts. While policies learn, and in row touch, "
+        f"features are those of the nearest of {first['presses']} presses; exact: the Object File is asked.",
+    )
+
+
+def _thousands(steps: Sequence[int]) -> str:
+    return "/".join(f"{count / 1000:.0f}k" for count in steps)
+
+
+def _rate(share: Mapping[str, Any]) -> str:
+    low, high = share["interval_95"]
+    return f"{100 * share['rate']:.0f} ({100 * low:.0f}-{100 * high:.0f})"
+
+
+def _recognition(split: str, scores: Mapping[str, Any]) -> Table:
+    rows = []
+    for modalities, paper in PAPER_RECOGNITION.items():
+        if modalities in scores:
+            score = scores[modalities]
+            seeds = " ".join(f"{100 * value:.1f}" for value in score["seeds"])
+            rows.append((modalities, _percent(score), seeds, f"{paper:.1f}"))
+    rows.append(("chance", f"{100 * scores['chance']['majority']:.1f}", "", "1.0"))
+    return Table(
+        f"Instance recognition, {scores['objects']} objects: accuracy in %",
+        ("modalities", "accuracy", "each seed", "paper, 100 objects"),
+        rows,
+        _note(scores),
+    )
+
+
+def _retrieval(split: str, scores: Mapping[str, Any]) -> Table:
+    rows = []
+    for direction, (paper, paper_cca) in PAPER_RETRIEVAL.items():
+        score = scores["directions"][direction]
+        papers = (f"{paper:.2f}", f"{paper_cca:.2f}") if split == "seen" else ("-", "-")
+        ours = (_map(score), f"{score['cca']:.3f}", f"{score['chance']:.3f}")
+        rows.append((direction, *ours, *papers))
+    return Table(
+        f"Cross-sensory retrieval, {split} objects: mean average precision",
+        ("direction", "mAP", "CCA", "chance", "paper", "paper's CCA"),
+        rows,
+        _note(scores),
+    )
+
+
+def _reconstruction(split: str, scores: Mapping[str, Any]) -> Table:
+    rows = []
+    for variant, paper in PAPER_RECONSTRUCTION.items():
+        score = scores[variant]
+        ours = [_figure(score[name]) for name in ("iou", "chamfer_l1", "normal_consistency")]
+        papers = " / ".join(f"{value:.4f}" for value in paper) if split == "seen" else "-"
+        rows.append((NAMES[variant], *ours, papers))
+    return Table(
+        f"3D reconstruction, {split} objects",
+        ("from", "IoU", "Chamfer-L1", "normal consistency", "paper: IoU / Chamfer-L1 / normal consistency"),
+        rows,
+        _note(scores),
+    )
+
+
+def _stability(split: str, scores: Mapping[str, Any]) -> Table:
+    """Accuracy by number of training grasps; the rest at the largest number."""
+    sizes = [scores["sizes"][size] for size in sorted(scores["sizes"], key=int)]
+    largest = sizes[-1]
+    repeated = len(largest["V"]["seeds"]) > 1
+    rows: list[tuple[str, ...]] = []
+    for variant, name in PREDICTED_FROM.items():
+        if variant in largest:
+            cells = [_with_range(found[variant]) for found in sizes]
+            best = largest[variant]
+            each = " ".join(f"{100 * rate:.1f}" for rate in best["seeds"])
+            cells += [_figure(best["balanced_accuracy"], 3), _figure(best["auc"], 3)]
+            rows.append((name, *cells, *[each if len(best["seeds"]) > 1 else "-"] * repeated))
+    for pair in largest["compared"]:
+        first, second = pair.split(" - ")
+        differences = [found["compared"][pair] for found in sizes]
+        cells = [f"{100 * d['difference']:+z.1f}{_interval(d, 100, '.1f')}" for d in differences]
+        by_seed = zip(largest[first]["seeds"], largest[second]["seeds"])
+        each = " ".join(f"{100 * (rate - other):+z.1f}" for rate, other in by_seed)
+        name = f"{PREDICTED_FROM[first]} − {PREDICTED_FROM[second]}"
+        rows.append((name, *cells, "", "", *[each] * repeated))
+    heads = [
+        f"{count:,}" if count == found["asked"] else f"all {count:,} (of {found['asked']:,})"
+        for count, found in zip(sorted(map(int, scores["sizes"])), sizes)
+    ]
+    return Table(
+        f"Grasp stability, {split} objects: accuracy in % by number of training grasps",
+        ("from", *heads, "balanced accuracy", "AUC", *["each seed"] * repeated),
+        rows,
+        f"{_note(scores)} Of the test grasps {100 * scores['success']['test']:.0f} % succeed, of those for "
+        f"training {100 * scores['success']['train']:.0f} %. In brackets Wilson's 95 % interval over the "
+        "test rows; ± of differences: 95 %, paired by row. Balanced accuracy, AUC and each seed with the "
+        "most grasps. The paper shows a figure, no numbers.",
+    )
+
+
+def _note(scores: Mapping[str, Any]) -> str:
+    """What was learnt from and tested with."""
+    rows, duplicates = scores["rows"], scores["duplicates"]
+    dropped = ", ".join(
+        f"{counts['test']} of {name}" for name, counts in duplicates.items() if counts["test"]
+    )
+    return (
+        f"{rows['train']} rows to train with, {rows['val']} for validation, {rows['test']} for the test; "
+        f"test rows with a duplicate in training or validation, which were dropped: {dropped or 'none'}."
+    )
+
+
+def _percent(score: Mapping[str, Any]) -> str:
+    return f"{100 * score['accuracy']:.1f}" + _interval(score, 100, ".1f")
+
+
+def _with_range(score: Mapping[str, Any]) -> str:
+    low, high = (100 * end for end in score["wilson_95"])
+    return f"{100 * score['accuracy']:.1f} ({low:.0f}-{high:.0f})"
+
+
+def _map(score: Mapping[str, Any]) -> str:
+    return f"{score['map']:.3f}" + _interval(score, 1, ".3f")
+
+
+def _interval(score: Mapping[str, Any], factor: float, digits: str) -> str:
+    """95 %, where there are seeds enough to tell."""
+    half = score["interval_95"]
+    return "" if half is None else f" ± {factor * half:{digits}}"
+
+
+def _figure(value: float | None, digits: int = 4) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"

@@ -1,0 +1,140 @@
+"""What a task is asked, and what every task does in the same way: read, train, keep what is finished."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Generic, Protocol, TypeVar
+
+import numpy as np
+import torch
+from torch import nn
+
+from objectfolder.benchmarks.datasets.splits import Rows, Split, without_duplicates
+from objectfolder.benchmarks.models.encoders import InputSizes, Weights, make_encoder, prepare
+from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, train
+from objectfolder.benchmarks.params import Training
+from objectfolder.io import read_json, write_json
+from objectfolder.workspace.layout import SPLITS
+
+_Params = TypeVar("_Params", bound=Training)
+_Batch = TypeVar("_Batch")
+
+
+class Samples(Rows, Protocol):
+    """What tasks need of `objectfolder.benchmarks.datasets.observations.Observations`, or of grasps."""
+
+    keys: tuple[str, ...]  #: objects in the order of labels
+    count: int  #: samples per object
+    labels: np.ndarray  #: object of each row
+
+    @property
+    def digest(self) -> str:
+        """Of all that is read."""
+
+    def shape(self, modality: str) -> tuple[int, ...]:
+        """Shape of a row."""
+
+
+@dataclass(frozen=True)
+class Job(Generic[_Params]):
+    """Train and score a task's nets on one split of observations; ``report`` gets a line about each epoch."""
+
+    observations: Samples
+    split: Split
+    params: _Params  #: the task's section of ``params.yaml``
+    encoder: str  #: registered in `objectfolder.benchmarks.models.encoders`
+    sizes: InputSizes
+    seed: int
+    #: Folder of what is finished, and of checkpoints. A call that was interrupted goes on from it: it must be
+    #: empty, or of a call with the same arguments.
+    progress: Path
+    weights: Weights | None = None  #: that encoders start from; default: random ones
+    device: str | torch.device = "cpu"
+    report: Callable[[str], None] = lambda line: None
+
+    def without_duplicates(self, modalities: Sequence[str]) -> tuple["Job[_Params]", dict[str, Any]]:
+        """Drop kept-back rows that show what is learnt from.
+
+        Returns
+        -------
+        Job
+        dict
+            What the scores are of: numbers of ``objects``, of ``rows`` in each part of the split, and of the
+            ``duplicates`` that were dropped, by modality.
+        """
+        split, duplicates = without_duplicates(self.split, self.observations, modalities)
+        return replace(self, split=split), {
+            "objects": len(self.observations.keys),
+            "rows": {part: len(getattr(split, part)) for part in SPLITS},
+            "duplicates": duplicates,
+        }
+
+    def make_encoder(self, modality: str) -> nn.Module:
+        """Make an untrained encoder; within `objectfolder.seeding.seeded`."""
+        return make_encoder(self.encoder, modality, self.weights)
+
+    def inputs(self, modality: str, rows: np.ndarray, rng: np.random.Generator | None = None) -> torch.Tensor:
+        """Encoder inputs of some rows; see `objectfolder.benchmarks.models.encoders.prepare`."""
+        return prepare(modality, self.observations.read(modality, rows), self.sizes, rng, self.device)
+
+    def labels(self, rows: np.ndarray) -> torch.Tensor:
+        """Objects of rows, as a tensor."""
+        return torch.from_numpy(self.observations.labels[rows]).to(self.device)
+
+    def train(
+        self,
+        title: str,
+        net: nn.Module,
+        epoch_batches: Callable[[int], Iterable[_Batch]],
+        batch_loss: Callable[[_Batch], torch.Tensor],
+        val_score: Callable[[], float],
+        score: str,
+        checkpoint: Path,
+        epochs: int | None = None,
+        rate: float = 1.0,
+        statistics: int = STATISTICS,
+    ) -> list[EpochPoint]:
+        """Train a net with the task's parameters, and report each epoch.
+
+        Parameters
+        ----------
+        title, score : str
+            What is trained, and the name of its validation score; for the reports.
+        net, epoch_batches, batch_loss, val_score, checkpoint, statistics
+            See `objectfolder.benchmarks.models.training.train`.
+        epochs : int, optional
+            Default: those of the parameters.
+        rate : float
+            Factor of the learning rate.
+        """
+        params = self.params
+        epochs = epochs or params.epochs
+
+        def report(point: EpochPoint) -> None:
+            self.report(
+                f"{title}, epoch {point.epoch} of {epochs}: training loss {point.train_loss:.3f}, "
+                f"validation {score} {point.val_score:.3f}, {point.seconds:.0f} s"
+            )
+
+        return train(
+            net,
+            epoch_batches,
+            batch_loss,
+            val_score,
+            epochs=epochs,
+            learning_rate=params.learning_rate * rate,
+            weight_decay=params.weight_decay,
+            patience=params.patience,
+            statistics=statistics,
+            checkpoint=checkpoint,
+            device=self.device,
+            report=report,
+        )
+
+    def finished(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        """Result of a part of the job; made if no earlier call did."""
+        path = self.progress / f"{name}.json"
+        if not path.is_file():
+            write_json(path, make())
+        result: dict[str, Any] = read_json(path)
+        return result

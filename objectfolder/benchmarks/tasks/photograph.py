@@ -1,0 +1,243 @@
+"""IMAGE2MESH on pictures that no Object File drew (supplementary G): cut out, frame, reconstruct."""
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageOps
+
+from objectfolder.benchmarks.datasets.framing import OBJECT, framed, resized, shown
+from objectfolder.benchmarks.models.shape_model import ShapeModel
+from objectfolder.benchmarks.scoring.shapes import intersection_over_union
+from objectfolder.errors import ObjectFolderError
+from objectfolder.io import atomic
+from objectfolder.mesh.srgb import decode, encode
+
+FORMATS = (".obj", ".ply", ".glb")
+DIFFERENCE = 30  #: levels, of 255, by which the object differs from a plain background
+OPAQUE = 250  #: alpha above which a pixel of a picture counts as fully covered
+
+
+def read_picture(path: str | Path, mode: str = "RGBA") -> np.ndarray:
+    """Read a picture, upright; (H, W, 4) uint8, or (H, W) for mode "L".
+
+    Raises
+    ------
+    ObjectFolderError
+        If the file is missing or no picture.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ObjectFolderError(f"{path} does not exist; expected a picture, such as a .jpg or .png file")
+    try:
+        with Image.open(path) as picture:
+            return np.asarray(ImageOps.exif_transpose(picture).convert(mode))
+    except Exception as error:  # decoders raise what they like
+        raise ObjectFolderError(f"{path} is not a readable picture: {error}") from error
+
+
+def cut_out(
+    picture: np.ndarray,
+    mask: np.ndarray | None = None,
+    background: tuple[int, int, int] | None = None,
+    tolerance: int = DIFFERENCE,
+    name: str = "the picture",
+) -> np.ndarray:
+    """Remove a picture's background.
+
+    By its own alpha if it has any, else by a mask, else by the background's colour: then the object is the
+    largest connected part that differs from it.
+
+    Parameters
+    ----------
+    picture : (H, W, 4) uint8 array
+        sRGB and straight alpha.
+    mask : (H, W) uint8 array, optional
+        Above 127 on the object.
+    background : (r, g, b), optional
+        sRGB, 0 to 255.
+    tolerance : int
+        Levels by which a channel of the object differs from the background.
+    name : str
+        Named in errors.
+
+    Returns
+    -------
+    (H, W, 4) float32, linear and premultiplied
+
+    Raises
+    ------
+    ObjectFolderError
+        If nothing says what the background is, the mask is of another size, or no object is left.
+    """
+    alpha = picture[..., 3].astype(np.float32) / 255
+    if (picture[..., 3] < OPAQUE).any():
+        how = "its alpha"
+    elif mask is not None:
+        how = "the mask"
+        if mask.shape != picture.shape[:2]:
+            (height, width), (rows, columns) = picture.shape[:2], mask.shape
+            raise ObjectFolderError(
+                f"the mask has {columns} x {rows} pixels, expected {width} x {height}, those of {name}"
+            )
+        alpha = (mask > 127).astype(np.float32)
+    elif background is not None:
+        how = f"the background {','.join(map(str, background))} with tolerance {tolerance}"
+        difference = np.abs(picture[..., :3].astype(np.int16) - np.array(background, np.int16)).max(-1)
+        alpha = _largest(difference > tolerance).astype(np.float32)
+    else:
+        raise ObjectFolderError(
+            f"{name} does not say where the object is; expected one of three: a picture with transparency, "
+            "a mask of the object (--mask), or the colour of a plain background (--background R,G,B)"
+        )
+    if not (alpha > OBJECT).any():
+        raise ObjectFolderError(f"{name} has no foreground by {how}; check that it shows the object")
+    linear = decode(picture[..., :3].astype(np.float32) / 255).astype(np.float32)
+    return np.concatenate([linear * alpha[..., None], alpha[..., None]], -1)
+
+
+def photograph_to_mesh(model: ShapeModel, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Reconstruct the object that a framed view shows.
+
+    Parameters
+    ----------
+    model : ShapeModel
+        IMAGE2MESH.
+    image : (S, S, 3) uint8 array
+        sRGB on white, S pixels as in the model's training views; see `framed`.
+
+    Returns
+    -------
+    vertices : (V, 3) float64, unit frame
+    faces : (F, 3) int64
+
+    Raises
+    ------
+    ObjectFolderError
+        If the model needs more than an image, or sees no shape.
+    """
+    if model.setup.modalities != ("vision",):
+        raise ObjectFolderError(
+            f"the model looks at {' and '.join(model.setup.modalities)}, expected one that reconstructs from "
+            "images alone (variant V)"
+        )
+    vertices, faces = model.mesh(model.embed({"vision": image[None]})[0])
+    if not len(faces):
+        raise ObjectFolderError(
+            "the model sees no shape in the picture: it knows objects like "
+            f"{', '.join(model.setup.keys[:5])}; check how the object was cut out"
+        )
+    return vertices, faces
+
+
+def check_mesh_name(path: str | Path) -> None:
+    """Raise ObjectFolderError unless a mesh can be written under that name."""
+    if Path(path).suffix.lower() not in FORMATS:
+        raise ObjectFolderError(f"cannot write a mesh to {path}: expected a name in {', '.join(FORMATS)}")
+
+
+def write_mesh(path: str | Path, vertices: np.ndarray, faces: np.ndarray) -> None:
+    """Write a mesh in the unit frame as OBJ, PLY or GLB, by the name's ending."""
+    import trimesh
+
+    check_mesh_name(path)
+    with atomic(path) as temporary:
+        mesh = trimesh.Trimesh(vertices, faces, process=False)
+        mesh.export(temporary, file_type=Path(path).suffix[1:].lower())
+
+
+def cluttered(height: int, width: int, rng: np.random.Generator, rectangles: int = 40) -> np.ndarray:
+    """Draw a busy background: rectangles of random places, colours and stripes, and noise on all of it.
+
+    Returns
+    -------
+    (height, width, 3) float32, linear
+    """
+    page = np.ones((height, width, 3)) * rng.random(3)
+    rows, columns = np.arange(height)[:, None], np.arange(width)
+    for _ in range(rectangles):
+        top, left = rng.integers(-height // 4, height), rng.integers(-width // 4, width)
+        tall, wide = rng.integers(height // 16, height // 2), rng.integers(width // 16, width // 2)
+        down, across = rng.normal(size=2) * 40 / height
+        stripes = (np.sin(rows * down + columns * across) > 0)[..., None]
+        colours = np.where(stripes, rng.random(3), rng.random(3))
+        part = np.s_[max(top, 0) : max(top + tall, 0), max(left, 0) : max(left + wide, 0)]
+        page[part] = colours[part]
+    noisy = page + rng.normal(scale=0.05, size=(height, width, 1))
+    return decode(noisy.clip(0, 1)).astype(np.float32)
+
+
+def photograph_conditions(rgba: np.ndarray, side: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Show a rendered object as cameras might: on white or cluttered, as it is or cut out and framed.
+
+    What is cut out comes from the picture and its alpha, as a photograph's does: at edges, some of the
+    background stays.
+
+    Parameters
+    ----------
+    rgba : (H, H, 4) array
+        Linear and premultiplied.
+    side : int
+        Pixels of the views.
+    rng : numpy Generator
+
+    Returns
+    -------
+    dict
+        By condition, (side, side, 3) uint8.
+    """
+    rgba = np.asarray(rgba, np.float32)
+    alpha = rgba[..., 3:].clip(0, 1)
+    backgrounds = {"white": np.ones(3, np.float32), "clutter": cluttered(rgba.shape[0], rgba.shape[1], rng)}
+    images = {}
+    for name, background in backgrounds.items():
+        over = (rgba[..., :3] + (1 - alpha) * background).clip(0, 1)
+        whole = np.concatenate([over, np.ones_like(alpha)], -1)
+        picture = np.round(np.concatenate([encode(over), alpha], -1) * 255).astype(np.uint8)
+        images[name] = shown(resized(whole, side))
+        images[f"{name}, removed"] = framed(cut_out(picture), side)
+    return images
+
+
+def photograph_scores(
+    model: ShapeModel, rgba: np.ndarray, points: np.ndarray, inside: np.ndarray, rng: np.random.Generator
+) -> dict[str, np.ndarray]:
+    """IoU of reconstructions from another renderer's pictures, by condition.
+
+    Parameters
+    ----------
+    model : ShapeModel
+        IMAGE2MESH.
+    rgba : (N, H, H, 4) array
+        Linear and premultiplied. Pictures that show nothing are not allowed.
+    points : (P, 3) float32 array
+        Uniform, unit frame.
+    inside : (N, P) or (P,) bool array
+        Whether they are inside the object of each picture.
+    rng : numpy Generator
+
+    Returns
+    -------
+    dict
+        See `photograph_conditions`; of each (N,) float64.
+    """
+    pictures = [photograph_conditions(one, model.setup.view, rng) for one in rgba]
+    return {
+        name: view_scores(model, np.stack([conditions[name] for conditions in pictures]), points, inside)
+        for name in pictures[0]
+    }
+
+
+def view_scores(model: ShapeModel, images: np.ndarray, points: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """IoU of reconstructions from views (N, S, S, 3) uint8; (N,). Otherwise as `photograph_scores`."""
+    return intersection_over_union(model.is_inside(model.embed({"vision": images}), points), inside)
+
+
+def _largest(marked: np.ndarray) -> np.ndarray:
+    """Keep the largest connected part of marked pixels (H, W)."""
+    from scipy.ndimage import label
+
+    parts, count = label(marked, np.ones((3, 3)))
+    if not count:
+        return marked
+    sizes = np.bincount(parts.ravel())
+    return parts == 1 + int(sizes[1:].argmax())

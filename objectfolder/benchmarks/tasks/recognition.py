@@ -1,0 +1,196 @@
+"""Which object is it? From a view, a sound, a touch, and all of their combinations (supplementary I.1)."""
+
+import copy
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import astuple
+from itertools import combinations
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import torch
+from torch import nn
+
+from objectfolder.benchmarks.models.training import EpochPoint, shuffled
+from objectfolder.benchmarks.params import RecognizeParams
+from objectfolder.benchmarks.scoring.scores import accuracy, interval_95
+from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.errors import ObjectFolderError
+from objectfolder.seeding import numpy_generator, seeded
+
+LETTERS = {"V": "vision", "A": "audio", "T": "touch"}
+#: V, A, T, VA, VT, AT, VAT: what an object is told by; the rows of the main paper's Table 2.
+COMBINATIONS = tuple("".join(letters) for size in (1, 2, 3) for letters in combinations(LETTERS, size))
+CURVE_COLUMNS = ("seed", "modalities", "epoch", "train_loss", "val_accuracy")  #: of the training curves
+FUSION_RATE = 0.1  #: learning rate of encoders that are trained already, relative to that of new ones
+
+Inputs = dict[str, torch.Tensor]  #: by letter
+
+
+class Classifier(nn.Module):
+    """Encoders, one per modality, and a linear layer from their features to classes.
+
+    Parameters
+    ----------
+    encoders : dict
+        By letter; each with an attribute ``features``.
+    classes : int
+    """
+
+    def __init__(self, encoders: dict[str, nn.Module], classes: int):
+        super().__init__()
+        self.encoders = nn.ModuleDict(encoders)
+        width = sum(cast(int, encoder.features) for encoder in encoders.values())
+        self.head = nn.Linear(width, classes)
+
+    def forward(self, inputs: Inputs) -> torch.Tensor:
+        """Inputs (B, C, H, W) of each encoder -> (B, classes) logits."""
+        features = [encoder(inputs[letter]) for letter, encoder in self.encoders.items()]
+        return self.head(torch.cat(features, 1))
+
+
+def fused(parts: Sequence[Classifier]) -> Classifier:
+    """Join trained classifiers of different modalities.
+
+    It starts from the sum of their logits: the product of what each believes, which is right for
+    observations that are independent of each other, given the object.
+    """
+    encoders = {name: copy.deepcopy(net) for part in parts for name, net in part.encoders.items()}
+    with seeded(0, "fused"):  # the layer is filled below
+        net = Classifier(encoders, parts[0].head.out_features)
+    net.head.load_state_dict(
+        {
+            "weight": torch.cat([part.head.weight.detach() for part in parts], 1),
+            "bias": sum(part.head.bias.detach() for part in parts),
+        }
+    )
+    return net
+
+
+def recognize(job: Job[RecognizeParams]) -> tuple[dict[str, Any], list[list[Any]]]:
+    """Train and score the recognition of instances (main paper, Table 2).
+
+    Each modality alone is an encoder with a linear classifier. A combination starts from the same seed's nets
+    of its modalities (`fused`) and is trained jointly. The best epoch is chosen on the validation rows; the
+    test rows are read once, with that one.
+
+    Returns
+    -------
+    dict
+        By combination (``V`` to ``VAT``) the ``accuracy``, its ``interval_95`` (half width over the training
+        seeds, None for one), and the accuracies of the ``seeds``; ``confusion`` of VAT (K, K), by object and
+        answer, summed over the seeds; ``chance`` (``uniform``: 1/K, ``majority``: the share of the commonest
+        object in the test rows); what `Job.without_duplicates` says, and ``seconds`` of training.
+    list
+        Rows of the training curves: `CURVE_COLUMNS`.
+
+    Raises
+    ------
+    ObjectFolderError
+        If an object of the test rows is never learnt, nothing is left of a part of the split, a training
+        diverges, or the encoder is unknown.
+    """
+    keys, split, params = job.observations.keys, job.split, job.params
+    unknown = np.setdiff1d(job.observations.labels[split.test], job.observations.labels[split.train])
+    if unknown.size:
+        raise ObjectFolderError(
+            f"split {split.name} tests with {keys[unknown[0]]}, which is not learnt; nobody recognizes what "
+            "he never met: use split seen"
+        )
+    job, rows = job.without_duplicates(tuple(LETTERS.values()))
+    finished = {
+        (run, name): _finished(job, run, name) for run in range(params.seeds) for name in COMBINATIONS
+    }
+    labels, classes = job.observations.labels[job.split.test], len(keys)
+    scores: dict[str, Any] = {}
+    for name in COMBINATIONS:
+        predicted = [np.array(finished[run, name]["predicted"]) for run in range(params.seeds)]
+        accuracies = [accuracy(p, labels) for p in predicted]
+        scores[name] = {
+            "accuracy": float(np.mean(accuracies)),
+            "interval_95": interval_95(accuracies),
+            "seeds": accuracies,
+        }
+    confusion = np.zeros((classes, classes), np.int64)
+    for answer in predicted:  # of VAT, the last
+        np.add.at(confusion, (labels, answer), 1)
+    curve = [[run, name, *row] for (run, name), unit in finished.items() for row in unit["curve"]]
+    return {
+        **scores,
+        "confusion": confusion.tolist(),
+        "chance": {"uniform": 1 / classes, "majority": float(np.bincount(labels).max() / len(labels))},
+        **rows,
+        "seconds": sum(unit["seconds"] for unit in finished.values()),
+    }, curve
+
+
+def _finished(job: Job[RecognizeParams], run: int, name: str) -> dict[str, Any]:
+    """What one combination scored with one seed; trained if no earlier call did."""
+
+    def make() -> dict[str, Any]:
+        net, curve = _trained(job, run, name)
+        start = time.perf_counter()
+        predicted = _predicted(job, net, name, job.split.test)
+        seconds = sum(point.seconds for point in curve) + time.perf_counter() - start
+        rows = [astuple(point)[:3] for point in curve]
+        return {"predicted": predicted.tolist(), "curve": rows, "seconds": seconds}
+
+    result = job.finished(f"{run}_{name}", make)
+    # Fusions start from the nets of single modalities, which are kept until the last of a seed.
+    for done in COMBINATIONS if name == COMBINATIONS[-1] else [name] * (len(name) > 1):
+        _checkpoint(job, run, done).unlink(missing_ok=True)
+    return result
+
+
+def _trained(job: Job[RecognizeParams], run: int, name: str) -> tuple[Classifier, list[EpochPoint]]:
+    """Train one combination; where its checkpoint is finished, that is read and no more."""
+    params, split, labels = job.params, job.split, job.observations.labels
+    if len(name) > 1:
+        net = fused([_trained(job, run, letter)[0] for letter in name])
+        epochs, rate = params.fusion_epochs, FUSION_RATE
+    else:
+        with seeded(job.seed, "recognize", str(run), name):
+            net = Classifier({name: job.make_encoder(LETTERS[name])}, len(job.observations.keys))
+        epochs, rate = params.epochs, 1.0
+
+    def epoch_batches(epoch: int) -> Iterator[tuple[Inputs, torch.Tensor]]:
+        rng = numpy_generator(job.seed, "recognize", str(run), name, str(epoch))
+        for rows in shuffled(split.train, params.batch, rng):
+            yield _inputs(job, name, rows, rng), job.labels(rows)
+
+    def batch_loss(batch: tuple[Inputs, torch.Tensor]) -> torch.Tensor:
+        inputs, expected = batch
+        return nn.functional.cross_entropy(net(inputs), expected)
+
+    curve = job.train(
+        f"recognize {name}, seed {run + 1} of {params.seeds}",
+        net,
+        epoch_batches,
+        batch_loss,
+        lambda: accuracy(_predicted(job, net, name, split.val), labels[split.val]),
+        "accuracy",
+        _checkpoint(job, run, name),
+        epochs,
+        rate,
+    )
+    return net, curve
+
+
+def _checkpoint(job: Job[RecognizeParams], run: int, name: str) -> Path:
+    return job.progress / f"{run}_{name}.pt"
+
+
+def _inputs(
+    job: Job[RecognizeParams], name: str, rows: np.ndarray, rng: np.random.Generator | None = None
+) -> Inputs:
+    """What the encoders of a combination are given of some rows."""
+    return {letter: job.inputs(LETTERS[letter], rows, rng) for letter in name}
+
+
+@torch.no_grad()
+def _predicted(job: Job[RecognizeParams], net: Classifier, name: str, rows: np.ndarray) -> np.ndarray:
+    """Answers of a net for rows; (n,) int64."""
+    parts = np.split(rows, range(job.params.batch, len(rows), job.params.batch))
+    answers = [net(_inputs(job, name, part)).argmax(1) for part in parts]
+    return torch.cat(answers).cpu().numpy()

@@ -1,0 +1,267 @@
+"""Audio-visual 3D reconstruction (main paper, section 4.3 and Table 4; supplementary I.3).
+
+From an image, a sound, or both to the object's shape in its own frame, by an occupancy network behind the
+encoders of the other benchmarks. IMAGE2MESH is "V", AUDIO2MESH "A", IMAGE+AUDIO2MESH "VA".
+"""
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import astuple, replace
+from pathlib import Path
+from shutil import copyfile
+from typing import Any, cast
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import nn
+
+from objectfolder.benchmarks.datasets.observations import Observations
+from objectfolder.benchmarks.datasets.truth import THRESHOLDS, Truth, best_level
+from objectfolder.benchmarks.models.occupancy_net import EMBEDDING, Reconstructor
+from objectfolder.benchmarks.models.shape_model import (
+    Setup,
+    ShapeModel,
+    load_model,
+    new_net,
+    save_model,
+    shape_inputs,
+)
+from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, shuffled
+from objectfolder.benchmarks.params import ReconstructParams
+from objectfolder.benchmarks.scoring.shape_pictures import sheet
+from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.io import write_png
+from objectfolder.seeding import numpy_generator, seeded
+
+SHOWN = 8  #: test rows in the picture
+#: What each variant looks at. VA comes last: it starts from the encoders of the others.
+VARIANTS: dict[str, tuple[str, ...]] = {"V": ("vision",), "A": ("audio",), "VA": ("vision", "audio")}
+CURVE_COLUMNS = ("variant", "epoch", "train_loss", "val_iou")  #: of the training curves
+#: Steps from one encoded batch, each on other points; all but the first train fusion and decoder alone.
+#: Shapes take many more steps to learn than features, and encoders most of the time.
+POINT_SETS = 4
+#: Inputs of the encoders, or None for those of the batch before; numbers of the objects; points;
+#: whether they are inside.
+Batch = tuple[dict[str, torch.Tensor] | None, torch.Tensor, torch.Tensor, torch.Tensor]
+
+
+def reconstruct(job: Job[ReconstructParams]) -> tuple[dict[str, Any], list[list[Any]]]:
+    """Train and score all variants (main paper, Table 4).
+
+    Test rows are looked at once, after everything was chosen on validation rows. Every variant trains at most
+    ``epochs`` epochs; VA half as many, as it starts from the encoders of V and A, and from the fusion and the
+    decoder of the one that validates better. The model of views is left in the folder of progress as
+    ``model.safetensors``, and a picture of some meshes as ``sheet.png``.
+
+    Returns
+    -------
+    dict
+        By variant, and ``average_shape`` (the mean occupancy of the training objects): the scores of
+        `Truth.scores` over the first ``views`` test rows of each object; ``threshold``; of variants also
+        ``epochs`` and ``val_iou``. Beside them ``perfect``, the surface scores of the truth against itself,
+        what `Job.without_duplicates` says, and ``seconds``.
+    list
+        Rows of the training curves: `CURVE_COLUMNS`.
+
+    Raises
+    ------
+    ObjectFolderError
+        If files or checkpoints are damaged, or training diverges.
+    """
+    job, rows = job.without_duplicates(("vision", "audio"))
+    truth = _truth(job)
+    finished = {variant: _finished(job, truth, variant) for variant in VARIANTS}
+    labels, split = job.observations.labels, job.split
+    learnt, val, test = (np.unique(labels[split.train]), labels[validation_rows(job)], labels[_test(job)])
+    scores = {
+        **{variant: done["scores"] for variant, done in finished.items()},
+        "average_shape": truth.average_shape(learnt, val, test),
+        "perfect": truth.floor(np.unique(test)),
+        **rows,
+        "seconds": sum(done["seconds"] for done in finished.values()),
+    }
+    copyfile(_model_path(job, "V"), job.progress / "model.safetensors")
+    write_png(job.progress / "sheet.png", _sheet(job, truth))
+    return scores, [[variant, *row] for variant, done in finished.items() for row in done["curve"]]
+
+
+def first_rows(rows: np.ndarray, labels: np.ndarray, count: int) -> np.ndarray:
+    """Return the first ``count`` rows of each object, in order; ``labels`` are those of all observations."""
+    chosen = [rows[labels[rows] == label][:count] for label in np.unique(labels[rows])]
+    return np.concatenate(chosen)
+
+
+def _test(job: Job[ReconstructParams]) -> np.ndarray:
+    """Rows that are scored."""
+    return first_rows(job.split.test, job.observations.labels, job.params.views)
+
+
+def validation_rows(job: Job[ReconstructParams]) -> np.ndarray:
+    """Rows that epochs and thresholds are chosen by: of objects without validation rows, training rows.
+
+    A threshold that is best for the few validation objects of the split ``unseen`` may leave every other
+    answer empty.
+    """
+    labels, split = job.observations.labels, job.split
+    rest = split.train[~np.isin(labels[split.train], labels[split.val])]
+    parts = [first_rows(rows, labels, job.params.views) for rows in (split.val, rest) if len(rows)]
+    return np.concatenate(parts)
+
+
+def _truth(job: Job[ReconstructParams]) -> Truth:
+    observations = cast(Observations, job.observations)
+    files = {key: observations.object_file(key) for key in observations.keys}
+    return Truth(files, job.params.score_points, job.params.resolution, job.seed, job.progress)
+
+
+def _model_path(job: Job[ReconstructParams], variant: str) -> Path:
+    """Where a trained model is kept until all are finished."""
+    return job.progress / f"{variant}.safetensors"
+
+
+def _finished(job: Job[ReconstructParams], truth: Truth, variant: str) -> dict[str, Any]:
+    """Scores and curve of a variant; trained if no earlier call did."""
+    checkpoint = job.progress / f"{variant}.pt"
+
+    def make() -> dict[str, Any]:
+        model, curve = _trained(job, truth, variant, checkpoint)
+        start = time.perf_counter()
+        save_model(_model_path(job, variant), model)
+        scores = _scores(job, truth, variant, model) | {
+            "threshold": model.setup.threshold,
+            "epochs": len(curve),
+            "val_iou": max(point.val_score for point in curve),
+        }
+        seconds = sum(point.seconds for point in curve) + time.perf_counter() - start
+        return {"scores": scores, "curve": [astuple(point)[:3] for point in curve], "seconds": seconds}
+
+    result = job.finished(variant, make)
+    checkpoint.unlink(missing_ok=True)
+    return result
+
+
+def _trained(
+    job: Job[ReconstructParams], truth: Truth, variant: str, checkpoint: Path
+) -> tuple[ShapeModel, list[EpochPoint]]:
+    """Train one variant, or go on from its checkpoint."""
+    observations, occupancy, params, split = job.observations, truth.occupancy, job.params, job.split
+    labels, modalities, device = observations.labels, VARIANTS[variant], job.device
+    learnt = np.unique(labels[split.train])
+    setup = Setup(
+        modalities,
+        job.encoder,
+        job.sizes,
+        observations.shape("vision")[0],
+        params.width,
+        params.blocks,
+        params.frequencies,
+        params.resolution,
+        tuple(observations.keys[label] for label in learnt),
+    )
+    purpose = ("reconstruct", split.name, variant)
+    with seeded(job.seed, *purpose):
+        net = new_net(setup, job.weights)
+        naming = nn.Linear(net.fusion.get_parameter("0.weight").shape[1], len(learnt))
+    epochs = params.epochs if len(modalities) == 1 else _start_from_parts(job, truth, net)
+
+    def epoch_batches(epoch: int) -> Iterator[Batch]:
+        rng = numpy_generator(job.seed, *purpose, f"epoch {epoch}")
+        for rows in shuffled(split.train, params.batch, rng):
+            inputs = {
+                m: shape_inputs(m, observations.read(m, rows), job.sizes, rng, device) for m in modalities
+            }
+            names = torch.from_numpy(np.searchsorted(learnt, labels[rows])).to(device)
+            for given in (inputs, *[None] * (POINT_SETS - 1)):
+                points, inside = occupancy.draw(labels[rows], params.points, rng)
+                yield given, names, torch.from_numpy(points).to(device), torch.from_numpy(inside).to(device)
+
+    encoded: list[torch.Tensor] = []
+
+    def batch_loss(batch: Batch) -> torch.Tensor:
+        inputs, names, points, inside = batch
+        if inputs is None:
+            (features,) = encoded
+        else:
+            features = net.features(inputs)
+            encoded[:] = [features.detach()]
+        logits = net.decoder(points, net.fusion(features))
+        loss = F.binary_cross_entropy_with_logits(logits, inside.float())
+        return loss if inputs is None else loss + params.naming * F.cross_entropy(naming(features), names)
+
+    model = ShapeModel(setup, net)
+    val = validation_rows(job)
+    seen = {modality: observations.read(modality, val) for modality in modalities}
+    inside = occupancy.val_inside[labels[val]]
+
+    def validated() -> tuple[float, float]:
+        logits = model.logits(model.embed(seen), occupancy.val_points)
+        return best_level(logits, inside, np.log(THRESHOLDS / (1 - THRESHOLDS)))
+
+    curve = job.train(
+        f"reconstruct {split.name}, {variant}",
+        nn.ModuleDict({"net": net, "naming": naming}),
+        epoch_batches,
+        batch_loss,
+        lambda: validated()[1],
+        "IoU",
+        checkpoint,
+        epochs,
+        statistics=STATISTICS * POINT_SETS,  # of which one in POINT_SETS is encoded
+    )
+    threshold = round(float(torch.tensor(validated()[0]).sigmoid()), 4)
+    return ShapeModel(replace(setup, threshold=threshold), net), curve
+
+
+def _start_from_parts(job: Job[ReconstructParams], truth: Truth, net: Reconstructor) -> int:
+    """Make a net of several modalities start from nets of one each; give the epochs that it still needs."""
+    parts = {variant: load_model(_model_path(job, variant)).net for variant in ("V", "A")}
+    scores = {variant: _finished(job, truth, variant)["scores"]["val_iou"] for variant in parts}
+    _start_from(net, list(parts.values()), parts[max(scores, key=lambda variant: scores[variant])])
+    return -(-job.params.epochs // 2)
+
+
+def _start_from(net: Reconstructor, parts: Sequence[Reconstructor], best: Reconstructor) -> None:
+    """Give a net the encoders of nets of one modality each; it answers as the best of them at first."""
+    for part in parts:
+        for modality, encoder in part.encoders.items():
+            net.encoders[modality].load_state_dict(encoder.state_dict())
+    net.decoder.load_state_dict(best.decoder.state_dict())
+    fusion = best.fusion.state_dict()
+    widths = [part.fusion.get_parameter("0.weight").shape[1] for part in parts]
+    fusion["0.weight"] = torch.cat(
+        [
+            fusion["0.weight"] if part is best else torch.zeros(EMBEDDING, width)
+            for part, width in zip(parts, widths)
+        ],
+        1,
+    )
+    net.fusion.load_state_dict(fusion)
+
+
+def _scores(job: Job[ReconstructParams], truth: Truth, variant: str, model: ShapeModel) -> dict[str, Any]:
+    """Score a trained model on test rows."""
+    rows = _test(job)
+    embedding = model.embed({m: job.observations.read(m, rows) for m in model.setup.modalities})
+    points = truth.occupancy.score_points
+    return truth.scores(
+        f"{job.split.name} {variant}",
+        job.observations.labels[rows],
+        lambda i: model.is_inside(embedding[i : i + 1], points)[0],
+        lambda i: model.mesh(embedding[i]),
+    )
+
+
+def _sheet(job: Job[ReconstructParams], truth: Truth) -> np.ndarray:
+    """Draw some test rows: the view; what V, A and VA make of it and of the sound; the truth."""
+    rows = _test(job)
+    rows = rows[np.unique(np.linspace(0, len(rows) - 1, SHOWN).round().astype(int))]
+    shapes = []
+    for variant, modalities in VARIANTS.items():
+        model = load_model(_model_path(job, variant))
+        embedding = model.embed({name: job.observations.read(name, rows) for name in modalities})
+        shapes.append([model.mesh(one) for one in embedding])
+    surfaces = [truth.surface(int(label)) for label in job.observations.labels[rows]]
+    shapes.append([(surface.vertices, surface.faces) for surface in surfaces])
+    views = job.observations.read("vision", rows)
+    return sheet(views, [list(meshes) for meshes in zip(*shapes)])

@@ -1,0 +1,335 @@
+"""Cross-sensory retrieval: find, by one sense, the same object as met by another (supplementary I.2)."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import astuple
+from itertools import combinations, product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+from torch.nn import functional as F
+
+from objectfolder.benchmarks.models.training import EpochPoint
+from objectfolder.benchmarks.params import RetrieveParams
+from objectfolder.benchmarks.scoring import cca
+from objectfolder.benchmarks.scoring.scores import chance_map, interval_95, mean_average_precision
+from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.errors import ObjectFolderError
+from objectfolder.seeding import numpy_generator, seeded
+from objectfolder.workspace.layout import MODALITIES
+
+Pair = tuple[str, str]  #: two modalities
+Maps = dict[str, float]  #: mean average precision by direction, such as V->A
+Batch = tuple[torch.Tensor, torch.Tensor, torch.Tensor]  #: inputs of both streams, classes of the rows
+PAIRS: tuple[Pair, ...] = tuple(combinations(MODALITIES, 2))
+CURVE_COLUMNS = ("first", "second", "seed", "epoch", "train_loss", "val_map")  #: of the training curves
+FEATURE_SIZES = {"vision": (16, 16), "audio": (64, 8), "touch": (16, 12)}  #: pixels that CCA is given
+DIMENSIONS = (1, 2, 4, 8, 16, 32, 64, 128)  #: principal components and variates that CCA is tried with
+CHUNK = 64  #: rows, at most, that are embedded at once
+SAMPLE = 256  #: training rows in the gallery of validation
+
+
+class TwoStream(nn.Module):
+    """Two encoders, one of each modality, and the head that they share.
+
+    The head's first layer maps features to the cross-sensory embedding, its second, after a ReLU, to classes.
+    The embedding is taken before the ReLU, so that its cosines may be negative.
+
+    Parameters
+    ----------
+    encoders : two modules with an attribute ``features``
+    embedding : int
+        Numbers of an embedding.
+    classes : int
+    """
+
+    def __init__(self, encoders: Sequence[nn.Module], embedding: int, classes: int):
+        super().__init__()
+        self.encoders = nn.ModuleList(encoders)
+        self.embedding = nn.Linear(int(encoders[0].features), embedding)  # type: ignore[arg-type]
+        self.classifier = nn.Linear(embedding, classes)
+
+    def embed(self, stream: int, inputs: torch.Tensor) -> torch.Tensor:
+        """Embeddings (B, embedding) of one stream's inputs (B, C, H, W)."""
+        return self.embedding(self.encoders[stream](inputs))
+
+    def classify(self, embeddings: torch.Tensor) -> torch.Tensor:
+        """(B, embedding) -> (B, classes) logits."""
+        return self.classifier(torch.relu(embeddings))
+
+
+def triplet_loss(
+    anchor: torch.Tensor, positive: torch.Tensor, labels: torch.Tensor, margin: float
+) -> torch.Tensor:
+    """Equation 1, averaged over the anchors and over all negatives that the batch has for each.
+
+    The loss of a triplet is ``max(0, D(anchor, positive) - D(anchor, negative) + margin)`` with the cosine
+    distance D = 1 - cos. A negative is of the anchor's modality and of another object.
+
+    Parameters
+    ----------
+    anchor : (B, D) tensor
+        Embeddings of one modality.
+    positive : (B, D) tensor
+        Embeddings of the other modality, row by row of the same object.
+    labels : (B,) integer tensor
+        Objects of the rows, two or more different ones.
+    margin : float
+
+    Returns
+    -------
+    Scalar tensor.
+    """
+    # Sixteen bits would round the differences of near cosines away.
+    with torch.autocast(anchor.device.type, enabled=False):
+        anchor, positive = F.normalize(anchor.float()), F.normalize(positive.float())
+        to_positive = (anchor * positive).sum(1, keepdim=True)
+        losses = torch.relu(anchor @ anchor.T - to_positive + margin)
+        return losses[labels[:, None] != labels].mean()
+
+
+def cross_sensory_loss(
+    first: torch.Tensor, second: torch.Tensor, labels: torch.Tensor, margin: float
+) -> torch.Tensor:
+    """Equation 2: the triplet losses with anchors of the first and of the second modality."""
+    return triplet_loss(first, second, labels, margin) + triplet_loss(second, first, labels, margin)
+
+
+def paired_batches(
+    rows: np.ndarray, labels: np.ndarray, batch: int, rng: np.random.Generator
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Give every row once in each of two modalities, in pairs of the same object, and in batches.
+
+    Which rows of an object pair up is random. Objects take turns, so that each batch has two or more.
+
+    Parameters
+    ----------
+    rows : (R,) int array
+    labels : (R,) int array
+        Their objects, as many rows of each.
+    batch : int
+        Pairs, at least three.
+
+    Yields
+    ------
+    Rows of the first and of the second modality, (B,) each.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there is one object only, the batch is too small, or the objects have unequal numbers of rows.
+    """
+    objects, counts = np.unique(labels, return_counts=True)
+    if len(objects) < 2 or batch < 3:
+        raise ObjectFolderError(
+            f"{len(objects)} object(s) to train on, in batches of {batch}; expected two objects and batches "
+            "of three at least, because each batch needs negatives"
+        )
+    if np.ptp(counts):
+        raise ObjectFolderError(
+            f"objects have {counts.min()} to {counts.max()} training rows; expected as many of each"
+        )
+    by_object = rows[np.argsort(labels, kind="stable")].reshape(len(objects), -1)
+    turns = rng.permuted(np.tile(np.arange(len(objects)), (counts[0], 1)), axis=1)
+    first, second = (
+        np.take_along_axis(rng.permuted(by_object, axis=1).T, turns, axis=1).ravel() for _ in range(2)
+    )
+    ends = np.arange(batch, len(rows), batch)
+    if len(ends) and len(rows) - ends[-1] == 1:  # a row alone has no negative
+        ends = ends[:-1]
+    yield from zip(np.split(first, ends), np.split(second, ends))
+
+
+def retrieve(job: Job[RetrieveParams]) -> tuple[dict[str, Any], list[list[Any]]]:
+    """Train and score the retrieval of each pair of modalities (main paper, Table 3).
+
+    Queries are the test rows of one modality, the gallery those of the other; relevant is what is of the same
+    object. The epoch is chosen by the validation rows, ranked among some training rows. The baseline CCA is
+    fitted on the same training rows, and its dimensions are chosen in the same way. Nothing is chosen by the
+    test rows, which a net meets once, after its training.
+
+    Returns
+    -------
+    dict
+        ``directions``, such as ``V->A`` (seen, what does it sound like?): ``map`` (mean over the seeds), its
+        ``interval_95``, ``seeds`` (one value each), ``cca`` and ``chance``. Then what was chosen for ``cca``,
+        what `Job.without_duplicates` says, and ``seconds`` of training.
+    list
+        Rows of the training curves, see `CURVE_COLUMNS`.
+
+    Raises
+    ------
+    ObjectFolderError
+        If a split cannot be trained on or scored, or a training diverges.
+    """
+    learnt = np.unique(job.observations.labels[job.split.train])
+    if len(learnt) < 2:
+        raise ObjectFolderError(
+            f"split {job.split.name} trains on {job.observations.keys[learnt[0]]} alone, expected two "
+            "objects at least: what is found is told from what is not; add training objects"
+        )
+    job, rows = job.without_duplicates(MODALITIES)
+    labels = job.observations.labels[job.split.test]
+    chance = chance_map(labels, labels)
+    features = {modality: _features(job, modality) for modality in MODALITIES}
+    directions: dict[str, Any] = {}
+    chosen: dict[str, Any] = {}
+    curves: list[list[Any]] = []
+    seconds = 0.0
+    for pair in PAIRS:
+        baseline, chosen["-".join(pair)] = _correlated(job, pair, features)
+        runs = [_finished(job, pair, run) for run in range(job.params.seeds)]
+        for direction in baseline:
+            values = [run["map"][direction] for run in runs]
+            directions[direction] = {
+                "map": float(np.mean(values)),
+                "interval_95": interval_95(values),
+                "seeds": values,
+                "cca": baseline[direction],
+                "chance": chance,
+            }
+        curves += [[*pair, i, *point] for i, run in enumerate(runs) for point in run["curve"]]
+        seconds += sum(run["seconds"] for run in runs)
+    return {"directions": directions, "cca": chosen, **rows, "seconds": seconds}, curves
+
+
+def _finished(job: Job[RetrieveParams], pair: Pair, run: int) -> dict[str, Any]:
+    """Scores of one net; trained if no earlier call did."""
+    name = f"{pair[0]}_{pair[1]}_{run}"
+    checkpoint = job.progress / f"{name}.pt"
+
+    def make() -> dict[str, Any]:
+        net, curve = _trained(job, pair, run, checkpoint)
+        rows = job.split.test
+        return {
+            "map": _maps(job, pair, _embeddings(job, net, pair, rows), rows, len(rows)),
+            "curve": [astuple(point)[:3] for point in curve],
+            "seconds": sum(point.seconds for point in curve),
+        }
+
+    result = job.finished(name, make)
+    checkpoint.unlink(missing_ok=True)
+    return result
+
+
+def _trained(
+    job: Job[RetrieveParams], pair: Pair, run: int, checkpoint: Path
+) -> tuple[TwoStream, list[EpochPoint]]:
+    """Train one net, or go on from its checkpoint."""
+    params, rows, labels = job.params, job.split.train, job.observations.labels
+    classes = np.unique(labels[rows])
+    purpose = ("retrieve", job.split.name, *pair, str(run))
+    with seeded(job.seed, *purpose):
+        net = TwoStream([job.make_encoder(modality) for modality in pair], params.embedding, len(classes))
+
+    def epoch_batches(epoch: int) -> Iterator[Batch]:
+        rng = numpy_generator(job.seed, *purpose, f"epoch {epoch}")
+        for paired in paired_batches(rows, labels[rows], params.batch, rng):
+            first, second = (job.inputs(m, some, rng) for m, some in zip(pair, paired))
+            targets = torch.from_numpy(np.searchsorted(classes, labels[paired[0]]))
+            yield first, second, targets.to(job.device)
+
+    def batch_loss(batch: Batch) -> torch.Tensor:
+        *inputs, targets = batch
+        first, second = (net.embed(stream, x) for stream, x in enumerate(inputs))
+        classification = sum(F.cross_entropy(net.classify(x), targets) for x in (first, second))
+        return cross_sensory_loss(first, second, targets, params.margin) + classification
+
+    def val_score() -> float:
+        rows = _validation(job)
+        scores = _maps(job, pair, _embeddings(job, net, pair, rows), rows, len(job.split.val))
+        return sum(scores.values()) / 2
+
+    curve = job.train(
+        f"retrieve {job.split.name}, {pair[0]} and {pair[1]}, seed {run + 1} of {params.seeds}",
+        net,
+        epoch_batches,
+        batch_loss,
+        val_score,
+        "mAP",
+        checkpoint,
+    )
+    return net, curve
+
+
+def _validation(job: Job[RetrieveParams]) -> np.ndarray:
+    """Gallery of the validation: its rows, which are the queries, and among them training rows.
+
+    The few validation objects of the split ``unseen`` alone, or the only one, would tell little.
+    """
+    rng = numpy_generator(job.seed, "retrieve", job.split.name, "sample")
+    return np.concatenate([job.split.val, rng.permutation(job.split.train)[:SAMPLE]])
+
+
+def _maps(
+    job: Job[RetrieveParams], pair: Pair, embeddings: Sequence[np.ndarray], rows: np.ndarray, queries: int
+) -> Maps:
+    """Score embeddings of rows in two modalities: the first rows are queries, all of them the gallery."""
+    labels = job.observations.labels[rows]
+    return {
+        f"{pair[query][0].upper()}->{pair[1 - query][0].upper()}": mean_average_precision(
+            embeddings[query][:queries], labels[:queries], embeddings[1 - query], labels
+        )
+        for query in (0, 1)
+    }
+
+
+def _chunks(job: Job[RetrieveParams], modality: str, rows: np.ndarray) -> Iterator[torch.Tensor]:
+    """What the encoder of a modality is given of many rows, some at a time."""
+    for some in np.array_split(rows, -(-len(rows) // CHUNK)):
+        yield job.inputs(modality, some)
+
+
+@torch.no_grad()
+def _embeddings(job: Job[RetrieveParams], net: TwoStream, pair: Pair, rows: np.ndarray) -> list[np.ndarray]:
+    """Embeddings (n, embedding) of both streams."""
+    return [
+        torch.cat([net.embed(stream, x) for x in _chunks(job, modality, rows)]).cpu().numpy()
+        for stream, modality in enumerate(pair)
+    ]
+
+
+def _features(job: Job[RetrieveParams], modality: str) -> dict[str, np.ndarray]:
+    """What CCA knows of a split's rows: white components of the encoder's input at few pixels; (n, D)."""
+    shape = FEATURE_SIZES[modality]
+
+    def pixels(rows: np.ndarray) -> np.ndarray:
+        inputs = _chunks(job, modality, rows)
+        return torch.cat([F.adaptive_avg_pool2d(x, shape).flatten(1) for x in inputs]).cpu().numpy()
+
+    train = pixels(job.split.train)
+    whiten = cca.whitening(train, max(DIMENSIONS))
+    return {
+        "train": whiten(train),
+        "validation": whiten(pixels(_validation(job))),
+        "test": whiten(pixels(job.split.test)),
+    }
+
+
+def _correlated(
+    job: Job[RetrieveParams], pair: Pair, features: dict[str, dict[str, np.ndarray]]
+) -> tuple[Maps, dict[str, int]]:
+    """Score CCA by direction, with the dimensions that are best on the validation rows."""
+    first, second = (features[modality] for modality in pair)
+    labels = job.observations.labels[job.split.train]
+    found = {d: cca.directions(first["train"][:, :d], second["train"][:, :d], labels) for d in DIMENSIONS}
+
+    def variates(name: str, dimensions: int, components: int) -> list[np.ndarray]:
+        return [
+            side[name][:, :dimensions] @ matrix[:, :components]
+            for side, matrix in zip((first, second), found[dimensions])
+        ]
+
+    validation, test = _validation(job), job.split.test
+    tried = {
+        chosen: sum(
+            _maps(job, pair, variates("validation", *chosen), validation, len(job.split.val)).values()
+        )
+        for chosen in product(DIMENSIONS, DIMENSIONS)
+        if chosen[1] <= found[chosen[0]][0].shape[1]
+    }
+    chosen = max(tried, key=tried.__getitem__)
+    scores = _maps(job, pair, variates("test", *chosen), test, len(test))
+    return scores, dict(zip(("dimensions", "components"), chosen))

@@ -1,0 +1,192 @@
+"""``dvc.lock``, read without parsing it twice and written in batches.
+
+DVC rewrites the whole file after every stage, which is quadratic, and parses it at every start. Whoever
+holds the repository's lock is the only writer, so here the contents stay in memory and go to disk now and
+then; the text of a stage that did not change is written again as it was read. A copy under ``.dvc/tmp`` in
+JSON, which loads a hundred times faster than YAML, stands in for the parser, and for the file if that is
+damaged.
+"""
+
+import hashlib
+import json
+import logging
+import os
+import re
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+from dvc.dvcfile import Lockfile
+from dvc.stage import PipelineStage, Stage
+from dvc.stage.serialize import to_lockfile
+from dvc.utils.serialize import EncodingError
+from dvc.utils.strictyaml import YAMLSyntaxError, YAMLValidationError
+
+from objectfolder.engine.dvc import emit
+from objectfolder.errors import ObjectFolderError
+from objectfolder.io import atomic
+
+PERIOD = 5.0
+# With thousands of stages a write takes seconds; this bounds its share of the build's time.
+PERIOD_PER_WRITE = 20.0
+COPIES = Path(".dvc/tmp/objectfolder")
+HEAD = "schema: '2.0'\nstages:\n"
+_STAGE = re.compile(r"^  (?=\S)", re.MULTILINE)
+_log = logging.getLogger(__name__)
+
+
+class LockFiles:
+    """Lock files of a workspace: what was read, and states of finished stages on their way to disk.
+
+    Parameters
+    ----------
+    root : Path
+        The repository, the directory that holds ``.dvc``.
+    """
+
+    def __init__(self, root: Path):
+        self._root = root
+        self._contents: dict[Path, dict[str, Any]] = {}
+        self._text: dict[Path, dict[str, str]] = {}
+        self._dirty: set[Path] = set()
+        self._due = 0.0
+        self._period = PERIOD
+
+    @contextmanager
+    def serving(self) -> Iterator[None]:
+        """Let DVC read its lock files from here."""
+        parse = Lockfile._load
+
+        def load(lockfile: Lockfile, **kwargs: Any) -> tuple[Any, str]:
+            return self._read(lockfile, lambda: parse(lockfile, **kwargs))
+
+        with patch.object(Lockfile, "_load", load):
+            yield
+
+    def add(self, stage: Stage) -> None:
+        """Record the state of a finished stage; it reaches the disk at the next `flush`."""
+        if not isinstance(stage, PipelineStage):
+            stage.dump(update_pipeline=False)  # a .dvc file holds one stage: nothing to batch
+            return
+        path = Path(stage.dvcfile.path).absolute().with_suffix(".lock")
+        entry = to_lockfile(stage)
+        self.stages(path).update(entry)
+        self._text[path].pop(stage.name, None)
+        stage.repo.scm_context.track_file(os.path.relpath(path))
+        if not self._dirty:
+            self._due = time.monotonic() + self._period
+        self._dirty.add(path)
+
+    def remove(self, path: Path, name: str) -> None:
+        """Forget a stage; it leaves the disk at the next `flush`."""
+        if self.stages(path).pop(name, None) is not None:
+            self._dirty.add(path)
+
+    def flush_if_due(self) -> None:
+        """Write what has waited long enough."""
+        if self._dirty and time.monotonic() >= self._due:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write everything that is not on disk yet."""
+        start = time.monotonic()
+        for path in sorted(self._dirty):
+            self._write(path)
+            self._dirty.discard(path)
+        self._period = max(PERIOD, PERIOD_PER_WRITE * (time.monotonic() - start))
+
+    def seconds_until_due(self) -> float | None:
+        """Time until the next write; None if there is nothing to write."""
+        return max(0.0, self._due - time.monotonic()) if self._dirty else None
+
+    def stages(self, path: Path) -> dict[str, Any]:
+        """Entries of a lock file as DVC has read it, and of what has finished since."""
+        if path not in self._contents:
+            self._contents[path], self._text[path] = {"schema": "2.0"}, {}
+        return self._contents[path].setdefault("stages", {})
+
+    def _read(self, lockfile: Lockfile, parse: Any) -> tuple[Any, str]:
+        path = Path(lockfile.path).absolute()
+        if not path.exists():
+            return parse()
+        text = path.read_bytes()
+        copy = self._copy(path)
+        if copy is not None and copy["sha256"] == hashlib.sha256(text).hexdigest():
+            contents = copy["contents"]
+        else:
+            try:
+                contents = parse()[0]
+                if not contents and copy is not None:
+                    raise ObjectFolderError("it is empty")
+            except (YAMLSyntaxError, YAMLValidationError, EncodingError, ObjectFolderError) as error:
+                if copy is None or b"<<<<<<<" in text:  # a merge conflict is the user's to resolve
+                    raise
+                contents = self._restore(path, copy, error)
+                text = path.read_bytes()
+            self._write_copy(path, contents, text)
+        self._contents[path] = contents
+        self._text[path] = _split(text.decode(), contents)
+        return contents, text.decode()
+
+    def _restore(self, path: Path, copy: dict[str, Any], error: Exception) -> Any:
+        broken = path.with_name(path.name + ".damaged")
+        path.replace(broken)
+        _log.warning(
+            "%s is damaged (%s); restored to what the last build wrote, the damaged file is kept as %s",
+            path,
+            getattr(error, "__cause__", None) or error,
+            broken.name,
+        )
+        self._contents[path], self._text[path] = copy["contents"], {}
+        self._write(path)
+        return copy["contents"]
+
+    def _write(self, path: Path) -> None:
+        contents = self._contents[path]
+        if set(contents) == {"schema", "stages"} and contents["stages"]:
+            texts = self._text[path]
+            for name, entry in contents["stages"].items():
+                if name not in texts:
+                    texts[name] = emit.dumps({"stages": {name: entry}}).removeprefix("stages:\n")
+            text = HEAD + "".join(texts[name] for name in contents["stages"])
+        else:
+            text = emit.dumps(contents)
+        with atomic(path) as temporary:
+            temporary.write_text(text)
+        self._write_copy(path, contents, text.encode())
+
+    def _copy_path(self, path: Path) -> Path:
+        name = path.relative_to(self._root).as_posix().replace("/", "__")
+        return self._root / COPIES / f"{name}.json"
+
+    def _copy(self, path: Path) -> dict[str, Any] | None:
+        try:
+            copy = json.loads(self._copy_path(path).read_bytes())
+        except (OSError, ValueError):
+            return None
+        return copy if isinstance(copy, dict) and set(copy) == {"sha256", "contents"} else None
+
+    def _write_copy(self, path: Path, contents: Any, text: bytes) -> None:
+        copy = {"sha256": hashlib.sha256(text).hexdigest(), "contents": contents}
+        dumped = json.dumps(copy)
+        if json.loads(dumped) == copy:  # not if a parameter has keys that are numbers
+            with atomic(self._copy_path(path)) as temporary:
+                temporary.write_text(dumped)
+        else:
+            self._copy_path(path).unlink(missing_ok=True)
+
+
+def _split(text: str, contents: dict[str, Any]) -> dict[str, str]:
+    """Text of every stage by its name; empty if the file is not laid out as DVC does."""
+    if set(contents) != {"schema", "stages"} or not text.startswith(HEAD):
+        return {}
+    chunks = _STAGE.split(text[len(HEAD) :])[1:]
+    names = list(contents["stages"])
+    if len(chunks) != len(names) or not all(
+        chunk.startswith((f"{name}:", f"'{name}':", f'"{name}":')) for name, chunk in zip(names, chunks)
+    ):
+        return {}
+    return {name: f"  {chunk}" for name, chunk in zip(names, chunks)}

@@ -1,0 +1,66 @@
+"""Surfaces of functions that are sampled only in those blocks of a grid where it matters."""
+
+from collections.abc import Callable
+
+import numpy as np
+from skimage.measure import marching_cubes
+
+from objectfolder.mesh.closing.topology import Mesh, separate_wedges, signed_volume
+from objectfolder.mesh.closing.weld import weld
+
+BLOCK = 8  #: samples along each side of a block
+
+
+def lattice(*shape: int) -> np.ndarray:
+    """Integer coordinates of a grid's samples, the last axis fastest; (N, 3)."""
+    return np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), -1).reshape(-1, 3)
+
+
+def block_centres(lower: np.ndarray, spacing: float, blocks: np.ndarray) -> tuple[np.ndarray, float]:
+    """Centres (B, 3) of a grid's blocks, and the radius of the sphere that holds a block's samples."""
+    side = BLOCK * spacing
+    return lower + side * (lattice(*blocks) + 0.5) - spacing / 2, side * np.sqrt(3) / 2
+
+
+def contour(
+    function: Callable[[np.ndarray], np.ndarray],
+    lower: np.ndarray,
+    spacing: float,
+    blocks: np.ndarray,
+    chosen: np.ndarray,
+    elsewhere: np.ndarray | float,
+) -> Mesh:
+    """Closed surface around the points where a function is negative.
+
+    Parameters
+    ----------
+    function : callable
+        Maps points (N, 3) to values (N,).
+    lower : (3,) array
+        First sample.
+    spacing : float
+        Between samples.
+    blocks : (3,) int array
+        Blocks along each axis.
+    chosen : (C,) int array
+        Blocks in which the function is sampled, in the order of `block_centres`.
+    elsewhere : float or (B,) array
+        Value of the samples of each other block. Outside the grid it is positive.
+
+    Returns
+    -------
+    vertices, faces
+        Oriented outward; no faces if the function is negative nowhere.
+    """
+    count = int(np.prod(blocks))
+    values = np.repeat(np.broadcast_to(np.asarray(elsewhere, float), count), BLOCK**3).reshape(count, -1)
+    corner = BLOCK * np.stack(np.unravel_index(chosen, tuple(blocks)), -1)
+    samples = (corner[:, None] + lattice(BLOCK, BLOCK, BLOCK)).reshape(-1, 3)
+    values[chosen] = function(lower + spacing * samples).reshape(len(chosen), -1)
+    grid = values.reshape(*blocks, BLOCK, BLOCK, BLOCK).transpose(0, 3, 1, 4, 2, 5)
+    grid = np.pad(grid.reshape(BLOCK * np.asarray(blocks)), 1, constant_values=spacing)
+    if grid.min() >= 0:
+        return np.empty((0, 3)), np.empty((0, 3), np.int64)
+    v, f, _, _ = marching_cubes(grid, 0.0, allow_degenerate=False)
+    v, f = separate_wedges(*weld((v - 1) * spacing + lower, f.astype(np.int64), 1e-9))
+    return v, f if signed_volume(v, f) > 0 else np.ascontiguousarray(f[:, ::-1])

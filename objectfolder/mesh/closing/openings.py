@@ -1,0 +1,150 @@
+"""Open pieces: holes that are closed by a cap, and visible sheets that are given a thickness.
+
+Whether a piece is a solid with a missing face or a thin sheet cannot be told from its back faces alone
+(a scan lacks its underside, furniture its hidden faces). A loop is an opening if its cap would be seen
+from outside and is large; a piece with an opening is a sheet.
+"""
+
+import igl
+import manifold3d
+import numpy as np
+from scipy.sparse import coo_matrix
+
+from objectfolder.mesh.closing.topology import Mesh, boundary_loops, face_areas, signed_volume
+from objectfolder.mesh.raycast import RayCaster
+from objectfolder.mesh.sampling import sample_surface
+
+SEEN = 0.3  #: a cap of which at least this fraction of the hemisphere is free is seen from outside
+LARGE = 0.05  #: of the piece's area, for the area of a loop
+NO_ROOM = 0.5  #: of the area, for the faces that a wall turns over: it is thicker than what it fills
+_RAYS = 1024
+_OFFSET = 1e-4  # of rays from the cap, unit frame
+
+
+def close_piece(piece: Mesh, scene: RayCaster | None, wall: float) -> tuple[Mesh, int, int]:
+    """Close an open manifold piece.
+
+    Parameters
+    ----------
+    piece : vertices and faces, unit frame
+        Neighbours are oriented alike; no edge has more than two faces.
+    scene : RayCaster or None
+        All pieces: they may hide a hole. None caps every hole.
+    wall : float
+        Thickness that a sheet gets, unit frame. The sheet stays as its outer side. Where there is no room
+        for it, the sheet is filled: its openings are capped.
+
+    Returns
+    -------
+    piece : the closed piece
+    capped : int
+        Holes that were closed by a cap.
+    openings : int
+        Loops that are openings of a sheet.
+    """
+    vertices, faces = piece
+    loops = boundary_loops(faces)
+    capped = cap(vertices, faces, loops)
+    if signed_volume(*capped) < 0:
+        faces = np.ascontiguousarray(faces[:, ::-1])
+        loops = boundary_loops(faces)
+    area = face_areas(vertices, faces).sum()
+    openings = [
+        loop
+        for loop in loops
+        if scene is not None
+        and np.linalg.norm(_loop_area(vertices[loop])) > LARGE * area
+        and _seen(vertices[loop], scene) > SEEN
+    ]
+    chosen = {int(loop[0]) for loop in openings}
+    holes = [loop for loop in loops if int(loop[0]) not in chosen]
+    closed = cap(vertices, faces, holes)
+    if not openings:
+        return closed, len(holes), 0
+    sheet = thicken(*closed, wall)
+    if _turned_over(closed[0], sheet[0][len(closed[0]) :], closed[1]) > NO_ROOM:
+        return cap(vertices, faces, loops), len(loops), 0
+    return sheet, len(holes), len(openings)
+
+
+def cap(vertices: np.ndarray, faces: np.ndarray, loops: list[np.ndarray]) -> Mesh:
+    """Close loops, given in the direction of their boundary half edges, by flat or nearly flat caps."""
+    new_vertices, new_faces, count = [vertices], [faces], len(vertices)
+    for loop in loops:
+        points = vertices[loop]
+        normal = _loop_area(points)
+        centre = points.mean(0)
+        fan = np.cross(points - centre, np.roll(points, -1, 0) - centre) @ normal
+        if len(loop) > 3 and (fan <= 0).any():  # seen from its centre, the loop turns back
+            local = manifold3d.triangulate([_in_plane(points, normal)])
+            new_faces.append(loop[local][:, ::-1])
+        else:
+            new_faces.append(np.stack([np.roll(loop, -1), loop, np.full(len(loop), count)], 1))
+            new_vertices.append(centre[None])
+            count += 1
+    return np.concatenate(new_vertices), np.concatenate(new_faces).astype(np.int64)
+
+
+def thicken(vertices: np.ndarray, faces: np.ndarray, wall: float) -> Mesh:
+    """Give a sheet a wall on its inner side, joined along its boundary."""
+    count = len(vertices)
+    inner = vertices - wall * _offset_directions(vertices, faces)
+    border = np.concatenate(
+        [np.stack([loop, np.roll(loop, -1)], 1) for loop in boundary_loops(faces)]
+    )  # leads from a to b along the sheet
+    a, b = border.T
+    rim = np.concatenate([np.stack([b, a, a + count], 1), np.stack([b, a + count, b + count], 1)])
+    return np.concatenate([vertices, inner]), np.concatenate([faces, faces[:, ::-1] + count, rim])
+
+
+def _turned_over(vertices: np.ndarray, inner: np.ndarray, faces: np.ndarray) -> float:
+    """Share of the faces' area of which an edge is reversed on the inner side."""
+    outward, inward = (np.roll(side[faces], -1, 1) - side[faces] for side in (vertices, inner))
+    area = face_areas(vertices, faces)
+    return float(area[(np.einsum("ijk,ijk->ij", outward, inward) < 0).any(1)].sum() / area.sum())
+
+
+def _offset_directions(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Vertex normals, longer at creases so that the offset faces keep their distance; (V, 3)."""
+    normal = np.asarray(
+        igl.per_vertex_normals(vertices, faces, igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_ANGLE), np.float64
+    )
+    normal = np.nan_to_num(normal)
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    face_normal = np.cross(b - a, c - a)
+    face_normal /= np.maximum(np.linalg.norm(face_normal, axis=1, keepdims=True), 1e-30)
+    cosine = np.einsum("ikj,ij->ik", normal[faces], face_normal)
+    incidence = coo_matrix((cosine.ravel(), (faces.ravel(), np.zeros(faces.size, int))), (len(vertices), 1))
+    mean = np.asarray(incidence.todense()).ravel() / np.maximum(np.bincount(faces.ravel()), 1)
+    return normal / np.clip(mean, 0.5, 1)[:, None]
+
+
+def _loop_area(points: np.ndarray) -> np.ndarray:
+    """Area vector of a closed loop; (3,)."""
+    around = points - points.mean(0)
+    return np.cross(around, np.roll(around, -1, 0)).sum(0) / 2
+
+
+def _in_plane(points: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Project a loop on its plane, counter-clockwise; (N, 2)."""
+    axis = np.eye(3)[np.abs(normal).argmin()]
+    u = np.cross(axis, normal)
+    v = np.cross(normal, u)
+    return np.stack([points @ (u / np.linalg.norm(u)), points @ (v / np.linalg.norm(v))], 1)
+
+
+def _seen(loop: np.ndarray, scene: RayCaster) -> float:
+    """Fraction of rays that leave from a cap outward and hit nothing."""
+    rng = np.random.default_rng(0)
+    count = len(loop)
+    fan = np.stack([np.full(count, count), np.arange(count), (np.arange(count) + 1) % count], 1)
+    # The loop runs along the surface's boundary, so its cap faces the other way.
+    outward = -_loop_area(loop)
+    outward /= np.linalg.norm(outward)
+    points = sample_surface(np.concatenate([loop, loop.mean(0, keepdims=True)]), fan, _RAYS, rng)
+    direction = rng.normal(size=(_RAYS, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    direction += outward  # cosine-weighted
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    _, face = scene.first_hit(points + _OFFSET * outward, direction)
+    return float((face < 0).mean())

@@ -1,0 +1,43 @@
+"""Last resort of the ladder: a new surface from a grid. Thin walls and cavities may be lost."""
+
+import igl
+import numpy as np
+
+from objectfolder.mesh.closing.contour import BLOCK, block_centres, contour
+from objectfolder.mesh.closing.solids import distance
+from objectfolder.mesh.closing.topology import Mesh
+
+RESOLUTION = 192  #: samples along each axis
+_BOUND = 0.52
+
+
+def remesh_on_grid(vertices: np.ndarray, faces: np.ndarray, wall: float = 0.0) -> Mesh:
+    """Surface of all points whose generalised winding number is above 1/2, or that are near a sheet.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array, unit frame
+    faces : (F, 3) int array
+        In any state.
+    wall : float
+        Where positive, points nearer to the mesh than half of it are inside too (for sheets).
+
+    Returns
+    -------
+    mesh : vertices and faces, closed; empty if nothing is enclosed
+    """
+    spacing = 2 * _BOUND / (RESOLUTION - 1)
+    blocks = np.full(3, -(-RESOLUTION // BLOCK))
+    lower = np.full(3, -_BOUND)
+    centres, radius = block_centres(lower, spacing, blocks)
+    away = distance((vertices, faces), centres)
+    winding = np.asarray(igl.fast_winding_number(vertices, faces, centres))
+    # One sample decides for a block that is far from the surface and clearly inside or outside.
+    chosen = np.flatnonzero((away < radius + spacing + wall / 2) | (np.abs(winding - 0.5) < 0.4))
+
+    def field(points: np.ndarray) -> np.ndarray:
+        away = distance((vertices, faces), points)
+        inside = np.asarray(igl.fast_winding_number(vertices, faces, points)) > 0.5
+        return np.minimum(np.where(inside, -away, away), away - wall / 2 if wall else np.inf)
+
+    return contour(field, lower, spacing, blocks, chosen, np.where(winding > 0.5, -away, away))

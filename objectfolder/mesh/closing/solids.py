@@ -1,0 +1,182 @@
+"""Closed pieces as one solid: union, cavities, and bridges over small gaps."""
+
+import igl
+import manifold3d
+import numpy as np
+
+from objectfolder.mesh.closing.contour import BLOCK, block_centres, contour
+from objectfolder.mesh.closing.topology import Mesh, compact, face_components, signed_volume, tetrahedra
+from objectfolder.mesh.scanline import winding_certificate
+
+SPECKS = 1e-3  #: of the volume: smaller bodies are dropped (thin rims that a scan broke off)
+_NOTHING = 1e-12  # volume of a flat piece, unit frame
+_MAX_CUTS = 24  # of a body that overlaps itself
+_BRIDGE_SPACING = 1 / 512  # of the grid that a bridge is cut from, unit frame
+_BRIDGE_DEPTH = 1.25 / 512  # by which a bridge reaches into the pieces
+
+
+def unite(pieces: list[Mesh]) -> tuple[Mesh, int]:
+    """Union of closed pieces; one inside another that is oriented the other way is its cavity.
+
+    A piece inside a cavity that is oriented like the outer one is a solid again.
+
+    Returns
+    -------
+    mesh : vertices and faces, oriented outward; empty if nothing is enclosed
+    cavities : int
+        Pieces that were subtracted.
+    """
+    volumes = [signed_volume(*piece) for piece in pieces]
+    pieces = [piece for piece, volume in zip(pieces, volumes) if abs(volume) > _NOTHING]
+    volumes = [volume for volume in volumes if abs(volume) > _NOTHING]
+    # Not by the sign alone: many meshes are inside out as a whole. What is turned like the outermost piece
+    # around it is solid (also within a cavity), what is turned the other way is hollow.
+    size = np.abs(volumes)
+    lower, upper = (np.array([bound(v, axis=0) for v, _ in pieces]) for bound in (np.min, np.max))
+    around = []
+    for k, (v, _) in enumerate(pieces):
+        larger = (size > size[k]) & (lower <= lower[k]).all(1) & (upper >= upper[k]).all(1)
+        around.append([o for o in np.flatnonzero(larger) if _contains(pieces[o], v)])
+    hollow = [
+        bool(outer) and volume * volumes[max(outer, key=size.__getitem__)] < 0
+        for outer, volume in zip(around, volumes)
+    ]
+    solids = [manifold((v, f if volume > 0 else f[:, ::-1])) for (v, f), volume in zip(pieces, volumes)]
+    for k in np.flatnonzero(hollow).tolist():
+        for o in around[k]:
+            solids[o] = solids[o] if hollow[o] else solids[o] - solids[k]
+    shells = [solid for solid, inner in zip(solids, hollow) if not inner]
+    return arrays(manifold3d.Manifold.batch_boolean(shells, manifold3d.OpType.Add)), sum(hollow)
+
+
+def untangle(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
+    """Union of a surface with itself: where it overlaps itself it encloses space once.
+
+    Boolean operations work between solids, so a body that overlaps itself is cut by planes until no part
+    does, and the parts are united. Empty if that takes too many cuts.
+    """
+    pending, parts, cuts = [manifold((vertices, faces))], [], 0
+    while pending:
+        for part in pending.pop().decompose():
+            mesh = arrays(part)
+            if winding_certificate(*mesh).solid:
+                parts.append(part)
+                continue
+            if cuts == _MAX_CUTS:
+                return vertices, faces[:0]
+            cuts += 1
+            lower, upper = mesh[0].min(0), mesh[0].max(0)
+            axis = int((upper - lower).argmax())
+            # Beside the middle, where symmetric meshes have vertices.
+            place = lower[axis] + 0.5013 * (upper - lower)[axis]
+            pending += part.split_by_plane(np.eye(3)[axis].tolist(), place)
+    return arrays(manifold3d.Manifold.batch_boolean(parts, manifold3d.OpType.Add))
+
+
+def bodies(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Solid bodies of a closed surface: a shell with the cavities inside it.
+
+    Returns
+    -------
+    body : (F,) int
+        Label of each face's body, by falling volume.
+    volumes : (B,) float
+        Net of cavities.
+    """
+    shell = face_components(faces, len(vertices))
+    volume = np.bincount(shell, weights=tetrahedra(vertices, faces))
+    owner = np.arange(len(volume))
+    outer = np.flatnonzero(volume > 0)
+    for cavity in np.flatnonzero(volume < 0):
+        inside = compact(vertices, faces[shell == cavity])[0]
+        around = [o for o in outer if _contains(compact(vertices, faces[shell == o]), inside)]
+        if around:
+            owner[cavity] = min(around, key=lambda o: volume[o])
+    label = np.unique(owner, return_inverse=True)[1]
+    volumes = np.bincount(label, weights=volume)
+    order = np.argsort(-volumes, kind="stable")
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return rank[label[shell]], volumes[order]
+
+
+def without_specks(vertices: np.ndarray, faces: np.ndarray) -> tuple[Mesh, int]:
+    """Drop the smallest bodies, as long as they hold under `SPECKS` of the volume together."""
+    body, volumes = bodies(vertices, faces)
+    after = volumes.sum() - np.cumsum(volumes)  # volume of the smaller ones
+    kept = int(np.argmax(after <= SPECKS * volumes.sum())) + 1
+    return compact(vertices, faces[body < kept]), len(volumes) - kept
+
+
+def gaps(pieces: list[Mesh], reach: float) -> list[tuple[float, int, int]]:
+    """Distances under ``reach`` between pieces: (gap, i, j), the smallest first."""
+    solids = [manifold(piece) for piece in pieces]
+    lower, upper = (np.array([bound(v, axis=0) for v, _ in pieces]) for bound in (np.min, np.max))
+    found = []
+    for j in range(len(pieces)):
+        for i in range(j):
+            if (np.maximum(lower[i], lower[j]) - np.minimum(upper[i], upper[j])).max() < reach:
+                gap = solids[i].min_gap(solids[j], reach)
+                found += [(float(gap), i, j)] if gap < reach else []
+    return sorted(found)
+
+
+def bridge(vertices: np.ndarray, faces: np.ndarray, reach: float) -> tuple[Mesh, list[float]]:
+    """Join bodies that are nearer to each other than ``reach``, by material in the gap alone.
+
+    Returns
+    -------
+    mesh : vertices and faces
+    bridged : list of float
+        Widths of the gaps that were filled.
+    """
+    body, volumes = bodies(vertices, faces)
+    pieces = [compact(vertices, faces[body == k]) for k in range(len(volumes))]
+    tree = np.arange(len(pieces))
+    joined, bridged = [manifold((vertices, faces))], []
+    for gap, i, j in gaps(pieces, reach):
+        if tree[i] != tree[j]:  # a spanning forest is enough
+            tree[tree == tree[j]] = tree[i]
+            joined.append(manifold(_filler(pieces[i], pieces[j], gap)))
+            bridged.append(gap)
+    if not bridged:
+        return (vertices, faces), []
+    return arrays(manifold3d.Manifold.batch_boolean(joined, manifold3d.OpType.Add)), bridged
+
+
+def manifold(piece: Mesh) -> manifold3d.Manifold:
+    """Return a piece as a manifold3d solid; empty if it is not closed."""
+    vertices, faces = (np.ascontiguousarray(part) for part in piece)
+    return manifold3d.Manifold(manifold3d.Mesh64(vertices, faces.astype(np.uint64)))
+
+
+def arrays(solid: manifold3d.Manifold) -> Mesh:
+    """Return a manifold3d solid as vertices and faces."""
+    mesh = solid.to_mesh64()
+    return np.asarray(mesh.vert_properties)[:, :3].copy(), np.asarray(mesh.tri_verts, np.int64)
+
+
+def _contains(piece: Mesh, points: np.ndarray) -> bool:
+    """Whether a closed piece encloses all of the points."""
+    v, f = piece
+    if (points.min(0) < v.min(0)).any() or (points.max(0) > v.max(0)).any():
+        return False
+    return bool((np.abs(igl.fast_winding_number(v, f, np.ascontiguousarray(points))) > 0.5).all())
+
+
+def _filler(a: Mesh, b: Mesh, gap: float) -> Mesh:
+    """Material between two pieces: points whose distances from both add up to little more than the gap."""
+    near, spacing = gap + 2 * _BRIDGE_DEPTH, _BRIDGE_SPACING
+    lower = np.maximum(a[0].min(0), b[0].min(0)) - near - 2 * spacing
+    upper = np.minimum(a[0].max(0), b[0].max(0)) + near + 2 * spacing
+    blocks = np.ceil((upper - lower) / (BLOCK * spacing)).astype(int) + 1
+    centres, radius = block_centres(lower, spacing, blocks)
+    chosen = np.flatnonzero(np.maximum(distance(a, centres), distance(b, centres)) < near + spacing + radius)
+    return contour(
+        lambda points: distance(a, points) + distance(b, points) - near, lower, spacing, blocks, chosen, near
+    )
+
+
+def distance(piece: Mesh, points: np.ndarray) -> np.ndarray:
+    """Exact unsigned distance of points (N, 3) from a surface; (N,)."""
+    return np.sqrt(igl.point_mesh_squared_distance(np.ascontiguousarray(points), *piece)[0])

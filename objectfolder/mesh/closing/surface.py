@@ -1,0 +1,347 @@
+"""The closed physical surface: a ladder of repairs, none of which remeshes what is good.
+
+clean -> keep | cap, thicken -> union, untangle -> bridge -> grid, each climbed only where the one before
+does not suffice. Remeshing (alpha wrapping, signed grids) fills cavities and doubles thin walls, so it is
+the last rung and is flagged. All lengths are in the unit frame (longest side 1).
+"""
+
+from dataclasses import dataclass, field
+
+import igl
+import numpy as np
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.closing.openings import close_piece
+from objectfolder.mesh.closing.remesh import RESOLUTION, remesh_on_grid
+from objectfolder.mesh.closing.solids import SPECKS, bodies, bridge, distance, unite, untangle, without_specks
+from objectfolder.mesh.closing.topology import (
+    Mesh,
+    compact,
+    edge_defects,
+    face_areas,
+    face_components,
+    is_closed,
+    merged,
+    signed_volume,
+    split,
+)
+from objectfolder.mesh.closing.weld import clean
+from objectfolder.mesh.raycast import RayCaster
+from objectfolder.mesh.sampling import sample_surface
+from objectfolder.mesh.scanline import Certificate, check_winding, winding_certificate
+
+BRIDGED_GAP = 1 / 64  #: half a cell of the finest FEM grid
+SHEET_WALL = 0.02  #: thickness of a sheet where nobody says
+MAX_OPEN_PIECES = 256  #: more are a soup of triangles, whose holes cannot be told from its gaps
+MAX_BODIES = 128  #: more are not bridged: each bridge takes a good part of a second
+CRUMB = 0.01  #: of the area: smaller open pieces are no sheets of their own
+_PROBES = 20_000  # points at which deviation is measured
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One step of the ladder that changed the mesh."""
+
+    name: str  #: clean, cap, thicken, union, untangle, specks, bridge or grid
+    detail: str  #: what it did
+    components_before: int
+    components_after: int
+    volume_before: float | None  #: None while the mesh is open
+    volume_after: float | None
+    deviation_max: float  #: of the mesh after this step from the source mesh, both ways
+    deviation_mean: float  #: over the area of the mesh after this step
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A closed, outward-oriented triangle surface and how it was obtained."""
+
+    vertices: np.ndarray  #: (V, 3) float64
+    faces: np.ndarray  #: (F, 3) int64
+    rungs: list[Rung]
+    weld_tolerance: float
+    certificate: Certificate  #: of closedness and of winding numbers 0 and 1
+    warnings: list[str] = field(default_factory=list)
+    unbridged: Mesh | None = None  #: before gaps were bridged, if any were
+
+    @property
+    def mesh(self) -> Mesh:
+        """Vertices and faces."""
+        return self.vertices, self.faces
+
+    @property
+    def volume(self) -> float:
+        """Enclosed volume."""
+        return signed_volume(self.vertices, self.faces)
+
+    @property
+    def components(self) -> int:
+        """Number of solid bodies."""
+        return len(bodies(self.vertices, self.faces)[1])
+
+    @property
+    def cavities(self) -> int:
+        """Number of closed hollows inside."""
+        return int(face_components(self.faces, len(self.vertices)).max()) + 1 - self.components
+
+    @property
+    def rung(self) -> str:
+        """The last rung that moved or added anything; ``keep`` if none did."""
+        return next((r.name for r in reversed(self.rungs) if r.name != "clean"), "keep")
+
+    @property
+    def steps(self) -> list[str]:
+        """What was done, in order."""
+        return [f"{r.name}: {r.detail}" for r in self.rungs]
+
+    @property
+    def deviation_max(self) -> float:
+        """Largest distance between this surface and the source mesh."""
+        return self.rungs[-1].deviation_max
+
+    @property
+    def deviation_mean(self) -> float:
+        """Mean distance of this surface from the source mesh, by area."""
+        return self.rungs[-1].deviation_mean
+
+
+def close_surface(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    name: str = "mesh",
+    wall: float | None = None,
+    bridging: bool = True,
+) -> Surface:
+    """Turn the triangles of a mesh into one closed solid.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array, unit frame
+    faces : (F, 3) int array
+    name : str
+        Named in errors.
+    wall : float, optional
+        Thickness given to visible sheets; `SHEET_WALL` with a warning where None.
+    bridging : bool
+        Whether pieces nearer to each other than `BRIDGED_GAP` are joined.
+
+    Raises
+    ------
+    ObjectFolderError
+        If no closed surface results whose winding number is 0 or 1 and of which one body holds 99.9 % of
+        the volume; names the pieces, their volumes and the gaps between them.
+    """
+    ladder = _Ladder(name, np.asarray(vertices, np.float64), np.asarray(faces, np.int64))
+    tolerance = ladder.clean()
+    openings = ladder.close_pieces(SHEET_WALL if wall is None else wall)
+    if openings and wall is None:
+        ladder.warnings.append(
+            f"{openings} open sheets were given a wall of {SHEET_WALL:.0%} of the size; say `wall` in metres"
+        )
+    if wall is not None and not openings:
+        ladder.warnings.append(
+            f"no piece is an open sheet with room for a wall of {wall:.2%} of the size: `wall` is not used"
+        )
+    ladder.join()
+    if not ladder.solid:
+        ladder.untangle()
+    if not ladder.solid:
+        ladder.remesh(openings and (SHEET_WALL if wall is None else wall))
+    ladder.drop_specks()
+    before = ladder.mesh
+    if bridging:
+        ladder.bridge()
+    ladder.accept(bridging)
+    return Surface(
+        *ladder.mesh,
+        ladder.rungs,
+        tolerance,
+        winding_certificate(*ladder.mesh),
+        ladder.warnings,
+        None if before is ladder.mesh else before,
+    )
+
+
+class _Ladder:
+    """The mesh on its way up, and the record of what was done to it."""
+
+    def __init__(self, name: str, vertices: np.ndarray, faces: np.ndarray):
+        self.name, self.source, self.mesh = name, (vertices, faces), (vertices, faces)
+        self.rungs: list[Rung] = []
+        self.warnings: list[str] = []
+        self.moved = 0.0  # by welding; the source below is the mesh after it
+
+    @property
+    def solid(self) -> bool:
+        v, f = self.mesh
+        return len(f) > 0 and is_closed(f) and signed_volume(v, f) > 0 and winding_certificate(v, f).solid
+
+    def clean(self) -> float:
+        before = self.mesh
+        mesh, tolerance, self.moved = clean(*before)
+        if len(mesh[1]) < 4:
+            raise ObjectFolderError(
+                f"{self.name}: {len(mesh[1])} of {len(before[1])} faces are left after welding (the others "
+                "are degenerate or cancelled by their copies); expected a mesh with at least 4 faces"
+            )
+        self.source = mesh
+        lost = len(before[1]) - len(mesh[1])
+        detail = f"welded at {tolerance:g}" + (
+            f", {lost} degenerate or doubled faces dropped" if lost else ""
+        )
+        self._record("clean", detail, (before[0], before[1][:0]), mesh)
+        return tolerance
+
+    def close_pieces(self, wall: float) -> int:
+        """Cap or thicken open pieces; returns how many are sheets."""
+        pieces = split(*self.mesh)
+        defects = [edge_defects(f) for _, f in pieces]
+        is_open = [boundary > 0 and not crowded for boundary, crowded, _ in defects]
+        if not any(is_open):
+            return 0
+        if sum(is_open) > MAX_OPEN_PIECES:
+            return 0  # a soup; the grid is left
+        before, scene = self.mesh, RayCaster(*self.mesh)
+        total = face_areas(*before).sum()
+        capped = sheets = 0
+        for i, piece in enumerate(pieces):
+            if is_open[i]:
+                visible = face_areas(*piece).sum() > CRUMB * total
+                pieces[i], holes, openings = close_piece(piece, scene if visible else None, wall)
+                capped, sheets = capped + holes, sheets + (openings > 0)
+        detail = [f"{capped} holes capped"] if capped else []
+        detail += [f"{sheets} sheets given a wall of {wall:.2%} of the size"] if sheets else []
+        self._record(
+            "thicken" if sheets else "cap",
+            f"{', '.join(detail)} in {sum(is_open)} open of {len(pieces)} pieces",
+            before,
+            merged(pieces),
+        )
+        return sheets
+
+    def join(self) -> None:
+        pieces, before = split(*self.mesh), self.mesh
+        broken = [f for _, f in pieces if not is_closed(f)]
+        if broken:
+            return  # the grid is left
+        if len(pieces) > 1:
+            mesh, cavities = unite(pieces)
+            what = f"{len(pieces) - cavities} solids and {cavities} cavities"
+            self._record("union", what, before, mesh)
+        elif signed_volume(*before) < 0:
+            v, f = before
+            self.mesh = (v, np.ascontiguousarray(f[:, ::-1]))
+
+    def untangle(self) -> None:
+        before = self.mesh
+        if len(before[1]) and is_closed(before[1]):
+            mesh = untangle(*before)
+            if len(mesh[1]):
+                self._record("untangle", "cut where it overlaps itself, and united", before, mesh)
+
+    def remesh(self, wall: float) -> None:
+        v, f = self.mesh
+        if len(f) and is_closed(f) and not winding_certificate(v, f).columns:
+            check_winding(v, f, self.name)  # says that it is too thin for any grid
+        mesh = remesh_on_grid(*self.source, wall)
+        if len(mesh[1]) == 0:
+            raise ObjectFolderError(
+                f"{self.name}: encloses nothing ({self._history()}); expected a mesh that encloses a volume: "
+                "close its holes or give it thickness"
+            )
+        detail = f"remeshed at {RESOLUTION}^3"
+        self.warnings.append(f"{detail}: thin walls and cavities may be lost")
+        self._record("grid", detail, (mesh[0], mesh[1][:0]), mesh)
+
+    def drop_specks(self) -> None:
+        before = self.mesh
+        mesh, dropped = without_specks(*before)
+        if dropped:
+            share = 1 - signed_volume(*mesh) / signed_volume(*before)
+            self._record("specks", f"{dropped} pieces with {share:.2e} of the volume dropped", before, mesh)
+
+    def bridge(self) -> None:
+        before = self.mesh
+        if 1 < len(bodies(*before)[1]) <= MAX_BODIES:
+            mesh, bridged = bridge(*before, BRIDGED_GAP)
+            if bridged:
+                detail = f"{len(bridged)} gaps up to {max(bridged):.3%} of the size filled"
+                self._record("bridge", detail, before, mesh)
+
+    def accept(self, bridging: bool) -> None:
+        v, f = self.mesh
+        if not self.solid:
+            overlap = winding_certificate(v, f).outside_fraction
+            raise ObjectFolderError(
+                f"{self.name}: could not be closed into a solid ({self._history()}): "
+                f"{sum(edge_defects(f))} edges are open or shared by more than two faces, and it overlaps "
+                f"itself in {overlap:.2%} of the space; expected a mesh that encloses a volume once: close "
+                "its holes or give it thickness"
+            )
+        body, volumes = bodies(v, f)
+        if volumes[0] >= (1 - SPECKS) * volumes.sum():
+            return
+        pieces = [compact(v, f[body == k]) for k in range(len(volumes))]
+        lines = []
+        for k, volume in enumerate(volumes[:8]):
+            gap, other = min((distance(p, pieces[k][0]).min(), i) for i, p in enumerate(pieces) if i != k)
+            centre = ", ".join(f"{c:.2f}" for c in (pieces[k][0].min(0) + pieces[k][0].max(0)) / 2)
+            lines.append(
+                f"piece {k + 1} at ({centre}) holds {volume / volumes.sum():.1%} of the volume, "
+                f"{gap:.2%} of the size away from piece {other + 1}"
+            )
+        lines += [f"and {len(volumes) - 8} more"] if len(volumes) > 8 else []
+        remedy = (
+            f"gaps under {BRIDGED_GAP:.1%} are bridged, these are wider: join the pieces, or add what lacks"
+            if bridging
+            else "bridging is off for this object; set `bridge: all` or `bridge: fem`"
+        )
+        if len(volumes) > MAX_BODIES:
+            remedy = f"more than {MAX_BODIES} pieces are not bridged: join them"
+        raise ObjectFolderError(
+            f"{self.name}: {len(volumes)} separate pieces, expected one that holds 99.9 % of the volume: "
+            f"{'; '.join(lines)}; {remedy}"
+        )
+
+    def _history(self) -> str:
+        return ", ".join(rung.detail for rung in self.rungs)
+
+    def _record(self, name: str, detail: str, before: Mesh, after: Mesh) -> None:
+        maximum, mean = (0.0, 0.0) if after is self.source else _deviation(after, self.source)
+        volumes = [signed_volume(v, f) if len(f) and is_closed(f) else None for v, f in (before, after)]
+        rung = Rung(
+            name,
+            detail,
+            components_before=_pieces(before),
+            components_after=_pieces(after),
+            volume_before=volumes[0],
+            volume_after=volumes[1],
+            deviation_max=maximum + self.moved,
+            deviation_mean=mean,
+        )
+        self.rungs.append(rung)
+        self.mesh = after
+
+
+def _pieces(mesh: Mesh) -> int:
+    return int(face_components(mesh[1], len(mesh[0])).max(initial=-1)) + 1
+
+
+def _deviation(mesh: Mesh, source: Mesh) -> tuple[float, float]:
+    """Largest and mean distance between a mesh and its source, both ways.
+
+    What the source has inside the solid (pieces that were united) does not count.
+    """
+    if len(mesh[1]) == 0:
+        return 0.0, 0.0
+    rng = np.random.default_rng(0)
+    probes = sample_surface(*mesh, _PROBES, rng)
+    corners = mesh[0] if len(mesh[0]) <= _PROBES else rng.choice(mesh[0], _PROBES, replace=False)
+    there = distance(source, np.concatenate([probes, corners]))
+    back_probes = sample_surface(*source, _PROBES, rng)
+    back = distance(mesh, back_probes)
+    far = np.flatnonzero(back > 1e-9)
+    if len(far):
+        inside = np.asarray(igl.fast_winding_number(*mesh, back_probes[far])) > 0.5
+        back[far[inside]] = 0
+    return float(max(there.max(), back.max())), float(there[:_PROBES].mean())

@@ -1,0 +1,347 @@
+"""Join parts of several materials into one mesh with one texture or vertex colours."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from PIL import Image
+from trimesh.path.packing import rectangles_single
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh import srgb
+from objectfolder.mesh.reading.part import Material, Part
+from objectfolder.mesh.textured import PLAIN, TexturedMesh
+
+MARGIN = 2  # texels around a window, so that bilinear filtering finds no neighbour
+SHRINK = 0.97  # of all images, until they fit the atlas
+CELL = 8  # texels on a side of a face's cell, at most
+CELL_SHARE = 0.25  # of the atlas, for cells
+
+
+def join(parts: Sequence[Part], texture_size: int, name: str) -> tuple[TexturedMesh, list[str]]:
+    """Join parts into one mesh.
+
+    Without textures: one plain colour, or vertex colours. With one texture: that texture and its
+    coordinates. Else an atlas: of each image the window that its faces use, in whole texels, with
+    repeats written out after every face has moved next to the origin by whole repeats; of a plain colour a
+    texel; of vertex colours a cell of texels per face. All are scaled down together until they fit.
+    Roughness and metallic are their means by area. Normals are as given; if only some parts have them, NaN
+    in the others.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+        At least one face in all.
+    texture_size : int
+        Longest side of the texture, pixels.
+    name : str
+        The mesh, for errors.
+
+    Returns
+    -------
+    TexturedMesh
+    list of str
+        What of the appearance was changed.
+
+    Raises
+    ------
+    ObjectFolderError
+        If an atlas of that size is too small.
+    """
+    parts = [part for part in parts if len(part.faces)]
+    surface, notes = _roughness_metallic(parts)
+    no_uv = [p for p in parts if p.material.image is not None and p.uv is None]
+    if no_uv:
+        notes.append(f"texture without coordinates replaced by its mean colour ({len(no_uv)})")
+    parts = [_mean_colored(p) if p.material.image is not None and p.uv is None else p for p in parts]
+    materials = list(dict.fromkeys(p.material for p in parts))
+    if all(m.image is None for m in materials):
+        appearance = _untextured(parts)
+    elif len(materials) == 1 and all(p.colors is None for p in parts) and _plain_wrap(parts):
+        appearance = {
+            "uv": np.concatenate([p.uv for p in parts if p.uv is not None]),
+            "texture": _pixels(materials[0], _limited(materials[0].image, texture_size)),
+        }
+    else:
+        parts, appearance, scale = _atlas([_near_origin(p) for p in parts], texture_size, name)
+        side = " x ".join(map(str, appearance["texture"].shape[1::-1]))
+        notes.append(f"{len(materials)} materials baked into {side} texels, images at {scale:.0%}")
+    offsets = np.cumsum([0, *(len(p.vertices) for p in parts)])
+    mesh = TexturedMesh(
+        vertices=np.concatenate([p.vertices for p in parts]),
+        faces=np.concatenate([p.faces + offset for p, offset in zip(parts, offsets)]),
+        normals=_normals(parts),
+        **appearance,
+        **surface,
+    )
+    return mesh, notes
+
+
+def _normals(parts: Sequence[Part]) -> np.ndarray | None:
+    """Normals (V, 3) of all parts, NaN in parts without; None if no part has any."""
+    if all(p.normals is None for p in parts):
+        return None
+    return np.concatenate(
+        [np.full(p.vertices.shape, np.nan) if p.normals is None else p.normals for p in parts]
+    )
+
+
+def _roughness_metallic(parts: Sequence[Part]) -> tuple[dict[str, Any], list[str]]:
+    """Means by area, of the parts that have them."""
+    result: dict[str, Any] = {}
+    notes = []
+    corners = [p.vertices[p.faces] for p in parts]
+    areas = np.array(
+        [np.linalg.norm(np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]), axis=1).sum() for c in corners]
+    )
+    for quantity in ("roughness", "metallic"):
+        values = [getattr(p.material, quantity) for p in parts]
+        said = [i for i, value in enumerate(values) if value is not None]
+        if not said:
+            continue
+        known = np.array([values[i] for i in said], np.float64)
+        weights = areas[said] if areas[said].sum() > 0 else np.ones(len(said))
+        same = np.ptp(known) == 0
+        result[quantity] = mean = float(known[0] if same else np.average(known, weights=weights))
+        if not same:
+            notes.append(f"{quantity} {known.min():.3g} to {known.max():.3g} replaced by its mean {mean:.3g}")
+    return result, notes
+
+
+def _mean_colored(part: Part) -> Part:
+    assert part.material.image is not None
+    mean = srgb.decode(np.asarray(part.material.image) / 255).mean((0, 1))
+    color = mean if part.material.color is None else mean * part.material.color
+    return replace(part, material=replace(part.material, image=None, color=color))
+
+
+def _color(part: Part) -> np.ndarray:
+    """Linear base colour (3,) of a part without an image."""
+    color = part.material.color
+    return np.full(3, 1.0 if part.colors is not None else PLAIN) if color is None else color
+
+
+def _bytes(linear: np.ndarray) -> np.ndarray:
+    return np.rint(255 * srgb.encode(np.clip(linear, 0, 1))).astype(np.uint8)
+
+
+def _untextured(parts: Sequence[Part]) -> dict[str, Any]:
+    if all(p.colors is None for p in parts):
+        if all(p.material.color is None for p in parts):
+            return {}
+        if len(np.unique([_color(p) for p in parts], axis=0)) == 1:
+            # A texture of one pixel: the plain form in which a colour reaches renderers.
+            count = sum(len(p.vertices) for p in parts)
+            return {"uv": np.zeros((count, 2)), "texture": _bytes(_color(parts[0])).reshape(1, 1, 3)}
+    colors = [_color(p) * (np.ones((len(p.vertices), 1)) if p.colors is None else p.colors) for p in parts]
+    return {"vertex_colors": _bytes(np.concatenate(colors))}
+
+
+def _plain_wrap(parts: Sequence[Part]) -> bool:
+    """Whether drawing with repeats, as renderers do, is right."""
+    if set(parts[0].material.wrap) == {"repeat"}:
+        return True
+    return all(p.uv is not None and p.uv[p.faces].min() >= 0 and p.uv[p.faces].max() <= 1 for p in parts)
+
+
+def _limited(image: Image.Image | None, size: int) -> Image.Image:
+    assert image is not None
+    image = image.copy()
+    if max(image.size) > size:
+        image.thumbnail((size, size), Image.Resampling.LANCZOS)
+    return image
+
+
+def _pixels(material: Material, image: Image.Image) -> np.ndarray:
+    """Texels (H, W, 3) uint8 of an image, times the material's colour."""
+    pixels = np.asarray(image)
+    if material.color is None or (material.color >= 1).all():
+        return pixels
+    return _bytes(srgb.decode(pixels / 255) * material.color)
+
+
+def _near_origin(part: Part) -> Part:
+    """Move the texture coordinates of every face by whole repeats, next to the origin."""
+    if part.material.image is None or part.uv is None:
+        return part
+    corner = part.uv[part.faces]
+    if corner.min() >= 0 and corner.max() <= 1:
+        return part
+    period = np.array([{"repeat": 1.0, "mirror": 2.0, "clamp": np.inf}[wrap] for wrap in part.material.wrap])
+    shift = np.where(np.isinf(period), 0, np.floor(corner.min(1) / period))
+    # A vertex of faces that move differently becomes several.
+    moves, move = np.unique(shift, axis=0, return_inverse=True)
+    kept, faces = np.unique(part.faces * len(moves) + move.reshape(-1, 1), return_inverse=True)
+    vertex, move = kept // len(moves), kept % len(moves)
+    return replace(
+        part,
+        vertices=part.vertices[vertex],
+        faces=faces.reshape(-1, 3),
+        uv=part.uv[vertex] - moves[move] * np.where(np.isinf(period), 0, period),
+        colors=None if part.colors is None else part.colors[vertex],
+        normals=None if part.normals is None else part.normals[vertex],
+    )
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Parts that share a window of the atlas, or one part whose faces have cells."""
+
+    parts: Sequence[Part]
+    low: np.ndarray  #: (2,) corner of what faces use of the image, in its sides, y down
+    high: np.ndarray  #: (2,)
+
+    @staticmethod
+    def of(parts: Sequence[Part]) -> "_Group":
+        corners = [p.uv[p.used] * [1, -1] + [0, 1] for p in parts if p.uv is not None]
+        corner = np.concatenate(corners) if corners else np.zeros((1, 2))
+        return _Group(parts, corner.min(0), corner.max(0))
+
+
+def _atlas(parts: Sequence[Part], texture_size: int, name: str) -> tuple[list[Part], dict[str, Any], float]:
+    """Bake parts into one texture; returns them with new coordinates, the appearance, images' scale."""
+    # Parts of one material share a window; faces with vertex colours have cells of their own.
+    groups: dict[Any, list[int]] = {}
+    for i, part in enumerate(parts):
+        groups.setdefault(part.material if part.colors is None else i, []).append(i)
+    members = [_Group.of([parts[i] for i in group]) for group in groups.values()]
+    colored = sum(len(part.faces) for part in parts if part.colors is not None)
+    cell = int(np.clip(texture_size * np.sqrt(CELL_SHARE / max(colored, 1)), 1, CELL))
+    scale = 1.0
+    while True:
+        sizes = np.array([_size(group, scale, texture_size, cell) for group in members])
+        if sizes.prod(1).sum() <= texture_size**2:  # else the packer, which is slow, need not try
+            # It sorts by size, and not stably: no two may be equal.
+            distinct = sizes + 1e-6 * np.arange(len(sizes))[:, None]
+            corners, fitted = rectangles_single(distinct, size=(texture_size + 0.5,) * 2, rotate=False)
+            if fitted.all():
+                break
+        if scale < 1e-3:
+            raise ObjectFolderError(
+                f"{name}: its {len(members)} materials do not fit one texture of {texture_size} texels "
+                f"(one takes {sizes.max()}); raise texture_size, or bake the mesh to one texture"
+            )
+        scale *= SHRINK
+    corners = np.rint(corners[:, 0]).astype(int)
+    width, height = (corners + sizes).max(0)
+    texture = np.zeros((height, width, 3), np.uint8)
+    result = list(parts)
+    for (left, top), (w, h), group, indices in zip(corners, sizes, members, groups.values()):
+        window, painted = _paint(group, scale, texture_size, cell)
+        texture[top : top + h, left : left + w] = window
+        for index, (part, texels) in zip(indices, painted):
+            uv = (texels + np.array([left, top])) / [width, height] * [1, -1] + [0, 1]
+            result[index] = replace(part, uv=uv)
+    uv = np.concatenate([p.uv for p in result if p.uv is not None])
+    return result, {"uv": uv, "texture": texture}, scale
+
+
+def _window(group: _Group, scale: float, limit: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Size (2,) in texels of a scaled image, and first and last + 1 texel (2,) of what the faces use."""
+    image = group.parts[0].material.image
+    assert image is not None
+    size = np.array(image.size)
+    scale *= min(1, limit / (size * np.maximum(group.high - group.low, 1)).max())
+    size = np.maximum(np.rint(size * scale), 1).astype(int)
+    first, last = np.floor(group.low * size) - MARGIN, np.ceil(group.high * size) + MARGIN
+    return size, first.astype(int), last.astype(int)
+
+
+def _size(group: _Group, scale: float, limit: int, cell: int) -> tuple[int, int]:
+    """Width and height in texels of what a group takes in the atlas."""
+    if group.parts[0].colors is not None:
+        columns = int(np.ceil(np.sqrt(len(group.parts[0].faces))))
+        rows = int(np.ceil(len(group.parts[0].faces) / columns))
+        return columns * cell, rows * cell
+    if group.parts[0].material.image is None:
+        return 2 * MARGIN + 1, 2 * MARGIN + 1
+    _, first, last = _window(group, scale, limit)
+    return int(last[0] - first[0]), int(last[1] - first[1])
+
+
+def _paint(
+    group: _Group, scale: float, limit: int, cell: int
+) -> tuple[np.ndarray, list[tuple[Part, np.ndarray]]]:
+    """Texels (h, w, 3) of a group, and its parts with each vertex's place (V, 2) in them, y down."""
+    material = group.parts[0].material
+    if group.parts[0].colors is not None:
+        return _paint_faces(group, limit, cell)
+    if material.image is None:
+        middle = MARGIN + 0.5
+        side = 2 * MARGIN + 1
+        places = [(p, np.full((len(p.vertices), 2), middle)) for p in group.parts]
+        return np.broadcast_to(_bytes(_color(group.parts[0])), (side, side, 3)), places
+    size, first, last = _window(group, scale, limit)
+    texels = _pixels(material, _resized(material.image, size))
+    columns = _wrapped(np.arange(first[0], last[0]), size[0], material.wrap[0])
+    rows = _wrapped(np.arange(first[1], last[1]), size[1], material.wrap[1])
+    places = [(p, _texels(p.uv, size) - first) for p in group.parts if p.uv is not None]
+    return texels[rows][:, columns], places
+
+
+def _paint_faces(group: _Group, limit: int, cell: int) -> tuple[np.ndarray, list[tuple[Part, np.ndarray]]]:
+    """Paint vertex colours, times the image where there is one, into a cell per face."""
+    part = group.parts[0]
+    assert part.colors is not None
+    width, height = _size(group, 1, limit, cell)
+    columns, count = width // cell, len(part.faces)
+    # Corners lie on the centres of three of the cell's corner texels; beyond the third edge colours go on.
+    step = np.arange(cell) / max(cell - 1, 1)
+    b, c = np.meshgrid(step, step) if cell > 1 else (np.full((1, 1), 1 / 3),) * 2
+    weights = np.stack([1 - b - c, b, c], -1)
+    linear = np.clip(np.einsum("ijk,fkc->fijc", weights, part.colors[part.faces]), 0, 1)
+    if part.material.image is None:
+        linear *= _color(part)
+    elif part.uv is not None:
+        uv = np.einsum("ijk,fkc->fijc", weights, part.uv[part.faces])
+        image = _limited(part.material.image, limit)
+        size = np.array(image.size)
+        texels = srgb.decode(_pixels(part.material, image) / 255)
+        linear *= _sample(texels, _texels(uv.reshape(-1, 2), size), part.material.wrap).reshape(linear.shape)
+    cells = np.zeros((height // cell * columns, cell, cell, 3), np.uint8)
+    cells[:count] = _bytes(linear)
+    pixels = cells.reshape(-1, columns, cell, cell, 3).swapaxes(1, 2).reshape(height, width, 3)
+    index = np.arange(count)
+    origin = np.stack([index % columns, index // columns], 1) * cell + 0.5
+    places = origin[:, None] + (cell - 1) * np.array([[0, 0], [1, 0], [0, 1]])
+    own = Part(
+        part.vertices[part.faces].reshape(-1, 3),
+        np.arange(3 * count).reshape(-1, 3),
+        part.material,
+        normals=None if part.normals is None else part.normals[part.faces].reshape(-1, 3),
+    )
+    return pixels, [(own, places.reshape(-1, 2))]
+
+
+def _texels(uv: np.ndarray | None, size: np.ndarray) -> np.ndarray:
+    """Places (V, 2) in an image of that size, in texels, y down."""
+    assert uv is not None
+    return (uv * [1, -1] + [0, 1]) * size
+
+
+def _resized(image: Image.Image | None, size: np.ndarray) -> Image.Image:
+    assert image is not None
+    width, height = map(int, size)
+    return image if image.size == (width, height) else image.resize((width, height), Image.Resampling.LANCZOS)
+
+
+def _wrapped(index: np.ndarray, count: int, wrap: str) -> np.ndarray:
+    if wrap == "clamp":
+        return np.clip(index, 0, count - 1)
+    if wrap == "mirror":
+        index = index % (2 * count)
+        return np.minimum(index, 2 * count - 1 - index)
+    return index % count
+
+
+def _sample(texels: np.ndarray, places: np.ndarray, wrap: tuple[str, str]) -> np.ndarray:
+    """Bilinear samples (N, 3) of texels (H, W, 3) at places (N, 2) in texels, y down."""
+    height, width = texels.shape[:2]
+    low = np.floor(places - 0.5).astype(int)
+    fx, fy = (places - 0.5 - low).T[:, :, None]
+    x0, x1 = (_wrapped(low[:, 0] + i, width, wrap[0]) for i in (0, 1))
+    y0, y1 = (_wrapped(low[:, 1] + i, height, wrap[1]) for i in (0, 1))
+    upper = texels[y0, x0] * (1 - fx) + texels[y0, x1] * fx
+    lower = texels[y1, x0] * (1 - fx) + texels[y1, x1] * fx
+    return upper * (1 - fy) + lower * fy

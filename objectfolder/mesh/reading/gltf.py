@@ -1,0 +1,317 @@
+"""Read glTF 2.0 (Khronos, 2021): triangles, base colours and what shades them, placed by their nodes."""
+
+import base64
+import json
+import math
+import struct
+from collections import Counter
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote, unquote_to_bytes
+
+import numpy as np
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.reading.part import Material, Part, Parts, read_image, read_referenced
+
+# Extensions that a file may require. Those of materials change only how it looks.
+EXTENSIONS = ("KHR_texture_transform", "KHR_mesh_quantization", "EXT_texture_webp", "KHR_materials_")
+DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+WRAPS = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
+TRIANGLES, STRIP, FAN = 4, 5, 6
+
+
+def read_gltf(path: Path) -> Parts:
+    """Read the default scene of a ``.gltf`` or ``.glb``.
+
+    Base colour textures (with ``KHR_texture_transform``), factors, vertex colours, roughness and metallic
+    are kept; a map of the last two is reduced to its mean. Normal, occlusion and emissive maps, transparency,
+    skins and morph targets are left out, with a note.
+
+    Returns
+    -------
+    Parts
+        As in the file: y up.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the file or one that it refers to is missing or invalid, or it needs an unknown extension.
+    """
+    try:
+        return _File(path).read()
+    except ObjectFolderError:
+        raise
+    except Exception as error:  # a wrong type or index anywhere in a foreign document
+        raise ObjectFolderError(
+            f"{path} cannot be read as a mesh: it is not valid glTF ({type(error).__name__}: {error}); "
+            "export it again"
+        ) from error
+
+
+def read_document(path: Path) -> tuple[dict[str, Any], bytes]:
+    """Return the JSON document and the binary chunk (empty in ``.gltf``) of a glTF file.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the file is not glTF 2.0, or cut off.
+    """
+    data, binary = path.read_bytes(), b""
+    if path.suffix.lower() == ".glb":
+        data, binary = _chunks(path, data)
+    try:
+        document = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise ObjectFolderError(
+            f"{path} cannot be read as a mesh: its glTF document is not JSON ({error})"
+        ) from error
+    version = document.get("asset", {}).get("version", "2.0") if isinstance(document, dict) else "none"
+    if not str(version).startswith("2."):
+        raise ObjectFolderError(f"{path} cannot be read as a mesh: glTF version {version}, expected 2.0")
+    return document, binary
+
+
+def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes]:
+    if data[:4] != b"glTF" or len(data) < 20:
+        raise ObjectFolderError(f"{path} cannot be read as a mesh: it does not begin as a binary glTF does")
+    version, length, size, kind = struct.unpack("<III4s", data[4:20])
+    if version != 2:
+        raise ObjectFolderError(f"{path} cannot be read as a mesh: glTF version {version}, expected 2")
+    if len(data) < length or kind != b"JSON" or 20 + size > length:
+        raise ObjectFolderError(
+            f"{path} cannot be read as a mesh: it holds {len(data)} bytes, its header says {length}: cut off?"
+        )
+    binary = b""
+    if 28 + size <= length:
+        binary_size, kind = struct.unpack("<I4s", data[20 + size : 28 + size])
+        binary = data[28 + size : 28 + size + binary_size] if kind == b"BIN\0" else b""
+    return data[20 : 20 + size], binary
+
+
+class _File:
+    """A glTF document with its buffers, and the materials read so far."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        self.document, self.binary = read_document(path)
+        for name in self.document.get("extensionsRequired", []):
+            if not name.startswith(EXTENSIONS):
+                raise ObjectFolderError(
+                    f"{path} needs the glTF extension {name}, which is not supported; export it without"
+                )
+        self.buffers = [self._buffer(buffer) for buffer in self.document.get("buffers", [])]
+        self.materials: dict[int | None, tuple[Material, dict[str, Any]]] = {None: (Material(), {})}
+        self.changes: Counter[str] = Counter()
+
+    def read(self) -> Parts:
+        parts = [
+            part
+            for mesh, transform in self._placed()
+            for primitive in self.document["meshes"][mesh]["primitives"]
+            if (part := self._part(primitive, transform)) is not None
+        ]
+        return Parts(parts, [f"{what} ({n})" for what, n in sorted(self.changes.items()) if n])
+
+    def _placed(self) -> list[tuple[int, np.ndarray]]:
+        """Meshes of the scene with their transforms (4, 4), in the document's order."""
+        nodes = self.document.get("nodes", [])
+        if "scenes" in self.document:
+            roots = self.document["scenes"][self.document.get("scene", 0)].get("nodes", [])
+        else:
+            children = {child for node in nodes for child in node.get("children", [])}
+            roots = [i for i in range(len(nodes)) if i not in children]
+        placed, seen = [], set()
+        queue = [(root, np.eye(4)) for root in reversed(roots)]
+        while queue:
+            index, parent = queue.pop()
+            if index in seen:
+                raise ObjectFolderError(f"{self.path}: node {index} has two parents; expected a tree")
+            seen.add(index)
+            node = nodes[index]
+            transform = parent @ _transform(node)
+            if "mesh" in node:
+                placed.append((node["mesh"], transform))
+                self.changes["skin left out"] += "skin" in node
+            queue += [(child, transform) for child in reversed(node.get("children", []))]
+        return placed
+
+    def _part(self, primitive: dict[str, Any], transform: np.ndarray) -> Part | None:
+        mode, attributes = primitive.get("mode", TRIANGLES), primitive["attributes"]
+        if mode not in (TRIANGLES, STRIP, FAN):
+            self.changes["points or lines left out"] += 1
+            return None
+        self.changes["morph targets left out"] += "targets" in primitive
+        vertices = self._accessor(attributes["POSITION"], 3)
+        corners = np.arange(len(vertices))
+        if "indices" in primitive:
+            corners = self._accessor(primitive["indices"], 1)[:, 0].astype(np.int64)
+        faces = _triangles(corners, mode)
+        material, texture = self._material(primitive.get("material"))
+        # A mirrored node turns the order of its corners.
+        if np.linalg.det(transform[:3, :3]) < 0:
+            faces = faces[:, ::-1]
+        uv = None
+        transform_uv = texture.get("extensions", {}).get("KHR_texture_transform", {})
+        name = f"TEXCOORD_{transform_uv.get('texCoord', texture.get('texCoord', 0))}"
+        if material.image is not None and name in attributes:
+            uv = _transform_uv(self._accessor(attributes[name], 2), transform_uv) * [1, -1] + [0, 1]
+        colors = None
+        if "COLOR_0" in attributes:
+            colors = np.clip(self._accessor(attributes["COLOR_0"], None)[:, :3], 0, 1)
+            # Exporters write white beside every texture.
+            colors = None if material.image is not None and (colors > 0.999).all() else colors
+        placed = vertices @ transform[:3, :3].T + transform[:3, 3]
+        normals = None
+        if "NORMAL" in attributes:
+            normals = self._accessor(attributes["NORMAL"], 3) @ _of_normals(transform[:3, :3]).T
+        return Part(placed, faces, material, uv, colors, normals)
+
+    def _material(self, index: int | None) -> tuple[Material, dict[str, Any]]:
+        """Return a material, and the texture info of its base colour."""
+        if index in self.materials:
+            return self.materials[index]
+        material = self.document["materials"][index]
+        surface = material.get("pbrMetallicRoughness", {})
+        gloss = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
+        roughness, metallic = surface.get("roughnessFactor", 1.0), surface.get("metallicFactor", 1.0)
+        info, color = surface.get("baseColorTexture"), surface.get("baseColorFactor", [1, 1, 1, 1])
+        if gloss is not None:
+            info, color = gloss.get("diffuseTexture"), gloss.get("diffuseFactor", [1, 1, 1, 1])
+            roughness, metallic = 1 - gloss.get("glossinessFactor", 1.0), 0.0
+        elif "metallicRoughnessTexture" in surface:
+            image, _ = self._texture(surface["metallicRoughnessTexture"])
+            mean = np.asarray(image, np.float64).mean((0, 1)) / 255
+            roughness, metallic = roughness * mean[1], metallic * mean[2]
+            self.changes["roughness and metallic map replaced by its mean"] += 1
+        for what in ("normal", "occlusion", "emissive"):
+            self.changes[f"{what} map left out"] += f"{what}Texture" in material
+        self.changes["transparency left out"] += material.get("alphaMode", "OPAQUE") != "OPAQUE"
+        image, wrap = self._texture(info) if info is not None else (None, Material.wrap)
+        linear = np.clip(np.asarray(color[:3], np.float64), 0, 1)
+        made = Material(image, linear, float(roughness), float(metallic), wrap)
+        self.materials[index] = made, info or {}
+        return self.materials[index]
+
+    def _texture(self, info: dict[str, Any]) -> tuple[Any, tuple[str, str]]:
+        texture = self.document["textures"][info["index"]]
+        source = texture.get("extensions", {}).get("EXT_texture_webp", texture).get("source")
+        if source is None:
+            kinds = ", ".join(texture.get("extensions", {})) or "none"
+            raise ObjectFolderError(
+                f"{self.path}: texture {info['index']} has no image that can be read (extensions: {kinds}); "
+                "export it with PNG or JPEG textures"
+            )
+        image = self.document["images"][source]
+        name = image.get("name") or f"image {source}"
+        if "bufferView" in image:
+            view = self.document["bufferViews"][image["bufferView"]]
+            start = view.get("byteOffset", 0)
+            data = self.buffers[view["buffer"]][start : start + view["byteLength"]]
+        else:
+            data = self._fetch(image["uri"])
+            name = name if image["uri"].startswith("data:") else unquote(image["uri"])
+        sampler = self.document["samplers"][texture["sampler"]] if "sampler" in texture else {}
+        wrap = (WRAPS[sampler.get("wrapS", 10497)], WRAPS[sampler.get("wrapT", 10497)])
+        return read_image(data, name, self.path), wrap
+
+    def _buffer(self, buffer: dict[str, Any]) -> bytes:
+        data = self._fetch(buffer["uri"]) if "uri" in buffer else self.binary
+        if len(data) < buffer["byteLength"]:
+            where = buffer.get("uri", "its binary chunk")[:80]
+            raise ObjectFolderError(
+                f"{self.path} cannot be read as a mesh: {where} holds {len(data)} bytes, expected "
+                f"{buffer['byteLength']}: cut off?"
+            )
+        return data
+
+    def _fetch(self, uri: str) -> bytes:
+        if uri.startswith("data:"):
+            header, _, content = uri.partition(",")
+            return base64.b64decode(content) if header.endswith(";base64") else unquote_to_bytes(content)
+        return read_referenced(self.path, unquote(uri))
+
+    def _accessor(self, index: int, width: int | None) -> np.ndarray:
+        """Values (count, width) of an accessor; numbers as they are, or in [-1, 1] where normalized."""
+        accessor = self.document["accessors"][index]
+        dtype, columns, count = DTYPES[accessor["componentType"]], WIDTHS[accessor["type"]], accessor["count"]
+        if width not in (None, columns):
+            raise ObjectFolderError(f"{self.path}: accessor {index} has {columns} columns, expected {width}")
+        if "bufferView" in accessor:
+            offset = accessor.get("byteOffset", 0)
+            values = self._view(accessor["bufferView"], offset, np.dtype(dtype), count, columns)
+        elif "sparse" in accessor:
+            values = np.zeros((count, columns), dtype)
+        else:
+            raise ObjectFolderError(f"{self.path}: accessor {index} has no data; export it uncompressed")
+        if "sparse" in accessor:
+            sparse = accessor["sparse"]
+            at, new = sparse["indices"], sparse["values"]
+            n, index_type = sparse["count"], np.dtype(DTYPES[at["componentType"]])
+            rows = self._view(at["bufferView"], at.get("byteOffset", 0), index_type, n, 1)[:, 0]
+            values = values.copy()
+            values[rows] = self._view(
+                new["bufferView"], new.get("byteOffset", 0), np.dtype(dtype), n, columns
+            )
+        result = values.astype(np.float64)
+        if accessor.get("normalized"):
+            result = np.maximum(result / np.iinfo(dtype).max, -1)
+        return result
+
+    def _view(self, index: int, offset: int, dtype: np.dtype, count: int, columns: int) -> np.ndarray:
+        view = self.document["bufferViews"][index]
+        row = dtype.itemsize * columns
+        stride = view.get("byteStride", row)
+        start = view.get("byteOffset", 0) + offset
+        end = start + (count - 1) * stride + row
+        if min(offset, count, stride) < 0 or end > view.get("byteOffset", 0) + view["byteLength"]:
+            raise ObjectFolderError(f"{self.path}: an accessor reaches beyond buffer view {index}: cut off?")
+        return np.ndarray(
+            (count, columns), dtype, self.buffers[view["buffer"]], start, (stride, dtype.itemsize)
+        )
+
+
+def _triangles(corners: np.ndarray, mode: int) -> np.ndarray:
+    if mode == TRIANGLES:
+        return corners.reshape(-1, 3)
+    if mode == FAN:
+        return np.stack([corners[1:-1], corners[2:], np.full(max(len(corners) - 2, 0), corners[0])], 1)
+    strip = np.stack([corners[:-2], corners[1:-1], corners[2:]], 1)
+    strip[1::2] = strip[1::2, [1, 0, 2]]
+    return strip
+
+
+def _transform(node: dict[str, Any]) -> np.ndarray:
+    """Matrix (4, 4) of a node: its own, or translation x rotation (quaternion x, y, z, w) x scale."""
+    if "matrix" in node:
+        return np.array(node["matrix"], np.float64).reshape(4, 4).T
+    x, y, z, w = node.get("rotation", (0, 0, 0, 1))
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation * node.get("scale", (1, 1, 1))
+    matrix[:3, 3] = node.get("translation", (0, 0, 0))
+    return matrix
+
+
+def _of_normals(linear: np.ndarray) -> np.ndarray:
+    """Matrix (3, 3) that turns normals as a matrix does vertices, but for their length.
+
+    It is the inverse transpose times the determinant's size: the cofactors, which also flat nodes have.
+    """
+    x, y, z = linear
+    cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)])
+    return cofactors if np.linalg.det(linear) >= 0 else -cofactors
+
+
+def _transform_uv(uv: np.ndarray, transform: dict[str, Any]) -> np.ndarray:
+    """Apply ``KHR_texture_transform``: scale, rotate counter-clockwise as seen (v points down), move."""
+    u, v = (uv * transform.get("scale", (1, 1))).T
+    cos, sin = math.cos(transform.get("rotation", 0)), math.sin(transform.get("rotation", 0))
+    return np.stack([cos * u + sin * v, cos * v - sin * u], 1) + transform.get("offset", (0, 0))

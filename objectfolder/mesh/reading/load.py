@@ -1,0 +1,166 @@
+"""Read a mesh with its appearance from the formats that people have."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.normals import usable
+from objectfolder.mesh.reading.bake import join
+from objectfolder.mesh.reading.gltf import read_gltf
+from objectfolder.mesh.reading.part import Part, Parts
+from objectfolder.mesh.reading.polygons import read_obj, read_polygons
+from objectfolder.mesh.textured import TexturedMesh, z_up
+
+READERS: dict[str, Callable[[Path], Parts]] = {
+    ".obj": read_obj,
+    ".glb": read_gltf,
+    ".gltf": read_gltf,
+    ".ply": read_polygons,
+    ".stl": read_polygons,
+    ".off": read_polygons,
+}
+FORMATS = tuple(READERS)  #: suffixes of the mesh files that are read
+MAX_REACH = 1e30  # in any unit; keeps products of coordinates finite
+# How files of other formats begin that people rename by mistake.
+BEGINNINGS = {
+    b"glTF": "a .glb",
+    b"ply": "a .ply",
+    b"OFF": "an .off",
+    b"PK\x03\x04": "a .zip archive",
+    b"\x1f\x8b": "a .gz archive",
+    b"<": "XML or HTML",
+    b"version https://git-lfs": "a Git LFS pointer, not the file itself",
+}
+
+
+def default_up(path: str | Path) -> str:
+    """Which axis points up where nobody says: ``y`` in glTF (by its standard), ``z`` elsewhere."""
+    return "y" if Path(path).suffix.lower() in (".glb", ".gltf") else "z"
+
+
+def load_mesh(path: str | Path, up: str = "z", texture_size: int = 1024) -> TexturedMesh:
+    """Load a mesh, turn it z up, and bring its appearance into one texture or vertex colours.
+
+    Vertex normals that the file holds are kept; those of no use give way to their face's, see `usable`.
+
+    Parameters
+    ----------
+    path : path
+        ``.obj`` (with ``.mtl`` and textures beside it), ``.glb``, ``.gltf``, ``.ply``, ``.stl`` or ``.off``.
+    up : {"y", "z"}
+        The source's up axis.
+    texture_size : int
+        Longest side of the texture that is kept, pixels.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the file, or one that it refers to, is missing or unreadable; if it is of another format, without
+        faces, or has face indices out of range, or vertices that are not finite or all in one point.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ObjectFolderError(f"mesh file {path} does not exist; give the path of an existing mesh")
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        raise ObjectFolderError(f"{path}: format {path.suffix!r} is not one of {', '.join(FORMATS)}")
+    if up not in ("y", "z"):
+        raise ObjectFolderError(f"{path}: up axis {up!r} is neither 'y' nor 'z'")
+    source = _read(path, reader)
+    parts = [part for part in source.parts if len(part.faces)]
+    if not parts:
+        raise ObjectFolderError(f"{path} holds no faces; expected a triangle mesh{_looks_like(path)}")
+    for part in parts:
+        _check(path, part)
+    used = np.concatenate([part.vertices[part.used] for part in parts])
+    bad = ~np.isfinite(used).all(1)
+    if bad.any():
+        raise ObjectFolderError(f"{path}: {bad.sum()} of its vertices are NaN or infinite; repair the mesh")
+    reach, size = np.abs(used).max(), np.ptp(used, axis=0).max()
+    if reach > MAX_REACH:
+        raise ObjectFolderError(f"{path}: its vertices reach {reach:.3g}; repair the mesh")
+    if size <= 1 / MAX_REACH:
+        raise ObjectFolderError(f"{path}: all of its vertices are in one point; expected a solid object")
+    appearance = _source_report(parts)
+    mesh, notes = join([_finite(part) for part in parts], texture_size, str(path))
+    bad = 0.0
+    if mesh.normals is not None:
+        corners, bad = usable(mesh.vertices, mesh.faces, mesh.normals)
+        mesh = replace(mesh, normals=None) if corners is None else mesh.with_normals(corners)
+        if corners is None:
+            notes.append(f"vertex normals left out: {bad:.0%} of them are zero or point into the object")
+    appearance |= {"normals_bad_fraction": bad, "notes": [*source.notes, *notes]}
+    mesh = replace(mesh, source=appearance)
+    return mesh.turned(z_up) if up == "y" else mesh
+
+
+def _read(path: Path, reader: Callable[[Path], Parts]) -> Parts:
+    if path.stat().st_size == 0:
+        raise ObjectFolderError(f"{path} cannot be read as a mesh: it is empty")
+    try:
+        return reader(path)
+    except ObjectFolderError:
+        raise
+    except Exception as error:  # the readers raise whatever their format's parser raises
+        reason = str(error) or type(error).__name__
+        raise ObjectFolderError(f"{path} cannot be read as a mesh: {reason}{_looks_like(path)}") from error
+
+
+def _looks_like(path: Path) -> str:
+    with path.open("rb") as stream:
+        head = stream.read(32).lstrip()
+    kinds = [kind for start, kind in BEGINNINGS.items() if head.startswith(start)]
+    return f" (its content looks like {kinds[0]})" if kinds and path.suffix not in kinds[0] else ""
+
+
+def _check(path: Path, part: Part) -> None:
+    low, high, count = part.faces.min(), part.faces.max(), len(part.vertices)
+    if low < 0 or high >= count:
+        raise ObjectFolderError(
+            f"{path}: its faces use vertices {low} to {high}, but there are {count}; export the mesh again"
+        )
+    attributes = {
+        "texture coordinates": part.uv,
+        "vertex colours": part.colors,
+        "vertex normals": part.normals,
+    }
+    for what, values in attributes.items():
+        if values is not None and len(values) != count:
+            raise ObjectFolderError(
+                f"{path}: {len(values)} {what} for {count} vertices; export the mesh again"
+            )
+
+
+def _finite(part: Part) -> Part:
+    """Put zeros for the vertices that no face uses, and for coordinates and normals that are not finite."""
+    uv = None if part.uv is None else np.where(np.isfinite(part.uv), part.uv, 0)
+    vertices = np.where(np.isfinite(part.vertices).all(1, keepdims=True), part.vertices, 0)
+    colors = None if part.colors is None else np.nan_to_num(np.clip(part.colors, 0, 1))
+    normals = None
+    if part.normals is not None:
+        normals = np.where(np.isfinite(part.normals).all(1, keepdims=True), part.normals, 0)
+    return replace(part, vertices=vertices, uv=uv, colors=colors, normals=normals)
+
+
+def _source_report(parts: Sequence[Part]) -> dict[str, Any]:
+    """Count materials, and the textured faces whose coordinates are of no use."""
+    count = sum(len(part.faces) for part in parts)
+    textured = [p for p in parts if p.material.image is not None and p.uv is not None]
+    corners = np.concatenate([np.zeros((0, 3, 2)), *(p.uv[p.faces] for p in textured if p.uv is not None)])
+    finite = np.isfinite(corners).all((1, 2))
+    edges = np.where(finite[:, None, None], corners[:, 1:] - corners[:, :1], 0)
+    area = edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]
+    sides = [max(p.material.image.size) for p in textured if p.material.image is not None]
+    large = np.repeat([side > 1 for side in sides], [len(p.faces) for p in textured]).astype(bool)
+    outside = finite & ((corners < 0) | (corners > 1)).any((1, 2))
+    return {
+        "materials": len(dict.fromkeys(part.material for part in parts)),
+        "source_texture_size": max(sides, default=0),
+        "uv_degenerate_fraction": float((large & finite & (area == 0)).sum() / count),
+        "uv_outside_fraction": float(outside.sum() / count),
+        "uv_not_finite_fraction": float((~finite).sum() / count),
+    }

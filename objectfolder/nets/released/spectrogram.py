@@ -1,0 +1,104 @@
+"""AudioNet of a released ObjectFolder 1.0 file: spectrograms at the vertices of a voxel grid."""
+
+import math
+from typing import Any
+
+import numpy as np
+import torch
+
+from objectfolder.audio.spectrogram import SHAPE
+from objectfolder.nets.released.network import Frame, ReleasedNetwork, float_tensors, network_of, stored
+
+AXES = ("x", "y", "z")
+GRID = 32  # voxels along an axis
+NEIGHBOURS = 4  # vertices that a point's answer is the sum of
+_CHUNK = 4096  # bins at once: their activations stay in the cache
+
+
+class ReleasedSpectrogram:
+    """Spectrograms of unit forces along x, y and z.
+
+    A point goes to the voxel grid by ((p + translation) * scale) * 32; the answers of the four vertices
+    nearest to it are added up, as the original does.
+
+    Parameters
+    ----------
+    branches : three ReleasedNetwork
+        From (x, y, z, frequency, time) to real and imaginary part.
+    vertices : (V, 3) array
+        Of the voxel grid, in voxels.
+    config : dict
+        ``frame``; ``translation`` (3) and ``scale``, to the voxel grid; ``coordinates`` (low, high), the
+        voxel coordinates that 0 and 1 stand for; ``values`` (3, 2), what the outputs 0 and 1 of each branch
+        stand for.
+
+    Notes
+    -----
+    The original normalises by the extremes of the queried vertices, so that the answer depends on what
+    else is asked; here ``coordinates`` is fixed.
+    """
+
+    damped_frequency = torch.zeros(0, dtype=torch.float64)  #: no modes are known
+
+    def __init__(self, branches: list[ReleasedNetwork], vertices: np.ndarray, config: dict[str, Any]):
+        from scipy.spatial import KDTree  # half a second, which no other kind takes
+
+        self.branches = branches
+        self.vertices = np.asarray(vertices, np.float64)
+        self.config = config
+        self.frame = Frame.from_dict(config["frame"])
+        self._translation = np.array(config["translation"], np.float64).reshape(3)
+        self._scale = float(config["scale"])
+        self._low, self._high = map(float, config["coordinates"])
+        self._values = torch.tensor(config["values"], dtype=torch.float64).reshape(3, 2)
+        finite = np.isfinite([*self._translation, self._scale, *self._values.flatten().tolist()]).all()
+        if self.vertices.ndim != 2 or self.vertices.shape[1] != 3 or len(self.vertices) < NEIGHBOURS:
+            raise ValueError(f"voxel vertices of shape {self.vertices.shape}")
+        if not finite or not -math.inf < self._low < self._high < math.inf:
+            raise ValueError(f"bounds {config['coordinates']}, or numbers that are not finite")
+        if [len(branch.output.weight) for branch in branches] != [2, 2, 2]:
+            raise ValueError("branches that do not answer a complex number")
+        self._tree = KDTree(self.vertices)
+        frequency, time = (np.arange(n) / (n - 1) for n in SHAPE)
+        bins = np.stack(np.meshgrid(frequency, time, indexing="ij"), -1).reshape(-1, 2)
+        self._bins = torch.from_numpy(bins.astype(np.float32))
+
+    def to(self, device: str | torch.device) -> "ReleasedSpectrogram":
+        """Move to a device, and return itself."""
+        self.branches = [branch.to(device) for branch in self.branches]
+        self._bins, self._values = self._bins.to(device), self._values.to(device)
+        return self
+
+    @torch.no_grad()
+    def spectrograms(self, points: torch.Tensor) -> torch.Tensor:
+        """Complex spectrograms at (N, 3) points of the unit frame; (N, 3, 257, 201)."""
+        out = torch.empty(len(points), 3, *SHAPE, dtype=torch.complex64, device=self._bins.device)
+        place = (self.frame.released(points.cpu()) + self._translation) * self._scale * GRID
+        for image, index in zip(out, self._tree.query(place, NEIGHBOURS)[1]):
+            near = (self.vertices[index] - self._low) / (self._high - self._low)
+            answers = [self._answers(vertex) for vertex in torch.from_numpy(near).float().to(self._bins)]
+            image[:] = torch.view_as_complex(torch.stack(answers).sum(0)).view(3, *SHAPE)
+        return out
+
+    def _answers(self, vertex: torch.Tensor) -> torch.Tensor:
+        """Real and imaginary parts of all bins at one vertex; (3, bins, 2) float64."""
+        parts = []
+        for bins in self._bins.split(_CHUNK):
+            x = torch.cat([vertex.expand(len(bins), 3), bins], 1)
+            parts.append(torch.stack([branch(x) for branch in self.branches]))
+        low, high = self._values[:, None, None].unbind(-1)
+        return torch.cat(parts, 1).double() * (high - low) + low
+
+    def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Tensors and configuration, for storing."""
+        tensors = {"voxel_vertex": self.vertices.astype(np.float32)}
+        for axis, branch in zip(AXES, self.branches):
+            tensors |= stored(branch, f"{axis}.")
+        return tensors, dict(self.config)
+
+    @classmethod
+    def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "ReleasedSpectrogram":
+        """Inverse of `to_tensors`."""
+        state = float_tensors(tensors)
+        vertices = state.pop("voxel_vertex").numpy()
+        return cls([network_of(state, 5, f"{axis}.") for axis in AXES], vertices, dict(config))

@@ -1,0 +1,315 @@
+"""VisionNets of released ObjectFolder files: how they look along a ray, and the kind of one large net.
+
+The kind of many small nets is in `objectfolder.nets.released.kilo`.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol, Self
+
+import numpy as np
+import torch
+
+from objectfolder.mesh.grid import ascent
+from objectfolder.nets.released.network import filled, float_tensors, stored
+from objectfolder.nets.vision_osf import ScatteringFunction
+from objectfolder.vision.cameras import Intrinsics
+from objectfolder.vision.color import srgb_to_linear
+from objectfolder.vision.picture import Picture
+
+MAX_SAMPLES = 4096  # of a ray
+_INVISIBLE = 1e-8  # weight of a sample in its pixel whose colour is not asked for
+_DEVICE_CHUNK = 2048  # rays at once elsewhere than on a CPU
+_NORMAL_STEP = 0.01  # unit frame; over which the density's slope is taken
+
+
+@dataclass(frozen=True)
+class March:
+    """Where the original looks along a ray.
+
+    Distances count along the optical axis, as the original's do: its rays have that component one.
+    """
+
+    near: float
+    far: float
+    samples: int
+    more: int  #: samples where the first have found something; 0 for one pass
+    inverse: bool  #: whether the samples are spaced evenly in inverse distance
+    pixel: float = 0.0  #: place within a pixel that its ray goes through: 0 is the corner, 0.5 the middle
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.near < self.far < math.inf and (self.near > 0 or not self.inverse)):
+            raise ValueError(f"near {self.near}, far {self.far}")
+        if not (2 <= self.samples <= MAX_SAMPLES and 0 <= self.more <= MAX_SAMPLES):
+            raise ValueError(f"{self.samples} and {self.more} samples")
+        if (self.more and self.samples < 4) or not 0 <= self.pixel <= 1:
+            raise ValueError(f"{self.samples} samples to refine, rays at {self.pixel}")
+
+    def distances(self) -> torch.Tensor:
+        """Distances of the first samples; (samples,)."""
+        t = torch.linspace(0.0, 1.0, self.samples)
+        if self.inverse:
+            return 1 / (1 / self.near * (1 - t) + 1 / self.far * t)
+        return self.near * (1 - t) + self.far * t
+
+    def refined(self, distance: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+        """Distances (N, S) with those added that follow the samples' weights (N, S); ascending.
+
+        The weight of a sample counts between the middles of it and its neighbours; the first and the last
+        sample do not count.
+        """
+        ends = (distance[:, 1:] + distance[:, :-1]) / 2
+        share = weights[:, 1:-1] + 1e-5
+        share = share / share.sum(1, keepdim=True)
+        cumulative = torch.cat([torch.zeros_like(share[:, :1]), share.cumsum(1)], 1)
+        target = torch.linspace(0.0, 1.0, self.more).to(share).expand(len(share), -1).contiguous()
+        above = torch.searchsorted(cumulative, target, right=True)
+        below, above = (above - 1).clamp(min=0), above.clamp(max=cumulative.shape[1] - 1)
+        (c0, c1), (t0, t1) = ([x.gather(1, i) for i in (below, above)] for x in (cumulative, ends))
+        width = torch.where(c1 - c0 < 1e-5, 1.0, c1 - c0)
+        return torch.cat([distance, t0 + (target - c0) / width * (t1 - t0)], 1).sort(1).values
+
+
+class Field(Protocol):
+    """What a ray is sent through."""
+
+    def occupied(self, points: torch.Tensor) -> torch.Tensor:
+        """Which of (N, 3) points may hold anything; (N,) bool."""
+
+    def density(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Density (N,), not negative, and what `color` wants to know (N, W), at (N, 3) points."""
+
+    def color(
+        self, points: torch.Tensor, hidden: torch.Tensor, view: torch.Tensor, light: torch.Tensor
+    ) -> torch.Tensor:
+        """Encoded colour (N, 3), for unit directions from the camera and for the light's position, (N, 3)."""
+
+
+class Network:
+    """A `Field` of one net that is asked everywhere.
+
+    Parameters
+    ----------
+    net : ScatteringFunction
+    crop : float, optional
+        Half the side of the cube outside of which nothing is believed to be.
+    """
+
+    def __init__(self, net: ScatteringFunction, crop: float | None):
+        self.net = net
+        self.crop = math.inf if crop is None else crop
+
+    def occupied(self, points: torch.Tensor) -> torch.Tensor:
+        """See `Field`; as all methods."""
+        return (points.abs() <= self.crop).all(1)
+
+    def density(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Density and hidden layer."""
+        return self.net(points)
+
+    def color(
+        self, points: torch.Tensor, hidden: torch.Tensor, view: torch.Tensor, light: torch.Tensor
+    ) -> torch.Tensor:
+        """Encoded colour."""
+        return self.net.scattered(hidden, light, view)
+
+
+class ReleasedVision:
+    """Pictures as the released code renders them.
+
+    Colours are those of an image file, blended on white as they are: so a picture's linear colours are set
+    such that on white they show just that. They are negative where a pixel is partly covered and dark.
+
+    Parameters
+    ----------
+    march : March
+    chunk : int
+        Rays at once on a CPU.
+    """
+
+    coarse: Field  #: finds where `fine` looks
+    fine: Field
+
+    def __init__(self, march: March, chunk: int):
+        self.march = march
+        self.chunk = chunk
+        self.device = torch.device("cpu")
+
+    def to(self, device: str | torch.device) -> Self:
+        """Move to a device, and return itself."""
+        self.device = torch.device(device)
+        return self
+
+    @torch.no_grad()
+    def picture(self, camera_to_world: np.ndarray, light: np.ndarray, intrinsics: Intrinsics) -> Picture:
+        """Render one view.
+
+        Parameters
+        ----------
+        camera_to_world : (4, 4) array
+        light : (3,) array, unit frame
+            The net takes its position as it is; it has learnt those on the unit sphere.
+        intrinsics : Intrinsics
+
+        Returns
+        -------
+        Picture
+            Depth is the mean of what the ray sees. The normal is the way in which the density falls there,
+            zero where it does not.
+        """
+        origin, directions = (x.to(self.device) for x in _rays(camera_to_world, intrinsics, self.march.pixel))
+        towards = torch.from_numpy(np.asarray(light, np.float32)).to(self.device)
+        rgba = directions.new_zeros(len(directions), 4)
+        depth = directions.new_full((len(directions),), math.inf)
+        normals = torch.zeros_like(directions)
+        chunk = self.chunk if self.device.type == "cpu" else _DEVICE_CHUNK
+        for index in torch.arange(len(directions), device=self.device).split(chunk):
+            ways = directions[index]
+            shown, alpha, distance = self._look(origin, ways, towards)
+            rgb = srgb_to_linear((shown + 1 - alpha[:, None]).clamp(0, 1))
+            alpha = alpha.clamp(max=1)
+            rgba[index] = torch.cat([rgb - (1 - alpha[:, None]), alpha[:, None]], 1)
+            met = alpha > 0
+            mean = (distance / alpha)[met]
+            depth[index[met]] = mean
+            points = origin + mean[:, None] * ways[met]
+            normals[index[met]] = -ascent(_everywhere(self.fine), points, _NORMAL_STEP)
+        rgba[depth == math.inf] = 0
+        size = intrinsics.height, intrinsics.width
+        return Picture(*(x.view(*size, *x.shape[1:]).cpu().numpy() for x in (rgba, depth, normals)))
+
+    def _look(
+        self, origin: torch.Tensor, ways: torch.Tensor, light: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Blended colour (N, 3), alpha (N,) and mean distance times alpha (N,)."""
+        length = torch.linalg.vector_norm(ways, dim=1, keepdim=True)
+        distance = self.march.distances().to(ways).expand(len(ways), -1)
+        if self.march.more:
+            density = _everywhere(self.coarse)(_points(origin, ways, distance))
+            distance = self.march.refined(distance, _weights(density.view_as(distance), distance, length))
+        points = _points(origin, ways, distance)
+        held = self.fine.occupied(points).nonzero()[:, 0]
+        found, hidden = self.fine.density(points[held])
+        density = points.new_zeros(len(points)).index_copy(0, held, found)
+        weights = _weights(density.view_as(distance), distance, length)
+        seen = (weights.flatten()[held] > _INVISIBLE).nonzero()[:, 0]
+        at = held[seen]
+        row = at // distance.shape[1]
+        view = (ways / length)[row]
+        color = self.fine.color(points[at], hidden[seen], view, light.expand(len(at), 3))
+        colors = points.new_zeros(len(points), 3).index_copy(0, at, color).view(*weights.shape, 3)
+        shown = torch.einsum("ns,nsc->nc", weights, colors)
+        return shown, weights.sum(1), (weights * distance).sum(1)
+
+
+class ReleasedNerf(ReleasedVision):
+    """One or two nets of a point, a viewing direction and a light, of 1.0 and of 2.0 without KiloOSF.
+
+    Parameters
+    ----------
+    nets : dict of str to ScatteringFunction
+        ``coarse`` and ``fine``, or ``fine`` alone.
+    march : March
+    crop : float, optional
+        Half the side of the cube outside of which nothing is believed to be; default: the nets are asked
+        everywhere, as in the original.
+    """
+
+    def __init__(self, nets: dict[str, ScatteringFunction], march: March, crop: float | None = None):
+        super().__init__(march, chunk=max(1, 6144 // (march.samples + march.more)))
+        if not (crop is None or 0 < crop < math.inf) or ("coarse" in nets) != (march.more > 0):
+            raise ValueError(f"crop {crop}; nets {', '.join(nets)} for {march.more} more samples")
+        self.nets = nets
+        self.crop = crop
+        self.fine = Network(nets["fine"], crop)
+        self.coarse = Network(nets.get("coarse", nets["fine"]), crop)
+
+    def to(self, device: str | torch.device) -> Self:
+        """Move to a device, and return itself."""
+        for net in self.nets.values():
+            net.to(device)
+        return super().to(device)
+
+    def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Tensors and configuration, for storing."""
+        tensors: dict[str, np.ndarray] = {}
+        for name, net in self.nets.items():
+            tensors |= stored(net, f"{name}.")
+        point_octaves, direction_octaves = self.nets["fine"].octaves
+        octaves = {"point_octaves": point_octaves, "direction_octaves": direction_octaves}
+        return tensors, {**asdict(self.march), **octaves, "crop": self.crop}
+
+    @classmethod
+    def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "ReleasedNerf":
+        """Inverse of `to_tensors`."""
+        config = dict(config)
+        octaves = int(config.pop("point_octaves")), int(config.pop("direction_octaves"))
+        crop = config.pop("crop")
+        state = float_tensors(tensors)
+        nets = {}
+        for name in sorted({key.split(".")[0] for key in state}):
+            part = {k.removeprefix(f"{name}."): v for k, v in state.items() if k.startswith(f"{name}.")}
+            nets[name] = scattering_of(part, *octaves)
+        return cls(nets, March(**config), crop)
+
+
+def scattering_of(
+    state: dict[str, torch.Tensor], point_octaves: int, direction_octaves: int
+) -> ScatteringFunction:
+    """Build the `ScatteringFunction` that tensors describe.
+
+    Raises
+    ------
+    ValueError, KeyError, RuntimeError
+        If they describe none.
+    """
+    depth, branch_depth = (
+        sum(name.startswith(f"{part}.hidden.") and name.endswith(".weight") for name in state)
+        for part in ("trunk", "branch")
+    )
+    if not (0 <= point_octaves <= 64 and 0 <= direction_octaves <= 64):
+        raise ValueError(f"{point_octaves} and {direction_octaves} octaves")
+    shape = {
+        "width": len(state["trunk.hidden.0.weight"]),
+        "depth": depth,
+        "branch_width": len(state["branch.hidden.0.weight"]),
+        "branch_depth": branch_depth,
+        "point_octaves": point_octaves,
+        "direction_octaves": direction_octaves,
+    }
+    return filled(lambda: ScatteringFunction(**shape), state)
+
+
+def _rays(
+    camera_to_world: np.ndarray, intrinsics: Intrinsics, place: float
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Origin (3,), and directions (H W, 3) whose component along the optical axis is one."""
+    rows, columns = np.mgrid[: intrinsics.height, : intrinsics.width] + place
+    x, y = (columns - intrinsics.cx) / intrinsics.fx, (intrinsics.cy - rows) / intrinsics.fy
+    local = np.stack([x, y, -np.ones_like(x)], -1).reshape(-1, 3)
+    directions = (local @ np.asarray(camera_to_world)[:3, :3].T).astype(np.float32)
+    return torch.from_numpy(camera_to_world[:3, 3].astype(np.float32)), torch.from_numpy(directions)
+
+
+def _points(origin: torch.Tensor, ways: torch.Tensor, distance: torch.Tensor) -> torch.Tensor:
+    """Points at (N, S) distances along (N, 3) directions; (N S, 3)."""
+    return (origin + ways[:, None] * distance[..., None]).flatten(0, 1)
+
+
+def _everywhere(field: Field) -> Callable[[torch.Tensor], torch.Tensor]:
+    """Density (N,) at (N, 3) points, zero where the field holds nothing."""
+
+    def density(points: torch.Tensor) -> torch.Tensor:
+        held = field.occupied(points).nonzero()[:, 0]
+        return points.new_zeros(len(points)).index_copy(0, held, field.density(points[held])[0])
+
+    return density
+
+
+def _weights(density: torch.Tensor, distance: torch.Tensor, length: torch.Tensor) -> torch.Tensor:
+    """Weights (N, S) of samples in their pixels: an interval ends at the next sample, the last one never."""
+    steps = torch.cat([distance.diff(), torch.full_like(distance[:, :1], 1e10)], 1)
+    alpha = 1 - torch.exp(-density * steps * length)
+    through = torch.cumprod(1 - alpha + 1e-10, 1)
+    return alpha * torch.cat([torch.ones_like(through[:, :1]), through[:, :-1]], 1)

@@ -1,0 +1,285 @@
+"""An Object File against held-out ground truth (supplementary F, Table 2), beside honest baselines."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from objectfolder.audio.spectrogram import SAMPLE_RATE, spectrogram
+from objectfolder.audio.synthesis import audible, gains, sinusoid_bank
+from objectfolder.errors import ObjectFolderError
+from objectfolder.metrics import SpectrogramErrors, awgn_psnr, gain_errors, psnr, ssim
+from objectfolder.nets.audio_gains import energy_weights
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.vision.cameras import Intrinsics
+from objectfolder.vision.color import lit_foreground, on_white
+
+AWGN = {"sigma_0_05": 0.05, "variance_0_05": 0.05**0.5}  # the paper says variance, its figures mean sigma
+BATCH = 16  # sounds transformed at once
+MIN_PIXELS = 50  #: of a contact whose pixels are scored
+
+
+def evaluate_vision(view: Callable[..., np.ndarray], views: dict[str, np.ndarray]) -> dict[str, Any]:
+    """PSNR and SSIM of held-out views, in sRGB on white.
+
+    Half of all views are nearly unlit on a white background, so the lit foreground is scored apart:
+    pixels that the object covers fully and whose true radiance exceeds 1 % of white. The views themselves
+    are noisy: ``noise_floor`` and ``noise_floor_lit`` are what a perfect answer would score as ``psnr`` and
+    ``psnr_lit_foreground``, where the views tell their noise.
+
+    Parameters
+    ----------
+    view : callable
+        As `ObjectFile.view`.
+    views : dict
+        As ``views/test.npz`` holds them.
+    """
+    height, width = views["rgba"].shape[1:3]
+    intrinsics = Intrinsics(width, height, float(views["focal"]))
+    errors, white, similarity, lit_errors = [], [], [], []
+    for rgba, pose, light in zip(views["rgba"].astype(np.float32), views["camera_to_world"], views["light"]):
+        truth = on_white(torch.from_numpy(rgba)).numpy()
+        image = view(pose, light, intrinsics=intrinsics)[0]
+        squared = (image - truth) ** 2
+        errors.append(squared.mean())
+        white.append(((1 - truth) ** 2).mean())
+        similarity.append(ssim(image, truth))
+        lit_errors.append(squared[lit_foreground(rgba)].ravel())
+    scores = {
+        "psnr": float(np.mean(psnr(np.array(errors)))),
+        "psnr_pooled": float(psnr(np.mean(errors))),
+        "psnr_worst": float(psnr(np.max(errors))),
+        "ssim": float(np.mean(similarity)),
+        "baseline_white": float(np.mean(psnr(np.array(white)))),
+        "views": len(errors),
+    }
+    order = np.argsort(errors, kind="stable").tolist()
+    scores |= {"best_view": order[0], "median_view": order[len(order) // 2], "worst_view": order[-1]}
+    lit_error = np.concatenate(lit_errors)
+    if lit_error.size:
+        scores["psnr_lit_foreground"] = float(psnr(lit_error.mean()))
+    if "noise" in views:
+        noise, lit_noise = views["noise"].T
+        scores["noise_floor"] = float(np.mean(psnr(noise)))
+        if lit_error.size:
+            pixels = [len(lit) for lit in lit_errors]
+            scores["noise_floor_lit"] = float(psnr(np.average(lit_noise, weights=pixels)))
+    return scores
+
+
+def shown_views(scores: dict[str, Any], count: int) -> dict[int, str]:
+    """Choose views for a sheet: the worst, the median and the best one, and others at equal steps.
+
+    Parameters
+    ----------
+    scores : dict
+        Of `evaluate_vision`.
+    count : int
+        At most so many.
+
+    Returns
+    -------
+    dict
+        From the number of a view to what it is.
+    """
+    named = {scores[f"{name}_view"]: name for name in ("best", "median", "worst")}
+    others = [i for i in range(scores["views"]) if i not in named]
+    step = np.linspace(0, len(others) - 1, min(max(count - len(named), 0), len(others)))
+    chosen = {row: f"{named[row]}: view {row + 1}" for row in reversed(named)}
+    return chosen | {others[int(i)]: f"view {others[int(i)] + 1}" for i in step}
+
+
+def view_answers(
+    file: ObjectFile, views: dict[str, np.ndarray], rows: list[int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Held-out views as they are and as the Object File answers them; both (N, H, W, 3), sRGB on white."""
+    rgba = views["rgba"][rows].astype(np.float32)
+    intrinsics = Intrinsics(rgba.shape[2], rgba.shape[1], float(views["focal"]))
+    answers = file.view(views["camera_to_world"][rows], views["light"][rows], intrinsics=intrinsics)
+    return on_white(torch.from_numpy(rgba)).numpy(), answers
+
+
+@dataclass(frozen=True)
+class Strikes:
+    """Unit impulses at surface points whose true modes are known."""
+
+    rows: np.ndarray  #: (N,) of the points
+    impulses: np.ndarray  #: (N, 3) N s
+
+    @classmethod
+    def random(cls, rows: np.ndarray, count: int, rng: np.random.Generator) -> "Strikes":
+        """Draw strikes at some of the points, in random directions."""
+        impulses = rng.normal(size=(count, 3))
+        impulses /= np.linalg.norm(impulses, axis=1, keepdims=True)
+        return cls(rows[rng.integers(len(rows), size=count)], impulses)
+
+    def __getitem__(self, index: slice) -> "Strikes":
+        """Some of them."""
+        return Strikes(self.rows[index], self.impulses[index])
+
+    def titles(self, points: np.ndarray) -> list[str]:
+        """Say where and whereto each goes; points (P, 3) are metres."""
+        return [
+            f"at ({', '.join(f'{x:.1f}' for x in points[row] * 1000)}) mm\n"
+            f"towards ({', '.join(f'{x:.2f}' for x in impulse)})"
+            for row, impulse in zip(self.rows, self.impulses)
+        ]
+
+
+def evaluate_gains(file: ObjectFile, modes: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, Any]:
+    """Gains at held-out surface points; frequencies and decay times, which are stored and not learnt.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the Object File was made from other modes.
+    """
+    damped, damping = modes["damped_frequency"], modes["damping"]
+    if len(file.frequencies) != len(damping):
+        raise ObjectFolderError(
+            f"{file.key}: the Object File holds {len(file.frequencies)} modes, modes.npz {len(damping)}; "
+            f"run `objectfolder build {file.key}`"
+        )
+    if len(damping) == 0:
+        return {}
+    predicted = file.mode_shapes(modes["points"][rows] * file.scale).astype(np.float64)
+    true_shapes = modes["shapes"][rows].astype(np.float64)
+    scores = gain_errors(predicted, true_shapes, energy_weights(damped, damping), 1 / damped)
+    stored = file.tuning()
+    return scores | {
+        "worst_mode_hz": float(damped[int(scores.pop("worst_mode"))] / (2 * np.pi)),
+        "frequency_error": float(np.abs(stored.damped_frequency.numpy() / damped - 1).max()),
+        "decay_time_error": float(np.abs(damping / stored.damping.numpy() - 1).max()),
+        "points": len(rows),
+    }
+
+
+def evaluate_sounds(
+    file: ObjectFile, modes: dict[str, np.ndarray], strikes: Strikes, rng: np.random.Generator
+) -> dict[str, Any]:
+    """Spectrograms of strikes, in the conventions of `SpectrogramErrors`.
+
+    Silence and white Gaussian noise of each true sound's energy are scored beside.
+    """
+    frequency = torch.from_numpy(modes["damped_frequency"])
+    heard = int(audible(frequency, SAMPLE_RATE).sum())
+    counts = {"modes": len(frequency), "modes_heard": heard, "impacts": len(strikes.rows)}
+    if heard == 0:
+        return counts
+    errors, noise_errors = SpectrogramErrors(), SpectrogramErrors()
+    for sounds in zip(*(torch.from_numpy(s).split(BATCH) for s in strike_sounds(file, modes, strikes))):
+        truth, answer, noise = (spectrogram(s) for s in (*sounds, white_noise(sounds[0], rng)))
+        errors.add(answer, truth)
+        noise_errors.add(noise, truth)
+    noise_scores = noise_errors.scores()
+    return counts | errors.scores() | ({"baseline_noise": noise_scores["psnr"]} if noise_scores else {})
+
+
+def white_noise(sounds: torch.Tensor, rng: np.random.Generator) -> torch.Tensor:
+    """White Gaussian noise of the energy of each sound; (N, samples)."""
+    noise = torch.from_numpy(rng.standard_normal(sounds.shape)).to(sounds.dtype)
+    # Norms, because the squares of micrometres per newton second underflow.
+    return noise * (sounds.double().norm(dim=1) / noise.double().norm(dim=1)).to(sounds.dtype)[:, None]
+
+
+def strike_sounds(
+    file: ObjectFile, modes: dict[str, np.ndarray], strikes: Strikes
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sounds of strikes as they are and as the Object File answers them; both (N, samples)."""
+    bank = sinusoid_bank(torch.from_numpy(modes["damped_frequency"]), torch.from_numpy(modes["damping"]))
+    shapes = torch.from_numpy(modes["shapes"][strikes.rows]).float()
+    truth = gains(shapes, torch.from_numpy(strikes.impulses).float()) @ bank
+    return truth.numpy(), file.impact(modes["points"][strikes.rows] * file.scale, strikes.impulses)
+
+
+def evaluate_touch(
+    file: ObjectFile, contacts: dict[str, np.ndarray], mean_image: np.ndarray
+) -> dict[str, float]:
+    """PSNR of tactile images at held-out contacts, and the error of their forces.
+
+    Contacts where the object reaches behind the gel (a handle, the inside of a cup) are impossible for a
+    real sensor; they count in ``psnr`` and ``psnr_median`` and are left out of the other scores:
+    ``psnr_unobstructed`` and ``psnr_median_unobstructed`` of whole images, ``psnr_contact`` of the pixels
+    that touch, pooled over contacts with at least `MIN_PIXELS` of them, and ``force_error``, the mean error
+    relative to the mean force, where the gel and the net know forces.
+
+    Parameters
+    ----------
+    contacts : dict
+        As ``touch/test.npz`` holds them.
+    mean_image : (H, W, 3) array
+        Mean of the training images in grey levels: the baseline.
+    """
+    query = contacts["points"], contacts["depths"], contacts["angles"]
+    force = np.full(len(contacts["points"]), np.nan)
+    if file.header["touch"]["kind"] == "image":
+        images = file.touch(*query)
+    else:
+        found = [(part.images, part.force) for part in file.touches(*query)]
+        images, force = (np.concatenate(parts) for parts in zip(*found))
+    scores = touch_scores(images, contacts)
+    baseline = touch_scores(np.broadcast_to(mean_image, images.shape), contacts)
+    scores["baseline_mean_image"] = baseline["psnr"]
+    free = contacts["obstructed"] == 0
+    error = np.abs(force - contacts["force"])[free]
+    if len(error) and np.isfinite(error).all() and contacts["force"][free].any():
+        scores["force_error"] = float(error.mean() / contacts["force"][free].mean())
+    return scores
+
+
+def touch_scores(images: np.ndarray, contacts: dict[str, np.ndarray]) -> dict[str, float]:
+    """Scores of images (N, H, W, 3) in grey levels; see `evaluate_touch`."""
+    errors, free = np.empty(len(images)), contacts["obstructed"] == 0
+    contact = []
+    truths = zip(images, contacts["images"], contacts["masks"], free)
+    for i, (image, truth, mask, counts) in enumerate(truths):
+        squared = np.square((image.astype(np.float32) - truth) / 255).mean(2)
+        errors[i] = squared.mean()
+        if counts and mask.sum() >= MIN_PIXELS:
+            contact.append(squared[mask])
+    scores = {
+        "psnr": float(psnr(errors.mean())),
+        "psnr_median": float(np.median(psnr(errors))),
+        "obstructed_fraction": float(1 - free.mean()),
+        "contacts": len(images),
+    }
+    if free.any():
+        scores["psnr_unobstructed"] = float(psnr(errors[free].mean()))
+        scores["psnr_median_unobstructed"] = float(np.median(psnr(errors[free])))
+    if contact:
+        scores["psnr_contact"] = float(psnr(np.concatenate(contact).mean()))
+    return scores
+
+
+def evaluate_awgn(
+    shapes: dict[str, tuple[int, ...]], rng: np.random.Generator
+) -> dict[str, dict[str, float]]:
+    """PSNR of ground truth corrupted by white Gaussian noise, per convention and modality.
+
+    In data scaled to [0, 1] it is a property of the noise alone: 26.0 dB for sigma 0.05, 13.0 dB for
+    variance 0.05.
+    """
+    return {
+        name: {modality: awgn_psnr(shape, sigma, rng) for modality, shape in shapes.items()}
+        for name, sigma in AWGN.items()
+    }
+
+
+def summary_row(key: str, metrics: dict[str, Any]) -> dict[str, str]:
+    """One line of the table that a build ends with."""
+    v, a, t = metrics["vision"], metrics["audio"], metrics["touch"]
+
+    def beside(values: dict[str, Any], score: str, baseline: str) -> str:
+        return f"{values[score]:.1f}/{values[baseline]:.1f}" if score in values else "silent"
+
+    return {
+        "object": key,
+        "vision / white": beside(v, "psnr", "baseline_white"),
+        "lit": f"{v['psnr_lit_foreground']:.1f}" if "psnr_lit_foreground" in v else "-",
+        "audio / silence": beside(a, "psnr", "baseline_silence"),
+        "gain error": f"{a['gain_error']:.1%}" if "gain_error" in a else "-",
+        "touch / mean": beside(t, "psnr", "baseline_mean_image"),
+        "KB": f"{metrics['file_bytes'] / 1024:.0f}",
+    }

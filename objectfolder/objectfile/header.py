@@ -1,0 +1,117 @@
+"""The header of an Object File: its version, and the JSON Schema that every file is checked against.
+
+docs/objectfile.md says it in words; objectfile.schema.json, beside this module, is the definition.
+"""
+
+import json
+import re
+from functools import cache
+from importlib import resources
+from typing import TYPE_CHECKING, Any
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.workspace.layout import MODALITIES
+
+if TYPE_CHECKING:
+    from jsonschema import Draft202012Validator
+
+FORMAT = (1, 1)  #: major, minor: a reader reads every file of its major version
+PARTS = ("geometry", *MODALITIES)
+
+
+def format_name() -> str:
+    """Return the version that this package writes, as files name it."""
+    return ".".join(map(str, FORMAT))
+
+
+@cache
+def schema() -> dict[str, Any]:
+    """Return the JSON Schema of the header."""
+    return json.loads(
+        resources.files("objectfolder.objectfile").joinpath("objectfile.schema.json").read_text()
+    )
+
+
+def known_kinds(part: str) -> tuple[str, ...]:
+    """Kinds of a part (geometry, vision, audio, touch) that the schema describes."""
+    return tuple(_rules(part))
+
+
+def known_net(part: str, described: dict[str, Any]) -> dict[str, Any]:
+    """Configuration of a part's net, without fields that only a newer version knows."""
+    known = _rules(part)[described["kind"]]["properties"]["net"]["properties"]
+    return {name: value for name, value in described["net"].items() if name in known}
+
+
+def checked_header(header: Any, path: object) -> dict[str, Any]:
+    """Check a header.
+
+    Parameters
+    ----------
+    header : anything
+        What the JSON text held, or is to hold.
+    path : path
+        Named in errors.
+
+    Returns
+    -------
+    dict
+        A copy, as JSON has it.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it is not the header of an Object File, is of another major version, or breaks the schema. A kind
+        that is not known is refused here, unless the file says that it is newer: then whoever asks for that
+        part is refused.
+    """
+    try:
+        header = json.loads(json.dumps(header, allow_nan=False))
+    except (TypeError, ValueError, RecursionError) as error:
+        raise ObjectFolderError(f"{path}: its header is not JSON: {error}") from error
+    if not isinstance(header, dict) or "format" not in header:
+        if isinstance(header, dict) and "schema" in header:
+            raise ObjectFolderError(
+                f"{path} is an Object File of before format 1.0; rebuild it with `objectfolder build`"
+            )
+        raise ObjectFolderError(f"{path} is not an Object File: its header lacks format")
+    if not re.fullmatch(r"[0-9]{1,4}\.[0-9]{1,4}", str(header["format"])):
+        raise ObjectFolderError(
+            f"{path} has format {header['format']!r}, expected text like {format_name()!r}"
+        )
+    version = tuple(map(int, str(header["format"]).split(".")))
+    if version[0] != FORMAT[0]:
+        raise ObjectFolderError(
+            f"{path} has format {header['format']}, this version reads {FORMAT[0]}.x; "
+            + ("update objectfolder" if version > FORMAT else "rebuild it with `objectfolder build`")
+        )
+    problem = min(_validator().iter_errors(header), key=lambda e: (len(e.path), str(e.path)), default=None)
+    if problem is not None:
+        place = ".".join(map(str, problem.path)) or "its header"
+        raise ObjectFolderError(
+            f"{path}: {place}: {_shortened(problem.message)}; objectfile.schema.json says what is expected"
+        )
+    for part in PARTS:
+        kinds = known_kinds(part)
+        if version <= FORMAT and part in header and header[part]["kind"] not in kinds:
+            expected = " or ".join(map(repr, kinds))
+            raise ObjectFolderError(f"{path}: {part} of kind {header[part]['kind']!r}, expected {expected}")
+    return header
+
+
+def _shortened(message: str, most: int = 300) -> str:
+    return message if len(message) <= most else f"{message[: most // 2]} ... {message[-most // 2 :]}"
+
+
+@cache
+def _rules(part: str) -> dict[str, Any]:
+    """Schemas of the kinds of a part."""
+    rules = schema()["properties"][part]["allOf"]
+    return {rule["if"]["properties"]["kind"]["const"]: rule["then"] for rule in rules}
+
+
+@cache
+def _validator() -> "Draft202012Validator":
+    from jsonschema import Draft202012Validator
+
+    return Draft202012Validator(schema())

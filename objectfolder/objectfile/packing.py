@@ -1,0 +1,62 @@
+"""Joins what the training stages made into an Object File."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from objectfolder import materials
+from objectfolder.mesh.gridcodec import pack_grid
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.objectfile.header import format_name
+from objectfolder.workspace.layout import MODALITIES
+
+
+def pack(
+    key: str,
+    material: str,
+    normalize: dict[str, Any],
+    sdf: dict[str, np.ndarray],
+    nets: dict[str, tuple[dict[str, np.ndarray], dict[str, Any]]],
+    provenance: dict[str, str],
+) -> ObjectFile:
+    """Join geometry and the three nets.
+
+    Parameters
+    ----------
+    key, material : str
+    normalize : dict
+        ``normalize.json``: scale, mass properties and the transform to the source mesh.
+    sdf : dict
+        ``values`` int8 and ``band``.
+    nets : dict
+        Per modality its tensors and header, as the training stages wrote them.
+    provenance : dict
+        SHA-256 of each input, by name.
+    """
+    properties = dataclasses.asdict(materials.material(material))
+    del properties["name"]
+    stream, predictor = pack_grid(sdf["values"])
+    tensors = {"geometry.distances": stream}
+    geometry = {
+        "kind": "distance_grid",
+        "resolution": len(sdf["values"]),
+        "band": float(sdf["band"]),
+        "predictor": predictor,
+    }
+    header: dict[str, Any] = {
+        "format": format_name(),
+        "key": key,
+        "material": material,
+        "material_properties": properties,
+        "scale": normalize["scale_m"],
+        "source": {name: normalize[name] for name in ("source_centre", "source_size", "source_up")},
+        "solid": normalize["solid"],
+        "geometry": geometry,
+        "provenance": provenance,
+    }
+    for modality in MODALITIES:
+        net_tensors, net_header = nets[modality]
+        tensors.update({f"{modality}.{name}": value for name, value in net_tensors.items()})
+        header[modality] = net_header
+    return ObjectFile(header, tensors, key)

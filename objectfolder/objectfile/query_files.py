@@ -1,0 +1,143 @@
+"""Random queries in the file formats of the published dataset: views, strikes and touches that are valid."""
+
+import math
+
+import numpy as np
+import torch
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.touch.profiles import SensorProfile
+from objectfolder.vision.cameras import CAMERA_RADIUS, LIGHT_RADIUS, sphere_points
+
+MAX_TILT = math.radians(15)  #: of the published touches
+
+DIRECTIONS = ("normal", "random")
+
+
+def sample_views(
+    count: int, seed: int = 0, radius: float = CAMERA_RADIUS, light_radius: float = LIGHT_RADIUS
+) -> np.ndarray:
+    """Cameras and lights, each uniform on a sphere around the object.
+
+    Parameters
+    ----------
+    count : int
+    seed : int
+    radius, light_radius : float
+        Of the two spheres, unit frame; default: those of the paper's data (supplementary C).
+
+    Returns
+    -------
+    (count, 6) float64, camera xyz and light xyz, unit frame
+
+    Raises
+    ------
+    ObjectFolderError
+        If a radius is not a positive, finite number.
+
+    Examples
+    --------
+    >>> sample_views(20).shape
+    (20, 6)
+    """
+    _check_positive("radius", radius)
+    _check_positive("light_radius", light_radius)
+    rng = np.random.default_rng(seed)
+    return np.hstack([sphere_points(count, radius, rng), sphere_points(count, light_radius, rng)])
+
+
+def sample_strikes(
+    obj: ObjectFile, count: int, seed: int = 0, force: float = 1.0, directions: str = "normal"
+) -> np.ndarray:
+    """Strikes on an object: surface points, uniform by area, and impulses that push into it.
+
+    Parameters
+    ----------
+    obj : ObjectFile
+    count, seed : int
+        The points are those of ``obj.sample_surface(count, seed)``.
+    force : float
+        Length of every impulse, N s.
+    directions : {"normal", "random"}
+        Along the inward surface normal, as a hammer strikes; or uniform over the directions into the object.
+
+    Returns
+    -------
+    (count, 6) float64, point (metres) and impulse (N s), object frame
+
+    Raises
+    ------
+    ObjectFolderError
+        If the force is not a positive, finite number, or the directions are unknown.
+
+    Examples
+    --------
+    >>> strikes = sample_strikes(mug, 20)
+    >>> mug.impact(strikes[:, :3], strikes[:, 3:], duration=0.1).shape
+    (20, 1600)
+    """
+    _check_positive("force", force)
+    if directions not in DIRECTIONS:
+        raise ObjectFolderError(f"directions is {directions!r}, expected one of {', '.join(DIRECTIONS)}")
+    points = obj.sample_surface(count, seed)
+    unit_points = torch.from_numpy(points / obj.scale).to(torch.float32)
+    inward = -obj.surface.grid.normals(unit_points).numpy().astype(np.float64)
+    if directions == "random":
+        chosen = sphere_points(count, 1.0, _generator(seed))
+        # No hammer pulls: of a direction and its opposite, one points into the object.
+        inward = np.where((chosen * inward).sum(1, keepdims=True) < 0, -chosen, chosen)
+    return np.hstack([points, force * inward / np.linalg.norm(inward, axis=1, keepdims=True)])
+
+
+def sample_presses(
+    obj: ObjectFile, count: int, seed: int = 0, sensor: SensorProfile | None = None
+) -> np.ndarray:
+    """How a tactile sensor leans on a surface, and how far it is pressed: the published ``gelinfo``.
+
+    Parameters
+    ----------
+    obj : ObjectFile
+    count, seed : int
+    sensor : SensorProfile, optional
+        Default: the stored one.
+
+    Returns
+    -------
+    (count, 3) float64
+        Tilt theta, up to 15 degrees, and its direction phi, both in radians, and depth in metres, each
+        uniform. Depths are in the sensor's own range, ``press_depth`` of its profile: 0.5 to 2 mm for DIGIT,
+        as published.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the object has no touch net, or one that knows a single way to press.
+
+    Examples
+    --------
+    >>> tilt, azimuth, depth = sample_presses(mug, 5).T
+    >>> mug.touch(mug.sample_surface(5), depth, tilt=tilt, azimuth=azimuth).shape
+    (5, 160, 120, 3)
+    """
+    if sensor is None:
+        name, net = obj.sensor, obj.header["touch"]["net"]
+        if "press_depth" in net:
+            known = float(net["press_depth"])
+            raise ObjectFolderError(
+                f"{obj.key}: its touch net stores images of one press of {name}, {known:g} m deep and "
+                f"without a tilt; leave gelinfo out and query with that depth (--depth {known:g})"
+            )
+        sensor = SensorProfile.from_dict(net["sensor"])
+    low, high = sensor.press_depth
+    return _generator(seed).uniform((0, 0, low), (MAX_TILT, 2 * math.pi, high), (count, 3))
+
+
+def _generator(seed: int) -> np.random.Generator:
+    """Independent of the points, which are drawn from the seed itself."""
+    return np.random.default_rng(seed).spawn(1)[0]
+
+
+def _check_positive(name: str, value: float) -> None:
+    if not 0 < value < math.inf:
+        raise ObjectFolderError(f"{name} is {value!r}, expected a positive number")

@@ -1,0 +1,273 @@
+"""Reads the pickled dictionaries of released files without running what is pickled; checks what they hold."""
+
+import math
+import re
+import warnings
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.released.arrays import STAND_INS, StoredArray
+
+#: Bytes of a file; a released file with a grid of small nets has some hundred million.
+MAX_BYTES = 4 << 30
+#: Bytes of the pickle in a zip archive: it holds numpy arrays, but tensors lie beside it.
+MAX_PICKLE = 256 << 20
+MAX_ENTRIES = 100_000
+
+_FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
+
+
+class Part:
+    """A dictionary in a released file, which checks what is asked of it.
+
+    Parameters
+    ----------
+    path : path
+        The file; named in errors.
+    name : str
+        Keys that lead to the dictionary, joined by dots; empty for the outermost.
+    values : dict
+    """
+
+    def __init__(self, path: str | Path, name: str, values: Mapping[Any, Any]):
+        self.path = path
+        self.name = name
+        self.values = values
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.values
+
+    def part(self, key: str) -> "Part":
+        """Return a dictionary in it.
+
+        Raises
+        ------
+        ObjectFolderError
+            If it is missing or something else; as all methods.
+        """
+        value = self._get(key, "a dictionary")
+        if not isinstance(value, Mapping):
+            raise self.wrong(key, _described(value), "a dictionary")
+        return Part(self.path, self._full(key), value)
+
+    def state(self, key: str) -> "Part":
+        """Return a state dictionary, its keys without the prefix ``module.`` of parallel training."""
+        part = self.part(key)
+        values = {str(name).removeprefix("module."): value for name, value in part.values.items()}
+        return Part(self.path, part.name, values)
+
+    def below(self, prefix: str) -> "Part":
+        """Return those entries whose keys start with a prefix, without it."""
+        values = {k.removeprefix(prefix): v for k, v in self.values.items() if k.startswith(prefix)}
+        return Part(self.path, f"{self.name}.{prefix.rstrip('.')}", values)
+
+    def tensor(self, key: str, *shape: int | None) -> torch.Tensor:
+        """Return a float32 tensor of finite numbers.
+
+        Parameters
+        ----------
+        *shape : int or None
+            None for any size.
+        """
+        expected = f"a float tensor of shape {_shape_text(shape)}"
+        value = self._get(key, expected)
+        if not isinstance(value, torch.Tensor) or value.layout != torch.strided:
+            raise self.wrong(key, _described(value), expected)
+        if value.dtype not in _FLOATS or value.device.type != "cpu" or not _fits(value.shape, shape):
+            raise self.wrong(key, _described(value), expected)
+        # Strides of zero make any size of a few bytes.
+        if value.numel() * value.element_size() > Path(self.path).stat().st_size:
+            raise self.wrong(key, f"{_described(value)}, more than the file holds", expected)
+        # A copy: the file is mapped into memory, and may be replaced.
+        value = value.detach().contiguous().to(torch.float32, copy=True)
+        if not torch.isfinite(value).all():
+            raise self.wrong(key, "values that are not finite", "finite numbers")
+        return value
+
+    def numbers(self, key: str, *shape: int | None) -> np.ndarray:
+        """Return an array, tensor or list of finite numbers as float64; without a shape, one number."""
+        expected = f"numbers of shape {_shape_text(shape)}" if shape else "a number"
+        value = self._get(key, expected)
+        found = _described(value)
+        if isinstance(value, StoredArray):
+            array = value.value
+        elif isinstance(value, torch.Tensor):
+            array = self.tensor(key, *value.shape).numpy()
+        else:
+            try:
+                array = np.array(_rows(value, Path(self.path).stat().st_size))
+            except (ValueError, TypeError, OverflowError) as error:
+                raise self.wrong(key, found, expected) from error
+        if array.dtype.kind not in "fiu":
+            raise self.wrong(key, found, expected)
+        if not shape and array.size == 1:
+            array = array.reshape(())
+        if not _fits(array.shape, shape):
+            raise self.wrong(key, found, expected)
+        array = np.array(array, np.float64)
+        if not np.isfinite(array).all():
+            raise self.wrong(key, "values that are not finite", expected)
+        return array
+
+    def numbers_or_one(self, key: str, count: int) -> np.ndarray:
+        """Return ``count`` numbers in any shape, or one as many times; (count,) float64."""
+        value = self._get(key, f"{count} numbers or one")
+        shape = value.value.shape if isinstance(value, StoredArray) else getattr(value, "shape", None)
+        if shape is None:
+            shape = (len(value),) if isinstance(value, list | tuple) else ()
+        if math.prod(shape) not in (1, count):
+            raise self.wrong(key, _described(value), f"{count} numbers or one")
+        numbers = self.numbers(key, *shape).reshape(-1)
+        return np.broadcast_to(numbers, (count,)).copy()
+
+    def number(self, key: str) -> float:
+        """Return a finite number."""
+        return float(self.numbers(key))
+
+    def integer(self, key: str, low: int, high: int) -> int:
+        """Return a whole number within limits."""
+        value = self.number(key)
+        if not (value.is_integer() and low <= value <= high):
+            raise self.wrong(key, f"{value:g}", f"a whole number from {low} to {high}")
+        return int(value)
+
+    def setting(self, key: str, default: Any = None) -> bool | int | float | str | None:
+        """Return a number, truth value or text, where ``"None"`` stands for None."""
+        value = self.values.get(key, default)
+        if value is not None and not isinstance(value, bool | int | float | str):
+            raise self.wrong(key, _described(value), "a number, truth value or text")
+        return None if value == "None" else value
+
+    def mask(self, key: str, size: int) -> np.ndarray:
+        """Return a tensor or array of truth values, flat."""
+        expected = f"{size} truth values"
+        value = self._get(key, expected)
+        if isinstance(value, torch.Tensor) and value.dtype in (torch.bool, torch.uint8):
+            if value.layout == torch.strided and value.device.type == "cpu" and value.numel() == size:
+                if size > Path(self.path).stat().st_size:
+                    raise self.wrong(key, f"{_described(value)}, more than the file holds", expected)
+                return value.flatten().bool().clone().numpy()
+        elif isinstance(value, StoredArray) and value.value.dtype.kind in "bu" and value.value.size == size:
+            return value.value.reshape(-1).astype(bool)
+        raise self.wrong(key, _described(value), expected)
+
+    def wrong(self, key: str, found: str, expected: str) -> ObjectFolderError:
+        """Return an error that names an entry."""
+        return ObjectFolderError(f"{self.path}: {self._full(key)} is {found}; expected {expected}")
+
+    def _get(self, key: str, expected: str) -> Any:
+        if key not in self.values:
+            there = ", ".join(sorted(map(str, self.values))[:12]) or "nothing"
+            raise ObjectFolderError(
+                f"{self.path}: {self._full(key)} is missing; expected {expected}. "
+                f"{self.name or 'The file'} holds {there}"
+            )
+        return self.values[key]
+
+    def _full(self, key: str) -> str:
+        return f"{self.name}.{key}" if self.name else key
+
+
+def read_checkpoint(path: str | Path) -> Part:
+    """Read a ``.pth`` file of numbers: a zip archive, or the older format.
+
+    Nothing in it is run: torch's restricted reader rebuilds tensors and plain containers, `STAND_INS` numpy's
+    arrays, and every other name is an error.
+
+    Returns
+    -------
+    Part
+        The outermost dictionary.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the file is missing, too large, damaged, or holds more than numbers.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ObjectFolderError(f"{path} does not exist; expected a released ObjectFile.pth")
+    size = path.stat().st_size
+    if size > MAX_BYTES:
+        raise ObjectFolderError(f"{path} has {size} bytes; a released file has at most {MAX_BYTES}")
+    zipped = zipfile.is_zipfile(path)
+    if zipped:
+        _check_archive(path, size)
+    try:
+        with warnings.catch_warnings(), torch.serialization.safe_globals(STAND_INS):
+            warnings.simplefilter("ignore")  # of formats that torch has left behind
+            values = torch.load(path, map_location="cpu", weights_only=True, mmap=zipped)
+    except MemoryError as error:
+        raise ObjectFolderError(f"{path} asks for more memory than there is: it is damaged") from error
+    except Exception as error:
+        refused = re.search(r"GLOBAL (\S+)", str(error))
+        reason = f"it names {refused[1]}, which is never run" if refused else _one_line(error)
+        raise ObjectFolderError(
+            f"{path} is not a file of tensors and numbers ({reason}); expected a released ObjectFile.pth"
+        ) from error
+    if not isinstance(values, Mapping):
+        raise ObjectFolderError(f"{path} holds {_described(values)}; expected a dictionary")
+    return Part(path, "", values)
+
+
+def _check_archive(path: Path, size: int) -> None:
+    """Refuse archives that are larger inside than outside: torch stores tensors as they are."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            entries = archive.infolist()
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
+        raise ObjectFolderError(f"{path} is a damaged archive: {error}") from error
+    packed = any(entry.compress_type != zipfile.ZIP_STORED for entry in entries)
+    if packed or len(entries) > MAX_ENTRIES or sum(entry.file_size for entry in entries) > size:
+        raise ObjectFolderError(
+            f"{path} is not an archive that torch.save writes: its entries are compressed"
+        )
+    pickles = [entry.file_size for entry in entries if entry.filename.endswith("data.pkl")]
+    if max(pickles, default=0) > MAX_PICKLE:
+        raise ObjectFolderError(f"{path}: data.pkl has {max(pickles)} bytes, expected at most {MAX_PICKLE}")
+
+
+def _rows(value: Any, limit: int) -> Any:
+    """Check a number, a list of them, or a list of lists or arrays of them.
+
+    Lists may hold one another many times over, so that few bytes stand for more numbers than memory holds.
+    """
+    if isinstance(value, bool | int | float):
+        return value
+    if not isinstance(value, list | tuple):
+        raise TypeError("no list")
+    rows = [row.value.tolist() if isinstance(row, StoredArray) else row for row in value]
+    wide = [row for row in rows if isinstance(row, list | tuple)]
+    flat = all(isinstance(x, bool | int | float) for row in wide for x in row[: limit + 1])
+    if sum(map(len, wide)) + len(rows) > limit or not flat:
+        raise TypeError("no numbers")
+    return rows
+
+
+def _fits(found: tuple[int, ...], expected: tuple[int | None, ...]) -> bool:
+    return len(found) == len(expected) and all(e in (None, f) for f, e in zip(found, expected))
+
+
+def _shape_text(shape: tuple[int | None, ...]) -> str:
+    return "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
+
+
+def _described(value: Any) -> str:
+    if isinstance(value, torch.Tensor):
+        return f"a tensor of {str(value.dtype).removeprefix('torch.')}, shape {tuple(value.shape)}"
+    if isinstance(value, StoredArray):
+        return f"an array of {value.value.dtype}, shape {value.value.shape}"
+    if value is None or isinstance(value, bool | int | float):
+        return repr(value)
+    return f"of type {type(value).__name__}"
+
+
+def _one_line(error: Exception) -> str:
+    text = str(error).strip().split("\n")[0] or type(error).__name__
+    return text[:200]

@@ -1,0 +1,213 @@
+"""Turns a released file into an Object File."""
+
+import dataclasses
+import logging
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from objectfolder import materials
+from objectfolder.errors import ObjectFolderError
+from objectfolder.io import file_digest
+from objectfolder.nets.released.gains import ReleasedGains
+from objectfolder.nets.released.kilo import ReleasedKilo
+from objectfolder.nets.released.network import Frame
+from objectfolder.nets.released.spectrogram import ReleasedSpectrogram
+from objectfolder.nets.released.touch import DEPTH_SIZE, ReleasedDepth, ReleasedImage
+from objectfolder.nets.released.vision import ReleasedNerf
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.objectfile.header import format_name
+from objectfolder.released.audio import box, gains_net, spectrogram_net
+from objectfolder.released.checkpoint import Part, read_checkpoint
+from objectfolder.released.touch import depth_net, image_net
+from objectfolder.released.vision import configured_net, nerf_net
+from objectfolder.touch.profiles import load_profile
+from objectfolder.workspace.layout import MODALITIES
+
+SENSOR = "gelsight_r15"  #: makes images of the depth maps of 2.0
+RESOLUTION = 192  #: of the distance grid of a mesh
+
+_NAMES = {"vision": "VisionNet", "audio": "AudioNet", "touch": "TouchNet"}
+_KINDS = {
+    ReleasedNerf: "released_nerf",
+    ReleasedKilo: "released_kilo",
+    ReleasedSpectrogram: "released_spectrogram",
+    ReleasedGains: "released_gains",
+    ReleasedImage: "released_image",
+    ReleasedDepth: "released_depth",
+}
+log = logging.getLogger(__name__)
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """What a released file does not say."""
+
+    key: str | None = None  #: default: from the file's folder
+    material: str = "unknown"
+    scale: float | None = None  #: longest side, metres; default: of the mesh or the bounds, as they are
+    bounds: np.ndarray | None = None  #: (2, 3), of the object in the file's coordinates; 1.0 needs them
+    mesh: Path | None = None  #: of the object in the file's coordinates: its bounds and its surface
+    sensor: str | Path = SENSOR
+    gel: Path | None = None  #: ``depth_bg.npy`` of the released code
+    crop: float | None = None  #: half the side of the cube outside of which nothing is seen
+
+
+def convert(path: str | Path, options: Options = Options()) -> ObjectFile:
+    """Read a released ObjectFolder 1.0 or 2.0 file.
+
+    What cannot be read is left out with a warning, as long as something can.
+
+    Returns
+    -------
+    ObjectFile
+        With parts of kinds ``released_*``, and a surface if there is a mesh.
+
+    Raises
+    ------
+    ObjectFolderError
+        If nothing can be read, or an option is not valid.
+    """
+    path = Path(path)
+    checkpoint = read_checkpoint(path)
+    bounds, geometry = _body(options)
+    where = bounds if bounds is not None else _stored_bounds(checkpoint)
+    scale = options.scale
+    if scale is None:
+        scale = 1.0 if where is None else float(np.ptp(where, axis=0).max())
+    frame = Frame(unit=scale)
+    if geometry is not None and bounds is not None:
+        low, high = bounds
+        frame = Frame(tuple(((low + high) / 2).tolist()), float((high - low).max()))
+    readers: dict[str, Callable[[Part], Any]] = {
+        "vision": lambda part: _vision(part, options),
+        "audio": lambda part: _audio(part, frame),
+        "touch": lambda part: _touch(part, frame, bounds, options),
+    }
+    header: dict[str, Any] = {
+        "format": format_name(),
+        "key": options.key or _key(path),
+        "material": options.material,
+        "scale": scale,
+        "provenance": {"released": file_digest(path)},
+    }
+    if options.material in materials.MATERIALS:
+        header["material_properties"] = dataclasses.asdict(materials.material(options.material))
+        del header["material_properties"]["name"]
+    tensors: dict[str, np.ndarray] = {}
+    notes = []
+    for modality in MODALITIES:
+        try:
+            net = readers[modality](checkpoint.part(_NAMES[modality]))
+        except ObjectFolderError as error:
+            notes.append(f"{modality} is left out: {error}")
+            log.warning("%s", notes[-1])
+            continue
+        net_tensors, config = net.to_tensors()
+        header[modality] = {"kind": _KINDS[type(net)], "net": config}
+        tensors |= {f"{modality}.{name}": value for name, value in net_tensors.items()}
+    if not tensors:
+        raise ObjectFolderError(f"{path}: nothing could be imported. " + "; ".join(notes))
+    header["imported"] = {"release": _release(header), "notes": notes}
+    if geometry is not None:
+        header["geometry"], tensors["geometry.distances"], header["source"] = geometry
+    return ObjectFile(header, tensors, path)
+
+
+def _vision(part: Part, options: Options) -> ReleasedNerf | ReleasedKilo:
+    if "network_fn_state_dict" in part:
+        return nerf_net(part, options.crop)
+    return configured_net(part, options.crop)
+
+
+def _audio(part: Part, frame: Frame) -> ReleasedSpectrogram | ReleasedGains:
+    return spectrogram_net(part, frame) if "voxel_vertex" in part else gains_net(part, frame)
+
+
+def _touch(
+    part: Part, frame: Frame, bounds: np.ndarray | None, options: Options
+) -> ReleasedImage | ReleasedDepth:
+    if "xyz_min" in part or "xyz_max" in part:
+        return depth_net(part, frame, load_profile(options.sensor), _gel(options.gel))
+    if bounds is None:
+        raise ObjectFolderError(
+            f"{part.path}: {part.name} holds no xyz_min; a file of 1.0 does not say how large its object is: "
+            "give --bounds or --mesh"
+        )
+    return image_net(part, frame, bounds)
+
+
+def _gel(path: Path | None) -> np.ndarray | None:
+    if path is None:
+        return None
+    try:
+        heights = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise ObjectFolderError(f"{path} is not a .npy file of numbers: {error}") from error
+    if not isinstance(heights, np.ndarray) or heights.shape != DEPTH_SIZE or heights.dtype.kind not in "fiu":
+        raise ObjectFolderError(f"{path}: expected heights of shape {DEPTH_SIZE}, as calibs/depth_bg.npy")
+    if not np.isfinite(heights).all():
+        raise ObjectFolderError(f"{path} holds values that are not finite")
+    return heights
+
+
+def _stored_bounds(checkpoint: Part) -> np.ndarray | None:
+    """Bounds of a file of 2.0, or None."""
+    for holder in (("TouchNet",), ("AudioNet", "normalizer")):
+        try:
+            part = checkpoint
+            for name in holder:
+                part = part.part(name)
+            return np.array(box(part))
+        except ObjectFolderError:
+            continue
+    return None
+
+
+def _body(options: Options) -> tuple[np.ndarray | None, Any]:
+    """Bounds in the file's coordinates, and header, stream and source of the geometry, where known."""
+    if options.scale is not None and not 0 < options.scale < np.inf:
+        raise ObjectFolderError(f"scale is {options.scale!r}, expected the longest side in metres")
+    if options.mesh is None:
+        if options.bounds is None:
+            return None, None
+        bounds = np.asarray(options.bounds, np.float64)
+        if bounds.shape != (2, 3) or not np.isfinite(bounds).all() or not (bounds[0] < bounds[1]).all():
+            raise ObjectFolderError(
+                f"bounds are {bounds.ravel().tolist()}, expected xmin ymin zmin xmax ymax zmax, each least "
+                "below its greatest"
+            )
+        return bounds, None
+    # The build extra; the mesh is taken as it lies, so that its axes stay those of the file.
+    from objectfolder.mesh.gridcodec import pack_grid
+    from objectfolder.mesh.normalize import normalize
+    from objectfolder.mesh.reading.load import load_mesh
+    from objectfolder.mesh.sdf import distance_grid
+
+    mesh = load_mesh(options.mesh, "z")
+    solid = normalize(mesh, str(options.mesh))
+    values, band = distance_grid(solid.surface.vertices, solid.surface.faces, RESOLUTION)
+    stream, predictor = pack_grid(values)
+    header = {"kind": "distance_grid", "resolution": RESOLUTION, "band": float(band), "predictor": predictor}
+    source = {
+        "source_centre": solid.source_centre.tolist(),
+        "source_size": solid.source_size,
+        "source_up": "z",
+    }
+    return np.asarray(mesh.bounds, np.float64), (header, stream, source)
+
+
+def _release(header: dict[str, Any]) -> str:
+    """Return which release the parts are of."""
+    kinds = {header[modality]["kind"] for modality in MODALITIES if modality in header}
+    first = {"released_spectrogram", "released_image"} & kinds
+    return "ObjectFolder 1.0" if first else "ObjectFolder 2.0"
+
+
+def _key(path: Path) -> str:
+    """Key from the folder of a file, which the releases number."""
+    name = re.sub(r"[^a-z0-9]+", "_", path.resolve().parent.name.lower()).strip("_")
+    return name if re.match(r"[a-z]", name) else f"object_{name}".rstrip("_")

@@ -1,0 +1,246 @@
+"""Find meshes in a folder, and understand each before it is added to a workspace."""
+
+import csv
+import re
+import unicodedata
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.markup import escape
+from rich.table import Table
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from objectfolder import materials
+from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.normalize import normalize
+from objectfolder.mesh.reading.load import FORMATS, default_up, load_mesh
+from objectfolder.workspace.objects import MAX_SCALE, MIN_SCALE, check_new
+
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}  #: metres
+LARGE = 2.0  # metres; few objects that one strikes and touches are larger
+MOVED = 1e-3  # of the size: what closing a surface may move without a word
+LISTS = ("materials.csv", "materials.yaml", "materials.yml")
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A mesh that may become an object."""
+
+    key: str
+    mesh: Path
+    material: str | None = None
+    refusal: str | None = None  #: why it cannot be taken, from its place alone
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What was understood of a candidate; without a refusal it can be added."""
+
+    candidate: Candidate
+    scale: float = 0.0  #: longest side, metres
+    up: str = ""
+    pieces: int = 0  #: connected pieces of the source's surface
+    rung: str = ""  #: of the ladder that closed it
+    volume: float = 0.0  #: m^3
+    notes: list[str] = field(default_factory=list)
+    refusal: str | None = None
+
+
+def slug(name: str) -> str:
+    """Object key of a file's or folder's name: ``025_Mug (blue)`` gives ``mug_blue``."""
+    ascii_name = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode().lower()
+    return re.sub(r"[^a-z0-9]+", "_", ascii_name).strip("_0123456789") or "object"
+
+
+def discover(folder: Path, material: str | None = None) -> list[Candidate]:
+    """Find the objects in a folder: each mesh file directly in it, and each subfolder that holds one.
+
+    The key is made of the file's or the subfolder's name. ``materials.csv`` (lines ``name,material``) or
+    ``materials.yaml`` (``name: material``) in the folder name materials, by file, subfolder or key.
+
+    Parameters
+    ----------
+    folder : Path
+    material : str, optional
+        Of the objects that no list names.
+
+    Returns
+    -------
+    list of Candidate
+        Ordered by name; those whose folder holds several meshes, or whose key another one has, with a
+        refusal.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there is no mesh, or a list of materials is invalid or names an object that is not there.
+    """
+    listed = _materials(folder)
+    found = [(path.stem, [path]) for path in _meshes(folder)]
+    for child in sorted(path for path in folder.iterdir() if path.is_dir() and path.name[0] != "."):
+        inside = _meshes(child) or sorted(p for p in child.rglob("*") if _is_mesh(p))
+        found += [(child.name, inside)] if inside else []
+    if not found:
+        raise ObjectFolderError(
+            f"{folder} holds no mesh ({', '.join(FORMATS)}), neither do its subfolders; put each object's "
+            "mesh there, or in a subfolder of its own"
+        )
+    if len(found) == 1 and found[0][1][0].parent == folder:
+        found = [(folder.resolve().name, found[0][1])]
+    keys = Counter(slug(name) for name, _ in found)
+    candidates, named = [], set()
+    for name, inside in found:
+        key, mesh = slug(name), inside[0]
+        names = {name, key, mesh.name}
+        named |= names
+        refusal = None
+        if len(inside) > 1:
+            kept = ", ".join(str(path.relative_to(folder)) for path in inside[:4])
+            refusal = f"{folder / name} holds {len(inside)} meshes ({kept}); leave one, or add it by its path"
+        elif keys[key] > 1:
+            refusal = f"{keys[key]} objects in {folder} would be named {key!r}; rename {name}"
+        own = next((listed[n] for n in (name, mesh.name, key) if n in listed), material)
+        candidates.append(Candidate(key, mesh, own, refusal))
+    unknown = sorted(set(listed) - named)
+    if unknown:
+        raise ObjectFolderError(
+            f"the list of materials in {folder} names {', '.join(unknown[:5])}, which {folder} does not hold"
+        )
+    return candidates
+
+
+def _is_mesh(path: Path) -> bool:
+    return path.suffix.lower() in FORMATS and path.name[0] != "." and path.is_file()
+
+
+def _meshes(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if _is_mesh(path))
+
+
+def _materials(folder: Path) -> dict[str, str]:
+    lists = [folder / name for name in LISTS if (folder / name).is_file()]
+    if len(lists) > 1:
+        raise ObjectFolderError(f"{' and '.join(map(str, lists))} both name materials; leave one")
+    if not lists:
+        return {}
+    path = lists[0]
+    expected = "lines `name,material`" if path.suffix == ".csv" else "lines `name: material`"
+    try:
+        if path.suffix == ".csv":
+            rows = [row for row in csv.reader(path.read_text().splitlines()) if row]
+            values: Any = {name.strip(): value.strip() for name, value in rows}
+            values = {name: value for name, value in values.items() if (name, value) != ("name", "material")}
+        else:
+            values = YAML(typ="safe").load(path.read_text())
+    except (YAMLError, ValueError, csv.Error) as error:
+        raise ObjectFolderError(f"{path} cannot be read: {error}; expected {expected}") from error
+    if not isinstance(values, dict):
+        raise ObjectFolderError(f"{path} holds {type(values).__name__}; expected {expected}")
+    return {str(name): str(value) for name, value in values.items()}
+
+
+def examine(
+    candidate: Candidate,
+    values: dict[str, Any],
+    scale: float | None,
+    up: str | None,
+    unit: str = "m",
+    wall: float | None = None,
+    bridge: str = "all",
+) -> Finding:
+    """Load a candidate's mesh and close its surface in memory.
+
+    Parameters
+    ----------
+    candidate : Candidate
+    values : dict
+        Of ``params.yaml``.
+    scale : float or None
+        Longest side, metres; None takes the mesh's own.
+    up : {"y", "z"} or None
+        None guesses by the format.
+    unit : {"m", "cm", "mm"}
+        Of the mesh's coordinates.
+    wall : float, optional
+        Thickness that open sheets get, metres.
+    bridge : {"all", "fem", "off"}
+        Where small gaps are filled.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it cannot become an object.
+    """
+    if candidate.refusal is not None:
+        raise ObjectFolderError(candidate.refusal)
+    key, mesh = candidate.key, candidate.mesh
+    check_new(key, values)
+    if candidate.material is None:
+        raise ObjectFolderError(f"{key} has no material; give --material, or list it in {LISTS[0]}")
+    materials.material(candidate.material)
+    loaded = load_mesh(mesh, up or default_up(mesh))
+    lower, upper = loaded.bounds
+    own = float((upper - lower).max())
+    size = float(f"{own * UNITS[unit]:.6g}") if scale is None else scale
+    if not MIN_SCALE <= size <= MAX_SCALE:
+        raise ObjectFolderError(
+            f"scale of {key} is {size:g} m, expected the longest side in metres, {MIN_SCALE} to {MAX_SCALE}; "
+            + (f"{_other_units(own)}give --unit or --scale" if scale is None else "give it in metres")
+        )
+    report = normalize(loaded, key, wall and wall / size, bridge != "off").report(
+        size, up or default_up(mesh)
+    )
+    notes = [*report["warnings"], *report["appearance"].get("notes", [])]
+    if scale is None and size > LARGE:
+        notes.insert(0, f"{size:.3g} m is large: {_other_units(own)}--unit or --scale tells")
+    if report["deviation_max_m"] > MOVED * size:
+        notes.append(f"closing it moved its surface by up to {report['deviation_max_m'] * 1000:.2g} mm")
+    welded = [rung["components_after"] for rung in report["rungs"] if rung["name"] == "clean"]
+    pieces = welded[0] if welded else report["components"]
+    return Finding(candidate, size, report["source_up"], pieces, report["rung"], report["volume_m3"], notes)
+
+
+def _other_units(own: float) -> str:
+    """Say in which units a size would be that of an object."""
+    fitting = [f"{own:.4g} {unit}" for unit in ("cm", "mm") if 0.01 <= own * UNITS[unit] <= LARGE]
+    return f"perhaps it is {' or '.join(fitting)}; " if fitting else ""
+
+
+def survey(
+    candidates: Sequence[Candidate],
+    values: dict[str, Any],
+    up: str | None = None,
+    unit: str = "m",
+    wall: float | None = None,
+    bridge: str = "all",
+) -> Iterator[Finding]:
+    """Examine candidates one by one; one that cannot be added gives a finding with the reason."""
+    for candidate in candidates:
+        try:
+            yield examine(candidate, values, None, up, unit, wall, bridge)
+        except ObjectFolderError as error:
+            yield Finding(candidate, refusal=str(error))
+
+
+def table(findings: Sequence[Finding], up_given: bool) -> Table:
+    """Show what was understood of each candidate."""
+    result = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), caption=None if up_given else "? guessed")
+    for name in ("object", "mesh", "material", "size m", "up", "pieces", "closed by", "volume cm³"):
+        right = name in ("size m", "pieces", "volume cm³")
+        whole = name in ("object", "mesh")
+        result.add_column(name, justify="right" if right else "left", overflow="fold", no_wrap=whole)
+    for finding in findings:
+        candidate = finding.candidate
+        row = [candidate.key, escape(candidate.mesh.name), escape(candidate.material or "?")]
+        if finding.refusal is not None:
+            row.append("[bold red]refused[/]")
+        else:
+            row += [f"{finding.scale:.4g}", finding.up + ("" if up_given else "?"), str(finding.pieces)]
+            row += [finding.rung, f"{finding.volume * 1e6:,.1f}"]
+        result.add_row(*row)
+    return result

@@ -1,0 +1,73 @@
+"""Paths of the artifacts of a workspace: the only module that names a file under ``build/``."""
+
+from pathlib import Path
+
+SPLITS = ("train", "val", "test")
+MODALITIES = ("vision", "audio", "touch")
+
+
+class Build:
+    """Paths of one object's artifacts.
+
+    Parameters
+    ----------
+    key : str
+        Object key.
+    root : Path
+        Workspace, the directory that holds ``dvc.yaml``.
+    """
+
+    def __init__(self, key: str, root: str | Path = "."):
+        self.key = key
+        self.root = Path(root)
+        self.dir = self.root / "build" / key
+        self.visual = self.dir / "visual.glb"
+        self.surface = self.dir / "surface.ply"
+        self.solid_surface = self.dir / "solid.ply"
+        self.normalize = self.dir / "normalize.json"
+        self.solid = self.dir / "solid.npz"
+        self.sdf = self.dir / "sdf.npz"
+        self.voxelize = self.dir / "voxelize.json"
+        self.modes = self.dir / "modes.npz"
+        self.modal = self.dir / "modal.json"
+        self.solved_modes = self.dir / ".solved_modes.npz"  #: undeclared: outlives modes.npz
+        self.views_sheet = self.dir / "views.png"
+        self.touch_sheet = self.dir / "touch.png"
+        self.vision_sheet = self.dir / "vision.png"
+        self.sound_sheet = self.dir / "sound.png"
+        self.object_file = self.dir / "ObjectFile.safetensors"
+        self.hulls = self.dir / "hulls.npz"  #: of objects that robots handle alone
+        self.inspections = self.dir / "inspect"  #: undeclared: looking makes nothing stale
+        self.metrics = self.root / "metrics" / f"{key}.json"
+
+    def views(self, split: str) -> Path:
+        """Archive of rendered views of one split."""
+        return self.dir / "views" / f"{split}.npz"
+
+    def touch(self, split: str) -> Path:
+        """Archive of tactile images of one split."""
+        return self.dir / "touch" / f"{split}.npz"
+
+    def net(self, modality: str) -> Path:
+        """Trained net of one modality: ``vision``, ``audio`` or ``touch``."""
+        return self.dir / f"{modality}.safetensors"
+
+    def curve(self, modality: str) -> Path:
+        """Training curve of one net (CSV)."""
+        return self.dir / f"{modality}_curve.csv"
+
+    def artifacts(self) -> list[Path]:
+        """All files that the pipeline writes for the object, there or not, but its metrics."""
+        single = [
+            *(self.visual, self.surface, self.solid_surface, self.normalize),
+            *(self.solid, self.sdf, self.voxelize, self.modes, self.modal),
+            *(self.views_sheet, self.touch_sheet, self.vision_sheet, self.sound_sheet, self.object_file),
+        ]
+        data = [path for split in SPLITS for path in (self.views(split), self.touch(split))]
+        nets = [path for modality in MODALITIES for path in (self.net(modality), self.curve(modality))]
+        return [*single, *data, *nets]
+
+
+def code_list(stage: str) -> Path:
+    """Digests of the modules that a stage imports."""
+    return Path("build/.code") / f"{stage}.sha256"

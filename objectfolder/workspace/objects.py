@@ -1,0 +1,229 @@
+"""Objects and presets in ``params.yaml``: adding them keeps comments and order, and is all or nothing."""
+
+import re
+import shutil
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap
+
+from objectfolder.benchmarks.params import check_tasks
+from objectfolder.errors import ObjectFolderError
+from objectfolder.io import atomic
+from objectfolder.mesh.reading.load import default_up, load_mesh
+from objectfolder.mesh.reading.references import references
+from objectfolder.workspace import params
+
+MIN_SCALE, MAX_SCALE = 0.001, 20  # metres; outside, a unit is probably mistaken
+
+
+def add_mesh(
+    mesh: Path,
+    key: str,
+    material: str,
+    scale: float | None,
+    up: str | None,
+    root: Path = Path(),
+    attachments: Sequence[Path] = (),
+    wall: float | None = None,
+    bridge: str = "all",
+) -> dict[str, Any]:
+    """Copy a mesh into the workspace, track it with DVC and enter it in ``params.yaml``.
+
+    Parameters
+    ----------
+    mesh : Path
+        Of a format of `objectfolder.mesh.reading.load.FORMATS`; the files that it refers to come along.
+    key : str
+        Object key.
+    material : str
+    scale : float or None
+        Longest side, metres; None takes the mesh's own longest side as metres.
+    up : {"y", "z"} or None
+        None takes the format's default.
+    attachments : sequence of Path
+        Files that are kept beside the mesh under their own names, such as a licence.
+    wall : float, optional
+        Thickness that open sheets get, metres.
+    bridge : {"all", "fem", "off"}
+        Where small gaps are filled.
+
+    Returns
+    -------
+    dict
+        The new entry.
+
+    Raises
+    ------
+    ObjectFolderError
+        If anything is wrong with the arguments or the mesh; nothing is changed then.
+    """
+    from dvc.exceptions import DvcException
+
+    from objectfolder.engine.dvc.repository import owned
+
+    params_path = root / params.PARAMS_FILE
+    document, values = _editable(params_path)
+    home = check_new(key, values, root)
+    up = up or default_up(mesh)
+    lower, upper = load_mesh(mesh, up).bounds
+    size = float(f"{(upper - lower).max():.6g}") if scale is None else scale
+    if not MIN_SCALE <= size <= MAX_SCALE:
+        raise ObjectFolderError(
+            f"scale of {key} is {size:g} m, expected the longest side in metres, {MIN_SCALE} to {MAX_SCALE}; "
+            + ("the mesh is in other units: give --scale" if scale is None else "give it in metres")
+        )
+    entry = {
+        "mesh": f"data/objects/{key}/mesh{mesh.suffix.lower()}",
+        "material": material,
+        "scale": size,
+        "up": up,
+        "wall": wall,
+        "bridge": bridge,
+    }
+    entry = params.object_entry(key, {"objects": {key: entry}}, params_path).model_dump()
+    sources = {mesh: PurePosixPath("mesh" + mesh.suffix.lower())}
+    sources |= {mesh.parent / name: name for name in references(mesh)}
+    sources |= {path: PurePosixPath(path.name) for path in attachments}
+    for source in sources:
+        if not source.is_file():
+            raise ObjectFolderError(f"{mesh} refers to {source}, which does not exist; put it there")
+    staging = home.with_name(f".{key}.tmp")
+    shutil.rmtree(staging, ignore_errors=True)
+    try:
+        for source, target in sources.items():
+            copy = staging / target
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source, copy)
+        staging.rename(home)
+        with owned(root) as repo:
+            repo.add(str(home.resolve()))
+        document["objects"][key] = _one_line(entry)
+        _write(params_path, document)
+    except BaseException as error:
+        shutil.rmtree(home, ignore_errors=True)
+        home.with_name(f"{key}.dvc").unlink(missing_ok=True)
+        if isinstance(error, OSError | DvcException):
+            raise ObjectFolderError(f"cannot add {key} to {home}: {error}; nothing was changed") from error
+        raise
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+    return entry
+
+
+def check_new(key: str, values: dict[str, Any], root: Path = Path()) -> Path:
+    """Return the folder that a new object's files go to.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the key is not valid, or taken.
+    """
+    params.check_key(key)
+    home = root / "data" / "objects" / key
+    if key in values["objects"] or home.exists():
+        raise ObjectFolderError(
+            f"object {key!r} exists already ({root / params.PARAMS_FILE} or {home}); choose another name, or "
+            "remove it"
+        )
+    return home
+
+
+def add_catalogue(catalogue: Path, root: Path = Path()) -> list[str]:
+    """Enter a catalogue's procedural objects and object entries in ``params.yaml``.
+
+    Entries that are there already, unchanged, are left alone.
+
+    Returns
+    -------
+    Keys that were added.
+
+    Raises
+    ------
+    ObjectFolderError
+        If an entry is invalid, or another one has its key.
+    """
+    params_path = root / params.PARAMS_FILE
+    document, values = _editable(params_path)
+    if catalogue.is_file() and re.search(r"^sources:", catalogue.read_text(errors="replace"), re.MULTILINE):
+        raise ObjectFolderError(
+            f"{catalogue} lists published objects whose meshes are not here; bring them with `objectfolder "
+            f"fetch --catalogue {catalogue}`"
+        )
+    new = params.read(catalogue)
+    # Every field is written: DVC tracks them one by one, and misses those that are left out.
+    for key in new["objects"]:
+        new["objects"][key] = params.object_entry(key, new, catalogue).model_dump()
+    added = []
+    for group in ("procedural", "objects"):
+        for key, entry in new[group].items():
+            present = values[group].get(key)
+            if present is None:
+                document[group][key] = _one_line(entry)
+                added += [key] if group == "objects" else []
+            elif present != entry:
+                raise ObjectFolderError(
+                    f"{catalogue}: {group}.{key} differs from the one in {params_path}; rename or remove one"
+                )
+    _write(params_path, document)
+    return added
+
+
+def apply_preset(name: str, root: Path = Path()) -> list[str]:
+    """Merge ``params/<name>.yaml`` into the stage sections of ``params.yaml``.
+
+    Returns
+    -------
+    Sections that changed.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there is no such preset, or the result is invalid.
+    """
+    params_path = root / params.PARAMS_FILE
+    document, values = _editable(params_path)
+    preset, path = read_preset(name, root)
+    changed = [section for section, content in preset.items() if values.get(section) != content]
+    params.check_all({**values, **preset}, path)
+    check_tasks({**values, **preset}, path)
+    for section in changed:
+        document[section] = preset[section]
+    _write(params_path, document)
+    return changed
+
+
+def read_preset(name: str, root: Path = Path()) -> tuple[dict[str, Any], Path]:
+    """Return the sections of ``params/<name>.yaml``, and its path.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there is no such preset.
+    """
+    folder = root / "params"
+    path = folder / f"{name}.yaml"
+    if not path.is_file():
+        known = ", ".join(sorted(p.stem for p in folder.glob("*.yaml"))) or "none"
+        raise ObjectFolderError(f"no preset {name!r} in {folder}/; expected one of {known}")
+    return YAML(typ="safe").load(path.read_text()), path
+
+
+def _editable(path: Path) -> tuple[Any, dict[str, Any]]:
+    values = params.read(path)
+    return YAML().load(path.read_text()), values
+
+
+def _write(path: Path, document: Any) -> None:
+    yaml = YAML()
+    yaml.width = 4096  # an entry stays on its line
+    with atomic(path) as temporary, temporary.open("w") as stream:
+        yaml.dump(document, stream)
+
+
+def _one_line(entry: dict[str, Any]) -> CommentedMap:
+    line = CommentedMap(entry)
+    line.fa.set_flow_style()
+    return line

@@ -1,0 +1,128 @@
+"""Whether an artifact holds what its readers expect: one table of all kinds of artifacts."""
+
+import csv
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.fem.elements import restored
+from objectfolder.io import read_json, read_npz, read_safetensors
+from objectfolder.mesh.grid import DistanceGrid
+from objectfolder.mesh.ply import read_surface
+from objectfolder.mesh.reading.load import load_mesh
+from objectfolder.objectfile.evaluation import summary_row
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.workspace.layout import MODALITIES, SPLITS, Build
+
+#: Shapes of arrays; a letter is the same number throughout a file.
+MODES = {
+    "points": "p3",
+    "split": "p",
+    "shapes": "p3m",
+    "eigenvalues": "m",
+    "damping": "m",
+    "damped_frequency": "m",
+    "truncated": "",
+    "band_hz": "2",
+}
+VIEWS = {"rgba": "nhw4", "camera_to_world": "n44", "light": "n3", "focal": "", "renderer": ""}
+TOUCHES = {
+    "images": "nhw3",
+    "masks": "nhw",
+    "points": "n3",
+    "normals": "n3",
+    "depths": "n",
+    "angles": "n",
+    "obstructed": "n",
+    "max_penetration": "n",
+    "area": "n",
+    "force": "n",
+    "renderer": "",
+}
+SDF = {"values": "nnn", "band": ""}
+NORMALIZE = (
+    "scale_m",
+    "source_centre",
+    "source_size",
+    "source_up",
+    "solid",
+    "volume_m3",
+    "rungs",
+    "warnings",
+)
+
+
+def checks(build: Build) -> dict[Path, Callable[[Path], Any]]:
+    """How each artifact of an object is read; the reader raises ObjectFolderError where it is not valid."""
+    table: dict[Path, Callable[[Path], Any]] = {
+        build.visual: partial(load_mesh, up="y"),
+        build.surface: read_surface,
+        build.solid_surface: read_surface,
+        build.normalize: partial(_json, names=NORMALIZE),
+        build.solid: lambda path: restored(read_npz(path, "kind")),
+        build.sdf: lambda path: DistanceGrid.from_arrays(_arrays(path, SDF)),
+        build.voxelize: partial(_json, names=("distance_grid",)),
+        build.modes: partial(_arrays, shapes=MODES),
+        build.modal: partial(_json, names=("modes", "mass_kg", "truncated")),
+        build.object_file: lambda path: ObjectFile.load(path).check(),
+        build.metrics: lambda path: summary_row(build.key, read_json(path)),
+    }
+    table |= {build.views(split): partial(_arrays, shapes=VIEWS) for split in SPLITS}
+    table |= {build.touch(split): partial(_arrays, shapes=TOUCHES) for split in SPLITS}
+    table |= {build.net(modality): _net for modality in MODALITIES}
+    table |= {build.curve(modality): _curve for modality in MODALITIES}
+    sheets = (build.views_sheet, build.touch_sheet, build.vision_sheet, build.sound_sheet)
+    return table | dict.fromkeys(sheets, _picture)
+
+
+def validate(check: Callable[[Path], Any], path: Path) -> str:
+    """What is wrong with an artifact, in one line; empty if nothing is."""
+    try:
+        check(path)
+    except ObjectFolderError as error:
+        return str(error)
+    except Exception as error:  # a reader that meets what it was not made for raises anything
+        return f"{path} is not valid: {type(error).__name__}: {error}".partition("\n")[0]
+    return ""
+
+
+def _arrays(path: Path, shapes: dict[str, str]) -> dict[str, np.ndarray]:
+    arrays = read_npz(path, *shapes)
+    sizes: dict[str, int] = {}
+    for name, dims in shapes.items():
+        shape = arrays[name].shape
+        expected = [int(d) if d.isdigit() else sizes.setdefault(d, n) for d, n in zip(dims, shape)]
+        if len(shape) != len(dims) or list(shape) != expected:
+            raise ObjectFolderError(f"{path}: {name} has shape {shape}, expected {tuple(dims)}; rebuild it")
+    return arrays
+
+
+def _json(path: Path, names: tuple[str, ...]) -> None:
+    missing = [name for name in names if name not in read_json(path)]
+    if missing:
+        raise ObjectFolderError(f"{path} lacks {', '.join(missing)}; rebuild it")
+
+
+def _net(path: Path) -> None:
+    _, header = read_safetensors(path)
+    missing = [name for name in ("kind", "net") if name not in header]
+    if missing:
+        raise ObjectFolderError(f"{path} is no net: it lacks {', '.join(missing)}; rebuild it")
+
+
+def _curve(path: Path) -> None:
+    with path.open() as stream:
+        rows = list(csv.reader(stream))
+    if not rows or rows[0] != ["step", "train_loss", "val_loss"]:
+        raise ObjectFolderError(f"{path} does not start with step,train_loss,val_loss; rebuild it")
+    np.array(rows[1:], float)
+
+
+def _picture(path: Path) -> None:
+    with Image.open(path) as image:
+        image.load()

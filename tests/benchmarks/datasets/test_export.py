@@ -1,0 +1,212 @@
+import errno
+import io
+import json
+
+import numpy as np
+import pytest
+import soundfile
+from PIL import Image
+from typer.testing import CliRunner
+
+from objectfolder.benchmarks.datasets import export
+from objectfolder.benchmarks.datasets.export import write_datasets, write_webdataset
+from objectfolder.benchmarks.datasets.observations import Observations, find_folders
+from objectfolder.benchmarks.datasets.sampling import sample_observations
+from objectfolder.benchmarks.datasets.splits import named_split
+from objectfolder.cli import app
+from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile.file import ObjectFile
+
+KEYS = ("espresso_mug", "tea_beaker", "own")  # for training, for tests, for training
+COUNT = 10
+
+
+@pytest.fixture(scope="module")
+def root(brick, tmp_path_factory):
+    """A brick's observations under several names, with its views darker each time."""
+    root = tmp_path_factory.mktemp("objects")
+    file = ObjectFile(brick.header | {"key": KEYS[0]}, dict(brick.tensors))
+    sample_observations(file, COUNT, 8, 0, root / KEYS[0])
+    for i, key in enumerate(KEYS[1:], 1):
+        (root / key).mkdir()
+        for path in (root / KEYS[0]).iterdir():
+            (root / key / path.name).write_bytes(path.read_bytes())
+        np.save(root / key / "vision.npy", np.load(root / key / "vision.npy") // (i + 1))
+        record = json.loads((root / key / "observations.json").read_text())
+        (root / key / "observations.json").write_text(json.dumps(record | {"key": key}))
+    return root
+
+
+@pytest.fixture(scope="module")
+def observations(root):
+    return Observations(find_folders([root]))
+
+
+def split_of(observations, name="seen"):
+    return named_split(name, observations.keys, observations.count)
+
+
+def content(folder):
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def check(observations, row, vision, audio, touch):
+    """Decoded files against a row."""
+    index = np.array([row])
+    assert (vision == observations.read("vision", index)[0]).all()
+    assert (touch == observations.read("touch", index)[0]).all()
+    sound, rate = soundfile.read(io.BytesIO(audio), dtype="float32")
+    assert rate == 16000
+    assert (sound == observations.read("audio", index)[0]).all()
+
+
+@pytest.mark.filterwarnings("ignore:unclosed file .*.tar:ResourceWarning")  # of the library's reader
+@pytest.mark.parametrize("name", ["seen", "unseen"])
+def test_webdataset_gives_back_every_observation(observations, tmp_path, name):
+    import webdataset
+
+    split = split_of(observations, name)
+    write_webdataset(observations, split, tmp_path / "out", shard=7)
+    index = json.loads((tmp_path / "out" / "index.json").read_text())
+    assert index["split"] == name
+    assert index["labels"] == list(observations.keys)
+    for part in ("train", "val", "test"):
+        rows = []
+        for shard in index["shards"][part]:
+            path = str(tmp_path / "out" / shard["file"])
+            samples = list(webdataset.WebDataset(path, shardshuffle=False).decode("rgb8"))
+            assert len(samples) == shard["samples"] <= 7
+            for sample in samples:
+                said = sample["json"]
+                row = said["label"] * COUNT + said["observation"]
+                assert sample["__key__"] == f"{said['key']}_{said['observation']:06d}"
+                assert said["key"] == observations.keys[said["label"]]
+                assert (said["material"], said["scale"], said["sensor"]) == ("plastic", 0.1, "digit")
+                queries = observations.queries(said["key"])
+                assert said["queries"].keys() == queries.keys()
+                for query, values in queries.items():
+                    assert (np.array(said["queries"][query]) == values[said["observation"]]).all()
+                check(observations, row, sample["vision.png"], sample["audio.wav"], sample["touch.png"])
+                rows.append(row)
+        assert sorted(rows) == getattr(split, part).tolist()
+        if len(rows) > 10:
+            assert rows != sorted(rows)  # shuffled: a reader sees a shard after the other
+
+
+@pytest.mark.parametrize("name", ["seen", "unseen"])
+def test_datasets_gives_back_every_observation(observations, tmp_path, name, monkeypatch):
+    datasets = pytest.importorskip("datasets")
+    monkeypatch.setattr(datasets.config, "HF_HUB_OFFLINE", True)
+    split = split_of(observations, name)
+    write_datasets(observations, split, tmp_path / "out")
+    loaded = datasets.load_dataset(str(tmp_path / "out"), cache_dir=str(tmp_path / "cache"))
+    features = loaded["train"].features
+    assert features["label"].names == list(observations.keys)
+    assert isinstance(features["vision"], datasets.Image)
+    assert isinstance(features["touch"], datasets.Image)
+    assert isinstance(features["audio"], datasets.Audio)
+    assert list(loaded) == ["train", "validation", "test"]
+    for part, rows in zip(loaded, (split.train, split.val, split.test)):
+        for row, sample in zip(rows.tolist(), loaded[part], strict=True):
+            assert (sample["label"], sample["observation"]) == divmod(row, COUNT)
+            queries = observations.queries(observations.keys[sample["label"]])
+            for query, values in queries.items():
+                assert (np.array(sample[query]) == values[sample["observation"]]).all()
+            assert sample["audio"]["path"].endswith("_audio.wav")
+            vision, touch = np.array(sample["vision"]), np.array(sample["touch"])
+            check(observations, row, vision, sample["audio"]["bytes"], touch)
+
+
+@pytest.mark.parametrize("write", [write_webdataset, write_datasets])
+def test_the_same_observations_give_the_same_bytes(observations, tmp_path, write, monkeypatch):
+    write(observations, split_of(observations), tmp_path / "first")
+    monkeypatch.setattr("time.time", lambda: 2e9)
+    write(observations, split_of(observations), tmp_path / "second")
+    assert content(tmp_path / "first") == content(tmp_path / "second")
+
+
+@pytest.mark.parametrize("write", [write_webdataset, write_datasets])
+def test_existing_folder_is_refused(observations, tmp_path, write):
+    with pytest.raises(ObjectFolderError, match=f"{tmp_path} exists already"):
+        write(observations, split_of(observations), tmp_path)
+
+
+@pytest.mark.parametrize("write", [write_webdataset, write_datasets])
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(errno.ENOSPC, "No space left on device")])
+def test_what_is_broken_off_leaves_nothing(observations, tmp_path, write, error, monkeypatch):
+    def fail(sound, rate):
+        raise error
+
+    monkeypatch.setattr(export, "_wav", fail)
+    wanted = KeyboardInterrupt if isinstance(error, KeyboardInterrupt) else ObjectFolderError
+    with pytest.raises(wanted, match="no space in" if wanted is ObjectFolderError else None):
+        write(observations, split_of(observations), tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_progress_is_reported(observations, tmp_path):
+    heard = []
+    write_datasets(
+        observations, split_of(observations), tmp_path / "a", lambda done, total: heard.append((done, total))
+    )
+    assert heard == [(24, 30), (27, 30), (30, 30)]
+    heard.clear()
+    write_webdataset(
+        observations,
+        split_of(observations),
+        tmp_path / "b",
+        4,
+        lambda done, total: heard.append((done, total)),
+    )
+    assert heard == [(done, 30) for done in range(1, 31)]
+
+
+def test_png_and_wav_are_what_other_readers_expect():
+    image = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
+    read = Image.open(io.BytesIO(export._png(image)))
+    assert (read.mode, read.size) == ("RGB", (3, 2))
+    info = soundfile.info(io.BytesIO(export._wav(np.array([0, 1e-9, -3], np.float32), 16000)))
+    assert (info.format, info.subtype, info.samplerate, info.frames) == ("WAV", "FLOAT", 16000, 3)
+
+
+@pytest.mark.parametrize("library", ["webdataset", "datasets"])
+def test_commands(root, tmp_path, library):
+    out = tmp_path / "out"
+    result = CliRunner().invoke(app, ["export", library, str(out), str(root)])
+    assert result.exit_code == 0, result.output
+    assert "3 objects" in result.output
+    assert "24 samples to train, 3 to validate, 3 to test" in result.output
+    assert content(out)
+
+
+def test_commands_take_single_folders(root, tmp_path):
+    folders = [str(root / key) for key in KEYS[:2]]
+    arguments = ["export", "webdataset", str(tmp_path / "out"), *folders, "--split", "unseen"]
+    result = CliRunner().invoke(app, arguments)
+    assert "9 samples to train, 1 to validate, 10 to test" in result.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [(["--split", "other"], "split 'other' is unknown"), (["{tmp}"], "holds no observations")],
+)
+def test_commands_say_what_is_wrong(root, tmp_path, arguments, message):
+    filled = [argument.format(tmp=tmp_path) for argument in arguments]
+    result = CliRunner().invoke(app, ["export", "datasets", str(tmp_path / "out"), str(root), *filled])
+    assert isinstance(result.exception, ObjectFolderError)
+    assert message in str(result.exception)
+
+
+def test_library_that_is_not_there_is_named(root, tmp_path, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    result = CliRunner().invoke(app, ["export", "webdataset", str(tmp_path / "out"), str(root)])
+    assert "webdataset is not installed; this needs: pip install 'objectfolder[hub]'" in str(result.exception)
+
+
+def test_folders_are_found_at_any_depth_and_once(root, tmp_path):
+    assert find_folders([root, root / KEYS[0]]) == {key: root / key for key in KEYS}
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    (copy / "observations.json").write_bytes((root / KEYS[0] / "observations.json").read_bytes())
+    with pytest.raises(ObjectFolderError, match=f"{KEYS[0]}: both .* hold its observations; give one"):
+        find_folders([root, copy])

@@ -1,0 +1,158 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from objectfolder.benchmarks.datasets import grasp_data
+from objectfolder.benchmarks.datasets.grasp_data import (
+    FORCES,
+    Plan,
+    are_collected,
+    collect_grasps,
+    draw_attempts,
+)
+from objectfolder.benchmarks.datasets.grasps import ARRAYS, Grasps
+from objectfolder.envs.body import rigid_body
+from objectfolder.envs.grasping import GraspScene, Physics, lowest_hand
+from objectfolder.envs.hulls import convex_hulls
+from objectfolder.envs.poses import rotation
+from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile.file import ObjectFile
+
+WANTED = Plan(10, 1, 24, (16, 12))
+
+
+@pytest.fixture(scope="module")
+def body(brick):
+    return rigid_body(brick, convex_hulls(brick.to_mesh()))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_batches():
+    """Two batches for ten grasps."""
+    before, grasp_data.BATCH = grasp_data.BATCH, 6
+    yield
+    grasp_data.BATCH = before
+
+
+@pytest.fixture(scope="module")
+def surface(brick):
+    return brick.surface.vertices, brick.surface.faces
+
+
+@pytest.fixture(scope="module")
+def collected(brick, body, surface, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("grasps") / "brick"
+    collect_grasps(brick, body, WANTED, 0, folder, surface)
+    return folder
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_what_is_collected(brick, collected):
+    grasps = Grasps({"brick": collected})
+    assert grasps.count == 10
+    assert grasps.has_explicit
+    assert grasps.shape("image") == (24, 24, 3)
+    assert grasps.shape("touch") == (2, 16, 12, 3)
+    rows = np.arange(10)
+    width, soft, force = (grasps.read(name, rows) for name in ("width", "soft", "force"))
+    # It is 3, 6 and 10 cm thick; jaws may close on a corner of it.
+    assert ((width > 0.028) & (width < 0.11)).all()
+    assert set(np.round(2 * soft).astype(int)) <= {0, 1, 2}
+    assert ((force > 0.5 * FORCES[0]) & (force < 1.5 * FORCES[1])).all()
+    offset = grasps.read("offset", rows)
+    assert np.linalg.norm(offset, axis=1).max() < 0.06
+    # The truth here is the stored surface itself, on which both then agree.
+    touch, explicit = (grasps.read(name, rows).astype(int) for name in ("touch", "explicit"))
+    assert np.abs(touch - explicit).mean() < 0.5
+    record = json.loads((collected / "record.json").read_text())
+    assert record["attempts"]["drawn"] >= record["attempts"]["free"] >= record["attempts"]["touched"] >= 10
+    assert record["success_rate"] == pytest.approx(grasps.success.mean())
+    assert {path.stem for path in collected.glob("*.npy")} == set(ARRAYS)
+
+
+def test_poses_are_enough_to_run_grasps_again(brick, body, collected):
+    poses = np.load(collected / "poses.npz")
+    grasps = Grasps({"brick": collected})
+    again = GraspScene(body).close(poses["start"], poses["hands"], poses["limits"])
+    assert np.array_equal(again.objects, poses["objects"])
+    assert again.width.astype(np.float32).tobytes() == grasps.read("width", np.arange(10)).tobytes()
+
+
+def test_interrupted_and_threaded_collections_are_the_same(
+    brick, body, surface, collected, tmp_path, monkeypatch
+):
+    class Interrupted(Exception):
+        pass
+
+    def stop(done, total):
+        raise Interrupted
+
+    with pytest.raises(Interrupted):
+        collect_grasps(brick, body, WANTED, 0, tmp_path / "brick", surface, report=stop)
+    assert not (tmp_path / "brick" / "record.json").exists()
+    assert not are_collected(brick, body, WANTED, 0, True, tmp_path / "brick")
+    tried = []
+    first = grasp_data.label_grasps
+    monkeypatch.setattr(grasp_data, "label_grasps", lambda *args: tried.append(0) or first(*args))
+    collect_grasps(brick, body, WANTED, 0, tmp_path / "brick", surface, threads=2)
+    assert contents(tmp_path / "brick") == contents(collected)
+    assert len(tried) == 1  # of two batches the first was there
+    assert are_collected(brick, body, WANTED, 0, True, tmp_path / "brick")
+    collect_grasps(brick, body, WANTED, 0, tmp_path / "brick", surface)
+    assert len(tried) == 1
+
+
+def test_starts_are_free_and_forces_spread(body):
+    scene = GraspScene(body)
+    rests = scene.rests(np.random.default_rng(0), 8)
+    attempts, drawn = draw_attempts(scene, rests, 40, np.random.default_rng(1))
+    assert drawn >= 40
+    assert scene.free(attempts.objects, attempts.hands).all()
+    assert attempts.hands[:, 2].min() >= lowest_hand()
+    assert FORCES[0] <= attempts.forces.min() < 3
+    assert 15 < attempts.forces.max() <= FORCES[1]
+    # All rest on the table, whichever way they are turned.
+    points = body.hulls[0].vertices
+    lowest = [(points @ rotation(pose[3:]).T + pose[:3])[:, 2].min() for pose in attempts.objects]
+    assert np.abs(lowest).max() < 0.001
+
+
+def test_a_file_without_touch_is_refused(brick, body, tmp_path):
+    header = {name: value for name, value in brick.header.items() if name != "touch"}
+    with pytest.raises(ObjectFolderError, match="brick: the Object File holds no touch"):
+        collect_grasps(ObjectFile(header, brick.tensors), body, WANTED, 0, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_flatter_than_pads_reach_is_said(brick, tmp_path):
+    crumb = ObjectFile(brick.header | {"key": "crumb", "scale": 0.003}, brick.tensors)
+    tiny = rigid_body(crumb, convex_hulls(crumb.to_mesh()))
+    with pytest.raises(ObjectFolderError, match=r"crumb: both pads touch it in none of \d+ .* 4 mm over"):
+        collect_grasps(crumb, tiny, WANTED, 0, tmp_path)
+
+
+def test_other_hulls_are_another_collection(brick, body, surface, collected):
+    assert are_collected(brick, body, WANTED, 0, True, collected)
+    moved = replace(body, hulls=tuple(hull.copy().apply_scale(1.01) for hull in body.hulls))
+    assert not are_collected(brick, moved, WANTED, 0, True, collected)
+    assert not are_collected(brick, body, WANTED, 0, False, collected)
+
+
+def test_another_time_step_is_another_collection(brick, body, surface, collected, tmp_path, monkeypatch):
+    finer = replace(WANTED, timestep=0.001)
+    assert not are_collected(brick, body, finer, 0, True, collected)
+    asked = []
+
+    def scene(body, physics, threads):
+        asked.append(physics)
+        raise ObjectFolderError("enough")
+
+    monkeypatch.setattr(grasp_data, "GraspScene", scene)
+    with pytest.raises(ObjectFolderError, match="enough"):
+        collect_grasps(brick, body, finer, 0, tmp_path, surface)
+    assert asked == [Physics(timestep=0.001)]

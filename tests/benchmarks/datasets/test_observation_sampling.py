@@ -1,0 +1,310 @@
+import errno
+import json
+import logging
+
+import numpy as np
+import pytest
+
+from objectfolder import disk as space
+from objectfolder.benchmarks.datasets import sampling
+from objectfolder.benchmarks.datasets.sampling import ask, draw_queries, object_digest, sample_observations
+from objectfolder.errors import ObjectFolderError
+from objectfolder.nets.touch_image import ImageTouch
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.touch.profiles import load_profile
+
+COUNT, SIDE = 10, 16
+
+
+@pytest.fixture(scope="module")
+def sampled(brick, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("observations")
+    sample_observations(brick, COUNT, SIDE, 7, folder)
+    return folder
+
+
+def content(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def calls(monkeypatch):
+    """Record which modalities are asked for."""
+    asked, answer = [], sampling.ask
+
+    def record(file, queries, modality, resolution):
+        if len(queries["touch_depth"]) > 1:  # more than the question how large an image is
+            asked.append(modality)
+        return answer(file, queries, modality, resolution)
+
+    monkeypatch.setattr(sampling, "ask", record)
+    return asked
+
+
+def lacking(file, part):
+    header = {name: value for name, value in file.header.items() if name != part}
+    return ObjectFile(header, dict(file.tensors))
+
+
+def test_observations_are_what_the_object_file_answers(brick, sampled):
+    queries = dict(np.load(sampled / "queries.npz"))
+    vision, audio, touch = (np.load(sampled / f"{name}.npy") for name in ("vision", "audio", "touch"))
+    view = brick.view(queries["vision_camera"], queries["vision_light"], SIDE)
+    assert (vision == (view * 255).round()).all()
+    assert (audio == brick.impact(queries["audio_point"], queries["audio_force"])).all()
+    assert (touch == brick.touch(queries["touch_point"], queries["touch_depth"])).all()
+    assert [a.dtype for a in (vision, audio, touch)] == [np.uint8, np.float32, np.uint8]
+    assert [a.shape for a in (vision, audio, touch)] == [(10, 16, 16, 3), (10, 32000), (10, 160, 120, 3)]
+
+
+def test_record_says_what_was_drawn(brick, sampled):
+    record = json.loads((sampled / "observations.json").read_text())
+    arrays = record.pop("arrays")
+    assert record == {
+        "version": 1,
+        "key": "brick",
+        "material": "plastic",
+        "scale": 0.1,
+        "sensor": "digit",
+        "object_sha256": object_digest(brick),
+        "count": COUNT,
+        "resolution": SIDE,
+        "sample_rate": 16000,
+        "seed": 7,
+    }
+    assert {name: array["shape"] for name, array in arrays.items()} == {
+        "vision": [10, 16, 16, 3],
+        "audio": [10, 32000],
+        "touch": [10, 160, 120, 3],
+    }
+    assert [array["empty"] for array in arrays.values()] == [0, 0, 0]
+
+
+def test_queries_are_drawn_as_the_paper_draws_them(brick):
+    queries = draw_queries(brick, 200, 0)
+    np.testing.assert_allclose(np.linalg.norm(queries["vision_camera"], axis=1), 2.5)
+    np.testing.assert_allclose(np.linalg.norm(queries["vision_light"], axis=1), 1)
+    for name in ("audio_point", "touch_point"):
+        assert (brick.nearest(queries[name])[1] < 0.005 * brick.scale).all()  # edges of its grid
+    impulse = np.linalg.norm(queries["audio_force"], axis=1)
+    assert impulse.min() >= 0.1
+    assert impulse.max() <= 1
+    # Log-uniform: the median is the geometric mean of the ends, and its deviation 1.25 log(10) / sqrt(12 n).
+    assert abs(np.log10(np.median(impulse)) + 0.5) < 4 * 1.25 / np.sqrt(12 * 200)
+    low, high = load_profile("digit").press_depth
+    depth = queries["touch_depth"]
+    assert low <= depth.min() < low + 0.05 * (high - low)
+    assert high - 0.05 * (high - low) < depth.max() <= high
+
+
+def test_forces_push_into_the_object_in_every_direction(brick):
+    queries = draw_queries(brick, 200, 0)
+    force = queries["audio_force"] / np.linalg.norm(queries["audio_force"], axis=1, keepdims=True)
+    inside = queries["audio_point"] + 1e-3 * force
+    sides = np.array([1.0, 0.6, 0.3]) / 2 * brick.scale
+    # Grazing strikes at edges may leave through the next face; all others go in.
+    assert (np.abs(inside) < sides).all(1).mean() > 0.95
+    normal = np.abs(queries["audio_point"]) > sides - 1e-4
+    faces = normal.sum(1) == 1
+    along = np.abs(force[faces][normal[faces]])
+    # Uniform over the half sphere: the component along the normal is uniform over 0 to 1.
+    assert abs(along.mean() - 0.5) < 4 / np.sqrt(12 * faces.sum())
+
+
+def test_rows_depend_on_the_seed_and_their_number_not_on_the_count(brick):
+    few, many, other = draw_queries(brick, 10, 0), draw_queries(brick, 30, 0), draw_queries(brick, 10, 1)
+    for name in few:
+        assert (few[name] == many[name][:10]).all()
+        assert (few[name] != other[name]).any()
+        assert len(np.unique(many[name], axis=0)) == 30
+
+
+def test_the_same_call_gives_the_same_bytes(brick, sampled, tmp_path):
+    sample_observations(brick, COUNT, SIDE, 7, tmp_path / "deep" / "folder")
+    assert content(tmp_path / "deep" / "folder") == content(sampled)
+
+
+def test_complete_folder_is_left_alone(brick, sampled, monkeypatch):
+    before, asked = content(sampled), calls(monkeypatch)
+    times = {path: path.stat().st_mtime_ns for path in sampled.iterdir()}
+    sample_observations(brick, COUNT, SIDE, 7, sampled)
+    assert asked == []
+    assert content(sampled) == before
+    assert times == {path: path.stat().st_mtime_ns for path in sampled.iterdir()}
+
+
+@pytest.mark.parametrize(("failing", "left"), [("audio", ["audio", "touch"]), ("touch", ["touch"])])
+def test_interrupted_call_goes_on(brick, sampled, tmp_path, monkeypatch, failing, left):
+    with monkeypatch.context() as patch:
+        answer = sampling.ask
+
+        def stop(file, queries, modality, resolution):
+            if modality == failing and len(queries["touch_depth"]) > 1:
+                raise KeyboardInterrupt
+            return answer(file, queries, modality, resolution)
+
+        patch.setattr(sampling, "ask", stop)
+        with pytest.raises(KeyboardInterrupt):
+            sample_observations(brick, COUNT, SIDE, 7, tmp_path)
+    assert not (tmp_path / "observations.json").exists()
+    assert not (tmp_path / f"{failing}.npy").exists()
+    asked = calls(monkeypatch)
+    sample_observations(brick, COUNT, SIDE, 7, tmp_path)
+    assert asked == left
+    assert content(tmp_path) == content(sampled)
+
+
+@pytest.mark.parametrize("name", ["touch.npy", "touch.json"])
+@pytest.mark.parametrize("damage", [lambda data: data[:-1], lambda data: b"", None])
+def test_what_is_damaged_or_gone_is_made_again(brick, sampled, tmp_path, monkeypatch, name, damage):
+    for path in sampled.iterdir():
+        data = path.read_bytes()
+        if path.name == name:
+            data = damage and damage(data)
+        if data is not None:
+            (tmp_path / path.name).write_bytes(data)
+    asked = calls(monkeypatch)
+    sample_observations(brick, COUNT, SIDE, 7, tmp_path)
+    # One newline less at the end of a JSON file is no damage.
+    assert asked == ([] if name == "touch.json" and damage and damage(b"ab") else ["touch"])
+    assert (tmp_path / "touch.npy").read_bytes() == (sampled / "touch.npy").read_bytes()
+    assert (tmp_path / "observations.json").read_bytes() == (sampled / "observations.json").read_bytes()
+
+
+@pytest.mark.parametrize(
+    "other", [{"count": 20}, {"resolution": 8}, {"seed": 8}], ids=["count", "resolution", "seed"]
+)
+def test_folder_of_other_parameters_is_redone(brick, sampled, tmp_path, monkeypatch, other):
+    for name, data in content(sampled).items():
+        (tmp_path / name).write_bytes(data)
+    arguments = {"count": COUNT, "resolution": SIDE, "seed": 7} | other
+    asked = calls(monkeypatch)
+    sample_observations(brick, **arguments, folder=tmp_path)
+    assert set(asked) == {"vision", "audio", "touch"}
+    record = json.loads((tmp_path / "observations.json").read_text())
+    assert {name: record[name] for name in arguments} == arguments
+
+
+def test_folder_of_another_object_file_is_redone(brick, sampled, tmp_path):
+    for name, data in content(sampled).items():
+        (tmp_path / name).write_bytes(data)
+    heavier = ObjectFile(brick.header | {"scale": 0.2}, dict(brick.tensors))
+    sample_observations(heavier, COUNT, SIDE, 7, tmp_path)
+    record = json.loads((tmp_path / "observations.json").read_text())
+    assert (record["scale"], record["object_sha256"]) == (0.2, object_digest(heavier))
+    assert (tmp_path / "touch.npy").read_bytes() != (sampled / "touch.npy").read_bytes()
+
+
+def test_digest_is_of_the_content_and_not_of_the_place(brick, brick_path, tmp_path):
+    ObjectFile.load(brick_path).save(tmp_path / "copy.safetensors")
+    assert object_digest(ObjectFile.load(tmp_path / "copy.safetensors")) == object_digest(brick)
+    name = sorted(brick.tensors)[0]
+    changed = np.array(brick.tensors[name])
+    changed.reshape(-1)[0] += 1
+    assert object_digest(ObjectFile(brick.header, {**brick.tensors, name: changed})) != object_digest(brick)
+
+
+@pytest.mark.parametrize("part", ["geometry", "vision", "audio", "touch"])
+def test_object_file_that_lacks_a_part_is_refused(brick, tmp_path, part):
+    with pytest.raises(ObjectFolderError, match=f"brick: the Object File holds no {part}; benchmarks"):
+        sample_observations(lacking(brick, part), COUNT, SIDE, 7, tmp_path / "folder")
+    assert not (tmp_path / "folder").exists()
+
+
+@pytest.mark.parametrize(("count", "resolution", "message"), [(15, 8, "15 obser"), (10, 0, "views of 0 pix")])
+def test_wrong_numbers_are_refused(brick, tmp_path, count, resolution, message):
+    with pytest.raises(ObjectFolderError, match=message):
+        sample_observations(brick, count, resolution, 7, tmp_path)
+
+
+def test_small_disk_is_refused_before_any_work(brick, tmp_path, monkeypatch):
+    needed = 10 * (16 * 16 * 3 + 32000 * 4 + 160 * 120 * 3)
+    usage = space.shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(space.shutil, "disk_usage", lambda path: usage._replace(free=needed - 1))
+    folder = tmp_path / "folder"
+    message = f"brick: observations: no space in {folder}: at least {needed:,} bytes needed, {needed - 1:,} f"
+    with pytest.raises(ObjectFolderError, match=message):
+        sample_observations(brick, COUNT, SIDE, 7, folder)
+    assert not folder.exists()
+
+
+def test_disk_that_fills_up_says_so_and_keeps_what_is_complete(brick, sampled, tmp_path, monkeypatch):
+    answer = sampling.ask
+
+    def full(file, queries, modality, resolution):
+        if modality == "audio":
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return answer(file, queries, modality, resolution)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sampling, "ask", full)
+        with pytest.raises(ObjectFolderError, match=f"brick: observations: no space in {tmp_path}: "):
+            sample_observations(brick, COUNT, SIDE, 7, tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        *("ObjectFile.safetensors", "queries.npz", "vision.json", "vision.npy")
+    ]
+    sample_observations(brick, COUNT, SIDE, 7, tmp_path)
+    assert content(tmp_path) == content(sampled)
+
+
+@pytest.mark.parametrize("failure", ["raise", "nan"])
+def test_failing_rows_do_not_pass(brick, tmp_path, monkeypatch, failure):
+    answer = sampling.ask
+
+    def broken(file, queries, modality, resolution):
+        if modality == "audio" and failure == "raise":
+            raise ObjectFolderError("out of tune")
+        answers, empty = answer(file, queries, modality, resolution)
+        if modality == "audio":
+            answers[3, 5] = np.nan
+        return answers, empty
+
+    monkeypatch.setattr(sampling, "ask", broken)
+    message = "out of tune" if failure == "raise" else "values are not finite"
+    with pytest.raises(ObjectFolderError, match=f"brick: audio observations 0 to 9: {message}"):
+        sample_observations(brick, COUNT, SIDE, 7, tmp_path)
+    assert not (tmp_path / "audio.npy").exists()
+
+
+def test_observations_that_show_nothing_are_counted(brick):
+    queries = {name: values[:2] for name, values in draw_queries(brick, 10, 0).items()}
+    queries["audio_force"] = np.array([[0, 0, 0], [0, 0, 0.5]])
+    queries["touch_depth"] = np.array([0.001, 0.0])
+    queries["vision_camera"] = np.array([[0, 0, 2.5], [0, 0, 1e6]])
+    assert ask(brick, queries, "audio", SIDE)[1].tolist() == [True, False]
+    assert ask(brick, queries, "vision", 4)[1].tolist() == [False, True]
+    empty = ask(brick, queries, "touch", SIDE)[1]
+    assert empty.tolist() == (~brick.press(queries["touch_point"], [0.001, 0]).mask.any((1, 2))).tolist()
+    assert not empty[0]
+
+
+def test_net_that_knows_one_press_is_asked_for_that(brick, tmp_path):
+    net = ImageTouch("digit", (6, 4), 0.0012, 0.3, width=8, depth=2, point_octaves=2, pixel_octaves=2)
+    images, config = net.to_tensors()
+    tensors = {name: value for name, value in brick.tensors.items() if not name.startswith("touch.")}
+    tensors |= {f"touch.{name}": value for name, value in images.items()}
+    file = ObjectFile(brick.header | {"touch": {"kind": "image", "net": config}}, tensors)
+    sample_observations(file, COUNT, SIDE, 7, tmp_path)
+    assert (np.load(tmp_path / "queries.npz")["touch_depth"] == 0.0012).all()
+    assert np.load(tmp_path / "touch.npy").shape == (10, 6, 4, 3)
+
+
+def test_silent_object_is_named(brick, tmp_path, monkeypatch, caplog):
+    answer = sampling.ask
+
+    def silent(file, queries, modality, resolution):
+        answers, empty = answer(file, queries, modality, resolution)
+        return (answers * 0, empty | True) if modality == "audio" else (answers, empty)
+
+    monkeypatch.setattr(sampling, "ask", silent)
+    with caplog.at_level(logging.WARNING):
+        sample_observations(brick, COUNT, SIDE, 7, tmp_path)
+    assert "brick: 10 of 10 observations of audio show nothing" in caplog.text
+    assert json.loads((tmp_path / "observations.json").read_text())["arrays"]["audio"]["empty"] == 10
+
+
+def test_observations_do_not_depend_on_how_many_follow(brick, sampled, tmp_path):
+    heard = []
+    sample_observations(brick, 20, SIDE, 7, tmp_path, lambda modality, done: heard.append((modality, done)))
+    assert heard == [(name, done) for name in ("vision", "audio", "touch") for done in (10, 20)]
+    for name in ("vision", "audio", "touch"):
+        assert (np.load(tmp_path / f"{name}.npy")[:10] == np.load(sampled / f"{name}.npy")).all()

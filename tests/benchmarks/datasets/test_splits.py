@@ -1,0 +1,192 @@
+import hashlib
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ruamel.yaml import YAML
+
+from objectfolder.benchmarks.datasets.splits import (
+    Split,
+    label_order,
+    named_split,
+    object_split,
+    per_object,
+    per_sample,
+    without_duplicates,
+)
+from objectfolder.errors import ObjectFolderError
+
+DATA = files("objectfolder.benchmarks") / "data"
+CATALOGS = Path(__file__).parents[3] / "catalogs"
+FROZEN = "labels and splits are part of every published score: append objects, never change what is there"
+TRAIN, VAL, TEST = ["espresso_mug", "tall_mug", "soup_mug"], ["ramekin"], ["tea_beaker"]
+
+
+def lines(name):
+    return (DATA / name).read_text().splitlines()
+
+
+def test_the_first_211_lines_of_the_object_list_never_change():
+    shipped = "".join(f"{line}\n" for line in lines("objects.csv")[:211])
+    digest = "0c68b066801449d293f8c0a5a8cc702fd6e14f0c164144c7d0c678606e1b4c0e"
+    assert hashlib.sha256(shipped.encode()).hexdigest() == digest, FROZEN
+
+
+def test_the_sample_split_never_changes():
+    digest = "7bc2067fe987a7e9d0fffff50bd7e1169c211a8d8b481311f71ac90d0f30e19c"
+    assert hashlib.sha256((DATA / "samples.txt").read_bytes()).hexdigest() == digest, FROZEN
+
+
+def test_object_list_numbers_each_object_once():
+    labels, keys, _ = zip(*(line.split(",") for line in lines("objects.csv")[1:]))
+    assert [int(label) for label in labels] == list(range(len(keys)))
+    assert len(set(keys)) == len(keys)
+
+
+def test_of_ten_consecutive_objects_seven_train_one_validates_two_test():
+    splits = [line.split(",")[2] for line in lines("objects.csv")[1:]]
+    for ten in np.reshape(splits, (-1, 10)):
+        assert sorted(ten) == ["test"] * 2 + ["train"] * 7 + ["val"]
+
+
+def test_every_object_that_the_catalogues_name_has_a_label():
+    keys = [line.split(",")[1] for line in lines("objects.csv")[1:]]
+    for name, section in (
+        ("procedural", "procedural"),
+        ("starter", "objects"),
+        ("objectfolder1", "objects"),
+    ):
+        catalogue = YAML(typ="safe").load(CATALOGS / f"{name}.yaml")
+        assert catalogue[section].keys() <= set(keys)
+
+
+def test_label_order_is_that_of_the_list_then_by_key():
+    assert label_order(["zebra", "tall_mug", "ant", "mug", "espresso_mug"]) == (
+        "espresso_mug",
+        "tall_mug",
+        "mug",
+        "ant",
+        "zebra",
+    )
+
+
+def test_own_objects_are_split_by_their_key_alone_in_about_the_shares_of_the_list():
+    splits = [object_split(f"own_{i}") for i in range(2000)]
+    for name, share in (("train", 0.7), ("val", 0.1), ("test", 0.2)):
+        # Four standard deviations of a binomial share.
+        assert abs(splits.count(name) / 2000 - share) < 4 * np.sqrt(share * (1 - share) / 2000)
+
+
+@pytest.mark.parametrize("count", [10, 80, 500, 1010])
+def test_seen_has_eighty_ten_ten_of_every_object(count):
+    keys = ["a", "b", "c"]
+    split = per_sample(keys, count)
+    for rows, share in ((split.train, 8), (split.val, 1), (split.test, 1)):
+        assert rows.dtype == np.int64
+        assert (np.bincount(rows // count, minlength=3) == share * count // 10).all()
+    assert sorted(np.concatenate([split.train, split.val, split.test])) == list(range(3 * count))
+
+
+def test_seen_splits_the_first_observations_the_same_way_whatever_their_number():
+    few, many = per_sample(["a", "b"], 30), per_sample(["a", "b"], 520)
+    for name in ("train", "val", "test"):
+        first = getattr(many, name)[getattr(many, name) < 30]
+        assert first.tolist() == getattr(few, name)[getattr(few, name) < 30].tolist()
+
+
+def test_seen_repeats_after_five_hundred_observations():
+    test = per_sample(["a", "b"], 1000).test
+    assert (np.flatnonzero(np.isin(np.arange(500), test)) + 500).tolist() == test[
+        (test >= 500) & (test < 1000)
+    ].tolist()
+
+
+def test_unseen_keeps_test_and_validation_objects_out_of_training():
+    keys = label_order([*TRAIN, *VAL, *TEST])
+    split = per_object(keys, 20)
+    objects = [{keys[i] for i in rows // 20} for rows in (split.train, split.val, split.test)]
+    assert objects == [set(TRAIN), set(VAL), set(TEST)]
+    assert len(split.train) + len(split.val) + len(split.test) == 100
+
+
+def test_unseen_without_a_validation_object_validates_with_what_seen_keeps_back():
+    keys = label_order([*TRAIN, *TEST])
+    unseen, seen = per_object(keys, 20), per_sample(keys, 20)
+    training = [keys.index(key) for key in TRAIN]
+    assert unseen.val.tolist() == [row for row in seen.val if row // 20 in training]
+    assert len(unseen.val) == 3 * 2
+    assert not set(unseen.val) & set(unseen.train)
+    assert set(unseen.test // 20) == {keys.index("tea_beaker")}
+    assert len(unseen.train) == 3 * 18
+
+
+@pytest.mark.parametrize(("keys", "lacking"), [(TRAIN, "test"), (TEST + VAL, "train")])
+def test_unseen_says_which_objects_are_lacking(keys, lacking):
+    with pytest.raises(ObjectFolderError, match=f"of {', '.join(keys)} none is a {lacking} object; add one"):
+        per_object(keys, 20)
+
+
+@pytest.mark.parametrize("name", ["seen", "unseen"])
+@pytest.mark.parametrize("keys", [[], ["mug"]])
+def test_one_object_is_too_few(name, keys):
+    with pytest.raises(ObjectFolderError, match=f"objects: {(keys or ['none'])[0]}; .* needs two"):
+        named_split(name, keys, 10)
+
+
+@pytest.mark.parametrize("count", [0, -10, 15])
+def test_observations_come_in_tens(count):
+    with pytest.raises(
+        ObjectFolderError, match=f"{count} observations per object, expected a multiple of 10"
+    ):
+        named_split("seen", ["a", "b"], count)
+
+
+def test_unknown_split_is_refused():
+    with pytest.raises(ObjectFolderError, match="'sen' is unknown, expected one of seen, unseen"):
+        named_split("sen", ["a", "b"], 10)
+
+
+class Table:
+    """Rows of one number in each modality."""
+
+    def __init__(self, **columns):
+        self.columns = {name: np.array(values, np.float32) for name, values in columns.items()}
+
+    def read(self, modality, rows):
+        return self.columns[modality][rows][:, None]
+
+
+def rows(*values):
+    return np.array(values, np.int64)
+
+
+def test_planted_duplicates_are_dropped_and_counted():
+    split = Split("seen", rows(0, 1, 2, 3), rows(4, 5, 6), rows(7, 8, 9, 10))
+    table = Table(
+        # 5 repeats 1, 7 repeats 0, 9 repeats 4, which validates; 2 and 3, 8 and 10 repeat within a split.
+        touch=[10, 11, 12, 12, 13, 11, 14, 10, 15, 13, 15],
+        # Row 8 repeats 3; 5 repeats 2.
+        audio=[20, 21, 22, 23, 24, 22, 25, 26, 23, 27, 28],
+    )
+    kept, counts = without_duplicates(split, table, ["touch", "audio"])
+    assert counts == {"touch": {"val": 1, "test": 2}, "audio": {"val": 1, "test": 1}}
+    assert kept.train.tolist() == [0, 1, 2, 3]
+    assert kept.val.tolist() == [4, 6]
+    assert kept.test.tolist() == [10]
+    kept, counts = without_duplicates(split, table, ["audio"])
+    assert counts == {"audio": {"val": 1, "test": 1}}
+    assert (kept.val.tolist(), kept.test.tolist()) == ([4, 6], [7, 9, 10])
+
+
+def test_duplicates_are_told_by_bytes():
+    split = Split("seen", rows(0), rows(1), rows(2))
+    kept, counts = without_duplicates(split, Table(audio=[0.0, -0.0, 1e-30]), ["audio"])
+    assert counts == {"audio": {"val": 0, "test": 0}}
+    assert (kept.val.tolist(), kept.test.tolist()) == ([1], [2])
+
+
+def test_silent_objects_leave_nothing_to_test():
+    split = Split("seen", rows(0, 1), rows(2), rows(3))
+    with pytest.raises(ObjectFolderError, match="split seen: every test row has a duplicate"):
+        without_duplicates(split, Table(audio=[0.0, 1.0, 2.0, 0.0]), ["audio"])

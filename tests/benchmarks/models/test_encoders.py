@@ -1,0 +1,210 @@
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from objectfolder.audio.spectrogram import SAMPLE_RATE
+from objectfolder.benchmarks.models import encoders
+from objectfolder.benchmarks.models.encoders import (
+    InputSizes,
+    make_encoder,
+    prepare,
+    read_weights,
+    register_encoder,
+    registered,
+)
+from objectfolder.benchmarks.models.resnet import ResNet18
+from objectfolder.errors import ObjectFolderError
+
+SIZES = InputSizes(image=56, spectrogram=(64, 50), touch=(64, 48))
+
+
+@pytest.fixture(scope="module")
+def imagenet(tmp_path_factory):
+    """A file as torchvision publishes it."""
+    path = tmp_path_factory.mktemp("weights") / "resnet18.pth"
+    torch.manual_seed(5)
+    torch.save(
+        {**ResNet18(3).state_dict(), "fc.weight": torch.ones(1000, 512), "fc.bias": torch.ones(1000)}, path
+    )
+    return path
+
+
+def _stored(path):
+    return torch.load(path, weights_only=True)
+
+
+def test_weights_of_torchvision_are_taken_but_for_the_last_layer(imagenet):
+    stored = _stored(imagenet)
+    state = make_encoder("resnet18", "touch", read_weights(imagenet)).state_dict()
+    assert set(stored) - set(state) == {"fc.weight", "fc.bias"}
+    assert all(torch.equal(state[name], stored[name]) for name in state)
+
+
+def test_one_channel_sees_what_three_equal_channels_see(imagenet):
+    weights = read_weights(imagenet)
+    grey, colour = (make_encoder("resnet18", m, weights).eval() for m in ("audio", "vision"))
+    x = torch.randn(2, 1, 64, 50)
+    with torch.no_grad():
+        torch.testing.assert_close(grey(x), colour(x.expand(-1, 3, -1, -1)), rtol=1e-4, atol=1e-5)
+
+
+def test_prefix_and_wrapping_of_parallel_training_are_taken_off(imagenet, tmp_path):
+    stored = _stored(imagenet)
+    path = tmp_path / "parallel.pth"
+    torch.save({"epoch": 3, "state_dict": {f"module.{name}": value for name, value in stored.items()}}, path)
+    weights = read_weights(path)
+    assert list(weights) == [name for name in stored if not name.startswith("fc.")]
+    assert all(torch.equal(value, stored[name]) for name, value in weights.items())
+
+
+def test_weights_without_counters_are_complete(imagenet, tmp_path):
+    path = tmp_path / "old.pth"
+    torch.save({n: v for n, v in _stored(imagenet).items() if not n.endswith("num_batches_tracked")}, path)
+    make_encoder("resnet18", "vision", read_weights(path))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda s: s.pop("layer1.0.bn1.weight"), "lacks layer1.0.bn1.weight; expected the 120 tensors"),
+        (lambda s: s.update({"layer5.weight": torch.ones(1)}), "unexpectedly holds layer5.weight"),
+        (lambda s: s.update({"bn1.bias": torch.ones(65)}), r"bn1.bias has shape \(65,\), expected \(64,\)"),
+        (
+            lambda s: s.update({"conv1.weight": torch.ones(64, 4, 7, 7)}),
+            r"conv1.weight has shape \(64, 4, 7, 7\)",
+        ),
+        (lambda s: s.update({"bn1.bias": torch.full((64,), torch.nan)}), "bn1.bias are not finite"),
+        (lambda s: s.update({"epoch": 4}), "holds epoch, which are no tensors"),
+        (
+            lambda s: [s.pop(name) for name in list(s) if name.startswith("layer4")],
+            r"lacks layer4.0.conv1.weight, layer4.0.bn1.weight, layer4.0.bn1.bias and \d+ more",
+        ),
+    ],
+)
+def test_weights_of_another_net_are_refused(imagenet, tmp_path, change, message):
+    stored = _stored(imagenet)
+    change(stored)
+    path = tmp_path / "other.pth"
+    torch.save(stored, path)
+    with pytest.raises(ObjectFolderError, match=rf"other\.pth:? .*{message}"):
+        make_encoder("resnet18", "vision", read_weights(path))
+
+
+@pytest.mark.parametrize("content", [b"", b"not a checkpoint", b"\x80\x04c\nos\nsystem\n"])
+def test_file_that_is_no_checkpoint_is_named(tmp_path, content):
+    path = tmp_path / "text.pth"
+    path.write_bytes(content)
+    with pytest.raises(ObjectFolderError, match=r"text\.pth is not a readable checkpoint"):
+        read_weights(path)
+
+
+def test_checkpoint_of_something_else_is_named(tmp_path):
+    path = tmp_path / "tensor.pth"
+    torch.save(torch.ones(3), path)
+    with pytest.raises(ObjectFolderError, match=r"tensor\.pth holds Tensor; expected a dictionary"):
+        read_weights(path)
+    with pytest.raises(ObjectFolderError, match=r"none\.pth does not exist"):
+        read_weights(tmp_path / "none.pth")
+
+
+def test_own_encoder_is_made_by_its_name_for_the_channels_of_a_modality(monkeypatch):
+    # Without those that other tests register.
+    monkeypatch.setattr(encoders, "_FACTORIES", {"resnet18": ResNet18})
+
+    @register_encoder("mean")
+    class Mean(nn.Module):
+        features = 2
+
+        def __init__(self, channels):
+            super().__init__()
+            self.channels = channels
+
+    assert [make_encoder("mean", m).channels for m in ("vision", "audio", "touch")] == [3, 1, 3]
+    with pytest.raises(ObjectFolderError, match="encoder 'vgg' is not one of mean, resnet18"):
+        make_encoder("vgg", "vision")
+
+
+def test_views_are_cropped_at_the_centre_and_normalised(rng):
+    raw = rng.integers(256, size=(2, 64, 60, 3), dtype=np.uint8)
+    x = prepare("vision", raw, SIZES)
+    assert x.dtype == torch.float32
+    expected = (raw[:, 4:60, 2:58] / 255 - [0.485, 0.456, 0.406]) / [0.229, 0.224, 0.225]
+    np.testing.assert_allclose(x, expected.transpose(0, 3, 1, 2), atol=1e-5)
+
+
+def test_random_crops_reach_every_place_and_follow_from_the_generator():
+    row, column = np.mgrid[:64, :64].astype(np.uint8)
+    raw = np.tile(np.stack([row, column, row], -1), (2000, 1, 1, 1))
+    crops = encoders._crops(raw, 56, np.random.default_rng(0))
+    corners = crops[:, :2, 0, 0].numpy()
+    assert {tuple(c) for c in corners} == {(r, c) for r in range(9) for c in range(9)}
+    for crop, (top, left) in zip(crops[:20].numpy(), corners[:20]):
+        np.testing.assert_array_equal(crop[:2], np.mgrid[top : top + 56, left : left + 56])
+    assert torch.equal(crops, encoders._crops(raw, 56, np.random.default_rng(0)))
+
+
+def test_spectrogram_is_relative_to_the_sounds_own_maximum(rng):
+    seconds = np.arange(2 * SAMPLE_RATE) / SAMPLE_RATE
+    tone = (np.sin(2 * np.pi * 1000 * seconds) * np.exp(-4 * seconds)).astype(np.float32)
+    raw = np.stack([tone, 1e-6 * tone, 1e3 * tone, 0 * tone]).astype(np.float32)
+    full = prepare("audio", raw, InputSizes(56, (257, 201), (64, 48)))
+    assert full.shape == (4, 1, 257, 201)
+    torch.testing.assert_close(full[1], full[0], rtol=0, atol=1e-3)
+    torch.testing.assert_close(full[2], full[0], rtol=0, atol=1e-3)
+    assert not full[3].any()
+    assert full.min() >= 0
+    assert full[0].max() == 1
+    assert full[0, 0].argmax() // 201 == 32  # 1000 Hz of 31.25 Hz per row
+    # It decays by 20 log10(e) * 4 = 34.74 dB per second, 100 columns apart.
+    assert (full[0, 0, 32, 20] - full[0, 0, 32, 120]).item() == pytest.approx(34.74 / 80, abs=1e-3)
+    pooled = prepare("audio", raw, SIZES)
+    torch.testing.assert_close(pooled, nn.functional.adaptive_avg_pool2d(full, (64, 50)))
+
+
+def test_touches_are_normalised_and_averaged(rng):
+    raw = rng.integers(256, size=(2, 128, 96, 3), dtype=np.uint8)
+    x = prepare("touch", raw, SIZES)
+    means = raw.reshape(2, 64, 2, 48, 2, 3).mean((2, 4))
+    expected = (means / 255 - [0.485, 0.456, 0.406]) / [0.229, 0.224, 0.225]
+    np.testing.assert_allclose(x, expected.transpose(0, 3, 1, 2), atol=1e-5)
+
+
+@pytest.mark.parametrize("modality", ["vision", "audio", "touch"])
+def test_rows_do_not_depend_on_each_other(rng, modality):
+    raw = {
+        "vision": rng.integers(256, size=(3, 64, 64, 3), dtype=np.uint8),
+        "audio": rng.standard_normal((3, 32000)).astype(np.float32),
+        "touch": rng.integers(256, size=(3, 160, 120, 3), dtype=np.uint8),
+    }[modality]
+    together = prepare(modality, raw, SIZES)
+    alone = torch.cat([prepare(modality, raw[i : i + 1], SIZES) for i in range(3)])
+    torch.testing.assert_close(alone, together, rtol=0, atol=1e-6)
+
+
+def test_observations_smaller_than_the_sizes_are_refused(rng):
+    with pytest.raises(
+        ObjectFolderError, match="views of 48 x 64 pixels are smaller than the encoder's image 56"
+    ):
+        prepare("vision", np.zeros((1, 48, 64, 3), np.uint8), SIZES)
+    with pytest.raises(ObjectFolderError, match="touch of 60 x 48 is smaller than the encoder's 64 x 48"):
+        prepare("touch", np.zeros((1, 60, 48, 3), np.uint8), SIZES)
+
+
+def test_a_file_registers_its_encoder_and_is_run_by_nobody_else(tmp_path, monkeypatch):
+    monkeypatch.setattr(encoders, "_FACTORIES", dict(encoders._FACTORIES))
+    path = tmp_path / "mine.py"
+    path.write_text(
+        "from torch import nn\n"
+        "from objectfolder.benchmarks.models.encoders import register_encoder\n"
+        'register_encoder("of_a_file")(lambda channels: nn.Conv2d(channels, 1, 1))\n'
+    )
+    with pytest.raises(ObjectFolderError, match="is not one of"):  # a model's header may say anything
+        make_encoder(f"{path}:of_a_file", "vision")
+    assert "of_a_file" not in encoders._FACTORIES
+    assert registered(f"{path}:of_a_file") == "of_a_file"
+    assert make_encoder("of_a_file", "audio").in_channels == 1
+    with pytest.raises(ObjectFolderError, match="'nothing' is not one of"):
+        registered(f"{path}:nothing")
+    with pytest.raises(ObjectFolderError, match=r"mine2\.py does not exist"):
+        registered(f"{tmp_path / 'mine2.py'}:of_a_file")

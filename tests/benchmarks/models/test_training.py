@@ -1,0 +1,191 @@
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from objectfolder.benchmarks.models.training import shuffled, train
+from objectfolder.errors import ObjectFolderError
+from objectfolder.seeding import numpy_generator, seeded
+
+
+def _data(noise, count):
+    """Points of two classes, some with the other's label; the first half is for training."""
+    rng = np.random.default_rng(0)
+    x = rng.standard_normal((count, 4)).astype(np.float32)
+    labels = (x @ [1, -2, 0.5, 0] > 0).astype(np.int64)
+    flipped = np.where(rng.random(count) < noise, 1 - labels, labels)
+    return torch.from_numpy(x), torch.from_numpy(flipped), torch.from_numpy(labels)
+
+
+def _problem(noise=0.0, width=16, count=256):
+    """Arguments of `train`, and a fresh net with batch normalisation."""
+    x, noisy, labels = _data(noise, count)
+    half = len(x) // 2
+    with seeded(0, "test"):
+        net = nn.Sequential(nn.Linear(4, width), nn.BatchNorm1d(width), nn.ReLU(), nn.Linear(width, 2))
+
+    def batches(epoch):
+        return shuffled(np.arange(half), 32, numpy_generator(0, "test", str(epoch)))
+
+    def loss(rows):
+        return nn.functional.cross_entropy(net(x[rows]), noisy[rows])
+
+    def score():
+        return (net(x[half:]).argmax(1) == labels[half:]).double().mean().item()
+
+    return net, (batches, loss, score), {"epochs": 6, "learning_rate": 0.02, "patience": 6}
+
+
+def _state(net):
+    return {name: value.numpy().tobytes() for name, value in net.state_dict().items()}
+
+
+def test_net_learns_in_spite_of_label_noise():
+    net, functions, settings = _problem(noise=0.2, count=1024)
+    curve = train(net, *functions, **settings)
+    assert [point.epoch for point in curve] == [1, 2, 3, 4, 5, 6]
+    assert functions[2]() == max(point.val_score for point in curve) > 0.9
+    assert not net.training
+
+
+def test_interrupted_training_goes_on_to_the_same_bytes(tmp_path):
+    net, functions, settings = _problem(noise=0.2)
+    whole = train(net, *functions, **settings, checkpoint=tmp_path / "whole.pt")
+
+    resumed, (batches, loss, score), _ = _problem(noise=0.2)
+    checkpoint = tmp_path / "training.pt"
+
+    def stop_in_epoch_3(epoch):
+        rows = list(batches(epoch))
+        yield rows[0]
+        if epoch == 3:
+            raise KeyboardInterrupt
+        yield from rows[1:]
+
+    with pytest.raises(KeyboardInterrupt):
+        train(resumed, stop_in_epoch_3, loss, score, **settings, checkpoint=checkpoint)
+
+    again, functions, _ = _problem(noise=0.2)
+    seen = []
+    curve = train(again, *functions, **settings, checkpoint=checkpoint, report=seen.append)
+    assert [point.epoch for point in seen] == [3, 4, 5, 6]
+    numbers = [[(p.epoch, p.train_loss, p.val_score) for p in c] for c in (curve, whole)]
+    assert numbers[0] == numbers[1]
+    assert _state(again) == _state(net)
+
+    # What is finished is not trained again.
+    finished, functions, _ = _problem(noise=0.2)
+    assert train(finished, *functions, **settings, checkpoint=checkpoint, report=pytest.fail) == curve
+    assert _state(finished) == _state(net)
+
+
+def test_best_epoch_is_kept_and_patience_ends_the_training(tmp_path):
+    net, (batches, loss, _), settings = _problem()
+    scores, states = iter([0.1, 0.5, 0.5, 0.4, 0.9]), []
+
+    def score():
+        states.append(_state(net))
+        return next(scores)
+
+    curve = train(net, batches, loss, score, **{**settings, "patience": 2})
+    assert [point.val_score for point in curve] == [0.1, 0.5, 0.5, 0.4]
+    assert _state(net) == states[1]  # the first of equals
+
+
+def test_rate_warms_up_and_then_falls_as_a_cosine(monkeypatch):
+    rates = []
+
+    class Recorder(torch.optim.AdamW):
+        def step(self, closure=None):
+            rates.append(self.param_groups[0]["lr"])
+            return super().step(closure)
+
+    monkeypatch.setattr(torch.optim, "AdamW", Recorder)
+    net, functions, settings = _problem()
+    train(net, *functions, **{**settings, "epochs": 10, "patience": 10})
+    rates = np.reshape(rates, (10, 4))
+    decay = [0.5 + 0.5 * math.cos(math.pi * epoch / 10) for epoch in range(10)]
+    expected = 0.02 * np.outer(decay, np.ones(4)) * np.minimum(1, np.arange(1, 41) / 20).reshape(10, 4)
+    np.testing.assert_allclose(rates, expected, rtol=1e-12)
+
+
+def test_statistics_of_batch_normalisation_forget_what_they_held_before():
+    """Inputs of variance 1e-6 take no more steps than others to be normalised in evaluation."""
+    norm = nn.BatchNorm1d(4)
+    net = nn.Sequential(norm, nn.Linear(4, 2))
+    x = 5 + 1e-3 * torch.randn(64, 4, generator=torch.Generator().manual_seed(0))
+    batches = list(x.split(8))
+
+    def loss(batch):
+        return net(batch).square().mean()
+
+    train(net, lambda epoch: batches, loss, lambda: 0.0, epochs=1, learning_rate=1e-3, patience=1)
+    expected = [torch.stack([f(batch, 0) for batch in batches]).mean(0) for f in (torch.mean, torch.var)]
+    torch.testing.assert_close(norm.running_mean, expected[0])
+    torch.testing.assert_close(norm.running_var, expected[1], rtol=1e-3, atol=0)
+
+
+def test_net_is_in_evaluation_and_without_gradients_while_it_is_scored():
+    net, (batches, loss, _), settings = _problem()
+
+    def batch_loss(rows):
+        assert net.training
+        return loss(rows)
+
+    def score():
+        assert not net.training
+        assert not torch.is_grad_enabled()
+        return 0.0
+
+    train(net, batches, batch_loss, score, **settings)
+
+
+def test_diverging_training_is_an_error():
+    net, (batches, loss, score), settings = _problem()
+    with pytest.raises(
+        ObjectFolderError, match=r"epoch 1 has a training loss of nan.*learning_rate than 0\.02"
+    ):
+        train(net, batches, lambda rows: loss(rows) * math.nan, score, **settings)
+    net, (batches, loss, score), settings = _problem()
+    with pytest.raises(ObjectFolderError, match="validation score of nan"):
+        train(net, batches, loss, lambda: math.nan, **settings)
+
+
+def test_damaged_or_foreign_checkpoint_is_named(tmp_path):
+    checkpoint = tmp_path / "training.pt"
+    net, functions, settings = _problem()
+    train(net, *functions, **{**settings, "epochs": 1}, checkpoint=checkpoint)
+    good = checkpoint.read_bytes()
+
+    def refused(message, width=16, **changes):
+        net, functions, settings = _problem(width=width)
+        before = _state(net)
+        with pytest.raises(ObjectFolderError, match=rf"training\.pt {message}.*remove it") as caught:
+            train(net, *functions, **{**settings, "epochs": 1} | changes, checkpoint=checkpoint)
+        assert _state(net) == before
+        return caught
+
+    refused(r"is of a training with .*'learning_rate': 0\.02", learning_rate=0.01)
+    refused("is of another net", width=8)
+    for content in (good[: len(good) // 2], b"", b"text"):
+        checkpoint.write_bytes(content)
+        refused("is damaged")
+    torch.save({"weights": torch.ones(2)}, checkpoint)
+    refused("is not a checkpoint")
+
+
+@pytest.mark.parametrize(("count", "sizes"), [(8, [4, 4]), (9, [4, 5]), (10, [4, 4, 2]), (3, [3]), (1, [1])])
+def test_batches_of_an_epoch_hold_each_row_once(count, sizes):
+    rows = np.arange(100, 100 + count)
+    batches = list(shuffled(rows, 4, np.random.default_rng(1)))
+    assert [len(batch) for batch in batches] == sizes
+    np.testing.assert_array_equal(np.sort(np.concatenate(batches)), rows)
+
+
+def test_order_of_the_rows_is_random_and_follows_from_the_generator():
+    orders = [np.concatenate(list(shuffled(np.arange(50), 8, np.random.default_rng(i)))) for i in (1, 1, 2)]
+    assert (orders[0] == orders[1]).all()
+    assert all((a != b).any() for a, b in pairwise([np.arange(50), orders[0], orders[2]]))

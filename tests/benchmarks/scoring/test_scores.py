@@ -1,0 +1,181 @@
+from itertools import permutations
+
+import numpy as np
+import pytest
+from scipy import stats
+from sklearn.metrics import average_precision_score
+
+from objectfolder.benchmarks.scoring import scores
+from objectfolder.benchmarks.scoring.scores import (
+    accuracy,
+    chance_map,
+    interval_95,
+    mean_average_precision,
+    wilson_95,
+)
+from objectfolder.errors import ObjectFolderError
+
+
+def on_circle(*degrees):
+    angles = np.radians(degrees)
+    return np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+
+def by_definition(relevant):
+    """Average precision of a ranking, spelled out."""
+    ranks = np.flatnonzero(relevant) + 1
+    return np.mean([np.sum(ranks <= rank) / rank for rank in ranks])
+
+
+def test_accuracy_counts_the_right_ones():
+    assert accuracy(np.array([2, 0, 1, 1]), np.array([2, 1, 1, 0])) == 0.5
+    assert accuracy(np.array([3]), np.array([3])) == 1
+    with pytest.raises(ObjectFolderError, match="as many"):
+        accuracy(np.array([1, 2]), np.array([1]))
+    with pytest.raises(ObjectFolderError, match="not none"):
+        accuracy(np.array([], int), np.array([], int))
+
+
+def test_interval_is_students():
+    # t(0.975, 2) = 4.3027, deviation 1, three values; and from scipy's own interval.
+    assert interval_95([1.0, 2.0, 3.0]) == pytest.approx(4.302653 / np.sqrt(3), rel=1e-6)
+    values = [0.2, 0.5, 0.9, 0.4]
+    low, high = stats.t.interval(0.95, 3, np.mean(values), stats.sem(values))
+    assert interval_95(values) == pytest.approx((high - low) / 2, rel=1e-12)
+    assert interval_95([0.7, 0.7]) == 0
+    assert interval_95([0.7]) is None
+
+
+def test_interval_covers_the_mean_in_95_of_100_cases():
+    draws = np.random.default_rng(0).normal(3, 2, (4000, 3))
+    covered = [abs(np.mean(row) - 3) <= interval_95(row) for row in draws]
+    assert np.mean(covered) == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / 4000))
+
+
+def test_hand_computed_ranking():
+    # Ranked by angle to the query: labels 0 1 0 1 1 0, so precision 1/1, 2/3 and 3/6 at the zeros.
+    gallery = on_circle(150, 20, 60, 100, 10, 130)
+    labels = np.array([0, 1, 0, 1, 0, 1])
+    expected = (1 + 2 / 3 + 3 / 6) / 3
+    assert mean_average_precision(on_circle(0), [0], gallery, labels) == pytest.approx(expected, rel=1e-12)
+    # Of the ones: ranks 2, 4, 5. The mean is over queries.
+    other = (1 / 2 + 2 / 4 + 3 / 5) / 3
+    both = mean_average_precision(on_circle(0, 0), [0, 1], gallery, labels)
+    assert both == pytest.approx((expected + other) / 2, rel=1e-12)
+
+
+def test_only_the_angle_counts():
+    rng = np.random.default_rng(1)
+    queries, gallery = rng.normal(size=(9, 4)), rng.normal(size=(20, 4))
+    query_labels, labels = rng.integers(0, 3, 9), np.arange(20) % 3
+    plain = mean_average_precision(queries, query_labels, gallery, labels)
+    stretched = mean_average_precision(
+        queries * rng.uniform(1e-200, 1, (9, 1)),
+        query_labels,
+        gallery * rng.uniform(1e-3, 1e200, (20, 1)),
+        labels,
+    )
+    assert stretched == pytest.approx(plain, rel=1e-12)
+    assert mean_average_precision(-queries, query_labels, gallery, labels) != pytest.approx(plain, rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_agrees_with_scikit_learn_without_ties(seed):
+    rng = np.random.default_rng(seed)
+    queries, gallery = rng.normal(size=(15, 3)), rng.normal(size=(31, 3))
+    query_labels = rng.integers(0, 4, 15)
+    labels = np.append(rng.integers(0, 4, 27), np.arange(4))
+    cosines = queries @ gallery.T / np.linalg.norm(gallery, axis=1)
+    expected = [average_precision_score(labels == l, row) for l, row in zip(query_labels, cosines)]
+    value = mean_average_precision(queries, query_labels, gallery, labels)
+    assert value == pytest.approx(np.mean(expected), rel=1e-12)
+
+
+def test_ties_score_the_mean_over_all_their_orders():
+    # Directions 10 (twice), 40 (four times) and 90 degrees; the first of a run differ in length only.
+    degrees = np.array([10, 10, 40, 40, 40, 40, 90])
+    gallery = on_circle(*degrees) * np.array([1, 3, 0.5, 2, 1, 7, 1])[:, None]
+    labels = np.array([1, 0, 0, 1, 0, 1, 0])
+    sorted_by_angle = [
+        by_definition(labels[list(order)] == 0)
+        for order in permutations(range(7))
+        if np.all(np.diff(degrees[list(order)]) >= 0)
+    ]
+    assert len(sorted_by_angle) == 2 * 24
+    value = mean_average_precision(on_circle(0), [0], gallery, labels)
+    assert value == pytest.approx(np.mean(sorted_by_angle), rel=1e-12)
+
+
+def test_the_order_of_the_gallery_does_not_matter():
+    rng = np.random.default_rng(2)
+    gallery = rng.integers(-1, 2, (40, 2)).astype(float)  # many ties, some zero embeddings
+    queries, query_labels, labels = rng.normal(size=(6, 2)), np.arange(6) % 3, np.sort(np.arange(40) % 3)
+    value = mean_average_precision(queries, query_labels, gallery, labels)
+    for _ in range(5):
+        order = rng.permutation(40)
+        shuffled = mean_average_precision(queries, query_labels, gallery[order], labels[order])
+        assert shuffled == pytest.approx(value, rel=1e-12)
+
+
+def test_embeddings_that_say_nothing_score_chance():
+    labels = np.array([0, 0, 0, 1, 2, 2, 2, 2, 2])
+    queries = np.array([0, 1, 1, 2])
+    for embedding in (np.full((9, 5), 0.3), np.zeros((9, 5))):
+        value = mean_average_precision(embedding[:4], queries, embedding, labels)
+        assert value == pytest.approx(chance_map(labels, queries), rel=1e-12)
+
+
+def test_blocks_of_queries_do_not_change_the_mean(monkeypatch):
+    rng = np.random.default_rng(3)
+    arguments = rng.normal(size=(11, 3)), np.arange(11) % 2, rng.normal(size=(8, 3)), np.arange(8) % 2
+    whole = mean_average_precision(*arguments)
+    monkeypatch.setattr(scores, "BLOCK", 4)
+    assert mean_average_precision(*arguments) == pytest.approx(whole, rel=1e-12)
+
+
+def test_chance_is_the_mean_over_all_rankings():
+    for count, relevant in [(1, 1), (5, 1), (5, 2), (6, 3), (6, 5), (4, 4)]:
+        labels = np.arange(count) < relevant
+        every = [by_definition(labels[list(order)]) for order in permutations(range(count))]
+        assert chance_map(labels.astype(int), [1]) == pytest.approx(np.mean(every), rel=1e-12)
+
+
+def test_chance_by_simulation():
+    # As in the benchmark: 20 objects with 8 test rows each.
+    labels = np.repeat(np.arange(20), 8)
+    rng = np.random.default_rng(4)
+    values = [by_definition(rng.permutation(labels) == 0) for _ in range(3000)]
+    exact = chance_map(labels, labels)
+    assert exact == pytest.approx(np.mean(values), abs=4 * stats.sem(values))
+    assert 8 / 160 < exact < 0.09  # above R/N: a relevant row counts itself
+
+
+def test_chance_averages_over_queries():
+    labels = np.array([0, 1, 1, 1])
+    assert chance_map(labels, [0, 1]) == pytest.approx(
+        (chance_map(labels, [0]) + chance_map(labels, [1])) / 2
+    )
+    assert chance_map(labels, [0]) == pytest.approx((1 + 1 / 2 + 1 / 3 + 1 / 4) / 4)
+
+
+def test_random_embeddings_score_chance():
+    rng = np.random.default_rng(5)
+    labels = np.repeat(np.arange(10), 40)
+    value = mean_average_precision(rng.normal(size=(400, 32)), labels, rng.normal(size=(400, 32)), labels)
+    assert value == pytest.approx(chance_map(labels, labels), abs=0.01)
+
+
+def test_refused():
+    one, labels = np.ones((1, 2)), np.array([0])
+    with pytest.raises(ObjectFolderError, match="relevant to queries of label 7"):
+        mean_average_precision(one, np.array([7]), one, labels)
+    with pytest.raises(ObjectFolderError, match="gallery embedding 0 is not finite"):
+        mean_average_precision(one, labels, one * np.nan, labels)
+    with pytest.raises(ObjectFolderError, match="no query"):
+        chance_map(labels, np.array([], int))
+
+
+@pytest.mark.parametrize(("right", "count"), [(0, 5), (7, 7), (3, 10), (150, 200)])
+def test_wilsons_interval_is_that_of_scipy(right, count):
+    expected = stats.binomtest(right, count).proportion_ci(method="wilson")
+    assert wilson_95(right / count, count) == pytest.approx((expected.low, expected.high))

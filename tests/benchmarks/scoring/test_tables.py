@@ -1,0 +1,100 @@
+from objectfolder.benchmarks.scoring.tables import table
+
+ROWS = {
+    "rows": {"train": 16, "val": 2, "test": 2},
+    "duplicates": {"vision": {"val": 0, "test": 0}, "touch": {"val": 1, "test": 3}},
+    "objects": 2,
+}
+
+
+def cells(shown):
+    return {row[0]: row[1:] for row in shown.rows}
+
+
+def test_recognition_in_percent_with_its_interval_beside_chance_and_the_paper():
+    scores = {
+        "V": {"accuracy": 0.75, "interval_95": 0.125, "seeds": [0.5, 1.0]},
+        "VAT": {"accuracy": 1.0, "interval_95": None, "seeds": [1.0]},
+        "chance": {"uniform": 0.5, "majority": 0.625},
+        **ROWS,
+    }
+    shown = table("recognize", "seen", scores)
+    assert cells(shown) == {
+        "V": ("75.0 ± 12.5", "50.0 100.0", "94.8"),
+        "VAT": ("100.0", "100.0", "99.8"),
+        "chance": ("62.5", "", "1.0"),
+    }
+    assert "16 rows to train with, 2 for validation, 2 for the test" in shown.note
+    assert "dropped: 3 of touch." in shown.note
+    head, rule, first, *_ = shown.markdown().splitlines()
+    assert head == "| modalities | accuracy | each seed | paper, 100 objects |"
+    assert rule == "| --- | --- | --- | --- |"
+    assert first.startswith("| V | 75.0 ± 12.5 |")
+
+
+def test_the_paper_has_no_figures_for_unseen_objects():
+    names = ("V->A", "V->T", "A->V", "A->T", "T->V", "T->A")
+    score = {"map": 0.5, "interval_95": None, "seeds": [0.5], "cca": 0.25, "chance": 0.125}
+    scores = {"directions": dict.fromkeys(names, score), **ROWS}
+    assert cells(table("retrieve", "seen", scores))["A->T"] == ("0.500", "0.250", "0.125", "0.55", "0.31")
+    assert cells(table("retrieve", "unseen", scores))["A->T"] == ("0.500", "0.250", "0.125", "-", "-")
+
+
+def test_reconstruction_beside_the_average_shape():
+    score = {"iou": 0.5, "chamfer_l1": 0.02, "normal_consistency": 0.75}
+    scores = dict.fromkeys(("V", "A", "VA", "average_shape"), score) | ROWS
+    shown = table("reconstruct", "seen", scores)
+    assert list(cells(shown)) == ["average shape", "image", "audio", "image + audio"]
+    assert cells(shown)["audio"] == ("0.5000", "0.0200", "0.7500", "0.8729 / 0.0048 / 0.9504")
+
+
+def held(rate, low, high, *seeds):
+    """What grasp stability says of one variant."""
+    interval = {"accuracy": rate, "wilson_95": [low, high]}
+    return interval | {"balanced_accuracy": 0.5, "auc": None, "seeds": seeds or (rate,)}
+
+
+def test_grasp_stability_by_number_of_grasps():
+    few = {"V": held(0.5, 0.25, 0.75), "VT": held(0.625, 0.4, 0.8), "majority": held(0.5, 0.25, 0.75)}
+    many = {"V": held(0.75, 0.5, 0.875), "VT": held(1.0, 0.875, 1.0), "majority": held(0.5, 0.25, 0.75)}
+    differences = [
+        {"VT - V": {"difference": value, "interval_95": half}}
+        for value, half in ((-0.125, None), (0.25, 0.1))
+    ]
+    scores = {
+        "sizes": {
+            "1600": {"asked": 10000, "compared": differences[1], **many},
+            "200": {"asked": 200, "compared": differences[0], **few},
+        },
+        "success": {"train": 0.5, "val": 0.5, "test": 0.25},
+        **ROWS,
+    }
+    shown = table("grasp_stability", "unseen", scores)
+    assert shown.columns == ("from", "200", "all 1,600 (of 10,000)", "balanced accuracy", "AUC")
+    assert cells(shown) == {
+        "vision": ("50.0 (25-75)", "75.0 (50-88)", "0.500", "-"),
+        "vision + touch": ("62.5 (40-80)", "100.0 (88-100)", "0.500", "-"),
+        "commonest outcome": ("50.0 (25-75)", "50.0 (25-75)", "0.500", "-"),
+        "vision + touch − vision": ("-12.5", "+25.0 ± 10.0", "", ""),
+    }
+    assert "Of the test grasps 25 % succeed, of those for training 50 %" in shown.note
+    assert "unseen objects" in shown.title
+
+
+def test_grasp_stability_shows_each_of_several_seeds():
+    found = {
+        "asked": 100,
+        "V": held(0.5, 0.25, 0.75, 0.25, 0.75),
+        "VT": held(0.75, 0.5, 0.875, 0.75, 0.75),
+        "majority": held(0.5, 0.25, 0.75),
+        "compared": {"VT - V": {"difference": 0.25, "interval_95": 0.1}},
+    }
+    success = {"train": 0.5, "test": 0.25}
+    shown = table("grasp_stability", "seen", {"sizes": {"100": found}, "success": success, **ROWS})
+    assert shown.columns[-1] == "each seed"
+    assert {name: row[-1] for name, row in cells(shown).items()} == {
+        "vision": "25.0 75.0",
+        "vision + touch": "75.0 75.0",
+        "commonest outcome": "-",
+        "vision + touch − vision": "+50.0 +0.0",
+    }

@@ -1,0 +1,93 @@
+import numpy as np
+import pytest
+from PIL import Image
+
+from objectfolder.benchmarks.models.actor import Actor
+from objectfolder.benchmarks.params import GraspPolicyParams
+from objectfolder.benchmarks.scoring.tables import grasping_table
+from objectfolder.benchmarks.tasks.grasp_policy import CURVE_COLUMNS, grasp_policy, play
+from objectfolder.envs.body import rigid_body
+from objectfolder.envs.features import TouchFeatures
+from objectfolder.envs.grasp import Episodes, GraspTask
+from objectfolder.envs.hulls import convex_hulls
+
+PARAMS = GraspPolicyParams(
+    seeds=1,
+    episodes=16,
+    environments=4,
+    rollout=4,
+    updates=1,
+    patience=5,
+    batch=8,
+    learning_rate=1e-3,
+    discount=0.95,
+    gae=0.97,
+    damping=0.01,
+    divergence=0.01,
+    width=8,
+    log_deviation=-0.7,
+    rollouts=6,
+    presses=4,
+)
+
+
+@pytest.fixture(scope="module")
+def task(brick):
+    return GraspTask(brick, rigid_body(brick, convex_hulls(brick.to_mesh())))
+
+
+@pytest.fixture(scope="module")
+def whole(task, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("policy")
+    return folder, *grasp_policy(task, PARAMS, 0, folder)
+
+
+def without_seconds(scores):
+    return {name: value for name, value in scores.items() if name != "seconds"}
+
+
+def test_scores_curves_and_what_is_kept(whole):
+    folder, scores, curve = whole
+    assert len(scores["touch"]["seeds"]) == 1
+    for name in ("touch", "touch_exact", "width", "blind", "random", "nothing"):
+        low, high = scores[name]["interval_95"]
+        assert 0 <= low <= scores[name]["rate"] <= high <= 1
+    assert [row[2] for row in curve if row[0] == "touch"] == [8, 16]
+    assert all(len(row) == len(CURVE_COLUMNS) for row in curve)
+    assert Actor.load(folder / "model.safetensors").mean.shape == (2 * TouchFeatures.size + 3,)
+    with Image.open(folder / "episodes.gif") as film:
+        assert film.n_frames > 20
+    shown = grasping_table({"brick": scores})
+    assert [row[1] for row in shown.rows][-1] == "none"
+    assert "75.5" in shown.rows[0]
+
+
+@pytest.mark.slow
+def test_an_interrupted_training_goes_on_to_the_same(task, whole, tmp_path):
+    class Interrupted(Exception):
+        pass
+
+    def stop(line):
+        if "8 of 16 episodes" in line and "by width" in line:
+            raise Interrupted
+
+    with pytest.raises(Interrupted):
+        grasp_policy(task, PARAMS, 0, tmp_path, stop)
+    folder, scores, curve = whole
+    again, lines = grasp_policy(task, PARAMS, 0, tmp_path)
+    assert without_seconds(again) == without_seconds(scores)
+    assert lines == curve
+    kept = (path / "model.safetensors" for path in (folder, tmp_path))
+    assert len({path.read_bytes() for path in kept}) == 1
+
+
+def test_rollouts_count_what_is_held(task):
+    """A policy that cannot move the hand off a centred object always succeeds; one that leaves never does."""
+    episodes = Episodes(task, "blind", None)
+
+    def leave(seen):
+        return np.tile([0, 1.0, 1.0, 0], (len(seen), 1))
+
+    stay = play(episodes, lambda seen: np.zeros((len(seen), 4)), 12, np.random.default_rng(0))
+    away = play(episodes, leave, 12, np.random.default_rng(0))
+    assert stay.mean() > away.mean()

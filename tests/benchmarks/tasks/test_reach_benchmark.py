@@ -1,0 +1,367 @@
+import shutil
+from types import SimpleNamespace
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+import typer
+from gymnasium.spaces import Box
+from PIL import Image
+from ruamel.yaml import YAML
+from typer.testing import CliRunner
+
+from objectfolder.benchmarks.layout import Benchmarks
+from objectfolder.benchmarks.models import ppo
+from objectfolder.benchmarks.models.actor import Actor
+from objectfolder.benchmarks.models.ppo import train_ppo
+from objectfolder.benchmarks.params import ReachParams, robot_params
+from objectfolder.benchmarks.scoring.tables import reach_table
+from objectfolder.benchmarks.tasks.reach import (
+    CURVE_COLUMNS,
+    POLICIES,
+    controller,
+    episodes,
+    film,
+    fresh_seeds,
+    nothing,
+    random_policy,
+    reach,
+    run_reach,
+)
+from objectfolder.cli.bench_robots import reach as reach_command
+from objectfolder.envs.body import rigid_body
+from objectfolder.envs.reach import ReachEnv
+from objectfolder.errors import ObjectFolderError
+from objectfolder.io import read_json, write_safetensors
+
+TINY = ReachParams(
+    seeds=1,
+    steps=32,
+    horizon=8,
+    goals=2,
+    environments=2,
+    rollout=8,
+    batch=8,
+    epochs=2,
+    learning_rate=1e-3,
+    discount=0.9,
+    width=4,
+    log_deviation=-0.5,
+)
+
+
+@pytest.fixture(scope="module")
+def hulls(brick):
+    return [brick.to_mesh().convex_hull]
+
+
+@pytest.fixture(scope="module")
+def body(brick, hulls):
+    return rigid_body(brick, hulls)
+
+
+class Line(gymnasium.Env):
+    """A point on a line: the reward of a step is minus its distance from zero."""
+
+    observation_space = Box(-5, 5, (1,), np.float64)
+    action_space = Box(-1, 1, (1,), np.float32)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.place, self.steps = self.np_random.uniform(-1, 1, 1), 0
+        return self.place.copy(), {}
+
+    def step(self, action):
+        self.place, self.steps = np.clip(self.place + 0.3 * action, -5, 5), self.steps + 1
+        return self.place.copy(), -float(abs(self.place[0])), False, self.steps == 10, {}
+
+
+@pytest.fixture(autouse=True)
+def _short_parts(monkeypatch):
+    """Two rollouts in a part."""
+    monkeypatch.setattr(ppo, "ROUNDS", 2)
+
+
+def _score(actor):
+    """Success, and minus the distance that is left: of a point at 0.8."""
+    place = np.array([0.8])
+    for _ in range(10):
+        place = place + 0.3 * actor(place)
+    return float(abs(place[0]) < 0.1), -float(abs(place[0]))
+
+
+def _train(checkpoint, steps=512, validate=_score, report=lambda *point: None, **changes):
+    params = TINY.model_copy(
+        update={
+            "steps": steps,
+            "rollout": 16,
+            "environments": 4,
+            "batch": 32,
+            "learning_rate": 0.01,
+            **changes,
+        }
+    )
+    return train_ppo(Line, params, 0, ("test",), validate, checkpoint, report)
+
+
+def _bytes(actor):
+    return {name: value.tobytes() for name, value in actor.tensors().items()}
+
+
+def test_ppo_learns_and_stops_when_nothing_fails_twice(tmp_path):
+    actor, curve, seconds = _train(tmp_path / "a.pt", steps=12800)
+    assert _score(actor)[0] == 1
+    solved = "".join(str(int(row[1])) for row in curve)
+    assert solved.endswith("11")
+    assert "11" not in solved[:-1]
+    assert [row[0] for row in curve] == [128 * (part + 1) for part in range(len(curve))]  # 2 rollouts of 64
+    assert seconds > 0
+
+
+def test_an_interrupted_training_goes_on_to_the_same_bytes(tmp_path):
+    never = {"validate": lambda actor: (0.0, _score(actor)[1])}
+    whole, curve, _ = _train(tmp_path / "whole.pt", **never)
+    assert [row[0] for row in curve] == [128, 256, 384, 512]
+
+    class Interruption(Exception):
+        pass
+
+    def interrupt(steps, figures, seconds):
+        if steps == 256:
+            raise Interruption
+
+    with pytest.raises(Interruption):
+        _train(tmp_path / "part.pt", **never, report=interrupt)
+    np.random.seed(99)  # noqa: NPY002 - Stable-Baselines3 draws from it
+    torch.manual_seed(99)
+    reported = []
+    resumed, again, _ = _train(tmp_path / "part.pt", **never, report=lambda *point: reported.append(point[0]))
+    assert reported == [384, 512]
+    assert again == curve
+    assert _bytes(resumed) == _bytes(whole)
+    finished, again, _ = _train(
+        tmp_path / "part.pt", **never, report=lambda *point: pytest.fail("it is done")
+    )
+    assert again == curve
+    assert _bytes(finished) == _bytes(whole)
+
+
+def test_the_best_part_in_validation_is_kept(tmp_path, monkeypatch):
+    figures = iter([(0.5, 1.0), (0.7, 0.0), (0.7, 0.0), (0.6, 9.0)])
+    actors = []
+
+    def validate(actor):
+        actors.append(actor)
+        return next(figures)
+
+    best, _, _ = _train(tmp_path / "a.pt", validate=validate)
+    assert _bytes(best) == _bytes(actors[2]) != _bytes(actors[1])
+
+
+def test_a_checkpoint_of_another_training_is_refused(tmp_path):
+    checkpoint = tmp_path / "a.pt"
+    _train(checkpoint, steps=128)
+    with pytest.raises(ObjectFolderError, match=r"a\.pt is of a training with .* remove it"):
+        _train(checkpoint, steps=256)
+    checkpoint.write_bytes(checkpoint.read_bytes()[:100])
+    with pytest.raises(ObjectFolderError, match=r"a\.pt is damaged"):
+        _train(checkpoint, steps=128)
+
+
+@pytest.fixture
+def models(monkeypatch):
+    """Models of Stable-Baselines3 that a test has trained."""
+    found = []
+
+    class Kept(ppo.PPO):
+        def __init__(self, *arguments, **named):
+            super().__init__(*arguments, **named)
+            found.append(self)
+
+    monkeypatch.setattr(ppo, "PPO", Kept)
+    return found
+
+
+def test_the_learning_rate_falls_to_nothing(models, tmp_path):
+    rates = []
+    _train(
+        tmp_path / "a.pt",
+        validate=lambda actor: (0.0,),
+        report=lambda *point: rates.append(models[0].policy.optimizer.param_groups[0]["lr"]),
+    )
+    np.testing.assert_allclose(rates, [0.01, 0.0075, 0.005, 0.0025], rtol=1e-12)
+
+
+def test_the_arrays_act_as_the_policy_does(models, tmp_path):
+    """`Actor` against Stable-Baselines3's own normalisation and nets."""
+    last = []
+    _train(tmp_path / "a.pt", steps=128, validate=lambda actor: (last.append(actor) or 0.0,))
+    observations = np.linspace(-1, 1, 21)[:, None]
+    normalised = models[0].get_vec_normalize_env().normalize_obs(observations)
+    expected, _ = models[0].predict(normalised, deterministic=True)
+    np.testing.assert_allclose(last[0](observations), expected, atol=1e-6)
+    assert len(np.unique(expected)) > 3
+
+
+def test_an_actor_is_read_as_it_was_written(tmp_path):
+    rng = np.random.default_rng(0)
+    layers = [
+        (rng.standard_normal((3, 2)), rng.standard_normal(3)),
+        (rng.standard_normal((1, 3)), np.ones(1)),
+    ]
+    actor = Actor(np.zeros(2), np.ones(2), layers)
+    actor.save(tmp_path / "actor.safetensors", "test")
+    read = Actor.load(tmp_path / "actor.safetensors")
+    assert _bytes(read) == _bytes(actor)
+    write_safetensors(tmp_path / "other.safetensors", {"x": np.ones(1)}, {"format": "other"})
+    with pytest.raises(ObjectFolderError, match=r"other\.safetensors is no trained policy"):
+        Actor.load(tmp_path / "other.safetensors")
+
+
+def test_an_actor_by_hand():
+    actor = Actor(
+        np.array([1.0, 0.0]),
+        np.array([2.0, 1e-9]),
+        [(np.eye(2), np.zeros(2)), (np.array([[1.0, 1.0]]), np.ones(1))],
+    )
+    np.testing.assert_allclose(actor(np.array([2.0, 0.0])), [min(1, np.tanh(0.5) + 1)])
+    np.testing.assert_allclose(actor(np.array([1.0, -1.0])), [np.tanh(-10) + 1], atol=1e-9)  # cut at 10
+
+
+def test_baselines_bound_the_task(body):
+    env = ReachEnv(body, horizon=60)
+    seeds = fresh_seeds(0, "brick", "test", 5)
+    best, idle = episodes(env, controller, seeds), episodes(env, nothing, seeds)
+    aimless = episodes(env, random_policy(np.random.default_rng(0)), seeds)
+    assert best.last.all()
+    assert best.ever.all()
+    assert not idle.ever.any()
+    assert aimless.last.mean() < 0.5
+    assert (best.returns > idle.returns).all()
+    assert (idle.distance > 0.05).all()
+    assert (best.distance < 1e-3).all()
+
+
+def test_success_at_any_time_is_not_success_at_the_end(body):
+    env = ReachEnv(body, horizon=80)
+
+    def leaving(observation):
+        """To the goal, then away, which the opening of the gripper remembers."""
+        near = np.linalg.norm(observation[36:39] - observation[:3] - [0, 0, -0.045]) < 0.03
+        away = near or observation[3] < 0.97
+        return np.array([0, -1, 1, 1], np.float32) if away else controller(observation) - [0, 0, 0, 1]
+
+    played = episodes(env, leaving, [0, 1])
+    assert played.ever.all()
+    assert not played.last.any()
+
+
+def test_goals_of_validation_and_test_are_others_and_stay():
+    val, test = (fresh_seeds(0, "mug", part, 100) for part in ("val", "test"))
+    assert len({*val, *test}) == 200
+    assert fresh_seeds(0, "mug", "test", 10) == test[:10]
+    assert fresh_seeds(1, "mug", "test", 10) != test[:10] != fresh_seeds(0, "cup", "test", 10)
+
+
+def test_films_show_where_the_goal_is_met(body):
+    env = ReachEnv(body, horizon=60, render_mode="rgb_array", resolution=(30, 40))
+    frames = film(env, controller, [0, 1])
+    assert len(frames) == 2 * 15
+    assert {tuple(frame[-1, 0]) for frame in (frames[0], frames[15])} == {(190, 40, 40)}
+    assert {tuple(frame[-1, 0]) for frame in (frames[14], frames[29])} == {(30, 150, 60)}
+
+
+def test_scores_have_everything_and_are_the_same_again(body, tmp_path):
+    said = []
+    params = TINY.model_copy(update={"seeds": 2})
+    scores, curve = reach(body, params, 0, tmp_path / "a", said.append)
+    assert len(said) == len(curve) == 2  # a part has 32 steps
+    assert [row[:2] for row in curve] == [[0, 32], [1, 32]]
+    assert len(curve[0]) == len(CURVE_COLUMNS)
+    assert scores["steps"] == [32, 32]
+    for name in POLICIES:
+        low, high = scores[name]["last"]["interval_95"]
+        assert 0 <= low <= scores[name]["last"]["rate"] <= scores[name]["any"]["rate"] <= 1
+        assert low <= high
+    assert len(scores["ppo"]["seeds"]) == 2
+    # Of none of n the upper end of Wilson's interval is z^2 / (n + z^2).
+    assert scores["nothing"]["last"] == {
+        "rate": 0,
+        "interval_95": [0, pytest.approx(1.96**2 / (2 + 1.96**2), abs=1e-4)],
+    }
+    again, curve_again = reach(body, params, 0, tmp_path / "b")
+    assert curve_again == curve
+    assert again | {"seconds": 0} == scores | {"seconds": 0}
+    assert (tmp_path / "b/episodes.gif").read_bytes() == (tmp_path / "a/episodes.gif").read_bytes()
+
+
+def test_a_run_leaves_its_files_and_goes_on_where_it_was(brick_path, hulls, tmp_path):
+    params = SimpleNamespace(section=TINY, seed=0)
+    whole, part = Benchmarks(tmp_path / "whole"), Benchmarks(tmp_path / "part")
+    run_reach(brick_path, hulls, params, whole, print)
+    files = {path.name for path in whole.dir.iterdir()} - {".progress"}
+    assert files == {f"reach_brick.{suffix}" for suffix in ("json", "csv", "gif", "safetensors")}
+    assert read_json(whole.result("reach", "brick"))["task"] == "reach"
+    with Image.open(whole.film("reach", "brick")) as picture:
+        assert picture.n_frames >= 2
+    assert not any((whole.dir / ".progress").iterdir())
+
+    def stop(line):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_reach(brick_path, hulls, params, part, stop)
+    kept = list((part.dir / ".progress").glob("*/0.pt"))
+    assert len(kept) == 1
+    run_reach(brick_path, hulls, params, part, lambda line: pytest.fail("nothing is left to train"))
+    for name in files:
+        assert (part.dir / name).read_bytes() == (whole.dir / name).read_bytes()
+    shutil.rmtree(part.dir)
+
+
+def test_params_are_read_and_checked(tmp_path):
+    values = {"seed": 3, "sensor": "digit", "reach": TINY.model_dump()}
+    assert robot_params("reach", values) == SimpleNamespace(section=TINY, seed=3)
+    values["reach"] |= {"discount": 1.5}
+    with pytest.raises(ObjectFolderError, match="reach: discount"):
+        robot_params("reach", values)
+    with pytest.raises(ObjectFolderError, match="lacks section 'reach'"):
+        robot_params("reach", {"seed": 0, "sensor": "digit"})
+
+
+def _played(last, ever):
+    share = {"interval_95": [0.96378, 1.0]}
+    shares = {"last": share | {"rate": last}, "any": share | {"rate": ever}}
+    return shares | {"return": 950.0, "distance": 0.0123, "seeds": [last]}
+
+
+def test_a_table_has_a_row_for_each_policy_of_each_object():
+    policies = dict.fromkeys(POLICIES, _played(0.97, 1.0))
+    scores = policies | {
+        "episodes": 100,
+        "horizon": 100,
+        "task": "reach",
+        "steps": [163840, 81920],
+    }
+    shown = reach_table({"cup": scores, "die": scores})
+    assert [row[0] for row in shown.rows] == ["cup"] * 4 + ["die"] * 4
+    assert shown.rows[0] == ("cup", "PPO", "97 (96-100)", "100 (96-100)", "12", "9.50", "164k/82k", "100")
+    assert shown.rows[3][1:] == ("none", "97 (96-100)", "100 (96-100)", "12", "9.50", "-", "-")
+    assert all(len(row) == len(shown.columns) for row in shown.rows)
+
+
+def test_the_command_runs_the_task_and_shows_the_table(brick_path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    values = {"seed": 0, "sensor": "digit", "objects": {}, "procedural": {}}
+    values |= {"decompose": {"hulls": 4}, "reach": TINY.model_dump()}
+    YAML().dump(values, tmp_path / "params.yaml")
+    app = typer.Typer()
+    app.command()(reach_command)
+    told = CliRunner().invoke(app, [str(brick_path), "--out", "here", "--jobs", "1"], catch_exceptions=False)
+    assert told.exit_code == 0
+    assert "brick" in told.output
+    folder = Benchmarks("here")
+    assert read_json(folder.result("reach", "brick"))["episodes"] == TINY.goals
+    assert read_json(folder.machine("reach", "brick"))["threads"] == 1
+    assert (folder.hulls / "brick.npz").is_file()

@@ -1,0 +1,234 @@
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from objectfolder.benchmarks.datasets.splits import per_object, per_sample
+from objectfolder.benchmarks.models import encoders
+from objectfolder.benchmarks.models.encoders import InputSizes, register_encoder
+from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.benchmarks.tasks.recognition import (
+    COMBINATIONS,
+    CURVE_COLUMNS,
+    Classifier,
+    fused,
+    recognize,
+)
+from objectfolder.errors import ObjectFolderError
+
+SIZES = InputSizes(image=8, spectrogram=(16, 8), touch=(8, 8))
+PARAMS = SimpleNamespace(
+    seeds=2, epochs=3, fusion_epochs=1, batch=16, learning_rate=0.02, weight_decay=0.01, patience=3
+)
+
+
+class Table:
+    """Observations held in memory: each object has a colour, a pitch and a pressure, under noise."""
+
+    keys = ("ball", "cube", "cup", "die")
+    pitches = (400, 800, 1600, 3200)  # Hz
+
+    def __init__(self, count, noise=20):
+        rng = np.random.default_rng(count)
+        self.count = count
+        self.labels = np.repeat(np.arange(4), count)
+        rows = len(self.labels)
+        colours = np.array([[200, 60, 60], [60, 200, 60], [60, 60, 200], [160, 160, 40]])
+        time = np.arange(4000) / 16000
+        phase = rng.uniform(0, 2 * np.pi, (rows, 1))
+        self.arrays = {
+            "vision": self._picture(rng, colours[self.labels], 10, noise),
+            "audio": np.sin(
+                2 * np.pi * np.array(self.pitches)[self.labels, None] * time + phase, dtype=np.float32
+            ),
+            "touch": self._picture(rng, colours[self.labels] // 2, 8, noise),
+        }
+        self.reads = {modality: [] for modality in self.arrays}
+
+    @staticmethod
+    def _picture(rng, colours, side, noise):
+        pixels = colours[:, None, None] + noise * rng.standard_normal((len(colours), side, side, 3))
+        return pixels.clip(0, 255).astype(np.uint8)
+
+    def read(self, modality, rows):
+        self.reads[modality].append(np.array(rows))
+        return self.arrays[modality][rows]
+
+
+@pytest.fixture(autouse=True)
+def _small_encoder(monkeypatch):
+    monkeypatch.setattr(encoders, "_FACTORIES", dict(encoders._FACTORIES))
+
+    @register_encoder("small")
+    class Small(nn.Sequential):
+        features = 8
+
+        def __init__(self, channels):
+            super().__init__(
+                nn.Conv2d(channels, 8, 3, 2, 1),
+                nn.BatchNorm2d(8),
+                nn.ReLU(),
+                nn.AdaptiveMaxPool2d((4, 1)),
+                nn.Flatten(),
+                nn.Linear(32, 8),
+            )
+
+
+def _run(table, folder, split=None, **changes):
+    params = SimpleNamespace(**{**vars(PARAMS), **changes})
+    split = split or per_sample(table.keys, table.count)
+    scores, curve = recognize(Job(table, split, params, "small", SIZES, seed=1, progress=folder))
+    return {name: value for name, value in scores.items() if name != "seconds"}, curve
+
+
+def test_objects_that_differ_in_every_sense_are_told_apart(tmp_path):
+    table = Table(30)
+    scores, curve = _run(table, tmp_path, epochs=5, patience=5)
+    for name in COMBINATIONS:
+        assert scores[name]["accuracy"] == np.mean(scores[name]["seeds"]) > 0.9, name
+        assert len(scores[name]["seeds"]) == 2
+    assert scores["chance"] == {"uniform": 0.25, "majority": 0.25}
+    assert (scores["objects"], scores["rows"]) == (4, {"train": 96, "val": 12, "test": 12})
+    assert scores["duplicates"] == {m: {"val": 0, "test": 0} for m in ("vision", "audio", "touch")}
+    confusion = np.array(scores["confusion"])
+    assert (confusion.sum(1) == 2 * 3).all()  # two seeds with three test rows of each object
+    assert confusion.trace() / 24 == pytest.approx(scores["VAT"]["accuracy"])
+    assert len(CURVE_COLUMNS) == len(curve[0])
+    assert [tuple(row[:3]) for row in curve] == [
+        (run, name, epoch)
+        for run in (0, 1)
+        for name in COMBINATIONS
+        for epoch in range(1, (5 if len(name) == 1 else 1) + 1)
+    ]
+
+
+def test_a_seeds_spread_gives_the_interval(tmp_path):
+    scores, _ = _run(Table(20, noise=200), tmp_path, epochs=1, learning_rate=1e-3)
+    for name in COMBINATIONS:
+        first, second = scores[name]["seeds"]
+        # Student's t of one degree of freedom: 12.7062; standard error of two values: half their distance
+        assert scores[name]["interval_95"] == pytest.approx(12.7062 * abs(first - second) / 2, rel=1e-4)
+
+
+def test_nothing_is_learnt_of_shuffled_labels(tmp_path):
+    """Rows that a net can remember one by one, but that say nothing about others."""
+    table = Table(100)
+    split = per_sample(table.keys, table.count)
+    rng = np.random.default_rng(3)
+    for modality, array in table.arrays.items():
+        table.arrays[modality] = rng.permutation(array)
+    for rows in (split.train, split.val):
+        table.labels[rows] = rng.permutation(table.labels[rows])
+    scores, _ = _run(table, tmp_path, split, seeds=1, epochs=2)
+    # 40 answers at chance 1/4: deviation 0.068
+    for name in COMBINATIONS:
+        assert abs(scores[name]["accuracy"] - 0.25) < 0.25, name
+
+
+def test_every_combination_uses_its_modalities_and_no_other(tmp_path):
+    """What a modality does not show cannot be told by it: pairs of objects look alike, others sound alike."""
+    table = Table(50)
+    table.arrays["vision"] = Table._picture(
+        np.random.default_rng(0), np.array([[200, 60, 60], [60, 60, 200]])[table.labels // 2], 10, 20
+    )
+    time = np.arange(4000) / 16000
+    pitch = np.array([400, 3200])[table.labels % 2, None]
+    phase = np.random.default_rng(1).uniform(0, 6, (len(pitch), 1))
+    table.arrays["audio"] = np.sin(2 * np.pi * pitch * time + phase, dtype=np.float32)
+    table.arrays["touch"] = np.random.default_rng(2).integers(256, size=(len(pitch), 8, 8, 3), dtype=np.uint8)
+    scores, _ = _run(table, tmp_path, seeds=1)
+    for name, expected in {"V": 0.5, "A": 0.5, "T": 0.25, "VT": 0.5, "AT": 0.5, "VA": 1, "VAT": 1}.items():
+        assert scores[name]["accuracy"] == pytest.approx(expected, abs=0.25), name
+    assert min(scores["VA"]["accuracy"], scores["VAT"]["accuracy"]) > 0.8
+
+
+def test_rows_that_were_learnt_are_not_tested(tmp_path):
+    table = Table(50)
+    split = per_sample(table.keys, table.count)
+    table.arrays["touch"][split.test[:3]] = table.arrays["touch"][split.train[:3]]
+    table.arrays["vision"][split.val[4]] = table.arrays["vision"][split.train[70]]
+    scores, _ = _run(table, tmp_path, split, seeds=1, epochs=1)
+    assert scores["rows"] == {"train": 160, "val": 19, "test": 17}
+    assert scores["duplicates"]["touch"] == {"val": 0, "test": 3}
+    assert scores["duplicates"]["vision"] == {"val": 1, "test": 0}
+    assert np.sum(scores["confusion"]) == 17
+    # The three were of the first object.
+    assert scores["chance"] == {"uniform": 0.25, "majority": 5 / 17}
+
+
+def test_test_rows_are_read_once_with_the_best_epoch(tmp_path):
+    table = Table(20)
+    split = per_sample(table.keys, table.count)
+    _run(table, tmp_path, split, seeds=1)
+    for reads in table.reads.values():
+        counts = np.bincount(np.concatenate(reads), minlength=len(table.labels))
+        # Once in the search for duplicates, and once for each of the four combinations with a modality.
+        assert set(counts[split.test]) == {1 + 4}
+        assert max(len(rows) for rows in reads) <= 64
+
+
+def test_interrupted_recognition_goes_on_to_the_same_numbers(tmp_path):
+    table = Table(20)
+    split = per_sample(table.keys, table.count)
+    whole = _run(table, tmp_path / "whole")
+    lines = []
+
+    def stop(at):
+        def report(line):
+            lines.append(line)
+            if len(lines) == at:
+                raise KeyboardInterrupt
+
+        return report
+
+    # In the middle of a single modality, after one, in a fusion, and in the second seed.
+    for at in (2, 3, 11, 16):
+        with pytest.raises(KeyboardInterrupt):
+            recognize(Job(table, split, PARAMS, "small", SIZES, 1, tmp_path / "parts", report=stop(at)))
+    assert _run(table, tmp_path / "parts") == whole
+    assert len(lines) == 16
+    assert len(set(lines)) == 16  # no epoch twice
+    assert not list(tmp_path.glob("*/*.pt"))
+    # Finished, so nothing is trained or tested again.
+    for reads in table.reads.values():
+        reads.clear()
+    assert _run(table, tmp_path / "whole") == whole
+    assert all(len(np.concatenate(reads)) == len(table.labels) for reads in table.reads.values())
+
+
+def test_another_seed_gives_other_nets(tmp_path):
+    table = Table(20, noise=200)
+    split = per_sample(table.keys, table.count)
+    curves = [
+        recognize(Job(table, split, PARAMS, "small", SIZES, seed=seed, progress=tmp_path / str(i)))[1]
+        for i, seed in enumerate((1, 2))
+    ]
+    assert all(a[3] != b[3] for a, b in zip(*curves))
+    runs = [[row[3] for row in curves[0] if row[0] == run] for run in (0, 1)]
+    assert all(a != b for a, b in zip(*runs))
+
+
+def test_fusion_starts_from_the_sum_of_its_parts_logits():
+    torch.manual_seed(0)
+    parts = [
+        Classifier({letter: encoders.make_encoder("small", modality)}, 5).eval()
+        for letter, modality in (("V", "vision"), ("A", "audio"), ("T", "touch"))
+    ]
+    inputs = {"V": torch.randn(2, 3, 8, 8), "A": torch.randn(2, 1, 16, 8), "T": torch.randn(2, 3, 8, 8)}
+    joined = fused(parts)
+    with torch.no_grad():
+        torch.testing.assert_close(joined.eval()(inputs), sum(part(inputs) for part in parts))
+        for parameter in joined.parameters():
+            parameter.zero_()
+    assert all(part.head.weight.any() for part in parts)  # theirs are copies
+
+
+def test_objects_that_are_never_learnt_are_refused(tmp_path):
+    table = Table(10)
+    split = per_object(table.keys, table.count)
+    with pytest.raises(
+        ObjectFolderError, match=r"split unseen tests with .*which is not learnt.*use split seen"
+    ):
+        _run(table, tmp_path, split)

@@ -1,0 +1,257 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from solids import box, sphere
+from torch import nn
+
+from objectfolder.benchmarks.datasets import truth
+from objectfolder.benchmarks.datasets.occupancy import HALF_SIDE, sample_occupancy
+from objectfolder.benchmarks.datasets.splits import Split, per_sample
+from objectfolder.benchmarks.datasets.truth import Truth, best_level
+from objectfolder.benchmarks.models import encoders
+from objectfolder.benchmarks.models.encoders import InputSizes, register_encoder
+from objectfolder.benchmarks.models.shape_model import Setup, ShapeModel, load_model, new_net, save_model
+from objectfolder.benchmarks.tasks import job
+from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.benchmarks.tasks.reconstruction import (
+    CURVE_COLUMNS,
+    VARIANTS,
+    first_rows,
+    reconstruct,
+    validation_rows,
+)
+from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.grid import DistanceGrid
+from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.mesh.sdf import distance_grid
+from objectfolder.seeding import seeded
+
+SOLIDS = {
+    "ball": sphere(0.45, 3),
+    "block": box((1, 0.3, 0.3)),
+    "slab": box((0.3, 0.3, 1)),
+    "cube": box((0.6, 0.6, 0.6)),
+}
+COUNT = 20
+SURFACES = {key: Isosurface(DistanceGrid(*distance_grid(*solid, 40))) for key, solid in SOLIDS.items()}
+PARAMS = SimpleNamespace(
+    epochs=8,
+    batch=8,
+    points=128,
+    width=24,
+    blocks=1,
+    frequencies=1,
+    naming=1.0,
+    learning_rate=2e-3,
+    weight_decay=1e-4,
+    patience=8,
+    resolution=12,
+    score_points=1500,
+    views=2,
+)
+SIZES = InputSizes(12, (16, 10), (8, 6))
+
+
+class Observed:
+    """Pictures of one colour and hums of one pitch per object, with a little noise: easy to tell apart."""
+
+    keys, count, digest = tuple(SOLIDS), COUNT, "observed"
+    labels = np.repeat(np.arange(len(SOLIDS)), COUNT)
+
+    def object_file(self, key):
+        return Path(key)
+
+    def shape(self, modality):
+        return self.read(modality, np.array([0])).shape[1:]
+
+    def read(self, modality, rows):
+        noise = np.stack([np.random.default_rng(row).normal(size=(16, 16, 3)) for row in rows])
+        label = np.asarray(rows) // COUNT
+        if modality == "vision":
+            colour = 200 * np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])[label]
+            return (colour[:, None, None] + 5 * noise).clip(0, 255).astype(np.uint8)
+        time = np.arange(32000) / 16000
+        hum = np.sin(2 * np.pi * (500 * (1 + label[:, None])) * time)
+        return (hum * (1 + 0.1 * noise[:, 0, 0, :1])).astype(np.float32)
+
+
+@register_encoder("tiny_shapes")
+class Tiny(nn.Module):
+    features = 16
+
+    def __init__(self, channels):
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.AdaptiveAvgPool2d((8, 2)),
+            nn.Flatten(),
+            nn.Linear(16 * channels, 16),
+            nn.BatchNorm1d(16),
+            nn.ReLU(),
+        )
+
+    def forward(self, x):
+        return self.layers(x)
+
+
+@pytest.fixture
+def occupancy(monkeypatch):
+    """Four solids whose surfaces are known, without Object Files."""
+    opened = {key: (lambda surface=surface: surface) for key, surface in SURFACES.items()}
+    sampled = sample_occupancy(opened, 3000, 600, PARAMS.score_points, PARAMS.resolution, 0)
+    monkeypatch.setattr(truth, "cached_occupancy", lambda *given: sampled)
+    load = SimpleNamespace(load=lambda path: SimpleNamespace(surface=SURFACES[path.name]))
+    monkeypatch.setattr(truth, "ObjectFile", load)
+    return sampled
+
+
+def run(progress, report=lambda line: None):
+    """Scores but for the time they took, and curves."""
+    split = per_sample(Observed.keys, COUNT)
+    scores, curves = reconstruct(
+        Job(Observed(), split, PARAMS, "tiny_shapes", SIZES, seed=0, progress=progress, report=report)
+    )
+    assert scores.pop("seconds") > 0
+    return json.loads(json.dumps(scores, allow_nan=False)), curves
+
+
+@pytest.fixture(autouse=True)
+def _one_thread():
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+@pytest.mark.slow
+def test_every_variant_beats_the_average_shape_and_an_interrupted_call_goes_on(
+    occupancy, tmp_path, monkeypatch
+):
+    seen, curves = run(tmp_path / "a")
+    assert set(seen) == {*VARIANTS, "average_shape", "perfect", "objects", "rows", "duplicates"}
+    assert seen["rows"] == {"train": 64, "val": 8, "test": 8}
+    for variant in VARIANTS:
+        scores = seen[variant]
+        assert scores["iou"] > seen["average_shape"]["iou"] + 0.1
+        assert seen["perfect"]["chamfer_l1"] < scores["chamfer_l1"] < seen["average_shape"]["chamfer_l1"]
+        assert scores["normal_consistency"] < seen["perfect"]["normal_consistency"]
+        assert scores["samples"] == 2 * len(SOLIDS)
+        assert scores["iou"] == pytest.approx(np.mean(list(scores["per_object"].values())))
+        rows = [row for row in curves if row[0] == variant]
+        assert [row[1] for row in rows] == list(range(1, len(rows) + 1))
+        assert max(row[3] for row in rows) == scores["val_iou"]
+        assert all(len(row) == len(CURVE_COLUMNS) for row in rows)
+    first = {variant: next(row for row in curves if row[0] == variant) for variant in VARIANTS}
+    assert len([row for row in curves if row[0] == "VA"]) == PARAMS.epochs / 2
+    assert first["VA"][2] < 0.9 * first["V"][2]  # it starts from what the others learnt
+    model, picture = (tmp_path / "a" / name for name in ("model.safetensors", "sheet.png"))
+    assert load_model(model).setup.modalities == ("vision",)
+    with Image.open(picture) as page:
+        assert page.size[0] > page.size[1] / 2 > 200
+
+    def interrupt(line):
+        if "A, epoch 2" in line:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path / "b", interrupt)
+    went_on = []
+    assert run(tmp_path / "b", went_on.append) == (seen, curves)
+    assert "seen, A, epoch 3" in went_on[0]  # V is not trained again, nor the first two epochs of A
+    for name in ("model.safetensors", "sheet.png"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+    assert not list((tmp_path / "b").glob("*.pt"))
+    # What is finished is read.
+    monkeypatch.setattr(job, "train", lambda *a, **k: pytest.fail("trained"))
+    assert run(tmp_path / "b") == (seen, curves)
+
+
+def test_selection_is_the_first_rows_of_each_object():
+    rows = np.array([3, 5, 7, 21, 40, 41, 42])
+    assert first_rows(rows, Observed.labels, 2).tolist() == [3, 5, 21, 40, 41]
+
+
+def test_of_objects_without_validation_rows_training_rows_help_to_choose(tmp_path):
+    ball, block, slab, cube = (np.arange(COUNT) + i * COUNT for i in range(4))
+    seen = per_sample(Observed.keys, COUNT)
+    unseen = Split("unseen", np.concatenate([ball, slab]), block, cube)
+    for split, rows in ((seen, seen.val), (unseen, np.concatenate([block[:2], ball[:2], slab[:2]]))):
+        job = Job(Observed(), split, PARAMS, "tiny_shapes", SIZES, 0, tmp_path)
+        assert validation_rows(job).tolist() == rows.tolist()
+
+
+def test_average_shape_is_the_mean_of_the_training_objects(occupancy, tmp_path):
+    shapes = Truth({key: Path(key) for key in SOLIDS}, PARAMS.score_points, PARAMS.resolution, 0, tmp_path)
+
+    def labels(*keys):
+        return np.array([shapes.keys.index(key) for key in keys])
+
+    # Of one object, tested on it, the average is that object.
+    same = shapes.average_shape(*[labels("cube")] * 3)
+    assert same["iou"] == 1
+    assert same["per_object"] == {"cube": 1}
+    # Of two that are tested on a third: where both are, or where either is, as validation prefers.
+    block, slab, cube = occupancy.score_inside[labels("block", "slab", "cube")]
+    both = shapes.average_shape(labels("block", "slab"), labels("cube"), labels("cube"))
+    candidates = [(both_ & cube).sum() / (both_ | cube).sum() for both_ in (block & slab, block | slab)]
+    assert both["iou"] == pytest.approx(max(candidates))
+    assert both["threshold"] == (0.05 if candidates[1] >= candidates[0] else 0.5)
+
+
+def test_best_level_by_hand():
+    values = np.array([[0.1, 0.4, 0.6, 0.9], [0.2, 0.3, 0.7, 0.8]])
+    inside = np.array([[0, 0, 1, 1], [0, 0, 0, 1]], bool)
+    assert best_level(values, inside, np.array([0.05, 0.5, 0.75])) == (0.5, 0.75)
+    assert best_level(values, inside, np.array([0.35, 0.65, 0.75])) == (0.75, 0.75)
+    assert best_level(values, inside, np.array([0.95, 0.99])) == (0.95, 0.0)  # empty answers are no error
+
+
+def test_model_file_keeps_everything_and_refuses_what_it_is_not(occupancy, tmp_path, brick_path):
+    setup = Setup(("vision",), "tiny_shapes", SIZES, 16, 8, 1, 2, 8, tuple(SOLIDS), 0.45)
+    with seeded(0, "model"):
+        net = new_net(setup).eval()
+    nn.init.normal_(net.decoder.blocks[0].norm1.beta.weight)  # not 0: the embedding counts
+    path = tmp_path / "model.safetensors"
+    save_model(path, ShapeModel(setup, net))
+    model = load_model(path)
+    assert model.setup == setup
+    save_model(tmp_path / "copy.safetensors", model)
+    assert (tmp_path / "copy.safetensors").read_bytes() == path.read_bytes()
+    view = Observed().read("vision", np.array([9, 30]))
+    embedding = model.embed({"vision": view})
+    torch.testing.assert_close(embedding[1:], load_model(path).embed({"vision": view[1:]}))
+    points = occupancy.score_points
+    inside = model.is_inside(embedding, points)
+    probability = torch.from_numpy(model.logits(embedding, points)).double().sigmoid().numpy()
+    clear = np.abs(probability - model.setup.threshold) > 1e-6
+    assert np.array_equal(inside[clear], (probability > model.setup.threshold)[clear])
+    level = float(np.median(model.logits(embedding[:1], points)))
+    model = replace(model, setup=replace(setup, threshold=1 / (1 + np.exp(-level))))
+    vertices, faces = model.mesh(embedding[0])
+    assert len(faces) > 20
+    inner = (np.abs(vertices) < HALF_SIDE).all(1)  # the rest closes the surface outside
+    there = model.logits(embedding[:1], vertices[inner].astype(np.float32))
+    assert np.median(np.abs(there - level)) < 0.1 * np.ptp(model.logits(embedding[:1], points))
+    with pytest.raises(ObjectFolderError, match="no reconstruction model"):
+        load_model(brick_path)
+    with pytest.raises(ObjectFolderError, match="does not exist"):
+        load_model(tmp_path / "none.safetensors")
+    broken = replace(model, setup=replace(model.setup, width=25))
+    save_model(tmp_path / "wrong.safetensors", broken)
+    with pytest.raises(ObjectFolderError, match="damaged"):
+        load_model(tmp_path / "wrong.safetensors")
+
+
+def test_encoders_start_from_given_weights(tmp_path):
+    weights = encoders.Weights(tmp_path, Tiny(3).state_dict())
+    ones = {name: torch.ones_like(value) for name, value in weights.items()}
+    net = new_net(
+        Setup(("vision",), "tiny_shapes", SIZES, 16, 8, 1, 0, 8, ("ball",)),
+        encoders.Weights(tmp_path, ones),
+    )
+    assert all((value == 1).all() for value in net.encoders["vision"].state_dict().values())

@@ -1,0 +1,213 @@
+"""`objectfolder bench` on two bricks, in a workspace of its own; what is wrong is said before any work."""
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+import torch
+from ruamel.yaml import YAML
+from typer.testing import CliRunner
+
+from objectfolder.benchmarks.datasets.sampling import sample_observations
+from objectfolder.benchmarks.datasets.splits import object_split
+from objectfolder.benchmarks.layout import Benchmarks
+from objectfolder.benchmarks.tasks import running
+from objectfolder.cli import app
+from objectfolder.errors import ObjectFolderError
+from objectfolder.io import open_safetensors, write_safetensors
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.workspace.params import read
+
+ROOT = Path(__file__).parents[2]
+TINY = {
+    "observe": {"observations": 10, "resolution": 12},
+    "encode": {"encoder": "mine.py:tiny", "image": 8, "spectrogram": [8, 8], "touch": [8, 8]},
+    "recognize": {"seeds": 2, "epochs": 2, "fusion_epochs": 1, "batch": 8},
+    "retrieve": {"seeds": 1, "epochs": 2, "batch": 8, "embedding": 4},
+    "reconstruct": {
+        **{"epochs": 1, "batch": 8, "points": 32, "width": 8, "blocks": 1},
+        **{"resolution": 16, "score_points": 200, "views": 1},
+    },
+}
+ENCODER = """
+from torch import nn
+from objectfolder.benchmarks.encoders import register_encoder
+
+@register_encoder("tiny")
+class Tiny(nn.Sequential):
+    features = 4
+
+    def __init__(self, channels):
+        super().__init__(nn.Conv2d(channels, 4, 5, 3), nn.ReLU(), nn.AdaptiveAvgPool2d(1), nn.Flatten())
+"""
+
+
+@pytest.fixture(scope="module")
+def files(brick, tmp_path_factory):
+    """Object Files of two bricks with different keys: one may be trained on, the other tested with."""
+    folder = tmp_path_factory.mktemp("files")
+    keys = {object_split(key): key for key in (f"brick_{i}" for i in range(99))}
+    for key in (keys["train"], keys["test"]):
+        (folder / key).mkdir()
+        write_safetensors(
+            folder / key / "ObjectFile.safetensors", dict(brick.tensors), {**brick.header, "key": key}
+        )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def observed(files, tmp_path_factory):
+    """Their observations; what the same call draws twice is another file's test."""
+    folder = Benchmarks(tmp_path_factory.mktemp("observed"))
+    for path in files.glob("*/ObjectFile.safetensors"):
+        sample_observations(ObjectFile.load(path), 10, 12, 0, folder.observations(path.parent.name))
+    return folder.dir
+
+
+@pytest.fixture
+def workspace(tmp_path, monkeypatch, observed):
+    values = read(ROOT / "params.yaml")
+    for section, content in TINY.items():
+        values[section] = {**values[section], **content}
+    with (tmp_path / "params.yaml").open("w") as stream:
+        YAML().dump(values, stream)
+    shutil.copytree(ROOT / "params", tmp_path / "params")
+    (tmp_path / "mine.py").write_text(ENCODER)
+    for name in ("first", "second", "parts", "out"):  # "whole" is observed by the command
+        shutil.copytree(observed, tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def bench(*arguments):
+    threads = () if "--threads" in arguments else ("--threads", "1")
+    done = CliRunner().invoke(app, ["bench", *map(str, arguments), *threads])
+    if done.exception and not isinstance(done.exception, SystemExit):
+        raise done.exception
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+def results(folder):
+    """Files of results by name; a machine file holds how long it took."""
+    return {
+        path.name: path.read_bytes()
+        for path in sorted(folder.iterdir())
+        if path.is_file() and not path.stem.endswith("_machine")
+    }
+
+
+@pytest.mark.parametrize(
+    ("command", "name"),
+    [
+        pytest.param("recognition", "recognize_seen", marks=pytest.mark.slow),
+        pytest.param("retrieval", "retrieve_seen", marks=pytest.mark.slow),
+        ("reconstruction", "reconstruct_seen"),
+    ],
+)
+def test_a_task_prints_its_table_and_gives_the_same_bytes_again(files, workspace, command, name):
+    split = () if command == "recognition" else ("--split", "seen")
+    output = bench(command, files, "--out", "first", *split)
+    assert "paper" in output
+    assert f"first/{name}.json" in output
+    scores = json.loads(Path(f"first/{name}.json").read_text())
+    assert "seconds" not in scores
+    with Path(f"first/{name}.csv").open() as stream:
+        curve = list(csv.DictReader(stream))
+    assert {"epoch", "train_loss"} < set(curve[0])
+    assert not list(Path("first/.progress").iterdir())
+    assert json.loads(Path(f"first/{name}_machine.json").read_text())["threads"] == 1
+    if command == "reconstruction":  # a model names no file whose code would run when it is read
+        assert open_safetensors(f"first/{name}.safetensors")[1]["encoder"] == "tiny"
+    bench(command, files, "--out", "second", *split)
+    assert results(Path("first")) == results(Path("second"))
+
+
+@pytest.mark.slow  # each task has it without the command
+def test_an_interrupted_task_goes_on_and_ends_the_same(files, workspace, monkeypatch):
+    bench("recognition", files, "--out", "whole")
+    lines, run_task = [], running.run_task
+
+    def stop(line):
+        lines.append(line)
+        if len(lines) == 9:
+            raise RuntimeError("stopped")
+
+    def interrupted(*arguments):
+        return run_task(*arguments[:7], stop, *arguments[8:])
+
+    with monkeypatch.context() as patch:
+        patch.setattr(running, "run_task", interrupted)
+        with pytest.raises(RuntimeError, match="stopped"):
+            bench("recognition", files, "--out", "parts")
+    assert not Path("parts/recognize_seen.json").exists()
+    output = bench("recognition", files, "--out", "parts")
+    first = lines[0].partition(":")[0]
+    assert first.startswith("recognize V, seed 1")
+    assert first not in output
+    assert results(Path("parts")) == results(Path("whole"))
+
+
+@pytest.mark.slow
+def test_a_split_beside_another_gives_what_it_gives_alone(files, workspace):
+    bench("reconstruction", files, "--out", "first", "--split", "unseen")
+    alone = results(Path("first"))
+    assert len(alone) == 4
+    output = bench("reconstruction", files, "--out", "second", "--threads", "2")
+    assert all(f"reconstruct_{split}.json" in output for split in ("seen", "unseen"))
+    assert alone.items() < results(Path("second")).items()
+    assert json.loads(Path("second/reconstruct_unseen_machine.json").read_text())["threads"] == 1
+
+
+def test_another_seed_or_encoder_begins_anew(files, workspace):
+    bench("recognition", files, "--out", "out")
+    before = results(Path("out"))
+    (workspace / "mine.py").write_text(ENCODER.replace("5, 3", "3, 2"))
+    bench("recognition", files, "--out", "out")
+    assert results(Path("out"))["recognize_seen.csv"] != before["recognize_seen.csv"]
+    bench("recognition", files, "--out", "out", "--seeds", "1")
+    assert len(json.loads(Path("out/recognize_seen.json").read_text())["V"]["seeds"]) == 1
+
+
+def refused(*arguments):
+    with pytest.raises(ObjectFolderError) as refusal:
+        bench(*arguments)
+    assert not Path("benchmarks").exists()
+    return str(refusal.value)
+
+
+def test_what_is_wrong_is_said_before_any_work(files, workspace, tmp_path):
+    one, other = sorted(files.iterdir())
+    assert "needs two at least" in refused("recognition", one)
+    assert "no Object Files in build" in refused("recognition")
+    assert "give each object once" in refused("recognition", one, other, other)
+    assert "expected seen or unseen" in refused("retrieval", files, "--split", "sen")
+    assert "expected one of paper, quick, standard" in refused("recognition", files, "--preset", "fast")
+    assert "nothing.pth does not exist" in refused("recognition", files, "--weights", "nothing.pth")
+    torch.save({"layer9.weight": torch.zeros(3)}, "other.pth")
+    assert "layer9.weight" in refused("recognition", files, "--preset", "quick", "--weights", "other.pth")
+    assert "nowhere.py does not exist" in refused("recognition", files, "--encoder", "nowhere.py:net")
+
+
+def test_a_split_with_nothing_to_tell_apart_is_refused(files, workspace):
+    with pytest.raises(ObjectFolderError, match=r"split unseen trains on brick_\d+ alone"):
+        bench("retrieval", files, "--out", "first", "--split", "unseen")
+
+
+def test_an_object_file_that_lacks_a_part_is_named(brick, files, workspace):
+    silent = {name: array for name, array in brick.tensors.items() if not name.startswith("audio.")}
+    header = {key: value for key, value in brick.header.items() if key != "audio"}
+    write_safetensors("silent.safetensors", silent, {**header, "key": "silent"})
+    with pytest.raises(ObjectFolderError, match=r"silent.*audio"):
+        bench("recognition", files, "silent.safetensors", "--out", "out")
+    assert not list(Path("out").glob("*.json"))
+
+
+def test_unseen_needs_objects_to_test_with(brick, workspace):
+    keys = [key for key in (f"brick_{i}" for i in range(99)) if object_split(key) == "train"][:2]
+    for key in keys:
+        write_safetensors(f"{key}.safetensors", dict(brick.tensors), {**brick.header, "key": key})
+    message = refused("retrieval", *(f"{key}.safetensors" for key in keys))
+    assert all(text in message for text in (*keys, "none is a test object", "split seen"))

@@ -1,0 +1,405 @@
+"""`objectfolder add` and `preset`: all or nothing."""
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from typer.testing import CliRunner
+
+from objectfolder.cli import app
+from objectfolder.engine.build import build
+from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.reading.load import load_mesh
+from objectfolder.workspace import objects as catalog
+from objectfolder.workspace import params
+from objectfolder.workspace.discover import discover, slug
+
+ROOT = Path(__file__).parents[2]
+OBJECTS = ROOT.parent / "shared" / "objects"
+
+
+@pytest.fixture
+def workspace(tmp_path, monkeypatch):
+    root = tmp_path / "workspace"
+    root.mkdir()
+    for name in ("dvc.yaml", ".dvcignore", "params.yaml", ".gitignore"):
+        shutil.copy(ROOT / name, root)
+    for name in ("params", "catalogs", ".dvc"):
+        shutil.copytree(ROOT / name, root / name, ignore=shutil.ignore_patterns("cache", "tmp"))
+    subprocess.run(["git", "init", "-q"], cwd=root, check=True)
+    monkeypatch.chdir(root)
+    return root
+
+
+@pytest.fixture
+def box(tmp_path):
+    """An OBJ with its MTL and texture, 0.2 x 0.1 x 0.1 m."""
+    source = tmp_path / "source"
+    (source / "maps").mkdir(parents=True)
+    mesh = trimesh.creation.box([0.2, 0.1, 0.1])
+    lines = ["mtllib box.mtl", "usemtl m"]
+    lines += [f"v {x} {y} {z}" for x, y, z in mesh.vertices] + ["vt 0 0", "vt 1 0", "vt 1 1"]
+    lines += [f"f {a}/1 {b}/2 {c}/3" for a, b, c in mesh.faces + 1]
+    (source / "box.obj").write_text("\n".join(lines))
+    (source / "box.mtl").write_text("newmtl m\nmap_Kd -s 1 1 1 maps/wood grain.png\n")
+    Image.fromarray(np.full((8, 8, 3), 200, np.uint8)).save(source / "maps" / "wood grain.png")
+    return source / "box.obj"
+
+
+def snapshot(root):
+    return {
+        p.relative_to(root): p.read_bytes() for p in root.rglob("*") if p.is_file() and ".dvc" not in p.parts
+    }
+
+
+def test_add_copies_what_the_mesh_refers_to_and_tracks_it(workspace, box):
+    entry = catalog.add_mesh(box, "crate", "wood", None, None)
+    assert entry == {
+        "mesh": "data/objects/crate/mesh.obj",
+        "material": "wood",
+        "scale": pytest.approx(0.2),
+        "up": "z",
+        "wall": None,
+        "bridge": "all",
+    }
+    home = workspace / "data/objects/crate"
+    assert (home / "mesh.obj").read_bytes() == box.read_bytes()
+    assert (home / "maps/wood grain.png").exists()
+    assert (workspace / "data/objects/crate.dvc").exists()
+    values = params.read()
+    params.check_all(values)
+    assert set(values["objects"]) == {"mug", "die", "bell", "crate"}
+    assert "# mesh: under data/objects" in (workspace / "params.yaml").read_text()  # comments survive
+
+
+def test_a_ply_brings_its_texture_and_deleted_data_comes_back(workspace, tmp_path):
+    Image.fromarray(np.full((8, 8, 3), 200, np.uint8)).save(tmp_path / "skin.png")
+    header = "ply\nformat ascii 1.0\ncomment TextureFile skin.png\nelement vertex 4\nproperty float x\n"
+    header += "property float y\nproperty float z\nproperty float s\nproperty float t\nelement face 4\n"
+    header += "property list uchar int vertex_indices\nend_header\n"
+    body = "0 0 0 0 0\n1 0 0 1 0\n0 1 0 0 1\n0 0 1 1 1\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n"
+    (tmp_path / "tetra.ply").write_text(header + body)
+    catalog.add_mesh(tmp_path / "tetra.ply", "tetra", "wood", 0.1, None)
+    home = workspace / "data/objects/tetra"
+    assert load_mesh(home / "mesh.ply").texture.max() == 200
+    shutil.rmtree(home)
+    build(["normalize@tetra"])  # the stage itself cannot run here; its data comes first
+    assert load_mesh(home / "mesh.ply").texture.max() == 200
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"key": "mug"}, "exists already"),
+        ({"key": "Crate 1"}, "not a valid object key"),
+        ({"material": "jelly"}, "unknown material 'jelly'"),
+        ({"scale": 0.0}, "expected the longest side in metres"),
+        ({"scale": -1.0}, "expected the longest side in metres"),
+        ({"scale": 200.0}, "give it in metres"),
+        ({"up": "x"}, "neither 'y' nor 'z'"),
+        ({"mesh": Path("nothing.obj")}, "nothing.obj does not exist"),
+    ],
+)
+def test_bad_arguments_change_nothing(workspace, box, change, message):
+    before = snapshot(workspace)
+    arguments = {"mesh": box, "key": "crate", "material": "wood", "scale": None, "up": None, **change}
+    with pytest.raises(ObjectFolderError, match=message):
+        catalog.add_mesh(**arguments)
+    assert snapshot(workspace) == before
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\n", "no faces"),
+        ("v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n", "NaN"),
+        ("mtllib ../else.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "outside its folder"),
+        ("mtllib gone.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "gone.mtl, which does not exist"),
+    ],
+)
+def test_bad_meshes_change_nothing(workspace, tmp_path, text, message):
+    mesh = tmp_path / "bad.obj"
+    mesh.write_text(text)
+    before = snapshot(workspace)
+    with pytest.raises(ObjectFolderError, match=message):
+        catalog.add_mesh(mesh, "bad", "wood", None, None)
+    assert snapshot(workspace) == before
+
+
+def test_a_list_of_published_objects_is_for_fetch(workspace):
+    with pytest.raises(ObjectFolderError, match="objectfolder fetch --catalogue"):
+        catalog.add_catalogue(ROOT / "catalogs/objectfolder1.yaml")
+
+
+def test_catalogue_adds_what_is_missing_and_refuses_what_differs(workspace):
+    assert catalog.add_catalogue(Path("catalogs/starter.yaml")) == []
+    text = re.sub(r"\n  die: {mesh.*", "", Path("params.yaml").read_text())
+    Path("params.yaml").write_text(text)
+    assert catalog.add_catalogue(Path("catalogs/starter.yaml")) == ["die"]
+    Path("params.yaml").write_text(text.replace("material: ceramic", "material: glass"))
+    with pytest.raises(ObjectFolderError, match=r"objects\.mug differs"):
+        catalog.add_catalogue(Path("catalogs/starter.yaml"))
+
+
+def test_preset_changes_sections_only(workspace):
+    before = params.read()
+    assert "render_views" in catalog.apply_preset("paper")
+    after = params.read()
+    assert after["render_views"]["train"] == 500
+    assert after["objects"] == before["objects"]
+    assert catalog.apply_preset("paper") == []
+    catalog.apply_preset("quick")
+    assert params.read() == before
+    with pytest.raises(ObjectFolderError, match=r"no preset 'fast'.*paper, quick, standard"):
+        catalog.apply_preset("fast")
+
+
+@pytest.mark.parametrize(
+    "name", ["ycb_mug/mesh.obj", "gso_school_bell/mesh.obj", "polyhaven_teapot/mesh.gltf"]
+)
+def test_real_meshes_go_through(workspace, name):
+    if not (OBJECTS / name).exists():
+        pytest.skip("the development set of real objects is not here")
+    entry = catalog.add_mesh(OBJECTS / name, "real", "steel", None, None)
+    assert entry["up"] == ("y" if name.endswith("gltf") else "z")
+    copied = [p.name for p in (workspace / "data/objects/real").rglob("*") if p.is_file()]
+    assert len(copied) == len([p for p in (OBJECTS / name).parent.rglob("*") if p.is_file()])
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, ["add", *map(str, arguments)])
+
+
+def row(result, key):
+    """Cells of one object's line of the table."""
+    return next(line.split() for line in result.output.splitlines() if line.split()[:1] == [key])
+
+
+@pytest.fixture
+def collection(tmp_path):
+    """A folder of meshes, some of which cannot be added; sizes in metres."""
+    folder = tmp_path / "my objects"
+    for name in ("025_Mug (blue)", "open", "both", "textures", ".hidden"):
+        (folder / name).mkdir(parents=True)
+    cube = trimesh.creation.box([0.2, 0.1, 0.1])
+    cube.export(folder / "025_Mug (blue)" / "textured.glb")
+    cube.export(folder / "Brick.stl")
+    (folder / "Brick.stl").rename(folder / "Brick.STL")
+    cube.export(folder / "both" / "a.ply")
+    cube.export(folder / "both" / "b.off")
+    cube.export(folder / ".hidden" / "a.ply")
+    pair = trimesh.util.concatenate([cube, cube.copy().apply_translation([1, 0, 0])])
+    pair.export(folder / "open" / "mesh.ply")
+    (folder / "textures" / "skin.png").write_bytes(b"")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("name", "key"),
+    [
+        ("025_Mug (blue)", "mug_blue"),
+        ("Tasse à café", "tasse_a_cafe"),
+        ("065-a_cups", "a_cups"),
+        ("-- 42 --", "object"),
+        ("a__b", "a_b"),
+    ],
+)
+def test_names_become_keys(name, key):
+    assert slug(name) == key
+    params.check_key(key)
+
+
+def test_a_folder_shows_what_it_understood_and_adds_what_it_can(workspace, collection):
+    result = run(collection, "--material", "wood")
+    assert result.exit_code == 1
+    assert row(result, "mug_blue") == [
+        "mug_blue",
+        "textured.glb",
+        "wood",
+        "0.2",
+        "y?",
+        "1",
+        "keep",
+        "2,000.0",
+    ]
+    assert row(result, "brick") == ["brick", "Brick.STL", "wood", "0.2", "z?", "1", "keep", "2,000.0"]
+    assert row(result, "open") == ["open", "mesh.ply", "wood", "refused"]
+    assert row(result, "both") == ["both", "a.ply", "wood", "refused"]
+    assert "refused open: open: 2 separate pieces" in result.output
+    assert re.search(r"refused both: .*both holds 2 meshes \(both/a\.ply, both/b\.off\)", result.output)
+    assert "2 added, 2 refused" in result.output
+    objects = params.read()["objects"]
+    assert set(objects) == {"mug", "die", "bell", "mug_blue", "brick"}
+    assert objects["mug_blue"] == {
+        "mesh": "data/objects/mug_blue/mesh.glb",
+        "material": "wood",
+        "scale": pytest.approx(0.2),
+        "up": "y",
+        "wall": None,
+        "bridge": "all",
+    }
+    assert objects["brick"]["mesh"] == "data/objects/brick/mesh.stl"
+    left = {p.name for p in (workspace / "data/objects").iterdir()} - {".gitignore"}
+    assert left == {"mug_blue", "mug_blue.dvc", "brick", "brick.dvc"}
+
+
+def test_a_dry_run_changes_nothing(workspace, collection):
+    before = snapshot(workspace)
+    result = run(collection, "--material", "wood", "--dry-run")
+    assert result.exit_code == 1
+    assert "2 can be added, 2 refused" in result.output
+    (collection / "both" / "b.off").unlink()
+    shutil.rmtree(collection / "open")
+    result = run(collection, "--material", "wood", "--dry-run", "--up", "y")
+    assert result.exit_code == 0
+    assert "3 can be added" in result.output
+    assert row(result, "brick")[4] == "y"
+    assert snapshot(workspace) == before
+
+
+def test_an_object_that_is_there_is_refused_and_the_others_are_added(workspace, collection):
+    (collection / "025_Mug (blue)").rename(collection / "mug")
+    result = run(collection, "--material", "wood")
+    assert "refused mug: object 'mug' exists already" in result.output
+    assert "brick" in params.read()["objects"]
+    assert run(collection, "--material", "wood").exit_code == 1  # and again: nothing new, nothing lost
+    assert set(params.read()["objects"]) == {"mug", "die", "bell", "brick"}
+
+
+@pytest.mark.parametrize(
+    ("file", "text"),
+    [
+        ("materials.csv", "name,material\n025_Mug (blue),ceramic\nbrick,iron\n"),
+        ("materials.yaml", "025_Mug (blue): ceramic\nBrick.STL: iron\n"),
+    ],
+)
+def test_a_list_names_materials(workspace, collection, file, text):
+    (collection / file).write_text(text)
+    by_key = {c.key: c.material for c in discover(collection, "wood")}
+    assert by_key == {"mug_blue": "ceramic", "brick": "iron", "open": "wood", "both": "wood"}
+    result = run(collection, "--dry-run")
+    assert row(result, "mug_blue")[2] == "ceramic"
+    assert "refused open: open has no material; give --material, or list it in materials.csv" in result.output
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "message"),
+    [
+        ("materials.csv", "name,material\nbrik,iron\n", "names brik, which .* does not hold"),
+        ("materials.csv", "brick\n", r"materials\.csv cannot be read.*expected lines `name,material`"),
+        ("materials.yaml", "- brick\n", r"materials\.yaml holds list; expected"),
+        ("materials.yaml", "{", r"materials\.yaml cannot be read"),
+    ],
+)
+def test_a_bad_list_of_materials_is_refused(collection, file, text, message):
+    (collection / file).write_text(text)
+    with pytest.raises(ObjectFolderError, match=r"(?s)" + message):
+        discover(collection)
+    (collection / "materials.yml").write_text("brick: iron\n")
+    with pytest.raises(ObjectFolderError, match="both name materials"):
+        discover(collection)
+
+
+def test_an_unknown_material_refuses_that_object_alone(workspace, collection):
+    (collection / "materials.csv").write_text("brick,jelly\n")
+    result = run(collection, "--material", "wood", "--dry-run")
+    assert "refused brick: unknown material 'jelly'" in result.output
+    assert "1 can be added, 3 refused" in result.output
+
+
+def test_folders_whose_names_give_one_key_are_both_refused(collection):
+    shutil.copytree(collection / "025_Mug (blue)", collection / "mug-blue")
+    refused = [c for c in discover(collection) if c.key == "mug_blue"]
+    assert len(refused) == 2
+    assert all("2 objects" in c.refusal for c in refused)
+
+
+def test_deeper_folders_and_the_folder_of_one_mesh(tmp_path):
+    deep = tmp_path / "set" / "024_bowl" / "google_16k"
+    deep.mkdir(parents=True)
+    trimesh.creation.box([1, 1, 1]).export(deep / "textured.ply")
+    assert [(c.key, c.mesh) for c in discover(tmp_path / "set")] == [("bowl", deep / "textured.ply")]
+    assert [(c.key, c.mesh) for c in discover(deep)] == [("google_16k", deep / "textured.ply")]
+    deep.joinpath("textured.ply").unlink()
+    with pytest.raises(ObjectFolderError, match="holds no mesh"):
+        discover(tmp_path / "set")
+
+
+@pytest.mark.parametrize(
+    ("size", "unit", "code", "message"),
+    [
+        (117.0, "m", 1, r"117 m, expected .* perhaps it is 117 cm or 117 mm; give --unit or --scale"),
+        (117.0, "mm", 0, "1 can be added"),
+        (1500.0, "m", 1, "perhaps it is 1500 mm; give --unit"),
+        (11.7, "m", 0, "11.7 m is large: perhaps it is 11.7 cm or 11.7 mm; --unit or --scale tells"),
+        (0.117, "m", 0, "1 can be added"),
+        (0.117, "mm", 1, "0.000117 m, expected"),
+    ],
+)
+def test_sizes_that_look_like_other_units(workspace, tmp_path, size, unit, code, message):
+    folder = tmp_path / "set"
+    folder.mkdir()
+    trimesh.creation.box([size, size / 2, size / 3]).export(folder / "box.ply")
+    result = run(folder, "--material", "wood", "--unit", unit, "--dry-run")
+    assert result.exit_code == code
+    assert re.search(message, result.output)
+    if (size, unit) == (117, "mm"):
+        assert row(result, "set")[3] == "0.117"
+
+
+def test_one_mesh_is_examined_before_it_is_added(workspace, collection):
+    before = snapshot(workspace)
+    result = run(collection / "open" / "mesh.ply", "--name", "pair", "--material", "wood")
+    assert isinstance(result.exception, ObjectFolderError)
+    assert "2 separate pieces" in str(result.exception)
+    brick = [collection / "Brick.STL", "--name", "brick", "--material", "wood"]
+    dry = run(*brick, "--scale", "0.5", "--dry-run")
+    assert dry.exit_code == 0
+    assert row(dry, "brick")[3:] == ["0.5", "z?", "1", "keep", "31,250.0"]
+    assert snapshot(workspace) == before
+    done = run(*brick, "--unit", "cm")
+    assert done.exit_code == 0
+    assert "added brick: wood, longest side 0.002 m, z up; next: objectfolder build brick" in done.output
+    assert params.read()["objects"]["brick"]["scale"] == pytest.approx(0.002)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--name", "x"], "is a folder; --name and --scale are for one mesh"),
+        (["--unit", "inch"], "unit 'inch' is not one of m, cm, mm"),
+        (["--up", "x"], "up axis 'x' is neither 'y' nor 'z'"),
+    ],
+)
+def test_bad_options_change_nothing(workspace, collection, arguments, message):
+    before = snapshot(workspace)
+    result = run(collection, "--material", "wood", *arguments)
+    assert message in str(result.exception)
+    assert snapshot(workspace) == before
+
+
+def test_a_catalogue_has_no_dry_run(workspace):
+    before = snapshot(workspace)
+    assert "--dry-run is for meshes" in str(run("catalogs/starter.yaml", "--dry-run").exception)
+    assert snapshot(workspace) == before
+
+
+def test_a_full_disk_refuses_each_object_and_leaves_nothing(workspace, collection, monkeypatch):
+    before = snapshot(workspace)
+
+    def full(*arguments):
+        raise OSError(28, os.strerror(28))
+
+    monkeypatch.setattr(shutil, "copyfile", full)
+    result = run(collection, "--material", "wood")
+    assert result.exit_code == 1
+    assert "refused brick: cannot add brick" in result.output
+    assert "No space left on device" in result.output
+    assert "0 added, 4 refused" in result.output
+    assert snapshot(workspace) == before

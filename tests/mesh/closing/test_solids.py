@@ -1,0 +1,82 @@
+import igl
+import numpy as np
+import pytest
+from solids import TURN, box, flipped, join, pretzel, sphere
+
+from objectfolder.mesh.closing.solids import bodies, bridge, distance, gaps, unite, untangle, without_specks
+from objectfolder.mesh.closing.topology import is_closed, signed_volume
+from objectfolder.mesh.scanline import winding_certificate
+
+
+def test_a_body_that_overlaps_itself_encloses_space_once():
+    tangled = pretzel()
+    assert winding_certificate(*tangled).outside_fraction > 0.03
+    vertices, faces = untangle(*tangled)
+    assert is_closed(faces)
+    assert winding_certificate(vertices, faces).solid
+    # Reference: samples with winding number over 1/2, counted once.
+    points = np.random.default_rng(0).uniform(-0.45, 0.45, (400_000, 3)) * [1, 1, 0.15]
+    inside = np.asarray(igl.fast_winding_number(*tangled, points)) > 0.5
+    assert signed_volume(vertices, faces) == pytest.approx(inside.mean() * 0.9**3 * 0.15, rel=0.01)
+    assert distance(tangled, vertices).max() < 1e-9
+
+
+def test_a_body_s_volume_is_net_of_its_cavities():
+    outer, inner, apart = (
+        box((0.6, 0.3, 0.3), (-0.2, 0, 0)),
+        box((0.1,) * 3, (-0.3, 0, 0)),
+        box((0.2,) * 3, (0.4, 0, 0)),
+    )
+    mesh = join(apart, flipped(inner), outer)
+    label, volumes = bodies(*mesh)
+    assert volumes == pytest.approx([0.053, 0.008])
+    assert label.tolist() == [1] * 12 + [0] * 24
+
+
+def test_specks_are_dropped_as_long_as_they_hold_a_thousandth_together():
+    specks = [box((0.04,) * 3, (0.45, y, 0)) for y in np.linspace(-0.4, 0.4, 12)]  # 1.25e-4 each
+    (vertices, faces), dropped = without_specks(*join(box((0.8,) * 3), *specks))
+    assert dropped == 8
+    assert len(bodies(vertices, faces)[1]) == 5
+
+
+def test_gaps_are_exact_and_sorted():
+    pieces = [box((0.2,) * 3), box((0.2,) * 3, (0.21, 0, 0)), box((0.2,) * 3, (0, 0.205, 0.1))]
+    found = gaps(pieces, 0.05)
+    assert [gap for gap, _, _ in found] == pytest.approx([0.005, 0.01, np.hypot(0.005, 0.01)])
+    assert gaps(pieces, 0.002) == []
+
+
+@pytest.mark.parametrize("gap", [0.0, 1e-5, 1e-3, 0.01])
+def test_a_bridge_joins_two_balls_near_the_gap_alone(gap):
+    left, right = sphere(0.2, 4, (-0.25, 0, 0)), sphere(0.2, 4, (0.15 + gap, 0, 0))
+    (vertices, faces), bridged = bridge(*join(left, right), 1 / 64)
+    assert len(bridged) == 1
+    assert bridged[0] == pytest.approx(gap, abs=1e-9)
+    assert is_closed(faces)
+    assert len(bodies(vertices, faces)[1]) == 1
+    new = vertices[distance(join(left, right), vertices) > 1e-9]
+    assert np.linalg.norm(new - [-0.05 + gap / 2, 0, 0], axis=1).max() < 0.08
+    both = signed_volume(*left) + signed_volume(*right)
+    assert both < signed_volume(vertices, faces) < 1.01 * both
+
+
+def test_wider_gaps_stay():
+    apart = join(sphere(0.2, 3, (-0.25, 0, 0)), sphere(0.2, 3, (0.2, 0, 0)))
+    (_, faces), bridged = bridge(*apart, 1 / 64)
+    assert bridged == []
+    assert faces is apart[1]
+
+
+def test_a_chain_of_pieces_needs_one_bridge_fewer_than_it_has_pieces():
+    chain = [box((0.2, 0.2, 0.2), (0.205 * k, 0, 0), TURN if k == 9 else None) for k in range(4)]
+    mesh, bridged = bridge(*join(*chain), 1 / 64)
+    assert len(bridged) == 3
+    assert len(bodies(*mesh)[1]) == 1
+
+
+def test_what_is_flat_does_not_take_part_in_a_union():
+    flat = (np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]), np.array([[0, 1, 2], [0, 2, 1]]))
+    mesh, cavities = unite([box((1, 1, 1)), flat])
+    assert cavities == 0
+    assert signed_volume(*mesh) == pytest.approx(1)

@@ -1,0 +1,446 @@
+import json
+import struct
+import zlib
+
+import numpy as np
+import pytest
+import trimesh
+from gltf_scene import Scene, colors_at, square
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from PIL import Image
+from solids import box
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.normalize import normalize
+from objectfolder.mesh.reading.load import FORMATS, default_up, load_mesh
+from objectfolder.mesh.textured import TexturedMesh, appearance_report
+
+PLY = """ply
+format ascii 1.0
+element vertex {vertices}
+property float x
+property float y
+property float z
+{color}element face {faces}
+property list uchar int vertex_indices
+end_header
+{body}
+"""
+TETRAHEDRON = ["0 0 0", "1 0 0", "0 2 0", "0 0 3"]
+FACES = ["3 0 2 1", "3 0 1 3", "3 0 3 2", "3 1 2 3"]
+
+
+def write_ply(path, vertices, faces, color=""):
+    body = "\n".join([*vertices, *faces])
+    path.write_text(PLY.format(vertices=len(vertices), faces=len(faces), color=color, body=body))
+    return path
+
+
+def pixels(height, width):
+    rng = np.random.default_rng(5)
+    return rng.integers(0, 256, (height, width, 3), dtype=np.uint8)
+
+
+def write_obj(folder, image=None, kd="1 1 1"):
+    (folder / "m.obj").write_text(
+        "mtllib m.mtl\nusemtl skin\nv 0 0 0\nv 1 0 0\nv 0 2 0\nv 0 0 3\n"
+        "vt 0 0\nvt 1 0\nvt 0 1\nf 1/1 3/3 2/2\nf 1/1 2/2 4/3\nf 1/1 4/2 3/3\nf 2/1 3/2 4/3\n"
+    )
+    texture = ""
+    if image is not None:
+        Image.fromarray(image).save(folder / "skin.png")
+        texture = "map_Kd skin.png\n"
+    (folder / "m.mtl").write_text(f"newmtl skin\nKd {kd}\n{texture}")
+    return folder / "m.obj"
+
+
+def test_obj_with_its_texture(tmp_path):
+    image = pixels(8, 6)
+    mesh = load_mesh(write_obj(tmp_path, image))
+    np.testing.assert_array_equal(mesh.texture, image)
+    assert len(mesh.faces) == 4
+    assert mesh.uv.shape == (len(mesh.vertices), 2)
+    # Seams split vertices: each corner still has its place and its texture coordinate.
+    first = mesh.faces[0]
+    np.testing.assert_array_equal(mesh.vertices[first], [[0, 0, 0], [0, 2, 0], [1, 0, 0]])
+    np.testing.assert_allclose(mesh.uv[first], [[0, 0], [0, 1], [1, 0]])
+    assert mesh.metallic is None
+
+
+def test_obj_with_a_colour_only(tmp_path):
+    mesh = load_mesh(write_obj(tmp_path, kd="1 0.5 0"))
+    np.testing.assert_allclose(mesh.texture, [[[255, 128, 0]]], atol=1)
+
+
+def test_plain_colour_keeps_roughness_and_metallic_in_glb(tmp_path):
+    vertices, faces = box((1, 0.5, 0.25))
+    texel = np.array([[[200, 40, 40]]], np.uint8)
+    mesh = TexturedMesh(vertices, faces, np.zeros((8, 2)), texel, roughness=0.125, metallic=1.0)
+    mesh.write_glb(tmp_path / "m.glb")
+    back = load_mesh(tmp_path / "m.glb", "y")
+    assert (back.roughness, back.metallic) == (0.125, 1.0)
+    np.testing.assert_array_equal(back.texture, texel)
+
+
+def test_polygons_become_triangles(tmp_path):
+    path = tmp_path / "quad.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n")
+    assert load_mesh(path).faces.shape == (2, 3)
+
+
+def test_ply_with_vertex_colours(tmp_path):
+    color = "property uchar red\nproperty uchar green\nproperty uchar blue\n"
+    colors = [[10, 20, 30], [40, 50, 60], [70, 80, 90], [255, 0, 1]]
+    vertices = [f"{v} {' '.join(map(str, c))}" for v, c in zip(TETRAHEDRON, colors)]
+    mesh = load_mesh(write_ply(tmp_path / "t.ply", vertices, FACES, color))
+    np.testing.assert_array_equal(mesh.vertex_colors, colors)
+    np.testing.assert_array_equal(mesh.faces, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    assert mesh.texture is None
+
+
+def test_y_up_is_turned_about_x_and_stays_right_handed(tmp_path):
+    path = write_ply(tmp_path / "t.ply", TETRAHEDRON, FACES)
+    as_is, turned = load_mesh(path, "z"), load_mesh(path, "y")
+    x, y, z = as_is.vertices.T
+    np.testing.assert_array_equal(turned.vertices, np.stack([x, -z, y], 1))
+    assert normalize(turned).surface.volume == pytest.approx(normalize(as_is).surface.volume)
+    assert default_up("a.GLB") == default_up("a.gltf") == "y"
+    assert default_up("a.obj") == default_up("a.ply") == "z"
+
+
+def textured(image):
+    vertices, faces = box((1, 0.5, 0.25))
+    uv = np.float32(np.random.default_rng(1).random((8, 2)))
+    return TexturedMesh(np.float32(vertices) * 1.0, faces, uv * 1.0, image, roughness=0.25, metallic=0.75)
+
+
+def test_glb_is_y_up_and_comes_back_z_up(tmp_path):
+    mesh = textured(pixels(4, 8))
+    path = tmp_path / "m.glb"
+    mesh.write_glb(path)
+    back = load_mesh(path, default_up(path))
+    np.testing.assert_array_equal(back.vertices, mesh.vertices)
+    x, y, z = mesh.vertices.T
+    np.testing.assert_array_equal(load_mesh(path, "z").vertices, np.stack([x, z, -y], 1))
+    np.testing.assert_array_equal(back.faces, mesh.faces)
+    np.testing.assert_array_equal(back.texture, mesh.texture)
+    np.testing.assert_allclose(back.uv, mesh.uv, atol=1e-7)
+    assert (back.roughness, back.metallic) == (0.25, 0.75)
+    first = path.read_bytes()
+    mesh.write_glb(path)
+    assert path.read_bytes() == first
+
+
+def test_glb_keeps_vertex_colours(tmp_path):
+    vertices, faces = box((1, 1, 1))
+    colors = np.random.default_rng(2).integers(0, 256, (8, 3), dtype=np.uint8)
+    TexturedMesh(vertices, faces, vertex_colors=colors).write_glb(tmp_path / "m.glb")
+    np.testing.assert_array_equal(load_mesh(tmp_path / "m.glb").vertex_colors, colors)
+
+
+def test_parts_of_a_scene_are_placed_and_joined(tmp_path):
+    scene = trimesh.Scene()
+    part = trimesh.creation.box((1, 1, 1))
+    scene.add_geometry(part, transform=trimesh.transformations.translation_matrix([2, 0, 0]))
+    scene.add_geometry(part.copy(), transform=trimesh.transformations.translation_matrix([0, 3, 0]))
+    (tmp_path / "s.glb").write_bytes(scene.export(file_type="glb"))
+    mesh = load_mesh(tmp_path / "s.glb")
+    assert len(mesh.faces) == 24
+    np.testing.assert_allclose(mesh.bounds, [[-0.5, -0.5, -0.5], [2.5, 3.5, 0.5]])
+
+
+def test_a_large_texture_is_scaled_down_and_a_small_one_is_not(tmp_path):
+    flat = np.full((64, 32, 3), [200, 100, 50], np.uint8)
+    path = write_obj(tmp_path, flat)
+    small = load_mesh(path, texture_size=16).texture
+    assert small.shape == (16, 8, 3)
+    assert (small == [200, 100, 50]).all()
+    assert load_mesh(path, texture_size=1024).texture.shape == (64, 32, 3)
+
+
+def test_vertices_that_no_face_uses_may_be_anything(tmp_path):
+    path = write_ply(tmp_path / "t.ply", [*TETRAHEDRON, "nan nan nan", "inf 0 0"], FACES)
+    done = normalize(load_mesh(path))
+    assert done.surface.volume == pytest.approx(1 / 27)
+    assert np.isfinite(done.visual.vertices).all()
+
+
+def glb_of_nothing():
+    chunk = json.dumps({"asset": {"version": "2.0"}}).encode()
+    chunk += b" " * (-len(chunk) % 4)
+    return (
+        struct.pack("<4sII", b"glTF", 2, 20 + len(chunk)) + struct.pack("<I4s", len(chunk), b"JSON") + chunk
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("m.dae", b"solid", r"format '\.dae' is not one of \.obj"),
+        ("m.stl", b"solid", "cannot be read|no faces"),
+        ("m.off", b"OFF\n3 1 0\n", "cannot be read|no faces"),
+        ("m.obj", b"", "cannot be read as a mesh: it is empty"),
+        ("m.obj", b"Dear Sir or Madam,\nhere is my mesh.\n", "holds no faces"),
+        ("m.obj", b"ply\nformat ascii 1.0\n", "looks like a .ply"),
+        ("m.glb", b"version https://git-lfs.github.com/spec/v1\n", "does not begin as a binary glTF does"),
+        ("m.ply", b"version https://git-lfs.github.com/spec/v1\n", "Git LFS pointer"),
+        ("m.stl", b"PK\x03\x04" + bytes(99), "looks like a .zip archive"),
+        ("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "'f 0 1 2' has the index 0"),
+        ("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1/1 2/0 3/1\n", "has the index 0"),
+        ("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 0 0 1\nf -3 -2 -1\n", "negative face indices"),
+        ("m.obj", b"v 0 0 0\nv 1e200 0 0\nv 0 1 0\nf 1 2 3\n", "reach 1e\\+200"),
+        ("m.obj", b"v 0 0 0\nv inf 0 0\nv 0 1 0\nf 1 2 3\n", "1 of its vertices are NaN or infinite"),
+        ("m", b"solid", "format '' is not one of"),
+        ("m.ply", b"", "cannot be read|no faces"),
+        ("m.ply", b"\x00\xff\x00" * 99, "cannot be read|no faces"),
+        ("m.glb", b"\x00\xff\x00" * 99, "cannot be read|no faces"),
+        ("m.glb", glb_of_nothing(), "cannot be read|no faces"),
+        ("m.gltf", b"{", "cannot be read|no faces"),
+        ("m.obj", b"v 0 0 0\nv 1 0 0\n", "cannot be read|no faces"),
+        ("m.obj", b"v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n", "1 of its vertices are NaN"),
+        ("m.obj", b"v 1 2 3\nv 1 2 3\nv 1 2 3\nf 1 2 3\n", "in one point"),
+        ("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "cannot be read|no faces"),
+    ],
+)
+def test_what_is_not_a_mesh_is_refused_by_name(tmp_path, name, content, message):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ObjectFolderError, match=message) as caught:
+        load_mesh(tmp_path / name)
+    assert str(tmp_path / name) in str(caught.value)
+
+
+def test_a_missing_file_and_a_wrong_axis(tmp_path):
+    with pytest.raises(ObjectFolderError, match=r"nowhere\.obj does not exist"):
+        load_mesh(tmp_path / "nowhere.obj")
+    with pytest.raises(ObjectFolderError, match="up axis 'x' is neither"):
+        load_mesh(write_ply(tmp_path / "t.ply", TETRAHEDRON, FACES), up="x")
+
+
+@pytest.mark.parametrize(
+    ("suffix", "content"),
+    [
+        (".off", "OFF\n4 4 0\n{vertices}\n{faces}\n"),
+        (".stl", "solid t\n{facets}endsolid t\n"),
+    ],
+)
+def test_stl_and_off(tmp_path, suffix, content):
+    corners = np.array([[float(x) for x in v.split()] for v in TETRAHEDRON])
+    faces = np.array([[int(x) for x in f.split()[1:]] for f in FACES])
+    loops = ["".join("vertex {} {} {}\n".format(*c) for c in corners[f]) for f in faces]
+    facets = "".join(f"facet normal 0 0 0\nouter loop\n{loop}endloop\nendfacet\n" for loop in loops)
+    path = tmp_path / ("m" + suffix)
+    path.write_text(content.format(vertices="\n".join(TETRAHEDRON), faces="\n".join(FACES), facets=facets))
+    mesh = load_mesh(path)
+    np.testing.assert_array_equal(mesh.vertices[mesh.faces], corners[faces])
+    assert mesh.texture is None
+    assert mesh.vertex_colors is None
+    assert default_up(path) == "z"
+
+
+def test_face_colours_of_a_ply_stay_sharp(tmp_path):
+    colors = [[10, 20, 30], [40, 50, 60], [10, 20, 30], [255, 0, 1]]
+    faces = [f"{f} {' '.join(map(str, c))}" for f, c in zip(FACES, colors)]
+    path = write_ply(tmp_path / "t.ply", TETRAHEDRON, faces)
+    extra = "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header"
+    path.write_text(path.read_text().replace("end_header", extra))
+    mesh = load_mesh(path)
+    np.testing.assert_array_equal(mesh.vertex_colors[mesh.faces], np.repeat(np.array(colors)[:, None], 3, 1))
+    plain = load_mesh(write_ply(tmp_path / "plain.ply", TETRAHEDRON, FACES))
+    np.testing.assert_array_equal(mesh.vertices[mesh.faces], plain.vertices[plain.faces])
+
+
+def write_two_materials(folder, first="map_Kd -s 1 1 1 my skin.png", libraries="mtllib a.mtl my b.mtl"):
+    (folder / "m.obj").write_text(
+        f"{libraries}\nv 0 0 0\nv 1 0 0\nv 0 2 0\nv 0 0 3\nvt 0.1 0.1\nvt 0.2 0.1\nvt 0.1 0.2\n"
+        "usemtl one\nf 1/1 3/3 2/2\nusemtl two\nf 1/1 2/2 4/3\nusemtl one\nf 1/1 4/2 3/3\nf 2/1 3/2 4/3\n"
+    )
+    (folder / "a.mtl").write_text(f"newmtl one\nKd 0 0 0\n{first}\n")
+    (folder / "my b.mtl").write_text("newmtl two\nKd 0.2 0.4 1.0\n")
+    Image.fromarray(np.full((16, 16, 3), [200, 100, 50], np.uint8)).save(folder / "my skin.png")
+    return folder / "m.obj"
+
+
+@pytest.mark.parametrize("libraries", ["mtllib a.mtl my b.mtl", "mtllib my b.mtl\nmtllib a.mtl"])
+def test_obj_with_several_libraries_and_materials(tmp_path, libraries):
+    mesh = load_mesh(write_two_materials(tmp_path, libraries=libraries))
+    mesh.write_glb(tmp_path / "m.glb")
+    for m in (mesh, load_mesh(tmp_path / "m.glb", "y")):
+        colors = {
+            tuple(np.sort(m.vertices[f].sum(1))): tuple(np.rint(c)) for f, c in zip(m.faces, colors_at(m))
+        }
+        # Faces by the sums of their corners' coordinates; the texture replaces Kd.
+        assert colors == {
+            (0, 1, 2): (200, 100, 50),
+            (0, 1, 3): (51, 102, 255),
+            (0, 2, 3): (200, 100, 50),
+            (1, 2, 3): (200, 100, 50),
+        }
+
+
+def test_colours_of_obj_vertices(tmp_path):
+    path = tmp_path / "m.obj"
+    path.write_text("v 0 0 0 1 0 0\nv 1 0 0 0 0.5 0\nv 0 1 0 0 0 1\nf 1 2 3\n")
+    np.testing.assert_allclose(load_mesh(path).vertex_colors, [[255, 0, 0], [0, 128, 0], [0, 0, 255]], atol=1)
+
+
+def test_a_comment_names_no_material_library(tmp_path):
+    path = tmp_path / "m.obj"
+    path.write_text("# no mtllib here\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    mesh = load_mesh(path)
+    assert mesh.texture is None
+    assert appearance_report(mesh)["notes"] == []
+
+
+def test_a_material_that_is_not_defined_is_noted(tmp_path):
+    path = tmp_path / "m.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl lost\nf 1 2 3\n")
+    assert appearance_report(load_mesh(path))["notes"] == [
+        "material lost is not defined: its faces have no colour"
+    ]
+
+
+def png_header(width, height):
+    """A PNG that says how large it is, and breaks off."""
+    body = b"IHDR" + struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + struct.pack(">I", 13)
+        + body
+        + struct.pack(">I", zlib.crc32(body))
+        + bytes([0, 0, 0, 9])
+        + b"IDAT"
+    )
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "which does not exist; put it there"),
+        (b"", "cannot be read as an image"),
+        (b"not an image", "cannot be read as an image"),
+        (png_header(8, 8), "cannot be read as an image"),
+        (png_header(20000, 4), "too large .*20000 x 4.* at most 16384"),
+        (png_header(30000, 30000), "too large"),
+        (png_header(10**9, 10**9), "too large|cannot be read as an image"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["obj", "ply", "gltf"])
+def test_a_bad_texture_is_named_with_the_mesh(tmp_path, kind, content, message):
+    path = tmp_path / f"m.{kind}"
+    if kind == "obj":
+        write_obj(tmp_path, pixels(4, 4))
+    elif kind == "ply":
+        coordinates = "property float s\nproperty float t\n"
+        write_ply(path, [f"{v} 0 0" for v in TETRAHEDRON], FACES, coordinates)
+        path.write_text(
+            path.read_text().replace("element vertex", "comment TextureFile skin.png\nelement vertex")
+        )
+    else:
+        scene = Scene()
+        scene.quads(0, scene.material(scene.texture(pixels(4, 4))), [square(0.5, 0.5, 0.5)])
+        scene.document["images"] = [{"uri": "skin.png"}]
+        scene.write(path)
+    (tmp_path / "skin.png").unlink(missing_ok=True)
+    if content is not None:
+        (tmp_path / "skin.png").write_bytes(content)
+    with pytest.raises(ObjectFolderError, match=message) as caught:
+        load_mesh(path)
+    assert str(path) in str(caught.value)
+    assert "skin.png" in str(caught.value)
+
+
+def test_a_missing_material_library_is_named(tmp_path):
+    path = write_obj(tmp_path, pixels(4, 4))
+    (tmp_path / "m.mtl").unlink()
+    with pytest.raises(ObjectFolderError, match=r"m\.obj refers to .*m\.mtl, which does not exist"):
+        load_mesh(path)
+
+
+def test_textures_outside_the_folder_are_refused(tmp_path):
+    path = write_two_materials(tmp_path, first="map_Kd C:\\Users\\me\\skin.png")
+    with pytest.raises(ObjectFolderError, match=r"refers to C:\\Users\\me\\skin\.png, outside its folder"):
+        load_mesh(path)
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_a_mesh_that_breaks_off_is_read_or_refused(tmp_path, suffix):
+    """Text that ends at a line is whole for its parser; nothing but our own errors may come out."""
+    box_mesh = trimesh.creation.box((1, 2, 3))
+    if suffix in (".glb", ".gltf"):
+        scene = Scene()
+        scene.quads(0, scene.material(scene.texture(pixels(4, 4))), [square(0.5, 0.5, 0.5)])
+        whole = scene.write(tmp_path / "whole.gltf").read_bytes()
+        if suffix == ".glb":
+            load_mesh(tmp_path / "whole.gltf").write_glb(tmp_path / "whole.glb")
+            whole = (tmp_path / "whole.glb").read_bytes()
+    else:
+        exported = box_mesh.export(file_type=suffix[1:])
+        whole = exported.encode() if isinstance(exported, str) else exported
+    path = tmp_path / ("cut" + suffix)
+    for length in np.linspace(0, len(whole) - 1, 40).astype(int):
+        path.write_bytes(whole[:length])
+        loaded_or_refused(path)
+    path.write_bytes(whole)
+    assert len(load_mesh(path).faces) in (2, 12)
+
+
+def loaded_or_refused(path):
+    try:
+        mesh = load_mesh(path)
+    except ObjectFolderError as error:
+        if str(path) not in str(error):
+            raise
+        return
+    assert mesh.faces.min() >= 0
+    assert mesh.faces.max() < len(mesh.vertices)
+    assert np.isfinite(mesh.vertices).all()
+
+
+BEGINNINGS = [
+    b"",
+    b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
+    b"mtllib x\nusemtl y\nvt 0 0\nv 0 0 0 1 1 1\nf ",
+    b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    b"element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n",
+    b"ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\n",
+    b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n",
+    b"solid x\nfacet normal 0 0 1\nouter loop\n",
+    b"glTF\x02\0\0\0",
+    b'{"asset": {"version": "2.0"}, "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}], ',
+]
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    suffix=st.sampled_from(FORMATS),
+    beginning=st.sampled_from(BEGINNINGS),
+    rest=st.one_of(st.binary(max_size=300), st.text("vft/#-. 0123456789e\n", max_size=200).map(str.encode)),
+)
+def test_no_bytes_raise_anything_but_our_own_error(tmp_path, suffix, beginning, rest):
+    path = tmp_path / ("m" + suffix)
+    path.write_bytes(beginning + rest)
+    loaded_or_refused(path)
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers(-3, 9) | st.floats() | st.text(max_size=5),
+    lambda child: st.lists(child, max_size=3) | st.dictionaries(st.text(max_size=5), child, max_size=3),
+    max_leaves=5,
+)
+
+
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_no_value_in_a_gltf_raises_anything_but_our_own_error(tmp_path, data):
+    scene = Scene()
+    scene.quads(0, scene.material(scene.texture(pixels(4, 4))), [square(0.5, 0.5, 0.5)])
+    document = json.loads(scene.write(tmp_path / "m.gltf").read_text())
+    group = data.draw(st.sampled_from(sorted(document)))
+    place, key = document, group
+    while isinstance(place[key], list | dict) and place[key] and data.draw(st.booleans()):
+        place = place[key]
+        key = data.draw(st.sampled_from(sorted(place) if isinstance(place, dict) else range(len(place))))
+    place[key] = data.draw(JSON)
+    (tmp_path / "m.gltf").write_text(json.dumps(document))
+    loaded_or_refused(tmp_path / "m.gltf")

@@ -1,0 +1,322 @@
+"""Scores of answers that are known: perfect, silent, noise, off by a factor."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+import torch
+from brick import SCALE
+from PIL import Image
+
+from objectfolder import ObjectFile
+from objectfolder.audio.spectrogram import spectrogram
+from objectfolder.audio.synthesis import gains, sinusoid_bank
+from objectfolder.errors import ObjectFolderError
+from objectfolder.figures import magnitudes, page, save, show_answers, show_views
+from objectfolder.objectfile.evaluation import (
+    Strikes,
+    evaluate_gains,
+    evaluate_sounds,
+    evaluate_touch,
+    evaluate_vision,
+    shown_views,
+    strike_sounds,
+    summary_row,
+    touch_scores,
+    view_answers,
+    white_noise,
+)
+from objectfolder.vision.cameras import Intrinsics, look_at, sphere_points
+
+ROWS = np.arange(20, 60)
+
+
+@pytest.fixture(scope="module")
+def modes(brick):
+    """Ground truth that is the brick's own answer, so that it scores as perfect."""
+    points = brick.sample_surface(60) / SCALE
+    return {
+        "points": points,
+        "shapes": brick.mode_shapes(points * SCALE),
+        "damped_frequency": brick.tensors["audio.damped_frequency"],
+        "damping": brick.tensors["audio.damping"],
+    }
+
+
+@pytest.fixture
+def strikes(rng):
+    return Strikes.random(ROWS, 20, rng)
+
+
+def score(brick, modes, strikes, seed=0):
+    rng = np.random.default_rng(seed)
+    return evaluate_gains(brick, modes, ROWS) | evaluate_sounds(brick, modes, strikes, rng)
+
+
+def louder(modes, factor, mode=slice(None)):
+    shapes = modes["shapes"].copy()
+    shapes[..., mode] *= factor
+    return modes | {"shapes": shapes}
+
+
+def test_strikes_are_unit_impulses_at_the_given_points(strikes):
+    assert set(strikes.rows) <= set(ROWS)
+    np.testing.assert_allclose(np.linalg.norm(strikes.impulses, axis=1), 1)
+    assert len(set(strikes.rows)) > 10
+    assert strikes[:3].rows.tolist() == strikes.rows[:3].tolist()
+    (title,) = strikes[:1].titles(np.zeros((60, 3)))
+    assert title.startswith("at (0.0, 0.0, 0.0) mm\ntowards (")
+
+
+def test_the_truth_scores_perfectly(brick, modes, strikes):
+    scores = score(brick, modes, strikes)
+    assert scores["psnr"] > 150
+    assert scores["psnr_own_max"] > 150
+    for name in ("gain_error", "gain_error_frobenius", "gain_error_worst"):
+        assert scores[name] < 1e-6
+    assert scores["frequency_error"] == scores["decay_time_error"] == 0
+    assert scores["modes"] == 12
+    assert (scores["points"], scores["impacts"]) == (40, 20)
+
+
+def test_an_answer_that_is_too_quiet(brick, modes, strikes):
+    """Everything is linear: a tenth too quiet is 20 dB better than silence."""
+    scores = score(brick, louder(modes, 1 / 0.9), strikes)
+    assert scores["gain_error"] == pytest.approx(0.1, rel=1e-4)
+    assert scores["gain_error_frobenius"] == pytest.approx(0.1, rel=1e-4)
+    assert scores["gain_error_worst"] == pytest.approx(0.1, rel=1e-4)
+    assert scores["psnr"] - scores["baseline_silence"] == pytest.approx(20, abs=0.01)
+
+
+def test_the_baselines_are_silence_and_noise_of_the_same_energy(brick, modes, strikes):
+    """By the definition, from the sounds themselves."""
+    scores = score(brick, modes, strikes)
+    truth, _ = strike_sounds(brick, modes, strikes)
+    spectra = torch.view_as_real(spectrogram(torch.from_numpy(truth))).numpy()
+    span = np.ptp(spectra)
+    silence = -10 * np.log10(np.mean((spectra / span) ** 2))
+    assert scores["baseline_silence"] == pytest.approx(silence, abs=0.01)
+    # Noise is not correlated with the sound: both energies add.
+    noise = white_noise(torch.from_numpy(truth), np.random.default_rng(1))
+    np.testing.assert_allclose(noise.norm(dim=1), np.linalg.norm(truth, axis=1), rtol=1e-5)
+    hiss = torch.view_as_real(spectrogram(noise)).numpy()
+    both = -10 * np.log10(np.mean((spectra / span) ** 2) + np.mean((hiss / span) ** 2))
+    assert scores["baseline_noise"] == pytest.approx(both, abs=0.1)
+    assert scores["baseline_noise"] < silence - 1  # saying nothing is better
+
+
+def test_the_worst_mode_is_named(brick, modes, strikes):
+    scores = score(brick, louder(modes, 2.0, 7), strikes)
+    assert scores["gain_error_worst"] == pytest.approx(0.5)
+    assert scores["worst_mode_hz"] == pytest.approx(brick.frequencies[7])
+    assert scores["gain_error"] < 0.5
+
+
+def test_errors_of_frequency_and_decay_time_are_relative(brick, modes, strikes):
+    shifted = modes["damped_frequency"].copy()
+    shifted[3] *= 1.01
+    scores = score(brick, modes | {"damped_frequency": shifted, "damping": modes["damping"] * 1.2}, strikes)
+    assert scores["frequency_error"] == pytest.approx(1 - 1 / 1.01)
+    assert scores["decay_time_error"] == pytest.approx(0.2)
+
+
+def test_other_modes_than_the_files_are_refused(brick, modes, strikes):
+    fewer = {name: value[..., :5] if name != "points" else value for name, value in modes.items()}
+    with pytest.raises(ObjectFolderError, match=r"brick: .* 12 modes, modes.npz 5; run `objectfolder build"):
+        score(brick, fewer, strikes)
+
+
+def test_strike_sounds_are_the_answers_beside_the_truth(brick, modes, strikes):
+    truth, answers = strike_sounds(brick, modes, strikes)
+    assert truth.shape == answers.shape == (20, 32000)
+    np.testing.assert_allclose(answers, truth, atol=1e-5 * np.abs(truth).max())
+    bank = sinusoid_bank(torch.from_numpy(modes["damped_frequency"]), torch.from_numpy(modes["damping"]))
+    shape, impulse = modes["shapes"][strikes.rows[2]], strikes.impulses[2]
+    one = gains(torch.from_numpy(shape)[None].double(), torch.from_numpy(impulse)[None]).float() @ bank
+    np.testing.assert_allclose(truth[2], one[0], atol=1e-6 * np.abs(truth[2]).max())
+
+
+def mute(brick, modes, kept):
+    """An object with only some of its modes, and its ground truth."""
+    tensors = dict(brick.tensors)
+    for name in ("damped_frequency", "damping", "amplitude"):
+        tensors[f"audio.{name}"] = tensors[f"audio.{name}"][kept]
+    for name in ("weight", "weight_exponent", "bias"):
+        value = tensors[f"audio.output.{name}"]
+        rows = value.reshape(3, 12, *value.shape[1:])[:, kept]
+        tensors[f"audio.output.{name}"] = rows.reshape(-1, *value.shape[1:])
+    kept_modes = {name: value if name == "points" else value[..., kept] for name, value in modes.items()}
+    return ObjectFile(brick.header, tensors), kept_modes
+
+
+@pytest.mark.filterwarnings("ignore:Initializing zero-element tensors")
+@pytest.mark.parametrize("kept", [slice(0, 0), slice(-1, None)])
+def test_a_silent_object_has_no_score_and_nothing_that_is_not_a_number(brick, modes, strikes, kept):
+    """No mode at all, or none below the Nyquist frequency of the spectrogram."""
+    if kept.start:
+        high = modes["damped_frequency"].copy()
+        high[-1] = 2 * np.pi * 9000
+        brick = ObjectFile(brick.header, {**brick.tensors, "audio.damped_frequency": high})
+        modes = modes | {"damped_frequency": high}
+    silent, none = mute(brick, modes, kept)
+    scores = score(silent, none, strikes)
+    assert "psnr" not in scores
+    assert scores["modes_heard"] == 0
+    json.dumps(scores, allow_nan=False)
+    truth, answers = strike_sounds(silent, none, strikes)
+    assert not truth.any()
+    assert not answers.any()
+    assert summary_row("x", {"vision": {}, "audio": scores, "touch": {}, "file_bytes": 1})[
+        "audio / silence"
+    ] == ("silent")
+
+
+def test_strikes_across_a_mode_score_finitely(brick, modes, strikes):
+    """Where the truth is silent although the object is not, nothing is divided by zero."""
+    quiet = dataclasses.replace(strikes, impulses=strikes.impulses * (np.arange(20) > 0)[:, None])
+    json.dumps(score(brick, modes, quiet), allow_nan=False)
+    none = dataclasses.replace(strikes, impulses=0 * strikes.impulses)
+    assert "psnr" not in score(brick, modes, none)
+
+
+# Views
+
+
+@pytest.fixture(scope="module")
+def views(brick):
+    """Views that are the brick's own answers, the third with an error, of another focal length and format."""
+    rng = np.random.default_rng(4)
+    poses, lights = look_at(sphere_points(5, 2.5, rng)), sphere_points(5, 1.0, rng)
+    rgba = brick.render(poses, lights, intrinsics=Intrinsics(30, 20, 40.0)).rgba
+    for row, error in ((2, 0.3), (4, 0.1)):
+        rgba[row, 10, 15, :3] += error
+    return {"rgba": rgba, "camera_to_world": poses, "light": lights, "focal": np.float64(40.0)}
+
+
+def test_the_best_the_median_and_the_worst_view_are_named(brick, views):
+    scores = evaluate_vision(brick.view, views)
+    assert scores["worst_view"] == 2
+    assert scores["median_view"] == 3  # third best, of three that are perfect
+    assert scores["best_view"] == 0
+    assert scores["psnr_worst"] < 50
+    titles = shown_views(scores, 4)
+    assert list(titles.items())[:3] == [(2, "worst: view 3"), (3, "median: view 4"), (0, "best: view 1")]
+    assert len(titles) == 4
+    assert set(shown_views(scores, 9)) == set(range(5))
+
+
+def test_one_view_is_best_and_worst(brick, views):
+    first = {name: value if name == "focal" else value[2:3] for name, value in views.items()}
+    scores = evaluate_vision(brick.view, first)
+    assert scores["best_view"] == scores["median_view"] == scores["worst_view"] == 0
+    assert shown_views(scores, 5) == {0: "worst: view 1"}
+
+
+def test_the_sheet_of_views_shows_truth_answer_and_enlarged_difference(brick, views, tmp_path):
+    truth, answers = view_answers(brick, views, [2, 0])
+    assert truth.shape == answers.shape == (2, 20, 30, 3)
+    np.testing.assert_allclose(truth[1], answers[1], atol=1e-6)
+    figure, truth = page(4, 6, "x: views"), 0.2 + 0.8 * truth
+    show_views(figure, truth, np.clip(truth - 0.1, 0, 1), ["one", "two"])
+    assert [a.get_title() for a in figure.axes[1::2]] == [
+        "two, 20.0 dB\nground truth",
+        "Object File",
+        "difference, 4 times",
+    ]
+    difference = figure.axes[5].images[0].get_array()
+    np.testing.assert_allclose(difference, 0.6, atol=1e-5)
+    with Image.open(save(figure, tmp_path / "sheet.png")) as image:
+        assert np.asarray(image.convert("RGB")).std() > 5
+
+
+# The sheet
+
+
+def test_the_sheet_shows_truth_answer_and_difference(tmp_path):
+    time = np.arange(32000) / 16000
+    truth = np.stack([np.sin(2 * np.pi * f * time) * np.exp(-4 * time) for f in (1000, 3000)])
+    figure = page(8, 9, "x: sounds")
+    show_answers(figure, truth, 0.9 * truth, ["one", "two"])
+    panels = figure.axes[:6]
+    assert [a.get_title() for a in panels[::2]] == ["one\nground truth", "Object File", "difference"]
+    assert panels[0].get_ylabel() == "frequency [kHz]"
+    assert panels[4].get_xlabel() == "time [s]"
+    assert figure.axes[6].get_ylabel() == "dB below the peak of the ground truth"
+    peaks = np.array([a.images[0].get_array().max() for a in panels]).reshape(3, 2)
+    np.testing.assert_allclose(peaks, [[0, 0], [20 * np.log10(0.9)] * 2, [-20, -20]], atol=1e-3)
+    # Rows are frequencies: 1 and 3 kHz out of 8.
+    for axes, hertz in zip(panels[:2], (1000, 3000)):
+        loudest = int(axes.images[0].get_array()[:, 50].argmax())
+        assert loudest * 8000 / 256 == pytest.approx(hertz, abs=32)
+    with Image.open(save(figure, tmp_path / "sheet.png")) as image:
+        assert np.asarray(image.convert("RGB")).std() > 5
+
+
+def test_the_sheet_of_silence_says_so(tmp_path):
+    figure = page(8, 9, "x: silence")
+    show_answers(figure, np.zeros((2, 32000)), np.zeros((2, 32000)), ["one", "two"])
+    assert all(a.texts[0].get_text() == "silent" for a in figure.axes)
+    assert save(figure, tmp_path / "sheet.png").stat().st_size > 1000
+
+
+def test_magnitudes_are_those_of_the_papers_spectrogram():
+    assert magnitudes(np.ones(32000)).shape == (257, 201)
+
+
+# Touches
+
+
+def grey(levels, obstructed, pixels):
+    """Contacts whose images have one grey level, and masks of so many pixels."""
+    masks = np.arange(20 * 10).reshape(1, 20, 10) < np.array(pixels)[:, None, None]
+    images = np.broadcast_to(np.array(levels, np.uint8)[:, None, None, None], (len(levels), 20, 10, 3)).copy()
+    return {"images": images, "masks": masks, "obstructed": np.array(obstructed)}
+
+
+def test_scores_of_touches_are_pooled_over_the_contacts_that_count():
+    contacts = grey([100, 100, 100, 100], [0, 0, 0, 0.4], [60, 100, 10, 60])
+    images = contacts["images"].copy()
+    images[0] += 51  # a fifth of the range
+    images[1, 10:] += 51  # half, none of it in contact
+    images[2, :1] += 51  # a twentieth: all of the contact, which is too small to count
+    images[3] += 102
+    scores = touch_scores(images, contacts)
+    free = np.array([1, 0.5, 0.05]) * 0.04
+    assert scores["psnr"] == pytest.approx(-10 * np.log10((free.sum() + 0.16) / 4), abs=1e-4)
+    assert scores["psnr_unobstructed"] == pytest.approx(-10 * np.log10(free.mean()), abs=1e-4)
+    assert scores["psnr_median_unobstructed"] == pytest.approx(-10 * np.log10(0.02), abs=1e-4)
+    assert scores["psnr_contact"] == pytest.approx(-10 * np.log10(0.04 * 60 / 160), abs=1e-4)
+    assert scores["obstructed_fraction"] == 0.25
+
+
+def test_obstructed_or_tiny_contacts_have_no_score_of_their_own():
+    scores = touch_scores(grey([1, 2], [0.1, 1.0], [90, 90])["images"], grey([1, 2], [0.1, 1.0], [90, 90]))
+    assert not {"psnr_unobstructed", "psnr_median_unobstructed", "psnr_contact"} & set(scores)
+    assert "psnr_contact" not in touch_scores(grey([1], [0], [49])["images"], grey([1], [0], [49]))
+
+
+def test_touches_beside_the_mean_image_and_their_forces(brick):
+    points, depths, angles = brick.sample_surface(5), np.full(5, 0.001), np.zeros(5)
+    found = brick.press(points, depths, angles)
+    contacts = {
+        "points": points,
+        "depths": depths,
+        "angles": angles,
+        "images": found.images,
+        "masks": found.mask,
+        "obstructed": np.zeros(5),
+        "force": found.force,
+    }
+    mean = np.full((160, 120, 3), 100.0)
+    perfect = evaluate_touch(brick, contacts, mean)
+    assert perfect["psnr"] == pytest.approx(200, abs=1e-3)  # float32: the last digit is the machine's
+    assert perfect["psnr_contact"] == pytest.approx(200, abs=1e-3)
+    assert perfect["force_error"] == 0
+    error = np.mean((found.images / 255.0 - mean / 255.0) ** 2)
+    assert perfect["baseline_mean_image"] == pytest.approx(-10 * np.log10(error), abs=1e-3)
+    weaker = evaluate_touch(brick, contacts | {"force": 0.8 * found.force}, mean)
+    assert weaker["force_error"] == pytest.approx(0.25)
+    unknown = evaluate_touch(brick, contacts | {"force": np.full(5, np.nan)}, mean)
+    assert "force_error" not in unknown
+    json.dumps(unknown, allow_nan=False)

@@ -1,0 +1,340 @@
+import copy
+import json
+import math
+import os
+import pickle
+import struct
+import subprocess
+import sys
+
+import jsonschema
+import numpy as np
+import pytest
+import torch
+from brick import SCALE, SIDES, build_brick
+
+from objectfolder import ObjectFile
+from objectfolder.errors import ObjectFolderError
+from objectfolder.io import read_safetensors, write_safetensors
+from objectfolder.objectfile.header import PARTS, format_name, schema
+
+CAMERA, LIGHT = [2.0, 1.0, 1.0], [0.5, 0.5, 0.9]
+
+
+def ask(file):
+    points = file.sample_surface(3, seed=1)
+    return (
+        file.view(CAMERA, LIGHT, 24),
+        file.impact(points, np.ones((3, 3)), duration=0.05),
+        file.touch(points, 0.0008, 0.3),
+    )
+
+
+def test_a_file_answers_as_the_object_that_was_saved(brick, tmp_path):
+    brick.save(tmp_path / "a.safetensors")
+    back = ObjectFile.load(tmp_path / "a.safetensors")
+    for a, b in zip(ask(brick), ask(back)):
+        np.testing.assert_array_equal(a, b)
+    assert back.header == brick.header
+
+
+def test_the_same_object_gives_the_same_bytes(brick, brick_path, tmp_path):
+    brick.save(tmp_path / "a")
+    build_brick().save(tmp_path / "b")
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes() == brick_path.read_bytes()
+
+
+def test_properties(brick):
+    assert (brick.key, brick.material, brick.scale) == ("brick", "plastic", SCALE)
+    assert len(brick.frequencies) == 12
+    assert (np.diff(brick.frequencies) >= 0).all()
+    points = brick.sample_surface(2000)
+    np.testing.assert_allclose(np.ptp(points, axis=0), np.array(SIDES) * SCALE, atol=0.003)
+    np.testing.assert_array_equal(points, brick.sample_surface(2000))
+    assert not np.array_equal(points, brick.sample_surface(2000, seed=1))
+
+
+def test_geometry_is_lossless(brick):
+    assert brick.surface.grid.values.shape == (64, 64, 64)
+    assert brick.surface.grid.distance(torch.zeros(1, 3)) < 0
+
+
+def test_a_missing_file(tmp_path):
+    with pytest.raises(ObjectFolderError, match=r"none\.safetensors does not exist"):
+        ObjectFile.load(tmp_path / "none.safetensors")
+
+
+def test_damaged_files_are_named(brick_path, tmp_path):
+    whole, path = brick_path.read_bytes(), tmp_path / "damaged.safetensors"
+    rng = np.random.default_rng(0)
+    contents = [b"", whole[:7], whole[:-1], whole[: len(whole) // 2], rng.bytes(5000), b"\xff" * 64]
+    contents += [whole[:1000] + b"\x00" * 8 + whole[1008:], b"PK\x03\x04" + whole]
+    for content in contents:
+        path.write_bytes(content)
+        with pytest.raises(ObjectFolderError, match=r"damaged\.safetensors"):
+            ObjectFile.load(path)
+
+
+def test_a_pickle_is_refused_and_never_run(tmp_path):
+    class Attack:
+        def __reduce__(self):
+            return os.mkdir, (str(tmp_path / "pwned"),)
+
+    (tmp_path / "p.safetensors").write_bytes(pickle.dumps(Attack()))
+    with pytest.raises(ObjectFolderError, match=r"p\.safetensors"):
+        ObjectFile.load(tmp_path / "p.safetensors")
+    assert not (tmp_path / "pwned").exists()
+
+
+def test_any_other_safetensors_file_is_refused(tmp_path):
+    write_safetensors(tmp_path / "net.safetensors", {"a": np.zeros(3)}, {"kind": "gains"})
+    with pytest.raises(
+        ObjectFolderError, match=r"net\.safetensors is not an Object File: its header lacks format"
+    ):
+        ObjectFile.load(tmp_path / "net.safetensors")
+    body = json.dumps({"a": {"dtype": "U8", "shape": [1], "data_offsets": [0, 1]}}).encode()
+    (tmp_path / "bare").write_bytes(struct.pack("<Q", len(body)) + body + b"\0")
+    with pytest.raises(ObjectFolderError, match="is not an Object File"):
+        ObjectFile.load(tmp_path / "bare")
+
+
+@pytest.fixture
+def edit(brick_path, tmp_path):
+    """Write the brick with a changed header or without tensors, and load that."""
+
+    def edit(change=lambda header: None, drop=(), **replaced):
+        tensors, header = read_safetensors(brick_path)
+        header = copy.deepcopy(header)
+        change(header)
+        tensors = {name: t for name, t in tensors.items() if name not in drop} | replaced
+        write_safetensors(tmp_path / "edited.safetensors", tensors, header)
+        return ObjectFile.load(tmp_path / "edited.safetensors")
+
+    return edit
+
+
+@pytest.mark.parametrize("field", ["key", "material", "scale"])
+def test_a_header_without_a_field(edit, field):
+    with pytest.raises(ObjectFolderError, match=rf"edited\.safetensors: its header: '{field}' is a required"):
+        edit(lambda header: header.pop(field))
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("format", "2.0", "has format 2.0, this version reads 1.x; update objectfolder"),
+        ("format", "0.9", "has format 0.9, this version reads 1.x; rebuild it with `objectfolder build`"),
+        ("format", "one", f"has format 'one', expected text like '{format_name()}'"),
+        ("format", "", f"has format '', expected text like '{format_name()}'"),
+        ("format", 1.0, "format: 1.0 is not of type 'string'"),
+        ("vision", {"kind": "mesh"}, "vision of kind 'mesh', expected 'surface' or 'osf'"),
+        ("vision", {"kind": "surface"}, "vision: 'net' is a required property"),
+        ("audio", {}, "audio: 'kind' is a required property"),
+        ("touch", "image", "touch: 'image' is not of type 'object'"),
+        ("scale", 0, "scale: 0 is less than the minimum of 1e-12"),
+        ("scale", 1e-300, "scale: 1e-300 is less than the minimum of 1e-12"),
+        ("scale", "big", "scale: 'big' is not of type 'number'"),
+        ("scale", math.nan, "is not a readable safetensors file: its header holds NaN"),
+        ("scale", True, "scale: True is not of type 'number'"),
+        ("key", "../../etc/passwd", "key: '../../etc/passwd' does not match"),
+        ("key", "a" * 1000, "key: .* does not match"),
+        ("geometry", {}, "geometry: 'kind' is a required property"),
+    ],
+)
+def test_a_header_with_a_wrong_field(edit, field, value, message):
+    with pytest.raises(ObjectFolderError, match=rf"edited\.safetensors.*{message}"):
+        edit(lambda header: header.update({field: value}))
+
+
+def test_a_file_of_before_1_0_says_what_to_do(edit):
+    def change(header):
+        del header["format"]
+        header["schema"] = 2
+
+    with pytest.raises(ObjectFolderError, match=r"before format 1\.0; rebuild it with `objectfolder build`"):
+        edit(change)
+
+
+@pytest.mark.parametrize(
+    ("part", "path", "value"),
+    [
+        ("geometry", ["resolution"], 10**6),
+        ("geometry", ["resolution"], -64),
+        ("geometry", ["resolution"], 64.5),
+        ("geometry", ["resolution"], "x"),
+        ("geometry", ["band"], 0),
+        ("geometry", ["predictor"], "magic"),
+        ("vision", ["net", "width"], 10**9),
+        ("vision", ["net", "table_bits"], 60),
+        ("vision", ["net", "roughness"], 1e300),
+        ("audio", ["net", "resolution"], 10**5),
+        ("audio", ["band_hz"], [0]),
+        ("touch", ["net", "sensor", "height"], 10**8),
+        ("touch", ["net", "renderer"], "cycles"),
+    ],
+)
+def test_a_value_outside_its_range_is_refused_at_once(edit, part, path, value):
+    """What would fill the memory never gets that far."""
+
+    def change(header):
+        place = header[part]
+        for name in path[:-1]:
+            place = place[name]
+        place[path[-1]] = value
+
+    named = ".".join([part, *path])
+    with pytest.raises(ObjectFolderError, match=rf"edited\.safetensors: {named}.*objectfile\.schema\.json"):
+        edit(change)
+
+
+def test_the_schema_is_a_valid_one_that_describes_every_field_of_a_file(brick):
+    jsonschema.Draft202012Validator.check_schema(schema())
+    assert brick.header.keys() <= schema()["properties"].keys()
+    for part in PARTS:
+        rules = schema()["properties"][part]["allOf"]
+        rules = {rule["if"]["properties"]["kind"]["const"]: rule["then"]["properties"] for rule in rules}
+        rule = rules[brick.header[part]["kind"]]
+        assert brick.header[part].keys() - {"kind"} == rule.keys() - {"truncated"}
+        if "net" in rule:
+            assert brick.header[part]["net"].keys() == rule["net"]["properties"].keys()
+
+
+def test_a_newer_minor_version_is_read_as_far_as_it_is_known(edit):
+    def change(header):
+        header.update(format="1.7", weather="fine", vision={"kind": "hologram"})
+
+    file = edit(change)
+    assert file.touch(file.sample_surface(1)).shape == (1, 160, 120, 3)
+    with pytest.raises(ObjectFolderError, match=r"brick: vision is of kind 'hologram'.*update objectfolder"):
+        file.view(CAMERA, LIGHT, 8)
+
+
+QUESTIONS = {
+    "geometry": lambda f: f.sample_surface(1),
+    "vision": lambda f: f.view(CAMERA, LIGHT, 8),
+    "audio": lambda f: f.impact([[0.05, 0, 0]], [[0, 0, 1]], duration=0.01),
+    "touch": lambda f: f.touch([[0.05, 0, 0]]),
+}
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_a_file_may_lack_a_part_and_then_says_so(edit, part):
+    file = edit(lambda header: header.pop(part))
+    with pytest.raises(ObjectFolderError, match=f"^brick: the file holds no {part}; it holds "):
+        QUESTIONS[part](file)
+    QUESTIONS["audio" if part != "audio" else "geometry"](file)
+
+
+def test_without_geometry_points_are_taken_as_they_are(edit, brick):
+    point = brick.sample_surface(1)
+    file = edit(lambda header: header.pop("geometry"))
+    near, same = (f.impact(point, [[0, 0, 1]], duration=0.05) for f in (brick, file))
+    np.testing.assert_allclose(same, near, atol=0.02 * np.abs(near).max())
+    assert np.isfinite(file.impact(point * 3, [[0, 0, 1]], duration=0.05)).all()
+
+
+def test_damaged_geometry(edit, brick):
+    packed = brick.tensors["geometry.distances"]
+    flipped = packed.copy()
+    flipped[len(packed) // 2] ^= 255
+    for tensor in (flipped, packed[:-100], np.zeros(0, np.uint8), np.zeros(100, np.uint8)):
+        file = edit(**{"geometry.distances": tensor})
+        with pytest.raises(ObjectFolderError, match="distance grid is damaged"):
+            file.sample_surface(3)
+    with pytest.raises(ObjectFolderError, match=r"lacks tensor geometry\.distances"):
+        edit(drop=["geometry.distances"]).sample_surface(3)
+
+
+def test_every_missing_tensor_is_an_error_of_its_question(edit, brick):
+    questions = {
+        "geometry": lambda f: f.sample_surface(1),
+        "vision": lambda f: f.view(CAMERA, LIGHT, 8),
+        "audio": lambda f: f.impact(f.sample_surface(1), [[0, 0, 1]], duration=0.01),
+    }
+    for name in brick.tensors:
+        group = name.split(".")[0]
+        with pytest.raises(ObjectFolderError, match="brick"):
+            questions[group](edit(drop=[name]))
+
+
+def test_a_tensor_of_another_shape_or_a_config_that_does_not_fit(edit, brick):
+    bias = "vision.appearance.0.bias"
+    with pytest.raises(ObjectFolderError, match=r"^brick: the stored vision net is damaged"):
+        edit(**{bias: brick.tensors[bias][:-1].copy()}).view(CAMERA, LIGHT, 8)
+    for modality, question in (
+        ("vision", lambda f: f.view(CAMERA, LIGHT, 8)),
+        ("audio", lambda f: f.frequencies),
+        ("touch", lambda f: f.touch(f.sample_surface(1))),
+    ):
+        for net in ({}, {"width": 3}, None, [1]):
+
+            def change(header, modality=modality, net=net):
+                header[modality]["net"] = net
+
+            with pytest.raises(ObjectFolderError, match=rf"edited\.safetensors: {modality}\.net: "):
+                edit(change)
+        # A newer version may have more fields.
+        question(edit(lambda header, m=modality: header[m]["net"].update(colour=1)))
+
+
+@pytest.mark.parametrize("name", ["vision.appearance.0.bias", "audio.damping"])
+def test_numbers_that_are_none_are_refused(edit, brick, name):
+    spoilt = brick.tensors[name].copy()
+    spoilt[0] = np.nan
+    with pytest.raises(ObjectFolderError, match=f"brick: tensor {name} holds values that are not finite"):
+        QUESTIONS[name.split(".")[0]](edit(**{name: spoilt}))
+
+
+@pytest.mark.parametrize("name", ["damped_frequency", "damping", "amplitude"])
+@pytest.mark.parametrize("change", ["longer", "square", "negative"])
+def test_modes_that_cannot_be_are_refused(edit, brick, name, change):
+    value = brick.tensors[f"audio.{name}"].copy()
+    changed = {"longer": np.append(value, value), "square": value[None], "negative": -value}[change]
+    if change == "negative" and name == "amplitude":
+        return  # the same shapes, upside down
+    with pytest.raises(ObjectFolderError, match=r"^brick: the stored audio net is damaged .*modes"):
+        edit(**{f"audio.{name}": changed}).impact([[0.05, 0, 0]], [[0, 0, 1]])
+
+
+def test_only_what_a_question_needs_is_read(brick_path):
+    file, read = ObjectFile.load(brick_path), []
+
+    class Watched(dict):
+        def __getitem__(self, name):
+            read.append(name)
+            return file.tensors[name]
+
+    watched = ObjectFile(file.header, Watched.fromkeys(file.tensors))
+    assert not read
+    watched.frequencies  # noqa: B018
+    assert read
+    assert {name.split(".")[0] for name in read} == {"audio"}
+
+
+BLOCKED = (
+    "dvc igl manifold3d matplotlib mitsuba drjit networkx pydantic pymetis pyvista threadpoolctl trimesh"
+)
+
+SCRIPT = """
+import sys
+for name in sys.argv[2].split():
+    sys.modules[name] = None
+import numpy as np
+from objectfolder import ObjectFile
+file = ObjectFile.load(sys.argv[1])
+points = file.sample_surface(2)
+assert file.view([2, 1, 1], [1, 0, 1], 16).shape == (1, 16, 16, 3)
+assert file.impact(points, np.ones((2, 3)), duration=0.1).shape == (2, 1600)
+assert file.touch(points).shape == (2, 160, 120, 3)
+assert (file.press(points, sensor="gelsight_mini").force > 0).all()
+print("answered")
+"""
+
+
+def test_the_base_install_answers(brick_path):
+    """Nothing of the extra [build] is imported by a query."""
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT, str(brick_path), BLOCKED], capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "answered\n"

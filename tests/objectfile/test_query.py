@@ -1,0 +1,585 @@
+import dataclasses
+import hashlib
+import json
+import logging
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+from brick import SCALE, SIDES, build_brick
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from objectfolder import ObjectFile
+from objectfolder.audio.bank import Bank
+from objectfolder.audio.tuning import stored_modes
+from objectfolder.errors import ObjectFolderError
+from objectfolder.materials import material
+from objectfolder.nets.audio_gains import GainsNet
+from objectfolder.objectfile import query
+from objectfolder.touch.profiles import load_profile
+from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere_points
+
+TOP = np.array([[0.01, 0.005, SIDES[2] / 2 * SCALE]])
+UP = np.array([[0.0, 0, 1]])
+partitions = st.lists(st.integers(1, 20), min_size=1, max_size=4)
+reuse = settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+def in_parts(function, sizes, *arrays):
+    edges = np.cumsum([0, *sizes])
+    return np.concatenate([function(*(a[i:j] for a in arrays)) for i, j in pairwise(edges)])
+
+
+# Every row is answered alike, to the bit, whatever else is in the batch.
+
+
+@reuse
+@given(partitions, st.integers(0, 99))
+def test_a_sound_does_not_depend_on_its_batch(brick, sizes, seed):
+    rng = np.random.default_rng(seed)
+    count = sum(sizes)
+    points, forces = brick.sample_surface(count, seed), rng.standard_normal((count, 3))
+
+    def sounds(p, f):
+        return brick.impact(p, f, duration=0.05)
+
+    whole, order = sounds(points, forces), rng.permutation(count)
+    np.testing.assert_array_equal(in_parts(sounds, sizes, points, forces), whole)
+    np.testing.assert_array_equal(sounds(points[order], forces[order]), whole[order])
+
+
+def test_a_sound_does_not_depend_on_a_large_batch(brick, rng):
+    points, forces = brick.sample_surface(1500), rng.standard_normal((1500, 3))
+    whole = brick.impact(points, forces, duration=0.01)
+    for i in (0, 15, 16, 1023, 1024, 1499):
+        np.testing.assert_array_equal(brick.impact(points[i], forces[i], duration=0.01)[0], whole[i])
+
+
+@pytest.mark.parametrize("modes", [1, 7, 250])
+def test_a_sound_of_many_modes_does_not_depend_on_its_batch(brick, modes, rng):
+    torch.manual_seed(modes)
+    damped, damping = torch.rand(modes) * 4e4 + 1e3, torch.rand(modes) * 50 + 1
+    net = GainsNet(damped, damping, torch.rand(modes), torch.ones(6**3, dtype=torch.bool), 4, 8, 96, 96, 5.0)
+    points, forces = brick.sample_surface(50) / SCALE, rng.standard_normal((50, 3))
+
+    tuning = stored_modes(net.damped_frequency, net.damping)
+    bank = Bank(tuning, 16000, 0.1, "velocity", 0.0)
+
+    def sounds(p, f):
+        return query.impact(brick.surface, net, 1.0, p, f, tuning, bank, 0.02)
+
+    whole, order = sounds(points, forces), rng.permutation(50)
+    np.testing.assert_array_equal(sounds(points[order], forces[order]), whole[order])
+    np.testing.assert_array_equal(in_parts(sounds, [1, 2, 3, 17, 27], points, forces), whole)
+
+
+@settings(parent=reuse, max_examples=4)
+@given(st.lists(st.integers(1, 3), min_size=1, max_size=3), st.integers(0, 99))
+def test_a_touch_does_not_depend_on_its_batch(brick, sizes, seed):
+    rng = np.random.default_rng(seed)
+    count = sum(sizes)
+    points = brick.sample_surface(count, seed)
+    depth, angle = rng.uniform(0.0003, 0.0012, count), rng.uniform(0, 6, count)
+    tilt, azimuth = rng.choice([0, 0.1], count), rng.uniform(0, 6, count)
+    rows = (points, depth, angle, tilt, azimuth)
+    whole, order = brick.touch(*rows), rng.permutation(count)
+    np.testing.assert_array_equal(in_parts(brick.touch, sizes, *rows), whole)
+    np.testing.assert_array_equal(brick.touch(*(r[order] for r in rows)), whole[order])
+
+
+def test_a_view_does_not_depend_on_its_batch(brick, rng):
+    cameras, lights = sphere_points(5, 2.5, rng), sphere_points(5, 1.0, rng)
+
+    def views(c, l):
+        return brick.view(c, l, 20)
+
+    whole, order = views(cameras, lights), rng.permutation(5)
+    np.testing.assert_array_equal(in_parts(views, [1, 3, 1], cameras, lights), whole)
+    np.testing.assert_array_equal(views(cameras[order], lights[order]), whole[order])
+
+
+# Seeing
+
+
+def test_a_camera_is_a_position_or_a_pose(brick):
+    position, light = np.array([[2.0, 1, 1]]), np.array([0.5, 0.5, 1])
+    by_position = brick.view(position, light, 16)
+    assert by_position.shape == (1, 16, 16, 3)
+    assert by_position.dtype == np.float32
+    assert by_position.min() >= 0
+    assert by_position.max() <= 1
+    np.testing.assert_array_equal(brick.view(look_at(position), light[None], 16), by_position)
+    np.testing.assert_array_equal(brick.view(look_at(position)[0], light, 16), by_position)
+    np.testing.assert_array_equal(brick.view(position[0], light, 16), by_position)
+    wide = brick.view(position, light, intrinsics=Intrinsics(20, 10, 15.0))
+    assert wide.shape == (1, 10, 20, 3)
+    assert (by_position[0, 0] == by_position.max()).all()  # white around it
+
+
+def test_rendering_gives_the_view_and_what_lies_under_it(brick):
+    cameras, light = sphere_points(3, 2.5, np.random.default_rng(1)), np.array([0.5, 0.5, 1])
+    intrinsics = Intrinsics(40, 24, 50.0, center=(18.0, 13.5))
+    views = brick.render(cameras, light, intrinsics=intrinsics)
+    np.testing.assert_array_equal(views.rgb, brick.view(cameras, light, intrinsics=intrinsics))
+    assert views.rgba.shape == (3, 24, 40, 4)
+    np.testing.assert_array_equal(views.alpha, views.rgba[..., 3])
+    np.testing.assert_array_equal(np.isfinite(views.depth), views.alpha > 0)
+    np.testing.assert_allclose(np.linalg.norm(views.normals, axis=-1), views.alpha > 0, atol=1e-5)
+    for i, camera in enumerate(cameras):
+        single = brick.render(camera, light, intrinsics=intrinsics)
+        for name in ("rgb", "rgba", "depth", "normals"):
+            np.testing.assert_array_equal(getattr(single, name)[0], getattr(views, name)[i])
+
+
+def test_depth_is_in_metres_and_leads_back_to_the_surface(brick):
+    """Points at their depth along their rays lie on the box."""
+    intrinsics, pose = Intrinsics(30, 20, 40.0), look_at(np.array([1.4, 1.1, 1.7]))
+    views = brick.render(pose, [1, 1, 1], intrinsics=intrinsics, supersample=False)
+    rows, columns = np.nonzero(views.alpha[0])
+    origins, directions = camera_rays(pose[0], intrinsics, np.stack([columns, rows], 1) + 0.5)
+    depth = views.depth[0][rows, columns] / (directions @ -pose[0, :3, 2])
+    points = origins * SCALE + directions * depth[:, None]  # object frame, metres
+    outside = np.abs(points) / SCALE - np.array(SIDES) / 2
+    assert len(points) > 50
+    flat = np.sort(outside, 1)[:, 1] < -0.03  # away from edges, which the grid rounds
+    np.testing.assert_allclose(outside.max(1)[flat], 0, atol=1e-3)
+    np.testing.assert_allclose(outside.max(1), 0, atol=0.02)
+    expected = np.eye(3)[outside.argmax(1)] * np.sign(points)
+    np.testing.assert_allclose(views.normals[0][rows, columns][flat], expected[flat], atol=0.05)
+
+
+def test_no_view_at_all(brick):
+    views = brick.render(np.zeros((0, 3)), [0, 0, 1], 8)
+    assert views.rgb.shape == brick.view(np.zeros((0, 3)), [0, 0, 1], 8).shape == (0, 8, 8, 3)
+    assert views.depth.shape == (0, 8, 8)
+
+
+def test_a_camera_that_does_not_see_the_object_sees_white(brick):
+    image = brick.view(look_at(np.array([2.5, 0, 0]), (5, 0, 0)), [1, 0, 0], 8)
+    np.testing.assert_allclose(image, 1, atol=1e-6)
+
+
+@pytest.mark.parametrize("where", [0.0, 1e-9, -1e-6])
+def test_a_light_on_the_surface_gives_a_finite_picture(brick, where):
+    """Or a hair above or under it."""
+    points = brick.sample_surface(4) / brick.scale
+    images = brick.view(points * 4, points * (1 + where), 16)
+    assert np.isfinite(images).all()
+    assert (images >= 0).all()
+    assert (images <= 1).all()
+    assert (images < 0.999).any()
+
+
+def test_a_camera_inside_the_object_sees_no_background(brick):
+    image = brick.view([0.01, 0, 0], [0, 0, 1.0], 16)
+    assert np.isfinite(image).all()
+    assert (image < 1).any()
+
+
+@pytest.mark.parametrize("resolution", [0, -3])
+def test_pictures_without_pixels_are_refused(brick, resolution):
+    with pytest.raises(ObjectFolderError, match="must be positive"):
+        brick.view([2, 0, 0], [1, 0, 0], resolution)
+
+
+@pytest.mark.parametrize(
+    ("camera", "light", "message"),
+    [
+        (np.zeros((2, 4)), [1, 0, 0], r"camera has shape \(2, 4\), expected \(N, 3\) or \(N, 4, 4\)"),
+        (np.zeros(4), [1, 0, 0], "camera has shape"),
+        (3.0, [1, 0, 0], "camera has shape"),
+        (np.zeros((2, 3, 4)), [1, 0, 0], "camera has shape"),
+        ([[0, 0, 0]], [1, 0, 0], "away from the point"),
+        ([[np.nan, 0, 1]], [1, 0, 0], "finite"),
+        (np.full((1, 4, 4), np.inf), [1, 0, 0], "camera holds values that are not finite"),
+        ([[2, 0, 0]], [1, 0], r"light has shape \(2,\), expected \(N, 3\)"),
+        ([[2, 0, 0]], [np.nan, 0, 0], r"light: row 0 is \[nan"),
+        ([[2, 0, 0]] * 3, np.ones((2, 3)), "camera has 3 rows, light 2"),
+    ],
+)
+def test_a_view_of_nonsense_is_refused(brick, camera, light, message):
+    with pytest.raises(ObjectFolderError, match=message):
+        brick.view(camera, light, 8)
+
+
+# Hearing
+
+
+def test_a_sound_is_linear_in_the_force_and_keeps_its_scale(brick, rng):
+    points, a, b = brick.sample_surface(5), *rng.standard_normal((2, 5, 3))
+    both = brick.impact(points, 2 * a - b)
+    parts = 2 * brick.impact(points, a) - brick.impact(points, b)
+    assert both.shape == (5, 32000)
+    assert both.dtype == np.float32
+    np.testing.assert_allclose(both, parts, atol=1e-5 * np.abs(both).max())
+    # A power of two is exact (while no sample is subnormal).
+    louder, plain = (brick.impact(points, f * a, duration=0.02) for f in (4, 1))
+    np.testing.assert_array_equal(louder, 4 * plain)
+    assert not brick.impact(points, 0 * a).any()
+
+
+def test_one_force_serves_all_points(brick):
+    points = brick.sample_surface(3)
+    np.testing.assert_array_equal(brick.impact(points, UP), brick.impact(points, UP.repeat(3, 0)))
+    np.testing.assert_array_equal(brick.impact(points[0], UP[0]), brick.impact(points[:1], UP))
+
+
+def test_a_sound_holds_the_objects_frequencies(brick):
+    sound = brick.impact(TOP, UP, sample_rate=48000, duration=1.0)[0]
+    spectrum = np.abs(np.fft.rfft(sound * np.hanning(len(sound))))
+    heard = brick.frequencies[brick.frequencies < 24000]
+    assert np.abs(heard - spectrum.argmax()).min() < 3
+    assert sound[0] == 0
+    early, late = sound[:4800], sound[-4800:]
+    assert np.square(late).sum() < 1e-2 * np.square(early).sum()
+
+
+def test_a_point_near_the_surface_is_snapped(brick):
+    above = TOP + 0.5 * brick.surface.grid.spacing * SCALE * UP
+    expected = brick.impact(TOP, UP)
+    np.testing.assert_allclose(brick.impact(above, UP), expected, rtol=0, atol=1e-2 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("question", ["impact", "touch"])
+def test_a_point_off_the_surface_is_refused_with_row_and_distance(brick, question):
+    points = brick.sample_surface(6)
+    points[4] = [0, 0, SCALE]
+    arguments = (points, np.ones((6, 3))) if question == "impact" else (points,)
+    with pytest.raises(
+        ObjectFolderError, match=r"1 of 6 points .*row 4 at \[0.0, 0.0, 1.0\].* 0.85 .*at most 0.02"
+    ):
+        getattr(brick, question)(*arguments)
+    getattr(brick, question)(*arguments, tolerance=0.9)
+
+
+@pytest.mark.parametrize(
+    ("points", "forces", "message"),
+    [
+        (np.zeros((2, 2)), UP, r"points has shape \(2, 2\), expected \(N, 3\)"),
+        (np.zeros((1, 1, 3)), UP, "points has shape"),
+        (0.0, UP, "points has shape"),
+        ([[0, np.nan, 0]], UP, r"points: row 0 is \[0.0, nan, 0.0\], expected finite"),
+        (TOP.repeat(3, 0), np.ones((2, 3)), "points has 3 rows, forces 2"),
+        (TOP, [[0, 0, np.inf]], r"forces: row 0 is"),
+        (TOP, [[0, 0]], "forces has shape"),
+    ],
+)
+def test_an_impact_of_nonsense_is_refused(brick, points, forces, message):
+    with pytest.raises(ObjectFolderError, match=message):
+        brick.impact(points, forces)
+
+
+def test_unknown_responses_and_rates_are_refused(brick):
+    with pytest.raises(ObjectFolderError, match="'loud' is not one of"):
+        brick.impact(TOP, UP, response="loud")
+    with pytest.raises(ObjectFolderError, match="must be positive"):
+        brick.impact(TOP, UP, sample_rate=0)
+
+
+def test_an_object_that_falls_silent_says_so(brick, caplog):
+    rate = int(brick.frequencies[0])  # Nyquist at half of its lowest mode
+    with caplog.at_level(logging.WARNING):
+        sound = brick.impact(TOP, UP, sample_rate=rate, duration=0.1)
+    assert not sound.any()
+    assert sound.shape == (1, round(rate * 0.1))
+    assert f"none of the object's 12 modes lies below the Nyquist frequency of {rate // 2} Hz" in caplog.text
+    caplog.clear()
+    brick.impact(TOP, UP, duration=0.1)
+    assert not caplog.text
+
+
+@pytest.mark.filterwarnings("ignore:Initializing zero-element tensors")
+def test_an_object_without_any_mode_is_silent(tmp_path, caplog):
+    tiny = build_brick(scale=0.002)
+    tiny.save(tmp_path / "tiny.safetensors")
+    tiny = type(tiny).load(tmp_path / "tiny.safetensors")
+    assert tiny.frequencies.shape == (0,)
+    sound = tiny.impact(tiny.sample_surface(2), UP, duration=0.1)
+    assert sound.shape == (2, 1600)
+    assert not sound.any()
+    assert "none of the object's 0 modes" in caplog.text
+
+
+def test_impulses_too_large_for_the_format_are_refused_and_give_no_nan(brick):
+    for size in (1e37, 1e300):
+        with pytest.raises(ObjectFolderError, match=r"impulses of up to .* N s .*scale them down"):
+            brick.impact(TOP, [[size, -size, size]], duration=0.1, response="acceleration")
+
+
+@pytest.mark.parametrize("tolerance", [np.nan, -0.01])
+def test_a_tolerance_must_be_a_distance(brick, tolerance):
+    with pytest.raises(ObjectFolderError, match="tolerance is"):
+        brick.impact(TOP, UP, tolerance=tolerance)
+
+
+def test_a_soft_strike_keeps_its_momentum_and_loses_its_treble(brick):
+    hard, soft = (brick.impact(TOP, UP, 48000, 0.5, contact_time=t)[0] for t in (0.0, 1e-3))
+    spectra = [np.abs(np.fft.rfft(sound)) for sound in (hard, soft)]
+    assert spectra[1].sum() < 0.1 * spectra[0].sum()
+    # What an impulse moves over all time is its integral times the static compliance.
+    assert spectra[1][0] == pytest.approx(spectra[0][0], rel=0.05)
+
+
+def test_an_object_of_another_size_and_material_sounds_as_its_modes(brick, caplog):
+    """The same as an Object File whose modes were scaled by hand."""
+    glass = dataclasses.replace(material("glass"), poisson_ratio=material("plastic").poisson_ratio)
+    size, density = 3.0, 2600 / 1070
+    speed = np.sqrt(6.2e10 / 1.4e9 / density) / size
+    w, c = (brick.tensors[f"audio.{name}"] for name in ("damped_frequency", "damping"))
+    eigenvalues = (w**2 + c**2) * speed**2
+    damping = (1.0 + 1e-7 * eigenvalues) / 2
+    by_hand = ObjectFile(
+        {**brick.header, "scale": SCALE * size},
+        {
+            **brick.tensors,
+            "audio.damped_frequency": np.sqrt(eigenvalues - damping**2),
+            "audio.damping": damping,
+            "audio.amplitude": (brick.tensors["audio.amplitude"] / np.sqrt(density * size**3)).astype("f4"),
+        },
+    )
+    points, forces = brick.sample_surface(4), np.eye(3)[[0, 1, 2, 2]]
+    expected = by_hand.impact(points * size, forces, 48000)
+    heard = brick.tuning(glass, SCALE * size)
+    assert len(heard.modes) == 12
+    sounds = brick.impact(points * size, forces, 48000, material=glass, scale=SCALE * size)
+    np.testing.assert_allclose(sounds, expected, atol=1e-5 * np.abs(expected).max())
+    assert "brick: incomplete: modes from" in caplog.text
+    assert "approximate" not in caplog.text
+    # Points are metres of the struck object.
+    with pytest.raises(ObjectFolderError, match="off the surface"):
+        brick.impact(points, forces, material=glass, scale=SCALE * size)
+
+
+def test_another_poisson_ratio_is_warned_of(brick, caplog):
+    brick.impact(TOP, UP, duration=0.1, material="plastic")
+    assert "approximate" not in caplog.text
+    brick.impact(TOP, UP, duration=0.1, material="Steel")
+    assert "brick: approximate: the modes were solved for plastic" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"material": "gold"}, "unknown material 'gold'"),
+        ({"scale": 0.0}, "scale is 0.0, expected the object's longest side"),
+        ({"scale": np.nan}, "scale is nan"),
+        ({"contact_time": -1.0}, "contact time is -1.0 s"),
+        ({"contact_time": np.nan}, "contact time is nan s"),
+        ({"duration": 0.0}, "both must be positive"),
+        ({"duration": np.nan}, "both must be positive"),
+        ({"sample_rate": np.nan}, "both must be positive"),
+    ],
+)
+def test_a_sound_of_nonsense_is_refused(brick, arguments, message):
+    with pytest.raises(ObjectFolderError, match=message):
+        brick.impact(TOP, UP, **arguments)
+
+
+# Feeling
+
+
+def test_a_touch_answers_with_images(brick):
+    images = brick.touch(TOP.repeat(2, 0), [0.0005, 0.001])
+    assert images.shape == (2, 160, 120, 3)
+    assert images.dtype == np.uint8
+    assert not np.array_equal(images[0], images[1])
+    np.testing.assert_array_equal(brick.touch(TOP[0]), brick.touch(TOP))
+    # The top is flat: turning the sensor about its normal changes nothing.
+    np.testing.assert_allclose(brick.touch(TOP, angle=0.7).astype(int), brick.touch(TOP).astype(int), atol=2)
+    assert np.abs(brick.touch(TOP, tilt=0.1).astype(int) - brick.touch(TOP)).max() > 5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"depth": [0.001, -0.001]}, r"depth: row 1 is -0.001 m; the sensor 'digit' takes 0 to 0.003 m"),
+        ({"depth": 0.5}, r"depth: row 0 is 0.5 m; the sensor 'digit' takes 0 to"),
+        ({"depth": 0.0035, "sensor": "gelsight_mini"}, "the sensor 'gelsight_mini' takes 0 to"),
+        ({"depth": [0.001, np.nan]}, "depth: row 1 is nan, expected finite numbers"),
+        ({"depth": [0.001] * 3}, r"depth has shape \(3,\), expected one number or 2 of them"),
+        ({"angle": [[0.0]]}, r"angle has shape \(1, 1\), expected one number or 2"),
+        ({"tilt": np.inf}, "tilt: row 0 is inf"),
+        ({"azimuth": [0.0, np.nan]}, "azimuth: row 1 is nan"),
+        ({"sensor": "gelsite"}, "unknown sensor profile 'gelsite': expected one of digit"),
+        ({"sensor": "none.yaml"}, r"unknown sensor profile 'none.yaml'"),
+    ],
+)
+def test_a_touch_of_nonsense_is_refused(brick, arguments, message):
+    for question in (brick.touch, brick.press):
+        with pytest.raises(ObjectFolderError, match=message):
+            question(TOP.repeat(2, 0), **arguments)
+
+
+def test_a_point_off_the_surface_is_named(brick):
+    points = TOP.repeat(3, 0)
+    points[2, 2] += 0.004
+    with pytest.raises(
+        ObjectFolderError, match=r"1 of 3 points .* the first is row 2 at .*0\.0414 of the size away"
+    ):
+        brick.press(points)
+
+
+def test_everything_about_a_touch_in_one_answer(brick):
+    """On a flat face, against what the definitions say."""
+    points = TOP.repeat(3, 0)
+    depths, angles = np.array([0.0, 0.0005, 0.001]), np.array([0.0, 0.4, 2.0])
+    found = brick.press(points, depths, angles)
+    np.testing.assert_array_equal(found.images, brick.touch(points, depths, angles))
+    np.testing.assert_allclose(found.max_penetration, depths, atol=3e-5)
+    assert (np.diff(found.force) > 0).all()
+    assert (found.obstructed == 0).all()
+    np.testing.assert_array_equal(found.mask, found.pressure > 0)
+    np.testing.assert_array_equal(found.displacement[found.mask], found.height[found.mask])
+    np.testing.assert_allclose(np.linalg.norm(found.normals, axis=-1), 1, atol=1e-5)
+    # Where the flat face presses, the gel is flat.
+    assert (found.normals[2][60:100, 45:75] @ [-1.0, 0, 0]).min() > np.cos(np.radians(2))
+    assert found.profile.name == "digit"
+
+
+def test_touches_are_answered_row_by_row(brick, rng):
+    """Whatever else is asked for at once, the bits are the same."""
+    points = brick.sample_surface(35, seed=4)
+    depths, angles = rng.uniform(0, 0.002, 35), rng.uniform(0, 6, 35)
+    whole = brick.press(points, depths, angles)
+    for rows in ([3], [34, 0], list(range(20))):
+        found = brick.press(points[rows], depths[rows], angles[rows])
+        for field in ("images", "height", "normals", "mask", "pressure", "force", "area", "obstructed"):
+            np.testing.assert_array_equal(getattr(found, field), getattr(whole, field)[rows])
+    parts = list(brick.touches(points, depths, angles))
+    assert len(parts) > 1
+    np.testing.assert_array_equal(np.concatenate([part.force for part in parts]), whole.force)
+
+
+def test_another_sensor_feels_the_same_object(brick, tmp_path):
+    mini = load_profile("gelsight_mini")
+    found = brick.press(TOP, sensor="gelsight_mini")
+    assert found.images.shape == (1, mini.height, mini.width, 3)
+    assert found.profile == mini
+    stiff = dataclasses.replace(load_profile("digit"), young_modulus=3e5)
+    path = tmp_path / "stiff.yaml"
+    path.write_text(json.dumps(stiff.to_dict()))
+    for sensor in (stiff, path, str(path)):
+        force = brick.press(TOP, sensor=sensor).force
+        np.testing.assert_allclose(force, brick.press(TOP).force * 3e5 / 1.5e5, rtol=1e-3)
+    rigid = brick.press(TOP, sensor="tacto_digit")
+    assert np.isnan(rigid.force).all()
+    assert rigid.area > 0
+
+
+def test_a_point_next_to_the_stored_surface_is_believed(brick):
+    """The sensor goes where the caller says, up to a quarter voxel; beyond, to the surface."""
+    voxel = 0.1 * brick.surface.grid.spacing
+    high = brick.press(TOP + 0.2 * voxel * UP).max_penetration
+    far = brick.press(TOP + 0.8 * voxel * UP).max_penetration
+    at = brick.press(TOP).max_penetration
+    assert at - high == pytest.approx(0.2 * voxel, rel=0.05)
+    assert far == pytest.approx(at, abs=0.05 * voxel)
+
+
+def test_no_rows_no_answers(brick):
+    none = np.zeros((0, 3))
+    assert brick.view(none, [1, 0, 0], 8).shape == (0, 8, 8, 3)
+    assert brick.view(np.zeros((0, 4, 4)), none, 8).shape == (0, 8, 8, 3)
+    assert brick.impact(none, none, duration=0.1).shape == (0, 1600)
+    assert brick.impact(none, UP, duration=0.1).shape == (0, 1600)
+    assert brick.touch(none).shape == brick.press(none).normals.shape == (0, 160, 120, 3)
+    assert brick.press(none).force.shape == (0,)
+    assert brick.touch(none, none[:, 0], none[:, 0]).shape == (0, 160, 120, 3)
+
+
+def test_queries_leave_their_arguments_and_the_random_state_alone(brick):
+    points, forces = brick.sample_surface(3), np.ones((3, 3))
+    kept = points.copy(), forces.copy()
+    before, legacy = torch.random.get_rng_state(), np.random.get_state()[1].copy()  # noqa: NPY002
+    brick.impact(points, forces, duration=0.1)
+    brick.touch(points)
+    brick.view([2.0, 1, 1], [1, 0, 0], 8)
+    np.testing.assert_array_equal(points, kept[0])
+    np.testing.assert_array_equal(forces, kept[1])
+    assert torch.equal(torch.random.get_rng_state(), before)
+    np.testing.assert_array_equal(np.random.get_state()[1], legacy)  # noqa: NPY002
+
+
+def test_one_row_serves_all_of_the_others(brick):
+    point, forces = brick.sample_surface(1), np.eye(3)
+    sounds = brick.impact(point, forces)
+    np.testing.assert_array_equal(sounds, brick.impact(point.repeat(3, 0), forces))
+    lights = np.array([[1.0, 0, 0], [0, 0, 1.0]])
+    images = brick.view([2.5, 0, 0], lights, resolution=16)
+    np.testing.assert_array_equal(images, brick.view([[2.5, 0, 0]] * 2, lights, resolution=16))
+
+
+def test_tensors_in_tensors_out(brick, rng):
+    points, forces = brick.sample_surface(3), rng.standard_normal((3, 3))
+    cameras, lights = sphere_points(2, 2.5, rng), sphere_points(2, 1.0, rng)
+    for question, first, rest in (
+        (lambda p, f: brick.impact(p, f, duration=0.05), points, forces),
+        (lambda p, d: brick.touch(p, depth=d), points, np.full(3, 0.0007)),
+        (lambda c, l: brick.view(c, l, 24), cameras, lights),
+    ):
+        arrays = question(first, rest)
+        tensors = question(torch.from_numpy(first), torch.from_numpy(rest))
+        assert isinstance(arrays, np.ndarray)
+        assert isinstance(tensors, torch.Tensor)
+        assert tensors.device == torch.device("cpu")
+        np.testing.assert_array_equal(tensors.numpy(), arrays)
+        assert isinstance(question(first, torch.from_numpy(rest)), np.ndarray)
+
+
+def test_the_nearest_points_bounds_and_mesh_of_a_brick(brick, rng):
+    half = np.array(SIDES) * SCALE / 2
+    np.testing.assert_allclose(brick.bounds, [-half, half], atol=0.01 * SCALE)
+    outside = half * [3, 0.2, 0.2]
+    nearest, distance = brick.nearest(outside)
+    np.testing.assert_allclose(nearest, [half * [1, 0.2, 0.2]], atol=0.01 * SCALE)
+    np.testing.assert_allclose(distance, 2 * half[0], atol=0.01 * SCALE)
+    assert brick.nearest(np.zeros((0, 3)))[0].shape == (0, 3)
+    mesh = brick.to_mesh()
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(np.prod(SIDES) * SCALE**3, rel=0.03)
+    np.testing.assert_array_equal(mesh.bounds, brick.bounds)
+    points = brick.sample_surface(200, seed=3)
+    nearest, distance = brick.nearest(points)
+    assert distance.max() < 0.25 * brick.surface.grid.spacing * SCALE
+    np.testing.assert_allclose(np.linalg.norm(nearest - points, axis=1), distance, atol=1e-12)
+
+
+def test_a_large_batch_of_strikes_takes_no_more_than_its_answer(brick, rng):
+    points = np.repeat(brick.sample_surface(10), 300, axis=0)
+    forces = rng.standard_normal((3000, 3))
+    whole = brick.impact(points, forces, duration=0.01)
+    np.testing.assert_array_equal(brick.impact(points[1500:], forces[1500:], duration=0.01), whole[1500:])
+
+
+def _mixed(file, count, seed):
+    """Queries of all kinds in random order, each a function of nothing."""
+    rng = np.random.default_rng(seed)
+    points = file.sample_surface(count, seed)
+    asked = []
+    for point, force, kind in zip(points, rng.standard_normal((count, 3)), rng.integers(0, 20, count)):
+        if kind == 0:
+            camera, light = (sphere_points(1, radius, rng) for radius in (2.5, 1.0))
+            asked.append(partial(file.view, camera, light, 16))
+        elif kind < 4:
+            asked.append(partial(file.touch, point, rng.uniform(0, 0.001), rng.uniform(0, 6)))
+        elif kind == 4:
+            asked.append(partial(file.impact, point, force, 8000, 0.05, material="steel", scale=SCALE))
+        else:
+            asked.append(partial(file.impact, point, force, duration=0.05))
+    return asked
+
+
+@pytest.mark.parametrize("count", [400, pytest.param(10000, marks=pytest.mark.slow)])
+def test_threads_get_the_bytes_that_one_gets(brick_path, count):
+    def digests(pool):
+        # Opened here: the parts are read while threads ask for them.
+        asked = _mixed(ObjectFile.load(brick_path), count, seed=5)
+        return list(pool(lambda ask: hashlib.sha256(ask().tobytes()).digest(), asked))
+
+    with ThreadPoolExecutor(4) as threads:
+        together = digests(threads.map)
+    assert together == digests(map)

@@ -1,0 +1,92 @@
+"""An Object File whose audio net stores spectrograms answers the same questions."""
+
+import numpy as np
+import pytest
+import torch
+
+from objectfolder import ObjectFile
+from objectfolder.audio.spectrogram import spectrogram
+from objectfolder.audio.synthesis import sinusoid_bank
+from objectfolder.errors import ObjectFolderError
+from objectfolder.io import write_safetensors
+from objectfolder.nets.audio_spectrogram import SpectrogramNet
+from objectfolder.objectfile.evaluation import Strikes, evaluate_sounds
+
+
+@pytest.fixture(scope="module")
+def file(brick, tmp_path_factory):
+    """The brick with a net that answers something."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        net = SpectrogramNet(brick._parts.audio.damped_frequency, -1e-4, 2e-4, 16, 2, 2, 3)
+        for branch in net.branches:
+            torch.nn.init.normal_(branch.output.weight, std=1.0)
+    tensors, config = net.to_tensors()
+    others = {name: t for name, t in brick.tensors.items() if not name.startswith("audio.")}
+    path = tmp_path_factory.mktemp("file") / "o.safetensors"
+    header = {**brick.header, "audio": {"kind": "spectrogram", "net": config, "truncated": False}}
+    write_safetensors(path, others | {f"audio.{name}": t for name, t in tensors.items()}, header)
+    return ObjectFile.load(path)
+
+
+def test_a_strike_sounds_like_the_stored_spectrograms(file):
+    points = file.sample_surface(2)
+    sounds = file.impact(points, [[1, 0, 0], [0, 2, -1]])
+    assert sounds.shape == (2, 32000)
+    assert sounds.dtype == np.float32
+    axes = [file.impact(points[1:], axis)[0] for axis in np.eye(3)]
+    np.testing.assert_allclose(sounds[1], 2 * axes[1] - axes[2], atol=1e-3 * np.abs(sounds[1]).max())
+    np.testing.assert_array_equal(file.impact(points[1:], [0, 2, -1])[0], sounds[1])
+    np.testing.assert_array_equal(file.impact(points, [1, 0, 0], duration=0.25)[0], sounds[0, :4000])
+    assert file.impact(points[:0], np.zeros((0, 3))).shape == (0, 32000)
+
+
+def test_the_frequencies_are_still_known(file, brick):
+    np.testing.assert_array_equal(file.frequencies, brick.frequencies)
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        {"sample_rate": 44100},
+        {"duration": 2.5},
+        {"duration": 0.0},
+        {"duration": float("nan")},
+        {"response": "velocity"},
+    ],
+)
+def test_what_the_net_has_not_learnt_is_refused(file, asked):
+    with pytest.raises(ObjectFolderError, match=r"answers displacement at 16000 Hz, up to 2 s.*gains"):
+        file.impact(file.sample_surface(1), [0, 0, 1], **asked)
+
+
+def test_gains_are_not_in_the_file(file):
+    with pytest.raises(ObjectFolderError, match=r"brick: its audio net stores spectrograms, no modes"):
+        file.mode_shapes(file.sample_surface(1))
+
+
+def test_its_scores_stand_beside_silence(file, brick):
+    """The net answers noise: worse than silence."""
+    points = brick.sample_surface(20) / brick.scale
+    modes = {
+        "points": points,
+        "shapes": brick.mode_shapes(points * brick.scale),
+        "damped_frequency": brick._parts.audio.damped_frequency.numpy(),
+        "damping": brick._parts.audio.damping.numpy(),
+    }
+    strikes = Strikes.random(np.arange(10, 20), 2, np.random.default_rng(0))
+    scores = evaluate_sounds(file, modes, strikes, np.random.default_rng(0))
+    assert (scores["impacts"], scores["modes"]) == (2, len(brick.frequencies))
+    assert scores["psnr"] < scores["baseline_silence"]
+    # Silence's score, from the sounds themselves.
+    bank = sinusoid_bank(torch.from_numpy(modes["damped_frequency"]), torch.from_numpy(modes["damping"]))
+    gains = torch.from_numpy(np.einsum("na,nam->nm", strikes.impulses, modes["shapes"][strikes.rows])).float()
+    truth = torch.view_as_real(spectrogram(gains @ bank)).numpy()
+    silence = 10 * np.log10(np.ptp(truth) ** 2 / np.mean(truth.astype(np.float64) ** 2))
+    assert scores["baseline_silence"] == pytest.approx(silence, abs=1e-3)
+
+
+@pytest.mark.parametrize("option", [{"material": "steel"}, {"scale": 0.3}, {"contact_time": 1e-3}])
+def test_what_needs_modes_is_refused(file, option):
+    with pytest.raises(ObjectFolderError, match="stores spectrograms"):
+        file.impact(file.sample_surface(1), [0, 0, 1], **option)

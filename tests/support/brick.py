@@ -1,0 +1,77 @@
+"""A small but real Object File."""
+
+import numpy as np
+import torch
+from solids import box
+
+from objectfolder.fem.band import solved_band
+from objectfolder.fem.cutcell import cut_cells
+from objectfolder.fem.modal import modal_analysis
+from objectfolder.materials import material
+from objectfolder.mesh.normalize import mass_properties
+from objectfolder.mesh.sampling import sample_surface
+from objectfolder.mesh.sdf import distance_grid
+from objectfolder.nets.audio_gains import AudioConfig, train_gains
+from objectfolder.nets.vision_surface import SurfaceNet
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.objectfile.packing import pack
+from objectfolder.touch.profiles import load_profile
+
+SIDES = (1.0, 0.6, 0.3)
+SCALE = 0.1
+
+
+def build_brick(scale=SCALE, steps=40) -> ObjectFile:
+    """A brick of plastic whose parts are real but small: its look is random, its sound nearly right."""
+    solid = box(SIDES)
+    values, band = distance_grid(*solid, 64)
+    points = sample_surface(*solid, 300, np.random.default_rng(0))
+    modes = modal_analysis(cut_cells(*solid, 6, 4), points, material("plastic"), scale, 20000.0, 12)
+    band_hz = solved_band(modes, material("plastic"), 20000.0, 12)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        look = SurfaceNet(
+            levels=2, features=2, table_bits=10, coarsest=4, finest=12, width=8, roughness=0.5, metallic=0.0
+        )
+    sound, _ = train_gains(
+        points,
+        modes.shapes,
+        modes.damped_frequency,
+        modes.damping,
+        np.arange(250),
+        np.arange(250, 300),
+        AudioConfig(
+            resolution=4,
+            channels=4,
+            width=24,
+            features=24,
+            frequency=3.0,
+            steps=steps,
+            batch=128,
+            learning_rate=3e-3,
+            grid_rate=3.0,
+        ),
+        torch.Generator().manual_seed(0),
+    )
+    look_tensors, look_config = look.to_tensors()
+    sound_tensors, sound_config = sound.to_tensors()
+    profile = load_profile("digit")
+    feel_config = {"sensor": profile.to_dict(), "depth_offset": 0.0, "renderer": "gel", "smoothing": 0}
+    return pack(
+        "brick",
+        "plastic",
+        {
+            **{"scale_m": scale, "source_centre": [0, 0, 0], "source_size": 1.0, "source_up": "z"},
+            "solid": mass_properties(solid),
+        },
+        {"values": values, "band": np.float64(band)},
+        {
+            "vision": (look_tensors, {"kind": "surface", "net": look_config}),
+            "audio": (sound_tensors, {"kind": "gains", "net": sound_config, "band_hz": band_hz}),
+            "touch": (
+                {},
+                {"kind": "geometric", "net": feel_config},
+            ),
+        },
+        {"sdf": "0" * 64},
+    )

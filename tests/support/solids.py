@@ -1,0 +1,64 @@
+"""Closed triangle meshes whose volume and distance are known."""
+
+import numpy as np
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from objectfolder.fem.cutcell import CutCells
+from objectfolder.fem.hex20 import NODES
+from objectfolder.fem.voxel import lattice_connectivity
+from objectfolder.mesh.closing.topology import signed_volume
+from objectfolder.mesh.grid import DistanceGrid
+from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.mesh.sdf import distance_grid
+
+TURN = Rotation.from_euler("xyz", [0.3, 0.5, 0.7]).as_matrix()
+
+
+def box(sides, centre=(0, 0, 0), turn=None):
+    """Vertices and outward faces of a box."""
+    mesh = trimesh.creation.box(sides)
+    vertices = np.array(mesh.vertices) @ (np.eye(3) if turn is None else turn).T + np.asarray(centre)
+    return vertices, np.array(mesh.faces, np.int64)
+
+
+def sphere(radius, level=4, centre=(0, 0, 0)):
+    mesh = trimesh.creation.icosphere(level, radius=radius)
+    return np.array(mesh.vertices) + np.asarray(centre), np.array(mesh.faces, np.int64)
+
+
+def pretzel():
+    """A closed tube along a figure of eight: one piece that overlaps itself in the middle."""
+    turn = np.linspace(0, 2 * np.pi, 200, endpoint=False)
+    path = np.stack([0.3 * np.sin(2 * turn), 0.35 * np.sin(turn), 0 * turn], 1)
+    ahead = np.roll(path, -1, 0) - np.roll(path, 1, 0)
+    side = np.cross(ahead / np.linalg.norm(ahead, axis=1, keepdims=True), [0, 0, 1.0])
+    angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    ring = np.cos(angle)[:, None] * np.array([0, 0, 1.0]) + np.sin(angle)[:, None] * side[:, None]
+    i, j = (k.ravel() for k in np.indices((200, 24)))
+    a, b, c, d = ((i + di) % 200 * 24 + (j + dj) % 24 for di, dj in ((0, 0), (0, 1), (1, 1), (1, 0)))
+    vertices = (path[:, None] + 0.06 * ring).reshape(-1, 3)
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    return vertices, faces if signed_volume(vertices, faces) > 0 else faces[:, ::-1]
+
+
+def join(*solids):
+    """One mesh of several, as they are."""
+    offsets = np.cumsum([0, *(len(v) for v, _ in solids)])
+    faces = np.concatenate([f + start for (_, f), start in zip(solids, offsets)])
+    return np.concatenate([v for v, _ in solids]), faces
+
+
+def flipped(solid):
+    return solid[0], np.ascontiguousarray(solid[1][:, ::-1])
+
+
+def isosurface(solid, resolution=64):
+    return Isosurface(DistanceGrid(*distance_grid(*solid, resolution)))
+
+
+def full_cells(index, resolution):
+    """Cells of a grid that are full of material, and joined wherever they touch."""
+    occupancy = np.zeros((len(index), 5, 5, 5), np.float32)
+    occupancy[:, 0, 0, 0] = 8  # the volume of [-1, 1]^3
+    return CutCells(index, occupancy, lattice_connectivity(index, NODES), resolution)

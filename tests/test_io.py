@@ -1,0 +1,234 @@
+import time
+import zipfile
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.io import (
+    atomic,
+    file_digest,
+    keep,
+    read_json,
+    read_npz,
+    read_safetensors,
+    write_curve,
+    write_json,
+    write_npy,
+    write_npz,
+    write_png,
+    write_safetensors,
+)
+from objectfolder.nets.fit import CurvePoint
+from objectfolder.workspace.layout import Build
+
+ARRAYS = {"a": np.arange(12.0).reshape(3, 4), "b": np.int8([1, 2]), "c": np.float64(0.5)}
+
+
+def names(folder):
+    return sorted(p.name for p in folder.iterdir())
+
+
+def test_a_failure_leaves_nothing_behind(tmp_path):
+    def interrupted():
+        with atomic(tmp_path / "deep" / "a.txt") as path:
+            path.write_text("half")
+            assert names(tmp_path / "deep") != ["a.txt"]
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert names(tmp_path / "deep") == []
+
+
+def test_a_failure_keeps_the_old_file(tmp_path):
+    (tmp_path / "a.txt").write_text("old")
+
+    def failing():
+        with atomic(tmp_path / "a.txt") as path:
+            path.write_text("new")
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        failing()
+    assert names(tmp_path) == ["a.txt"]
+    assert (tmp_path / "a.txt").read_text() == "old"
+
+
+def test_the_file_appears_at_once_and_complete(tmp_path):
+    (tmp_path / "a.npz").write_text("old")
+    with atomic(tmp_path / "a.npz") as path:
+        assert path.suffix == ".npz"
+        assert path.parent == tmp_path
+        path.write_text("new")
+        assert (tmp_path / "a.npz").read_text() == "old"
+    assert (tmp_path / "a.npz").read_text() == "new"
+    assert names(tmp_path) == ["a.npz"]
+
+
+def test_a_directory_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with (
+        pytest.raises(
+            ObjectFolderError, match=r"cannot write .*file/sub/a\.txt.*make the directory .* writable"
+        ),
+        atomic(tmp_path / "file" / "sub" / "a.txt"),
+    ):
+        pass
+
+
+def later(monkeypatch):
+    monkeypatch.setattr(time, "time", lambda: 2e9)
+    monkeypatch.setattr(time, "localtime", lambda *_: time.gmtime(2_000_000_000))
+
+
+def test_npz_round_trip_and_same_bytes_at_any_time(tmp_path, monkeypatch):
+    write_npz(tmp_path / "a.npz", **ARRAYS)
+    later(monkeypatch)
+    write_npz(tmp_path / "b.npz", **ARRAYS)
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    back = read_npz(tmp_path / "a.npz", *ARRAYS)
+    assert back.keys() == ARRAYS.keys()
+    for name, value in ARRAYS.items():
+        np.testing.assert_array_equal(back[name], value)
+        assert back[name].dtype == np.asarray(value).dtype
+
+
+def test_npy_round_trip_and_nothing_pickled(tmp_path):
+    write_npy(tmp_path / "a.npy", ARRAYS["a"].T)
+    back = np.load(tmp_path / "a.npy", allow_pickle=False)
+    np.testing.assert_array_equal(back, ARRAYS["a"].T)
+    assert back.dtype == ARRAYS["a"].dtype
+    with pytest.raises(ValueError, match="pickle"):
+        write_npy(tmp_path / "a.npy", np.array([{}], object))
+    assert names(tmp_path) == ["a.npy"]
+    np.testing.assert_array_equal(np.load(tmp_path / "a.npy"), ARRAYS["a"].T)
+
+
+def test_safetensors_round_trip_and_same_bytes_whatever_the_order(tmp_path):
+    header = {"kind": "gains", "net": {"width": 3, "a": 1.5}}
+    tensors = {"x": np.arange(6, dtype=np.float16).reshape(2, 3), "y": np.int8([1]), "t": ARRAYS["a"].T}
+    write_safetensors(tmp_path / "a.safetensors", tensors, header)
+    write_safetensors(
+        tmp_path / "b.safetensors", dict(reversed(tensors.items())), dict(reversed(header.items()))
+    )
+    assert (tmp_path / "a.safetensors").read_bytes() == (tmp_path / "b.safetensors").read_bytes()
+    back, back_header = read_safetensors(tmp_path / "a.safetensors")
+    assert back_header == header
+    for name, value in tensors.items():
+        np.testing.assert_array_equal(back[name], value)
+
+
+def test_safetensors_may_be_read_by_whom_other_files_may(tmp_path):
+    write_safetensors(tmp_path / "a.safetensors", {"x": np.zeros(1)}, {})
+    write_json(tmp_path / "a.json", {})
+    modes = {path.stat().st_mode for path in tmp_path.iterdir()}
+    assert len(modes) == 1
+
+
+def test_object_arrays_are_not_written(tmp_path):
+    with pytest.raises(TypeError, match="a would be pickled"):
+        write_npz(tmp_path / "a.npz", a=np.array([{}], object))
+    assert names(tmp_path) == []
+
+
+def test_a_pickle_is_not_read(tmp_path):
+    np.savez(tmp_path / "a.npz", a=np.array([{}], object))
+    with pytest.raises(ObjectFolderError, match=r"a\.npz is damaged .*delete it and rebuild"):
+        read_npz(tmp_path / "a.npz")
+
+
+def test_a_damaged_npz_is_named(tmp_path):
+    path = tmp_path / "a.npz"
+    write_npz(path, **ARRAYS)
+    whole = path.read_bytes()
+    with zipfile.ZipFile(path) as archive:
+        middle = archive.infolist()[0].header_offset + 60
+    for content in (
+        b"",
+        whole[:-40],
+        whole[:20],
+        b"\x80garbage",
+        whole[:middle] + b"XXXX" + whole[middle + 4 :],
+    ):
+        path.write_bytes(content)
+        with pytest.raises(ObjectFolderError, match=r"a\.npz is damaged"):
+            read_npz(path, "a")
+
+
+def test_missing_arrays_are_named(tmp_path):
+    write_npz(tmp_path / "a.npz", **ARRAYS)
+    with pytest.raises(ObjectFolderError, match=r"a\.npz lacks x, y \(it holds a, b, c\)"):
+        read_npz(tmp_path / "a.npz", "a", "y", "x")
+
+
+@pytest.mark.parametrize("reader", [read_npz, read_json, read_safetensors, file_digest])
+def test_a_missing_file_or_a_folder_says_how_to_build_it(tmp_path, reader):
+    for path in (tmp_path / "none.npz", tmp_path):
+        with pytest.raises(ObjectFolderError, match="does not exist; build it"):
+            reader(path)
+
+
+def test_json(tmp_path):
+    path = tmp_path / "a.json"
+    write_json(path, {"b": 1, "a": [1.5, None]})
+    assert read_json(path) == {"b": 1, "a": [1.5, None]}
+    assert path.read_text().index('"a"') < path.read_text().index('"b"')
+    for content in (b"{", b"", b"\xff\xfe\x00"):
+        path.write_bytes(content)
+        with pytest.raises(ObjectFolderError, match=r"a\.json is damaged"):
+            read_json(path)
+
+
+def test_json_that_no_parser_would_read_is_not_written(tmp_path):
+    with pytest.raises(TypeError):
+        write_json(tmp_path / "a.json", {"a": object()})
+    assert names(tmp_path) == []
+
+
+def test_a_curve_leaves_the_clock_out(tmp_path):
+    for name, seconds in (("a", 1.0), ("b", 2.0)):
+        write_curve(tmp_path / name, [CurvePoint(10, 0.5, 0.25, seconds)])
+    assert (
+        (tmp_path / "a").read_text()
+        == (tmp_path / "b").read_text()
+        == "step,train_loss,val_loss\n10,0.5,0.25\n"
+    )
+
+
+def test_png(tmp_path, rng):
+    from PIL import Image
+
+    image = rng.integers(0, 256, (5, 7, 3), dtype=np.uint8)
+    write_png(tmp_path / "a.png", image)
+    with Image.open(tmp_path / "a.png") as back:
+        np.testing.assert_array_equal(np.asarray(back), image)
+
+
+def test_every_path_lies_in_the_workspace(tmp_path):
+    build = Build("mug", tmp_path)
+    paths = [v for v in vars(build).values() if hasattr(v, "parts")]
+    paths += [build.views("train"), build.touch("val"), build.net("audio"), build.curve("audio")]
+    assert len(set(paths)) == len(paths)
+    for path in paths:
+        assert path.is_relative_to(tmp_path)
+    assert build.metrics == tmp_path / "metrics" / "mug.json"
+    assert build.views("train") == tmp_path / "build/mug/views/train.npz"
+
+
+def test_digest(tmp_path):
+    (tmp_path / "a").write_bytes(b"abc")
+    assert file_digest(tmp_path / "a") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+
+
+@pytest.mark.parametrize("links", [True, False])
+def test_what_is_kept_outlives_the_file(tmp_path, monkeypatch, links):
+    if not links:
+        monkeypatch.setattr("os.link", Mock(side_effect=OSError("no links on this filesystem")))
+    for text in ("one", "two"):  # the second replaces the first
+        (tmp_path / "a").write_text(text)
+        keep(tmp_path / "a", tmp_path / "kept")
+        (tmp_path / "a").unlink()
+        assert (tmp_path / "kept").read_text() == text
+    assert names(tmp_path) == ["kept"]

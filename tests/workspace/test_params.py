@@ -1,0 +1,275 @@
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from ruamel.yaml import YAML
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.workspace.params import (
+    OBJECT_FIELDS,
+    SECTIONS,
+    SHARED,
+    check_all,
+    check_key,
+    object_entry,
+    procedural_entry,
+    read,
+    stage_params,
+)
+
+REPOSITORY = Path(__file__).parents[2]
+MUG = {
+    "mesh": "data/objects/mug/mesh.glb",
+    "material": "ceramic",
+    "scale": 0.1,
+    "up": "y",
+    "wall": None,
+    "bridge": "all",
+}
+
+
+@pytest.fixture
+def values():
+    values = YAML(typ="safe").load((REPOSITORY / "params/quick.yaml").read_text())
+    return values | {"seed": 3, "sensor": "digit", "procedural": {}, "objects": {"mug": dict(MUG)}}
+
+
+@pytest.fixture
+def write(tmp_path, values):
+    def write(**changes):
+        path = tmp_path / "params.yaml"
+        with path.open("w") as stream:
+            YAML(typ="safe").dump(values | changes, stream)
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize("samples", [0, 1, 63])
+def test_test_views_need_samples_for_two_halves(write, values, samples):
+    section = values["render_views"] | {"test_samples": samples}
+    with pytest.raises(ObjectFolderError, match=rf"test_samples: .*got {samples}"):
+        stage_params("render_views", "mug", write(render_views=section))
+
+
+@pytest.mark.parametrize(
+    ("key", "reason"),
+    [
+        (7, "DVC drops integer keys silently"),
+        (True, "DVC drops integer keys silently"),
+        ("mug.old", "DVC reads a dot as a path"),
+        ("Mug", "all lower case"),
+        ("2mug", "expected a letter"),
+        ("mug-a", "keys become file and stage names"),
+        ("", "keys become file and stage names"),
+        ("mug\n", "keys become file and stage names"),
+        ("../x", "dot as a path"),
+        (None, "keys become file and stage names"),
+        (1.5, "keys become file and stage names"),
+        *((stage, "it is the name of a stage") for stage in ("modal", "pack", "train_vision")),
+    ],
+)
+def test_a_key_that_is_no_slug_is_refused_with_the_reason(key, reason):
+    with pytest.raises(ObjectFolderError, match=reason) as caught:
+        check_key(key, "params.yaml: objects")
+    assert str(caught.value).startswith("params.yaml: objects: ")
+    assert repr(key) in str(caught.value)
+
+
+@given(st.from_regex(r"[a-z][a-z0-9_]*", fullmatch=True))
+def test_slugs_are_keys(key):
+    if key not in OBJECT_FIELDS:
+        assert check_key(key) == key
+
+
+@given(st.text())
+def test_no_other_text_is_a_key(key):
+    try:
+        assert check_key(key) == key
+    except ObjectFolderError:
+        return
+    assert key.isascii()
+    assert key == key.lower()
+    assert not set(key) & set(" ./-\n\\")
+
+
+@pytest.mark.parametrize("key", [7, "a.b", "Mug"])
+def test_bad_keys_in_a_file_name_the_file(write, key):
+    path = write(objects={key: MUG})
+    with pytest.raises(ObjectFolderError, match="is not a valid object key") as caught:
+        read(path)
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"scale": 0}, r"scale: .*greater than 0, got 0"),
+        ({"scale": -0.1}, r"scale: .*greater than 0, got -0.1"),
+        ({"scale": float("nan")}, r"scale: .*got nan"),
+        ({"scale": 1000}, r"scale: .*less than or equal to 100, got 1000"),
+        ({"scale": "big"}, r"scale: .*valid number, got 'big'"),
+        ({"scale": True}, r"scale: .*got True"),
+        ({"scale": None}, r"scale: .*got None"),
+        ({"material": "gold"}, r"material: .*unknown material 'gold': expected one of ceramic"),
+        ({"material": 3}, r"material: .*got 3"),
+        ({"up": "x"}, r"up: .*'y' or 'z'.*got 'x'"),
+        ({"colour": "red"}, r"colour: .*got 'red'"),
+        ({"mesh": 5}, r"mesh: .*got 5"),
+        (
+            {"mesh": "data/objects/die/mesh.glb"},
+            r"mesh is 'data/objects/die/mesh.glb', expected a file in data/objects/mug/",
+        ),
+        ({"mesh": "/etc/passwd"}, r"expected a file in data/objects/mug/"),
+    ],
+)
+def test_a_wrong_field_names_file_field_and_value(write, change, message):
+    path = write(objects={"mug": MUG | change})
+    with pytest.raises(ObjectFolderError, match=message) as caught:
+        stage_params("normalize", "mug", path)
+    assert str(caught.value).startswith(f"{path}: objects.mug")
+
+
+def test_a_missing_field_and_an_entry_that_is_none(write):
+    entry = {k: v for k, v in MUG.items() if k != "scale"}
+    with pytest.raises(ObjectFolderError, match=r"objects\.mug: scale: Field required"):
+        stage_params("normalize", "mug", write(objects={"mug": entry}))
+    with pytest.raises(ObjectFolderError, match=r"objects\.mug: entry: .*got 'steel'"):
+        stage_params("normalize", "mug", write(objects={"mug": "steel"}))
+
+
+def test_whole_numbers_and_upper_case_materials_are_taken(values):
+    values["objects"]["mug"] |= {"scale": 2, "material": "Steel"}
+    entry = object_entry("mug", values)
+    assert entry.scale == 2.0
+    assert entry.material == "steel"
+
+
+def test_an_unknown_object_lists_the_known_ones(write):
+    with pytest.raises(ObjectFolderError, match=r"no object 'bowl' \(it has mug\); add it"):
+        stage_params("modal", "bowl", write())
+    with pytest.raises(ObjectFolderError, match="none yet"):
+        stage_params("modal", "bowl", write(objects={}))
+
+
+@pytest.mark.parametrize("stage", OBJECT_FIELDS)
+def test_a_stage_gets_its_declared_slice_and_nothing_else(write, values, stage):
+    params = stage_params(stage, "mug", write())
+    assert vars(params.object) == {name: MUG[name] for name in OBJECT_FIELDS[stage]}
+    for field in set(MUG) - set(OBJECT_FIELDS[stage]):
+        with pytest.raises(AttributeError):
+            getattr(params.object, field)
+    for name in ("seed", "sensor"):
+        if name in SHARED.get(stage, ()):
+            assert getattr(params, name) == values[name]
+        else:
+            with pytest.raises(AttributeError):
+                getattr(params, name)
+    assert (params.section is None) == (stage not in SECTIONS)
+    if stage in SECTIONS:
+        assert params.section.model_dump() == values[stage]
+
+
+def test_sections_are_frozen(write):
+    section = stage_params("modal", "mug", write()).section
+    with pytest.raises(ValueError, match="frozen"):
+        section.max_modes = 3
+
+
+def test_an_unrelated_broken_section_does_not_matter_to_a_stage(write, values):
+    path = write(train_vision={"net": "paper"})
+    stage_params("modal", "mug", path)
+    with pytest.raises(ObjectFolderError, match="train_vision: net"):
+        stage_params("train_vision", "mug", path)
+    with pytest.raises(ObjectFolderError, match="train_vision: net"):
+        check_all(read(path), path)
+
+
+@pytest.mark.parametrize(
+    ("section", "field", "value"),
+    [
+        ("modal", "max_modes", 0),
+        ("modal", "max_modes", 1.5),
+        ("modal", "max_modes", "many"),
+        ("modal", "max_modez", 3),
+        ("voxelize", "resolutions", []),
+        ("voxelize", "resolutions", [32, "x"]),
+        ("voxelize", "sdf_resolution", 4),
+        ("train_audio", "sizes", []),
+        ("train_audio", "sizes", [{"modes": 1}]),
+        ("render_views", "train", -1),
+        ("train_vision", "table_bits", 40),
+    ],
+)
+def test_a_wrong_value_of_a_section_names_file_section_and_field(write, values, section, field, value):
+    path = write(**{section: values[section] | {field: value}})
+    with pytest.raises(ObjectFolderError, match=field) as caught:
+        stage_params(section, "mug", path)
+    assert str(caught.value).startswith(f"{path}: {section}: {field}")
+
+
+def test_a_missing_section_says_how_to_get_it(write, values):
+    del values["modal"]
+    path = write()
+    for function in (lambda: stage_params("modal", "mug", path), lambda: check_all(read(path), path)):
+        with pytest.raises(
+            ObjectFolderError, match=r"lacks section 'modal'; run `objectfolder preset quick`"
+        ):
+            function()
+
+
+@pytest.mark.parametrize("change", [{"seed": -1}, {"seed": "x"}, {"sensor": 3}, {"seed": None}])
+def test_shared_values_are_checked(write, change):
+    with pytest.raises(ObjectFolderError, match=next(iter(change))):
+        stage_params("render_touch", "mug", write(**change))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a: [", "not valid YAML"),
+        ("- 1", "holds list, expected a mapping"),
+        ("", "expected a mapping"),
+        ("a: 1", "objects must be a mapping"),
+        ("objects: {}\nprocedural:\n", "procedural must be a mapping"),
+        ("objects: {}\nobjects: {}\nprocedural: {}", "not valid YAML"),
+    ],
+)
+def test_a_file_that_is_not_parameters_is_named(tmp_path, text, message):
+    (tmp_path / "params.yaml").write_text(text)
+    with pytest.raises(ObjectFolderError, match=message) as caught:
+        read(tmp_path / "params.yaml")
+    assert str(tmp_path / "params.yaml") in str(caught.value)
+
+
+def test_no_file(tmp_path):
+    with pytest.raises(ObjectFolderError, match="run inside an objectfolder workspace"):
+        read(tmp_path / "params.yaml")
+
+
+def test_the_audio_net_grows_with_the_number_of_modes(write):
+    section = stage_params("train_audio", "mug", write()).section
+    small, large = section.sizes
+    assert section.size(0) == section.size(small.modes) == small
+    assert section.size(small.modes + 1) == section.size(10**6) == large
+    assert large.width > small.width
+
+
+def test_procedural_entries(write):
+    path = write(procedural={"cup": {"generator": "mug", "height": 2.0}, "bad": {"height": 1}})
+    assert procedural_entry("cup", path) == ("mug", {"height": 2.0})
+    with pytest.raises(ObjectFolderError, match="procedural has no 'mug'"):
+        procedural_entry("mug", path)
+    with pytest.raises(ObjectFolderError, match=r"procedural\.bad: generator: Field required"):
+        procedural_entry("bad", path)
+
+
+@pytest.mark.parametrize("preset", sorted(p.stem for p in (REPOSITORY / "params").glob("*.yaml")))
+def test_presets_are_valid(values, preset):
+    sections = YAML(typ="safe").load((REPOSITORY / "params" / f"{preset}.yaml").read_text())
+    check_all(values | sections)
+
+
+def test_the_projects_own_parameters_are_valid():
+    check_all(read(REPOSITORY / "params.yaml"))
