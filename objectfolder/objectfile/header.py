@@ -28,7 +28,7 @@ def format_name() -> str:
 def schema() -> dict[str, Any]:
     """Return the JSON Schema of the header."""
     return json.loads(
-        resources.files("objectfolder.objectfile").joinpath("objectfile.schema.json").read_text()
+        resources.files(__package__).joinpath("objectfile.schema.json").read_text()
     )
 
 

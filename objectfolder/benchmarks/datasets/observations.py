@@ -1,7 +1,8 @@
 """Observations of several objects, as one memory-mapped table for all benchmarks.
 
 `objectfolder.benchmarks.datasets.sampling` writes a folder per object: ``vision.npy``, ``audio.npy``,
-``touch.npy``, ``queries.npz``, the Object File and, last, ``observations.json``, without which a folder is incomplete.
+``touch.npy``, ``queries.npz``, the Object File and, last, ``observations.json``. A folder without it is
+incomplete.
 """
 
 import hashlib
