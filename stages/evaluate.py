@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from objectfolder.audio.figures import show_sounds
 from objectfolder.audio.spectrogram import SHAPE
-from objectfolder.figures import page, save, show_answers, show_views
+from objectfolder.figures import page, save_page, show_views
 from objectfolder.io import read_npz, write_json
 from objectfolder.objectfile.evaluation import (
     Strikes,
@@ -58,11 +59,11 @@ def main(key: str) -> None:
     titles = shown_views(vision, SHOWN_VIEWS)
     sheet = page(1.6 * len(titles), 5.8, f"{key}: held-out views")
     show_views(sheet, *view_answers(file, views, list(titles)), list(titles.values()))
-    save(sheet, build.vision_sheet)
+    save_page(sheet, build.vision_sheet)
     shown = strikes[:SHOWN]
     sheet = page(3.6 * SHOWN, 9, f"{key}: 1 N s at held-out points of the surface, displacement")
-    show_answers(sheet, *strike_sounds(file, modes, shown), shown.titles(modes["points"] * file.scale))
-    save(sheet, build.sound_sheet)
+    show_sounds(sheet, *strike_sounds(file, modes, shown), shown.titles(modes["points"] * file.scale))
+    save_page(sheet, build.sound_sheet)
 
 
 if __name__ == "__main__":

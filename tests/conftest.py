@@ -8,7 +8,7 @@ from hypothesis import settings
 from threadpoolctl import threadpool_limits
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.inspection.scene import draw
+from objectfolder.inspection.scene import draw_scene
 from objectfolder.objectfile.file import ObjectFile
 
 # The same examples everywhere; `make fuzz` tries others. Tests that set a number of examples keep to it.
@@ -55,6 +55,6 @@ def brick(brick_path):
 def opengl():
     """Pictures of meshes need OpenGL, which a bare machine may lack; nothing else does."""
     try:
-        draw(lambda plotter: None)
+        draw_scene(lambda plotter: None)
     except ObjectFolderError as error:
         pytest.skip(str(error))

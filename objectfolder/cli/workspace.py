@@ -120,13 +120,12 @@ def inspect(
     vtu: Annotated[bool, typer.Option(help="Export the solid for ParaView (voxelize).")] = False,
 ) -> None:
     """Show what a stage's artifacts hold: a table, and a picture beside them."""
-    from objectfolder.inspection import inspect as run_inspect
-    from objectfolder.inspection import print_inspection
+    from objectfolder.inspection import inspect_stage, print_inspection
 
     stage, at, key = target.partition("@")
     if not at:
         raise ObjectFolderError(f"{target!r} is not STAGE@OBJECT, such as modal@mug")
-    print_inspection(run_inspect(stage, key, vtu=vtu), console)
+    print_inspection(inspect_stage(stage, key, vtu=vtu), console)
 
 
 def _print_metrics(keys: list[str]) -> None:

@@ -36,7 +36,7 @@ def view_rays(eye: np.ndarray, target: np.ndarray, fov: float, height: int, widt
     return rays.reshape(-1, 3)
 
 
-def draw(
+def draw_model(
     model: mujoco.MjModel, data: mujoco.MjData, eye: np.ndarray, rays: np.ndarray, height: int, width: int
 ) -> np.ndarray:
     """Picture of a scene whose positions are up to date (``mj_forward``): geoms in their colours, lit once.

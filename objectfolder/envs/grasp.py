@@ -20,7 +20,7 @@ from objectfolder.envs.fingers import Presses, presses, sensor_profile
 from objectfolder.envs.grasping import GraspScene, lowest_hand
 from objectfolder.envs.gripper import PAD, STROKE
 from objectfolder.envs.hulls import cached_hulls
-from objectfolder.envs.poses import rotation, turned
+from objectfolder.envs.poses import rotation, turn_poses
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator
@@ -375,7 +375,7 @@ def picture(episodes: Episodes, row: int, resolution: int = 256) -> np.ndarray:
 
     task = episodes.task
     x, y, yaw = episodes.objects[row]
-    place = turned(task.rest[None], np.array([yaw]), np.array([[x, y]]))[0]
+    place = turn_poses(task.rest[None], np.array([yaw]), np.array([[x, y]]))[0]
     width = task.touch(episodes.objects[row : row + 1], episodes.hands[row : row + 1]).width[0]
     return ExternalCamera(resolution).picture(task.file, place, episodes.hands[row], width or STROKE)
 
@@ -388,7 +388,7 @@ def _lying(scene: GraspScene, rng: np.random.Generator) -> np.ndarray:
     points = np.concatenate([hull.vertices for hull in scene.body.hulls]) @ rotation(pose[3:]).T
     turns = np.linspace(0, np.pi, 180, endpoint=False)
     extents = np.ptp(points[:, 0, None] * np.cos(turns) - points[:, 1, None] * np.sin(turns), axis=0)
-    return turned(pose[None], turns[[int(extents.argmin())]], np.zeros((1, 2)))[0]
+    return turn_poses(pose[None], turns[[int(extents.argmin())]], np.zeros((1, 2)))[0]
 
 
 def _cells(half: float, count: int) -> np.ndarray:

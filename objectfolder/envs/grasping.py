@@ -73,7 +73,7 @@ class Outcomes:
 
 
 @dataclass(frozen=True)
-class Frame:
+class GraspFrame:
     """A moment of a grasp; world frame."""
 
     phase: str
@@ -257,7 +257,7 @@ class GraspScene:
         """
         return self.lift(self.close(objects, hands, forces))
 
-    def watch(self, place: np.ndarray, hand: np.ndarray, force: float, every: float) -> list[Frame]:
+    def watch(self, place: np.ndarray, hand: np.ndarray, force: float, every: float) -> list[GraspFrame]:
         """One grasp through all its phases: reach, close, lift, hold, put back, release.
 
         Parameters
@@ -303,7 +303,7 @@ class GraspScene:
         rows = range(0, len(names), max(round(every / self.physics.timestep), 1))
         poses, hands = self._pose(states[0]), states[0][:, self._state(self._hand)]
         widths = states[0][:, self._state(self._jaws)].sum(1)
-        return [Frame(names[row], poses[row], hands[row], float(widths[row])) for row in rows]
+        return [GraspFrame(names[row], poses[row], hands[row], float(widths[row])) for row in rows]
 
     def _compile(self, reach: float = 0.0) -> mujoco.MjModel:
         spec = self.physics.scene()

@@ -11,7 +11,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import ConvexHull
 
-from objectfolder.envs.solid import joined, missing, simplified
+from objectfolder.envs.solid import merge_meshes, missing, simplify
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_npz, write_npz
 from objectfolder.objectfile.file import ObjectFile
@@ -53,13 +53,13 @@ def convex_hulls(mesh: trimesh.Trimesh, max_hulls: int = MAX_HULLS) -> tuple[tri
         raise ObjectFolderError(f"max_hulls is {max_hulls}, expected at least 1")
     coacd = _coacd()
     size = float(mesh.extents.max())
-    outer = [shell for shell in simplified(mesh, _DETAIL * size) if shell.volume > 0]
+    outer = [shell for shell in simplify(mesh, _DETAIL * size) if shell.volume > 0]
     if not outer:
         raise ObjectFolderError(
             f"a mesh of {len(mesh.faces)} faces has no hulls: expected a closed surface that is "
             "oriented outward, as ObjectFile.to_mesh() gives"
         )
-    shape = joined(outer)
+    shape = merge_meshes(outer)
     parts = coacd.run_coacd(
         coacd.Mesh(shape.vertices, shape.faces),
         threshold=_THRESHOLD,

@@ -18,9 +18,9 @@ from objectfolder.envs.reach import (
     GOAL_LOW,
     OBJECT_HIGH,
     OBJECT_LOW,
+    as_rigid_body,
     check_size,
-    lowest,
-    what_stands,
+    lowest_point,
 )
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
@@ -61,7 +61,7 @@ class SawyerReachObject(SawyerReachEnvV3):
         self._set_task_called = True
         self._partially_observable = False
         self.__dict__.pop("sawyer_observation_space", None)  # the one without goals
-        height = -lowest(body)
+        height = -lowest_point(body)
         self.init_config["obj_init_pos"][2] = height
         low, high = (*OBJECT_LOW, height, *GOAL_LOW), (*OBJECT_HIGH, height, *GOAL_HIGH)
         self._random_reset_space = Box(np.array(low), np.array(high), dtype=np.float64)
@@ -117,7 +117,7 @@ class MetaWorldReach(gymnasium.Env[np.ndarray, np.ndarray]):
     ):
         if not 1 <= horizon <= SawyerReachEnvV3.max_path_length:
             raise ObjectFolderError(f"horizon is {horizon}, expected 1 to {SawyerReachEnvV3.max_path_length}")
-        body = what_stands(file, hulls)
+        body = as_rigid_body(file, hulls)
         check_size(body)
         self.env = SawyerReachObject(body)
         self.horizon = horizon

@@ -18,7 +18,7 @@ def rotation(quaternion: np.ndarray) -> np.ndarray:
     return matrix.reshape(3, 3)
 
 
-def turned(poses: np.ndarray, yaws: np.ndarray, places: np.ndarray) -> np.ndarray:
+def turn_poses(poses: np.ndarray, yaws: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Turn (N, 7) poses by yaws (N,) about the vertical through the origin, then move them by (N, 2)."""
     yaws = np.asarray(yaws, np.float64)
     cos, sin = np.cos(yaws), np.sin(yaws)

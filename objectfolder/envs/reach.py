@@ -15,7 +15,7 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from objectfolder.envs.body import RigidBody, add_body, rigid_body
-from objectfolder.envs.drawing import draw, view_rays
+from objectfolder.envs.drawing import draw_model, view_rays
 from objectfolder.envs.hulls import cached_hulls
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
@@ -101,11 +101,11 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             raise ObjectFolderError(f"horizon is {horizon}, expected 1 or more control steps")
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ObjectFolderError(f"render_mode {render_mode!r} is unknown, expected rgb_array or None")
-        body = what_stands(file, hulls)
+        body = as_rigid_body(file, hulls)
         self.model = scene(body)
         self.data = mujoco.MjData(self.model)
         self.horizon, self.render_mode, self.resolution = horizon, render_mode, resolution
-        self._height = -lowest(body)  # of the object's origin when it stands on the table
+        self._height = -lowest_point(body)  # of the object's origin when it stands on the table
         self._hand = [self.model.joint(f"hand_{axis}").qposadr[0] for axis in "xyz"]
         self._fingers = [self.model.joint(f"finger_{side}").qposadr[0] for side in ("right", "left")]
         self._object = int(self.model.joint("object").qposadr[0])
@@ -125,7 +125,7 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """Put hand and object back, the object and the goal at random places."""
         super().reset(seed=seed)
         mujoco.mj_resetData(self.model, self.data)
-        place, self.goal = drawn(self.np_random)
+        place, self.goal = draw_placement(self.np_random)
         qpos = self.data.qpos
         qpos[self._hand] = self.data.mocap_pos[self._target] = HAND_START
         qpos[self._object : self._object + 3] = *place, self._height
@@ -158,7 +158,7 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         if self.render_mode is None:
             return None
         mujoco.mj_kinematics(self.model, self.data)  # a step leaves positions of the one before
-        return draw(
+        return draw_model(
             self.model, self.data, EYE, view_rays(EYE, TARGET, FOV, *self.resolution), *self.resolution
         )
 
@@ -176,7 +176,7 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         return np.clip(stacked, self.observation_space.low, self.observation_space.high)  # type: ignore[attr-defined]
 
 
-def drawn(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def draw_placement(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Draw a place of the object (2,) and a goal (3,), m: uniform, but at least `APART` from each other."""
     while True:
         place, goal = rng.uniform(OBJECT_LOW, OBJECT_HIGH), rng.uniform(GOAL_LOW, GOAL_HIGH)
@@ -260,7 +260,7 @@ def _add_hand(spec: mujoco.MjSpec) -> None:
     )  # fmt: skip
 
 
-def what_stands(
+def as_rigid_body(
     file: "ObjectFile | RigidBody | str | Path", hulls: "Sequence[trimesh.Trimesh] | None" = None
 ) -> RigidBody:
     """Return what an environment is given as a rigid body; without hulls, the user's cache has them."""
@@ -273,7 +273,7 @@ def what_stands(
     return rigid_body(file, hulls)
 
 
-def lowest(body: RigidBody) -> float:
+def lowest_point(body: RigidBody) -> float:
     """Lowest coordinate of the hulls, which stand on the table; object frame, m."""
     return float(min(hull.bounds[0, 2] for hull in body.hulls))
 

@@ -30,7 +30,7 @@ def close_holes(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     return trimesh.Trimesh(mesh.vertices, np.concatenate([faces, added]), process=False)
 
 
-def simplified(mesh: trimesh.Trimesh, tolerance: float) -> tuple[trimesh.Trimesh, ...]:
+def simplify(mesh: trimesh.Trimesh, tolerance: float) -> tuple[trimesh.Trimesh, ...]:
     """Connected closed surfaces of a mesh with as few triangles as a tolerance allows.
 
     Parameters
@@ -64,7 +64,7 @@ def simplified(mesh: trimesh.Trimesh, tolerance: float) -> tuple[trimesh.Trimesh
     )
 
 
-def joined(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
+def merge_meshes(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
     """One mesh of several, as they are."""
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     faces = [mesh.faces + start for mesh, start in zip(meshes, starts)]

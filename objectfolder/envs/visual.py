@@ -5,7 +5,7 @@ import torch
 import trimesh
 from PIL import Image
 
-from objectfolder.envs.solid import joined, simplified
+from objectfolder.envs.solid import merge_meshes, simplify
 from objectfolder.nets.vision_surface import SurfaceNet, in_cube
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.parts import Parts
@@ -29,7 +29,7 @@ def visual_mesh(file: ObjectFile) -> trimesh.Trimesh:
         If the file holds no geometry, or manifold3d is not installed.
     """
     whole = file.to_mesh()
-    mesh = joined(simplified(whole, _DETAIL * file.scale) or [whole])
+    mesh = merge_meshes(simplify(whole, _DETAIL * file.scale) or [whole])
     net = Parts(file.header, file.tensors, torch.device("cpu")).vision if "vision" in file.header else None
     normals = file.surface.grid.normals(torch.from_numpy((mesh.vertices / file.scale).astype(np.float32)))
     if not isinstance(net, SurfaceNet):

@@ -20,7 +20,7 @@ from objectfolder.inspection.sound import inspect_modal
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.params import check_key
 
-__all__ = ["STAGES", "Inspection", "inspect", "print_inspection"]
+__all__ = ["STAGES", "Inspection", "inspect_stage", "print_inspection"]
 
 #: What inspects each stage.
 STAGES: dict[str, Callable[[Build], Inspection]] = {
@@ -37,7 +37,7 @@ STAGES: dict[str, Callable[[Build], Inspection]] = {
 }
 
 
-def inspect(stage: str, key: str, root: str | Path = ".", vtu: bool = False) -> Inspection:
+def inspect_stage(stage: str, key: str, root: str | Path = ".", vtu: bool = False) -> Inspection:
     """Summarise what a stage wrote for an object, and draw it.
 
     Parameters

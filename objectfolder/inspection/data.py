@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from objectfolder.figures import columns, page, rows, save, show_image
+from objectfolder.figures import page, page_columns, page_rows, save_page, show_image
 from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
-from objectfolder.inspection.scene import CLAY, VIEW_FROM, draw, triangles
+from objectfolder.inspection.scene import CLAY, VIEW_FROM, draw_scene, triangles
 from objectfolder.io import read_json, read_npz
 from objectfolder.mesh.ply import read_surface
 from objectfolder.vision.cameras import Intrinsics, project
@@ -51,7 +51,7 @@ def inspect_render_views(build: Build) -> Inspection:
             ("  renderer", str(views["renderer"])),
         ]
     figure = page(15, 13, f"render_views@{build.key}")
-    top, bottom = rows(figure, 3, 1.4)
+    top, bottom = page_rows(figure, 3, 1.4)
     top.suptitle("training views, on white; yellow: the light (filled: before the object, ring: behind it)")
     _show_views(top.subplots(3, 6).flat, splits["train"])
     for axes, name in zip(bottom.subplots(1, 2), ("camera", "light")):
@@ -67,7 +67,7 @@ def inspect_render_views(build: Build) -> Inspection:
         )
         axes.legend(loc="upper right")
         axes.grid(alpha=0.3)
-    picture = save(figure, picture_path(build, "render_views"))
+    picture = save_page(figure, picture_path(build, "render_views"))
     return Inspection(f"render_views@{build.key}", table, [picture, build.views_sheet])
 
 
@@ -89,7 +89,7 @@ def inspect_render_touch(build: Build) -> Inspection:
             ("  obstructed", f"{np.mean(contacts['obstructed'] > 0):.1%} of the contacts"),
         ]
     figure = page(15, 10.5, f"render_touch@{build.key}")
-    left, right = columns(figure, 2.4, 1)
+    left, right = page_columns(figure, 2.4, 1)
     left.suptitle("training contacts: press depth [mm]; red: the object reaches behind the gel")
     _show_touches(left.subplots(4, 8).flat, splits["train"])
     surface, scale = read_surface(build.surface), read_json(build.normalize)["scale_m"]
@@ -97,7 +97,7 @@ def inspect_render_touch(build: Build) -> Inspection:
     x, y, z = VIEW_FROM
     for axes, view_from in zip(right.subplots(2, 1), (VIEW_FROM, (-x, -y, -z))):
         show_image(axes, _draw_contacts(*surface, scale, splits, view_from))
-    picture = save(figure, picture_path(build, "render_touch"))
+    picture = save_page(figure, picture_path(build, "render_touch"))
     return Inspection(f"render_touch@{build.key}", table, [picture, build.touch_sheet])
 
 
@@ -156,7 +156,7 @@ def _draw_contacts(
                     render_points_as_spheres=True,
                 )
 
-    return draw(add, view_from)
+    return draw_scene(add, view_from)
 
 
 def _angles(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,9 +10,9 @@ import numpy as np
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.cutcell import CutCells
 from objectfolder.fem.elements import restored
-from objectfolder.figures import page, rows, save, show_image
+from objectfolder.figures import page, page_rows, save_page, show_image
 from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
-from objectfolder.inspection.scene import CLAY, VIEW_FROM, add_textured, draw, hexahedra, triangles
+from objectfolder.inspection.scene import CLAY, VIEW_FROM, add_textured, draw_scene, hexahedra, triangles
 from objectfolder.io import atomic, read_json, read_npz
 from objectfolder.mesh.closing.topology import signed_volume
 from objectfolder.mesh.grid import BOUND, DistanceGrid
@@ -63,13 +63,13 @@ def inspect_normalize(build: Build) -> Inspection:
     surface = triangles(vertices, faces)
     opened = surface.clip(normal="-y", origin=(0, 0, 0))
     images = {
-        "visual.glb": draw(lambda plotter: add_textured(plotter, visual)),
-        f"surface.ply: {len(faces):,} faces": draw(
+        "visual.glb": draw_scene(lambda plotter: add_textured(plotter, visual)),
+        f"surface.ply: {len(faces):,} faces": draw_scene(
             lambda plotter: plotter.add_mesh(
                 surface, color=CLAY, show_edges=True, edge_color="#34495e", line_width=0.5
             )
         ),
-        "cut at y = 0; red is the inside": draw(
+        "cut at y = 0; red is the inside": draw_scene(
             lambda plotter: plotter.add_mesh(opened, color=CLAY, backface_params={"color": "#d9534f"}),
             CUT_FROM,
         ),
@@ -78,7 +78,7 @@ def inspect_normalize(build: Build) -> Inspection:
     figure = page(15, 5.6, title)
     for axes, (name, image) in zip(figure.subplots(1, 3), images.items()):
         show_image(axes, image, name)
-    return Inspection(f"normalize@{build.key}", table, [save(figure, picture_path(build, "normalize"))])
+    return Inspection(f"normalize@{build.key}", table, [save_page(figure, picture_path(build, "normalize"))])
 
 
 def inspect_voxelize(build: Build) -> Inspection:
@@ -150,7 +150,7 @@ def _solid(build: Build) -> tuple[CutCells, float]:
 def _voxelize_picture(build: Build, cells: CutCells, grid: DistanceGrid, scale: float) -> Path:
     middle = (cells.index[:, 1].min() + cells.index[:, 1].max()) / 2
     figure = page(14, 9.5, f"voxelize@{build.key}")
-    top, bottom = rows(figure, 1, 1)
+    top, bottom = page_rows(figure, 1, 1)
     left, centre, right = top.subplots(1, 3)
     for axes, keep, view_from, name in (
         (left, slice(None), VIEW_FROM, "solid.npz: cells by fill"),
@@ -158,7 +158,7 @@ def _voxelize_picture(build: Build, cells: CutCells, grid: DistanceGrid, scale: 
     ):
         part = hexahedra(cells.index[keep], cells.lower, cells.cell_size, cells.width[keep])
         part.cell_data["fill"] = cells.fill[keep]
-        image = draw(partial(_add_cells, part), view_from)
+        image = draw_scene(partial(_add_cells, part), view_from)
         show_image(axes, image, name)
     _, bins, bars = right.hist(cells.fill, bins=20, range=(0, 1))
     for low, bar in zip(bins, bars.patches):
@@ -167,7 +167,7 @@ def _voxelize_picture(build: Build, cells: CutCells, grid: DistanceGrid, scale: 
         title=f"fill of {len(cells.index):,} cells", xlabel="fill (colour as on the left)", ylabel="cells"
     )
     _show_slices(bottom, grid, scale)
-    return save(figure, picture_path(build, "voxelize"))
+    return save_page(figure, picture_path(build, "voxelize"))
 
 
 def _add_cells(cells: "pyvista.UnstructuredGrid", plotter: "pyvista.Plotter") -> None:

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.figures import page, rows, save, show_image, show_spectrogram
+from objectfolder.audio.figures import show_spectrogram
+from objectfolder.figures import page, page_rows, save_page, show_image
 from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
 from objectfolder.io import read_json, read_safetensors
 from objectfolder.objectfile.file import ObjectFile
@@ -66,7 +67,7 @@ def inspect_net(build: Build, modality: str) -> Inspection:
         axes.set_yscale("log")
     axes.grid(alpha=0.3, which="both")
     axes.legend()
-    return Inspection(f"{stage}@{build.key}", table, [save(figure, picture_path(build, stage))])
+    return Inspection(f"{stage}@{build.key}", table, [save_page(figure, picture_path(build, stage))])
 
 
 def inspect_pack(build: Build) -> Inspection:
@@ -97,7 +98,7 @@ def _pack_picture(build: Build, file: ObjectFile) -> Path:
     points = file.sample_surface(TOUCHES)
     title = f"pack@{build.key}: answers of the Object File ({file.material}, {file.scale * 1000:g} mm)"
     figure = page(14, 12, title)
-    views, touches, sounds = rows(figure, 1.1, 1.1, 1)
+    views, touches, sounds = page_rows(figure, 1.1, 1.1, 1)
     lights = CAMERAS / CAMERA_RADIUS + LIGHT_OFFSET
     for axes, image, camera in zip(views.subplots(1, len(CAMERAS)), file.view(CAMERAS, lights), CAMERAS):
         show_image(axes, image, f"camera at {_triple(camera)} sizes")
@@ -118,7 +119,7 @@ def _pack_picture(build: Build, file: ObjectFile) -> Path:
     )
     left.grid(alpha=0.3)
     show_spectrogram(right, sound, "its spectrogram")
-    return save(figure, picture_path(build, "pack"))
+    return save_page(figure, picture_path(build, "pack"))
 
 
 def _tensor_rows(tensors: Mapping[str, np.ndarray]) -> list[tuple[str, str]]:

@@ -16,7 +16,7 @@ VIEW_FROM = (0.55, -1.0, 0.55)  #: default direction from the object to the came
 CLAY = "#c9ccd1"
 
 
-def draw(
+def draw_scene(
     add: Callable[["pyvista.Plotter"], Any],
     view_from: tuple[float, float, float] = VIEW_FROM,
     size: tuple[int, int] = (800, 800),

@@ -5,11 +5,12 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from objectfolder.audio.figures import show_spectrogram
 from objectfolder.audio.spectrogram import SAMPLE_RATE
 from objectfolder.audio.synthesis import gains, sinusoid_bank
-from objectfolder.figures import page, rows, save, show_image, show_spectrogram
+from objectfolder.figures import page, page_rows, save_page, show_image
 from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
-from objectfolder.inspection.scene import draw, triangles
+from objectfolder.inspection.scene import draw_scene, triangles
 from objectfolder.io import read_json, read_npz
 from objectfolder.mesh.ply import read_surface
 from objectfolder.nets.audio_gains import energy_weights
@@ -68,7 +69,7 @@ def _modal_picture(
     vertices, faces = read_surface(build.surface)
     shapes = modes["shapes"][: len(vertices)]  # the surface's vertices are the first points
     figure = page(15, 13.5, f"modal@{build.key}: first mode shapes, exaggerated (colour: amplitude)")
-    top, bottom = rows(figure, 2, 1)
+    top, bottom = page_rows(figure, 2, 1)
     for mode, axes in enumerate(top.subplots(2, DRAWN // 2).flat):
         axes.set_axis_off()
         if mode < len(frequency):
@@ -88,7 +89,7 @@ def _modal_picture(
     )
     right.legend()
     right.grid(alpha=0.3, which="both")
-    return save(figure, picture_path(build, "modal"))
+    return save_page(figure, picture_path(build, "modal"))
 
 
 def _draw_shape(vertices: np.ndarray, faces: np.ndarray, shape: np.ndarray) -> np.ndarray:
@@ -97,7 +98,7 @@ def _draw_shape(vertices: np.ndarray, faces: np.ndarray, shape: np.ndarray) -> n
     largest = max(float(amplitude.max()), 1e-30)
     moved = triangles(vertices + shape * (DISPLACEMENT / largest), faces)
     moved.point_data["amplitude"] = amplitude / largest
-    return draw(
+    return draw_scene(
         lambda plotter: plotter.add_mesh(
             moved, scalars="amplitude", cmap="YlOrRd", clim=(0, 1), show_scalar_bar=False, smooth_shading=True
         )

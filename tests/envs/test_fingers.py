@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from objectfolder.envs.fingers import TrueSurface, feel, press_depths, presses, sensor_angles, sensor_profile
-from objectfolder.envs.poses import turned
+from objectfolder.envs.poses import turn_poses
 from objectfolder.touch.contact import sensor_frames
 
 
@@ -22,7 +22,7 @@ def test_angles_point_the_sensor_where_it_looks(rng):
 
 
 def test_contacts_in_the_frame_of_the_object():
-    place = turned(np.array([[0.0, 0, 0.05, 1, 0, 0, 0]]), [np.pi / 2], np.array([[0.3, 0.0]]))
+    place = turn_poses(np.array([[0.0, 0, 0.05, 1, 0, 0, 0]]), [np.pi / 2], np.array([[0.3, 0.0]]))
     hand = np.array([[0.3, 0.0, 0.05, np.pi / 2]])
     # Jaws close along the world's y, which is the object's x.
     pressed = presses(place, hand, np.array([[[0.3, 0.02, 0.05], [0.3, -0.02, 0.06]]]))

@@ -6,7 +6,7 @@ from objectfolder.envs.body import RigidBody, rigid_body
 from objectfolder.envs.grasping import LIFT, GraspScene, Physics, lowest_hand
 from objectfolder.envs.gripper import SIDES, STROKE, add_gripper
 from objectfolder.envs.hulls import convex_hulls
-from objectfolder.envs.poses import hand_axes, rotation, turned
+from objectfolder.envs.poses import hand_axes, rotation, turn_poses
 from objectfolder.errors import ObjectFolderError
 
 GRAVITY = 9.81
@@ -29,7 +29,7 @@ def flat(scene):
     rests = scene.rests(np.random.default_rng(0), 8)
     lowest = rests[[rests[:, 2].argmin()]]
     long = rotation(lowest[0, 3:])[:2, 0]
-    return turned(lowest, [np.pi / 2 - np.arctan2(long[1], long[0])], np.zeros((1, 2)))
+    return turn_poses(lowest, [np.pi / 2 - np.arctan2(long[1], long[0])], np.zeros((1, 2)))
 
 
 def over(scene, y=0.0, yaw=0.0):
@@ -83,7 +83,7 @@ def test_rows_do_not_depend_on_each_other_or_on_threads(scene, flat, body):
 def test_the_table_does_not_mind_where_a_grasp_is(scene, flat):
     """Turned and moved, all happens as before: to what rounding makes of it."""
     here = scene.grasp(flat, over(scene, 0.01, 0.1), np.array([12.0]))
-    objects = turned(flat, [0.7], np.array([[0.2, -0.1]]))
+    objects = turn_poses(flat, [0.7], np.array([[0.2, -0.1]]))
     spin = np.array([[np.cos(0.7), -np.sin(0.7)], [np.sin(0.7), np.cos(0.7)]])
     hand = over(scene, 0.01, 0.1)
     hand[0, :2] = spin @ hand[0, :2] + [0.2, -0.1]
@@ -136,7 +136,7 @@ def test_jaws_are_coupled_and_open_as_far_as_a_wsg_50():
 
 def test_turned_poses():
     pose = np.array([[0.1, 0.0, 0.3, 1.0, 0, 0, 0]])
-    moved = turned(pose, [np.pi / 2], np.array([[1.0, 2.0]]))[0]
+    moved = turn_poses(pose, [np.pi / 2], np.array([[1.0, 2.0]]))[0]
     assert moved[:3] == pytest.approx([1.0, 2.1, 0.3])
     assert rotation(moved[3:]) == pytest.approx(np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]), abs=1e-12)
     assert hand_axes(np.array([[0, 0, 0, np.pi / 2]]))[0][:, 0] == pytest.approx([0, 1, 0])

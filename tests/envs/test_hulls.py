@@ -5,7 +5,7 @@ from solids import box, flipped, join, sphere
 
 from objectfolder.envs import hulls as module
 from objectfolder.envs.hulls import MAX_VERTICES, cached_hulls, convex_hulls, read_hulls, write_hulls
-from objectfolder.envs.solid import close_holes, simplified
+from objectfolder.envs.solid import close_holes, simplify
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_npz, write_npz
 
@@ -202,6 +202,6 @@ def test_flat_hole_is_closed_flat():
 
 def test_simplified_surface_has_the_shape():
     ball = mesh_of(sphere(1.0, 5))
-    (light,) = simplified(ball, 0.01)
+    (light,) = simplify(ball, 0.01)
     assert len(light.faces) < len(ball.faces) / 10
     assert np.abs(np.linalg.norm(light.triangles_center, axis=1) - 1).max() < 0.02

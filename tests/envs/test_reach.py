@@ -20,7 +20,7 @@ from objectfolder.envs.reach import (
     OBJECT_LOW,
     TIP,
     ReachEnv,
-    drawn,
+    draw_placement,
     reward,
 )
 from objectfolder.errors import ObjectFolderError
@@ -156,7 +156,7 @@ def test_a_step_is_rewarded_for_the_fingertips_and_tells_of_success(body):
 
 def test_objects_and_goals_fill_their_ranges_and_keep_apart():
     rng = np.random.default_rng(0)
-    places, goals = map(np.array, zip(*(drawn(rng) for _ in range(2000))))
+    places, goals = map(np.array, zip(*(draw_placement(rng) for _ in range(2000))))
     for values, low, high in ((places, OBJECT_LOW, OBJECT_HIGH), (goals, GOAL_LOW, GOAL_HIGH)):
         assert (low <= values).all()
         assert (values <= high).all()

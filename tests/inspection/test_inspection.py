@@ -18,7 +18,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.elements import restored, stored
 from objectfolder.fem.modal import modal_analysis
-from objectfolder.inspection import STAGES, Inspection, inspect, print_inspection
+from objectfolder.inspection import STAGES, Inspection, inspect_stage, print_inspection
 from objectfolder.io import (
     atomic,
     read_json,
@@ -156,7 +156,7 @@ def _nets(build):
 
 @cache
 def _inspected(root, stage):
-    return inspect(stage, "brick", root)
+    return inspect_stage(stage, "brick", root)
 
 
 def _rows(root, stage):
@@ -201,7 +201,9 @@ def test_normalize_tells_when_the_meshes_are_in_different_frames(tmp_path, openg
     x, y, z = mesh.vertices.T
     _write_visual(build, mesh.with_vertices(np.stack([x, -z, y], 1)))
     # The cross-section of 100 mm x 50 mm is turned by 90°.
-    assert dict(inspect("normalize", "brick", tmp_path).rows)["visual to surface"] == "at most 25 mm apart"
+    assert (
+        dict(inspect_stage("normalize", "brick", tmp_path).rows)["visual to surface"] == "at most 25 mm apart"
+    )
 
 
 def test_normalize_counts_pieces_and_holes(tmp_path, opengl):
@@ -213,7 +215,7 @@ def test_normalize_counts_pieces_and_holes(tmp_path, opengl):
     lump = trimesh.creation.icosphere(3, radius=0.05).apply_translation([0, 0, 0.155])
     mesh = trimesh.util.concatenate([plate, lump])
     _geometry(Build("plate", tmp_path), TexturedMesh(np.array(mesh.vertices), np.array(mesh.faces, np.int64)))
-    rows = dict(inspect("normalize", "plate", tmp_path).rows)
+    rows = dict(inspect_stage("normalize", "plate", tmp_path).rows)
     assert rows["holes through it"] == "2"
     assert rows["surface"].endswith("1 body, 1 cavity")
     assert "bridge: 1 gaps up to 0.500% of the size filled (volume +" in rows["closed by"]
@@ -235,7 +237,7 @@ def test_voxelize_rows(root):
 
 def test_vtu_is_the_solid_in_metres(root):
     cells = restored(read_npz(Build("brick", root).solid))
-    (path,) = inspect("voxelize", "brick", root, vtu=True).files
+    (path,) = inspect_stage("voxelize", "brick", root, vtu=True).files
     grid = pyvista.read(path)
     assert grid.n_cells == len(cells.index)
     assert set(grid.celltypes) == {pyvista.CellType.HEXAHEDRON}
@@ -270,7 +272,7 @@ def test_modal_tells_of_a_reused_solve(tmp_path, root):
         getattr(build, name).parent.mkdir(parents=True, exist_ok=True)
         getattr(build, name).write_bytes(getattr(source, name).read_bytes())
     write_json(build.modal, report)
-    rows = dict(inspect("modal", "brick", tmp_path).rows)
+    rows = dict(inspect_stage("modal", "brick", tmp_path).rows)
     assert rows["below 20 kHz"] == "not counted (truncated)"
     assert rows["solved"] == "not anew: scaled from an earlier solve"
     assert "solved" not in _rows(root, "modal")
@@ -285,7 +287,7 @@ def test_modal_of_an_object_without_modes(tmp_path, root):
     write_npz(build.modes, **modes)
     write_json(build.modal, report | {"modes": 0, "modes_below_8_kHz": 0})
     build.surface.write_bytes(source.surface.read_bytes())
-    inspection = inspect("modal", "brick", tmp_path)
+    inspection = inspect_stage("modal", "brick", tmp_path)
     assert dict(inspection.rows)["modes"] == "0, of which 0 below 8 kHz"
     assert inspection.pictures == []
 
@@ -321,7 +323,7 @@ def test_train_of_an_object_with_nothing_to_learn(tmp_path, root):
     build = Build("brick", tmp_path)
     write_curve(build.curve("audio"), [])
     build.net("audio").write_bytes(Build("brick", root).net("audio").read_bytes())
-    inspection = inspect("train_audio", "brick", tmp_path)
+    inspection = inspect_stage("train_audio", "brick", tmp_path)
     assert dict(inspection.rows)["curve"].startswith("empty")
     assert inspection.pictures == []
 
@@ -345,23 +347,23 @@ def test_evaluate_rows(root):
 
 def test_unknown_stage_names_the_close_ones(tmp_path):
     with pytest.raises(ObjectFolderError, match="'modl'; did you mean modal"):
-        inspect("modl", "brick", tmp_path)
+        inspect_stage("modl", "brick", tmp_path)
     with pytest.raises(ObjectFolderError, match="expected one of normalize, voxelize"):
-        inspect("xyz", "brick", tmp_path)
+        inspect_stage("xyz", "brick", tmp_path)
 
 
 @pytest.mark.parametrize("stage", STAGES)
 def test_missing_artifact_says_what_to_build(tmp_path, stage):
     with pytest.raises(ObjectFolderError, match=f"does not exist; run `objectfolder build {stage}@brick`"):
-        inspect(stage, "brick", tmp_path)
+        inspect_stage(stage, "brick", tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_bad_key_and_vtu_of_another_stage(tmp_path):
     with pytest.raises(ObjectFolderError, match="not a valid object key"):
-        inspect("modal", "../brick", tmp_path)
+        inspect_stage("modal", "../brick", tmp_path)
     with pytest.raises(ObjectFolderError, match="inspect voxelize@brick --vtu"):
-        inspect("modal", "brick", tmp_path, vtu=True)
+        inspect_stage("modal", "brick", tmp_path, vtu=True)
 
 
 @pytest.mark.skipif(
@@ -369,7 +371,7 @@ def test_bad_key_and_vtu_of_another_stage(tmp_path):
     reason="needs VTK's off-screen window to be unusable",
 )
 def test_without_opengl_the_error_says_what_to_install():
-    code = "from objectfolder.inspection.scene import draw; draw(lambda plotter: None)"
+    code = "from objectfolder.inspection.scene import draw_scene; draw_scene(lambda plotter: None)"
     environment = os.environ | {"VTK_DEFAULT_OPENGL_WINDOW": "vtkOSOpenGLRenderWindow"}
     ran = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
     assert ran.returncode == 1

@@ -13,7 +13,7 @@ from objectfolder import ObjectFile
 from objectfolder.audio.spectrogram import spectrogram
 from objectfolder.audio.synthesis import gains, sinusoid_bank
 from objectfolder.errors import ObjectFolderError
-from objectfolder.figures import magnitudes, page, save, show_answers, show_views
+from objectfolder.figures import page, save_page, show_views
 from objectfolder.objectfile.evaluation import (
     Strikes,
     evaluate_gains,
@@ -226,42 +226,8 @@ def test_the_sheet_of_views_shows_truth_answer_and_enlarged_difference(brick, vi
     ]
     difference = figure.axes[5].images[0].get_array()
     np.testing.assert_allclose(difference, 0.6, atol=1e-5)
-    with Image.open(save(figure, tmp_path / "sheet.png")) as image:
+    with Image.open(save_page(figure, tmp_path / "sheet.png")) as image:
         assert np.asarray(image.convert("RGB")).std() > 5
-
-
-# The sheet
-
-
-def test_the_sheet_shows_truth_answer_and_difference(tmp_path):
-    time = np.arange(32000) / 16000
-    truth = np.stack([np.sin(2 * np.pi * f * time) * np.exp(-4 * time) for f in (1000, 3000)])
-    figure = page(8, 9, "x: sounds")
-    show_answers(figure, truth, 0.9 * truth, ["one", "two"])
-    panels = figure.axes[:6]
-    assert [a.get_title() for a in panels[::2]] == ["one\nground truth", "Object File", "difference"]
-    assert panels[0].get_ylabel() == "frequency [kHz]"
-    assert panels[4].get_xlabel() == "time [s]"
-    assert figure.axes[6].get_ylabel() == "dB below the peak of the ground truth"
-    peaks = np.array([a.images[0].get_array().max() for a in panels]).reshape(3, 2)
-    np.testing.assert_allclose(peaks, [[0, 0], [20 * np.log10(0.9)] * 2, [-20, -20]], atol=1e-3)
-    # Rows are frequencies: 1 and 3 kHz out of 8.
-    for axes, hertz in zip(panels[:2], (1000, 3000)):
-        loudest = int(axes.images[0].get_array()[:, 50].argmax())
-        assert loudest * 8000 / 256 == pytest.approx(hertz, abs=32)
-    with Image.open(save(figure, tmp_path / "sheet.png")) as image:
-        assert np.asarray(image.convert("RGB")).std() > 5
-
-
-def test_the_sheet_of_silence_says_so(tmp_path):
-    figure = page(8, 9, "x: silence")
-    show_answers(figure, np.zeros((2, 32000)), np.zeros((2, 32000)), ["one", "two"])
-    assert all(a.texts[0].get_text() == "silent" for a in figure.axes)
-    assert save(figure, tmp_path / "sheet.png").stat().st_size > 1000
-
-
-def test_magnitudes_are_those_of_the_papers_spectrogram():
-    assert magnitudes(np.ones(32000)).shape == (257, 201)
 
 
 # Touches

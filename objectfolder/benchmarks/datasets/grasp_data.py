@@ -19,7 +19,7 @@ from objectfolder.envs.camera import ExternalCamera
 from objectfolder.envs.fingers import Presses, TrueSurface, feel, press_depths, presses, sensor_profile
 from objectfolder.envs.grasping import GraspScene, Outcomes, Physics, lowest_hand
 from objectfolder.envs.gripper import PAD
-from objectfolder.envs.poses import hand_axes, rotation, turned
+from objectfolder.envs.poses import hand_axes, rotation, turn_poses
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import atomic, read_json, write_json, write_npz
 from objectfolder.objectfile.file import ObjectFile
@@ -173,7 +173,7 @@ def draw_attempts(
         n = 4 * count
         rest = rests[rng.integers(len(rests), size=n)]
         places = rng.uniform(-PLACES, PLACES, (n, 2))
-        objects = turned(rest, rng.uniform(-np.pi, np.pi, n), places)
+        objects = turn_poses(rest, rng.uniform(-np.pi, np.pi, n), places)
         body = np.stack([_placed(points, pose) for pose in objects])
         over = body[np.arange(n), rng.integers(len(points), size=n), :2]
         hands = np.empty((n, 4))

@@ -18,7 +18,7 @@ from objectfolder.envs.body import rigid_body
 from objectfolder.envs.camera import ExternalCamera
 from objectfolder.envs.features import Feel, TouchBank, TouchFeatures
 from objectfolder.envs.grasp import FORCE, STEPS, Episodes, GraspTask, GraspVectorEnv
-from objectfolder.envs.poses import turned
+from objectfolder.envs.poses import turn_poses
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator
 
@@ -144,7 +144,7 @@ def film(task: GraspTask, bank: TouchBank, actor: Actor, count: int, seed: int) 
     camera, frames = ExternalCamera(PIXELS), []
     for row in shown:
         x, y, yaw = episodes.objects[row]
-        place = turned(task.rest[None], np.array([yaw]), np.array([[x, y]]))[0]
+        place = turn_poses(task.rest[None], np.array([yaw]), np.array([[x, y]]))[0]
         for moment in task.scene.watch(place, episodes.hands[row], FORCE, FRAME):
             frame = camera.picture(task.file, moment.place, moment.hand, moment.width).copy()
             frame[-6:] = (30, 150, 60) if held[row] else (190, 40, 40)

@@ -1,0 +1,80 @@
+"""Spectrogram panels for pages made with `objectfolder.figures`."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from objectfolder.audio.spectrogram import HOP, SAMPLE_RATE, spectrogram
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.image import AxesImage
+
+DYNAMIC_RANGE = 80.0  #: displayed range of a spectrogram, dB
+
+
+def show_spectrogram(
+    axes: "Axes", sound: np.ndarray, title: str = "", peak: float | None = None
+) -> "AxesImage | None":
+    """Show the spectrogram of a sound in decibels below its peak.
+
+    Parameters
+    ----------
+    sound : (samples,) array at `SAMPLE_RATE`
+    title : str
+    peak : float, optional
+        Reference magnitude instead of the sound's own; no colour bar is added then, since panels share one.
+
+    Returns
+    -------
+    AxesImage or None
+        None for a silent sound.
+    """
+    level = magnitudes(sound)
+    axes.set(title=title, xlabel="time [s]", ylabel="frequency [kHz]")
+    top = level.max() if peak is None else peak
+    if not (level.any() and top > 0):
+        axes.text(0.5, 0.5, "silent", transform=axes.transAxes, ha="center", va="center")
+        return None
+    decibels = 20 * np.log10(np.maximum(level / top, 10 ** (-DYNAMIC_RANGE / 20)))
+    extent = (0, (level.shape[1] - 1) * HOP / SAMPLE_RATE, 0, SAMPLE_RATE / 2000)
+    image = axes.imshow(
+        decibels, origin="lower", aspect="auto", extent=extent, cmap="magma", vmin=-DYNAMIC_RANGE, vmax=0
+    )
+    if peak is None:
+        axes.figure.colorbar(image, ax=axes, label="dB below the peak")
+    return image
+
+
+def magnitudes(sound: np.ndarray) -> np.ndarray:
+    """Return the spectrogram magnitudes of a (samples,) sound; (257, frames)."""
+    return spectrogram(torch.from_numpy(np.asarray(sound, np.float32))[None])[0].abs().numpy()
+
+
+def show_sounds(figure: "Figure", truth: np.ndarray, answers: np.ndarray, titles: Sequence[str]) -> None:
+    """Fill a page with spectrograms: one sound per column; ground truth, answer and difference in rows.
+
+    Decibels are relative to the peak of the column's ground truth.
+
+    Parameters
+    ----------
+    truth, answers : (N, samples) arrays
+    titles : sequence of str
+        One per sound.
+    """
+    panels = figure.subplots(3, len(truth), sharex=True, sharey=True, squeeze=False)
+    shown = None
+    for column, sound, answer, title in zip(panels.T, truth, answers, titles):
+        peak = float(magnitudes(sound).max())
+        for axes, values, name in zip(
+            column, (sound, answer, answer - sound), ("ground truth", "Object File", "difference")
+        ):
+            image = show_spectrogram(axes, values, peak=peak)
+            axes.set_title(f"{title}\n{name}" if axes is column[0] else name, fontsize=9)
+            shown = image or shown
+            axes.label_outer()
+    if shown is not None:
+        figure.colorbar(shown, ax=panels, label="dB below the peak of the ground truth", aspect=40)
