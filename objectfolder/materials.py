@@ -1,7 +1,7 @@
 """Material parameters for modal analysis (supplementary material, Table 1)."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from objectfolder.errors import ObjectFolderError
@@ -38,6 +38,10 @@ class Material:
                 raise ObjectFolderError(
                     f"material {self.name!r}: {name} is {getattr(self, name)!r}, expected {expected}"
                 )
+
+    def properties(self) -> dict[str, float]:
+        """Return everything but the name, as Object Files store it."""
+        return {name: value for name, value in asdict(self).items() if name != "name"}
 
     def damping(self, eigenvalues: Any) -> Any:
         """Decay rates, 1/s, of modes with these eigenvalues, rad^2/s^2; arrays or tensors."""

@@ -23,7 +23,8 @@ from objectfolder.audio.spectrogram import SAMPLE_RATE, spectrogram
 from objectfolder.audio.synthesis import audible, sinusoid_bank
 from objectfolder.io import atomic, read_npz, read_safetensors, write_safetensors
 from objectfolder.metrics import SpectrogramErrors, gain_errors
-from objectfolder.nets.audio_gains import AudioConfig, GainsNet, energy_weights, train_gains
+from objectfolder.nets.audio_config import AudioConfig
+from objectfolder.nets.audio_gains import GainsNet, energy_weights, train_gains
 from objectfolder.seeding import torch_generator
 from objectfolder.workspace import params
 from objectfolder.workspace.layout import Build
@@ -50,22 +51,21 @@ def measure(workspace: Path, key: str) -> dict:
     """Train on one object, in this process."""
     torch.set_num_threads(1)
     values = params.read(workspace / "params.yaml")
-    section = params.TrainAudioParams.model_validate(values["train_audio"])
+    config = params.settings(AudioConfig, values)
     names = ("points", "shapes", "damped_frequency", "damping")
     modes = read_npz(Build(key, workspace).modes, *names, "split")
     points, shapes, damped, damping = (modes[name] for name in names)
     train, val, test = (np.flatnonzero(modes["split"] == i) for i in range(3))
-    size = section.size(len(damping)).model_dump(exclude={"modes"})
-    config = AudioConfig(**size, batch=section.batch)
+    size = config.size(len(damping))
     generator = torch_generator(values["seed"], key, "train_audio")
     start = time.process_time()
-    net, _ = train_gains(points, shapes, damped, damping, train, val, config, generator)
-    row = {"object": key, "modes": len(damping), "points": len(train), "steps": config.steps}
+    net, _ = train_gains(points, shapes, damped, damping, train, val, size, config.batch, generator)
+    row = {"object": key, "modes": len(damping), "points": len(train), "steps": size.steps}
     row["seconds"] = time.process_time() - start
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "audio.safetensors"
         tensors, header = net.to_tensors()
-        write_safetensors(path, tensors, {"kind": section.net, "net": header})
+        write_safetensors(path, tensors, {"kind": config.net, "net": header})
         row["file_kb"] = path.stat().st_size / 1024
         tensors, header = read_safetensors(path)
     stored = GainsNet.from_tensors(tensors, header["net"])

@@ -45,7 +45,7 @@ def meshes(folder: Path | None) -> dict[str, tuple[Path, str]]:
 
 def measure(path: Path, up: str) -> dict:
     """One object, in this process."""
-    from objectfolder.fem.voxelize import voxelize
+    from objectfolder.fem.voxelize import VoxelizeConfig, voxelize
 
     values = params.read(ROOT / "params.yaml")
     row: dict = {"object": path.parent.name}
@@ -57,9 +57,8 @@ def measure(path: Path, up: str) -> dict:
         row |= {name: report[name] for name in ("rung", "components", "volume_m3", "faces")}
         row |= {name: report[f"{name}_percent"] for name in ("deviation_mean", "deviation_max")}
         start = time.process_time()
-        voxels = voxelize(
-            result.surface.mesh, result.surface.mesh, **values["voxelize"], name=path.parent.name
-        )
+        config = params.settings(VoxelizeConfig, values)
+        voxels = voxelize(result.surface.mesh, result.surface.mesh, config, path.parent.name)
         row["voxelize_s"] = time.process_time() - start
         row |= {name: voxels.report["cells"][name] for name in ("resolution", "volume_error")}
     except ObjectFolderError as error:

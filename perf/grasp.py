@@ -22,7 +22,7 @@ from rich.table import Table
 from objectfolder.benchmarks.datasets.grasp_data import (
     BATCH,
     Attempts,
-    Plan,
+    GraspDataConfig,
     collect_grasps,
     draw_attempts,
     label_grasps,
@@ -122,7 +122,7 @@ def speed(
         labels = labelled / (time.perf_counter() - start)
         with tempfile.TemporaryDirectory() as folder:
             start = time.perf_counter()
-            wanted = Plan(count, perturbations, image, touch)
+            wanted = GraspDataConfig(grasps=count, perturbations=perturbations, image=image, touch=touch)
             collect_grasps(file, body, wanted, 0, folder, threads=threads)
             whole = count / (time.perf_counter() - start)
         rows.append(

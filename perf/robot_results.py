@@ -6,7 +6,7 @@ from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.params import splits_of
 from objectfolder.benchmarks.scoring import tables
 from objectfolder.io import read_json
-from objectfolder.workspace.objects import read_preset
+from objectfolder.workspace.presets import read_preset
 
 #: Tasks with one object: the command, the layout of its table, the section of parameters, and the policy that
 #: every seed has trained.

@@ -42,8 +42,9 @@ from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.metrics import psnr
+from objectfolder.nets.touch_config import ImageConfig
 from objectfolder.nets.touch_geometric import GeometricTouch, fit_contacts
-from objectfolder.nets.touch_image import ImageConfig, train_image
+from objectfolder.nets.touch_image import train_image
 from objectfolder.objectfile.evaluation import touch_scores
 from objectfolder.objectfile.query import UNMOVED, snap
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals, heightmaps

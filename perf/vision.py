@@ -32,9 +32,10 @@ from objectfolder.mesh.grid import BOUND, DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.metrics import psnr
+from objectfolder.nets.vision_config import VisionConfig
 from objectfolder.nets.vision_osf import OsfNet
 from objectfolder.nets.vision_surface import SurfaceNet
-from objectfolder.nets.vision_surface_training import VisionConfig, train_surface
+from objectfolder.nets.vision_surface_training import train_surface
 from objectfolder.objectfile.evaluation import evaluate_vision
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.query import view as query_view
@@ -120,13 +121,12 @@ def train(workspace: str, key: str) -> dict:
     """
     torch.set_num_threads(1)
     build, values = Build(key, workspace), params.read(Path(workspace) / "params.yaml")
-    section = params.TrainVisionParams.model_validate(values["train_vision"])
+    config = params.settings(VisionConfig, values)
     views = {split: read_npz(build.views(split)) for split in SPLITS}
     # The loss is a mean over pixels that are covered fully; the background has no error.
     covered = float((views["val"]["rgba"][..., 3] >= COVERED).mean())
     distances = read_npz(build.sdf, "values", "band")
     surface, scene = Isosurface(DistanceGrid.from_arrays(distances)), Scene(load_mesh(build.visual, up="y"))
-    config = VisionConfig(**section.model_dump(exclude={"net", "osf"}))
     row: dict = {"object": key, "train_views": len(views["train"]["rgba"])}
 
     def report(point) -> None:

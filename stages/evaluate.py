@@ -7,6 +7,7 @@ from objectfolder.audio.spectrogram import SHAPE
 from objectfolder.figures import page, save_page, show_views
 from objectfolder.io import read_npz, write_json
 from objectfolder.objectfile.evaluation import (
+    EvaluateConfig,
     Strikes,
     evaluate_awgn,
     evaluate_gains,
@@ -28,7 +29,7 @@ SHOWN_VIEWS = 6
 
 
 def main(key: str) -> None:
-    params = stage_params("evaluate", key)
+    params = stage_params(EvaluateConfig, key)
     build = Build(key)
     rng = numpy_generator(params.seed, key, "evaluate")
     file = ObjectFile.load(build.object_file)
@@ -45,7 +46,7 @@ def main(key: str) -> None:
         "touch": contacts["images"].shape[1:],
     }
     rows = np.flatnonzero(modes["split"] == 2)
-    strikes = Strikes.random(rows, params.section.impacts, rng)
+    strikes = Strikes.random(rows, params.settings.impacts, rng)
     vision = evaluate_vision(file.view, views)
     metrics = {
         "vision": vision,

@@ -1,8 +1,8 @@
 """grasp_data: Object File, hulls, surface.ply -> benchmarks/grasps/<object>: seen, felt, how it ended."""
 
-from objectfolder.benchmarks.datasets.grasp_data import Plan, collect_grasps
+from objectfolder.benchmarks.datasets.grasp_data import GraspDataConfig, collect_grasps
 from objectfolder.benchmarks.layout import Benchmarks
-from objectfolder.benchmarks.params import robot_stage_params
+from objectfolder.benchmarks.params import robot_params
 from objectfolder.envs.body import rigid_body
 from objectfolder.envs.hulls import read_hulls
 from objectfolder.mesh.ply import read_surface
@@ -12,12 +12,11 @@ from stages import run
 
 
 def main(key: str) -> None:
-    build, params = Build(key), robot_stage_params("grasp_data")
+    build, params = Build(key), robot_params(GraspDataConfig)
     file = ObjectFile.load(build.object_file)
     body = rigid_body(file, read_hulls(build.hulls))
-    wanted = Plan.of(params.section)
     surface = read_surface(build.surface)
-    collect_grasps(file, body, wanted, params.seed, Benchmarks().grasps(key), surface)
+    collect_grasps(file, body, params.settings, params.seed, Benchmarks().grasps(key), surface)
 
 
 if __name__ == "__main__":

@@ -2,15 +2,15 @@
 
 from objectfolder.benchmarks.datasets.grasps import Grasps
 from objectfolder.benchmarks.layout import Benchmarks
-from objectfolder.benchmarks.params import stage_params
-from objectfolder.benchmarks.tasks.grasp_stability import CURVE_COLUMNS, grasp_stability
+from objectfolder.benchmarks.params import object_keys, task_params
+from objectfolder.benchmarks.tasks.grasp_stability import CURVE_COLUMNS, GraspStabilityConfig, grasp_stability
 from objectfolder.benchmarks.tasks.running import run_task
 from stages import run
 
 
 def main(split: str) -> None:
-    params, folder = stage_params("grasp_stability"), Benchmarks()
-    grasps = Grasps({key: folder.grasps(key) for key in params.keys})
+    params, folder = task_params(GraspStabilityConfig), Benchmarks()
+    grasps = Grasps({key: folder.grasps(key) for key in object_keys("grasp_stability")})
     run_task("grasp_stability", grasp_stability, CURVE_COLUMNS, split, grasps, params, folder, print)
 
 

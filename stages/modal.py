@@ -1,17 +1,17 @@
 """modal: solid, surface, material, scale -> modes.npz, modal.json."""
 
 from contextlib import suppress
+from dataclasses import asdict
 
 import numpy as np
 
+from objectfolder import materials
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.adaptive import FineGrid
 from objectfolder.fem.band import solved_band
 from objectfolder.fem.elements import restored
-from objectfolder.fem.modal import refined_analysis
+from objectfolder.fem.modal import ModalConfig, refined_analysis
 from objectfolder.fem.reuse import Request, problem, rescaled, solution
 from objectfolder.io import file_digest, keep, read_npz, write_json, write_npz
-from objectfolder.materials import material
 from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.sampling import sample_surface, split_rows
 from objectfolder.seeding import numpy_generator
@@ -21,15 +21,15 @@ from stages import run
 
 
 def main(key: str) -> None:
-    params = stage_params("modal", key)
-    build, section = Build(key), params.section
+    params = stage_params(ModalConfig, key)
+    build, settings = Build(key), params.settings
     vertices, faces = read_surface(build.surface)
     rng = numpy_generator(params.seed, key, "modal")
-    points = np.concatenate([vertices, sample_surface(vertices, faces, section.surface_points, rng)])
-    stuff = material(params.object.material)
-    request = Request(stuff, params.object.scale, section.max_frequency, section.max_modes)
-    options = section.model_dump(exclude={"max_frequency", "max_modes"})
-    task = problem(file_digest(build.solid), points, stuff.poisson_ratio, options)
+    points = np.concatenate([vertices, sample_surface(vertices, faces, settings.surface_points, rng)])
+    material = materials.material(params.object.material)
+    request = Request(material, params.object.scale, settings.max_frequency, settings.max_modes)
+    options = {"fine": asdict(settings.fine), "surface_points": settings.surface_points}
+    task = problem(file_digest(build.solid), points, material.poisson_ratio, options)
     data = None
     with suppress(ObjectFolderError):  # no earlier solve, or not a readable one
         data = rescaled(read_npz(build.solved_modes, "solution", "band_hz"), task, request)
@@ -38,7 +38,7 @@ def main(key: str) -> None:
         data = refined_analysis(
             restored(read_npz(build.solid, "kind")),
             read_surface(build.solid_surface),
-            FineGrid(**dict(section.fine)),
+            settings.fine,
             points,
             **vars(request),
             name=key,
@@ -49,7 +49,7 @@ def main(key: str) -> None:
         split=split_rows(len(points), rng),
         **data.arrays(),
         truncated=data.report["truncated"],
-        band_hz=solved_band(data, stuff, section.max_frequency, section.max_modes),
+        band_hz=solved_band(data, material, settings.max_frequency, settings.max_modes),
         solution=solution(task, request, data),
     )
     if not reused:

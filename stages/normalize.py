@@ -1,7 +1,7 @@
 """normalize: source mesh -> visual.glb, surface.ply (seen, touched), solid.ply (vibrates), normalize.json."""
 
 from objectfolder.io import atomic, write_json
-from objectfolder.mesh.normalize import normalize
+from objectfolder.mesh.normalize import NormalizeConfig, normalize
 from objectfolder.mesh.ply import write_surface
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.workspace.layout import Build
@@ -10,9 +10,9 @@ from stages import run
 
 
 def main(key: str) -> None:
-    params = stage_params("normalize", key)
+    params = stage_params(NormalizeConfig, key)
     build = Build(key)
-    mesh = load_mesh(params.object.mesh, params.object.up, params.section.texture_size)
+    mesh = load_mesh(params.object.mesh, params.object.up, params.settings.texture_size)
     wall = params.object.wall and params.object.wall / params.object.scale
     normalized = normalize(mesh, key, wall, params.object.bridge != "off")
     solid = normalized.surface.mesh

@@ -1,6 +1,6 @@
 """observe: ObjectFile.safetensors -> benchmarks/observations/<object>: random views, impacts and touches."""
 
-from objectfolder.benchmarks.datasets.sampling import sample_observations
+from objectfolder.benchmarks.datasets.sampling import ObserveConfig, sample_observations
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace.layout import Build
@@ -9,11 +9,10 @@ from stages import run
 
 
 def main(key: str) -> None:
-    params = stage_params("observe", key)
-    section = params.section
+    params = stage_params(ObserveConfig, key)
     file = ObjectFile.load(Build(key).object_file)
     folder = Benchmarks().observations(key)
-    sample_observations(file, section.observations, section.resolution, params.seed, folder)
+    sample_observations(file, params.settings.observations, params.settings.resolution, params.seed, folder)
 
 
 if __name__ == "__main__":

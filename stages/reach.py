@@ -1,7 +1,8 @@
 """reach: Object File and its hulls -> benchmarks/reach_<key>.json, .csv, .safetensors, .gif: PPO on reach."""
 
 from objectfolder.benchmarks.layout import Benchmarks
-from objectfolder.benchmarks.params import robot_stage_params
+from objectfolder.benchmarks.models.ppo import ReachConfig
+from objectfolder.benchmarks.params import robot_params
 from objectfolder.benchmarks.tasks.reach import run_reach
 from objectfolder.envs.hulls import read_hulls
 from objectfolder.workspace.layout import Build
@@ -9,7 +10,7 @@ from stages import run
 
 
 def main(key: str) -> None:
-    build, params = Build(key), robot_stage_params("reach")
+    build, params = Build(key), robot_params(ReachConfig)
     run_reach(build.object_file, read_hulls(build.hulls), params, Benchmarks(), print)
 
 

@@ -2,15 +2,15 @@
 
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.layout import Benchmarks
-from objectfolder.benchmarks.params import stage_params
-from objectfolder.benchmarks.tasks.recognition import CURVE_COLUMNS, recognize
+from objectfolder.benchmarks.params import object_keys, task_params
+from objectfolder.benchmarks.tasks.recognition import CURVE_COLUMNS, RecognizeConfig, recognize
 from objectfolder.benchmarks.tasks.running import run_task
 from stages import run
 
 
 def main(split: str) -> None:
-    params, folder = stage_params("recognize"), Benchmarks()
-    observations = Observations({key: folder.observations(key) for key in params.keys})
+    params, folder = task_params(RecognizeConfig), Benchmarks()
+    observations = Observations({key: folder.observations(key) for key in object_keys("recognize")})
     run_task("recognize", recognize, CURVE_COLUMNS, split, observations, params, folder, print)
 
 

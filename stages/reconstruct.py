@@ -2,15 +2,15 @@
 
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.layout import Benchmarks
-from objectfolder.benchmarks.params import stage_params
-from objectfolder.benchmarks.tasks.reconstruction import CURVE_COLUMNS, reconstruct
+from objectfolder.benchmarks.params import object_keys, task_params
+from objectfolder.benchmarks.tasks.reconstruction import CURVE_COLUMNS, ReconstructConfig, reconstruct
 from objectfolder.benchmarks.tasks.running import run_task
 from stages import run
 
 
 def main(split: str) -> None:
-    params, folder = stage_params("reconstruct"), Benchmarks()
-    observations = Observations({key: folder.observations(key) for key in params.keys})
+    params, folder = task_params(ReconstructConfig), Benchmarks()
+    observations = Observations({key: folder.observations(key) for key in object_keys("reconstruct")})
     run_task("reconstruct", reconstruct, CURVE_COLUMNS, split, observations, params, folder, print)
 
 

@@ -4,7 +4,7 @@ from objectfolder.figures import tile
 from objectfolder.io import write_npz, write_png
 from objectfolder.mesh.ply import read_surface
 from objectfolder.seeding import numpy_generator
-from objectfolder.touch.dataset import contact_points, render_contacts
+from objectfolder.touch.dataset import RenderTouchConfig, contact_points, render_contacts
 from objectfolder.touch.profiles import load_profile
 from objectfolder.workspace.layout import SPLITS, Build
 from objectfolder.workspace.params import stage_params
@@ -12,13 +12,13 @@ from stages import progress, run
 
 
 def main(key: str) -> None:
-    params = stage_params("render_touch", key)
-    build, section = Build(key), params.section
+    params = stage_params(RenderTouchConfig, key)
+    build, settings = Build(key), params.settings
     vertices, faces = read_surface(build.surface)
     profile = load_profile(params.sensor)
-    counts = [getattr(section, split) for split in SPLITS]
+    counts = [getattr(settings, split) for split in SPLITS]
     rng = numpy_generator(params.seed, key, "render_touch")
-    points = contact_points(vertices, faces, section.locations, counts, rng)
+    points = contact_points(vertices, faces, settings.locations, counts, rng)
     for split, split_points in zip(SPLITS, points):
         contacts = render_contacts(
             vertices,
@@ -27,12 +27,12 @@ def main(key: str) -> None:
             split_points,
             profile,
             numpy_generator(params.seed, key, "render_touch", split),
-            section.renderer,
-            section.depth,
-            section.angle,
+            settings.renderer,
+            settings.depth,
+            settings.angle,
             progress(f"{key}: {split} touches"),
         )
-        write_npz(build.touch(split), **contacts, renderer=section.renderer)
+        write_npz(build.touch(split), **contacts, renderer=settings.renderer)
     write_png(build.touch_sheet, tile(contacts["images"][:36], columns=12))
 
 

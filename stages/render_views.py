@@ -9,7 +9,7 @@ from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.seeding import numpy_generator
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.color import on_white
-from objectfolder.vision.dataset import render_split
+from objectfolder.vision.dataset import RenderViewsConfig, render_split
 from objectfolder.vision.renderers.registry import make_renderer
 from objectfolder.vision.scene import Scene
 from objectfolder.workspace.layout import SPLITS, Build
@@ -18,16 +18,16 @@ from stages import progress, run
 
 
 def main(key: str) -> None:
-    params = stage_params("render_views", key)
-    build, section = Build(key), params.section
-    scene = Scene(load_mesh(build.visual, up="y"), section.ambient)
-    renderer = make_renderer(section.renderer, scene)
+    params = stage_params(RenderViewsConfig, key)
+    build, settings = Build(key), params.settings
+    scene = Scene(load_mesh(build.visual, up="y"), settings.ambient)
+    renderer = make_renderer(settings.renderer, scene)
     for split in SPLITS:
         views = render_split(
             renderer,
-            getattr(section, split),
-            section.train_samples if split == "train" else section.test_samples,
-            Intrinsics.square(section.resolution),
+            getattr(settings, split),
+            settings.train_samples if split == "train" else settings.test_samples,
+            Intrinsics.square(settings.resolution),
             numpy_generator(params.seed, key, "render_views", split),
             progress(f"{key}: {split} views"),
             halves=split != "train",

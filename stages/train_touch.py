@@ -5,8 +5,9 @@ import torch
 from objectfolder.io import read_npz, write_curve, write_safetensors
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.nets.touch_config import TouchConfig
 from objectfolder.nets.touch_geometric import GeometricTouch, fit_contacts
-from objectfolder.nets.touch_image import ImageConfig, ImageTouch, train_image
+from objectfolder.nets.touch_image import ImageTouch, train_image
 from objectfolder.seeding import torch_generator
 from objectfolder.touch.profiles import load_profile
 from objectfolder.workspace.layout import Build
@@ -17,24 +18,25 @@ ROWS = ("images", "points", "angles", "depths")
 
 
 def main(key: str) -> None:
-    params = stage_params("train_touch", key)
-    build, section, scale = Build(key), params.section, params.object.scale
+    params = stage_params(TouchConfig, key)
+    build, settings, scale = Build(key), params.settings, params.object.scale
     profile = load_profile(params.sensor)
     train, val = (read_npz(build.touch(split), *ROWS, "renderer") for split in ("train", "val"))
     net: GeometricTouch | ImageTouch
-    if section.net == "geometric":
+    if settings.net == "geometric":
         surface = Isosurface(DistanceGrid.from_arrays(read_npz(build.sdf, "values", "band")))
         net = GeometricTouch(surface, scale, profile, renderer=str(train["renderer"]))
-        some = [{name: split[name][: section.contacts] for name in ROWS} for split in (train, val)]
-        curve = fit_contacts(net, some[0], some[1], section.offset_span, section.rounds, log_point)
+        some = [{name: split[name][: settings.contacts] for name in ROWS} for split in (train, val)]
+        curve = fit_contacts(net, some[0], some[1], settings.offset_span, settings.rounds, log_point)
     else:
         # The paper's net takes core-days; where there is a GPU, it trains there.
         device = "cuda" if torch.cuda.is_available() else "cpu"
         generator = torch_generator(params.seed, key, "train_touch")
-        config = ImageConfig(**section.image.model_dump())
-        net, curve = train_image(train, val, scale, profile.name, config, generator, log_point, device)
+        net, curve = train_image(
+            train, val, scale, profile.name, settings.image, generator, log_point, device
+        )
     tensors, header = net.to_tensors()
-    write_safetensors(build.net("touch"), tensors, {"kind": section.net, "net": header})
+    write_safetensors(build.net("touch"), tensors, {"kind": settings.net, "net": header})
     write_curve(build.curve("touch"), curve)
 
 

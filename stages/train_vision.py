@@ -6,9 +6,10 @@ from objectfolder.io import read_npz, write_curve, write_safetensors
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.reading.load import load_mesh
-from objectfolder.nets.vision_osf import OsfConfig, OsfNet, train_osf
+from objectfolder.nets.vision_config import VisionConfig
+from objectfolder.nets.vision_osf import OsfNet, train_osf
 from objectfolder.nets.vision_surface import SurfaceNet
-from objectfolder.nets.vision_surface_training import VisionConfig, train_surface
+from objectfolder.nets.vision_surface_training import train_surface
 from objectfolder.seeding import torch_generator
 from objectfolder.vision.scene import Scene
 from objectfolder.workspace.layout import Build
@@ -17,25 +18,23 @@ from stages import log_point, run
 
 
 def main(key: str) -> None:
-    params = stage_params("train_vision", key)
-    build, section = Build(key), params.section
+    params = stage_params(VisionConfig, key)
+    build, settings = Build(key), params.settings
     train, val = (
         read_npz(build.views(s), "rgba", "camera_to_world", "light", "focal") for s in ("train", "val")
     )
     generator = torch_generator(params.seed, key, "train_vision")
     net: SurfaceNet | OsfNet
-    if section.net == "surface":
+    if settings.net == "surface":
         surface = Isosurface(DistanceGrid.from_arrays(read_npz(build.sdf, "values", "band")))
-        config = VisionConfig(**section.model_dump(exclude={"net", "osf"}))
         scene = Scene(load_mesh(build.visual, up="y"))
-        net, curve = train_surface(surface, scene, train, val, config, generator, log_point)
+        net, curve = train_surface(surface, scene, train, val, settings, generator, log_point)
     else:
         # The paper's net takes core-months; where there is a GPU, it trains there.
         device = "cuda" if torch.cuda.is_available() else "cpu"
-        settings = OsfConfig(**section.osf.model_dump())
-        net, curve = train_osf(train, val, settings, generator, log_point, device)
+        net, curve = train_osf(train, val, settings.osf, generator, log_point, device)
     tensors, header = net.to_tensors()
-    write_safetensors(build.net("vision"), tensors, {"kind": section.net, "net": header})
+    write_safetensors(build.net("vision"), tensors, {"kind": settings.net, "net": header})
     write_curve(build.curve("vision"), curve)
 
 

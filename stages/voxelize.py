@@ -1,7 +1,7 @@
 """voxelize: solid.ply -> solid.npz (elements); surface.ply -> sdf.npz (distance grid); voxelize.json."""
 
 from objectfolder.fem.elements import stored
-from objectfolder.fem.voxelize import voxelize
+from objectfolder.fem.voxelize import VoxelizeConfig, voxelize
 from objectfolder.io import write_json, write_npz
 from objectfolder.mesh.ply import read_surface
 from objectfolder.workspace.layout import Build
@@ -10,10 +10,10 @@ from stages import run
 
 
 def main(key: str) -> None:
-    section = stage_params("voxelize", key).section
+    settings = stage_params(VoxelizeConfig, key).settings
     build = Build(key)
     surface, solid = read_surface(build.surface), read_surface(build.solid_surface)
-    voxels = voxelize(surface, solid, **dict(section), name=key)
+    voxels = voxelize(surface, solid, settings, key)
     write_npz(build.solid, **stored(voxels.cells))
     write_npz(build.sdf, values=voxels.values, band=voxels.band)
     write_json(build.voxelize, voxels.report)

@@ -4,8 +4,7 @@ import os
 import time
 from importlib import import_module
 from pathlib import Path
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,11 +12,11 @@ from objectfolder.cli.console import console, print_wide, tracked
 from objectfolder.errors import ObjectFolderError
 
 if TYPE_CHECKING:
-    from objectfolder.benchmarks.datasets.grasp_data import Plan
+    from objectfolder.benchmarks.datasets.grasp_data import GraspDataConfig
+    from objectfolder.benchmarks.datasets.sampling import ObserveConfig
     from objectfolder.benchmarks.layout import Benchmarks
-    from objectfolder.benchmarks.params import GraspDataParams
+    from objectfolder.benchmarks.params import TaskParams
     from objectfolder.benchmarks.scoring.tables import Table
-    from objectfolder.workspace.params import ObserveParams
 
 #: Of each task; only that one is imported.
 MODULES = {
@@ -170,15 +169,17 @@ def _run(
 ) -> None:
     import torch
 
+    from objectfolder.benchmarks.datasets.grasp_data import GraspDataConfig
+    from objectfolder.benchmarks.datasets.sampling import ObserveConfig
     from objectfolder.benchmarks.datasets.splits import label_order, named_split
     from objectfolder.benchmarks.layout import Benchmarks
     from objectfolder.benchmarks.models.encoders import make_encoder, read_weights, registered
-    from objectfolder.benchmarks.params import robot_params, splits_of, task_params
+    from objectfolder.benchmarks.params import splits_of, task_params
     from objectfolder.benchmarks.scoring.tables import table
     from objectfolder.engine.pool import in_processes
     from objectfolder.io import read_json
     from objectfolder.workspace import params as objects
-    from objectfolder.workspace.objects import read_preset
+    from objectfolder.workspace.presets import read_preset
 
     known = splits_of(task)
     splits = list(dict.fromkeys(splits or known))
@@ -193,7 +194,7 @@ def _run(
         values["encode"] = {**(values.get("encode") or {}), "encoder": encoder}
     if seeds is not None:
         values[task] = {**(values.get(task) or {}), "seeds": seeds}
-    params = task_params(task, values, path)
+    params = task_params(objects.section_config(task), values, path)
     started = read_weights(weights) if weights is not None else None
     make_encoder(registered(params.encode.encoder), "vision", started)  # a wrong one is said before any work
     folder = Benchmarks(out if out is not None else Path("benchmarks") / (preset or "own"))
@@ -201,16 +202,16 @@ def _run(
     paths = _object_files(files)
     grasped = task == "grasp_stability"
     if grasped:
-        wanted = robot_params("grasp_data", values, path).section
+        wanted = objects.settings(GraspDataConfig, values, path)
         count = wanted.grasps
     else:
-        observe = objects.validate(objects.ObserveParams, values.get("observe"), f"{path}: observe")
+        observe = objects.settings(ObserveConfig, values, path)
         count = observe.observations
     for split in splits:  # what cannot be split is said before any work
         named_split(split, label_order(paths), count)
     console.print(f"{len(paths)} objects, {count} {'grasps' if grasped else 'observations'} of each")
     if grasped:
-        hulls = robot_params("decompose", values, path).section.hulls
+        hulls = objects.settings(objects.section_config("decompose"), values, path).hulls
         folders = _grasp(paths, wanted, hulls, params.seed, folder, threads)
     else:
         folders = _observe(paths, observe, params.seed, folder, threads)
@@ -232,7 +233,7 @@ def _run_split(
     task: str,
     split: str,
     folders: dict[str, Path],
-    params: SimpleNamespace,
+    params: "TaskParams[Any]",
     folder: "Benchmarks",
     weights: Path | None,
     threads: int,
@@ -300,7 +301,7 @@ def _object_files(given: list[Path] | None) -> dict[str, Path]:
 
 
 def _observe(
-    paths: dict[str, Path], params: "ObserveParams", seed: int, folder: "Benchmarks", jobs: int
+    paths: dict[str, Path], params: "ObserveConfig", seed: int, folder: "Benchmarks", jobs: int
 ) -> dict[str, Path]:
     """Observe each object, several at a time; those that are observed already are left alone."""
     from objectfolder.benchmarks.datasets.sampling import are_sampled
@@ -321,10 +322,10 @@ def _observe(
 
 
 def _grasp(
-    paths: dict[str, Path], params: "GraspDataParams", hulls: int, seed: int, folder: "Benchmarks", jobs: int
+    paths: dict[str, Path], params: "GraspDataConfig", hulls: int, seed: int, folder: "Benchmarks", jobs: int
 ) -> dict[str, Path]:
     """Collect grasps of each object, several at a time; those that are there already are left alone."""
-    from objectfolder.benchmarks.datasets.grasp_data import Plan, are_collected
+    from objectfolder.benchmarks.datasets.grasp_data import are_collected
     from objectfolder.benchmarks.datasets.grasps import RECORD
     from objectfolder.engine.pool import in_processes
     from objectfolder.envs.body import rigid_body
@@ -332,7 +333,7 @@ def _grasp(
     from objectfolder.objectfile.file import ObjectFile
     from objectfolder.workspace.layout import Build
 
-    wanted, folders = Plan.of(params), {key: folder.grasps(key) for key in paths}
+    wanted, folders = params, {key: folder.grasps(key) for key in paths}
     surfaces = {key: path.with_name(Build(key).surface.name) for key, path in paths.items()}
     lacking = [key for key, surface in surfaces.items() if not surface.is_file()]
     if lacking:
@@ -355,7 +356,7 @@ def _grasp(
 
 
 def _grasp_one(
-    path: Path, surface: Path | None, wanted: "Plan", hulls: int, seed: int, folder: "Benchmarks"
+    path: Path, surface: Path | None, wanted: "GraspDataConfig", hulls: int, seed: int, folder: "Benchmarks"
 ) -> None:
     import torch
     from threadpoolctl import threadpool_limits

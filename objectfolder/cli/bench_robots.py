@@ -3,7 +3,6 @@
 import os
 import time
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -28,6 +27,7 @@ from objectfolder.errors import ObjectFolderError
 
 if TYPE_CHECKING:
     from objectfolder.benchmarks.layout import Benchmarks
+    from objectfolder.benchmarks.params import RobotParams
 
 
 def stability(
@@ -127,12 +127,12 @@ def reach(
 
 def _asked(
     stage: str, preset: str | None, out: Path | None, seeds: int | None
-) -> tuple[SimpleNamespace, int, "Benchmarks"]:
+) -> tuple["RobotParams[Any]", int, "Benchmarks"]:
     """Parameters of a robot's task, the greatest number of hulls, and where results go."""
     from objectfolder.benchmarks.layout import Benchmarks
     from objectfolder.benchmarks.params import robot_params
     from objectfolder.workspace import params as objects
-    from objectfolder.workspace.objects import read_preset
+    from objectfolder.workspace.presets import read_preset
 
     values, path = objects.read(), Path(objects.PARAMS_FILE)
     if preset is not None:
@@ -140,13 +140,13 @@ def _asked(
         values |= sections
     if seeds is not None:
         values[stage] = {**(values.get(stage) or {}), "seeds": seeds}
-    hulls = robot_params("decompose", values, path).section.hulls
+    hulls = objects.settings(objects.section_config("decompose"), values, path).hulls
     folder = Benchmarks(out if out is not None else Path("benchmarks") / (preset or "own"))
-    return robot_params(stage, values, path), hulls, folder
+    return robot_params(objects.section_config(stage), values, path), hulls, folder
 
 
 def _grasping_one(
-    path: Path, hulls: int, params: SimpleNamespace, folder: "Benchmarks", threads: int
+    path: Path, hulls: int, params: "RobotParams[Any]", folder: "Benchmarks", threads: int
 ) -> None:
     """Run the task with one object, and write what it took beside the results."""
     import torch
@@ -173,7 +173,7 @@ def _grasping_one(
     )
 
 
-def _reach_one(task: str, path: Path, hulls: int, params: SimpleNamespace, folder: "Benchmarks") -> None:
+def _reach_one(task: str, path: Path, hulls: int, params: "RobotParams[Any]", folder: "Benchmarks") -> None:
     """Run the task with one object, and write what it took beside the results."""
     import torch
     from threadpoolctl import threadpool_limits

@@ -48,6 +48,7 @@ def add(
     In a folder, each mesh file is an object, and each subfolder that holds one. --material is that of all;
     materials.csv (lines `name,material`) or materials.yaml in the folder names others.
     """
+    from objectfolder.engine.dvc.repository import track
     from objectfolder.workspace import params
     from objectfolder.workspace.discover import UNITS, Candidate, examine, table
     from objectfolder.workspace.objects import add_catalogue, add_mesh
@@ -77,7 +78,7 @@ def add(
     _print_notes([finding])
     if dry_run:
         return
-    entry = add_mesh(mesh, name, material, finding.scale, up, wall=wall, bridge=bridge)
+    entry = add_mesh(mesh, name, material, finding.scale, up, wall=wall, bridge=bridge, track=track)
     console.print(
         f"added {name}: {entry['material']}, longest side {entry['scale']:.4g} m, {entry['up']} up; "
         f"next: objectfolder build {name}",
@@ -102,6 +103,7 @@ def _add_folder(
     dry_run: bool,
 ) -> bool:
     """Examine and add the objects in a folder; whether none was refused."""
+    from objectfolder.engine.dvc.repository import track
     from objectfolder.workspace import params
     from objectfolder.workspace.discover import discover, survey, table
     from objectfolder.workspace.objects import add_mesh
@@ -118,7 +120,16 @@ def _add_folder(
         candidate = finding.candidate
         try:
             material = candidate.material or ""
-            add_mesh(candidate.mesh, candidate.key, material, finding.scale, up, wall=wall, bridge=bridge)
+            add_mesh(
+                candidate.mesh,
+                candidate.key,
+                material,
+                finding.scale,
+                up,
+                wall=wall,
+                bridge=bridge,
+                track=track,
+            )
             added.append(candidate.key)
         except ObjectFolderError as error:
             refused[candidate.key] = str(error)

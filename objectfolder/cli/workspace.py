@@ -67,7 +67,6 @@ def build(
     `objectfolder build --engine ray` (docs/pipeline.md: what a cluster must share).
     Logs of stages are in build/.logs. `dvc status`, `dvc repro` and `dvc metrics show` work as usual.
     """
-    from objectfolder.benchmarks.params import check_tasks
     from objectfolder.engine.build import Options, local_workers
     from objectfolder.engine.build import build as run_build
     from objectfolder.engine.progress import Progress, print_summary
@@ -80,7 +79,6 @@ def build(
         raise ObjectFolderError(f"--address {address} is for --engine ray; give both")
     values = params.read()
     params.check_all(values)
-    check_tasks(values)
     require_renderer(load_profile(values["sensor"]), values["render_touch"]["renderer"])
     if dry_run:
         from objectfolder.cli.statusview import print_outlook
@@ -109,7 +107,7 @@ def build(
 
 def preset(name: Annotated[str, typer.Argument(help="quick, standard or paper (files in params/).")]) -> None:
     """Merge a preset into params.yaml: how many views, how fine the FEM, how long to train."""
-    from objectfolder.workspace.objects import apply_preset
+    from objectfolder.workspace.presets import apply_preset
 
     changed = apply_preset(name)
     console.print(f"preset {name}: changed {', '.join(changed) or 'nothing'}; next: objectfolder build")

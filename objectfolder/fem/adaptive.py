@@ -1,9 +1,11 @@
 """Which grid a solid is cut into: as coarse as its size allows, as fine as its walls and modes ask for."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Ge
 
 from objectfolder.fem.accuracy import discretisation_error, lowest_frequencies
 from objectfolder.fem.blocks import merge_full_blocks
@@ -13,6 +15,7 @@ from objectfolder.fem.occupancy import MARGIN
 from objectfolder.materials import Material
 from objectfolder.mesh.closing.topology import Mesh, signed_volume
 from objectfolder.mesh.sampling import sample_surface
+from objectfolder.settings import Count, Positive
 
 MIN_WALL = 0.3  #: cells; solids with thinner walls get the fine grid
 _SAMPLES = 100_000  # of the surface, to see which cells it touches
@@ -20,20 +23,22 @@ _UNKNOWNS = 12  # of each element at least: a corner and three edges of its own
 _GROWTH = 1.8  # power of the resolution by which unknowns grow, at least: thin sheets with free edges
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FineGrid:
     """The grid that is taken where the first is too coarse."""
 
-    resolution: int  #: cells along the longest side
-    subdivisions: int  #: sub-cells along each side of a cell
-    max_degrees_of_freedom: int  #: it is not taken beyond this size
-    max_error: float  #: that the first may have, estimated, relative, in the lowest frequencies
+    resolution: Count  #: cells along the longest side
+    subdivisions: Annotated[int, Ge(4)]  #: sub-cells along each side of a cell
+    max_degrees_of_freedom: Count  #: the fine grid is not used beyond this size
+    max_error: (
+        Positive  #: estimated relative error of the first grid's lowest frequencies, beyond which it is
+    )
 
 
 def adaptive_cut_cells(
     vertices: np.ndarray,
     faces: np.ndarray,
-    resolutions: list[int],
+    resolutions: Sequence[int],
     subdivisions: int,
     max_degrees_of_freedom: int,
     name: str = "mesh",

@@ -1,5 +1,6 @@
 """What a solid can be divided into, by the names that ``params.yaml`` uses."""
 
+from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any, Literal, get_args
 
@@ -20,7 +21,7 @@ def discretize(
     vertices: np.ndarray,
     faces: np.ndarray,
     element: Element,
-    resolutions: list[int],
+    resolutions: Sequence[int],
     subdivisions: int,
     max_degrees_of_freedom: int,
     name: str = "mesh",

@@ -1,9 +1,10 @@
 """From a solid and a material to modal data at points of the surface."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Ge, Gt
 
 from objectfolder.fem.accuracy import ESTIMATED, discretisation_error, resolved_frequency
 from objectfolder.fem.adaptive import FineGrid, refined
@@ -12,9 +13,20 @@ from objectfolder.fem.elasticity import Solid
 from objectfolder.materials import Material
 from objectfolder.mesh.closing.thickness import wall_thickness
 from objectfolder.mesh.closing.topology import Mesh
+from objectfolder.settings import Count
 
 MAX_RESIDUAL, MAX_RIGID_HZ = 1e-8, 0.1
 MIN_FREQUENCY = 20.0  # Hz, the lower end of hearing (supplementary C)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModalConfig:
+    """Section ``modal`` of ``params.yaml``."""
+
+    fine: FineGrid  #: used where walls are thin or the first grid's error is large
+    max_frequency: Annotated[float, Gt(20)]  #: Hz
+    max_modes: Count
+    surface_points: Annotated[int, Ge(0)]  #: random points, besides the surface's vertices
 
 
 @dataclass(frozen=True)
@@ -80,6 +92,7 @@ def modal_analysis(
         "elements": cells.elements,
         "degrees_of_freedom": int(fem.stiffness.shape[0]),
         "material": material.name,
+        "material_properties": material.properties(),
         "scale_m": scale,
         "mass_kg": float(cells.volume * scale**3 * material.density),
         "volume_error": cells.volume_error,  # of the cells, before mass and stiffness are corrected for it

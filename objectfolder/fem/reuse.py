@@ -110,6 +110,7 @@ def rescaled(solved: dict[str, np.ndarray], problem: str, wanted: Request) -> Mo
         }
         | {
             "material": wanted.material.name,
+            "material_properties": wanted.material.properties(),
             "scale_m": wanted.scale,
             "mass_kg": record["report"]["mass_kg"] / shape_factor**2,
             "modes": len(kept),

@@ -1,15 +1,30 @@
 """From a closed surface to what the modalities share: elements for the FEM, a distance grid for the rest."""
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Ge, Interval, MinLen
 
 from objectfolder.fem.elasticity import Solid
 from objectfolder.fem.elements import Element, discretize
 from objectfolder.mesh.closing.topology import Mesh, signed_volume
 from objectfolder.mesh.scanline import check_winding
 from objectfolder.mesh.sdf import check_resolved, distance_grid
+from objectfolder.settings import Count
+
+
+@dataclass(frozen=True, kw_only=True)
+class VoxelizeConfig:
+    """Section ``voxelize`` of ``params.yaml``."""
+
+    element: Element  #: finite element of the solid (docs/modal.md)
+    resolutions: Annotated[tuple[Count, ...], MinLen(1)]  #: cells along the longest side, finest first
+    subdivisions: Annotated[int, Ge(4)]  #: sub-cells along each side of a cell; fewer lose walls
+    max_degrees_of_freedom: Count  #: the first resolution under this size is taken, or the last
+    #: Samples of the distance grid along each axis. On a finer grid the band is narrower than the reach of
+    #: contact normals.
+    sdf_resolution: Annotated[int, Interval(ge=16, le=256)]
 
 
 @dataclass(frozen=True)
@@ -22,32 +37,14 @@ class Voxels:
     report: dict[str, Any]  #: what ``voxelize.json`` holds
 
 
-def voxelize(
-    surface: Mesh,
-    solid: Mesh,
-    resolutions: list[int],
-    subdivisions: int,
-    max_degrees_of_freedom: int,
-    sdf_resolution: int,
-    element: Element = "cut_cell_hex20",
-    name: str = "mesh",
-) -> Voxels:
+def voxelize(surface: Mesh, solid: Mesh, config: VoxelizeConfig, name: str = "mesh") -> Voxels:
     """Divide a solid into elements and sample the distance to a surface; both are certified first.
 
     Parameters
     ----------
     surface, solid : (V, 3) and (F, 3) arrays each, unit frame
-        What is seen and touched, and what vibrates; they differ where gaps are bridged for the sound alone.
-    resolutions : list of int
-        Cells along the longest side, finest first.
-    subdivisions : int
-        Sub-cells along each side of a cell.
-    max_degrees_of_freedom : int
-        The first resolution under this size is taken, or the last.
-    sdf_resolution : int
-        Samples of the distance grid along each axis.
-    element : str
-        What the solid is divided into; see `objectfolder.fem.elements`.
+        Surface to see and touch, and solid that vibrates; they differ where gaps are bridged for sound only.
+    config : VoxelizeConfig
     name : str
         Named in errors.
 
@@ -57,8 +54,15 @@ def voxelize(
         If a surface is open, crosses itself, or is too thin for its grid.
     """
     certificates = [check_winding(*mesh, name) for mesh in (solid, surface)]
-    cells = discretize(*solid, element, resolutions, subdivisions, max_degrees_of_freedom, name)
-    values, band = distance_grid(*surface, sdf_resolution)
+    cells = discretize(
+        *solid,
+        config.element,
+        config.resolutions,
+        config.subdivisions,
+        config.max_degrees_of_freedom,
+        name,
+    )
+    values, band = distance_grid(*surface, config.sdf_resolution)
     kept = check_resolved(values, *surface, name)
     report = {
         "cells": {
@@ -75,7 +79,7 @@ def voxelize(
             "winding": asdict(certificates[1]),
             "volume": signed_volume(*surface),
             "volume_share_kept": kept,
-            "resolution": sdf_resolution,
+            "resolution": config.sdf_resolution,
             "band": band,
             "samples_in_band": int(np.count_nonzero(np.abs(values) < 127)),
         },

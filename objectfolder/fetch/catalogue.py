@@ -15,7 +15,7 @@ from objectfolder.materials import material
 from objectfolder.workspace import params
 
 
-class Source(params.Section):
+class Source(params.Entry):
     """A collection of meshes; ``{model}`` in an address stands for the object's id there."""
 
     title: str
@@ -29,7 +29,7 @@ class Source(params.Section):
     attribution: str
 
 
-class Entry(params.Section):
+class Entry(params.Entry):
     """One published object."""
 
     id: int  #: number in the publication
@@ -51,7 +51,7 @@ class Entry(params.Section):
         return self.model or self.name
 
 
-class Catalogue(params.Section):
+class Catalogue(params.Entry):
     """Sources and objects by key."""
 
     sources: dict[str, Source]

@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 
 import trimesh
 
+from objectfolder.engine.dvc.repository import track
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fetch import checksums
 from objectfolder.fetch.archive import unpack
@@ -108,7 +109,7 @@ def fetch_object(
             notice.write_text(source_text(key, catalogue, obtained.origin))
             # The source's up axis holds for its own files; another format has its own.
             up = source.up if mesh.suffix.lower() == Path(source.mesh).suffix else None
-            add_mesh(mesh, key, entry.material, entry.scale, up, root, [notice])
+            add_mesh(mesh, key, entry.material, entry.scale, up, root, [notice], track=track)
         except (ObjectFolderError, OSError) as error:
             message = str(error).replace(f"{scratch / 'object'}/", "")
             raise ObjectFolderError(f"{message} (from {obtained.origin})") from error

@@ -9,6 +9,14 @@ import trimesh
 from objectfolder.mesh.closing.surface import Rung, Surface, close_surface
 from objectfolder.mesh.closing.topology import Mesh
 from objectfolder.mesh.textured import TexturedMesh, appearance_report
+from objectfolder.settings import Count
+
+
+@dataclass(frozen=True, kw_only=True)
+class NormalizeConfig:
+    """Section ``normalize`` of ``params.yaml``."""
+
+    texture_size: Count  #: longest side of the kept texture, pixels
 
 
 @dataclass(frozen=True)

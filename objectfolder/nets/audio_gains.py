@@ -9,7 +9,6 @@ the second. The large matrices are stored as int8.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ import torch
 from torch import nn
 
 from objectfolder.nets import int8
+from objectfolder.nets.audio_config import GainsConfig
 from objectfolder.nets.fit import CurvePoint, fit, minibatches
 from objectfolder.nets.siren import Siren, sine_bound
 from objectfolder.nets.soap import Soap
@@ -28,21 +28,6 @@ RIDGE = 1e-6  # of the output layer's least squares, relative to a feature's pow
 # The first layer is small, and its weights of position and of features differ in size.
 INT8 = ("grid.table", "sines.layers.1.weight", "output.weight")
 BLOCK = 32  # queries run in blocks of this many rows, so that a row's bits do not depend on its batch
-
-
-@dataclass(frozen=True)
-class AudioConfig:
-    """Shape of the net and of its training."""
-
-    resolution: int  #: cells of the grid along each axis
-    channels: int  #: features of a node of the grid
-    width: int  #: of the first layer of sines
-    features: int  #: of the second, in which the outputs are linear: their rank bounds what M modes can share
-    frequency: float  #: of the sines
-    steps: int
-    batch: int
-    learning_rate: float
-    grid_rate: float  #: learning rate of the grid, relative
 
 
 class GainsNet(nn.Module):
@@ -57,7 +42,7 @@ class GainsNet(nn.Module):
     used : bool tensor
         Nodes of the grid; see `SplineGrid`.
     resolution, channels, width, features, frequency
-        See `AudioConfig`.
+        See `GainsConfig`.
     """
 
     damped_frequency: torch.Tensor
@@ -170,7 +155,8 @@ def train_gains(
     damping: np.ndarray,
     train: np.ndarray,
     val: np.ndarray,
-    config: AudioConfig,
+    config: GainsConfig,
+    batch: int,
     generator: torch.Generator,
     report: Callable[[CurvePoint], None] = lambda point: None,
 ) -> tuple[GainsNet, list[CurvePoint]]:
@@ -183,7 +169,9 @@ def train_gains(
     damped_frequency, damping : (M,) arrays
     train, val : int arrays
         Rows of the two splits.
-    config : AudioConfig
+    config : GainsConfig
+    batch : int
+        Points in a training step.
     generator : torch.Generator
         Seeds initialisation and batches.
     report : callable
@@ -223,7 +211,7 @@ def train_gains(
         nn.init.uniform_(head.weight, -bound, bound)
     if len(damping) == 0:
         return net.eval(), []
-    batches = iter(minibatches(len(train), config.batch, generator))
+    batches = iter(minibatches(len(train), batch, generator))
     nodes, weights = net.grid.nodes(x)
 
     def loss(index: torch.Tensor) -> torch.Tensor:

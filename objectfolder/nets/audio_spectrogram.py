@@ -6,7 +6,6 @@ It memorises 257 x 201 numbers per point and axis where the gains are M; it is h
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,24 +14,12 @@ from torch import nn
 
 from objectfolder.audio.spectrogram import SHAPE, spectrogram
 from objectfolder.audio.synthesis import sinusoid_bank
+from objectfolder.nets.audio_config import SpectrogramConfig
 from objectfolder.nets.fit import CurvePoint, fit
 from objectfolder.nets.positional import PointwiseNetwork, with_half_weights
 
 RANGE_POINTS = 256  # training points whose extremes span the range of values
 VAL_SAMPLES = 1 << 14
-
-
-@dataclass(frozen=True)
-class SpectrogramConfig:
-    """Shape of the net and of its training."""
-
-    width: int
-    depth: int
-    point_octaves: int  #: of the positional encoding
-    bin_octaves: int
-    steps: int
-    batch: int  #: of bins; each is learnt for the three axes
-    learning_rate: float
 
 
 class SpectrogramNet(nn.Module):

@@ -5,7 +5,6 @@ alone: all its contacts have one press depth and one angle.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,24 +14,12 @@ from torch import nn
 from objectfolder.errors import ObjectFolderError
 from objectfolder.nets.fit import CurvePoint, fit
 from objectfolder.nets.positional import PointwiseNetwork, with_half_weights
+from objectfolder.nets.touch_config import ImageConfig
 
 VAL_SAMPLES = 1 << 14
 
 # Contacts whose depths (metres) or angles (radians) differ by less are alike: rounding.
 _ALIKE = 1e-9
-
-
-@dataclass(frozen=True)
-class ImageConfig:
-    """Shape of the net and of its training."""
-
-    width: int
-    depth: int
-    point_octaves: int  #: of the positional encoding
-    pixel_octaves: int
-    steps: int
-    batch: int  #: of pixels
-    learning_rate: float
 
 
 class ImageTouch(nn.Module):

@@ -16,6 +16,7 @@ from torch import nn
 from objectfolder.mesh.grid import BOUND, ascent
 from objectfolder.nets.fit import CurvePoint, fit, minibatches
 from objectfolder.nets.positional import SkipNetwork, encoded, with_half_weights
+from objectfolder.nets.vision_config import OsfConfig
 from objectfolder.vision.cameras import Intrinsics, camera_rays
 from objectfolder.vision.color import on_white, shown_error
 from objectfolder.vision.picture import Picture
@@ -25,23 +26,6 @@ VAL_RAYS = 1 << 12  #: of which the validation loss is the mean
 _CHUNK = 32  # rays drawn at once: their activations stay in the cache
 _NORMAL_STEP = 0.01  # unit frame; over which the density's slope is taken
 _NEAREST = 0.01  # unit frame; a light is no closer than this to what it lights
-
-
-@dataclass(frozen=True)
-class OsfConfig:
-    """Shape of the net and of its training."""
-
-    width: int  #: of the density network
-    depth: int
-    branch_width: int  #: of the network of the scattered fraction
-    branch_depth: int
-    point_octaves: int  #: of the positional encoding
-    direction_octaves: int
-    coarse_samples: int  #: of a ray, stratified
-    fine_samples: int  #: more of them, where the coarse ones have found something
-    steps: int
-    batch: int  #: of rays
-    learning_rate: float
 
 
 class ScatteringFunction(nn.Module):

@@ -14,6 +14,7 @@ from objectfolder.mesh import srgb
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.fit import CurvePoint, fit, minibatches
 from objectfolder.nets.hashgrid import HashGrid
+from objectfolder.nets.vision_config import SurfaceConfig
 from objectfolder.nets.vision_surface import CHUNK, Baked, BounceInputs, SurfaceNet, in_cube
 from objectfolder.vision.appearance import appearance_at
 from objectfolder.vision.cameras import Intrinsics, camera_rays
@@ -23,25 +24,6 @@ from objectfolder.vision.trace import trace
 
 DARK = 0.002  # radiance that is hardly shown
 DARK_SHARE = 0.2  # of such pixels that training takes, against others
-
-
-@dataclass(frozen=True)
-class VisionConfig:
-    """Shape of the net and of its training."""
-
-    levels: int
-    features: int
-    table_bits: int
-    coarsest: int
-    finest: int
-    width: int  #: of the MLPs
-    points: int  #: of the surface, to learn base colour and normals from
-    point_steps: int
-    point_batch: int
-    pixels: int  #: of all training views, to learn what bounces from
-    steps: int
-    batch: int
-    learning_rate: float
 
 
 @dataclass(frozen=True)
@@ -90,7 +72,7 @@ def train_surface(
     scene: Scene,
     train: dict[str, np.ndarray],
     val: dict[str, np.ndarray],
-    config: VisionConfig,
+    config: SurfaceConfig,
     generator: torch.Generator,
     report: Callable[[CurvePoint], None] = lambda point: None,
 ) -> tuple[SurfaceNet, list[CurvePoint]]:
@@ -104,7 +86,7 @@ def train_surface(
         The mesh that the views show.
     train, val : dict
         ``rgba`` (N, H, W, 4), ``camera_to_world`` (N, 4, 4), ``light`` (N, 3), ``focal``.
-    config : VisionConfig
+    config : SurfaceConfig
     generator : torch.Generator
     report : callable
         Called with each `CurvePoint` of the views; losses are mean squared errors in sRGB on pixels within

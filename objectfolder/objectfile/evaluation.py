@@ -13,12 +13,20 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.metrics import SpectrogramErrors, awgn_psnr, gain_errors, psnr, ssim
 from objectfolder.nets.audio_gains import energy_weights
 from objectfolder.objectfile.file import ObjectFile
+from objectfolder.settings import Count
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.color import lit_foreground, on_white
 
 AWGN = {"sigma_0_05": 0.05, "variance_0_05": 0.05**0.5}  # the paper says variance, its figures mean sigma
 BATCH = 16  # sounds transformed at once
 MIN_PIXELS = 50  #: of a contact whose pixels are scored
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateConfig:
+    """Section ``evaluate`` of ``params.yaml``."""
+
+    impacts: Count  #: random impacts whose spectrograms are scored
 
 
 def evaluate_vision(view: Callable[..., np.ndarray], views: dict[str, np.ndarray]) -> dict[str, Any]:

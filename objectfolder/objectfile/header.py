@@ -27,9 +27,7 @@ def format_name() -> str:
 @cache
 def schema() -> dict[str, Any]:
     """Return the JSON Schema of the header."""
-    return json.loads(
-        resources.files(__package__).joinpath("objectfile.schema.json").read_text()
-    )
+    return json.loads(resources.files(__package__).joinpath("objectfile.schema.json").read_text())
 
 
 def known_kinds(part: str) -> tuple[str, ...]:

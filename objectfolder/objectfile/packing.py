@@ -1,11 +1,9 @@
 """Joins what the training stages made into an Object File."""
 
-import dataclasses
 from typing import Any
 
 import numpy as np
 
-from objectfolder import materials
 from objectfolder.mesh.gridcodec import pack_grid
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.header import format_name
@@ -14,7 +12,7 @@ from objectfolder.workspace.layout import MODALITIES
 
 def pack(
     key: str,
-    material: str,
+    modal: dict[str, Any],
     normalize: dict[str, Any],
     sdf: dict[str, np.ndarray],
     nets: dict[str, tuple[dict[str, np.ndarray], dict[str, Any]]],
@@ -24,9 +22,11 @@ def pack(
 
     Parameters
     ----------
-    key, material : str
+    key : str
+    modal : dict
+        ``modal.json``: material and scale of the solid whose modes the audio net holds.
     normalize : dict
-        ``normalize.json``: scale, mass properties and the transform to the source mesh.
+        ``normalize.json``: mass properties and the transform to the source mesh.
     sdf : dict
         ``values`` int8 and ``band``.
     nets : dict
@@ -34,8 +34,6 @@ def pack(
     provenance : dict
         SHA-256 of each input, by name.
     """
-    properties = dataclasses.asdict(materials.material(material))
-    del properties["name"]
     stream, predictor = pack_grid(sdf["values"])
     tensors = {"geometry.distances": stream}
     geometry = {
@@ -47,9 +45,9 @@ def pack(
     header: dict[str, Any] = {
         "format": format_name(),
         "key": key,
-        "material": material,
-        "material_properties": properties,
-        "scale": normalize["scale_m"],
+        "material": modal["material"],
+        "material_properties": modal["material_properties"],
+        "scale": modal["scale_m"],
         "source": {name: normalize[name] for name in ("source_centre", "source_size", "source_up")},
         "solid": normalize["solid"],
         "geometry": geometry,

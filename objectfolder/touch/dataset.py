@@ -1,7 +1,8 @@
 """Ground-truth touches of an object: contacts on its exact surface."""
 
 from collections.abc import Callable, Iterable
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import igl
 import numpy as np
@@ -9,6 +10,7 @@ import torch
 
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.sampling import sample_surface, split_rows
+from objectfolder.settings import Count, NonNegative
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile, require_renderer
@@ -17,6 +19,19 @@ from objectfolder.touch.tacto_rays import TactoRays
 
 _BATCH = 16
 _MEASURED = ("obstructed", "max_penetration", "area", "force")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderTouchConfig:
+    """Section ``render_touch`` of ``params.yaml``."""
+
+    locations: Literal["surface", "vertices"]  #: random points by area, or every vertex (as the paper)
+    train: Count  #: contacts; with ``vertices``, every vertex is used, split 80/10/10
+    val: Count
+    test: Count
+    renderer: Literal["gel", "tacto"]  #: the deformed gel, or TACTO's rendering (sensor: tacto_digit)
+    depth: NonNegative | None  #: of every contact, metres; null: random up to the sensor's press_depth
+    angle: float | None  #: of every contact, radians; null: random
 
 
 def contact_points(

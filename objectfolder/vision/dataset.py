@@ -1,16 +1,34 @@
 """Views of an object with random cameras and lights."""
 
 from collections.abc import Callable, Iterable
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
+from annotated_types import Ge, MultipleOf
 
+from objectfolder.settings import Count, NonNegative
 from objectfolder.vision.cameras import CAMERA_RADIUS, LIGHT_RADIUS, Intrinsics, look_at, sphere_points
 from objectfolder.vision.color import lit_foreground, on_white
 from objectfolder.vision.renderers.registry import Renderer
 
+RendererName = Literal["mitsuba", "mitsuba-llvm", "mitsuba-cuda", "cycles", "raster"]
 BRIGHTEST = np.finfo(np.float16).max  # the highlight of a mirror near the light is brighter
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderViewsConfig:
+    """Section ``render_views`` of ``params.yaml``."""
+
+    renderer: RendererName  #: docs/pipeline.md compares them
+    ambient: NonNegative  #: radiance from every direction, beside the point light
+    resolution: Count  #: pixels along a side
+    train: Count  #: views
+    val: Count
+    test: Count
+    train_samples: Count  #: per pixel
+    test_samples: Annotated[int, Ge(2), MultipleOf(2)]  #: per pixel, validation and test: two halves
 
 
 def render_split(

@@ -1,20 +1,18 @@
-"""Objects and presets in ``params.yaml``: adding them keeps comments and order, and is all or nothing."""
+"""Add objects to ``params.yaml``: comments and order are kept, and a failure changes nothing."""
 
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 
-from objectfolder.benchmarks.params import check_tasks
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic
 from objectfolder.mesh.reading.load import default_up, load_mesh
 from objectfolder.mesh.reading.references import references
 from objectfolder.workspace import params
+from objectfolder.workspace.document import editable, write_params
 
 MIN_SCALE, MAX_SCALE = 0.001, 20  # metres; outside, a unit is probably mistaken
 
@@ -29,6 +27,8 @@ def add_mesh(
     attachments: Sequence[Path] = (),
     wall: float | None = None,
     bridge: str = "all",
+    *,
+    track: Callable[[Path, Path], None],
 ) -> dict[str, Any]:
     """Copy a mesh into the workspace, track it with DVC and enter it in ``params.yaml``.
 
@@ -49,6 +49,8 @@ def add_mesh(
         Thickness that open sheets get, metres.
     bridge : {"all", "fem", "off"}
         Where small gaps are filled.
+    track : callable
+        Puts a folder of a workspace under version control; takes both paths.
 
     Returns
     -------
@@ -60,12 +62,8 @@ def add_mesh(
     ObjectFolderError
         If anything is wrong with the arguments or the mesh; nothing is changed then.
     """
-    from dvc.exceptions import DvcException
-
-    from objectfolder.engine.dvc.repository import owned
-
     params_path = root / params.PARAMS_FILE
-    document, values = _editable(params_path)
+    document, values = editable(params_path)
     home = check_new(key, values, root)
     up = up or default_up(mesh)
     lower, upper = load_mesh(mesh, up).bounds
@@ -98,14 +96,13 @@ def add_mesh(
             copy.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source, copy)
         staging.rename(home)
-        with owned(root) as repo:
-            repo.add(str(home.resolve()))
+        track(home, root)
         document["objects"][key] = _one_line(entry)
-        _write(params_path, document)
+        write_params(params_path, document)
     except BaseException as error:
         shutil.rmtree(home, ignore_errors=True)
         home.with_name(f"{key}.dvc").unlink(missing_ok=True)
-        if isinstance(error, OSError | DvcException):
+        if isinstance(error, OSError):
             raise ObjectFolderError(f"cannot add {key} to {home}: {error}; nothing was changed") from error
         raise
     finally:
@@ -146,7 +143,7 @@ def add_catalogue(catalogue: Path, root: Path = Path()) -> list[str]:
         If an entry is invalid, or another one has its key.
     """
     params_path = root / params.PARAMS_FILE
-    document, values = _editable(params_path)
+    document, values = editable(params_path)
     if catalogue.is_file() and re.search(r"^sources:", catalogue.read_text(errors="replace"), re.MULTILINE):
         raise ObjectFolderError(
             f"{catalogue} lists published objects whose meshes are not here; bring them with `objectfolder "
@@ -167,60 +164,8 @@ def add_catalogue(catalogue: Path, root: Path = Path()) -> list[str]:
                 raise ObjectFolderError(
                     f"{catalogue}: {group}.{key} differs from the one in {params_path}; rename or remove one"
                 )
-    _write(params_path, document)
+    write_params(params_path, document)
     return added
-
-
-def apply_preset(name: str, root: Path = Path()) -> list[str]:
-    """Merge ``params/<name>.yaml`` into the stage sections of ``params.yaml``.
-
-    Returns
-    -------
-    Sections that changed.
-
-    Raises
-    ------
-    ObjectFolderError
-        If there is no such preset, or the result is invalid.
-    """
-    params_path = root / params.PARAMS_FILE
-    document, values = _editable(params_path)
-    preset, path = read_preset(name, root)
-    changed = [section for section, content in preset.items() if values.get(section) != content]
-    params.check_all({**values, **preset}, path)
-    check_tasks({**values, **preset}, path)
-    for section in changed:
-        document[section] = preset[section]
-    _write(params_path, document)
-    return changed
-
-
-def read_preset(name: str, root: Path = Path()) -> tuple[dict[str, Any], Path]:
-    """Return the sections of ``params/<name>.yaml``, and its path.
-
-    Raises
-    ------
-    ObjectFolderError
-        If there is no such preset.
-    """
-    folder = root / "params"
-    path = folder / f"{name}.yaml"
-    if not path.is_file():
-        known = ", ".join(sorted(p.stem for p in folder.glob("*.yaml"))) or "none"
-        raise ObjectFolderError(f"no preset {name!r} in {folder}/; expected one of {known}")
-    return YAML(typ="safe").load(path.read_text()), path
-
-
-def _editable(path: Path) -> tuple[Any, dict[str, Any]]:
-    values = params.read(path)
-    return YAML().load(path.read_text()), values
-
-
-def _write(path: Path, document: Any) -> None:
-    yaml = YAML()
-    yaml.width = 4096  # an entry stays on its line
-    with atomic(path) as temporary, temporary.open("w") as stream:
-        yaml.dump(document, stream)
 
 
 def _one_line(entry: dict[str, Any]) -> CommentedMap:

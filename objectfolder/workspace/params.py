@@ -1,12 +1,20 @@
-"""Typed parameters. Each stage gets only the slice of ``params.yaml`` that it declares in ``dvc.yaml``."""
+"""Read and check ``params.yaml``: objects, and one section of settings for each stage.
+
+A section is a frozen dataclass beside the code that uses it, such as `objectfolder.fem.modal.ModalConfig`.
+Its annotations are the checks (`objectfolder.settings`).
+"""
 
 import json
 import re
+from collections.abc import Collection
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
 from pathlib import Path, PurePosixPath
-from types import SimpleNamespace
-from typing import Any, Literal
+from typing import Any, Generic, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator
+from pydantic_core import ErrorDetails
 from ruamel.yaml import YAML, YAMLError
 
 from objectfolder.errors import ObjectFolderError
@@ -15,16 +23,52 @@ from objectfolder.materials import material
 PARAMS_FILE = "params.yaml"
 KEY = re.compile(r"[a-z][a-z0-9_]*")
 Bridge = Literal["all", "fem", "off"]
-Count = Field(ge=1)
+Config = TypeVar("Config")
+Model = TypeVar("Model", bound=BaseModel)
 
 
-class Section(BaseModel):
-    """Frozen, and unknown names are errors."""
+_STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+#: Dataclass of each section. By name, so that a stage depends on the modules of its own section alone.
+SECTIONS = {
+    "normalize": "objectfolder.mesh.normalize:NormalizeConfig",
+    "voxelize": "objectfolder.fem.voxelize:VoxelizeConfig",
+    "modal": "objectfolder.fem.modal:ModalConfig",
+    "render_views": "objectfolder.vision.dataset:RenderViewsConfig",
+    "render_touch": "objectfolder.touch.dataset:RenderTouchConfig",
+    "train_vision": "objectfolder.nets.vision_config:VisionConfig",
+    "train_audio": "objectfolder.nets.audio_config:AudioConfig",
+    "train_touch": "objectfolder.nets.touch_config:TouchConfig",
+    "evaluate": "objectfolder.objectfile.evaluation:EvaluateConfig",
+    "observe": "objectfolder.benchmarks.datasets.sampling:ObserveConfig",
+    "encode": "objectfolder.benchmarks.models.encoders:EncodeConfig",
+    "recognize": "objectfolder.benchmarks.tasks.recognition:RecognizeConfig",
+    "retrieve": "objectfolder.benchmarks.tasks.retrieval:RetrieveConfig",
+    "reconstruct": "objectfolder.benchmarks.tasks.reconstruction:ReconstructConfig",
+    "decompose": "objectfolder.envs.hulls:DecomposeConfig",
+    "grasp_data": "objectfolder.benchmarks.datasets.grasp_data:GraspDataConfig",
+    "grasp_stability": "objectfolder.benchmarks.tasks.grasp_stability:GraspStabilityConfig",
+    "grasp_policy": "objectfolder.benchmarks.models.trpo:GraspPolicyConfig",
+    "reach": "objectfolder.benchmarks.models.ppo:ReachConfig",
+}
+#: Stages of single objects that every build runs.
+OBJECT_STAGES = (
+    *("normalize", "voxelize", "modal", "render_views", "render_touch"),
+    *("train_vision", "train_audio", "train_touch", "pack", "evaluate", "observe"),
+)
+#: Stages over all objects, or over those that are grasped, by split.
+TASKS = ("recognize", "retrieve", "reconstruct", "grasp_stability")
+#: Stages of the objects that ``benchmarks`` in ``params.yaml`` names.
+ROBOT_STAGES = ("decompose", "grasp_data", "grasp_policy", "reach")
 
 
-class ObjectEntry(Section):
+class Entry(BaseModel):
+    """A mapping in a YAML file: frozen, and unknown names are errors."""
+
+    model_config = ConfigDict(frozen=True, **_STRICT)
+
+
+class ObjectEntry(Entry):
     """One object."""
 
     mesh: str  #: under data/objects/<key>/
@@ -53,199 +97,34 @@ class ProceduralEntry(BaseModel):
     generator: str
 
 
-class Shared(Section):
+class Shared(Entry):
     """Values that several stages use."""
 
     seed: int = Field(ge=0)
     sensor: str  #: profile in objectfolder/touch/profiles
 
 
-class NormalizeParams(Section):  # noqa: D101
-    texture_size: int = Count  #: longest side of the texture that is kept, pixels
+class Selection(Entry):
+    """Benchmarks that a build runs: ``benchmarks`` in ``params.yaml``, splits or objects by stage."""
+
+    recognize: list[Literal["seen"]]
+    retrieve: list[Literal["seen", "unseen"]]
+    reconstruct: list[Literal["seen", "unseen"]]
+    grasp_stability: list[Literal["seen", "unseen"]]
+    decompose: list[str]
+    grasp_data: list[str]
+    grasp_policy: list[str]
+    reach: list[str]
 
 
-class VoxelizeParams(Section):  # noqa: D101
-    #: what vibrates is divided into these (docs/modal.md)
-    element: Literal["cut_cell_hex20", "hex8", "hex8_incompatible", "tet10"]
-    resolutions: list[int] = Field(min_length=1)  #: cells along the longest side, finest first
-    subdivisions: int = Field(ge=4)  #: sub-cells along each side of a cell; fewer lose walls
-    max_degrees_of_freedom: int = Count  #: take the first resolution under this size
-    sdf_resolution: int = Field(ge=16, le=256)  #: finer, the band is narrower than the contact normals' reach
+@dataclass(frozen=True)
+class StageParams(Generic[Config]):
+    """Parameters of one stage. It may read only what it declares in ``dvc.yaml``; a test compares the two."""
 
-
-class FineGridParams(Section):  # noqa: D101
-    resolution: int = Count  #: cells along the longest side
-    subdivisions: int = Field(ge=4)  #: sub-cells along each side of a cell
-    max_degrees_of_freedom: int = Count  #: not taken beyond this size
-    max_error: float = Field(
-        gt=0
-    )  #: that the first grid may have, estimated, in the eight lowest frequencies
-
-
-class ModalParams(Section):  # noqa: D101
-    fine: FineGridParams  #: taken where walls are thin or the error of voxelize's grid is large
-    max_frequency: float = Field(gt=20)  #: Hz
-    max_modes: int = Count
-    surface_points: int = Field(ge=0)  #: random points, besides the surface's vertices
-
-
-class RenderViewsParams(Section):  # noqa: D101
-    renderer: Literal["mitsuba", "mitsuba-llvm", "mitsuba-cuda", "cycles", "raster"]  #: docs/pipeline.md
-    ambient: float = Field(ge=0)  #: radiance from every direction, beside the point light
-    resolution: int = Count  #: pixels along a side
-    train: int = Count  #: views
-    val: int = Count
-    test: int = Count
-    train_samples: int = Count  #: per pixel
-    test_samples: int = Field(ge=2, multiple_of=2)  #: per pixel, validation and test: two halves
-
-
-class RenderTouchParams(Section):  # noqa: D101
-    locations: Literal["surface", "vertices"]  #: random points by area, or every vertex (as the paper)
-    train: int = Count  #: contacts; with ``vertices``, every vertex is used and split 80/10/10
-    val: int = Count
-    test: int = Count
-    renderer: Literal["gel", "tacto"]  #: the deformed gel, or what TACTO draws (sensor: tacto_digit)
-    depth: float | None = Field(ge=0)  #: of every contact, metres; null: random, the sensor's press_depth
-    angle: float | None  #: of every contact, radians; null: random
-
-
-class VisionOsf(Section):  # noqa: D101
-    width: int = Count  #: of the density network
-    depth: int = Count
-    branch_width: int = Count  #: of the network of the scattered fraction
-    branch_depth: int = Count
-    point_octaves: int = Field(ge=0, le=16)  #: of the positional encoding
-    direction_octaves: int = Field(ge=0, le=16)
-    coarse_samples: int = Count  #: of a ray
-    fine_samples: int = Count
-    steps: int = Count
-    batch: int = Count  #: of rays
-    learning_rate: float = Field(gt=0)
-
-
-class TrainVisionParams(Section):  # noqa: D101
-    net: Literal["surface", "osf"]
-    levels: int = Count
-    features: int = Count
-    table_bits: int = Field(ge=4, le=24)
-    coarsest: int = Count
-    finest: int = Count
-    width: int = Count
-    points: int = Count  #: of the surface, to learn its look from
-    point_steps: int = Count
-    point_batch: int = Count
-    pixels: int = Count  #: of all training views, to learn what bounces from
-    steps: int = Count
-    batch: int = Count
-    learning_rate: float = Field(gt=0)
-    osf: VisionOsf  #: net and training of that kind; the fields above are those of ``surface``
-
-
-class AudioSize(Section):  # noqa: D101
-    modes: int = Count  #: for objects with at most this many modes
-    resolution: int = Field(ge=1, le=128)  #: cells of the grid along each axis
-    channels: int = Count  #: features of a node of the grid
-    width: int = Count  #: of the first layer of sines
-    features: int = Count  #: of the second
-    frequency: float = Field(gt=0)  #: of the sines
-    steps: int = Count
-    learning_rate: float = Field(gt=0)
-    grid_rate: float = Field(gt=0)  #: learning rate of the grid, relative
-
-
-class AudioSpectrogram(Section):  # noqa: D101
-    width: int = Count
-    depth: int = Count
-    point_octaves: int = Field(ge=0, le=16)  #: of the positional encoding
-    bin_octaves: int = Field(ge=0, le=16)
-    steps: int = Count
-    batch: int = Count
-    learning_rate: float = Field(gt=0)
-
-
-class TrainAudioParams(Section):  # noqa: D101
-    net: Literal["gains", "spectrogram"]
-    sizes: list[AudioSize] = Field(min_length=1)  #: the first that is large enough, else the last
-    batch: int = Count
-    spectrogram: AudioSpectrogram  #: net and training of that kind; the fields above are those of ``gains``
-
-    def size(self, modes: int) -> AudioSize:
-        """Return the size for a number of modes."""
-        return next((s for s in self.sizes if modes <= s.modes), self.sizes[-1])
-
-
-class TouchImage(Section):  # noqa: D101
-    width: int = Count
-    depth: int = Count
-    point_octaves: int = Field(ge=0, le=16)  #: of the positional encoding
-    pixel_octaves: int = Field(ge=0, le=16)
-    steps: int = Count
-    batch: int = Count  #: of pixels
-    learning_rate: float = Field(gt=0)
-
-
-class TrainTouchParams(Section):  # noqa: D101
-    net: Literal["geometric", "image"]
-    offset_span: float = Field(gt=0)  #: search range of the depth offset, metres
-    rounds: int = Count
-    contacts: int = Count  #: training and validation contacts used at most
-    image: TouchImage  #: net and training of that kind; the fields above are those of ``geometric``
-
-
-class EvaluateParams(Section):  # noqa: D101
-    impacts: int = Count  #: random impacts whose spectrograms are scored
-
-
-class ObserveParams(Section):  # noqa: D101
-    observations: int = Field(ge=10, multiple_of=10)  #: of each modality, for the benchmarks
-    resolution: int = Field(ge=8)  #: of views, pixels along a side
-
-
-SECTIONS: dict[str, type[Section]] = {
-    "normalize": NormalizeParams,
-    "voxelize": VoxelizeParams,
-    "modal": ModalParams,
-    "render_views": RenderViewsParams,
-    "render_touch": RenderTouchParams,
-    "train_vision": TrainVisionParams,
-    "train_audio": TrainAudioParams,
-    "train_touch": TrainTouchParams,
-    "evaluate": EvaluateParams,
-    "observe": ObserveParams,
-}
-
-#: What each stage declares: fields of its object's entry, and (`SHARED`) values that stages share.
-#: A stage also gets the section of its own name, if there is one. A test compares this with dvc.yaml.
-OBJECT_FIELDS: dict[str, tuple[str, ...]] = {
-    "normalize": ("mesh", "scale", "up", "wall", "bridge"),
-    "voxelize": (),
-    "modal": ("material", "scale"),
-    "render_views": (),
-    "render_touch": ("scale",),
-    "train_vision": (),
-    "train_audio": (),
-    "train_touch": ("scale",),
-    "pack": ("material",),
-    "evaluate": (),
-    "observe": (),
-}
-#: Stages over all objects, or those that are grasped, by split; objectfolder/benchmarks/params.py has their
-#: parameters.
-TASKS = ("recognize", "retrieve", "reconstruct", "grasp_stability")
-#: Stages of the objects that ``benchmarks`` in ``params.yaml`` names.
-ROBOT_STAGES = ("decompose", "grasp_data", "grasp_policy", "reach")
-#: Shared parameters, by the stage that reads them.
-SHARED: dict[str, tuple[str, ...]] = {
-    "modal": ("seed",),
-    "render_views": ("seed",),
-    "render_touch": ("seed", "sensor"),
-    "train_vision": ("seed",),
-    "train_audio": ("seed",),
-    "train_touch": ("seed", "sensor"),
-    "evaluate": ("seed",),
-    "observe": ("seed",),
-}
+    settings: Config  #: the stage's section
+    object: ObjectEntry
+    seed: int
+    sensor: str
 
 
 def read(path: str | Path = PARAMS_FILE) -> dict[str, Any]:
@@ -282,7 +161,7 @@ def check_key(key: Any, where: str = "object key") -> str:
     ObjectFolderError
         If it is not a slug. DVC drops integer keys silently and takes a dot for a path.
     """
-    stages = {*SECTIONS, *OBJECT_FIELDS, *TASKS, *ROBOT_STAGES}
+    stages = {*OBJECT_STAGES, *TASKS, *ROBOT_STAGES}
     if isinstance(key, str) and KEY.fullmatch(key) and key not in stages:
         return key
     reason = (
@@ -313,7 +192,7 @@ def object_entry(key: str, values: dict[str, Any], path: str | Path = PARAMS_FIL
         raise ObjectFolderError(
             f"{path} has no object {key!r} (it has {known}); add it with `objectfolder add`"
         )
-    valid = validate(ObjectEntry, values["objects"][key], f"{path}: objects.{key}")
+    valid = _checked(ObjectEntry, values["objects"][key], f"{path}: objects.{key}")
     home = PurePosixPath("data/objects") / key
     mesh = PurePosixPath(valid.mesh)
     if home not in mesh.parents or ".." in mesh.parts:
@@ -321,28 +200,66 @@ def object_entry(key: str, values: dict[str, Any], path: str | Path = PARAMS_FIL
     return valid
 
 
-def stage_params(stage: str, key: str, path: str | Path = PARAMS_FILE) -> SimpleNamespace:
-    """Return the slice of the parameters that a stage declares.
+def stage_params(config: type[Config], key: str, path: str | Path = PARAMS_FILE) -> StageParams[Config]:
+    """Return the parameters of a stage of one object.
 
-    Returns
-    -------
-    SimpleNamespace
-        ``object`` with the declared fields of the object's entry, ``section`` (or None), and the shared
-        values ``seed`` and ``sensor`` where declared. Anything else is an AttributeError, so that nothing
-        undeclared is read.
+    Parameters
+    ----------
+    config : type
+        Dataclass of the stage's section, one of `SECTIONS`.
+    key : str
+        Object key.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the section or the object's entry is missing or wrong.
     """
     values = read(path)
     entry = object_entry(check_key(key), values, path)
-    section = None
-    if stage in SECTIONS:
-        if stage not in values:
-            raise ObjectFolderError(f"{path} lacks section {stage!r}; run `objectfolder preset quick`")
-        section = validate(SECTIONS[stage], values[stage], f"{path}: {stage}")
-    return SimpleNamespace(
-        object=SimpleNamespace(**{field: getattr(entry, field) for field in OBJECT_FIELDS[stage]}),
-        section=section,
-        **{name: getattr(_shared(values, path), name) for name in SHARED.get(stage, ())},
-    )
+    common = shared(values, path)
+    return StageParams(settings(config, values, path), entry, common.seed, common.sensor)
+
+
+def settings(config: type[Config], values: dict[str, Any], path: str | Path = PARAMS_FILE) -> Config:
+    """Check a section and return it as its dataclass.
+
+    Parameters
+    ----------
+    config : type
+        One of `SECTIONS`.
+    values : dict
+        Contents of ``params.yaml``, perhaps with a preset merged into it.
+    path : path
+        Named in errors.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the section is missing, or a field is missing, unknown or wrong.
+    """
+    name = _sections()[f"{config.__module__}:{config.__qualname__}"]
+    if name not in values:
+        raise ObjectFolderError(f"{path} lacks section {name!r}; run `objectfolder preset quick`")
+    # As JSON, because strict checks of Python values refuse a mapping for a dataclass and a list for a tuple.
+    # In a dict, because a dataclass of the library has no pydantic configuration, and takes that around it.
+    adapter: TypeAdapter[dict[str, Config]] = TypeAdapter(dict[str, config], config=_STRICT)  # type: ignore[valid-type]
+    try:
+        return adapter.validate_json(json.dumps({name: values[name]}, default=str))[name]
+    except ValidationError as error:
+        raise _wrong(f"{path}: {name}", error, 1) from error
+
+
+def section_config(name: str) -> type[Any]:
+    """Return the dataclass of a section."""
+    module, _, qualified = SECTIONS[name].partition(":")
+    config: type[Any] = getattr(import_module(module), qualified)
+    return config
+
+
+@cache
+def _sections() -> dict[str, str]:
+    return {qualified: name for name, qualified in SECTIONS.items()}
 
 
 def procedural_entry(key: str, path: str | Path = PARAMS_FILE) -> tuple[str, dict[str, Any]]:
@@ -351,7 +268,7 @@ def procedural_entry(key: str, path: str | Path = PARAMS_FILE) -> tuple[str, dic
     entry = values["procedural"].get(key)
     if entry is None:
         raise ObjectFolderError(f"{path}: procedural has no {key!r}")
-    valid = validate(ProceduralEntry, entry, f"{path}: procedural.{key}")
+    valid = _checked(ProceduralEntry, entry, f"{path}: procedural.{key}")
     return valid.generator, dict(valid.model_extra or {})
 
 
@@ -367,31 +284,57 @@ def check_all(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
                 f"{path}: objects.{key} lacks {', '.join(lacking)}, which DVC tracks; add `{fields}`"
             )
     for key, entry in values["procedural"].items():
-        validate(ProceduralEntry, entry, f"{path}: procedural.{key}")
-    for name, model in SECTIONS.items():
-        if name not in values:
-            raise ObjectFolderError(f"{path} lacks section {name!r}; run `objectfolder preset quick`")
-        validate(model, values[name], f"{path}: {name}")
-    _shared(values, path)
+        _checked(ProceduralEntry, entry, f"{path}: procedural.{key}")
+    for name in SECTIONS:
+        settings(section_config(name), values, path)
+    shared(values, path)
+    _check_selection(values, path)
 
 
-def _shared(values: dict[str, Any], path: str | Path) -> Shared:
-    return validate(Shared, {name: values.get(name) for name in Shared.model_fields}, str(path))
+def shared(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> Shared:
+    """Check the values that several stages use, and return them."""
+    return _checked(Shared, {name: values.get(name) for name in Shared.model_fields}, str(path))
 
 
-def validate(model: type[BaseModel], value: Any, where: str) -> Any:
-    """Return a section as its model.
+def _check_selection(values: dict[str, Any], path: str | Path) -> None:
+    """Check that each selected benchmark has its objects and the stages that it depends on."""
+    if "benchmarks" not in values:
+        empty = ", ".join(f"{name}: []" for name in Selection.model_fields)
+        raise ObjectFolderError(
+            f"{path} lacks `benchmarks`, the benchmarks that a build runs; add `benchmarks: {{{empty}}}`"
+        )
+    selection = _checked(Selection, values["benchmarks"], f"{path}: benchmarks")
+    for stage in ROBOT_STAGES:
+        keys = getattr(selection, stage)
+        _require(f"{path}: benchmarks.{stage}", keys, values["objects"], "is no object")
+        _require(f"{path}: benchmarks.{stage}", keys, selection.decompose, "lacks in benchmarks.decompose")
+    if selection.grasp_stability and len(selection.grasp_data) < 2:
+        raise ObjectFolderError(
+            f"{path}: benchmarks.grasp_stability needs the grasps of at least two objects; list them in "
+            "benchmarks.grasp_data"
+        )
 
-    Raises
-    ------
-    ObjectFolderError
-        If a field is lacking, unknown or wrong; the message begins with ``where``.
-    """
+
+def _require(where: str, keys: list[str], known: Collection[str], fault: str) -> None:
+    wrong = [key for key in keys if key not in known]
+    if wrong:
+        raise ObjectFolderError(f"{where}: {wrong[0]} {fault}; expected one of {', '.join(known) or 'none'}")
+
+
+def _checked(model: type[Model], value: Any, where: str) -> Model:
     try:
         return model.model_validate(value)
     except ValidationError as error:
-        problems = "; ".join(
-            f"{'.'.join(map(str, e['loc'])) or 'entry'}: {e['msg']}, got {e['input']!r}"
-            for e in error.errors()
-        )
-        raise ObjectFolderError(f"{where}: {problems}") from error
+        raise _wrong(where, error) from error
+
+
+def _wrong(where: str, error: ValidationError, outer: int = 0) -> ObjectFolderError:
+    """Name every wrong field; ``outer`` levels of its location are in ``where`` already."""
+
+    def problem(e: ErrorDetails) -> str:
+        place = ".".join(map(str, e["loc"][outer:]))
+        if not place and e["type"] == "value_error":  # of a dataclass's own check, which names the field
+            return str(e["ctx"]["error"])
+        return f"{place or 'entry'}: {e['msg']}, got {e['input']!r}"
+
+    return ObjectFolderError(f"{where}: {'; '.join(map(problem, error.errors()))}")

@@ -1,10 +1,13 @@
+import json
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 
-from objectfolder.benchmarks.params import SECTIONS, check_tasks, splits_of, stage_params, task_params
+from objectfolder.benchmarks.params import object_keys, splits_of, task_params
+from objectfolder.benchmarks.tasks.grasp_stability import GraspStabilityConfig
 from objectfolder.errors import ObjectFolderError
-from objectfolder.workspace.params import TASKS, check_key, read
+from objectfolder.workspace.params import TASKS, check_all, check_key, read, section_config, settings
 
 ROOT = Path(__file__).parents[2]
 ENCODE = {"encoder": "resnet18", "image": 56, "spectrogram": [64, 50], "touch": [64, 48]}
@@ -28,13 +31,17 @@ def values():
     return read(ROOT / "params.yaml")
 
 
+def as_yaml(settings):
+    return json.loads(json.dumps(asdict(settings)))
+
+
 def test_a_task_gets_its_section_what_encoders_see_and_the_seed(values):
     for task in TASKS:
-        params = task_params(task, values)
-        assert params.section == SECTIONS[task].model_validate(values[task])
-        assert params.encode.model_dump() == values["encode"]
+        params = task_params(section_config(task), values)
+        assert params.settings == settings(section_config(task), values)
+        assert as_yaml(params.encode) == values["encode"]
         assert params.seed == values["seed"]
-    assert stage_params("retrieve", ROOT / "params.yaml").keys == tuple(values["objects"])
+    assert object_keys("retrieve", ROOT / "params.yaml") == tuple(values["objects"])
 
 
 @pytest.mark.parametrize(
@@ -53,14 +60,14 @@ def test_wrong_values_are_named(values, change, message):
     for section, fields in change.items():
         values[section] = None if fields is None else {**values[section], **fields}
     with pytest.raises(ObjectFolderError, match=f"params.yaml: {message}"):
-        check_tasks(values)
+        check_all(values)
 
 
 @pytest.mark.parametrize("section", ["encode", "recognize", "benchmarks"])
 def test_lacking_sections_say_what_to_do(values, section):
     del values[section]
     with pytest.raises(ObjectFolderError, match=r"lacks .*(preset quick|add `benchmarks: \{recognize: \[\])"):
-        check_tasks(values)
+        check_all(values)
 
 
 def test_splits_and_reserved_names():
@@ -75,6 +82,6 @@ def test_splits_and_reserved_names():
 def test_sizes_ascend(sizes):
     values = {"seed": 0, "sensor": "digit", "encode": ENCODE, "grasp_stability": STABILITY | {"sizes": sizes}}
     with pytest.raises(ObjectFolderError, match=r"params.yaml: grasp_stability: sizes"):
-        task_params("grasp_stability", values)
+        settings(GraspStabilityConfig, values)
     values["grasp_stability"] = STABILITY
-    assert task_params("grasp_stability", values).section.sizes == [100, 1000]
+    assert settings(GraspStabilityConfig, values).sizes == (100, 1000)

@@ -14,11 +14,13 @@ from typer.testing import CliRunner
 
 from objectfolder.cli import app
 from objectfolder.engine.build import build
+from objectfolder.engine.dvc.repository import track
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.workspace import objects as catalog
 from objectfolder.workspace import params
 from objectfolder.workspace.discover import discover, slug
+from objectfolder.workspace.presets import apply_preset
 
 ROOT = Path(__file__).parents[2]
 OBJECTS = ROOT.parent / "shared" / "objects"
@@ -59,7 +61,7 @@ def snapshot(root):
 
 
 def test_add_copies_what_the_mesh_refers_to_and_tracks_it(workspace, box):
-    entry = catalog.add_mesh(box, "crate", "wood", None, None)
+    entry = catalog.add_mesh(box, "crate", "wood", None, None, track=track)
     assert entry == {
         "mesh": "data/objects/crate/mesh.obj",
         "material": "wood",
@@ -85,7 +87,7 @@ def test_a_ply_brings_its_texture_and_deleted_data_comes_back(workspace, tmp_pat
     header += "property list uchar int vertex_indices\nend_header\n"
     body = "0 0 0 0 0\n1 0 0 1 0\n0 1 0 0 1\n0 0 1 1 1\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n"
     (tmp_path / "tetra.ply").write_text(header + body)
-    catalog.add_mesh(tmp_path / "tetra.ply", "tetra", "wood", 0.1, None)
+    catalog.add_mesh(tmp_path / "tetra.ply", "tetra", "wood", 0.1, None, track=track)
     home = workspace / "data/objects/tetra"
     assert load_mesh(home / "mesh.ply").texture.max() == 200
     shutil.rmtree(home)
@@ -110,7 +112,7 @@ def test_bad_arguments_change_nothing(workspace, box, change, message):
     before = snapshot(workspace)
     arguments = {"mesh": box, "key": "crate", "material": "wood", "scale": None, "up": None, **change}
     with pytest.raises(ObjectFolderError, match=message):
-        catalog.add_mesh(**arguments)
+        catalog.add_mesh(**arguments, track=track)
     assert snapshot(workspace) == before
 
 
@@ -128,7 +130,7 @@ def test_bad_meshes_change_nothing(workspace, tmp_path, text, message):
     mesh.write_text(text)
     before = snapshot(workspace)
     with pytest.raises(ObjectFolderError, match=message):
-        catalog.add_mesh(mesh, "bad", "wood", None, None)
+        catalog.add_mesh(mesh, "bad", "wood", None, None, track=track)
     assert snapshot(workspace) == before
 
 
@@ -149,15 +151,15 @@ def test_catalogue_adds_what_is_missing_and_refuses_what_differs(workspace):
 
 def test_preset_changes_sections_only(workspace):
     before = params.read()
-    assert "render_views" in catalog.apply_preset("paper")
+    assert "render_views" in apply_preset("paper")
     after = params.read()
     assert after["render_views"]["train"] == 500
     assert after["objects"] == before["objects"]
-    assert catalog.apply_preset("paper") == []
-    catalog.apply_preset("quick")
+    assert apply_preset("paper") == []
+    apply_preset("quick")
     assert params.read() == before
     with pytest.raises(ObjectFolderError, match=r"no preset 'fast'.*paper, quick, standard"):
-        catalog.apply_preset("fast")
+        apply_preset("fast")
 
 
 @pytest.mark.parametrize(
@@ -166,7 +168,7 @@ def test_preset_changes_sections_only(workspace):
 def test_real_meshes_go_through(workspace, name):
     if not (OBJECTS / name).exists():
         pytest.skip("the development set of real objects is not here")
-    entry = catalog.add_mesh(OBJECTS / name, "real", "steel", None, None)
+    entry = catalog.add_mesh(OBJECTS / name, "real", "steel", None, None, track=track)
     assert entry["up"] == ("y" if name.endswith("gltf") else "z")
     copied = [p.name for p in (workspace / "data/objects/real").rglob("*") if p.is_file()]
     assert len(copied) == len([p for p in (OBJECTS / name).parent.rglob("*") if p.is_file()])

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from solids import box, join, sphere
@@ -14,6 +16,10 @@ STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
 FINE = FineGrid(resolution=16, subdivisions=4, max_degrees_of_freedom=10**6, max_error=0.02)
 SHEET = box((1, 1, 0.03))  # 0.24 cells of eight
 THICK = box((1, 1, 0.06))
+
+
+def fine(size, max_error):
+    return replace(FINE, max_degrees_of_freedom=size, max_error=max_error)
 
 
 def frame():
@@ -64,8 +70,8 @@ def test_thin_walls_are_refined_without_a_solve(monkeypatch):
 def test_large_errors_are_refined_and_small_ones_are_not():
     cells = cut_cells(*THICK, 8, 4)
     error = max(discretisation_error(cells, STUFF, 1.0, lowest_frequencies(cells, STUFF, 1.0)))
-    assert refine(THICK, 0.06, FineGrid(16, 4, 10**6, error * 0.99)).resolution == 16
-    assert refine(THICK, 0.06, FineGrid(16, 4, 10**6, error * 1.01)).resolution == 8
+    assert refine(THICK, 0.06, fine(10**6, error * 0.99)).resolution == 16
+    assert refine(THICK, 0.06, fine(10**6, error * 1.01)).resolution == 8
 
 
 @pytest.mark.slow
@@ -82,8 +88,8 @@ def test_refining_brings_the_frequencies_nearer():
 def test_the_fine_grid_keeps_to_its_size(wall):
     solid = box((1, 1, wall))
     size = merge_full_blocks(cut_cells(*solid, 16, 4)).degrees_of_freedom
-    assert refine(solid, wall, FineGrid(16, 4, size, 1e-9)).resolution == 16
-    assert refine(solid, wall, FineGrid(16, 4, size - 1, 1e-9)).resolution == 8
+    assert refine(solid, wall, fine(size, 1e-9)).resolution == 16
+    assert refine(solid, wall, fine(size - 1, 1e-9)).resolution == 8
 
 
 def test_nothing_finer_is_tried_where_there_is_none(monkeypatch):

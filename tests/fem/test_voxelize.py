@@ -5,21 +5,22 @@ import pytest
 from solids import box, join, sphere
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.voxelize import voxelize
+from objectfolder.fem.voxelize import VoxelizeConfig, voxelize
 from objectfolder.io import write_json, write_npz
 
 SIDES = (1.0, 0.5, 0.25)
-SIZES = {
-    "resolutions": [8, 6],
-    "subdivisions": 4,
-    "max_degrees_of_freedom": 10**6,
-    "sdf_resolution": 48,
-}
+CONFIG = VoxelizeConfig(
+    element="cut_cell_hex20",
+    resolutions=(8, 6),
+    subdivisions=4,
+    max_degrees_of_freedom=10**6,
+    sdf_resolution=48,
+)
 
 
 def test_report_states_what_both_grids_hold():
     solid = box(SIDES)
-    voxels = voxelize(solid, solid, **SIZES)
+    voxels = voxelize(solid, solid, CONFIG)
     cells, grid = voxels.report["cells"], voxels.report["distance_grid"]
     assert cells["resolution"] == 8
     assert cells["cells"] == len(voxels.cells.index) == 8 * 4 * 2
@@ -42,7 +43,7 @@ def test_report_states_what_both_grids_hold():
 
 def test_sound_may_have_another_solid_than_sight_and_touch():
     apart = join(box((0.45, 0.5, 0.25), (-0.275, 0, 0)), box((0.45, 0.5, 0.25), (0.275, 0, 0)))
-    report = voxelize(apart, box(SIDES), **SIZES).report
+    report = voxelize(apart, box(SIDES), CONFIG).report
     assert report["cells"]["volume"] == pytest.approx(np.prod(SIDES))
     assert report["distance_grid"]["volume"] == pytest.approx(0.9 * np.prod(SIDES))
 
@@ -52,12 +53,12 @@ def test_an_open_surface_is_refused_by_name(broken):
     good = box(SIDES)
     meshes = {"surface": good, "solid": good, broken: (good[0], good[1][1:])}
     with pytest.raises(ObjectFolderError, match=r"^crate: the surface is open: .* \d+ of \d+ columns"):
-        voxelize(**meshes, **SIZES, name="crate")
+        voxelize(**meshes, config=CONFIG, name="crate")
 
 
 def test_same_bytes_twice(tmp_path):
     for name in ("a", "b"):
-        voxels = voxelize(sphere(0.5, 3), sphere(0.5, 3), **SIZES)
+        voxels = voxelize(sphere(0.5, 3), sphere(0.5, 3), CONFIG)
         write_npz(tmp_path / f"{name}.npz", **vars(voxels.cells), values=voxels.values)
         write_json(tmp_path / f"{name}.json", voxels.report)
     for suffix in ("npz", "json"):

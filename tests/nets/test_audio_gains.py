@@ -7,16 +7,17 @@ import torch
 from objectfolder.io import read_safetensors, write_safetensors
 from objectfolder.metrics import gain_errors
 from objectfolder.nets import int8
-from objectfolder.nets.audio_gains import INT8, AudioConfig, GainsNet, energy_weights, train_gains
+from objectfolder.nets.audio_config import GainsConfig
+from objectfolder.nets.audio_gains import INT8, GainsNet, energy_weights, train_gains
 
-CONFIG = AudioConfig(
+CONFIG = GainsConfig(
+    modes=3,
     resolution=4,
     channels=6,
     width=32,
     features=48,
     frequency=3.0,
     steps=300,
-    batch=256,
     learning_rate=5e-3,
     grid_rate=3.0,
 )
@@ -40,7 +41,7 @@ def train(field, seed=0):
     points, shapes = field
     generator = torch.Generator().manual_seed(seed)
     return train_gains(
-        points, shapes, FREQUENCY, DAMPING, np.arange(1000), np.arange(1000, 1100), CONFIG, generator
+        points, shapes, FREQUENCY, DAMPING, np.arange(1000), np.arange(1000, 1100), CONFIG, 256, generator
     )
 
 
@@ -67,13 +68,13 @@ def test_two_runs_are_equal_to_the_byte(tmp_path, field, trained):
 
 
 def test_the_global_random_state_is_neither_read_nor_moved(field):
-    config = replace(CONFIG, width=8, features=8, steps=2, batch=16)
+    config = replace(CONFIG, width=8, features=8, steps=2)
     nets = []
     for seed in (1, 2):
         torch.manual_seed(seed)
         before = torch.random.get_rng_state()
         rows = np.arange(1000), np.arange(1000, 1100)
-        net, _ = train_gains(*field, FREQUENCY, DAMPING, *rows, config, torch.Generator().manual_seed(7))
+        net, _ = train_gains(*field, FREQUENCY, DAMPING, *rows, config, 16, torch.Generator().manual_seed(7))
         assert torch.equal(torch.random.get_rng_state(), before)
         nets.append(net.output.weight)
     assert torch.equal(*nets)
@@ -116,7 +117,7 @@ def test_every_mode_has_its_own_scale(field, trained):
     points, shapes = field
     rows = np.arange(1000), np.arange(1000, 1100)
     generator = torch.Generator().manual_seed(0)
-    loud, _ = train_gains(points, 1024 * shapes, FREQUENCY, DAMPING, *rows, CONFIG, generator)
+    loud, _ = train_gains(points, 1024 * shapes, FREQUENCY, DAMPING, *rows, CONFIG, 256, generator)
     assert torch.equal(loud.output.weight, trained[0].output.weight)
     torch.testing.assert_close(loud.amplitude, 1024 * trained[0].amplitude)
 
@@ -142,6 +143,7 @@ def test_an_object_without_modes(tmp_path):
         np.arange(2),
         np.arange(2, 4),
         CONFIG,
+        256,
         torch.Generator().manual_seed(0),
     )
     assert curve == []

@@ -6,7 +6,8 @@ from objectfolder.audio.spectrogram import SHAPE, sounds_of, spectrogram
 from objectfolder.audio.synthesis import sinusoid_bank
 from objectfolder.io import read_safetensors, write_safetensors
 from objectfolder.metrics import SpectrogramErrors
-from objectfolder.nets.audio_spectrogram import SpectrogramConfig, SpectrogramNet, train_spectrogram
+from objectfolder.nets.audio_config import SpectrogramConfig
+from objectfolder.nets.audio_spectrogram import SpectrogramNet, train_spectrogram
 from objectfolder.nets.positional import PointwiseNetwork
 
 CONFIG = SpectrogramConfig(
@@ -76,7 +77,9 @@ def test_rows_do_not_depend_on_their_batch(bar, trained):
 
 
 def test_two_runs_are_equal_and_leave_the_global_random_state(bar):
-    config = SpectrogramConfig(8, 2, 1, 1, 5, 64, 1e-3)
+    config = SpectrogramConfig(
+        width=8, depth=2, point_octaves=1, bin_octaves=1, steps=5, batch=64, learning_rate=1e-3
+    )
     nets = []
     for seed in (1, 2):
         torch.manual_seed(seed)

@@ -8,8 +8,9 @@ from solids import isosurface, sphere
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_safetensors, write_safetensors
 from objectfolder.mesh.textured import TexturedMesh
+from objectfolder.nets.vision_config import SurfaceConfig
 from objectfolder.nets.vision_surface import SurfaceNet
-from objectfolder.nets.vision_surface_training import VisionConfig, train_surface
+from objectfolder.nets.vision_surface_training import train_surface
 from objectfolder.vision.appearance import appearance_at
 from objectfolder.vision.bsdf import principled
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere_points
@@ -23,9 +24,9 @@ LOOK = {"roughness": 0.4, "metallic": 0.1}
 LIGHT = torch.tensor([0.5, 0.5, 1.0])
 
 
-def training(points: int, point_steps: int, pixels: int, steps: int) -> VisionConfig:
+def training(points: int, point_steps: int, pixels: int, steps: int) -> SurfaceConfig:
     size = {"points": points, "point_steps": point_steps, "pixels": pixels, "steps": steps}
-    return VisionConfig(**SIZE, **size, point_batch=1024, batch=1024, learning_rate=0.02)
+    return SurfaceConfig(**SIZE, **size, point_batch=1024, batch=1024, learning_rate=0.02)
 
 
 @pytest.fixture(scope="module")

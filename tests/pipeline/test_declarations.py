@@ -1,11 +1,11 @@
 """dvc.yaml says exactly what the stages read."""
 
+import ast
 from pathlib import Path
 
 import pytest
 from ruamel.yaml import YAML
 
-from objectfolder.benchmarks import params as benchmarks
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.workspace import params
 from objectfolder.workspace.code_digests import imported_files
@@ -14,7 +14,7 @@ from objectfolder.workspace.layout import Build, code_list
 ROOT = Path(__file__).parents[2]
 STAGES = YAML(typ="safe").load((ROOT / "dvc.yaml").read_text())["stages"]
 HASH_CODE = STAGES.pop("hash_code")
-OF_OBJECTS = sorted(set(STAGES) - {"generate", *params.TASKS, *params.ROBOT_STAGES})
+OF_OBJECTS = params.OBJECT_STAGES
 
 
 def modules(*stages):
@@ -38,39 +38,67 @@ def test_code_lists_are_made_from_all_sources():
     assert HASH_CODE["outs"] == [code_list("any").parent.as_posix()]
 
 
-@pytest.mark.parametrize("stage", OF_OBJECTS)
-def test_declared_params_are_the_ones_the_stage_gets(stage):
-    fields = {f"objects.${{key}}.{field}" for field in params.OBJECT_FIELDS[stage]}
-    section = {stage} & set(params.SECTIONS)
+def parameters_read(stage):
+    """Return the parameters that a stage's script reads, as dvc.yaml names them.
+
+    Scripts use ``params.<name>`` and ``params.object.<field>``. They pass ``params`` whole only to a task,
+    which reads its section and the seed.
+    """
+    tree = ast.parse((ROOT / "stages" / f"{stage}.py").read_text())
+    parents = {child: node for node in ast.walk(tree) for child in ast.iter_child_nodes(node)}
+    read = set()
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Call) or getattr(node.func, "id", "") not in READERS:
+            continue
+        section = {place.rpartition(":")[2]: name for name, place in params.SECTIONS.items()}
+        read |= {section[node.args[0].id]} | READERS[node.func.id]
+        if isinstance(parents[node], ast.Attribute):  # stage_params(...).settings
+            assert parents[node].attr == "settings"
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name) and node.id == "params" and isinstance(node.ctx, ast.Load):
+            used = parents[node]
+            if isinstance(used, ast.Call):
+                assert stage in {*params.TASKS, *params.ROBOT_STAGES}
+                read.add("seed")
+            elif used.attr == "object":
+                read.add(f"objects.${{key}}.{parents[used].attr}")
+            elif used.attr != "settings":
+                read.add(used.attr)
+    return read
+
+
+READERS = {"stage_params": set(), "robot_params": set(), "task_params": {"encode"}}
+
+
+@pytest.mark.parametrize("stage", set(STAGES) - {"generate"})
+def test_declared_params_are_the_ones_the_stage_reads(stage):
     declared = STAGES[stage]["do"].get("params", [])
-    assert set(declared) == fields | set(params.SHARED.get(stage, ())) | section
-    got = params.stage_params(stage, "mug", ROOT / "params.yaml")
-    assert set(vars(got.object)) == set(params.OBJECT_FIELDS[stage])
-    assert set(vars(got)) == {"object", "section", *params.SHARED.get(stage, ())}
+    assert len(declared) == len(set(declared))
+    assert parameters_read(stage) == set(declared)
+
+
+def test_stage_names_are_those_of_the_graph():
+    known = (*params.OBJECT_STAGES, *params.TASKS, *params.ROBOT_STAGES)
+    assert {*known, "generate"} == set(STAGES)
+    assert len(known) == len(set(known))
 
 
 @pytest.mark.parametrize("task", params.TASKS)
-def test_tasks_declare_their_section_and_all_observations(task):
+def test_tasks_depend_on_all_observations(task):
     declared = STAGES[task]["do"]
     assert STAGES[task]["foreach"] == f"${{benchmarks.{task}}}"
-    assert set(declared["params"]) == {"seed", "encode", task}
     seen = Benchmarks().grasps if task == "grasp_stability" else Benchmarks().observations
     assert seen("any").parent.as_posix() in declared["deps"]
     assert STAGES["observe"]["do"]["outs"] == [Benchmarks().observations("${key}").as_posix()]
     assert STAGES["grasp_data"]["do"]["outs"] == [Benchmarks().grasps("${item}").as_posix()]
-    got = vars(benchmarks.stage_params(task, ROOT / "params.yaml"))
-    assert set(got) == {"seed", "encode", "section", "keys"}
 
 
 @pytest.mark.parametrize("stage", params.ROBOT_STAGES)
-def test_what_robots_do_declares_its_section_and_the_hulls(stage):
+def test_stages_of_robots_depend_on_the_hulls(stage):
     declared = STAGES[stage]["do"]
     assert STAGES[stage]["foreach"] == f"${{benchmarks.{stage}}}"
-    assert declared["params"] == ["seed", stage]
     hulls = Build("${item}").hulls.as_posix()
     assert hulls in (declared["outs"] if stage == "decompose" else declared["deps"])
-    got = vars(benchmarks.robot_stage_params(stage, ROOT / "params.yaml"))
-    assert set(got) == {"seed", "section"}
 
 
 @pytest.mark.parametrize("stage", sorted({*OF_OBJECTS, "generate"} - {"pack", "evaluate", "observe"}))
@@ -112,9 +140,8 @@ def test_outputs_are_disjoint_and_inside_the_workspace():
 def test_presets_are_complete_and_valid(preset):
     values = params.read(ROOT / "params.yaml")
     sections = YAML(typ="safe").load((ROOT / "params" / f"{preset}.yaml").read_text())
-    assert set(sections) == {*params.SECTIONS, *benchmarks.SECTIONS}
+    assert set(sections) == set(params.SECTIONS)
     params.check_all({**values, **sections})
-    benchmarks.check_tasks({**values, **sections})
 
 
 def test_params_yaml_holds_the_starter_catalogue_at_preset_quick():

@@ -11,7 +11,8 @@ from objectfolder.materials import material
 from objectfolder.mesh.normalize import mass_properties
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.sdf import distance_grid
-from objectfolder.nets.audio_gains import AudioConfig, train_gains
+from objectfolder.nets.audio_config import GainsConfig
+from objectfolder.nets.audio_gains import train_gains
 from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.packing import pack
@@ -40,17 +41,18 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
         modes.damping,
         np.arange(250),
         np.arange(250, 300),
-        AudioConfig(
+        GainsConfig(
+            modes=12,
             resolution=4,
             channels=4,
             width=24,
             features=24,
             frequency=3.0,
             steps=steps,
-            batch=128,
             learning_rate=3e-3,
             grid_rate=3.0,
         ),
+        128,
         torch.Generator().manual_seed(0),
     )
     look_tensors, look_config = look.to_tensors()
@@ -59,9 +61,13 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
     feel_config = {"sensor": profile.to_dict(), "depth_offset": 0.0, "renderer": "gel", "smoothing": 0}
     return pack(
         "brick",
-        "plastic",
         {
-            **{"scale_m": scale, "source_centre": [0, 0, 0], "source_size": 1.0, "source_up": "z"},
+            "material": "plastic",
+            "material_properties": material("plastic").properties(),
+            "scale_m": scale,
+        },
+        {
+            **{"source_centre": [0, 0, 0], "source_size": 1.0, "source_up": "z"},
             "solid": mass_properties(solid),
         },
         {"values": values, "band": np.float64(band)},

@@ -19,11 +19,10 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.normals import unit
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.vision.cameras import Intrinsics, covered_rectangle, look_at, project, sphere_points
-from objectfolder.vision.dataset import render_split
+from objectfolder.vision.dataset import RendererName, render_split
 from objectfolder.vision.renderers import blender_scene, cycles
 from objectfolder.vision.renderers.registry import NEEDS, RENDERERS, make_renderer
 from objectfolder.vision.scene import Scene
-from objectfolder.workspace.params import RenderViewsParams
 
 ROOT = Path(__file__).parents[2]
 FRONT = look_at(np.array([2.5, 0, 0]))[0]
@@ -268,7 +267,7 @@ def test_path_tracers_agree(name):
 
 
 def test_the_names_in_the_parameters_are_those_of_the_renderers():
-    names = get_args(RenderViewsParams.model_fields["renderer"].annotation)
+    names = get_args(RendererName)
     assert set(names) == set(RENDERERS) == set(NEEDS)
 
 

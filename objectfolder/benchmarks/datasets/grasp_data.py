@@ -5,14 +5,14 @@ import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
+from annotated_types import Ge, Interval, MultipleOf
 
 from objectfolder.benchmarks.datasets.grasps import ARRAYS, FORMAT, OPTIONAL, RECORD, array_path
 from objectfolder.benchmarks.datasets.sampling import object_digest
-from objectfolder.benchmarks.params import GraspDataParams
 from objectfolder.disk import enough_space
 from objectfolder.envs.body import RigidBody
 from objectfolder.envs.camera import ExternalCamera
@@ -39,21 +39,15 @@ EMPTY = 10  #: batches in a row in which both pads touch nothing, before it is
 Report = Callable[[int, int], None]
 
 
-@dataclass(frozen=True)
-class Plan:
-    """What to collect of each object."""
+@dataclass(frozen=True, kw_only=True)
+class GraspDataConfig:
+    """Section ``grasp_data`` of ``params.yaml``: grasps to collect of each object."""
 
-    grasps: int
-    perturbations: int  #: repetitions of each grasp, slightly changed, for the soft label
-    image: int  #: side of the camera's pictures, pixels
-    touch: tuple[int, int]  #: height and width of tactile images
-    timestep: float = Physics.timestep  #: of the simulation, s
-
-    @classmethod
-    def of(cls, params: GraspDataParams) -> "Plan":
-        """What the section of ``params.yaml`` says."""
-        height, width = params.touch
-        return cls(params.grasps, params.perturbations, params.image, (height, width), params.timestep)
+    grasps: Annotated[int, Ge(10), MultipleOf(10)]
+    perturbations: Annotated[int, Ge(0)]  #: repetitions of each grasp, slightly changed, for the soft label
+    image: Annotated[int, Ge(8)]  #: side of the camera's pictures, pixels
+    touch: tuple[int, int]  #: height and width of tactile images, pixels; the sensor's: 160, 120
+    timestep: Annotated[float, Interval(gt=0, le=0.004)] = Physics.timestep  #: of the simulation, s
 
     def bytes(self, explicit: bool) -> int:
         """Of the pictures of a grasp."""
@@ -76,7 +70,7 @@ class Attempts:
 def collect_grasps(
     file: ObjectFile,
     body: RigidBody,
-    wanted: Plan,
+    wanted: GraspDataConfig,
     seed: int,
     folder: str | Path,
     surface: tuple[np.ndarray, np.ndarray] | None = None,
@@ -94,7 +88,7 @@ def collect_grasps(
     file : ObjectFile
     body : RigidBody
         The same object's.
-    wanted : Plan
+    wanted : GraspDataConfig
     seed : int
     folder : path
         Gets ``record.json`` and the arrays of `objectfolder.benchmarks.datasets.grasps.ARRAYS`.
@@ -143,7 +137,7 @@ def collect_grasps(
 
 
 def are_collected(
-    file: ObjectFile, body: RigidBody, wanted: Plan, seed: int, explicit: bool, folder: str | Path
+    file: ObjectFile, body: RigidBody, wanted: GraspDataConfig, seed: int, explicit: bool, folder: str | Path
 ) -> bool:
     """Whether a folder holds all that `collect_grasps` would write there."""
     request = _request(file, body, wanted, seed, explicit)
@@ -324,7 +318,9 @@ def _parts(paths: list[Path], name: str) -> Iterator[np.ndarray]:
             yield stored[name]
 
 
-def _request(file: ObjectFile, body: RigidBody, wanted: Plan, seed: int, explicit: bool) -> dict[str, Any]:
+def _request(
+    file: ObjectFile, body: RigidBody, wanted: GraspDataConfig, seed: int, explicit: bool
+) -> dict[str, Any]:
     """What grasps are of; those of another request are collected anew."""
     shape = b"".join(np.ascontiguousarray(hull.vertices).tobytes() for hull in body.hulls)
     return {

@@ -5,10 +5,12 @@ import json
 import logging
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Ge, MultipleOf
 
 from objectfolder.audio.spectrogram import DURATION, SAMPLE_RATE
 from objectfolder.benchmarks.datasets.observations import QUERIES, RECORD, SOURCE, VERSION, array_path
@@ -33,6 +35,14 @@ log = logging.getLogger(__name__)
 
 #: What is asked, by name: (N, 3) or (N,) float64.
 Queries = dict[str, np.ndarray]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObserveConfig:
+    """Section ``observe`` of ``params.yaml``."""
+
+    observations: Annotated[int, Ge(10), MultipleOf(10)]  #: of each modality
+    resolution: Annotated[int, Ge(8)]  #: side of the views, pixels
 
 
 def sample_observations(

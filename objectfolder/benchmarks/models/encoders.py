@@ -4,9 +4,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from runpy import run_path
+from typing import Annotated
 
 import numpy as np
 import torch
+from annotated_types import Ge
 from torch import nn
 
 from objectfolder.audio.spectrogram import spectrogram
@@ -20,6 +22,16 @@ MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 Factory = Callable[[int], nn.Module]
 _FACTORIES: dict[str, Factory] = {}
+
+
+@dataclass(frozen=True, kw_only=True)
+class EncodeConfig:
+    """Section ``encode`` of ``params.yaml``."""
+
+    encoder: str  #: registered name, or FILE.py:NAME
+    image: Annotated[int, Ge(8)]  #: side of the crop of a view, pixels
+    spectrogram: tuple[int, int]  #: bins and frames; the paper's: 257, 201
+    touch: tuple[int, int]  #: height and width, pixels; the paper's: 160, 120
 
 
 def register_encoder(name: str) -> Callable[[Factory], Factory]:

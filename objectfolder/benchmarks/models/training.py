@@ -6,14 +6,16 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import astuple, dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 import torch
+from annotated_types import Ge
 from torch import nn
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import atomic
+from objectfolder.settings import Count, NonNegative, Positive
 
 WARM_UP = 20  #: steps until the learning rate is reached
 STATISTICS = 8  #: batches that the statistics of batch normalisation are taken from, after each epoch
@@ -22,6 +24,17 @@ REMOVE = "remove it, and this training starts over"
 
 Batch = TypeVar("Batch")
 Norm = nn.modules.batchnorm._BatchNorm
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingConfig:
+    """Settings that the sections of all trained tasks share."""
+
+    epochs: Count  #: at most
+    batch: Annotated[int, Ge(2)]
+    learning_rate: Positive
+    weight_decay: NonNegative
+    patience: Count  #: epochs without a better validation score after which training stops
 
 
 @dataclass(frozen=True)

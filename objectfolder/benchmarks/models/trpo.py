@@ -2,26 +2,50 @@
 
 import time
 from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import gymnasium
 import numpy as np
 import torch
+from annotated_types import Ge, Interval, MultipleOf
 from sb3_contrib import TRPO
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv
 
 from objectfolder.benchmarks.models.actor import Actor
 from objectfolder.benchmarks.models.training import read_checkpoint
-from objectfolder.benchmarks.params import GraspPolicyParams
 from objectfolder.envs.grasp import STEPS
 from objectfolder.io import atomic
 from objectfolder.seeding import numpy_generator
+from objectfolder.settings import Batch, Count, Discount, Positive
 
 FORMAT = "objectfolder TRPO 1"  #: of a checkpoint
 
 Vector = gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraspPolicyConfig:
+    """Section ``grasp_policy`` of ``params.yaml``: TRPO with the constants of supplementary I.4."""
+
+    seeds: Count  #: trainings
+    episodes: Count  #: of a training
+    environments: Count  #: episodes in parallel
+    rollout: Annotated[int, Ge(2), MultipleOf(2)]  #: steps in each environment between updates
+    updates: Count  #: between validations; the policy is saved after each
+    patience: Count  #: validations without an improvement after which training stops
+    batch: Batch  #: of the value function
+    learning_rate: Positive  #: of the value function
+    discount: Discount  #: gamma
+    gae: Annotated[float, Interval(ge=0, le=1)]  #: lambda of generalised advantage estimation
+    damping: Positive  #: alpha of the conjugate gradients
+    divergence: Positive  #: delta, KL divergence of an update
+    width: Count  #: of both hidden layers
+    log_deviation: float  #: natural logarithm of the initial standard deviation of actions
+    rollouts: Count  #: episodes of the test, and as many others of the validation
+    presses: Count  #: poses at which both fingers' features are kept
 
 
 class StableVector(VecEnv):
@@ -76,7 +100,7 @@ class StableVector(VecEnv):
 
 def train_trpo(
     env: Vector,
-    params: GraspPolicyParams,
+    params: GraspPolicyConfig,
     seed: int,
     purpose: tuple[str, ...],
     validate: Callable[[Actor], float],
@@ -93,7 +117,7 @@ def train_trpo(
     Parameters
     ----------
     env : VectorEnv
-    params : GraspPolicyParams
+    params : GraspPolicyConfig
     seed : int
     purpose : tuple of str
         What is trained, for `objectfolder.seeding`.
@@ -119,7 +143,7 @@ def train_trpo(
     ObjectFolderError
         If the checkpoint is damaged, or of another training.
     """
-    settings = {"params": params.model_dump(), "seed": seed, "purpose": "/".join(purpose)}
+    settings = {"params": asdict(params), "seed": seed, "purpose": "/".join(purpose)}
     envs = StableVector(env)
     model = TRPO(
         "MlpPolicy",
@@ -174,7 +198,7 @@ def train_trpo(
     return best, curve, before + time.perf_counter() - start
 
 
-def _finished(curve: list[list[float]], params: GraspPolicyParams) -> bool:
+def _finished(curve: list[list[float]], params: GraspPolicyConfig) -> bool:
     """Whether all episodes are played, or validation was not better for as many parts as ``patience``."""
     if not curve or curve[-1][0] >= params.episodes:
         return bool(curve)

@@ -2,15 +2,14 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.models.actor import Actor
-from objectfolder.benchmarks.models.trpo import train_trpo
-from objectfolder.benchmarks.params import GraspPolicyParams
+from objectfolder.benchmarks.models.trpo import GraspPolicyConfig, train_trpo
+from objectfolder.benchmarks.params import RobotParams
 from objectfolder.benchmarks.scoring.film import write_gif
 from objectfolder.benchmarks.scoring.scores import share_95
 from objectfolder.benchmarks.tasks.running import leave, object_identity
@@ -32,7 +31,7 @@ Policy = Callable[[Any], np.ndarray]  #: observations of N episodes -> (N, 4) ac
 
 def grasp_policy(
     task: GraspTask,
-    params: GraspPolicyParams,
+    params: GraspPolicyConfig,
     seed: int,
     progress: Path,
     report: Callable[[str], None] = lambda line: None,
@@ -45,7 +44,7 @@ def grasp_policy(
     Parameters
     ----------
     task : GraspTask
-    params : GraspPolicyParams
+    params : GraspPolicyConfig
     seed : int
     progress : Path
         Folder of what is finished, and of what is kept: a film (``episodes.gif``) and the first seed's
@@ -155,7 +154,7 @@ def film(task: GraspTask, bank: TouchBank, actor: Actor, count: int, seed: int) 
 def run_grasp_policy(
     path: Path,
     hulls: Any,
-    params: SimpleNamespace,
+    params: RobotParams[GraspPolicyConfig],
     folder: Benchmarks,
     report: Callable[[str], None],
     threads: int = 1,
@@ -169,8 +168,7 @@ def run_grasp_policy(
     path : Path
     hulls : sequence of trimesh.Trimesh
         Convex parts of the object.
-    params : SimpleNamespace
-        ``section`` and ``seed``; see `objectfolder.benchmarks.params.robot_params`.
+    params : RobotParams
     folder : Benchmarks
     report : callable
         Called with a line about each part of a training.
@@ -190,7 +188,7 @@ def run_grasp_policy(
     task = GraspTask(file, rigid_body(file, hulls), threads)
     identity = object_identity(path, hulls, params, grasp_policy)
     progress = folder.progress("grasp_policy", file.key, identity)
-    scores, curve = grasp_policy(task, params.section, params.seed, progress, report)
+    scores, curve = grasp_policy(task, params.settings, params.seed, progress, report)
     return leave("grasp_policy", file.key, folder, progress, scores, CURVE_COLUMNS, curve)
 
 

@@ -3,25 +3,26 @@
 import copy
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import astuple, replace
+from dataclasses import astuple, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 import numpy as np
 import torch
+from annotated_types import Ge, MinLen
 from sklearn.metrics import balanced_accuracy_score, roc_auc_score
 from torch import nn
 
 from objectfolder.benchmarks.datasets.grasps import Grasps
 from objectfolder.benchmarks.models.encoders import prepare
-from objectfolder.benchmarks.models.training import EpochPoint, shuffled
-from objectfolder.benchmarks.params import GraspStabilityParams
+from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig, shuffled
 from objectfolder.benchmarks.scoring.grasp_baselines import baselines
 from objectfolder.benchmarks.scoring.scores import accuracy, interval_95, wilson_95
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.errors import ObjectFolderError
 from objectfolder.seeding import numpy_generator, seeded
+from objectfolder.settings import Count
 
 #: What a prediction is made from: by stream of the net, V or T, the array that it is given. Touches are those
 #: of Object Files or "explicit", from the ground truth of the same contacts.
@@ -49,6 +50,24 @@ CURVE_COLUMNS = ("size", "seed", "variant", "epoch", "train_loss", "val_accuracy
 FUSION_RATE = 0.1  #: learning rate of streams that are trained already, relative to that of new ones
 
 Inputs = dict[str, torch.Tensor]  #: by stream
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraspStabilityConfig(TrainingConfig):
+    """Section ``grasp_stability`` of ``params.yaml``."""
+
+    seeds: Count  #: runs whose mean is the result
+    #: Training set sizes in grasps, ascending; sizes beyond the available grasps are replaced by all of them.
+    sizes: Annotated[tuple[Annotated[int, Ge(2)], ...], MinLen(1)]
+    epoch_grasps: Count  #: smaller training sets are repeated within an epoch until it has so many grasps
+    fusion_epochs: Count  #: of vision and touch together, after each was trained alone
+    hidden: Count  #: units between both fully connected layers, for each of vision and touch
+    touch: tuple[int, int]  #: height and width that touches are averaged to, instead of those of ``encode``
+
+    def __post_init__(self) -> None:
+        """Check the order of the sizes."""
+        if list(self.sizes) != sorted(set(self.sizes)):
+            raise ValueError(f"sizes: expected ascending numbers, none twice, got {list(self.sizes)}")
 
 
 class StabilityNet(nn.Module):
@@ -119,7 +138,7 @@ def nested_order(rows: np.ndarray, labels: np.ndarray, rng: np.random.Generator)
     return rows[order[np.argsort(rank, kind="stable")]]
 
 
-def grasp_stability(job: Job[GraspStabilityParams]) -> tuple[dict[str, Any], list[list[Any]]]:
+def grasp_stability(job: Job[GraspStabilityConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train and score the prediction of whether a grasp holds (main paper, 4.4; supplementary H and I.4).
 
     A stream alone is an encoder with two fully connected layers; both together start from the same seed's
@@ -221,7 +240,7 @@ def _measured(answers: Mapping[str, np.ndarray], success: np.ndarray) -> dict[st
 
 
 def _finished(
-    job: Job[GraspStabilityParams], train: np.ndarray, run: int, name: str, last: str
+    job: Job[GraspStabilityConfig], train: np.ndarray, run: int, name: str, last: str
 ) -> dict[str, Any]:
     """What one variant answers with one seed, learnt from some grasps; trained if no earlier call did."""
 
@@ -249,7 +268,7 @@ def _finished(
 
 
 def _trained(
-    job: Job[GraspStabilityParams], train: np.ndarray, run: int, name: str
+    job: Job[GraspStabilityConfig], train: np.ndarray, run: int, name: str
 ) -> tuple[StabilityNet, list[EpochPoint]]:
     """Train one variant; where its checkpoint is finished, that is read and no more."""
     params, split, arrays = job.params, job.split, VARIANTS[name]
@@ -296,12 +315,12 @@ def _trained(
     return net, curve
 
 
-def _checkpoint(job: Job[GraspStabilityParams], train: np.ndarray, run: int, name: str) -> Path:
+def _checkpoint(job: Job[GraspStabilityConfig], train: np.ndarray, run: int, name: str) -> Path:
     return job.progress / f"{len(train)}_{run}_{name}.pt"
 
 
 def _inputs(
-    job: Job[GraspStabilityParams],
+    job: Job[GraspStabilityConfig],
     arrays: Mapping[str, str],
     rows: np.ndarray,
     rng: np.random.Generator | None = None,
@@ -318,7 +337,7 @@ def _inputs(
 
 @torch.no_grad()
 def _logits(
-    job: Job[GraspStabilityParams], net: StabilityNet, arrays: Mapping[str, str], rows: np.ndarray
+    job: Job[GraspStabilityConfig], net: StabilityNet, arrays: Mapping[str, str], rows: np.ndarray
 ) -> np.ndarray:
     """Answers of a net for rows; (n,) float32, above 0 for success."""
     parts = np.split(rows, range(job.params.batch, len(rows), job.params.batch))

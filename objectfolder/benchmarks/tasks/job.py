@@ -11,12 +11,11 @@ from torch import nn
 
 from objectfolder.benchmarks.datasets.splits import Rows, Split, without_duplicates
 from objectfolder.benchmarks.models.encoders import InputSizes, Weights, make_encoder, prepare
-from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, train
-from objectfolder.benchmarks.params import Training
+from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, TrainingConfig, train
 from objectfolder.io import read_json, write_json
 from objectfolder.workspace.layout import SPLITS
 
-_Params = TypeVar("_Params", bound=Training)
+_Params = TypeVar("_Params", bound=TrainingConfig)
 _Batch = TypeVar("_Batch")
 
 

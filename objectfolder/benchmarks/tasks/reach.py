@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -12,8 +11,8 @@ import numpy as np
 
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.models.actor import Actor
-from objectfolder.benchmarks.models.ppo import train_ppo
-from objectfolder.benchmarks.params import ReachParams
+from objectfolder.benchmarks.models.ppo import ReachConfig, train_ppo
+from objectfolder.benchmarks.params import RobotParams
 from objectfolder.benchmarks.scoring.film import write_gif
 from objectfolder.benchmarks.scoring.scores import share_95
 from objectfolder.benchmarks.tasks.running import leave, object_identity
@@ -99,7 +98,7 @@ def environment(task: str) -> Callable[..., Env]:
 
 def reach(
     body: RigidBody,
-    params: ReachParams,
+    params: ReachConfig,
     seed: int,
     progress: Path,
     report: Callable[[str], None] = lambda line: None,
@@ -110,7 +109,7 @@ def reach(
     Parameters
     ----------
     body : RigidBody
-    params : ReachParams
+    params : ReachConfig
     seed : int
     progress : Path
         Folder of checkpoints, and of what is kept: a film of one success and, if there is any, one failure
@@ -192,7 +191,7 @@ def film(env: Env, policy: Policy, seeds: Sequence[int]) -> list[np.ndarray]:
 def run_reach(
     path: Path,
     hulls: "Sequence[trimesh.Trimesh]",
-    params: SimpleNamespace,
+    params: RobotParams[ReachConfig],
     folder: Benchmarks,
     report: Callable[[str], None],
     task: str = "reach",
@@ -206,8 +205,7 @@ def run_reach(
     path : Path
     hulls : sequence of trimesh.Trimesh
         Convex parts of the object.
-    params : SimpleNamespace
-        ``section`` and ``seed``; see `objectfolder.benchmarks.params.robot_params`.
+    params : RobotParams
     folder : Benchmarks
     report : callable
         Called with a line about each part of a training.
@@ -225,7 +223,7 @@ def run_reach(
     """
     body = rigid_body(ObjectFile.load(path), hulls)
     progress = folder.progress(task, body.key, object_identity(path, hulls, params, reach))
-    scores, curve = reach(body, params.section, params.seed, progress, report, task)
+    scores, curve = reach(body, params.settings, params.seed, progress, report, task)
     return leave(task, body.key, folder, progress, scores, CURVE_COLUMNS, curve)
 
 

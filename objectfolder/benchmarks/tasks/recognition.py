@@ -3,7 +3,7 @@
 import copy
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import astuple
+from dataclasses import astuple, dataclass
 from itertools import combinations
 from pathlib import Path
 from typing import Any, cast
@@ -12,12 +12,12 @@ import numpy as np
 import torch
 from torch import nn
 
-from objectfolder.benchmarks.models.training import EpochPoint, shuffled
-from objectfolder.benchmarks.params import RecognizeParams
+from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig, shuffled
 from objectfolder.benchmarks.scoring.scores import accuracy, interval_95
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.errors import ObjectFolderError
 from objectfolder.seeding import numpy_generator, seeded
+from objectfolder.settings import Count
 
 LETTERS = {"V": "vision", "A": "audio", "T": "touch"}
 #: V, A, T, VA, VT, AT, VAT: what an object is told by; the rows of the main paper's Table 2.
@@ -26,6 +26,14 @@ CURVE_COLUMNS = ("seed", "modalities", "epoch", "train_loss", "val_accuracy")  #
 FUSION_RATE = 0.1  #: learning rate of encoders that are trained already, relative to that of new ones
 
 Inputs = dict[str, torch.Tensor]  #: by letter
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecognizeConfig(TrainingConfig):
+    """Section ``recognize`` of ``params.yaml``."""
+
+    seeds: Count  #: runs whose mean is the result
+    fusion_epochs: Count  #: of several modalities together, after each was trained alone
 
 
 class Classifier(nn.Module):
@@ -68,7 +76,7 @@ def fused(parts: Sequence[Classifier]) -> Classifier:
     return net
 
 
-def recognize(job: Job[RecognizeParams]) -> tuple[dict[str, Any], list[list[Any]]]:
+def recognize(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train and score the recognition of instances (main paper, Table 2).
 
     Each modality alone is an encoder with a linear classifier. A combination starts from the same seed's nets
@@ -125,7 +133,7 @@ def recognize(job: Job[RecognizeParams]) -> tuple[dict[str, Any], list[list[Any]
     }, curve
 
 
-def _finished(job: Job[RecognizeParams], run: int, name: str) -> dict[str, Any]:
+def _finished(job: Job[RecognizeConfig], run: int, name: str) -> dict[str, Any]:
     """What one combination scored with one seed; trained if no earlier call did."""
 
     def make() -> dict[str, Any]:
@@ -143,7 +151,7 @@ def _finished(job: Job[RecognizeParams], run: int, name: str) -> dict[str, Any]:
     return result
 
 
-def _trained(job: Job[RecognizeParams], run: int, name: str) -> tuple[Classifier, list[EpochPoint]]:
+def _trained(job: Job[RecognizeConfig], run: int, name: str) -> tuple[Classifier, list[EpochPoint]]:
     """Train one combination; where its checkpoint is finished, that is read and no more."""
     params, split, labels = job.params, job.split, job.observations.labels
     if len(name) > 1:
@@ -177,19 +185,19 @@ def _trained(job: Job[RecognizeParams], run: int, name: str) -> tuple[Classifier
     return net, curve
 
 
-def _checkpoint(job: Job[RecognizeParams], run: int, name: str) -> Path:
+def _checkpoint(job: Job[RecognizeConfig], run: int, name: str) -> Path:
     return job.progress / f"{run}_{name}.pt"
 
 
 def _inputs(
-    job: Job[RecognizeParams], name: str, rows: np.ndarray, rng: np.random.Generator | None = None
+    job: Job[RecognizeConfig], name: str, rows: np.ndarray, rng: np.random.Generator | None = None
 ) -> Inputs:
     """What the encoders of a combination are given of some rows."""
     return {letter: job.inputs(LETTERS[letter], rows, rng) for letter in name}
 
 
 @torch.no_grad()
-def _predicted(job: Job[RecognizeParams], net: Classifier, name: str, rows: np.ndarray) -> np.ndarray:
+def _predicted(job: Job[RecognizeConfig], net: Classifier, name: str, rows: np.ndarray) -> np.ndarray:
     """Answers of a net for rows; (n,) int64."""
     parts = np.split(rows, range(job.params.batch, len(rows), job.params.batch))
     answers = [net(_inputs(job, name, part)).argmax(1) for part in parts]

@@ -6,14 +6,15 @@ encoders of the other benchmarks. IMAGE2MESH is "V", AUDIO2MESH "A", IMAGE+AUDIO
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import astuple, replace
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from shutil import copyfile
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 import numpy as np
 import torch
 import torch.nn.functional as F
+from annotated_types import Ge, Interval
 from torch import nn
 
 from objectfolder.benchmarks.datasets.observations import Observations
@@ -27,12 +28,12 @@ from objectfolder.benchmarks.models.shape_model import (
     save_model,
     shape_inputs,
 )
-from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, shuffled
-from objectfolder.benchmarks.params import ReconstructParams
+from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, TrainingConfig, shuffled
 from objectfolder.benchmarks.scoring.shape_pictures import sheet
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.io import write_png
 from objectfolder.seeding import numpy_generator, seeded
+from objectfolder.settings import Count, NonNegative
 
 SHOWN = 8  #: test rows in the picture
 #: What each variant looks at. VA comes last: it starts from the encoders of the others.
@@ -46,7 +47,21 @@ POINT_SETS = 4
 Batch = tuple[dict[str, torch.Tensor] | None, torch.Tensor, torch.Tensor, torch.Tensor]
 
 
-def reconstruct(job: Job[ReconstructParams]) -> tuple[dict[str, Any], list[list[Any]]]:
+@dataclass(frozen=True, kw_only=True)
+class ReconstructConfig(TrainingConfig):
+    """Section ``reconstruct`` of ``params.yaml``."""
+
+    naming: NonNegative  #: weight of the loss for naming the object from its features; the paper's is 0
+    points: Count  #: per observation and step, whose occupancy is learned
+    width: Count  #: of the occupancy network
+    blocks: Count
+    frequencies: Annotated[int, Interval(ge=0, le=12)]  #: octaves of the encoding; the paper's is 0
+    resolution: Annotated[int, Ge(8)]  #: of marching cubes
+    score_points: Count  #: for IoU, and on either surface for the distances
+    views: Count  #: test observations per object that are meshed
+
+
+def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train and score all variants (main paper, Table 4).
 
     Test rows are looked at once, after everything was chosen on validation rows. Every variant trains at most
@@ -92,12 +107,12 @@ def first_rows(rows: np.ndarray, labels: np.ndarray, count: int) -> np.ndarray:
     return np.concatenate(chosen)
 
 
-def _test(job: Job[ReconstructParams]) -> np.ndarray:
+def _test(job: Job[ReconstructConfig]) -> np.ndarray:
     """Rows that are scored."""
     return first_rows(job.split.test, job.observations.labels, job.params.views)
 
 
-def validation_rows(job: Job[ReconstructParams]) -> np.ndarray:
+def validation_rows(job: Job[ReconstructConfig]) -> np.ndarray:
     """Rows that epochs and thresholds are chosen by: of objects without validation rows, training rows.
 
     A threshold that is best for the few validation objects of the split ``unseen`` may leave every other
@@ -109,18 +124,18 @@ def validation_rows(job: Job[ReconstructParams]) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def _truth(job: Job[ReconstructParams]) -> Truth:
+def _truth(job: Job[ReconstructConfig]) -> Truth:
     observations = cast(Observations, job.observations)
     files = {key: observations.object_file(key) for key in observations.keys}
     return Truth(files, job.params.score_points, job.params.resolution, job.seed, job.progress)
 
 
-def _model_path(job: Job[ReconstructParams], variant: str) -> Path:
+def _model_path(job: Job[ReconstructConfig], variant: str) -> Path:
     """Where a trained model is kept until all are finished."""
     return job.progress / f"{variant}.safetensors"
 
 
-def _finished(job: Job[ReconstructParams], truth: Truth, variant: str) -> dict[str, Any]:
+def _finished(job: Job[ReconstructConfig], truth: Truth, variant: str) -> dict[str, Any]:
     """Scores and curve of a variant; trained if no earlier call did."""
     checkpoint = job.progress / f"{variant}.pt"
 
@@ -142,7 +157,7 @@ def _finished(job: Job[ReconstructParams], truth: Truth, variant: str) -> dict[s
 
 
 def _trained(
-    job: Job[ReconstructParams], truth: Truth, variant: str, checkpoint: Path
+    job: Job[ReconstructConfig], truth: Truth, variant: str, checkpoint: Path
 ) -> tuple[ShapeModel, list[EpochPoint]]:
     """Train one variant, or go on from its checkpoint."""
     observations, occupancy, params, split = job.observations, truth.occupancy, job.params, job.split
@@ -213,7 +228,7 @@ def _trained(
     return ShapeModel(replace(setup, threshold=threshold), net), curve
 
 
-def _start_from_parts(job: Job[ReconstructParams], truth: Truth, net: Reconstructor) -> int:
+def _start_from_parts(job: Job[ReconstructConfig], truth: Truth, net: Reconstructor) -> int:
     """Make a net of several modalities start from nets of one each; give the epochs that it still needs."""
     parts = {variant: load_model(_model_path(job, variant)).net for variant in ("V", "A")}
     scores = {variant: _finished(job, truth, variant)["scores"]["val_iou"] for variant in parts}
@@ -239,7 +254,7 @@ def _start_from(net: Reconstructor, parts: Sequence[Reconstructor], best: Recons
     net.fusion.load_state_dict(fusion)
 
 
-def _scores(job: Job[ReconstructParams], truth: Truth, variant: str, model: ShapeModel) -> dict[str, Any]:
+def _scores(job: Job[ReconstructConfig], truth: Truth, variant: str, model: ShapeModel) -> dict[str, Any]:
     """Score a trained model on test rows."""
     rows = _test(job)
     embedding = model.embed({m: job.observations.read(m, rows) for m in model.setup.modalities})
@@ -252,7 +267,7 @@ def _scores(job: Job[ReconstructParams], truth: Truth, variant: str, model: Shap
     )
 
 
-def _sheet(job: Job[ReconstructParams], truth: Truth) -> np.ndarray:
+def _sheet(job: Job[ReconstructConfig], truth: Truth) -> np.ndarray:
     """Draw some test rows: the view; what V, A and VA make of it and of the sound; the truth."""
     rows = _test(job)
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, SHOWN).round().astype(int))]

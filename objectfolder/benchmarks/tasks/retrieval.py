@@ -1,7 +1,7 @@
 """Cross-sensory retrieval: find, by one sense, the same object as met by another (supplementary I.2)."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import astuple
+from dataclasses import astuple, dataclass
 from itertools import combinations, product
 from pathlib import Path
 from typing import Any
@@ -11,13 +11,13 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from objectfolder.benchmarks.models.training import EpochPoint
-from objectfolder.benchmarks.params import RetrieveParams
+from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig
 from objectfolder.benchmarks.scoring import cca
 from objectfolder.benchmarks.scoring.scores import chance_map, interval_95, mean_average_precision
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.errors import ObjectFolderError
 from objectfolder.seeding import numpy_generator, seeded
+from objectfolder.settings import Count, Positive
 from objectfolder.workspace.layout import MODALITIES
 
 Pair = tuple[str, str]  #: two modalities
@@ -29,6 +29,15 @@ FEATURE_SIZES = {"vision": (16, 16), "audio": (64, 8), "touch": (16, 12)}  #: pi
 DIMENSIONS = (1, 2, 4, 8, 16, 32, 64, 128)  #: principal components and variates that CCA is tried with
 CHUNK = 64  #: rows, at most, that are embedded at once
 SAMPLE = 256  #: training rows in the gallery of validation
+
+
+@dataclass(frozen=True, kw_only=True)
+class RetrieveConfig(TrainingConfig):
+    """Section ``retrieve`` of ``params.yaml``."""
+
+    seeds: Count  #: runs whose mean is the result
+    margin: Positive  #: of the triplet losses, cosine distance
+    embedding: Count  #: features that are compared
 
 
 class TwoStream(nn.Module):
@@ -142,7 +151,7 @@ def paired_batches(
     yield from zip(np.split(first, ends), np.split(second, ends))
 
 
-def retrieve(job: Job[RetrieveParams]) -> tuple[dict[str, Any], list[list[Any]]]:
+def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train and score the retrieval of each pair of modalities (main paper, Table 3).
 
     Queries are the test rows of one modality, the gallery those of the other; relevant is what is of the same
@@ -195,7 +204,7 @@ def retrieve(job: Job[RetrieveParams]) -> tuple[dict[str, Any], list[list[Any]]]
     return {"directions": directions, "cca": chosen, **rows, "seconds": seconds}, curves
 
 
-def _finished(job: Job[RetrieveParams], pair: Pair, run: int) -> dict[str, Any]:
+def _finished(job: Job[RetrieveConfig], pair: Pair, run: int) -> dict[str, Any]:
     """Scores of one net; trained if no earlier call did."""
     name = f"{pair[0]}_{pair[1]}_{run}"
     checkpoint = job.progress / f"{name}.pt"
@@ -215,7 +224,7 @@ def _finished(job: Job[RetrieveParams], pair: Pair, run: int) -> dict[str, Any]:
 
 
 def _trained(
-    job: Job[RetrieveParams], pair: Pair, run: int, checkpoint: Path
+    job: Job[RetrieveConfig], pair: Pair, run: int, checkpoint: Path
 ) -> tuple[TwoStream, list[EpochPoint]]:
     """Train one net, or go on from its checkpoint."""
     params, rows, labels = job.params, job.split.train, job.observations.labels
@@ -254,7 +263,7 @@ def _trained(
     return net, curve
 
 
-def _validation(job: Job[RetrieveParams]) -> np.ndarray:
+def _validation(job: Job[RetrieveConfig]) -> np.ndarray:
     """Gallery of the validation: its rows, which are the queries, and among them training rows.
 
     The few validation objects of the split ``unseen`` alone, or the only one, would tell little.
@@ -264,7 +273,7 @@ def _validation(job: Job[RetrieveParams]) -> np.ndarray:
 
 
 def _maps(
-    job: Job[RetrieveParams], pair: Pair, embeddings: Sequence[np.ndarray], rows: np.ndarray, queries: int
+    job: Job[RetrieveConfig], pair: Pair, embeddings: Sequence[np.ndarray], rows: np.ndarray, queries: int
 ) -> Maps:
     """Score embeddings of rows in two modalities: the first rows are queries, all of them the gallery."""
     labels = job.observations.labels[rows]
@@ -276,14 +285,14 @@ def _maps(
     }
 
 
-def _chunks(job: Job[RetrieveParams], modality: str, rows: np.ndarray) -> Iterator[torch.Tensor]:
+def _chunks(job: Job[RetrieveConfig], modality: str, rows: np.ndarray) -> Iterator[torch.Tensor]:
     """What the encoder of a modality is given of many rows, some at a time."""
     for some in np.array_split(rows, -(-len(rows) // CHUNK)):
         yield job.inputs(modality, some)
 
 
 @torch.no_grad()
-def _embeddings(job: Job[RetrieveParams], net: TwoStream, pair: Pair, rows: np.ndarray) -> list[np.ndarray]:
+def _embeddings(job: Job[RetrieveConfig], net: TwoStream, pair: Pair, rows: np.ndarray) -> list[np.ndarray]:
     """Embeddings (n, embedding) of both streams."""
     return [
         torch.cat([net.embed(stream, x) for x in _chunks(job, modality, rows)]).cpu().numpy()
@@ -291,7 +300,7 @@ def _embeddings(job: Job[RetrieveParams], net: TwoStream, pair: Pair, rows: np.n
     ]
 
 
-def _features(job: Job[RetrieveParams], modality: str) -> dict[str, np.ndarray]:
+def _features(job: Job[RetrieveConfig], modality: str) -> dict[str, np.ndarray]:
     """What CCA knows of a split's rows: white components of the encoder's input at few pixels; (n, D)."""
     shape = FEATURE_SIZES[modality]
 
@@ -309,7 +318,7 @@ def _features(job: Job[RetrieveParams], modality: str) -> dict[str, np.ndarray]:
 
 
 def _correlated(
-    job: Job[RetrieveParams], pair: Pair, features: dict[str, dict[str, np.ndarray]]
+    job: Job[RetrieveConfig], pair: Pair, features: dict[str, dict[str, np.ndarray]]
 ) -> tuple[Maps, dict[str, int]]:
     """Score CCA by direction, with the dimensions that are best on the validation rows."""
     first, second = (features[modality] for modality in pair)

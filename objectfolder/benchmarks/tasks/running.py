@@ -8,7 +8,6 @@ import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from shutil import rmtree
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +17,7 @@ import objectfolder
 from objectfolder.benchmarks.datasets.splits import named_split
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.models.encoders import InputSizes, Weights, own_file, registered
+from objectfolder.benchmarks.params import RobotParams, TaskParams
 from objectfolder.benchmarks.tasks.job import Job, Samples
 from objectfolder.io import atomic, file_digest, write_json
 from objectfolder.workspace.code_digests import digests
@@ -45,7 +45,7 @@ def run_task(
     columns: Sequence[str],
     split: str,
     observations: Samples,
-    params: SimpleNamespace,
+    params: TaskParams[Any],
     folder: Benchmarks,
     report: Callable[[str], None],
     weights: Weights | None = None,
@@ -65,8 +65,7 @@ def run_task(
         Of its training curves.
     split : str
     observations : Observations or Grasps
-    params : SimpleNamespace
-        ``section``, ``encode`` and ``seed``; see `objectfolder.benchmarks.params.task_params`.
+    params : TaskParams
     folder : Benchmarks
     report : callable
         Called with a line about each epoch.
@@ -85,7 +84,7 @@ def run_task(
         If the split cannot be made of these objects, or the task fails.
     """
     encode = params.encode
-    sizes = InputSizes(encode.image, tuple(encode.spectrogram), tuple(encode.touch))
+    sizes = InputSizes(encode.image, encode.spectrogram, encode.touch)
     files = [None if weights is None else weights.path, own_file(encode.encoder)]
     given = [file_digest(path) for path in files if path is not None]
     identity = (observations.digest, params, code_digest(task), given)
@@ -94,7 +93,7 @@ def run_task(
         Job(
             observations,
             named_split(split, observations.keys, observations.count),
-            params.section,
+            params.settings,
             registered(encode.encoder),
             sizes,
             params.seed,
@@ -134,7 +133,7 @@ def leave(
 
 
 def object_identity(
-    path: Path, hulls: "Sequence[trimesh.Trimesh]", params: SimpleNamespace, task: Callable[..., Any]
+    path: Path, hulls: "Sequence[trimesh.Trimesh]", params: RobotParams[Any], task: Callable[..., Any]
 ) -> tuple[Any, ...]:
     """All that the results of a robot's task with an object follow from, for `Benchmarks.progress`.
 
@@ -143,7 +142,7 @@ def object_identity(
     path : Path
         The Object File.
     hulls : sequence of trimesh.Trimesh
-    params : SimpleNamespace
+    params : RobotParams
     task : callable
     """
     shapes = hashlib.sha256(b"".join(np.ascontiguousarray(hull.vertices).tobytes() for hull in hulls))

@@ -71,6 +71,21 @@ def held(root: str | Path = ".", wait: bool = False) -> Iterator[tuple[Repo, Loc
                 yield repo, lockfiles
 
 
+def track(path: Path, root: str | Path = ".") -> None:
+    """Put a file or folder of a workspace under DVC's control.
+
+    Raises
+    ------
+    ObjectFolderError
+        If DVC cannot, or another process uses the workspace.
+    """
+    with owned(root) as repo:
+        try:
+            repo.add(str(path.resolve()))
+        except DvcException as error:
+            raise ObjectFolderError(f"DVC cannot track {path}: {error}; nothing was changed") from error
+
+
 def read_params(root: Path) -> dict[str, Any]:
     """Contents of ``params.yaml``; empty if there is none."""
     path = root / "params.yaml"

@@ -7,7 +7,7 @@ import pytest
 from objectfolder.benchmarks.datasets import grasp_data
 from objectfolder.benchmarks.datasets.grasp_data import (
     FORCES,
-    Plan,
+    GraspDataConfig,
     are_collected,
     collect_grasps,
     draw_attempts,
@@ -20,7 +20,7 @@ from objectfolder.envs.poses import rotation
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 
-WANTED = Plan(10, 1, 24, (16, 12))
+WANTED = GraspDataConfig(grasps=10, perturbations=1, image=24, touch=(16, 12))
 
 
 @pytest.fixture(scope="module")

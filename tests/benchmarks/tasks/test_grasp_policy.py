@@ -3,7 +3,7 @@ import pytest
 from PIL import Image
 
 from objectfolder.benchmarks.models.actor import Actor
-from objectfolder.benchmarks.params import GraspPolicyParams
+from objectfolder.benchmarks.models.trpo import GraspPolicyConfig
 from objectfolder.benchmarks.scoring.tables import grasping_table
 from objectfolder.benchmarks.tasks.grasp_policy import CURVE_COLUMNS, grasp_policy, play
 from objectfolder.envs.body import rigid_body
@@ -11,7 +11,7 @@ from objectfolder.envs.features import TouchFeatures
 from objectfolder.envs.grasp import Episodes, GraspTask
 from objectfolder.envs.hulls import convex_hulls
 
-PARAMS = GraspPolicyParams(
+PARAMS = GraspPolicyConfig(
     seeds=1,
     episodes=16,
     environments=4,

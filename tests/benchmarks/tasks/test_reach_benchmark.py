@@ -1,5 +1,5 @@
 import shutil
-from types import SimpleNamespace
+from dataclasses import asdict
 
 import gymnasium
 import numpy as np
@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.models import ppo
 from objectfolder.benchmarks.models.actor import Actor
-from objectfolder.benchmarks.models.ppo import train_ppo
-from objectfolder.benchmarks.params import ReachParams, robot_params
+from objectfolder.benchmarks.models.ppo import ReachConfig, train_ppo
+from objectfolder.benchmarks.params import RobotParams, robot_params
 from objectfolder.benchmarks.scoring.tables import reach_table
 from objectfolder.benchmarks.tasks.reach import (
     CURVE_COLUMNS,
@@ -35,7 +35,7 @@ from objectfolder.envs.reach import ReachEnv
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_json, write_safetensors
 
-TINY = ReachParams(
+TINY = ReachConfig(
     seeds=1,
     steps=32,
     horizon=8,
@@ -297,7 +297,7 @@ def test_scores_have_everything_and_are_the_same_again(body, tmp_path):
 
 
 def test_a_run_leaves_its_files_and_goes_on_where_it_was(brick_path, hulls, tmp_path):
-    params = SimpleNamespace(section=TINY, seed=0)
+    params = RobotParams(settings=TINY, seed=0)
     whole, part = Benchmarks(tmp_path / "whole"), Benchmarks(tmp_path / "part")
     run_reach(brick_path, hulls, params, whole, print)
     files = {path.name for path in whole.dir.iterdir()} - {".progress"}
@@ -321,13 +321,13 @@ def test_a_run_leaves_its_files_and_goes_on_where_it_was(brick_path, hulls, tmp_
 
 
 def test_params_are_read_and_checked(tmp_path):
-    values = {"seed": 3, "sensor": "digit", "reach": TINY.model_dump()}
-    assert robot_params("reach", values) == SimpleNamespace(section=TINY, seed=3)
+    values = {"seed": 3, "sensor": "digit", "reach": asdict(TINY)}
+    assert robot_params(ReachConfig, values) == RobotParams(settings=TINY, seed=3)
     values["reach"] |= {"discount": 1.5}
     with pytest.raises(ObjectFolderError, match="reach: discount"):
-        robot_params("reach", values)
+        robot_params(ReachConfig, values)
     with pytest.raises(ObjectFolderError, match="lacks section 'reach'"):
-        robot_params("reach", {"seed": 0, "sensor": "digit"})
+        robot_params(ReachConfig, {"seed": 0, "sensor": "digit"})
 
 
 def _played(last, ever):
@@ -354,7 +354,7 @@ def test_a_table_has_a_row_for_each_policy_of_each_object():
 def test_the_command_runs_the_task_and_shows_the_table(brick_path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     values = {"seed": 0, "sensor": "digit", "objects": {}, "procedural": {}}
-    values |= {"decompose": {"hulls": 4}, "reach": TINY.model_dump()}
+    values |= {"decompose": {"hulls": 4}, "reach": asdict(TINY)}
     YAML().dump(values, tmp_path / "params.yaml")
     app = typer.Typer()
     app.command()(reach_command)

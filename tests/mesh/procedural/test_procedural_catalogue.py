@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
-from objectfolder.fem.voxelize import voxelize
+from objectfolder.fem.voxelize import VoxelizeConfig, voxelize
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.procedural import GENERATORS, generate
 from objectfolder.mesh.textured import TexturedMesh
@@ -17,6 +17,7 @@ ROOT = Path(__file__).parents[3]
 CATALOGUE = ROOT / "catalogs/procedural.yaml"
 VALUES = params.read(CATALOGUE)
 FIRST = {entry["generator"]: key for key, entry in reversed(VALUES["procedural"].items())}
+QUICK = params.settings(VoxelizeConfig, params.read(ROOT / "params.yaml"))
 SMALL = 256  # texels: these tests ask about the geometry
 
 
@@ -78,7 +79,7 @@ def test_every_object_is_a_solid_and_has_the_same_bytes_again(key, tmp_path):
     assert (tmp_path / "first.glb").read_bytes() == (tmp_path / "second.glb").read_bytes()
     surface = normalize(mesh, key).surface
     solid = surface.vertices, surface.faces
-    report = voxelize(solid, solid, [32, 24, 16, 12], 8, 120_000, 192, name=key).report
+    report = voxelize(solid, solid, QUICK, key).report
     assert abs(report["cells"]["volume_error"]) < 0.003
     assert report["cells"]["dropped_volume_share"] < 0.001
     assert report["distance_grid"]["volume_share_kept"] > 0.9

@@ -1,0 +1,50 @@
+"""Settings of the audio nets: section ``train_audio`` of ``params.yaml``."""
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from annotated_types import Interval, MinLen
+
+from objectfolder.settings import Count, Octaves, Positive
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainsConfig:
+    """Shape and training of a net of kind ``gains``, for objects with up to ``modes`` modes."""
+
+    modes: Count
+    resolution: Annotated[int, Interval(ge=1, le=128)]  #: cells of the grid along each axis
+    channels: Count  #: features of a grid node
+    width: Count  #: of the first sine layer
+    features: Count  #: of the second; outputs are linear in them, so this bounds the rank of all modes
+    frequency: Positive  #: of the sines
+    steps: Count
+    learning_rate: Positive
+    grid_rate: Positive  #: learning rate of the grid, relative to ``learning_rate``
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpectrogramConfig:
+    """Shape and training of a net of kind ``spectrogram``."""
+
+    width: Count
+    depth: Count
+    point_octaves: Octaves
+    bin_octaves: Octaves
+    steps: Count
+    batch: Count  #: spectrogram bins; each is trained for all three force axes
+    learning_rate: Positive
+
+
+@dataclass(frozen=True, kw_only=True)
+class AudioConfig:
+    """Kind of the audio net, and the settings of both kinds."""
+
+    net: Literal["gains", "spectrogram"]
+    sizes: Annotated[tuple[GainsConfig, ...], MinLen(1)]  #: ascending; the first that is large enough is used
+    batch: Count  #: of ``gains``
+    spectrogram: SpectrogramConfig
+
+    def size(self, modes: int) -> GainsConfig:
+        """Return the size for a number of modes: the first that is large enough, else the last."""
+        return next((size for size in self.sizes if modes <= size.modes), self.sizes[-1])

@@ -1,0 +1,52 @@
+"""Settings of the vision nets: section ``train_vision`` of ``params.yaml``."""
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from annotated_types import Interval
+
+from objectfolder.settings import Count, Octaves, Positive
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceConfig:
+    """Shape and training of a net of kind ``surface``."""
+
+    levels: Count
+    features: Count
+    table_bits: Annotated[int, Interval(ge=4, le=24)]
+    coarsest: Count
+    finest: Count
+    width: Count  #: of the MLPs
+    points: Count  #: surface points for training base colour and normals
+    point_steps: Count
+    point_batch: Count
+    pixels: Count  #: of all training views, for training indirect light
+    steps: Count
+    batch: Count
+    learning_rate: Positive
+
+
+@dataclass(frozen=True, kw_only=True)
+class OsfConfig:
+    """Shape and training of a net of kind ``osf``."""
+
+    width: Count  #: of the density network
+    depth: Count
+    branch_width: Count  #: of the scattering network
+    branch_depth: Count
+    point_octaves: Octaves
+    direction_octaves: Octaves
+    coarse_samples: Count  #: per ray, stratified
+    fine_samples: Count  #: per ray, where the coarse samples found density
+    steps: Count
+    batch: Count  #: rays
+    learning_rate: Positive
+
+
+@dataclass(frozen=True, kw_only=True)
+class VisionConfig(SurfaceConfig):
+    """Kind of the vision net, and the settings of both kinds."""
+
+    net: Literal["surface", "osf"]
+    osf: OsfConfig

@@ -1,0 +1,16 @@
+"""Constraints on settings: types of the fields of the dataclasses that are sections of ``params.yaml``.
+
+A section of ``params.yaml`` is a frozen dataclass beside the code that uses it. These types only annotate it;
+`objectfolder.workspace.params` reads the file and checks them.
+"""
+
+from typing import Annotated
+
+from annotated_types import Ge, Gt, Interval
+
+Count = Annotated[int, Ge(1)]
+Positive = Annotated[float, Gt(0)]
+NonNegative = Annotated[float, Ge(0)]
+Batch = Annotated[int, Ge(2)]
+Octaves = Annotated[int, Interval(ge=0, le=16)]  #: of a positional encoding
+Discount = Annotated[float, Interval(gt=0, le=1)]

@@ -1,0 +1,23 @@
+"""``params.yaml`` as a document whose comments and order survive an edit."""
+
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+
+from objectfolder.io import atomic
+from objectfolder.workspace.params import read
+
+
+def editable(path: Path) -> tuple[Any, dict[str, Any]]:
+    """Read ``params.yaml`` twice: as a document that keeps comments and order, and as plain values."""
+    values = read(path)
+    return YAML().load(path.read_text()), values
+
+
+def write_params(path: Path, document: Any) -> None:
+    """Write an edited document back."""
+    yaml = YAML()
+    yaml.width = 4096  # an entry stays on its line
+    with atomic(path) as temporary, temporary.open("w") as stream:
+        yaml.dump(document, stream)

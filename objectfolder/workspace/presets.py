@@ -1,0 +1,49 @@
+"""Presets: ``params/<name>.yaml``, merged into the sections of ``params.yaml``."""
+
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.workspace.document import editable, write_params
+from objectfolder.workspace.params import PARAMS_FILE, check_all
+
+
+def apply_preset(name: str, root: Path = Path()) -> list[str]:
+    """Merge ``params/<name>.yaml`` into the stage sections of ``params.yaml``.
+
+    Returns
+    -------
+    Sections that changed.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there is no such preset, or the result is invalid.
+    """
+    params_path = root / PARAMS_FILE
+    document, values = editable(params_path)
+    preset, path = read_preset(name, root)
+    changed = [section for section, content in preset.items() if values.get(section) != content]
+    check_all({**values, **preset}, path)
+    for section in changed:
+        document[section] = preset[section]
+    write_params(params_path, document)
+    return changed
+
+
+def read_preset(name: str, root: Path = Path()) -> tuple[dict[str, Any], Path]:
+    """Return the sections of ``params/<name>.yaml``, and its path.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there is no such preset.
+    """
+    folder = root / "params"
+    path = folder / f"{name}.yaml"
+    if not path.is_file():
+        known = ", ".join(sorted(p.stem for p in folder.glob("*.yaml"))) or "none"
+        raise ObjectFolderError(f"no preset {name!r} in {folder}/; expected one of {known}")
+    return YAML(typ="safe").load(path.read_text()), path
