@@ -33,7 +33,7 @@ TINY = {
 }
 ENCODER = """
 from torch import nn
-from objectfolder.benchmarks.encoders import register_encoder
+from objectfolder.benchmarks.models.encoders import register_encoder
 
 @register_encoder("tiny")
 class Tiny(nn.Sequential):

@@ -3,7 +3,6 @@
 import os
 import re
 import shutil
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -24,19 +23,6 @@ from objectfolder.workspace.presets import apply_preset
 
 ROOT = Path(__file__).parents[2]
 OBJECTS = ROOT.parent / "shared" / "objects"
-
-
-@pytest.fixture
-def workspace(tmp_path, monkeypatch):
-    root = tmp_path / "workspace"
-    root.mkdir()
-    for name in ("dvc.yaml", ".dvcignore", "params.yaml", ".gitignore"):
-        shutil.copy(ROOT / name, root)
-    for name in ("params", "catalogs", ".dvc"):
-        shutil.copytree(ROOT / name, root / name, ignore=shutil.ignore_patterns("cache", "tmp"))
-    subprocess.run(["git", "init", "-q"], cwd=root, check=True)
-    monkeypatch.chdir(root)
-    return root
 
 
 @pytest.fixture

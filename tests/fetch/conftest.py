@@ -1,6 +1,6 @@
 import pytest
+from own_workspace import workspace  # noqa: F401
 from publisher import Publisher
-from test_cli_add import workspace  # noqa: F401
 
 from objectfolder.fetch import download
 

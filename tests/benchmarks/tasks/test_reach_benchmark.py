@@ -1,5 +1,5 @@
 import shutil
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import gymnasium
 import numpy as np
@@ -92,16 +92,8 @@ def _score(actor):
 
 
 def _train(checkpoint, steps=512, validate=_score, report=lambda *point: None, **changes):
-    params = TINY.model_copy(
-        update={
-            "steps": steps,
-            "rollout": 16,
-            "environments": 4,
-            "batch": 32,
-            "learning_rate": 0.01,
-            **changes,
-        }
-    )
+    small = {"steps": steps, "rollout": 16, "environments": 4, "batch": 32, "learning_rate": 0.01}
+    params = replace(TINY, **small | changes)
     return train_ppo(Line, params, 0, ("test",), validate, checkpoint, report)
 
 
@@ -274,7 +266,7 @@ def test_films_show_where_the_goal_is_met(body):
 
 def test_scores_have_everything_and_are_the_same_again(body, tmp_path):
     said = []
-    params = TINY.model_copy(update={"seeds": 2})
+    params = replace(TINY, seeds=2)
     scores, curve = reach(body, params, 0, tmp_path / "a", said.append)
     assert len(said) == len(curve) == 2  # a part has 32 steps
     assert [row[:2] for row in curve] == [[0, 32], [1, 32]]
