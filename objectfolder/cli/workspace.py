@@ -74,11 +74,12 @@ def build(
     from objectfolder.io import check_writable
     from objectfolder.touch.profiles import load_profile, require_renderer
     from objectfolder.workspace import params
+    from objectfolder.workspace.check import check_all
 
     if address is not None and engine is Engine.LOCAL:
         raise ObjectFolderError(f"--address {address} is for --engine ray; give both")
     values = params.read()
-    params.check_all(values)
+    check_all(values)
     require_renderer(load_profile(values["sensor"]), values["render_touch"]["renderer"])
     if dry_run:
         from objectfolder.cli.statusview import print_outlook

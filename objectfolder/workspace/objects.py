@@ -12,6 +12,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.reading.load import default_up, load_mesh
 from objectfolder.mesh.reading.references import references
 from objectfolder.workspace import params
+from objectfolder.workspace.check import check_object
 from objectfolder.workspace.document import editable, write_params
 
 MIN_SCALE, MAX_SCALE = 0.001, 20  # metres; outside, a unit is probably mistaken
@@ -81,7 +82,7 @@ def add_mesh(
         "wall": wall,
         "bridge": bridge,
     }
-    entry = params.object_entry(key, {"objects": {key: entry}}, params_path).model_dump()
+    entry = check_object(key, {"objects": {key: entry}}, params_path).model_dump()
     sources = {mesh: PurePosixPath("mesh" + mesh.suffix.lower())}
     sources |= {mesh.parent / name: name for name in references(mesh)}
     sources |= {path: PurePosixPath(path.name) for path in attachments}
@@ -152,7 +153,7 @@ def add_catalogue(catalogue: Path, root: Path = Path()) -> list[str]:
     new = params.read(catalogue)
     # Every field is written: DVC tracks them one by one, and misses those that are left out.
     for key in new["objects"]:
-        new["objects"][key] = params.object_entry(key, new, catalogue).model_dump()
+        new["objects"][key] = check_object(key, new, catalogue).model_dump()
     added = []
     for group in ("procedural", "objects"):
         for key, entry in new[group].items():

@@ -6,7 +6,6 @@ Its annotations are the checks (`objectfolder.settings`).
 
 import json
 import re
-from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -18,7 +17,6 @@ from pydantic_core import ErrorDetails
 from ruamel.yaml import YAML, YAMLError
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.materials import material
 
 PARAMS_FILE = "params.yaml"
 KEY = re.compile(r"[a-z][a-z0-9_]*")
@@ -85,8 +83,8 @@ class ObjectEntry(Entry):
 
     @field_validator("material")
     @classmethod
-    def _known(cls, value: str) -> str:
-        return material(value).name
+    def _lower_case(cls, value: str) -> str:
+        return value.lower()
 
 
 class ProceduralEntry(BaseModel):
@@ -102,19 +100,6 @@ class Shared(Entry):
 
     seed: int = Field(ge=0)
     sensor: str  #: profile in objectfolder/touch/profiles
-
-
-class Selection(Entry):
-    """Benchmarks that a build runs: ``benchmarks`` in ``params.yaml``, splits or objects by stage."""
-
-    recognize: list[Literal["seen"]]
-    retrieve: list[Literal["seen", "unseen"]]
-    reconstruct: list[Literal["seen", "unseen"]]
-    grasp_stability: list[Literal["seen", "unseen"]]
-    decompose: list[str]
-    grasp_data: list[str]
-    grasp_policy: list[str]
-    reach: list[str]
 
 
 @dataclass(frozen=True)
@@ -192,7 +177,7 @@ def object_entry(key: str, values: dict[str, Any], path: str | Path = PARAMS_FIL
         raise ObjectFolderError(
             f"{path} has no object {key!r} (it has {known}); add it with `objectfolder add`"
         )
-    valid = _checked(ObjectEntry, values["objects"][key], f"{path}: objects.{key}")
+    valid = checked(ObjectEntry, values["objects"][key], f"{path}: objects.{key}")
     home = PurePosixPath("data/objects") / key
     mesh = PurePosixPath(valid.mesh)
     if home not in mesh.parents or ".." in mesh.parts:
@@ -268,60 +253,17 @@ def procedural_entry(key: str, path: str | Path = PARAMS_FILE) -> tuple[str, dic
     entry = values["procedural"].get(key)
     if entry is None:
         raise ObjectFolderError(f"{path}: procedural has no {key!r}")
-    valid = _checked(ProceduralEntry, entry, f"{path}: procedural.{key}")
+    valid = checked(ProceduralEntry, entry, f"{path}: procedural.{key}")
     return valid.generator, dict(valid.model_extra or {})
-
-
-def check_all(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
-    """Validate everything, before a long build starts."""
-    for key, entry in values["objects"].items():
-        object_entry(key, values, path)
-        lacking = [name for name in ObjectEntry.model_fields if name not in entry]
-        if lacking:
-            default = ObjectEntry.model_construct()
-            fields = ", ".join(f"{name}: {json.dumps(getattr(default, name))}" for name in lacking)
-            raise ObjectFolderError(
-                f"{path}: objects.{key} lacks {', '.join(lacking)}, which DVC tracks; add `{fields}`"
-            )
-    for key, entry in values["procedural"].items():
-        _checked(ProceduralEntry, entry, f"{path}: procedural.{key}")
-    for name in SECTIONS:
-        settings(section_config(name), values, path)
-    shared(values, path)
-    _check_selection(values, path)
 
 
 def shared(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> Shared:
     """Check the values that several stages use, and return them."""
-    return _checked(Shared, {name: values.get(name) for name in Shared.model_fields}, str(path))
+    return checked(Shared, {name: values.get(name) for name in Shared.model_fields}, str(path))
 
 
-def _check_selection(values: dict[str, Any], path: str | Path) -> None:
-    """Check that each selected benchmark has its objects and the stages that it depends on."""
-    if "benchmarks" not in values:
-        empty = ", ".join(f"{name}: []" for name in Selection.model_fields)
-        raise ObjectFolderError(
-            f"{path} lacks `benchmarks`, the benchmarks that a build runs; add `benchmarks: {{{empty}}}`"
-        )
-    selection = _checked(Selection, values["benchmarks"], f"{path}: benchmarks")
-    for stage in ROBOT_STAGES:
-        keys = getattr(selection, stage)
-        _require(f"{path}: benchmarks.{stage}", keys, values["objects"], "is no object")
-        _require(f"{path}: benchmarks.{stage}", keys, selection.decompose, "lacks in benchmarks.decompose")
-    if selection.grasp_stability and len(selection.grasp_data) < 2:
-        raise ObjectFolderError(
-            f"{path}: benchmarks.grasp_stability needs the grasps of at least two objects; list them in "
-            "benchmarks.grasp_data"
-        )
-
-
-def _require(where: str, keys: list[str], known: Collection[str], fault: str) -> None:
-    wrong = [key for key in keys if key not in known]
-    if wrong:
-        raise ObjectFolderError(f"{where}: {wrong[0]} {fault}; expected one of {', '.join(known) or 'none'}")
-
-
-def _checked(model: type[Model], value: Any, where: str) -> Model:
+def checked(model: type[Model], value: Any, where: str) -> Model:
+    """Check a mapping and return it as its model; errors begin with ``where``."""
     try:
         return model.model_validate(value)
     except ValidationError as error:

@@ -6,8 +6,9 @@ from typing import Any
 from ruamel.yaml import YAML
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.workspace.check import check_all
 from objectfolder.workspace.document import editable, write_params
-from objectfolder.workspace.params import PARAMS_FILE, check_all
+from objectfolder.workspace.params import PARAMS_FILE
 
 
 def apply_preset(name: str, root: Path = Path()) -> list[str]:

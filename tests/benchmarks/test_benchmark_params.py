@@ -7,7 +7,8 @@ import pytest
 from objectfolder.benchmarks.params import object_keys, splits_of, task_params
 from objectfolder.benchmarks.tasks.grasp_stability import GraspStabilityConfig
 from objectfolder.errors import ObjectFolderError
-from objectfolder.workspace.params import TASKS, check_all, check_key, read, section_config, settings
+from objectfolder.workspace.check import check_all
+from objectfolder.workspace.params import TASKS, check_key, read, section_config, settings
 
 ROOT = Path(__file__).parents[2]
 ENCODE = {"encoder": "resnet18", "image": 56, "spectrogram": [64, 50], "touch": [64, 48]}

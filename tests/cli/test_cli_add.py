@@ -18,6 +18,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.workspace import objects as catalog
 from objectfolder.workspace import params
+from objectfolder.workspace.check import check_all
 from objectfolder.workspace.discover import discover, slug
 from objectfolder.workspace.presets import apply_preset
 
@@ -61,7 +62,7 @@ def test_add_copies_what_the_mesh_refers_to_and_tracks_it(workspace, box):
     assert (home / "maps/wood grain.png").exists()
     assert (workspace / "data/objects/crate.dvc").exists()
     values = params.read()
-    params.check_all(values)
+    check_all(values)
     assert set(values["objects"]) == {"mug", "die", "bell", "crate"}
     assert "# mesh: under data/objects" in (workspace / "params.yaml").read_text()  # comments survive
 

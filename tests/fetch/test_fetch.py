@@ -20,6 +20,7 @@ from objectfolder.fetch.local import find_local
 from objectfolder.fetch.run import SIZE_TOLERANCE, Status, fetch_all, fetch_object
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.workspace import params
+from objectfolder.workspace.check import check_all
 
 CATALOGUE = Path("catalogs/objectfolder1.yaml")
 OBJECTS = Path(__file__).parents[3] / "shared" / "objects"
@@ -62,7 +63,7 @@ def test_every_layout_is_fetched_added_and_tracked(published, publisher):
     outcomes = fetch_all(keys, published)
     assert [outcome.status for outcome in outcomes] == [Status.ADDED] * 3
     values = params.read()
-    params.check_all(values)
+    check_all(values)
     assert values["objects"]["ycb_mug"] == {
         "mesh": "data/objects/ycb_mug/mesh.obj",
         "material": "steel",

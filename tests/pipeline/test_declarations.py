@@ -8,6 +8,7 @@ from ruamel.yaml import YAML
 
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.workspace import params
+from objectfolder.workspace.check import check_all
 from objectfolder.workspace.code_digests import imported_files
 from objectfolder.workspace.layout import Build, code_list
 
@@ -141,7 +142,7 @@ def test_presets_are_complete_and_valid(preset):
     values = params.read(ROOT / "params.yaml")
     sections = YAML(typ="safe").load((ROOT / "params" / f"{preset}.yaml").read_text())
     assert set(sections) == set(params.SECTIONS)
-    params.check_all({**values, **sections})
+    check_all({**values, **sections})
 
 
 def test_params_yaml_holds_the_starter_catalogue_at_preset_quick():

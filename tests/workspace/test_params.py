@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.workspace.check import check_all, check_object
 from objectfolder.workspace.params import (
     OBJECT_STAGES,
     ROBOT_STAGES,
     SECTIONS,
     TASKS,
-    check_all,
     check_key,
     object_entry,
     procedural_entry,
@@ -124,7 +124,6 @@ def test_bad_keys_in_a_file_name_the_file(write, key):
         ({"scale": "big"}, r"scale: .*valid number, got 'big'"),
         ({"scale": True}, r"scale: .*got True"),
         ({"scale": None}, r"scale: .*got None"),
-        ({"material": "gold"}, r"material: .*unknown material 'gold': expected one of ceramic"),
         ({"material": 3}, r"material: .*got 3"),
         ({"up": "x"}, r"up: .*'y' or 'z'.*got 'x'"),
         ({"colour": "red"}, r"colour: .*got 'red'"),
@@ -141,6 +140,16 @@ def test_a_wrong_field_names_file_field_and_value(write, change, message):
     with pytest.raises(ObjectFolderError, match=message) as caught:
         stage_params(section_config("normalize"), "mug", path)
     assert str(caught.value).startswith(f"{path}: objects.mug")
+
+
+def test_an_unknown_material_is_found_before_a_build(write):
+    path = write(objects={"mug": MUG | {"material": "gold"}})
+    for check in (lambda: check_all(read(path), path), lambda: check_object("mug", read(path), path)):
+        with pytest.raises(
+            ObjectFolderError, match="unknown material 'gold': expected one of ceramic"
+        ) as caught:
+            check()
+        assert str(caught.value).startswith(f"{path}: objects.mug: material: ")
 
 
 def test_a_missing_field_and_an_entry_that_is_none(write):

@@ -1,0 +1,98 @@
+"""Check all of ``params.yaml`` before a long build starts.
+
+Stages import `objectfolder.workspace.params` alone, so that a new material reruns only `modal`.
+"""
+
+import json
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any, Literal
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.materials import material
+from objectfolder.workspace.params import (
+    PARAMS_FILE,
+    ROBOT_STAGES,
+    SECTIONS,
+    Entry,
+    ObjectEntry,
+    ProceduralEntry,
+    checked,
+    object_entry,
+    section_config,
+    settings,
+    shared,
+)
+
+
+class Selection(Entry):
+    """Benchmarks that a build runs: ``benchmarks`` in ``params.yaml``, splits or objects by stage."""
+
+    recognize: list[Literal["seen"]]
+    retrieve: list[Literal["seen", "unseen"]]
+    reconstruct: list[Literal["seen", "unseen"]]
+    grasp_stability: list[Literal["seen", "unseen"]]
+    decompose: list[str]
+    grasp_data: list[str]
+    grasp_policy: list[str]
+    reach: list[str]
+
+
+def check_all(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
+    """Validate everything, before a long build starts."""
+    for key, entry in values["objects"].items():
+        check_object(key, values, path)
+        lacking = [name for name in ObjectEntry.model_fields if name not in entry]
+        if lacking:
+            default = ObjectEntry.model_construct()
+            fields = ", ".join(f"{name}: {json.dumps(getattr(default, name))}" for name in lacking)
+            raise ObjectFolderError(
+                f"{path}: objects.{key} lacks {', '.join(lacking)}, which DVC tracks; add `{fields}`"
+            )
+    for key, entry in values["procedural"].items():
+        checked(ProceduralEntry, entry, f"{path}: procedural.{key}")
+    for name in SECTIONS:
+        settings(section_config(name), values, path)
+    shared(values, path)
+    _check_selection(values, path)
+
+
+def check_object(key: str, values: dict[str, Any], path: str | Path = PARAMS_FILE) -> ObjectEntry:
+    """Return one object's entry, whose material must be known.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there is no such entry, or a field is wrong.
+    """
+    entry = object_entry(key, values, path)
+    try:
+        material(entry.material)
+    except ObjectFolderError as error:
+        raise ObjectFolderError(f"{path}: objects.{key}: material: {error}") from error
+    return entry
+
+
+def _check_selection(values: dict[str, Any], path: str | Path) -> None:
+    """Check that each selected benchmark has its objects and the stages that it depends on."""
+    if "benchmarks" not in values:
+        empty = ", ".join(f"{name}: []" for name in Selection.model_fields)
+        raise ObjectFolderError(
+            f"{path} lacks `benchmarks`, the benchmarks that a build runs; add `benchmarks: {{{empty}}}`"
+        )
+    selection = checked(Selection, values["benchmarks"], f"{path}: benchmarks")
+    for stage in ROBOT_STAGES:
+        keys = getattr(selection, stage)
+        _require(f"{path}: benchmarks.{stage}", keys, values["objects"], "is no object")
+        _require(f"{path}: benchmarks.{stage}", keys, selection.decompose, "lacks in benchmarks.decompose")
+    if selection.grasp_stability and len(selection.grasp_data) < 2:
+        raise ObjectFolderError(
+            f"{path}: benchmarks.grasp_stability needs the grasps of at least two objects; list them in "
+            "benchmarks.grasp_data"
+        )
+
+
+def _require(where: str, keys: list[str], known: Collection[str], fault: str) -> None:
+    wrong = [key for key in keys if key not in known]
+    if wrong:
+        raise ObjectFolderError(f"{where}: {wrong[0]} {fault}; expected one of {', '.join(known) or 'none'}")
