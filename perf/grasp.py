@@ -29,7 +29,7 @@ from objectfolder.benchmarks.datasets.grasp_data import (
 )
 from objectfolder.benchmarks.tasks.running import machine
 from objectfolder.envs.body import RigidBody, rigid_body
-from objectfolder.envs.grasping import GraspScene, Physics
+from objectfolder.envs.grasp_scene import GraspScene, Physics
 from objectfolder.envs.hulls import cached_hulls
 from objectfolder.io import write_json
 from objectfolder.objectfile.file import ObjectFile

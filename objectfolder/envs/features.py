@@ -1,4 +1,4 @@
-"""What a policy is told of a touch: features of tactile images, asked of the Object File or kept."""
+"""Features of touches for policies: queried from the Object File, or looked up in a bank."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -7,20 +7,20 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from objectfolder.envs.fingers import Presses, feel, sensor_profile
+from objectfolder.envs.fingers import Presses, sensor_profile, tactile_images
 from objectfolder.io import read_npz, write_npz
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.optics import Optics
 
-PROBE = 0.0015  #: depth at which fingers feel, m
-FEATURES = (8, 6)  #: height and width of what a tactile image is averaged to
-CONTRAST = 16.0  #: of features: differences of images, which are small; their bound
+PROBE = 0.0015  #: press depth of a gentle touch, m
+FEATURES = (8, 6)  #: height and width of an averaged tactile image
+CONTRAST = 16.0  #: gain of features, which are small differences of images, and their bound
 
-Feel = Callable[[Presses], np.ndarray]
+FeatureFunction = Callable[[Presses], np.ndarray]  #: M presses -> (M, F) float32
 
 
 class TouchFeatures:
-    """Features of tactile images: how they differ from those of an untouched sensor, averaged.
+    """Features of tactile images: their difference from the untouched sensor's image, averaged.
 
     Parameters
     ----------
@@ -31,15 +31,15 @@ class TouchFeatures:
 
     def __init__(self, file: ObjectFile):
         self._file = file
-        #: the image without a touch; (H, W, 3) uint8
+        #: image of the untouched sensor; (H, W, 3) uint8
         self.untouched = Optics(sensor_profile(file)).background.numpy()
 
     def images(self, pressed: Presses) -> np.ndarray:
-        """(M, H, W, 3) uint8."""
-        return feel(self._file, pressed, np.full(len(pressed.points), PROBE))
+        """Return tactile images at the depth `PROBE`; (M, H, W, 3) uint8."""
+        return tactile_images(self._file, pressed, np.full(len(pressed.points), PROBE))
 
     def __call__(self, pressed: Presses) -> np.ndarray:
-        """(M, size) float32."""
+        """Return features of presses; (M, size) float32."""
         if not len(pressed.points):
             return np.zeros((0, self.size), np.float32)
         change = (torch.from_numpy(self.images(pressed)).float() - torch.from_numpy(self.untouched)) / 255
@@ -48,39 +48,39 @@ class TouchFeatures:
 
 
 class TouchBank:
-    """Features of many presses, kept; a question gets those of the nearest, which is a thousand times faster.
+    """Stored features of many presses; a query gets those of the nearest press, a thousand times faster.
 
     Parameters
     ----------
     pressed : Presses
-        What is kept, (M, ...) rows.
+        M rows.
     features : (M, F) array
     """
 
-    _PLACE, _LEAN = 0.002, 0.05  # m and unit vectors, which count as equally far
+    _POINT, _OUTWARD = 0.002, 0.05  # differences that count as equally far: m, and of unit vectors
 
     def __init__(self, pressed: Presses, features: np.ndarray):
         self.pressed, self.features = pressed, features
-        self._tree = cKDTree(self._place(pressed))
+        self._tree = cKDTree(self._scaled(pressed))
 
     def __call__(self, pressed: Presses) -> np.ndarray:
-        """Features of the nearest presses that are kept; (N, F)."""
+        """Return features of the nearest stored presses; (N, F)."""
         if not len(pressed.points):
             return np.zeros((0, self.features.shape[1]), np.float32)
-        return self.features[self._tree.query(self._place(pressed))[1]]
+        return self.features[self._tree.query(self._scaled(pressed))[1]]
 
     def save(self, path: str | Path, source: str) -> None:
-        """Write the bank, and what it was made of."""
+        """Write the bank with the name of its source."""
         write_npz(path, **vars(self.pressed), features=self.features, source=np.array(source))
 
     @classmethod
     def load(cls, path: str | Path, source: str) -> "TouchBank | None":
-        """Read a bank; None if it was made of something else."""
+        """Read a bank; None if it has another source."""
         names = ("points", "outward", "up", "features", "source")
         stored = read_npz(path, *names)
         if str(stored["source"]) != source:
             return None
         return cls(Presses(*(stored[name] for name in names[:3])), stored["features"])
 
-    def _place(self, pressed: Presses) -> np.ndarray:
-        return np.c_[pressed.points / self._PLACE, pressed.outward / self._LEAN]
+    def _scaled(self, pressed: Presses) -> np.ndarray:
+        return np.c_[pressed.points / self._POINT, pressed.outward / self._OUTWARD]

@@ -1,6 +1,5 @@
-"""What the tactile sensors on both fingers feel in a grasp, from the Object File or from the true surface."""
+"""Tactile images of both fingers in a grasp, from the Object File or from the true surface."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,25 +12,32 @@ from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile
 from objectfolder.touch.simulate import touch_images
 
-COARSE = 8  #: the gel's force is solved for on so many times fewer pixels, each way
-LEVELS = 4  #: depths at which it is
+COARSE = 8  #: reduction of the sensor's resolution, each way, to solve for the gel's force
+LEVELS = 4  #: number of depths at which the force is solved for
 LEAST_DEPTH = 1e-4  #: of a press, m
-
-#: (N, 3) points, m -> the nearest of a surface, m; object frame.
-Nearest = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
 class Presses:
-    """How sensors are pressed on an object; object frame, two rows per grasp: left, right."""
+    """Poses of sensors pressed on an object; object frame, two rows per grasp: left, right."""
 
-    points: np.ndarray  #: (2N, 3) where they touch, m
+    points: np.ndarray  #: (2N, 3) contact points, m
     outward: np.ndarray  #: (2N, 3) unit vectors from the object to the sensor
     up: np.ndarray  #: (2N, 3) unit vectors, up in the image
 
+    def take(self, rows: np.ndarray) -> "Presses":
+        """Select rows."""
+        return Presses(self.points[rows], self.outward[rows], self.up[rows])
 
-def presses(objects: np.ndarray, hands: np.ndarray, contacts: np.ndarray) -> Presses:
-    """Transform contacts of both pads from the world to the object (supplementary I.4).
+
+def pad_axes(axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the outward and the up vectors of both pads, (N, 2, 3), of hand axes (N, 3, 3)."""
+    outward = np.stack([axes[:, :, 0], -axes[:, :, 0]], 1)
+    return outward, np.repeat(axes[:, None, :, 2], 2, 1)
+
+
+def pad_presses(objects: np.ndarray, hands: np.ndarray, contacts: np.ndarray) -> Presses:
+    """Transform contacts of both pads from the world frame to the object frame (supplementary I.4).
 
     Parameters
     ----------
@@ -44,23 +50,21 @@ def presses(objects: np.ndarray, hands: np.ndarray, contacts: np.ndarray) -> Pre
     """
     world = np.stack([rotation(place[3:]) for place in objects]).reshape(-1, 3, 3)
     points = np.einsum("nij,nki->nkj", world, contacts - objects[:, None, :3])
-    axes = np.einsum("nij,nik->njk", world, hand_axes(hands))  # of the hand, in the object's frame
-    outward = np.stack([axes[:, :, 0], -axes[:, :, 0]], 1)
-    up = np.repeat(axes[:, None, :, 2], 2, 1)
+    outward, up = pad_axes(np.einsum("nij,nik->njk", world, hand_axes(hands)))
     return Presses(points.reshape(-1, 3), outward.reshape(-1, 3), up.reshape(-1, 3))
 
 
 def sensor_angles(
     normals: np.ndarray, outward: np.ndarray, up: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """How a sensor that looks along ``-outward`` is rotated and leans, as `ObjectFile.touch` takes it.
+    """Convert orientations of sensors to the angle, tilt and azimuth that `ObjectFile.touch` takes.
 
     Parameters
     ----------
     normals : (N, 3) array
         Contact normals.
     outward, up : (N, 3) array
-        Of the sensor; unit vectors at right angles.
+        Orthogonal unit vectors: opposite to the viewing direction, and up in the image.
 
     Returns
     -------
@@ -75,10 +79,10 @@ def sensor_angles(
 
 
 def press_depths(file: ObjectFile, pressed: Presses, forces: np.ndarray) -> np.ndarray:
-    """How deep the gel is when it pushes back with given forces; (2N,) metres.
+    """Return the press depths at which the gel pushes back with given forces; (2N,) metres.
 
-    The gel's own model says what force a depth takes; between a few depths it is interpolated as a power of
-    them. At most what the sensor takes: a greater force does not show.
+    The gel model gives the force at a few depths; between them it is interpolated on logarithmic scales.
+    Depths are clipped to the sensor's range.
 
     Parameters
     ----------
@@ -88,7 +92,7 @@ def press_depths(file: ObjectFile, pressed: Presses, forces: np.ndarray) -> np.n
         Newtons.
     """
     net = file.header["touch"]["net"]
-    if "press_depth" in net:  # stores images of one depth
+    if "press_depth" in net:  # trained on images of one depth
         return np.full(len(pressed.points), float(net["press_depth"]))
     profile = sensor_profile(file)
     coarse = replace(profile, height=profile.height // COARSE, width=profile.width // COARSE)
@@ -102,10 +106,10 @@ def press_depths(file: ObjectFile, pressed: Presses, forces: np.ndarray) -> np.n
     return np.exp([np.interp(f, row, levels) for f, row in zip(wanted, np.log(felt))])
 
 
-def feel(file: ObjectFile, pressed: Presses, depths: np.ndarray) -> np.ndarray:
-    """Tactile images that an Object File answers; (2N, H, W, 3) uint8.
+def tactile_images(file: ObjectFile, pressed: Presses, depths: np.ndarray) -> np.ndarray:
+    """Query an Object File for tactile images; (2N, H, W, 3) uint8.
 
-    A touch net that stores images of points knows one depth and one direction; it gets the points alone.
+    Touch nets trained on images of one depth and one direction are queried with the points alone.
     """
     net = file.header["touch"]["net"]
     points, angle, tilt, azimuth = _queries(file, pressed)
@@ -115,7 +119,7 @@ def feel(file: ObjectFile, pressed: Presses, depths: np.ndarray) -> np.ndarray:
 
 
 class TrueSurface:
-    """The ground truth of a touch: the surface that the Object File was made of, in the same sensor.
+    """Ground truth of touches: the surface from which the Object File was made, seen by the same sensor.
 
     Parameters
     ----------
@@ -130,8 +134,8 @@ class TrueSurface:
         self._caster = RayCaster(self._vertices, self._faces)
         self._profile, self._optics = profile, Optics(profile)
 
-    def feel(self, pressed: Presses, depths: np.ndarray) -> np.ndarray:
-        """Tactile images of the same presses; (2N, H, W, 3) uint8."""
+    def tactile_images(self, pressed: Presses, depths: np.ndarray) -> np.ndarray:
+        """Render tactile images of presses; (2N, H, W, 3) uint8."""
         import igl
 
         _, _, points = igl.point_mesh_squared_distance(pressed.points, self._vertices, self._faces)
@@ -141,7 +145,7 @@ class TrueSurface:
 
 
 def sensor_profile(file: ObjectFile) -> SensorProfile:
-    """Profile of the sensor that an Object File stores."""
+    """Return the profile of the sensor that an Object File stores."""
     from objectfolder.touch.profiles import load_profile
 
     stored = file.header["touch"]["net"]["sensor"]
@@ -149,7 +153,7 @@ def sensor_profile(file: ObjectFile) -> SensorProfile:
 
 
 def _queries(file: ObjectFile, pressed: Presses) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Nearest points of the surface, and angle, tilt and azimuth to ask the touch net for there."""
+    """Return the nearest points of the surface, and angle, tilt and azimuth of the sensor there."""
     points, _ = file.nearest(pressed.points)
     normals = contact_normals(file.surface.grid.smooth_distance, points / file.scale, NORMAL_RADIUS)
     return points, *sensor_angles(normals, pressed.outward, pressed.up)

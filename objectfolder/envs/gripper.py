@@ -1,7 +1,7 @@
-"""A parallel-jaw gripper after Schunk's WSG 50, with DIGIT pads, made of boxes.
+"""Parallel-jaw gripper modelled on Schunk's WSG 50 with DIGIT pads, made of boxes.
 
-Its frame: origin midway between the pads' centres, x along which the jaws close, z up along the approach.
-Sizes in metres: 110 mm of stroke, pads of 20 mm x 30 mm (supplementary I.4).
+Gripper frame: origin midway between the pads' centres, x along the closing direction, z up along the
+approach. Sizes in metres: 110 mm of stroke, pads of 20 mm x 30 mm (supplementary I.4).
 """
 
 from dataclasses import dataclass
@@ -9,22 +9,23 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-STROKE = 0.11  #: opening of the jaws
+STROKE = 0.11  #: greatest opening of the jaws
+OPEN, SHUT = STROKE / 2, -STROKE  #: targets of a jaw; the latter is out of reach, so it takes all the force
 PAD = np.array([0.002, 0.010, 0.015])  #: half sides of a pad: thickness, width, height
-FINGER = np.array([0.009, 0.012, 0.030])  #: half sides of what carries a pad
-FINGER_AT = np.array([0.014, 0.0, 0.012])  #: its centre, from the pad's face
+FINGER = np.array([0.009, 0.012, 0.030])  #: half sides of the finger that carries a pad
+FINGER_AT = np.array([0.014, 0.0, 0.012])  #: centre of the finger, from the pad's face
 PALM = np.array([0.073, 0.025, 0.0367])  #: half sides of the hand above the fingers
-PALM_AT = np.array([0.0, 0.0, 0.0823])  #: its centre
-TIP = FINGER[2] - FINGER_AT[2]  #: of a finger, below the pads' centre
+PALM_AT = np.array([0.0, 0.0, 0.0823])  #: centre of the palm
+TIP = FINGER[2] - FINGER_AT[2]  #: extent of a finger below the pads' centre
 SIDES = ("left", "right")  #: jaws; the left one closes towards -x
 AXES = ("x", "y", "z", "yaw")  #: joints of the hand, and their actuators
 SPEED = 0.14  #: of each closing jaw, m/s
 STIFFNESS, DAMPING = 3000.0, 60.0  #: of the jaws' position control, N/m and N s/m
 JOINT_DAMPING = 20.0  #: of a jaw's guide, N s/m
-#: How far a jaw that closes at `SPEED` is behind its target.
+#: Distance of a jaw that closes at `SPEED` behind its target.
 LAG = SPEED * (DAMPING + JOINT_DAMPING) / STIFFNESS
 
-_PAD_SOFTNESS = 0.008  # time constant of contacts with a pad, s: an elastomer, not a stone
+_PAD_SOFTNESS = 0.008  # time constant of contacts with a pad, s: an elastomer
 
 
 @dataclass(frozen=True)
@@ -33,12 +34,12 @@ class Box:
 
     size: np.ndarray  #: (3,) half sides
     center: np.ndarray  #: (3,) in the gripper's frame, with the jaws closed
-    jaw: float  #: how its x moves with a jaw's opening: 1 left, -1 right, 0 not
+    jaw: float  #: derivative of the box's x by its jaw's opening: 1 left, -1 right, 0 palm
     color: tuple[float, float, float]  #: linear RGB
 
 
 def boxes() -> list[Box]:
-    """All boxes of the gripper, for who draws it."""
+    """Return all boxes of the gripper, for drawing."""
     metal, gel = (0.12, 0.12, 0.13), (0.55, 0.2, 0.12)
     made = [Box(PALM, PALM_AT, 0.0, metal)]
     for sign in (1.0, -1.0):
@@ -49,10 +50,10 @@ def boxes() -> list[Box]:
 
 
 def add_gripper(spec: mujoco.MjSpec, friction: float, reach: float = 0.0) -> None:
-    """Add the gripper, its actuators and its sensors of contact to a scene.
+    """Add the gripper, its actuators and its contact sensors to a scene.
 
-    Joints and position actuators ``x``, ``y``, ``z``, ``yaw`` move the hand, which weighs nothing; ``left``
-    and ``right`` the jaws, 0 closed, half of `STROKE` open.
+    Joints and position actuators ``x``, ``y``, ``z``, ``yaw`` move the hand, which is weightless; ``left``
+    and ``right`` the jaws, 0 closed, `OPEN` open.
 
     Parameters
     ----------
@@ -60,7 +61,8 @@ def add_gripper(spec: mujoco.MjSpec, friction: float, reach: float = 0.0) -> Non
     friction : float
         Sliding friction between pads and object.
     reach : float
-        Fingers and palm go so far up, metres: they then fill what they sweep when they come down.
+        Upward extension of fingers and palm, metres: they then fill the volume that they sweep on the way
+        down.
     """
     box, slide = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtJoint.mjJNT_SLIDE
     up = np.array([0.0, 0.0, reach / 2])
@@ -77,7 +79,7 @@ def add_gripper(spec: mujoco.MjSpec, friction: float, reach: float = 0.0) -> Non
             name=side,
             type=slide,
             axis=[1, 0, 0],
-            range=[0, STROKE / 2],
+            range=[0, OPEN],
             limited=True,
             damping=np.array([JOINT_DAMPING, 0, 0]),
             armature=0.2,
@@ -97,7 +99,7 @@ def add_gripper(spec: mujoco.MjSpec, friction: float, reach: float = 0.0) -> Non
         _position(spec, side, STIFFNESS, DAMPING)
         _contact_sensor(spec, side)
     spec.add_exclude(bodyname1="left", bodyname2="right")
-    spec.add_equality(  # both jaws are as open: the default polynomial
+    spec.add_equality(  # the default polynomial: both jaws are equally open
         type=mujoco.mjtEq.mjEQ_JOINT,
         objtype=mujoco.mjtObj.mjOBJ_JOINT,
         name1="left",
@@ -117,7 +119,7 @@ def _position(spec: mujoco.MjSpec, joint: str, stiffness: float, damping: float 
 
 
 def _contact_sensor(spec: mujoco.MjSpec, side: str) -> None:
-    """Add what a pad feels of the object: number of contacts, net force, where it acts; world frame."""
+    """Add a pad's contact sensor: number of contacts with the object, net force, its point; world frame."""
     data = mujoco.mjtConDataField
     fields = (data.mjCONDATA_FOUND, data.mjCONDATA_FORCE, data.mjCONDATA_POS)
     net_force = 3

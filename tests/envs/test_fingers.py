@@ -1,7 +1,14 @@
 import numpy as np
 import pytest
 
-from objectfolder.envs.fingers import TrueSurface, feel, press_depths, presses, sensor_angles, sensor_profile
+from objectfolder.envs.fingers import (
+    TrueSurface,
+    pad_presses,
+    press_depths,
+    sensor_angles,
+    sensor_profile,
+    tactile_images,
+)
 from objectfolder.envs.poses import turn_poses
 from objectfolder.touch.contact import sensor_frames
 
@@ -25,7 +32,7 @@ def test_contacts_in_the_frame_of_the_object():
     place = turn_poses(np.array([[0.0, 0, 0.05, 1, 0, 0, 0]]), [np.pi / 2], np.array([[0.3, 0.0]]))
     hand = np.array([[0.3, 0.0, 0.05, np.pi / 2]])
     # Jaws close along the world's y, which is the object's x.
-    pressed = presses(place, hand, np.array([[[0.3, 0.02, 0.05], [0.3, -0.02, 0.06]]]))
+    pressed = pad_presses(place, hand, np.array([[[0.3, 0.02, 0.05], [0.3, -0.02, 0.06]]]))
     assert pressed.points == pytest.approx(np.array([[0.02, 0, 0], [-0.02, 0, 0.01]]), abs=1e-12)
     assert pressed.outward == pytest.approx(np.array([[1, 0, 0], [-1, 0, 0]]), abs=1e-12)
     assert pressed.up == pytest.approx(np.array([[0, 0, 1], [0, 0, 1]]), abs=1e-12)
@@ -36,7 +43,7 @@ def on_faces(brick):
     """Both fingers on the middles of the faces at y = +-3 cm."""
     hand = np.array([[0, 0, 0, np.pi / 2]])
     contacts = np.array([[[0, 0.03, 0], [0, -0.03, 0]]])
-    return presses(np.array([[0.0, 0, 0, 1, 0, 0, 0]]), hand, contacts)
+    return pad_presses(np.array([[0.0, 0, 0, 1, 0, 0, 0]]), hand, contacts)
 
 
 def test_the_gel_pushes_back_with_the_force_of_the_jaws(brick, on_faces):
@@ -74,7 +81,7 @@ def test_implicit_and_true_touches_agree(brick, on_faces):
     faces = np.where(flip[:, None], hull.simplices[:, ::-1], hull.simplices)
     truth = TrueSurface(corners, faces, sensor_profile(brick))
     depths = np.array([0.0012, 0.0008])
-    implicit, explicit = feel(brick, on_faces, depths), truth.feel(on_faces, depths)
+    implicit, explicit = tactile_images(brick, on_faces, depths), truth.tactile_images(on_faces, depths)
     assert implicit.shape == (2, 160, 120, 3)
     assert np.abs(implicit.astype(int) - explicit).mean() < 1
     untouched = brick.press(on_faces.points, 0.0).images

@@ -6,9 +6,11 @@ from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 import objectfolder.envs  # noqa: F401, registers
 from objectfolder.envs.body import rigid_body
+from objectfolder.envs.episodes import Episodes
 from objectfolder.envs.features import TouchBank, TouchFeatures
-from objectfolder.envs.grasp import ACTION, STEPS, Episodes, GraspEnv, GraspTask, GraspVectorEnv
-from objectfolder.envs.grasping import lowest_hand
+from objectfolder.envs.grasp import GraspEnv, GraspVectorEnv
+from objectfolder.envs.grasp_scene import lowest_hand
+from objectfolder.envs.grasp_task import ACTION_SCALE, STEPS, GraspTask
 from objectfolder.envs.hulls import cached_hulls, convex_hulls
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
@@ -80,17 +82,17 @@ def test_same_seed_same_trajectory(task):
 
 def test_one_environment_is_a_row_of_many(task, brick, hulls):
     """Observations and rewards of an episode do not depend on who else plays."""
-    episodes = Episodes(task, "features", None)
+    episodes = Episodes(task, "features")
     seen = episodes.begin(2, np.random.default_rng(0))
     places, hands = episodes.objects.copy(), episodes.hands.copy()
     actions = np.random.default_rng(1).uniform(-1, 1, (STEPS, 2, 4))
     for action in actions:
         rewards = episodes.act(action)
     for row in range(2):
-        one = Episodes(task, "features", None)
+        one = Episodes(task, "features")
         one.begin(1, np.random.default_rng(0))
         one.objects, one.hands = places[[row]], hands[[row]]
-        assert np.array_equal(one.look()[0], seen[row])
+        assert np.array_equal(one.observe()[0], seen[row])
         for action in actions:
             reward = one.act(action[[row]])
         assert reward[0] == rewards[row]
@@ -99,7 +101,7 @@ def test_one_environment_is_a_row_of_many(task, brick, hulls):
 def test_a_centred_grasp_holds_and_one_beside_it_does_not(task):
     objects = np.zeros((3, 3))
     hands = np.array([[0, 0, lowest_hand(), 0], [0, 0.08, lowest_hand(), 0], [0.06, 0, lowest_hand(), 0]])
-    assert task.held(objects, hands).tolist() == [True, False, False]
+    assert task.grasp(objects, hands).tolist() == [True, False, False]
     assert task.free(objects, hands).tolist() == [True, True, False]
 
 
@@ -124,16 +126,16 @@ def test_touches_agree_with_the_simulation(task):
 
 
 def test_actions_move_the_hand(task):
-    hands = task.moved(np.array([[0.0, 0.0, 0.05, 0.0]]), np.array([[1.0, -1.0, 0.5, 5.0]]))
-    assert hands[0] == pytest.approx(np.array([0, 0, 0.05, 0]) + ACTION * [1, -1, 0.5, 1])
-    assert task.moved(hands, np.array([[0, 0, -100, 0]]))[0, 2] >= lowest_hand()
+    hands = task.move(np.array([[0.0, 0.0, 0.05, 0.0]]), np.array([[1.0, -1.0, 0.5, 5.0]]))
+    assert hands[0] == pytest.approx(np.array([0, 0, 0.05, 0]) + ACTION_SCALE * [1, -1, 0.5, 1])
+    assert task.move(hands, np.array([[0, 0, -100, 0]]))[0, 2] >= lowest_hand()
 
 
 def test_features_are_zero_without_a_touch_and_tell_a_face_from_an_edge(task):
-    episodes = Episodes(task, "features", None)
+    episodes = Episodes(task, "features")
     episodes.objects, episodes.hands = np.zeros((3, 3)), np.tile([0, 0, 0.02, 0.0], (3, 1))
     episodes.hands[1, 3], episodes.hands[2, 1] = 0.4, 0.3
-    felt = episodes.look()[:, : 2 * TouchFeatures.size]
+    felt = episodes.observe()[:, : 2 * TouchFeatures.size]
     assert not felt[2].any()
     assert np.abs(felt[0] - felt[1]).max() > 0.3
     assert felt[0].any()

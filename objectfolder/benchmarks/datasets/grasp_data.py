@@ -16,8 +16,15 @@ from objectfolder.benchmarks.datasets.sampling import object_digest
 from objectfolder.disk import enough_space
 from objectfolder.envs.body import RigidBody
 from objectfolder.envs.camera import ExternalCamera
-from objectfolder.envs.fingers import Presses, TrueSurface, feel, press_depths, presses, sensor_profile
-from objectfolder.envs.grasping import GraspScene, Outcomes, Physics, lowest_hand
+from objectfolder.envs.fingers import (
+    Presses,
+    TrueSurface,
+    pad_presses,
+    press_depths,
+    sensor_profile,
+    tactile_images,
+)
+from objectfolder.envs.grasp_scene import GraspScene, Outcomes, Physics, lowest_hand
 from objectfolder.envs.gripper import PAD
 from objectfolder.envs.poses import hand_axes, rotation, turn_poses
 from objectfolder.errors import ObjectFolderError
@@ -255,7 +262,7 @@ def _observed(
     more: dict[str, np.ndarray],
 ) -> dict[str, np.ndarray]:
     """All arrays of a batch."""
-    pressed = presses(grasps.objects, grasps.hands, grasps.contacts)
+    pressed = pad_presses(grasps.objects, grasps.hands, grasps.contacts)
     depths = press_depths(file, pressed, grasps.forces.ravel())
     middle = grasps.contacts.mean(1) - np.stack([_placed(body.centre, pose) for pose in grasps.objects])
     pictures = zip(grasps.objects, grasps.hands, grasps.width)
@@ -265,14 +272,14 @@ def _observed(
         "offset": np.einsum("nij,ni->nj", hand_axes(grasps.hands), middle).astype(np.float32),
         "force": grasps.forces.mean(1).astype(np.float32),
         "image": np.stack([camera.picture(file, *given) for given in pictures]),
-        "touch": _images(feel, file, pressed, depths, touch),
+        "touch": _images(tactile_images, file, pressed, depths, touch),
         "objects": grasps.objects,
         "hands": grasps.hands,
         "contacts": grasps.contacts,
         "depths": depths.reshape(-1, 2),
     }
     if truth is not None:
-        arrays[OPTIONAL] = _images(TrueSurface.feel, truth, pressed, depths, touch)
+        arrays[OPTIONAL] = _images(TrueSurface.tactile_images, truth, pressed, depths, touch)
     return arrays | more
 
 

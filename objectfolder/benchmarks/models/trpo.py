@@ -16,7 +16,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from objectfolder.benchmarks.models.actor import Actor
 from objectfolder.benchmarks.models.training import read_checkpoint
-from objectfolder.envs.grasp import STEPS
+from objectfolder.envs.grasp_task import STEPS
 from objectfolder.io import atomic
 from objectfolder.seeding import numpy_generator
 from objectfolder.settings import Batch, Count, Discount, Positive

@@ -15,9 +15,10 @@ from objectfolder.benchmarks.scoring.scores import share_95
 from objectfolder.benchmarks.tasks.running import leave, object_identity
 from objectfolder.envs.body import rigid_body
 from objectfolder.envs.camera import ExternalCamera
-from objectfolder.envs.features import Feel, TouchBank, TouchFeatures
-from objectfolder.envs.grasp import FORCE, STEPS, Episodes, GraspTask, GraspVectorEnv
-from objectfolder.envs.poses import turn_poses
+from objectfolder.envs.episodes import Episodes
+from objectfolder.envs.features import FeatureFunction, TouchBank, TouchFeatures
+from objectfolder.envs.grasp import GraspVectorEnv
+from objectfolder.envs.grasp_task import FORCE, STEPS, GraspTask
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator
 
@@ -66,7 +67,7 @@ def grasp_policy(
     key = task.file.key
     bank = _bank(task, params.presses, seed, progress / "bank.npz", report)
 
-    def rollouts(observation: str, features: Feel | None, policy: Policy, part: str) -> np.ndarray:
+    def rollouts(observation: str, features: FeatureFunction | None, policy: Policy, part: str) -> np.ndarray:
         rng = numpy_generator(seed, "grasp_policy", key, part)
         return play(Episodes(task, observation, features), policy, params.rollouts, rng)
 
@@ -103,7 +104,7 @@ def grasp_policy(
         return np.zeros((len(seen), 4))
 
     by_seed = range(params.seeds)
-    policies: dict[str, tuple[str, Feel | None, Sequence[Policy]]] = {
+    policies: dict[str, tuple[str, FeatureFunction | None, Sequence[Policy]]] = {
         name: (observation, bank, [actors[name, run] for run in by_seed])
         for name, observation in OBSERVED.items()
     }
@@ -130,7 +131,7 @@ def play(episodes: Episodes, policy: Policy, count: int, rng: np.random.Generato
     seen, rewards = episodes.begin(count, rng), np.zeros(count)
     for _ in range(STEPS):
         rewards = episodes.act(policy(seen))
-        seen = episodes.look()
+        seen = episodes.observe()
     return rewards > 0
 
 
@@ -142,8 +143,7 @@ def film(task: GraspTask, bank: TouchBank, actor: Actor, count: int, seed: int) 
     shown = [*np.flatnonzero(held)[:1], *np.flatnonzero(~held & free)[:1]]
     camera, frames = ExternalCamera(PIXELS), []
     for row in shown:
-        x, y, yaw = episodes.objects[row]
-        place = turn_poses(task.rest[None], np.array([yaw]), np.array([[x, y]]))[0]
+        place = task.placed(episodes.objects[row])
         for moment in task.scene.watch(place, episodes.hands[row], FORCE, FRAME):
             frame = camera.picture(task.file, moment.place, moment.hand, moment.width).copy()
             frame[-6:] = (30, 150, 60) if held[row] else (190, 40, 40)

@@ -14,7 +14,7 @@ from objectfolder.benchmarks.datasets.grasp_data import (
 )
 from objectfolder.benchmarks.datasets.grasps import ARRAYS, Grasps
 from objectfolder.envs.body import rigid_body
-from objectfolder.envs.grasping import GraspScene, Physics, lowest_hand
+from objectfolder.envs.grasp_scene import GraspScene, Physics, lowest_hand
 from objectfolder.envs.hulls import convex_hulls
 from objectfolder.envs.poses import rotation
 from objectfolder.errors import ObjectFolderError

@@ -7,8 +7,9 @@ from objectfolder.benchmarks.models.trpo import GraspPolicyConfig
 from objectfolder.benchmarks.scoring.tables import grasping_table
 from objectfolder.benchmarks.tasks.grasp_policy import CURVE_COLUMNS, grasp_policy, play
 from objectfolder.envs.body import rigid_body
+from objectfolder.envs.episodes import Episodes
 from objectfolder.envs.features import TouchFeatures
-from objectfolder.envs.grasp import Episodes, GraspTask
+from objectfolder.envs.grasp_task import GraspTask
 from objectfolder.envs.hulls import convex_hulls
 
 PARAMS = GraspPolicyConfig(

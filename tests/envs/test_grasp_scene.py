@@ -3,7 +3,8 @@ import numpy as np
 import pytest
 
 from objectfolder.envs.body import RigidBody, rigid_body
-from objectfolder.envs.grasping import LIFT, GraspScene, Physics, lowest_hand
+from objectfolder.envs.grasp_phases import LIFT
+from objectfolder.envs.grasp_scene import GraspScene, Physics, lowest_hand
 from objectfolder.envs.gripper import SIDES, STROKE, add_gripper
 from objectfolder.envs.hulls import convex_hulls
 from objectfolder.envs.poses import hand_axes, rotation, turn_poses
