@@ -18,9 +18,9 @@ _console = Console(stderr=True)
 def run(
     stage: Callable[[str], None], description: str | None, of: str = "object key, as in params.yaml"
 ) -> None:
-    """Run a stage for what is named on the command line: an object, or the split of a benchmark.
+    """Run a stage for the object, or the split of a benchmark, that the command line names.
 
-    One thread, so that the same inputs give the same bytes whoever runs the stage beside what else.
+    A stage has one thread, so that the same inputs give the same bytes whatever runs beside it.
     """
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("key", help=of)
@@ -36,7 +36,7 @@ def run(
 
 
 def progress(description: str) -> Callable[[Iterable[Any]], Iterable[Any]]:
-    """Return a function that wraps an iteration in a progress bar, where somebody watches."""
+    """Return a function that wraps an iteration in a progress bar, if the output is a terminal."""
     return lambda items: track(items, description, console=_console, disable=not _console.is_terminal)
 
 

@@ -1,7 +1,7 @@
 """hash_code: source files -> for each stage, the digests of the modules that it imports.
 
-The other stages depend on their list, not on fifty modules each: editing a module reruns the stages that
-import it and no others, and dvc.lock stays small.
+Each other stage depends on its list instead of some fifty modules: editing a module reruns exactly the stages
+that import it, and dvc.lock stays small.
 """
 
 from pathlib import Path

@@ -11,7 +11,7 @@ from objectfolder.cli.console import console, tracked
 from objectfolder.errors import ObjectFolderError
 
 if TYPE_CHECKING:
-    from objectfolder.workspace.discover import Finding
+    from objectfolder.workspace.discover import Examination
 
 
 def add(
@@ -50,7 +50,7 @@ def add(
     """
     from objectfolder.engine.dvc.repository import track
     from objectfolder.workspace import params
-    from objectfolder.workspace.discover import UNITS, Candidate, examine, table
+    from objectfolder.workspace.discover import UNITS, Candidate, examination_table, examine
     from objectfolder.workspace.objects import add_catalogue, add_mesh
 
     if mesh.suffix in (".yaml", ".yml"):
@@ -74,7 +74,7 @@ def add(
     if name is None or material is None:
         raise ObjectFolderError("a mesh needs --name and --material; see objectfolder add --help")
     finding = examine(Candidate(name, mesh, material), params.read(), scale, up, unit, wall, bridge)
-    console.print(table([finding], up is not None))
+    console.print(examination_table([finding], up is not None))
     _print_notes([finding])
     if dry_run:
         return
@@ -86,7 +86,7 @@ def add(
     )
 
 
-def _print_notes(findings: "list[Finding]") -> None:
+def _print_notes(findings: "list[Examination]") -> None:
     for finding in findings:
         if finding.notes:
             text = f"{finding.candidate.key}: {'; '.join(finding.notes)}"
@@ -105,13 +105,13 @@ def _add_folder(
     """Examine and add the objects in a folder; whether none was refused."""
     from objectfolder.engine.dvc.repository import track
     from objectfolder.workspace import params
-    from objectfolder.workspace.discover import discover, survey, table
+    from objectfolder.workspace.discover import discover, examination_table, examine_all
     from objectfolder.workspace.objects import add_mesh
 
     candidates = discover(folder, material)
-    examined = survey(candidates, params.read(), up, unit, wall, bridge)
+    examined = examine_all(candidates, params.read(), up, unit, wall, bridge)
     findings = list(tracked(examined, "examining", len(candidates)))
-    console.print(table(findings, up is not None))
+    console.print(examination_table(findings, up is not None))
     refused = {f.candidate.key: f.refusal for f in findings if f.refusal is not None}
     _print_notes(findings)
     accepted = [f for f in findings if f.refusal is None]

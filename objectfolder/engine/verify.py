@@ -33,7 +33,7 @@ from objectfolder.engine.summary import Addressed, Listener, Summary
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import atomic
 from objectfolder.workspace.layout import Build
-from objectfolder.workspace.validate import checks, validate
+from objectfolder.workspace.validate import find_problem, readers
 
 READ_ONLY = 0o444  # DVC's mark of a cached object whose hash is known
 
@@ -266,7 +266,7 @@ def _validate(survey: _Survey, jobs: int | None, track: Track) -> None:
     They compute more than they read, so threads hardly help; processes take seconds to start.
     """
     tables = {
-        key: checks(Build(key, survey.root))
+        key: readers(Build(key, survey.root))
         for key in {f.address.partition("@")[2] for f in survey.files}
         if key
     }
@@ -286,7 +286,7 @@ def _validate(survey: _Survey, jobs: int | None, track: Track) -> None:
 
 def _problem(item: tuple[str, Path, Path]) -> str:
     key, root, path = item
-    return validate(checks(Build(key, root))[path], path)
+    return find_problem(readers(Build(key, root))[path], path)
 
 
 def _blocked(repo: Repo, survey: _Survey) -> set[str]:

@@ -15,7 +15,7 @@ from objectfolder.materials import material
 from objectfolder.workspace import params
 
 
-class Source(params.Entry):
+class Source(params.Record):
     """A collection of meshes; ``{model}`` in an address stands for the object's id there."""
 
     title: str
@@ -29,7 +29,7 @@ class Source(params.Entry):
     attribution: str
 
 
-class Entry(params.Entry):
+class Entry(params.Record):
     """One published object."""
 
     id: int  #: number in the publication
@@ -51,7 +51,7 @@ class Entry(params.Entry):
         return self.model or self.name
 
 
-class Catalogue(params.Entry):
+class Catalogue(params.Record):
     """Sources and objects by key."""
 
     sources: dict[str, Source]

@@ -14,9 +14,9 @@ from objectfolder.workspace.params import (
     PARAMS_FILE,
     ROBOT_STAGES,
     SECTIONS,
-    Entry,
     ObjectEntry,
     ProceduralEntry,
+    Record,
     checked,
     object_entry,
     section_config,
@@ -25,7 +25,7 @@ from objectfolder.workspace.params import (
 )
 
 
-class Selection(Entry):
+class Selection(Record):
     """Benchmarks that a build runs: ``benchmarks`` in ``params.yaml``, splits or objects by stage."""
 
     recognize: list[Literal["seen"]]

@@ -1,27 +1,27 @@
-"""Which files of the project a stage runs, found in the source without running it."""
+"""Find the project files that a stage runs, from its source, and digest them."""
 
 import ast
 from pathlib import Path
 
 from objectfolder.io import file_digest
 
-PACKAGES = ("objectfolder", "stages")  #: whose modules are ours
+PACKAGES = ("objectfolder", "stages")  #: packages of the project
 
 
 def imported_files(script: str | Path, root: str | Path = ".") -> list[str]:
-    """Project files that importing a script runs, directly or not.
+    """List the project files that a script imports, directly or indirectly.
 
     Parameters
     ----------
     script : Path
         The script, relative to ``root``.
     root : Path
-        Directory that holds the packages `PACKAGES`.
+        Directory that contains `PACKAGES`.
 
     Returns
     -------
     list of str
-        Files relative to ``root``, sorted, the script among them; empty ones (``__init__.py``) left out.
+        Sorted, relative to ``root``, with the script itself; empty files (``__init__.py``) are left out.
     """
     root = Path(root)
     todo, found = [root / script], set()
@@ -37,7 +37,7 @@ def imported_files(script: str | Path, root: str | Path = ".") -> list[str]:
 
 
 def digests(script: str | Path, root: str | Path = ".") -> str:
-    """SHA-256 of every file that a script runs, a line each, as ``sha256sum`` writes and checks them."""
+    """Return the SHA-256 of every file that a script runs, one per line, in the format of ``sha256sum``."""
     return "".join(f"{file_digest(Path(root) / name)}  {name}\n" for name in imported_files(script, root))
 
 
@@ -58,7 +58,7 @@ def _imports(path: Path) -> set[str]:
 
 
 def _files(module: str, root: Path) -> list[Path]:
-    """The module's file and the ``__init__.py`` of every package above it."""
+    """Return the module's file and the ``__init__.py`` of every package above it."""
     parts = module.split(".")
     candidates = [root.joinpath(*parts[:i], "__init__.py") for i in range(1, len(parts) + 1)]
     candidates.append(root.joinpath(*parts).with_suffix(".py"))

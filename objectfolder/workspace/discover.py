@@ -1,4 +1,4 @@
-"""Find meshes in a folder, and understand each before it is added to a workspace."""
+"""Find the meshes in a folder and examine each before it is added to a workspace."""
 
 import csv
 import re
@@ -22,8 +22,8 @@ from objectfolder.mesh.reading.load import FORMATS, default_up, load_mesh
 from objectfolder.workspace.objects import MAX_SCALE, MIN_SCALE, check_new
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}  #: metres
-LARGE = 2.0  # metres; few objects that one strikes and touches are larger
-MOVED = 1e-3  # of the size: what closing a surface may move without a word
+LARGE = 2.0  # metres; few objects that are struck and touched are larger
+MOVED = 1e-3  # fraction of the size by which closing may move a surface without a note
 LISTS = ("materials.csv", "materials.yaml", "materials.yml")
 
 
@@ -34,25 +34,25 @@ class Candidate:
     key: str
     mesh: Path
     material: str | None = None
-    refusal: str | None = None  #: why it cannot be taken, from its place alone
+    refusal: str | None = None  #: reason why its location alone rules it out
 
 
 @dataclass(frozen=True)
-class Finding:
-    """What was understood of a candidate; without a refusal it can be added."""
+class Examination:
+    """Result of examining a candidate; without a refusal it can be added."""
 
     candidate: Candidate
     scale: float = 0.0  #: longest side, metres
     up: str = ""
     pieces: int = 0  #: connected pieces of the source's surface
-    rung: str = ""  #: of the ladder that closed it
+    rung: str = ""  #: repair step that closed its surface
     volume: float = 0.0  #: m^3
     notes: list[str] = field(default_factory=list)
     refusal: str | None = None
 
 
 def slug(name: str) -> str:
-    """Object key of a file's or folder's name: ``025_Mug (blue)`` gives ``mug_blue``."""
+    """Make an object key from a file or folder name: ``025_Mug (blue)`` gives ``mug_blue``."""
     ascii_name = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode().lower()
     return re.sub(r"[^a-z0-9]+", "_", ascii_name).strip("_0123456789") or "object"
 
@@ -60,25 +60,25 @@ def slug(name: str) -> str:
 def discover(folder: Path, material: str | None = None) -> list[Candidate]:
     """Find the objects in a folder: each mesh file directly in it, and each subfolder that holds one.
 
-    The key is made of the file's or the subfolder's name. ``materials.csv`` (lines ``name,material``) or
-    ``materials.yaml`` (``name: material``) in the folder name materials, by file, subfolder or key.
+    Keys are made from file or subfolder names. ``materials.csv`` (lines ``name,material``) or
+    ``materials.yaml`` (``name: material``) in the folder assigns materials by file, subfolder or key.
 
     Parameters
     ----------
     folder : Path
     material : str, optional
-        Of the objects that no list names.
+        Default for objects that the list does not name.
 
     Returns
     -------
     list of Candidate
-        Ordered by name; those whose folder holds several meshes, or whose key another one has, with a
+        Ordered by name. Candidates with several meshes in their folder, or with a duplicate key, have a
         refusal.
 
     Raises
     ------
     ObjectFolderError
-        If there is no mesh, or a list of materials is invalid or names an object that is not there.
+        If there is no mesh, or the list of materials is invalid or names an unknown object.
     """
     listed = _materials(folder)
     found = [(path.stem, [path]) for path in _meshes(folder)]
@@ -87,8 +87,8 @@ def discover(folder: Path, material: str | None = None) -> list[Candidate]:
         found += [(child.name, inside)] if inside else []
     if not found:
         raise ObjectFolderError(
-            f"{folder} holds no mesh ({', '.join(FORMATS)}), neither do its subfolders; put each object's "
-            "mesh there, or in a subfolder of its own"
+            f"{folder} and its subfolders hold no mesh ({', '.join(FORMATS)}); put each object's mesh there, "
+            "or in a subfolder of its own"
         )
     if len(found) == 1 and found[0][1][0].parent == folder:
         found = [(folder.resolve().name, found[0][1])]
@@ -101,7 +101,7 @@ def discover(folder: Path, material: str | None = None) -> list[Candidate]:
         refusal = None
         if len(inside) > 1:
             kept = ", ".join(str(path.relative_to(folder)) for path in inside[:4])
-            refusal = f"{folder / name} holds {len(inside)} meshes ({kept}); leave one, or add it by its path"
+            refusal = f"{folder / name} holds {len(inside)} meshes ({kept}); keep one, or add one by its path"
         elif keys[key] > 1:
             refusal = f"{keys[key]} objects in {folder} would be named {key!r}; rename {name}"
         own = next((listed[n] for n in (name, mesh.name, key) if n in listed), material)
@@ -109,7 +109,7 @@ def discover(folder: Path, material: str | None = None) -> list[Candidate]:
     unknown = sorted(set(listed) - named)
     if unknown:
         raise ObjectFolderError(
-            f"the list of materials in {folder} names {', '.join(unknown[:5])}, which {folder} does not hold"
+            f"the list of materials in {folder} names {', '.join(unknown[:5])}, which it does not contain"
         )
     return candidates
 
@@ -125,7 +125,7 @@ def _meshes(folder: Path) -> list[Path]:
 def _materials(folder: Path) -> dict[str, str]:
     lists = [folder / name for name in LISTS if (folder / name).is_file()]
     if len(lists) > 1:
-        raise ObjectFolderError(f"{' and '.join(map(str, lists))} both name materials; leave one")
+        raise ObjectFolderError(f"{' and '.join(map(str, lists))} both assign materials; keep one")
     if not lists:
         return {}
     path = lists[0]
@@ -152,24 +152,24 @@ def examine(
     unit: str = "m",
     wall: float | None = None,
     bridge: str = "all",
-) -> Finding:
+) -> Examination:
     """Load a candidate's mesh and close its surface in memory.
 
     Parameters
     ----------
     candidate : Candidate
     values : dict
-        Of ``params.yaml``.
+        Contents of ``params.yaml``.
     scale : float or None
         Longest side, metres; None takes the mesh's own.
     up : {"y", "z"} or None
-        None guesses by the format.
+        None guesses from the file format.
     unit : {"m", "cm", "mm"}
-        Of the mesh's coordinates.
+        Unit of the mesh's coordinates.
     wall : float, optional
         Thickness that open sheets get, metres.
     bridge : {"all", "fem", "off"}
-        Where small gaps are filled.
+        Where to fill small gaps.
 
     Raises
     ------
@@ -197,50 +197,56 @@ def examine(
     )
     notes = [*report["warnings"], *report["appearance"].get("notes", [])]
     if scale is None and size > LARGE:
-        notes.insert(0, f"{size:.3g} m is large: {_other_units(own)}--unit or --scale tells")
+        notes.insert(0, f"{size:.3g} m is large: {_other_units(own)}set --unit or --scale")
     if report["deviation_max_m"] > MOVED * size:
         notes.append(f"closing it moved its surface by up to {report['deviation_max_m'] * 1000:.2g} mm")
     welded = [rung["components_after"] for rung in report["rungs"] if rung["name"] == "clean"]
     pieces = welded[0] if welded else report["components"]
-    return Finding(candidate, size, report["source_up"], pieces, report["rung"], report["volume_m3"], notes)
+    return Examination(
+        candidate, size, report["source_up"], pieces, report["rung"], report["volume_m3"], notes
+    )
 
 
 def _other_units(own: float) -> str:
-    """Say in which units a size would be that of an object."""
+    """Suggest units in which the size would be plausible."""
     fitting = [f"{own:.4g} {unit}" for unit in ("cm", "mm") if 0.01 <= own * UNITS[unit] <= LARGE]
     return f"perhaps it is {' or '.join(fitting)}; " if fitting else ""
 
 
-def survey(
+def examine_all(
     candidates: Sequence[Candidate],
     values: dict[str, Any],
     up: str | None = None,
     unit: str = "m",
     wall: float | None = None,
     bridge: str = "all",
-) -> Iterator[Finding]:
-    """Examine candidates one by one; one that cannot be added gives a finding with the reason."""
+) -> Iterator[Examination]:
+    """Examine candidates one by one; those that cannot be added give an examination with a refusal."""
     for candidate in candidates:
         try:
             yield examine(candidate, values, None, up, unit, wall, bridge)
         except ObjectFolderError as error:
-            yield Finding(candidate, refusal=str(error))
+            yield Examination(candidate, refusal=str(error))
 
 
-def table(findings: Sequence[Finding], up_given: bool) -> Table:
-    """Show what was understood of each candidate."""
+def examination_table(examinations: Sequence[Examination], up_given: bool) -> Table:
+    """Format examinations as a table."""
     result = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), caption=None if up_given else "? guessed")
     for name in ("object", "mesh", "material", "size m", "up", "pieces", "closed by", "volume cm³"):
         right = name in ("size m", "pieces", "volume cm³")
         whole = name in ("object", "mesh")
         result.add_column(name, justify="right" if right else "left", overflow="fold", no_wrap=whole)
-    for finding in findings:
-        candidate = finding.candidate
+    for shown in examinations:
+        candidate = shown.candidate
         row = [candidate.key, escape(candidate.mesh.name), escape(candidate.material or "?")]
-        if finding.refusal is not None:
+        if shown.refusal is not None:
             row.append("[bold red]refused[/]")
         else:
-            row += [f"{finding.scale:.4g}", finding.up + ("" if up_given else "?"), str(finding.pieces)]
-            row += [finding.rung, f"{finding.volume * 1e6:,.1f}"]
+            row += [
+                f"{shown.scale:.4g}",
+                shown.up + ("" if up_given else "?"),
+                str(shown.pieces),
+            ]
+            row += [shown.rung, f"{shown.volume * 1e6:,.1f}"]
         result.add_row(*row)
     return result

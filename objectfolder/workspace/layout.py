@@ -36,8 +36,8 @@ class Build:
         self.vision_sheet = self.dir / "vision.png"
         self.sound_sheet = self.dir / "sound.png"
         self.object_file = self.dir / "ObjectFile.safetensors"
-        self.hulls = self.dir / "hulls.npz"  #: of objects that robots handle alone
-        self.inspections = self.dir / "inspect"  #: undeclared: looking makes nothing stale
+        self.hulls = self.dir / "hulls.npz"  #: only of objects that robots grasp
+        self.inspections = self.dir / "inspect"  #: undeclared: inspecting makes no stage stale
         self.metrics = self.root / "metrics" / f"{key}.json"
 
     def views(self, split: str) -> Path:
@@ -57,7 +57,7 @@ class Build:
         return self.dir / f"{modality}_curve.csv"
 
     def artifacts(self) -> list[Path]:
-        """All files that the pipeline writes for the object, there or not, but its metrics."""
+        """List every file that the pipeline writes for the object, existing or not, except its metrics."""
         single = [
             *(self.visual, self.surface, self.solid_surface, self.normalize),
             *(self.solid, self.sdf, self.voxelize, self.modes, self.modal),
@@ -69,5 +69,5 @@ class Build:
 
 
 def code_list(stage: str) -> Path:
-    """Digests of the modules that a stage imports."""
+    """Return the file with the digests of the modules that a stage imports."""
     return Path("build/.code") / f"{stage}.sha256"

@@ -15,7 +15,7 @@ from objectfolder.workspace import params
 from objectfolder.workspace.check import check_object
 from objectfolder.workspace.document import editable, write_params
 
-MIN_SCALE, MAX_SCALE = 0.001, 20  # metres; outside, a unit is probably mistaken
+MIN_SCALE, MAX_SCALE = 0.001, 20  # metres; beyond, the unit is probably wrong
 
 
 def add_mesh(
@@ -36,20 +36,20 @@ def add_mesh(
     Parameters
     ----------
     mesh : Path
-        Of a format of `objectfolder.mesh.reading.load.FORMATS`; the files that it refers to come along.
+        In one of `objectfolder.mesh.reading.load.FORMATS`; files that it refers to are copied too.
     key : str
         Object key.
     material : str
     scale : float or None
-        Longest side, metres; None takes the mesh's own longest side as metres.
+        Longest side, metres; None: the longest side of the mesh, whose unit is then metres.
     up : {"y", "z"} or None
-        None takes the format's default.
+        None: the default of the format.
     attachments : sequence of Path
-        Files that are kept beside the mesh under their own names, such as a licence.
+        Further files to keep beside the mesh, such as a licence.
     wall : float, optional
         Thickness that open sheets get, metres.
     bridge : {"all", "fem", "off"}
-        Where small gaps are filled.
+        Where to fill small gaps.
     track : callable
         Puts a folder of a workspace under version control; takes both paths.
 
@@ -61,7 +61,7 @@ def add_mesh(
     Raises
     ------
     ObjectFolderError
-        If anything is wrong with the arguments or the mesh; nothing is changed then.
+        If an argument or the mesh is invalid; nothing is changed then.
     """
     params_path = root / params.PARAMS_FILE
     document, values = editable(params_path)
@@ -112,7 +112,7 @@ def add_mesh(
 
 
 def check_new(key: str, values: dict[str, Any], root: Path = Path()) -> Path:
-    """Return the folder that a new object's files go to.
+    """Return the folder for the files of a new object.
 
     Raises
     ------
@@ -132,7 +132,7 @@ def check_new(key: str, values: dict[str, Any], root: Path = Path()) -> Path:
 def add_catalogue(catalogue: Path, root: Path = Path()) -> list[str]:
     """Enter a catalogue's procedural objects and object entries in ``params.yaml``.
 
-    Entries that are there already, unchanged, are left alone.
+    Identical entries that exist already are skipped.
 
     Returns
     -------
@@ -147,11 +147,11 @@ def add_catalogue(catalogue: Path, root: Path = Path()) -> list[str]:
     document, values = editable(params_path)
     if catalogue.is_file() and re.search(r"^sources:", catalogue.read_text(errors="replace"), re.MULTILINE):
         raise ObjectFolderError(
-            f"{catalogue} lists published objects whose meshes are not here; bring them with `objectfolder "
-            f"fetch --catalogue {catalogue}`"
+            f"{catalogue} lists published objects whose meshes are not here; download them with "
+            f"`objectfolder fetch --catalogue {catalogue}`"
         )
     new = params.read(catalogue)
-    # Every field is written: DVC tracks them one by one, and misses those that are left out.
+    # Write every field: DVC tracks them one by one and does not see missing ones.
     for key in new["objects"]:
         new["objects"][key] = check_object(key, new, catalogue).model_dump()
     added = []

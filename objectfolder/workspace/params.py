@@ -60,13 +60,13 @@ TASKS = ("recognize", "retrieve", "reconstruct", "grasp_stability")
 ROBOT_STAGES = ("decompose", "grasp_data", "grasp_policy", "reach")
 
 
-class Entry(BaseModel):
+class Record(BaseModel):
     """A mapping in a YAML file: frozen, and unknown names are errors."""
 
     model_config = ConfigDict(frozen=True, **_STRICT)
 
 
-class ObjectEntry(Entry):
+class ObjectEntry(Record):
     """One object."""
 
     mesh: str  #: under data/objects/<key>/
@@ -95,7 +95,7 @@ class ProceduralEntry(BaseModel):
     generator: str
 
 
-class Shared(Entry):
+class Shared(Record):
     """Values that several stages use."""
 
     seed: int = Field(ge=0)

@@ -1,4 +1,4 @@
-"""Whether an artifact holds what its readers expect: one table of all kinds of artifacts."""
+"""Validate artifacts: one table that says how each kind of artifact is read."""
 
 import csv
 from collections.abc import Callable
@@ -19,7 +19,7 @@ from objectfolder.objectfile.evaluation import summary_row
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace.layout import MODALITIES, SPLITS, Build
 
-#: Shapes of arrays; a letter is the same number throughout a file.
+#: Array shapes; a letter stands for the same number throughout a file.
 MODES = {
     "points": "p3",
     "split": "p",
@@ -57,8 +57,8 @@ NORMALIZE = (
 )
 
 
-def checks(build: Build) -> dict[Path, Callable[[Path], Any]]:
-    """How each artifact of an object is read; the reader raises ObjectFolderError where it is not valid."""
+def readers(build: Build) -> dict[Path, Callable[[Path], Any]]:
+    """Map each artifact of an object to its reader, which raises ObjectFolderError if it is not valid."""
     table: dict[Path, Callable[[Path], Any]] = {
         build.visual: partial(load_mesh, up="y"),
         build.surface: read_surface,
@@ -80,13 +80,13 @@ def checks(build: Build) -> dict[Path, Callable[[Path], Any]]:
     return table | dict.fromkeys(sheets, _picture)
 
 
-def validate(check: Callable[[Path], Any], path: Path) -> str:
-    """What is wrong with an artifact, in one line; empty if nothing is."""
+def find_problem(check: Callable[[Path], Any], path: Path) -> str:
+    """Return the problem of an artifact in one line, or an empty string."""
     try:
         check(path)
     except ObjectFolderError as error:
         return str(error)
-    except Exception as error:  # a reader that meets what it was not made for raises anything
+    except Exception as error:  # readers may raise anything on unexpected content
         return f"{path} is not valid: {type(error).__name__}: {error}".partition("\n")[0]
     return ""
 
@@ -112,7 +112,7 @@ def _net(path: Path) -> None:
     _, header = read_safetensors(path)
     missing = [name for name in ("kind", "net") if name not in header]
     if missing:
-        raise ObjectFolderError(f"{path} is no net: it lacks {', '.join(missing)}; rebuild it")
+        raise ObjectFolderError(f"{path} is not a net: it lacks {', '.join(missing)}; rebuild it")
 
 
 def _curve(path: Path) -> None:

@@ -8,27 +8,27 @@ import pytest
 from objectfolder.engine.verify import verify
 from objectfolder.io import read_npz, write_npz
 from objectfolder.workspace.layout import Build
-from objectfolder.workspace.validate import checks, validate
+from objectfolder.workspace.validate import find_problem, readers
 
 pytestmark = pytest.mark.xdist_group("pipeline")
 
 
 def test_every_artifact_has_a_check_and_passes_it(built):
     build = Build("bell", built.root)
-    assert set(checks(build)) == {*build.artifacts(), build.metrics}
-    assert {path.name: validate(check, path) for path, check in checks(build).items()} == {
-        path.name: "" for path in checks(build)
+    assert set(readers(build)) == {*build.artifacts(), build.metrics}
+    assert {path.name: find_problem(check, path) for path, check in readers(build).items()} == {
+        path.name: "" for path in readers(build)
     }
 
 
 def test_empty_and_torn_artifacts_fail_their_check(built, tmp_path):
-    for path, check in checks(Build("bell", built.root)).items():
+    for path, check in readers(Build("bell", built.root)).items():
         copy = tmp_path / path.name
         copy.write_bytes(b"")
-        assert str(copy) in validate(check, copy)
+        assert str(copy) in find_problem(check, copy)
         if path.suffix != ".csv":  # half a table may be a table
             copy.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-            assert validate(check, copy), path
+            assert find_problem(check, copy), path
 
 
 @pytest.mark.parametrize("name", ["points", "shapes", "damping"])
@@ -36,9 +36,9 @@ def test_arrays_that_do_not_fit_together_are_named(built, tmp_path, name):
     build = Build("bell", tmp_path)
     arrays = read_npz(Build("bell", built.root).modes)
     write_npz(build.modes, **(arrays | {name: arrays[name][:-1]}))
-    assert "has shape" in validate(checks(build)[build.modes], build.modes)
+    assert "has shape" in find_problem(readers(build)[build.modes], build.modes)
     write_npz(build.modes, **{key: value for key, value in arrays.items() if key != name})
-    assert f"lacks {name}" in validate(checks(build)[build.modes], build.modes)
+    assert f"lacks {name}" in find_problem(readers(build)[build.modes], build.modes)
 
 
 @pytest.mark.slow
