@@ -1,4 +1,4 @@
-"""Objects as rigid bodies of physics engines, and environments in which robots move them.
+"""Rigid bodies for physics engines, and Gymnasium environments for robots.
 
 ``gymnasium.make("objectfolder.envs:ObjectFolder/Reach-v0", file="build/mug/ObjectFile.safetensors")``
 """

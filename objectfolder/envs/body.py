@@ -1,19 +1,22 @@
-"""Objects as rigid bodies: mass and inertia of the true solid, convex hulls to collide with."""
+"""Objects as rigid bodies: mass and inertia of the solid, and convex hulls for collisions."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import trimesh
 
 from objectfolder import materials
+from objectfolder.envs.hulls import cached_hulls
 from objectfolder.envs.solid import close_holes
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 
-#: Sliding friction by material, dry, against a table or a silicone elastomer. Assumed: handbooks give
-#: ranges of +-0.1 and more, and an elastomer's depends on load and wear.
+#: Dry sliding friction by material, against a table or a silicone elastomer. Assumed: handbooks give ranges
+#: of +-0.1 and more, and the friction of an elastomer depends on load and wear.
 FRICTION = {
     "ceramic": 0.5,
     "glass": 0.5,
@@ -23,40 +26,40 @@ FRICTION = {
     "polycarbonate": 0.5,
     "steel": 0.45,
 }
-_OTHER_FRICTION = 0.5  # of materials that a build defined itself
+_OTHER_FRICTION = 0.5  # of custom materials
 TORSIONAL, ROLLING = 0.005, 0.0001  #: friction, m: MuJoCo's defaults
 
 
 @dataclass(frozen=True)
 class RigidBody:
-    """What a physics engine needs to know of an object; object frame, metres."""
+    """Mass properties and collision shape of an object; object frame, metres."""
 
     key: str
-    hulls: tuple[trimesh.Trimesh, ...]  #: closed and convex; together they are the shape that collides
+    hulls: tuple[trimesh.Trimesh, ...]  #: closed and convex; their union is the collision shape
     mass: float  #: kg
-    centre: np.ndarray  #: of mass; (3,)
+    centre: np.ndarray  #: centre of mass; (3,)
     inertia: np.ndarray  #: about the centre of mass, object axes; (3, 3), kg m^2
     friction: float  #: sliding
     bounds: np.ndarray  #: lowest and highest coordinates of the surface; (2, 3)
 
 
 def rigid_body(file: ObjectFile, hulls: Sequence[trimesh.Trimesh]) -> RigidBody:
-    """Mass properties of the solid, full of the object's material.
+    """Compute the mass properties of the solid, filled with the object's material.
 
-    The solid is what the source's closed surface encloses, as the file tells; in files of before format 1.1,
-    which do not, what the stored surface encloses.
+    The file stores volume, centre and inertia of the source's closed surface. Files older than format 1.1 do
+    not; their solid is bounded by the stored surface.
 
     Parameters
     ----------
     file : ObjectFile
     hulls : sequence of trimesh.Trimesh
-        Of this object, object frame, metres; see `objectfolder.envs.hulls`.
+        Convex parts of this object, object frame, metres; see `objectfolder.envs.hulls`.
 
     Raises
     ------
     ObjectFolderError
-        If the file holds no geometry, no body has the mass properties that it tells, there are no hulls, or
-        they are not of this object: their bounds are further from the surface's than a tenth of its size.
+        If the file holds no geometry or an impossible inertia, there are no hulls, or they belong to another
+        object: their bounds differ from the surface's by over a tenth of its size.
     """
     if not hulls:
         raise ObjectFolderError(f"{file.key}: no hulls to collide with; expected at least one")
@@ -74,13 +77,26 @@ def rigid_body(file: ObjectFile, hulls: Sequence[trimesh.Trimesh]) -> RigidBody:
     )
 
 
+def as_rigid_body(
+    file: ObjectFile | RigidBody | str | Path, hulls: Sequence[trimesh.Trimesh] | None = None
+) -> RigidBody:
+    """Return the rigid body of an object; without ``hulls``, they are cached for the user."""
+    if isinstance(file, RigidBody):
+        return file
+    file = file if isinstance(file, ObjectFile) else ObjectFile.load(file)
+    if hulls is None:
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        hulls = cached_hulls(file, cache / "objectfolder" / "hulls")
+    return rigid_body(file, hulls)
+
+
 def density(file: ObjectFile) -> float:
-    """Density of the object's material, kg/m^3: the file's own, else that of the table.
+    """Return the density of the object's material, kg/m^3: the file's own, else from the materials table.
 
     Raises
     ------
     ObjectFolderError
-        If neither knows the material.
+        If neither has it.
     """
     stored = file.header.get("material_properties")
     if stored:
@@ -88,7 +104,7 @@ def density(file: ObjectFile) -> float:
     if file.material.lower() not in materials.MATERIALS:
         raise ObjectFolderError(
             f"{file.key}: its density is not known: the file stores none, and {file.material!r} is "
-            f"none of {', '.join(materials.MATERIALS)}; import it again with --material"
+            f"none of {', '.join(materials.MATERIALS)}; import the file again with --material"
         )
     return materials.material(file.material).density
 
@@ -96,16 +112,16 @@ def density(file: ObjectFile) -> float:
 def add_body(
     spec: mujoco.MjSpec, body: RigidBody, name: str = "object", parent: "mujoco.MjsBody | None" = None
 ) -> "mujoco.MjsBody":
-    """Add an object to a MuJoCo model; its frame is the object frame.
+    """Add an object to a MuJoCo model; the body frame is the object frame.
 
     Parameters
     ----------
     spec : mujoco.MjSpec
     body : RigidBody
     name : str
-        Of the body and its free joint; geoms and their meshes are ``<name>_hull0``, ...
+        Name of the body and its free joint; geoms and their meshes are ``<name>_hull0``, ...
     parent : mujoco.MjsBody, optional
-        Default: the world, the only body whose children may have a free joint.
+        Default: the world. Only children of the world may have a free joint.
     """
     added = (parent or spec.worldbody).add_body(name=name)
     added.add_freejoint(name=name)
@@ -126,7 +142,7 @@ def add_body(
 
 
 def _moments(file: ObjectFile, surface: trimesh.Trimesh) -> tuple[float, np.ndarray, np.ndarray]:
-    """Volume, centre and inertia (3, 3) at density 1, metres."""
+    """Return volume, centre and inertia (3, 3) at density 1, metres."""
     if "solid" not in file.header:
         found = surface.mass_properties
         return float(found.volume), np.asarray(found.center_mass), np.asarray(found.inertia)
@@ -136,14 +152,14 @@ def _moments(file: ObjectFile, surface: trimesh.Trimesh) -> tuple[float, np.ndar
     principal = np.linalg.eigvalsh(inertia)
     if not 0 < principal[0] <= principal[2] <= principal[:2].sum():
         raise ObjectFolderError(
-            f"{file.key}: no body has the principal moments of inertia that the file tells, "
+            f"{file.key}: no body has the principal moments of inertia that the file stores, "
             f"{principal.tolist()}; build it again"
         )
     return solid["volume"] * size**3, size * np.array(solid["centre"]), size**5 * inertia
 
 
 def _check_fit(key: str, bounds: np.ndarray, hulls: Sequence[trimesh.Trimesh]) -> None:
-    """Raise unless hulls are about where the surface is: in its frame, at its size."""
+    """Raise unless the bounds of the hulls are about those of the surface."""
     reach = np.array([[hull.bounds[0] for hull in hulls], [hull.bounds[1] for hull in hulls]])
     lowest, highest = reach[0].min(0), reach[1].max(0)
     size = (bounds[1] - bounds[0]).max()

@@ -1,4 +1,4 @@
-"""Pictures of an object between the jaws, without OpenGL: the Object File's own look, and boxes."""
+"""External camera: the Object File's rendering before a ray-cast table and gripper, without OpenGL."""
 
 import numpy as np
 import torch
@@ -9,21 +9,21 @@ from objectfolder.objectfile.file import ObjectFile
 from objectfolder.vision.cameras import Intrinsics, look_at
 from objectfolder.vision.color import on_white
 
-CAMERA = np.array([0.34, -0.42, 0.30])  #: of the external camera, world frame, m
-TARGET = np.array([0.0, 0.0, 0.05])  #: what it looks at
-FIELD = 0.34  #: width of what it sees at that distance, m
+CAMERA = np.array([0.34, -0.42, 0.30])  #: position of the camera, world frame, m
+TARGET = np.array([0.0, 0.0, 0.05])  #: point at the image centre
+FIELD = 0.34  #: width of the field of view at that distance, m
 TOWARDS_LIGHT = np.array([0.5, -0.4, 0.77])  #: unit vector, world frame
 AMBIENT = 0.25
 TABLE = (0.45, 0.47, 0.5)  #: linear RGB
 
 
 class ExternalCamera:
-    """A camera that stands beside the table.
+    """A fixed camera beside the table.
 
     Parameters
     ----------
     resolution : int
-        Side of its square pictures, pixels.
+        Side of the square pictures, pixels.
     """
 
     def __init__(self, resolution: int):
@@ -33,11 +33,11 @@ class ExternalCamera:
         middle = np.arange(resolution) + 0.5 - resolution / 2
         x, y = np.meshgrid(middle, -middle)
         rays = np.stack([x, y, np.full_like(x, -self.intrinsics.focal)], -1) / self.intrinsics.focal
-        #: of pixels, world frame, unit length along the optical axis; (H W, 3)
+        #: directions of pixels, world frame, of length 1 along the optical axis; (H W, 3)
         self._rays = rays.reshape(-1, 3) @ self.pose[:3, :3].T
 
     def picture(self, file: ObjectFile, place: np.ndarray, hand: np.ndarray, width: float) -> np.ndarray:
-        """Draw an object, the table, and the gripper.
+        """Draw the object, the table and the gripper.
 
         Parameters
         ----------
@@ -68,7 +68,7 @@ class ExternalCamera:
         return np.round(shown.numpy() * 255).astype(np.uint8)
 
     def _scene(self, hand: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
-        """Colours (P, 3) and depths (P,) of table and gripper."""
+        """Render table and gripper: colours (P, 3) and depths (P,)."""
         with np.errstate(divide="ignore"):
             depth = -CAMERA[2] / self._rays[:, 2]
         depth = np.where(depth > 0, depth, np.inf)
@@ -86,20 +86,20 @@ class ExternalCamera:
 
 
 def box_hits(origin: np.ndarray, rays: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where rays enter a box about the origin, by slabs.
+    """Intersect rays with a box centred at the origin, by the slab method.
 
     Parameters
     ----------
     origin : (3,) array
-        Outside of it.
+        Outside the box.
     rays : (P, 3) array
     size : (3,) array
         Half sides.
 
     Returns
     -------
-    distance : (P,) in lengths of the rays; infinite where they miss
-    normals : (P, 3) of the sides that they enter through
+    distance : (P,) in lengths of the rays; infinite for misses
+    normals : (P, 3) of the sides that the rays enter
     """
     sign = np.where(rays < 0, -1.0, 1.0)
     with np.errstate(divide="ignore", invalid="ignore"):

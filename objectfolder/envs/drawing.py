@@ -1,20 +1,20 @@
-"""Pictures of a MuJoCo scene by casting rays: no OpenGL, no window, the same bytes everywhere."""
+"""Pictures of a MuJoCo scene by ray casting: no OpenGL, no window, the same bytes everywhere."""
 
 import mujoco
 import numpy as np
 
-SKY = 0.93  #: grey of rays that hit nothing
+SKY = 0.93  #: grey of the background
 LIGHT = np.array([0.35, -0.5, 0.8]) / np.linalg.norm([0.35, -0.5, 0.8])  #: direction to it, world frame
 AMBIENT = 0.35
 
 
 def view_rays(eye: np.ndarray, target: np.ndarray, fov: float, height: int, width: int) -> np.ndarray:
-    """Directions of a camera's rays, one per pixel, z up.
+    """Return the directions of a camera's rays, one per pixel, z up.
 
     Parameters
     ----------
     eye, target : (3,) array
-        Where the camera is and what it looks at, world frame, m.
+        Camera position and image centre, world frame, m.
     fov : float
         Vertical field of view, degrees.
     height, width : int
@@ -39,10 +39,13 @@ def view_rays(eye: np.ndarray, target: np.ndarray, fov: float, height: int, widt
 def draw_model(
     model: mujoco.MjModel, data: mujoco.MjData, eye: np.ndarray, rays: np.ndarray, height: int, width: int
 ) -> np.ndarray:
-    """Picture of a scene whose positions are up to date (``mj_forward``): geoms in their colours, lit once.
+    """Draw geoms in their colours under one light.
 
     Parameters
     ----------
+    model : mujoco.MjModel
+    data : mujoco.MjData
+        With current positions (``mj_forward``).
     eye : (3,) array
         World frame, m.
     rays : (height * width, 3) array

@@ -1,4 +1,4 @@
-"""Objects for physics engines: folders with MJCF (MuJoCo) or URDF (PyBullet, MuJoCo and others)."""
+"""Export to physics engines: folders with MJCF (MuJoCo) or URDF (PyBullet, MuJoCo and others)."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,8 +16,8 @@ from objectfolder.envs.visual import PLAIN, visual_mesh
 from objectfolder.io import write_text
 from objectfolder.objectfile.file import ObjectFile
 
-_NEEDED = 8 * 2**20  # bytes of a folder, about: mesh and texture
-_VISUAL, _COLLISION = 2, 3  # groups of geoms; MuJoCo's viewer shows the former only
+_NEEDED = 8 * 2**20  # approximate size of a folder with mesh and texture, bytes
+_VISUAL, _COLLISION = 2, 3  # groups of geoms; MuJoCo's viewer shows only the first
 
 
 def write_mjcf(
@@ -28,18 +28,17 @@ def write_mjcf(
 ) -> Path:
     """Write a folder that MuJoCo loads: ``mujoco.MjModel.from_xml_path("OUT/<key>/<key>.xml")``.
 
-    The body, named as the object, has a free joint and the mass and inertia of `rigid_body`; hulls collide
-    (group 3), the textured surface is seen (group 2).
+    The body, named after the object, has a free joint and the mass and inertia of `rigid_body`. Hulls collide
+    (group 3); the textured surface is visual only (group 2).
 
     Parameters
     ----------
     file : ObjectFile
     out : path
-        Where the folder, named as the object, is made.
+        Parent of the new folder, which is named after the object.
     max_hulls : int
-        At most.
     hulls : sequence of trimesh.Trimesh, optional
-        Default: made now, which takes up to half a minute.
+        Default: computed, which takes up to half a minute.
 
     Returns
     -------
@@ -49,7 +48,7 @@ def write_mjcf(
     Raises
     ------
     ObjectFolderError
-        If the folder is there already, the file holds no geometry, or an extra is not installed.
+        If the folder exists already, the file holds no geometry, or an extra is not installed.
     """
     folder = Path(out) / file.key
     with new_folder(f"{file.key}: export", folder, _NEEDED, "") as new:
@@ -67,9 +66,9 @@ def write_urdf(
 ) -> Path:
     """Write a folder with a URDF of one link; otherwise as `write_mjcf`.
 
-    PyBullet takes the mass from it, and the inertia if it is told so:
+    PyBullet reads the inertia only on request:
     ``loadURDF("OUT/<key>/<key>.urdf", flags=URDF_USE_INERTIA_FROM_FILE)``. Friction is an extension of
-    PyBullet's, which others ignore. MuJoCo welds the link to the world: URDF has no free joints.
+    PyBullet that others ignore. MuJoCo welds the link to the world: URDF has no free joints.
 
     Returns
     -------
@@ -85,7 +84,7 @@ def write_urdf(
 
 
 def _write_meshes(folder: Path, file: ObjectFile, body: RigidBody) -> bool:
-    """Write visual.obj, with a texture where there is one, and the hulls; whether there is a texture."""
+    """Write the hulls and visual.obj with its texture, if any; return whether there is a texture."""
     for k, hull in enumerate(body.hulls):
         write_text(folder / _hull_name(k), export_obj(hull, include_normals=False, header=None))
     text, more = export_obj(
@@ -102,7 +101,7 @@ def _hull_name(k: int) -> str:
 
 
 def _mjcf(folder: Path, body: RigidBody, density: float, textured: bool) -> str:
-    """Model of one body; compiled here, so that what MuJoCo refuses is never written."""
+    """Return the model of one body, compiled once so that no model is written that MuJoCo refuses."""
     spec = mujoco.MjSpec()
     spec.modelname = body.key
     spec.assets = {path.name: path.read_bytes() for path in folder.iterdir()}
@@ -130,7 +129,7 @@ def _mjcf(folder: Path, body: RigidBody, density: float, textured: bool) -> str:
 
 
 def _urdf(body: RigidBody) -> str:
-    """Robot of one link, whose inertial frame is along the principal axes."""
+    """Return the robot with one link."""
     robot = xml.Element("robot", name=body.key)
     compiler = {"fusestatic": "false", "discardvisual": "false", "balanceinertia": "false"}
     xml.SubElement(xml.SubElement(robot, "mujoco"), "compiler", compiler)

@@ -1,4 +1,4 @@
-"""The stored surface as a few convex hulls, which is what physics engines collide."""
+"""Decomposition of the stored surface into a few convex hulls, for collisions in physics engines."""
 
 import hashlib
 import json
@@ -12,20 +12,20 @@ import numpy as np
 import trimesh
 from scipy.spatial import ConvexHull
 
-from objectfolder.envs.solid import merge_meshes, missing, simplify
+from objectfolder.envs.solid import merge_meshes, missing_library, simplify
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_npz, write_npz
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.settings import Count
 
 MAX_HULLS = 16
-MAX_VERTICES = 128  #: of a hull; the time of a step hardly depends on them
-_THRESHOLD = 0.05  # concavity that is left, coacd's default
-_SHAVE = 0.002  # by which a hull may shrink to have fewer vertices, fraction of the longest side
-_DETAIL = 0.003  # by which the surface may move before it is cut up, fraction of the longest side
-# A shallow search: three times the iterations take twice as long, for hulls a tenth smaller.
+MAX_VERTICES = 128  #: of a hull; the time per simulation step hardly depends on it
+_THRESHOLD = 0.05  # remaining concavity, coacd's default
+_SHAVE = 0.002  # shrinkage of a hull in exchange for fewer vertices, fraction of the longest side
+_DETAIL = 0.003  # tolerance of the simplification before, fraction of the longest side
+# A shallow search: three times the iterations take twice as long for hulls a tenth smaller.
 _SEARCH = {"mcts_iterations": 20, "mcts_nodes": 10, "mcts_max_depth": 2, "resolution": 1000}
-_FLAT = 1e-6  # height that counts as none, fraction of the longest side
+_FLAT = 1e-6  # height below which points are coplanar, fraction of the longest side
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,22 +36,20 @@ class DecomposeConfig:
 
 
 def convex_hulls(mesh: trimesh.Trimesh, max_hulls: int = MAX_HULLS) -> tuple[trimesh.Trimesh, ...]:
-    """Cut a solid into parts that are nearly convex, and give their convex hulls (CoACD, Wei et al. 2022).
+    """Cut a solid into nearly convex parts and return their convex hulls (CoACD, Wei et al. 2022).
 
-    The same mesh gives the same hulls, whatever the number of threads. Cavities that nothing leads to are
-    filled first.
+    The same mesh gives the same hulls for any number of threads. Enclosed cavities are filled first.
 
     Parameters
     ----------
     mesh : trimesh.Trimesh
-        A closed surface; small holes do not matter.
+        A closed surface; small holes are closed.
     max_hulls : int
-        At most.
 
     Returns
     -------
     tuple of trimesh.Trimesh
-        Closed and convex, of at most `MAX_VERTICES` vertices, in the frame of the mesh.
+        Closed and convex, with at most `MAX_VERTICES` vertices, in the frame of the mesh.
 
     Raises
     ------
@@ -65,8 +63,8 @@ def convex_hulls(mesh: trimesh.Trimesh, max_hulls: int = MAX_HULLS) -> tuple[tri
     outer = [shell for shell in simplify(mesh, _DETAIL * size) if shell.volume > 0]
     if not outer:
         raise ObjectFolderError(
-            f"a mesh of {len(mesh.faces)} faces has no hulls: expected a closed surface that is "
-            "oriented outward, as ObjectFile.to_mesh() gives"
+            f"a mesh of {len(mesh.faces)} faces has no hulls: expected a closed surface oriented outward, "
+            "such as ObjectFile.to_mesh() returns"
         )
     shape = merge_meshes(outer)
     parts = coacd.run_coacd(
@@ -90,7 +88,7 @@ def write_hulls(path: str | Path, hulls: Sequence[trimesh.Trimesh], source: str 
     path : path
     hulls : sequence of trimesh.Trimesh
     source : str
-        Says what they were made of, for `cached_hulls`.
+        Digest of the object and the settings, for `cached_hulls`.
     """
     write_npz(
         path,
@@ -103,7 +101,7 @@ def write_hulls(path: str | Path, hulls: Sequence[trimesh.Trimesh], source: str 
 
 
 def read_hulls(path: str | Path) -> tuple[trimesh.Trimesh, ...]:
-    """Read what `write_hulls` wrote.
+    """Read hulls written by `write_hulls`.
 
     Raises
     ------
@@ -116,15 +114,14 @@ def read_hulls(path: str | Path) -> tuple[trimesh.Trimesh, ...]:
 def cached_hulls(
     file: ObjectFile, folder: str | Path, max_hulls: int = MAX_HULLS
 ) -> tuple[trimesh.Trimesh, ...]:
-    """Hulls of an Object File, object frame, metres, kept in ``folder/<key>.npz``.
+    """Return the hulls of an Object File, object frame, metres, cached in ``folder/<key>.npz``.
 
-    They are made anew (seconds to half a minute) where the file holds another surface, or was made with
-    other settings.
+    They are computed (seconds to half a minute) if the cache has none of this surface and these settings.
 
     Raises
     ------
     ObjectFolderError
-        If the file holds no geometry, or what is kept is damaged.
+        If the file holds no geometry, or the cached file is damaged.
     """
     path = Path(folder) / f"{file.key}.npz"
     source = _source(file, max_hulls)
@@ -138,9 +135,10 @@ def cached_hulls(
 
 
 def _convex_hull(points: np.ndarray, size: float) -> trimesh.Trimesh | None:
-    """Convex hull of few of the points: of a tetrahedron, then always the point that is furthest outside.
+    """Return the convex hull of a few of the points, or None if they are coplanar.
 
-    coacd's own choice of vertices shaves a round cube by 2 % of its size. None where all are in a plane.
+    Starts with a tetrahedron and adds the point furthest outside, again and again. coacd's own choice of
+    vertices shaves a round cube by 2 % of its size.
     """
     chosen = _tetrahedron(points)
     first, second, third, fourth = points[chosen]
@@ -157,7 +155,7 @@ def _convex_hull(points: np.ndarray, size: float) -> trimesh.Trimesh | None:
 
 
 def _tetrahedron(points: np.ndarray) -> list[int]:
-    """Four points that are far apart: each the furthest from the point, line or plane of those before."""
+    """Choose four points, each the furthest from the point, line or plane of the previous ones."""
     chosen = [int(points[:, 0].argmin())]
     away = points - points[chosen[0]]
     for _ in range(3):
@@ -173,7 +171,7 @@ def _check(hull: trimesh.Trimesh, name: str, remedy: str) -> None:
     if not np.isfinite(hull.vertices).all():
         raise ObjectFolderError(f"{name} has vertices that are not finite; {remedy}")
     if not (hull.is_watertight and hull.is_winding_consistent and hull.volume > 0):
-        raise ObjectFolderError(f"{name} is not a closed surface that is oriented outward; {remedy}")
+        raise ObjectFolderError(f"{name} is not a closed surface oriented outward; {remedy}")
     heights = hull.vertices @ hull.face_normals.T - (hull.triangles[:, 0] * hull.face_normals).sum(1)
     if heights.max() > _FLAT * hull.extents.max():
         raise ObjectFolderError(f"{name} is not convex; {remedy}")
@@ -186,7 +184,7 @@ def _arrays(path: str | Path) -> dict[str, np.ndarray]:
 def _unpacked(path: str | Path, arrays: dict[str, np.ndarray]) -> tuple[trimesh.Trimesh, ...]:
     vertices, faces = arrays["vertices"], arrays["faces"]
     vertex_counts, face_counts = arrays["vertex_counts"], arrays["face_counts"]
-    remedy = "delete it and make the hulls anew"
+    remedy = "delete it to compute the hulls again"
     if not (
         [array.dtype.kind for array in (vertices, faces, vertex_counts, face_counts)] == ["f", "i", "i", "i"]
         and vertex_counts.ndim == face_counts.ndim == 1
@@ -195,26 +193,26 @@ def _unpacked(path: str | Path, arrays: dict[str, np.ndarray]) -> tuple[trimesh.
         and vertices.shape == (vertex_counts.sum(), 3)
         and faces.shape == (face_counts.sum(), 3)
     ):
-        raise ObjectFolderError(f"{path} does not hold the hulls that it counts; {remedy}")
+        raise ObjectFolderError(f"{path} does not hold as many hulls as it counts; {remedy}")
     hulls = []
     for k, (points, triangles) in enumerate(
         zip(np.split(vertices, vertex_counts.cumsum()[:-1]), np.split(faces, face_counts.cumsum()[:-1]))
     ):
         name = f"{path}: hull {k}"
         if triangles.min() < 0 or triangles.max() >= len(points):
-            raise ObjectFolderError(f"{name} has faces of vertices that it lacks; {remedy}")
+            raise ObjectFolderError(f"{name} has faces with missing vertices; {remedy}")
         hulls.append(trimesh.Trimesh(points, triangles, process=False))
         _check(hulls[-1], name, remedy)
     return tuple(hulls)
 
 
 def _source(file: ObjectFile, max_hulls: int) -> str:
-    """Digest of all that decides on the hulls of an Object File."""
+    """Return the digest of everything that determines the hulls of an Object File."""
     if "geometry" not in file.header:
         raise ObjectFolderError(f"{file.key}: the file holds no geometry, so it has no hulls")
     settings = (max_hulls, MAX_VERTICES, _THRESHOLD, _SHAVE, _DETAIL, _SEARCH, version("coacd"))
-    said = json.dumps([file.header["geometry"], file.scale, settings], sort_keys=True)
-    digest = hashlib.sha256(said.encode())
+    described = json.dumps([file.header["geometry"], file.scale, settings], sort_keys=True)
+    digest = hashlib.sha256(described.encode())
     digest.update(np.ascontiguousarray(file.tensors["geometry.distances"]).tobytes())
     return digest.hexdigest()
 
@@ -223,6 +221,6 @@ def _coacd() -> Any:
     try:
         import coacd
     except ImportError as error:
-        raise missing("coacd") from error
+        raise missing_library("coacd") from error
     coacd.set_log_level("error")
     return coacd

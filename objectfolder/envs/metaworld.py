@@ -1,6 +1,6 @@
-"""Meta-World's own reach-v3, Sawyer arm and all, with an Object File in place of its cylinder.
+"""Meta-World's reach-v3 with its Sawyer arm, and an Object File in place of its cylinder.
 
-Needs ``metaworld`` 3.1.1, which pins another MuJoCo: give it an environment of its own (docs/benchmarks.md).
+Needs ``metaworld`` 3.1.1 in a separate Python environment, since it pins another MuJoCo (docs/benchmarks.md).
 """
 
 from collections.abc import Sequence
@@ -12,13 +12,12 @@ import mujoco
 import numpy as np
 from gymnasium.spaces import Box
 
-from objectfolder.envs.body import RigidBody, add_body
-from objectfolder.envs.reach import (
+from objectfolder.envs.body import RigidBody, add_body, as_rigid_body
+from objectfolder.envs.reach_scene import (
     GOAL_HIGH,
     GOAL_LOW,
     OBJECT_HIGH,
     OBJECT_LOW,
-    as_rigid_body,
     check_size,
     lowest_point,
 )
@@ -32,27 +31,16 @@ try:
     from metaworld.envs.sawyer_reach_v3 import SawyerReachEnvV3
 except ModuleNotFoundError as error:
     raise ObjectFolderError(
-        f"{error.name} is not installed; this needs metaworld 3.1.1 in an environment of its own, since it "
-        "pins another MuJoCo: see docs/benchmarks.md, Reach"
+        f"{error.name} is not installed; this needs metaworld 3.1.1 in a separate Python environment, since "
+        "it pins another MuJoCo: see docs/benchmarks.md, Reach"
     ) from error
 
-WELD = [
-    0,
-    0,
-    0,
-    0,
-    0,
-    0,
-    -1,
-    0,
-    0,
-    0,
-    5,
-]  #: what Meta-World writes into a weld; MuJoCo has added numbers since
+#: Parameters that Meta-World writes into a weld; newer versions of MuJoCo have more.
+WELD = [0.0] * 6 + [-1.0] + [0.0] * 3 + [5.0]
 
 
 class SawyerReachObject(SawyerReachEnvV3):
-    """``SawyerReachEnvV3`` whose object is ours; goals are observed, and drawn from the seeded generator."""
+    """``SawyerReachEnvV3`` with another object; goals are observed, and drawn from the seeded generator."""
 
     def __init__(self, body: RigidBody):
         self._body = body  # the base class builds the simulation in its __init__
@@ -60,7 +48,7 @@ class SawyerReachObject(SawyerReachEnvV3):
         self._freeze_rand_vec, self.seeded_rand_vec = False, True
         self._set_task_called = True
         self._partially_observable = False
-        self.__dict__.pop("sawyer_observation_space", None)  # the one without goals
+        self.__dict__.pop("sawyer_observation_space", None)  # cached for hidden goals
         height = -lowest_point(body)
         self.init_config["obj_init_pos"][2] = height
         low, high = (*OBJECT_LOW, height, *GOAL_LOW), (*OBJECT_HIGH, height, *GOAL_HIGH)
@@ -76,7 +64,7 @@ class SawyerReachObject(SawyerReachEnvV3):
         return model, mujoco.MjData(model)
 
     def reset_mocap_welds(self) -> None:
-        """Let the hand follow its target: as Meta-World does it, for MuJoCo 4 too."""
+        """Let the hand follow its target as in Meta-World, with MuJoCo 4 as well."""
         welds = self.model.eq_type == mujoco.mjtEq.mjEQ_WELD
         self.model.eq_data[welds, : len(WELD)] = WELD
 
@@ -84,20 +72,20 @@ class SawyerReachObject(SawyerReachEnvV3):
         return self.data.body("obj").xpos.copy()
 
     def _get_quat_objects(self) -> np.ndarray:
-        return np.roll(self.data.body("obj").xquat, -1)  # x, y, z, w, as Meta-World has it
+        return np.roll(self.data.body("obj").xquat, -1)  # x, y, z, w, Meta-World's order
 
 
 class MetaWorldReach(gymnasium.Env[np.ndarray, np.ndarray]):
-    """Meta-World's reach-v3 with an object of one's own, as a plain Gymnasium environment.
+    """Meta-World's reach-v3 with any object, as a plain Gymnasium environment.
 
-    As `objectfolder.envs.reach.ReachEnv`, with the Sawyer arm. ``reset`` takes a seed, which Meta-World's own
-    ignores, and goals are part of the observation, as in MT1.
+    Like `objectfolder.envs.reach.ReachEnv`, but with the Sawyer arm. ``reset`` honours its seed, which
+    Meta-World ignores, and goals are part of the observation, as in MT1.
 
     Parameters
     ----------
     file : ObjectFile, path or RigidBody
     hulls : sequence of trimesh.Trimesh, optional
-        Convex parts of the object, object frame, m; default: computed, and kept in the user's cache.
+        Convex parts of the object, object frame, m; default: computed once, and cached for the user.
     horizon : int
         Control steps (12.5 ms) of an episode, at most 500.
 
@@ -127,7 +115,7 @@ class MetaWorldReach(gymnasium.Env[np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Put hand and object back, the object and the goal at random places."""
+        """Reset the hand, and draw new places of the object and the goal."""
         super().reset(seed=seed)
         self.env.seed(int(self.np_random.integers(2**31)))
         observation, _ = self.env.reset()
@@ -136,11 +124,11 @@ class MetaWorldReach(gymnasium.Env[np.ndarray, np.ndarray]):
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Simulate one control step, 12.5 ms."""
         observation, reward, _, _, info = self.env.step(action)
-        said = {"success": float(info["success"]), "distance": float(info["obj_to_target"])}
-        return observation, float(reward), False, self.env.curr_path_length >= self.horizon, said
+        kept = {"success": float(info["success"]), "distance": float(info["obj_to_target"])}
+        return observation, float(reward), False, self.env.curr_path_length >= self.horizon, kept
 
     def close(self) -> None:
-        """Free what Meta-World holds."""
+        """Release Meta-World's resources."""
         self.env.close()
 
     def _inside(self, observation: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The stored surface as a closed solid, and with fewer triangles."""
+"""Closing and simplifying the stored surface."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -10,13 +10,13 @@ from objectfolder.errors import ObjectFolderError
 
 
 def close_holes(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Close each hole by a fan of triangles; the mesh itself, if it has none.
+    """Close each hole with a fan of triangles; return the mesh itself if it has none.
 
-    Marching cubes may leave out a triangle where a sample of the grid is exactly zero.
+    Marching cubes may omit a triangle where a grid sample is exactly zero.
     """
     faces = np.asarray(mesh.faces, np.int64)
     edges, count = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), len(mesh.vertices)
-    # Edges of which no other face has the reverse.
+    # Edges whose reverse is in no other face.
     single = np.setdiff1d(edges @ [count, 1], edges @ [1, count], assume_unique=True)
     if not len(single):
         return mesh
@@ -31,18 +31,18 @@ def close_holes(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def simplify(mesh: trimesh.Trimesh, tolerance: float) -> tuple[trimesh.Trimesh, ...]:
-    """Connected closed surfaces of a mesh with as few triangles as a tolerance allows.
+    """Split a mesh into connected closed surfaces, with as few triangles as a tolerance allows.
 
     Parameters
     ----------
     mesh : trimesh.Trimesh
     tolerance : float
-        By which the surface may move, in the mesh's unit.
+        Greatest displacement of the surface, in the mesh's unit.
 
     Returns
     -------
     tuple of trimesh.Trimesh
-        Those with a negative volume are cavities. None if the mesh is not closed.
+        Surfaces with a negative volume are cavities. Empty if the mesh is not closed.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def simplify(mesh: trimesh.Trimesh, tolerance: float) -> tuple[trimesh.Trimesh, 
     try:
         from manifold3d import Manifold, Mesh64
     except ImportError as error:
-        raise missing("manifold3d") from error
+        raise missing_library("manifold3d") from error
     closed = close_holes(mesh)
     solid = Manifold(Mesh64(np.asarray(closed.vertices), np.asarray(closed.faces, np.uint64)))
     if solid.is_empty():
@@ -65,7 +65,7 @@ def simplify(mesh: trimesh.Trimesh, tolerance: float) -> tuple[trimesh.Trimesh, 
 
 
 def merge_meshes(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
-    """One mesh of several, as they are."""
+    """Concatenate meshes into one."""
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     faces = [mesh.faces + start for mesh, start in zip(meshes, starts)]
     return trimesh.Trimesh(
@@ -73,6 +73,6 @@ def merge_meshes(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
     )
 
 
-def missing(library: str) -> ObjectFolderError:
-    """Error that names a library of the extra ``rl`` which is not installed."""
+def missing_library(library: str) -> ObjectFolderError:
+    """Return the error for a library of the extra ``rl`` that is not installed."""
     return ObjectFolderError(f"{library} is not installed; this needs: pip install 'objectfolder[rl]'")

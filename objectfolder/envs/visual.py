@@ -1,4 +1,4 @@
-"""The stored surface as a light mesh with a texture, for engines that draw triangles."""
+"""The stored surface as a light textured mesh, for engines that draw triangles."""
 
 import numpy as np
 import torch
@@ -10,18 +10,18 @@ from objectfolder.nets.vision_surface import SurfaceNet, in_cube
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.parts import Parts
 
-PLAIN = 0.7  #: grey, sRGB, of what stores no base colours
-TEXELS = 1024  #: on a side of the texture
-_DETAIL = 0.001  # by which the surface may move, fraction of the longest side
-_MARGIN = 1  # texels around a face, so that bilinear filtering finds no neighbour
-_CHUNK = 2**17  # points that the net is asked for at once
+PLAIN = 0.7  #: grey of objects without base colours, sRGB
+TEXELS = 1024  #: side of the texture
+_DETAIL = 0.001  # tolerance of the simplification, fraction of the longest side
+_MARGIN = 1  # texels around a face, so that bilinear filtering does not reach a neighbour
+_CHUNK = 2**17  # points queried at once
 
 
 def visual_mesh(file: ObjectFile) -> trimesh.Trimesh:
     """Return the surface with some thousands of triangles; object frame, metres.
 
-    Where the vision net stores base colours (kind ``surface``) they become a texture, which knows no
-    reflections; all else is grey.
+    The base colours of a vision net of kind ``surface`` become the texture, without reflections. Other
+    objects are grey.
 
     Raises
     ------
@@ -54,13 +54,13 @@ def visual_mesh(file: ObjectFile) -> trimesh.Trimesh:
 
 
 def _texture(net: SurfaceNet, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Texture coordinates (F, 3, 2) of faces, and a square image (T, T, 3) in which each has its rectangle.
+    """Return texture coordinates (F, 3, 2) of faces, and a square image (T, T, 3) with a rectangle per face.
 
     Parameters
     ----------
     net : SurfaceNet
     corners : (F, 3, 3) array
-        Of the faces, unit frame; first the longest edge.
+        Corners of the faces, unit frame; the longest edge is first.
     """
     start, along = corners[:, 0], corners[:, 1] - corners[:, 0]
     length = np.linalg.norm(along, axis=1)
@@ -92,7 +92,7 @@ def _texture(net: SurfaceNet, corners: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _packed(sides: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Rows of rectangles, sorted by height, as large as the image holds.
+    """Pack rectangles into rows, sorted by height, as large as the image allows.
 
     Parameters
     ----------
@@ -102,9 +102,9 @@ def _packed(sides: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     Returns
     -------
     density : float
-        Texels of a unit.
+        Texels per unit.
     origins, sizes : (F, 2) int arrays
-        Column and row of the first texel, and texels, margins included.
+        First texel, and extent with margins: columns and rows.
     """
     density = TEXELS / np.sqrt(sides.prod(1).sum())
     while True:
@@ -126,7 +126,7 @@ def _packed(sides: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
 
 @torch.no_grad()
 def _base_colors(net: SurfaceNet, points: np.ndarray) -> np.ndarray:
-    """Bytes (S, 3), sRGB, of points near the surface, unit frame."""
+    """Return base colours of points near the surface, unit frame; (S, 3) uint8, sRGB."""
     colors = []
     for part in torch.from_numpy(points.astype(np.float32)).split(_CHUNK):
         color, _ = net.looks(part, torch.zeros_like(part), net.grid(in_cube(part)))

@@ -137,12 +137,12 @@ def of_floats(arrays):
     [
         (opened, "hull 1 is not a closed surface"),
         (dented, "hull 1 is not convex"),
-        (inside_out, "hull 0 is not a closed surface that is oriented outward"),
+        (inside_out, "hull 0 is not a closed surface oriented outward"),
         (not_finite, "hull 1 has vertices that are not finite"),
-        (beyond, "hull 1 has faces of vertices that it lacks"),
-        (uncounted, "does not hold the hulls that it counts"),
-        (negative, "does not hold the hulls that it counts"),
-        (of_floats, "does not hold the hulls that it counts"),
+        (beyond, "hull 1 has faces with missing vertices"),
+        (uncounted, "does not hold as many hulls as it counts"),
+        (negative, "does not hold as many hulls as it counts"),
+        (of_floats, "does not hold as many hulls as it counts"),
     ],
 )
 def test_damaged_hulls_are_named(tmp_path, spoil, message):
@@ -151,7 +151,7 @@ def test_damaged_hulls_are_named(tmp_path, spoil, message):
     arrays = {name: array.copy() for name, array in read_npz(path).items()}
     spoil(arrays)
     write_npz(path, **arrays)
-    with pytest.raises(ObjectFolderError, match=f"{path}:? {message}.*; delete it and make the hulls anew"):
+    with pytest.raises(ObjectFolderError, match=f"{path}:? {message}.*; delete it to compute"):
         read_hulls(path)
 
 

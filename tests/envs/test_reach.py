@@ -11,17 +11,14 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_for_stable_baselines
 
 from objectfolder.envs.body import rigid_body
-from objectfolder.envs.reach import (
+from objectfolder.envs.reach import HAND_START, TIP, ReachEnv, reward
+from objectfolder.envs.reach_scene import (
     APART,
     GOAL_HIGH,
     GOAL_LOW,
-    HAND_START,
     OBJECT_HIGH,
     OBJECT_LOW,
-    TIP,
-    ReachEnv,
     draw_placement,
-    reward,
 )
 from objectfolder.errors import ObjectFolderError
 
