@@ -19,6 +19,9 @@ Vectors = tuple[Array, Array, Array]  #: x, y and z apart, as fast code wants th
 # Reflectance of a dielectric at normal incidence, as in glTF.
 _DIELECTRIC = 0.04
 
+# Bounds of cosines, as in pyrender's shader.
+_COSINE = (0.001, 1)
+
 # Two neighbouring pixels whose depths differ by more pixel pitches are on two surfaces.
 _STEP = 2.0
 
@@ -189,10 +192,7 @@ class Optics:
 
 
 def shade(point: Vectors, normal: Vectors, profile: SensorProfile) -> Array:
-    """Display values of surface points under the profile's lights.
-
-    Lambert and GGX with Smith's and Schlick's terms (glTF 2.0, appendix B), with the bounds that pyrender's
-    shader puts on the cosines.
+    """Display values of surface points under the profile's point lights.
 
     Parameters
     ----------
@@ -206,76 +206,66 @@ def shade(point: Vectors, normal: Vectors, profile: SensorProfile) -> Array:
     -------
     (3, ...) float32 array or tensor, 0 to 1
     """
-    f0 = _DIELECTRIC * (1 - profile.metallic) + profile.albedo * profile.metallic
-    diffuse = profile.albedo * (1 - _DIELECTRIC) * (1 - profile.metallic) / math.pi
+    library = _library(point[0])
+    square, height = _dot(point, point), _dot(normal, point)
+    to_camera = library.sqrt(square)
+    normal_view = -height / to_camera
+    # From here on with an axis of lights in front.
+    lights = _positions(profile.lights, square)
+    point_light = _dot(point, lights)
+    distance = library.sqrt(point_light * -2 + square + _dot(lights, lights))
+    normal_light = (_dot(normal, lights) - height) / distance
+    view_light = (point_light / -to_camera + to_camera) / distance
+    reflectance = ggx_reflectance(normal_view, normal_light, view_light, profile)
+    reflected = reflectance * normal_light.clip(*_COSINE) / distance / distance
+    radiance = _zeros((3, *square.shape), square) + profile.ambient
+    for source, light in zip(profile.lights, reflected):
+        for channel, weight in zip(radiance, source.color):
+            if weight:
+                channel += light * (weight * source.intensity)
+    return library.exp(library.log(radiance.clip(1e-30, 1)) / profile.gamma)  # a power, twice as fast
+
+
+def ggx_reflectance(
+    normal_view: Array, normal_light: Array, view_light: Array, profile: SensorProfile
+) -> Array:
+    """Reflectance of glTF's metallic-roughness model (glTF 2.0, appendix B).
+
+    A Lambert base under a GGX layer with Smith's shadowing, in the approximation by Schlick, and Schlick's
+    Fresnel term; cosines and denominator are bounded as in pyrender's shader. With the half vector
+    h = (l + v) / sqrt(2 (1 + l·v)), the cosines of the terms are
+
+        n·h = (n·l + n·v) / sqrt(2 (1 + l·v)),    v·h = sqrt((1 + l·v) / 2).
+
+    Parameters
+    ----------
+    normal_view, normal_light, view_light : (...) float32 arrays or tensors
+        Cosines between the unit normal n and the directions v to the camera and l to the light.
+    profile : SensorProfile
+        Its albedo, roughness and metallic.
+
+    Returns
+    -------
+    (...) float32 array or tensor, 1/sr
+    """
+    albedo, metallic = profile.albedo, profile.metallic
+    f0 = _DIELECTRIC * (1 - metallic) + albedo * metallic
+    diffuse = albedo * (1 - _DIELECTRIC) * (1 - metallic) / math.pi
     alpha2 = profile.roughness**4
     k = (profile.roughness + 1) ** 2 / 8
-    library = _library(point[0])
 
-    square, height = _dot(point, point), _dot(normal, point)
-    size = library.sqrt(square)
-    facing = -height / size
-    cos_view = abs(facing).clip(0.001, 1)
-    # Shadowing, and the constant of the distribution.
-    view_term = cos_view / (cos_view * (1 - k) + k) * (alpha2 / math.pi)
-    # With an axis of lights in front from here on; in place, because memory is what takes the time.
-    at = _positions(profile.lights, square)
-    light_view, lit = _dot(point, at), _dot(normal, at)
-    distance = light_view * -2
-    distance += square
-    distance += _dot(at, at)
-    library.sqrt(distance, out=distance)
-    light_view /= -size
-    light_view += size
-    light_view /= distance
-    light_view += 1
-    library.clip(light_view, 1e-12, 2, out=light_view)
-    lit -= height
-    lit /= distance
-    cos_light = lit.clip(0.001, 1)
-    # The half vector h = (l + v) / |l + v| enters by its products only, and |l + v|² = 2 (1 + l·v).
-    spread = lit
-    spread += facing
-    library.clip(spread, 0, 2, out=spread)
-    spread *= spread
-    spread /= light_view
-    spread *= (alpha2 - 1) / 2
-    spread += 1
-    library.clip(spread, alpha2, 1, out=spread)
-    grazing = light_view
-    grazing *= 0.5
-    library.sqrt(grazing, out=grazing)
-    grazing -= 1
-    fresnel = grazing * grazing
-    fresnel *= fresnel
-    fresnel *= grazing
-    fresnel *= f0 - 1
-    fresnel += f0
-    divisor = library.multiply(cos_light, 4 * cos_view, out=grazing)
-    divisor += 0.001
-    divisor *= spread
-    divisor *= spread
-    shadowing = library.multiply(cos_light, 1 - k, out=spread)
-    shadowing += k
-    divisor *= shadowing
-    reflected = library.multiply(cos_light, view_term, out=spread)
-    reflected /= divisor
-    reflected -= diffuse
-    reflected *= fresnel
-    reflected += diffuse
-    reflected *= cos_light
-    reflected /= distance
-    reflected /= distance
-    radiance = _zeros((3, *square.shape), square)
-    radiance += profile.ambient
-    for light, seen in zip(profile.lights, reflected):
-        for total, weight in zip(radiance, light.color):
-            if weight:
-                total += seen * (weight * light.intensity)
-    # A power, twice as fast.
-    library.log(library.clip(radiance, 1e-30, 1, out=radiance), out=radiance)
-    radiance /= profile.gamma
-    return library.exp(radiance, out=radiance)
+    cos_view, cos_light = abs(normal_view).clip(*_COSINE), normal_light.clip(*_COSINE)
+    one_plus_view_light = (view_light + 1).clip(1e-12, 2)
+    twice_half = (normal_light + normal_view).clip(0, 2)  # n·(l + v)
+    spread = (twice_half * twice_half / one_plus_view_light * ((alpha2 - 1) / 2) + 1).clip(alpha2, 1)
+    grazing = _library(view_light).sqrt(one_plus_view_light * 0.5) - 1  # v·h - 1
+    grazing2 = grazing * grazing
+    fresnel = grazing2 * grazing2 * grazing * (f0 - 1) + f0
+    shadowing_view = cos_view / (cos_view * (1 - k) + k)
+    shadowing_light = cos_light * (1 - k) + k
+    denominator = (cos_light * (4 * cos_view) + 0.001) * spread * spread * shadowing_light
+    specular = cos_light * (shadowing_view * (alpha2 / math.pi)) / denominator
+    return (specular - diffuse) * fresnel + diffuse
 
 
 def blur(images: Array, sigma: float) -> Array:
