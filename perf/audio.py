@@ -24,7 +24,8 @@ from objectfolder.audio.synthesis import audible, sinusoid_bank
 from objectfolder.io import atomic, read_npz, read_safetensors, write_safetensors
 from objectfolder.metrics import SpectrogramErrors, gain_errors
 from objectfolder.nets.audio_config import AudioConfig
-from objectfolder.nets.audio_gains import GainsNet, energy_weights, train_gains
+from objectfolder.nets.audio_gains import GainsNet, energy_weights
+from objectfolder.nets.audio_gains_training import train_gains
 from objectfolder.seeding import torch_generator
 from objectfolder.workspace import params
 from objectfolder.workspace.layout import Build

@@ -43,8 +43,9 @@ from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.metrics import psnr
 from objectfolder.nets.touch_config import ImageConfig
-from objectfolder.nets.touch_geometric import GeometricTouch, fit_contacts
-from objectfolder.nets.touch_image import train_image
+from objectfolder.nets.touch_geometric import GeometricTouch
+from objectfolder.nets.touch_geometric_training import fit_contacts
+from objectfolder.nets.touch_image_training import train_image
 from objectfolder.objectfile.evaluation import touch_scores
 from objectfolder.objectfile.query import UNMOVED, snap
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals, heightmaps

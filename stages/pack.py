@@ -1,7 +1,7 @@
 """pack: three nets, sdf.npz, normalize.json, modal.json -> ObjectFile.safetensors."""
 
-from objectfolder.io import file_digest, read_json, read_npz, read_safetensors
-from objectfolder.objectfile.packing import pack
+from objectfolder.io import file_digest, read_json, read_npz, read_safetensors, write_safetensors
+from objectfolder.objectfile.packing import pack_object_file
 from objectfolder.workspace.layout import MODALITIES, Build
 from stages import run
 
@@ -9,7 +9,7 @@ from stages import run
 def main(key: str) -> None:
     build = Build(key)
     inputs = {"sdf": build.sdf, "normalize": build.normalize, **{m: build.net(m) for m in MODALITIES}}
-    file = pack(
+    header, tensors = pack_object_file(
         key,
         read_json(build.modal),
         read_json(build.normalize),
@@ -17,7 +17,7 @@ def main(key: str) -> None:
         {modality: read_safetensors(build.net(modality)) for modality in MODALITIES},
         {name: file_digest(path) for name, path in inputs.items()},
     )
-    file.save(build.object_file)
+    write_safetensors(build.object_file, tensors, header)
 
 
 if __name__ == "__main__":

@@ -5,8 +5,10 @@ import torch
 
 from objectfolder.io import read_npz, write_curve, write_safetensors
 from objectfolder.nets.audio_config import AudioConfig
-from objectfolder.nets.audio_gains import GainsNet, train_gains
-from objectfolder.nets.audio_spectrogram import SpectrogramNet, train_spectrogram
+from objectfolder.nets.audio_gains import GainsNet
+from objectfolder.nets.audio_gains_training import train_gains
+from objectfolder.nets.audio_spectrogram import SpectrogramNet
+from objectfolder.nets.audio_spectrogram_training import train_spectrogram
 from objectfolder.seeding import torch_generator
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.params import stage_params

@@ -6,8 +6,10 @@ from objectfolder.io import read_npz, write_curve, write_safetensors
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.touch_config import TouchConfig
-from objectfolder.nets.touch_geometric import GeometricTouch, fit_contacts
-from objectfolder.nets.touch_image import ImageTouch, train_image
+from objectfolder.nets.touch_geometric import GeometricTouch
+from objectfolder.nets.touch_geometric_training import fit_contacts
+from objectfolder.nets.touch_image import ImageTouch
+from objectfolder.nets.touch_image_training import train_image
 from objectfolder.seeding import torch_generator
 from objectfolder.touch.profiles import load_profile
 from objectfolder.workspace.layout import Build

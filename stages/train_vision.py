@@ -7,7 +7,8 @@ from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.nets.vision_config import VisionConfig
-from objectfolder.nets.vision_osf import OsfNet, train_osf
+from objectfolder.nets.vision_osf import OsfNet
+from objectfolder.nets.vision_osf_training import train_osf
 from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.nets.vision_surface_training import train_surface
 from objectfolder.seeding import torch_generator

@@ -7,7 +7,7 @@ smooth its normals are.
 """
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,6 @@ import numpy as np
 import torch
 
 from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.nets.fit import CurvePoint
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile, require_renderer
@@ -24,8 +23,6 @@ from objectfolder.touch.simulate import Touches, press
 if TYPE_CHECKING:
     from objectfolder.touch.tacto_rays import TactoRays
 
-#: Rounds of smoothing that are tried for renderer tacto.
-SMOOTHING = (1, 2, 4, 8)
 
 _OTHERS = 8  # sensors that are kept beside the stored one: their optics take as long as a touch
 _BATCH = 16  # bounds the memory that contacts take beside their images
@@ -161,66 +158,3 @@ class GeometricTouch:
             raise ValueError(f"background of shape {background.shape}")
         offset, smoothing = float(config["depth_offset"]), int(config["smoothing"])
         return cls(surface, scale, profile, offset, config["renderer"], background, smoothing, device)
-
-
-def fit_contacts(
-    net: GeometricTouch,
-    train: dict[str, np.ndarray],
-    val: dict[str, np.ndarray],
-    span: float,
-    rounds: int,
-    report: Callable[[CurvePoint], None] = lambda point: None,
-) -> list[CurvePoint]:
-    """Choose the depth offset that reproduces training images best, by repeated bisection of a bracket.
-
-    For renderer tacto the smoothing of normals is chosen then, among none and `SMOOTHING`.
-
-    Parameters
-    ----------
-    net : GeometricTouch
-        Its ``depth_offset`` and ``smoothing`` are set.
-    train, val : dict
-        As `objectfolder.touch.dataset.render_contacts` returns.
-    span : float
-        Offsets from -span to span are searched, metres.
-    rounds : int
-        Each halves the bracket.
-    report : callable
-        Called with each `CurvePoint`; losses are mean squared errors of images in [0, 1].
-    """
-    train, val = (c | {"normals": net.normals(c["points"])} for c in (train, val))
-    curve: list[CurvePoint] = []
-
-    def loss(contacts: dict[str, np.ndarray]) -> float:
-        images = net.images(*(contacts[name] for name in ("points", "normals", "angles", "depths")))
-        return float(np.mean((images / 255.0 - contacts["images"] / 255.0) ** 2))
-
-    def loss_at(offset: float) -> float:
-        net.depth_offset = offset
-        return loss(train)
-
-    def loss_with(smoothing: int) -> float:
-        net.smooth(smoothing)
-        return loss(train)
-
-    def record() -> None:
-        curve.append(CurvePoint(len(curve) + 1, best_loss, loss(val), 0.0))
-        report(curve[-1])
-
-    best, step = 0.0, span / 2
-    best_loss = loss_at(best)
-    for _ in range(rounds):
-        losses = {offset: loss_at(offset) for offset in (best - step, best + step)}
-        candidate = min(losses, key=losses.__getitem__)
-        if losses[candidate] < best_loss:
-            best, best_loss = candidate, losses[candidate]
-        net.depth_offset = best
-        step /= 2
-        record()
-    if net.renderer == "tacto":
-        tried = {net.smoothing: best_loss} | {smoothing: loss_with(smoothing) for smoothing in SMOOTHING}
-        chosen = min(tried, key=tried.__getitem__)
-        net.smooth(chosen)
-        best_loss = tried[chosen]
-        record()
-    return curve

@@ -10,12 +10,12 @@ from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.workspace.layout import MODALITIES
 
 if TYPE_CHECKING:
     from jsonschema import Draft202012Validator
 
 FORMAT = (1, 1)  #: major, minor: a reader reads every file of its major version
+MODALITIES = ("vision", "audio", "touch")
 PARTS = ("geometry", *MODALITIES)
 
 

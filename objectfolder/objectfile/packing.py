@@ -1,24 +1,22 @@
-"""Joins what the training stages made into an Object File."""
+"""Join geometry and trained nets into the header and tensors of an Object File."""
 
 from typing import Any
 
 import numpy as np
 
 from objectfolder.mesh.gridcodec import pack_grid
-from objectfolder.objectfile.file import ObjectFile
-from objectfolder.objectfile.header import format_name
-from objectfolder.workspace.layout import MODALITIES
+from objectfolder.objectfile.header import MODALITIES, checked_header, format_name
 
 
-def pack(
+def pack_object_file(
     key: str,
     modal: dict[str, Any],
     normalize: dict[str, Any],
     sdf: dict[str, np.ndarray],
     nets: dict[str, tuple[dict[str, np.ndarray], dict[str, Any]]],
     provenance: dict[str, str],
-) -> ObjectFile:
-    """Join geometry and the three nets.
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Return the header and the tensors of an Object File.
 
     Parameters
     ----------
@@ -33,6 +31,11 @@ def pack(
         Per modality its tensors and header, as the training stages wrote them.
     provenance : dict
         SHA-256 of each input, by name.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the header breaks the schema.
     """
     stream, predictor = pack_grid(sdf["values"])
     tensors = {"geometry.distances": stream}
@@ -57,4 +60,4 @@ def pack(
         net_tensors, net_header = nets[modality]
         tensors.update({f"{modality}.{name}": value for name, value in net_tensors.items()})
         header[modality] = net_header
-    return ObjectFile(header, tensors, key)
+    return checked_header(header, key), tensors

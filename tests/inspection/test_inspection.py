@@ -42,7 +42,7 @@ from objectfolder.nets.audio_gains import GainsNet
 from objectfolder.nets.fit import CurvePoint
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.vision_surface import SurfaceNet
-from objectfolder.objectfile.packing import pack
+from objectfolder.objectfile.packing import pack_object_file
 from objectfolder.touch.profiles import load_profile
 from objectfolder.vision.cameras import look_at, sphere_points
 from objectfolder.workspace.layout import MODALITIES, SPLITS, Build
@@ -149,9 +149,11 @@ def _nets(build):
     for modality in MODALITIES:
         write_curve(build.curve(modality), curve)
     nets = {modality: read_safetensors(build.net(modality)) for modality in MODALITIES}
-    pack("brick", "ceramic", read_json(build.normalize), sdf, nets, {"sdf": "ab" * 32}).save(
-        build.object_file
+    modal = read_json(build.modal)
+    header, tensors = pack_object_file(
+        "brick", modal, read_json(build.normalize), sdf, nets, {"sdf": "ab" * 32}
     )
+    write_safetensors(build.object_file, tensors, header)
 
 
 @cache

@@ -8,7 +8,8 @@ from objectfolder.io import read_safetensors, write_safetensors
 from objectfolder.metrics import gain_errors
 from objectfolder.nets import int8
 from objectfolder.nets.audio_config import GainsConfig
-from objectfolder.nets.audio_gains import INT8, GainsNet, energy_weights, train_gains
+from objectfolder.nets.audio_gains import INT8, GainsNet, energy_weights
+from objectfolder.nets.audio_gains_training import train_gains
 
 CONFIG = GainsConfig(
     modes=3,

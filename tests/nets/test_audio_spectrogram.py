@@ -7,7 +7,8 @@ from objectfolder.audio.synthesis import sinusoid_bank
 from objectfolder.io import read_safetensors, write_safetensors
 from objectfolder.metrics import SpectrogramErrors
 from objectfolder.nets.audio_config import SpectrogramConfig
-from objectfolder.nets.audio_spectrogram import SpectrogramNet, train_spectrogram
+from objectfolder.nets.audio_spectrogram import SpectrogramNet
+from objectfolder.nets.audio_spectrogram_training import train_spectrogram
 from objectfolder.nets.positional import PointwiseNetwork
 
 CONFIG = SpectrogramConfig(

@@ -13,7 +13,8 @@ from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.metrics import psnr
-from objectfolder.nets.touch_geometric import GeometricTouch, fit_contacts
+from objectfolder.nets.touch_geometric import GeometricTouch
+from objectfolder.nets.touch_geometric_training import fit_contacts
 from objectfolder.touch import gel
 from objectfolder.touch.dataset import render_contacts
 from objectfolder.touch.profiles import load_profile

@@ -6,7 +6,8 @@ import torch
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.nets.touch_config import ImageConfig
-from objectfolder.nets.touch_image import ImageTouch, train_image
+from objectfolder.nets.touch_image import ImageTouch
+from objectfolder.nets.touch_image_training import train_image
 
 CONFIG = ImageConfig(
     width=48, depth=3, point_octaves=4, pixel_octaves=3, steps=500, batch=512, learning_rate=0.004

@@ -9,7 +9,8 @@ from objectfolder import ObjectFile
 from objectfolder.io import read_safetensors, write_safetensors
 from objectfolder.metrics import psnr
 from objectfolder.nets.vision_config import OsfConfig
-from objectfolder.nets.vision_osf import OsfNet, ScatteringFunction, train_osf
+from objectfolder.nets.vision_osf import OsfNet, ScatteringFunction
+from objectfolder.nets.vision_osf_training import train_osf
 from objectfolder.objectfile.evaluation import evaluate_vision
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere_points
 from objectfolder.vision.color import on_white

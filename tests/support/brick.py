@@ -12,10 +12,10 @@ from objectfolder.mesh.normalize import mass_properties
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.nets.audio_config import GainsConfig
-from objectfolder.nets.audio_gains import train_gains
+from objectfolder.nets.audio_gains_training import train_gains
 from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.objectfile.packing import pack
+from objectfolder.objectfile.packing import pack_object_file
 from objectfolder.touch.profiles import load_profile
 
 SIDES = (1.0, 0.6, 0.3)
@@ -59,7 +59,7 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
     sound_tensors, sound_config = sound.to_tensors()
     profile = load_profile("digit")
     feel_config = {"sensor": profile.to_dict(), "depth_offset": 0.0, "renderer": "gel", "smoothing": 0}
-    return pack(
+    header, tensors = pack_object_file(
         "brick",
         {
             "material": "plastic",
@@ -81,3 +81,4 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
         },
         {"sdf": "0" * 64},
     )
+    return ObjectFile(header, tensors, "brick")

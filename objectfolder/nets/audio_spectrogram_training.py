@@ -1,0 +1,97 @@
+"""Training of AudioNet ``spectrogram``."""
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+
+from objectfolder.audio.spectrogram import spectrogram
+from objectfolder.audio.synthesis import sinusoid_bank
+from objectfolder.nets.audio_config import SpectrogramConfig
+from objectfolder.nets.audio_spectrogram import SpectrogramNet
+from objectfolder.nets.fit import CurvePoint, fit
+
+RANGE_POINTS = 256  # training points whose extremes span the range of values
+VAL_SAMPLES = 1 << 14
+
+
+def train_spectrogram(
+    points: np.ndarray,
+    shapes: np.ndarray,
+    damped_frequency: np.ndarray,
+    damping: np.ndarray,
+    train: np.ndarray,
+    val: np.ndarray,
+    config: SpectrogramConfig,
+    generator: torch.Generator,
+    report: Callable[[CurvePoint], None] = lambda point: None,
+    device: str | torch.device = "cpu",
+) -> tuple[SpectrogramNet, list[CurvePoint]]:
+    """Fit a `SpectrogramNet` to mode shapes at surface points; the parameters are those of `train_gains`.
+
+    Parameters
+    ----------
+    device : str or torch.device
+        Where to train; the net comes back on the CPU. The size of the paper takes a GPU.
+    report : callable
+        Called with each `CurvePoint`; its losses are squared errors relative to those of silence.
+
+    Notes
+    -----
+    The loss is the mean squared error over all bins, as the paper's. Most bins are next to silent, so half
+    of a batch is drawn by loudness and weighed by one over its probability: the same mean, less noise.
+    """
+    bank = sinusoid_bank(torch.from_numpy(damped_frequency), torch.from_numpy(damping))
+    spectra = torch.view_as_real(spectrogram(bank)).flatten(1, 2)  # (M, bins, 2)
+    shape = torch.from_numpy(np.asarray(shapes, np.float32))
+    rows = torch.from_numpy(train)
+    some = rows[torch.randperm(len(rows), generator=generator)[:RANGE_POINTS]]
+    low, high = 0.0, 0.0
+    for gains in shape[some].flatten(0, 1).split(16):
+        values = gains @ spectra.flatten(1)
+        low, high = min(low, values.min().item()), max(high, values.max().item())
+    silent = high == low  # no mode, or none that the sample rate can carry
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(int(torch.randint(2**31, (1,), generator=generator)))
+        net = SpectrogramNet(
+            torch.from_numpy(damped_frequency),
+            low,
+            high + silent,
+            config.width,
+            config.depth,
+            config.point_octaves,
+            config.bin_octaves,
+        )
+    if silent:
+        return net.eval(), []
+    power = torch.einsum("m,mbc->b", shape[some].square().mean((0, 1)), spectra.square()) / 2
+    loudness = power.sqrt()
+    chance = (0.5 / len(power) + 0.5 * loudness / loudness.sum()).double()
+    weight = (1 / (len(power) * chance)).float() / (power.mean() / (high - low) ** 2)
+    x = torch.from_numpy(np.asarray(points, np.float32))
+    net = net.to(device)
+    x, shape, spectra, weight = (tensor.to(device) for tensor in (x, shape, spectra, weight))
+
+    def draw(choice: torch.Tensor, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+        drawn = choice[torch.randint(len(choice), (count,), generator=generator)]
+        # `multinomial` is limited to 2^24 categories and slow; this inverts the distribution.
+        place = torch.rand(count, generator=generator, dtype=torch.float64)
+        bins = torch.searchsorted(cumulative, place * cumulative[-1]).clamp(max=len(chance) - 1)
+        return drawn.to(device), bins.to(device)
+
+    def loss(index: torch.Tensor, bins: torch.Tensor) -> torch.Tensor:
+        truth = torch.einsum("nam,mnc->nac", shape[index], spectra[:, bins])
+        error = net(x[index], bins) - (truth - low) / (high - low)
+        return (error.square().mean((1, 2)) * weight[bins]).mean()
+
+    cumulative = chance.cumsum(0)
+    held_out = draw(torch.from_numpy(val), VAL_SAMPLES)
+    curve = fit(
+        net,
+        batch_loss=lambda: loss(*draw(rows, config.batch)),
+        val_loss=lambda: loss(*held_out).item(),
+        steps=config.steps,
+        learning_rate=config.learning_rate,
+        report=report,
+    )
+    return net.cpu().eval(), curve

@@ -1,0 +1,106 @@
+"""Training of TouchNet ``image``."""
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.nets.fit import CurvePoint, fit
+from objectfolder.nets.touch_config import ImageConfig
+from objectfolder.nets.touch_image import ImageTouch
+
+VAL_SAMPLES = 1 << 14
+# Contacts whose depths (metres) or angles (radians) differ by less are alike: rounding.
+_ALIKE = 1e-9
+
+
+def train_image(
+    train: dict[str, np.ndarray],
+    val: dict[str, np.ndarray],
+    scale: float,
+    sensor: str,
+    config: ImageConfig,
+    generator: torch.Generator,
+    report: Callable[[CurvePoint], None] = lambda point: None,
+    device: str | torch.device = "cpu",
+) -> tuple[ImageTouch, list[CurvePoint]]:
+    """Fit an `ImageTouch` to contacts.
+
+    Parameters
+    ----------
+    train, val : dict
+        As `objectfolder.touch.dataset.render_contacts` returns, all of one depth and one angle.
+    scale : float
+        Longest side, metres.
+    sensor : str
+        Name of the profile.
+    config : ImageConfig
+    generator : torch.Generator
+        On the CPU.
+    report : callable
+        Called with each `CurvePoint`; losses are mean squared errors of images in [0, 1].
+    device : str or torch.device
+        Where to train; the net comes back on the CPU. The size of the paper takes a GPU.
+
+    Raises
+    ------
+    ObjectFolderError
+        If contacts differ in depth or angle.
+    """
+    press_depth, angle = (_one_value(name, train, val) for name in ("depths", "angles"))
+    images = torch.from_numpy(train["images"])
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(int(torch.randint(2**31, (1,), generator=generator)))
+        net = ImageTouch(
+            sensor,
+            (images.shape[1], images.shape[2]),
+            press_depth,
+            angle,
+            config.width,
+            config.depth,
+            config.point_octaves,
+            config.pixel_octaves,
+        )
+        # Starts from the mean colour; grey is far off.
+        mean = images.double().mean((0, 1, 2)) / 127.5 - 1
+        net.network.output.bias.data = mean.float()
+    net = net.to(device)
+
+    def gather(contacts: dict[str, np.ndarray]) -> tuple[torch.Tensor, torch.Tensor]:
+        points = torch.from_numpy((contacts["points"] / scale).astype(np.float32))
+        return points.to(device), torch.from_numpy(contacts["images"]).flatten(1, 2).to(device)
+
+    def draw(shape: torch.Size, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+        rows, pixels = (torch.randint(size, (count,), generator=generator).to(device) for size in shape[:2])
+        return rows, pixels
+
+    def loss(
+        points: torch.Tensor, grey: torch.Tensor, rows: torch.Tensor, pixels: torch.Tensor
+    ) -> torch.Tensor:
+        error = net(points[rows], pixels) - (grey[rows, pixels].float() / 127.5 - 1)
+        return error.square().mean() / 4
+
+    known, held_out = gather(train), gather(val)
+    checked = draw(held_out[1].shape, VAL_SAMPLES)
+    curve = fit(
+        net,
+        batch_loss=lambda: loss(*known, *draw(known[1].shape, config.batch)),
+        val_loss=lambda: loss(*held_out, *checked).item(),
+        steps=config.steps,
+        learning_rate=config.learning_rate,
+        report=report,
+    )
+    return net.cpu().eval(), curve
+
+
+def _one_value(name: str, *splits: dict[str, np.ndarray]) -> float:
+    values = np.concatenate([contacts[name] for contacts in splits])
+    if np.ptp(values) > _ALIKE:
+        field = {"depths": "depth", "angles": "angle"}[name]
+        raise ObjectFolderError(
+            f"contacts have {name} from {values.min():g} to {values.max():g}; "
+            f"a net of kind image is a function of the point alone: give render_touch.{field} a value, "
+            "or set train_touch.net: geometric"
+        )
+    return float(values[0])

@@ -1,0 +1,116 @@
+"""Training of VisionNet ``osf``."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from objectfolder.mesh.grid import BOUND
+from objectfolder.nets.fit import CurvePoint, fit, minibatches
+from objectfolder.nets.vision_config import OsfConfig
+from objectfolder.nets.vision_osf import OsfNet, pixel_centres
+from objectfolder.vision.cameras import Intrinsics, camera_rays
+from objectfolder.vision.color import on_white, shown_error
+from objectfolder.vision.volume import Rays
+
+VAL_RAYS = 1 << 12  #: of which the validation loss is the mean
+
+
+@dataclass(frozen=True)
+class _Pixels:
+    """Pixels of a split whose rays meet the cube; the others are white whatever the net says."""
+
+    origins: torch.Tensor  # (views, 3)
+    lights: torch.Tensor  # (views, 3)
+    view: torch.Tensor  # (R,) int32
+    directions: torch.Tensor  # (R, 3)
+    target: torch.Tensor  # (R, 3) sRGB on white
+
+    def loss(
+        self, net: OsfNet, index: torch.Tensor, generator: torch.Generator | None = None
+    ) -> torch.Tensor:
+        """Mean squared errors of the coarse and of the fine net, in sRGB; (2,)."""
+        index = index.to(self.view.device)
+        view = self.view[index]
+        rays = Rays.through_cube(self.origins[view], self.directions[index], BOUND)
+        seen = torch.stack(net(rays, self.lights[view], generator))
+        return shown_error(seen, self.target[index]).square().mean((1, 2))
+
+
+def train_osf(
+    train: dict[str, np.ndarray],
+    val: dict[str, np.ndarray],
+    config: OsfConfig,
+    generator: torch.Generator,
+    report: Callable[[CurvePoint], None] = lambda point: None,
+    device: str | torch.device = "cpu",
+) -> tuple[OsfNet, list[CurvePoint]]:
+    """Fit an `OsfNet` to views.
+
+    Parameters
+    ----------
+    train, val : dict
+        ``rgba`` (N, H, W, 4), ``camera_to_world`` (N, 4, 4), ``light`` (N, 3), ``focal``.
+    config : OsfConfig
+    generator : torch.Generator
+        On the CPU.
+    report : callable
+        Called with each `CurvePoint`. Losses are mean squared errors in sRGB of rays that meet the cube; that
+        of training is the sum of both nets', that of validation the fine net's on `VAL_RAYS` rays.
+    device : str or torch.device
+        Where to train; the net comes back on the CPU. The size of the paper takes a GPU.
+
+    Notes
+    -----
+    Adam has the paper's betas and epsilon; its rate warms up and decays as that of every net here.
+    """
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(int(torch.randint(2**31, (1,), generator=generator)))
+        net = OsfNet(
+            config.coarse_samples,
+            config.fine_samples,
+            width=config.width,
+            depth=config.depth,
+            branch_width=config.branch_width,
+            branch_depth=config.branch_depth,
+            point_octaves=config.point_octaves,
+            direction_octaves=config.direction_octaves,
+        ).to(device)
+    pixels, held_out = _gather(train, device), _gather(val, device)
+    batches = iter(minibatches(len(pixels.target), config.batch, generator))
+    checked = torch.randperm(len(held_out.target), generator=generator)[:VAL_RAYS]
+
+    def val_loss() -> float:
+        sums = [held_out.loss(net, part)[1].item() * len(part) for part in checked.split(config.batch)]
+        return sum(sums) / len(checked)
+
+    curve = fit(
+        net,
+        batch_loss=lambda: pixels.loss(net, next(batches), generator).sum(),
+        val_loss=val_loss,
+        steps=config.steps,
+        learning_rate=config.learning_rate,
+        optimizer=torch.optim.Adam(net.parameters(), betas=(0.9, 0.999), eps=1e-7),
+        report=report,
+    )
+    return net.cpu().eval(), curve
+
+
+def _gather(views: dict[str, np.ndarray], device: str | torch.device) -> _Pixels:
+    height, width = views["rgba"].shape[1:3]
+    intrinsics = Intrinsics(width, height, float(views["focal"]))
+    centres = pixel_centres(intrinsics)
+    view, directions, targets = [], [], []
+    for i, (rgba, pose) in enumerate(zip(views["rgba"], views["camera_to_world"])):
+        origin, direction = map(torch.from_numpy, camera_rays(pose, intrinsics, centres))
+        rays = Rays.through_cube(origin, direction, BOUND)
+        met = rays.far > rays.near
+        view.append(torch.full((int(met.sum()),), i, dtype=torch.int32))
+        directions.append(direction[met])
+        targets.append(on_white(torch.from_numpy(rgba.reshape(-1, 4).astype(np.float32)))[met])
+    return _Pixels(
+        torch.from_numpy(views["camera_to_world"][:, :3, 3].astype(np.float32)).to(device),
+        torch.from_numpy(views["light"].astype(np.float32)).to(device),
+        *(torch.cat(parts).to(device) for parts in (view, directions, targets)),
+    )
