@@ -1,27 +1,25 @@
 """Training and accuracy of the AudioNet `gains`: `python perf/audio.py [--workspace DIR] [KEY ...]`.
 
-Needs `objectfolder build modal`. Each object gets a fresh process with one thread, the section `train_audio`
-of the workspace's params.yaml, and is scored, as stored, at surface points that neither training nor early
-stopping has seen. Exits with 1 if a target is missed.
+Run `objectfolder build modal` first. Each object is trained in a fresh single-threaded process with the
+section `train_audio` of the workspace's params.yaml. The stored net is scored at surface points that
+neither training nor early stopping used. Exits with 1 if a target is missed.
 """
 
 import argparse
 import json
-import os
-import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
 import torch
+from harness import exit_with_verdict, fresh_row, write_record
 from rich.console import Console
 from rich.table import Table
 
 from objectfolder.audio.spectrogram import SAMPLE_RATE, spectrogram
 from objectfolder.audio.synthesis import audible, sinusoid_bank
-from objectfolder.io import atomic, read_npz, read_safetensors, write_safetensors
+from objectfolder.io import read_npz, read_safetensors, write_safetensors
 from objectfolder.metrics import SpectrogramErrors, gain_errors
 from objectfolder.nets.audio_config import AudioConfig
 from objectfolder.nets.audio_gains import GainsNet, energy_weights
@@ -31,13 +29,12 @@ from objectfolder.workspace import params
 from objectfolder.workspace.layout import Build
 
 ROOT = Path(__file__).parents[1]
-FEW_MODES, MANY_MODES = 75, 200  # each has its targets; objects with more modes have none
+FEW_MODES, MANY_MODES = 75, 200  # targets depend on the number of modes; above the larger there are none
 IMPACTS = 200
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def targets(modes: int) -> dict[str, tuple[str, float]]:
-    """Limits by figure, for an object's number of modes."""
+    """Return the limits of an object with this number of modes, by figure."""
     if modes <= FEW_MODES:
         limits = {"gain_error": ("<=", 0.01), "gain_error_frobenius": ("<=", 0.03), "psnr": (">=", 85.0)}
         limits |= {"above_silence": (">=", 30.0), "seconds": ("<=", 60.0)}
@@ -49,7 +46,7 @@ def targets(modes: int) -> dict[str, tuple[str, float]]:
 
 
 def measure(workspace: Path, key: str) -> dict:
-    """Train on one object, in this process."""
+    """Train and score one object in this process."""
     torch.set_num_threads(1)
     values = params.read(workspace / "params.yaml")
     config = params.settings(AudioConfig, values)
@@ -80,7 +77,7 @@ def measure(workspace: Path, key: str) -> dict:
 
 
 def loudness(predicted: np.ndarray, truth: np.ndarray, damped: np.ndarray, damping: np.ndarray) -> dict:
-    """PSNR in the paper's convention of random unit impulses, and how far it lies above silence."""
+    """Return the PSNR of random unit impulses in the paper's convention, and its margin above silence."""
     heard = audible(torch.from_numpy(damped), SAMPLE_RATE)
     if not heard.any():
         return {}
@@ -99,21 +96,8 @@ def loudness(predicted: np.ndarray, truth: np.ndarray, damped: np.ndarray, dampi
     return scores | {"above_silence": scores["psnr"] - scores["baseline_silence"]}
 
 
-def fresh(workspace: Path, key: str) -> dict:
-    """Run this file for one object in a process of its own."""
-    done = subprocess.run(
-        [sys.executable, __file__, "--job", "--workspace", str(workspace), key],
-        capture_output=True,
-        text=True,
-        env={**os.environ, **dict.fromkeys(THREADS, "1")},
-    )
-    if done.returncode:
-        return {"object": key, "failed": done.stderr.strip().splitlines()[-1:]}
-    return json.loads(done.stdout.splitlines()[-1])
-
-
 def misses(row: dict) -> list[str]:
-    """Targets that an object misses."""
+    """Return the targets that an object misses."""
     if "failed" in row:
         return [f"crashed: {row['failed']}"]
     return [
@@ -124,37 +108,27 @@ def misses(row: dict) -> list[str]:
 
 
 def show(rows: list[dict], console: Console) -> None:
-    table = Table(title="AudioNet gains at held-out surface points")
-    form = {
-        "object": str,
-        "modes": str,
-        "points": str,
-        "steps": str,
-        "seconds": lambda v: f"{v:.0f}",
-        "file_kb": lambda v: f"{v:.0f}",
-        "gain_error": lambda v: f"{v:.2%}",
-        "gain_error_frobenius": lambda v: f"{v:.2%}",
-        "worst_mode_error": lambda v: f"{v:.1%}",
-        "worst_mode_hz": lambda v: f"{v:.0f}",
-        "psnr": lambda v: f"{v:.1f}",
-        "above_silence": lambda v: f"{v:.1f}",
+    columns = {
+        "object": ("object", ""),
+        "modes": ("modes", "d"),
+        "points": ("points", "d"),
+        "steps": ("steps", "d"),
+        "seconds": ("CPU s", ".0f"),
+        "file_kb": ("KB", ".0f"),
+        "gain_error": ("energy", ".2%"),
+        "gain_error_frobenius": ("Frobenius", ".2%"),
+        "worst_mode_error": ("worst mode", ".1%"),
+        "worst_mode_hz": ("at Hz", ".0f"),
+        "psnr": ("dB", ".1f"),
+        "above_silence": ("above silence", ".1f"),
     }
-    titles = (
-        "object",
-        "modes",
-        "points",
-        "steps",
-        "CPU s",
-        "KB",
-        "energy",
-        "Frobenius",
-        "worst mode",
-        "at Hz",
-    )
-    for title in (*titles, "dB", "above silence"):
-        table.add_column(title, justify="left" if title == "object" else "right", no_wrap=True)
+    table = Table(title="AudioNet gains at held-out surface points")
+    for name, (title, _) in columns.items():
+        table.add_column(title, justify="left" if name == "object" else "right", no_wrap=True)
     for row in (row for row in rows if "failed" not in row):
-        table.add_row(*(f(row[name]) if name in row else "-" for name, f in form.items()))
+        table.add_row(
+            *(format(row[name], spec) if name in row else "-" for name, (_, spec) in columns.items())
+        )
     console.print(table)
 
 
@@ -162,26 +136,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("keys", nargs="*", help="objects (default: all of params.yaml)")
     parser.add_argument("--workspace", type=Path, default=ROOT, help="holds params.yaml and build/")
-    parser.add_argument("--json", type=Path, help="also write the figures here")
-    parser.add_argument("--job", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--json", type=Path, help="file for the figures")
+    parser.add_argument("--job", choices=["measure"], help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.job:
         print(json.dumps(measure(arguments.workspace, arguments.keys[0])))
         return
     keys = arguments.keys or list(params.read(arguments.workspace / "params.yaml")["objects"])
     console = Console(width=max(Console().width, 130))
-    rows = [fresh(arguments.workspace, key) for key in keys]
+    rows = [fresh_row(__file__, "measure", key, "--workspace", arguments.workspace, key) for key in keys]
     show(rows, console)
-    if arguments.json:
-        with atomic(arguments.json) as path:
-            path.write_text(json.dumps({"objects": rows}, indent=2) + "\n")
-    missed = [f"{row['object']}: {reason}" for row in rows for reason in misses(row)]
-    console.print(
-        "targets: " + ("; ".join(missed) if missed else f"met by all {len(rows)}"),
-        markup=False,
-        soft_wrap=True,
+    write_record(arguments.json, {"objects": rows})
+    exit_with_verdict(
+        [f"{row['object']}: {text}" for row in rows for text in misses(row)], len(rows), console
     )
-    sys.exit(bool(missed))
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
-"""The build engine on its own: `python perf/engine.py COMMAND [--objects N ...] [--workers N] [--json FILE]`.
+"""Speed of the build engine: `python perf/engine.py COMMAND [--objects N ...] [--workers N] [--json FILE]`.
 
-`scale` builds N objects with the stages, dependencies, parameters and outputs of dvc.yaml, but commands that
-only write a line: a first build, a build with nothing to do, one changed material; beside it, as far as it
-gets in a minute, `dvc repro` on the same workspace. `efficiency` runs eight objects with three stages of two
-seconds each. `starter` builds the real starter catalogue twice from nothing, with this engine and with `dvc
-repro` (an hour). Wall seconds; peak memory is that of the engine. Exits with 1 if a target is missed.
+`scale` builds N objects with the stages, dependencies, parameters and outputs of dvc.yaml but commands that
+only write a line: a first build, a no-op build and one changed material. For comparison it runs `dvc repro`
+on the same workspace for a minute. `efficiency` runs eight objects with three stages of two seconds each.
+`starter` builds the starter catalogue twice from scratch, with this engine and with `dvc repro` (an hour).
+Times are wall seconds; peak memory is that of the engine. Exits with 1 if a target is missed.
 """
 
 import argparse
@@ -20,26 +20,26 @@ import tempfile
 import time
 from pathlib import Path
 
+from harness import fresh, write_record
 from rich.console import Console
 from rich.table import Table
 from ruamel.yaml import YAML
 
 from objectfolder.engine.build import Options, build
 from objectfolder.engine.summary import Status
-from objectfolder.io import atomic
 
 ROOT = Path(__file__).parents[1]
-PEER_SECONDS, IDLE_SECONDS = 60.0, 180.0  # where DVC alone is stopped
+PEER_SECONDS, IDLE_SECONDS = 60.0, 180.0  # limits of DVC alone: first build, no-op build
 MAX_OVERHEAD_MS = 60.0  # per stage
 MAX_IDLE = {100: (5.0, None), 1000: (60.0, 1024.0)}  # objects: seconds, MB
-RERUN = 4  # stages of a changed material
+RERUN = 4  # stages that a changed material reruns
 MIN_EFFICIENCY = 0.92
 COLUMNS, STAGES, SECONDS = 8, 3, 2.0
 MATERIALS = "ceramic", "steel"
 
 
 def dummy(root: Path, objects: int) -> Path:
-    """Workspace with the real graph and commands that write the digest of what the stage declares."""
+    """Create a workspace with the real graph, whose commands write a digest of their declared inputs."""
     keys = [f"object_{number:04d}" for number in range(objects)]
     new_repository(root)
     for name in (".gitignore", ".dvcignore"):
@@ -68,7 +68,7 @@ def dummy(root: Path, objects: int) -> Path:
 
 
 def script(name: str, definition: dict) -> str:
-    """Shell script of a stage: outputs hold a digest of its inputs."""
+    """Return the shell script of a stage, which writes a digest of the inputs to each output."""
     inputs = [dep.replace("${key}", "$1") for dep in definition["deps"] if dep.startswith("build/${key}")]
     material = "material" in str(definition.get("params", ""))
     lines = [
@@ -97,12 +97,12 @@ STAGE_NAMES = [path.stem for path in sorted((ROOT / "stages").glob("*.py"))]
 
 
 def plain_metrics(definition: dict) -> list[dict]:
-    """Metrics of a stage, each as a mapping from the path to its options."""
+    """Return the metrics of a stage, each as a mapping from path to options."""
     return [m if isinstance(m, dict) else {m: {}} for m in definition.get("metrics", [])]
 
 
 def columns(root: Path, count: int, stages: int, seconds: float) -> Path:
-    """Workspace of independent chains whose commands only sleep."""
+    """Create a workspace of independent chains whose commands only sleep."""
     new_repository(root)
     lines = ["stages:"]
     for column in range(count):
@@ -126,7 +126,7 @@ def new_repository(root: Path) -> None:
 
 
 def run_build(root: str, workers: str) -> dict:
-    """One build; the job of a fresh process."""
+    """Build once; the job of a fresh process."""
     start, cpu = time.monotonic(), time.process_time()
     summary = build(options=Options(jobs=int(workers)), root=root)
     if not summary.ok:
@@ -140,21 +140,8 @@ def run_build(root: str, workers: str) -> dict:
     }
 
 
-def fresh(root: Path, workers: int) -> dict:
-    """`run_build` in a process of its own."""
-    done = subprocess.run(
-        [sys.executable, __file__, "--job", str(root), str(workers)],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )
-    if done.returncode:
-        sys.exit(done.stderr)
-    return json.loads(done.stdout.splitlines()[-1])
-
-
 def dvc(root: Path, *arguments: str, limit: float | None = None) -> float | None:
-    """Wall seconds of DVC's own command; None if it was stopped at the limit."""
+    """Return the wall seconds of a DVC command, or None if it was stopped at the limit."""
     start = time.monotonic()
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     process = subprocess.Popen(
@@ -176,19 +163,19 @@ def dvc(root: Path, *arguments: str, limit: float | None = None) -> float | None
 
 
 def scale(folder: Path, workers: int, objects: int) -> dict:
-    """First build, nothing to do, one changed material; and DVC alone."""
+    """Measure a first build, a no-op build, a changed material, and DVC alone."""
     root, peer = dummy(folder / "own", objects), folder / "peer"
     shutil.copytree(root, peer, symlinks=True)
     row = {
         "objects": objects,
         "workers": workers,
-        "first": fresh(root, workers),
-        "idle": fresh(root, workers),
+        "first": fresh(__file__, "build", root, workers),
+        "idle": fresh(__file__, "build", root, workers),
     }
     params = root / "params.yaml"
     text = params.read_text()
     params.write_text(text.replace(f"material: {MATERIALS[0]}", f"material: {MATERIALS[1]}", 1))
-    row["changed"] = fresh(root, workers)
+    row["changed"] = fresh(__file__, "build", root, workers)
     row["status_s"] = dvc(root, "status", limit=IDLE_SECONDS)
     row["peer_idle_s"] = dvc(root, "repro", limit=IDLE_SECONDS)
     seconds = dvc(peer, "repro", limit=PEER_SECONDS) or PEER_SECONDS
@@ -198,14 +185,14 @@ def scale(folder: Path, workers: int, objects: int) -> dict:
 
 
 def efficiency(folder: Path, workers: int, _: int) -> dict:
-    """How much of the workers' time goes into commands."""
-    ran = fresh(columns(folder / "own", COLUMNS, STAGES, SECONDS), workers)
+    """Measure the share of the workers' time that is spent in commands."""
+    ran = fresh(__file__, "build", columns(folder / "own", COLUMNS, STAGES, SECONDS), workers)
     work = COLUMNS * STAGES * SECONDS
     return {"workers": workers, "seconds": ran["seconds"], "efficiency": work / workers / ran["seconds"]}
 
 
 def starter(folder: Path, workers: int, _: int) -> dict:
-    """The real starter catalogue from nothing, here and with DVC alone."""
+    """Build the starter catalogue from scratch, with this engine and with DVC alone."""
     for name in ("own", "peer"):
         subprocess.run(["git", "clone", "-q", ROOT, folder / name], check=True)
     start = time.monotonic()
@@ -222,7 +209,7 @@ def starter(folder: Path, workers: int, _: int) -> dict:
 
 
 def lines(command: str, row: dict) -> list[tuple[str, str, str, bool]]:
-    """What is shown: figure, measured, target or peer, met."""
+    """Return the rows to print: figure, measured value, target or peer, target met."""
     if command == "efficiency":
         measured = row["efficiency"]
         return [
@@ -287,7 +274,7 @@ def show(command: str, row: dict, console: Console) -> bool:
 
 def main() -> None:
     if sys.argv[1:2] == ["--job"]:
-        print(json.dumps(run_build(*sys.argv[2:])))
+        print(json.dumps(run_build(*sys.argv[3:])))
         return
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -295,7 +282,7 @@ def main() -> None:
     parser.add_argument("command", choices=("scale", "efficiency", "starter"))
     parser.add_argument("--objects", type=int, nargs="+", default=[100], help="for scale")
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--json", type=Path, help="also write the figures here")
+    parser.add_argument("--json", type=Path, help="file for the figures")
     arguments = parser.parse_args()
     measure = {"scale": scale, "efficiency": efficiency, "starter": starter}[arguments.command]
     rows, met = [], []
@@ -303,9 +290,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as name:
             rows.append(measure(Path(name), arguments.workers, objects))
         met.append(show(arguments.command, rows[-1], Console()))
-    if arguments.json:
-        with atomic(arguments.json) as temporary:
-            temporary.write_text(json.dumps({arguments.command: rows}, indent=2) + "\n")
+    write_record(arguments.json, {arguments.command: rows})
     sys.exit(not all(met))
 
 

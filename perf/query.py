@@ -1,19 +1,16 @@
-"""Queries of Object Files: `python perf/query.py FILE ... [--mixed N] [--json FILE]`.
+"""Speed of Object File queries: `python perf/query.py FILE ... [--mixed N] [--json FILE]`.
 
-Of every file, each figure from a fresh process with one thread, CPU time: from starting Python to the first
-touch; views of 256 x 256 with one sample per pixel and with more at edges; sounds of two seconds and touches,
-one at a time and in batches; beside the seconds that the authors publish for their released files on a GPU.
-With --mixed, N queries of all kinds from four threads and one after the other, whose bytes are compared.
-Needs the base install only. Exits with 1 if a target is missed.
+Median CPU times in fresh single-threaded processes: from starting Python to the first touch; views of 256 x
+256 with one sample per pixel and with adaptive supersampling; sounds of two seconds and touches, in single
+calls and in batches. The table also lists the authors' published times for their released files on a GPU.
+`--mixed` compares the bytes of N mixed queries from four threads with those of the same queries in
+sequence. Needs the base install only. Exits with 1 if a target is missed.
 """
 
 import argparse
 import hashlib
 import json
-import os
 import resource
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -21,10 +18,11 @@ from functools import partial
 from pathlib import Path
 from statistics import median
 
+from harness import exit_with_verdict, fresh, write_record
 from rich.console import Console
 from rich.table import Table
 
-#: Title; target for every file; published: ObjectFolder 1.0 and 2.0 (Gao et al. 2022, Table 1), on a GPU.
+#: Title, target per file, published figures of ObjectFolder 1.0 and 2.0 on a GPU (Gao et al. 2022, Table 1).
 FIGURES: dict[str, tuple[str, float, float | None, float | None]] = {
     "first_touch_s": ("start to first touch, s", 2.5, None, None),
     "view_ms": ("view, ms", 70.0, 3699.0, 62.0),
@@ -36,13 +34,12 @@ FIGURES: dict[str, tuple[str, float, float | None, float | None]] = {
     "peak_mb": ("peak MB", 1024.0, None, None),
     "file_kb": ("file, KB", 1300.0, 15600.0, None),
 }
-MEDIAN_KB = 900.0  #: of all files
+MEDIAN_KB = 900.0  #: target for the median file size
 VIEWS, SINGLE, BATCH = 12, 40, 64
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def milliseconds(ask: Callable, arguments: list) -> float:
-    """Median CPU time of calls with each of some arguments; a call before them is not counted."""
+    """Return the median CPU time of calls with these arguments, after one call to warm up."""
     ask(*arguments[0])
     times = []
     for one in arguments:
@@ -53,7 +50,7 @@ def milliseconds(ask: Callable, arguments: list) -> float:
 
 
 def first(path: str, *point: str) -> dict:
-    """Import, load and touch, in this process; what Python itself takes to start counts."""
+    """Time import, load and touch in this process, including the start of Python."""
     from objectfolder import ObjectFile
 
     ObjectFile.load(path).touch([float(x) for x in point])
@@ -91,7 +88,7 @@ def speed(path: str) -> dict:
 
 
 def mixed(path: str, count: str) -> dict:
-    """Compare the bytes of many queries from four threads with those of one after the other."""
+    """Compare the bytes of concurrent and sequential queries."""
     import numpy as np
 
     from objectfolder import ObjectFile
@@ -123,26 +120,13 @@ def mixed(path: str, count: str) -> dict:
 JOBS = {"first": first, "speed": speed, "mixed": mixed}
 
 
-def fresh(job: str, *arguments: str) -> dict:
-    """Run a job of this file in a process of its own."""
-    done = subprocess.run(
-        [sys.executable, __file__, "--job", job, *arguments],
-        capture_output=True,
-        text=True,
-        env={**os.environ, **dict.fromkeys(THREADS, "1")},
-    )
-    if done.returncode:
-        sys.exit(f"{' '.join(arguments)}: {(done.stderr.strip().splitlines() or ['failed'])[-1]}")
-    return json.loads(done.stdout.splitlines()[-1])
-
-
-def shown(value: float | None) -> str:
-    """Three digits or more, without an exponent; nothing for None."""
+def significant(value: float | None) -> str:
+    """Format with at least three significant digits; an empty string for None."""
     return "" if value is None else f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
 
 
 def misses(rows: list[dict]) -> list[str]:
-    """Targets that are missed, in words."""
+    """Describe the missed targets."""
     found = [
         f"{row['object']}: {title} {row[name]:.3g}, expected at most {target:g}"
         for row in rows
@@ -152,7 +136,9 @@ def misses(rows: list[dict]) -> list[str]:
     middle = median(row["file_kb"] for row in rows)
     if middle > MEDIAN_KB:
         found.append(f"median file {middle:.0f} KB, expected at most {MEDIAN_KB:g}")
-    return found + [f"{row['object']}: threads differ" for row in rows if row.get("differing")]
+    return found + [
+        f"{row['object']}: answers differ between threads" for row in rows if row.get("differing")
+    ]
 
 
 def show(rows: list[dict], console: Console) -> None:
@@ -161,15 +147,15 @@ def show(rows: list[dict], console: Console) -> None:
     for title, *_ in FIGURES.values():
         table.add_column(title, justify="right")
     for row in rows:
-        table.add_row(row["object"], *(shown(row[name]) for name in FIGURES))
+        table.add_row(row["object"], *(significant(row[name]) for name in FIGURES))
     table.add_section()
     for i, name in enumerate(("target, at most", "released 1.0 on a GPU", "released 2.0 on a GPU"), 1):
-        table.add_row(name, *(shown(figure[i]) for figure in FIGURES.values()))
+        table.add_row(name, *(significant(figure[i]) for figure in FIGURES.values()))
     console.print(table)
     for row in (row for row in rows if "mixed_queries" in row):
         console.print(
-            f"{row['object']}: {row['mixed_queries']} mixed queries from 4 threads, of which "
-            f"{row['differing']} differ from those asked one after the other"
+            f"{row['object']}: {row['mixed_queries']} mixed queries from 4 threads; "
+            f"{row['differing']} answers differ from those of sequential queries"
         )
 
 
@@ -178,8 +164,8 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("files", nargs="*", help="Object Files")
-    parser.add_argument("--mixed", type=int, help="compare so many queries of the first file")
-    parser.add_argument("--json", type=Path, help="also write the figures here")
+    parser.add_argument("--mixed", type=int, help="number of mixed queries of the first file")
+    parser.add_argument("--json", type=Path, help="file for the figures")
     parser.add_argument("--job", nargs=argparse.REMAINDER, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.job:
@@ -188,19 +174,16 @@ def main() -> None:
         return
     rows = []
     for path in arguments.files:
-        row = fresh("speed", path)
+        row = fresh(__file__, "speed", path)
         point = [str(x) for x in row.pop("point")]
-        starts = [fresh("first", path, *point)["first_touch_s"] for _ in range(3)]
+        starts = [fresh(__file__, "first", path, *point)["first_touch_s"] for _ in range(3)]
         rows.append(row | {"first_touch_s": median(starts)})
     if arguments.mixed:
-        rows[0] |= fresh("mixed", arguments.files[0], str(arguments.mixed))
+        rows[0] |= fresh(__file__, "mixed", arguments.files[0], arguments.mixed)
     console = Console(width=max(Console().width, 130))
     show(rows, console)
-    if arguments.json:
-        arguments.json.write_text(json.dumps({"objects": rows}, indent=2) + "\n")
-    missed = misses(rows)
-    console.print("targets: " + ("; ".join(missed) or f"met by all {len(rows)}"), soft_wrap=True)
-    sys.exit(bool(missed))
+    write_record(arguments.json, {"objects": rows})
+    exit_with_verdict(misses(rows), len(rows), console)
 
 
 if __name__ == "__main__":

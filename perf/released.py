@@ -1,16 +1,16 @@
-"""How long imported files of the released sizes take to answer: `python perf/released.py [--json FILE]`.
+"""Query times of imported files of the released sizes: `python perf/released.py [--json FILE]`.
 
-The nets are random: how long they take does not depend on their weights, but for KiloOSF on how much of the
-grid is occupied (a ball of diameter 1 here).
+The weights are random. They do not affect the time, except that KiloOSF's depends on the occupied part of
+its grid, here a ball of diameter 1.
 """
 
 import argparse
-import json
 import time
 from pathlib import Path
 
 import numpy as np
 import torch
+from harness import write_record
 
 from objectfolder.nets.released.gains import ReleasedGains
 from objectfolder.nets.released.kilo import ReleasedKilo
@@ -24,7 +24,7 @@ from objectfolder.vision.cameras import Intrinsics, look_at
 
 WIDTH, DEPTH = 256, 8
 MODES = 100
-PIXELS = 32  # a side, of the views that are timed; a view of 256 has 64 times as many
+PIXELS = 32  # side of the timed views; a view of 256 has 64 times as many pixels
 FRAME = Frame().to_dict()
 BOUNDS = [[-0.5] * 3, [0.5] * 3]
 
@@ -64,7 +64,7 @@ def kilo(grid=16, voxels=256, width=64):
 
 
 def milliseconds(ask, repeats=3):
-    """Least CPU time."""
+    """Return the minimum CPU time."""
     ask()
     times = []
     for _ in range(repeats):
@@ -76,7 +76,7 @@ def milliseconds(ask, repeats=3):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", type=Path, help="also write the figures here")
+    parser.add_argument("--json", type=Path, help="file for the figures")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     torch.manual_seed(0)
@@ -115,8 +115,7 @@ def main():
     }
     for name, value in rows.items():
         print(f"{name:45}{value:12,.1f} ms")
-    if arguments.json:
-        arguments.json.write_text(json.dumps(rows, indent=2) + "\n")
+    write_record(arguments.json, rows)
 
 
 if __name__ == "__main__":
