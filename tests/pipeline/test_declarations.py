@@ -102,6 +102,38 @@ def test_stages_of_robots_depend_on_the_hulls(stage):
     assert hulls in (declared["outs"] if stage == "decompose" else declared["deps"])
 
 
+#: Most modules of the project that a stage may import: editing any of them reruns the stage for every object.
+MAX_MODULES = {
+    "generate": 42,
+    "normalize": 30,
+    "voxelize": 30,
+    "modal": 34,
+    "render_views": 31,
+    "render_touch": 27,
+    "train_vision": 41,
+    "train_audio": 21,
+    "train_touch": 28,
+    "pack": 12,
+    "evaluate": 65,
+    "observe": 68,
+    "recognize": 26,
+    "retrieve": 27,
+    "reconstruct": 82,
+    "decompose": 65,
+    "grasp_data": 85,
+    "grasp_stability": 27,
+    "grasp_policy": 90,
+    "reach": 85,
+}
+
+
+def test_stages_import_few_modules():
+    counts = {stage: len(modules(stage)) for stage in STAGES}
+    print(*(f"{stage:16}{count:4}" for stage, count in counts.items()), sep="\n")
+    assert counts.keys() == MAX_MODULES.keys()
+    assert {stage: n for stage, n in counts.items() if n > MAX_MODULES[stage]} == {}
+
+
 @pytest.mark.parametrize("stage", sorted({*OF_OBJECTS, "generate"} - {"pack", "evaluate", "observe"}))
 def test_queries_may_change_without_rebuilding(stage):
     assert not {"objectfolder/objectfile/query.py", "objectfolder/objectfile/file.py"} & modules(stage)
