@@ -2,17 +2,17 @@
 
 from objectfolder.benchmarks.datasets.grasp_data import GraspDataConfig, collect_grasps
 from objectfolder.benchmarks.layout import Benchmarks
-from objectfolder.benchmarks.params import robot_params
 from objectfolder.envs.body import rigid_body
 from objectfolder.envs.hulls import read_hulls
 from objectfolder.mesh.ply import read_surface
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace.layout import Build
+from objectfolder.workspace.params import stage_params
 from stages import run
 
 
 def main(key: str) -> None:
-    build, params = Build(key), robot_params(GraspDataConfig)
+    build, params = Build(key), stage_params(GraspDataConfig, key)
     file = ObjectFile.load(build.object_file)
     body = rigid_body(file, read_hulls(build.hulls))
     surface = read_surface(build.surface)
