@@ -118,7 +118,7 @@ MAX_MODULES = {
     "observe": 68,
     "recognize": 26,
     "retrieve": 27,
-    "reconstruct": 82,
+    "reconstruct": 83,
     "decompose": 64,
     "grasp_data": 84,
     "grasp_stability": 27,
