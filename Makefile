@@ -46,7 +46,7 @@ docs: setup
 # Needs node and npm.
 gltf-validate: setup
 	npm install --silent --no-save --prefix build/.npm gltf-validator@2.0.0-dev.3.10
-	$(BIN)/pytest -n $(JOBS) tests/mesh/test_gltf_validator.py
+	$(BIN)/pytest -n $(JOBS) tests/mesh/reading/test_gltf_validator.py
 
 clean:
 	rm -rf build metrics

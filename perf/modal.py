@@ -26,14 +26,14 @@ from objectfolder.audio.synthesis import sinusoid_bank
 from objectfolder.fem.adaptive import FineGrid, refined
 from objectfolder.fem.eigen import solve_modes
 from objectfolder.fem.elasticity import Solid
-from objectfolder.fem.elements import restored
+from objectfolder.fem.elements import solid_from_arrays
 from objectfolder.fem.modal import MIN_FREQUENCY, refined_analysis
 from objectfolder.io import atomic, read_npz
 from objectfolder.materials import material
-from objectfolder.mesh.closing.thickness import wall_thickness
-from objectfolder.mesh.closing.topology import Mesh
 from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.sampling import sample_surface
+from objectfolder.mesh.thickness import wall_thickness
+from objectfolder.mesh.topology import Mesh
 from objectfolder.workspace import params
 from objectfolder.workspace.layout import Build
 
@@ -56,7 +56,7 @@ def timed(function: Callable[[], Any]) -> tuple[Any, float]:
 def load(workspace: Path, key: str) -> tuple[Solid, Mesh, dict, dict]:
     """First grid, the surface that it was cut from, the object's entry and the section `modal`."""
     values, build = params.read(workspace / "params.yaml"), Build(key, workspace)
-    solid, surface = restored(read_npz(build.solid, "kind")), read_surface(build.solid_surface)
+    solid, surface = solid_from_arrays(read_npz(build.solid, "kind")), read_surface(build.solid_surface)
     return solid, surface, values["objects"][key], values["modal"]
 
 

@@ -8,9 +8,9 @@ import numpy as np
 from objectfolder import materials
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.band import solved_band
-from objectfolder.fem.elements import restored
+from objectfolder.fem.elements import solid_from_arrays
 from objectfolder.fem.modal import ModalConfig, refined_analysis
-from objectfolder.fem.reuse import Request, problem, rescaled, solution
+from objectfolder.fem.reuse import Request, problem_digest, rescaled, solution_record
 from objectfolder.io import file_digest, keep, read_npz, write_json, write_npz
 from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.sampling import sample_surface, split_rows
@@ -29,14 +29,14 @@ def main(key: str) -> None:
     material = materials.material(params.object.material)
     request = Request(material, params.object.scale, settings.max_frequency, settings.max_modes)
     options = {"fine": asdict(settings.fine), "surface_points": settings.surface_points}
-    task = problem(file_digest(build.solid), points, material.poisson_ratio, options)
+    task = problem_digest(file_digest(build.solid), points, material.poisson_ratio, options)
     data = None
     with suppress(ObjectFolderError):  # no earlier solve, or not a readable one
         data = rescaled(read_npz(build.solved_modes, "solution", "band_hz"), task, request)
     reused = data is not None
     if data is None:
         data = refined_analysis(
-            restored(read_npz(build.solid, "kind")),
+            solid_from_arrays(read_npz(build.solid, "kind")),
             read_surface(build.solid_surface),
             settings.fine,
             points,
@@ -50,7 +50,7 @@ def main(key: str) -> None:
         **data.arrays(),
         truncated=data.report["truncated"],
         band_hz=solved_band(data, material, settings.max_frequency, settings.max_modes),
-        solution=solution(task, request, data),
+        solution=solution_record(task, request, data),
     )
     if not reused:
         keep(build.modes, build.solved_modes)

@@ -1,6 +1,6 @@
 """voxelize: solid.ply -> solid.npz (elements); surface.ply -> sdf.npz (distance grid); voxelize.json."""
 
-from objectfolder.fem.elements import stored
+from objectfolder.fem.elements import solid_arrays
 from objectfolder.fem.voxelize import VoxelizeConfig, voxelize
 from objectfolder.io import write_json, write_npz
 from objectfolder.mesh.ply import read_surface
@@ -14,7 +14,7 @@ def main(key: str) -> None:
     build = Build(key)
     surface, solid = read_surface(build.surface), read_surface(build.solid_surface)
     voxels = voxelize(surface, solid, settings, key)
-    write_npz(build.solid, **stored(voxels.cells))
+    write_npz(build.solid, **solid_arrays(voxels.cells))
     write_npz(build.sdf, values=voxels.values, band=voxels.band)
     write_json(build.voxelize, voxels.report)
 

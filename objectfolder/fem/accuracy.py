@@ -1,32 +1,33 @@
-"""How far the modes of a grid are from those of the continuous solid."""
+"""Estimates of discretisation error and resolved frequency."""
 
 import numpy as np
 
 from objectfolder.fem.blocks import halved
 from objectfolder.fem.cutcell import CutCells
-from objectfolder.fem.eigen import lowest
+from objectfolder.fem.eigen import lowest_eigenvalues
 from objectfolder.fem.elasticity import Solid
 from objectfolder.materials import Material
 
-ESTIMATED = 8  # lowest modes whose error is estimated
-TOLERANCE = 1e-4  # residual of the modes that the estimate compares; their frequencies' is its square
-MAX_ORDER = 3  # of convergence that the estimate believes in
-NODES_PER_WAVE = 6  #: that resolve it: three quadratic elements
+ESTIMATED = 8  # number of lowest modes whose error is estimated
+TOLERANCE = 1e-4  # residual of the compared modes; the error of their frequencies is its square
+MAX_ORDER = 3  # highest order of convergence that the estimate assumes
+NODES_PER_WAVE = 6  #: that resolve a wave: three quadratic elements
 
 
 def lowest_frequencies(solid: Solid, material: Material, scale: float, count: int = ESTIMATED) -> np.ndarray:
-    """Lowest elastic frequencies, Hz, to `TOLERANCE` only; not certified; (count,)."""
-    return np.sqrt(lowest(solid.assemble(material, scale), count, TOLERANCE)) / (2 * np.pi)
+    """Compute the lowest elastic frequencies to `TOLERANCE`, uncertified; Hz (count,)."""
+    return np.sqrt(lowest_eigenvalues(solid.assemble(material, scale), count, TOLERANCE)) / (2 * np.pi)
 
 
 def discretisation_error(
     solid: Solid, material: Material, scale: float, frequencies: np.ndarray
 ) -> list[float] | None:
-    """Estimate the relative errors of the lowest frequencies, from grids of half and quarter resolution.
+    """Estimate the relative errors of the lowest frequencies from grids of half and quarter resolution.
 
-    If errors fall by 2^p with each halving of the cells, the last is the difference of the last two grids
-    over 2^p - 1 (Richardson). Smooth shells converge with p of 2 or more; inner edges, and walls thinner
-    than a cell, with about 1, below which no estimate goes: p = 1 also where the grids tell nothing else.
+    Richardson extrapolation: if halving the cells divides the error by 2^p, the error of the finest grid is
+    the difference between the last two grids divided by 2^p - 1. Smooth shells converge with p >= 2, inner
+    edges and walls thinner than a cell with p of about 1. The estimate uses p >= 1, and p = 1 where the
+    three grids show no order.
 
     Parameters
     ----------
@@ -35,12 +36,12 @@ def discretisation_error(
     scale : float
         Longest side, metres.
     frequencies : (M,) array
-        Lowest of the solid's own, Hz.
+        Lowest frequencies of the solid, Hz.
 
     Returns
     -------
     list of float, or None
-        One for each frequency; none for elements without a coarser grid.
+        One per frequency; None for elements without a coarser grid.
     """
     half = halved(solid) if isinstance(solid, CutCells) else None
     if half is None or len(frequencies) == 0:
@@ -58,10 +59,10 @@ def discretisation_error(
 
 
 def resolved_frequency(solid: Solid, material: Material, scale: float, wall: float) -> float:
-    """Frequency up to which all waves span `NODES_PER_WAVE` distances between nodes, in Hz.
+    """Return the highest frequency in Hz whose waves span at least `NODES_PER_WAVE` node distances.
 
-    The shortest are shear waves, f = c / l, and in thin walls bending waves of a plate (Kirchhoff),
-    f = pi t c / (sqrt(3) l^2), whichever is lower.
+    The shortest waves are shear waves, f = c / l, or in thin walls bending waves of a Kirchhoff plate,
+    f = pi t c / (sqrt(3) l^2); the lower frequency counts.
 
     Parameters
     ----------
@@ -70,7 +71,7 @@ def resolved_frequency(solid: Solid, material: Material, scale: float, wall: flo
     scale : float
         Longest side, metres.
     wall : float
-        Thickness of the walls, unit frame.
+        Wall thickness, unit frame.
     """
     length = NODES_PER_WAVE * scale / solid.resolution / solid.order
     e, rho, nu = material.youngs_modulus, material.density, material.poisson_ratio

@@ -1,4 +1,4 @@
-"""Which grid a solid is cut into: as coarse as its size allows, as fine as its walls and modes ask for."""
+"""Choice of the cut-cell grid: limited by model size, refined for thin walls and inaccurate modes."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,26 +13,24 @@ from objectfolder.fem.cutcell import MAX_VOLUME_ERROR, CutCells, cut_cells
 from objectfolder.fem.elasticity import Solid
 from objectfolder.fem.occupancy import MARGIN
 from objectfolder.materials import Material
-from objectfolder.mesh.closing.topology import Mesh, signed_volume
 from objectfolder.mesh.sampling import sample_surface
+from objectfolder.mesh.topology import Mesh, signed_volume
 from objectfolder.settings import Count, Positive
 
 MIN_WALL = 0.3  #: cells; solids with thinner walls get the fine grid
-_SAMPLES = 100_000  # of the surface, to see which cells it touches
-_UNKNOWNS = 12  # of each element at least: a corner and three edges of its own
-_GROWTH = 1.8  # power of the resolution by which unknowns grow, at least: thin sheets with free edges
+_SAMPLES = 100_000  # surface points, to find the cells that the surface touches
+_UNKNOWNS = 12  # lower bound per element: one corner and three edge nodes of its own
+_GROWTH = 1.8  # unknowns grow at least with this power of the resolution (thin sheets with free edges)
 
 
 @dataclass(frozen=True, kw_only=True)
 class FineGrid:
-    """The grid that is taken where the first is too coarse."""
+    """Finer grid for solids whose first grid is too coarse."""
 
     resolution: Count  #: cells along the longest side
     subdivisions: Annotated[int, Ge(4)]  #: sub-cells along each side of a cell
     max_degrees_of_freedom: Count  #: the fine grid is not used beyond this size
-    max_error: (
-        Positive  #: estimated relative error of the first grid's lowest frequencies, beyond which it is
-    )
+    max_error: Positive  #: accepted estimated relative error of the lowest frequencies on the first grid
 
 
 def adaptive_cut_cells(
@@ -43,9 +41,9 @@ def adaptive_cut_cells(
     max_degrees_of_freedom: int,
     name: str = "mesh",
 ) -> CutCells:
-    """Cut a surface at the first resolution whose model stays under a size.
+    """Cut a surface at the finest listed resolution whose model stays within a size limit.
 
-    Solid blocks fill the grid and need no fine one; the coarsest resolution is taken as it is.
+    Blocky solids fill the grid and get a coarser one. The coarsest resolution has no size limit.
 
     Parameters
     ----------
@@ -57,7 +55,7 @@ def adaptive_cut_cells(
         Sub-cells along each side of a cell, at least 4.
     max_degrees_of_freedom : int
     name : str
-        Named in errors.
+        Name of the object in errors.
     """
     least = _least_unknowns(vertices, faces)
     for resolution in resolutions:
@@ -78,25 +76,25 @@ def refined(
     scale: float,
     name: str = "object",
 ) -> Solid:
-    """Cut a solid again, more finely, if it needs that and the size allows it.
+    """Cut a solid on the finer grid if it needs one and the size limit allows it.
 
-    It does where walls are thinner than `MIN_WALL` cells, or where the lowest frequencies are far from those
-    of a grid of half the resolution.
+    It needs one if its walls are thinner than `MIN_WALL` cells or the estimated error of its lowest
+    frequencies exceeds ``fine.max_error``.
 
     Parameters
     ----------
     solid : Solid
-        Others than cut cells are left as they are.
+        Elements other than cut cells are returned unchanged.
     surface : (V, 3) and (F, 3) arrays, unit frame
-        What it was cut from.
+        Surface of the solid.
     wall : float
-        Thickness of its walls, unit frame.
+        Wall thickness, unit frame.
     fine : FineGrid
     material : Material
     scale : float
         Longest side, metres.
     name : str
-        Named in errors.
+        Name of the object in errors.
     """
     growth = (fine.resolution / solid.resolution) ** _GROWTH
     if (
@@ -115,7 +113,7 @@ def refined(
 
 
 def _least_unknowns(vertices: np.ndarray, faces: np.ndarray) -> Callable[[int], int]:
-    """Lower bound of the unknowns at a resolution, without cutting."""
+    """Return a lower bound of the unknowns as a function of the resolution, without cutting."""
     volume = (1 - MAX_VOLUME_ERROR) * signed_volume(vertices, faces)
     points = sample_surface(vertices, faces, _SAMPLES, np.random.default_rng(0))
 

@@ -1,4 +1,4 @@
-"""The band of frequencies in which a modal analysis found every mode."""
+"""Frequency band in which a modal analysis is complete."""
 
 import math
 
@@ -9,25 +9,25 @@ from objectfolder.materials import Material
 
 
 def solved_band(data: ModalData, material: Material, max_frequency: float, max_modes: int) -> list[float]:
-    """Natural frequencies in Hz between which no mode of the object is lacking.
+    """Return the band of natural frequencies in Hz in which no mode of the object is missing.
 
-    Objects of the same shape that are softer, stiffer, larger or smaller are heard from the same modes
-    (`objectfolder.audio.tuning`); the band tells where theirs end.
+    `objectfolder.audio.tuning` rescales the modes to other materials and sizes of the same shape; the
+    rescaled band bounds the frequencies for which that is valid.
 
     Parameters
     ----------
     data : ModalData
     material : Material
-        Of the object.
+        Material of the object.
     max_frequency : float
-        Hz, to which modes were sought.
+        Upper limit of the solve, Hz.
     max_modes : int
-        How many were kept at most.
+        Maximum number of modes kept.
 
     Returns
     -------
     list of float
-        Lower and upper end; equal if nothing is known. The lower is 0 only if no mode was dropped.
+        Lower and upper end; equal if the band is empty. The lower end is 0 only if no mode was dropped.
     """
     top = max_frequency
     if data.report["truncated"]:
@@ -35,7 +35,7 @@ def solved_band(data: ModalData, material: Material, max_frequency: float, max_m
     count = data.report["count_below_max_frequency"]
     if data.report["modes"] == (max_modes if count is None else min(count, max_modes)):
         return [0.0, top]
-    # Some were below hearing or overdamped: a mode of natural frequency w rings if alpha + beta w^2 < 2 w.
+    # Some modes were inaudible or overdamped: a mode of natural frequency w rings if alpha + beta w^2 < 2 w.
     root = math.sqrt(max(0.0, 1 - material.alpha * material.beta))
     dull = (1 + root) / material.beta if material.beta else math.inf
     low = max(MIN_FREQUENCY, material.alpha / (1 + root) / (2 * np.pi))

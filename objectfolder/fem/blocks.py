@@ -1,8 +1,8 @@
-"""Blocks of 2 x 2 x 2 cells as single elements: where they are full, or all of them for a coarser grid.
+"""Merge blocks of 2 x 2 x 2 cells into single elements: full blocks, or all blocks for a coarser grid.
 
-A face of a large element meets four small ones. The small ones' nodes between its own hang on it: they
-follow its shape functions, so that displacements stay continuous (a quarter of the large face holds the same
-polynomials as a small face).
+A face of a large element meets four small faces. Their nodes that are not nodes of the large face are
+hanging nodes: they follow its shape functions, which keeps displacements continuous (a quarter of the large
+face holds the same polynomials as a small face).
 """
 
 from dataclasses import replace
@@ -13,16 +13,17 @@ from numpy.polynomial import legendre
 
 from objectfolder.fem.cutcell import CutCells, glue
 from objectfolder.fem.hex20 import NODES
-from objectfolder.fem.occupancy import DEGREE, Occupancy, components
+from objectfolder.fem.occupancy import DEGREE, Occupancy
+from objectfolder.mesh.topology import components
 
-FULL = 1 - 1e-5  # share of a cell that counts as all
-_CHILDREN = np.indices((2, 2, 2)).reshape(3, 8).T  # (8, 3) places of a block's cells
-_CHILD = (NODES > 0) @ np.array([4, 2, 1])  # cell of the block that has each node of the large element
-_CORNER = np.nonzero((NODES[:8] == np.where(NODES < 0, -1, 1)[:, None]).all(-1))[1]  # as its corner
+FULL = 1 - 1e-5  # fill of a cell that counts as full
+_CHILDREN = np.indices((2, 2, 2)).reshape(3, 8).T  # (8, 3) positions of a block's cells
+_CHILD = (NODES > 0) @ np.array([4, 2, 1])  # cell of the block at each node of the large element
+_CORNER = np.nonzero((NODES[:8] == np.where(NODES < 0, -1, 1)[:, None]).all(-1))[1]  # and its corner there
 
 
 def merge_full_blocks(cells: CutCells) -> CutCells:
-    """Make one element of every 2 x 2 x 2 full cells at even places of the grid."""
+    """Merge every block of 2 x 2 x 2 full cells at even grid positions into one element."""
     full = np.flatnonzero(cells.fill > FULL)
     shape = (cells.resolution // 2 + 1,) * 3
     parent = np.ravel_multi_index((cells.index[full] // 2).T, shape)
@@ -39,7 +40,7 @@ def merge_full_blocks(cells: CutCells) -> CutCells:
     hangs = np.isin(inner, cells.connectivity[small]) & ~np.isin(inner, connectivity)
     element = np.full(len(small), -1)
     element[small] = np.arange(small.sum())
-    # Numbers without gaps: the inner nodes of the blocks are gone.
+    # Renumber without gaps: the inner nodes of the blocks are gone.
     nodes, numbers = np.unique(np.concatenate([cells.connectivity[small], connectivity]), return_inverse=True)
     return replace(
         cells,
@@ -54,15 +55,15 @@ def merge_full_blocks(cells: CutCells) -> CutCells:
 
 
 def halved(cells: CutCells) -> CutCells | None:
-    """Return the same material on a grid of half the resolution: its moments follow without measuring again.
+    """Return the same solid on a grid of half the resolution, its moments computed from the fine ones.
 
-    None if the resolution is odd, or the coarse elements fall into pieces.
+    None if the resolution is odd or the coarse elements are not connected.
     """
     if cells.resolution % 2:
         return None
     count, resolution = len(cells.index), cells.resolution // 2
     parent = np.ravel_multi_index((cells.index // 2).T, (resolution,) * 3)
-    # Elements of one block that share nodes are one part of the coarse cell.
+    # Elements of a block that share nodes are one part of the coarse cell.
     own = np.repeat(np.arange(count), 20)
     node = cells.connectivity.ravel()
     _, seat = np.unique(parent[own] * (node.max() + 1) + node, return_inverse=True)
@@ -98,7 +99,7 @@ def halved(cells: CutCells) -> CutCells | None:
 
 
 def _halving() -> np.ndarray:
-    """Legendre moments over an interval from those over its halves; (2, 5, 5)."""
+    """Matrices from Legendre moments over the halves of an interval to those over the whole; (2, 5, 5)."""
     x, w = legendre.leggauss(DEGREE)
     small = legendre.legvander(x, DEGREE - 1) * (np.arange(DEGREE) + 0.5)
     large = np.stack([legendre.legvander((x + side) / 2, DEGREE - 1) for side in (-1, 1)])

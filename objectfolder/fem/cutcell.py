@@ -4,12 +4,12 @@ Every grid cell that the solid touches becomes one hexahedron whose stiffness an
 over the material inside it (the finite cell method; Parvizian, Duester and Rank 2007). Plain voxels of
 the same size are 30 to 70 % wrong on thin walls; cut cells stay within a few per cent.
 
-The integral of a polynomial over the material is linear in the Legendre moments of the occupancy, so
-all element matrices are one matrix product, and the moments are all that is kept of the occupancy.
+The integral of a polynomial over the material is linear in the Legendre moments of the occupancy, so all
+element matrices come from one matrix product, and only the moments are stored.
 
-A cell whose material falls into several parts has one element for each, and elements share the nodes of a
-face only where material is continuous across it: walls with a narrow gap between them stay apart. Inside
-blocks of full cells the elements are larger (`objectfolder.fem.blocks`).
+A cell with several disconnected parts of material has one element per part, and elements share the nodes of
+a face only where material is continuous across it: walls with a narrow gap between them stay separate.
+Blocks of full cells become larger elements (`objectfolder.fem.blocks`).
 """
 
 from dataclasses import dataclass, field
@@ -22,33 +22,35 @@ from scipy.spatial import cKDTree
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.elasticity import FiniteElements, elasticity, scatter, strain_displacement, symmetric
 from objectfolder.fem.hex20 import NODES, shape_functions, shape_gradients
-from objectfolder.fem.occupancy import DEGREE, MARGIN, Occupancy, components, measure
+from objectfolder.fem.occupancy import DEGREE, MARGIN, Occupancy, measure
 from objectfolder.fem.pieces import main_piece
 from objectfolder.materials import Material
-from objectfolder.mesh.closing.topology import signed_volume
+from objectfolder.mesh.topology import components, signed_volume
 
-EMPTY_FILL = 1e-3  # parts of cells with less material are left out
+EMPTY_FILL = 1e-3  # parts with a smaller fill are dropped
 FICTITIOUS = 1e-6  # stiffness and mass of the void in a cut cell, relative to the material
-MAX_VOLUME_ERROR = 0.05  #: of the cells, before it is corrected
+MAX_VOLUME_ERROR = 0.05  #: accepted relative volume error of the cells, before its correction
 
 
 @dataclass(frozen=True)
 class CutCells:
-    """The solid in the unit frame: elements, each a cell of the grid with a part of the material inside."""
+    """Solid in the unit frame as cut cells: each element is a grid cell with one part of its material."""
 
-    index: np.ndarray  #: (E, 3) int64, position of each element's cell in the grid
-    occupancy: np.ndarray  #: (E, 5, 5, 5) float32, its Legendre moments in x, y, z over [-1, 1]^3
-    connectivity: np.ndarray  #: (E, 20) int64, nodes of the elements
+    index: np.ndarray  #: (E, 3) int64, grid position of each element's cell
+    occupancy: np.ndarray  #: (E, 5, 5, 5) float32, Legendre moments in x, y, z over [-1, 1]^3
+    connectivity: np.ndarray  #: (E, 20) int64, nodes of each element
     resolution: int  #: cells along each axis of the grid
-    dropped_volume: float = 0.0  #: share of the volume in pieces that touch the main one nowhere
-    volume_error: float = 0.0  #: of the elements' occupancy, relative to the surface's exact volume
-    #: (E,) int64, cells along each side of each element; more than one inside a solid (``blocks``)
+    dropped_volume: float = 0.0  #: volume fraction of pieces not connected to the main one
+    volume_error: float = 0.0  #: of the elements, relative to the surface's exact volume
+    #: (E,) int64, side of each element in cells; above 1 in merged blocks (`objectfolder.fem.blocks`)
     width: np.ndarray = field(default_factory=lambda: np.ones(0, np.int64))
-    hanging: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))  #: (H,) nodes that follow
-    hanging_element: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))  #: (H,), these
-    #: (S, 3) float32, places in cells, all over the material of cells that hold several elements
+    hanging: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))  #: (H,) hanging nodes
+    hanging_element: np.ndarray = field(
+        default_factory=lambda: np.empty(0, np.int64)
+    )  #: (H,) large element of each
+    #: (S, 3) float32, positions in cells, throughout the material of cells with several elements
     samples: np.ndarray = field(default_factory=lambda: np.empty((0, 3), np.float32))
-    sample_element: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))  #: (S,), whose they are
+    sample_element: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))  #: (S,)
 
     def __post_init__(self) -> None:
         if len(self.width) == 0:
@@ -93,10 +95,10 @@ class CutCells:
     def correction(self) -> float:
         """Factor on mass and stiffness that gives the solid the surface's exact volume.
 
-        On both, because the missing material is as stiff as the rest: mass and every static deflection of a
-        block become right and no frequency changes. On the mass alone it would shift all frequencies by
-        half the error. A wall that is too thin by a share e stays e low in its bending frequencies, so the
-        error itself must be small: `cut_cells`.
+        Applied to both, because the missing material is as stiff as the rest: mass and static deflections
+        of a block become exact, and no frequency changes. On the mass alone it would shift all frequencies
+        by half the error. A wall too thin by a fraction e keeps bending frequencies too low by e, so
+        `cut_cells` also bounds the error.
         """
         return 1 / (1 + self.volume_error)
 
@@ -107,12 +109,12 @@ class CutCells:
 
     @property
     def nodes(self) -> np.ndarray:
-        """(N, 3) places of the nodes, unit frame; some coincide where a gap is narrower than a cell."""
+        """(N, 3) positions of the nodes, unit frame; some coincide where a gap is narrower than a cell."""
         return self._places() * self.cell_size + self.lower
 
     @property
     def continuity(self) -> sp.csr_array:
-        """(N, free) values at all nodes from those at the nodes that do not hang."""
+        """(N, free) matrix from values at the free nodes to values at all nodes, hanging ones included."""
         count = int(self.connectivity.max()) + 1
         free = np.ones(count, bool)
         free[self.hanging] = False
@@ -127,13 +129,13 @@ class CutCells:
         return sp.csr_array((values[used], (rows[used], columns[used])), shape=(count, free.sum()))
 
     def _places(self) -> np.ndarray:
-        """(N, 3) places of the nodes, in cells."""
+        """(N, 3) positions of the nodes, in cells."""
         places = np.empty((int(self.connectivity.max()) + 1, 3))
         places[self.connectivity] = self.index[:, None, :] + (NODES + 1) / 2 * self.width[:, None, None]
         return places
 
     def assemble(self, material: Material, scale: float) -> FiniteElements:
-        """Stiffness and mass of the solid; ``scale`` is its longest side in metres."""
+        """Assemble stiffness and mass; ``scale`` is the longest side in metres."""
         size = self.cell_size * scale
         moments = self.occupancy.reshape(-1, DEGREE**3).astype(np.float64)
         full = np.eye(1, DEGREE**3) * 8
@@ -153,16 +155,16 @@ class CutCells:
         )
 
     def interpolate(self, values: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Evaluate a nodal field at points with the elements' own shape functions.
+        """Evaluate a nodal field at points with the elements' shape functions.
 
-        In a cell with several elements, the one whose material is nearest holds. A point in a cell that
-        holds none (on its boundary, or in a dropped speck) takes the nearest element's polynomial at the
-        nearest place inside that element.
+        In a cell with several elements, the element with the nearest material is used. A point in a cell
+        without elements (on its boundary, or in a dropped piece) takes the value at the nearest position
+        inside the nearest element.
 
         Parameters
         ----------
         values : (free, C) array
-            C columns of a field at the nodes that do not hang.
+            C columns of a field at the free nodes.
         points : (P, 3) array, unit frame
 
         Returns
@@ -185,9 +187,9 @@ def cut_cells(
 ) -> CutCells:
     """Cut a closed surface into grid cells.
 
-    Columns along one axis, whose crossings with the surface are exact, are a quadrature rule across.
-    Fractions of sub-cells would smear walls that are one or two sub-cells thick and make them too stiff
-    (20 to 40 % in frequency at 1.6 sub-cells).
+    Occupancy is integrated exactly along columns and by quadrature across them. Fill fractions of sub-cells
+    would smear walls that are one or two sub-cells thick and make them too stiff (20 to 40 % in frequency
+    at 1.6 sub-cells).
 
     Parameters
     ----------
@@ -198,20 +200,20 @@ def cut_cells(
     subdivisions : int
         Sub-cells along each side of a cell, at least 4; four columns go through each.
     name : str
-        Named in errors.
+        Name of the object in errors.
 
     Raises
     ------
     ObjectFolderError
-        If no cell holds material, the solid is in several pieces, or the cells' volume is wrong by more
-        than `MAX_VOLUME_ERROR`.
+        If no cell holds material, the solid is in several pieces, or the volume error exceeds
+        `MAX_VOLUME_ERROR`.
     """
     material = measure(vertices, faces, resolution, subdivisions)
     kept, connectivity, pieces = glue(material)
     if len(kept) == 0:
         raise ObjectFolderError(
-            f"{name}: no cell of the {resolution}^3 grid holds {EMPTY_FILL:.1%} material; the object is too "
-            "thin: put a finer one in voxelize.resolutions"
+            f"{name}: no cell of the {resolution}^3 grid holds {EMPTY_FILL:.1%} material; the object is "
+            "too thin: add a finer grid to voxelize.resolutions"
         )
     main, dropped = main_piece(pieces, material.fill[kept], name)
     kept, connectivity = kept[main], np.unique(connectivity[main], return_inverse=True)[1].reshape(-1, 20)
@@ -234,22 +236,21 @@ def cut_cells(
         raise ObjectFolderError(
             f"{name}: the cells of the {resolution}^3 grid hold {1 + error:.1%} of the surface's volume "
             f"({cells.dropped_volume:.1%} is in other pieces), expected within {MAX_VOLUME_ERROR:.0%}: join "
-            "the mesh's parts, or put a finer grid in voxelize.resolutions"
+            "the mesh's parts, or add a finer grid to voxelize.resolutions"
         )
     return cells
 
 
 def glue(material: Occupancy) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Join the elements of parts between which material is continuous.
+    """Number the nodes of the elements; parts with continuous material between them share nodes.
 
-    Two such parts share the nodes that their cells have in common. Parts that are too small to be elements
-    still join their neighbours' nodes.
+    Parts too small to become elements still connect the nodes of their neighbours.
 
     Returns
     -------
     kept : (E,) parts that become elements
     connectivity : (E, 20) nodes of each, numbered without gaps
-    piece : (E,) connected piece of the solid that each belongs to, through faces
+    piece : (E,) piece of the solid, connected through faces, of each
     """
     first, second = material.links.T
     offset = material.cell[second] - material.cell[first]
@@ -270,12 +271,12 @@ def glue(material: Occupancy) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def node_count(cells: CutCells) -> int:
-    """Nodes of the elements that do not hang, before assembling anything."""
+    """Count the free nodes, without assembly."""
     return int(cells.connectivity.max()) + 1 - len(cells.hanging)
 
 
 def _element_at(cells: CutCells, position: np.ndarray) -> np.ndarray:
-    """Element of each place, in cells; the part of the cell nearest to it, or the nearest element; (P,)."""
+    """Find the element of each position, in cells: nearest material in its cell, else nearest; (P,)."""
     shape = (cells.resolution,) * 3
     own = np.floor(position).astype(np.int64).clip(0, cells.resolution - 1)
     places = np.repeat(cells.index, cells.width**3, axis=0)  # of all cells of the elements
@@ -290,7 +291,7 @@ def _element_at(cells: CutCells, position: np.ndarray) -> np.ndarray:
     sampled = np.ravel_multi_index(cells.index[cells.sample_element].T, shape)
     several = np.flatnonzero(np.isin(np.ravel_multi_index(own.T, shape), sampled))
     if len(several):
-        # Far apart by cell, so that only the point's own cell is searched.
+        # Cells are kept far apart, so that only the point's own cell is searched.
         tree = cKDTree(np.concatenate([cells.samples, 10 * cells.index[cells.sample_element]], 1))
         near = tree.query(np.concatenate([position[several], 10 * own[several]], 1))[1]
         element[several] = cells.sample_element[near]

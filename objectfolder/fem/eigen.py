@@ -1,8 +1,8 @@
 """Vibration modes of a free solid: K u = lambda M u, by shift and invert.
 
 A negative shift makes K - sigma M positive definite although K has six rigid modes, so one symmetric
-factorisation serves. The number of modes below the wanted frequency is counted first, by Sylvester's
-law of inertia, so that one solve finds exactly those.
+factorisation suffices. Sylvester's law of inertia first counts the modes below the frequency limit, and the
+solve must find exactly that many.
 """
 
 import itertools
@@ -16,22 +16,22 @@ from objectfolder.fem.elasticity import FiniteElements
 from objectfolder.fem.factorisation import factorise
 from objectfolder.fem.krylov import CONVERGED, lowest_modes
 
-SHIFT_HZ = 300.0  # of the negative shift
-CLUSTER = 1e-6  # eigenvalues closer than this (relative) span one subspace
-SPARES = 4  # modes sought beyond the wanted ones, so that the cut parts no repeated eigenvalue
-LOOSE = 1e-12  # eigenvalues below this share of the largest (roughly) are zero but for rounding
+SHIFT_HZ = 300.0  # magnitude of the negative shift
+CLUSTER = 1e-6  # frequencies closer than this (relative) span one subspace
+SPARES = 4  # modes computed beyond the wanted ones, so that the cut splits no repeated eigenvalue
+LOOSE = 1e-12  # eigenvalues below this fraction of the largest (roughly) are zero up to rounding
 
 
 @dataclass(frozen=True)
 class Modes:
-    """Elastic modes, rigid ones dropped."""
+    """Elastic modes, without the rigid ones."""
 
     eigenvalues: np.ndarray  #: (M,), rad^2/s^2
     shapes: np.ndarray  #: (3N, M), mass-normalised, kg^-1/2
     residuals: np.ndarray  #: (M,), ||K u - lambda M u|| / ||lambda M u||
     rigid_frequencies: np.ndarray  #: (6,), Hz; exactly zero in exact arithmetic
-    count_below: int  #: elastic modes below the wanted frequency, by inertia
-    truncated: bool  #: whether fewer were kept
+    count_below: int  #: elastic modes below the frequency limit, by inertia
+    truncated: bool  #: whether fewer modes were kept
 
 
 def solve_modes(fem: FiniteElements, max_frequency: float, max_modes: int, name: str = "object") -> Modes:
@@ -43,14 +43,15 @@ def solve_modes(fem: FiniteElements, max_frequency: float, max_modes: int, name:
     max_frequency : float
         Hz.
     max_modes : int
-        Keep at most this many, the lowest.
+        Maximum number of modes to keep, lowest first.
     name : str
-        Named in errors.
+        Name of the object in errors.
 
     Raises
     ------
     ObjectFolderError
-        If the solid has other than six rigid modes (it is not one connected piece).
+        If the solid has more than six rigid modes (it is not one connected piece), or the solver misses
+        modes.
     """
     limit = (2 * np.pi * max_frequency) ** 2
     below = factorise((fem.stiffness - limit * fem.mass).tocsr(), fem.nodal_mass).negative_pivots()
@@ -58,25 +59,25 @@ def solve_modes(fem: FiniteElements, max_frequency: float, max_modes: int, name:
     size, rigid = fem.stiffness.shape[0], rigid_modes(fem)
 
     def needed(found: np.ndarray) -> int:
-        """All that inertia counts; where it does not tell, all that are found."""
+        """Modes counted by inertia or, without a count, those found below the limit; with spares."""
         certain = wanted if below is not None else min(int((found < limit).sum()), max_modes)
         return min(certain + SPARES, size - 6)
 
     values, vectors = _elastic_modes(fem, rigid, needed)
     if below is not None and int((values < limit).sum()) < wanted:
         raise ObjectFolderError(
-            f"{name}: inertia counts {wanted} modes or more below {max_frequency:g} Hz, the solver finds "
+            f"{name}: inertia counts at least {wanted} modes below {max_frequency:g} Hz, the solver found "
             f"{int((values < limit).sum())}; perturb the object's symmetry slightly, or report this mesh"
         )
     loose = int((values < LOOSE * (fem.stiffness.diagonal() / fem.mass.diagonal()).max()).sum())
     if loose:
         raise ObjectFolderError(
-            f"{name}: the solid has at least {6 + loose} rigid modes, expected 6; it falls into pieces on "
+            f"{name}: the solid has at least {6 + loose} rigid modes, expected 6; it is in several pieces on "
             "the grid: join the mesh's parts, or use a finer voxelize.resolutions with a larger "
             "voxelize.max_degrees_of_freedom"
         )
     keep = np.flatnonzero(values < limit)[:max_modes]
-    # All at once: the cut may part the modes of a repeated eigenvalue.
+    # Before the cut, which may separate the modes of a repeated eigenvalue.
     elastic = canonical(values, vectors, fem)[:, keep]
     inertia = elastic * values[keep]
     residual = np.linalg.norm(fem.stiffness @ elastic - fem.mass @ inertia, axis=0)
@@ -91,8 +92,8 @@ def solve_modes(fem: FiniteElements, max_frequency: float, max_modes: int, name:
     )
 
 
-def lowest(fem: FiniteElements, count: int, tolerance: float) -> np.ndarray:
-    """Lowest elastic eigenvalues, rad^2/s^2, up to a relative residual; quick and not certified; (count,)."""
+def lowest_eigenvalues(fem: FiniteElements, count: int, tolerance: float) -> np.ndarray:
+    """Compute the lowest elastic eigenvalues to a relative residual, uncertified; rad^2/s^2 (count,)."""
     return _elastic_modes(fem, rigid_modes(fem), lambda found: count, tolerance)[0][:count]
 
 
@@ -108,13 +109,13 @@ def _elastic_modes(
 
 
 def rigid_modes(fem: FiniteElements) -> np.ndarray:
-    """Rigid motions, mass-normalised: they are known, and are no matter of rounding then; (3N, 6)."""
+    """Compute the mass-normalised rigid modes analytically, free of solver error; (3N, 6)."""
     rigid = rigid_motions(fem.nodes)
     return rigid @ np.linalg.inv(np.linalg.cholesky(rigid.T @ (fem.mass @ rigid))).T
 
 
 def rigid_motions(nodes: np.ndarray) -> np.ndarray:
-    """Three translations and three rotations about the centroid; (3N, 6)."""
+    """Return three translations and three rotations about the centroid; (3N, 6)."""
     motion = np.zeros((len(nodes), 3, 6))
     motion[:, range(3), range(3)] = 1
     motion[:, :, 3:] = np.cross(np.eye(3)[None], (nodes - nodes.mean(0))[:, None, :]).transpose(0, 2, 1)
@@ -126,7 +127,7 @@ def canonical(values: np.ndarray, vectors: np.ndarray, fem: FiniteElements) -> n
 
     A solver may return either sign of a mode and any basis of a repeated eigenvalue's subspace. Each
     cluster is rotated so that its product with fixed, smooth, asymmetric fields is triangular with a
-    positive diagonal; the answer no longer depends on threads or start vectors.
+    positive diagonal. The result does not depend on threads or start vectors.
     """
     out = vectors.copy()
     root = np.sqrt(np.abs(values))

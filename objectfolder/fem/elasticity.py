@@ -1,4 +1,4 @@
-"""Linear elasticity and the assembly of element matrices, the same for every element."""
+"""Linear elasticity and assembly, shared by all elements."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -20,12 +20,12 @@ class FiniteElements:
 
     @classmethod
     def of(cls, stiffness: sp.csr_matrix, nodal_mass: sp.csr_matrix, nodes: np.ndarray) -> "FiniteElements":
-        """Complete the mass matrix."""
+        """Build from the nodal mass; computes the full mass matrix."""
         return cls(stiffness, sp.kron(nodal_mass, sp.eye_array(3), format="csr"), nodal_mass, nodes)
 
 
 class Solid(Protocol):
-    """A solid in the unit frame, divided into finite elements."""
+    """Solid in the unit frame, divided into finite elements."""
 
     @property
     def name(self) -> str:
@@ -41,11 +41,11 @@ class Solid(Protocol):
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Number of unknowns, before assembling anything."""
+        """Number of unknowns, known without assembly."""
 
     @property
     def order(self) -> int:
-        """Degree of the polynomials that the elements hold completely."""
+        """Degree of the complete polynomials in the element space."""
 
     @property
     def volume(self) -> float:
@@ -53,21 +53,21 @@ class Solid(Protocol):
 
     @property
     def volume_error(self) -> float:
-        """Error of the elements' volume, relative to the surface's, before any correction."""
+        """Relative error of the elements' volume against the surface's, before any correction."""
 
     @property
     def dropped_volume(self) -> float:
-        """Share of the volume in pieces that touch the main one nowhere."""
+        """Volume fraction of pieces not connected to the main one."""
 
     def assemble(self, material: Material, scale: float) -> FiniteElements:
-        """Stiffness and mass; ``scale`` is the longest side in metres."""
+        """Assemble stiffness and mass; ``scale`` is the longest side in metres."""
 
     def interpolate(self, values: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Evaluate a nodal field at points of the unit frame; (N, C), (P, 3) -> (P, C)."""
 
 
 def elasticity(material: Material) -> np.ndarray:
-    """Isotropic elasticity matrix in Voigt notation (xx, yy, zz, xy, yz, zx); (6, 6), Pa."""
+    """Return the isotropic elasticity matrix in Voigt notation (xx, yy, zz, xy, yz, zx); (6, 6), Pa."""
     e, nu = material.youngs_modulus, material.poisson_ratio
     lame, shear = e * nu / ((1 + nu) * (1 - 2 * nu)), e / (2 * (1 + nu))
     c = np.diag([2 * shear] * 3 + [shear] * 3)
@@ -76,7 +76,7 @@ def elasticity(material: Material) -> np.ndarray:
 
 
 def strain_displacement(gradients: np.ndarray) -> np.ndarray:
-    """Strain-displacement matrices; shape gradients (Q, n, 3) -> (Q, 6, 3n)."""
+    """Build strain-displacement matrices from shape gradients; (Q, n, 3) -> (Q, 6, 3n)."""
     count, n, _ = gradients.shape
     strain = np.zeros((count, 6, n, 3))
     dx, dy, dz = gradients[..., 0], gradients[..., 1], gradients[..., 2]
@@ -96,5 +96,5 @@ def scatter(element: np.ndarray, dof: np.ndarray, size: int) -> sp.csr_matrix:
 
 
 def symmetric(matrix: sp.csr_matrix) -> sp.csr_matrix:
-    """Mend what rounding has made unsymmetric."""
+    """Symmetrise a matrix that is symmetric up to rounding."""
     return sp.csr_matrix((matrix + matrix.T) / 2)

@@ -1,4 +1,4 @@
-"""What a solid can be divided into, by the names that ``params.yaml`` uses."""
+"""Choice of the element by its name in ``params.yaml``, and storage of solids."""
 
 from collections.abc import Sequence
 from dataclasses import fields
@@ -26,7 +26,7 @@ def discretize(
     max_degrees_of_freedom: int,
     name: str = "mesh",
 ) -> Solid:
-    """Divide a closed surface's inside into elements.
+    """Divide the inside of a closed surface into elements.
 
     Parameters
     ----------
@@ -35,17 +35,17 @@ def discretize(
     element : str
         One of `Element`.
     resolutions : list of int
-        Elements along the longest side, finest first: the first under the size is taken, else the last.
+        Elements along the longest side, finest first: the first within the size limit is used, else the last.
     subdivisions : int
-        Of cut cells, along each side.
+        Sub-cells along each side of a cut cell.
     max_degrees_of_freedom : int
     name : str
-        Named in errors.
+        Name of the object in errors.
 
     Raises
     ------
     ObjectFolderError
-        If the element is unknown, or the solid is in several pieces or too thin for it.
+        If the element is unknown, or the solid is in several pieces or too thin.
     """
     if element not in get_args(Element):
         raise ObjectFolderError(
@@ -64,19 +64,19 @@ def discretize(
     return solid
 
 
-def stored(solid: Solid) -> dict[str, Any]:
+def solid_arrays(solid: Solid) -> dict[str, Any]:
     """Return the arrays of ``solid.npz``."""
     kind = next(name for name, cls in _CLASSES.items() if isinstance(solid, cls))
     return {"kind": np.array(kind), **vars(solid)}
 
 
-def restored(arrays: dict[str, np.ndarray]) -> Solid:
-    """Return the solid that ``solid.npz`` holds.
+def solid_from_arrays(arrays: dict[str, np.ndarray]) -> Solid:
+    """Return the solid stored in the arrays of ``solid.npz``.
 
     Raises
     ------
     ObjectFolderError
-        If it holds an element that is not known.
+        If its element is unknown.
     """
     kind = str(arrays.get("kind"))
     if kind not in _CLASSES:

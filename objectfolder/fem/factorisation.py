@@ -1,8 +1,8 @@
-"""Symmetric sparse factorisations, by the fastest library that is installed.
+"""Symmetric sparse factorisation by the fastest installed library.
 
 `Pardiso` (Intel MKL, through pypardiso) takes a third of the time and half of the memory of `SuperLU`
-(scipy), which is always there. `Cholmod` (cvxopt) factorises definite matrices; it is GPL, so that
-nothing here installs it.
+(scipy), which is always available. `Cholmod` (cvxopt) factorises definite matrices; it is under the GPL, so
+this project never installs it.
 """
 
 import os
@@ -17,10 +17,10 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as sla
 
 for library in Path(sys.prefix, "lib").glob("libmkl_rt.so*"):
-    os.environ.setdefault("PYPARDISO_MKL_RT", str(library))  # else every solver searches all of sys.prefix
+    os.environ.setdefault("PYPARDISO_MKL_RT", str(library))  # otherwise every solver searches sys.prefix
 try:
     from pypardiso import PyPardisoSolver
-except ImportError:  # it is no part of the installation on machines other than x86-64
+except ImportError:  # installed on x86-64 only
     PyPardisoSolver = None
 try:
     from cvxopt import cholmod, spmatrix
@@ -29,11 +29,11 @@ except ImportError:
     cholmod = None
 
 
-METIS = 2  # of PARDISO's fill-reducing orders
+METIS = 2  # PARDISO's code for this fill-reducing order
 
 
 class Factorisation(Protocol):
-    """A factorised symmetric matrix."""
+    """Factorised symmetric matrix."""
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solve for (3N,) or (3N, b) right-hand sides."""
@@ -43,13 +43,13 @@ class Factorisation(Protocol):
 
 
 class Pardiso:
-    """LDL^T, or L L^T of a positive definite matrix; it finds its own fill-reducing order."""
+    """LDL^T, or L L^T if positive definite, with its own fill-reducing order."""
 
     def __init__(self, matrix: sp.csr_matrix, nodal_graph: sp.csr_matrix, definite: bool):
         self._upper = sp.csr_matrix(sp.triu(matrix))
         self._solver = PyPardisoSolver(mtype=2 if definite else -2)
         weakref.finalize(self, self._solver.free_memory, everything=True)
-        # Not MKL's defaults: they refine every solution, at four times the cost.
+        # MKL's defaults refine every solution, at four times the cost.
         for name, value in {1: 1, 2: METIS, 10: 8}.items():
             self._solver.set_iparm(name, value)
         self._solver.factorize(self._upper)
@@ -65,7 +65,7 @@ class Pardiso:
 
 
 class SuperLU:
-    """LDL^T, in METIS' fill-reducing order, one permutation per node."""
+    """LDL^T in METIS' fill-reducing order, one permutation per node."""
 
     def __init__(self, matrix: sp.csr_matrix, nodal_graph: sp.csr_matrix, definite: bool):
         self._order = nested_dissection(nodal_graph)
@@ -89,7 +89,7 @@ class SuperLU:
 
 
 class Cholmod:
-    """L L^T of a positive definite matrix, in METIS' fill-reducing order."""
+    """L L^T of a positive definite matrix in METIS' fill-reducing order."""
 
     def __init__(self, matrix: sp.csr_matrix, nodal_graph: sp.csr_matrix, definite: bool):
         self._order = nested_dissection(nodal_graph)
@@ -108,7 +108,7 @@ class Cholmod:
         return np.array(solution).reshape(right.shape)[self._inverse]
 
     def negative_pivots(self) -> int | None:
-        """None is negative."""
+        """Return 0: the matrix is positive definite."""
         return 0
 
 
@@ -119,7 +119,7 @@ def factorise(matrix: sp.csr_matrix, nodal_graph: sp.csr_matrix, definite: bool 
     ----------
     matrix : (3N, 3N) sparse
     nodal_graph : (N, N) sparse
-        Which nodes are neighbours.
+        Adjacency of the nodes.
     definite : bool
         Whether the matrix is known to be positive definite.
     """
@@ -131,7 +131,7 @@ def factorise(matrix: sp.csr_matrix, nodal_graph: sp.csr_matrix, definite: bool 
 
 
 def nested_dissection(nodal_graph: sp.csr_matrix) -> np.ndarray:
-    """Order of the unknowns that keeps the factors sparse; (3N,)."""
+    """Return a fill-reducing order of the unknowns; (3N,)."""
     graph = nodal_graph.copy()
     graph.setdiag(0)
     graph.eliminate_zeros()

@@ -1,4 +1,4 @@
-"""The 20-node hexahedron on the reference cube [-1, 1]^3, vectorised over points.
+"""20-node hexahedron on the reference cube [-1, 1]^3, vectorised over points.
 
 Nodes: the eight corners, then the midpoints of the twelve edges (serendipity element; Zienkiewicz and
 Taylor, The Finite Element Method, vol. 1, ch. 8).
@@ -15,12 +15,12 @@ NODES = np.concatenate([_CORNERS, [(_CORNERS[a] + _CORNERS[b]) / 2 for a, b in _
 
 
 def shape_functions(points: np.ndarray) -> np.ndarray:
-    """Shape functions at reference points; (Q, 3) -> (Q, 20)."""
+    """Evaluate the shape functions at reference points; (Q, 3) -> (Q, 20)."""
     return _with_gradients(points)[0]
 
 
 def shape_gradients(points: np.ndarray) -> np.ndarray:
-    """Derivatives of the shape functions by the reference coordinates; (Q, 3) -> (Q, 20, 3)."""
+    """Evaluate the derivatives by the reference coordinates; (Q, 3) -> (Q, 20, 3)."""
     return _with_gradients(points)[1]
 
 

@@ -1,8 +1,8 @@
 """Block Lanczos for the lowest modes, without restarts and with full orthogonalisation.
 
-Where hundreds of modes are wanted, ARPACK spends its time on single triangular solves and on matrix-vector
-products with its basis, both bound by memory. Blocks turn them into matrix products: a right-hand side of
-16 costs a third of a lone one. Blocks also find all copies of a repeated eigenvalue.
+For hundreds of modes ARPACK spends its time on single triangular solves and on matrix-vector products with
+its basis, both bound by memory bandwidth. Blocks turn them into matrix products: each of 16 right-hand sides
+costs a third of a single one. Blocks also find all copies of a repeated eigenvalue.
 """
 
 from collections.abc import Callable
@@ -12,9 +12,9 @@ import scipy.linalg as la
 import scipy.sparse as sp
 
 CONVERGED = 1e-11
-DENSE, FEW = 600, 4  # unknowns, and how many per wanted mode, up to which all eigenvectors are computed
-_BLOCK, _WIDE_BLOCK, _MANY = 8, 16, 150  # right-hand sides at once, the latter for many modes
-_FIRST_CHECK, _GROWTH = 2.0, 1.06  # size of the basis, in wanted modes, when Ritz pairs are first computed
+DENSE, FEW = 600, 4  # limits of unknowns, in all and per wanted mode, for a dense solve
+_BLOCK, _WIDE_BLOCK, _MANY = 8, 16, 150  # block sizes, and the number of modes above which it is wide
+_FIRST_CHECK, _GROWTH = 2.0, 1.06  # basis size per wanted mode at the first convergence check; growth after
 
 
 def lowest_modes(
@@ -26,7 +26,7 @@ def lowest_modes(
     wanted: Callable[[np.ndarray], int],
     tolerance: float = CONVERGED,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest eigenpairs of K u = lambda M u beside those that are known.
+    """Compute the lowest eigenpairs of K u = lambda M u other than the deflated ones.
 
     Parameters
     ----------
@@ -35,15 +35,15 @@ def lowest_modes(
     nodal_mass : (N, N) sparse
         M is its Kronecker product with the identity.
     solve : callable
-        (K - shift M)^-1 of (3N, b) columns.
+        Applies (K - shift M)^-1 to (3N, b) columns.
     shift : float
-        Below every eigenvalue: low modes get their accuracy from it.
+        Below every eigenvalue; the lowest modes are the most accurate.
     deflated : (3N, R) array
         Known eigenvectors, M-orthonormal.
     wanted : callable
-        Given ascending Ritz values, how many of the lowest must converge.
+        Maps ascending Ritz values to the number of lowest ones that must converge.
     tolerance : float
-        Residual of a Ritz pair of the inverse, relative.
+        Relative residual of a Ritz pair of the inverse.
 
     Returns
     -------
@@ -95,7 +95,7 @@ def lowest_modes(
 
 
 def _times(nodal_mass: sp.csr_matrix, vectors: np.ndarray) -> np.ndarray:
-    """Product of the mass matrix with (3N, b) columns."""
+    """Multiply (3N, b) columns by the mass matrix."""
     nodes, columns = nodal_mass.shape[0], vectors.shape[1]
     return (nodal_mass @ vectors.reshape(nodes, 3 * columns)).reshape(-1, columns)
 
@@ -103,10 +103,10 @@ def _times(nodal_mass: sp.csr_matrix, vectors: np.ndarray) -> np.ndarray:
 def _orthonormal(
     vectors: np.ndarray, basis: np.ndarray, nodal_mass: sp.csr_matrix, recent: int
 ) -> tuple[np.ndarray, ...]:
-    """Split columns by an M-orthonormal basis: vectors = basis @ inside + new @ beyond.
+    """Decompose columns by an M-orthonormal basis: vectors = basis @ inside + new @ beyond.
 
-    In exact arithmetic only the last ``recent`` vectors of the basis are inside; what rounding leaves of the
-    others is small enough for one pass over all.
+    In exact arithmetic only the last ``recent`` basis vectors have non-zero coefficients; rounding leaves
+    so little of the others that one pass over all of them suffices.
 
     Returns
     -------
@@ -117,7 +117,7 @@ def _orthonormal(
         part = basis[:, first:].T @ _times(nodal_mass, vectors)
         vectors = vectors - basis[:, first:] @ part
         inside[first:] += part @ beyond
-        # What is left may be small and nearly dependent; an orthonormal block is not, in M's product either.
+        # The remainder may be small and nearly dependent; orthonormalise it before M-orthonormalising it.
         vectors, triangle = la.qr(vectors, mode="economic")
         beyond = triangle @ beyond
     pushed = _times(nodal_mass, vectors)

@@ -1,4 +1,4 @@
-"""From a solid and a material to modal data at points of the surface."""
+"""Modal analysis of a solid: modes at points of its surface."""
 
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -11,8 +11,8 @@ from objectfolder.fem.adaptive import FineGrid, refined
 from objectfolder.fem.eigen import solve_modes
 from objectfolder.fem.elasticity import Solid
 from objectfolder.materials import Material
-from objectfolder.mesh.closing.thickness import wall_thickness
-from objectfolder.mesh.closing.topology import Mesh
+from objectfolder.mesh.thickness import wall_thickness
+from objectfolder.mesh.topology import Mesh
 from objectfolder.settings import Count
 
 MAX_RESIDUAL, MAX_RIGID_HZ = 1e-8, 0.1
@@ -31,14 +31,14 @@ class ModalConfig:
 
 @dataclass(frozen=True)
 class ModalData:
-    """What ``modes.npz`` holds, SI units."""
+    """Modes as stored in ``modes.npz``; SI units."""
 
     eigenvalues: np.ndarray  #: (M,) rad^2/s^2
     damping: np.ndarray  #: (M,) decay rates, 1/s
     damped_frequency: np.ndarray  #: (M,) angular, rad/s
     shapes: np.ndarray  #: (P, 3, M) float32 mode shapes at the points, kg^-1/2
     residuals: np.ndarray  #: (M,)
-    report: dict[str, Any]  #: what ``modal.json`` holds
+    report: dict[str, Any]  #: content of ``modal.json``
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays without the report."""
@@ -55,7 +55,7 @@ def modal_analysis(
     name: str = "object",
     wall: float = np.inf,
 ) -> ModalData:
-    """Modes of a solid, evaluated at points.
+    """Compute the modes of a solid and evaluate them at points.
 
     Parameters
     ----------
@@ -68,14 +68,14 @@ def modal_analysis(
         Hz.
     max_modes : int
     name : str
-        Named in errors.
+        Name of the object in errors.
     wall : float
-        Thickness of the solid's walls, unit frame; the highest resolved frequency depends on it.
+        Wall thickness, unit frame; the highest resolved frequency depends on it.
 
     Notes
     -----
     Rayleigh damping (supplementary Table 1): a mode decays with rate c = (alpha + beta lambda) / 2 and
-    rings at sqrt(lambda - c^2). Overdamped modes make no tone and are dropped.
+    rings at sqrt(lambda - c^2). Overdamped and inaudible modes are dropped.
     """
     fem = cells.assemble(material, scale)
     modes = solve_modes(fem, max_frequency, max_modes, name)
@@ -95,7 +95,7 @@ def modal_analysis(
         "material_properties": material.properties(),
         "scale_m": scale,
         "mass_kg": float(cells.volume * scale**3 * material.density),
-        "volume_error": cells.volume_error,  # of the cells, before mass and stiffness are corrected for it
+        "volume_error": cells.volume_error,  # before the correction of mass and stiffness
         "dropped_volume_share": cells.dropped_volume,
         "modes": len(eigenvalues),
         "modes_below_8_kHz": int((frequencies < 8000).sum()),
@@ -114,7 +114,7 @@ def modal_analysis(
         damped_frequency=np.sqrt(eigenvalues - damping**2),
         shapes=shapes.astype(np.float32),
         residuals=modes.residuals[rings],
-        report=report | checks(report),
+        report=report | solver_checks(report),
     )
 
 
@@ -129,14 +129,14 @@ def refined_analysis(
     max_modes: int,
     name: str = "object",
 ) -> ModalData:
-    """Modes of a solid at points; on a finer grid if it needs one, see `objectfolder.fem.adaptive.refined`.
+    """Compute modes as `modal_analysis`, on a finer grid if `objectfolder.fem.adaptive.refined` chooses one.
 
     Parameters
     ----------
     solid : Solid
-        The first grid.
+        Solid on the first grid.
     surface : (V, 3) and (F, 3) arrays, unit frame
-        What it was cut from.
+        Surface of the solid.
     fine : FineGrid
     points, material, scale, max_frequency, max_modes, name
         See `modal_analysis`.
@@ -146,8 +146,8 @@ def refined_analysis(
     return modal_analysis(cells, points, material, scale, max_frequency, max_modes, name, wall)
 
 
-def checks(report: dict[str, Any]) -> dict[str, bool]:
-    """Judge a report: whether every mode solves its equation, and rigid motions cost no energy."""
+def solver_checks(report: dict[str, Any]) -> dict[str, bool]:
+    """Check that residuals are small and that rigid modes have zero frequency."""
     return {
         "residuals_ok": report["residual_max"] < MAX_RESIDUAL,
         "rigid_modes_ok": max(report["rigid_hz"]) < MAX_RIGID_HZ,

@@ -1,6 +1,6 @@
-"""Material in the cells of a grid, from columns whose crossings with the surface are exact.
+"""Occupancy of grid cells by a solid, measured along columns with exact surface crossings.
 
-The columns are a quadrature rule for the Legendre moments of the occupancy, and their overlaps tell which
+The columns form a quadrature rule for the Legendre moments of the occupancy, and their overlaps show which
 material is connected: a cell may hold several parts, such as two walls with a narrow gap between them.
 """
 
@@ -10,25 +10,25 @@ from functools import cache
 import numpy as np
 import scipy.sparse as sp
 from numpy.polynomial import legendre
-from scipy.sparse.csgraph import connected_components
 
 from objectfolder.mesh.scanline import crossings
+from objectfolder.mesh.topology import components
 
 DEGREE = 5  # Legendre polynomials per axis; products of two shape functions have degree 4
-MARGIN = 1e-4  # the grid is this much larger than the object
-_ORDERS = 300  # of the columns' shifts that are tried
-_CHUNK = 1 << 17  # crossings whose moments are held at once
+MARGIN = 1e-4  # by which the grid is larger than the object
+_ORDERS = 300  # tried permutations of the columns' shifts
+_CHUNK = 1 << 17  # crossings processed at once
 
 
 @dataclass(frozen=True)
 class Occupancy:
-    """A solid as parts: pieces of material, each inside one cell of the grid."""
+    """Solid as parts: connected pieces of material, each inside one cell of a grid."""
 
     cell: np.ndarray  #: (P, 3) int64, position in the grid
     moments: np.ndarray  #: (P, 5, 5, 5), Legendre moments in x, y, z over [-1, 1]^3
-    links: np.ndarray  #: (L, 2) parts of touching cells between which material is continuous, each pair once
-    samples: np.ndarray  #: (S, 3) places, in cells, all over the material of cells that hold several parts
-    sample_part: np.ndarray  #: (S,)
+    links: np.ndarray  #: (L, 2) pairs of parts in neighbouring cells with continuous material, each once
+    samples: np.ndarray  #: (S, 3) positions, in cells, throughout the material of cells with several parts
+    sample_part: np.ndarray  #: (S,) part of each sample
 
     @property
     def fill(self) -> np.ndarray:
@@ -39,9 +39,9 @@ class Occupancy:
 def measure(vertices: np.ndarray, faces: np.ndarray, resolution: int, subdivisions: int) -> Occupancy:
     """Measure the material of a closed surface in the cells of a grid.
 
-    Columns run along the axis that most of the surface faces: walls parallel to them are quantised.
-    Material is continuous from a column to the next (diagonals included) where their intervals inside the
-    solid overlap, and along a column. Gaps below one column's width (half a sub-cell) are not seen.
+    Columns run along the axis that most of the surface faces, because walls parallel to them are quantised.
+    Material is continuous along a column, and between neighbouring columns (diagonals included) where their
+    intervals inside the solid overlap. Gaps narrower than a column (half a sub-cell) are not resolved.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def measure(vertices: np.ndarray, faces: np.ndarray, resolution: int, subdivisio
 
 
 def facing_axis(vertices: np.ndarray, faces: np.ndarray) -> int:
-    """Axis along which the surface has the largest projected area; z of equal ones."""
+    """Return the axis along which the surface has the largest projected area; z on ties."""
     a, b = np.diff(vertices[faces], axis=1).swapaxes(0, 1)
     area = np.abs(np.cross(a, b)).sum(0)
     return 2 if area[2] > (1 - 1e-6) * area.max() else int(area.argmax())
@@ -104,21 +104,15 @@ def _measure_along_z(
     )
 
 
-def components(first: np.ndarray, second: np.ndarray, count: int) -> tuple[int, np.ndarray]:
-    """Connected components of a graph of pairs; their number, and whose each vertex is (count,)."""
-    graph = sp.coo_array((np.ones(len(first), bool), (first, second)), shape=(count, count))
-    return connected_components(graph, directed=False)
-
-
 def _pairs(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
-    """Sort out the pairs of two of ``count`` things, whichever is first; (L, 2), each pair once."""
+    """Return the distinct unordered pairs of indices below ``count``; (L, 2)."""
     flat = np.minimum(first, second) * np.int64(count) + np.maximum(first, second)
     return np.stack(np.divmod(np.unique(flat), count), 1)
 
 
 @dataclass(frozen=True)
 class _Intervals:
-    """Parts of the columns inside the solid, cut where they pass from cell to cell; sorted along them."""
+    """Intervals of the columns inside the solid, cut at cell borders, sorted by column and height."""
 
     column: np.ndarray  #: (I,) int64
     lower: np.ndarray  #: (I,) z in cells
@@ -128,9 +122,9 @@ class _Intervals:
 
     @classmethod
     def between(cls, found: tuple[np.ndarray, ...], resolution: int, across: int) -> "_Intervals":
-        """Return the intervals with winding number > 0 between crossings."""
+        """Build the intervals with winding number > 0 from crossings."""
         column, height, sign = found
-        order = np.lexsort((-sign, height, column))  # touching intervals are one
+        order = np.lexsort((-sign, height, column))  # merges touching intervals
         column, height, winding = column[order], height[order] / across, np.cumsum(sign[order])
         before = winding - sign[order]
         lower, upper = height[(winding > 0) & (before <= 0)], height[(winding <= 0) & (before > 0)]
@@ -143,11 +137,11 @@ class _Intervals:
         return cls(column[run], np.maximum(lower[run], k), np.minimum(upper[run], k + 1), resolution, across)
 
     def select(self, keep: np.ndarray) -> "_Intervals":
-        """Return some of the intervals."""
+        """Return the intervals in a mask."""
         return replace(self, column=self.column[keep], lower=self.lower[keep], upper=self.upper[keep])
 
     def outer(self) -> "_Intervals":
-        """Leave out the inner columns of full cells: they tell nothing."""
+        """Drop the inner columns of full cells, which carry no connectivity."""
         _, _, _, a, b = self.indices
         cell, length = self.cell, self.upper - self.lower
         full = np.bincount(cell, weights=length, minlength=self.resolution**3) > self.across**2 - 1e-6
@@ -169,9 +163,9 @@ class _Intervals:
         return (i * self.resolution + j) * self.resolution + k
 
     def touching(self) -> tuple[np.ndarray, np.ndarray]:
-        """Pairs of intervals that overlap, in the same column and in neighbouring ones."""
+        """Find pairs of overlapping intervals, in the same column and in neighbouring ones."""
         count, gap = self.resolution * self.across, 1 / self.across
-        high = 2.0 * self.resolution  # z of one column never reaches that of the next
+        high = 2.0 * self.resolution  # offset that keeps the z ranges of columns apart
         starts, ends = self.column * high + self.lower, self.column * high + self.upper
         i, j = np.divmod(self.column, count)
         pairs = [(np.arange(len(i)), np.arange(len(i)))]
@@ -187,9 +181,10 @@ class _Intervals:
     def join_specks(
         self, part: np.ndarray, first: np.ndarray, second: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Pairs of parts of one cell that are one: only some columns meet a layer thinner than their gaps.
+        """Find pairs of parts of one cell to merge: only some columns hit a layer thinner than their gaps.
 
-        Such a speck goes with the largest part of its cell that is linked to the same part of another cell.
+        Each speck is paired with the largest part of its cell that is linked to the same part of another
+        cell.
         """
         fill = np.bincount(part, weights=(self.upper - self.lower) / self.across**2)
         cell = np.zeros(len(fill), np.int64)
@@ -212,7 +207,7 @@ class _Intervals:
         return total.reshape(groups, *(DEGREE,) * 3)
 
     def samples(self) -> tuple[np.ndarray, np.ndarray]:
-        """Places along the intervals, a column's width apart, in cells (S, 3), and whose they are (S,)."""
+        """Sample the intervals a column's width apart: positions in cells (S, 3) and interval (S,)."""
         place, _ = _columns(self.across)
         i, j, _, a, b = self.indices
         steps = np.ceil((self.upper - self.lower) * self.across).astype(np.int64) + 1
@@ -225,10 +220,10 @@ class _Intervals:
 
 
 def _column_moments(found: tuple[np.ndarray, ...], resolution: int, across: int) -> np.ndarray:
-    """Legendre moments of the occupancy of every cell of the grid; (R^3, 125)."""
+    """Compute the Legendre moments of the occupancy of every cell of the grid; (R^3, 125)."""
     place, weight = _columns(across)
-    inner = np.zeros((DEGREE, resolution**3, DEGREE**2))  # by degree in z: of cells that the surface crosses
-    above = np.zeros((resolution**2 * (resolution + 1), DEGREE**2))  # of the whole cells over a crossing
+    inner = np.zeros((DEGREE, resolution**3, DEGREE**2))  # by degree in z: crossed cells
+    above = np.zeros((resolution**2 * (resolution + 1), DEGREE**2))  # whole cells above a crossing
     for start in range(0, len(found[0]), _CHUNK):
         column, height, sign = (part[start : start + _CHUNK] for part in found)
         (i, a), (j, b) = (np.divmod(part, across) for part in np.divmod(column, resolution * across))
@@ -246,12 +241,12 @@ def _column_moments(found: tuple[np.ndarray, ...], resolution: int, across: int)
 
 @cache
 def _columns(across: int) -> tuple[np.ndarray, np.ndarray]:
-    """Places of a cell's columns and their weights, a quadrature rule over [-1, 1]^2.
+    """Return positions and weights of a cell's columns, a quadrature rule over [-1, 1]^2.
 
-    Each row is shifted by its own share of a column, so that all places along an axis differ: an aligned
-    lattice would quantise the thickness of walls that are parallel to it (a table top by several per
-    cent). The weights are the nearest to equal ones that integrate a full cell's polynomials exactly; of
-    some point-symmetric orders of the shifts, the one with the most equal weights is taken.
+    Each row is shifted by its own fraction of a column, so that all positions along an axis differ: an
+    aligned lattice would quantise the thickness of walls parallel to it (a table top by several per cent).
+    The weights are the closest to equal ones that integrate a full cell's polynomials exactly. Of several
+    point-symmetric permutations of the shifts, the one with the most even weights is used.
 
     Parameters
     ----------
@@ -261,7 +256,7 @@ def _columns(across: int) -> tuple[np.ndarray, np.ndarray]:
     Returns
     -------
     place : (across, across) array
-        Column (a, b) stands at x = place[a, b], y = place[b, a] of the unit cell.
+        Column (a, b) is at x = place[a, b], y = place[b, a] of the unit cell.
     weight : (across, across) array, positive
     """
     rng, half = np.random.default_rng(0), across // 2
@@ -281,19 +276,19 @@ def _columns(across: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _legendre(place: np.ndarray) -> np.ndarray:
-    """Legendre polynomials of the unit interval; (Q,) -> (Q, 5)."""
+    """Evaluate the Legendre polynomials of the unit interval; (Q,) -> (Q, 5)."""
     return legendre.legvander(2 * place - 1, DEGREE - 1)
 
 
 def _legendre_above(place: np.ndarray) -> np.ndarray:
-    """Twice their integrals from places to the interval's upper end; (Q,) -> (Q, 5)."""
+    """Evaluate twice their integrals from a position to the upper end; (Q,) -> (Q, 5)."""
     p = legendre.legvander(2 * place - 1, DEGREE)
     below = (p[:, 2:] - p[:, :-2]) / (2 * np.arange(1, DEGREE) + 1)  # zero at both ends
     return np.concatenate([1 - p[:, 1:2], -below], 1)
 
 
 def _products(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """All products of two sets of values; (Q, A), (Q, B) -> (Q, A B)."""
+    """Multiply all pairs of two sets of values; (Q, A), (Q, B) -> (Q, A B)."""
     return (left[:, :, None] * right[:, None, :]).reshape(len(left), left.shape[1] * right.shape[1])
 
 

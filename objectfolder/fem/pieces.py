@@ -1,10 +1,10 @@
-"""A solid that vibrates is one piece."""
+"""Restriction of a solid to its largest connected piece."""
 
 import numpy as np
 
 from objectfolder.errors import ObjectFolderError
 
-MAX_DROPPED = 0.05  #: share of the volume in specks beside the main piece
+MAX_DROPPED = 0.05  #: accepted volume fraction outside the main piece
 
 
 def main_piece(piece: np.ndarray, volume: np.ndarray, name: str) -> tuple[np.ndarray, float]:
@@ -13,22 +13,22 @@ def main_piece(piece: np.ndarray, volume: np.ndarray, name: str) -> tuple[np.nda
     Parameters
     ----------
     piece : (E,) int array
-        Connected piece that each element belongs to.
+        Connected piece of each element.
     volume : (E,) array
-        Their volumes.
+        Volume of each element.
     name : str
-        Named in errors.
+        Name of the object in errors.
 
     Returns
     -------
     keep : (E,) bool
     dropped : float
-        Share of the volume that is not kept: specks.
+        Dropped volume fraction.
 
     Raises
     ------
     ObjectFolderError
-        If other pieces hold more than `MAX_DROPPED`.
+        If the other pieces hold more than `MAX_DROPPED` of the volume.
     """
     volumes = np.bincount(piece, weights=volume)
     share = np.sort(volumes / volumes.sum())[::-1]
@@ -36,8 +36,8 @@ def main_piece(piece: np.ndarray, volume: np.ndarray, name: str) -> tuple[np.nda
     if dropped > MAX_DROPPED:
         shown = [f"{s:.2%}" for s in share[:5]] + ["..."] * (len(share) > 5)
         raise ObjectFolderError(
-            f"{name}: the solid is in {len(share)} pieces that touch nowhere "
+            f"{name}: the solid is in {len(share)} separate pieces "
             f"({', '.join(shown)} of the volume), expected one: "
-            "join the mesh's parts, or make several objects of it"
+            "join the mesh's parts, or split it into several objects"
         )
     return piece == volumes.argmax(), dropped

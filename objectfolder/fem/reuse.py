@@ -1,4 +1,4 @@
-"""Modes of a solid that was solved before, with another stiffness, density, damping or size."""
+"""Reuse of an earlier solve for another stiffness, density, damping or size of the same solid."""
 
 import dataclasses
 import hashlib
@@ -9,18 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.fem.modal import MIN_FREQUENCY, ModalData, checks
+from objectfolder.fem.modal import MIN_FREQUENCY, ModalData, solver_checks
 from objectfolder.fem.similarity import similarity
 from objectfolder.io import file_digest
 from objectfolder.materials import Material
 
-#: Modules beside this one that the modal stage does not read; the solid's digest stands for what cut it.
+#: Modules of this folder that do not affect the solve; the solid's digest covers how it was cut.
 NOT_SOLVING = ("__init__.py", "voxelize.py")
 
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked of a modal analysis besides the solid."""
+    """Request for a modal analysis of a given solid."""
 
     material: Material
     scale: float  #: longest side, metres
@@ -33,18 +33,18 @@ class Request:
         return cls(**{**values, "material": Material(**values["material"])})
 
 
-def problem(solid: str, points: np.ndarray, poisson_ratio: float, options: dict[str, Any]) -> str:
-    """Digest of all that modes depend on beyond scaling, the sources of the solver included.
+def problem_digest(solid: str, points: np.ndarray, poisson_ratio: float, options: dict[str, Any]) -> str:
+    """Return the digest of everything that modes depend on beyond scaling, solver sources included.
 
     Parameters
     ----------
     solid : str
         Digest of the solid.
     points : (P, 3) array
-        Where the shapes are wanted.
+        Points at which the mode shapes are evaluated.
     poisson_ratio : float
     options : dict
-        Of the elements; JSON.
+        Options of the elements, as JSON values.
     """
     modules = sorted(Path(__file__).parent.glob("*.py"))
     sources = [file_digest(path) for path in modules if path.name not in NOT_SOLVING]
@@ -54,34 +54,34 @@ def problem(solid: str, points: np.ndarray, poisson_ratio: float, options: dict[
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def solution(problem: str, request: Request, data: ModalData) -> str:
-    """Record of a solve that `rescaled` needs beside the arrays; JSON."""
+def solution_record(problem: str, request: Request, data: ModalData) -> str:
+    """Return the record of a solve that `rescaled` needs beside the arrays, as JSON."""
     return json.dumps(
         {"problem": problem, "request": dataclasses.asdict(request), "report": data.report}, sort_keys=True
     )
 
 
 def rescaled(solved: dict[str, np.ndarray], problem: str, wanted: Request) -> ModalData | None:
-    """Scale the modes of an earlier solve, if they are all that is wanted; exact but for rounding.
+    """Rescale the modes of an earlier solve if they cover the request; exact up to rounding.
 
     Parameters
     ----------
     solved : dict of arrays
-        ``modes.npz`` as it was solved, with its ``solution`` and ``band_hz``.
+        ``modes.npz`` of the earlier solve, with its ``solution`` and ``band_hz``.
     problem : str
-        What would be solved now.
+        Digest of the present problem; see `problem_digest`.
     wanted : Request
 
     Returns
     -------
     ModalData or None
-        None if it takes a solve: for another solid or solver, if modes are wanted that the earlier solve
-        did not seek or dropped, or if the request is the very same, so that running a stage again gives the
-        same bytes.
+        None if a new solve is needed: for another solid or solver, or if the earlier solve dropped or did
+        not seek some of the modes. Also None for an identical request, so that rerunning the stage gives
+        the same bytes.
 
     Notes
     -----
-    Entries of the report whose names end in ``_hz`` scale like frequencies.
+    Report entries named ``*_hz`` scale like frequencies.
     """
     record = json.loads(str(solved["solution"]))
     old = Request.from_dict(record["request"])
@@ -92,7 +92,7 @@ def rescaled(solved: dict[str, np.ndarray], problem: str, wanted: Request) -> Mo
     limit = (2 * np.pi * wanted.max_frequency) ** 2
     eigenvalues = solved["eigenvalues"] * factor
     below = eigenvalues < limit
-    # The band ends at the frequency that was sought: rounding is no loss.
+    # Tolerates rounding where the band ends at the requested frequency.
     complete = (2 * np.pi * high) ** 2 * factor >= limit * (1 - 1e-9)
     if low > 0 or not (complete or below.sum() >= wanted.max_modes):
         return None
@@ -115,7 +115,7 @@ def rescaled(solved: dict[str, np.ndarray], problem: str, wanted: Request) -> Mo
             "mass_kg": record["report"]["mass_kg"] / shape_factor**2,
             "modes": len(kept),
             "modes_below_8_kHz": int((natural < 8000).sum()),
-            "count_below_max_frequency": count if complete else None,  # who knows how many more
+            "count_below_max_frequency": count if complete else None,  # above the earlier limit, unknown
             "truncated": count > wanted.max_modes or not complete,
             "max_frequency_hz": wanted.max_frequency,
             "discretisation_error": estimates or None,
@@ -129,5 +129,5 @@ def rescaled(solved: dict[str, np.ndarray], problem: str, wanted: Request) -> Mo
         damped_frequency=np.sqrt(eigenvalues[kept] - damping[kept] ** 2),
         shapes=(solved["shapes"][:, :, kept] * shape_factor).astype(np.float32),
         residuals=solved["residuals"][kept],
-        report=report | checks(report),
+        report=report | solver_checks(report),
     )

@@ -1,7 +1,7 @@
-"""How modes scale between solids of one shape and one Poisson ratio: exactly.
+"""Exact scaling of modes between solids of the same shape and Poisson ratio.
 
-The stiffness matrix is E L and the mass matrix rho L^3 times a matrix that only the shape and Poisson's
-ratio determine, so that every solve is also that of the other materials and sizes.
+The stiffness matrix is E L, and the mass matrix rho L^3, times a matrix that depends on the shape and the
+Poisson ratio only, so one solve serves all materials and sizes.
 """
 
 import math
@@ -10,7 +10,7 @@ from objectfolder.materials import Material
 
 
 def similarity(old: tuple[Material, float], new: tuple[Material, float]) -> tuple[float, float]:
-    """Factors of eigenvalues and of mass-normalised mode shapes.
+    """Return the scale factors of eigenvalues and of mass-normalised mode shapes.
 
     Parameters
     ----------
@@ -22,6 +22,7 @@ def similarity(old: tuple[Material, float], new: tuple[Material, float]) -> tupl
     tuple of float
         The ratios of E / (rho L^2) and of (rho L^3)^(-1/2), new over old.
     """
-    (was, was_scale), (stuff, scale) = old, new
-    size, density = scale / was_scale, stuff.density / was.density
-    return stuff.youngs_modulus / was.youngs_modulus / density / size**2, 1 / math.sqrt(density * size**3)
+    (old_material, old_scale), (material, scale) = old, new
+    size, density = scale / old_scale, material.density / old_material.density
+    stiffness = material.youngs_modulus / old_material.youngs_modulus
+    return stiffness / density / size**2, 1 / math.sqrt(density * size**3)

@@ -1,7 +1,7 @@
-"""Quadratic tetrahedra on a mesh that follows the surface: an independent check of the grids.
+"""Quadratic tetrahedra on a surface-conforming mesh: an independent check of the grids.
 
-The mesh is fTetWild's (Hu et al. 2020; through pytetwild, MPL-2.0), an optional dependency. It is not the
-same in every run, and the number of unknowns is larger than the cut cells' for the same frequencies.
+fTetWild (Hu et al. 2020; through pytetwild, MPL-2.0, an optional dependency) makes the mesh. It is not
+reproducible, and needs more unknowns than cut cells for the same accuracy.
 """
 
 from contextlib import chdir
@@ -15,24 +15,23 @@ from scipy.special import roots_jacobi
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.elasticity import FiniteElements, elasticity, scatter, strain_displacement
-from objectfolder.fem.occupancy import components
 from objectfolder.fem.pieces import main_piece
 from objectfolder.materials import Material
-from objectfolder.mesh.closing.topology import signed_volume
+from objectfolder.mesh.topology import components, signed_volume
 
-ENVELOPE = 5e-4  # how far the mesh may leave the surface, of the bounding box's diagonal
-EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])  # their middles are nodes 5 to 10
-_SEARCHED = 32  # nearest centroids among which a point's tetrahedron is sought
+ENVELOPE = 5e-4  # allowed distance of the mesh from the surface, in bounding-box diagonals
+EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])  # their midpoints are nodes 5 to 10
+_SEARCHED = 32  # nearest centroids among which a point's tetrahedron is searched
 
 
 @dataclass(frozen=True)
 class Tetrahedra:
-    """The solid in the unit frame as 10-node tetrahedra with straight edges."""
+    """Solid in the unit frame as 10-node tetrahedra with straight edges."""
 
-    vertices: np.ndarray  #: (N, 3), middles of edges included
+    vertices: np.ndarray  #: (N, 3) nodes, midpoints of edges included
     connectivity: np.ndarray  #: (E, 10) int64
-    resolution: int  #: the longest side over the length of edges that was asked for
-    dropped_volume: float = 0.0  #: share of the volume in pieces that touch the main one nowhere
+    resolution: int  #: longest side divided by the requested edge length
+    dropped_volume: float = 0.0  #: volume fraction of pieces not connected to the main one
     volume_error: float = 0.0  #: relative to the surface's volume; not corrected
 
     @property
@@ -73,7 +72,7 @@ class Tetrahedra:
         return np.concatenate([-inverse.sum(1, keepdims=True), inverse], 1)
 
     def assemble(self, material: Material, scale: float) -> FiniteElements:
-        """Stiffness and mass of the solid; ``scale`` is its longest side in metres."""
+        """Assemble stiffness and mass; ``scale`` is the longest side in metres."""
         points, weights = _quadrature(3)
         rigidity = elasticity(material)
         dof = (3 * self.connectivity[:, :, None] + np.arange(3)).reshape(-1, 30)
@@ -93,7 +92,7 @@ class Tetrahedra:
         )
 
     def interpolate(self, values: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Evaluate a nodal field (N, C) at points (P, 3) of the unit frame, or next to them; (P, C)."""
+        """Evaluate a nodal field (N, C) at points (P, 3) of the unit frame, clamped to the solid; (P, C)."""
         first = self.vertices[self.connectivity[:, 0]]
         centroid = self.vertices[self.connectivity[:, :4]].mean(1)
         near = cKDTree(centroid).query(points, k=min(_SEARCHED, self.elements))[1].reshape(len(points), -1)
@@ -114,9 +113,9 @@ def tetrahedra(vertices: np.ndarray, faces: np.ndarray, resolution: int, name: s
     vertices : (V, 3) array, unit frame
     faces : (F, 3) int array
     resolution : int
-        The longest side over the length of edges.
+        Longest side divided by the edge length.
     name : str
-        Named in errors.
+        Name of the object in errors.
 
     Raises
     ------
@@ -129,7 +128,7 @@ def tetrahedra(vertices: np.ndarray, faces: np.ndarray, resolution: int, name: s
         raise ObjectFolderError(
             "element tet10 needs pytetwild: install objectfolder[tet] or choose another voxelize.element"
         ) from missing
-    with TemporaryDirectory() as folder, chdir(folder):  # fTetWild leaves a file behind
+    with TemporaryDirectory() as folder, chdir(folder):  # fTetWild writes a file into the working directory
         points, cells = pytetwild.tetrahedralize(
             np.ascontiguousarray(vertices, np.float64),
             np.ascontiguousarray(faces, np.int32),
@@ -149,7 +148,7 @@ def tetrahedra(vertices: np.ndarray, faces: np.ndarray, resolution: int, name: s
 
 
 def quadratic(points: np.ndarray, cells: np.ndarray, resolution: int) -> Tetrahedra:
-    """Give linear tetrahedra nodes at the middles of their edges; (N, 3), (E, 4) -> `Tetrahedra`."""
+    """Add nodes at the midpoints of the edges of linear tetrahedra; (N, 3), (E, 4) -> `Tetrahedra`."""
     corner = points[cells]
     flipped = np.linalg.det(corner[:, 1:] - corner[:, :1]) < 0
     cells = np.where(flipped[:, None], cells[:, [1, 0, 2, 3]], cells)
@@ -162,19 +161,19 @@ def quadratic(points: np.ndarray, cells: np.ndarray, resolution: int) -> Tetrahe
 
 
 def _shapes(share: np.ndarray) -> np.ndarray:
-    """Shape functions at barycentric coordinates; (Q, 4) -> (Q, 10)."""
+    """Evaluate the shape functions at barycentric coordinates; (Q, 4) -> (Q, 10)."""
     return np.concatenate([share * (2 * share - 1), 4 * share[:, EDGES].prod(-1)], 1)
 
 
 def _slopes(share: np.ndarray) -> np.ndarray:
-    """Their derivatives by the barycentric coordinates at one point; (4,) -> (10, 4)."""
+    """Evaluate their derivatives by the barycentric coordinates at one point; (4,) -> (10, 4)."""
     edges = np.zeros((6, 4))
     edges[np.arange(6), EDGES[:, 0]], edges[np.arange(6), EDGES[:, 1]] = 4 * share[EDGES[:, ::-1]].T
     return np.concatenate([np.diag(4 * share - 1), edges])
 
 
 def _quadrature(order: int) -> tuple[np.ndarray, np.ndarray]:
-    """Conical product rule of the tetrahedron: barycentric points (Q, 4), weights (Q,) that sum to one."""
+    """Return a conical product rule: barycentric points (Q, 4) and weights (Q,) that sum to one."""
     (a, wa), (b, wb), (c, wc) = (roots_jacobi(order, power, 0) for power in (2, 1, 0))
     a, b, c = (grid.ravel() for grid in np.meshgrid((1 + a) / 2, (1 + b) / 2, (1 + c) / 2, indexing="ij"))
     weight = np.einsum("i,j,k->ijk", wa, wb, wc).ravel()

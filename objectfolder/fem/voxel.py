@@ -1,8 +1,8 @@
-"""Voxels of 8-node hexahedra, the literal reading of the paper's supplementary material, as a reference.
+"""Voxels of 8-node hexahedra: a literal reading of the paper's supplementary material, for reference.
 
-Every grid cell whose centre is inside the solid is one full hexahedron. The eight nodes alone lock in
-bending; Wilson's incompatible modes (Taylor, Beresford and Wilson 1976), condensed out of each element,
-mend that. Neither mends walls that are thinner than a cell.
+Every grid cell whose centre is inside the solid is one full hexahedron. The plain element locks in bending;
+Wilson's incompatible modes (Taylor, Beresford and Wilson 1976), condensed out of each element, remove the
+locking. Neither resolves walls thinner than a cell.
 """
 
 from dataclasses import dataclass, replace
@@ -17,8 +17,8 @@ from objectfolder.fem.hex20 import NODES
 from objectfolder.fem.occupancy import MARGIN
 from objectfolder.fem.pieces import main_piece
 from objectfolder.materials import Material
-from objectfolder.mesh.closing.topology import signed_volume
 from objectfolder.mesh.scanline import inside
+from objectfolder.mesh.topology import signed_volume
 
 CORNERS = NODES[:8]  #: (8, 3) nodes of the hexahedron on [-1, 1]^3
 _GAUSS = 1 / np.sqrt(3)
@@ -26,13 +26,13 @@ _GAUSS = 1 / np.sqrt(3)
 
 @dataclass(frozen=True)
 class Voxels:
-    """The solid in the unit frame as whole cells of a grid."""
+    """Solid in the unit frame as whole cells of a grid."""
 
-    index: np.ndarray  #: (E, 3) int64, position of each voxel in the grid
+    index: np.ndarray  #: (E, 3) int64, grid position of each voxel
     connectivity: np.ndarray  #: (E, 8) int64
     resolution: int  #: cells along each axis of the grid
     incompatible: bool  #: whether the elements have Wilson's incompatible modes
-    dropped_volume: float = 0.0  #: share of the volume in pieces that touch the main one nowhere
+    dropped_volume: float = 0.0  #: volume fraction of pieces not connected to the main one
     volume_error: float = 0.0  #: relative to the surface's volume; not corrected
 
     @property
@@ -67,13 +67,13 @@ class Voxels:
 
     @property
     def nodes(self) -> np.ndarray:
-        """(N, 3) places of the nodes, unit frame."""
+        """(N, 3) positions of the nodes, unit frame."""
         places = np.empty((int(self.connectivity.max()) + 1, 3))
         places[self.connectivity] = self.index[:, None, :] + (CORNERS + 1) / 2
         return places * self.cell_size - (1 + MARGIN) / 2
 
     def assemble(self, material: Material, scale: float) -> FiniteElements:
-        """Stiffness and mass of the solid; ``scale`` is its longest side in metres."""
+        """Assemble stiffness and mass; ``scale`` is the longest side in metres."""
         stiffness, mass = _element_matrices(material, self.cell_size * scale, self.incompatible)
         dof = (3 * self.connectivity[:, :, None] + np.arange(3)).reshape(-1, 24)
         count, size = len(self.index), int(self.connectivity.max()) + 1
@@ -104,14 +104,14 @@ def voxels(
     resolution : int
         Cells along the longest side.
     incompatible : bool
-        Whether the elements get Wilson's incompatible modes.
+        Whether the elements have Wilson's incompatible modes.
     name : str
-        Named in errors.
+        Name of the object in errors.
 
     Raises
     ------
     ObjectFolderError
-        If no centre is inside, or the voxels are in several pieces.
+        If no cell centre is inside, or the voxels are in several pieces.
     """
     side = 1 + MARGIN
     spacing = side / resolution
@@ -134,7 +134,7 @@ def voxels(
 
 
 def lattice_connectivity(index: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """Number the nodes of hexahedra that share all nodes where they touch; (E, 3), (n, 3) -> (E, n)."""
+    """Number the nodes of hexahedra that share all common nodes; (E, 3), (n, 3) -> (E, n)."""
     lattice = 2 * index[:, None, :] + (nodes + 1).astype(np.int64)
     flat = np.ravel_multi_index(lattice.reshape(-1, 3).T, (lattice.max() + 1,) * 3)
     _, inverse = np.unique(flat, return_inverse=True)
@@ -142,7 +142,7 @@ def lattice_connectivity(index: np.ndarray, nodes: np.ndarray) -> np.ndarray:
 
 
 def _element_matrices(material: Material, size: float, incompatible: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Stiffness (24, 24) and scalar mass (8, 8) of a cube."""
+    """Compute stiffness (24, 24) and scalar mass (8, 8) of a cube."""
     points, volume = CORNERS * _GAUSS, (size / 2) ** 3
     factor = (1 + CORNERS[None] * points[:, None, :]) / 2  # (Q, 8, 3)
     shapes = factor.prod(-1)

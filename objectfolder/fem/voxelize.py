@@ -1,4 +1,4 @@
-"""From a closed surface to what the modalities share: elements for the FEM, a distance grid for the rest."""
+"""Voxelization: finite elements of the solid for sound, distance grid of the surface for the rest."""
 
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any
@@ -8,9 +8,9 @@ from annotated_types import Ge, Interval, MinLen
 
 from objectfolder.fem.elasticity import Solid
 from objectfolder.fem.elements import Element, discretize
-from objectfolder.mesh.closing.topology import Mesh, signed_volume
 from objectfolder.mesh.scanline import check_winding
 from objectfolder.mesh.sdf import check_resolved, distance_grid
+from objectfolder.mesh.topology import Mesh, signed_volume
 from objectfolder.settings import Count
 
 
@@ -21,24 +21,24 @@ class VoxelizeConfig:
     element: Element  #: finite element of the solid (docs/modal.md)
     resolutions: Annotated[tuple[Count, ...], MinLen(1)]  #: cells along the longest side, finest first
     subdivisions: Annotated[int, Ge(4)]  #: sub-cells along each side of a cell; fewer lose walls
-    max_degrees_of_freedom: Count  #: the first resolution under this size is taken, or the last
+    max_degrees_of_freedom: Count  #: the first resolution within this size is used, else the last
     #: Samples of the distance grid along each axis. On a finer grid the band is narrower than the reach of
     #: contact normals.
     sdf_resolution: Annotated[int, Interval(ge=16, le=256)]
 
 
 @dataclass(frozen=True)
-class Voxels:
-    """Both grids of one object, unit frame."""
+class Voxelization:
+    """Elements and distance grid of one object, unit frame."""
 
     cells: Solid
     values: np.ndarray  #: (R, R, R) int8; see `objectfolder.mesh.grid.DistanceGrid`
     band: float
-    report: dict[str, Any]  #: what ``voxelize.json`` holds
+    report: dict[str, Any]  #: content of ``voxelize.json``
 
 
-def voxelize(surface: Mesh, solid: Mesh, config: VoxelizeConfig, name: str = "mesh") -> Voxels:
-    """Divide a solid into elements and sample the distance to a surface; both are certified first.
+def voxelize(surface: Mesh, solid: Mesh, config: VoxelizeConfig, name: str = "mesh") -> Voxelization:
+    """Certify solid and surface, divide the solid into elements, and sample the distance to the surface.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def voxelize(surface: Mesh, solid: Mesh, config: VoxelizeConfig, name: str = "me
         Surface to see and touch, and solid that vibrates; they differ where gaps are bridged for sound only.
     config : VoxelizeConfig
     name : str
-        Named in errors.
+        Name of the object in errors.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def voxelize(surface: Mesh, solid: Mesh, config: VoxelizeConfig, name: str = "me
         "cells": {
             "winding": asdict(certificates[0]),
             "volume": signed_volume(*solid),  # unit frame
-            "volume_error": cells.volume_error,  # before mass and stiffness are corrected for it
+            "volume_error": cells.volume_error,  # before the correction of mass and stiffness
             "dropped_volume_share": cells.dropped_volume,
             "element": cells.name,
             "resolution": cells.resolution,
@@ -84,4 +84,4 @@ def voxelize(surface: Mesh, solid: Mesh, config: VoxelizeConfig, name: str = "me
             "samples_in_band": int(np.count_nonzero(np.abs(values) < 127)),
         },
     }
-    return Voxels(cells, values, band, report)
+    return Voxelization(cells, values, band, report)

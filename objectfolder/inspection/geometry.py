@@ -9,16 +9,16 @@ import numpy as np
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.cutcell import CutCells
-from objectfolder.fem.elements import restored
+from objectfolder.fem.elements import solid_from_arrays
 from objectfolder.figures import page, page_rows, save_page, show_image
 from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
 from objectfolder.inspection.scene import CLAY, VIEW_FROM, add_textured, draw_scene, hexahedra, triangles
 from objectfolder.io import atomic, read_json, read_npz
-from objectfolder.mesh.closing.topology import signed_volume
 from objectfolder.mesh.grid import BOUND, DistanceGrid
 from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.textured import TexturedMesh
+from objectfolder.mesh.topology import signed_volume
 from objectfolder.workspace.layout import Build
 
 if TYPE_CHECKING:
@@ -138,7 +138,7 @@ def export_vtu(build: Build) -> Path:
 def _solid(build: Build) -> tuple[CutCells, float]:
     """Cut cells, and the scale in metres."""
     require(build, "voxelize", build.solid, build.surface, build.normalize)
-    cells = restored(read_npz(build.solid, "kind"))
+    cells = solid_from_arrays(read_npz(build.solid, "kind"))
     if not isinstance(cells, CutCells):
         raise ObjectFolderError(
             f"{build.key}: solid.npz holds {cells.name}, and only cut cells can be inspected: set "

@@ -1,4 +1,4 @@
-"""The stored geometry: a band-limited signed distance on a cubic grid, as int8."""
+"""Stored geometry: a band-limited signed distance on a cubic grid, quantised to int8."""
 
 import math
 from collections.abc import Callable
@@ -18,7 +18,7 @@ class DistanceGrid:
     Parameters
     ----------
     values : (R, R, R) int8 array, indexed x, y, z
-        ``127`` stands for ``band``.
+        Distances in units of ``band / 127``.
     band : float
         Distances are clipped to +-band.
     """
@@ -29,24 +29,23 @@ class DistanceGrid:
         self.spacing = 2 * BOUND / (len(self.values) - 1)
         volume = self.values.astype(np.float32)
         volume *= np.float32(self.band / 127)
-        # grid_sample wants (batch, channel, z, y, x), of any strides.
+        # grid_sample expects (batch, channel, z, y, x), with any strides.
         self._volume = torch.from_numpy(volume).permute(2, 1, 0)[None, None]
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, np.ndarray]) -> "DistanceGrid":
-        """Return the grid that ``sdf.npz`` holds."""
+        """Return the grid stored in ``sdf.npz``."""
         return cls(arrays["values"], float(arrays["band"]))
 
     def distance(self, points: torch.Tensor) -> torch.Tensor:
-        """Signed distance at (N, 3) points; (N,)."""
+        """Interpolate the signed distance at (N, 3) points; (N,)."""
         grid = (points.to(torch.float32) / BOUND).view(1, -1, 1, 1, 3)
         return F.grid_sample(self._volume, grid, align_corners=True, padding_mode="border").view(-1)
 
     def smooth_distance(self, points: np.ndarray) -> np.ndarray:
-        """Signed distance at (N, 3) points from cubic convolution (Keys 1981); (N,) float64.
+        """Interpolate the signed distance at (N, 3) points by cubic convolution (Keys 1981); (N,) float64.
 
-        Sixty-four samples around each point where `distance` takes eight: dearer, and nearer to the truth
-        where the surface bends.
+        Uses 64 samples per point, `distance` 8: slower, and more accurate where the surface bends.
         """
         place = (np.asarray(points, np.float64).reshape(-1, 3) + BOUND) / self.spacing
         first = np.floor(place)
@@ -54,13 +53,13 @@ class DistanceGrid:
         taps = first.astype(np.int64)[..., None] + np.arange(-1, 3)
         x, y, z = np.moveaxis(taps.clip(0, len(self.values) - 1), 1, 0)
         samples = self.values[x[:, :, None, None], y[:, None, :, None], z[:, None, None, :]]
-        # One axis after the other, in a fixed order of summation.
+        # Axis by axis, in a fixed order of summation.
         total = (samples * weights[:, 2, None, None, :]).sum(3)
         total = (total * weights[:, 1, None, :]).sum(2)
         return (total * weights[:, 0]).sum(1) * (self.band / 127)
 
     def normals(self, points: torch.Tensor) -> torch.Tensor:
-        """Outward unit normals at (N, 3) points, from tetrahedral differences half a voxel wide; (N, 3)."""
+        """Compute outward unit normals at (N, 3) points by differences over half a voxel; (N, 3)."""
         return ascent(self.distance, points, self.spacing / 2)
 
     def distance_and_normals(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -73,14 +72,14 @@ class DistanceGrid:
 
 
 def _keys(t: np.ndarray) -> np.ndarray:
-    """Weights (..., 4) of the samples at -1, 0, 1, 2 for cubic convolution at t from 0 to 1."""
+    """Return the cubic convolution weights (..., 4) of samples at -1, 0, 1, 2 for t in [0, 1]."""
     near = (t * (t * (2 - t) - 1), t**2 * (3 * t - 5) + 2)
     far = (t * (t * (4 - 3 * t) + 1), t**2 * (t - 1))
     return np.stack([*near, *far], axis=-1) / 2
 
 
 def ascent(field: Callable[[torch.Tensor], torch.Tensor], points: torch.Tensor, step: float) -> torch.Tensor:
-    """Unit direction in which a field (N, 3) -> (N,) grows, from tetrahedral differences; (N, 3).
+    """Compute the normalised gradient of a field (N, 3) -> (N,) by tetrahedral differences; (N, 3).
 
     Zero where the field is constant.
     """
@@ -90,20 +89,20 @@ def ascent(field: Callable[[torch.Tensor], torch.Tensor], points: torch.Tensor, 
 
 
 def _direction(values: torch.Tensor, corner: torch.Tensor) -> torch.Tensor:
-    """Unit direction in which values (4, N) at the corners of tetrahedra grow; (N, 3)."""
+    """Compute the normalised gradient from values (4, N) at the corners of tetrahedra; (N, 3)."""
     return F.normalize((values[..., None] * corner[:, None]).sum(0), dim=-1, eps=1e-20)
 
 
 def quantise(distance: np.ndarray, band: float) -> np.ndarray:
-    """Signed distances as int8, 127 for the band."""
+    """Quantise signed distances to int8; 127 is the band."""
     return np.clip(np.rint(distance * (127 / band)), -127, 127).astype(np.int8)
 
 
 def band_width(resolution: int) -> float:
-    """Distance at which a grid of this resolution is clipped."""
+    """Return the distance at which a grid of this resolution is clipped."""
     return BAND_VOXELS * 2 * BOUND / (resolution - 1)
 
 
 def coarse_spacing(resolution: int, step: int) -> tuple[int, float]:
-    """Samples and spacing of a grid ``step`` times coarser that covers the fine one."""
+    """Return samples and spacing of a grid ``step`` times coarser that covers the fine one."""
     return math.ceil((resolution - 1) / step) + 1, step * 2 * BOUND / (resolution - 1)

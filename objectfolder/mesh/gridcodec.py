@@ -1,18 +1,18 @@
-"""The distance grid as a short byte stream, without loss.
+"""Lossless compression of the distance grid.
 
-xz finds what repeats, in the grid as it is (designed objects) or in what a prediction misses (scanned ones):
-the shorter stream is kept.
+LZMA compresses either the grid itself (better for designed objects) or its prediction residuals (better for
+scans); the shorter stream is kept.
 """
 
 import lzma
 
 import numpy as np
 
-#: What is subtracted before compression: nothing, or what the two planes before (along x) go on to.
+#: Prediction subtracted before compression: none, or linear extrapolation of the two preceding x planes.
 PREDICTORS = ("none", "planes")
 
-_MEMORY = 2**28  # bytes that a decompressor may take
-# Differences have no text-like context, neither in their neighbours nor in their alignment.
+_MEMORY = 2**28  # memory limit of the decompressor, bytes
+# Residuals have no text-like context (lc) or alignment (pb).
 _FILTERS = {
     "none": [{"id": lzma.FILTER_LZMA2, "preset": 6}],
     "planes": [{"id": lzma.FILTER_LZMA2, "preset": 6, "lc": 0, "pb": 0}],
@@ -43,9 +43,9 @@ def unpack_grid(stream: np.ndarray, resolution: int, predictor: str) -> np.ndarr
     Raises
     ------
     ValueError
-        If the stream holds another number of values; it is never unpacked further than one too many.
+        If the stream holds another number of values; at most one value too many is unpacked.
     lzma.LZMAError
-        If it is damaged.
+        If the stream is damaged.
     """
     size = resolution**3
     raw = lzma.LZMADecompressor(memlimit=_MEMORY).decompress(stream.tobytes(), size + 1)
@@ -56,7 +56,7 @@ def unpack_grid(stream: np.ndarray, resolution: int, predictor: str) -> np.ndarr
 
 
 def _residuals(values: np.ndarray) -> np.ndarray:
-    """Values less their prediction, modulo 256."""
+    """Subtract the prediction from the values, modulo 256."""
     wide = values.astype(np.int16)
     predicted = np.zeros_like(wide)
     predicted[1] = wide[0]

@@ -1,4 +1,4 @@
-"""The surface that the stored distance grid describes: what queries see and touch, without the mesh."""
+"""Surface of the stored distance grid, which queries use in place of the mesh."""
 
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 
 class Isosurface:
-    """Triangles of a distance grid's zero level, in the unit frame, ready for ray casting.
+    """Zero level set of a distance grid as triangles in the unit frame, ready for ray casting.
 
-    All but the grid is made when it is first asked for.
+    Everything but the grid is computed on first use.
 
     Parameters
     ----------
@@ -26,13 +26,13 @@ class Isosurface:
     Raises
     ------
     ObjectFolderError
-        If no surface runs through the grid.
+        If no surface passes through the grid.
     """
 
     def __init__(self, grid: DistanceGrid):
         self.grid = grid
         if not grid.values.min() < 0 < grid.values.max():
-            raise ObjectFolderError("the distance grid holds no surface: every sample is on one side of it")
+            raise ObjectFolderError("the distance grid holds no surface: all samples are on one side of it")
 
     @cached_property
     def _mesh(self) -> tuple[np.ndarray, np.ndarray]:
@@ -48,7 +48,7 @@ class Isosurface:
 
     @property
     def vertices(self) -> np.ndarray:
-        """Corners of the triangles; (V, 3) float64."""
+        """Vertices; (V, 3) float64."""
         return self._mesh[0]
 
     @property
@@ -68,7 +68,7 @@ class Isosurface:
 
     @cached_property
     def caster(self) -> RayCaster:
-        """The triangles, ready for rays."""
+        """Ray caster of the triangles."""
         return RayCaster(self.vertices, self.faces)
 
     @cached_property
@@ -80,8 +80,8 @@ class Isosurface:
     def nearest(self, points: np.ndarray, steps: int = 3) -> tuple[np.ndarray, np.ndarray]:
         """Project points to the surface.
 
-        Where the grid knows the distance, Newton steps along its gradient; elsewhere from the nearest vertex
-        of the surface.
+        Takes Newton steps along the gradient of the distance, from the point itself inside the band and from
+        the nearest vertex outside.
 
         Parameters
         ----------
@@ -94,7 +94,7 @@ class Isosurface:
         """
         points = np.asarray(points, np.float64)
         far = np.abs(self.grid.distance(torch.from_numpy(points)).numpy()) >= 0.9 * self.grid.band
-        far |= (np.abs(points) > BOUND).any(1)  # beyond, the grid goes on as at its border
+        far |= (np.abs(points) > BOUND).any(1)  # the grid is clamped beyond its border
         start = points.copy()
         if far.any():
             start[far] = self.vertices[self._tree.query(points[far])[1]]
@@ -107,7 +107,7 @@ class Isosurface:
 
 
 def _box(inside: np.ndarray) -> list[slice]:
-    """Samples inside and their neighbours, axis by axis; the others are not worth a look."""
+    """Return the range of samples, per axis, that contains the inside and its neighbours."""
     sides = []
     for axis, count in enumerate(inside.shape):
         found = np.flatnonzero(inside.any(tuple({0, 1, 2} - {axis})))
@@ -116,14 +116,14 @@ def _box(inside: np.ndarray) -> list[slice]:
 
 
 def _crossed(values: np.ndarray) -> np.ndarray:
-    """Cells that the surface may run through, marked at their upper corner; bool.
+    """Mark the cells that the surface may cross, at their upper corner; bool.
 
-    Marching cubes passes over the others, which are most, without looking at their samples.
+    Marching cubes skips the others, which are most.
     """
     cells = values.shape[2] - 1
     inside = np.packbits(values <= 0, axis=2)  # eight samples at once
     some, every = inside != 0, inside == 255
-    # Cells of a byte reach into the next one; bits beyond the last sample are 0.
+    # Cells of a byte extend into the next byte; bits beyond the last sample are 0.
     some[:, :, :-1], every[:, :, :-1] = some[:, :, :-1] | some[:, :, 1:], every[:, :, :-1] & every[:, :, 1:]
     for _ in range(2):
         some, every = (some[:-1] | some[1:]).swapaxes(0, 1), (every[:-1] & every[1:]).swapaxes(0, 1)

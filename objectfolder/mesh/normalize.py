@@ -1,4 +1,4 @@
-"""Bring a source mesh into the unit frame, and derive its closed physical surface."""
+"""Bring a source mesh into the unit frame and derive its closed physical surface."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from objectfolder.mesh.closing.surface import Rung, Surface, close_surface
-from objectfolder.mesh.closing.topology import Mesh
+from objectfolder.mesh.closing.surface import ClosedSurface, Rung, close_surface
 from objectfolder.mesh.textured import TexturedMesh, appearance_report
+from objectfolder.mesh.topology import Mesh
 from objectfolder.settings import Count
 
 
@@ -21,15 +21,15 @@ class NormalizeConfig:
 
 @dataclass(frozen=True)
 class Normalized:
-    """An object in the unit frame: longest side 1, bounding box centred on the origin, z up."""
+    """Object in the unit frame: longest side 1, bounding box centred on the origin, z up."""
 
     visual: TexturedMesh
-    surface: Surface
+    surface: ClosedSurface
     source_centre: np.ndarray  #: (3,) centre of the bounding box, in the z-up source's units
     source_size: float  #: longest side of the bounding box, in the source's units
 
     def report(self, scale: float, up: str) -> dict[str, Any]:
-        """Return what ``normalize.json`` holds; lengths in metres where the name ends in ``_m``."""
+        """Return the content of ``normalize.json``; entries named ``*_m`` are in metres."""
         surface = self.surface
         return {
             "scale_m": scale,
@@ -69,11 +69,11 @@ def normalize(
     mesh : TexturedMesh
         In any unit.
     name : str
-        Named in errors.
+        Name of the object in errors.
     wall : float, optional
-        Thickness that visible sheets get, unit frame.
+        Thickness given to visible open sheets, unit frame.
     bridging : bool
-        Whether gaps under half an FEM cell are filled.
+        Whether gaps narrower than half an FEM cell are filled.
 
     Raises
     ------
@@ -88,13 +88,13 @@ def normalize(
 
 
 def mass_properties(surface: Mesh) -> dict[str, Any]:
-    """Volume, centre of mass and inertia of what a closed surface encloses, at density 1.
+    """Compute volume, centre of mass and inertia of a closed surface, at density 1.
 
     Returns
     -------
     dict
-        ``volume``, ``centre`` [x, y, z], and ``inertia`` [xx, yy, zz, xy, xz, yz] about it; in the frame of
-        the surface.
+        ``volume``, ``centre`` [x, y, z] and ``inertia`` [xx, yy, zz, xy, xz, yz] about the centre, in the
+        frame of the surface.
     """
     found = trimesh.Trimesh(*surface, process=False).mass_properties
     inertia = np.asarray(found.inertia)

@@ -1,4 +1,4 @@
-"""Files of closed surfaces."""
+"""Read and write surfaces as PLY."""
 
 from pathlib import Path
 from typing import Any
@@ -7,7 +7,7 @@ import numpy as np
 import trimesh
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.closing.topology import Mesh
+from objectfolder.mesh.topology import Mesh
 
 
 def write_surface(path: str | Path, surface: Mesh) -> None:
@@ -18,7 +18,7 @@ def write_surface(path: str | Path, surface: Mesh) -> None:
 
 
 def read_surface(path: str | Path) -> Mesh:
-    """Vertices (V, 3) and faces (F, 3) of a surface, unit frame.
+    """Read vertices (V, 3) and faces (F, 3) of a surface, unit frame.
 
     Raises
     ------
@@ -30,5 +30,5 @@ def read_surface(path: str | Path) -> Mesh:
     try:
         mesh = trimesh.load_mesh(path, process=False)
         return np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
-    except Exception as error:  # the reader raises whatever its parser raises
+    except Exception as error:  # the parser raises anything
         raise ObjectFolderError(f"{path} is damaged ({error}); delete it and rebuild") from error

@@ -1,4 +1,4 @@
-"""Ray casting against triangles, with Embree."""
+"""Ray casting against triangles with Embree."""
 
 import numpy as np
 from embreex import rtcore_scene
@@ -8,8 +8,7 @@ from embreex.mesh_construction import TriangleMesh
 class RayCaster:
     """Triangles in an Embree scene.
 
-    Works in whatever frame the vertices are in; distances are in the units of that frame, times the
-    length of the ray direction.
+    Works in the frame of the vertices; distances are in multiples of the length of the ray direction.
 
     Parameters
     ----------
@@ -19,20 +18,20 @@ class RayCaster:
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray):
         self._scene = rtcore_scene.EmbreeScene()
-        # The Python object owns the buffers that Embree reads: keep it.
+        # Keeps the buffers that Embree reads alive.
         self._mesh = TriangleMesh(self._scene, np.asarray(vertices, np.float32), np.asarray(faces))
 
     def first_hit(
         self, origins: np.ndarray, directions: np.ndarray, max_distance: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Distance to the first triangle along each ray.
+        """Find the first triangle along each ray.
 
         Parameters
         ----------
         origins : (N, 3) or (3,) array
         directions : (N, 3) array
         max_distance : (N,) array, optional
-            Rays end here; a short ray is a cheap ray.
+            Length of the rays; short rays are cheaper.
 
         Returns
         -------
@@ -47,14 +46,14 @@ class RayCaster:
     def intersect(
         self, origins: np.ndarray, directions: np.ndarray, max_distance: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Where rays first meet a triangle; H of N rays do.
+        """Find the first hits of N rays, of which H hit a triangle.
 
         Parameters
         ----------
         origins : (N, 3) or (3,) array
         directions : (N, 3) array
         max_distance : (N,) array, optional
-            Rays end here.
+            Length of the rays.
 
         Returns
         -------
@@ -62,7 +61,7 @@ class RayCaster:
         distance : (H,) float32
         face : (H,) int64
         weights : (H, 3) float32
-            Barycentric, of the face's corners.
+            Barycentric weights of the face's corners.
         """
         hit = self._run(origins, directions, max_distance)
         ray = np.flatnonzero(hit["primID"] >= 0)
@@ -70,7 +69,7 @@ class RayCaster:
         return ray, distance, face.astype(np.int64), np.stack([1 - u - v, u, v], 1)
 
     def first_crossing(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Distance to the first triangle along each ray, and from which side the ray meets it.
+        """Find the first triangle along each ray and the side from which the ray hits it.
 
         Parameters
         ----------
@@ -81,8 +80,7 @@ class RayCaster:
         -------
         distance : (N,) float32, ``inf`` where nothing is hit
         leaving : (N,) bool
-            The triangle's corners run clockwise as the ray sees them: of a closed surface, it comes from
-            within.
+            Whether the ray hits the triangle from behind; on a closed surface, from inside.
         """
         hit = self._run(origins, directions)
         met = hit["primID"] >= 0
@@ -92,7 +90,7 @@ class RayCaster:
     def occluded(
         self, origins: np.ndarray, directions: np.ndarray, max_distance: np.ndarray | None = None
     ) -> np.ndarray:
-        """Whether anything lies along each ray, within ``max_distance`` if given; (N,) bool."""
+        """Test whether each ray hits anything, within ``max_distance`` if given; (N,) bool."""
         rays = _rays(origins, directions)
         return self._scene.run(*rays, dists=_lengths(max_distance), query="OCCLUDED") >= 0
 
@@ -104,12 +102,12 @@ class RayCaster:
 
 
 def _lengths(max_distance: np.ndarray | None) -> np.ndarray | None:
-    """A copy, because Embree's wrapper writes the distances it finds into it."""
+    """Copy the distances: Embree's wrapper writes its results into them."""
     return None if max_distance is None else np.array(max_distance, np.float32)
 
 
 def _rays(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Origins and directions in single precision, of any strides; Embree's wrapper wants to write to them."""
+    """Convert origins and directions to writable float32, as Embree's wrapper requires."""
     origins, directions = (np.require(v, np.float32, "W") for v in (origins, directions))
     if origins.ndim == 1:
         strides = 0, origins.strides[0]

@@ -6,9 +6,9 @@ import numpy as np
 def sample_faces(
     vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points distributed uniformly by area, (count, 3) float64, and the faces they lie on, (count,) int64.
+    """Sample points uniformly by area, (count, 3) float64, with their faces, (count,) int64.
 
-    A face without area is never drawn.
+    Degenerate faces are never sampled.
     """
     a, b, c = (np.asarray(vertices, np.float64)[faces[:, i]] for i in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
@@ -22,7 +22,7 @@ def sample_faces(
 def sample_surface(
     vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.random.Generator
 ) -> np.ndarray:
-    """Points distributed uniformly by area; (count, 3) float64."""
+    """Sample points uniformly by area; (count, 3) float64."""
     return sample_faces(vertices, faces, count, rng)[0]
 
 

@@ -1,8 +1,8 @@
-"""Where columns of a grid cross a closed surface: exact inside tests without remeshing or ray casting.
+"""Exact crossings of grid columns with a surface, for inside tests and certificates of closedness.
 
-A column is a line along z through sample centres. Crossings are found with a half-open edge rule that
-gives both triangles of a shared edge the same answer, so the winding number along a column always
-returns to zero on a closed surface: what is left above the last crossing is a certificate.
+A column is a line along z through sample centres. A half-open edge rule gives both triangles of a shared
+edge the same answer, so on a closed surface the winding number along a column always returns to zero. A
+residual above the last crossing proves that the surface is open.
 """
 
 from dataclasses import dataclass
@@ -12,8 +12,8 @@ import numpy as np
 from objectfolder.errors import ObjectFolderError
 
 CERTIFICATE_COLUMNS = 128  #: along the longest side
-MAX_OUTSIDE = 1e-3  #: accepted `Certificate.outside_fraction`: scans touch and cross themselves a little
-_CHUNK = 1_000_000  # candidate (triangle, column) pairs held at once
+MAX_OUTSIDE = 1e-3  #: accepted `Certificate.outside_fraction`: scans intersect themselves slightly
+_CHUNK = 1_000_000  # candidate (triangle, column) pairs processed at once
 
 
 def crossings(
@@ -24,7 +24,7 @@ def crossings(
     spacing: float,
     shift: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Crossings of ``count`` x ``count`` columns with a triangle surface.
+    """Find the crossings of ``count`` x ``count`` columns with a triangle surface.
 
     Column (i, j) passes through ``lower[:2] + (i + shift[0, j], j + shift[1, i]) * spacing``.
 
@@ -39,7 +39,7 @@ def crossings(
     spacing : float
         Distance between samples.
     shift : (2, count) array, optional
-        Shifts of the rows of columns, within [-1/2, 1/2] samples; none by default.
+        Shifts of the rows of columns, in [-1/2, 1/2] samples; default: none.
 
     Returns
     -------
@@ -84,25 +84,25 @@ def crossings(
 
 @dataclass(frozen=True)
 class Certificate:
-    """What columns along x, y and z say about a surface."""
+    """Winding statistics of a surface along columns in x, y and z."""
 
-    columns: int  #: columns that meet the surface
-    residual_columns: int  #: of them, those whose winding number does not return to zero: the surface is open
-    outside_fraction: float  #: share of the length with winding number != 0 where it is not 1 either
+    columns: int  #: columns that hit the surface
+    residual_columns: int  #: columns whose winding number does not return to zero: the surface is open
+    outside_fraction: float  #: fraction of the length with non-zero winding number where it is not 1
 
     @property
     def solid(self) -> bool:
-        """Whether the surface is closed, outward, and crosses itself no more than scans do."""
+        """Whether the surface is closed, oriented outward and nearly free of self-intersection."""
         return self.columns > 0 and self.residual_columns == 0 and self.outside_fraction <= MAX_OUTSIDE
 
 
 def winding_certificate(
     vertices: np.ndarray, faces: np.ndarray, count: int = CERTIFICATE_COLUMNS
 ) -> Certificate:
-    """Certify that a surface is closed and that its winding number is 0 or 1 everywhere.
+    """Measure whether a surface is closed with winding number 0 or 1 everywhere.
 
-    ``count`` x ``count`` columns along each axis cover the bounding box. Three directions, because a
-    column cannot see a missing face that is parallel to it.
+    ``count`` x ``count`` columns along each axis cover the bounding box. All three axes are used, because a
+    column misses holes parallel to it.
 
     Parameters
     ----------
@@ -123,8 +123,8 @@ def winding_certificate(
     columns = residual_columns = 0
     wound = outside = 0.0
     for axis in range(3):
-        order = np.roll(np.arange(3), -axis)  # cyclic: keeps the orientation
-        # Off every simple fraction, so that columns miss vertices, edges and aligned walls.
+        order = np.roll(np.arange(3), -axis)  # cyclic, to keep the orientation
+        # Irrational offsets, so that columns avoid vertices, edges and aligned walls.
         start = lower[order] + spacing * np.array([0.41421356, 0.73205081, 0.0])
         column, height, sign = crossings(vertices[:, order], faces, count, start, spacing)
         residual = column_residual(column, sign, count)
@@ -141,17 +141,17 @@ def winding_certificate(
 
 
 def check_winding(vertices: np.ndarray, faces: np.ndarray, name: str) -> Certificate:
-    """Certify a surface, or say why it bounds no solid.
+    """Certify that a surface bounds a solid.
 
     Raises
     ------
     ObjectFolderError
-        If it is open, crosses itself, or is inside out.
+        If it is open, intersects itself, or is inside out.
     """
     certificate = winding_certificate(vertices, faces)
     if not certificate.columns:
         raise ObjectFolderError(
-            f"{name}: no column of a {CERTIFICATE_COLUMNS}^2 grid meets the surface: it is thinner than "
+            f"{name}: no column of a {CERTIFICATE_COLUMNS}^2 grid hits the surface: it is thinner than "
             f"{1 / CERTIFICATE_COLUMNS:.1%} of its size everywhere; thicken the mesh"
         )
     if certificate.residual_columns:
@@ -164,20 +164,20 @@ def check_winding(vertices: np.ndarray, faces: np.ndarray, name: str) -> Certifi
         raise ObjectFolderError(
             f"{name}: the winding number is neither 0 nor 1 in {certificate.outside_fraction:.2%} of the "
             f"space that the surface encloses, expected at most {MAX_OUTSIDE:.1%}: it overlaps itself or is "
-            "inside out; rebuild it with stage normalize, or mend the mesh"
+            "inside out; rebuild it with stage normalize, or repair the mesh"
         )
     return certificate
 
 
 def column_residual(column: np.ndarray, sign: np.ndarray, count: int) -> np.ndarray:
-    """Winding number left above the last of a column's `crossings`; (count * count,) int64, 0 if closed."""
+    """Compute the winding number above each column's last crossing; (count * count,) int64, 0 if closed."""
     return np.rint(np.bincount(column, weights=sign, minlength=count * count)).astype(np.int64)
 
 
 def inside(
     vertices: np.ndarray, faces: np.ndarray, count: int, lower: np.ndarray, spacing: float
 ) -> np.ndarray:
-    """Whether each sample of a cubic grid is inside a closed surface; (count,)*3 bool."""
+    """Test whether each sample of a cubic grid is inside a closed surface; (count,)*3 bool."""
     column, height, sign = crossings(vertices, faces, count, lower, spacing)
     first_above = np.clip(np.ceil(height), 0, count).astype(np.int64)
     winding = np.bincount(
@@ -190,11 +190,11 @@ def inside(
 def _winding(
     points: np.ndarray, faces: np.ndarray, triangle: np.ndarray, u: np.ndarray, v: np.ndarray
 ) -> np.ndarray:
-    """+-1 where column (u, v) passes through the triangle's projection, by its orientation; else 0."""
+    """Return +-1, by orientation, where column (u, v) passes through the triangle, else 0."""
     winding = np.zeros(len(triangle), np.int64)
     for a in range(3):
         start, stop = faces[triangle, a], faces[triangle, (a + 1) % 3]
-        # Always walk an edge from its lower vertex index, so that both its triangles agree exactly.
+        # Traverse each edge from its lower vertex index, so that both its triangles agree exactly.
         swap = start > stop
         p, q = points[np.where(swap, stop, start)], points[np.where(swap, start, stop)]
         p_above, q_above = p[:, 1] > v, q[:, 1] > v
@@ -207,7 +207,7 @@ def _winding(
 
 
 def _plane_height(corner: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """z of the triangles' planes at (u, v), clipped to the triangles (steep ones are ill-conditioned)."""
+    """Compute z of triangles at (u, v), clipped to their extent because steep ones are ill-conditioned."""
     origin = corner[:, 0]
     normal = np.cross(corner[:, 1] - origin, corner[:, 2] - origin)
     nz = np.where(normal[:, 2] == 0, 1e-300, normal[:, 2])

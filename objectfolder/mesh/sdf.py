@@ -1,13 +1,13 @@
-"""Build the distance grid of a closed surface: sign by scanline, exact distance in the band."""
+"""Distance grid of a closed surface: sign by scanline, exact distances in a band."""
 
 import igl
 import numpy as np
 from skimage.measure import marching_cubes
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.closing.topology import signed_volume
 from objectfolder.mesh.grid import BOUND, band_width, coarse_spacing, quantise
 from objectfolder.mesh.scanline import inside
+from objectfolder.mesh.topology import signed_volume
 
 MIN_KEPT_VOLUME = 0.7
 _COARSE_STEP = 4
@@ -15,7 +15,7 @@ _CHUNK = 1_000_000
 
 
 def distance_grid(vertices: np.ndarray, faces: np.ndarray, resolution: int) -> tuple[np.ndarray, float]:
-    """Band-limited signed distance of a closed surface.
+    """Compute the band-limited signed distance of a closed surface.
 
     Parameters
     ----------
@@ -46,19 +46,19 @@ def distance_grid(vertices: np.ndarray, faces: np.ndarray, resolution: int) -> t
 
 
 def check_resolved(values: np.ndarray, vertices: np.ndarray, faces: np.ndarray, name: str) -> float:
-    """Check that a distance grid holds the surface it was made of.
+    """Check that a distance grid resolves its surface.
 
-    Walls thinner than the spacing fall between samples; what is left of them is holes and crumbs.
+    Walls thinner than the spacing fall between samples and break into fragments.
 
     Returns
     -------
     float
-        Share of the volume that the stored surface encloses.
+        Fraction of the volume that the stored surface encloses.
 
     Raises
     ------
     ObjectFolderError
-        If the stored surface encloses less than 70 % of the volume.
+        If the stored surface encloses less than `MIN_KEPT_VOLUME` of the volume.
     """
     spacing = 2 * BOUND / (len(values) - 1)
     kept = 0.0
@@ -74,13 +74,13 @@ def check_resolved(values: np.ndarray, vertices: np.ndarray, faces: np.ndarray, 
 
 
 def _near_surface(vertices: np.ndarray, faces: np.ndarray, resolution: int, band: float) -> np.ndarray:
-    """Fine samples that may lie within the band, from distances on a coarser grid; (R,)*3 bool."""
+    """Find the samples that may lie within the band, from distances on a coarser grid; (R,)*3 bool."""
     count, spacing = coarse_spacing(resolution, _COARSE_STEP)
     axis = -BOUND + spacing * np.arange(count)
     points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
     distance = np.sqrt(igl.point_mesh_squared_distance(points, vertices, faces)[0]).reshape((count,) * 3)
     nearest = np.rint(np.arange(resolution) / _COARSE_STEP).astype(np.int64)
-    # A fine sample's distance differs from its nearest coarse sample's by less than they are apart.
+    # Distances at a fine sample and its nearest coarse sample differ by at most their separation.
     apart = ((np.arange(resolution) / _COARSE_STEP - nearest) * spacing).astype(np.float32) ** 2
     apart = np.sqrt(apart[:, None, None] + apart[:, None] + apart)
     return distance.astype(np.float32)[np.ix_(nearest, nearest, nearest)] <= apart + np.float32(band + 1e-6)

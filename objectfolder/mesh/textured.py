@@ -1,4 +1,4 @@
-"""A triangle mesh with its appearance: the form in which meshes travel between load, generate and render."""
+"""Triangle mesh with its appearance, the common form of loaded, generated and rendered meshes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -11,40 +11,40 @@ from PIL import Image
 
 from objectfolder.mesh import normals, srgb
 
-DEFAULT_ROUGHNESS = 0.5  # where the source does not say (scans: the texture holds the gloss)
-PLAIN = 0.6  # linear base colour where the source does not say
-ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963  # glTF's names of vertex and index data
+DEFAULT_ROUGHNESS = 0.5  # where the source has none (scans: the texture contains the gloss)
+PLAIN = 0.6  # linear base colour where the source has none
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963  # glTF buffer targets of vertex and index data
 
 
 @dataclass(frozen=True)
 class TexturedMesh:
-    """Triangles, one texture, and what a renderer needs to shade them."""
+    """Triangles with one texture or vertex colours, and principled shading parameters."""
 
     vertices: np.ndarray  #: (V, 3) float64, split at texture seams and creases
     faces: np.ndarray  #: (F, 3) int64, counter-clockwise seen from outside
-    uv: np.ndarray | None = None  #: (V, 2) float64, origin at the lower left of the texture, which repeats
+    uv: np.ndarray | None = None  #: (V, 2) float64, origin at the lower left of the repeating texture
     texture: np.ndarray | None = None  #: (H, W, 3) uint8, sRGB
     vertex_colors: np.ndarray | None = None  #: (V, 3) uint8, sRGB; used when there is no texture
-    roughness: float | None = None  #: principled roughness, None where the source does not say
-    metallic: float | None = None  #: principled metallic, None where the source does not say
-    normals: np.ndarray | None = None  #: (V, 3) float64, unit; None: flat faces
-    source: dict[str, Any] = field(default_factory=dict)  #: what loading found, see `appearance_report`
+    roughness: float | None = None  #: principled roughness; None: unspecified by the source
+    metallic: float | None = None  #: principled metallic; None: unspecified by the source
+    normals: np.ndarray | None = None  #: (V, 3) float64, unit; None: flat shading
+    source: dict[str, Any] = field(default_factory=dict)  #: findings of the loader, see `appearance_report`
 
     def with_vertices(self, vertices: np.ndarray) -> "TexturedMesh":
-        """Return the same mesh, moved or scaled as a whole: normals stay."""
+        """Return the mesh with moved or uniformly scaled vertices; normals stay."""
         return replace(self, vertices=np.asarray(vertices, np.float64))
 
     def turned(self, turn: Callable[[np.ndarray], np.ndarray]) -> "TexturedMesh":
-        """Return the same mesh, turned by a function of vectors (N, 3)."""
+        """Return the mesh rotated by a function of vectors (N, 3)."""
         turned = None if self.normals is None else turn(self.normals)
         return replace(self, vertices=turn(self.vertices), normals=turned)
 
     def with_normals(self, corners: np.ndarray) -> "TexturedMesh":
-        """Return the same mesh with normals (F, 3, 3) of the corners of its faces, unit.
+        """Return the mesh with unit normals (F, 3, 3) of its faces' corners.
 
-        A vertex whose corners differ is copied; copies come after all vertices.
+        Vertices whose corners differ are duplicated; duplicates follow all vertices.
         """
-        vertex, faces, of_vertices = normals.split(self.faces, corners, len(self.vertices))
+        vertex, faces, of_vertices = normals.split_vertices(self.faces, corners, len(self.vertices))
         return replace(
             self,
             vertices=self.vertices[vertex],
@@ -55,18 +55,18 @@ class TexturedMesh:
         )
 
     def smoothed(self) -> "TexturedMesh":
-        """Return the same mesh with smooth normals and creases, see `objectfolder.mesh.normals.creased`."""
+        """Return the mesh with smooth normals and creases, see `objectfolder.mesh.normals.creased`."""
         return self.with_normals(normals.creased(self.vertices, self.faces))
 
     @property
     def bounds(self) -> np.ndarray:
-        """(2, 3) corners of the axis-aligned bounding box of the vertices that faces use."""
+        """(2, 3) axis-aligned bounding box of the vertices used by faces."""
         used = np.zeros(len(self.vertices), bool)
         used[self.faces] = True
         return np.stack([self.vertices[used].min(0), self.vertices[used].max(0)])
 
     def to_trimesh(self) -> trimesh.Trimesh:
-        """Return a `trimesh.Trimesh` with a PBR material; nothing is merged.
+        """Return a `trimesh.Trimesh` with a PBR material, vertices unmerged.
 
         Vertex colours are the attribute ``_COLOR_0``, linear as in glTF.
         """
@@ -80,7 +80,7 @@ class TexturedMesh:
                 baseColorTexture=Image.fromarray(self.texture)
                 if textured and self.texture is not None
                 else None,
-                # Always written: glTF takes a factor that is absent for 1.
+                # Always written: an absent glTF factor means 1.
                 roughnessFactor=DEFAULT_ROUGHNESS if self.roughness is None else self.roughness,
                 metallicFactor=self.metallic or 0.0,
             )
@@ -97,25 +97,25 @@ class TexturedMesh:
         )
 
     def write_glb(self, path: str | Path) -> None:
-        """Write a binary glTF; turned y up, as the format demands and `load_mesh` expects of it."""
+        """Write a binary glTF, rotated y up as the format requires."""
         scene = trimesh.Scene(self.turned(y_up).to_trimesh())
         Path(path).write_bytes(scene.export(file_type="glb", tree_postprocessor=_complete))
 
 
 def y_up(vectors: np.ndarray) -> np.ndarray:
-    """Turn vectors (N, 3) from z up to y up."""
+    """Rotate vectors (N, 3) from z up to y up."""
     x, y, z = vectors.T
     return np.stack([x, z, -y], 1)
 
 
 def z_up(vectors: np.ndarray) -> np.ndarray:
-    """Turn vectors (N, 3) from y up to z up."""
+    """Rotate vectors (N, 3) from y up to z up."""
     x, y, z = vectors.T
     return np.stack([x, -z, y], 1)
 
 
 def appearance_report(mesh: TexturedMesh) -> dict[str, Any]:
-    """Return how a mesh looks, and what loading has made of its source.
+    """Return the appearance of a mesh and the changes that loading made to it.
 
     Parameters
     ----------
@@ -124,13 +124,12 @@ def appearance_report(mesh: TexturedMesh) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``texture_size`` ([width, height] or None), ``vertex_colors`` (bool), ``vertex_normals`` (bool; else
-        faces are flat), ``roughness``, ``metallic``;
-        of a loaded mesh also ``materials`` of the source, ``source_texture_size`` (longest side, pixels),
-        fractions of the faces: ``uv_degenerate_fraction`` (no area in a texture of more than a pixel),
-        ``uv_outside_fraction`` (beyond [0, 1]: repeats), ``uv_not_finite_fraction``;
-        ``normals_bad_fraction`` of the corners with a normal, which have been given their face's (zero, not
-        finite, or not to the face's outer side; if more than half are, the mesh is flat); ``notes``.
+        ``texture_size`` ([width, height] or None), ``vertex_colors`` (bool), ``vertex_normals`` (bool; False:
+        flat shading), ``roughness``, ``metallic``. A loaded mesh also has ``materials`` (number in the
+        source), ``source_texture_size`` (longest side, pixels), the fractions of faces
+        ``uv_degenerate_fraction`` (no area in a texture larger than a pixel), ``uv_outside_fraction`` (beyond
+        [0, 1], where textures repeat) and ``uv_not_finite_fraction``, the fraction of normals
+        ``normals_bad_fraction`` that `objectfolder.mesh.normals.usable` replaced, and ``notes``.
     """
     return {
         "texture_size": None if mesh.texture is None else list(mesh.texture.shape[1::-1]),
@@ -143,10 +142,10 @@ def appearance_report(mesh: TexturedMesh) -> dict[str, Any]:
 
 
 def _complete(document: dict[str, Any]) -> None:
-    """Complete what trimesh exports.
+    """Complete the glTF document that trimesh exports.
 
-    Vertex colours get their standard name: trimesh's own would have 8 bits, too few for linear colours.
-    Buffer views say what they hold, which readers may rely on.
+    Renames the vertex colours to their standard name: trimesh's own export has 8 bits, too few for linear
+    colours. Adds buffer targets, which some readers require.
     """
     for mesh in document["meshes"]:
         for primitive in mesh["primitives"]:

@@ -3,8 +3,7 @@
 import numpy as np
 import torch
 
-from objectfolder.mesh.normals import area_vectors
-from objectfolder.mesh.normals import unit as unit_rows
+from objectfolder.mesh.normals import area_vectors, unit_vectors
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.touch.camera import gel_depth, ray_directions
 from objectfolder.touch.contact import sensor_frames
@@ -164,12 +163,12 @@ def sensor_poses(
 def smooth_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Unit normals (V, 3) of vertices: means over their faces, weighted by angle, as trimesh makes them."""
     corners = np.asarray(vertices, np.float64)[faces]
-    along = unit_rows(np.roll(corners, -1, axis=1) - corners)
+    along = unit_vectors(np.roll(corners, -1, axis=1) - corners)
     angles = np.arccos(-(along * np.roll(along, 1, axis=1)).sum(2).clip(-1, 1))
-    weighted = angles[..., None] * unit_rows(area_vectors(vertices, faces))[:, None]
+    weighted = angles[..., None] * unit_vectors(area_vectors(vertices, faces))[:, None]
     flat = np.asarray(faces).ravel()
     total = [np.bincount(flat, column, len(vertices)) for column in weighted.reshape(-1, 3).T]
-    return unit_rows(np.stack(total, axis=1))
+    return unit_vectors(np.stack(total, axis=1))
 
 
 def compose(

@@ -5,7 +5,7 @@ import numpy as np
 import trimesh
 
 from objectfolder.mesh import srgb
-from objectfolder.mesh.normals import area_vectors, unit
+from objectfolder.mesh.normals import area_vectors, unit_vectors
 from objectfolder.vision.scene import Scene
 
 
@@ -34,9 +34,9 @@ def appearance_at(scene: Scene, points: np.ndarray) -> tuple[np.ndarray, np.ndar
     else:
         color = (scene.vertex_colors[corners] * weights).sum(1)
     if mesh.normals is None:
-        normals = unit(area_vectors(vertices, corners))
+        normals = unit_vectors(area_vectors(vertices, corners))
     else:
-        normals = unit((mesh.normals[corners] * weights).sum(1))
+        normals = unit_vectors((mesh.normals[corners] * weights).sum(1))
     return color.astype(np.float32), normals.astype(np.float32)
 
 

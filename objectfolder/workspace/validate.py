@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.elements import restored
+from objectfolder.fem.elements import solid_from_arrays
 from objectfolder.io import read_json, read_npz, read_safetensors
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.ply import read_surface
@@ -64,7 +64,7 @@ def readers(build: Build) -> dict[Path, Callable[[Path], Any]]:
         build.surface: read_surface,
         build.solid_surface: read_surface,
         build.normalize: partial(_json, names=NORMALIZE),
-        build.solid: lambda path: restored(read_npz(path, "kind")),
+        build.solid: lambda path: solid_from_arrays(read_npz(path, "kind")),
         build.sdf: lambda path: DistanceGrid.from_arrays(_arrays(path, SDF)),
         build.voxelize: partial(_json, names=("distance_grid",)),
         build.modes: partial(_arrays, shapes=MODES),

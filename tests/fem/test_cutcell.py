@@ -9,7 +9,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.cutcell import cut_cells, node_count
 from objectfolder.fem.eigen import rigid_motions, solve_modes
 from objectfolder.fem.elasticity import elasticity
-from objectfolder.fem.elements import restored, stored
+from objectfolder.fem.elements import solid_arrays, solid_from_arrays
 from objectfolder.fem.occupancy import _columns, facing_axis, measure
 from objectfolder.materials import Material
 
@@ -137,13 +137,14 @@ def test_the_volume_is_corrected_without_changing_the_frequencies(off_grid):
 def test_a_solid_in_two_pieces_is_refused_by_name_with_their_volumes():
     pair = join(box((0.3, 0.3, 0.3), (-0.3, 0, 0)), box((0.3, 0.3, 0.3), (0.3, 0, 0)))
     with pytest.raises(
-        ObjectFolderError, match=r"^lamp: the solid is in 2 pieces.*\(50\.00%, 50\.00% of the volume\)"
+        ObjectFolderError,
+        match=r"^lamp: the solid is in 2 separate pieces.*\(50\.00%, 50\.00% of the volume\)",
     ):
         cut_cells(*pair, 8, 4, "lamp")
 
 
 def test_stored_cells_come_back(off_grid):
-    again = restored({name: np.asarray(value) for name, value in stored(off_grid).items()})
+    again = solid_from_arrays({name: np.asarray(value) for name, value in solid_arrays(off_grid).items()})
     assert again.volume == off_grid.volume
     np.testing.assert_array_equal(again.occupancy, off_grid.occupancy)
 

@@ -8,7 +8,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.eigen import rigid_motions, solve_modes
 from objectfolder.fem.elasticity import elasticity
-from objectfolder.fem.elements import discretize, restored, stored
+from objectfolder.fem.elements import discretize, solid_arrays, solid_from_arrays
 from objectfolder.fem.tetrahedra import quadratic
 from objectfolder.fem.voxel import voxels
 from objectfolder.materials import Material
@@ -82,14 +82,14 @@ def test_complete_polynomials_are_interpolated_exactly(element, rng):
 
 def test_stored_solids_come_back(element):
     divided, fem = element
-    again = restored({name: np.asarray(value) for name, value in stored(divided).items()})
+    again = solid_from_arrays({name: np.asarray(value) for name, value in solid_arrays(divided).items()})
     assert type(again) is type(divided)
     assert abs(again.assemble(STUFF, 0.2).stiffness - fem.stiffness).max() == 0
 
 
 def test_what_is_not_a_solid_is_refused():
     with pytest.raises(ObjectFolderError, match=r"holds 'mesh', expected one of cut cells, voxels"):
-        restored({"kind": np.array("mesh")})
+        solid_from_arrays({"kind": np.array("mesh")})
 
 
 def lowest(divided, count=6):
@@ -126,7 +126,7 @@ def test_a_solid_in_two_pieces_is_refused_by_name_with_their_shares(kind):
         pytest.importorskip("pytetwild")
     pair = join(box((0.2, 0.4, 0.4), (-0.35, 0, 0)), box((0.3, 0.4, 0.4), (0.35, 0, 0)))
     with pytest.raises(
-        ObjectFolderError, match=r"^lamp: the solid is in 2 pieces.*6\d\.\d+%, .*of the volume"
+        ObjectFolderError, match=r"^lamp: the solid is in 2 separate pieces.*6\d\.\d+%, .*of the volume"
     ):
         discretize(*pair, kind, [10], 4, 10**6, "lamp")
 

@@ -8,7 +8,7 @@ from solids import box
 from objectfolder.fem.band import solved_band
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.modal import modal_analysis
-from objectfolder.fem.reuse import Request, problem, rescaled, solution
+from objectfolder.fem.reuse import Request, problem_digest, rescaled, solution_record
 from objectfolder.fem.similarity import similarity
 from objectfolder.materials import material
 
@@ -36,7 +36,11 @@ def stored(solve, request, task="task"):
     """What the stage keeps of a solve."""
     data = solve(request)
     band = solved_band(data, request.material, request.max_frequency, request.max_modes)
-    return {**data.arrays(), "band_hz": np.array(band), "solution": np.array(solution(task, request, data))}
+    return {
+        **data.arrays(),
+        "band_hz": np.array(band),
+        "solution": np.array(solution_record(task, request, data)),
+    }
 
 
 @pytest.mark.parametrize(
@@ -160,13 +164,13 @@ def test_similarity_is_that_of_the_wave_equation():
 
 def test_a_problem_is_all_that_scaling_leaves():
     points = np.arange(6.0).reshape(2, 3)
-    first = problem("solid", points, 0.2, {"element": "hex20"})
-    assert first == problem("solid", points.copy(), 0.2, {"element": "hex20"})
+    first = problem_digest("solid", points, 0.2, {"element": "hex20"})
+    assert first == problem_digest("solid", points.copy(), 0.2, {"element": "hex20"})
     others = [
-        problem("other", points, 0.2, {"element": "hex20"}),
-        problem("solid", points + 1e-9, 0.2, {"element": "hex20"}),
-        problem("solid", points, 0.21, {"element": "hex20"}),
-        problem("solid", points, 0.2, {"element": "tet10"}),
+        problem_digest("other", points, 0.2, {"element": "hex20"}),
+        problem_digest("solid", points + 1e-9, 0.2, {"element": "hex20"}),
+        problem_digest("solid", points, 0.21, {"element": "hex20"}),
+        problem_digest("solid", points, 0.2, {"element": "tet10"}),
     ]
     assert len({first, *others}) == 5
 

@@ -16,7 +16,7 @@ from rich.console import Console
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.cutcell import cut_cells
-from objectfolder.fem.elements import restored, stored
+from objectfolder.fem.elements import solid_arrays, solid_from_arrays
 from objectfolder.fem.modal import modal_analysis
 from objectfolder.inspection import STAGES, Inspection, inspect_stage, print_inspection
 from objectfolder.io import (
@@ -92,7 +92,7 @@ def _write_visual(build, mesh):
 
 def _solid_and_modes(build, vertices, faces, rng):
     cells = cut_cells(vertices, faces, 6, 4)
-    write_npz(build.solid, **stored(cells))
+    write_npz(build.solid, **solid_arrays(cells))
     values, band = distance_grid(vertices, faces, 32)
     write_npz(build.sdf, values=values, band=band)
     points = np.concatenate([vertices, sample_surface(vertices, faces, 20, rng)])
@@ -224,7 +224,7 @@ def test_normalize_counts_pieces_and_holes(tmp_path, opengl):
 
 
 def test_voxelize_rows(root):
-    cells = restored(read_npz(Build("brick", root).solid))
+    cells = solid_from_arrays(read_npz(Build("brick", root).solid))
     rows = _rows(root, "voxelize")
     assert rows["cells"].startswith(f"{len(cells.index)} of 6^3, 33.337 mm")
     full, cut = int(rows["full cells"]), int(rows["cut cells"].partition(",")[0])
@@ -238,7 +238,7 @@ def test_voxelize_rows(root):
 
 
 def test_vtu_is_the_solid_in_metres(root):
-    cells = restored(read_npz(Build("brick", root).solid))
+    cells = solid_from_arrays(read_npz(Build("brick", root).solid))
     (path,) = inspect_stage("voxelize", "brick", root, vtu=True).files
     grid = pyvista.read(path)
     assert grid.n_cells == len(cells.index)

@@ -5,9 +5,9 @@ from scipy.ndimage import gaussian_filter
 from skimage.measure import marching_cubes
 from solids import TURN, box, isosurface, sphere
 
-from objectfolder.mesh.closing.topology import is_closed, signed_volume
 from objectfolder.mesh.grid import BOUND, DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.mesh.topology import is_closed, signed_volume
 
 SOLIDS = {
     "sphere": (sphere(0.42, 5), 4 / 3 * np.pi * 0.42**3),

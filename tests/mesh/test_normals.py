@@ -4,7 +4,7 @@ from gltf_scene import Scene
 from solids import box, sphere
 
 from objectfolder.mesh.normalize import normalize
-from objectfolder.mesh.normals import area_vectors, averaged, creased, split, unit, usable
+from objectfolder.mesh.normals import area_vectors, averaged, creased, split_vertices, unit_vectors, usable
 from objectfolder.mesh.procedural import GENERATORS, generate
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.textured import TexturedMesh, appearance_report
@@ -15,7 +15,7 @@ WHOLE = np.s_[:]
 def ball(level=2, **appearance):
     """A sphere with the normals of the true one."""
     vertices, faces = sphere(0.5, level)
-    return TexturedMesh(vertices, faces, normals=unit(vertices), **appearance)
+    return TexturedMesh(vertices, faces, normals=unit_vectors(vertices), **appearance)
 
 
 def degrees(a, b):
@@ -35,7 +35,7 @@ def test_smooth_normals_of_a_sphere_converge_to_the_true_ones():
     errors = []
     for level in (2, 3, 4):
         vertices, faces = sphere(0.5, level)
-        errors.append(degrees(creased(vertices, faces), unit(vertices)[faces]).max())
+        errors.append(degrees(creased(vertices, faces), unit_vectors(vertices)[faces]).max())
     assert errors[-1] < 0.5
     np.testing.assert_allclose(np.array(errors[:-1]) / errors[1:], 2, rtol=0.25)
 
@@ -43,16 +43,16 @@ def test_smooth_normals_of_a_sphere_converge_to_the_true_ones():
 def test_averaged_normals_are_means_with_the_neighbours():
     """On a tetrahedron everyone is everyone's neighbour; beside a flat face there is nothing to average."""
     faces = np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]])
-    normals = unit(np.random.default_rng(0).normal(size=(4, 3)))
+    normals = unit_vectors(np.random.default_rng(0).normal(size=(4, 3)))
     np.testing.assert_array_equal(averaged(normals, faces, 0), normals)
-    np.testing.assert_allclose(averaged(normals, faces, 1), np.tile(unit(normals.mean(0)), (4, 1)))
+    np.testing.assert_allclose(averaged(normals, faces, 1), np.tile(unit_vectors(normals.mean(0)), (4, 1)))
     up = np.tile([0.0, 0, 1], (4, 1))
     np.testing.assert_allclose(averaged(up, faces, 3), up)
 
 
 def test_a_box_keeps_its_edges_and_a_cylinder_its_rims():
     vertices, faces = box((1, 2, 3))
-    flat = unit(area_vectors(vertices, faces))
+    flat = unit_vectors(area_vectors(vertices, faces))
     np.testing.assert_array_equal(creased(vertices, faces), flat[:, None].repeat(3, 1))
     around = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     ring = np.stack([np.cos(around), np.sin(around)], 1)
@@ -82,7 +82,7 @@ def test_a_face_without_area_gets_a_unit_normal():
 def test_copies_for_creases_follow_the_vertices_and_keep_every_corner():
     vertices, faces = box((1, 2, 3))
     corners = creased(vertices, faces)
-    vertex, split_faces, normals = split(faces, corners, len(vertices))
+    vertex, split_faces, normals = split_vertices(faces, corners, len(vertices))
     np.testing.assert_array_equal(vertex[:8], np.arange(8))
     assert len(vertex) == 24  # three sides meet in each corner
     np.testing.assert_array_equal(vertex[split_faces], faces)
@@ -106,7 +106,7 @@ def test_a_bad_normal_gives_way_to_its_faces(bad):
     hit = mesh.faces == 7
     assert fraction == pytest.approx(hit.mean())
     np.testing.assert_allclose(corners[~hit], corner_normals(mesh)[~hit])
-    flat = unit(area_vectors(mesh.vertices, mesh.faces))[:, None].repeat(3, 1)
+    flat = unit_vectors(area_vectors(mesh.vertices, mesh.faces))[:, None].repeat(3, 1)
     np.testing.assert_allclose(corners[hit], flat[hit])
 
 
@@ -131,7 +131,7 @@ def test_a_glb_keeps_its_normals_and_stays_z_up(tmp_path):
     np.testing.assert_allclose(np.linalg.norm(back.normals, axis=1), 1, atol=1e-12)
     assert appearance_report(back)["vertex_normals"] is True
     as_it_is = load_mesh(tmp_path / "m.glb", "z")
-    np.testing.assert_allclose(as_it_is.normals, unit(as_it_is.vertices), atol=1e-6)
+    np.testing.assert_allclose(as_it_is.normals, unit_vectors(as_it_is.vertices), atol=1e-6)
 
 
 def test_a_mesh_without_normals_has_none_after_loading(tmp_path):
@@ -156,7 +156,7 @@ def test_nodes_place_normals_as_they_place_surfaces(tmp_path, scale):
     scene.node(scene.mesh(mesh.vertices, mesh.faces, NORMAL=mesh.normals), **placed)
     loaded = load_mesh(scene.write(tmp_path / "m.gltf"), "z")
     local = (loaded.vertices - [5, 6, 7]) @ np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])  # turned back
-    expected = unit(local / np.square(scale)) @ np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+    expected = unit_vectors(local / np.square(scale)) @ np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
     np.testing.assert_allclose(loaded.normals, expected, atol=1e-5)
     assert loaded.source["normals_bad_fraction"] == 0
     assert not against_faces(loaded).any()
@@ -181,7 +181,7 @@ def test_parts_without_normals_stay_flat_beside_others(tmp_path):
     loaded = load_mesh(scene.write(tmp_path / "m.gltf"), "z")
     smooth, flat = np.split(corner_normals(loaded), 2)
     np.testing.assert_allclose(smooth, corner_normals(mesh), atol=1e-6)
-    faces = unit(area_vectors(mesh.vertices, mesh.faces))
+    faces = unit_vectors(area_vectors(mesh.vertices, mesh.faces))
     np.testing.assert_allclose(flat, faces[:, None].repeat(3, 1), atol=1e-5)
     assert loaded.source["normals_bad_fraction"] == 0
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from solids import box, sphere
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.normals import unit
+from objectfolder.mesh.normals import unit_vectors
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.vision.cameras import Intrinsics, covered_rectangle, look_at, project, sphere_points
 from objectfolder.vision.dataset import RendererName, render_split
@@ -242,7 +242,7 @@ def test_a_turned_mesh_under_turned_camera_and_light_is_the_same_picture(render)
 
     vertices, faces = sphere(0.4, 2)
     stretched = painted((vertices * [1, 0.7, 0.5], faces))
-    mesh = replace(stretched, normals=unit(vertices / [1, 0.7, 0.5]))
+    mesh = replace(stretched, normals=unit_vectors(vertices / [1, 0.7, 0.5]))
     light, eye = np.array([1.0, 0.3, 0.5]), np.array([2.5, 0.4, 0.9])
     pose = look_at(eye)[0]
     turned = np.eye(4)

@@ -1,25 +1,26 @@
-"""Surfaces of functions that are sampled only in those blocks of a grid where it matters."""
+"""Zero level sets of functions sampled in selected blocks of a grid only."""
 
 from collections.abc import Callable
 
 import numpy as np
 from skimage.measure import marching_cubes
 
-from objectfolder.mesh.closing.topology import Mesh, separate_wedges, signed_volume
+from objectfolder.mesh.closing.wedges import separate_wedges
 from objectfolder.mesh.closing.weld import weld
+from objectfolder.mesh.topology import Mesh, signed_volume
 
 BLOCK = 8  #: samples along each side of a block
 
 
-def lattice(*shape: int) -> np.ndarray:
-    """Integer coordinates of a grid's samples, the last axis fastest; (N, 3)."""
+def grid_points(*shape: int) -> np.ndarray:
+    """Return the integer coordinates of a grid's samples, last axis fastest; (N, 3)."""
     return np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), -1).reshape(-1, 3)
 
 
 def block_centres(lower: np.ndarray, spacing: float, blocks: np.ndarray) -> tuple[np.ndarray, float]:
-    """Centres (B, 3) of a grid's blocks, and the radius of the sphere that holds a block's samples."""
+    """Return the centres (B, 3) of a grid's blocks and the radius of a sphere around a block's samples."""
     side = BLOCK * spacing
-    return lower + side * (lattice(*blocks) + 0.5) - spacing / 2, side * np.sqrt(3) / 2
+    return lower + side * (grid_points(*blocks) + 0.5) - spacing / 2, side * np.sqrt(3) / 2
 
 
 def contour(
@@ -30,22 +31,22 @@ def contour(
     chosen: np.ndarray,
     elsewhere: np.ndarray | float,
 ) -> Mesh:
-    """Closed surface around the points where a function is negative.
+    """Extract the closed surface around the points where a function is negative.
 
     Parameters
     ----------
     function : callable
         Maps points (N, 3) to values (N,).
     lower : (3,) array
-        First sample.
+        Position of the first sample.
     spacing : float
-        Between samples.
+        Distance between samples.
     blocks : (3,) int array
-        Blocks along each axis.
+        Number of blocks along each axis.
     chosen : (C,) int array
         Blocks in which the function is sampled, in the order of `block_centres`.
     elsewhere : float or (B,) array
-        Value of the samples of each other block. Outside the grid it is positive.
+        Value of the samples in the other blocks. Outside the grid, values are positive.
 
     Returns
     -------
@@ -55,7 +56,7 @@ def contour(
     count = int(np.prod(blocks))
     values = np.repeat(np.broadcast_to(np.asarray(elsewhere, float), count), BLOCK**3).reshape(count, -1)
     corner = BLOCK * np.stack(np.unravel_index(chosen, tuple(blocks)), -1)
-    samples = (corner[:, None] + lattice(BLOCK, BLOCK, BLOCK)).reshape(-1, 3)
+    samples = (corner[:, None] + grid_points(BLOCK, BLOCK, BLOCK)).reshape(-1, 3)
     values[chosen] = function(lower + spacing * samples).reshape(len(chosen), -1)
     grid = values.reshape(*blocks, BLOCK, BLOCK, BLOCK).transpose(0, 3, 1, 4, 2, 5)
     grid = np.pad(grid.reshape(BLOCK * np.asarray(blocks)), 1, constant_values=spacing)

@@ -1,26 +1,26 @@
-"""Last resort of the ladder: a new surface from a grid. Thin walls and cavities may be lost."""
+"""Remeshing on a grid, the last resort: thin walls and cavities may be lost."""
 
 import igl
 import numpy as np
 
 from objectfolder.mesh.closing.contour import BLOCK, block_centres, contour
 from objectfolder.mesh.closing.solids import distance
-from objectfolder.mesh.closing.topology import Mesh
+from objectfolder.mesh.topology import Mesh
 
 RESOLUTION = 192  #: samples along each axis
 _BOUND = 0.52
 
 
 def remesh_on_grid(vertices: np.ndarray, faces: np.ndarray, wall: float = 0.0) -> Mesh:
-    """Surface of all points whose generalised winding number is above 1/2, or that are near a sheet.
+    """Extract the surface of the points with generalised winding number above 1/2 or close to a sheet.
 
     Parameters
     ----------
     vertices : (V, 3) array, unit frame
     faces : (F, 3) int array
-        In any state.
+        Any triangle soup.
     wall : float
-        Where positive, points nearer to the mesh than half of it are inside too (for sheets).
+        If positive, points closer to the mesh than half of it also count as inside (for sheets).
 
     Returns
     -------
@@ -32,7 +32,7 @@ def remesh_on_grid(vertices: np.ndarray, faces: np.ndarray, wall: float = 0.0) -
     centres, radius = block_centres(lower, spacing, blocks)
     away = distance((vertices, faces), centres)
     winding = np.asarray(igl.fast_winding_number(vertices, faces, centres))
-    # One sample decides for a block that is far from the surface and clearly inside or outside.
+    # One sample represents a block that is far from the surface and clearly inside or outside.
     chosen = np.flatnonzero((away < radius + spacing + wall / 2) | (np.abs(winding - 0.5) < 0.4))
 
     def field(points: np.ndarray) -> np.ndarray:

@@ -1,36 +1,36 @@
-"""Closed pieces as one solid: union, cavities, and bridges over small gaps."""
+"""Combine closed pieces into one solid: union, cavities, bridges over small gaps."""
 
 import igl
 import manifold3d
 import numpy as np
 
 from objectfolder.mesh.closing.contour import BLOCK, block_centres, contour
-from objectfolder.mesh.closing.topology import Mesh, compact, face_components, signed_volume, tetrahedra
 from objectfolder.mesh.scanline import winding_certificate
+from objectfolder.mesh.topology import Mesh, compact, face_components, face_volumes, signed_volume
 
-SPECKS = 1e-3  #: of the volume: smaller bodies are dropped (thin rims that a scan broke off)
-_NOTHING = 1e-12  # volume of a flat piece, unit frame
-_MAX_CUTS = 24  # of a body that overlaps itself
-_BRIDGE_SPACING = 1 / 512  # of the grid that a bridge is cut from, unit frame
-_BRIDGE_DEPTH = 1.25 / 512  # by which a bridge reaches into the pieces
+SPECKS = 1e-3  #: volume fraction below which small bodies are dropped (broken-off rims of scans)
+_NOTHING = 1e-12  # volume below which a piece is flat, unit frame
+_MAX_CUTS = 24  # through a self-overlapping body
+_BRIDGE_SPACING = 1 / 512  # grid spacing of a bridge, unit frame
+_BRIDGE_DEPTH = 1.25 / 512  # overlap of a bridge with the pieces
 
 
 def unite(pieces: list[Mesh]) -> tuple[Mesh, int]:
-    """Union of closed pieces; one inside another that is oriented the other way is its cavity.
+    """Unite closed pieces; an inner piece of opposite orientation is a cavity.
 
-    A piece inside a cavity that is oriented like the outer one is a solid again.
+    A piece inside a cavity, oriented like the outermost one, is solid again.
 
     Returns
     -------
     mesh : vertices and faces, oriented outward; empty if nothing is enclosed
     cavities : int
-        Pieces that were subtracted.
+        Number of subtracted pieces.
     """
     volumes = [signed_volume(*piece) for piece in pieces]
     pieces = [piece for piece, volume in zip(pieces, volumes) if abs(volume) > _NOTHING]
     volumes = [volume for volume in volumes if abs(volume) > _NOTHING]
-    # Not by the sign alone: many meshes are inside out as a whole. What is turned like the outermost piece
-    # around it is solid (also within a cavity), what is turned the other way is hollow.
+    # The sign alone does not suffice, because many meshes are inside out as a whole. A piece oriented like
+    # the outermost piece around it is solid (also within a cavity), otherwise hollow.
     size = np.abs(volumes)
     lower, upper = (np.array([bound(v, axis=0) for v, _ in pieces]) for bound in (np.min, np.max))
     around = []
@@ -50,10 +50,10 @@ def unite(pieces: list[Mesh]) -> tuple[Mesh, int]:
 
 
 def untangle(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
-    """Union of a surface with itself: where it overlaps itself it encloses space once.
+    """Unite a self-overlapping surface with itself, so that it encloses space once.
 
-    Boolean operations work between solids, so a body that overlaps itself is cut by planes until no part
-    does, and the parts are united. Empty if that takes too many cuts.
+    Boolean operations work between solids, so the body is cut by planes until no part overlaps itself, and
+    the parts are united. Empty if that takes too many cuts.
     """
     pending, parts, cuts = [manifold((vertices, faces))], [], 0
     while pending:
@@ -67,24 +67,24 @@ def untangle(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
             cuts += 1
             lower, upper = mesh[0].min(0), mesh[0].max(0)
             axis = int((upper - lower).argmax())
-            # Beside the middle, where symmetric meshes have vertices.
+            # Off the middle, where symmetric meshes have vertices.
             place = lower[axis] + 0.5013 * (upper - lower)[axis]
             pending += part.split_by_plane(np.eye(3)[axis].tolist(), place)
     return arrays(manifold3d.Manifold.batch_boolean(parts, manifold3d.OpType.Add))
 
 
 def bodies(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Solid bodies of a closed surface: a shell with the cavities inside it.
+    """Label the solid bodies of a closed surface: shells with their cavities.
 
     Returns
     -------
     body : (F,) int
-        Label of each face's body, by falling volume.
+        Body of each face, numbered by decreasing volume.
     volumes : (B,) float
-        Net of cavities.
+        Volumes without cavities.
     """
     shell = face_components(faces, len(vertices))
-    volume = np.bincount(shell, weights=tetrahedra(vertices, faces))
+    volume = np.bincount(shell, weights=face_volumes(vertices, faces))
     owner = np.arange(len(volume))
     outer = np.flatnonzero(volume > 0)
     for cavity in np.flatnonzero(volume < 0):
@@ -101,7 +101,7 @@ def bodies(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def without_specks(vertices: np.ndarray, faces: np.ndarray) -> tuple[Mesh, int]:
-    """Drop the smallest bodies, as long as they hold under `SPECKS` of the volume together."""
+    """Drop the smallest bodies that together hold at most `SPECKS` of the volume; returns their number."""
     body, volumes = bodies(vertices, faces)
     after = volumes.sum() - np.cumsum(volumes)  # volume of the smaller ones
     kept = int(np.argmax(after <= SPECKS * volumes.sum())) + 1
@@ -109,7 +109,7 @@ def without_specks(vertices: np.ndarray, faces: np.ndarray) -> tuple[Mesh, int]:
 
 
 def gaps(pieces: list[Mesh], reach: float) -> list[tuple[float, int, int]]:
-    """Distances under ``reach`` between pieces: (gap, i, j), the smallest first."""
+    """Find gaps below ``reach`` between pieces: (gap, i, j), smallest first."""
     solids = [manifold(piece) for piece in pieces]
     lower, upper = (np.array([bound(v, axis=0) for v, _ in pieces]) for bound in (np.min, np.max))
     found = []
@@ -122,13 +122,13 @@ def gaps(pieces: list[Mesh], reach: float) -> list[tuple[float, int, int]]:
 
 
 def bridge(vertices: np.ndarray, faces: np.ndarray, reach: float) -> tuple[Mesh, list[float]]:
-    """Join bodies that are nearer to each other than ``reach``, by material in the gap alone.
+    """Join bodies separated by gaps below ``reach`` with material in the gaps only.
 
     Returns
     -------
     mesh : vertices and faces
     bridged : list of float
-        Widths of the gaps that were filled.
+        Widths of the filled gaps.
     """
     body, volumes = bodies(vertices, faces)
     pieces = [compact(vertices, faces[body == k]) for k in range(len(volumes))]
@@ -145,19 +145,19 @@ def bridge(vertices: np.ndarray, faces: np.ndarray, reach: float) -> tuple[Mesh,
 
 
 def manifold(piece: Mesh) -> manifold3d.Manifold:
-    """Return a piece as a manifold3d solid; empty if it is not closed."""
+    """Convert a piece to a manifold3d solid; empty if it is not closed."""
     vertices, faces = (np.ascontiguousarray(part) for part in piece)
     return manifold3d.Manifold(manifold3d.Mesh64(vertices, faces.astype(np.uint64)))
 
 
 def arrays(solid: manifold3d.Manifold) -> Mesh:
-    """Return a manifold3d solid as vertices and faces."""
+    """Convert a manifold3d solid to vertices and faces."""
     mesh = solid.to_mesh64()
     return np.asarray(mesh.vert_properties)[:, :3].copy(), np.asarray(mesh.tri_verts, np.int64)
 
 
 def _contains(piece: Mesh, points: np.ndarray) -> bool:
-    """Whether a closed piece encloses all of the points."""
+    """Test whether a closed piece encloses all points."""
     v, f = piece
     if (points.min(0) < v.min(0)).any() or (points.max(0) > v.max(0)).any():
         return False
@@ -165,7 +165,7 @@ def _contains(piece: Mesh, points: np.ndarray) -> bool:
 
 
 def _filler(a: Mesh, b: Mesh, gap: float) -> Mesh:
-    """Material between two pieces: points whose distances from both add up to little more than the gap."""
+    """Build the bridge between two pieces: points whose distances to both sum to little more than the gap."""
     near, spacing = gap + 2 * _BRIDGE_DEPTH, _BRIDGE_SPACING
     lower = np.maximum(a[0].min(0), b[0].min(0)) - near - 2 * spacing
     upper = np.minimum(a[0].max(0), b[0].max(0)) + near + 2 * spacing
@@ -178,5 +178,5 @@ def _filler(a: Mesh, b: Mesh, gap: float) -> Mesh:
 
 
 def distance(piece: Mesh, points: np.ndarray) -> np.ndarray:
-    """Exact unsigned distance of points (N, 3) from a surface; (N,)."""
+    """Compute exact unsigned distances of points (N, 3) to a surface; (N,)."""
     return np.sqrt(igl.point_mesh_squared_distance(np.ascontiguousarray(points), *piece)[0])

@@ -1,8 +1,8 @@
-"""The closed physical surface: a ladder of repairs, none of which remeshes what is good.
+"""Closed physical surface from any triangle mesh, by a ladder of repairs that avoids remeshing.
 
-clean -> keep | cap, thicken -> union, untangle -> bridge -> grid, each climbed only where the one before
-does not suffice. Remeshing (alpha wrapping, signed grids) fills cavities and doubles thin walls, so it is
-the last rung and is flagged. All lengths are in the unit frame (longest side 1).
+clean -> cap, thicken -> union -> untangle -> grid -> specks -> bridge: each rung is used only where needed.
+Remeshing on a grid fills cavities and doubles thin walls, so it is the last resort and gives a warning. All
+lengths are in the unit frame (longest side 1).
 """
 
 from dataclasses import dataclass, field
@@ -11,58 +11,58 @@ import igl
 import numpy as np
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.closing.openings import close_piece
+from objectfolder.mesh.closing.holes import close_piece
 from objectfolder.mesh.closing.remesh import RESOLUTION, remesh_on_grid
 from objectfolder.mesh.closing.solids import SPECKS, bodies, bridge, distance, unite, untangle, without_specks
-from objectfolder.mesh.closing.topology import (
+from objectfolder.mesh.closing.weld import clean
+from objectfolder.mesh.raycast import RayCaster
+from objectfolder.mesh.sampling import sample_surface
+from objectfolder.mesh.scanline import Certificate, check_winding, winding_certificate
+from objectfolder.mesh.topology import (
     Mesh,
     compact,
+    connected_pieces,
     edge_defects,
     face_areas,
     face_components,
     is_closed,
     merged,
     signed_volume,
-    split,
 )
-from objectfolder.mesh.closing.weld import clean
-from objectfolder.mesh.raycast import RayCaster
-from objectfolder.mesh.sampling import sample_surface
-from objectfolder.mesh.scanline import Certificate, check_winding, winding_certificate
 
 BRIDGED_GAP = 1 / 64  #: half a cell of the finest FEM grid
-SHEET_WALL = 0.02  #: thickness of a sheet where nobody says
-MAX_OPEN_PIECES = 256  #: more are a soup of triangles, whose holes cannot be told from its gaps
-MAX_BODIES = 128  #: more are not bridged: each bridge takes a good part of a second
-CRUMB = 0.01  #: of the area: smaller open pieces are no sheets of their own
-_PROBES = 20_000  # points at which deviation is measured
+SHEET_WALL = 0.02  #: default thickness of a sheet
+MAX_OPEN_PIECES = 256  #: more make a triangle soup, whose holes and gaps are indistinguishable
+MAX_BODIES = 128  #: more are not bridged: each bridge takes the better part of a second
+CRUMB = 0.01  #: area fraction below which an open piece is never a sheet
+_PROBES = 20_000  # points at which the deviation is measured
 
 
 @dataclass(frozen=True)
 class Rung:
-    """One step of the ladder that changed the mesh."""
+    """Step of the ladder that changed the mesh."""
 
     name: str  #: clean, cap, thicken, union, untangle, specks, bridge or grid
-    detail: str  #: what it did
+    detail: str  #: description of the change
     components_before: int
     components_after: int
     volume_before: float | None  #: None while the mesh is open
     volume_after: float | None
-    deviation_max: float  #: of the mesh after this step from the source mesh, both ways
-    deviation_mean: float  #: over the area of the mesh after this step
+    deviation_max: float  #: between the mesh after this step and the source mesh, both ways
+    deviation_mean: float  #: area-weighted, from the mesh after this step to the source mesh
 
 
 @dataclass(frozen=True)
-class Surface:
-    """A closed, outward-oriented triangle surface and how it was obtained."""
+class ClosedSurface:
+    """Closed, outward-oriented triangle surface with the record of its repairs."""
 
     vertices: np.ndarray  #: (V, 3) float64
     faces: np.ndarray  #: (F, 3) int64
     rungs: list[Rung]
     weld_tolerance: float
-    certificate: Certificate  #: of closedness and of winding numbers 0 and 1
+    certificate: Certificate  #: that it is closed, with winding numbers 0 and 1
     warnings: list[str] = field(default_factory=list)
-    unbridged: Mesh | None = None  #: before gaps were bridged, if any were
+    unbridged: Mesh | None = None  #: mesh before gaps were bridged, if any
 
     @property
     def mesh(self) -> Mesh:
@@ -86,12 +86,12 @@ class Surface:
 
     @property
     def rung(self) -> str:
-        """The last rung that moved or added anything; ``keep`` if none did."""
+        """Name of the last rung other than ``clean``; ``keep`` if there is none."""
         return next((r.name for r in reversed(self.rungs) if r.name != "clean"), "keep")
 
     @property
     def steps(self) -> list[str]:
-        """What was done, in order."""
+        """Descriptions of all steps, in order."""
         return [f"{r.name}: {r.detail}" for r in self.rungs]
 
     @property
@@ -101,7 +101,7 @@ class Surface:
 
     @property
     def deviation_mean(self) -> float:
-        """Mean distance of this surface from the source mesh, by area."""
+        """Area-weighted mean distance from this surface to the source mesh."""
         return self.rungs[-1].deviation_mean
 
 
@@ -111,7 +111,7 @@ def close_surface(
     name: str = "mesh",
     wall: float | None = None,
     bridging: bool = True,
-) -> Surface:
+) -> ClosedSurface:
     """Turn the triangles of a mesh into one closed solid.
 
     Parameters
@@ -119,24 +119,24 @@ def close_surface(
     vertices : (V, 3) array, unit frame
     faces : (F, 3) int array
     name : str
-        Named in errors.
+        Name of the object in errors.
     wall : float, optional
-        Thickness given to visible sheets; `SHEET_WALL` with a warning where None.
+        Thickness given to visible sheets; default: `SHEET_WALL`, with a warning.
     bridging : bool
-        Whether pieces nearer to each other than `BRIDGED_GAP` are joined.
+        Whether gaps below `BRIDGED_GAP` between pieces are filled.
 
     Raises
     ------
     ObjectFolderError
-        If no closed surface results whose winding number is 0 or 1 and of which one body holds 99.9 % of
-        the volume; names the pieces, their volumes and the gaps between them.
+        Unless the result is closed, has winding number 0 or 1, and one body holds 99.9 % of its volume. The
+        message lists the pieces with their volumes and gaps.
     """
     ladder = _Ladder(name, np.asarray(vertices, np.float64), np.asarray(faces, np.int64))
     tolerance = ladder.clean()
     openings = ladder.close_pieces(SHEET_WALL if wall is None else wall)
     if openings and wall is None:
         ladder.warnings.append(
-            f"{openings} open sheets were given a wall of {SHEET_WALL:.0%} of the size; say `wall` in metres"
+            f"{openings} open sheets were given a wall of {SHEET_WALL:.0%} of the size; set `wall` in metres"
         )
     if wall is not None and not openings:
         ladder.warnings.append(
@@ -152,7 +152,7 @@ def close_surface(
     if bridging:
         ladder.bridge()
     ladder.accept(bridging)
-    return Surface(
+    return ClosedSurface(
         *ladder.mesh,
         ladder.rungs,
         tolerance,
@@ -163,13 +163,13 @@ def close_surface(
 
 
 class _Ladder:
-    """The mesh on its way up, and the record of what was done to it."""
+    """Mesh under repair, with the record of its steps."""
 
     def __init__(self, name: str, vertices: np.ndarray, faces: np.ndarray):
         self.name, self.source, self.mesh = name, (vertices, faces), (vertices, faces)
         self.rungs: list[Rung] = []
         self.warnings: list[str] = []
-        self.moved = 0.0  # by welding; the source below is the mesh after it
+        self.moved = 0.0  # by welding; deviations are measured from the welded mesh
 
     @property
     def solid(self) -> bool:
@@ -193,14 +193,14 @@ class _Ladder:
         return tolerance
 
     def close_pieces(self, wall: float) -> int:
-        """Cap or thicken open pieces; returns how many are sheets."""
-        pieces = split(*self.mesh)
+        """Cap or thicken open pieces; return the number of sheets."""
+        pieces = connected_pieces(*self.mesh)
         defects = [edge_defects(f) for _, f in pieces]
         is_open = [boundary > 0 and not crowded for boundary, crowded, _ in defects]
         if not any(is_open):
             return 0
         if sum(is_open) > MAX_OPEN_PIECES:
-            return 0  # a soup; the grid is left
+            return 0  # a triangle soup: only the grid remains
         before, scene = self.mesh, RayCaster(*self.mesh)
         total = face_areas(*before).sum()
         capped = sheets = 0
@@ -220,14 +220,14 @@ class _Ladder:
         return sheets
 
     def join(self) -> None:
-        pieces, before = split(*self.mesh), self.mesh
+        pieces, before = connected_pieces(*self.mesh), self.mesh
         broken = [f for _, f in pieces if not is_closed(f)]
         if broken:
-            return  # the grid is left
+            return  # only the grid remains
         if len(pieces) > 1:
             mesh, cavities = unite(pieces)
-            what = f"{len(pieces) - cavities} solids and {cavities} cavities"
-            self._record("union", what, before, mesh)
+            detail = f"{len(pieces) - cavities} solids and {cavities} cavities"
+            self._record("union", detail, before, mesh)
         elif signed_volume(*before) < 0:
             v, f = before
             self.mesh = (v, np.ascontiguousarray(f[:, ::-1]))
@@ -242,7 +242,7 @@ class _Ladder:
     def remesh(self, wall: float) -> None:
         v, f = self.mesh
         if len(f) and is_closed(f) and not winding_certificate(v, f).columns:
-            check_winding(v, f, self.name)  # says that it is too thin for any grid
+            check_winding(v, f, self.name)  # raises: too thin for any grid
         mesh = remesh_on_grid(*self.source, wall)
         if len(mesh[1]) == 0:
             raise ObjectFolderError(
@@ -292,7 +292,7 @@ class _Ladder:
             )
         lines += [f"and {len(volumes) - 8} more"] if len(volumes) > 8 else []
         remedy = (
-            f"gaps under {BRIDGED_GAP:.1%} are bridged, these are wider: join the pieces, or add what lacks"
+            f"gaps under {BRIDGED_GAP:.1%} are bridged, these are wider: join the pieces in the mesh"
             if bridging
             else "bridging is off for this object; set `bridge: all` or `bridge: fem`"
         )
@@ -328,9 +328,9 @@ def _pieces(mesh: Mesh) -> int:
 
 
 def _deviation(mesh: Mesh, source: Mesh) -> tuple[float, float]:
-    """Largest and mean distance between a mesh and its source, both ways.
+    """Measure the largest and mean distance between a mesh and its source.
 
-    What the source has inside the solid (pieces that were united) does not count.
+    Parts of the source inside the solid (united pieces) do not count.
     """
     if len(mesh[1]) == 0:
         return 0.0, 0.0

@@ -1,27 +1,27 @@
-"""Clean a triangle soup into oriented pieces: weld, stitch cracks, cancel copies, split bow-ties."""
+"""Clean a triangle soup: weld, stitch cracks, drop duplicate faces, orient, split bow-ties."""
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from objectfolder.mesh.closing.topology import (
+from objectfolder.mesh.closing.wedges import separate_wedges
+from objectfolder.mesh.topology import (
     Mesh,
     compact,
-    connected,
+    components,
     edge_defects,
     face_areas,
     half_edges,
     orient,
-    separate_wedges,
 )
 
 TOLERANCES = (1e-7, 1e-6, 1e-5, 1e-4, 5e-4)  #: of the object's size
-_MAX_OPEN_EDGES = 100_000  # of a mesh with cracks; more are a soup
+_MAX_OPEN_EDGES = 100_000  # above which a mesh is a triangle soup, without cracks to stitch
 _NO_AREA = 1e-12  # of the size, squared
-_FINEST_FEATURE = 0.2  # of the median edge: a larger tolerance would weld what is apart on purpose
+_FINEST_FEATURE = 0.2  # tolerance limit in median edges, to keep intended gaps
 
 
 def clean(vertices: np.ndarray, faces: np.ndarray) -> tuple[Mesh, float, float]:
-    """Weld as little as closes the mesh, stitch cracks, orient neighbours alike, split bow-ties.
+    """Weld with the smallest tolerance that closes the mesh, stitch cracks, orient, split bow-ties.
 
     Parameters
     ----------
@@ -33,9 +33,9 @@ def clean(vertices: np.ndarray, faces: np.ndarray) -> tuple[Mesh, float, float]:
     mesh : vertices and faces
         May be empty.
     tolerance : float
-        Distance over which vertices were welded.
+        Welding distance.
     moved : float
-        The farthest that a vertex, or an edge that was split, moved by it.
+        Largest displacement of a vertex or split edge.
     """
     best = None
     edges = half_edges(faces)
@@ -68,15 +68,15 @@ def clean(vertices: np.ndarray, faces: np.ndarray) -> tuple[Mesh, float, float]:
 
 
 def weld(vertices: np.ndarray, faces: np.ndarray, tolerance: float) -> Mesh:
-    """Merge vertices that a chain of steps up to ``tolerance`` connects; keeps the first of each."""
+    """Merge vertices connected by steps of at most ``tolerance``, keeping the first of each group."""
     pairs = cKDTree(vertices).query_pairs(tolerance, output_type="ndarray")
-    labels = connected(pairs, len(vertices))
+    labels = components(pairs[:, 0], pairs[:, 1], len(vertices))[1]
     _, first = np.unique(labels, return_index=True)
     return vertices[first], labels[faces]
 
 
 def stitch_cracks(vertices: np.ndarray, faces: np.ndarray, tolerance: float) -> Mesh:
-    """Split open edges at the open vertices that lie on them (T-junctions), and cancel copies."""
+    """Split open edges at open vertices on them (T-junctions), and cancel duplicate faces."""
     for _ in range(3):  # the first, second and third edge of every face
         open_edges = _open_edges(faces)
         rim = np.unique(open_edges[1])
@@ -99,7 +99,7 @@ def stitch_cracks(vertices: np.ndarray, faces: np.ndarray, tolerance: float) -> 
 
 
 def _open_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which half edges (3 F,) no other face shares, and their ends."""
+    """Find the half edges (3 F,) shared by no other face, and their ends."""
     edges = half_edges(faces)
     key = edges.min(1) * (int(faces.max(initial=0)) + 1) + edges.max(1)
     _, inverse, uses = np.unique(key, return_inverse=True, return_counts=True)
@@ -110,7 +110,7 @@ def _open_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _points_on_segments(
     vertices: np.ndarray, start: np.ndarray, stop: np.ndarray, points: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs (segment, vertex) of the vertices that lie within a tolerance of a segment's inside."""
+    """Find pairs (segment, vertex) of vertices within a tolerance of a segment's interior."""
     a, b = vertices[start], vertices[stop]
     length = np.linalg.norm(b - a, axis=1)
     if len(points) == 0 or len(start) == 0:
@@ -127,7 +127,7 @@ def _points_on_segments(
 
 
 def drop_slivers(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
-    """Drop faces without area that hang on a closed surface by one edge; those within one stay."""
+    """Drop degenerate faces attached to a closed surface by one edge only."""
     thin = face_areas(vertices, faces) < _NO_AREA
     while thin.any():
         edges = np.sort(half_edges(faces), 1)
@@ -141,7 +141,7 @@ def drop_slivers(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
 
 
 def cancel_copies(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
-    """Drop degenerate faces, repeated faces, and pairs of faces that cancel each other."""
+    """Drop degenerate faces, duplicates, and pairs of opposite faces."""
     a, b, c = faces.T
     faces = faces[(a != b) & (b != c) & (c != a)]
     rolled = np.take_along_axis(faces, (faces.argmin(1)[:, None] + np.arange(3)) % 3, 1)

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.procedural.atlas import MARGIN, Chart, pack
+from objectfolder.mesh.procedural.atlas import MARGIN, Chart, pack_charts
 from objectfolder.mesh.procedural.finish import Paint, finish
 from objectfolder.mesh.procedural.texture import rgb
 from objectfolder.mesh.raycast import RayCaster
@@ -48,7 +48,7 @@ class Look:
 
 
 @dataclass(frozen=True)
-class Part:
+class PaintedPart:
     """A solid, in place, with the paint of its surface, wherever that ends up in the object."""
 
     solid: manifold3d.Manifold
@@ -56,7 +56,7 @@ class Part:
     axes: np.ndarray = field(default_factory=lambda: np.eye(3))  #: columns: where its charts look from
 
     @classmethod
-    def of(cls, solid: manifold3d.Manifold, paint: Paint, axes: np.ndarray | None = None) -> "Part":
+    def of(cls, solid: manifold3d.Manifold, paint: Paint, axes: np.ndarray | None = None) -> "PaintedPart":
         """Return a part whose surface can be told from all others after Boolean operations."""
         return cls(solid.as_original(), paint, np.eye(3) if axes is None else axes)
 
@@ -69,13 +69,13 @@ def frame(along: Sequence[float] | np.ndarray) -> np.ndarray:
     return np.stack([first, second, np.cross(first, second)], 1)
 
 
-def joined(parts: Sequence[Part]) -> manifold3d.Manifold:
+def union(parts: Sequence[PaintedPart]) -> manifold3d.Manifold:
     """Union of all parts."""
     return manifold3d.Manifold.batch_boolean([part.solid for part in parts], manifold3d.OpType.Add)
 
 
 def assemble(
-    solid: manifold3d.Manifold, parts: Sequence[Part], look: Look, texture_size: int
+    solid: manifold3d.Manifold, parts: Sequence[PaintedPart], look: Look, texture_size: int
 ) -> TexturedMesh:
     """Chart the surface of a solid made from parts by Boolean operations, paint it and bake the texture.
 
@@ -85,7 +85,7 @@ def assemble(
     ----------
     solid : manifold3d.Manifold
         m.
-    parts : sequence of Part
+    parts : sequence of PaintedPart
         All that took part, cutting tools too.
     look : Look
         For the gloss.
@@ -130,7 +130,7 @@ def assemble(
             f"texture_size={texture_size!r}: expected at least {least} texels, which the {len(charts)} "
             "charts of this object need; make the texture larger"
         )
-    atlas = pack(charts, texture_size)
+    atlas = pack_charts(charts, texture_size)
 
     starts = np.cumsum([0, *(len(used) for used, _, _ in pieces)])
     split = np.empty_like(faces)
@@ -147,7 +147,7 @@ def assemble(
     )
 
 
-def _owners(mesh: manifold3d.Mesh64, parts: Sequence[Part]) -> np.ndarray:
+def _owners(mesh: manifold3d.Mesh64, parts: Sequence[PaintedPart]) -> np.ndarray:
     """Index of the part (F,) on whose surface each face lies."""
     identity = {part.solid.original_id(): k for k, part in enumerate(parts)}
     starts = np.asarray(mesh.run_index, np.int64) // 3

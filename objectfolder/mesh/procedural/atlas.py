@@ -70,7 +70,7 @@ def _shelves(sizes: np.ndarray, resolution: int) -> np.ndarray | None:
     return corners
 
 
-def pack(charts: Sequence[Chart], resolution: int) -> Atlas:
+def pack_charts(charts: Sequence[Chart], resolution: int) -> Atlas:
     """Lay charts out at the greatest common texel density that fits a ``resolution`` x ``resolution`` square.
 
     Raises

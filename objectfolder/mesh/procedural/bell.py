@@ -4,10 +4,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.procedural.atlas import pack
+from objectfolder.mesh.procedural.atlas import pack_charts
 from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
 from objectfolder.mesh.procedural.revolution import arc, disc, polyline, sleeve
-from objectfolder.mesh.procedural.solid import textured, weld
+from objectfolder.mesh.procedural.solid import textured, weld_patches
 from objectfolder.mesh.procedural.texture import lattice, noise, over, rgb, smoothstep, stroke
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -58,8 +58,8 @@ def bell(
         sleeve(stem, 4, decor.outside),
         disc(ball, 5, decor.outside),
     ]
-    atlas = pack([chart for _, chart in parts], texture_size)
-    return textured(weld([patch for patch, _ in parts], atlas), atlas, roughness=0.35)
+    atlas = pack_charts([chart for _, chart in parts], texture_size)
+    return textured(weld_patches([patch for patch, _ in parts], atlas), atlas, roughness=0.35)
 
 
 def profiles(height: float, radius: float, wall: float) -> list[np.ndarray]:

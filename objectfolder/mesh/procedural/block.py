@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from objectfolder.mesh.procedural.assembly import Look, Part, assemble, joined
+from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, union
 from objectfolder.mesh.procedural.boards import timber
 from objectfolder.mesh.procedural.extrusion import prism, rectangle, regular
 from objectfolder.mesh.procedural.finish import Paint
@@ -107,21 +107,21 @@ def block(
     outline = rectangle(length, width, 2 * rounding)
     centres = grid(length, width, rows, columns)
     if relief != "holes":
-        parts = [Part.of(prism([outline], height, spacing, rounding, 2), skin)]
+        parts = [PaintedPart.of(prism([outline], height, spacing, rounding, 2), skin)]
         if relief == "studs":
             rise = 0.4 * diameter if depth is None else depth
             sunk = 0.5 * height
             stud = prism([regular(40, diameter / 2)], rise + sunk, spacing, min(rounding, 0.3 * rise), 2)
             cover = skin if accent is None else look.dyed(accent).paint()
-            parts += [Part.of(stud.translate((x, y, height - sunk)), cover) for x, y in centres]
-        return assemble(joined(parts), parts, look, texture_size)
+            parts += [PaintedPart.of(stud.translate((x, y, height - sunk)), cover) for x, y in centres]
+        return assemble(union(parts), parts, look, texture_size)
 
     shapes = [_shape(hole, k, diameter / 2) for k in range(len(centres))]
     bored = [shape[::-1] + centre for shape, centre in zip(shapes, centres)]
     cover = _bored(
         skin, centres, diameter / 2, rounding, height, None if accent is None else look.dyed(accent).paint()
     )
-    parts = [Part.of(prism([outline, *bored], height, spacing, rounding, 2), cover)]
+    parts = [PaintedPart.of(prism([outline, *bored], height, spacing, rounding, 2), cover)]
     if depth is not None and not through:
         # A plug wider than the hole's rounded rim, narrower than what is left between holes.
         grow = 1 + 0.5 * (pitch - diameter) / diameter
@@ -130,8 +130,8 @@ def block(
             prism([shape * grow], floor, spacing).translate((*centre, 0))
             for shape, centre in zip(shapes, centres)
         ]
-        parts += [Part.of(plug, cover) for plug in plugs]
-    return assemble(joined(parts), parts, look, texture_size)
+        parts += [PaintedPart.of(plug, cover) for plug in plugs]
+    return assemble(union(parts), parts, look, texture_size)
 
 
 def grid(length: float, width: float, rows: int, columns: int) -> np.ndarray:

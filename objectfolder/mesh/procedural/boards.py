@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from objectfolder.mesh.procedural.assembly import Look, Part
+from objectfolder.mesh.procedural.assembly import Look, PaintedPart
 from objectfolder.mesh.procedural.extrusion import prism, rectangle
 from objectfolder.mesh.procedural.finish import Paint
 from objectfolder.mesh.procedural.texture import over, stroke
@@ -67,7 +67,7 @@ def board(
     high: Sequence[float],
     spacing: float,
     bevel: float = 0.0,
-) -> Part:
+) -> PaintedPart:
     """Build an upright or level board between two corners, m, its grain along its longest side.
 
     Parameters
@@ -91,7 +91,7 @@ def board(
     plate = prism([rectangle(size[long], size[wide], 2 * bevel, 3)], size[thin], spacing, bevel, 1)
     middle = np.add(low, high) / 2
     plate = plate.transform(np.column_stack([axes, middle - size[thin] / 2 * axes[:, 2]]))
-    return Part.of(plate, timber(look, piece, middle, axes, size[wide]))
+    return PaintedPart.of(plate, timber(look, piece, middle, axes, size[wide]))
 
 
 def leg(
@@ -103,7 +103,7 @@ def leg(
     spacing: float,
     bevel: float,
     taper: float = 1.0,
-) -> Part:
+) -> PaintedPart:
     """Build a square leg, m, on the point ``foot``; it narrows to ``taper`` of its size there."""
     post = prism([rectangle(size, size, 2 * bevel, 3)], height, spacing, bevel, 1)
 
@@ -113,4 +113,4 @@ def leg(
 
     post = post.warp_batch(narrow).translate([float(x) for x in foot])
     middle = np.add(foot, [0, 0, height / 2])
-    return Part.of(post, timber(look, piece, middle, np.eye(3)[:, [2, 0, 1]], size))
+    return PaintedPart.of(post, timber(look, piece, middle, np.eye(3)[:, [2, 0, 1]], size))

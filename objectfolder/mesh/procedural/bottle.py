@@ -3,9 +3,16 @@
 import numpy as np
 
 from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
-from objectfolder.mesh.procedural.section import half_outline, ring, ring_under, rounded, soften, wall_about
+from objectfolder.mesh.procedural.section import (
+    half_outline,
+    ring,
+    ring_under,
+    rounded_polyline,
+    soften,
+    wall_about,
+)
 from objectfolder.mesh.procedural.texture import smoothstep
-from objectfolder.mesh.procedural.vessel import dress, lobed, turn
+from objectfolder.mesh.procedural.vessel import lobed, turned_vessel, vessel_finish
 from objectfolder.mesh.textured import TexturedMesh
 
 
@@ -91,7 +98,7 @@ def bottle(
     recess = 0.4 * wall
     floor, side, bore = recess + wall / 2, radius - wall / 2, neck_radius - wall / 2
     hip = height - neck_height - shoulder
-    foot = rounded(np.array([[0, floor], [side, floor], [side, hip]]), np.array([0.2 * radius]))
+    foot = rounded_polyline(np.array([[0, floor], [side, floor], [side, hip]]), np.array([0.2 * radius]))
     up = np.linspace(0, 1, 200)
     body = np.stack([np.full(200, side), foot[-2, 1] + (hip - foot[-2, 1]) * up], 1)
     body[:, 0] -= waist * radius * np.sin(np.pi * up) ** 2
@@ -111,6 +118,6 @@ def bottle(
     def weight(points: np.ndarray) -> np.ndarray:
         return smoothstep(hip + shoulder, hip, points[:, 2])
 
-    look = dress(finish, height, height, recess, color, accent, seed)
+    look = vessel_finish(finish, height, height, recess, color, accent, seed)
     warp = lobed("bottle", lobes, lobe_depth, weight)
-    return turn(half_outline(section, "bottle"), look, texture_size, warp)
+    return turned_vessel(half_outline(section, "bottle"), look, texture_size, warp)

@@ -5,7 +5,7 @@ import numpy as np
 from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
 from objectfolder.mesh.procedural.section import half_outline, ring_under, soften, wall_about
 from objectfolder.mesh.procedural.texture import smoothstep
-from objectfolder.mesh.procedural.vessel import dress, lobed, turn
+from objectfolder.mesh.procedural.vessel import lobed, turned_vessel, vessel_finish
 from objectfolder.mesh.textured import TexturedMesh
 
 
@@ -91,5 +91,5 @@ def bowl(
     )
     warp = lobed("bowl", lobes, lobe_depth, lambda p: smoothstep(0.3 * height, height, p[:, 2]))
     size = max(2 * radius, height)
-    look = dress(finish, size, height, 0.6 * foot_height, color, accent, seed)
-    return turn(half_outline(section, "bowl"), look, texture_size, warp)
+    look = vessel_finish(finish, size, height, 0.6 * foot_height, color, accent, seed)
+    return turned_vessel(half_outline(section, "bowl"), look, texture_size, warp)

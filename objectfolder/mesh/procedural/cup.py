@@ -9,12 +9,12 @@ from objectfolder.mesh.procedural.section import (
     half_outline,
     ring_under,
     round_solid,
-    rounded,
+    rounded_polyline,
     soften,
     wall_about,
 )
 from objectfolder.mesh.procedural.texture import smoothstep
-from objectfolder.mesh.procedural.vessel import dress, lobed, turn
+from objectfolder.mesh.procedural.vessel import lobed, turned_vessel, vessel_finish
 from objectfolder.mesh.textured import TexturedMesh
 
 
@@ -92,7 +92,7 @@ def cup(
     floor = (stem or recess) + wall / 2
     top = height - wall / 2
     corners = np.array([[0, floor], [base_radius - wall / 2, floor], [radius - wall / 2, top]])
-    middle = evenly(rounded(corners, np.array([rounding])))
+    middle = evenly(rounded_polyline(corners, np.array([rounding])))
     up = (middle[:, 1] - floor) / (top - floor)
     middle[:, 0] *= 1 + bulge * np.sin(np.pi * up) ** 2 * smoothstep(0, 0.1, up)
     section = wall_about(middle, wall)
@@ -108,9 +108,9 @@ def cup(
         return smoothstep(stem + 0.2 * deep, height, points[:, 2])
 
     size = max(2 * radius, height)
-    look = dress(finish, size, height, 0.0 if stem else recess, color, accent, seed)
+    look = vessel_finish(finish, size, height, 0.0 if stem else recess, color, accent, seed)
     warp = lobed("cup", lobes, lobe_depth, weight)
-    return turn(half_outline(section, "cup"), look, texture_size, warp)
+    return turned_vessel(half_outline(section, "cup"), look, texture_size, warp)
 
 
 def _stem(top: float, foot_radius: float, wall: float) -> manifold3d.CrossSection:

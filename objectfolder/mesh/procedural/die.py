@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from objectfolder.mesh.procedural.atlas import Chart, pack
+from objectfolder.mesh.procedural.atlas import Chart, pack_charts
 from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
 from objectfolder.mesh.procedural.revolution import arc, disc
-from objectfolder.mesh.procedural.solid import Patch, textured, weld
+from objectfolder.mesh.procedural.solid import Patch, textured, weld_patches
 from objectfolder.mesh.procedural.texture import over, rgb, smoothstep, wood
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -94,11 +94,11 @@ def die(size: float = 0.05, fillet: float = 0.006, texture_size: int = 1024) -> 
         block.append(Patch(locate(xy), faces, xy, k))
         charts.append(Chart((2 * border, 2 * border), locate, paint))
 
-    atlas = pack(charts, texture_size)
-    solid = weld(block, atlas)
+    atlas = pack_charts(charts, texture_size)
+    solid = weld_patches(block, atlas)
     for k, (value, axes) in enumerate(FACES.items()):
         for place in PIPS[value]:
-            solid -= weld(_drill(size, np.multiply(place, PIP_PITCH * size), axes, border, k), atlas)
+            solid -= weld_patches(_drill(size, np.multiply(place, PIP_PITCH * size), axes, border, k), atlas)
     return textured(solid, atlas, roughness=0.55)
 
 

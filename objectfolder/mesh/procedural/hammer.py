@@ -3,7 +3,7 @@
 import manifold3d
 import numpy as np
 
-from objectfolder.mesh.procedural.assembly import Look, Part, assemble, joined
+from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, union
 from objectfolder.mesh.procedural.boards import timber
 from objectfolder.mesh.procedural.extrusion import prism, rectangle, regular
 from objectfolder.mesh.procedural.parameters import (
@@ -90,22 +90,25 @@ def hammer(
         wedge = prism([np.array(notch)[::-1] @ np.array([[0, 1], [1, 0]])], 4 * d, spacing)
         # Outline in z and y; extruded along x.
         wedge = wedge.transform(np.array([[0, 0, 1.0, -2 * d], [0, 1.0, 0, 0], [-1.0, 0, 0, 0]]))
-        cuts = [Part.of(wedge, parts[0].paint)]
+        cuts = [PaintedPart.of(wedge, parts[0].paint)]
     grip = (
         look
         if accent is None
         else Look("wood" if finish == "wood" else "plastic", look.size, accent, None, seed)
     )
     handle = _handle(grip, length, 0.62 * d if head != "mallet" else 0.5 * d, handle_width, spacing)
-    whole = joined(parts)
-    whole = joined(
-        [Part(whole - joined(cuts), parts[0].paint) if cuts else Part(whole, parts[0].paint), handle]
+    whole = union(parts)
+    whole = union(
+        [
+            PaintedPart(whole - union(cuts), parts[0].paint) if cuts else PaintedPart(whole, parts[0].paint),
+            handle,
+        ]
     )
     floor = whole.bounding_box()[2]
     return assemble(whole.translate((0, 0, -floor)), [*parts, *cuts, handle], look, texture_size)
 
 
-def _handle(look: Look, length: float, top: float, width: float, spacing: float) -> Part:
+def _handle(look: Look, length: float, top: float, width: float, spacing: float) -> PaintedPart:
     """Oval handle through the head, swelling to the grip, with a rounded end."""
     x = np.linspace(-0.58 * top, length, int(length / spacing) + 1)
     x = np.append(x[:-1], length - 0.28 * width * (1 - np.sin(np.linspace(0, np.pi / 2, 7)[1:])) ** 1.0)
@@ -119,7 +122,7 @@ def _handle(look: Look, length: float, top: float, width: float, spacing: float)
     path = np.column_stack([x, np.zeros((len(x), 2))])
     # Wider in the plane of the blow, along y, than across it.
     handle = tube(path, 0.74 * wide * rounding, wide * rounding, (0, 0, 1), 32, 2.5)
-    return Part.of(handle, timber(look, 1, path.mean(0), np.eye(3), width))
+    return PaintedPart.of(handle, timber(look, 1, path.mean(0), np.eye(3), width))
 
 
 def _upright(
@@ -130,13 +133,13 @@ def _upright(
     return block.transform(np.array([[1.0, 0, 0, 0], [0, 0, 1.0, start], [0, -1.0, 0, 0]]))
 
 
-def _mallet(look: Look, length: float, diameter: float, spacing: float) -> list[Part]:
+def _mallet(look: Look, length: float, diameter: float, spacing: float) -> list[PaintedPart]:
     block = _upright(regular(64, diameter / 2), -length / 2, length / 2, spacing, 0.08 * diameter)
     axes = np.eye(3)[:, [1, 2, 0]]
-    return [Part.of(block, timber(look, 2, np.zeros(3), axes, diameter), axes)]
+    return [PaintedPart.of(block, timber(look, 2, np.zeros(3), axes, diameter), axes)]
 
 
-def _club(look: Look, length: float, diameter: float, spacing: float) -> list[Part]:
+def _club(look: Look, length: float, diameter: float, spacing: float) -> list[PaintedPart]:
     cheek = 0.97 * diameter
     body = _upright(
         regular(8, diameter / 2 / np.cos(np.pi / 8), np.pi / 8),
@@ -149,10 +152,10 @@ def _club(look: Look, length: float, diameter: float, spacing: float) -> list[Pa
         rectangle(cheek, 1.12 * cheek, 0.2 * cheek), -0.17 * length, 0.17 * length, spacing, 0.06 * diameter
     )
     metal = look.paint((0, 1, 0), 2)
-    return [Part.of(body, metal), Part.of(waist, metal)]
+    return [PaintedPart.of(body, metal), PaintedPart.of(waist, metal)]
 
 
-def _claw(look: Look, length: float, diameter: float, spacing: float) -> list[Part]:
+def _claw(look: Look, length: float, diameter: float, spacing: float) -> list[PaintedPart]:
     """Face towards +y, claw towards -y and bent towards the handle."""
     front, rear = 0.46 * length, 0.54 * length
     metal = look.paint((0, 1, 0), 2)
@@ -170,4 +173,4 @@ def _claw(look: Look, length: float, diameter: float, spacing: float) -> list[Pa
     bend = 0.95 * diameter * t**2.2
     path = np.column_stack([bend - 0.05 * diameter, y, np.zeros_like(y)])
     claw = tube(path, diameter * (0.80 + 0.22 * t), diameter * (0.72 - 0.60 * t), (0, 0, 1), 40, 3.5)
-    return [Part.of(solid, metal) for solid in (face, neck, cheek, claw)]
+    return [PaintedPart.of(solid, metal) for solid in (face, neck, cheek, claw)]

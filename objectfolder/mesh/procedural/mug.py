@@ -4,10 +4,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from objectfolder.mesh.procedural.atlas import Chart, pack
+from objectfolder.mesh.procedural.atlas import Chart, pack_charts
 from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
 from objectfolder.mesh.procedural.revolution import arc, disc, polyline, sleeve
-from objectfolder.mesh.procedural.solid import Patch, textured, weld
+from objectfolder.mesh.procedural.solid import Patch, textured, weld_patches
 from objectfolder.mesh.procedural.texture import lattice, noise, over, rgb, smoothstep, stroke
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -99,9 +99,9 @@ def mug(
         disc(floor, 3, decor.inside),
     ]
     handle, handle_chart = _handle(radius, height, wall, handle_reach, 4, decor.handle)
-    atlas = pack([*(chart for _, chart in parts), handle_chart], texture_size)
-    cup = weld([patch for patch, _ in parts], atlas)
-    return textured(cup + weld(handle, atlas), atlas, roughness=0.25)
+    atlas = pack_charts([*(chart for _, chart in parts), handle_chart], texture_size)
+    cup = weld_patches([patch for patch, _ in parts], atlas)
+    return textured(cup + weld_patches(handle, atlas), atlas, roughness=0.25)
 
 
 def _handle(

@@ -3,9 +3,15 @@
 import manifold3d
 import numpy as np
 
-from objectfolder.mesh.procedural.assembly import Look, Part, assemble
+from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble
 from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
-from objectfolder.mesh.procedural.section import half_outline, round_solid, rounded, soften, wall_about
+from objectfolder.mesh.procedural.section import (
+    half_outline,
+    round_solid,
+    rounded_polyline,
+    soften,
+    wall_about,
+)
 from objectfolder.mesh.procedural.sweep import tube
 from objectfolder.mesh.procedural.texture import smoothstep
 from objectfolder.mesh.procedural.vessel import revolved
@@ -88,7 +94,7 @@ def pan(
 
     floor, lip = wall / 2, height - wall / 2
     corners = np.array([[0, floor], [base_radius - wall / 2, floor], [radius - wall / 2, lip]])
-    middle = rounded(corners, np.array([rounding]))
+    middle = rounded_polyline(corners, np.array([rounding]))
     shell = revolved(half_outline(soften(wall_about(middle, wall), convex=0.45 * wall), "pan"))
     core = revolved(half_outline(round_solid(np.append(middle, [[0, lip]], axis=0)), "pan"))
 
@@ -115,5 +121,9 @@ def pan(
     grip = Look(handle_finish or finish, size, handle_color or own, None, seed)
     # Turned metal shows its rings on the pan, but the handle is brushed along.
     paint = grip.paint((1.0, 0.0, 0.0))
-    body, bar, hole = Part.of(shell, look.paint()), Part.of(handle - core, paint), Part.of(drill, paint)
+    body, bar, hole = (
+        PaintedPart.of(shell, look.paint()),
+        PaintedPart.of(handle - core, paint),
+        PaintedPart.of(drill, paint),
+    )
     return assemble(body.solid + bar.solid - hole.solid, [body, bar, hole], look, texture_size)

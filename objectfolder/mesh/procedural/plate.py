@@ -3,9 +3,15 @@
 import numpy as np
 
 from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
-from objectfolder.mesh.procedural.section import half_outline, ring_under, rounded, soften, wall_about
+from objectfolder.mesh.procedural.section import (
+    half_outline,
+    ring_under,
+    rounded_polyline,
+    soften,
+    wall_about,
+)
 from objectfolder.mesh.procedural.texture import smoothstep
-from objectfolder.mesh.procedural.vessel import dress, lobed, turn
+from objectfolder.mesh.procedural.vessel import lobed, turned_vessel, vessel_finish
 from objectfolder.mesh.textured import TexturedMesh
 
 
@@ -74,7 +80,7 @@ def plate(
     if rim:
         corners.insert(2, [edge - rim, low + 0.72 * (top - low)])
     bend = 0.5 * (radius - well_radius)
-    middle = rounded(np.array(corners), np.array([bend] * (len(corners) - 2)))
+    middle = rounded_polyline(np.array(corners), np.array([bend] * (len(corners) - 2)))
     section = soften(
         wall_about(middle, wall) + ring_under(middle, 0.96 * well_radius, max(wall, 0.06 * well_radius)),
         concave=0.8 * foot_height,
@@ -84,6 +90,6 @@ def plate(
     def weight(points: np.ndarray) -> np.ndarray:
         return smoothstep(0.8 * well_radius, radius, np.hypot(points[:, 0], points[:, 1]))
 
-    look = dress(finish, 2 * radius, height, 0.5 * foot_height, color, accent, seed)
+    look = vessel_finish(finish, 2 * radius, height, 0.5 * foot_height, color, accent, seed)
     warp = lobed("plate", lobes, lobe_depth, weight)
-    return turn(half_outline(section, "plate"), look, texture_size, warp)
+    return turned_vessel(half_outline(section, "plate"), look, texture_size, warp)

@@ -138,7 +138,7 @@ def _strip(inner: int, outer: int, a: int, b: int) -> np.ndarray:
     )
 
 
-def turned(
+def revolve(
     profile: np.ndarray, first_chart: int, paint: Callable[[np.ndarray], np.ndarray]
 ) -> list[tuple[Patch, Chart]]:
     """Revolve any profile, cut into the fewest sleeves and discs that stretch a texture little.

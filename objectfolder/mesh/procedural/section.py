@@ -18,7 +18,7 @@ COARSE = 4e-4  #: how far a profile's chords may leave its curves, in sizes of t
 STEP = 0.055  #: longest piece of a profile, in sizes of the section
 
 
-def rounded(corners: np.ndarray, radii: np.ndarray) -> np.ndarray:
+def rounded_polyline(corners: np.ndarray, radii: np.ndarray) -> np.ndarray:
     """Polyline through ``corners`` (N, 2) with arcs of ``radii`` (N - 2,) in the corners between.
 
     An arc takes no more than half of each segment beside it.

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from objectfolder.mesh.procedural.assembly import Look, Part, assemble, joined
+from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, union
 from objectfolder.mesh.procedural.boards import board, timber
 from objectfolder.mesh.procedural.extrusion import prism, regular
 from objectfolder.mesh.procedural.parameters import (
@@ -107,7 +107,7 @@ def shelf(
         parts.append(board(look, 13, first, second, spacing, min(bevel, 0.1 * back)))
     if front != "open":
         parts += _fronts(look, front, width, y, levels, t, spacing, bevel)
-    return assemble(joined(parts), parts, look, texture_size)
+    return assemble(union(parts), parts, look, texture_size)
 
 
 def shelf_levels(height: float, thickness: float, bays: int, plinth: float) -> np.ndarray:
@@ -118,7 +118,7 @@ def shelf_levels(height: float, thickness: float, bays: int, plinth: float) -> n
 
 def _fronts(
     look: Look, front: str, width: float, y: float, levels: np.ndarray, t: float, spacing: float, bevel: float
-) -> list[Part]:
+) -> list[PaintedPart]:
     """Doors or drawer fronts on the case, half a board deep in its sides, with knobs."""
     gap = GAP * look.size
     near, far = -y - (1 - SUNK) * t, -y + SUNK * t
@@ -143,6 +143,8 @@ def _fronts(
     for k, (at, z) in enumerate(knobs):
         place = knob.translate((at, near + 0.5 * t, z))
         parts.append(
-            Part.of(place, timber(look, 24 + k, np.array([at, near, z]), np.eye(3)[:, [1, 0, 2]], 2 * radius))
+            PaintedPart.of(
+                place, timber(look, 24 + k, np.array([at, near, z]), np.eye(3)[:, [1, 0, 2]], 2 * radius)
+            )
         )
     return parts

@@ -20,7 +20,7 @@ class Patch:
     chart: int  #: which chart of the atlas
 
 
-def weld(patches: Sequence[Patch], atlas: Atlas) -> manifold3d.Manifold:
+def weld_patches(patches: Sequence[Patch], atlas: Atlas) -> manifold3d.Manifold:
     """Join patches along their common borders into a closed solid that carries texture coordinates.
 
     Manifold keeps the coordinates as vertex properties and interpolates them where a Boolean operation

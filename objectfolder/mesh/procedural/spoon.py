@@ -3,7 +3,7 @@
 import manifold3d
 import numpy as np
 
-from objectfolder.mesh.procedural.assembly import Look, Part, assemble
+from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble
 from objectfolder.mesh.procedural.parameters import (
     require_between,
     require_not_negative,
@@ -120,9 +120,9 @@ def spoon(
 
     metal = look.paint((1, 0, 0))
     parts = [
-        Part.of(outer.warp_batch(pointed), metal),
-        Part.of(_handle(a, length - a, wall, handle_width, rise, hook), metal),
-        Part.of(opening.warp_batch(pointed), metal),
+        PaintedPart.of(outer.warp_batch(pointed), metal),
+        PaintedPart.of(_handle(a, length - a, wall, handle_width, rise, hook), metal),
+        PaintedPart.of(opening.warp_batch(pointed), metal),
     ]
     whole = parts[0].solid + parts[1].solid - parts[2].solid
     return assemble(whole.translate((0, 0, depth)), parts, look, texture_size)

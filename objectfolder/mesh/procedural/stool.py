@@ -3,7 +3,7 @@
 import manifold3d
 import numpy as np
 
-from objectfolder.mesh.procedural.assembly import Look, Part, assemble, frame, joined
+from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, frame, union
 from objectfolder.mesh.procedural.boards import timber
 from objectfolder.mesh.procedural.extrusion import prism, regular
 from objectfolder.mesh.procedural.parameters import (
@@ -93,7 +93,9 @@ def stool(
         return points - np.outer(depth * points[:, 2] / seat, [0, 0, 1])
 
     plate = plate.warp_batch(hollow).translate((0, 0, under))
-    parts = [Part.of(plate, timber(look, 21, np.array([0, 0, height - seat / 2]), np.eye(3), diameter))]
+    parts = [
+        PaintedPart.of(plate, timber(look, 21, np.array([0, 0, height - seat / 2]), np.eye(3), diameter))
+    ]
 
     radius = diameter / 2 - 0.9 * leg_diameter  # of the circle of the legs' tops
 
@@ -114,12 +116,12 @@ def stool(
             ends = middle(k, z), middle((k + 1) % legs, z)
             rung = bar(*ends, (0.55 * leg_diameter, 0.55 * leg_diameter), spacing, 20)
             parts.append(_turned(look, 11 + k, rung, ends, leg_diameter))
-    return assemble(joined(parts), parts, look, texture_size)
+    return assemble(union(parts), parts, look, texture_size)
 
 
 def _turned(
     look: Look, piece: int, solid: manifold3d.Manifold, ends: tuple[np.ndarray, np.ndarray], diameter: float
-) -> Part:
-    """Part of a solid bar between two ends, its grain along it."""
+) -> PaintedPart:
+    """PaintedPart of a solid bar between two ends, its grain along it."""
     axes = frame(ends[1] - ends[0])
-    return Part.of(solid, timber(look, piece, (ends[0] + ends[1]) / 2, axes, diameter), axes)
+    return PaintedPart.of(solid, timber(look, piece, (ends[0] + ends[1]) / 2, axes, diameter), axes)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from objectfolder.mesh.procedural.assembly import Look, Part, assemble, joined
+from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, union
 from objectfolder.mesh.procedural.boards import board, leg, timber
 from objectfolder.mesh.procedural.extrusion import prism, rectangle, regular
 from objectfolder.mesh.procedural.parameters import (
@@ -104,12 +104,12 @@ def table(
     plate = prism([outline], top, spacing, bevel, 1).translate((0, 0, height - top))
     middle = np.array([0, 0, height - top / 2])
     cover = timber(look, 31, middle, np.eye(3), width, SEAM)
-    parts = [Part.of(plate, cover)]
+    parts = [PaintedPart.of(plate, cover)]
 
     under = height - top
     if base == "pillar":
         parts += _pillar(look, min(length, width), under, top, leg_size, spacing, bevel)
-        return assemble(joined(parts), parts, look, texture_size)
+        return assemble(union(parts), parts, look, texture_size)
 
     for k, quarter in enumerate([(1, 1), (-1, 1), (-1, -1), (1, -1)]):
         foot = [*(corner * quarter), 0.0]
@@ -124,12 +124,12 @@ def table(
                 first = [off[0] - end[0], off[1] - end[1], low]
                 second = [off[0] + end[0], off[1] + end[1], high]
                 parts.append(board(look, 21 + 2 * k + j, first, second, spacing, min(bevel, 0.1 * half)))
-    return assemble(joined(parts), parts, look, texture_size)
+    return assemble(union(parts), parts, look, texture_size)
 
 
 def _pillar(
     look: Look, across: float, under: float, top: float, radius: float, spacing: float, bevel: float
-) -> list[Part]:
+) -> list[PaintedPart]:
     """Turned pillar on a round foot, with a collar under the top."""
     foot = 0.6 * top + 0.01 * across
     collar = 0.4 * foot
@@ -137,10 +137,12 @@ def _pillar(
     plate = prism([regular(SIDES, 2.2 * radius)], 1.5 * collar, spacing, bevel)
     pillar = bar((0, 0, 0.5 * foot), (0, 0, under + SUNK * top), (2.0 * radius, 1.7 * radius), spacing, 48)
     return [
-        Part.of(disc, timber(look, 11, np.array([0, 0, foot / 2]), np.eye(3), 0.6 * across)),
-        Part.of(
+        PaintedPart.of(disc, timber(look, 11, np.array([0, 0, foot / 2]), np.eye(3), 0.6 * across)),
+        PaintedPart.of(
             plate.translate((0, 0, under - collar)),
             timber(look, 14, np.array([0, 0, under]), np.eye(3), 4 * radius),
         ),
-        Part.of(pillar, timber(look, 15, np.array([0, 0, under / 2]), np.eye(3)[:, [2, 0, 1]], 2 * radius)),
+        PaintedPart.of(
+            pillar, timber(look, 15, np.array([0, 0, under / 2]), np.eye(3)[:, [2, 0, 1]], 2 * radius)
+        ),
     ]

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import manifold3d
 import numpy as np
 
-from objectfolder.mesh.procedural.assembly import Look, Part, assemble
+from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble
 from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
 from objectfolder.mesh.procedural.section import half_outline, offset, ring, round_solid, soften
 from objectfolder.mesh.procedural.sweep import tube
@@ -133,9 +133,12 @@ def teapot(
         share = np.where(on_lid, 1.0, smoothstep(0.62, 0.64, (points[:, 0] - radius) / spout_reach))
         return plain(points) + share[:, None] * (second(points) - plain(points))
 
-    body = Part.of(revolved(half_outline(outline, "teapot")), dipped)
-    pipe, grip = Part.of(spout, dipped), Part.of(handle, second)
-    inside = [Part.of(revolved(half_outline(cavity, "teapot"), HIDDEN), plain), Part.of(bore, plain)]
+    body = PaintedPart.of(revolved(half_outline(outline, "teapot")), dipped)
+    pipe, grip = PaintedPart.of(spout, dipped), PaintedPart.of(handle, second)
+    inside = [
+        PaintedPart.of(revolved(half_outline(cavity, "teapot"), HIDDEN), plain),
+        PaintedPart.of(bore, plain),
+    ]
     whole = body.solid + pipe.solid + grip.solid - inside[0].solid - inside[1].solid
     return assemble(whole, [body, pipe, grip, *inside], look, texture_size)
 

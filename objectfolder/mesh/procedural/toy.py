@@ -6,7 +6,7 @@ import manifold3d
 import numpy as np
 from skimage.measure import marching_cubes
 
-from objectfolder.mesh.procedural.assembly import Look, Part, assemble, joined
+from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, union
 from objectfolder.mesh.procedural.boards import board
 from objectfolder.mesh.procedural.extrusion import prism, regular, solid
 from objectfolder.mesh.procedural.finish import Paint
@@ -80,7 +80,7 @@ def toy(
         body, trim = COLOURS[kind]
         look = Look(finish, size, color or body, accent or trim, seed)
         parts = {"car": _car, "truck": _truck, "duck": _duck}[kind](look, size, plump)
-    return assemble(joined(parts), parts, look, texture_size)
+    return assemble(union(parts), parts, look, texture_size)
 
 
 def _profile(corners: list[tuple[float, float]], radius: float) -> np.ndarray:
@@ -97,7 +97,9 @@ def _across(outline: np.ndarray, width: float, spacing: float, bevel: float) -> 
     return plate.transform(np.array([[1.0, 0, 0, 0], [0, 0, -1.0, width / 2], [0, 1.0, 0, 0]]))
 
 
-def _wheels(look: Look, places: list[float], radius: float, width: float, spacing: float) -> list[Part]:
+def _wheels(
+    look: Look, places: list[float], radius: float, width: float, spacing: float
+) -> list[PaintedPart]:
     """Wheels in pairs, with hubs, at places along x; `width` is that between their outer sides."""
     thick, hub = 0.5 * radius, 0.55 * radius
     tyre = look.dyed(look.accent).paint((0, 1, 0), 1)
@@ -108,17 +110,19 @@ def _wheels(look: Look, places: list[float], radius: float, width: float, spacin
             disc = _across(regular(40, radius), thick, spacing, 0.18 * radius)
             boss = _across(regular(24, hub), thick, spacing, 0.12 * radius)
             y = sign * (width - thick) / 2
-            parts.append(Part.of(disc.translate((x, y, radius)), tyre))
-            parts.append(Part.of(boss.translate((x, y + sign * 0.14 * radius, radius)), cap))
+            parts.append(PaintedPart.of(disc.translate((x, y, radius)), tyre))
+            parts.append(PaintedPart.of(boss.translate((x, y + sign * 0.14 * radius, radius)), cap))
     return parts
 
 
 def _lamps(
     look: Look, x: float, width: float, z: float, radius: float, code: str, spacing: float
-) -> list[Part]:
+) -> list[PaintedPart]:
     lamp = prism([regular(24, radius)], 3 * radius, spacing, 0.5 * radius).rotate((0, 90, 0))
     paint = look.dyed(code).paint()
-    return [Part.of(lamp.translate((x - 2.5 * radius, sign * 0.32 * width, z)), paint) for sign in (-1, 1)]
+    return [
+        PaintedPart.of(lamp.translate((x - 2.5 * radius, sign * 0.32 * width, z)), paint) for sign in (-1, 1)
+    ]
 
 
 def _glazed(body: Paint, sides: np.ndarray, width: float, border: float, pillar: float | None) -> Paint:
@@ -145,7 +149,7 @@ def _glazed(body: Paint, sides: np.ndarray, width: float, border: float, pillar:
     return paint
 
 
-def _car(look: Look, size: float, plump: float) -> list[Part]:
+def _car(look: Look, size: float, plump: float) -> list[PaintedPart]:
     s, width = size, 0.46 * size * plump
     spacing, r = size / 36, 0.125 * size
     hull = _profile(
@@ -167,15 +171,15 @@ def _car(look: Look, size: float, plump: float) -> list[Part]:
         [(-0.33 * s, 0.27 * s), (0.245 * s, 0.27 * s), (0.13 * s, 0.44 * s), (-0.27 * s, 0.44 * s)]
     )
     return [
-        Part.of(_across(hull, width, spacing, 0.032 * s), body),
-        Part.of(cabin, _glazed(body, windows, cabin_width, 0.032 * s, -0.06 * s)),
+        PaintedPart.of(_across(hull, width, spacing, 0.032 * s), body),
+        PaintedPart.of(cabin, _glazed(body, windows, cabin_width, 0.032 * s, -0.06 * s)),
         *_wheels(look, [-0.29 * s, 0.29 * s], r, 1.04 * width, spacing),
         *_lamps(look, 0.5 * s, width, 0.19 * s, 0.032 * s, "f6e9a8", spacing),
         *_lamps(look, -0.45 * s, width, 0.20 * s, 0.025 * s, "a01f1f", spacing),
     ]
 
 
-def _truck(look: Look, size: float, plump: float) -> list[Part]:
+def _truck(look: Look, size: float, plump: float) -> list[PaintedPart]:
     s, width = size, 0.40 * size * plump
     spacing, r = size / 36, 0.085 * size
     frame = _profile(
@@ -205,8 +209,8 @@ def _truck(look: Look, size: float, plump: float) -> list[Part]:
     under = _across(frame, 0.8 * width, spacing, 0.012 * s)
     return [
         *tray,
-        Part.of(under, look.dyed("6b6e73").paint((1, 0, 0), 4)),
-        Part.of(
+        PaintedPart.of(under, look.dyed("6b6e73").paint((1, 0, 0), 4)),
+        PaintedPart.of(
             _across(_profile(cab_corners, 0.035 * s), 0.96 * width, spacing, 0.025 * s),
             _glazed(body, windows, 0.96 * width, 0.03 * s, None),
         ),
@@ -215,7 +219,7 @@ def _truck(look: Look, size: float, plump: float) -> list[Part]:
     ]
 
 
-def _rings(look: Look, height: float, plump: float, count: int) -> list[Part]:
+def _rings(look: Look, height: float, plump: float, count: int) -> list[PaintedPart]:
     """Rings that shrink upwards on a post, between a foot and a ball."""
     foot, ball = 0.09 * height, 0.11 * height
     widest = 0.36 * height * plump
@@ -223,11 +227,11 @@ def _rings(look: Look, height: float, plump: float, count: int) -> list[Part]:
     thick = 1.12 * pitch  # rings sink into each other
     colours = ramp(look.color, look.accent, count + 2)
     base = prism([regular(72, widest)], foot, height / 40, 0.3 * foot)
-    parts = [Part.of(base, look.dyed(colours[0]).paint((1, 0, 0)))]
+    parts = [PaintedPart.of(base, look.dyed(colours[0]).paint((1, 0, 0)))]
     post = prism([regular(48, 0.16 * widest)], height - foot - ball, height / 40).translate(
         (0, 0, 0.5 * foot)
     )
-    parts.append(Part.of(post, parts[0].paint))
+    parts.append(PaintedPart.of(post, parts[0].paint))
     for k in range(count):
         outer = widest * (0.94 - 0.46 * k / (count - 1))
         half = min(0.8 * thick, 0.42 * outer)
@@ -236,9 +240,9 @@ def _rings(look: Look, height: float, plump: float, count: int) -> list[Part]:
         disc = prism([regular(48, outer - half)], 1.02 * pitch, height / 40).translate((0, 0, -0.51 * pitch))
         place = (0, 0, foot + pitch * (k + 0.5))
         paint = look.dyed(colours[k + 1]).paint(None, k)
-        parts.append(Part.of((ring + disc).translate(place), paint))
+        parts.append(PaintedPart.of((ring + disc).translate(place), paint))
     top = manifold3d.Manifold.sphere(ball, 64).translate((0, 0, height - ball))
-    parts.append(Part.of(top, look.dyed(colours[-1]).paint(None, count)))
+    parts.append(PaintedPart.of(top, look.dyed(colours[-1]).paint(None, count)))
     return parts
 
 
@@ -251,7 +255,7 @@ def ramp(first: str | None, last: str | None, count: int) -> list[str]:
     return ["".join(f"{round(255 * c):02x}" for c in step) for step in steps]
 
 
-def _duck(look: Look, size: float, plump: float) -> list[Part]:
+def _duck(look: Look, size: float, plump: float) -> list[PaintedPart]:
     """Body, head and tail run into each other; the bill and the eyes are set on."""
     wide = np.array([1.0, plump, 1.0])
 
@@ -285,8 +289,8 @@ def _duck(look: Look, size: float, plump: float) -> list[Part]:
     upper = ball.scale((0.15, 0.105 * plump, 0.042)).rotate((0, -8, 0)).translate((0.40, 0, 0.565))
     lower = ball.scale((0.115, 0.085 * plump, 0.036)).rotate((0, 10, 0)).translate((0.39, 0, 0.525))
     bill = look.dyed(look.accent).paint((1, 0, 0), 1)
-    return [Part.of(made.scale([size] * 3), paint)] + [
-        Part.of(p.scale([size] * 3), bill) for p in (upper, lower)
+    return [PaintedPart.of(made.scale([size] * 3), paint)] + [
+        PaintedPart.of(p.scale([size] * 3), bill) for p in (upper, lower)
     ]
 
 

@@ -6,7 +6,7 @@ from scipy.interpolate import PchipInterpolator
 from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
 from objectfolder.mesh.procedural.section import half_outline, ring_under, soften, wall_about
 from objectfolder.mesh.procedural.texture import smoothstep
-from objectfolder.mesh.procedural.vessel import dress, lobed, turn
+from objectfolder.mesh.procedural.vessel import lobed, turned_vessel, vessel_finish
 from objectfolder.mesh.textured import TexturedMesh
 
 
@@ -103,6 +103,6 @@ def vase(
     def weight(points: np.ndarray) -> np.ndarray:
         return smoothstep(0.05 * height, 0.4 * height, points[:, 2])
 
-    look = dress(finish, height, height, recess, color, accent, seed)
+    look = vessel_finish(finish, height, height, recess, color, accent, seed)
     warp = lobed("vase", lobes, lobe_depth, weight, twist / height)
-    return turn(half_outline(section, "vase"), look, texture_size, warp)
+    return turned_vessel(half_outline(section, "vase"), look, texture_size, warp)

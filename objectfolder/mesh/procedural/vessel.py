@@ -7,13 +7,13 @@ import manifold3d
 import numpy as np
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.procedural.atlas import Chart, pack
+from objectfolder.mesh.procedural.atlas import Chart, pack_charts
 from objectfolder.mesh.procedural.extrusion import solid
 from objectfolder.mesh.procedural.finish import Finish, Paint, finish
 from objectfolder.mesh.procedural.parameters import require_between
-from objectfolder.mesh.procedural.revolution import turned
+from objectfolder.mesh.procedural.revolution import revolve
 from objectfolder.mesh.procedural.section import COARSE, even_rows, split_at_lip
-from objectfolder.mesh.procedural.solid import Patch, textured, weld
+from objectfolder.mesh.procedural.solid import Patch, textured, weld_patches
 from objectfolder.mesh.procedural.texture import lattice, noise, over, rgb, smoothstep
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -23,7 +23,7 @@ Warp = Callable[[np.ndarray], np.ndarray]  #: points (N, 3), m -> points (N, 3),
 
 
 @dataclass(frozen=True)
-class Dress:
+class VesselFinish:
     """Colours of the two sides of a vessel, which agree at its lip."""
 
     outside: Paint
@@ -32,7 +32,7 @@ class Dress:
     metallic: float
 
 
-def dress(
+def vessel_finish(
     name: str,
     size: float,
     lip: float,
@@ -40,7 +40,7 @@ def dress(
     color: str | None = None,
     accent: str | None = None,
     seed: int = 0,
-) -> Dress:
+) -> VesselFinish:
     """Finish a vessel.
 
     A glazed one is dipped: the accent covers the inside and runs over the lip, and the foot stays bare.
@@ -59,12 +59,12 @@ def dress(
     """
     body = finish(name, size, color, accent if name != "glaze" else None, seed)
     if name != "glaze":
-        return Dress(body.paint, body.paint, body.roughness, body.metallic)
+        return VesselFinish(body.paint, body.paint, body.roughness, body.metallic)
     lining = body if accent is None else finish(name, size, accent, None, seed + 1)
     return _dipped(body, lining, size, lip, foot, seed)
 
 
-def _dipped(body: Finish, lining: Finish, size: float, lip: float, foot: float, seed: int) -> Dress:
+def _dipped(body: Finish, lining: Finish, size: float, lip: float, foot: float, seed: int) -> VesselFinish:
     values = lattice(seed)
     u = size / 0.1
     v = min(u, lip / 0.05)  # flat ones have a narrow edge
@@ -93,7 +93,7 @@ def _dipped(body: Finish, lining: Finish, size: float, lip: float, foot: float, 
     def inside(points: np.ndarray) -> np.ndarray:
         return thin(points, lining.paint(points))
 
-    return Dress(outside, inside, body.roughness, body.metallic)
+    return VesselFinish(outside, inside, body.roughness, body.metallic)
 
 
 def lobed(
@@ -137,11 +137,11 @@ def lobed(
     return warp
 
 
-def shell(profile: np.ndarray, look: Dress, warp: Warp | None = None) -> list[tuple[Patch, Chart]]:
+def shell(profile: np.ndarray, look: VesselFinish, warp: Warp | None = None) -> list[tuple[Patch, Chart]]:
     """Patches and charts of a vessel turned from a profile (N, 2) that runs from the axis to the axis."""
     outer, inner = split_at_lip(profile)
-    parts = turned(outer, 0, look.outside)
-    parts += turned(inner, len(parts), look.inside)
+    parts = revolve(outer, 0, look.outside)
+    parts += revolve(inner, len(parts), look.inside)
     if warp is not None:
         parts = [
             (Patch(warp(patch.vertices), patch.faces, patch.xy, patch.chart), chart) for patch, chart in parts
@@ -149,11 +149,13 @@ def shell(profile: np.ndarray, look: Dress, warp: Warp | None = None) -> list[tu
     return parts
 
 
-def turn(profile: np.ndarray, look: Dress, texture_size: int, warp: Warp | None = None) -> TexturedMesh:
+def turned_vessel(
+    profile: np.ndarray, look: VesselFinish, texture_size: int, warp: Warp | None = None
+) -> TexturedMesh:
     """Textured mesh of a vessel that is nothing but its shell."""
     parts = shell(profile, look, warp)
-    atlas = pack([chart for _, chart in parts], texture_size)
-    return textured(weld([patch for patch, _ in parts], atlas), atlas, look.roughness, look.metallic)
+    atlas = pack_charts([chart for _, chart in parts], texture_size)
+    return textured(weld_patches([patch for patch, _ in parts], atlas), atlas, look.roughness, look.metallic)
 
 
 def revolved(profile: np.ndarray, coarse: float = COARSE) -> manifold3d.Manifold:
@@ -165,7 +167,7 @@ def revolved(profile: np.ndarray, coarse: float = COARSE) -> manifold3d.Manifold
     halves = [half for half in (profile[: top + 1], profile[top:]) if len(half) > 1]
     rows = [even_rows(half, profile, coarse) for half in halves]
     even = np.concatenate([rows[0], *(row[1:] for row in rows[1:])])
-    patches = [patch for patch, _ in turned(even, 0, lambda points: points)]
+    patches = [patch for patch, _ in revolve(even, 0, lambda points: points)]
     vertices = np.concatenate([patch.vertices for patch in patches])
     starts = np.cumsum([0, *(len(patch.vertices) for patch in patches)])
     faces = np.concatenate([patch.faces + start for patch, start in zip(patches, starts)])

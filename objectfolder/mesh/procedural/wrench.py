@@ -3,7 +3,7 @@
 import manifold3d
 import numpy as np
 
-from objectfolder.mesh.procedural.assembly import Look, Part, assemble, joined
+from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, union
 from objectfolder.mesh.procedural.extrusion import prism, rectangle, regular
 from objectfolder.mesh.procedural.parameters import (
     require_between,
@@ -86,15 +86,15 @@ def wrench(
     lift = (HEAD - 1) / 2 * thickness
     body = prism(_rings(shape), thickness, spacing, 0.22 * thickness).translate((0, 0, lift))
     metal = look.paint((1, 0, 0))
-    parts, cuts = [Part.of(body, metal)], []
+    parts, cuts = [PaintedPart.of(body, metal)], []
     for k, (kind, x, radius, s) in enumerate(zip(kinds, middles, radii, sizes)):
         head = prism([regular(72, 1.03 * radius)], HEAD * thickness, spacing, 0.2 * thickness, 2)
-        parts.append(Part.of(head.translate((x, 0, 0)), metal))
+        parts.append(PaintedPart.of(head.translate((x, 0, 0)), metal))
         outline = _jaws(s, radius, k) if kind == "open" else _star(s)
         bite = prism(_rings(outline), 2 * HEAD * thickness, spacing).translate(
             (x, 0, -0.5 * HEAD * thickness)
         )
-        cuts.append(Part.of(bite, metal))
+        cuts.append(PaintedPart.of(bite, metal))
     # Panels on both sides of the bar.
     ends_of_bar = middles[0] + 1.6 * radii[0], middles[1] - 1.6 * radii[1]
     span, across = ends_of_bar[1] - ends_of_bar[0], 0.8 * min(half)
@@ -102,8 +102,8 @@ def wrench(
     panel = prism([rectangle(span, across, 0.45 * across)], 2 * depth, spacing)
     dull = look.dyed(look.accent or "5f6468").paint((1, 0, 0), 1)
     for z in (lift - depth, lift + thickness - depth):
-        cuts.append(Part.of(panel.translate((np.mean(ends_of_bar), 0, z)), dull))
-    return assemble(joined(parts) - joined(cuts), [*parts, *cuts], look, texture_size)
+        cuts.append(PaintedPart.of(panel.translate((np.mean(ends_of_bar), 0, z)), dull))
+    return assemble(union(parts) - union(cuts), [*parts, *cuts], look, texture_size)
 
 
 def _rings(shape: manifold3d.CrossSection) -> list[np.ndarray]:

@@ -1,4 +1,4 @@
-"""Join parts of several materials into one mesh with one texture or vertex colours."""
+"""Join parts with several materials into one mesh with one texture or vertex colours."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,44 +10,43 @@ from trimesh.path.packing import rectangles_single
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh import srgb
-from objectfolder.mesh.reading.part import Material, Part
+from objectfolder.mesh.reading.parts import MeshPart, SurfaceMaterial
 from objectfolder.mesh.textured import PLAIN, TexturedMesh
 
-MARGIN = 2  # texels around a window, so that bilinear filtering finds no neighbour
-SHRINK = 0.97  # of all images, until they fit the atlas
-CELL = 8  # texels on a side of a face's cell, at most
-CELL_SHARE = 0.25  # of the atlas, for cells
+MARGIN = 2  # texels around a window, to keep bilinear filtering inside
+SHRINK = 0.97  # factor on all images, repeated until they fit the atlas
+CELL = 8  # largest side of a face's cell, texels
+CELL_SHARE = 0.25  # fraction of the atlas for cells
 
 
-def join(parts: Sequence[Part], texture_size: int, name: str) -> tuple[TexturedMesh, list[str]]:
+def join(parts: Sequence[MeshPart], texture_size: int, name: str) -> tuple[TexturedMesh, list[str]]:
     """Join parts into one mesh.
 
-    Without textures: one plain colour, or vertex colours. With one texture: that texture and its
-    coordinates. Else an atlas: of each image the window that its faces use, in whole texels, with
-    repeats written out after every face has moved next to the origin by whole repeats; of a plain colour a
-    texel; of vertex colours a cell of texels per face. All are scaled down together until they fit.
-    Roughness and metallic are their means by area. Normals are as given; if only some parts have them, NaN
-    in the others.
+    Without textures, the result has one plain colour or vertex colours. A single texture is kept with its
+    coordinates. Otherwise an atlas is baked: for each image the window used by its faces in whole texels,
+    with repeats written out after every face was moved next to the origin by whole repeats; for a plain
+    colour one texel; for vertex colours a cell of texels per face. Images are scaled down together until
+    all fit. Roughness and metallic become area-weighted means. Normals are kept, NaN in parts without.
 
     Parameters
     ----------
-    parts : sequence of Part
-        At least one face in all.
+    parts : sequence of MeshPart
+        At least one face in total.
     texture_size : int
         Longest side of the texture, pixels.
     name : str
-        The mesh, for errors.
+        Name of the mesh in errors.
 
     Returns
     -------
     TexturedMesh
     list of str
-        What of the appearance was changed.
+        Changes to the appearance, in words.
 
     Raises
     ------
     ObjectFolderError
-        If an atlas of that size is too small.
+        If the atlas does not fit that size.
     """
     parts = [part for part in parts if len(part.faces)]
     surface, notes = _roughness_metallic(parts)
@@ -78,8 +77,8 @@ def join(parts: Sequence[Part], texture_size: int, name: str) -> tuple[TexturedM
     return mesh, notes
 
 
-def _normals(parts: Sequence[Part]) -> np.ndarray | None:
-    """Normals (V, 3) of all parts, NaN in parts without; None if no part has any."""
+def _normals(parts: Sequence[MeshPart]) -> np.ndarray | None:
+    """Concatenate the normals (V, 3), NaN in parts without; None if no part has any."""
     if all(p.normals is None for p in parts):
         return None
     return np.concatenate(
@@ -87,8 +86,8 @@ def _normals(parts: Sequence[Part]) -> np.ndarray | None:
     )
 
 
-def _roughness_metallic(parts: Sequence[Part]) -> tuple[dict[str, Any], list[str]]:
-    """Means by area, of the parts that have them."""
+def _roughness_metallic(parts: Sequence[MeshPart]) -> tuple[dict[str, Any], list[str]]:
+    """Average both over the parts that specify them, weighted by area."""
     result: dict[str, Any] = {}
     notes = []
     corners = [p.vertices[p.faces] for p in parts]
@@ -109,14 +108,14 @@ def _roughness_metallic(parts: Sequence[Part]) -> tuple[dict[str, Any], list[str
     return result, notes
 
 
-def _mean_colored(part: Part) -> Part:
+def _mean_colored(part: MeshPart) -> MeshPart:
     assert part.material.image is not None
     mean = srgb.decode(np.asarray(part.material.image) / 255).mean((0, 1))
     color = mean if part.material.color is None else mean * part.material.color
     return replace(part, material=replace(part.material, image=None, color=color))
 
 
-def _color(part: Part) -> np.ndarray:
+def _color(part: MeshPart) -> np.ndarray:
     """Linear base colour (3,) of a part without an image."""
     color = part.material.color
     return np.full(3, 1.0 if part.colors is not None else PLAIN) if color is None else color
@@ -126,20 +125,20 @@ def _bytes(linear: np.ndarray) -> np.ndarray:
     return np.rint(255 * srgb.encode(np.clip(linear, 0, 1))).astype(np.uint8)
 
 
-def _untextured(parts: Sequence[Part]) -> dict[str, Any]:
+def _untextured(parts: Sequence[MeshPart]) -> dict[str, Any]:
     if all(p.colors is None for p in parts):
         if all(p.material.color is None for p in parts):
             return {}
         if len(np.unique([_color(p) for p in parts], axis=0)) == 1:
-            # A texture of one pixel: the plain form in which a colour reaches renderers.
+            # A texture of one pixel, as renderers expect textures.
             count = sum(len(p.vertices) for p in parts)
             return {"uv": np.zeros((count, 2)), "texture": _bytes(_color(parts[0])).reshape(1, 1, 3)}
     colors = [_color(p) * (np.ones((len(p.vertices), 1)) if p.colors is None else p.colors) for p in parts]
     return {"vertex_colors": _bytes(np.concatenate(colors))}
 
 
-def _plain_wrap(parts: Sequence[Part]) -> bool:
-    """Whether drawing with repeats, as renderers do, is right."""
+def _plain_wrap(parts: Sequence[MeshPart]) -> bool:
+    """Whether repeating the texture, as renderers do, is correct for these parts."""
     if set(parts[0].material.wrap) == {"repeat"}:
         return True
     return all(p.uv is not None and p.uv[p.faces].min() >= 0 and p.uv[p.faces].max() <= 1 for p in parts)
@@ -153,16 +152,16 @@ def _limited(image: Image.Image | None, size: int) -> Image.Image:
     return image
 
 
-def _pixels(material: Material, image: Image.Image) -> np.ndarray:
-    """Texels (H, W, 3) uint8 of an image, times the material's colour."""
+def _pixels(material: SurfaceMaterial, image: Image.Image) -> np.ndarray:
+    """Multiply an image by the material's colour; texels (H, W, 3) uint8."""
     pixels = np.asarray(image)
     if material.color is None or (material.color >= 1).all():
         return pixels
     return _bytes(srgb.decode(pixels / 255) * material.color)
 
 
-def _near_origin(part: Part) -> Part:
-    """Move the texture coordinates of every face by whole repeats, next to the origin."""
+def _near_origin(part: MeshPart) -> MeshPart:
+    """Move the texture coordinates of every face next to the origin by whole repeats."""
     if part.material.image is None or part.uv is None:
         return part
     corner = part.uv[part.faces]
@@ -170,7 +169,7 @@ def _near_origin(part: Part) -> Part:
         return part
     period = np.array([{"repeat": 1.0, "mirror": 2.0, "clamp": np.inf}[wrap] for wrap in part.material.wrap])
     shift = np.where(np.isinf(period), 0, np.floor(corner.min(1) / period))
-    # A vertex of faces that move differently becomes several.
+    # Duplicate vertices of faces that move differently.
     moves, move = np.unique(shift, axis=0, return_inverse=True)
     kept, faces = np.unique(part.faces * len(moves) + move.reshape(-1, 1), return_inverse=True)
     vertex, move = kept // len(moves), kept % len(moves)
@@ -188,20 +187,22 @@ def _near_origin(part: Part) -> Part:
 class _Group:
     """Parts that share a window of the atlas, or one part whose faces have cells."""
 
-    parts: Sequence[Part]
-    low: np.ndarray  #: (2,) corner of what faces use of the image, in its sides, y down
-    high: np.ndarray  #: (2,)
+    parts: Sequence[MeshPart]
+    low: np.ndarray  #: (2,) lower corner of the used window, in image sides, y down
+    high: np.ndarray  #: (2,) upper corner
 
     @staticmethod
-    def of(parts: Sequence[Part]) -> "_Group":
+    def of(parts: Sequence[MeshPart]) -> "_Group":
         corners = [p.uv[p.used] * [1, -1] + [0, 1] for p in parts if p.uv is not None]
         corner = np.concatenate(corners) if corners else np.zeros((1, 2))
         return _Group(parts, corner.min(0), corner.max(0))
 
 
-def _atlas(parts: Sequence[Part], texture_size: int, name: str) -> tuple[list[Part], dict[str, Any], float]:
-    """Bake parts into one texture; returns them with new coordinates, the appearance, images' scale."""
-    # Parts of one material share a window; faces with vertex colours have cells of their own.
+def _atlas(
+    parts: Sequence[MeshPart], texture_size: int, name: str
+) -> tuple[list[MeshPart], dict[str, Any], float]:
+    """Bake parts into one texture; return them with new coordinates, the appearance and the images' scale."""
+    # Parts of one material share a window; faces with vertex colours have cells.
     groups: dict[Any, list[int]] = {}
     for i, part in enumerate(parts):
         groups.setdefault(part.material if part.colors is None else i, []).append(i)
@@ -211,8 +212,8 @@ def _atlas(parts: Sequence[Part], texture_size: int, name: str) -> tuple[list[Pa
     scale = 1.0
     while True:
         sizes = np.array([_size(group, scale, texture_size, cell) for group in members])
-        if sizes.prod(1).sum() <= texture_size**2:  # else the packer, which is slow, need not try
-            # It sorts by size, and not stably: no two may be equal.
+        if sizes.prod(1).sum() <= texture_size**2:  # otherwise skip the slow packer
+            # The packer sorts by size, unstably: make all sizes distinct.
             distinct = sizes + 1e-6 * np.arange(len(sizes))[:, None]
             corners, fitted = rectangles_single(distinct, size=(texture_size + 0.5,) * 2, rotate=False)
             if fitted.all():
@@ -238,7 +239,7 @@ def _atlas(parts: Sequence[Part], texture_size: int, name: str) -> tuple[list[Pa
 
 
 def _window(group: _Group, scale: float, limit: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Size (2,) in texels of a scaled image, and first and last + 1 texel (2,) of what the faces use."""
+    """Return the size (2,) of a scaled image and the first and last + 1 used texel (2,)."""
     image = group.parts[0].material.image
     assert image is not None
     size = np.array(image.size)
@@ -249,7 +250,7 @@ def _window(group: _Group, scale: float, limit: int) -> tuple[np.ndarray, np.nda
 
 
 def _size(group: _Group, scale: float, limit: int, cell: int) -> tuple[int, int]:
-    """Width and height in texels of what a group takes in the atlas."""
+    """Return the width and height of a group in the atlas, texels."""
     if group.parts[0].colors is not None:
         columns = int(np.ceil(np.sqrt(len(group.parts[0].faces))))
         rows = int(np.ceil(len(group.parts[0].faces) / columns))
@@ -262,8 +263,8 @@ def _size(group: _Group, scale: float, limit: int, cell: int) -> tuple[int, int]
 
 def _paint(
     group: _Group, scale: float, limit: int, cell: int
-) -> tuple[np.ndarray, list[tuple[Part, np.ndarray]]]:
-    """Texels (h, w, 3) of a group, and its parts with each vertex's place (V, 2) in them, y down."""
+) -> tuple[np.ndarray, list[tuple[MeshPart, np.ndarray]]]:
+    """Return the texels (h, w, 3) of a group, and its parts with texel coordinates (V, 2), y down."""
     material = group.parts[0].material
     if group.parts[0].colors is not None:
         return _paint_faces(group, limit, cell)
@@ -280,13 +281,15 @@ def _paint(
     return texels[rows][:, columns], places
 
 
-def _paint_faces(group: _Group, limit: int, cell: int) -> tuple[np.ndarray, list[tuple[Part, np.ndarray]]]:
-    """Paint vertex colours, times the image where there is one, into a cell per face."""
+def _paint_faces(
+    group: _Group, limit: int, cell: int
+) -> tuple[np.ndarray, list[tuple[MeshPart, np.ndarray]]]:
+    """Paint vertex colours, times the image if there is one, into a cell per face."""
     part = group.parts[0]
     assert part.colors is not None
     width, height = _size(group, 1, limit, cell)
     columns, count = width // cell, len(part.faces)
-    # Corners lie on the centres of three of the cell's corner texels; beyond the third edge colours go on.
+    # A face's corners are the centres of three corner texels of its cell; colours extend beyond its edge.
     step = np.arange(cell) / max(cell - 1, 1)
     b, c = np.meshgrid(step, step) if cell > 1 else (np.full((1, 1), 1 / 3),) * 2
     weights = np.stack([1 - b - c, b, c], -1)
@@ -305,7 +308,7 @@ def _paint_faces(group: _Group, limit: int, cell: int) -> tuple[np.ndarray, list
     index = np.arange(count)
     origin = np.stack([index % columns, index // columns], 1) * cell + 0.5
     places = origin[:, None] + (cell - 1) * np.array([[0, 0], [1, 0], [0, 1]])
-    own = Part(
+    own = MeshPart(
         part.vertices[part.faces].reshape(-1, 3),
         np.arange(3 * count).reshape(-1, 3),
         part.material,
@@ -315,7 +318,7 @@ def _paint_faces(group: _Group, limit: int, cell: int) -> tuple[np.ndarray, list
 
 
 def _texels(uv: np.ndarray | None, size: np.ndarray) -> np.ndarray:
-    """Places (V, 2) in an image of that size, in texels, y down."""
+    """Convert texture coordinates to texels (V, 2) of an image of that size, y down."""
     assert uv is not None
     return (uv * [1, -1] + [0, 1]) * size
 
@@ -336,7 +339,7 @@ def _wrapped(index: np.ndarray, count: int, wrap: str) -> np.ndarray:
 
 
 def _sample(texels: np.ndarray, places: np.ndarray, wrap: tuple[str, str]) -> np.ndarray:
-    """Bilinear samples (N, 3) of texels (H, W, 3) at places (N, 2) in texels, y down."""
+    """Sample texels (H, W, 3) bilinearly at texel coordinates (N, 2), y down; (N, 3)."""
     height, width = texels.shape[:2]
     low = np.floor(places - 0.5).astype(int)
     fx, fy = (places - 0.5 - low).T[:, :, None]

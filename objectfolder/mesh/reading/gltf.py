@@ -1,4 +1,4 @@
-"""Read glTF 2.0 (Khronos, 2021): triangles, base colours and what shades them, placed by their nodes."""
+"""Read glTF 2.0 (Khronos, 2021): triangles with base colour, roughness and metallic, in scene space."""
 
 import base64
 import json
@@ -12,9 +12,10 @@ from urllib.parse import unquote, unquote_to_bytes
 import numpy as np
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.reading.part import Material, Part, Parts, read_image, read_referenced
+from objectfolder.mesh.reading.files import read_image, read_referenced
+from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMaterial
 
-# Extensions that a file may require. Those of materials change only how it looks.
+# Extensions that a file may require. Material extensions affect the appearance only.
 EXTENSIONS = ("KHR_texture_transform", "KHR_mesh_quantization", "EXT_texture_webp", "KHR_materials_")
 DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
@@ -22,28 +23,28 @@ WRAPS = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
 TRIANGLES, STRIP, FAN = 4, 5, 6
 
 
-def read_gltf(path: Path) -> Parts:
+def read_gltf(path: Path) -> MeshContent:
     """Read the default scene of a ``.gltf`` or ``.glb``.
 
     Base colour textures (with ``KHR_texture_transform``), factors, vertex colours, roughness and metallic
-    are kept; a map of the last two is reduced to its mean. Normal, occlusion and emissive maps, transparency,
-    skins and morph targets are left out, with a note.
+    are kept; a roughness and metallic map is reduced to its mean. Normal, occlusion and emissive maps,
+    transparency, skins and morph targets are dropped with a note.
 
     Returns
     -------
-    Parts
-        As in the file: y up.
+    MeshContent
+        In the file's frame: y up.
 
     Raises
     ------
     ObjectFolderError
-        If the file or one that it refers to is missing or invalid, or it needs an unknown extension.
+        If the file, or one it refers to, is missing or invalid, or requires an unknown extension.
     """
     try:
         return _File(path).read()
     except ObjectFolderError:
         raise
-    except Exception as error:  # a wrong type or index anywhere in a foreign document
+    except Exception as error:  # wrong types or indices anywhere in the document
         raise ObjectFolderError(
             f"{path} cannot be read as a mesh: it is not valid glTF ({type(error).__name__}: {error}); "
             "export it again"
@@ -56,7 +57,7 @@ def read_document(path: Path) -> tuple[dict[str, Any], bytes]:
     Raises
     ------
     ObjectFolderError
-        If the file is not glTF 2.0, or cut off.
+        If the file is not glTF 2.0, or truncated.
     """
     data, binary = path.read_bytes(), b""
     if path.suffix.lower() == ".glb":
@@ -75,7 +76,7 @@ def read_document(path: Path) -> tuple[dict[str, Any], bytes]:
 
 def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes]:
     if data[:4] != b"glTF" or len(data) < 20:
-        raise ObjectFolderError(f"{path} cannot be read as a mesh: it does not begin as a binary glTF does")
+        raise ObjectFolderError(f"{path} cannot be read as a mesh: it has no binary glTF header")
     version, length, size, kind = struct.unpack("<III4s", data[4:20])
     if version != 2:
         raise ObjectFolderError(f"{path} cannot be read as a mesh: glTF version {version}, expected 2")
@@ -91,7 +92,7 @@ def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes]:
 
 
 class _File:
-    """A glTF document with its buffers, and the materials read so far."""
+    """glTF document with its buffers and the materials read so far."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -102,20 +103,22 @@ class _File:
                     f"{path} needs the glTF extension {name}, which is not supported; export it without"
                 )
         self.buffers = [self._buffer(buffer) for buffer in self.document.get("buffers", [])]
-        self.materials: dict[int | None, tuple[Material, dict[str, Any]]] = {None: (Material(), {})}
+        self.materials: dict[int | None, tuple[SurfaceMaterial, dict[str, Any]]] = {
+            None: (SurfaceMaterial(), {})
+        }
         self.changes: Counter[str] = Counter()
 
-    def read(self) -> Parts:
+    def read(self) -> MeshContent:
         parts = [
             part
             for mesh, transform in self._placed()
             for primitive in self.document["meshes"][mesh]["primitives"]
             if (part := self._part(primitive, transform)) is not None
         ]
-        return Parts(parts, [f"{what} ({n})" for what, n in sorted(self.changes.items()) if n])
+        return MeshContent(parts, [f"{what} ({n})" for what, n in sorted(self.changes.items()) if n])
 
     def _placed(self) -> list[tuple[int, np.ndarray]]:
-        """Meshes of the scene with their transforms (4, 4), in the document's order."""
+        """Return the scene's meshes with their transforms (4, 4), in document order."""
         nodes = self.document.get("nodes", [])
         if "scenes" in self.document:
             roots = self.document["scenes"][self.document.get("scene", 0)].get("nodes", [])
@@ -137,7 +140,7 @@ class _File:
             queue += [(child, transform) for child in reversed(node.get("children", []))]
         return placed
 
-    def _part(self, primitive: dict[str, Any], transform: np.ndarray) -> Part | None:
+    def _part(self, primitive: dict[str, Any], transform: np.ndarray) -> MeshPart | None:
         mode, attributes = primitive.get("mode", TRIANGLES), primitive["attributes"]
         if mode not in (TRIANGLES, STRIP, FAN):
             self.changes["points or lines left out"] += 1
@@ -149,7 +152,7 @@ class _File:
             corners = self._accessor(primitive["indices"], 1)[:, 0].astype(np.int64)
         faces = _triangles(corners, mode)
         material, texture = self._material(primitive.get("material"))
-        # A mirrored node turns the order of its corners.
+        # A mirroring transform reverses the orientation of faces.
         if np.linalg.det(transform[:3, :3]) < 0:
             faces = faces[:, ::-1]
         uv = None
@@ -160,15 +163,15 @@ class _File:
         colors = None
         if "COLOR_0" in attributes:
             colors = np.clip(self._accessor(attributes["COLOR_0"], None)[:, :3], 0, 1)
-            # Exporters write white beside every texture.
+            # Exporters often write white beside a texture.
             colors = None if material.image is not None and (colors > 0.999).all() else colors
         placed = vertices @ transform[:3, :3].T + transform[:3, 3]
         normals = None
         if "NORMAL" in attributes:
             normals = self._accessor(attributes["NORMAL"], 3) @ _of_normals(transform[:3, :3]).T
-        return Part(placed, faces, material, uv, colors, normals)
+        return MeshPart(placed, faces, material, uv, colors, normals)
 
-    def _material(self, index: int | None) -> tuple[Material, dict[str, Any]]:
+    def _material(self, index: int | None) -> tuple[SurfaceMaterial, dict[str, Any]]:
         """Return a material, and the texture info of its base colour."""
         if index in self.materials:
             return self.materials[index]
@@ -188,9 +191,9 @@ class _File:
         for what in ("normal", "occlusion", "emissive"):
             self.changes[f"{what} map left out"] += f"{what}Texture" in material
         self.changes["transparency left out"] += material.get("alphaMode", "OPAQUE") != "OPAQUE"
-        image, wrap = self._texture(info) if info is not None else (None, Material.wrap)
+        image, wrap = self._texture(info) if info is not None else (None, SurfaceMaterial.wrap)
         linear = np.clip(np.asarray(color[:3], np.float64), 0, 1)
-        made = Material(image, linear, float(roughness), float(metallic), wrap)
+        made = SurfaceMaterial(image, linear, float(roughness), float(metallic), wrap)
         self.materials[index] = made, info or {}
         return self.materials[index]
 
@@ -233,7 +236,7 @@ class _File:
         return read_referenced(self.path, unquote(uri))
 
     def _accessor(self, index: int, width: int | None) -> np.ndarray:
-        """Values (count, width) of an accessor; numbers as they are, or in [-1, 1] where normalized."""
+        """Values (count, width) of an accessor; scaled to [-1, 1] if normalized."""
         accessor = self.document["accessors"][index]
         dtype, columns, count = DTYPES[accessor["componentType"]], WIDTHS[accessor["type"]], accessor["count"]
         if width not in (None, columns):
@@ -283,7 +286,7 @@ def _triangles(corners: np.ndarray, mode: int) -> np.ndarray:
 
 
 def _transform(node: dict[str, Any]) -> np.ndarray:
-    """Matrix (4, 4) of a node: its own, or translation x rotation (quaternion x, y, z, w) x scale."""
+    """Return a node's matrix (4, 4), or its translation x rotation (quaternion x, y, z, w) x scale."""
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
     x, y, z, w = node.get("rotation", (0, 0, 0, 1))
@@ -301,9 +304,9 @@ def _transform(node: dict[str, Any]) -> np.ndarray:
 
 
 def _of_normals(linear: np.ndarray) -> np.ndarray:
-    """Matrix (3, 3) that turns normals as a matrix does vertices, but for their length.
+    """Return the matrix (3, 3) that transforms normals, up to length, when vertices transform by ``linear``.
 
-    It is the inverse transpose times the determinant's size: the cofactors, which also flat nodes have.
+    It is the inverse transpose times the absolute determinant, from cofactors that also exist if singular.
     """
     x, y, z = linear
     cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)])

@@ -1,4 +1,4 @@
-"""Read a mesh with its appearance from the formats that people have."""
+"""Load a mesh with its appearance from any supported file format."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -11,11 +11,12 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.normals import usable
 from objectfolder.mesh.reading.bake import join
 from objectfolder.mesh.reading.gltf import read_gltf
-from objectfolder.mesh.reading.part import Part, Parts
-from objectfolder.mesh.reading.polygons import read_obj, read_polygons
+from objectfolder.mesh.reading.obj import read_obj
+from objectfolder.mesh.reading.parts import MeshContent, MeshPart
+from objectfolder.mesh.reading.polygons import read_polygons
 from objectfolder.mesh.textured import TexturedMesh, z_up
 
-READERS: dict[str, Callable[[Path], Parts]] = {
+READERS: dict[str, Callable[[Path], MeshContent]] = {
     ".obj": read_obj,
     ".glb": read_gltf,
     ".gltf": read_gltf,
@@ -23,9 +24,9 @@ READERS: dict[str, Callable[[Path], Parts]] = {
     ".stl": read_polygons,
     ".off": read_polygons,
 }
-FORMATS = tuple(READERS)  #: suffixes of the mesh files that are read
-MAX_REACH = 1e30  # in any unit; keeps products of coordinates finite
-# How files of other formats begin that people rename by mistake.
+FORMATS = tuple(READERS)  #: suffixes of supported mesh files
+MAX_REACH = 1e30  # largest coordinate in any unit; keeps products finite
+# First bytes of files that carry a wrong suffix.
 BEGINNINGS = {
     b"glTF": "a .glb",
     b"ply": "a .ply",
@@ -38,14 +39,15 @@ BEGINNINGS = {
 
 
 def default_up(path: str | Path) -> str:
-    """Which axis points up where nobody says: ``y`` in glTF (by its standard), ``z`` elsewhere."""
+    """Return the default up axis: ``y`` for glTF (by its standard), ``z`` for other formats."""
     return "y" if Path(path).suffix.lower() in (".glb", ".gltf") else "z"
 
 
 def load_mesh(path: str | Path, up: str = "z", texture_size: int = 1024) -> TexturedMesh:
-    """Load a mesh, turn it z up, and bring its appearance into one texture or vertex colours.
+    """Load a mesh, rotate it z up, and bake its appearance into one texture or vertex colours.
 
-    Vertex normals that the file holds are kept; those of no use give way to their face's, see `usable`.
+    Vertex normals of the file are kept; bad ones are replaced by face normals, see
+    `objectfolder.mesh.normals.usable`.
 
     Parameters
     ----------
@@ -54,13 +56,13 @@ def load_mesh(path: str | Path, up: str = "z", texture_size: int = 1024) -> Text
     up : {"y", "z"}
         The source's up axis.
     texture_size : int
-        Longest side of the texture that is kept, pixels.
+        Longest side of the texture, pixels.
 
     Raises
     ------
     ObjectFolderError
-        If the file, or one that it refers to, is missing or unreadable; if it is of another format, without
-        faces, or has face indices out of range, or vertices that are not finite or all in one point.
+        If the file, or one it refers to, is missing or unreadable; if its format is unsupported; or if it has
+        no faces, face indices out of range, or vertices that are not finite or all coincide.
     """
     path = Path(path)
     if not path.is_file():
@@ -84,7 +86,7 @@ def load_mesh(path: str | Path, up: str = "z", texture_size: int = 1024) -> Text
     if reach > MAX_REACH:
         raise ObjectFolderError(f"{path}: its vertices reach {reach:.3g}; repair the mesh")
     if size <= 1 / MAX_REACH:
-        raise ObjectFolderError(f"{path}: all of its vertices are in one point; expected a solid object")
+        raise ObjectFolderError(f"{path}: all of its vertices coincide; expected a solid object")
     appearance = _source_report(parts)
     mesh, notes = join([_finite(part) for part in parts], texture_size, str(path))
     bad = 0.0
@@ -98,14 +100,14 @@ def load_mesh(path: str | Path, up: str = "z", texture_size: int = 1024) -> Text
     return mesh.turned(z_up) if up == "y" else mesh
 
 
-def _read(path: Path, reader: Callable[[Path], Parts]) -> Parts:
+def _read(path: Path, reader: Callable[[Path], MeshContent]) -> MeshContent:
     if path.stat().st_size == 0:
         raise ObjectFolderError(f"{path} cannot be read as a mesh: it is empty")
     try:
         return reader(path)
     except ObjectFolderError:
         raise
-    except Exception as error:  # the readers raise whatever their format's parser raises
+    except Exception as error:  # the format's parser raises anything
         reason = str(error) or type(error).__name__
         raise ObjectFolderError(f"{path} cannot be read as a mesh: {reason}{_looks_like(path)}") from error
 
@@ -117,7 +119,7 @@ def _looks_like(path: Path) -> str:
     return f" (its content looks like {kinds[0]})" if kinds and path.suffix not in kinds[0] else ""
 
 
-def _check(path: Path, part: Part) -> None:
+def _check(path: Path, part: MeshPart) -> None:
     low, high, count = part.faces.min(), part.faces.max(), len(part.vertices)
     if low < 0 or high >= count:
         raise ObjectFolderError(
@@ -135,8 +137,8 @@ def _check(path: Path, part: Part) -> None:
             )
 
 
-def _finite(part: Part) -> Part:
-    """Put zeros for the vertices that no face uses, and for coordinates and normals that are not finite."""
+def _finite(part: MeshPart) -> MeshPart:
+    """Replace values that are not finite by zeros, and clip vertex colours to [0, 1]."""
     uv = None if part.uv is None else np.where(np.isfinite(part.uv), part.uv, 0)
     vertices = np.where(np.isfinite(part.vertices).all(1, keepdims=True), part.vertices, 0)
     colors = None if part.colors is None else np.nan_to_num(np.clip(part.colors, 0, 1))
@@ -146,8 +148,8 @@ def _finite(part: Part) -> Part:
     return replace(part, vertices=vertices, uv=uv, colors=colors, normals=normals)
 
 
-def _source_report(parts: Sequence[Part]) -> dict[str, Any]:
-    """Count materials, and the textured faces whose coordinates are of no use."""
+def _source_report(parts: Sequence[MeshPart]) -> dict[str, Any]:
+    """Count materials and faces with unusable texture coordinates."""
     count = sum(len(part.faces) for part in parts)
     textured = [p for p in parts if p.material.image is not None and p.uv is not None]
     corners = np.concatenate([np.zeros((0, 3, 2)), *(p.uv[p.faces] for p in textured if p.uv is not None)])

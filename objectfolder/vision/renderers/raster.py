@@ -3,7 +3,7 @@
 import numpy as np
 from PIL import Image
 
-from objectfolder.mesh.normals import area_vectors, unit
+from objectfolder.mesh.normals import area_vectors, unit_vectors
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.opengl import canvas, pyrender
 from objectfolder.vision.scene import LIGHT_INTENSITY, Scene
@@ -63,7 +63,7 @@ def _primitive(scene: Scene) -> "pyrender.Primitive":
     """Every face with vertices of its own, so that it can be flat."""
     mesh = scene.mesh
     if mesh.normals is None:
-        normals = unit(area_vectors(mesh.vertices, mesh.faces)).repeat(3, 0)
+        normals = unit_vectors(area_vectors(mesh.vertices, mesh.faces)).repeat(3, 0)
     else:
         normals = mesh.normals[mesh.faces].reshape(-1, 3)
     material = pyrender.MetallicRoughnessMaterial(

@@ -4,8 +4,8 @@ import pytest
 from solids import TURN, box, flipped, join, pretzel, sphere
 
 from objectfolder.mesh.closing.solids import bodies, bridge, distance, gaps, unite, untangle, without_specks
-from objectfolder.mesh.closing.topology import is_closed, signed_volume
 from objectfolder.mesh.scanline import winding_certificate
+from objectfolder.mesh.topology import is_closed, signed_volume
 
 
 def test_a_body_that_overlaps_itself_encloses_space_once():

@@ -11,12 +11,12 @@ from solids import TURN, box, flipped, join, pretzel, sphere
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.closing.solids import manifold
 from objectfolder.mesh.closing.surface import BRIDGED_GAP, close_surface
-from objectfolder.mesh.closing.topology import is_closed, signed_volume
 from objectfolder.mesh.closing.weld import clean
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.ply import read_surface, write_surface
 from objectfolder.mesh.procedural import generate
 from objectfolder.mesh.reading.load import default_up, load_mesh
+from objectfolder.mesh.topology import is_closed, signed_volume
 
 OBJECTS = Path(__file__).parents[4] / "shared" / "objects"
 SEEDS = st.integers(0, 2**31)
@@ -127,7 +127,7 @@ def test_a_visible_sheet_gets_the_wall_that_is_asked_for_else_two_percent_and_a_
         assert surface.volume == pytest.approx(2 / 3 * np.pi * (0.125 - (0.5 - wall) ** 3), rel=0.01)
         assert surface.deviation_max == pytest.approx(wall, rel=0.02)
     assert asked.warnings == []
-    assert "say `wall`" in default.warnings[0]
+    assert "set `wall`" in default.warnings[0]
 
 
 @settings(max_examples=3, deadline=None)

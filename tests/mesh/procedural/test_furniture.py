@@ -8,7 +8,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.procedural.assembly import Look, Part, assemble, frame, joined
+from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, frame, union
 from objectfolder.mesh.procedural.extrusion import area, inset, prism, rectangle, regular, triangulate
 from objectfolder.mesh.procedural.shelf import shelf, shelf_levels
 from objectfolder.mesh.procedural.stool import stool
@@ -131,8 +131,8 @@ def test_texture_shows_the_paint_of_each_point():
         prism([rectangle(0.5, 0.3, 0.04)], 0.06, 0.03, 0.01),
         bar((0, 0, 0.03), (0.3, 0.2, -0.87), (0.1, 0.06), 0.04),
     ]
-    parts = [Part.of(solids[0], paint), Part.of(solids[1], paint, axes)]
-    mesh: Any = assemble(joined(parts), parts, Look("plastic", 1.0), 512)
+    parts = [PaintedPart.of(solids[0], paint), PaintedPart.of(solids[1], paint, axes)]
+    mesh: Any = assemble(union(parts), parts, Look("plastic", 1.0), 512)
     rng = np.random.default_rng(1)
     weights = rng.dirichlet([0.4] * 3, len(mesh.faces))[:, :, None]
     points = (weights * mesh.vertices[mesh.faces]).sum(1)

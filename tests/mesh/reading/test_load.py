@@ -183,7 +183,7 @@ def glb_of_nothing():
         ("m.obj", b"", "cannot be read as a mesh: it is empty"),
         ("m.obj", b"Dear Sir or Madam,\nhere is my mesh.\n", "holds no faces"),
         ("m.obj", b"ply\nformat ascii 1.0\n", "looks like a .ply"),
-        ("m.glb", b"version https://git-lfs.github.com/spec/v1\n", "does not begin as a binary glTF does"),
+        ("m.glb", b"version https://git-lfs.github.com/spec/v1\n", "has no binary glTF header"),
         ("m.ply", b"version https://git-lfs.github.com/spec/v1\n", "Git LFS pointer"),
         ("m.stl", b"PK\x03\x04" + bytes(99), "looks like a .zip archive"),
         ("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "'f 0 1 2' has the index 0"),
@@ -199,7 +199,7 @@ def glb_of_nothing():
         ("m.gltf", b"{", "cannot be read|no faces"),
         ("m.obj", b"v 0 0 0\nv 1 0 0\n", "cannot be read|no faces"),
         ("m.obj", b"v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n", "1 of its vertices are NaN"),
-        ("m.obj", b"v 1 2 3\nv 1 2 3\nv 1 2 3\nf 1 2 3\n", "in one point"),
+        ("m.obj", b"v 1 2 3\nv 1 2 3\nv 1 2 3\nf 1 2 3\n", "vertices coincide"),
         ("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "cannot be read|no faces"),
     ],
 )

@@ -2,22 +2,9 @@ import numpy as np
 import pytest
 from solids import box, join, sphere
 
-from objectfolder.mesh.closing.topology import (
-    boundary_loops,
-    edge_defects,
-    face_components,
-    is_closed,
-    separate_wedges,
-    signed_volume,
-    split,
-)
+from objectfolder.mesh.closing.wedges import separate_wedges
 from objectfolder.mesh.closing.weld import weld
-
-
-def test_pieces_that_share_a_vertex_are_one_component():
-    faces = np.array([[0, 1, 2], [2, 3, 4], [5, 6, 7]])
-    labels = face_components(faces, 8)
-    assert labels[0] == labels[1] != labels[2]
+from objectfolder.mesh.topology import connected_pieces, edge_defects, is_closed, signed_volume
 
 
 def test_an_intact_mesh_keeps_its_vertices_and_faces():
@@ -33,8 +20,8 @@ def test_an_intact_mesh_keeps_its_vertices_and_faces():
 def test_boxes_that_touch_in_an_edge_or_a_vertex_are_separated(place, crowded):
     touching = weld(*join(box((0.4, 0.4, 0.4), (-0.2, -0.2, 0)), box((0.4, 0.4, 0.4), place)), 1e-9)
     assert edge_defects(touching[1]) == (0, crowded, 0)
-    assert len(split(*touching)) == 1
-    apart = split(*separate_wedges(*touching))
+    assert len(connected_pieces(*touching)) == 1
+    apart = connected_pieces(*separate_wedges(*touching))
     assert [signed_volume(*piece) for piece in apart] == pytest.approx([0.064, 0.064])
     assert all(is_closed(faces) for _, faces in apart)
 
@@ -46,15 +33,3 @@ def test_hollows_that_touch_in_an_edge_are_kept_with_their_walls():
     _, faces = separate_wedges(*weld(*join(outer, *hollows), 1e-9))
     assert is_closed(faces)
     assert signed_volume(*weld(*join(outer, *hollows), 1e-9)) == pytest.approx(1 - 2 * 0.027)
-
-
-def test_boundary_loops_follow_the_faces():
-    vertices, faces = sphere(0.5, 2)
-    height = vertices[faces][:, :, 2]
-    loops = boundary_loops(faces[(height.max(1) < 0.3) & (height.min(1) > -0.3)])
-    assert len(loops) == 2
-    for loop in loops:
-        points = vertices[loop]
-        area = np.cross(points, np.roll(points, -1, 0)).sum(0)
-        # Outward faces lie to the left of a boundary: seen from above, the upper one runs clockwise.
-        assert area[2] * points[:, 2].mean() < 0

@@ -1,16 +1,16 @@
-"""How thick the walls of a solid are."""
+"""Wall thickness of a solid."""
 
 import numpy as np
 
 from objectfolder.mesh.raycast import RayCaster
 
-THIN_SHARE = 0.1  # of the surface; no part that is smaller makes a solid thin-walled
+THIN_SHARE = 0.1  # quantile: thin parts with less surface than this do not count
 _RAYS = 4096
-_OFFSET = 1e-5  # where rays start below the surface
+_OFFSET = 1e-5  # start of the rays below the surface
 
 
 def wall_thickness(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Thickness that a tenth of the surface falls below, straight inward; in the mesh's units.
+    """Estimate the thickness, measured along inward normals, below which a tenth of the surface falls.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""Open pieces: holes that are closed by a cap, and visible sheets that are given a thickness.
+"""Close open pieces: cap holes, and thicken visible sheets.
 
-Whether a piece is a solid with a missing face or a thin sheet cannot be told from its back faces alone
-(a scan lacks its underside, furniture its hidden faces). A loop is an opening if its cap would be seen
-from outside and is large; a piece with an opening is a sheet.
+Back faces alone do not show whether a piece is a solid with a missing face or a thin sheet (scans lack their
+underside, furniture its hidden faces). A boundary loop is an opening if its cap would be large and visible
+from outside, otherwise a hole; a piece with an opening is a sheet.
 """
 
 import igl
@@ -10,15 +10,15 @@ import manifold3d
 import numpy as np
 from scipy.sparse import coo_matrix
 
-from objectfolder.mesh.closing.topology import Mesh, boundary_loops, face_areas, signed_volume
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.sampling import sample_surface
+from objectfolder.mesh.topology import Mesh, boundary_loops, face_areas, signed_volume
 
-SEEN = 0.3  #: a cap of which at least this fraction of the hemisphere is free is seen from outside
-LARGE = 0.05  #: of the piece's area, for the area of a loop
-NO_ROOM = 0.5  #: of the area, for the faces that a wall turns over: it is thicker than what it fills
+SEEN = 0.3  #: unoccluded fraction of the hemisphere above which a cap is visible from outside
+LARGE = 0.05  #: area of a loop, as a fraction of the piece's, above which it is large
+NO_ROOM = 0.5  #: area fraction of faces inverted by a wall above which it has no room
 _RAYS = 1024
-_OFFSET = 1e-4  # of rays from the cap, unit frame
+_OFFSET = 1e-4  # start of the rays above the cap, unit frame
 
 
 def close_piece(piece: Mesh, scene: RayCaster | None, wall: float) -> tuple[Mesh, int, int]:
@@ -27,20 +27,20 @@ def close_piece(piece: Mesh, scene: RayCaster | None, wall: float) -> tuple[Mesh
     Parameters
     ----------
     piece : vertices and faces, unit frame
-        Neighbours are oriented alike; no edge has more than two faces.
+        Consistently oriented; no edge has more than two faces.
     scene : RayCaster or None
-        All pieces: they may hide a hole. None caps every hole.
+        All pieces, for visibility. None caps every loop.
     wall : float
-        Thickness that a sheet gets, unit frame. The sheet stays as its outer side. Where there is no room
-        for it, the sheet is filled: its openings are capped.
+        Thickness given to a sheet, unit frame. The sheet becomes the outer side. Where there is no room for
+        the wall, the openings are capped instead.
 
     Returns
     -------
     piece : the closed piece
     capped : int
-        Holes that were closed by a cap.
+        Number of capped loops.
     openings : int
-        Loops that are openings of a sheet.
+        Number of openings of a sheet.
     """
     vertices, faces = piece
     loops = boundary_loops(faces)
@@ -68,14 +68,14 @@ def close_piece(piece: Mesh, scene: RayCaster | None, wall: float) -> tuple[Mesh
 
 
 def cap(vertices: np.ndarray, faces: np.ndarray, loops: list[np.ndarray]) -> Mesh:
-    """Close loops, given in the direction of their boundary half edges, by flat or nearly flat caps."""
+    """Close loops, given along their boundary half edges, with flat or nearly flat caps."""
     new_vertices, new_faces, count = [vertices], [faces], len(vertices)
     for loop in loops:
         points = vertices[loop]
         normal = _loop_area(points)
         centre = points.mean(0)
         fan = np.cross(points - centre, np.roll(points, -1, 0) - centre) @ normal
-        if len(loop) > 3 and (fan <= 0).any():  # seen from its centre, the loop turns back
+        if len(loop) > 3 and (fan <= 0).any():  # not star-shaped about its centre
             local = manifold3d.triangulate([_in_plane(points, normal)])
             new_faces.append(loop[local][:, ::-1])
         else:
@@ -86,26 +86,26 @@ def cap(vertices: np.ndarray, faces: np.ndarray, loops: list[np.ndarray]) -> Mes
 
 
 def thicken(vertices: np.ndarray, faces: np.ndarray, wall: float) -> Mesh:
-    """Give a sheet a wall on its inner side, joined along its boundary."""
+    """Add an inner side to a sheet at a distance ``wall``, joined along the boundary."""
     count = len(vertices)
     inner = vertices - wall * _offset_directions(vertices, faces)
     border = np.concatenate(
         [np.stack([loop, np.roll(loop, -1)], 1) for loop in boundary_loops(faces)]
-    )  # leads from a to b along the sheet
+    )  # from a to b along the sheet
     a, b = border.T
     rim = np.concatenate([np.stack([b, a, a + count], 1), np.stack([b, a + count, b + count], 1)])
     return np.concatenate([vertices, inner]), np.concatenate([faces, faces[:, ::-1] + count, rim])
 
 
 def _turned_over(vertices: np.ndarray, inner: np.ndarray, faces: np.ndarray) -> float:
-    """Share of the faces' area of which an edge is reversed on the inner side."""
+    """Compute the area fraction of faces with an edge reversed on the inner side."""
     outward, inward = (np.roll(side[faces], -1, 1) - side[faces] for side in (vertices, inner))
     area = face_areas(vertices, faces)
     return float(area[(np.einsum("ijk,ijk->ij", outward, inward) < 0).any(1)].sum() / area.sum())
 
 
 def _offset_directions(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Vertex normals, longer at creases so that the offset faces keep their distance; (V, 3)."""
+    """Compute vertex normals, longer at creases so that offset faces keep their distance; (V, 3)."""
     normal = np.asarray(
         igl.per_vertex_normals(vertices, faces, igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_ANGLE), np.float64
     )
@@ -120,13 +120,13 @@ def _offset_directions(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def _loop_area(points: np.ndarray) -> np.ndarray:
-    """Area vector of a closed loop; (3,)."""
+    """Compute the area vector of a closed loop; (3,)."""
     around = points - points.mean(0)
     return np.cross(around, np.roll(around, -1, 0)).sum(0) / 2
 
 
 def _in_plane(points: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Project a loop on its plane, counter-clockwise; (N, 2)."""
+    """Project a loop onto its plane, counter-clockwise; (N, 2)."""
     axis = np.eye(3)[np.abs(normal).argmin()]
     u = np.cross(axis, normal)
     v = np.cross(normal, u)
@@ -134,11 +134,11 @@ def _in_plane(points: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 
 def _seen(loop: np.ndarray, scene: RayCaster) -> float:
-    """Fraction of rays that leave from a cap outward and hit nothing."""
+    """Compute the fraction of cosine-weighted outward rays from a cap that hit nothing."""
     rng = np.random.default_rng(0)
     count = len(loop)
     fan = np.stack([np.full(count, count), np.arange(count), (np.arange(count) + 1) % count], 1)
-    # The loop runs along the surface's boundary, so its cap faces the other way.
+    # The loop follows the surface's boundary, so its cap faces the other way.
     outward = -_loop_area(loop)
     outward /= np.linalg.norm(outward)
     points = sample_surface(np.concatenate([loop, loop.mean(0, keepdims=True)]), fan, _RAYS, rng)

@@ -4,10 +4,10 @@ import pytest
 import trimesh
 from solids import box, flipped, join, sphere
 
-from objectfolder.mesh.closing.openings import cap, close_piece, thicken
+from objectfolder.mesh.closing.holes import cap, close_piece, thicken
 from objectfolder.mesh.closing.solids import arrays
-from objectfolder.mesh.closing.topology import boundary_loops, compact, face_areas, is_closed, signed_volume
 from objectfolder.mesh.raycast import RayCaster
+from objectfolder.mesh.topology import boundary_loops, compact, face_areas, is_closed, signed_volume
 
 WALL = 0.02
 
