@@ -12,7 +12,7 @@ from objectfolder.mesh.topology import Mesh, signed_volume
 BLOCK = 8  #: samples along each side of a block
 
 
-def grid_points(*shape: int) -> np.ndarray:
+def grid_indices(*shape: int) -> np.ndarray:
     """Return the integer coordinates of a grid's samples, last axis fastest; (N, 3)."""
     return np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), -1).reshape(-1, 3)
 
@@ -20,7 +20,7 @@ def grid_points(*shape: int) -> np.ndarray:
 def block_centres(lower: np.ndarray, spacing: float, blocks: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the centres (B, 3) of a grid's blocks and the radius of a sphere around a block's samples."""
     side = BLOCK * spacing
-    return lower + side * (grid_points(*blocks) + 0.5) - spacing / 2, side * np.sqrt(3) / 2
+    return lower + side * (grid_indices(*blocks) + 0.5) - spacing / 2, side * np.sqrt(3) / 2
 
 
 def contour(
@@ -56,7 +56,7 @@ def contour(
     count = int(np.prod(blocks))
     values = np.repeat(np.broadcast_to(np.asarray(elsewhere, float), count), BLOCK**3).reshape(count, -1)
     corner = BLOCK * np.stack(np.unravel_index(chosen, tuple(blocks)), -1)
-    samples = (corner[:, None] + grid_points(BLOCK, BLOCK, BLOCK)).reshape(-1, 3)
+    samples = (corner[:, None] + grid_indices(BLOCK, BLOCK, BLOCK)).reshape(-1, 3)
     values[chosen] = function(lower + spacing * samples).reshape(len(chosen), -1)
     grid = values.reshape(*blocks, BLOCK, BLOCK, BLOCK).transpose(0, 3, 1, 4, 2, 5)
     grid = np.pad(grid.reshape(BLOCK * np.asarray(blocks)), 1, constant_values=spacing)

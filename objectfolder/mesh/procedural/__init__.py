@@ -1,4 +1,4 @@
-"""Parametric families of objects with their own textures, one module each."""
+"""Procedural generators: parametric families of textured objects, one module each."""
 
 import inspect
 from collections.abc import Callable
@@ -27,7 +27,7 @@ from objectfolder.mesh.textured import TexturedMesh
 
 __all__ = ["GENERATORS", "generate"]
 
-#: What `generate` can make; all parameters have defaults and lengths are in metres.
+#: Generators by name; all parameters have defaults, lengths are in metres.
 GENERATORS: dict[str, Callable[..., TexturedMesh]] = {
     "bell": bell,
     "block": block,
@@ -51,14 +51,14 @@ GENERATORS: dict[str, Callable[..., TexturedMesh]] = {
 
 
 def generate(generator: str, **parameters: Any) -> TexturedMesh:
-    """Build an object with smooth normals and creases; the same parameters give the same bytes.
+    """Build an object with smooth normals and creases; equal parameters give equal bytes.
 
     Parameters
     ----------
     generator : str
         A key of `GENERATORS`.
     **parameters
-        Of that generator; see its docstring.
+        Parameters of the generator; see its docstring.
 
     Raises
     ------

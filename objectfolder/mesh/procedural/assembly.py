@@ -1,4 +1,4 @@
-"""Objects put together from painted parts: the charts of the finished surface, and its texture."""
+"""Assembly of painted parts: charts and texture of the resulting surface."""
 
 import math
 from collections.abc import Sequence
@@ -17,16 +17,16 @@ from objectfolder.mesh.procedural.texture import rgb
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.textured import TexturedMesh
 
-#: Weighs a part's axes, so that facets at 45 degrees all go to the same chart.
+#: Weights of a part's axes, so that all facets at 45 degrees go to the same chart.
 PREFERENCE = np.array([1.0, 1.04, 1.08])
-LONGEST = 0.08  #: of the edges, about, in sizes of the object: sounds are excited at vertices
-LATE_WOOD = np.array([0.78, 0.68, 0.58])  #: of dyed wood, in shares of its colour
-BORDER_SAMPLES = 4  #: points on an edge at the border of a chart from which its surface is continued
+LONGEST = 0.08  #: edge length limit, approximate, in sizes of the object: sounds are excited at vertices
+LATE_WOOD = np.array([0.78, 0.68, 0.58])  #: factor from the colour of dyed wood to its late wood
+BORDER_SAMPLES = 4  #: points per border edge of a chart, from which its surface is extrapolated
 
 
 @dataclass(frozen=True)
 class Look:
-    """The finish of an object; each part may take another piece of it, direction or colour."""
+    """Finish of an object; parts may vary in piece, grain direction and colour."""
 
     finish: str
     size: float  #: longest side of the object, m
@@ -35,12 +35,12 @@ class Look:
     seed: int = 0
 
     def paint(self, axis: Sequence[float] | np.ndarray | None = None, piece: int = 0) -> Paint:
-        """Paint of one piece, its grain along ``axis``."""
+        """Return the paint of one piece, its grain along ``axis``."""
         direction = None if axis is None else [float(x) for x in axis]
         return finish(self.finish, self.size, self.color, self.accent, self.seed + piece, direction).paint
 
     def dyed(self, color: str | None) -> "Look":
-        """Return the same finish in another colour; wood then grows darker shades of it."""
+        """Return the same finish in another colour; wood gets a darker shade as late wood."""
         late = None
         if self.finish == "wood" and color is not None:
             late = "".join(f"{round(255 * c):02x}" for c in LATE_WOOD * rgb(color))
@@ -49,20 +49,20 @@ class Look:
 
 @dataclass(frozen=True)
 class PaintedPart:
-    """A solid, in place, with the paint of its surface, wherever that ends up in the object."""
+    """Solid in its final position, with the paint of its surface."""
 
     solid: manifold3d.Manifold
     paint: Paint
-    axes: np.ndarray = field(default_factory=lambda: np.eye(3))  #: columns: where its charts look from
+    axes: np.ndarray = field(default_factory=lambda: np.eye(3))  #: columns: projection axes of its charts
 
     @classmethod
     def of(cls, solid: manifold3d.Manifold, paint: Paint, axes: np.ndarray | None = None) -> "PaintedPart":
-        """Return a part whose surface can be told from all others after Boolean operations."""
+        """Return a part whose surface stays identifiable after Boolean operations."""
         return cls(solid.as_original(), paint, np.eye(3) if axes is None else axes)
 
 
 def frame(along: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Orthonormal axes (3, 3), as columns, the first one along a vector."""
+    """Return orthonormal axes (3, 3) as columns, the first along a vector."""
     first = np.asarray(along, np.float64) / np.linalg.norm(along)
     second = np.cross([0.0, 0.0, 1.0] if abs(first[2]) < 0.9 else [1.0, 0.0, 0.0], first)
     second /= np.linalg.norm(second)
@@ -70,34 +70,34 @@ def frame(along: Sequence[float] | np.ndarray) -> np.ndarray:
 
 
 def union(parts: Sequence[PaintedPart]) -> manifold3d.Manifold:
-    """Union of all parts."""
+    """Unite all parts."""
     return manifold3d.Manifold.batch_boolean([part.solid for part in parts], manifold3d.OpType.Add)
 
 
 def assemble(
     solid: manifold3d.Manifold, parts: Sequence[PaintedPart], look: Look, texture_size: int
 ) -> TexturedMesh:
-    """Chart the surface of a solid made from parts by Boolean operations, paint it and bake the texture.
+    """Chart, paint and bake the surface of a solid made from parts by Boolean operations.
 
-    A chart is a connected piece of one part that faces along one of the part's axes, seen straight on.
+    A chart is a connected piece of one part's surface, projected along the part's axis that it faces.
 
     Parameters
     ----------
     solid : manifold3d.Manifold
-        m.
+        Solid, m.
     parts : sequence of PaintedPart
-        All that took part, cutting tools too.
+        All operands, cutting tools included.
     look : Look
-        For the gloss.
+        Finish that sets roughness and metallic.
     texture_size : int
-        Texels on a side.
+        Side of the texture, texels.
 
     Raises
     ------
     ObjectFolderError
         If the texture is too small for the object's charts.
     """
-    # Boolean operations leave one long edge where flats meet: divide it.
+    # Boolean operations leave long edges where flats meet: divide them.
     mesh = solid.refine_to_length(LONGEST * look.size).to_mesh64()
     vertices = np.array(mesh.vert_properties, np.float64)
     faces = np.array(mesh.tri_verts, np.int64)
@@ -117,7 +117,7 @@ def assemble(
         view = _view(axes[owner[mine[0]]], side[mine[0]])
         used, index = np.unique(faces[mine], return_inverse=True)
         seen = vertices[used] @ view
-        if np.ptp(seen[:, 1]) > np.ptp(seen[:, 0]):  # lying down: the atlas shelves like low charts
+        if np.ptp(seen[:, 1]) > np.ptp(seen[:, 0]):  # rotate tall charts: the atlas packs low charts better
             view = view @ np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
             seen = vertices[used] @ view
         low = seen.min(0)
@@ -148,7 +148,7 @@ def assemble(
 
 
 def _owners(mesh: manifold3d.Mesh64, parts: Sequence[PaintedPart]) -> np.ndarray:
-    """Index of the part (F,) on whose surface each face lies."""
+    """Return the index of the part (F,) to whose surface each face belongs."""
     identity = {part.solid.original_id(): k for k, part in enumerate(parts)}
     starts = np.asarray(mesh.run_index, np.int64) // 3
     lengths = starts[1:] - starts[:-1]
@@ -156,7 +156,7 @@ def _owners(mesh: manifold3d.Mesh64, parts: Sequence[PaintedPart]) -> np.ndarray
 
 
 def _connected(faces: np.ndarray, kind: np.ndarray) -> np.ndarray:
-    """Label (F,) of the connected regions of faces of one kind, in the order of their first faces."""
+    """Label (F,) connected regions of faces of one kind, in the order of their first faces."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     order = np.lexsort(np.sort(edges, axis=1).T)
     one, other = order.reshape(-1, 2).T % len(faces)  # a closed surface: edges come in pairs
@@ -169,14 +169,14 @@ def _connected(faces: np.ndarray, kind: np.ndarray) -> np.ndarray:
 
 
 def _view(axes: np.ndarray, side: int) -> np.ndarray:
-    """Columns (3, 3) right, up, towards the viewer, for a side of a part."""
+    """Return right, up and viewer axes, as columns (3, 3), for a side of a part."""
     k, backward = divmod(int(side), 2)
     right, up, toward = axes[:, (k + 1) % 3], axes[:, (k + 2) % 3], axes[:, k]
     return np.stack([up, right, -toward] if backward else [right, up, toward], 1)
 
 
 def _chart(seen: np.ndarray, faces: np.ndarray, view: np.ndarray, low: np.ndarray, paint: Paint) -> Chart:
-    """Chart of a relief seen along its third coordinate; `seen` (V, 3) in the frame of the view, from 0."""
+    """Build the chart of a relief projected along z; `seen` (V, 3) is in the view frame, from 0."""
     above = seen[:, 2].max() + 0.1 * float(np.ptp(seen, axis=0).max())
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     _, first, count = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
@@ -188,7 +188,7 @@ def _chart(seen: np.ndarray, faces: np.ndarray, view: np.ndarray, low: np.ndarra
         distance, face = RayCaster(seen, faces).first_hit(rays, np.broadcast_to([0.0, 0.0, -1.0], rays.shape))
         height = above - distance.astype(np.float64)
         off = face < 0
-        # Past the border the surface goes on level with the nearest point on it.
+        # Beyond the border, extrapolate at the level of its nearest point.
         height[off] = border[cKDTree(border[:, :2]).query(xy[off])[1], 2]
         return (np.column_stack([xy, height]) + low) @ view.T
 

@@ -1,4 +1,4 @@
-"""Charts of a surface, their packing into one texture, and the baking of that texture."""
+"""Charts of a surface, packed into one texture and baked."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -8,12 +8,12 @@ from scipy.ndimage import distance_transform_edt
 
 from objectfolder.errors import ObjectFolderError
 
-MARGIN = 4  #: texels painted past each border of a chart, so that bilinear filtering finds no seam
+MARGIN = 4  #: texels painted beyond each border of a chart, to hide seams from bilinear filtering
 
 
 @dataclass(frozen=True)
 class Chart:
-    """A flat map, in metres, of one part of a surface."""
+    """Flat map, in metres, of one part of a surface."""
 
     size: tuple[float, float]  #: width and height of the map, m
     locate: Callable[[np.ndarray], np.ndarray]  #: (M, 2) map coordinates, m -> (M, 3) surface points, m
@@ -27,17 +27,17 @@ class Atlas:
     charts: tuple[Chart, ...]
     origins: np.ndarray  #: (C, 2) lower left corner of each chart, texels from the texture's lower left
     density: float  #: texels per metre
-    resolution: int  #: texels on a side
+    resolution: int  #: side of the texture, texels
 
     def uv(self, chart: int, xy: np.ndarray) -> np.ndarray:
-        """Texture coordinates (N, 2) of map coordinates ``xy`` (N, 2), m, in one chart."""
+        """Convert map coordinates ``xy`` (N, 2), m, of a chart to texture coordinates (N, 2)."""
         return (self.origins[chart] + self.density * xy) / self.resolution
 
     def bake(self) -> np.ndarray:
-        """Paint every chart: a texture (resolution, resolution, 3) uint8 whose first row is the top.
+        """Paint every chart into a texture (resolution, resolution, 3) uint8, first row at the top.
 
-        Colours are evaluated past the borders of a chart, where the map goes on over the neighbouring
-        surface; what is left between charts takes the nearest painted colour, which keeps mipmaps clean.
+        Charts are painted beyond their borders, where the map continues over the neighbouring surface. The
+        space between charts takes the nearest painted colour, which keeps mipmaps clean.
         """
         n = self.resolution
         image = np.zeros((n, n, 3))
@@ -56,7 +56,7 @@ class Atlas:
 
 
 def _shelves(sizes: np.ndarray, resolution: int) -> np.ndarray | None:
-    """Lower left corners (C, 2) of boxes put on shelves, tallest first; None where they do not fit."""
+    """Pack boxes on shelves, tallest first; lower left corners (C, 2), or None if they do not fit."""
     corners = np.zeros(sizes.shape)
     x = y = shelf = 0.0
     for k in np.argsort(-sizes[:, 1], kind="stable"):
@@ -71,12 +71,12 @@ def _shelves(sizes: np.ndarray, resolution: int) -> np.ndarray | None:
 
 
 def pack_charts(charts: Sequence[Chart], resolution: int) -> Atlas:
-    """Lay charts out at the greatest common texel density that fits a ``resolution`` x ``resolution`` square.
+    """Pack charts at the largest common texel density that fits a ``resolution`` x ``resolution`` square.
 
     Raises
     ------
     ObjectFolderError
-        If the square is too small for so many charts.
+        If the square is too small for the charts.
     """
     sizes = np.array([chart.size for chart in charts])
     low, high = 0.0, resolution / sizes.max()

@@ -1,4 +1,4 @@
-"""Timber of furniture: boards and legs that carry their grain."""
+"""Timber of furniture: boards and legs with their grain."""
 
 from collections.abc import Sequence
 
@@ -9,31 +9,31 @@ from objectfolder.mesh.procedural.extrusion import prism, rectangle
 from objectfolder.mesh.procedural.finish import Paint
 from objectfolder.mesh.procedural.texture import over, stroke
 
-#: Where ``finish`` puts the middle of the trunk, across the grain along x, in sizes of the object.
+#: Position of the pith in ``finish``, across a grain along x, in sizes of the object.
 PITH = (0.62, -0.50)
-#: Axis of the trunk in a board's frame (along, across, through): off its length, so that rings make arches.
+#: Axis of the trunk in a board's frame (along, across, through); tilted, so that rings form arches.
 TRUNK = (1.0, 0.02, 0.07)
-PLANK = 0.15  #: width of the boards that a wider one is glued from, about, m
+PLANK = 0.15  #: approximate width of the planks that wide boards are glued from, m
 
 
 def timber(
     look: Look, piece: int, middle: np.ndarray, axes: np.ndarray, width: float, seam: float = 0.0
 ) -> Paint:
-    """Paint of a board, each sawn near the middle of a trunk; a wide one is glued from several side by side.
+    """Return the paint of a board sawn near the pith; wide boards are glued from several planks.
 
     Parameters
     ----------
     look : Look
     piece : int
-        Which board: each is sawn from a place of its own.
+        Number of the board, which selects the place it is sawn from.
     middle : ndarray, shape (3,)
-        Of the board, m.
+        Centre of the board, m.
     axes : ndarray, shape (3, 3)
         As columns: along, across and through the board.
     width : float
-        Of the board, m.
+        Width of the board, m.
     seam : float
-        Width of the open joints between boards side by side, m.
+        Width of the open joints between planks, m.
     """
     if look.finish != "wood":
         return look.paint(axes[:, 0], piece)
@@ -68,17 +68,17 @@ def board(
     spacing: float,
     bevel: float = 0.0,
 ) -> PaintedPart:
-    """Build an upright or level board between two corners, m, its grain along its longest side.
+    """Build an axis-aligned board between two corners, m, its grain along its longest side.
 
     Parameters
     ----------
     look : Look
     piece : int
-        Which piece of timber.
+        Number of the piece of timber.
     low, high : sequence of 3 floats
         Opposite corners, m.
     spacing : float
-        Between vertices, m.
+        Distance between vertices, m.
     bevel : float
         Width of its chamfered edges, m.
     """
@@ -87,7 +87,7 @@ def board(
     wide, long = sorted((k for k in range(3) if k != thin), key=lambda k: size[k])
     axes = np.eye(3)[:, [long, wide, thin]]
     axes[:, 1] *= np.linalg.det(axes)
-    # Corners twice as round as edges: they must outlast the rounding of the edges.
+    # Corners are twice as round as edges, so that they remain after edges are rounded.
     plate = prism([rectangle(size[long], size[wide], 2 * bevel, 3)], size[thin], spacing, bevel, 1)
     middle = np.add(low, high) / 2
     plate = plate.transform(np.column_stack([axes, middle - size[thin] / 2 * axes[:, 2]]))
@@ -104,7 +104,7 @@ def leg(
     bevel: float,
     taper: float = 1.0,
 ) -> PaintedPart:
-    """Build a square leg, m, on the point ``foot``; it narrows to ``taper`` of its size there."""
+    """Build a square leg, m, standing on ``foot``, where it tapers to ``taper`` of its size."""
     post = prism([rectangle(size, size, 2 * bevel, 3)], height, spacing, bevel, 1)
 
     def narrow(points: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
-"""Plates, boards and bars: outlines in the plane, extruded along z with rounded edges and an even mesh.
+"""Extrusion of planar outlines along z, with rounded edges and an even mesh.
 
-An outline is an (N, 2) closed polygon, m, that runs so that the solid lies to its left: counter-clockwise
-round the outside, clockwise round a hole.
+An outline is a closed polygon (N, 2), m, with the solid to its left: counter-clockwise around the outside,
+clockwise around a hole.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ ROUND_STEPS = 3  #: facets of a rounded edge between a side and a flat
 
 
 def rectangle(length: float, width: float, corner: float = 0.0, steps: int = 5) -> np.ndarray:
-    """Outline (N, 2) of a rectangle about the origin, its corners rounded to radius ``corner``, m."""
+    """Return the outline (N, 2) of a rectangle about the origin with corner radius ``corner``, m."""
     x, y = length / 2 - corner, width / 2 - corner
     middles = [(x, y), (-x, y), (-x, -y), (x, -y)]
     if corner == 0:
@@ -28,18 +28,18 @@ def rectangle(length: float, width: float, corner: float = 0.0, steps: int = 5) 
 
 
 def regular(sides: int, radius: float, turn: float = 0.0) -> np.ndarray:
-    """Outline (sides, 2) of a regular polygon about the origin, its first corner at angle ``turn``, rad."""
+    """Return the outline (sides, 2) of a regular polygon about the origin, first corner at ``turn``, rad."""
     return arc((0.0, 0.0), radius, turn, turn + 2 * np.pi, sides)[:-1]
 
 
 def area(outline: np.ndarray) -> float:
-    """Signed area, m^2; positive counter-clockwise."""
+    """Compute the signed area, m^2; positive counter-clockwise."""
     x, y = outline.T
     return float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) / 2)
 
 
 def inset(outline: np.ndarray, distance: float) -> np.ndarray:
-    """Outline (N, 2) whose sides lie ``distance``, m, further into the solid; corners stay corners.
+    """Offset the sides of an outline (N, 2) by ``distance``, m, into the solid, with mitred corners.
 
     Raises
     ------
@@ -67,16 +67,16 @@ def prism(
     bevel: float = 0.0,
     steps: int = ROUND_STEPS,
 ) -> manifold3d.Manifold:
-    """Extrude a plate from z = 0 to ``height``; flats carry an even mesh.
+    """Extrude a plate from z = 0 to ``height``, with an even mesh on its flats.
 
     Parameters
     ----------
     outlines : sequence of ndarray, each (N, 2)
-        The outer one, then holes.
+        The outer outline, then holes.
     height : float
-        m.
+        Height, m.
     spacing : float
-        Longest distance between neighbouring vertices, about, m.
+        Approximate largest distance between neighbouring vertices, m.
     bevel : float
         Radius of the rounded edges between sides and flats, m; 0 leaves them sharp.
     steps : int
@@ -85,7 +85,7 @@ def prism(
     Raises
     ------
     ObjectFolderError
-        If the edges cannot be rounded that much.
+        If the edge radius is too large.
     """
     if 2 * bevel >= height:
         raise ObjectFolderError(
@@ -110,7 +110,7 @@ def prism(
     sides = np.concatenate([np.stack([a, b, b + count], 1), np.stack([a, b + count, a + count], 1)])
 
     inner, cap = triangulate(np.split(layers[0], starts[1:-1]), spacing)
-    # Vertices of the cap: those of the outline first, then those that it added within.
+    # Vertices of the cap: those of the outline, then the added inner ones.
     extra = len(vertices)
     top_layer = count * (len(levels) - 1)
     bottom = np.where(cap < count, cap, cap - count + extra)
@@ -120,11 +120,11 @@ def prism(
 
 
 def solid(vertices: np.ndarray, faces: np.ndarray) -> manifold3d.Manifold:
-    """Return a closed mesh as a manifold3d solid that keeps its triangles through Boolean operations."""
+    """Convert a closed mesh to a manifold3d solid that keeps its triangles in Boolean operations."""
     mesh = manifold3d.Mesh64(
         vert_properties=np.ascontiguousarray(vertices, np.float64),
         tri_verts=np.ascontiguousarray(faces, np.uint64),
-        face_id=np.arange(len(faces), dtype=np.uint64),  # each its own: flat regions keep their even mesh
+        face_id=np.arange(len(faces), dtype=np.uint64),  # distinct, so that flat regions keep their even mesh
     )
     made = manifold3d.Manifold(mesh)
     assert made.status() == manifold3d.Error.NoError, made.status()
@@ -132,21 +132,21 @@ def solid(vertices: np.ndarray, faces: np.ndarray) -> manifold3d.Manifold:
 
 
 def triangulate(rings: Sequence[np.ndarray], spacing: float) -> tuple[np.ndarray, np.ndarray]:
-    """Fill outlines with triangles about ``spacing``, m, on a side.
+    """Fill outlines with triangles of about ``spacing``, m, on a side.
 
     Returns
     -------
     inner : ndarray, shape (M, 2)
-        Vertices added within.
+        Added inner vertices.
     triangles : ndarray, shape (T, 3)
-        Counter-clockwise; indices into the outlines' vertices, in order, then the inner ones.
+        Counter-clockwise; indices into the outlines' vertices followed by the inner ones.
     """
     border = np.concatenate(rings)
     low, high = border.min(0), border.max(0)
     row = spacing * np.sqrt(3) / 2
     columns, rows = np.ceil((high - low) / [spacing, row]).astype(int) + 1
     j, i = (k.ravel() for k in np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij"))
-    # Centred, so that the mesh of a symmetric outline is nearly symmetric too.
+    # Centred, so that the mesh of a symmetric outline is nearly symmetric.
     lattice = np.stack([(i + 0.5 * (j % 2) - columns / 2 + 0.25) * spacing, (j - (rows - 1) / 2) * row], 1)
     lattice += (low + high) / 2
     clear = cKDTree(border).query(lattice)[0] > 0.72 * spacing
@@ -163,7 +163,7 @@ def triangulate(rings: Sequence[np.ndarray], spacing: float) -> tuple[np.ndarray
     triangles = np.where((twice < 0)[:, None], triangles[:, ::-1], triangles)
     keep = (np.abs(twice) > 1e-7 * spacing**2) & _inside(rings, corners.mean(1))
     triangles = triangles[keep]
-    if not _has_border(triangles, rings):  # thin webs: Delaunay cuts across the outline
+    if not _has_border(triangles, rings):  # thin webs, where Delaunay cuts across the outline
         filled = manifold3d.triangulate(list(rings))
         return np.zeros((0, 2)), np.asarray(filled, np.int64)
     used = np.isin(np.arange(len(border), len(points)), triangles)
@@ -172,7 +172,7 @@ def triangulate(rings: Sequence[np.ndarray], spacing: float) -> tuple[np.ndarray
 
 
 def _has_border(triangles: np.ndarray, rings: Sequence[np.ndarray]) -> bool:
-    """Whether the outlines are just the edges of the triangles that have no other side."""
+    """Test whether the boundary edges of the triangles are exactly the outlines."""
     starts = np.cumsum([0, *map(len, rings)])
     following = np.concatenate([np.roll(np.arange(a, b), -1) for a, b in pairwise(starts)])
     n = max(starts[-1], triangles.max(initial=0) + 1)
@@ -185,7 +185,7 @@ def _has_border(triangles: np.ndarray, rings: Sequence[np.ndarray]) -> bool:
 
 
 def _inside(rings: Sequence[np.ndarray], points: np.ndarray) -> np.ndarray:
-    """Whether points (N, 2) lie within outlines and without their holes; (N,) bool."""
+    """Test whether points (N, 2) lie inside the outlines and outside their holes; (N,) bool."""
     start = np.concatenate(rings)
     stop = np.concatenate([np.roll(ring, -1, axis=0) for ring in rings])
     x, y = points[:, :1], points[:, 1:]

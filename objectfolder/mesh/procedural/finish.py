@@ -1,6 +1,6 @@
-"""Finishes that generators share: what a surface is made of, as a solid texture and its gloss.
+"""Finishes shared by the generators: solid textures with roughness and metallic.
 
-Every finish is a function of the point in space, so that charts that meet along a seam agree on its colour.
+Every finish is a function of the point in space, so that charts agree along their seams.
 """
 
 import math
@@ -18,17 +18,17 @@ __all__ = ["FINISHES", "Finish", "Paint", "finish"]
 
 Paint = Callable[[np.ndarray], np.ndarray]  #: points (N, 3), m -> sRGB (N, 3) in [0, 1]
 
-BOARD = 0.2  #: size, m, from which wood keeps the width of its rings instead of growing with the object
-#: Turns the noise's lattice off the axes of the object, which else would show its rows and its period.
+BOARD = 0.2  #: object size, m, above which the width of wood rings no longer grows with the object
+#: Rotates the noise lattice off the axes of the object, to hide its rows and period.
 TILT = Rotation.from_euler("zyx", [0.71, 0.43, 1.13]).as_matrix()
-#: Short of 1, at which a scene with one point light and no surroundings to mirror is black.
+#: Below 1, because pure metal is black in a scene with one point light and nothing to reflect.
 METALLIC = 0.4
-PATTERNS = ("stripes", "dots", "waves")  #: of ``print``, chosen by the seed
+PATTERNS = ("stripes", "dots", "waves")  #: patterns of ``print``, chosen by the seed
 
 
 @dataclass(frozen=True)
 class Finish:
-    """A surface's look: its colours and what a principled BSDF needs besides."""
+    """Colours, roughness and metallic of a surface."""
 
     paint: Paint
     roughness: float
@@ -37,7 +37,7 @@ class Finish:
 
 @dataclass(frozen=True)
 class _Look:
-    """What a finish has to choose from: lengths in m, colours (3,) in [0, 1]."""
+    """Arguments of a finish: lengths in m, colours (3,) in [0, 1]."""
 
     size: float
     color: np.ndarray
@@ -46,7 +46,7 @@ class _Look:
     axis: np.ndarray | None  #: unit vector of the grain
 
     def flat(self, points: np.ndarray) -> np.ndarray:
-        """Colour (N, 3) that is the same everywhere."""
+        """Return a constant colour (N, 3)."""
         return np.broadcast_to(self.color, points.shape)
 
 
@@ -54,7 +54,7 @@ class _Look:
 class _Recipe:
     maker: Callable[[_Look], Paint]
     color: str
-    accent: str | None  #: None: that of the colour itself
+    accent: str | None  #: None: same as the colour
     roughness: float
     metallic: float
 
@@ -67,29 +67,29 @@ def finish(
     seed: int = 0,
     axis: Sequence[float] | None = None,
 ) -> Finish:
-    """Look up a finish and fit it to an object; the same arguments give the same colours.
+    """Look up a finish and fit it to an object; equal arguments give equal colours.
 
     Parameters
     ----------
     name : str
         A key of `FINISHES`.
     size : float
-        Longest side of the object, m: it sets the scale of the pattern.
+        Longest side of the object, m; sets the scale of the pattern.
     color, accent : str, optional
-        Hexadecimal sRGB such as ``e8dcc4``; by default the finish's own. The accent colours what pools
-        towards z = 0 in a glaze, wood's late growth, a metal's patina, the speckle of plastic, the ink of a
-        print and the streaks of glass.
+        Hexadecimal sRGB such as ``e8dcc4``; default: the finish's own. The accent is the colour of the glaze
+        pooled towards z = 0, late wood, the patina of metal, the specks of plastic, the ink of a print and
+        the streaks of glass.
     seed : int
-        Which piece of it; ``print`` takes its pattern from it: stripes, dots, waves, then stripes again.
+        Selects the piece; for ``print`` also the pattern: stripes, dots, waves, in turn.
     axis : sequence of 3 floats, optional
-        Along which wood grows and metal is brushed. By default wood lies roughly along x and metal is turned
-        on a lathe about z.
+        Direction of the grain of wood and of the strokes on metal. Default: wood roughly along x, metal
+        turned about z.
 
     Raises
     ------
     ObjectFolderError
-        If the finish is unknown, a colour is not six hexadecimal digits, the size is not a positive number,
-        the seed is not a whole number from 0, or the axis has no direction.
+        If the finish is unknown, a colour is not six hexadecimal digits, the size is not positive, the seed
+        is not a whole number from 0, or the axis has no direction.
     """
     recipe = FINISHES.get(name) if isinstance(name, str) else None
     if recipe is None:
@@ -128,7 +128,7 @@ def _direction(name: str, axis: Sequence[float]) -> np.ndarray:
 
 
 def _glaze(look: _Look) -> Paint:
-    """Stoneware glaze: soft clouds, iron specks, and the accent pooled in veils towards the foot."""
+    """Stoneware glaze: soft clouds, iron specks, and the accent pooled towards the foot."""
     values = lattice(look.seed)
     unit = look.size / 0.1
 
@@ -147,7 +147,7 @@ def _glaze(look: _Look) -> Paint:
 
 
 def _wood(look: _Look) -> Paint:
-    """Planed timber; the rings of furniture are as narrow as those of a board."""
+    """Planed timber, whose rings are as narrow on furniture as on a board."""
     detail = max(1.7, look.size / BOARD)
 
     def paint(points: np.ndarray) -> np.ndarray:
@@ -167,7 +167,7 @@ def _brushed(look: _Look) -> Paint:
             return 190 * (at - along[:, None] * look.axis) + 2.5 * along[:, None] * look.axis
         r = np.hypot(at[:, 0], at[:, 1])
         turn = at[:, :2] / np.maximum(r, 1e-9)[:, None]
-        # The slant keeps rings on flats and bands on upright walls alike fine.
+        # The slant keeps rings on flats as fine as bands on upright walls.
         return np.column_stack([1.5 * turn * np.sqrt(np.minimum(r, 1))[:, None], 170 * at[:, 2] + 130 * r])
 
     def paint(points: np.ndarray) -> np.ndarray:
@@ -183,7 +183,7 @@ def _cast(look: _Look) -> Paint:
     """Sand-cast or hammered metal: an embossed grain, worn lighter here and there."""
     values = lattice(look.seed)
     grain = min(look.size / 90, 0.004)
-    toward = np.array([0.32, 0.21, 0.45])  # where the light of the embossing comes from, in grains
+    toward = np.array([0.32, 0.21, 0.45])  # light direction of the embossing, in grains
 
     def paint(points: np.ndarray) -> np.ndarray:
         at = points @ TILT / grain
@@ -217,9 +217,9 @@ def _print(look: _Look) -> Paint:
     jitter = 0.5 + 0.3 * np.tanh(np.stack([lattice(look.seed + k) for k in range(3)], -1))
 
     def ink(at: np.ndarray) -> np.ndarray:
-        """Cover (N,) of the ink at points in sizes of the object."""
+        """Return the opacity (N,) of the ink at points in sizes of the object."""
         if pattern == "stripes":
-            # Leaning towards x, so that flats of equal height are striped too.
+            # Tilted towards x, so that level flats have stripes too.
             phase = (at @ [0.35, 0.0, 0.95]) * 9.0 % 1.0 - 0.5
             return smoothstep(0.26, 0.24, np.abs(phase)) - smoothstep(0.10, 0.08, np.abs(phase))
         if pattern == "dots":
@@ -236,9 +236,9 @@ def _print(look: _Look) -> Paint:
 
 
 def _nearest_dot(at: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Distance (N,) to the nearest ball's middle within half a cell; `places` are theirs in their cells."""
+    """Compute the distance (N,) to the nearest dot; `places` are the dots' positions in their cells."""
     cell = np.floor(at)
-    near = np.where(at - cell < 0.5, -1, 1)  # of the neighbours, only those on this side come close
+    near = np.where(at - cell < 0.5, -1, 1)  # only neighbours on this side come close
     nearest = np.full(len(at), np.inf)
     for step in np.ndindex(2, 2, 2):
         other = cell + near * step
@@ -248,7 +248,7 @@ def _nearest_dot(at: np.ndarray, places: np.ndarray) -> np.ndarray:
 
 
 def _glass(look: _Look) -> Paint:
-    """Tinted glass with faint streaks of its blowing and small bubbles."""
+    """Tinted glass with faint streaks and small bubbles."""
     values = lattice(look.seed)
 
     def paint(points: np.ndarray) -> np.ndarray:
@@ -261,7 +261,7 @@ def _glass(look: _Look) -> Paint:
     return paint
 
 
-#: What `finish` can make.
+#: Finishes by name.
 FINISHES: dict[str, _Recipe] = {
     "glaze": _Recipe(_glaze, "ece4d3", None, 0.25, 0.0),
     "wood": _Recipe(_wood, "e2b97f", "a8683a", 0.55, 0.0),

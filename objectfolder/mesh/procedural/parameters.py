@@ -1,4 +1,4 @@
-"""Checks of the dimensions and options that a caller asks for."""
+"""Checks of the generators' parameters."""
 
 import math
 from collections.abc import Sequence

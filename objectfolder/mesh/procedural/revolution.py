@@ -1,7 +1,7 @@
-"""Surfaces of revolution about z: profiles, meshes, and the two charts that suit them.
+"""Surfaces of revolution about z, meshed and charted as sleeves and discs.
 
-A profile is an (N, 2) polyline of radius and height, m, that runs so that the solid lies to its left:
-up an outer wall, down an inner one.
+A profile is a polyline (N, 2) of radius and height, m, with the solid to its left: up an outer wall, down
+an inner one.
 """
 
 from collections.abc import Callable
@@ -12,19 +12,19 @@ import numpy as np
 from objectfolder.mesh.procedural.atlas import Chart
 from objectfolder.mesh.procedural.solid import Patch
 
-SEGMENTS = 120  #: facets round the full circle; a multiple of 8, so that bounds are exact
-TAPER = 2.0  #: greatest ratio of the radii in one sleeve of a turned profile
-SHORT = 0.3  #: length, in distances from the axis, under which a run of a turned profile joins its neighbour
+SEGMENTS = 120  #: facets of a full circle; a multiple of 8, so that bounds are exact
+TAPER = 2.0  #: largest ratio of radii within a sleeve
+SHORT = 0.3  #: length, in distances from the axis, below which a run joins its neighbour
 
 
 def arc(centre: tuple[float, float], radius: float, start: float, stop: float, pieces: int) -> np.ndarray:
-    """Points (pieces + 1, 2) on a circle from angle ``start`` to ``stop``, rad."""
+    """Return points (pieces + 1, 2) on a circle from angle ``start`` to ``stop``, rad."""
     angle = np.linspace(start, stop, pieces + 1)
     return np.asarray(centre) + radius * np.stack([np.cos(angle), np.sin(angle)], 1)
 
 
 def polyline(*parts: np.ndarray, step: float) -> np.ndarray:
-    """Join parts end to end, without repeated points, and divide segments longer than ``step``."""
+    """Join parts end to end without repeated points, and divide segments longer than ``step``."""
     points = np.concatenate(parts)
     gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     points = points[np.append(True, gaps > 1e-6 * gaps.sum())]
@@ -41,25 +41,25 @@ def _arc_length(profile: np.ndarray) -> np.ndarray:
 
 
 def spin(rz: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Points (N, 3) of radius and height ``rz`` (N, 2) at an angle (N,) about z."""
+    """Rotate radius and height ``rz`` (N, 2) by an angle (N,) about z; (N, 3)."""
     return np.stack([rz[:, 0] * np.cos(angle), rz[:, 0] * np.sin(angle), rz[:, 1]], 1)
 
 
 def _profile_at(profile: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Radius and height (M, 2) at arc length `s` (M,), held at both ends."""
+    """Interpolate radius and height (M, 2) at arc length `s` (M,), constant beyond both ends."""
     length = _arc_length(profile)
     return np.stack([np.interp(s, length, profile[:, k]) for k in (0, 1)], 1)
 
 
 def sleeve(profile: np.ndarray, chart: int, paint: Callable[[np.ndarray], np.ndarray]) -> tuple[Patch, Chart]:
-    """Revolve a profile that keeps off the axis; the chart is angle by arc length, cut open at angle 0."""
+    """Revolve a profile off the axis; the chart is angle by arc length, cut at angle 0."""
     rows, n = len(profile), SEGMENTS
     length = _arc_length(profile)
-    # The mean radius, weighted by area, is the one that makes texels square on average.
+    # The area-weighted mean radius makes texels square on average.
     radius = np.average(profile[:, 0], weights=np.gradient(length) * profile[:, 0])
     width = 2 * np.pi * radius
     turn = np.arange(n + 1) / n
-    # The last column repeats the first exactly: the cut must close.
+    # The last column repeats the first exactly, to close the cut.
     angle = 2 * np.pi * (np.arange(n + 1) % n) / n
     vertices = spin(np.repeat(profile, n + 1, axis=0), np.tile(angle, rows))
     xy = np.stack([np.tile(turn * width, rows), np.repeat(length, n + 1)], 1)
@@ -76,15 +76,15 @@ def sleeve(profile: np.ndarray, chart: int, paint: Callable[[np.ndarray], np.nda
 def disc(
     profile: np.ndarray, chart: int, paint: Callable[[np.ndarray], np.ndarray], segments: int = SEGMENTS
 ) -> tuple[Patch, Chart]:
-    """Revolve a profile that starts or ends near or on the axis; the chart is polar, with no cut.
+    """Revolve a profile that starts or ends near or on the axis; the chart is polar, without a cut.
 
-    Rings that close on the axis halve their number of facets on the way, which keeps triangles from
-    becoming needles; an open ring keeps its number, so that its neighbours fit.
+    Towards the axis the number of facets halves repeatedly, which avoids needle triangles. A disc with a
+    central hole keeps its number of facets, so that its neighbours fit.
     """
     outward = profile[0, 0] < profile[-1, 0]
     spokes = profile if outward else profile[::-1]  # from the axis out
     along = spokes[0, 0] + _arc_length(spokes)
-    # Seen from outside, the angle runs the other way on a surface whose profile leaves the axis.
+    # Seen from outside, the angle is reversed where the profile runs outward.
     sense = -1.0 if outward else 1.0
     reach = along[-1]
 
@@ -119,7 +119,7 @@ def disc(
 
 
 def _strip(inner: int, outer: int, a: int, b: int) -> np.ndarray:
-    """Triangles between a ring of `inner` vertices from index `a` and one of `outer` from `b`."""
+    """Triangulate between a ring of `inner` vertices from index `a` and one of `outer` from `b`."""
     j = np.arange(inner)
     if inner == 1:
         k = np.arange(outer)
@@ -141,16 +141,16 @@ def _strip(inner: int, outer: int, a: int, b: int) -> np.ndarray:
 def revolve(
     profile: np.ndarray, first_chart: int, paint: Callable[[np.ndarray], np.ndarray]
 ) -> list[tuple[Patch, Chart]]:
-    """Revolve any profile, cut into the fewest sleeves and discs that stretch a texture little.
+    """Revolve any profile, cut into few sleeves and discs with little texture distortion.
 
     Parameters
     ----------
     profile : ndarray, shape (N, 2)
-        It may start or end on the axis.
+        May start or end on the axis.
     first_chart : int
-        Index of the first chart; the others follow in order.
+        Index of the first chart; the others follow.
     paint : callable
-        Of all of them.
+        Paint of all charts.
     """
     parts: list[tuple[Patch, Chart]] = []
     for start, stop, flat in _runs(profile):
@@ -160,18 +160,18 @@ def revolve(
 
 
 def _runs(profile: np.ndarray) -> list[tuple[int, int, int]]:
-    """Stretches (first point, last point, 1 or -1 where flat and running out or in, 0 where steep)."""
+    """Split a profile into runs (first point, last point, kind): 1 flat outward, -1 flat inward, 0 steep."""
     step = np.diff(profile, axis=0)
     length = np.append(0.0, np.cumsum(np.linalg.norm(step, axis=1)))
     kind = np.where(np.abs(step[:, 0]) > np.abs(step[:, 1]), np.sign(step[:, 0]), 0).astype(int)
-    # A sleeve cannot hold the axis.
+    # A sleeve cannot contain the axis.
     kind[0] = 1 if profile[0, 0] == 0 else kind[0]
     kind[-1] = -1 if profile[-1, 0] == 0 else kind[-1]
     while True:
         edges = np.concatenate([[0], np.flatnonzero(np.diff(kind)) + 1, [len(kind)]])
         if len(edges) == 2:
             break
-        # How far a run reaches beside its distance from the axis: short ones join a neighbour.
+        # Length relative to the distance from the axis: short runs join a neighbour.
         spans = np.diff(length[edges])
         reach = np.array(
             [span / profile[a : b + 1, 0].mean() for span, (a, b) in zip(spans, pairwise(edges))]

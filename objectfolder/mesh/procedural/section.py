@@ -1,7 +1,7 @@
-"""Sections of turned vessels: a wall of even thickness about a curve, feet and stems, all edges rounded.
+"""Cross-sections of turned vessels: walls of even thickness, feet and stems, with rounded edges.
 
-Lengths are in m; x is the radius and y the height. Sections are mirrored about the axis, which keeps what
-crosses it smooth.
+Lengths are in m; x is the radius and y the height. Sections are mirrored about the axis, which keeps them
+smooth there.
 """
 
 from itertools import pairwise
@@ -12,16 +12,16 @@ from numpy.typing import ArrayLike
 
 from objectfolder.errors import ObjectFolderError
 
-SLIVER = 1e-6  #: breadth, m, of the strip that stands for a curve before it is thickened
-ARC = 160  #: pieces of a full circle in a rounded corner
-COARSE = 4e-4  #: how far a profile's chords may leave its curves, in sizes of the section
-STEP = 0.055  #: longest piece of a profile, in sizes of the section
+SLIVER = 1e-6  #: width, m, of the strip that represents a curve before it is thickened
+ARC = 160  #: segments of a full circle in rounded corners
+COARSE = 4e-4  #: largest distance between chords and curve, in sizes of the section
+STEP = 0.055  #: longest segment of a profile, in sizes of the section
 
 
 def rounded_polyline(corners: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """Polyline through ``corners`` (N, 2) with arcs of ``radii`` (N - 2,) in the corners between.
+    """Round the inner corners of a polyline ``corners`` (N, 2) with arcs of ``radii`` (N - 2,).
 
-    An arc takes no more than half of each segment beside it.
+    An arc uses at most half of each adjacent segment.
     """
     pieces = [corners[:1]]
     for before, corner, after, radius in zip(corners, corners[1:], corners[2:], radii):
@@ -35,7 +35,7 @@ def rounded_polyline(corners: np.ndarray, radii: np.ndarray) -> np.ndarray:
         radius = tangent * np.tan(half)
         middle = (back + on) / np.linalg.norm(back + on)
         centre = corner + radius / np.sin(half) * middle
-        # From one touching point to the other, turning about the centre.
+        # From one tangent point to the other, about the centre.
         sweep = np.linspace(-1, 1, 25) * (np.pi / 2 - half)
         across = np.array([-middle[1], middle[0]])
         side = np.sign(across @ on)
@@ -46,26 +46,26 @@ def rounded_polyline(corners: np.ndarray, radii: np.ndarray) -> np.ndarray:
 
 
 def evenly(curve: np.ndarray, pieces: int = 400) -> np.ndarray:
-    """Points (pieces + 1, 2) at even distances along a polyline (N, 2)."""
+    """Resample a polyline (N, 2) at even distances; (pieces + 1, 2)."""
     length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1)))
     at = np.linspace(0, length[-1], pieces + 1)
     return np.stack([np.interp(at, length, curve[:, k]) for k in (0, 1)], 1)
 
 
 def round_solid(half: np.ndarray) -> manifold3d.CrossSection:
-    """Area between the axis and a polyline (N, 2) that runs from a point at or near the axis to another."""
+    """Build the section between the axis and a polyline (N, 2) that starts and ends at or near it."""
     ring = np.concatenate([half * [-1, 1], half[::-1]])
     return manifold3d.CrossSection([ring], manifold3d.FillRule.NonZero)
 
 
 def ring(corners: ArrayLike) -> manifold3d.CrossSection:
-    """Section of a ring: a polygon (N, 2) off the axis."""
+    """Build the section of a ring from a polygon (N, 2) off the axis."""
     polygon = np.asarray(corners, np.float64)
     return manifold3d.CrossSection([polygon, polygon * [-1, 1]], manifold3d.FillRule.NonZero)
 
 
 def wall_about(middle: np.ndarray, thickness: float) -> manifold3d.CrossSection:
-    """Wall of even thickness about a curve (N, 2) that starts on the axis; its free end is round."""
+    """Build a wall of even thickness about a curve (N, 2) that starts on the axis, its free end round."""
     middle = evenly(middle)
     whole = np.concatenate([middle[:0:-1] * [-1, 1], middle])
     along = np.gradient(whole, axis=0)
@@ -76,7 +76,7 @@ def wall_about(middle: np.ndarray, thickness: float) -> manifold3d.CrossSection:
 
 
 def ring_under(middle: np.ndarray, radius: float, width: float) -> manifold3d.CrossSection:
-    """Foot of outer ``radius`` and ``width`` from z = 0 up to the curve (N, 2) of the wall above it."""
+    """Build a foot ring of outer ``radius`` and ``width`` from z = 0 up to the wall's curve (N, 2)."""
     r = np.linspace(radius - width, radius, 24)
     below = np.stack([r, np.interp(r, *middle[: int(np.argmax(middle[:, 0])) + 1].T)], 1)
     return ring(np.concatenate([[[radius - width, 0.0], [radius, 0.0]], below[::-1]]))
@@ -85,7 +85,7 @@ def ring_under(middle: np.ndarray, radius: float, width: float) -> manifold3d.Cr
 def soften(
     section: manifold3d.CrossSection, concave: float = 0.0, convex: float = 0.0
 ) -> manifold3d.CrossSection:
-    """Round the inner corners by a radius ``concave``, then the outer ones by a radius ``convex``, m."""
+    """Round inner corners with radius ``concave``, then outer corners with radius ``convex``, m."""
     if concave > 0:
         section = offset(offset(section, concave), -concave)
     if convex > 0:
@@ -94,17 +94,17 @@ def soften(
 
 
 def offset(section: manifold3d.CrossSection, distance: float) -> manifold3d.CrossSection:
-    """Move the outline outward by a distance, m, inward where it is below 0; convex corners become round."""
+    """Offset the outline outward by a distance, m, inward if negative; convex corners become round."""
     return section.offset(distance, manifold3d.JoinType.Round, 2.0, ARC).simplify(SLIVER / 5)
 
 
 def half_outline(section: manifold3d.CrossSection, generator: str) -> np.ndarray:
-    """Profile (N, 2) of the half at positive radius, from the axis below to the axis above, dense.
+    """Return the dense profile (N, 2) of the half at positive radius, from the lower to the upper axis.
 
     Raises
     ------
     ObjectFolderError
-        If the section is not one piece without holes that meets the axis once: its parts do not fit.
+        If the section is not one piece without holes that meets the axis once.
     """
     left, low, right, high = section.bounds()
     span = max(right - left, high - low)
@@ -112,7 +112,7 @@ def half_outline(section: manifold3d.CrossSection, generator: str) -> np.ndarray
     polygons = (section ^ box).to_polygons()
     points = np.asarray(polygons[0], np.float64) if len(polygons) == 1 else np.zeros((0, 2))
     on_axis = np.abs(points[:, 0]) < 1e-7
-    # Counter-clockwise, the axis is the one edge that runs down; rounding may leave more points on it.
+    # The axis is the edge that runs down; rounding may leave extra points on it.
     start = np.flatnonzero(on_axis & ~np.roll(on_axis, -1))
     if len(start) != 1:
         raise ObjectFolderError(
@@ -121,20 +121,20 @@ def half_outline(section: manifold3d.CrossSection, generator: str) -> np.ndarray
         )
     profile = np.roll(points, -start[0], axis=0)[: len(points) + 2 - on_axis.sum()]
     profile[[0, -1], 0] = 0.0
-    profile[np.abs(profile[:, 1]) < SLIVER, 1] = 0.0  # it stands on the table
+    profile[np.abs(profile[:, 1]) < SLIVER, 1] = 0.0  # exactly on the table
     return profile
 
 
 def split_at_lip(profile: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Outside and inside halves of a vessel's profile, even rows for each; they share the lip's top."""
+    """Split a vessel's profile at the top of its lip into outside and inside, each with even rows."""
     lip = int(np.argmax(profile[:, 1]))
     return even_rows(profile[: lip + 1], profile), even_rows(profile[lip:], profile)
 
 
 def even_rows(part: np.ndarray, whole: np.ndarray, coarse: float = COARSE) -> np.ndarray:
-    """Points (M, 2) along ``part`` (N, 2), closer where it bends, that keep its lowest and widest points.
+    """Resample ``part`` (N, 2), denser where it bends, keeping its lowest and widest points; (M, 2).
 
-    The rows are spaced so that chords leave the curve by some ``coarse`` of the size of ``whole``.
+    Chords deviate from the curve by about ``coarse`` times the size of ``whole``.
     """
     size = np.ptp(whole * [2, 1], axis=0).max()
     stops = {0, len(part) - 1, int(np.argmin(part[:, 1])), int(np.argmax(part[:, 0]))}
@@ -153,7 +153,7 @@ def _even_piece(curve: np.ndarray, size: float, coarse: float) -> np.ndarray:
     heading = np.unwrap(np.arctan2(chord[:, 1], chord[:, 0]))
     turn = np.zeros(len(curve))
     turn[1:-1] = np.abs(np.diff(heading)) * np.minimum(length[1:], length[:-1])
-    # A chord of length d leaves a curve that turns by a over it by a d / 8.
+    # A chord of length d deviates by a d / 8 from a curve that turns by a.
     bend = np.sqrt(turn / (8 * coarse * size))
     weight = np.maximum(length / (STEP * size), (bend[1:] + bend[:-1]) / 2)
     travelled = np.append(0.0, np.cumsum(weight))

@@ -1,4 +1,4 @@
-"""From charted patches of surface to one closed solid, and from that to a textured mesh."""
+"""Charted surface patches, welded into a closed solid and converted to a textured mesh."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,26 +12,26 @@ from objectfolder.mesh.textured import TexturedMesh
 
 @dataclass(frozen=True)
 class Patch:
-    """Triangles that share one chart."""
+    """Triangles of one chart."""
 
     vertices: np.ndarray  #: (V, 3) m
     faces: np.ndarray  #: (F, 3) counter-clockwise seen from outside
     xy: np.ndarray  #: (V, 2) coordinates in the chart, m
-    chart: int  #: which chart of the atlas
+    chart: int  #: index of the chart in the atlas
 
 
 def weld_patches(patches: Sequence[Patch], atlas: Atlas) -> manifold3d.Manifold:
     """Join patches along their common borders into a closed solid that carries texture coordinates.
 
-    Manifold keeps the coordinates as vertex properties and interpolates them where a Boolean operation
-    cuts a triangle, so that charts made before the cut hold exactly after it.
+    Manifold keeps the coordinates as vertex properties and interpolates them where a Boolean operation cuts
+    a triangle, so that charts stay exact.
     """
     positions = np.concatenate([p.vertices for p in patches])
     uv = np.concatenate([atlas.uv(p.chart, p.xy) for p in patches])
     starts = np.cumsum([0, *(len(p.vertices) for p in patches)])
     faces = np.concatenate([p.faces + start for p, start in zip(patches, starts)])
 
-    # An odd factor, so that round dimensions do not fall on the border between two grains.
+    # An irregular factor, so that round dimensions do not fall on the border between two grains.
     grain = 1.234567e-7 * np.ptp(positions, axis=0).max()
     _, first, group = np.unique(np.round(positions / grain), axis=0, return_index=True, return_inverse=True)
     twin = first[group.ravel()]
@@ -41,7 +41,7 @@ def weld_patches(patches: Sequence[Patch], atlas: Atlas) -> manifold3d.Manifold:
         tri_verts=faces.astype(np.uint64),
         merge_from_vert=copies.astype(np.uint64),
         merge_to_vert=twin[copies].astype(np.uint64),
-        face_id=np.arange(len(faces), dtype=np.uint64),  # each its own: flat regions keep their even mesh
+        face_id=np.arange(len(faces), dtype=np.uint64),  # distinct, so that flat regions keep their even mesh
     )
     solid = manifold3d.Manifold(mesh)
     assert solid.status() == manifold3d.Error.NoError, solid.status()
@@ -51,7 +51,7 @@ def weld_patches(patches: Sequence[Patch], atlas: Atlas) -> manifold3d.Manifold:
 def textured(
     solid: manifold3d.Manifold, atlas: Atlas, roughness: float, metallic: float = 0.0
 ) -> TexturedMesh:
-    """Bake the atlas, and return the solid so; ``roughness`` and ``metallic`` are the principled BSDF's."""
+    """Bake the atlas and return the textured mesh of a solid from `weld_patches`."""
     mesh = solid.to_mesh64()
     properties = np.asarray(mesh.vert_properties, np.float64)
     return TexturedMesh(

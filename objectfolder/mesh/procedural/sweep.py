@@ -1,4 +1,4 @@
-"""Handles, rungs and wires: sections swept along a path."""
+"""Sections swept along a path: handles, rungs, wires."""
 
 import manifold3d
 import numpy as np
@@ -19,13 +19,13 @@ def tube(
     Parameters
     ----------
     path : ndarray, shape (N, 3)
-        Middles of the sections, m.
+        Centres of the sections, m.
     width, thickness : ndarray, shape (N,), or float
-        Full size of the section along ``side`` and across it, m.
+        Full size of the section along and across ``side``, m.
     side : ndarray, shape (3,)
         Unit normal of the path's plane.
     segments : int
-        Facets round the section, a multiple of 4.
+        Facets around the section, a multiple of 4.
     squareness : float
         Exponent of the superellipse: 2 is an ellipse, 4 nearly a rectangle.
     """
@@ -38,7 +38,7 @@ def tube(
     half = np.stack([np.broadcast_to(width, rows), np.broadcast_to(thickness, rows)], 1) / 2
     angle = 2 * np.pi * np.arange(segments) / segments
     round_ = np.stack([np.cos(angle), np.sin(angle)], 1)
-    # On the ray at each angle, so that facets stay even where the section's corners are tight.
+    # Radial at each angle, so that facets stay even at tight corners.
     section = round_ / (np.abs(round_) ** squareness).sum(1, keepdims=True) ** (1 / squareness)
     offset = (half[:, None] * section)[..., None] * np.stack([np.broadcast_to(side, path.shape), normal], 1)[
         :, None
@@ -64,7 +64,7 @@ def bar(
     spacing: float,
     segments: int = 32,
 ) -> manifold3d.Manifold:
-    """Build a straight round bar, m, whose diameter goes evenly from the first to the second."""
+    """Build a straight round bar, m, whose diameter changes linearly from the first to the second."""
     ends = np.array([start, stop], np.float64)
     along = ends[1] - ends[0]
     length = np.linalg.norm(along)

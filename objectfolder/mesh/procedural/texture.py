@@ -1,7 +1,6 @@
 """Solid textures: colours and patterns as functions of the point on the surface.
 
-Charts that meet along a seam evaluate the same function at the same points there, so that the seam does
-not show.
+Charts evaluate the same function at the same points along their seams, so that seams do not show.
 """
 
 import numpy as np
@@ -11,33 +10,33 @@ LATTICE = 32  #: period of the noise, cells
 
 
 def rgb(code: str) -> np.ndarray:
-    """Colour (3,) in [0, 1] of a hexadecimal sRGB code such as ``e8dcc4``."""
+    """Convert a hexadecimal sRGB code such as ``e8dcc4`` to a colour (3,) in [0, 1]."""
     return np.frombuffer(bytes.fromhex(code), np.uint8) / 255
 
 
 def smoothstep(low: float, high: float, x: np.ndarray) -> np.ndarray:
-    """Rise from 0 at ``low`` to 1 at ``high`` with no slope at either; ``low`` > ``high`` falls instead."""
+    """Rise smoothly from 0 at ``low`` to 1 at ``high``, or fall if ``low`` > ``high``."""
     t = np.clip((x - low) / (high - low), 0, 1)
     return t * t * (3 - 2 * t)
 
 
 def over(base: np.ndarray, colour: np.ndarray, cover: np.ndarray) -> np.ndarray:
-    """Lay ``colour`` (3,) or (N, 3) over ``base`` (N, 3) with opacity ``cover`` (N,) in [0, 1]."""
+    """Blend ``colour`` (3,) or (N, 3) over ``base`` (N, 3) with opacity ``cover`` (N,) in [0, 1]."""
     return base + cover[:, None] * (colour - base)
 
 
 def stroke(distance: np.ndarray, half_width: float, soft: float) -> np.ndarray:
-    """Opacity (N,) of a band of ``half_width`` about ``distance`` 0, its edges ``soft`` wide; all in m."""
+    """Return the opacity (N,) of a band of ``half_width`` about ``distance`` 0 with soft edges."""
     return smoothstep(half_width + soft / 2, half_width - soft / 2, np.abs(distance))
 
 
 def lattice(seed: int) -> np.ndarray:
-    """Random values (LATTICE, LATTICE, LATTICE) of unit variance for `noise`."""
+    """Draw random values (LATTICE, LATTICE, LATTICE) of unit variance for `noise`."""
     return np.random.default_rng(seed).standard_normal((LATTICE,) * 3)
 
 
 def noise(points: np.ndarray, values: np.ndarray, octaves: int = 1) -> np.ndarray:
-    """Fractal value noise (N,) of zero mean and about unit spread.
+    """Evaluate fractal value noise (N,) of zero mean and about unit variance.
 
     Parameters
     ----------
@@ -46,11 +45,11 @@ def noise(points: np.ndarray, values: np.ndarray, octaves: int = 1) -> np.ndarra
     values : ndarray
         From `lattice`.
     octaves : int
-        Each has twice the frequency and half the amplitude of the one before.
+        Number of octaves, each of twice the frequency and half the amplitude of the one before.
     """
     total = np.zeros(len(points))
     for k in range(octaves):
-        at = points * 2**k + 7.31 * k  # the shift keeps the octaves' lattice planes apart
+        at = points * 2**k + 7.31 * k  # offset between the octaves' lattice planes
         cell = np.floor(at)
         t = at - cell
         total += map_coordinates(values, (cell + t * t * (3 - 2 * t)).T, order=1, mode="grid-wrap") / 2**k
@@ -66,28 +65,28 @@ def wood(
     axis: np.ndarray | None = None,
     detail: float = 1.0,
 ) -> np.ndarray:
-    """Colour (N, 3) of a block of wood with growth rings, fibres and pores.
+    """Return the colour (N, 3) of a block of wood with growth rings, fibres and pores.
 
     Parameters
     ----------
     points : ndarray, shape (N, 3)
-        m.
+        Points, m.
     scale : float
-        Size of the block, m: some nine rings cross it.
+        Size of the block, m; about nine rings cross it.
     seed : int
-        Which block.
+        Selects the block.
     light, dark : ndarray, shape (3,), optional
         Colours of early and late wood.
     axis : ndarray, shape (3,), optional
         Unit vector along the grain.
     detail : float
-        How many times finer rings, fibres and pores are than on a block of that size by default.
+        Factor on the frequency of rings, fibres and pores.
     """
     values = lattice(seed)
     if axis is None:
         axis = np.array([0.93, 0.30, 0.21])
         axis /= np.linalg.norm(axis)
-    # Any direction across will do; an upright axis has no horizontal one of its own.
+    # Any perpendicular direction; the reference changes for an upright axis.
     side = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [0.0, 1.0, 0.0])
     side /= np.linalg.norm(side)
     frame = np.stack([side, np.cross(axis, side), axis], 1)
@@ -96,7 +95,7 @@ def wood(
     radius = np.hypot(trunk[:, 0] + 0.62, trunk[:, 1] - 0.50) + 0.022 * warp
     ring = 9.0 * detail * radius + 0.12 * noise(trunk * [3.0, 3.0, 1.0] + 11, values)
     year, phase = np.floor(ring), ring % 1.0
-    # Late wood darkens slowly through the season and ends at once where the next spring begins.
+    # Late wood darkens slowly through the season and ends abruptly at the next ring.
     late = smoothstep(0.15, 0.92, phase) * smoothstep(1.0, 0.95, phase)
     vigour = noise(np.stack([year * 0.77, year * 0.31, year * 0.13], 1), values)
     fibre = noise(trunk * detail * [70.0, 70.0, 3.0], values, 2)

@@ -1,4 +1,4 @@
-"""What hollow, turned vessels share: how they are dressed inside and out, and how they are put together."""
+"""Hollow turned vessels: finish of both sides, lobes, and assembly."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,14 +17,14 @@ from objectfolder.mesh.procedural.solid import Patch, textured, weld_patches
 from objectfolder.mesh.procedural.texture import lattice, noise, over, rgb, smoothstep
 from objectfolder.mesh.textured import TexturedMesh
 
-CLAY = rgb("b08a66")  #: bare where a glazed vessel stands, and where the glaze runs thin at its lip
+CLAY = rgb("b08a66")  #: bare clay at the foot of a glazed vessel and through the thin glaze at its lip
 
 Warp = Callable[[np.ndarray], np.ndarray]  #: points (N, 3), m -> points (N, 3), m
 
 
 @dataclass(frozen=True)
 class VesselFinish:
-    """Colours of the two sides of a vessel, which agree at its lip."""
+    """Paint of the two sides of a vessel, continuous at its lip."""
 
     outside: Paint
     inside: Paint
@@ -41,9 +41,9 @@ def vessel_finish(
     accent: str | None = None,
     seed: int = 0,
 ) -> VesselFinish:
-    """Finish a vessel.
+    """Return the finish of a vessel.
 
-    A glazed one is dipped: the accent covers the inside and runs over the lip, and the foot stays bare.
+    A glazed vessel is dipped: the accent covers the inside and runs over the lip, and the foot stays bare.
     Any other finish is the same on both sides.
 
     Parameters
@@ -55,7 +55,7 @@ def vessel_finish(
     lip : float
         Height of the lip, m.
     foot : float
-        Height to which the foot is bare, m.
+        Height up to which the foot is bare, m.
     """
     body = finish(name, size, color, accent if name != "glaze" else None, seed)
     if name != "glaze":
@@ -67,10 +67,10 @@ def vessel_finish(
 def _dipped(body: Finish, lining: Finish, size: float, lip: float, foot: float, seed: int) -> VesselFinish:
     values = lattice(seed)
     u = size / 0.1
-    v = min(u, lip / 0.05)  # flat ones have a narrow edge
+    v = min(u, lip / 0.05)  # narrower on flat vessels
 
     def thin(points: np.ndarray, colour: np.ndarray) -> np.ndarray:
-        """Clay that shows through at the lip."""
+        """Let clay show through at the lip."""
         edge = lip - v * (0.0012 + 0.0004 * noise(points / (0.006 * u), values))
         return over(colour, CLAY, 0.7 * smoothstep(-0.001 * v, 0.001 * v, points[:, 2] - edge))
 
@@ -103,23 +103,23 @@ def lobed(
     weight: Callable[[np.ndarray], np.ndarray],
     twist: float = 0.0,
 ) -> Warp | None:
-    """Warp that draws a round vessel out into ``lobes`` lobes, None for a round one.
+    """Return the warp of a round vessel into ``lobes`` lobes, or None without lobes.
 
     Parameters
     ----------
     lobes : int
         Number of lobes, 0 for none.
     depth : float
-        Their swing, in radii.
+        Amplitude, in radii.
     weight : callable
-        Points (N, 3) -> share (N,) of the swing there, in [0, 1].
+        Maps points (N, 3) to factors (N,) on the amplitude, in [0, 1].
     twist : float
-        How fast the lobes wind upward, turns per metre.
+        Rotation of the lobes with height, turns per metre.
 
     Raises
     ------
     ObjectFolderError
-        If the lobes are not a whole number from 3 to 12, or the swing is over a tenth.
+        If the number of lobes is not 0 or 3 to 12, or the depth exceeds 0.1.
     """
     if not isinstance(lobes, int) or isinstance(lobes, bool) or (lobes and not 3 <= lobes <= 12):
         raise ObjectFolderError(
@@ -138,7 +138,7 @@ def lobed(
 
 
 def shell(profile: np.ndarray, look: VesselFinish, warp: Warp | None = None) -> list[tuple[Patch, Chart]]:
-    """Patches and charts of a vessel turned from a profile (N, 2) that runs from the axis to the axis."""
+    """Build patches and charts of a vessel from a profile (N, 2) that starts and ends on the axis."""
     outer, inner = split_at_lip(profile)
     parts = revolve(outer, 0, look.outside)
     parts += revolve(inner, len(parts), look.inside)
@@ -152,16 +152,16 @@ def shell(profile: np.ndarray, look: VesselFinish, warp: Warp | None = None) -> 
 def turned_vessel(
     profile: np.ndarray, look: VesselFinish, texture_size: int, warp: Warp | None = None
 ) -> TexturedMesh:
-    """Textured mesh of a vessel that is nothing but its shell."""
+    """Build the textured mesh of a vessel without attached parts."""
     parts = shell(profile, look, warp)
     atlas = pack_charts([chart for _, chart in parts], texture_size)
     return textured(weld_patches([patch for patch, _ in parts], atlas), atlas, look.roughness, look.metallic)
 
 
 def revolved(profile: np.ndarray, coarse: float = COARSE) -> manifold3d.Manifold:
-    """Return the bare solid turned from a dense profile (N, 2), m, that runs from the axis to the axis.
+    """Revolve a dense profile (N, 2), m, that starts and ends on the axis, into an unpainted solid.
 
-    ``coarse`` is how far its rows may leave the profile, in sizes of it.
+    ``coarse`` is the allowed deviation from the profile, in its sizes.
     """
     top = int(np.argmax(profile[:, 1]))
     halves = [half for half in (profile[: top + 1], profile[top:]) if len(half) > 1]
