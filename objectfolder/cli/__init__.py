@@ -28,7 +28,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
-    help="Build and query **Object Files**: objects that can be seen, struck and touched.\n\n"
+    help="Build and query **Object Files**, implicit representations of how objects look, sound and feel.\n\n"
     "In a workspace (a folder with dvc.yaml): `objectfolder add MESH ...`, then `objectfolder build`.\n\n"
     "Anywhere: `objectfolder info FILE`, `objectfolder query vision|audio|touch FILE QUERIES.npy OUT/`.",
 )
@@ -57,11 +57,11 @@ app.add_typer(export.export_app, name="export")
 
 
 def main() -> None:
-    """Run the command line; user errors are one line, not a traceback."""
+    """Run the command line; print user errors in one line without a traceback."""
     try:
         app()
     except ObjectFolderError as error:
-        # Escaped: messages hold lists in brackets, which rich would take for markup.
+        # Messages hold lists in brackets, which rich would take for markup.
         Console(stderr=True).print(
             f"[bold red]error:[/] {escape(str(error))}", highlight=False, soft_wrap=True
         )

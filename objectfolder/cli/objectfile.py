@@ -16,10 +16,11 @@ from objectfolder.objectfile.header import PARTS, known_kinds
 if TYPE_CHECKING:
     from objectfolder.objectfile.file import ObjectFile
 
-query_app = typer.Typer(no_args_is_help=True, help="Ask an Object File: `vision`, `audio` or `touch`.")
+query_app = typer.Typer(no_args_is_help=True, help="Query an Object File: `vision`, `audio` or `touch`.")
 
-#: What `query touch` can write, and columns of its contacts.csv.
-TOUCH_OUTPUTS = ("image", "mask", "height", "displacement", "pressure", "normals")
+TOUCH_ARRAYS = ("height", "displacement", "pressure", "normals")
+TOUCH_OUTPUTS = ("image", "mask", *TOUCH_ARRAYS)
+#: Columns of contacts.csv by attribute of the touches.
 TOUCH_COLUMNS = {
     "force": "force_N",
     "area": "area_m2",
@@ -29,11 +30,12 @@ TOUCH_COLUMNS = {
 }
 
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="An ObjectFile.safetensors.")]
-OutArgument = Annotated[Path, typer.Argument(metavar="OUT", help="Folder for 1.png, 2.png ... or 1.wav ...")]
+ImagesArgument = Annotated[Path, typer.Argument(metavar="OUT", help="Folder for 1.png, 2.png ...")]
+SoundsArgument = Annotated[Path, typer.Argument(metavar="OUT", help="Folder for 1.wav, 2.wav ...")]
 
 
 def info(file: FileArgument) -> None:
-    """Show what an Object File holds."""
+    """Show the contents of an Object File."""
     from objectfolder.objectfile.file import ObjectFile
 
     obj = ObjectFile.load(file)
@@ -50,14 +52,14 @@ def info(file: FileArgument) -> None:
 def vision(
     file: FileArgument,
     queries: Annotated[Path, typer.Argument(metavar="QUERIES.npy", help="(N, 6): camera xyz, light xyz.")],
-    out: OutArgument,
-    resolution: Annotated[int, typer.Option(min=1, help="Pixels along a side.")] = 256,
+    out: ImagesArgument,
+    resolution: Annotated[int, typer.Option(min=1, help="Side of the square images, pixels.")] = 256,
     buffers: Annotated[
-        bool, typer.Option("--buffers", help="Also 1.npz ...: linear rgba, depth (metres), normals.")
+        bool, typer.Option("--buffers", help="Also write 1.npz ...: linear rgba, depth (metres), normals.")
     ] = False,
-    supersample: Annotated[bool, typer.Option(help="Take more samples at edges; without, faster.")] = True,
+    supersample: Annotated[bool, typer.Option(help="Antialias edges; faster without.")] = True,
 ) -> None:
-    """Render views. Positions are in the unit frame: the object's longest side is 1."""
+    """Render views. Positions are in the unit frame, in which the object's longest side is 1."""
     from objectfolder.io import write_npz, write_png
     from objectfolder.objectfile.file import ObjectFile
 
@@ -73,28 +75,35 @@ def vision(
 @query_app.command()
 def audio(
     file: FileArgument,
-    vertices: Annotated[Path, typer.Argument(metavar="VERTICES.npy", help="(N, 3) metres, or (N, 6).")],
-    out: OutArgument,
-    forces: Annotated[Path | None, typer.Option(help="(N, 3) impulses; else columns 4 to 6.")] = None,
+    vertices: Annotated[
+        Path, typer.Argument(metavar="VERTICES.npy", help="(N, 3) points in metres, or (N, 6) with impulses.")
+    ],
+    out: SoundsArgument,
+    forces: Annotated[
+        Path | None, typer.Option(help="(N, 3) impulses in N s; default: columns 4 to 6 of VERTICES.")
+    ] = None,
     sample_rate: Annotated[int, typer.Option(min=1, help="Hz.")] = 16000,
     duration: Annotated[float, typer.Option(help="Seconds.")] = 2.0,
     response: Annotated[str, typer.Option(help="displacement, velocity or acceleration.")] = "displacement",
     contact_time: Annotated[
         float,
-        typer.Option(help="Seconds that the strike lasts; 0 is an instant, wood on metal about 0.0003."),
+        typer.Option(help="Duration of the strike, seconds; 0: an impulse; wood on metal: about 0.0003."),
     ] = 0.0,
     material: Annotated[
-        str | None, typer.Option(help="Of which the struck object is made; default: its own.")
+        str | None, typer.Option(help="Material of the struck object; default: the object's own.")
     ] = None,
     scale: Annotated[
         float | None,
         typer.Option(
-            help="Longest side of the struck object in metres, also for VERTICES; default: its own."
+            help="Longest side of the struck object in metres, to which VERTICES refer; default: its own."
         ),
     ] = None,
     normalize: Annotated[bool, typer.Option(help="Scale all sounds by their common peak.")] = False,
 ) -> None:
-    """Strike the object; writes float WAV at absolute, tiny amplitude: --normalize makes it audible."""
+    """Synthesize impact sounds as float WAV files.
+
+    Amplitudes are absolute and tiny; `--normalize` makes them audible.
+    """
     import soundfile
 
     from objectfolder.io import atomic
@@ -103,11 +112,11 @@ def audio(
     points = read_rows(
         vertices, 3 if forces else 6, "" if forces else " (points and impulses), or give --forces"
     )
-    impulse = read_rows(forces, 3) if forces else points[:, 3:]
+    impulses = read_rows(forces, 3) if forces else points[:, 3:]
     obj = ObjectFile.load(file)
     sounds = obj.impact(
         points[:, :3],
-        impulse,
+        impulses,
         sample_rate,
         duration,
         response,
@@ -117,108 +126,112 @@ def audio(
     )
     own = material is None and scale is None
     frequencies = obj.frequencies if own else obj.tuning(material, scale).frequencies.numpy()
-    above = int((frequencies >= sample_rate / 2).sum())
     peak = float(np.abs(sounds).max(initial=0))
     if normalize and peak > 0:
         sounds = sounds / peak * 0.9
     for i, sound in enumerate(sounds, 1):
         with atomic(out / f"{i}.wav") as path:
             soundfile.write(path, sound, sample_rate, subtype="FLOAT")
-    console.print(
-        f"{len(sounds)} sounds in {out}/, peak {peak:.3g}"
-        + ("" if peak else ": silent")
-        + f"; {len(frequencies)} modes"
-        + (f", {above} left out above the Nyquist frequency of {sample_rate / 2:g} Hz" if above else ""),
-        highlight=False,
-        soft_wrap=True,
-    )
+    _print_line(f"{len(sounds)} sounds in {out}/, {_sound_summary(peak, frequencies, sample_rate)}")
 
 
 @query_app.command()
 def touch(
     file: FileArgument,
     vertices: Annotated[Path, typer.Argument(metavar="VERTICES.npy", help="(N, 3) contact points, metres.")],
-    out: OutArgument,
+    out: ImagesArgument,
     gelinfo: Annotated[
-        Path | None, typer.Option(help="(N, 3): tilt theta, its direction phi (radians), depth (metres).")
+        Path | None,
+        typer.Option(help="(N, 3): tilt theta and its azimuth phi (radians), press depth (metres)."),
     ] = None,
     depth: Annotated[float, typer.Option(help="Press depth in metres, without --gelinfo.")] = 0.001,
     sensor: Annotated[
         str | None, typer.Option(help="Another sensor: a name (`sensor list`) or a .yaml file.")
     ] = None,
     outputs: Annotated[
-        str, typer.Option(metavar="NAME,...", help=f"What to write: {', '.join(TOUCH_OUTPUTS)}.")
+        str, typer.Option(metavar="NAME,...", help=f"Outputs: {', '.join(TOUCH_OUTPUTS)}.")
     ] = "image",
 ) -> None:
     """Press a tactile sensor on the object.
 
-    Writes 1.png ... (image), 1_mask.png ... (mask: where gel and object touch) and 1.npz ... (height and
-    displacement in metres, pressure in Pa, normals of the gel); and contacts.csv: force, area, penetration
-    and obstruction of each contact. docs/touch.md defines them.
+    Writes 1.png ... (image), 1_mask.png ... (mask: the contact area of gel and object), 1.npz ... (height and
+    displacement in metres, pressure in Pa, normals of the gel), and contacts.csv with the force, area,
+    penetration and obstruction of each contact. docs/touch.md defines them.
     """
-    from objectfolder.io import write_npz, write_png, write_table
+    from objectfolder.io import write_png, write_table
     from objectfolder.objectfile.file import ObjectFile
 
-    wanted = [name.strip() for name in outputs.split(",")]
-    unknown = [name for name in wanted if name not in TOUCH_OUTPUTS]
+    names = [name.strip() for name in outputs.split(",")]
+    unknown = [name for name in names if name not in TOUCH_OUTPUTS]
     if unknown:
         raise ObjectFolderError(f"--outputs {unknown[0]!r} is not one of {', '.join(TOUCH_OUTPUTS)}")
     points = read_rows(vertices, 3)
     tilt, azimuth, depths = read_rows(gelinfo, 3).T if gelinfo else (0.0, 0.0, depth)
     obj = ObjectFile.load(file)
     query: dict[str, Any] = {"depth": depths, "tilt": tilt, "azimuth": azimuth, "sensor": sensor}
-    if obj.header.get("touch", {}).get("kind") in ("image", "released_image") and wanted == ["image"]:
+    if obj.header.get("touch", {}).get("kind") in ("image", "released_image") and names == ["image"]:
         images = obj.touch(points, **query)
         for i, image in enumerate(images, 1):
             write_png(out / f"{i}.png", image)
         console.print(f"{len(images)} tactile images in {out}/")
         return
     rows: list[list[float]] = []
-    for part in obj.touches(points, **query):
-        arrays = {"height": part.height, "displacement": part.displacement, "pressure": part.pressure}
-        arrays = {name: array for name, array in arrays.items() if name in wanted}
-        if "normals" in wanted:
-            arrays["normals"] = part.normals
-        for i, image in enumerate(part.images):
-            name = len(rows) + 1
-            if "image" in wanted:
-                write_png(out / f"{name}.png", image)
-            if "mask" in wanted:
-                write_png(out / f"{name}_mask.png", part.mask[i].astype(np.uint8) * 255)
-            if arrays:
-                write_npz(out / f"{name}.npz", **{key: array[i] for key, array in arrays.items()})
-            rows.append([name, *(float(getattr(part, column)[i]) for column in TOUCH_COLUMNS)])
+    for batch in obj.touches(points, **query):
+        for i in range(len(batch.images)):
+            number = len(rows) + 1
+            _write_touch(out, number, batch, i, names)
+            rows.append([number, *(float(getattr(batch, column)[i]) for column in TOUCH_COLUMNS)])
     write_table(out / "contacts.csv", ["contact", *TOUCH_COLUMNS.values()], rows)
-    console.print(
-        f"{len(rows)} contacts in {out}/{_summary(np.array(rows))}", highlight=False, soft_wrap=True
-    )
+    _print_line(f"{len(rows)} contacts in {out}/{_contact_summary(np.array(rows))}")
 
 
-def _summary(rows: np.ndarray) -> str:
+def _write_touch(out: Path, number: int, batch: Any, row: int, names: list[str]) -> None:
+    """Write the named outputs of one contact."""
+    from objectfolder.io import write_npz, write_png
+
+    if "image" in names:
+        write_png(out / f"{number}.png", batch.images[row])
+    if "mask" in names:
+        write_png(out / f"{number}_mask.png", batch.mask[row].astype(np.uint8) * 255)
+    arrays = {name: getattr(batch, name)[row] for name in TOUCH_ARRAYS if name in names}
+    if arrays:
+        write_npz(out / f"{number}.npz", **arrays)
+
+
+def _print_line(text: str) -> None:
+    console.print(text, highlight=False, soft_wrap=True)
+
+
+def _sound_summary(peak: float, frequencies: np.ndarray, sample_rate: int) -> str:
+    above = int((frequencies >= sample_rate / 2).sum())
+    text = f"peak {peak:.3g}" + ("" if peak else ": silent") + f"; {len(frequencies)} modes"
+    nyquist = f"{sample_rate / 2:g} Hz"
+    return text + (f", {above} left out above the Nyquist frequency of {nyquist}" if above else "")
+
+
+def _contact_summary(rows: np.ndarray) -> str:
     if not len(rows):
         return ""
     columns = dict(zip(TOUCH_COLUMNS, rows.T[1:]))
     force, area = columns["force"], columns["area"] * 1e6
     text = "" if np.isnan(force).any() else f"; force {force.min():.3g} to {force.max():.3g} N"
     text += f", area {area.min():.3g} to {area.max():.3g} mm2"
-    blocked = int((columns["obstructed"] > 0).sum())
-    return text + (f"; {blocked} obstructed: a real sensor would not get there" if blocked else "")
+    obstructed = int((columns["obstructed"] > 0).sum())
+    return text + (f"; {obstructed} obstructed: a real sensor could not get there" if obstructed else "")
 
 
 def _summary_of(obj: "ObjectFile", part: str) -> str:
-    """What a part holds, in a line; nothing is read for it but the modes."""
+    """Describe a part in a line, reading no tensors but the modes."""
     if part not in obj.header:
         return "none"
     kind = obj.header[part]["kind"]
     if kind not in known_kinds(part):
-        return f"{kind}, which this version does not know"
+        return f"{kind}, unknown to this version"
     if part == "geometry":
         return f"{kind}, {obj.header[part]['resolution']}^3"
     if part == "touch":
         return f"{kind}, sensor {obj.sensor}"
-    if part == "vision":
-        return kind
-    if kind == "released_spectrogram":
+    if part == "vision" or kind == "released_spectrogram":
         return kind
     frequencies = obj.frequencies
     if not len(frequencies):

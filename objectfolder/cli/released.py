@@ -1,4 +1,4 @@
-"""The command on files of others: import."""
+"""The command `import` for released ObjectFolder files."""
 
 from pathlib import Path
 from typing import Annotated
@@ -12,42 +12,44 @@ from objectfolder.cli.console import console
 def import_released(
     file: Annotated[Path, typer.Argument(metavar="FILE.pth", help="A released ObjectFile.pth.")],
     out: Annotated[Path, typer.Argument(metavar="OUT", help="The Object File to write: NAME.safetensors.")],
-    key: Annotated[str | None, typer.Option(help="Object key; default: from the file's folder.")] = None,
-    material: Annotated[str, typer.Option(help="What the object is made of.")] = "unknown",
+    key: Annotated[
+        str | None, typer.Option(help="Object key; default: the name of the file's folder.")
+    ] = None,
+    material: Annotated[str, typer.Option(help="Material of the object.")] = "unknown",
     scale: Annotated[
         float | None,
         typer.Option(
-            help="Longest side in metres; default: of the mesh, the bounds, or what a 2.0 file says."
+            help="Longest side in metres; default: of the mesh or the bounds, or as stored in a 2.0 file."
         ),
     ] = None,
     bounds: Annotated[
         tuple[float, float, float, float, float, float] | None,
         typer.Option(
             metavar="XMIN YMIN ZMIN XMAX YMAX ZMAX",
-            help="Of the object, in the file's coordinates; touch of a 1.0 file needs them, or --mesh.",
+            help="Bounds of the object in the file's coordinates; touch of a 1.0 file needs them, or --mesh.",
         ),
     ] = None,
     mesh: Annotated[
         Path | None,
         typer.Option(
-            help="The object's mesh, in the file's coordinates: gives bounds, and a surface to snap to."
+            help="Mesh of the object in the file's coordinates: provides bounds, and a surface to snap to."
         ),
     ] = None,
     sensor: Annotated[
-        str, typer.Option(help="Sensor that makes images of 2.0's depth maps (`sensor list`).")
+        str, typer.Option(help="Sensor that renders the depth maps of a 2.0 file (`sensor list`).")
     ] = "gelsight_r15",
     gel: Annotated[
-        Path | None, typer.Option(help="calibs/depth_bg.npy of the released code; default: estimated.")
+        Path | None, typer.Option(help="The released code's calibs/depth_bg.npy; default: estimated.")
     ] = None,
     crop: Annotated[
         float | None,
-        typer.Option(help="See nothing outside [-CROP, CROP]^3, unit frame: 0.6 halves the time."),
+        typer.Option(help="Render only [-CROP, CROP]^3 of the unit frame: 0.6 halves the time."),
     ] = None,
 ) -> None:
-    """Convert a released ObjectFolder 1.0 or 2.0 file; nothing that is pickled in it is run.
+    """Convert a released ObjectFolder 1.0 or 2.0 file without executing pickled code.
 
-    All that the file holds is converted: VisionNet (NeRF or KiloOSF), AudioNet, TouchNet. What cannot be is
-    left out, with a warning that says why. docs/released.md tells what differs from the released code.
+    Converts VisionNet (NeRF or KiloOSF), AudioNet and TouchNet. A part that cannot be converted is left out
+    with a warning. docs/released.md lists the differences from the released code.
 
     `objectfolder import Objects/25/ObjectFile.pth bowl.safetensors --bounds -0.1 -0.1 -0.05 0.1 0.1 0.05`
     """

@@ -11,13 +11,15 @@ from objectfolder.cli.console import console
 from objectfolder.errors import ObjectFolderError
 
 sensor_app = typer.Typer(
-    no_args_is_help=True, rich_markup_mode="markdown", help="Tactile sensors: `list` profiles, `fit` one."
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+    help="Tactile sensors: `list` profiles, `fit` a profile to pictures.",
 )
 
 
 @sensor_app.command("list")
 def list_sensors() -> None:
-    """Show the sensor profiles that come with the package; docs/sensors.md explains their fields."""
+    """List the sensor profiles of the package; docs/sensors.md explains their fields."""
     from objectfolder.touch.profiles import available_profiles, load_profile
 
     table = Table()
@@ -34,33 +36,35 @@ def list_sensors() -> None:
 def fit_sensor_profile(
     images: Annotated[
         list[Path],
-        typer.Argument(metavar="IMAGE...", help="Pictures of the ball, pressed in different places."),
+        typer.Argument(
+            metavar="IMAGE...", help="Pictures of a ball pressed on the sensor in different places."
+        ),
     ],
-    radius: Annotated[float, typer.Option(help="Of the ball, metres.")],
-    out: Annotated[Path, typer.Option(help="The profile to write, .yaml; two files go beside it.")],
-    sensor: Annotated[str, typer.Option(help="Profile to start from: a name, or a .yaml file.")] = "digit",
+    radius: Annotated[float, typer.Option(help="Radius of the ball, metres.")],
+    out: Annotated[Path, typer.Option(help="Profile to write, .yaml; two more files are written beside it.")],
+    sensor: Annotated[str, typer.Option(help="Initial profile: a name or a .yaml file.")] = "digit",
     untouched: Annotated[
-        Path | None, typer.Option(help="Picture of the sensor that touches nothing; else 3 images or more.")
+        Path | None, typer.Option(help="Picture of the untouched sensor; without it, give 3 images or more.")
     ] = None,
     circle: Annotated[
         list[str] | None,
         typer.Option(
             metavar="ROW,COLUMN,RADIUS",
-            help="Of an imprint, pixels of the profile's images; one per image, in order. Default: found.",
+            help="Circle of an imprint, pixels of the profile's images; one per image. Default: detected.",
         ),
     ] = None,
 ) -> None:
     """Fit a sensor's light intensities and background to pictures of a ball pressed on it.
 
-    Take a steel ball of 3 to 10 mm radius. Press it about 1 mm deep, not near the border, in at least three
-    different places, and take a picture of each; take one of the untouched sensor as well. Pictures show the
-    sensor's view as the profile has it (`--sensor`: size, field of view, gel, where the lights are), upright,
-    without automatic exposure or white balance. Then:
+    Press a steel ball of 3 to 10 mm radius about 1 mm deep in at least three places away from the border, and
+    take a picture of each, and one of the untouched sensor. The camera must be upright, without automatic
+    exposure or white balance, and the sensor as in the profile `--sensor`: size, field of view, gel, positions
+    of the lights. Then:
 
     `objectfolder sensor fit a.png b.png c.png --untouched rest.png --radius 0.004 --out mine.yaml`
 
-    Writes mine.yaml, mine_background.png and mine_report.json. Lights of one colour are fitted together. In
-    Python: `load_profile("mine.yaml")`. For a build: put it among objectfolder/touch/profiles/.
+    Writes mine.yaml, mine_background.png and mine_report.json. Lights of the same colour are fitted together.
+    In Python, load it with `load_profile("mine.yaml")`. For a build, copy it to objectfolder/touch/profiles/.
     """
     from objectfolder.touch.calibration import fit_sensor, save_fit
     from objectfolder.touch.photographs import read_picture
