@@ -13,7 +13,7 @@ def import_released(
     file: Annotated[Path, typer.Argument(metavar="FILE.pth", help="A released ObjectFile.pth.")],
     out: Annotated[Path, typer.Argument(metavar="OUT", help="The Object File to write: NAME.safetensors.")],
     key: Annotated[
-        str | None, typer.Option(help="Object key; default: the name of the file's folder.")
+        str | None, typer.Option(help="Object key; default: from the name of the file's folder.")
     ] = None,
     material: Annotated[str, typer.Option(help="Material of the object.")] = "unknown",
     scale: Annotated[

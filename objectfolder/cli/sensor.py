@@ -58,8 +58,8 @@ def fit_sensor_profile(
 
     Press a steel ball of 3 to 10 mm radius about 1 mm deep in at least three places away from the border, and
     take a picture of each, and one of the untouched sensor. The camera must be upright, without automatic
-    exposure or white balance, and the sensor as in the profile `--sensor`: size, field of view, gel, positions
-    of the lights. Then:
+    exposure or white balance; size, field of view, gel and positions of the lights must be those of the
+    profile `--sensor`. Then:
 
     `objectfolder sensor fit a.png b.png c.png --untouched rest.png --radius 0.004 --out mine.yaml`
 
