@@ -1,8 +1,8 @@
-"""The one exception that the command line shows without a traceback."""
+"""The exception that the command line shows without a traceback."""
 
 
 class ObjectFolderError(ValueError):
-    """Something that the user can put right.
+    """An error that the user can fix.
 
     The message names the object or file, the offending value, what was expected and what to do next.
     """

@@ -14,7 +14,7 @@ class Material:
     Raises
     ------
     ObjectFolderError
-        If no such material can exist: density or modulus not positive, Poisson's ratio outside (-1, 0.5),
+        If a value is not physical: density or modulus not positive, Poisson's ratio outside (-1, 0.5),
         negative damping.
     """
 
@@ -30,8 +30,8 @@ class Material:
             "density": (0 < self.density < math.inf, "a positive number of kg/m^3"),
             "youngs_modulus": (0 < self.youngs_modulus < math.inf, "a positive number of Pa"),
             "poisson_ratio": (-1 < self.poisson_ratio < 0.5, "a number between -1 and 0.5"),
-            "alpha": (0 <= self.alpha < math.inf, "a number of 1/s that is not negative"),
-            "beta": (0 <= self.beta < math.inf, "a number of s that is not negative"),
+            "alpha": (0 <= self.alpha < math.inf, "a non-negative number of 1/s"),
+            "beta": (0 <= self.beta < math.inf, "a non-negative number of s"),
         }
         for name, (holds, expected) in physical.items():
             if not holds:
@@ -44,7 +44,7 @@ class Material:
         return {name: value for name, value in asdict(self).items() if name != "name"}
 
     def damping(self, eigenvalues: Any) -> Any:
-        """Decay rates, 1/s, of modes with these eigenvalues, rad^2/s^2; arrays or tensors."""
+        """Return decay rates, 1/s, of modes with eigenvalues in rad^2/s^2; arrays or tensors."""
         return (self.alpha + self.beta * eigenvalues) / 2
 
 
@@ -63,7 +63,7 @@ MATERIALS: dict[str, Material] = {
 
 
 def material(name: str) -> Material:
-    """Look a material up by name, case-insensitively.
+    """Look up a material by name, case-insensitively.
 
     Raises
     ------

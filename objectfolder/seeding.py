@@ -1,4 +1,4 @@
-"""Random numbers that depend on the seed, the object and the purpose, and on nothing else."""
+"""Random generators that depend only on the seed, the object and the purpose."""
 
 import hashlib
 from collections.abc import Iterator
@@ -9,20 +9,20 @@ import torch
 
 
 def numpy_generator(seed: int, *purpose: str) -> np.random.Generator:
-    """Generator for one purpose, such as ``(key, "render_views", "train")``."""
+    """Return the generator for one purpose, such as ``(key, "render_views", "train")``."""
     return np.random.default_rng(_digest(seed, purpose))
 
 
 def torch_generator(seed: int, *purpose: str) -> torch.Generator:
-    """Torch generator (CPU) for one purpose."""
+    """Return the torch generator (CPU) for one purpose."""
     return torch.Generator().manual_seed(_digest(seed, purpose) % 2**63)
 
 
 @contextmanager
 def seeded(seed: int, *purpose: str) -> Iterator[None]:
-    """Seed torch's global generator (CPU) for one purpose, and afterwards put back its state.
+    """Seed torch's global generator (CPU) for one purpose, and restore its state afterwards.
 
-    For layers, which take their first parameters from it.
+    For layers, which draw their initial parameters from it.
     """
     with torch.random.fork_rng(devices=[]):
         torch.default_generator.manual_seed(_digest(seed, purpose) % 2**63)

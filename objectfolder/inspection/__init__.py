@@ -1,6 +1,6 @@
-"""What an artifact holds: a table for the terminal, and a picture beside the artifact.
+"""Summaries of artifacts: a table for the terminal, and pictures.
 
-Pictures go to ``build/<key>/inspect/``, which no stage declares, so looking never makes a stage stale.
+Pictures go to ``build/<key>/inspect/``, which no stage declares, so an inspection never makes a stage stale.
 """
 
 from collections.abc import Callable
@@ -12,8 +12,8 @@ from rich.table import Table
 from rich.text import Text
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.inspection.data import inspect_render_touch, inspect_render_views
 from objectfolder.inspection.geometry import export_vtu, inspect_normalize, inspect_voxelize
+from objectfolder.inspection.images import inspect_render_touch, inspect_render_views
 from objectfolder.inspection.nets import inspect_evaluate, inspect_net, inspect_pack
 from objectfolder.inspection.record import Inspection
 from objectfolder.inspection.sound import inspect_modal
@@ -22,7 +22,7 @@ from objectfolder.workspace.params import check_key
 
 __all__ = ["STAGES", "Inspection", "inspect_stage", "print_inspection"]
 
-#: What inspects each stage.
+#: Inspection of each stage.
 STAGES: dict[str, Callable[[Build], Inspection]] = {
     "normalize": inspect_normalize,
     "voxelize": inspect_voxelize,
@@ -38,7 +38,7 @@ STAGES: dict[str, Callable[[Build], Inspection]] = {
 
 
 def inspect_stage(stage: str, key: str, root: str | Path = ".", vtu: bool = False) -> Inspection:
-    """Summarise what a stage wrote for an object, and draw it.
+    """Summarize and draw the artifacts of a stage for one object.
 
     Parameters
     ----------
@@ -47,15 +47,15 @@ def inspect_stage(stage: str, key: str, root: str | Path = ".", vtu: bool = Fals
     key : str
         Object key.
     root : path
-        Workspace, the directory that holds ``dvc.yaml``.
+        Workspace: the directory with ``dvc.yaml``.
     vtu : bool
         Also write the solid for ParaView (voxelize only).
 
     Raises
     ------
     ObjectFolderError
-        For an unknown stage, artifacts that are not built, ``vtu`` for another stage than voxelize, or a
-        machine that cannot draw in three dimensions.
+        If the stage is unknown, an artifact is missing, ``vtu`` is requested for another stage than voxelize,
+        or the machine has no OpenGL.
     """
     if stage not in STAGES:
         close = get_close_matches(stage, STAGES)
@@ -73,12 +73,12 @@ def inspect_stage(stage: str, key: str, root: str | Path = ".", vtu: bool = Fals
 
 
 def print_inspection(inspection: Inspection, console: Console) -> None:
-    """Print the table, and where the pictures and exported files are."""
+    """Print the table, and the paths of pictures and exported files."""
     table = Table(title=inspection.title, show_header=False, title_justify="left")
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
     for name, value in inspection.rows:
-        table.add_row(Text(name), Text(value))  # as text: brackets in values are no markup
+        table.add_row(Text(name), Text(value))  # text, not markup: values may contain brackets
     console.print(table)
     for kind, paths in (("picture", inspection.pictures), ("file", inspection.files)):
         for path in paths:

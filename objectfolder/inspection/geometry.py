@@ -25,12 +25,12 @@ if TYPE_CHECKING:
     import pyvista
     from matplotlib.figure import SubFigure
 
-FULL = 0.999  # cells with at least this much material count as full
-CUT_FROM = (0.35, -1.0, 0.45)  # looks at the cut through y = 0
+FULL = 0.999  # fill from which a cell counts as full
+CUT_FROM = (0.35, -1.0, 0.45)  # view direction onto the cut through y = 0
 
 
 def inspect_normalize(build: Build) -> Inspection:
-    """Visual mesh beside closed surface, whole and cut open."""
+    """Inspect the visual mesh and the closed surface, whole and cut open."""
     require(build, "normalize", build.visual, build.surface, build.normalize)
     report = read_json(build.normalize)
     scale = report["scale_m"]
@@ -60,29 +60,12 @@ def inspect_normalize(build: Build) -> Inspection:
         ("visual to surface", f"at most {_distance(visual, vertices, faces) * scale * 1000:.3g} mm apart"),
         ("files", kilobytes(build.visual, build.surface, build.normalize)),
     ]
-    surface = triangles(vertices, faces)
-    opened = surface.clip(normal="-y", origin=(0, 0, 0))
-    images = {
-        "visual.glb": draw_scene(lambda plotter: add_textured(plotter, visual)),
-        f"surface.ply: {len(faces):,} faces": draw_scene(
-            lambda plotter: plotter.add_mesh(
-                surface, color=CLAY, show_edges=True, edge_color="#34495e", line_width=0.5
-            )
-        ),
-        "cut at y = 0; red is the inside": draw_scene(
-            lambda plotter: plotter.add_mesh(opened, color=CLAY, backface_params={"color": "#d9534f"}),
-            CUT_FROM,
-        ),
-    }
-    title = f"normalize@{build.key}: {sides[0]:.1f} x {sides[1]:.1f} x {sides[2]:.1f} mm (x, y, z; z up)"
-    figure = page(15, 5.6, title)
-    for axes, (name, image) in zip(figure.subplots(1, 3), images.items()):
-        show_image(axes, image, name)
-    return Inspection(f"normalize@{build.key}", table, [save_page(figure, picture_path(build, "normalize"))])
+    picture = _normalize_picture(build, visual, vertices, faces, sides)
+    return Inspection(f"normalize@{build.key}", table, [picture])
 
 
 def inspect_voxelize(build: Build) -> Inspection:
-    """Cut cells coloured by fill, and slices through the distance grid."""
+    """Inspect the cut cells, coloured by fill, and slices through the distance grid."""
     cells, scale = _solid(build)
     require(build, "voxelize", build.sdf)
     vertices, faces = read_surface(build.surface)
@@ -136,15 +119,39 @@ def export_vtu(build: Build) -> Path:
 
 
 def _solid(build: Build) -> tuple[CutCells, float]:
-    """Cut cells, and the scale in metres."""
+    """Read the cut cells, and the scale in metres."""
     require(build, "voxelize", build.solid, build.surface, build.normalize)
     cells = solid_from_arrays(read_npz(build.solid, "kind"))
     if not isinstance(cells, CutCells):
         raise ObjectFolderError(
-            f"{build.key}: solid.npz holds {cells.name}, and only cut cells can be inspected: set "
+            f"{build.key}: solid.npz holds {cells.name}, but only cut cells can be inspected: set "
             "voxelize.element to cut_cell_hex20"
         )
     return cells, read_json(build.normalize)["scale_m"]
+
+
+def _normalize_picture(
+    build: Build, visual: TexturedMesh, vertices: np.ndarray, faces: np.ndarray, sides: np.ndarray
+) -> Path:
+    surface = triangles(vertices, faces)
+    opened = surface.clip(normal="-y", origin=(0, 0, 0))
+    images = {
+        "visual.glb": draw_scene(lambda plotter: add_textured(plotter, visual)),
+        f"surface.ply: {len(faces):,} faces": draw_scene(
+            lambda plotter: plotter.add_mesh(
+                surface, color=CLAY, show_edges=True, edge_color="#34495e", line_width=0.5
+            )
+        ),
+        "cut at y = 0; red is the inside": draw_scene(
+            lambda plotter: plotter.add_mesh(opened, color=CLAY, backface_params={"color": "#d9534f"}),
+            CUT_FROM,
+        ),
+    }
+    title = f"normalize@{build.key}: {sides[0]:.1f} x {sides[1]:.1f} x {sides[2]:.1f} mm (x, y, z; z up)"
+    figure = page(15, 5.6, title)
+    for axes, (name, image) in zip(figure.subplots(1, 3), images.items()):
+        show_image(axes, image, name)
+    return save_page(figure, picture_path(build, "normalize"))
 
 
 def _voxelize_picture(build: Build, cells: CutCells, grid: DistanceGrid, scale: float) -> Path:
@@ -213,7 +220,7 @@ def _viridis(value: float) -> tuple[float, ...]:
 
 
 def _distance(visual: TexturedMesh, vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Largest distance of a visual vertex from the surface: large if the two are in different frames."""
+    """Return the largest distance of a visual vertex from the surface; large if their frames differ."""
     points = np.ascontiguousarray(visual.vertices[np.unique(visual.faces)])
     return float(np.sqrt(igl.point_mesh_squared_distance(points, vertices, faces)[0].max()))
 
@@ -233,7 +240,7 @@ def _appearance(mesh: TexturedMesh) -> str:
 
 
 def _history(rungs: list[dict[str, Any]]) -> str:
-    """Say how a surface was closed, with what each rung did to the volume."""
+    """Describe how a surface was closed, with the change of volume by each step."""
     lines = []
     for rung in rungs:
         before, after = rung["volume_before_m3"], rung["volume_after_m3"]

@@ -22,13 +22,13 @@ LOSSES = {
 }
 STEPS = {"vision": "step", "audio": "step", "touch": "step, or round of the depth offset's search"}
 CAMERAS = np.array([[0.8, -2.1, 1.1], [2.2, 0.9, 0.7], [-1.7, 1.5, 1.0], [0.3, -1.2, -2.1]])
-LIGHT_OFFSET = np.array([-0.3, -0.3, 0.5])  # beside the camera, so that what it sees is lit
+LIGHT_OFFSET = np.array([-0.3, -0.3, 0.5])  # beside the camera, so that the visible side is lit
 TOUCHES = 4
 PRESS = 0.001  # m
 
 
 def inspect_net(build: Build, modality: str) -> Inspection:
-    """Training curve and tensors of one net."""
+    """Inspect the training curve and the tensors of one net."""
     stage, net, curve = f"train_{modality}", build.net(modality), build.curve(modality)
     require(build, stage, net, curve)
     tensors, header = read_safetensors(net)
@@ -41,7 +41,7 @@ def inspect_net(build: Build, modality: str) -> Inspection:
     with curve.open() as stream:
         points = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(stream)]
     if not points:
-        return Inspection(f"{stage}@{build.key}", [*table, ("curve", "empty: there was nothing to learn")])
+        return Inspection(f"{stage}@{build.key}", [*table, ("curve", "empty: there was nothing to train")])
     best, last = min(points, key=lambda point: point["val_loss"]), points[-1]
     table += [
         ("loss", LOSSES[modality]),
@@ -71,11 +71,11 @@ def inspect_net(build: Build, modality: str) -> Inspection:
 
 
 def inspect_pack(build: Build) -> Inspection:
-    """Header and tensors of the Object File, and what it answers."""
+    """Inspect the header, tensors and sample answers of the Object File."""
     require(build, "pack", build.object_file)
     file = ObjectFile.load(build.object_file)
     header = {name: value for name, value in file.header.items() if name != "provenance"}
-    # `inspect train_touch` lists the sensor's numbers.
+    # The sensor by name: `inspect train_touch` lists its profile.
     header["touch"] = {**header["touch"], "net": {**header["touch"]["net"], "sensor": file.sensor}}
     table = [
         *_leaves(header),
@@ -88,7 +88,7 @@ def inspect_pack(build: Build) -> Inspection:
 
 
 def inspect_evaluate(build: Build) -> Inspection:
-    """Metrics, one per row; views and spectrograms of the ground truth beside the answers."""
+    """Inspect the metrics; pictures compare views and spectrograms with the ground truth."""
     sheets = [build.vision_sheet, build.sound_sheet]
     require(build, "evaluate", build.metrics, *sheets)
     return Inspection(f"evaluate@{build.key}", list(_leaves(read_json(build.metrics))), sheets)
@@ -104,7 +104,7 @@ def _pack_picture(build: Build, file: ObjectFile) -> Path:
         show_image(axes, image, f"camera at {_triple(camera)} sizes")
     net = file.header["touch"]["net"]
     if file.header["touch"]["kind"] == "image":
-        depth, angle = net["press_depth"], net["angle"]  # it answers no other
+        depth, angle = net["press_depth"], net["angle"]  # the net has no other
     else:
         depth, angle = min(PRESS, net["sensor"]["max_indentation"]), 0.0
     for axes, point, image in zip(touches.subplots(1, TOUCHES), points, file.touch(points, depth, angle)):
@@ -136,7 +136,7 @@ def _tensor_rows(tensors: Mapping[str, np.ndarray]) -> list[tuple[str, str]]:
 
 
 def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, str]]:
-    """Nested values as dotted names and short texts."""
+    """Flatten nested values to dotted names and short texts."""
     if isinstance(value, dict):
         for key, item in value.items():
             yield from _leaves(item, f"{name}.{key}" if name else str(key))

@@ -1,4 +1,4 @@
-"""What an inspection returns, and how its rows are worded."""
+"""Result of an inspection, and helpers for its rows."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +16,7 @@ class Inspection:
     title: str
     rows: list[tuple[str, str]]  #: name and value
     pictures: list[Path] = field(default_factory=list)
-    files: list[Path] = field(default_factory=list)  #: what was exported for other programs
+    files: list[Path] = field(default_factory=list)  #: exports for other programs
 
 
 def require(build: Build, stage: str, *paths: Path) -> None:
@@ -35,17 +35,17 @@ def require(build: Build, stage: str, *paths: Path) -> None:
 
 
 def picture_path(build: Build, stage: str) -> Path:
-    """Where a stage's picture goes: in a directory that no stage declares."""
+    """Return the path of a stage's picture, in a directory that no stage declares."""
     return build.inspections / f"{stage}.png"
 
 
 def kilobytes(*paths: Path) -> str:
-    """Size of files together."""
+    """Format the total size of files."""
     return f"{sum(path.stat().st_size for path in paths) / 1024:,.1f} KB"
 
 
 def span(values: np.ndarray, unit: str = "") -> str:
-    """Smallest and largest value."""
+    """Format the smallest and the largest value."""
     if np.size(values) == 0:
         return "none"
     return f"{np.min(values):.4g} to {np.max(values):.4g} {unit}".rstrip()

@@ -1,4 +1,4 @@
-"""Pictures of three-dimensional things, drawn off-screen with VTK."""
+"""Pictures of meshes and cells, drawn off-screen with VTK."""
 
 import ctypes.util
 from collections.abc import Callable
@@ -21,12 +21,12 @@ def draw_scene(
     view_from: tuple[float, float, float] = VIEW_FROM,
     size: tuple[int, int] = (800, 800),
 ) -> np.ndarray:
-    """Draw a scene on white, and crop the picture to it.
+    """Draw a scene on white and crop the picture to it.
 
     Parameters
     ----------
     add : callable
-        Adds meshes to the plotter.
+        Function that adds meshes to the plotter.
     view_from : (3,) tuple
         Direction from the scene to the camera.
     size : (2,) tuple
@@ -44,16 +44,16 @@ def draw_scene(
     import pyvista
     from vtkmodules.vtkCommonCore import vtkLogger
 
-    # Without an X server VTK warns, and then takes EGL.
+    # Without an X server VTK warns before it falls back to EGL.
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
     plotter: Any = pyvista.Plotter(off_screen=True, window_size=list(size), lighting="light kit")
     try:
-        # VTK's last resort crashes the process where its library is missing.
+        # VTK's last fallback crashes the process if OSMesa is missing.
         software_only = plotter.render_window.GetClassName() == "vtkOSOpenGLRenderWindow"
         if software_only and ctypes.util.find_library("OSMesa") is None:
             raise ObjectFolderError(
-                "VTK finds no OpenGL on this machine, neither X nor EGL, to draw pictures with; install "
-                "Mesa's software renderer: `apt-get install libegl1 libgl1-mesa-dri`"
+                "VTK finds no OpenGL on this machine, neither X nor EGL; install Mesa's software renderer: "
+                "`apt-get install libegl1 libgl1-mesa-dri`"
             )
         plotter.set_background("white")
         add(plotter)
@@ -90,7 +90,7 @@ def add_textured(plotter: "pyvista.Plotter", mesh: TexturedMesh) -> None:
 def hexahedra(
     index: np.ndarray, lower: np.ndarray, size: float, width: np.ndarray
 ) -> "pyvista.UnstructuredGrid":
-    """Cubic cells that share their corners.
+    """Return a VTK mesh of cubic cells that share their corners.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def hexahedra(
     size : float
         Side of a cell.
     width : (E,) int array
-        Cells along the sides of each.
+        Side of each cube, in cells.
     """
     import pyvista
 
@@ -116,7 +116,7 @@ def hexahedra(
 
 
 def _crop(image: np.ndarray, margin: int = 10) -> np.ndarray:
-    """Leave out the white around what is drawn."""
+    """Crop the white border."""
     drawn = np.any(image < 255, axis=-1)
     rows, columns = np.flatnonzero(drawn.any(1)), np.flatnonzero(drawn.any(0))
     if len(rows) == 0:

@@ -18,12 +18,12 @@ from objectfolder.workspace.layout import Build
 
 LISTED = 12  # modes in the table
 DRAWN = 6  # mode shapes in the picture
-DISPLACEMENT = 0.08  # largest displacement that is drawn, of the object's size
+DISPLACEMENT = 0.08  # largest drawn displacement, fraction of the object's size
 LN_1000 = float(np.log(1000))  # 60 dB in amplitude
 
 
 def inspect_modal(build: Build) -> Inspection:
-    """Modes with their decay, first mode shapes, and the spectrogram of one strike."""
+    """Inspect the modes: frequencies and decay, first mode shapes, and the spectrogram of one strike."""
     require(build, "modal", build.modes, build.modal, build.surface)
     report = read_json(build.modal)
     modes = read_npz(build.modes, "points", "split", "eigenvalues", "damping", "damped_frequency", "shapes")
@@ -56,7 +56,7 @@ def inspect_modal(build: Build) -> Inspection:
         ("rigid modes", f"at most {max(report['rigid_hz'], default=0.0):.3g} Hz (0 in theory)"),
         ("dropped pieces", f"{report['dropped_volume_share']:.4%} of the volume"),
         ("points", f"{len(modes['points']):,}: train {splits[0]:,}, val {splits[1]:,}, test {splits[2]:,}"),
-        *([("solved", "not anew: scaled from an earlier solve")] if report.get("reused") else []),
+        *([("solved", "no: scaled from an earlier solve")] if report.get("reused") else []),
         ("files", kilobytes(build.modes, build.modal)),
     ]
     pictures = [_modal_picture(build, modes, frequency, decay, report["scale_m"])] if count else []
@@ -93,7 +93,7 @@ def _modal_picture(
 
 
 def _draw_shape(vertices: np.ndarray, faces: np.ndarray, shape: np.ndarray) -> np.ndarray:
-    """Displaced surface; shape is (V, 3)."""
+    """Draw the surface displaced by a mode shape (V, 3)."""
     amplitude = np.linalg.norm(shape, axis=1)
     largest = max(float(amplitude.max()), 1e-30)
     moved = triangles(vertices + shape * (DISPLACEMENT / largest), faces)
@@ -106,7 +106,7 @@ def _draw_shape(vertices: np.ndarray, faces: np.ndarray, shape: np.ndarray) -> n
 
 
 def _loudest_strike(modes: dict[str, np.ndarray], count: int) -> tuple[int, int, np.ndarray]:
-    """Vertex and axis whose unit impulse gives most energy, and its sound (samples,)."""
+    """Return the vertex and axis whose unit impulse gives the most energy, and its sound (samples,)."""
     energy = modes["shapes"][:count].astype(np.float64) ** 2 @ energy_weights(
         modes["damped_frequency"], modes["damping"]
     )

@@ -276,7 +276,7 @@ def test_modal_tells_of_a_reused_solve(tmp_path, root):
     write_json(build.modal, report)
     rows = dict(inspect_stage("modal", "brick", tmp_path).rows)
     assert rows["below 20 kHz"] == "not counted (truncated)"
-    assert rows["solved"] == "not anew: scaled from an earlier solve"
+    assert rows["solved"] == "no: scaled from an earlier solve"
     assert "solved" not in _rows(root, "modal")
 
 

@@ -1,6 +1,7 @@
-"""Inspections of render_views and render_touch: the images that nets learn from and are scored on."""
+"""Inspections of render_views and render_touch: the images for training and evaluation."""
 
 from collections.abc import Iterable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,36 +24,68 @@ COLORS = {"train": ("blue", "#2563eb"), "val": ("orange", "#f59e0b"), "test": ("
 
 
 def inspect_render_views(build: Build) -> Inspection:
-    """Views with their lights, and where cameras and lights are."""
+    """Inspect the views: images with their lights, and directions of cameras and lights."""
     paths = [build.views(split) for split in SPLITS]
     require(build, "render_views", *paths, build.views_sheet)
-    splits = {
-        split: read_npz(path, "rgba", "camera_to_world", "light", "focal", "renderer")
-        for split, path in zip(SPLITS, paths)
-    }
-    table: list[tuple[str, str]] = []
-    for (split, views), path in zip(splits.items(), paths):
-        rgba = views["rgba"].astype(np.float32)
-        color, alpha = rgba[..., :3], rgba[..., 3]
-        covered = alpha >= COVERED
-        lit = lit_foreground(rgba)
-        broken = np.count_nonzero(~np.isfinite(rgba))
-        table += [
-            (split, f"{len(rgba)} views, {_size(rgba)} pixels RGBA {views['rgba'].dtype}, {kilobytes(path)}"),
-            ("  radiance", span(color) + (f", {broken} values are not finite" if broken else "")),
-            (
-                "  pixels",
-                f"object covers {covered.mean():.1%} of the image; "
-                f"{lit.sum() / max(covered.sum(), 1):.1%} of that is lit",
-            ),
-            ("  camera distance", span(np.linalg.norm(views["camera_to_world"][:, :3, 3], axis=1), "sizes")),
-            ("  light distance", span(np.linalg.norm(views["light"], axis=1), "sizes")),
-            ("  focal length", f"{float(views['focal']):g} pixels"),
-            ("  renderer", str(views["renderer"])),
-        ]
+    names = ("rgba", "camera_to_world", "light", "focal", "renderer")
+    splits = {split: read_npz(path, *names) for split, path in zip(SPLITS, paths)}
+    table = [
+        row
+        for (split, views), path in zip(splits.items(), paths)
+        for row in _view_rows(split, views, kilobytes(path))
+    ]
+    return Inspection(f"render_views@{build.key}", table, [_views_picture(build, splits), build.views_sheet])
+
+
+def inspect_render_touch(build: Build) -> Inspection:
+    """Inspect the contacts: tactile images with their depths, and points on the surface."""
+    paths = [build.touch(split) for split in SPLITS]
+    require(build, "render_touch", *paths, build.touch_sheet, build.surface, build.normalize)
+    names = ("images", "points", "normals", "depths", "angles", "obstructed")
+    splits = {split: read_npz(path, *names) for split, path in zip(SPLITS, paths)}
+    table = [
+        row
+        for (split, contacts), path in zip(splits.items(), paths)
+        for row in _contact_rows(split, contacts, kilobytes(path))
+    ]
+    return Inspection(f"render_touch@{build.key}", table, [_touch_picture(build, splits), build.touch_sheet])
+
+
+def _view_rows(split: str, views: dict[str, np.ndarray], size: str) -> list[tuple[str, str]]:
+    rgba = views["rgba"].astype(np.float32)
+    covered, lit = rgba[..., 3] >= COVERED, lit_foreground(rgba)
+    broken = np.count_nonzero(~np.isfinite(rgba))
+    return [
+        (split, f"{len(rgba)} views, {_size(rgba)} pixels RGBA {views['rgba'].dtype}, {size}"),
+        ("  radiance", span(rgba[..., :3]) + (f", {broken} values are not finite" if broken else "")),
+        (
+            "  pixels",
+            f"object covers {covered.mean():.1%} of the image; "
+            f"{lit.sum() / max(covered.sum(), 1):.1%} of that is lit",
+        ),
+        ("  camera distance", span(np.linalg.norm(views["camera_to_world"][:, :3, 3], axis=1), "sizes")),
+        ("  light distance", span(np.linalg.norm(views["light"], axis=1), "sizes")),
+        ("  focal length", f"{float(views['focal']):g} pixels"),
+        ("  renderer", str(views["renderer"])),
+    ]
+
+
+def _contact_rows(split: str, contacts: dict[str, np.ndarray], size: str) -> list[tuple[str, str]]:
+    images = contacts["images"]
+    return [
+        (split, f"{len(images)} contacts, {_size(images)} pixels RGB {images.dtype}, {size}"),
+        ("  grey levels", f"{span(images)}, mean {images.mean():.1f}"),
+        ("  press depths", span(contacts["depths"] * 1000, "mm")),
+        ("  angles", span(np.degrees(contacts["angles"]), "°")),
+        ("  from the centre", span(np.linalg.norm(contacts["points"], axis=1) * 1000, "mm")),
+        ("  obstructed", f"{np.mean(contacts['obstructed'] > 0):.1%} of the contacts"),
+    ]
+
+
+def _views_picture(build: Build, splits: dict[str, dict[str, np.ndarray]]) -> Path:
     figure = page(15, 13, f"render_views@{build.key}")
     top, bottom = page_rows(figure, 3, 1.4)
-    top.suptitle("training views, on white; yellow: the light (filled: before the object, ring: behind it)")
+    top.suptitle("training views on white; yellow: the light (filled: before the object, ring: behind it)")
     _show_views(top.subplots(3, 6).flat, splits["train"])
     for axes, name in zip(bottom.subplots(1, 2), ("camera", "light")):
         for split, views in splits.items():
@@ -67,27 +100,10 @@ def inspect_render_views(build: Build) -> Inspection:
         )
         axes.legend(loc="upper right")
         axes.grid(alpha=0.3)
-    picture = save_page(figure, picture_path(build, "render_views"))
-    return Inspection(f"render_views@{build.key}", table, [picture, build.views_sheet])
+    return save_page(figure, picture_path(build, "render_views"))
 
 
-def inspect_render_touch(build: Build) -> Inspection:
-    """Tactile images with their depths, and where the sensor touched."""
-    paths = [build.touch(split) for split in SPLITS]
-    require(build, "render_touch", *paths, build.touch_sheet, build.surface, build.normalize)
-    names = ("images", "points", "normals", "depths", "angles", "obstructed")
-    splits = {split: read_npz(path, *names) for split, path in zip(SPLITS, paths)}
-    table: list[tuple[str, str]] = []
-    for (split, contacts), path in zip(splits.items(), paths):
-        images = contacts["images"]
-        table += [
-            (split, f"{len(images)} contacts, {_size(images)} pixels RGB {images.dtype}, {kilobytes(path)}"),
-            ("  grey levels", f"{span(images)}, mean {images.mean():.1f}"),
-            ("  press depths", span(contacts["depths"] * 1000, "mm")),
-            ("  angles", span(np.degrees(contacts["angles"]), "°")),
-            ("  from the centre", span(np.linalg.norm(contacts["points"], axis=1) * 1000, "mm")),
-            ("  obstructed", f"{np.mean(contacts['obstructed'] > 0):.1%} of the contacts"),
-        ]
+def _touch_picture(build: Build, splits: dict[str, dict[str, np.ndarray]]) -> Path:
     figure = page(15, 10.5, f"render_touch@{build.key}")
     left, right = page_columns(figure, 2.4, 1)
     left.suptitle("training contacts: press depth [mm]; red: the object reaches behind the gel")
@@ -97,8 +113,7 @@ def inspect_render_touch(build: Build) -> Inspection:
     x, y, z = VIEW_FROM
     for axes, view_from in zip(right.subplots(2, 1), (VIEW_FROM, (-x, -y, -z))):
         show_image(axes, _draw_contacts(*surface, scale, splits, view_from))
-    picture = save_page(figure, picture_path(build, "render_touch"))
-    return Inspection(f"render_touch@{build.key}", table, [picture, build.touch_sheet])
+    return save_page(figure, picture_path(build, "render_touch"))
 
 
 def _show_views(panels: Iterable["Axes"], views: dict[str, np.ndarray]) -> None:
@@ -114,7 +129,7 @@ def _show_views(panels: Iterable["Axes"], views: dict[str, np.ndarray]) -> None:
         show_image(
             axes, image, f"az {azimuth[index]:.0f}°, el {np.degrees(np.arcsin(elevation[index])):.0f}°"
         )
-        axes.set_axis_on()  # a frame, so that a light at the border is seen to belong to its view
+        axes.set_axis_on()  # a frame shows to which view a light at the border belongs
         axes.set(xticks=[], yticks=[])
         place, depth = project(light[None], pose, intrinsics)
         before = depth[0] < np.linalg.norm(pose[:3, 3])
@@ -160,7 +175,7 @@ def _draw_contacts(
 
 
 def _angles(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Azimuth in degrees and sine of elevation of (N, 3) positions around the origin."""
+    """Return azimuth in degrees and sine of elevation of (N, 3) positions."""
     return np.degrees(np.arctan2(positions[:, 1], positions[:, 0])), positions[:, 2] / np.linalg.norm(
         positions, axis=1
     )
