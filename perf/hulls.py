@@ -1,11 +1,11 @@
-"""Accuracy and cost of the hulls that objects collide with: `python perf/hulls.py FILE ... [--json OUT]`.
+"""Accuracy and cost of collision hulls: `python perf/hulls.py FILE ... [--json OUT]`.
 
 FILE are Object Files. Needs the extra `rl`. Distances are in percent of the longest side.
 
-beyond: how far the outside of the hulls is from the stored surface, where it is outside of the solid.
-short: how far the surface is outside of all hulls. volume: of the hulls' union over the solid's.
-mass_error, inertia_error: of the rigid body, percent (inertia of its largest entry), where solid.ply of the
-build lies beside the file. stored_mass_error, stored_inertia_error: were they those of the stored surface.
+excess: distance to the stored surface of hull points outside the solid. deficit: distance to the hulls of
+surface points outside all hulls. volume: of the union of the hulls, relative to the solid.
+mass_error, inertia_error: of the rigid body, percent (inertia: of its largest entry), if solid.ply of the
+build lies beside the file. stored_mass_error, stored_inertia_error: the same from the stored surface.
 """
 
 import argparse
@@ -50,16 +50,16 @@ def measure(file: ObjectFile) -> dict:
     above[own, np.arange(len(points))] = np.inf
     points = points[above.min(0) > 0]
     outside = file.surface.grid.distance(torch.from_numpy(points / file.scale)).numpy() > 0
-    beyond = np.where(outside, file.nearest(points)[1], 0) / file.scale
-    short = np.maximum(heights(file.sample_surface(POINTS)).min(0), 0) / file.scale
+    excess = np.where(outside, file.nearest(points)[1], 0) / file.scale
+    deficit = np.maximum(heights(file.sample_surface(POINTS)).min(0), 0) / file.scale
     solids = [Manifold(Mesh64(np.asarray(h.vertices), np.asarray(h.faces, np.uint64))) for h in hulls]
     return {
         "hulls": len(hulls),
         "vertices": max(len(hull.vertices) for hull in hulls),
         "seconds": seconds,
         "volume": Manifold.batch_boolean(solids, OpType.Add).volume() / close_holes(mesh).volume,
-        **{f"beyond_{name}": value for name, value in spread(beyond).items()},
-        **{f"short_{name}": value for name, value in spread(short).items()},
+        **{f"excess_{name}": value for name, value in spread(excess).items()},
+        **{f"deficit_{name}": value for name, value in spread(deficit).items()},
     }
 
 

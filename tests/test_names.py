@@ -9,13 +9,10 @@ ENTRY_POINT = "main"  # of a process: the command line, the supervisor, Blender'
 
 #: Names that several modules still share, and how many do. Shrink this list; never extend it.
 SHARED = {
-    "Entry": 2,
     "Episodes": 2,
-    "Finding": 2,
     "Occupancy": 2,
     "Options": 2,
     "Outcome": 2,
-    "Plan": 2,
     "Status": 2,
     "array_path": 2,
     "check": 2,
@@ -24,7 +21,6 @@ SHARED = {
     "film": 2,
     "fused": 2,
     "joined": 2,
-    "pack": 2,
     "play": 2,
     "prepare": 2,
     "read_checkpoint": 2,
@@ -32,12 +28,9 @@ SHARED = {
     "read_rows": 2,
     "record": 2,
     "select": 2,
-    "stage_params": 2,
-    "survey": 2,
-    "table": 3,
+    "table": 2,
     "unit": 2,
     "unpack": 2,
-    "validate": 2,
 }
 
 

@@ -42,6 +42,11 @@ class RigidBody:
     friction: float  #: sliding
     bounds: np.ndarray  #: lowest and highest coordinates of the surface; (2, 3)
 
+    @property
+    def points(self) -> np.ndarray:
+        """Vertices of all hulls; (P, 3)."""
+        return np.concatenate([hull.vertices for hull in self.hulls])
+
 
 def rigid_body(file: ObjectFile, hulls: Sequence[trimesh.Trimesh]) -> RigidBody:
     """Compute the mass properties of the solid, filled with the object's material.

@@ -147,7 +147,7 @@ class GraspScene:
         self.layout = StateLayout(self.model)
         self._data = [mujoco.MjData(self.model) for _ in range(threads)]
         self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
-        self._points = np.concatenate([hull.vertices for hull in body.hulls])
+        self._points = body.points
         self._swept = self._compile(reach=2 * STROKE + float(np.ptp(body.bounds, axis=0).max()))
         self._swept_data = mujoco.MjData(self._swept)
         of_object = self._swept.geom_bodyid == self._swept.body("object").id

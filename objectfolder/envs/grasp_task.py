@@ -51,7 +51,7 @@ class GraspTask:
             raise ObjectFolderError(f"{file.key}: the Object File holds no touch; build it whole")
         self.file, self.scene = file, GraspScene(body, threads=threads)
         self.rest = _lowest_rest(self.scene, numpy_generator(0, file.key, "rests"))
-        points = np.concatenate([hull.vertices for hull in body.hulls]) @ rotation(self.rest[3:]).T
+        points = body.points @ rotation(self.rest[3:]).T
         self.size = np.ptp(points, axis=0)  #: extent of the object at rest, m
 
     def start(self, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -117,7 +117,7 @@ def _lowest_rest(scene: GraspScene, rng: np.random.Generator) -> np.ndarray:
     rests = scene.rests(rng, DROPS)
     heights = [(rotation(pose[3:]) @ scene.body.centre + pose[:3])[2] for pose in rests]
     pose = rests[int(np.argmin(np.round(heights, 4)))]
-    points = np.concatenate([hull.vertices for hull in scene.body.hulls]) @ rotation(pose[3:]).T
+    points = scene.body.points @ rotation(pose[3:]).T
     yaws = np.linspace(0, np.pi, 180, endpoint=False)
     extents = np.ptp(points[:, 0, None] * np.cos(yaws) - points[:, 1, None] * np.sin(yaws), axis=0)
     return turn_poses(pose[None], yaws[[int(extents.argmin())]], np.zeros((1, 2)))[0]

@@ -92,7 +92,7 @@ def lowest_point(body: RigidBody) -> float:
 
 def check_size(body: RigidBody) -> None:
     """Raise ObjectFolderError if an object does not fit under the gripper, or might cover a goal."""
-    points = np.concatenate([hull.vertices for hull in body.hulls])
+    points = body.points
     height, radius = np.ptp(points[:, 2]), np.linalg.norm(points[:, :2], axis=1).max()
     if height > TALLEST or radius > WIDEST:
         raise ObjectFolderError(

@@ -92,7 +92,7 @@ def test_mass_of_a_ball():
     np.testing.assert_allclose(body.centre, 0, atol=1e-3 * SCALE)
 
 
-def test_mass_is_the_sources_where_the_file_tells_it(brick):
+def test_mass_is_that_of_the_source_if_the_file_stores_it(brick):
     """The analytic brick, exactly: the grid that its surface is stored in rounds its edges off."""
     sides = np.array([1.0, 0.6, 0.3]) * brick.scale
     _, mass, inertia = cuboid(
@@ -115,7 +115,7 @@ def test_products_of_inertia_keep_their_places(brick):
 
 
 @pytest.mark.parametrize("inertia", [[1, 1, 3, 0, 0, 0], [1, 1, -1, 0, 0, 0], [1, 1, 1, 2, 0, 0]])
-def test_inertia_that_no_body_has_is_refused(brick, inertia):
+def test_impossible_inertia_is_refused(brick, inertia):
     told = {**brick.header["solid"], "inertia": [1e-3 * value for value in inertia]}
     with pytest.raises(ObjectFolderError, match="brick: no body has the principal moments of inertia"):
         rigid_body(ObjectFile({**brick.header, "solid": told}, brick.tensors), [brick.to_mesh().convex_hull])
@@ -132,7 +132,7 @@ def test_density_is_the_files_own(brick):
     assert density(ObjectFile({**header, "material": "glass"}, brick.tensors)) == 2600
 
 
-def test_unknown_density_is_said(bracket):
+def test_unknown_density_is_refused(bracket):
     with pytest.raises(
         ObjectFolderError, match=r"thing: its density is not known: .* 'unknown' is none of ceramic"
     ):
@@ -182,7 +182,7 @@ def test_body_in_mujoco_is_the_same():
             np.testing.assert_allclose(geom.friction, [0.45, 0.005, 0.0001])
 
 
-def test_hulls_in_mujoco_are_where_they_are():
+def test_hulls_in_mujoco_are_in_place():
     body, spec = skew_body(), mujoco.MjSpec()
     add_body(spec, body)
     model = spec.compile()

@@ -4,7 +4,7 @@ import pytest
 from objectfolder.envs.camera import ExternalCamera, box_hits
 
 
-def test_rays_enter_a_box_where_they_should():
+def test_rays_hit_a_box_at_the_right_distance_and_side():
     rays = np.array([[1.0, 0, 0], [1, 0.2, 0], [0, 1, 0], [-1, 0, 0], [1, 0.6, 0]])
     distance, normals = box_hits(np.array([-3.0, 0, 0]), rays, np.array([1.0, 0.5, 2.0]))
     assert distance == pytest.approx([2, 2, np.inf, np.inf, np.inf])
@@ -13,8 +13,8 @@ def test_rays_enter_a_box_where_they_should():
     assert (from_above[0], up[0].tolist()) == (3.0, [0, 0, 1])
 
 
-def test_who_is_nearer_hides_who_is_not(brick):
-    """The hand hides the brick that it stands before, and hides nothing when it is far above."""
+def test_the_nearer_surface_hides_the_other(brick):
+    """The hand hides the brick behind it, and nothing when it is far above."""
     camera, place = ExternalCamera(48), np.array([0, 0, 0.03, 1.0, 0, 0, 0])
     alone = camera.picture(brick, place, np.array([0, 0, 5.0, 0]), 0.08)
     before = camera.picture(brick, place, np.array([0.06, -0.08, 0.02, 0.9]), 0.08)

@@ -17,8 +17,8 @@ def unit(vectors):
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def test_angles_point_the_sensor_where_it_looks(rng):
-    """What `ObjectFile.touch` makes of angle, tilt and azimuth is the sensor that was asked for."""
+def test_angles_reproduce_the_orientation_of_the_sensor(rng):
+    """The conventions of `ObjectFile.touch` turn angle, tilt and azimuth back into the same sensor."""
     normals, outward = unit(rng.normal(size=(50, 3))), unit(rng.normal(size=(50, 3)))
     up = unit(np.cross(outward, rng.normal(size=(50, 3))))
     angle, tilt, azimuth = sensor_angles(normals, outward, up)
@@ -55,7 +55,7 @@ def test_the_gel_pushes_back_with_the_force_of_the_jaws(brick, on_faces):
         assert felt == pytest.approx(force, rel=0.15)
 
 
-def test_a_force_beyond_the_sensor_is_as_deep_as_it_takes(brick, on_faces):
+def test_depth_is_clipped_to_the_range_of_the_sensor(brick, on_faces):
     deepest = sensor_profile(brick).max_indentation
     assert press_depths(brick, on_faces, np.array([1e6, 1e6])) == pytest.approx([deepest, deepest])
 

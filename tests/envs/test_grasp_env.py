@@ -23,7 +23,7 @@ def task(brick):
 
 @pytest.fixture(scope="module")
 def hulls(brick, tmp_path_factory):
-    """So that environments need not make them."""
+    """Cached hulls, so that environments need not compute them."""
     folder = tmp_path_factory.mktemp("hulls")
     cached_hulls(brick, folder)
     return folder
@@ -36,16 +36,16 @@ def made(path, hulls, observation):
     ).unwrapped
 
 
-def test_gymnasiums_checker_has_nothing_to_say(brick_path, hulls):
+def test_gymnasiums_checker_passes(brick_path, hulls):
     check_env(made(brick_path, hulls, "features"))
 
 
-def test_stable_baselines_checker_has_nothing_to_say(brick_path, hulls):
+def test_stable_baselines_checker_passes(brick_path, hulls):
     check_env_for_sb3(made(brick_path, hulls, "width"))
 
 
 @pytest.mark.parametrize("observation", ["images", "blind"])
-def test_observations_are_of_their_space(brick_path, hulls, observation):
+def test_observations_are_in_their_space(brick_path, hulls, observation):
     env = made(brick_path, hulls, observation)
     seen, _ = env.reset(seed=0)
     assert env.observation_space.contains(seen)
@@ -81,7 +81,7 @@ def test_same_seed_same_trajectory(task):
 
 
 def test_one_environment_is_a_row_of_many(task, brick, hulls):
-    """Observations and rewards of an episode do not depend on who else plays."""
+    """Observations and rewards of an episode do not depend on the others."""
     episodes = Episodes(task, "features")
     seen = episodes.begin(2, np.random.default_rng(0))
     places, hands = episodes.objects.copy(), episodes.hands.copy()
@@ -98,14 +98,14 @@ def test_one_environment_is_a_row_of_many(task, brick, hulls):
         assert reward[0] == rewards[row]
 
 
-def test_a_centred_grasp_holds_and_one_beside_it_does_not(task):
+def test_a_centred_grasp_succeeds_and_one_beside_the_object_fails(task):
     objects = np.zeros((3, 3))
     hands = np.array([[0, 0, lowest_hand(), 0], [0, 0.08, lowest_hand(), 0], [0.06, 0, lowest_hand(), 0]])
     assert task.grasp(objects, hands).tolist() == [True, False, False]
     assert task.free(objects, hands).tolist() == [True, True, False]
 
 
-def test_what_fingers_would_touch(task):
+def test_first_contacts_of_a_brick(task):
     """The short side of the brick, 6 cm, lies along x; turned by 0.1 rad it is wider."""
     touch = task.touch(np.array([[0, 0, 0], [0, 0, 0.1], [0.01, 0, 0]]), np.tile([0, 0, 0.02, 0.0], (3, 1)))
     assert touch.touched.all()
@@ -131,7 +131,7 @@ def test_actions_move_the_hand(task):
     assert task.move(hands, np.array([[0, 0, -100, 0]]))[0, 2] >= lowest_hand()
 
 
-def test_features_are_zero_without_a_touch_and_tell_a_face_from_an_edge(task):
+def test_features_are_zero_without_a_touch_and_distinguish_a_face_from_an_edge(task):
     episodes = Episodes(task, "features")
     episodes.objects, episodes.hands = np.zeros((3, 3)), np.tile([0, 0, 0.02, 0.0], (3, 1))
     episodes.hands[1, 3], episodes.hands[2, 1] = 0.4, 0.3

@@ -54,7 +54,7 @@ def test_a_firm_grasp_holds_and_a_weak_one_does_not(scene, flat, body):
     assert done.rise[0] < LIFT / 2
 
 
-def test_what_pads_feel(scene, flat):
+def test_forces_and_contacts_of_the_pads(scene, flat):
     done = scene.grasp(flat, over(scene), np.array([20.0]))
     assert done.forces[0] == pytest.approx([20, 20], rel=0.05)
     assert done.width[0] == pytest.approx(0.06, abs=0.002)
@@ -81,8 +81,8 @@ def test_rows_do_not_depend_on_each_other_or_on_threads(scene, flat, body):
             assert np.array_equal(value[0], getattr(together, name)[row]), name
 
 
-def test_the_table_does_not_mind_where_a_grasp_is(scene, flat):
-    """Turned and moved, all happens as before: to what rounding makes of it."""
+def test_grasps_do_not_depend_on_their_place_on_the_table(scene, flat):
+    """A rotated and shifted grasp has the same outcome, up to rounding."""
     here = scene.grasp(flat, over(scene, 0.01, 0.1), np.array([12.0]))
     objects = turn_poses(flat, [0.7], np.array([[0.2, -0.1]]))
     spin = np.array([[np.cos(0.7), -np.sin(0.7)], [np.sin(0.7), np.cos(0.7)]])
@@ -95,7 +95,7 @@ def test_the_table_does_not_mind_where_a_grasp_is(scene, flat):
     assert there.forces == pytest.approx(here.forces, rel=0.02)
 
 
-def test_what_the_gripper_would_run_into_is_not_free(scene, flat):
+def test_poses_at_which_the_gripper_collides_are_not_free(scene, flat):
     hands = np.concatenate([over(scene), over(scene, yaw=np.pi / 2), over(scene) - np.array([0, 0, 0.01, 0])])
     # Over its 6 cm; over its 10 cm, which the jaws just clear; through the table.
     assert scene.free(np.repeat(flat, 3, 0), hands).tolist() == [True, True, False]

@@ -33,7 +33,7 @@ def test_box_is_its_own_hull():
     np.testing.assert_allclose(hull.bounds, [[2.5, 3.7, 4.85], [3.5, 4.3, 5.15]], atol=1e-6)
 
 
-def test_bracket_is_cut_where_it_is_not_convex():
+def test_bracket_is_cut_at_its_concavity():
     solid = bracket()
     assert solid.is_watertight
     assert solid.volume == pytest.approx(1.04)
@@ -49,7 +49,7 @@ def test_bracket_is_cut_where_it_is_not_convex():
     assert whole.volume == pytest.approx(1.52, rel=0.01)
 
 
-def test_cavity_counts_for_nothing():
+def test_cavity_is_filled():
     hollow = mesh_of(join(box(SIDES), flipped(box((0.9, 0.5, 0.2)))))
     assert hollow.volume == pytest.approx(0.18 - 0.09)
     (hull,) = convex_hulls(hollow)
@@ -86,7 +86,7 @@ def test_no_hulls_and_no_mesh_are_refused():
 
 
 @pytest.mark.parametrize("library", ["coacd", "manifold3d"])
-def test_library_that_is_not_there_is_named(library, monkeypatch):
+def test_missing_library_is_named(library, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, library, None)
     with pytest.raises(ObjectFolderError, match=f"{library} is not installed; .*objectfolder\\[rl\\]"):
         convex_hulls(bracket())

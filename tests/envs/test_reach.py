@@ -42,7 +42,7 @@ def _trajectory(env, seed, steps=60):
     return np.concatenate(seen).tobytes()
 
 
-def test_both_checkers_find_nothing(body):
+def test_both_checkers_pass(body):
     env = gymnasium.make(
         "objectfolder.envs:ObjectFolder/Reach-v0", file=body, horizon=20, render_mode="rgb_array",
         resolution=(24, 32),
@@ -53,14 +53,14 @@ def test_both_checkers_find_nothing(body):
         check_for_stable_baselines(env)
 
 
-def test_the_environment_is_made_of_a_file_and_its_hulls(brick, brick_path):
+def test_the_environment_takes_a_file_and_its_hulls(brick, brick_path):
     hulls = [brick.to_mesh().convex_hull]
     given = [ReachEnv(file, hulls) for file in (brick, brick_path, str(brick_path))]
     first, *others = [_trajectory(env, 5, 5) for env in given]
     assert others == [first, first]
 
 
-def test_hulls_are_kept_in_the_users_cache(brick, tmp_path, monkeypatch):
+def test_hulls_are_cached_for_the_user(brick, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     env = ReachEnv(brick)
     assert (tmp_path / "objectfolder/hulls/brick.npz").is_file()
@@ -74,7 +74,7 @@ def test_same_seed_same_bytes_and_another_seed_others(body):
     assert _trajectory(env, 0) == first == _trajectory(ReachEnv(body), 0)
 
 
-def test_an_observation_is_now_before_and_the_goal(body):
+def test_an_observation_is_state_previous_state_and_goal(body):
     env = ReachEnv(body)
     first, info = env.reset(seed=2)
     assert info == {}
@@ -132,7 +132,7 @@ def test_reward_by_hand():
     assert reward(0.05 + 0.2, 0.1) == pytest.approx(10 / (1 + 9 * 4))
 
 
-def test_a_step_is_rewarded_for_the_fingertips_and_tells_of_success(body):
+def test_a_step_is_rewarded_for_the_fingertips_and_reports_success(body):
     env = ReachEnv(body, horizon=60)
     observation, _ = env.reset(seed=4)
     margin = np.linalg.norm(HAND_START - env.goal)
@@ -192,7 +192,7 @@ def test_frames_show_the_scene(body):
 
 
 @pytest.mark.parametrize(("scale", "axis"), [(2.5, 0), (6.0, 2)])
-def test_what_is_too_large_is_refused(body, scale, axis):
+def test_too_large_an_object_is_refused(body, scale, axis):
     stretch = np.ones(3)
     stretch[axis] = scale
     hulls = tuple(trimesh.Trimesh(hull.vertices * stretch, hull.faces) for hull in body.hulls)
@@ -223,7 +223,7 @@ def test_wrong_actions_are_named(body, action):
         env.step(np.array(action))
 
 
-def test_without_metaworld_it_is_said_what_to_install(monkeypatch):
+def test_without_metaworld_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "metaworld", None)
     monkeypatch.delitem(sys.modules, "metaworld.envs.sawyer_reach_v3", raising=False)
     monkeypatch.delitem(sys.modules, "objectfolder.envs.metaworld", raising=False)
@@ -233,7 +233,7 @@ def test_without_metaworld_it_is_said_what_to_install(monkeypatch):
         import_module("objectfolder.envs.metaworld")
 
 
-def test_metaworld_with_an_own_object(body):
+def test_metaworld_with_an_object_file(body):
     pytest.importorskip("metaworld", reason="metaworld has an environment of its own (docs/benchmarks.md)")
     from objectfolder.benchmarks.tasks.reach import controller, episodes
     from objectfolder.envs.metaworld import MetaWorldReach

@@ -169,7 +169,7 @@ def draw_attempts(
         If none of `ATTEMPTS` poses in a row is free.
     """
     found: list[Attempts] = []
-    drawn, since, points = 0, 0, np.concatenate([hull.vertices for hull in scene.body.hulls])
+    drawn, since, points = 0, 0, scene.body.points
     while sum(len(part.forces) for part in found) < count:
         n = 4 * count
         rest = rests[rng.integers(len(rests), size=n)]
