@@ -1,4 +1,4 @@
-"""How `make docs` builds the site: these Markdown pages, and a reference from docstrings and `--help`."""
+"""Sphinx configuration of `make docs`: these pages, and a reference from docstrings and `--help`."""
 
 import re
 import sys
@@ -36,7 +36,7 @@ extensions = [
 
 myst_heading_anchors = 4
 
-# What stands in single backticks in a docstring is a name of ours, and has to exist; so has any type of ours.
+# Single backticks in a docstring mark names of this project, which must exist, as must its types.
 default_role = "py:obj"
 nitpicky = True
 nitpick_ignore_regex = [
@@ -53,7 +53,7 @@ autodoc_typehints_format = "short"
 python_use_unqualified_type_names = True
 maximum_signature_line_length = 90
 numpydoc_show_class_members = False
-# Of what our modules import; it is not shown.
+# Raised by docstrings of other packages, which the site does not show.
 warnings.filterwarnings("ignore", r"potentially wrong underline length(.|\n)*site-packages", UserWarning)
 viewcode_follow_imported_members = False
 
@@ -67,7 +67,7 @@ copybutton_prompt_is_regexp = True
 
 
 class PackageDirective(SphinxDirective):
-    """A section for each module of a package, but those named in ``:skip:``; other pages have these."""
+    """A section for each module of a package, except those in ``:skip:``, which are on other pages."""
 
     required_arguments = 1
     option_spec: ClassVar[dict[str, Any]] = {"skip": directives.unchanged}
@@ -86,7 +86,7 @@ class PackageDirective(SphinxDirective):
 
 
 def modules(package: str) -> list[str]:
-    """Dotted names of a package's modules, and of those within, but the command line's and empty ones."""
+    """Return the dotted names of all nonempty modules of a package, without the command line."""
     files = sorted(ROOT.joinpath(*package.split(".")).rglob("*.py"))
     parts = [file.relative_to(ROOT).with_suffix("").parts for file in files if file.stat().st_size]
     names = [".".join(part for part in path if part != "__init__") for path in parts]
@@ -96,7 +96,7 @@ def modules(package: str) -> list[str]:
 def resolve_short_name(
     app: Sphinx, env: BuildEnvironment, node: pending_xref, content: nodes.TextElement
 ) -> nodes.Node | None:
-    """Find what a docstring names without its module, where only one thing is named so."""
+    """Resolve a name without its module in a docstring, if it is unique."""
     if node.get("reftype") not in ("obj", "exc"):
         return None
     domain = env.domains.python_domain
@@ -111,12 +111,12 @@ def resolve_short_name(
 def keep_signature(
     app: Sphinx, what: str, name: str, obj: Any, options: Any, args: str | None, result: str | None
 ) -> tuple[str | None, str | None]:
-    """Answer before numpydoc, which gives signatures to what has none, and fails; make defaults readable."""
+    """Run before numpydoc, which fails on objects without a signature; make defaults readable."""
     return args and args.replace("<factory>", "..."), result
 
 
 def prepare_docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
-    """Link pages that are named; warn of parameters that do not exist, and of unknown sections."""
+    """Link pages by name; warn about parameters that do not exist and unknown sections."""
     lines[:] = [re.sub(r"\bdocs/(\w+)\.md\b", r":doc:`/\1`", line) for line in lines]
     if (getattr(obj, "__module__", None) or "").startswith("objectfolder."):
         for code, problem in validate(name)["errors"]:
@@ -125,13 +125,13 @@ def prepare_docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any,
 
 
 def check_complete(app: Sphinx, env: BuildEnvironment) -> None:
-    """Warn of modules that are on no page."""
+    """Warn about modules that no page documents."""
     for name in sorted(set(modules("objectfolder")) - set(env.domains.python_domain.modules)):
         log.warning("module %s is on no page of docs/reference", name)
 
 
 def setup(app: Sphinx) -> None:
-    """Extend Sphinx."""
+    """Register the extensions."""
     app.add_directive("package", PackageDirective)
     app.connect("autodoc-process-signature", keep_signature, priority=1)
     app.connect("autodoc-process-docstring", prepare_docstring, priority=1)

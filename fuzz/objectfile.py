@@ -1,10 +1,9 @@
 """Fuzz the reader of Object Files: `python fuzz/objectfile.py [-max_total_time=600]` (needs atheris).
 
-A small Object File is damaged: bytes anywhere, or values of its header and of its tensors, put together
-again so that they pass for a safetensors file. Whatever comes out is opened and asked a question. It must
-answer with finite numbers or refuse with an ObjectFolderError; anything else, also more than 20 seconds or
-8 GiB, stops the run and leaves the input behind. (Under atheris every opened file leaves a third of a
-megabyte behind; without it, none.)
+Damages a small Object File: random bytes, or values of its header and tensors in an otherwise valid
+safetensors file. Loads the result and queries it. The query must return finite numbers or raise an
+ObjectFolderError. Anything else, more than 20 seconds or more than 8 GiB stops the run and saves the input.
+(Each opened file leaks a third of a megabyte under atheris, but not without it.)
 """
 
 import json
@@ -28,7 +27,7 @@ with atheris.instrument_imports(include=["objectfolder"]):
     from objectfolder.objectfile.file import ObjectFile
     from objectfolder.vision import radiosity
 
-SPICE = (
+ODD_VALUES = (
     *(0, -1, 1, 2, 0.5, 1000, 1e308, 1e-300, -1e-308, 2**31, 2**63),
     *(True, None, "", "x", "../..", [], {}, [[]], "none"),
 )
@@ -36,16 +35,16 @@ FOLDER = Path(tempfile.mkdtemp(prefix="fuzz"))
 
 
 def damaged(data: atheris.FuzzedDataProvider, whole: bytes) -> bytes:
-    """Return a damaged file."""
+    """Return a damaged copy of a file."""
     length = struct.unpack("<Q", whole[:8])[0]
     outer, body = json.loads(whole[8 : 8 + length]), bytearray(whole[8 + length :])
     kind = data.ConsumeIntInRange(0, 4)
-    if kind == 0:  # bytes anywhere
+    if kind == 0:  # random bytes
         raw = bytearray(whole)
         for _ in range(data.ConsumeIntInRange(1, 8)):
             raw[data.ConsumeIntInRange(0, len(raw) - 1)] = data.ConsumeIntInRange(0, 255)
         return bytes(raw[: data.ConsumeIntInRange(0, len(raw))] if data.ConsumeBool() else raw)
-    if kind == 1:  # anything
+    if kind == 1:  # no valid file at all
         return data.ConsumeBytes(4096)
     header = json.loads(outer["__metadata__"]["objectfolder"])
     if kind in (2, 4):
@@ -54,8 +53,8 @@ def damaged(data: atheris.FuzzedDataProvider, whole: bytes) -> bytes:
             if data.ConsumeBool() and isinstance(container, dict):
                 container.pop(key, None)
             else:
-                spice = data.PickValueInList([*SPICE, data.ConsumeFloat(), data.ConsumeInt(4)])
-                container[key] = spice
+                values = [*ODD_VALUES, data.ConsumeFloat(), data.ConsumeInt(4)]
+                container[key] = data.PickValueInList(values)
     if kind in (3, 4):
         name = data.PickValueInList(sorted(outer.keys() - {"__metadata__"}))
         start, end = outer[name]["data_offsets"]
@@ -78,10 +77,10 @@ def damaged(data: atheris.FuzzedDataProvider, whole: bytes) -> bytes:
     return struct.pack("<Q", len(text)) + text + bytes(body)
 
 
-def ask(file: ObjectFile, which: int) -> None:
-    """Ask one of the questions."""
+def query(file: ObjectFile, which: int) -> None:
+    """Run one of the queries."""
     up, place = [[0.0, 0.0, 1.0]], [[0.0, 0.0, 0.015]]
-    questions = (
+    queries = (
         lambda: file.impact(place, up, duration=0.01),
         lambda: file.impact(place, up, duration=0.01, material="steel", scale=0.05),
         lambda: file.touch(place, 0.0005),
@@ -89,16 +88,16 @@ def ask(file: ObjectFile, which: int) -> None:
         lambda: file.nearest(place)[0],
         file.check,
     )
-    answer = questions[which % len(questions)]()
+    answer = queries[which % len(queries)]()
     if answer is not None and not np.isfinite(answer).all():
-        raise AssertionError("an answer is not finite")
+        raise AssertionError("the answer is not finite")
 
 
 def main() -> None:
-    """Build the file, then fuzz."""
+    """Build the file and fuzz it."""
     torch.set_num_threads(1)
     logging.disable()
-    radiosity.PATCHES = 64  # most of a small view's time
+    radiosity.PATCHES = 64  # radiosity dominates the time of a small view
     path = FOLDER / "file.safetensors"
     build_brick(steps=2).save(path)
     whole = path.read_bytes()
@@ -108,7 +107,7 @@ def main() -> None:
         which = data.ConsumeIntInRange(0, 255)
         path.write_bytes(damaged(data, whole))
         with suppress(ObjectFolderError):
-            ask(ObjectFile.load(path), which)
+            query(ObjectFile.load(path), which)
 
     options = ["-timeout=20", "-rss_limit_mb=8192", "-len_control=0", "-max_len=256"]
     atheris.Setup([sys.argv[0], *options, f"-artifact_prefix={FOLDER}/", *sys.argv[1:]], once)

@@ -1,7 +1,7 @@
 """Fuzz the reader of query files: `python fuzz/queryfiles.py [-max_total_time=600]` (needs atheris).
 
-Bytes, or a .npy file with a made-up header, are read as rows. Each comes back as finite float64 of the right
-shape, or is refused with an ObjectFolderError; anything else stops the run and leaves the input behind.
+Reads random bytes and .npy files with random headers as rows. Reading must return finite float64 of the
+right shape or raise an ObjectFolderError. Anything else stops the run and saves the input.
 """
 
 import struct
@@ -40,7 +40,7 @@ TEXT = "{'descr': %s, 'fortran_order': %s, 'shape': %s, }"
 
 
 def query_file(data: atheris.FuzzedDataProvider) -> bytes:
-    """Return a file that looks like one of queries, more or less."""
+    """Return random bytes or a file that resembles a query file."""
     kind = data.ConsumeIntInRange(0, 3)
     if kind == 0:
         return data.ConsumeBytes(512)
@@ -59,7 +59,7 @@ def query_file(data: atheris.FuzzedDataProvider) -> bytes:
 
 
 def once(raw: bytes) -> None:
-    """Read one."""
+    """Read one file."""
     path = FOLDER / "queries.npy"
     path.write_bytes(query_file(atheris.FuzzedDataProvider(raw)))
     try:
@@ -67,7 +67,7 @@ def once(raw: bytes) -> None:
     except ObjectFolderError:
         return
     if found.dtype != np.float64 or found.shape[1] != 3 or not np.isfinite(found).all():
-        raise AssertionError(f"{found!r}")
+        raise AssertionError(f"invalid rows were accepted: {found!r}")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 """Fuzz the reader of released files: `python fuzz/released.py [-max_total_time=600]` (needs atheris).
 
-Small files like those of ObjectFolder 1.0 and 2.0, in both formats of torch, are damaged: bytes anywhere, or
-of the pickle, or the end cut off. Whatever comes out is converted or refused with an ObjectFolderError;
-anything else, also more than 20 seconds or 8 GiB, stops the run and leaves the input behind.
+Damages small files like those of ObjectFolder 1.0 and 2.0, in both formats of torch: random bytes, bytes of
+the pickle, or a truncated end. The importer must convert the file or raise an ObjectFolderError. Anything
+else, more than 20 seconds or more than 8 GiB stops the run and saves the input.
 """
 
 import io
@@ -25,7 +25,7 @@ with atheris.instrument_imports(include=["objectfolder"]):
     from objectfolder.released.convert import Options, convert
 
 FOLDER = Path(tempfile.mkdtemp(prefix="fuzz"))
-PICKLE = 2000  # bytes at the start of a file of the older format, where its structure is
+PICKLE = 2000  # leading bytes of the older format, which hold its structure
 
 
 def whole_files() -> list[bytes]:
@@ -40,7 +40,7 @@ def whole_files() -> list[bytes]:
 
 
 def scattered(data: atheris.FuzzedDataProvider, raw: bytes, most: int) -> bytes:
-    """Change a few of the first bytes."""
+    """Change some of the first bytes."""
     changed = bytearray(raw)
     for _ in range(data.ConsumeIntInRange(1, 6)):
         changed[data.ConsumeIntInRange(0, min(most, len(raw)) - 1)] = data.ConsumeIntInRange(0, 255)
@@ -48,7 +48,7 @@ def scattered(data: atheris.FuzzedDataProvider, raw: bytes, most: int) -> bytes:
 
 
 def damaged(data: atheris.FuzzedDataProvider, raw: bytes) -> bytes:
-    """Return a damaged file."""
+    """Return a damaged copy of a file."""
     kind = data.ConsumeIntInRange(0, 3)
     if kind == 0:
         return raw[: data.ConsumeIntInRange(0, len(raw))]
@@ -56,7 +56,7 @@ def damaged(data: atheris.FuzzedDataProvider, raw: bytes) -> bytes:
         return scattered(data, raw, len(raw))
     if not zipfile.is_zipfile(io.BytesIO(raw)):
         return scattered(data, raw, PICKLE)
-    # Put together again, so that its checksums are right.
+    # Write a new archive, so that the checksums are valid.
     out = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(raw)) as source, zipfile.ZipFile(out, "w") as target:
         for entry in source.infolist():
@@ -68,7 +68,7 @@ def damaged(data: atheris.FuzzedDataProvider, raw: bytes) -> bytes:
 
 
 def main() -> None:
-    """Make the files, then fuzz."""
+    """Make the files and fuzz them."""
     torch.set_num_threads(1)
     logging.disable()
     files, path = whole_files(), FOLDER / "ObjectFile.pth"
