@@ -1,4 +1,4 @@
-"""Pictures that a real sensor took."""
+"""Pictures taken by a real sensor."""
 
 from pathlib import Path
 
@@ -8,17 +8,16 @@ from PIL import Image
 from objectfolder.errors import ObjectFolderError
 from objectfolder.touch.profiles import SensorProfile
 
-# Of width / height.
-_ASPECT_TOLERANCE = 0.01
+_ASPECT_TOLERANCE = 0.01  # relative, of width / height
 
 
-def read_picture(path: str | Path, profile: SensorProfile) -> np.ndarray:
-    """Read a picture from a sensor, at the size of the profile's images; (H, W, 3) uint8, RGB.
+def read_photograph(path: str | Path, profile: SensorProfile) -> np.ndarray:
+    """Read a picture of a sensor and scale it to the profile's image size; (H, W, 3) uint8, RGB.
 
     Raises
     ------
     ObjectFolderError
-        If the file is missing, no picture, or not of the shape of the sensor's view.
+        If the file is missing, is not a picture, or has another aspect ratio than the sensor's images.
     """
     where = f"picture {path} of sensor {profile.name!r}"
     if not Path(path).is_file():
@@ -32,6 +31,6 @@ def read_picture(path: str | Path, profile: SensorProfile) -> np.ndarray:
     if abs(picture.width / picture.height / wanted - 1) > _ASPECT_TOLERANCE:
         raise ObjectFolderError(
             f"{where} has {picture.width} x {picture.height} pixels, expected width / height = {wanted:.3f} "
-            f"as of its {profile.width} x {profile.height} images; crop it to the sensor's view"
+            f"as in its {profile.width} x {profile.height} images; crop it to the sensor's view"
         )
     return np.array(picture.resize((profile.width, profile.height), Image.Resampling.BOX))

@@ -7,8 +7,10 @@ from objectfolder.mesh.normals import area_vectors, unit_vectors
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.touch.camera import gel_depth, ray_directions
 from objectfolder.touch.contact import sensor_frames
-from objectfolder.touch.optics import Optics, blur, shade, unit
+from objectfolder.touch.filters import blur
+from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile
+from objectfolder.touch.shading import shade, unit_components
 
 #: m, from the pinhole: nothing nearer is drawn.
 NEAR = 0.001
@@ -127,7 +129,7 @@ class TactoRays:
             return hit, np.empty((0, 3), np.float32)
         normal = np.einsum("nk,nkj->nj", weights, self._normals[face]) @ frame.astype(np.float32)
         point = depth[:, None] * rays[hit]
-        return hit, to_bytes(shade(_columns(point), unit(_columns(normal)), self.profile))
+        return hit, to_bytes(shade(_columns(point), unit_components(_columns(normal)), self.profile))
 
     def _first_front(
         self, camera: np.ndarray, directions: np.ndarray, gel: np.ndarray

@@ -8,8 +8,10 @@ from PIL import Image
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.touch.camera import gel_depth, ray_directions
-from objectfolder.touch.optics import Optics, blur, shade
+from objectfolder.touch.filters import blur
+from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import available_profiles, load_profile
+from objectfolder.touch.shading import shade
 
 
 def bump(profile, row=80, column=60, height=1e-3, width=6.0):
@@ -163,7 +165,7 @@ def test_tensors_and_arrays_give_the_same_image(name, monkeypatch):
     moved[1] -= 1e-5
     moved[2, :, :40] = 0
     change = Optics(profile).change(moved)
-    monkeypatch.setattr(Optics, "_own", lambda self, values: values.float())
+    monkeypatch.setattr(Optics, "_array", lambda self, values: values.float())
     tensors = Optics(profile)
     assert isinstance(tensors._maps, torch.Tensor)
     assert change.abs().max() > 20

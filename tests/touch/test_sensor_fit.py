@@ -8,10 +8,11 @@ from typer.testing import CliRunner
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_json
-from objectfolder.touch.calibration import find_imprint, fit_sensor
+from objectfolder.touch.calibration import fit_sensor
 from objectfolder.touch.camera import gel_depth, ray_directions
+from objectfolder.touch.imprint import find_imprint
 from objectfolder.touch.optics import Optics
-from objectfolder.touch.photographs import read_picture
+from objectfolder.touch.photographs import read_photograph
 from objectfolder.touch.profiles import load_profile
 
 RADIUS = 0.004  # m
@@ -182,4 +183,4 @@ def test_command_names_what_is_wrong(options, reason, tmp_path, untouched):
 def test_text_is_no_picture(tmp_path, rigid):
     (tmp_path / "a.png").write_text("not a picture")
     with pytest.raises(ObjectFolderError, match=r"a\.png.*cannot be read"):
-        read_picture(tmp_path / "a.png", rigid)
+        read_photograph(tmp_path / "a.png", rigid)

@@ -1,0 +1,96 @@
+"""Imprints of a ball in pictures of a sensor."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+from skimage.filters import threshold_otsu
+from skimage.measure import label, regionprops
+
+from objectfolder.errors import ObjectFolderError
+
+_MIN_RADIUS = 4.0  # pixels
+_MIN_CONTRAST = 4.0  # brightness of an imprint over the noise
+_MIN_FILL = 0.5  # area of an imprint over that of its convex hull
+_MAX_ELONGATION = 1.6  # length over width
+
+# Without a picture of the untouched sensor, this part of each imprint must be free in another picture.
+_MIN_FREE = 0.5
+
+
+@dataclass(frozen=True)
+class Imprint:
+    """Position and depth of a pressed ball."""
+
+    row: float  #: pixels, of the centre
+    column: float  #: pixels
+    depth: float  #: m beyond the undeformed gel, along the gel's normal
+
+
+def find_imprint(change: np.ndarray, name: str = "picture") -> tuple[float, float, float]:
+    """Return row, column and radius, in pixels, of the round spot where a picture changes.
+
+    Parameters
+    ----------
+    change : (H, W, 3) float array
+        Difference to the untouched sensor.
+    name : str
+        Name of the picture in error messages.
+
+    Raises
+    ------
+    ObjectFolderError
+        If nothing stands out from the noise, or the spot is not round, too small or cut off by the border.
+    """
+    strength = np.linalg.norm(gaussian_filter(change, (1.5, 1.5, 0)), axis=2)
+    noise = np.median(strength)
+    remedy = "give its --circle, or leave the picture out"
+    level = threshold_otsu(strength)
+    above = strength[strength > level]
+    if not above.size or above.mean() < _MIN_CONTRAST * noise + 1:
+        raise ObjectFolderError(
+            f"{name}: no imprint stands out from the untouched gel; press harder, or {remedy}"
+        )
+    spot = max(regionprops(label(strength > level)), key=lambda region: region.area)
+    hull_radius = float(np.sqrt(spot.area_convex / np.pi))
+    if hull_radius < _MIN_RADIUS:
+        raise ObjectFolderError(
+            f"{name}: the imprint is {hull_radius:.1f} pixels in radius, expected at least {_MIN_RADIUS:g}; "
+            f"press harder, or {remedy}"
+        )
+    top, left, bottom, right = spot.bbox
+    height, width = bottom - top, right - left
+    elongation = max(height, width) / min(height, width)
+    if min(top, left) == 0 or bottom == change.shape[0] or right == change.shape[1]:
+        raise ObjectFolderError(
+            f"{name}: the imprint is cut off by the picture's border; press nearer to the middle"
+        )
+    if elongation > _MAX_ELONGATION or spot.solidity < _MIN_FILL:
+        raise ObjectFolderError(
+            f"{name}: the change is not the imprint of a ball ({width} x {height} pixels, "
+            f"{spot.solidity:.0%} of its hull); {remedy}"
+        )
+    return (top + bottom - 1) / 2, (left + right - 1) / 2, (height + width) / 4
+
+
+def untouched_estimate(observed: np.ndarray, untouched: np.ndarray | None) -> np.ndarray:
+    """Return the untouched sensor for each picture, (K, H, W, 3): the median of all, if it is not given."""
+    if untouched is not None:
+        return np.broadcast_to(np.asarray(untouched, np.float32), observed.shape)
+    return np.broadcast_to(np.median(observed, axis=0), observed.shape)
+
+
+def check_background_seen(
+    circles: Sequence[tuple[float, float, float]], shape: tuple[int, ...], names: Sequence[str]
+) -> None:
+    """Raise ObjectFolderError if an imprint covers a place that no other picture shows untouched."""
+    rows, columns = np.indices(shape)
+    spots = np.stack([(rows - r) ** 2 + (columns - c) ** 2 < radius**2 for r, c, radius in circles])
+    everywhere = spots.all(axis=0)
+    for spot, name in zip(spots, names):
+        if everywhere.sum() > (1 - _MIN_FREE) * spot.sum():
+            raise ObjectFolderError(
+                f"{name}: the ball is in the same place as in all other pictures, so that the "
+                "background there is unknown; press elsewhere, or give a picture of the untouched sensor"
+            )
