@@ -61,7 +61,7 @@ class BallModel:
         return self._displacements[key]
 
     def height(self, pose: np.ndarray) -> np.ndarray:
-        """Return the ball's heightmap past the gel along the pixel rays, (H, W), metres; negative is a gap."""
+        """Return the heights of the ball past the gel along the pixel rays; (H, W), metres."""
         row, column, depth = pose
         profile = self.profile
         vertical, horizontal = profile.half_extent

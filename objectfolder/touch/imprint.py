@@ -64,7 +64,7 @@ def find_imprint(change: np.ndarray, name: str = "picture") -> tuple[float, floa
     elongation = max(height, width) / min(height, width)
     if min(top, left) == 0 or bottom == change.shape[0] or right == change.shape[1]:
         raise ObjectFolderError(
-            f"{name}: the imprint is cut off by the picture's border; press nearer to the middle"
+            f"{name}: the imprint is cut off by the picture's border; press further inside"
         )
     if elongation > _MAX_ELONGATION or spot.solidity < _MIN_FILL:
         raise ObjectFolderError(

@@ -76,7 +76,7 @@ class Optics:
         Parameters
         ----------
         displacement : (N, H, W) float32 tensor
-            Metres towards the camera along the pixel rays, from `gel.deform`; exactly 0 where the gel is at rest.
+            Metres towards the camera along the pixel rays, from `gel.deform`; exactly 0 where the gel rests.
 
         Returns
         -------

@@ -108,12 +108,12 @@ def test_imprint_that_is_not_round_is_refused():
 def test_imprint_at_the_border_is_refused():
     change = np.zeros((160, 120, 3), np.float32)
     change[0:20, 40:60] = 40
-    with pytest.raises(ObjectFolderError, match="cut by the picture's border"):
+    with pytest.raises(ObjectFolderError, match="cut off by the picture's border"):
         find_imprint(change)
 
 
-def test_one_place_does_not_tell_the_background(rigid, pictures):
-    with pytest.raises(ObjectFolderError, match="1 pictures do not tell the background"):
+def test_one_place_does_not_determine_the_background(rigid, pictures):
+    with pytest.raises(ObjectFolderError, match="1 pictures do not determine the background"):
         fit_sensor(pictures[:1], RADIUS, rigid)
     same = [(50.0, 40.0, 12.0)] * 3
     with pytest.raises(ObjectFolderError, match="in the same place"):
