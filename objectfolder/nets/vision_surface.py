@@ -16,11 +16,11 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
+from objectfolder.mesh import srgb
 from objectfolder.mesh.grid import BOUND
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.hashgrid import HashGrid
 from objectfolder.vision.bsdf import fresnel, principled
-from objectfolder.vision.color import srgb_to_linear
 from objectfolder.vision.radiosity import Radiosity
 from objectfolder.vision.trace import SurfaceSamples
 from objectfolder.vision.vectors import columns, dot, joined, select, unit
@@ -209,12 +209,12 @@ class SurfaceNet(nn.Module):
         for p, n in zip(points.split(BAKED), torch.from_numpy(surface.normals).split(BAKED)):
             cube = in_cube(p)
             color, shading = self.looks(p, n, self.grid(cube))
-            looks.append(torch.cat([srgb_to_linear(color.clamp(0, 1)), F.normalize(shading, dim=-1)], 1))
+            looks.append(torch.cat([srgb.decode(color.clamp(0, 1)), F.normalize(shading, dim=-1)], 1))
             transport.append(self.transport(cube))
 
         def reflectance(p: torch.Tensor, n: torch.Tensor) -> torch.Tensor:
             color, _ = self.looks(p, n, self.grid(in_cube(p)))
-            return srgb_to_linear(color.clamp(0, 1)) * (1 - self.config["metallic"])
+            return srgb.decode(color.clamp(0, 1)) * (1 - self.config["metallic"])
 
         return Baked(torch.cat(looks), torch.cat(transport), Radiosity(surface, reflectance))
 

@@ -18,7 +18,7 @@ from objectfolder.nets.vision_config import SurfaceConfig
 from objectfolder.nets.vision_surface import CHUNK, Baked, BounceInputs, SurfaceNet, in_cube
 from objectfolder.vision.appearance import appearance_at
 from objectfolder.vision.cameras import Intrinsics, camera_rays
-from objectfolder.vision.color import COVERED, srgb_slope
+from objectfolder.vision.color import COVERED
 from objectfolder.vision.scene import Scene
 from objectfolder.vision.trace import trace
 
@@ -63,7 +63,7 @@ class _Pixels:
         diffuse, glossy = net.indirect(self.inputs.select(index), transport)
         radiance = (self.direct[index] + self.base_color[index] * diffuse + glossy).clamp(max=1)
         # As it is shown, to first order: the mean of noisy samples is right before the gamma, not after it.
-        error = (radiance - self.target[index]) * srgb_slope(radiance.detach())
+        error = (radiance - self.target[index]) * srgb.encode_slope(radiance.detach())
         return error.square().mean()
 
 

@@ -11,11 +11,11 @@ from typing import Any, Protocol, Self
 import numpy as np
 import torch
 
+from objectfolder.mesh import srgb
 from objectfolder.mesh.grid import ascent
 from objectfolder.nets.released.network import filled, float_tensors, stored
 from objectfolder.nets.vision_osf import ScatteringFunction
 from objectfolder.vision.cameras import Intrinsics
-from objectfolder.vision.color import srgb_to_linear
 from objectfolder.vision.picture import Picture
 
 MAX_SAMPLES = 4096  # of a ray
@@ -167,7 +167,7 @@ class ReleasedVision:
         for index in torch.arange(len(directions), device=self.device).split(chunk):
             ways = directions[index]
             shown, alpha, distance = self._look(origin, ways, towards)
-            rgb = srgb_to_linear((shown + 1 - alpha[:, None]).clamp(0, 1))
+            rgb = srgb.decode((shown + 1 - alpha[:, None]).clamp(0, 1))
             alpha = alpha.clamp(max=1)
             rgba[index] = torch.cat([rgb - (1 - alpha[:, None]), alpha[:, None]], 1)
             met = alpha > 0
