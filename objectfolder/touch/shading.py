@@ -34,7 +34,7 @@ def shade(point: Vectors, normal: Vectors, profile: SensorProfile) -> Array:
     normal_view = -height / length  # the view direction is -point / length
     radiance = zeros((3, *square.shape), square) + profile.ambient
     for light in profile.lights:  # one at a time, whose arrays fit into the caches
-        position = np.float32(light.position)
+        position: Vectors = tuple(np.array(light.position, np.float32))
         point_light = _dot(point, position)
         distance = library.sqrt(point_light * -2 + square + _dot(position, position))
         normal_light = (_dot(normal, position) - height) / distance
@@ -95,5 +95,5 @@ def unit_components(a: Vectors) -> Vectors:
     return a[0] / length, a[1] / length, a[2] / length
 
 
-def _dot(a: Vectors, b: Vectors | np.ndarray) -> Array:
+def _dot(a: Vectors, b: Vectors) -> Array:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
