@@ -1,6 +1,5 @@
 """Checks that every assembled object must pass, whatever it is."""
 
-from pathlib import Path
 from typing import Any
 
 import igl
@@ -81,10 +80,3 @@ def crossings(mesh: Any, origin: tuple, direction: tuple) -> np.ndarray:
     surface = welded(mesh)
     hits, _, _ = surface.ray.intersects_location([origin], [direction], multiple_hits=True)
     return np.unique(np.round(np.sort((hits - origin) @ np.asarray(direction, float)), 9))
-
-
-def glb(mesh: Any, directory: Path) -> bytes:
-    """Bytes of the mesh's file."""
-    path = directory / "object.glb"
-    mesh.write_glb(path)
-    return path.read_bytes()

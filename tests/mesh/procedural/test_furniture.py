@@ -1,13 +1,14 @@
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
-from assembled import check_charts, check_charts_apart, check_solid, check_texture, crossings, glb, welded
+from assembled import check_charts, check_charts_apart, check_solid, check_texture, crossings, welded
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
+from procedural_cases import FURNITURE, SMALL
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.procedural import GENERATORS
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, frame, union
 from objectfolder.mesh.procedural.extrusion import area, inset, prism, rectangle, regular, triangulate
 from objectfolder.mesh.procedural.shelf import shelf, shelf_levels
@@ -15,49 +16,28 @@ from objectfolder.mesh.procedural.stool import stool
 from objectfolder.mesh.procedural.sweep import bar
 from objectfolder.mesh.procedural.table import table
 
-SMALL = 256  # texels: most tests ask about the geometry
-CASES: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
-    "dining table": (table, {}),
-    "oval low table": (table, {"length": 1.2, "height": 0.45, "shape": "oval", "apron": 0}),
-    "pillar table": (table, {"length": 0.9, "width": 0.9, "shape": "oval", "base": "pillar"}),
-    "steel desk": (table, {"overhang": 0, "bevel": 0, "taper": 1.0, "finish": "brushed"}),
-    "stool": (stool, {}),
-    "milking stool": (stool, {"height": 0.28, "legs": 3, "rung_height": 0}),
-    "bookcase": (shelf, {}),
-    "rack": (shelf, {"back": 0, "bays": 2, "finish": "plastic", "color": "3d6b4f"}),
-    "cabinet": (shelf, {"front": "doors", "depth": 0.4, "bays": 2}),
-    "chest of drawers": (shelf, {"front": "drawers", "depth": 0.4, "height": 0.85, "bays": 3}),
-}
 
-
-@pytest.fixture(scope="module", params=list(CASES))
+@pytest.fixture(scope="module", params=list(FURNITURE))
 def made(request):
-    build, parameters = CASES[request.param]
-    return build, parameters, build(**parameters, texture_size=SMALL)
+    generator, parameters = FURNITURE[request.param]
+    return GENERATORS[generator](**parameters, texture_size=SMALL)
 
 
 def test_furniture_is_one_closed_solid_with_a_texture_of_its_own(made):
-    _, _, mesh = made
-    check_solid(mesh)
-    check_charts(mesh)
-    check_charts_apart(mesh)
-    check_texture(mesh)
-    assert 1000 <= len(mesh.faces) <= 20_500
+    check_solid(made)
+    check_charts(made)
+    check_charts_apart(made)
+    check_texture(made)
+    assert 1000 <= len(made.faces) <= 20_500
 
 
 def test_vertices_are_even_enough_to_strike_anywhere(made):
     """No edge is long against the object, flats included."""
-    _, _, mesh = made
-    corners = mesh.vertices[mesh.faces]
+    corners = made.vertices[made.faces]
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-    size = np.ptp(mesh.bounds, axis=0).max()
+    size = np.ptp(made.bounds, axis=0).max()
     assert edges.max() < 0.18 * size
     assert np.quantile(edges, 0.98) < 0.09 * size
-
-
-def test_same_parameters_same_file(made, tmp_path):
-    build, parameters, mesh = made
-    assert glb(build(**parameters, texture_size=SMALL), tmp_path) == glb(mesh, tmp_path)
 
 
 def test_a_board_of_another_seed_is_another_piece_of_wood():

@@ -4,6 +4,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
+from procedural_cases import CATALOGUE, SMALL
 from ruamel.yaml import YAML
 
 from objectfolder.fem.voxelize import VoxelizeConfig, voxelize
@@ -14,11 +15,9 @@ from objectfolder.workspace import objects as catalog
 from objectfolder.workspace import params
 
 ROOT = Path(__file__).parents[3]
-CATALOGUE = ROOT / "catalogs/procedural.yaml"
 VALUES = params.read(CATALOGUE)
 FIRST = {entry["generator"]: key for key, entry in reversed(VALUES["procedural"].items())}
 QUICK = params.settings(VoxelizeConfig, params.read(ROOT / "params.yaml"))
-SMALL = 256  # texels: these tests ask about the geometry
 
 
 def made(key: str, **parameters: int) -> TexturedMesh:
@@ -72,11 +71,8 @@ def test_one_of_some_families_is_a_solid_as_it_is(key):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("key", VALUES["objects"])
-def test_every_object_is_a_solid_and_has_the_same_bytes_again(key, tmp_path):
+def test_every_object_is_a_solid(key):
     mesh = check_accepted(key)
-    for copy, name in ((mesh, "first.glb"), (made(key, texture_size=SMALL), "second.glb")):
-        copy.write_glb(tmp_path / name)
-    assert (tmp_path / "first.glb").read_bytes() == (tmp_path / "second.glb").read_bytes()
     surface = normalize(mesh, key).surface
     solid = surface.vertices, surface.faces
     report = voxelize(solid, solid, QUICK, key).report

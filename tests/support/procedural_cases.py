@@ -1,0 +1,94 @@
+"""Procedural objects of the tests, and digests of their files."""
+
+import hashlib
+import json
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from objectfolder.mesh.procedural import generate
+from objectfolder.workspace import params
+
+CATALOGUE = Path(__file__).parents[2] / "catalogs/procedural.yaml"
+SMALL = 256  # texels: most tests examine the geometry
+
+FURNITURE: dict[str, tuple[str, dict[str, Any]]] = {
+    "dining table": ("table", {}),
+    "oval low table": ("table", {"length": 1.2, "height": 0.45, "shape": "oval", "apron": 0}),
+    "pillar table": ("table", {"length": 0.9, "width": 0.9, "shape": "oval", "base": "pillar"}),
+    "steel desk": ("table", {"overhang": 0, "bevel": 0, "taper": 1.0, "finish": "brushed"}),
+    "stool": ("stool", {}),
+    "milking stool": ("stool", {"height": 0.28, "legs": 3, "rung_height": 0}),
+    "bookcase": ("shelf", {}),
+    "rack": ("shelf", {"back": 0, "bays": 2, "finish": "plastic", "color": "3d6b4f"}),
+    "cabinet": ("shelf", {"front": "doors", "depth": 0.4, "bays": 2}),
+    "chest of drawers": ("shelf", {"front": "drawers", "depth": 0.4, "height": 0.85, "bays": 3}),
+}
+CLUB: dict[str, Any] = {
+    "head": "club",
+    "head_length": 0.1,
+    "head_diameter": 0.042,
+    "length": 0.24,
+    "handle_width": 0.032,
+}
+MALLET: dict[str, Any] = {
+    "head": "mallet",
+    "head_length": 0.13,
+    "head_diameter": 0.075,
+    "length": 0.28,
+    "finish": "wood",
+}
+LADLE: dict[str, Any] = {
+    "length": 0.16,
+    "bowl_length": 0.09,
+    "bowl_width": 0.088,
+    "depth": 0.045,
+    "wall": 0.002,
+    "handle_width": 0.02,
+    "rise": 0.2,
+    "hook": 0.018,
+    "point": 0,
+}
+TOOLS: dict[str, tuple[str, dict[str, Any]]] = {
+    "wrench": ("wrench", {}),
+    "open wrench": ("wrench", {"ends": "open", "finish": "cast"}),
+    "ring wrench": ("wrench", {"ends": "ring"}),
+    "claw hammer": ("hammer", {"accent": "b23a2a"}),
+    "club hammer": ("hammer", CLUB),
+    "mallet": ("hammer", MALLET),
+    "spoon": ("spoon", {}),
+    "ladle": ("spoon", LADLE),
+    "peg block": ("block", {}),
+    "shape sorter": ("block", {"depth": 0.025, "hole": "mixed", "rounding": 0.001}),
+    "plain block": ("block", {"relief": "plain", "finish": "print"}),
+    "brick": ("block", {"relief": "studs", "rounding": 0.001, "finish": "plastic"}),
+    **{kind: ("toy", {"kind": kind}) for kind in ("car", "truck", "duck", "rings")},
+}
+STARTERS = ("mug", "die", "bell")
+VESSELS = ("bowl", "cup", "plate", "bottle", "vase", "pan", "teapot")
+CASES = {
+    **{name: (name, {}) for name in STARTERS},
+    **{name: (name, {"seed": 3}) for name in VESSELS},
+    **FURNITURE,
+    **TOOLS,
+}
+
+
+def digests(collection: str) -> dict[str, str]:
+    """Generate every object of ``cases`` or ``catalogue``; return the digests of their files."""
+    cases = CASES
+    if collection == "catalogue":
+        keys = params.read(CATALOGUE)["procedural"]
+        cases = {key: params.procedural_entry(key, CATALOGUE) for key in keys}
+    found = {}
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "object.glb"
+        for name, (generator, parameters) in cases.items():
+            generate(generator, **parameters | {"texture_size": SMALL}).write_glb(path)
+            found[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+    return found
+
+
+if __name__ == "__main__":
+    print(json.dumps(digests(sys.argv[1])))
