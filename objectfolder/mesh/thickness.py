@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from objectfolder.mesh.normals import area_vectors
 from objectfolder.mesh.raycast import RayCaster
 
 THIN_SHARE = 0.1  # quantile: thin parts with less surface than this do not count
@@ -19,12 +20,12 @@ def wall_thickness(vertices: np.ndarray, faces: np.ndarray) -> float:
         Closed, outward.
     """
     caster, rng = RayCaster(vertices, faces), np.random.default_rng(0)
-    corner = np.asarray(vertices, np.float64)[faces]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    vertices = np.asarray(vertices, np.float64)
+    normal = area_vectors(vertices, faces)
     area = np.linalg.norm(normal, axis=1)
     face = rng.choice(len(faces), _RAYS, p=area / area.sum())
     share = rng.dirichlet(np.ones(3), _RAYS)
     inward = -normal[face] / area[face, None]
-    points = np.einsum("pi,pid->pd", share, corner[face])
+    points = np.einsum("pi,pid->pd", share, vertices[faces[face]])
     distance, _ = caster.first_hit(points + _OFFSET * inward, inward)
     return float(np.quantile(distance, THIN_SHARE))

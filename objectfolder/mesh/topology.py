@@ -5,6 +5,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from objectfolder.mesh.normals import area_vectors
+
 Mesh = tuple[np.ndarray, np.ndarray]  #: vertices (V, 3) float64 and faces (F, 3) int64
 
 
@@ -21,8 +23,7 @@ def face_volumes(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 def face_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Compute face areas; (F,)."""
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    return np.linalg.norm(area_vectors(vertices, faces), axis=1) / 2
 
 
 def half_edges(faces: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ import manifold3d
 import numpy as np
 from scipy.sparse import coo_matrix
 
+from objectfolder.mesh.normals import area_vectors
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.topology import Mesh, boundary_loops, face_areas, signed_volume
@@ -110,8 +111,7 @@ def _offset_directions(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
         igl.per_vertex_normals(vertices, faces, igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_ANGLE), np.float64
     )
     normal = np.nan_to_num(normal)
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    face_normal = np.cross(b - a, c - a)
+    face_normal = area_vectors(vertices, faces)
     face_normal /= np.maximum(np.linalg.norm(face_normal, axis=1, keepdims=True), 1e-30)
     cosine = np.einsum("ikj,ij->ik", normal[faces], face_normal)
     incidence = coo_matrix((cosine.ravel(), (faces.ravel(), np.zeros(faces.size, int))), (len(vertices), 1))

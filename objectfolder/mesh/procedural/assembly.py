@@ -6,16 +6,16 @@ from dataclasses import dataclass, field, replace
 
 import manifold3d
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.normals import area_vectors
 from objectfolder.mesh.procedural.atlas import MARGIN, Chart, pack_charts
 from objectfolder.mesh.procedural.finish import Paint, finish
 from objectfolder.mesh.procedural.texture import rgb
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.textured import TexturedMesh
+from objectfolder.mesh.topology import components, half_edges
 
 #: Weights of a part's axes, so that all facets at 45 degrees go to the same chart.
 PREFERENCE = np.array([1.0, 1.04, 1.08])
@@ -104,9 +104,7 @@ def assemble(
     owner = _owners(mesh, parts)
     axes = np.stack([part.axes for part in parts])
 
-    corners = vertices[faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    local = np.einsum("fi,fij->fj", normal, axes[owner])
+    local = np.einsum("fi,fij->fj", area_vectors(vertices, faces), axes[owner])
     axis = np.argmax(np.abs(local) * PREFERENCE, axis=1)
     side = 2 * axis + (np.take_along_axis(local, axis[:, None], 1)[:, 0] < 0)
     label = _connected(faces, owner * 6 + side)
@@ -157,13 +155,10 @@ def _owners(mesh: manifold3d.Mesh64, parts: Sequence[PaintedPart]) -> np.ndarray
 
 def _connected(faces: np.ndarray, kind: np.ndarray) -> np.ndarray:
     """Label (F,) connected regions of faces of one kind, in the order of their first faces."""
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    order = np.lexsort(np.sort(edges, axis=1).T)
+    order = np.lexsort(np.sort(half_edges(faces), axis=1).T)
     one, other = order.reshape(-1, 2).T % len(faces)  # a closed surface: edges come in pairs
     same = kind[one] == kind[other]
-    n = len(faces)
-    graph = coo_array((np.ones(same.sum(), bool), (one[same], other[same])), shape=(n, n))
-    label = connected_components(graph, directed=False)[1]
+    label = components(one[same], other[same], len(faces))[1]
     _, first, inverse = np.unique(label, return_index=True, return_inverse=True)
     return np.argsort(np.argsort(first))[inverse]
 
@@ -178,7 +173,7 @@ def _view(axes: np.ndarray, side: int) -> np.ndarray:
 def _chart(seen: np.ndarray, faces: np.ndarray, view: np.ndarray, low: np.ndarray, paint: Paint) -> Chart:
     """Build the chart of a relief projected along z; `seen` (V, 3) is in the view frame, from 0."""
     above = seen[:, 2].max() + 0.1 * float(np.ptp(seen, axis=0).max())
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges = half_edges(faces)
     _, first, count = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
     start, stop = seen[edges[first[count == 1]].T]
     border = np.concatenate([start + t * (stop - start) for t in np.arange(BORDER_SAMPLES) / BORDER_SAMPLES])

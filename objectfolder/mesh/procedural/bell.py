@@ -25,13 +25,13 @@ def bell(
     Parameters
     ----------
     height : float
-        From the lip to the top of the ball, m.
+        Height from the lip to the top of the ball, m.
     radius : float
-        At the lip, outside, m.
+        Outer radius at the lip, m.
     wall : float
-        Thickness of the shell, m; it grows by half towards the lip.
+        Thickness of the shell, m; half as much again at the lip.
     texture_size : int
-        Texels on a side.
+        Side of the texture, texels.
 
     Returns
     -------
@@ -63,12 +63,12 @@ def bell(
 
 
 def profiles(height: float, radius: float, wall: float) -> list[np.ndarray]:
-    """Half of the bell's section, m, from the axis inside, round the lip, to the axis on top.
+    """Return half of the bell's section, m, from the axis inside, around the lip, to the axis on top.
 
     Returns
     -------
     list of ndarray, each (N, 2)
-        Dome and wall inside, wall and crown outside, stem, ball: one for each chart.
+        Dome and wall inside, wall and crown outside, stem, ball: one per chart.
     """
     lip = RIM * wall / 2
     shell = SHELL * height
@@ -86,7 +86,7 @@ def profiles(height: float, radius: float, wall: float) -> list[np.ndarray]:
         ]
     ) * [radius, shell - lip] + [0, lip]
     chord = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(knots, axis=0), axis=1)))
-    # Upright at the lip, level on the axis: there the wall's two sides meet rim and axis squarely.
+    # Vertical at the lip and level on the axis, so that both sides of the wall meet them squarely.
     curve = CubicSpline(chord, knots, bc_type=((1, [0.0, 1.0]), (1, [-1.0, 0.0])))
     t = np.linspace(0, chord[-1], 29)
     outer, slope = curve(t), curve(t, 1)
@@ -125,7 +125,7 @@ def profiles(height: float, radius: float, wall: float) -> list[np.ndarray]:
 
 
 def _shoulder(slope: np.ndarray) -> int:
-    """Index past the lip's flare from which the shell leans in by more than 45 degrees."""
+    """Return the index above the flare from which the shell leans in by more than 45 degrees."""
     steep = np.flatnonzero(slope[:, 1] > -slope[:, 0])
     return int(steep[-1]) + 1
 

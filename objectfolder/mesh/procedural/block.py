@@ -38,30 +38,30 @@ def block(
     seed: int = 0,
     texture_size: int = 1024,
 ) -> TexturedMesh:
-    """Build a block, with a grid of holes or studs on it if asked.
+    """Build a block, optionally with a grid of holes or studs.
 
     Parameters
     ----------
     length, width, height : float
-        Along x, y and z, m, without studs.
+        Dimensions along x, y and z, m, without studs.
     relief : str
         "plain", "holes" or "studs".
     rows, columns : int
-        Of the grid along y and x, 1 to 6.
+        Size of the grid along y and x, 1 to 6.
     diameter : float
-        Of a stud, or of the circle round a hole, m.
+        Diameter of a stud, or of the circle around a hole, m.
     depth : float, optional
-        Of a hole, m, by default through the block; or height of a stud, by default 40 % of its diameter.
+        Depth of a hole, m, default: through the block; or height of a stud, default: 40 % of its diameter.
     hole : str
         Shape: "round", "square", "hexagon", "star", or these four in turn, "mixed".
     rounding : float
         Radius of the edges, m; 0 leaves them sharp.
     finish, color, seed
-        See ``finish``.
+        See `objectfolder.mesh.procedural.finish.finish`.
     accent : str, optional
-        Colour inside the holes, or of the studs; by default the block's own, darker in a hole.
+        Colour inside the holes, or of the studs; default: the block's own, darker in a hole.
     texture_size : int
-        Texels on a side.
+        Side of the texture, texels.
 
     Returns
     -------
@@ -123,7 +123,7 @@ def block(
     )
     parts = [PaintedPart.of(prism([outline, *bored], height, spacing, rounding, 2), cover)]
     if depth is not None and not through:
-        # A plug wider than the hole's rounded rim, narrower than what is left between holes.
+        # A plug wider than the hole's rounded rim but narrower than the pitch.
         grow = 1 + 0.5 * (pitch - diameter) / diameter
         floor = height - depth
         plugs = [
@@ -135,14 +135,14 @@ def block(
 
 
 def grid(length: float, width: float, rows: int, columns: int) -> np.ndarray:
-    """Middles (rows * columns, 2) of equal cells of a rectangle about the origin, m."""
+    """Return the centres (rows * columns, 2) of equal cells of a rectangle about the origin, m."""
     x = ((np.arange(columns) + 0.5) / columns - 0.5) * length
     y = ((np.arange(rows) + 0.5) / rows - 0.5) * width
     return np.stack(np.meshgrid(x, y), 2).reshape(-1, 2)
 
 
 def _shape(hole: str, place: int, radius: float) -> np.ndarray:
-    """Outline (N, 2), counter-clockwise, of the hole at one place."""
+    """Return the outline (N, 2), counter-clockwise, of the hole at one place."""
     kind = HOLES[place % 4] if hole == "mixed" else hole
     if kind == "star":
         points = regular(10, radius, np.pi / 2)
@@ -155,7 +155,7 @@ def _shape(hole: str, place: int, radius: float) -> np.ndarray:
 def _bored(
     skin: Paint, centres: np.ndarray, radius: float, rounding: float, height: float, inside: Paint | None
 ) -> Paint:
-    """Paint of a block whose holes have a colour of their own below their rims."""
+    """Return the paint of a block whose holes have another colour below their rims."""
 
     def paint(points: np.ndarray) -> np.ndarray:
         colour = skin(points)

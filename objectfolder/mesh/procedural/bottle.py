@@ -44,17 +44,17 @@ def bottle(
     shoulder : float
         Height of the shoulder between body and neck, m.
     collar : float
-        How far the ring at the mouth stands out, m; 0 for none.
+        Protrusion of the ring at the mouth, m; 0 for none.
     waist : float
-        By how much the body is drawn in half-way up, in radii.
+        Constriction of the body at half height, in radii.
     lobes : int
-        How many lobes the body has, 0 for a round one; 4 come near a square.
+        Number of lobes of the body, 0 for a round one; 4 approximate a square.
     lobe_depth : float
-        Swing of the lobes, in radii; a round bottle has none.
+        Depth of the lobes, in radii; unused for a round bottle.
     finish, color, accent, seed
-        See `procedural.finish.finish`; on a glazed bottle the accent is the colour inside.
+        See `objectfolder.mesh.procedural.finish.finish`; on a glazed bottle the accent is the colour inside.
     texture_size : int
-        Texels on a side.
+        Side of the texture, texels.
 
     Returns
     -------
@@ -64,7 +64,7 @@ def bottle(
     Raises
     ------
     ObjectFolderError
-        If a dimension is not positive or the parts do not fit each other.
+        If a dimension is not positive or does not fit the others.
     """
     require_positive(
         "bottle",
@@ -110,7 +110,7 @@ def bottle(
     section += ring_under(middle, 0.78 * radius, 0.12 * radius)
     if collar:
         thick = min(0.35 * neck_height, 3 * collar + wall)
-        # Clear of the lip's round, which stays the highest.
+        # Below the rounded lip, which stays the highest.
         low, high, out = height - wall / 2 - thick, height - wall / 2, neck_radius + collar
         section += ring([[bore, low], [out, low], [out, high], [bore, high]])
     section = soften(section, concave=0.8 * recess, convex=0.45 * recess)

@@ -30,21 +30,21 @@ def bowl(
     Parameters
     ----------
     radius, height, wall : float
-        Greatest outer radius, height and thickness of the wall, m.
+        Largest outer radius, height and thickness of the wall, m.
     foot_radius, foot_height : float
-        Outer radius and height of the ring that it stands on, m.
+        Outer radius and height of the foot ring, m.
     fullness : float
         1.6 (nearly a cone) through 2 (an ellipsoid) to 8 (nearly a cylinder).
     flare : float
         -0.4 (drawn in at the lip) to 0.6 (lip bent outward).
     lobes : int
-        How many lobes the lip has, 0 for a round one.
+        Number of lobes of the lip, 0 for a round one.
     lobe_depth : float
-        Swing of the lobes, in radii; a round bowl has none.
+        Depth of the lobes, in radii; unused for a round bowl.
     finish, color, accent, seed
-        See `procedural.finish.finish`; on a glazed bowl the accent is the colour inside.
+        See `objectfolder.mesh.procedural.finish.finish`; on a glazed bowl the accent is the colour inside.
     texture_size : int
-        Texels on a side.
+        Side of the texture, texels.
 
     Returns
     -------
@@ -54,7 +54,7 @@ def bowl(
     Raises
     ------
     ObjectFolderError
-        If a dimension is not positive or the parts do not fit each other.
+        If a dimension is not positive or does not fit the others.
     """
     require_positive(
         "bowl",

@@ -42,23 +42,23 @@ def cup(
     radius, height, wall : float
         Outer radius at the lip, height of the whole, and thickness of the wall and the floor, m.
     base_radius : float
-        Radius to which the wall would run down to the floor, m; larger than ``radius`` narrows the mouth.
+        Radius of the wall extended to the floor, m; larger than ``radius`` narrows the mouth.
     rounding : float
-        Radius of the bend from the floor into the wall, m: large ones make the bowl of a goblet.
+        Radius of the bend between floor and wall, m; large for a goblet.
     bulge : float
-        By how much the wall swells half-way up, in radii; below 0 it is waisted.
+        Bulge of the wall at half height, in radii; negative for a waist.
     stem : float
         Height of the bowl above the table, m; 0 for a tumbler, which stands on its own low ring.
     foot_radius : float
-        Of the foot under a stem, m; without one it is not used.
+        Radius of the foot under a stem, m; unused without a stem.
     lobes : int
-        How many lobes the lip has, 0 for a round one.
+        Number of lobes of the lip, 0 for a round one.
     lobe_depth : float
-        Swing of the lobes, in radii; a round cup has none.
+        Depth of the lobes, in radii; unused for a round cup.
     finish, color, accent, seed
-        See `procedural.finish.finish`; on a glazed cup the accent is the colour inside.
+        See `objectfolder.mesh.procedural.finish.finish`; on a glazed cup the accent is the colour inside.
     texture_size : int
-        Texels on a side.
+        Side of the texture, texels.
 
     Returns
     -------
@@ -68,7 +68,7 @@ def cup(
     Raises
     ------
     ObjectFolderError
-        If a dimension is not positive or the parts do not fit each other.
+        If a dimension is not positive or does not fit the others.
     """
     require_positive(
         "cup", radius=radius, height=height, wall=wall, base_radius=base_radius, rounding=rounding
@@ -114,7 +114,7 @@ def cup(
 
 
 def _stem(top: float, foot_radius: float, wall: float) -> manifold3d.CrossSection:
-    """Foot and stem of a goblet up to the height `top`, m."""
+    """Build the foot and stem of a goblet up to the height `top`, m."""
     slim = max(1.3 * wall, 0.1 * foot_radius)
     t = np.linspace(0, 1, 80)
     side = np.stack([slim + (foot_radius - slim) * (1 - t) ** 3, wall + (0.35 * top - wall) * t], 1)

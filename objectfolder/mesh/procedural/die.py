@@ -45,7 +45,7 @@ def die(size: float = 0.05, fillet: float = 0.006, texture_size: int = 1024) -> 
     fillet : float
         Radius of the rounded edges and corners, m.
     texture_size : int
-        Texels on a side.
+        Side of the texture, texels.
 
     Returns
     -------
@@ -103,9 +103,9 @@ def die(size: float = 0.05, fillet: float = 0.006, texture_size: int = 1024) -> 
 
 
 def _rounded_face(xy: np.ndarray, flat: float, fillet: float) -> np.ndarray:
-    """Points (N, 3) of the face about +z of a rounded cube; `xy` (N, 2) is in arc length from its middle.
+    """Map `xy` (N, 2), arc lengths from the centre, to the +z face of a rounded cube; (N, 3).
 
-    The twelve edges are split at 45 degrees, so that faces meet where their maps have the same spacing.
+    Edges are split at 45 degrees, where the maps of both faces have the same spacing.
     """
     core = np.clip(xy, -flat, flat)
     angle = np.clip((xy - core) / fillet, -1.4, 1.4)
@@ -115,7 +115,7 @@ def _rounded_face(xy: np.ndarray, flat: float, fillet: float) -> np.ndarray:
 
 
 def _pip_centres(size: float) -> np.ndarray:
-    """Middles (21, 3) of the pips' rims, m."""
+    """Return the centres (21, 3) of the pips' rims, m."""
     return np.array(
         [
             axes @ [PIP_PITCH * size * x, PIP_PITCH * size * y, size / 2] + [0, 0, size / 2]
@@ -126,9 +126,9 @@ def _pip_centres(size: float) -> np.ndarray:
 
 
 def _drill(size: float, place: np.ndarray, axes: np.ndarray, border: float, chart: int) -> list[Patch]:
-    """Return the closed tool that cuts one pip: a ball's cap below the face and a flat lid above it.
+    """Build the closed tool that cuts one pip: a spherical cap below the face, a flat lid above it.
 
-    Its chart is the face's own, seen straight on, which leaves no seam at the rim of the pip.
+    It is projected to the chart of the face, so that the rim of the pip has no seam.
     """
     rim, depth = PIP_RADIUS * size, PIP_DEPTH * size
     ball = (rim**2 + depth**2) / (2 * depth)

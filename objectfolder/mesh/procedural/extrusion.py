@@ -13,6 +13,7 @@ from scipy.spatial import Delaunay, QhullError, cKDTree
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.procedural.revolution import arc, polyline
+from objectfolder.mesh.topology import half_edges
 
 ROUND_STEPS = 3  #: facets of a rounded edge between a side and a flat
 
@@ -176,7 +177,7 @@ def _has_border(triangles: np.ndarray, rings: Sequence[np.ndarray]) -> bool:
     starts = np.cumsum([0, *map(len, rings)])
     following = np.concatenate([np.roll(np.arange(a, b), -1) for a, b in pairwise(starts)])
     n = max(starts[-1], triangles.max(initial=0) + 1)
-    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    edges = half_edges(triangles)
     forward, backward = edges @ [n, 1], edges @ [1, n]
     if len(np.unique(forward)) < len(forward):
         return False

@@ -35,19 +35,19 @@ def hammer(
     Parameters
     ----------
     length : float
-        From the middle of the head to the end of the handle, m.
+        Distance from the centre of the head to the end of the handle, m.
     head_length, head_diameter : float
-        Of the head along y, and of its face, m.
+        Length of the head along y, and diameter of its face, m.
     handle_width : float
-        Of the grip, m.
+        Width of the grip, m.
     head : str
         "claw", "club" (eight sides, two faces) or "mallet" (a round block).
     finish, color, seed
-        See ``finish``.
+        See `objectfolder.mesh.procedural.finish.finish`.
     accent : str, optional
-        Colour of the handle; by default it is of the head's.
+        Colour of the handle; default: that of the head.
     texture_size : int
-        Texels on a side.
+        Side of the texture, texels.
 
     Returns
     -------
@@ -109,7 +109,7 @@ def hammer(
 
 
 def _handle(look: Look, length: float, top: float, width: float, spacing: float) -> PaintedPart:
-    """Oval handle through the head, swelling to the grip, with a rounded end."""
+    """Build an oval handle through the head, wider at the grip, with a rounded end."""
     x = np.linspace(-0.58 * top, length, int(length / spacing) + 1)
     x = np.append(x[:-1], length - 0.28 * width * (1 - np.sin(np.linspace(0, np.pi / 2, 7)[1:])) ** 1.0)
     x = np.unique(x)
@@ -128,7 +128,7 @@ def _handle(look: Look, length: float, top: float, width: float, spacing: float)
 def _upright(
     outline: np.ndarray, start: float, stop: float, spacing: float, bevel: float
 ) -> manifold3d.Manifold:
-    """Prism along y between two places, its outline in x and z."""
+    """Build a prism along y between two positions, its outline in x and z."""
     block = prism([outline], stop - start, spacing, bevel)
     return block.transform(np.array([[1.0, 0, 0, 0], [0, 0, 1.0, start], [0, -1.0, 0, 0]]))
 
@@ -156,7 +156,7 @@ def _club(look: Look, length: float, diameter: float, spacing: float) -> list[Pa
 
 
 def _claw(look: Look, length: float, diameter: float, spacing: float) -> list[PaintedPart]:
-    """Face towards +y, claw towards -y and bent towards the handle."""
+    """Build the head: face towards +y, claw towards -y and bent towards the handle."""
     front, rear = 0.46 * length, 0.54 * length
     metal = look.paint((0, 1, 0), 2)
     face = _upright(regular(48, diameter / 2), front - 0.55 * diameter, front, spacing, 0.07 * diameter)

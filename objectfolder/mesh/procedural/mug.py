@@ -35,11 +35,11 @@ def mug(
     radius, height, wall : float
         Outer radius, height and thickness of the wall, m.
     bottom : float
-        Height of the inner floor above the table, m; the base has a shallow hollow under it.
+        Height of the inner floor above the table, m; the base is slightly hollow.
     handle_reach : float
-        How far the handle stands out from the wall, m.
+        Protrusion of the handle from the wall, m.
     texture_size : int
-        Texels on a side.
+        Side of the texture, texels.
 
     Returns
     -------
@@ -49,7 +49,7 @@ def mug(
     Raises
     ------
     ObjectFolderError
-        If a dimension is not positive or the parts do not fit each other.
+        If a dimension is not positive or does not fit the others.
     """
     require_positive(
         "mug",
@@ -129,7 +129,7 @@ def _handle(
     total = length[-1]
 
     def station(s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Centre, outward normal in the plane of the path, and size of the section."""
+        """Return centre, outward normal in the plane of the path, and size of the section."""
         s = np.clip(s, 0, total)
         centre = np.stack([np.interp(s, length, path[:, k]) for k in (0, 1)], 1)
         near = np.clip(np.stack([s - 0.01 * total, s + 0.01 * total]), 0, total)
@@ -142,7 +142,7 @@ def _handle(
         return centre, normal, 1 + FLARE * np.exp(-((np.maximum(distance, 0) / (0.16 * reach)) ** 2))
 
     def surface(s: np.ndarray, turn: np.ndarray) -> np.ndarray:
-        """Points (N, 3) at arc length s, m, and turn in [0, 1] round the section from its inside."""
+        """Return points (N, 3) at arc length s, m, and turn in [0, 1] around the section from its inside."""
         centre, normal, size = station(s)
         angle = 2 * np.pi * turn + np.pi
         out = centre + (thick * size * np.cos(angle))[:, None] * normal
@@ -157,13 +157,13 @@ def _handle(
     i, j = (k.ravel() for k in np.meshgrid(np.arange(rows - 1), np.arange(n), indexing="ij"))
     a, d = i * (n + 1) + j, (i + 1) * (n + 1) + j
     faces = np.concatenate([np.stack([a, a + 1, d + 1], 1), np.stack([a, d + 1, d], 1)])
-    xy = np.stack([s, (1 - turn) * around], 1)  # lying down: atlas shelves like low charts
+    xy = np.stack([s, (1 - turn) * around], 1)  # horizontal: the atlas packs low charts better
     tube = Patch(vertices, faces, xy, chart)
 
     ring = np.arange(n)
     cap = np.stack([np.full(n - 2, 0), ring[2:], ring[1:-1]], 1)
     last = STATIONS * (n + 1)
-    ends = Patch(vertices, np.concatenate([cap, cap[:, ::-1] + last]), xy, chart)  # lost in the wall
+    ends = Patch(vertices, np.concatenate([cap, cap[:, ::-1] + last]), xy, chart)  # hidden in the wall
     used, faces_of_ends = np.unique(ends.faces, return_inverse=True)
     ends = Patch(vertices[used], faces_of_ends.reshape(-1, 3), xy[used], chart)
 
@@ -174,7 +174,7 @@ def _handle(
 
 
 class _Decor:
-    """The glaze and the painting of a mug of one size; every method maps points (N, 3) to sRGB (N, 3)."""
+    """Glaze and painted decoration of a mug; methods map points (N, 3) to sRGB (N, 3)."""
 
     def __init__(self, radius: float, height: float):
         self.radius, self.height = radius, height
@@ -249,7 +249,7 @@ class _Decor:
 
 
 def sprig(x: np.ndarray, z: np.ndarray, length: float) -> np.ndarray:
-    """Opacity (N,) of an upright sprig with paired leaves that grows from (0, 0) to (0, length), m."""
+    """Return the opacity (N,) of a sprig with paired leaves from (0, 0) to (0, length), m."""
     stem = stroke(x, 0.00045, 0.0004) * smoothstep(-0.0002, 0.0002, z) * smoothstep(length, length - 0.002, z)
     cover = stem
     for k, root in enumerate(np.linspace(0.14, 0.72, 4) * length):
@@ -262,7 +262,7 @@ def sprig(x: np.ndarray, z: np.ndarray, length: float) -> np.ndarray:
 
 
 def leaf(along: np.ndarray, side: np.ndarray, length: float) -> np.ndarray:
-    """Opacity (N,) of a leaf from 0 to ``length`` on its axis, m, with its midrib left bare."""
+    """Return the opacity (N,) of a leaf from 0 to ``length`` on its axis, m, with a bare midrib."""
     t = np.clip(along / length, 0, 1)
     half = 0.62 * length * t**0.8 * (1 - t) ** 0.9
     blade = smoothstep(0.0002, -0.0002, np.abs(side) - half) * (along > 0) * (along < length)

@@ -17,7 +17,7 @@ from objectfolder.mesh.procedural.texture import smoothstep
 from objectfolder.mesh.procedural.vessel import revolved
 from objectfolder.mesh.textured import TexturedMesh
 
-HOLE = 0.24  #: radius of the hole to hang it by, in widths of the handle
+HOLE = 0.24  #: radius of the hanging hole, in widths of the handle
 
 
 def pan(
@@ -45,19 +45,19 @@ def pan(
     radius, height, wall : float
         Outer radius at the lip, height and thickness of the wall and the floor, m.
     base_radius : float
-        Radius to which the wall would run down to the floor, m.
+        Radius of the wall extended to the floor, m.
     rounding : float
-        Radius of the bend from the floor into the wall, m.
+        Radius of the bend between floor and wall, m.
     handle_length, handle_width, handle_thickness : float
-        How far the handle stands out from the lip, and its section, m; there is a hole near its end.
+        Protrusion of the handle from the lip, and its section, m; it has a hole near its end.
     handle_rise : float
-        By how much its end is higher than its root, m.
+        Height of the handle's end above its root, m.
     handle_finish, handle_color : str, optional
-        By default those of the pan.
+        Default: those of the pan.
     finish, color, accent, seed
-        See `procedural.finish.finish`.
+        See `objectfolder.mesh.procedural.finish.finish`.
     texture_size : int
-        Texels on a side.
+        Side of the texture, texels.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def pan(
     Raises
     ------
     ObjectFolderError
-        If a dimension is not positive or the parts do not fit each other.
+        If a dimension is not positive or does not fit the others.
     """
     require_positive(
         "pan",
@@ -98,7 +98,7 @@ def pan(
     shell = revolved(half_outline(soften(wall_about(middle, wall), convex=0.45 * wall), "pan"))
     core = revolved(half_outline(round_solid(np.append(middle, [[0, lip]], axis=0)), "pan"))
 
-    # As far below the lip as the handle is thick; the core cuts the root off in the middle of the wall.
+    # The root is below the lip by the handle's thickness; the core cuts it off in the middle of the wall.
     root = height - wall - handle_thickness
     start = np.interp(root, *middle[1:, ::-1].T) - 0.5 * handle_width - 2 * handle_thickness
     stop = radius + handle_length
@@ -119,7 +119,7 @@ def pan(
     look = Look(finish, size, color, accent, seed)
     own = color if handle_finish is None else None
     grip = Look(handle_finish or finish, size, handle_color or own, None, seed)
-    # Turned metal shows its rings on the pan, but the handle is brushed along.
+    # The pan has the rings of turned metal, the handle is brushed lengthwise.
     paint = grip.paint((1.0, 0.0, 0.0))
     body, bar, hole = (
         PaintedPart.of(shell, look.paint()),

@@ -39,17 +39,18 @@ def plate(
     well_radius : float
         Radius of the flat middle, m.
     rim : float
-        Width of the gently rising rim, m; 0 for a plate that rises straight from the well to its edge.
+        Width of the rim, m; 0 for a straight rise from the well to the edge.
     foot_height : float
-        Height of the ring that it stands on, m.
+        Height of the foot ring, m.
     lobes : int
-        How many lobes the rim has, 0 for a round one; 4 come near a square.
+        Number of lobes of the rim, 0 for a round one; 4 approximate a square.
     lobe_depth : float
-        Swing of the lobes, in radii; a round plate has none.
+        Depth of the lobes, in radii; unused for a round plate.
     finish, color, accent, seed
-        See `procedural.finish.finish`; on a glazed plate the accent is the colour of the upper side.
+        See `objectfolder.mesh.procedural.finish.finish`; on a glazed plate the accent is the upper side's
+        colour.
     texture_size : int
-        Texels on a side.
+        Side of the texture, texels.
 
     Returns
     -------
@@ -59,7 +60,7 @@ def plate(
     Raises
     ------
     ObjectFolderError
-        If a dimension is not positive or the parts do not fit each other.
+        If a dimension is not positive or does not fit the others.
     """
     require_positive(
         "plate", radius=radius, height=height, wall=wall, well_radius=well_radius, foot_height=foot_height

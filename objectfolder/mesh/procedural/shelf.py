@@ -1,4 +1,4 @@
-"""Bookcases and cabinets: boards round hollow bays, open, with doors or with drawers; standing on z = 0."""
+"""Bookcases and cabinets: boards around bays, open, with doors or drawers; standing on z = 0."""
 
 import numpy as np
 
@@ -16,8 +16,8 @@ from objectfolder.mesh.procedural.parameters import (
 from objectfolder.mesh.textured import TexturedMesh
 
 FRONTS = ("open", "doors", "drawers")
-GAP = 0.004  #: between doors or drawers, in sizes of the piece of furniture: the way into its hollow
-SUNK = 0.5  #: depth of a board's end in the board that it meets, in thicknesses
+GAP = 0.004  #: between doors or drawers, in sizes of the furniture; opens the bays
+SUNK = 0.5  #: overlap of a board's end with the board it meets, in thicknesses
 
 
 def shelf(
@@ -41,24 +41,24 @@ def shelf(
     Parameters
     ----------
     width, depth, height : float
-        Of the case along x, y and z, m.
+        Dimensions of the case along x, y and z, m.
     board_thickness : float
-        Of sides, shelves, doors and fronts, m.
+        Thickness of sides, shelves, doors and fronts, m.
     back : float
         Thickness of the back panel, m; 0 for none.
     bays : int
-        One above the other, 1 to 8.
+        Number of bays, one above the other, 1 to 8.
     front : str
-        "open"; "doors", two of them, with knobs; or "drawers", one for each bay. Doors and fronts are
-        fixed and lie on the case; gaps beside them lead into the hollow bays.
+        "open"; "doors", two with knobs; or "drawers", one per bay. Doors and drawers are fixed to the case;
+        gaps beside them open the bays.
     plinth : float
         Height of the lowest board above the floor, m.
     bevel : float
         Radius of rounded edges, m; 0 leaves them sharp.
     finish, color, accent, seed
-        See ``finish``.
+        See `objectfolder.mesh.procedural.finish.finish`.
     texture_size : int
-        Texels on a side.
+        Side of the texture, texels.
 
     Returns
     -------
@@ -111,7 +111,7 @@ def shelf(
 
 
 def shelf_levels(height: float, thickness: float, bays: int, plinth: float) -> np.ndarray:
-    """Undersides (bays + 1,) of the level boards, m: bays are equal, and the sides end above the last."""
+    """Return the heights (bays + 1,) of the level boards, m, for equal bays and protruding sides."""
     top = height - 1.2 * thickness
     return plinth + (top - plinth) * np.arange(bays + 1) / bays
 
@@ -119,7 +119,7 @@ def shelf_levels(height: float, thickness: float, bays: int, plinth: float) -> n
 def _fronts(
     look: Look, front: str, width: float, y: float, levels: np.ndarray, t: float, spacing: float, bevel: float
 ) -> list[PaintedPart]:
-    """Doors or drawer fronts on the case, half a board deep in its sides, with knobs."""
+    """Build doors or drawer fronts with knobs, half a board deep in the sides of the case."""
     gap = GAP * look.size
     near, far = -y - (1 - SUNK) * t, -y + SUNK * t
     edge = width / 2 - 0.1 * t
@@ -129,7 +129,7 @@ def _fronts(
         panels = [((-edge, low), (-gap / 2, high)), ((gap / 2, low), (edge, high))]
         knobs = [(sign * (gap / 2 + 1.6 * t), low + 0.55 * (high - low)) for sign in (-1, 1)]
     else:
-        # The gap lies above each board, where it leads into the bay.
+        # The gap is above each board, where it opens the bay.
         starts = levels[:-1] + t + gap
         stops = np.append(levels[1:-1] + t, high)
         panels = [((-edge, a), (edge, b)) for a, b in zip(starts, stops)]

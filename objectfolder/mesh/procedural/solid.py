@@ -31,10 +31,8 @@ def weld_patches(patches: Sequence[Patch], atlas: Atlas) -> manifold3d.Manifold:
     starts = np.cumsum([0, *(len(p.vertices) for p in patches)])
     faces = np.concatenate([p.faces + start for p, start in zip(patches, starts)])
 
-    # An irregular factor, so that round dimensions do not fall on the border between two grains.
-    grain = 1.234567e-7 * np.ptp(positions, axis=0).max()
-    _, first, group = np.unique(np.round(positions / grain), axis=0, return_index=True, return_inverse=True)
-    twin = first[group.ravel()]
+    first, group = coincident(positions)
+    twin = first[group]
     copies = np.flatnonzero(twin != np.arange(len(twin)))
     mesh = manifold3d.Mesh64(
         vert_properties=np.hstack([positions[twin], uv]),
@@ -46,6 +44,14 @@ def weld_patches(patches: Sequence[Patch], atlas: Atlas) -> manifold3d.Manifold:
     solid = manifold3d.Manifold(mesh)
     assert solid.status() == manifold3d.Error.NoError, solid.status()
     return solid
+
+
+def coincident(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Group coincident positions (V, 3): first member of each group (G,), and group of each (V,)."""
+    # An irregular factor, so that round dimensions do not fall on the border between two grains.
+    grain = 1.234567e-7 * np.ptp(positions, axis=0).max()
+    _, first, group = np.unique(np.round(positions / grain), axis=0, return_index=True, return_inverse=True)
+    return first, group.ravel()
 
 
 def textured(

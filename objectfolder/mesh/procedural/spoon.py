@@ -13,7 +13,7 @@ from objectfolder.mesh.procedural.parameters import (
 from objectfolder.mesh.procedural.sweep import tube
 from objectfolder.mesh.textured import TexturedMesh
 
-SEGMENTS = 96  #: facets round the bowl
+SEGMENTS = 96  #: facets around the bowl
 
 
 def spoon(
@@ -32,28 +32,28 @@ def spoon(
     seed: int = 0,
     texture_size: int = 1024,
 ) -> TexturedMesh:
-    """Build a spoon, or with a deep bowl, a high rise and a hook a ladle.
+    """Build a spoon, or a ladle if the bowl is deep and the handle high and hooked.
 
     Parameters
     ----------
     length : float
-        Along x from the tip of the bowl to the end of the handle, before its hook, m.
+        Length along x from the tip of the bowl to the end of the handle, without hook, m.
     bowl_length, bowl_width, depth : float
-        Of the bowl outside, m.
+        Outer dimensions of the bowl, m.
     wall : float
         Thickness of the bowl, m.
     handle_width : float
-        Greatest, m.
+        Largest width of the handle, m.
     rise : float
-        Of the end of the handle over the rim, m.
+        Height of the end of the handle above the rim, m.
     hook : float
         Radius of the hook at the end of the handle, m; 0 for none.
     point : float
-        How much narrower the bowl is at its tip than an ellipse, 0 to 0.3.
+        Narrowing of the bowl's tip relative to an ellipse, 0 to 0.3.
     finish, color, accent, seed
-        See ``finish``.
+        See `objectfolder.mesh.procedural.finish.finish`.
     texture_size : int
-        Texels on a side.
+        Side of the texture, texels.
 
     Returns
     -------
@@ -108,7 +108,7 @@ def spoon(
     ball = manifold3d.Manifold.sphere(1.0, SEGMENTS).trim_by_plane((0, 0, -1.0), 0.0)
     outer = ball.scale((a, b, depth))
     inner = ball.scale((a - wall, b - wall, depth - wall))
-    # Open upwards: it clears the handle's root out of the bowl too.
+    # Extends upwards, to remove the handle's root from the bowl.
     opening = inner + manifold3d.Manifold.hull(
         inner.trim_by_plane((0, 0, 1.0), -1e-3 * depth)
         + inner.trim_by_plane((0, 0, 1.0), -1e-3 * depth).translate((0, 0, size))
@@ -129,7 +129,7 @@ def spoon(
 
 
 def _handle(a: float, end: float, wall: float, width: float, rise: float, hook: float) -> manifold3d.Manifold:
-    """Handle from the rim of the bowl, at x = a and z = 0, to its end."""
+    """Build the handle from the rim of the bowl, at x = a and z = 0, to its end."""
     thick = max(1.3 * wall, 0.20 * width)
     root = np.array([a - 1.2 * wall, -0.75 * thick])
     bend = np.array([a + 0.28 * (end - a), 0.95 * rise])

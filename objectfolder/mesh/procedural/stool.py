@@ -16,7 +16,7 @@ from objectfolder.mesh.procedural.parameters import (
 from objectfolder.mesh.procedural.sweep import bar
 from objectfolder.mesh.textured import TexturedMesh
 
-SIDES = 80  #: facets round the seat
+SIDES = 80  #: facets around the seat
 SUNK = 0.6  #: depth of a leg's end in the seat, in thicknesses of the seat
 
 
@@ -40,23 +40,23 @@ def stool(
     Parameters
     ----------
     diameter, height : float
-        Of the seat, and of the whole stool, m.
+        Diameter of the seat and height of the stool, m.
     seat : float
         Thickness of the seat, m.
     leg_diameter : float
-        Under the seat, m; legs narrow towards the floor.
+        Diameter of the legs at the seat, m; they taper towards the floor.
     legs : int
-        3 to 6.
+        Number of legs, 3 to 6.
     splay : float
-        How much further from the axis legs stand at the floor than under the seat, m.
+        Radial offset of the legs between seat and floor, m.
     rung_height : float
-        Of the rungs above the floor, m; 0 for none.
+        Height of the rungs above the floor, m; 0 for none.
     dish : float
         Depth of the hollow of the seat, m.
     finish, color, accent, seed
-        See ``finish``.
+        See `objectfolder.mesh.procedural.finish.finish`.
     texture_size : int
-        Texels on a side.
+        Side of the texture, texels.
 
     Returns
     -------
@@ -100,7 +100,7 @@ def stool(
     radius = diameter / 2 - 0.9 * leg_diameter  # of the circle of the legs' tops
 
     def middle(k: int, z: float) -> np.ndarray:
-        """Point of the axis of leg k at height z."""
+        """Return the point of the axis of leg k at height z."""
         turn = 2 * np.pi * (k + 0.5) / legs
         r = radius + splay * (under - z) / under - 0.1 * splay
         return np.array([r * np.cos(turn), r * np.sin(turn), z])
@@ -111,7 +111,7 @@ def stool(
         parts.append(_turned(look, 1 + k, post, ends, leg_diameter))
     if rung_height > 0:
         for k in range(legs):
-            # Staggered, so that two neighbours do not meet in the same place of a leg.
+            # Staggered, so that neighbours meet a leg at different heights.
             z = rung_height * (1.0 + 0.18 * (k % 2))
             ends = middle(k, z), middle((k + 1) % legs, z)
             rung = bar(*ends, (0.55 * leg_diameter, 0.55 * leg_diameter), spacing, 20)
@@ -122,6 +122,6 @@ def stool(
 def _turned(
     look: Look, piece: int, solid: manifold3d.Manifold, ends: tuple[np.ndarray, np.ndarray], diameter: float
 ) -> PaintedPart:
-    """PaintedPart of a solid bar between two ends, its grain along it."""
+    """Build the part of a bar between two ends, its grain along it."""
     axes = frame(ends[1] - ends[0])
     return PaintedPart.of(solid, timber(look, piece, (ends[0] + ends[1]) / 2, axes, diameter), axes)

@@ -1,4 +1,4 @@
-"""Tables: a top of planks or an oval one, on four legs with an apron or on one pillar; standing on z = 0."""
+"""Tables: rectangular or oval top, on four legs with an apron or on a pillar; standing on z = 0."""
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from objectfolder.mesh.textured import TexturedMesh
 
 SEAM = 0.002  #: width of the joints between the planks of the top, m
 SUNK = 0.6  #: depth of a leg's end in the top, in thicknesses of the top
-SIDES = 96  #: facets round an oval top
+SIDES = 96  #: facets around an oval top
 
 
 def table(
@@ -43,27 +43,27 @@ def table(
     Parameters
     ----------
     length, width, height : float
-        Of the whole table along x, y and z, m.
+        Dimensions along x, y and z, m.
     top : float
         Thickness of the top, m.
     leg_size : float
         Side of a square leg under the top, or radius of the pillar, m.
     apron : float
-        Height of the boards between the legs, m; 0 for none. A pillar has none.
+        Height of the boards between the legs, m; 0 for none. Unused with a pillar.
     overhang : float
-        Of the top past the legs, m.
+        Overhang of the top beyond the legs, m.
     taper : float
-        Size of a leg at the floor, in sizes under the top.
+        Size of a leg at the floor, relative to its size under the top.
     shape : str
-        Of the top: "rectangle" or "oval" (round if length and width are equal).
+        Shape of the top: "rectangle" or "oval" (round if length and width are equal).
     base : str
-        "legs", four of them, or "pillar", one on a round foot.
+        "legs", four, or "pillar", one with a round foot.
     bevel : float
         Radius of rounded edges, m; 0 leaves them sharp.
     finish, color, accent, seed
-        See ``finish``.
+        See `objectfolder.mesh.procedural.finish.finish`.
     texture_size : int
-        Texels on a side.
+        Side of the texture, texels.
 
     Returns
     -------
@@ -130,7 +130,7 @@ def table(
 def _pillar(
     look: Look, across: float, under: float, top: float, radius: float, spacing: float, bevel: float
 ) -> list[PaintedPart]:
-    """Turned pillar on a round foot, with a collar under the top."""
+    """Build a turned pillar on a round foot, with a collar under the top."""
     foot = 0.6 * top + 0.01 * across
     collar = 0.4 * foot
     disc = prism([regular(SIDES, 0.30 * across)], foot, spacing, 4 * bevel)

@@ -14,8 +14,8 @@ from objectfolder.mesh.procedural.vessel import revolved
 from objectfolder.mesh.textured import TexturedMesh
 
 BODY = 0.74  #: height of the body without lid, in heights of the teapot
-HIDDEN = 0.002  #: how far the rows of the inside may leave its curve, in its sizes
-SUNK = 0.10  #: by how much of its height the body's curve runs on below the table, which cuts it level
+HIDDEN = 0.002  #: allowed deviation of the inside from its curve, in its sizes
+SUNK = 0.10  #: fraction of the body's curve below the table, where it is cut level
 
 
 def teapot(
@@ -37,17 +37,18 @@ def teapot(
     Parameters
     ----------
     radius, height, wall : float
-        Greatest outer radius of the body, height with the knob, and thickness of the wall, m.
+        Largest outer radius of the body, height with the knob, and thickness of the wall, m.
     fullness : float
         1.8 (nearly a double cone) through 2 (an ellipsoid) to 5 (nearly a cylinder).
     lid_radius : float
-        Of the lid, m; it is one with the body.
+        Radius of the lid, m; it is fused with the body.
     spout_reach, handle_reach : float
-        How far the spout's tip and the handle stand out from the body, m.
+        Protrusion of the spout's tip and of the handle from the body, m.
     finish, color, accent, seed
-        See `procedural.finish.finish`; the accent is the colour of lid, handle and spout's tip when glazed.
+        See `objectfolder.mesh.procedural.finish.finish`; on a glazed teapot the accent is the colour of lid,
+        handle and spout's tip.
     texture_size : int
-        Texels on a side.
+        Side of the texture, texels.
 
     Returns
     -------
@@ -58,7 +59,7 @@ def teapot(
     Raises
     ------
     ObjectFolderError
-        If a dimension is not positive or the parts do not fit each other.
+        If a dimension is not positive or does not fit the others.
     """
     require_positive(
         "teapot",
@@ -85,7 +86,7 @@ def teapot(
     middle = tall - half
 
     def width(z: np.ndarray | float) -> np.ndarray:
-        """Outer radius of the body's curve at a height, m."""
+        """Return the outer radius of the body's curve at a height, m."""
         return radius * (1 - np.abs((np.asarray(z) - middle) / half) ** fullness).clip(0) ** (1 / fullness)
 
     angle = np.linspace(-np.pi / 2, np.pi / 2, 401)
@@ -127,7 +128,7 @@ def teapot(
     plain, second = look.paint(), trim.paint()
 
     def dipped(points: np.ndarray) -> np.ndarray:
-        """Trim on the lid, from its brim up, and on the spout's tip."""
+        """Return the paint with trim on the lid and on the spout's tip."""
         r = np.hypot(points[:, 0], points[:, 1])
         on_lid = (r < lid_radius + 1.6 * brim) & (points[:, 2] > seat - 0.5 * wall)
         share = np.where(on_lid, 1.0, smoothstep(0.62, 0.64, (points[:, 0] - radius) / spout_reach))
@@ -144,7 +145,7 @@ def teapot(
 
 
 def _bezier(corners: np.ndarray, pieces: int) -> np.ndarray:
-    """Points (pieces + 1, 3) in the plane y = 0 of a cubic with control points (4, 2) of x and z."""
+    """Sample a cubic Bezier curve with control points (4, 2) in the x-z plane; (pieces + 1, 3)."""
     t = np.linspace(0, 1, pieces + 1)[:, None]
     weights = np.concatenate([(1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t**2 * (1 - t), t**3], 1)
     x, z = (weights @ corners).T
@@ -154,7 +155,7 @@ def _bezier(corners: np.ndarray, pieces: int) -> np.ndarray:
 def _spout(
     radius: float, tall: float, reach: float, wall: float
 ) -> tuple[manifold3d.Manifold, manifold3d.Manifold]:
-    """Spout and its bore, which runs on past the tip."""
+    """Build the spout and its bore, which extends beyond the tip."""
     path = _bezier(
         np.array(
             [
@@ -180,11 +181,11 @@ def _spout(
 def _handle(
     width: Callable[[float], np.ndarray], radius: float, tall: float, reach: float
 ) -> manifold3d.Manifold:
-    """Loop from the shoulder to the lower side; both ends reach into the hollow, which cuts them off."""
+    """Build the handle's loop; both ends reach into the cavity, which cuts them off."""
     high, low = 0.80 * tall, 0.26 * tall
     deep = 0.12 * radius
     far = -(radius + reach)
-    # The cubic comes 3 / 4 of the way to its control points.
+    # The cubic reaches 3 / 4 of the way to its control points.
     bend = (far + 0.055 * radius) * 4 / 3 + (float(width(high)) + float(width(low)) - 2 * deep) / 2 / 3
     path = _bezier(
         np.array(

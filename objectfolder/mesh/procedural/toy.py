@@ -24,7 +24,7 @@ KINDS = ("car", "truck", "duck", "rings")
 RAINBOW = ("d8392f", "ef8b2c", "f2c83b", "4da754", "2f7fc1", "6a4fa3", "c2498f", "38a3a5")
 #: Colour and accent of each kind where none is asked for.
 COLOURS = {"car": ("d23b30", "2b2c30"), "truck": ("2f74b5", "2b2c30"), "duck": ("f5cf36", "ee7f25")}
-CELLS = 60  #: of the grid, along the duck, from which its surface is drawn
+CELLS = 60  #: grid cells along the duck for marching cubes
 
 
 def toy(
@@ -47,15 +47,15 @@ def toy(
     size : float
         Length of a car, truck or duck along x; height of a tower of rings, m.
     plump : float
-        Width in usual widths, 0.75 to 1.3.
+        Width relative to the default, 0.75 to 1.3.
     count : int
-        Rings of a tower, 3 to 8.
+        Number of rings of a tower, 3 to 8.
     finish, color, seed
-        See ``finish``; rings without a colour take those of the rainbow.
+        See `objectfolder.mesh.procedural.finish.finish`; rings without a colour take rainbow colours.
     accent : str, optional
-        Colour of the wheels or the bill; rings go from the colour to it.
+        Colour of the wheels or the bill; rings grade from the colour to it.
     texture_size : int
-        Texels on a side.
+        Side of the texture, texels.
 
     Returns
     -------
@@ -84,7 +84,7 @@ def toy(
 
 
 def _profile(corners: list[tuple[float, float]], radius: float) -> np.ndarray:
-    """Outline in x and z with its corners rounded."""
+    """Round the corners of an outline in x and z."""
     shape = manifold3d.CrossSection([np.array(corners)])
     round_ = manifold3d.JoinType.Round
     shape = shape.offset(-radius, round_, circular_segments=32).offset(radius, round_, circular_segments=32)
@@ -92,7 +92,7 @@ def _profile(corners: list[tuple[float, float]], radius: float) -> np.ndarray:
 
 
 def _across(outline: np.ndarray, width: float, spacing: float, bevel: float) -> manifold3d.Manifold:
-    """Prism of an outline in x and z, from -width / 2 to width / 2 along y."""
+    """Extrude an outline in x and z along y, from -width / 2 to width / 2."""
     plate = prism([outline], width, spacing, bevel, 3)
     return plate.transform(np.array([[1.0, 0, 0, 0], [0, 0, -1.0, width / 2], [0, 1.0, 0, 0]]))
 
@@ -100,7 +100,7 @@ def _across(outline: np.ndarray, width: float, spacing: float, bevel: float) -> 
 def _wheels(
     look: Look, places: list[float], radius: float, width: float, spacing: float
 ) -> list[PaintedPart]:
-    """Wheels in pairs, with hubs, at places along x; `width` is that between their outer sides."""
+    """Build pairs of wheels with hubs at positions along x; `width` is between their outer sides."""
     thick, hub = 0.5 * radius, 0.55 * radius
     tyre = look.dyed(look.accent).paint((0, 1, 0), 1)
     cap = look.dyed("ece7da").paint((0, 1, 0), 2)
@@ -126,7 +126,7 @@ def _lamps(
 
 
 def _glazed(body: Paint, sides: np.ndarray, width: float, border: float, pillar: float | None) -> Paint:
-    """Paint of a cabin with windows within a convex outline in x and z, on all four sides."""
+    """Return the paint of a cabin with windows on all sides, inside a convex outline in x and z."""
     glass, edge = rgb("9fd3e6"), np.roll(sides, -1, axis=0) - sides
     inward = np.stack([-edge[:, 1], edge[:, 0]], 1) / np.linalg.norm(edge, axis=1, keepdims=True)
     soft = 0.15 * border
@@ -220,11 +220,11 @@ def _truck(look: Look, size: float, plump: float) -> list[PaintedPart]:
 
 
 def _rings(look: Look, height: float, plump: float, count: int) -> list[PaintedPart]:
-    """Rings that shrink upwards on a post, between a foot and a ball."""
+    """Build rings that shrink upwards on a post, between a foot and a ball."""
     foot, ball = 0.09 * height, 0.11 * height
     widest = 0.36 * height * plump
     pitch = (height - foot - 1.75 * ball) / count
-    thick = 1.12 * pitch  # rings sink into each other
+    thick = 1.12 * pitch  # rings overlap
     colours = ramp(look.color, look.accent, count + 2)
     base = prism([regular(72, widest)], foot, height / 40, 0.3 * foot)
     parts = [PaintedPart.of(base, look.dyed(colours[0]).paint((1, 0, 0)))]
@@ -247,7 +247,7 @@ def _rings(look: Look, height: float, plump: float, count: int) -> list[PaintedP
 
 
 def ramp(first: str | None, last: str | None, count: int) -> list[str]:
-    """Colours, hexadecimal, from the first to the last; the rainbow's where there is no first."""
+    """Return hexadecimal colours from the first to the last, or rainbow colours without a first."""
     if first is None:
         return [RAINBOW[k % len(RAINBOW)] for k in range(count)]
     ends = rgb(first), rgb(last or first)
@@ -256,11 +256,11 @@ def ramp(first: str | None, last: str | None, count: int) -> list[str]:
 
 
 def _duck(look: Look, size: float, plump: float) -> list[PaintedPart]:
-    """Body, head and tail run into each other; the bill and the eyes are set on."""
+    """Build a duck: blended body, head and tail, with bill and painted eyes."""
     wide = np.array([1.0, plump, 1.0])
 
     def blend(a: np.ndarray, b: np.ndarray, soft: float) -> np.ndarray:
-        """Smooth union of two distances."""
+        """Blend two distances into a smooth union."""
         h = np.clip(0.5 + 0.5 * (b - a) / soft, 0, 1)
         return b + h * (a - b) - soft * h * (1 - h)
 
@@ -295,21 +295,21 @@ def _duck(look: Look, size: float, plump: float) -> list[PaintedPart]:
 
 
 def _ellipsoid(at: np.ndarray, middle: tuple[float, ...], half: tuple[float, ...]) -> np.ndarray:
-    """Distance (N,) to an ellipsoid, exact to first order near it."""
+    """Compute the distance (N,) to an ellipsoid, to first order near its surface."""
     scaled = (at - middle) / half
     radius = np.maximum(np.linalg.norm(scaled, axis=1), 1e-9)
     return radius * (radius - 1) / np.maximum(np.linalg.norm(scaled / half, axis=1), 1e-9)
 
 
 def _drawn(distance: Callable[[np.ndarray], np.ndarray], bounds: np.ndarray) -> manifold3d.Manifold:
-    """Solid where a distance is below zero."""
+    """Extract the solid where a distance is negative."""
     step = np.ptp(bounds, axis=0).max() / CELLS
     axes = [np.arange(a, b + step, step) for a, b in bounds.T]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
     values = distance(points.reshape(-1, 3)).reshape(points.shape[:3])
     vertices, faces, _, _ = marching_cubes(values, 0.0, spacing=(step,) * 3, allow_degenerate=False)
     vertices = vertices.astype(np.float64) + [axis[0] for axis in axes]
-    for _ in range(2):  # onto the surface, which the grid's straight edges miss
+    for _ in range(2):  # Newton steps onto the surface
         shifts = 1e-4 * np.eye(3)
         slope = np.stack([distance(vertices + d) - distance(vertices - d) for d in shifts], 1) / 2e-4
         vertices -= (distance(vertices) / np.sum(slope**2, axis=1))[:, None] * slope

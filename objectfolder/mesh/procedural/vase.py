@@ -33,21 +33,21 @@ def vase(
     Parameters
     ----------
     radius, height, wall : float
-        Greatest outer radius, height and thickness of the wall and the floor, m.
+        Largest outer radius, height and thickness of the wall and the floor, m.
     base_radius, neck_radius, lip_radius : float
         Outer radii at the base, at the neck and at the lip, m.
     belly, neck : float
-        Heights of the greatest radius and of the neck, in heights of the vase.
+        Heights of the largest radius and of the neck, in heights of the vase.
     lobes : int
-        How many lobes the body has, 0 for a round one.
+        Number of lobes of the body, 0 for a round one.
     lobe_depth : float
-        Swing of the lobes, in radii; a round vase has none.
+        Depth of the lobes, in radii; unused for a round vase.
     twist : float
-        By how much the lobes wind from the base to the lip, in turns.
+        Rotation of the lobes from the base to the lip, turns.
     finish, color, accent, seed
-        See `procedural.finish.finish`; on a glazed vase the accent is the colour inside.
+        See `objectfolder.mesh.procedural.finish.finish`; on a glazed vase the accent is the colour inside.
     texture_size : int
-        Texels on a side.
+        Side of the texture, texels.
 
     Returns
     -------
@@ -57,7 +57,7 @@ def vase(
     Raises
     ------
     ObjectFolderError
-        If a dimension is not positive or the parts do not fit each other.
+        If a dimension is not positive or does not fit the others.
     """
     require_positive(
         "vase",
@@ -89,7 +89,7 @@ def vase(
     levels = floor + (top - floor) * np.array([0, belly, neck, 1])
     radii = np.array([base_radius, radius, neck_radius, lip_radius]) - wall / 2
     curve = PchipInterpolator(levels, radii)
-    # The bend from floor to wall is a quarter circle sheared along the curve, so that it fits any curve.
+    # The bend from floor to wall is a quarter circle, sheared along the curve to fit it.
     bend = min(0.25 * base_radius, 0.3 * (levels[1] - floor))
     angle = np.linspace(0, np.pi / 2, 40)
     z = np.concatenate([floor + bend * (1 - np.cos(angle)), np.linspace(floor + bend, top, 400)[1:]])

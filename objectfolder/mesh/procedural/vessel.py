@@ -13,7 +13,7 @@ from objectfolder.mesh.procedural.finish import Finish, Paint, finish
 from objectfolder.mesh.procedural.parameters import require_between
 from objectfolder.mesh.procedural.revolution import revolve
 from objectfolder.mesh.procedural.section import COARSE, even_rows, split_at_lip
-from objectfolder.mesh.procedural.solid import Patch, textured, weld_patches
+from objectfolder.mesh.procedural.solid import Patch, coincident, textured, weld_patches
 from objectfolder.mesh.procedural.texture import lattice, noise, over, rgb, smoothstep
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -171,6 +171,5 @@ def revolved(profile: np.ndarray, coarse: float = COARSE) -> manifold3d.Manifold
     vertices = np.concatenate([patch.vertices for patch in patches])
     starts = np.cumsum([0, *(len(patch.vertices) for patch in patches)])
     faces = np.concatenate([patch.faces + start for patch, start in zip(patches, starts)])
-    grain = 1.234567e-7 * np.ptp(vertices, axis=0).max()
-    _, first, index = np.unique(np.round(vertices / grain), axis=0, return_index=True, return_inverse=True)
-    return solid(vertices[first], index.ravel()[faces])
+    first, group = coincident(vertices)
+    return solid(vertices[first], group[faces])

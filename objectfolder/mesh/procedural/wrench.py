@@ -14,11 +14,11 @@ from objectfolder.mesh.procedural.parameters import (
 from objectfolder.mesh.textured import TexturedMesh
 
 ENDS = ("combination", "open", "ring")
-JAW_ANGLE = np.deg2rad(15)  #: of open jaws to the bar
+JAW_ANGLE = np.deg2rad(15)  #: between open jaws and the bar
 JAW, RING = 1.08, 0.82  #: radii of the heads, in widths across the flats
 HEAD = 1.3  #: thickness of a head, in thicknesses of the bar
 RECESS = 0.14  #: depth of the panels in the bar, in its thicknesses
-SMALL = 0.85  #: size of the other end of a wrench with two like ends
+SMALL = 0.85  #: relative size of the second of two like ends
 
 
 def wrench(
@@ -37,17 +37,17 @@ def wrench(
     Parameters
     ----------
     length : float
-        Between the middles of the two heads, m.
+        Distance between the centres of the heads, m.
     size : float
-        Width across the flats of the nut that it fits, m; two like ends differ in size.
+        Width across flats of the matching nut, m; the second of two like ends is smaller.
     thickness : float
-        Of the bar beside its recessed panels, m; heads are thicker.
+        Thickness of the bar outside its recessed panels, m; heads are thicker.
     ends : str
         "combination" of open jaws and a ring, "open" or "ring" at both ends.
     finish, color, accent, seed
-        See ``finish``.
+        See `objectfolder.mesh.procedural.finish.finish`.
     texture_size : int
-        Texels on a side.
+        Side of the texture, texels.
 
     Returns
     -------
@@ -111,7 +111,7 @@ def _rings(shape: manifold3d.CrossSection) -> list[np.ndarray]:
 
 
 def _jaws(size: float, radius: float, end: int) -> manifold3d.CrossSection:
-    """Slot that opens away from the bar of the first (0) or second (1) end."""
+    """Build the slot of the first (0) or second (1) end, open away from the bar."""
     turn = np.pi * (1 - end) + JAW_ANGLE
     slot = manifold3d.CrossSection(
         [rectangle(2.5 * radius, size) + np.array([1.25 * radius - 0.1 * size, 0])]
@@ -121,6 +121,6 @@ def _jaws(size: float, radius: float, end: int) -> manifold3d.CrossSection:
 
 
 def _star(size: float) -> manifold3d.CrossSection:
-    """Hole with twelve points, for hexagons in two positions."""
+    """Build a hole with twelve points, for hexagons in two orientations."""
     hexagons = [manifold3d.CrossSection([regular(6, size / np.sqrt(3), k * np.pi / 6)]) for k in (0, 1)]
     return hexagons[0] + hexagons[1]

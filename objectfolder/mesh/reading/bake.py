@@ -10,6 +10,7 @@ from trimesh.path.packing import rectangles_single
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh import srgb
+from objectfolder.mesh.normals import area_vectors
 from objectfolder.mesh.reading.parts import MeshPart, SurfaceMaterial
 from objectfolder.mesh.textured import PLAIN, TexturedMesh
 
@@ -90,10 +91,7 @@ def _roughness_metallic(parts: Sequence[MeshPart]) -> tuple[dict[str, Any], list
     """Average both over the parts that specify them, weighted by area."""
     result: dict[str, Any] = {}
     notes = []
-    corners = [p.vertices[p.faces] for p in parts]
-    areas = np.array(
-        [np.linalg.norm(np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]), axis=1).sum() for c in corners]
-    )
+    areas = np.array([np.linalg.norm(area_vectors(p.vertices, p.faces), axis=1).sum() for p in parts])
     for quantity in ("roughness", "metallic"):
         values = [getattr(p.material, quantity) for p in parts]
         said = [i for i, value in enumerate(values) if value is not None]
