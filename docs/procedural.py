@@ -18,11 +18,11 @@ from objectfolder.workspace import params
 
 DOCS = Path(__file__).parent
 CATALOGUE = DOCS.parent / "catalogs/procedural.yaml"
-COLUMNS, SIZE, CAPTION = 10, 128, 28  # thumbnails in a row, their side, and the height of what is below
+COLUMNS, SIZE, CAPTION = 10, 128, 28  # thumbnails in a row, their side, and the height of the caption
 SAMPLES, TEXTURE_SIZE = 64, 512
 FILL = 0.94  # of a thumbnail
 CAMERA = np.array([[1.3, -2.2, 1.35]])
-#: Positions and powers: a key light beside the camera, one behind it that fills the shadows, one from above.
+#: Positions and powers: key light beside the camera, fill light behind it, light from above.
 LIGHTS = [((3.0, -3.0, 4.0), 0.75), ((0.8, -4.5, 1.2), 0.35), ((-3.5, 0.5, 3.0), 0.3)]
 
 
@@ -38,7 +38,7 @@ def main() -> None:
 
 
 def thumbnail(key: str) -> np.ndarray:
-    """Picture (SIZE, SIZE, 3) uint8 of an object that fills it."""
+    """Draw an object that fills the picture; (SIZE, SIZE, 3) uint8."""
     generator, parameters = params.procedural_entry(key, CATALOGUE)
     mesh = in_unit_frame(generate(generator, **parameters | {"texture_size": TEXTURE_SIZE}))
     pose = look_at(CAMERA)[0]
@@ -60,7 +60,7 @@ def in_unit_frame(mesh: TexturedMesh) -> TexturedMesh:
 
 
 def captioned(picture: np.ndarray, key: str, material: str, scale: float) -> np.ndarray:
-    """Picture with the object's key, material and size below; (SIZE + CAPTION, SIZE, 3) uint8."""
+    """Add the object's key, material and size below a picture; (SIZE + CAPTION, SIZE, 3) uint8."""
     image = Image.new("RGB", (SIZE, SIZE + CAPTION), "white")
     image.paste(Image.fromarray(picture))
     draw = ImageDraw.Draw(image)

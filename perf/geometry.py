@@ -33,7 +33,7 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "IGL_NU
 
 
 def meshes(folder: Path | None) -> dict[str, tuple[Path, str]]:
-    """Path and up axis of every object: of params.yaml, or one `mesh.*` in each subfolder."""
+    """Return path and up axis of every object, of params.yaml or of `mesh.*` in each subfolder."""
     if folder is None:
         entries = params.read(ROOT / "params.yaml")["objects"]
         return {key: (ROOT / entry["mesh"], entry.get("up", "z")) for key, entry in entries.items()}
@@ -44,7 +44,7 @@ def meshes(folder: Path | None) -> dict[str, tuple[Path, str]]:
 
 
 def measure(path: Path, up: str) -> dict:
-    """One object, in this process."""
+    """Measure one object in this process."""
     from objectfolder.fem.voxelize import VoxelizeConfig, voxelize
 
     values = params.read(ROOT / "params.yaml")
@@ -69,7 +69,7 @@ def measure(path: Path, up: str) -> dict:
 
 
 def compare(path: Path, up: str) -> dict:
-    """Distance grid against libigl's distance and winding number of every sample: the same answer."""
+    """Compare the distance grid with libigl's distance and winding number of every sample."""
     import igl
 
     vertices, faces = normalize(load_mesh(path, up), path.parent.name).surface.mesh
@@ -101,7 +101,7 @@ def fresh(job: str, path: Path, up: str) -> dict:
 
 
 def misses(row: dict) -> list[str]:
-    """Targets that an object misses."""
+    """Return the targets that an object misses."""
     missed = []
     if "failed" in row:
         missed.append(f"crashed: {row['failed']}")

@@ -40,8 +40,8 @@ from objectfolder.workspace.layout import Build
 ROOT = Path(__file__).parents[1]
 MAX_SECONDS = 180.0  # of the modal stage
 MIN_FASTER = {"deepmodal": 5.0, "neuralsound": 2.5, "naive_loop": 150.0}
-PEER_STEP = 100  # modes by which DeepModal's call grows
-# The peers run on objects up to this size: minutes there, hours beyond.
+PEER_STEP = 100  # modes added per call of DeepModal
+# The peers take minutes on objects up to this size, hours beyond.
 PEER_DOF, PEER_MODES = 50_000, 300
 STRIKES, NAIVE_STRIKES = 300, 4  # times three axes
 SAMPLE_RATE, DURATION = 48000, 2.0  # at which every mode below 20 kHz sounds
@@ -54,14 +54,14 @@ def timed(function: Callable[[], Any]) -> tuple[Any, float]:
 
 
 def load(workspace: Path, key: str) -> tuple[Solid, Mesh, dict, dict]:
-    """First grid, the surface that it was cut from, the object's entry and the section `modal`."""
+    """Return the first grid, its surface, the object's entry and the section `modal`."""
     values, build = params.read(workspace / "params.yaml"), Build(key, workspace)
     solid, surface = solid_from_arrays(read_npz(build.solid, "kind")), read_surface(build.solid_surface)
     return solid, surface, values["objects"][key], values["modal"]
 
 
 def measure(workspace: Path, key: str) -> dict:
-    """What the stage `modal` computes, and its sound, in this process."""
+    """Measure the stage `modal` and the synthesis in this process."""
     solid, solid_surface, entry, section = load(workspace, key)
     surface = read_surface(Build(key, workspace).surface)
     points = sample_surface(*surface, len(surface[0]) + section["surface_points"], np.random.default_rng(0))
@@ -94,7 +94,7 @@ def measure(workspace: Path, key: str) -> dict:
 
 
 def synthesis(shapes: np.ndarray, damped_frequency: np.ndarray, damping: np.ndarray) -> dict:
-    """CPU time per sound: one product with the bank of all modes, and a loop over modes."""
+    """Measure CPU time per sound: one product with the bank of all modes, and a loop over modes."""
     if not len(damping):
         return {}
     gains = torch.from_numpy(shapes).reshape(-1, len(damping))
@@ -120,7 +120,7 @@ def synthesis(shapes: np.ndarray, damped_frequency: np.ndarray, damping: np.ndar
 
 
 def compare(workspace: Path, key: str) -> dict:
-    """Our solver call and the peers' on the same matrices; all find the modes below the same frequency.
+    """Time our solver and the peers' on the same matrices and frequency limit.
 
     DeepModal (analysis/FEM.py, compute_modes): `eigsh` around the middle of the band, by eigenvalue, with
     100 modes more until the band is covered. NeuralSound (src/classic/fem/solver.py, Lanczos_Solver):
@@ -174,7 +174,7 @@ def fresh(job: str, workspace: Path, key: str) -> dict:
 
 
 def misses(rows: list[dict], peers: list[dict]) -> list[str]:
-    """Targets that are missed."""
+    """Return the missed targets."""
     missed = [f"{row['object']}: crashed: {row['failed']}" for row in rows + peers if "failed" in row]
     for row in rows:
         if row.get("seconds", 0) > MAX_SECONDS:

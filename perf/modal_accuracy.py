@@ -1,4 +1,4 @@
-"""Accuracy of the modal analysis against analytic truths and refined grids: `python perf/modal_accuracy.py`.
+"""Accuracy of the modal analysis against exact solutions and refined grids: `python perf/modal_accuracy.py`.
 
 Prints one table; exits with 1 if a row misses its target. `--objects DIR` adds real meshes (one `mesh.*` in
 each subfolder, minutes each), `--tetrahedra` the mug against quadratic tetrahedra (needs objectfolder[tet]).
@@ -38,7 +38,7 @@ from objectfolder.workspace import params
 ROOT = Path(__file__).parents[1]
 STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
 WAVE = np.sqrt(STUFF.youngs_modulus / STUFF.density)
-# Free square plate, nu = 0.3: of Leissa's table (1973), whose values are up to 1 % high, and converged ones.
+# Free square plate, nu = 0.3: Leissa's table (1973), whose values are up to 1 % high, and converged values.
 LEISSA = (13.489, 19.789, 24.432, 35.024, 35.024, 61.526)
 KIRCHHOFF = (13.468, 19.596, 24.270, 34.801, 34.801, 61.093)
 #: material, longest side in metres, modal seconds allowed
@@ -54,7 +54,7 @@ REFINED = 64  #: cells along the longest side of the grid that real objects are 
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the table."""
+    """Line of the table."""
 
     name: str
     value: float
@@ -70,14 +70,14 @@ def hertz(modes: Modes) -> np.ndarray:
 def box(
     sides: tuple[float, float, float], centre: tuple[float, float, float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and outward faces of a box."""
+    """Build a box; vertices and outward faces."""
     corner = (np.indices((2, 2, 2)).reshape(3, -1).T - 0.5) * sides + centre
     quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
     return corner, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
 
 
 def tube(outer: float, inner: float, height: float, around: int = 256) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and outward faces of a pipe along z; its polygons have the circles' areas."""
+    """Build a pipe along z from polygons with the circles' areas; vertices and outward faces."""
     angle = 2 * np.pi * np.arange(around) / around
     grow = np.sqrt(2 * np.pi / around / np.sin(2 * np.pi / around))
     ring = np.stack([np.cos(angle), np.sin(angle)], 1) * grow
@@ -101,7 +101,7 @@ def plate(name: str = "Leissa", truth: tuple[float, ...] = LEISSA) -> Row:
 
 
 def pipe_modes(outer: float, inner: float, height: float, wave: int, degree: int = 9) -> np.ndarray:
-    """Frequencies of a free pipe's modes with ``wave`` > 1 periods around, in Hz; Ritz in 3-D elasticity.
+    """Compute frequencies, Hz, of a free pipe's modes with ``wave`` > 1 periods around; Ritz, 3-D elasticity.
 
     Displacements are (U cos, V sin, W cos) of the angle; U, V, W are products of Legendre polynomials of
     radius and height, which converge exponentially.
@@ -152,7 +152,7 @@ def cylinder(wall: float, resolution: int = 16) -> Row:
 
 
 def timoshenko(thick: float, count: int, degree: int = 24) -> np.ndarray:
-    """Bending frequencies of a free rectangular bar of length 1, in Hz; Ritz with Legendre polynomials."""
+    """Compute bending frequencies, Hz, of a free rectangular bar of length 1; Ritz, Legendre polynomials."""
     nu = STUFF.poisson_ratio
     shear = 10 * (1 + nu) / (12 + 11 * nu) / (2 * (1 + nu))  # of the modulus; Cowper's coefficient
     x, w = legendre.leggauss(2 * degree)
@@ -187,7 +187,7 @@ def beam() -> Row:
 
 
 def aligned_volume() -> Row:
-    """Volume of a thin table top that is parallel to the grid, wherever it lies."""
+    """Measure the volume of a thin table top parallel to the grid, at many positions."""
     errors = []
     for axis, x in itertools.product(range(3), (0.0, 0.007, 0.013)):
         vertices, faces = box((0.02, 0.6, 1), (x, 0, 0))
@@ -196,7 +196,7 @@ def aligned_volume() -> Row:
 
 
 def mug(resolution: int = 16) -> Row:
-    """Mug with a wall of 4 mm, cut cells against quadratic tetrahedra."""
+    """Compare cut cells with quadratic tetrahedra on a mug with a wall of 4 mm."""
     solid = normalize(generate("mug", texture_size=64), "mug").surface.mesh
     kinds = (("cut_cell_hex20", 32), ("tet10", resolution))
     found = []
@@ -208,7 +208,7 @@ def mug(resolution: int = 16) -> Row:
 
 
 def real(path: Path) -> list[Row]:
-    """One real object: the stage's own figures, and its grid against a finer one."""
+    """Measure a real object: the stage's own figures, and its grid against a finer one."""
     key = path.parent.name
     stuff, scale, seconds = OBJECTS[key]
     values = params.read(ROOT / "params.yaml")
@@ -238,7 +238,7 @@ def real(path: Path) -> list[Row]:
 
 
 def threads() -> Row:
-    """Mode shapes of one object, solved with one and with two threads in processes of their own."""
+    """Compare the mode shapes of one object solved with one and with two threads."""
     code = (
         "import sys; from perf.modal_accuracy import *;"
         "s = normalize(generate('bell', texture_size=64)).surface.mesh;"

@@ -1,4 +1,4 @@
-"""Checks that every assembled object must pass, whatever it is."""
+"""Checks for all assembled objects."""
 
 from typing import Any
 

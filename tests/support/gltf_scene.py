@@ -1,4 +1,4 @@
-"""Builds small glTF scenes for tests, and looks colours up in a mesh as a renderer does."""
+"""Small glTF scenes for tests, and colour lookup in a mesh as by a renderer."""
 
 import base64
 import io
@@ -14,7 +14,7 @@ TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 
 
 class Scene:
-    """A glTF document with everything embedded; nodes and materials are given as in the standard."""
+    """glTF document with embedded data; nodes and materials as in the standard."""
 
     def __init__(self):
         self.document = {

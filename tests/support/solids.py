@@ -1,4 +1,4 @@
-"""Closed triangle meshes whose volume and distance are known."""
+"""Closed triangle meshes with known volume and distance."""
 
 import numpy as np
 import trimesh
@@ -43,7 +43,7 @@ def pretzel():
 
 
 def join(*solids):
-    """One mesh of several, as they are."""
+    """Concatenate meshes."""
     offsets = np.cumsum([0, *(len(v) for v, _ in solids)])
     faces = np.concatenate([f + start for (_, f), start in zip(solids, offsets)])
     return np.concatenate([v for v, _ in solids]), faces
@@ -58,7 +58,7 @@ def isosurface(solid, resolution=64):
 
 
 def full_cells(index, resolution):
-    """Cells of a grid that are full of material, and joined wherever they touch."""
+    """Full cells of a grid, connected wherever they touch."""
     occupancy = np.zeros((len(index), 5, 5, 5), np.float32)
     occupancy[:, 0, 0, 0] = 8  # the volume of [-1, 1]^3
     return CutCells(index, occupancy, lattice_connectivity(index, NODES), resolution)
