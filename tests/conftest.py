@@ -3,8 +3,10 @@ import signal
 import numpy as np
 import pytest
 import torch
+import forkserver
 from brick import build_brick
 from hypothesis import settings
+from sharing import shared_folder
 from threadpoolctl import threadpool_limits
 
 from objectfolder.errors import ObjectFolderError
@@ -58,3 +60,17 @@ def opengl():
         draw_scene(lambda plotter: None)
     except ObjectFolderError as error:
         pytest.skip(str(error))
+
+
+@pytest.fixture(scope="session")
+def fork_server(tmp_path_factory):
+    """Runs Python commands in forks that have imported the libraries."""
+    with forkserver.fork_server(shared_folder(tmp_path_factory) / "forks", hash_seed=0) as server:
+        yield server
+
+
+@pytest.fixture(scope="session")
+def other_fork_server(tmp_path_factory):
+    """A server of another hash seed and other addresses: what depends on them differs from `fork_server`'s."""
+    with forkserver.fork_server(shared_folder(tmp_path_factory) / "other_forks", hash_seed=1) as server:
+        yield server

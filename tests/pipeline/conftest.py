@@ -1,15 +1,13 @@
 """A tiny workspace that runs the real DAG."""
 
-import fcntl
-import json
-import os
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from forkserver import ForkServer
 from ruamel.yaml import YAML
+from sharing import once
 
 ROOT = Path(__file__).parents[2]
 
@@ -161,10 +159,19 @@ TINY_OBJECTS = {
 
 
 class Workspace:
-    """A copy of the pipeline with tiny parameters, in a git and DVC repository of its own."""
+    """A copy of the pipeline with tiny parameters, in a git and DVC repository of its own.
 
-    def __init__(self, root: Path):
+    Parameters
+    ----------
+    root : Path
+        Where it is.
+    server : ForkServer
+        Runs its commands.
+    """
+
+    def __init__(self, root: Path, server: ForkServer):
         self.root = root
+        self.server = server
 
     def create(self) -> "Workspace":
         self.root.mkdir(parents=True)
@@ -186,22 +193,12 @@ class Workspace:
 
     def run(self, *command: str, ok: bool = True) -> subprocess.CompletedProcess:
         """Run `objectfolder ...` or `python -m stages...` in the workspace, with its own copy of the code."""
-        done = subprocess.run(
-            [sys.executable, *command], cwd=self.root, capture_output=True, text=True, timeout=500
-        )
+        done = self.server.run(command, self.root)
         assert not ok or done.returncode == 0, f"{command}:\n{done.stdout}\n{done.stderr}"
         return done
 
     def cli(self, *arguments: str, ok: bool = True) -> subprocess.CompletedProcess:
         return self.run("-c", "from objectfolder.cli import main; main()", *arguments, ok=ok)
-
-    def cli_in_turn(self, *commands: list[str]) -> str:
-        """Run several commands in one process, which imports once; returns what they print."""
-        script = (
-            "import json, sys; from objectfolder.cli import app\n"
-            "for command in json.loads(sys.argv[1]): app(command, standalone_mode=False)"
-        )
-        return self.run("-c", script, json.dumps(commands)).stdout
 
     def build(self, *targets: str) -> set[str]:
         """Build; return the addresses of the stages that ran."""
@@ -232,21 +229,18 @@ class _Edit:
 
 
 @pytest.fixture(scope="session")
-def built(tmp_path_factory) -> Workspace:
+def built(tmp_path_factory, fork_server) -> Workspace:
     """A workspace whose two objects are built; each process of a parallel run gets a copy of one build."""
-    base = tmp_path_factory.getbasetemp()
-    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
-    done = shared / "tiny"
-    with (shared / "tiny.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not done.exists():
-            first = Workspace(shared / "building" / "workspace").create()
+    with once(tmp_path_factory, "tiny") as (done, is_first):
+        if is_first:
+            first = Workspace(done.with_name("building") / "workspace", fork_server).create()
             first.build()
             first.root.rename(done)
-    return Workspace(shutil.copytree(done, tmp_path_factory.mktemp("tiny") / "workspace", symlinks=True))
+    copy = shutil.copytree(done, tmp_path_factory.mktemp("tiny") / "workspace", symlinks=True)
+    return Workspace(copy, fork_server)
 
 
 @pytest.fixture
-def workspace(tmp_path) -> Workspace:
+def workspace(tmp_path, fork_server) -> Workspace:
     """A workspace that nothing was built in."""
-    return Workspace(tmp_path / "workspace").create()
+    return Workspace(tmp_path / "workspace", fork_server).create()

@@ -27,7 +27,7 @@ def test_fresh_clone_of_a_built_workspace_runs_nothing(built, tmp_path):
     )
     assert {"dvc.yaml", "dvc.lock", "params.yaml", ".dvc/config"} <= set(committed.stdout.split())
     git(tmp_path, "clone", "-q", str(built.root), "clone")
-    fresh = Workspace(tmp_path / "clone")
+    fresh = Workspace(tmp_path / "clone", built.server)
     fresh.run("-m", "dvc", "remote", "add", "-d", "store", str(tmp_path / "store"))
     done = fresh.cli("build", "--pull", "-j", "2")
     stages = built.run("-m", "dvc", "stage", "list", "--name-only").stdout.split()
