@@ -1,9 +1,9 @@
 import signal
 
+import forkserver
 import numpy as np
 import pytest
 import torch
-import forkserver
 from brick import build_brick
 from hypothesis import settings
 from sharing import shared_folder
@@ -71,6 +71,6 @@ def fork_server(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def other_fork_server(tmp_path_factory):
-    """A server of another hash seed and other addresses: what depends on them differs from `fork_server`'s."""
+    """As `fork_server`, with another hash seed and other addresses in memory."""
     with forkserver.fork_server(shared_folder(tmp_path_factory) / "other_forks", hash_seed=1) as server:
         yield server

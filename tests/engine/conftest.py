@@ -1,12 +1,12 @@
 """A small DVC workspace: three objects, and the chain prepare -> solve -> pack for each."""
 
-import os
+import shutil
 import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from forkserver import ForkServer
 from ruamel.yaml import YAML
 
 from objectfolder.engine.verify import verify
@@ -83,10 +83,23 @@ KEYS = ("bell", "bowl", "mug")
 
 
 class Workspace:
-    """A workspace and the means to change and inspect it."""
+    """A workspace and the means to change and inspect it.
 
-    def __init__(self, root: Path):
+    Parameters
+    ----------
+    root : Path
+        Where it is.
+    server : ForkServer
+        Runs its commands.
+    """
+
+    def __init__(self, root: Path, server: ForkServer):
         self.root = root
+        self.server = server
+
+    def copy(self, root: Path) -> "Workspace":
+        """Copy it with all that was built."""
+        return Workspace(shutil.copytree(self.root, root), self.server)
 
     def params(self, **objects: dict[str, object]) -> None:
         """Write params.yaml; objects that are not given keep their defaults."""
@@ -117,14 +130,7 @@ class Workspace:
 
     def dvc(self, *arguments: str) -> str:
         """Run the real `dvc` command line and return what it printed."""
-        done = subprocess.run(
-            [sys.executable, "-m", "dvc", *arguments],
-            cwd=self.root,
-            env=os.environ
-            | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}", "OMP_NUM_THREADS": "1"},
-            capture_output=True,
-            text=True,
-        )
+        done = self.server.run(("-m", "dvc", *arguments), self.root)
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 
@@ -144,22 +150,22 @@ def everything(*stages: str) -> list[str]:
 
 
 @pytest.fixture(scope="session")
-def make() -> Callable[[Path, str], Workspace]:
+def make(tmp_path_factory, fork_server) -> Callable[[Path, str], Workspace]:
     """Make a workspace with a pipeline at a path."""
+    from dvc.repo import Repo
+
+    template = tmp_path_factory.mktemp("template") / "workspace"
+    subprocess.run(["git", "init", "-q", template], check=True)
+    with Repo.init(str(template)) as repo, repo.config.edit("repo") as config:
+        config["core"].update({"analytics": False, "check_update": False})
+    (template / ".gitignore").write_text("/build/\n/metrics/\n")
+    (template / "steps.py").write_text(STEPS)
+    template = Workspace(template, fork_server)
+    template.params()
 
     def make(root: Path, pipeline: str) -> Workspace:
-        from dvc.repo import Repo
-
-        root.mkdir()
-        subprocess.run(["git", "init", "-q", root], check=True)
-        with Repo.init(str(root)) as repo, repo.config.edit("repo") as config:
-            config["core"].update({"analytics": False, "check_update": False})
-        (root / "dvc.yaml").write_text(pipeline)
-        (root / ".gitignore").write_text("/build/\n/metrics/\n")
-        (root / "steps.py").write_text(STEPS)
-        workspace = Workspace(root)
-        workspace.params()
-        return workspace
+        (template.root / "dvc.yaml").write_text(pipeline)
+        return template.copy(root)
 
     return make
 

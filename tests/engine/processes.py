@@ -1,7 +1,6 @@
 """Other processes: start them in a workspace, wait for what they do, see whether they live."""
 
 import os
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -12,12 +11,9 @@ PATH = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
 
 
 def start(workspace, *command):
-    log = (workspace.root / "process.log").open("wb")
-    environment = os.environ | {"PATH": PATH, "OMP_NUM_THREADS": "1"}
-    with log:
-        return subprocess.Popen(
-            [sys.executable, *command], cwd=workspace.root, env=environment, stdout=log, stderr=log
-        )
+    """Start Python in a workspace."""
+    with (workspace.root / "process.log").open("wb") as log:
+        return workspace.server.start(command, workspace.root, log, log)
 
 
 def wait_for(condition, seconds=60):

@@ -129,7 +129,8 @@ stages:
 # Dies before its n-th change of a file of the workspace; `finished` names the stages that it has reported.
 MORTAL = """
 import os, signal, sys
-from objectfolder.engine import build, lockfile
+from objectfolder.engine import build
+from objectfolder.engine.dvc import lockfile
 from objectfolder.engine.summary import Finished, Status
 
 lockfile.PERIOD = lockfile.PERIOD_PER_WRITE = 0.0  # dvc.lock is written after every stage

@@ -17,7 +17,7 @@ from objectfolder.engine.prune import prune, survey
 from objectfolder.engine.verify import verify
 from objectfolder.errors import ObjectFolderError
 
-from .conftest import PIPELINE, Workspace
+from .conftest import PIPELINE
 
 SIZES = {"bell": {"size": 1}, "bowl": {"size": 1}, "mug": {"size": 2}}
 
@@ -38,8 +38,7 @@ def built(tmp_path_factory, make):
 
 @pytest.fixture
 def workspace(built, tmp_path):
-    shutil.copytree(built.root, tmp_path / "workspace")
-    return Workspace(tmp_path / "workspace")
+    return built.copy(tmp_path / "workspace")
 
 
 def remove(workspace, key):

@@ -104,7 +104,7 @@ def clone(workspace, name="clone"):
     git(root.parent, "clone", "-q", str(workspace.root), str(root))
     assert not (root / "build").exists()
     assert not (root / ".dvc/cache").exists()
-    return Workspace(root)
+    return Workspace(root, workspace.server)
 
 
 def content(workspace):

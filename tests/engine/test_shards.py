@@ -26,7 +26,7 @@ def shard(whole: Workspace, root: Path, keys: list[str]) -> Workspace:
     lines = (whole.root / "params.yaml").read_text().splitlines()
     kept = [line for line in lines[1:] if line.split(":")[0].strip() in keys]
     (root / "params.yaml").write_text("\n".join(["objects:", *kept]) + "\n")
-    return Workspace(root)
+    return Workspace(root, whole.server)
 
 
 def test_shards_build_at_the_same_time_and_the_whole_takes_all_from_their_cache(workspace, tmp_path):

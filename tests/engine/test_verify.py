@@ -1,7 +1,6 @@
 """`verify` finds every way in which bytes can go bad, and `--repair` brings them back and loses nothing."""
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -12,7 +11,7 @@ import pytest
 from objectfolder.engine.build import build
 from objectfolder.engine.verify import verify
 
-from .conftest import KEYS, PIPELINE, Workspace
+from .conftest import KEYS, PIPELINE
 
 SIZES = {key: {"size": size} for size, key in enumerate(KEYS)}
 
@@ -29,8 +28,7 @@ def built(tmp_path_factory, make):
 
 @pytest.fixture
 def workspace(built, tmp_path):
-    shutil.copytree(built.root, tmp_path / "workspace")
-    return Workspace(tmp_path / "workspace")
+    return built.copy(tmp_path / "workspace")
 
 
 def cached(workspace, path):

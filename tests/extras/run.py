@@ -46,9 +46,12 @@ class Extra:
     unpinned: tuple[str, ...] = ()
 
 
+ELEMENTS = ("tests/fem/test_elements.py", "tests/fem/test_accuracy.py")
 RENDERERS = "tests/vision/test_renderers.py"
 EXTRAS = (
-    Extra("tet", ("[tet]",), "pytetwild", "tet", ("tests/fem/test_elements.py", "tests/fem/test_accuracy.py")),
+    Extra(
+        "tet", ("[tet]",), "pytetwild", "tet", ("tests/fem/test_elements.py", "tests/fem/test_accuracy.py")
+    ),
     Extra("raster", ("[raster]",), "pyrender", "raster or tacto", (RENDERERS, "tests/touch/test_tacto.py")),
     Extra("cycles", ("[cycles]",), "bpy", "cycles", (RENDERERS,)),
     Extra("mitsuba-llvm", (), "mitsuba", "llvm", (RENDERERS,)),
@@ -126,7 +129,16 @@ def test(extra: Extra) -> tuple[str, int, int, int, str]:
     report = HOME / f"{extra.name}.xml"
     report.unlink(missing_ok=True)
     python = HOME / extra.environment / "bin" / "python"
-    pytest = (python, "-m", "pytest", "-m", "slow or not slow", "-p", "no:cacheprovider", f"--junitxml={report}")
+    pytest = (
+        python,
+        "-m",
+        "pytest",
+        "-m",
+        "slow or not slow",
+        "-p",
+        "no:cacheprovider",
+        f"--junitxml={report}",
+    )
     done = run(*pytest, "-k", extra.select, *extra.tests, **newest_llvm())
     if not report.exists():
         return installed, 0, 1, 0, _last(done.stdout, "Error")

@@ -15,6 +15,7 @@ import runpy
 import select
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import tempfile
@@ -30,9 +31,9 @@ LIBRARIES = """
     networkx numpy PIL.Image PIL.ImageDraw psutil pydantic pymetis pypardiso rich.console rich.live
     rich.markdown rich.progress rich.table ruamel.yaml safetensors.torch scipy.fft scipy.interpolate
     scipy.ndimage scipy.optimize scipy.signal scipy.sparse.csgraph scipy.sparse.linalg scipy.spatial
-    scipy.special scipy.stats skimage.measure skimage.metrics skimage.morphology soundfile threadpoolctl torch
-    torch.nn.functional trimesh typer.main
-""".split()
+    scipy.special scipy.stats skimage.measure skimage.metrics skimage.morphology soundfile threadpoolctl
+    torch torch.nn.functional trimesh typer.main
+"""
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 #: Stands for ``python`` in the forks: stages become forks as well, anything else a process of its own.
 SHIM = """#!{python} -IS
@@ -40,8 +41,8 @@ import os, sys
 if sys.argv[1:2] != ["-m"] or not sys.argv[2].startswith("stages."):
     os.execv({python!r}, [{python!r}, *sys.argv[1:]])
 sys.path.insert(0, {support!r})
-from forkserver import request
-sys.exit(request({path!r}, sys.argv[1:], os.getcwd(), dict(os.environ), (0, 1, 2)))
+from forkserver import Process
+sys.exit(Process({path!r}, sys.argv[1:], os.getcwd(), dict(os.environ), (0, 1, 2)).wait())
 """
 
 
@@ -57,17 +58,66 @@ class ForkServer:
     def __init__(self, path: Path):
         self.path = path
 
-    def run(self, command, cwd, env=None, timeout=500) -> subprocess.CompletedProcess:
+    def run(self, command, cwd, timeout=500, **env) -> subprocess.CompletedProcess:
         """Run ``python COMMAND...`` and capture what it prints, like subprocess.run."""
-        with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err, open(os.devnull) as null:  # noqa: PTH123
-            files = [stream.fileno() for stream in (null, out, err)]
-            environment = {**os.environ, **ONE_THREAD, **(env or {})}
-            code = request(self.path, list(command), str(cwd), environment, files, timeout)
+        with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
+            code = self.start(command, cwd, out, err, **env).wait(timeout)
             texts = []
             for stream in (out, err):
                 stream.seek(0)
                 texts.append(stream.read().decode())
         return subprocess.CompletedProcess(list(command), code, *texts)
+
+    def start(self, command, cwd, out, err, **env) -> "Process":
+        """Start ``python COMMAND...`` with open files for its output."""
+        with open(os.devnull) as null:  # noqa: PTH123
+            files = [stream.fileno() for stream in (null, out, err)]
+            return Process(self.path, list(command), str(cwd), {**os.environ, **ONE_THREAD, **env}, files)
+
+
+class Process:
+    """Fork that runs a command, in a session of its own; it dies with this object.
+
+    Parameters
+    ----------
+    path : Path
+        Socket of the server.
+    command : list of str
+        ``-c CODE ...`` or ``-m MODULE ...``.
+    cwd : str
+        Working directory.
+    env : dict of str to str
+        Environment.
+    files : sequence of int
+        Standard input, output and error.
+    """
+
+    def __init__(self, path, command, cwd, env, files):
+        self.connection = socket.socket(socket.AF_UNIX)
+        self.connection.connect(str(path))
+        text = json.dumps({"command": command, "cwd": cwd, "env": env}).encode() + b"\n"
+        rights = array.array("i", files).tobytes()
+        self.connection.sendmsg([text[:1]], [(socket.SOL_SOCKET, socket.SCM_RIGHTS, rights)])
+        self.connection.sendall(text[1:])
+        self.pid = struct.unpack("i", self.connection.recv(4, socket.MSG_WAITALL))[0]
+
+    def wait(self, timeout=None) -> int:
+        """Return the exit code; minus the number of the signal that killed it."""
+        self.connection.settimeout(timeout)
+        with self.connection:
+            return struct.unpack("i", self.connection.recv(4, socket.MSG_WAITALL))[0]
+
+    def send_signal(self, number) -> None:
+        """Send it a signal."""
+        os.kill(self.pid, number)
+
+    def terminate(self) -> None:
+        """Ask it to end."""
+        self.send_signal(signal.SIGTERM)
+
+    def kill(self) -> None:
+        """Kill it, and nothing that it has started."""
+        self.send_signal(signal.SIGKILL)
 
 
 @contextmanager
@@ -103,11 +153,10 @@ def _start(path, hash_seed):
     shim.chmod(0o755)
     path.unlink(missing_ok=True)
     environment = {**os.environ, **ONE_THREAD, "PYTHONHASHSEED": str(hash_seed)}
+    command = [sys.executable, __file__, path, shim]
     with (path.parent / "log").open("w") as log:
-        server = subprocess.Popen(
-            [sys.executable, __file__, path, shim], env=environment, stdout=log, stderr=log, start_new_session=True
-        )
-    deadline = time.monotonic() + 120
+        server = subprocess.Popen(command, env=environment, stdout=log, stderr=log, start_new_session=True)
+    deadline = time.monotonic() + 500
     while not path.exists():
         assert server.poll() is None, (path.parent / "log").read_text()
         assert time.monotonic() < deadline, "the fork server does not start"
@@ -115,25 +164,11 @@ def _start(path, hash_seed):
     server.returncode = 0  # it is not ours to wait for: other clients may need it longer
 
 
-def request(path, command, cwd, env, files, timeout=None) -> int:
-    """Run a command with these three files; return its exit code. It dies with its caller."""
-    with socket.socket(socket.AF_UNIX) as connection:
-        connection.connect(str(path))
-        connection.settimeout(timeout)
-        text = json.dumps({"command": command, "cwd": cwd, "env": env}).encode() + b"\n"
-        connection.sendmsg(
-            [text[:1]], [(socket.SOL_SOCKET, socket.SCM_RIGHTS, array.array("i", files).tobytes())]
-        )
-        connection.sendall(text[1:])
-        answer = connection.makefile("rb").read()
-    return int(answer) if answer else -signal.SIGKILL
-
-
 def serve(path: str, shim: str) -> None:
     """Answer until the last lease ends. Returns in forks only, having run nothing yet."""
-    for name in LIBRARIES:
+    for name in LIBRARIES.split():
         importlib.import_module(name)
-    threads = os.listdir("/proc/self/task")
+    threads = [*Path("/proc/self/task").iterdir()]
     assert len(threads) == 1, f"a fork would lose {len(threads) - 1} threads"
     gc.collect()
     gc.freeze()
@@ -181,13 +216,14 @@ def attend(client: socket.socket, text: bytes, ancillary: list, shim: str) -> No
     for file in files:
         os.close(file)
     watched = os.pidfd_open(worker)
+    client.sendall(struct.pack("i", worker))
     ready, _, _ = select.select([watched, client], [], [])
     if watched not in ready:
         with suppress(ProcessLookupError):
             os.killpg(worker, signal.SIGKILL)
     code = os.waitstatus_to_exitcode(os.waitpid(worker, 0)[1])
     with suppress(OSError):
-        client.sendall(str(code).encode())
+        client.sendall(struct.pack("i", code))
     os._exit(0)
 
 
@@ -196,7 +232,7 @@ def become(command: list[str], cwd: str, env: dict[str, str], files, shim: str) 
     for number, file in enumerate(files):
         os.dup2(file, number)
         os.close(file)
-    sys.stdin, sys.stdout, sys.stderr = (open(i, "w" if i else "r", closefd=False) for i in range(3))  # noqa: PTH123
+    sys.stdin, sys.stdout, sys.stderr = (open(i, "w" if i else "r", closefd=False) for i in range(3))  # noqa: SIM115
     sys.stdout.reconfigure(write_through="PYTHONUNBUFFERED" in env)
     sys.stderr.reconfigure(line_buffering=True, errors="backslashreplace")
     os.chdir(cwd)
@@ -220,6 +256,9 @@ def main() -> None:
         code = end.code if isinstance(end.code, int) else int(end.code is not None)
         if isinstance(end.code, str):
             print(end.code, file=sys.stderr)
+    except KeyboardInterrupt:
+        traceback.print_exc()
+        code = -signal.SIGINT
     except BaseException:
         traceback.print_exc()
     finally:
@@ -227,6 +266,9 @@ def main() -> None:
         atexit._run_exitfuncs()
         sys.stdout.flush()
         sys.stderr.flush()
+        if code == -signal.SIGINT:
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
+            os.kill(os.getpid(), signal.SIGINT)
         os._exit(code)
 
 
