@@ -5,7 +5,7 @@ JOBS ?= 2
 PIP_ARGS ?=
 BIN := .venv/bin
 
-.PHONY: setup demo test test-slow fuzz lint docs gltf-validate clean
+.PHONY: setup demo test test-slow test-extras fuzz lint docs gltf-validate clean
 
 setup: .venv/installed
 
@@ -26,13 +26,17 @@ test: setup
 test-slow: setup
 	$(BIN)/pytest -m slow
 
+# Optional extras, in environments of their own; prints a table for docs/development.md.
+test-extras: setup
+	@PIP_ARGS="$(PIP_ARGS)" $(BIN)/python tests/extras/run.py
+
 # Ten minutes each.
 fuzz: setup
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt atheris
 	$(BIN)/python fuzz/objectfile.py -max_total_time=600
 	$(BIN)/python fuzz/queryfiles.py -max_total_time=600
 	$(BIN)/python fuzz/released.py -max_total_time=600
-	$(BIN)/pytest --hypothesis-profile=fuzz tests/test_hostile_files.py
+	$(BIN)/pytest --hypothesis-profile=fuzz tests/objectfile/test_hostile_files.py
 
 lint: setup
 	$(BIN)/ruff check .

@@ -24,8 +24,12 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
 
 
 def pytest_collection_modifyitems(items):
-    """Start with the longest file: a parallel run that ended with it would wait for one process."""
-    items.sort(key=lambda item: item.path.name != "test_pipeline.py")
+    """Start with the longest file: a parallel run that ended with it would wait for one process.
+
+    Then the one that mostly waits for its cluster.
+    """
+    first = ("test_pipeline.py", "test_ray.py")
+    items.sort(key=lambda item: first.index(item.path.name) if item.path.name in first else len(first))
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -246,7 +246,8 @@ def test_generated_mesh_is_the_same_bytes_twice(built, other_fork_server):
 @pytest.mark.slow  # tests/test_inspection.py has the cheap ones
 def test_inspect(built, opengl):
     stages = ("voxelize", "modal", "pack", "evaluate")
-    built.cli_in_turn(*(["inspect", f"{stage}@cube"] for stage in stages))
+    for stage in stages:
+        built.cli("inspect", f"{stage}@cube")
     assert "build" in built.cli("inspect", "modal@nothing", ok=False).stderr
 
 
@@ -259,17 +260,14 @@ def test_published_query_formats(built, tmp_path):
     np.save(tmp_path / "f.npy", np.ones((2, 3)))
     np.save(tmp_path / "g.npy", np.array([[0.1, 0.5, 0.001], [0, 0, 0.002]]))
     out = f"{tmp_path}/out"
-    printed = built.cli_in_turn(
-        ["query", "vision", file, f"{tmp_path}/v.npy", out, "--resolution", "32"],
-        ["query", "audio", file, f"{tmp_path}/p.npy", out, "--forces", f"{tmp_path}/f.npy"],
-        ["query", "touch", file, f"{tmp_path}/p.npy", out, "--gelinfo", f"{tmp_path}/g.npy"],
-        ["info", file],
-    )
+    built.cli("query", "vision", file, f"{tmp_path}/v.npy", out, "--resolution", "32")
+    built.cli("query", "audio", file, f"{tmp_path}/p.npy", out, "--forces", f"{tmp_path}/f.npy")
+    built.cli("query", "touch", file, f"{tmp_path}/p.npy", out, "--gelinfo", f"{tmp_path}/g.npy")
     assert {p.name for p in (tmp_path / "out").iterdir()} == {
         *("1.png", "2.png", "1.wav", "2.wav"),
         "contacts.csv",
     }
-    assert "cube" in printed
+    assert "cube" in built.cli("info", file).stdout
     np.save(tmp_path / "bad.npy", np.zeros((2, 5)))
     refused = built.cli("query", "vision", file, f"{tmp_path}/bad.npy", f"{tmp_path}/out", ok=False)
     assert refused.returncode == 1
@@ -375,9 +373,8 @@ def test_benchmarks_are_stages_over_all_objects(built):
     assert "VAT.accuracy" in shown
     built.run("-m", "stages.recognize", "seen")
     assert {path: path.read_bytes() for path in before} == before
-    shown = built.cli_in_turn(["status", "recognize"], ["prune", "--dry-run"])
-    assert "recognize@seen" in shown
-    assert "nothing to remove" in shown
+    assert "recognize@seen" in built.cli("status", "recognize").stdout
+    assert "nothing to remove" in built.cli("prune", "--dry-run").stdout
     with built.edit() as values:
         values["benchmarks"]["recognize"] = []
 
