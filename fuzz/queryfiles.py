@@ -18,7 +18,7 @@ with atheris.instrument_imports(include=["objectfolder"]):
 
     from objectfolder.errors import ObjectFolderError
     from objectfolder.io import read_rows
-    from objectfolder.objectfile.arguments import rows
+    from objectfolder.objectfile.arguments import finite_rows
 
 FOLDER = Path(tempfile.mkdtemp(prefix="fuzz"))
 DTYPES = (
@@ -63,7 +63,7 @@ def once(raw: bytes) -> None:
     path = FOLDER / "queries.npy"
     path.write_bytes(query_file(atheris.FuzzedDataProvider(raw)))
     try:
-        found = rows("queries", read_rows(path, 3), 3)
+        found = finite_rows("queries", read_rows(path, 3), 3)
     except ObjectFolderError:
         return
     if found.dtype != np.float64 or found.shape[1] != 3 or not np.isfinite(found).all():

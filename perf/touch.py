@@ -47,7 +47,8 @@ from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.touch_geometric_training import fit_contacts
 from objectfolder.nets.touch_image_training import train_image
 from objectfolder.objectfile.evaluation import touch_scores
-from objectfolder.objectfile.query import UNMOVED, snap
+from objectfolder.objectfile.surface import ObjectSurface
+from objectfolder.objectfile.touch import UNMOVED
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals, heightmaps
 from objectfolder.touch.dataset import render_contacts
 from objectfolder.touch.gel import deform
@@ -223,7 +224,7 @@ def net(source: str, scale: str, count: str, resolution: str) -> dict:
         )
         fitted = GeometricTouch(surface, scale_m, profile, renderer=renderer)
         fit_contacts(fitted, known, {k: v[:1] for k, v in known.items()}, OFFSET_SPAN, ROUNDS)
-        places = snap(surface, unknown["points"] / scale_m, 1.0, UNMOVED * surface.grid.spacing) * scale_m
+        places = ObjectSurface(lambda: surface, scale_m).snap(unknown["points"], 1.0, UNMOVED)
         contact = places, fitted.normals(places), unknown["angles"], unknown["depths"]
         found = [(part.images, part.force) for part in fitted.touches(*contact)]
         images, force = (np.concatenate(parts) for parts in zip(*found))

@@ -38,7 +38,7 @@ from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.nets.vision_surface_training import train_surface
 from objectfolder.objectfile.evaluation import evaluate_vision
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.objectfile.query import view as query_view
+from objectfolder.objectfile.vision import view_images
 from objectfolder.seeding import torch_generator
 from objectfolder.vision.cameras import Intrinsics, camera_rays, covered_rectangle, look_at, sphere_points
 from objectfolder.vision.color import COVERED, lit_foreground, on_white
@@ -144,7 +144,7 @@ def train(workspace: str, key: str) -> dict:
 
     def score(net: SurfaceNet, split: str) -> dict:
         drawer = partial(draw_surface, surface, net.shader(surface))
-        return evaluate_vision(partial(query_view, drawer), views[split])
+        return evaluate_vision(partial(view_images, drawer), views[split])
 
     row |= {"psnr_val": score(net, "val")["psnr"], "psnr_val_stored": score(stored, "val")["psnr"]}
     return row | score(stored, "test")

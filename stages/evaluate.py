@@ -50,7 +50,7 @@ def main(key: str) -> None:
     vision = evaluate_vision(file.view, views)
     metrics = {
         "vision": vision,
-        "audio": (evaluate_gains(file, modes, rows) if file.header["audio"]["kind"] == "gains" else {})
+        "audio": (evaluate_gains(file, modes, rows) if file.has_modes else {})
         | evaluate_sounds(file, modes, strikes, rng),
         "touch": evaluate_touch(file, contacts, mean_image),
         "awgn": evaluate_awgn(shapes, rng),

@@ -169,7 +169,7 @@ def touch(
     tilt, azimuth, depths = read_rows(gelinfo, 3).T if gelinfo else (0.0, 0.0, depth)
     obj = ObjectFile.load(file)
     query: dict[str, Any] = {"depth": depths, "tilt": tilt, "azimuth": azimuth, "sensor": sensor}
-    if obj.header.get("touch", {}).get("kind") in ("image", "released_image") and names == ["image"]:
+    if obj.fixed_contact is not None and names == ["image"]:
         images = obj.touch(points, **query)
         for i, image in enumerate(images, 1):
             write_png(out / f"{i}.png", image)
@@ -231,9 +231,9 @@ def _summary_of(obj: "ObjectFile", part: str) -> str:
         return f"{kind}, {obj.header[part]['resolution']}^3"
     if part == "touch":
         return f"{kind}, sensor {obj.sensor}"
-    if part == "vision" or kind == "released_spectrogram":
+    if part == "vision":
         return kind
     frequencies = obj.frequencies
     if not len(frequencies):
-        return f"{kind}, no modes: silent"
+        return f"{kind}, no modes: silent" if obj.has_modes else kind
     return f"{kind}, {len(frequencies)} modes from {frequencies.min():.0f} to {frequencies.max():.0f} Hz"

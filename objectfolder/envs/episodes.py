@@ -8,7 +8,7 @@ from gymnasium import spaces
 
 from objectfolder.envs.camera import ExternalCamera
 from objectfolder.envs.features import CONTRAST, FeatureFunction, TouchFeatures
-from objectfolder.envs.fingers import Presses, sensor_profile
+from objectfolder.envs.fingers import Presses
 from objectfolder.envs.grasp_scene import lowest_hand
 from objectfolder.envs.grasp_task import STEPS, GraspTask
 from objectfolder.envs.gripper import STROKE
@@ -41,7 +41,7 @@ class Episodes:
         """Return the observation space of one episode."""
         state = spaces.Box(-CONTRAST, CONTRAST, (STATE,), np.float32)
         if self.observation == "images":
-            profile = sensor_profile(self.task.file)
+            profile = self.task.file.sensor_profile
             shape = (2, profile.height, profile.width, 3)
             return spaces.Dict({"touch": spaces.Box(0, 255, shape, np.uint8), "state": state})
         if self.observation == "features":

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from objectfolder.envs.fingers import Presses, sensor_profile, tactile_images
+from objectfolder.envs.fingers import Presses, tactile_images
 from objectfolder.io import read_npz, write_npz
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.optics import Optics
@@ -32,7 +32,7 @@ class TouchFeatures:
     def __init__(self, file: ObjectFile):
         self._file = file
         #: image of the untouched sensor; (H, W, 3) uint8
-        self.untouched = Optics(sensor_profile(file)).background.numpy()
+        self.untouched = Optics(file.sensor_profile).background.numpy()
 
     def images(self, pressed: Presses) -> np.ndarray:
         """Return tactile images at the depth `PROBE`; (M, H, W, 3) uint8."""

@@ -91,10 +91,9 @@ def press_depths(file: ObjectFile, pressed: Presses, forces: np.ndarray) -> np.n
     forces : (2N,) array
         Newtons.
     """
-    net = file.header["touch"]["net"]
-    if "press_depth" in net:  # trained on images of one depth
-        return np.full(len(pressed.points), float(net["press_depth"]))
-    profile = sensor_profile(file)
+    if file.fixed_contact is not None:
+        return np.full(len(pressed.points), file.fixed_contact.depth)
+    profile = file.sensor_profile
     coarse = replace(profile, height=profile.height // COARSE, width=profile.width // COARSE)
     depths = np.geomspace(LEAST_DEPTH, profile.max_indentation, LEVELS)
     points, angle, tilt, azimuth = _queries(file, pressed)
@@ -111,10 +110,9 @@ def tactile_images(file: ObjectFile, pressed: Presses, depths: np.ndarray) -> np
 
     Touch nets trained on images of one depth and one direction are queried with the points alone.
     """
-    net = file.header["touch"]["net"]
     points, angle, tilt, azimuth = _queries(file, pressed)
-    if "press_depth" in net:
-        return file.touch(points, depths, float(net.get("angle", 0.0)))
+    if file.fixed_contact is not None:
+        return file.touch(points, depths, file.fixed_contact.angle)
     return file.touch(points, depths, angle, tilt, azimuth)
 
 
@@ -142,14 +140,6 @@ class TrueSurface:
         angle, _, _ = sensor_angles(pressed.outward, pressed.outward, pressed.up)
         profile, optics = self._profile, self._optics
         return touch_images(self._caster, points, pressed.outward, angle, depths, profile, optics)[0]
-
-
-def sensor_profile(file: ObjectFile) -> SensorProfile:
-    """Return the profile of the sensor that an Object File stores."""
-    from objectfolder.touch.profiles import load_profile
-
-    stored = file.header["touch"]["net"]["sensor"]
-    return load_profile(stored) if isinstance(stored, str) else SensorProfile.from_dict(stored)
 
 
 def _queries(file: ObjectFile, pressed: Presses) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -6,15 +6,13 @@ import trimesh
 from PIL import Image
 
 from objectfolder.envs.solid import merge_meshes, simplify
-from objectfolder.nets.vision_surface import SurfaceNet, in_cube
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.objectfile.parts import Parts
+from objectfolder.objectfile.vision import BaseColors
 
 PLAIN = 0.7  #: grey of objects without base colours, sRGB
 TEXELS = 1024  #: side of the texture
 _DETAIL = 0.001  # tolerance of the simplification, fraction of the longest side
 _MARGIN = 1  # texels around a face, so that bilinear filtering does not reach a neighbour
-_CHUNK = 2**17  # points queried at once
 
 
 def visual_mesh(file: ObjectFile) -> trimesh.Trimesh:
@@ -30,15 +28,15 @@ def visual_mesh(file: ObjectFile) -> trimesh.Trimesh:
     """
     whole = file.to_mesh()
     mesh = merge_meshes(simplify(whole, _DETAIL * file.scale) or [whole])
-    net = Parts(file.header, file.tensors, torch.device("cpu")).vision if "vision" in file.header else None
+    base_colors = file.base_colors if "vision" in file.header else None
     normals = file.surface.grid.normals(torch.from_numpy((mesh.vertices / file.scale).astype(np.float32)))
-    if not isinstance(net, SurfaceNet):
+    if base_colors is None:
         return trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=normals.numpy(), process=False)
     corners = np.asarray(mesh.triangles)
     longest = np.linalg.norm(np.roll(corners, -1, 1) - corners, axis=2).argmax(1)
     order = np.take_along_axis(mesh.faces, (longest[:, None] + np.arange(3)) % 3, 1)
     corners = np.asarray(mesh.vertices)[order] / file.scale
-    uv, image = _texture(net, corners)
+    uv, image = _texture(base_colors, corners)
     return trimesh.Trimesh(
         corners.reshape(-1, 3) * file.scale,
         np.arange(corners.shape[0] * 3).reshape(-1, 3),
@@ -53,12 +51,13 @@ def visual_mesh(file: ObjectFile) -> trimesh.Trimesh:
     )
 
 
-def _texture(net: SurfaceNet, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _texture(base_colors: BaseColors, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return texture coordinates (F, 3, 2) of faces, and a square image (T, T, 3) with a rectangle per face.
 
     Parameters
     ----------
-    net : SurfaceNet
+    base_colors : callable
+        See `BaseColors`.
     corners : (F, 3, 3) array
         Corners of the faces, unit frame; the longest edge is first.
     """
@@ -78,7 +77,7 @@ def _texture(net: SurfaceNet, corners: np.ndarray) -> tuple[np.ndarray, np.ndarr
     points = start[texel] + away[:, :1] * along[texel] + away[:, 1:] * up[texel]
     image = np.full((TEXELS, TEXELS, 3), np.uint8(round(255 * PLAIN)))
     column, row = (origins[texel] + place).T
-    image[row, column] = _base_colors(net, points)
+    image[row, column] = base_colors(points)
     local = np.stack(
         [
             np.stack([0 * length, 0 * length], 1),
@@ -122,13 +121,3 @@ def _packed(sides: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         if row + tall <= TEXELS and sizes.max() <= TEXELS:
             return density, origins, sizes
         density *= 0.93
-
-
-@torch.no_grad()
-def _base_colors(net: SurfaceNet, points: np.ndarray) -> np.ndarray:
-    """Return base colours of points near the surface, unit frame; (S, 3) uint8, sRGB."""
-    colors = []
-    for part in torch.from_numpy(points.astype(np.float32)).split(_CHUNK):
-        color, _ = net.looks(part, torch.zeros_like(part), net.grid(in_cube(part)))
-        colors.append((255 * color.clamp(0, 1)).round().to(torch.uint8))
-    return torch.cat(colors).numpy()

@@ -102,11 +102,11 @@ def _pack_picture(build: Build, file: ObjectFile) -> Path:
     lights = CAMERAS / CAMERA_RADIUS + LIGHT_OFFSET
     for axes, image, camera in zip(views.subplots(1, len(CAMERAS)), file.view(CAMERAS, lights), CAMERAS):
         show_image(axes, image, f"camera at {_triple(camera)} sizes")
-    net = file.header["touch"]["net"]
-    if file.header["touch"]["kind"] == "image":
-        depth, angle = net["press_depth"], net["angle"]  # the net has no other
+    fixed = file.fixed_contact
+    if fixed is not None:
+        depth, angle = fixed.depth, fixed.angle
     else:
-        depth, angle = min(PRESS, net["sensor"]["max_indentation"]), 0.0
+        depth, angle = min(PRESS, file.sensor_profile.max_indentation), 0.0
     for axes, point, image in zip(touches.subplots(1, TOUCHES), points, file.touch(points, depth, angle)):
         show_image(axes, image, f"pressed {depth * 1000:g} mm at {_triple(point * 1000)} mm")
     sound = file.impact(points[:1], np.array([[0.0, 0.0, 1.0]]))[0]

@@ -66,7 +66,7 @@ class SurfaceNet(nn.Module):
         self.bounced = _mlp(self.transport.width + 52, width, 12, depth=2)
         self.config = {**self.grid.config, "width": width, "roughness": roughness, "metallic": metallic}
 
-    def looks(
+    def albedo_and_normal(
         self, points: torch.Tensor, normals: torch.Tensor, features: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Base colours, sRGB and unclipped, and shading normals, not normalised; both (S, 3).
@@ -80,6 +80,11 @@ class SurfaceNet(nn.Module):
         """
         a = self.appearance(torch.cat([features, points], 1))
         return a[:, :3] + 0.5, normals + a[:, 3:]
+
+    def base_colors(self, points: torch.Tensor) -> torch.Tensor:
+        """Base colours, sRGB and unclipped, at (S, 3) points near the surface, unit frame; (S, 3)."""
+        color, _ = self.albedo_and_normal(points, torch.zeros_like(points), self.grid(in_cube(points)))
+        return color
 
     def direct(
         self, samples: SurfaceSamples, light: torch.Tensor, base_color: torch.Tensor, normals: torch.Tensor
@@ -208,12 +213,12 @@ class SurfaceNet(nn.Module):
         looks, transport = [], []
         for p, n in zip(points.split(BAKED), torch.from_numpy(surface.normals).split(BAKED)):
             cube = in_cube(p)
-            color, shading = self.looks(p, n, self.grid(cube))
+            color, shading = self.albedo_and_normal(p, n, self.grid(cube))
             looks.append(torch.cat([srgb.decode(color.clamp(0, 1)), F.normalize(shading, dim=-1)], 1))
             transport.append(self.transport(cube))
 
         def reflectance(p: torch.Tensor, n: torch.Tensor) -> torch.Tensor:
-            color, _ = self.looks(p, n, self.grid(in_cube(p)))
+            color, _ = self.albedo_and_normal(p, n, self.grid(in_cube(p)))
             return srgb.decode(color.clamp(0, 1)) * (1 - self.config["metallic"])
 
         return Baked(torch.cat(looks), torch.cat(transport), Radiosity(surface, reflectance))

@@ -41,7 +41,7 @@ class _Points:
 
     def loss(self, net: SurfaceNet, index: torch.Tensor) -> torch.Tensor:
         features = net.grid.lookup(self.corners[0][index], self.corners[1][index])
-        color, shading = net.looks(self.points[index], self.normals[index], features)
+        color, shading = net.albedo_and_normal(self.points[index], self.normals[index], features)
         return F.mse_loss(color, self.color[index]) + F.mse_loss(shading, self.shading[index])
 
 

@@ -1,20 +1,24 @@
-"""Arguments of queries: checked, and brought into one form."""
+"""Arguments of queries, checked and converted to float64 arrays."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
+from typing_extensions import TypeVar  # the standard one has defaults since Python 3.13
 
 from objectfolder.errors import ObjectFolderError
 
-#: What a query takes for rows of numbers: any real dtype, any strides.
+#: The answer to a query is a tensor if its first argument is one, and an array if that is an array or a list.
+Answer = TypeVar("Answer", np.ndarray, torch.Tensor, default=np.ndarray)
+#: Rows of numbers, of any real dtype and any strides.
 Rows = np.ndarray | torch.Tensor | Sequence[float] | Sequence[Sequence[float]]
-#: A number for all rows, or one for each.
+#: One number for all rows, or one per row.
 Scalars = float | np.ndarray | torch.Tensor | Sequence[float]
 
 
-def numbers(name: str, values: object) -> np.ndarray:
-    """Real numbers as a float64 array of its own; tensors come from their device, without gradients.
+def real_array(name: str, values: object) -> np.ndarray:
+    """Return real numbers as a float64 array, without gradients.
 
     Raises
     ------
@@ -34,9 +38,9 @@ def numbers(name: str, values: object) -> np.ndarray:
     return array.astype(np.float64)
 
 
-def rows(name: str, values: object, width: int) -> np.ndarray:
-    """Check an (N, width) array of finite numbers; one row may come without its first axis."""
-    array = numbers(name, values)
+def finite_rows(name: str, values: object, width: int) -> np.ndarray:
+    """Return finite numbers as an (N, width) array; one row may lack its first axis."""
+    array = real_array(name, values)
     if array.ndim == 1 and len(array) == width:
         array = array[None]
     if array.ndim != 2 or array.shape[1] != width:
@@ -49,8 +53,8 @@ def rows(name: str, values: object, width: int) -> np.ndarray:
     return array
 
 
-def paired(a_name: str, a: np.ndarray, b_name: str, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Give two arrays as many rows; one row serves all of the other's."""
+def broadcast_rows(a_name: str, a: np.ndarray, b_name: str, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return two arrays with equal numbers of rows; a single row is repeated."""
     if len(a) != len(b) and 1 not in (len(a), len(b)):
         raise ObjectFolderError(f"{a_name} has {len(a)} rows, {b_name} {len(b)}; expected as many, or one")
     count = len(b) if len(a) == 1 else len(a)
@@ -58,9 +62,9 @@ def paired(a_name: str, a: np.ndarray, b_name: str, b: np.ndarray) -> tuple[np.n
     return first, second
 
 
-def scalars(name: str, values: object, count: int) -> np.ndarray:
-    """Check one finite number, or ``count`` of them; (count,)."""
-    array = numbers(name, values)
+def finite_scalars(name: str, values: object, count: int) -> np.ndarray:
+    """Return one finite number, repeated, or ``count`` of them; (count,)."""
+    array = real_array(name, values)
     if array.ndim > 1 or array.size not in (1, count):
         raise ObjectFolderError(f"{name} has shape {array.shape}, expected one number or {count} of them")
     wrong = np.flatnonzero(~np.isfinite(array))
@@ -69,6 +73,7 @@ def scalars(name: str, values: object, count: int) -> np.ndarray:
     return np.broadcast_to(array.reshape(-1), (count,)) if array.size == 1 else array
 
 
-def alike(answer: np.ndarray, question: object) -> np.ndarray | torch.Tensor:
-    """Return an answer as a tensor on the question's device, if the question was one."""
-    return torch.from_numpy(answer).to(question.device) if isinstance(question, torch.Tensor) else answer
+def like_first(answer: np.ndarray, first: Answer | Sequence[Any]) -> Answer:
+    """Return an answer as a tensor on the device of a query's first argument, if that is a tensor."""
+    like: Any = torch.from_numpy(answer).to(first.device) if isinstance(first, torch.Tensor) else answer
+    return like

@@ -222,7 +222,7 @@ def evaluate_touch(
     """
     query = contacts["points"], contacts["depths"], contacts["angles"]
     force = np.full(len(contacts["points"]), np.nan)
-    if file.header["touch"]["kind"] == "image":
+    if file.fixed_contact is not None:
         images = file.touch(*query)
     else:
         found = [(part.images, part.force) for part in file.touches(*query)]

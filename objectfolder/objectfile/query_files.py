@@ -121,14 +121,14 @@ def sample_presses(
     (5, 160, 120, 3)
     """
     if sensor is None:
-        name, net = obj.sensor, obj.header["touch"]["net"]
-        if "press_depth" in net:
-            known = float(net["press_depth"])
+        fixed = obj.fixed_contact
+        if fixed is not None:
             raise ObjectFolderError(
-                f"{obj.key}: its touch net stores images of one press of {name}, {known:g} m deep and "
-                f"without a tilt; leave gelinfo out and query with that depth (--depth {known:g})"
+                f"{obj.key}: its touch net stores images of one press of {obj.sensor}, "
+                f"{fixed.depth:g} m deep and without a tilt; leave gelinfo out and query with that depth "
+                f"(--depth {fixed.depth:g})"
             )
-        sensor = SensorProfile.from_dict(net["sensor"])
+        sensor = obj.sensor_profile
     low, high = sensor.press_depth
     return _generator(seed).uniform((0, 0, low), (MAX_TILT, 2 * math.pi, high), (count, 3))
 

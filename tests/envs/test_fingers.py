@@ -6,7 +6,6 @@ from objectfolder.envs.fingers import (
     pad_presses,
     press_depths,
     sensor_angles,
-    sensor_profile,
     tactile_images,
 )
 from objectfolder.envs.poses import turn_poses
@@ -56,7 +55,7 @@ def test_the_gel_pushes_back_with_the_force_of_the_jaws(brick, on_faces):
 
 
 def test_depth_is_clipped_to_the_range_of_the_sensor(brick, on_faces):
-    deepest = sensor_profile(brick).max_indentation
+    deepest = brick.sensor_profile.max_indentation
     assert press_depths(brick, on_faces, np.array([1e6, 1e6])) == pytest.approx([deepest, deepest])
 
 
@@ -79,7 +78,7 @@ def test_implicit_and_true_touches_agree(brick, on_faces):
         < 0
     )
     faces = np.where(flip[:, None], hull.simplices[:, ::-1], hull.simplices)
-    truth = TrueSurface(corners, faces, sensor_profile(brick))
+    truth = TrueSurface(corners, faces, brick.sensor_profile)
     depths = np.array([0.0012, 0.0008])
     implicit, explicit = tactile_images(brick, on_faces, depths), truth.tactile_images(on_faces, depths)
     assert implicit.shape == (2, 160, 120, 3)

@@ -5,7 +5,6 @@ import sys
 import mujoco
 import numpy as np
 import pytest
-import torch
 from typer.testing import CliRunner
 
 from objectfolder.cli import app
@@ -15,7 +14,6 @@ from objectfolder.envs.export import write_mjcf, write_urdf
 from objectfolder.envs.hulls import convex_hulls
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.objectfile.parts import Parts
 
 WRITERS = pytest.mark.parametrize("write", [write_mjcf, write_urdf])
 
@@ -130,8 +128,7 @@ def test_texture_has_the_base_colours(brick, mjcf):
     image = model.tex_data[: 3 * width * height].reshape(height, width, 3)
     column, row = (places * [width, height]).astype(int).T
     points = (vertices @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]) / brick.scale
-    net = Parts(brick.header, brick.tensors, torch.device("cpu")).vision
-    colors = visual._base_colors(net, points)
+    colors = brick.base_colors(points)
     assert np.ptp(colors.astype(int), axis=0).max() > 4
     assert (
         np.abs(image[row, column].astype(int) - colors).max() < np.ptp(colors.astype(int), axis=0).max() / 2

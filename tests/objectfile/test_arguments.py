@@ -25,20 +25,20 @@ ROWS = np.array([[1.0, 2, 3], [4, 5, 6]])
     ],
 )
 def test_rows_of_any_kind_are_the_same_rows(values):
-    np.testing.assert_array_equal(arguments.rows("points", values, 3), ROWS)
-    assert arguments.rows("points", values, 3).dtype == np.float64
+    np.testing.assert_array_equal(arguments.finite_rows("points", values, 3), ROWS)
+    assert arguments.finite_rows("points", values, 3).dtype == np.float64
 
 
 def test_the_array_is_a_copy():
     given = ROWS.copy()
-    arguments.rows("points", given, 3)[:] = 0
+    arguments.finite_rows("points", given, 3)[:] = 0
     np.testing.assert_array_equal(given, ROWS)
 
 
 def test_one_row_and_none():
-    assert arguments.rows("points", [1, 2, 3], 3).shape == (1, 3)
-    assert arguments.rows("points", np.zeros((0, 3)), 3).shape == (0, 3)
-    assert arguments.rows("points", torch.zeros(0, 3), 3).shape == (0, 3)
+    assert arguments.finite_rows("points", [1, 2, 3], 3).shape == (1, 3)
+    assert arguments.finite_rows("points", np.zeros((0, 3)), 3).shape == (0, 3)
+    assert arguments.finite_rows("points", torch.zeros(0, 3), 3).shape == (0, 3)
 
 
 @pytest.mark.parametrize(
@@ -59,4 +59,4 @@ def test_one_row_and_none():
 )
 def test_what_are_no_rows_is_refused(values, message):
     with pytest.raises(ObjectFolderError, match=message):
-        arguments.rows("points", values, 3)
+        arguments.finite_rows("points", values, 3)

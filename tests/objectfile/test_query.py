@@ -14,12 +14,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from objectfolder import ObjectFile
-from objectfolder.audio.bank import Bank
-from objectfolder.audio.tuning import stored_modes
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import material
 from objectfolder.nets.audio_gains import GainsNet
-from objectfolder.objectfile import query
+from objectfolder.objectfile.audio import ModalSense, SoundSettings
+from objectfolder.objectfile.reading import StoredNet
+from objectfolder.objectfile.surface import ObjectSurface
 from objectfolder.touch.profiles import load_profile
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere_points
 
@@ -65,12 +65,12 @@ def test_a_sound_of_many_modes_does_not_depend_on_its_batch(brick, modes, rng):
     damped, damping = torch.rand(modes) * 4e4 + 1e3, torch.rand(modes) * 50 + 1
     net = GainsNet(damped, damping, torch.rand(modes), torch.ones(6**3, dtype=torch.bool), 4, 8, 96, 96, 5.0)
     points, forces = brick.sample_surface(50) / SCALE, rng.standard_normal((50, 3))
-
-    tuning = stored_modes(net.damped_frequency, net.damping)
-    bank = Bank(tuning, 16000, 0.1, "velocity", 0.0)
+    surface = ObjectSurface(lambda: brick.surface, 1.0)
+    sense = ModalSense(net, StoredNet("audio", brick.header, {}, surface, torch.device("cpu")))
+    played = SoundSettings(16000, 0.1, "velocity", 0.0, None, None)
 
     def sounds(p, f):
-        return query.impact(brick.surface, net, 1.0, p, f, tuning, bank, 0.02)
+        return sense.impact(p, f, played, 0.02)
 
     whole, order = sounds(points, forces), rng.permutation(50)
     np.testing.assert_array_equal(sounds(points[order], forces[order]), whole[order])

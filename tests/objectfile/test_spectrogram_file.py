@@ -71,8 +71,8 @@ def test_its_scores_stand_beside_silence(file, brick):
     modes = {
         "points": points,
         "shapes": brick.mode_shapes(points * brick.scale),
-        "damped_frequency": brick._parts.audio.damped_frequency.numpy(),
-        "damping": brick._parts.audio.damping.numpy(),
+        "damped_frequency": brick._parts.audio.net.damped_frequency.numpy(),
+        "damping": brick._parts.audio.net.damping.numpy(),
     }
     strikes = Strikes.random(np.arange(10, 20), 2, np.random.default_rng(0))
     scores = evaluate_sounds(file, modes, strikes, np.random.default_rng(0))

@@ -110,5 +110,5 @@ def test_the_base_colours(stored, brick):
     x = x @ vision["appearance.2.weight"].T.astype(float) + vision["appearance.2.bias"]
     srgb = (x[:, :3] + 0.5).clip(0, 1)
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-    baked = brick._parts.vision.bake(surface).look[::37].numpy()
+    baked = brick._parts.vision.net.bake(surface).look[::37].numpy()
     np.testing.assert_allclose(linear, baked[:, :3], atol=1e-4)

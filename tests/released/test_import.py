@@ -80,7 +80,7 @@ def test_a_file_of_1_0_answers_all_three_questions(file, tmp_path):
     assert obj.touch(POINTS).shape == (3, 160, 120, 3)
     with pytest.raises(ObjectFolderError, match="holds no geometry"):
         obj.sample_surface(3)
-    with pytest.raises(ObjectFolderError, match="learnt depth"):
+    with pytest.raises(ObjectFolderError, match="trained at depth"):
         obj.touch(POINTS, depth=0.002)
 
 
@@ -104,7 +104,7 @@ def test_a_file_of_2_0_answers_all_three_questions(file, tmp_path):
     with pytest.raises(ObjectFolderError, match="angle: row 0"):
         obj.touch(POINTS, angle=0.5)
     maps = obj.depth_maps(POINTS, depth=[0.0005, 0.001, 0.002], tilt=0.1, azimuth=[0, 1, 2])
-    net = obj._parts.touch
+    net = obj._parts.touch.net
     exact = net.depth_maps(
         POINTS / obj.scale, np.array([0.0005, 0.001, 0.002]), np.full(3, 0.1), np.arange(3)
     )

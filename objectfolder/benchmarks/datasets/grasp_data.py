@@ -21,7 +21,6 @@ from objectfolder.envs.fingers import (
     TrueSurface,
     pad_presses,
     press_depths,
-    sensor_profile,
     tactile_images,
 )
 from objectfolder.envs.grasp_scene import GraspScene, Outcomes, Physics, lowest_hand
@@ -356,7 +355,7 @@ def _require_parts(file: ObjectFile) -> None:
 
 def _truth(file: ObjectFile, surface: tuple[np.ndarray, np.ndarray]) -> TrueSurface:
     vertices, faces = surface
-    return TrueSurface(vertices * file.scale, faces, sensor_profile(file))
+    return TrueSurface(vertices * file.scale, faces, file.sensor_profile)
 
 
 def _placed(points: np.ndarray, pose: np.ndarray) -> np.ndarray:

@@ -152,8 +152,7 @@ def _draw_ten(file: ObjectFile, seed: int, ten: int) -> Queries:
     strikes = sample_strikes(file, TEN, drawn("audio"), directions="random")
     weakest, strongest = np.log(FORCES)
     impulse = np.exp(rng("force").uniform(weakest, strongest, TEN))
-    net = file.header["touch"]["net"]
-    known = net.get("press_depth")
+    fixed = file.fixed_contact
     return {
         "vision_camera": views[:, :3],
         "vision_light": views[:, 3:],
@@ -161,7 +160,7 @@ def _draw_ten(file: ObjectFile, seed: int, ten: int) -> Queries:
         "audio_force": strikes[:, 3:] * impulse[:, None],
         "touch_point": file.sample_surface(TEN, drawn("touch")),
         "touch_depth": (
-            sample_presses(file, TEN, drawn("depth"))[:, 2] if known is None else np.full(TEN, float(known))
+            sample_presses(file, TEN, drawn("depth"))[:, 2] if fixed is None else np.full(TEN, fixed.depth)
         ),
     }
 
@@ -193,11 +192,10 @@ def ask(file: ObjectFile, queries: Queries, modality: str, resolution: int) -> t
             queries["audio_point"], queries["audio_force"], SAMPLE_RATE, DURATION, "displacement"
         )
         return sounds, ~np.any(sounds, axis=1)
-    net = file.header["touch"]["net"]
-    points, depth, angle = queries["touch_point"], queries["touch_depth"], float(net.get("angle", 0.0))
-    if "press_depth" in net:  # stores images alone
-        return file.touch(points, depth, angle), np.zeros(len(points), bool)
-    felt = file.press(points, depth, angle)
+    points, depth = queries["touch_point"], queries["touch_depth"]
+    if file.fixed_contact is not None:
+        return file.touch(points, depth, file.fixed_contact.angle), np.zeros(len(points), bool)
+    felt = file.press(points, depth)
     return felt.images, ~np.any(felt.mask, axis=(1, 2))
 
 

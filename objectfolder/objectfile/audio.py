@@ -1,0 +1,236 @@
+"""Hearing of an Object File: strikes in, sounds out."""
+
+import logging
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Protocol
+
+import numpy as np
+import torch
+
+from objectfolder import materials
+from objectfolder.audio.bank import Bank
+from objectfolder.audio.synthesis import gains
+from objectfolder.audio.tuning import Tuning, retune, stored_modes
+from objectfolder.errors import ObjectFolderError
+from objectfolder.materials import Material
+from objectfolder.objectfile.reading import StoredNet, report_damage
+
+_BATCH = 1024  # strikes whose mode shapes are in memory at once
+_BANKS = 4  # sounds whose mode responses are kept
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class SoundSettings:
+    """How strikes are played and sampled, and the material and size of the struck object."""
+
+    sample_rate: float  #: Hz
+    duration: float  #: seconds
+    response: str  #: displacement, velocity or acceleration
+    contact_time: float  #: seconds; 0 is an ideal impulse
+    material: str | Material | None  #: None for the object's own
+    scale: float | None  #: longest side, metres; None for the object's own
+
+
+class AudioSense(Protocol):
+    """What an Object File asks an audio net of any kind. Points are in the object frame, metres."""
+
+    has_modes: bool  #: whether the net knows mode shapes
+
+    @property
+    def damped_frequency(self) -> torch.Tensor:
+        """Angular frequencies of the modes, rad/s; (M,), empty if they are not known."""
+
+    def tuning(self, material: str | Material | None, scale: float | None) -> Tuning:
+        """Return the modes of this shape in another material or size."""
+
+    def mode_shapes(self, points: np.ndarray, tolerance: float) -> np.ndarray:
+        """Return mass-normalised mode shapes, kg^-1/2; (N, 3, M) float32."""
+
+    def impact(
+        self, points: np.ndarray, impulses: np.ndarray, settings: SoundSettings, tolerance: float
+    ) -> np.ndarray:
+        """Return sounds of impulses (N, 3), N s, at points (N, 3); (N, samples) float32."""
+
+
+class ModalNet(Protocol):
+    """Net from a point to mode shapes."""
+
+    damped_frequency: torch.Tensor
+    damping: torch.Tensor
+
+    def shapes(self, points: torch.Tensor) -> torch.Tensor:
+        """Mode shapes (N, 3, M), kg^-1/2, at (N, 3) points of the unit frame."""
+
+
+class SpectralNet(Protocol):
+    """Net from a point to spectrograms."""
+
+    damped_frequency: torch.Tensor
+
+    def spectrograms(self, points: torch.Tensor) -> torch.Tensor:
+        """Complex spectrograms (N, 3, 257, 201) of unit impulses at (N, 3) points of the unit frame."""
+
+
+def audio_sense(stored: StoredNet) -> AudioSense:
+    """Load an audio net. The code of a kind is imported when a file holds it."""
+    if stored.kind == "gains":
+        from objectfolder.nets.audio_gains import GainsNet
+
+        return ModalSense(stored.load(GainsNet), stored)
+    if stored.kind == "spectrogram":
+        from objectfolder.nets.audio_spectrogram import SpectrogramNet
+
+        return SpectrogramSense(stored.load(SpectrogramNet), stored)
+    from objectfolder.nets.released.registry import released_net
+
+    net = stored.load(released_net(stored.kind))
+    return ModalSense(net, stored) if stored.kind == "released_gains" else SpectrogramSense(net, stored)
+
+
+class ModalSense:
+    """Sounds synthesised from modes."""
+
+    has_modes = True
+
+    def __init__(self, net: ModalNet, stored: StoredNet):
+        self.net = net
+        self._stored, self._surface = stored, stored.surface
+        self._bank = lru_cache(_BANKS)(self._new_bank)
+
+    @property
+    def damped_frequency(self) -> torch.Tensor:
+        """Angular frequencies of the modes, rad/s; (M,)."""
+        return self.net.damped_frequency.cpu()
+
+    def tuning(self, material: str | Material | None, scale: float | None) -> Tuning:
+        """Return the modes of this shape in another material or size."""
+        modes = self.net.damped_frequency.cpu(), self.net.damping.cpu()
+        if material is None and scale is None:
+            return stored_modes(*modes)
+        if material is not None and not isinstance(material, Material):
+            material = materials.material(material)
+        own, band = self._solved()
+        size = self._surface.scale
+        return retune(*modes, band, (own, size), (material or own, size if scale is None else scale))
+
+    def _solved(self) -> tuple[Material, tuple[float, float]]:
+        """Material and band of natural frequencies (Hz) for which the stored modes were solved."""
+        header, key = self._stored.header, self._stored.key
+        if "band_hz" not in header["audio"] or "material_properties" not in header:
+            raise ObjectFolderError(
+                f"{key}: the file does not say what its modes are of, as imported ones do not; it "
+                "answers in its own material and size only"
+            )
+        with report_damage(key, "description of the sound"):
+            low, high = header["audio"]["band_hz"]
+            return Material(header["material"], **header["material_properties"]), (float(low), float(high))
+
+    def mode_shapes(self, points: np.ndarray, tolerance: float) -> np.ndarray:
+        """Return mass-normalised mode shapes, kg^-1/2; (N, 3, M) float32."""
+        snapped = self._surface.to_unit(self._surface.snap(points, tolerance))
+        return self.net.shapes(torch.from_numpy(snapped)).cpu().numpy()
+
+    def impact(
+        self, points: np.ndarray, impulses: np.ndarray, settings: SoundSettings, tolerance: float
+    ) -> np.ndarray:
+        """Return sounds of impulses (N, 3), N s, at points (N, 3); (N, samples) float32.
+
+        Raises
+        ------
+        ObjectFolderError
+            If a setting is not valid, a point is off the surface, or a sound exceeds single precision.
+        """
+        tuning, bank = self._bank(settings)
+        for note in tuning.notes:
+            log.warning("%s: %s", self._stored.key, note)
+        surface = self._surface.resized(settings.scale)
+        places = torch.from_numpy(surface.to_unit(surface.snap(points, tolerance)))
+        _report_inaudible(len(bank.heard), len(tuning.modes), bank.sample_rate / 2)
+        sounds = np.empty((len(places), bank.samples), np.float32)
+        for start in range(0, len(places), _BATCH):
+            part = slice(start, start + _BATCH)
+            shapes = self.net.shapes(places[part])[..., tuning.modes[bank.heard]]
+            force = torch.from_numpy(impulses[part] * tuning.shape_factor).float().to(shapes.device)
+            sounds[part] = bank.mix(gains(shapes, force))
+        if not np.isfinite(sounds).all():
+            raise ObjectFolderError(
+                f"impulses of up to {np.abs(impulses).max():g} N s give sounds beyond single precision; "
+                "the sound is linear in them: scale them down"
+            )
+        return sounds
+
+    def _new_bank(self, settings: SoundSettings) -> tuple[Tuning, Bank]:
+        tuning = self.tuning(settings.material, settings.scale)
+        played = settings.sample_rate, settings.duration, settings.response, settings.contact_time
+        return tuning, Bank(tuning, *played, self._stored.device)
+
+
+class SpectrogramSense:
+    """Sounds inverted from spectrograms of unit impulses: two seconds of displacement at 16 kHz."""
+
+    has_modes = False
+
+    def __init__(self, net: SpectralNet, stored: StoredNet):
+        self.net = net
+        self._key, self._surface = stored.key, stored.surface
+
+    @property
+    def damped_frequency(self) -> torch.Tensor:
+        """Angular frequencies of the modes, rad/s; (M,), empty if they are not known."""
+        return self.net.damped_frequency.cpu()
+
+    def tuning(self, material: str | Material | None, scale: float | None) -> Tuning:
+        """Refuse: the net knows no modes."""
+        raise self._no_modes()
+
+    def mode_shapes(self, points: np.ndarray, tolerance: float) -> np.ndarray:
+        """Refuse: the net knows no modes."""
+        raise self._no_modes()
+
+    def impact(
+        self, points: np.ndarray, impulses: np.ndarray, settings: SoundSettings, tolerance: float
+    ) -> np.ndarray:
+        """Return sounds of impulses (N, 3), N s, at points (N, 3); (N, samples) float32.
+
+        Raises
+        ------
+        ObjectFolderError
+            If a point is off the surface, or a setting asks for more than the spectrograms hold.
+        """
+        from objectfolder.audio.spectrogram import DURATION, SAMPLE_RATE, sounds_of
+
+        if settings.material is not None or settings.scale is not None or settings.contact_time:
+            raise ObjectFolderError(
+                f"{self._key}: its audio net stores spectrograms; material, scale and contact_time need "
+                "modes, which train_audio.net: gains stores"
+            )
+        rate, duration = settings.sample_rate, settings.duration
+        samples = round(rate * duration) if 0 < duration <= DURATION else 0
+        if rate != SAMPLE_RATE or settings.response != "displacement" or samples <= 0:
+            raise ObjectFolderError(
+                f"a spectrogram net answers displacement at {SAMPLE_RATE} Hz, up to {DURATION:g} s; "
+                f"asked for {settings.response} at {rate} Hz, {duration:g} s. A net of kind gains answers "
+                "that (train_audio.net: gains)"
+            )
+        places = torch.from_numpy(self._surface.to_unit(self._surface.snap(points, tolerance)))
+        sounds = np.empty((len(places), samples), np.float32)
+        for sound, point, force in zip(sounds, places, torch.from_numpy(impulses).float()):
+            spectrum = (self.net.spectrograms(point[None])[0].cpu() * force[:, None, None]).sum(0)
+            sound[:] = sounds_of(spectrum[None])[0, :samples].numpy()
+        return sounds
+
+    def _no_modes(self) -> ObjectFolderError:
+        return ObjectFolderError(
+            f"{self._key}: its audio net stores spectrograms, no modes; train_audio.net: gains stores them"
+        )
+
+
+def _report_inaudible(heard: int, modes: int, nyquist: float) -> None:
+    if heard == 0:
+        log.warning(
+            "silent: none of the object's %d modes lies below the Nyquist frequency of %g Hz", modes, nyquist
+        )
+    elif heard < modes:
+        log.info("%d of %d modes lie above the Nyquist frequency", modes - heard, modes)

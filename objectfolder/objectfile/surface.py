@@ -1,0 +1,78 @@
+"""The surface of an object in metres: the one place where queries enter and leave the unit frame."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.mesh.sampling import sample_surface
+
+TOLERANCE = 0.02  #: points further than this from the surface (fraction of the size) are refused
+
+
+@dataclass(frozen=True)
+class ObjectSurface:
+    """Stored surface of an object. All points are in the object frame, metres."""
+
+    read: Callable[[], Isosurface]  #: returns the stored surface, unit frame
+    scale: float  #: longest side, metres
+    stored: bool = True  #: whether the file holds a surface
+
+    def resized(self, scale: float | None) -> "ObjectSurface":
+        """Return the surface of the same shape with another longest side, if one is given."""
+        return self if scale is None else replace(self, scale=scale)
+
+    def to_unit(self, points: np.ndarray) -> np.ndarray:
+        """Return points in the unit frame."""
+        return points / self.scale
+
+    def bounds(self) -> np.ndarray:
+        """Return lowest and highest coordinates; (2, 3)."""
+        return self.read().bounds * self.scale
+
+    def sample(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """Draw points uniformly by area; (count, 3)."""
+        surface = self.read()
+        return sample_surface(surface.vertices, surface.faces, count, rng) * self.scale
+
+    def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the nearest surface points (N, 3), and their distances (N,)."""
+        if not len(points):
+            return points, np.zeros(0)
+        nearest, distance = self.read().nearest(points / self.scale)
+        return nearest * self.scale, distance * self.scale
+
+    def snap(self, points: np.ndarray, tolerance: float, slack: float = 0.0) -> np.ndarray:
+        """Move points (N, 3) to the surface; they stay where they are if no surface is stored.
+
+        Parameters
+        ----------
+        points : (N, 3) array
+        tolerance : float
+            Greatest distance from the surface, fraction of the size.
+        slack : float
+            Points nearer to the surface than this stay where they are; voxels of the stored grid.
+
+        Raises
+        ------
+        ObjectFolderError
+            If a point is further away than the tolerance.
+        """
+        if not tolerance >= 0:
+            raise ObjectFolderError(f"tolerance is {tolerance!r}, expected a fraction of the size")
+        if len(points) == 0 or not self.stored:
+            return points
+        surface, places = self.read(), points / self.scale
+        snapped, distance = surface.nearest(places)
+        far = np.flatnonzero(distance > tolerance)
+        if len(far):
+            raise ObjectFolderError(
+                f"{len(far)} of {len(points)} points are off the surface, the first is row {far[0]} at "
+                f"{places[far[0]].round(4).tolist()} (unit frame), {distance[far[0]]:.3g} of the size away; "
+                f"expected at most {tolerance:g}. Points are in metres, centred on the bounding box: "
+                "ObjectFile.sample_surface gives valid ones"
+            )
+        near = distance < slack * surface.grid.spacing
+        return np.where(near[:, None], places, snapped) * self.scale

@@ -1,0 +1,248 @@
+"""Touch of an Object File: poses of a tactile sensor in, tactile images and contacts out."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile.arguments import Rows, Scalars, finite_rows, finite_scalars
+from objectfolder.objectfile.reading import StoredNet, report_damage
+from objectfolder.touch.contact import sensor_frames
+from objectfolder.touch.profiles import SensorProfile
+from objectfolder.touch.simulate import Touches
+
+if TYPE_CHECKING:
+    from objectfolder.nets.released.touch import ReleasedDepth
+
+#: Voxels. The stored surface is no more accurate than this: contact points nearer to it stay where they are.
+UNMOVED = 0.25
+
+
+@dataclass(frozen=True)
+class ContactPoses:
+    """Poses of a tactile sensor in N contacts."""
+
+    points: np.ndarray  #: (N, 3) contact points, object frame, metres
+    depth: np.ndarray  #: (N,) how far the gel's apex is pressed past the surface, metres
+    angle: np.ndarray  #: (N,) rotation about the outward contact normal, radians
+    tilt: np.ndarray  #: (N,) lean from the contact normal, radians
+    azimuth: np.ndarray  #: (N,) direction of the lean, from image up towards image right, radians
+
+    @classmethod
+    def checked(
+        cls, points: Rows, depth: Scalars, angle: Scalars, tilt: Scalars, azimuth: Scalars
+    ) -> "ContactPoses":
+        """Check the arguments of a query; a number serves all contacts.
+
+        Raises
+        ------
+        ObjectFolderError
+            If shapes do not fit or values are not finite.
+        """
+        places = finite_rows("points", points, 3)
+        named = {"depth": depth, "angle": angle, "tilt": tilt, "azimuth": azimuth}
+        return cls(places, **{name: finite_scalars(name, of, len(places)) for name, of in named.items()})
+
+    def at(self, points: np.ndarray) -> "ContactPoses":
+        """Return the same poses at other points (N, 3)."""
+        return replace(self, points=points)
+
+    def leaned(self, normals: np.ndarray) -> np.ndarray:
+        """Return the sensor's outward axes (N, 3) at points with these contact normals (N, 3)."""
+        if not self.tilt.any():
+            return normals
+        frames = sensor_frames(normals, self.angle)
+        direction = (
+            np.cos(self.azimuth)[:, None] * frames[:, :, 2] - np.sin(self.azimuth)[:, None] * frames[:, :, 1]
+        )
+        return np.cos(self.tilt)[:, None] * normals + np.sin(self.tilt)[:, None] * direction
+
+
+@dataclass(frozen=True)
+class FixedContact:
+    """The one press that a net of images answers, whatever the point."""
+
+    depth: float  #: metres
+    angle: float  #: radians
+
+    @classmethod
+    def of(cls, config: dict[str, Any]) -> "FixedContact | None":
+        """Return that of a net's configuration; None if the net answers any press."""
+        return cls(float(config["press_depth"]), float(config["angle"])) if "press_depth" in config else None
+
+    def require(self, contacts: ContactPoses) -> None:
+        """Raise ObjectFolderError unless the contacts are of this depth and angle, without a tilt."""
+        for name, known in {"depth": self.depth, "angle": self.angle, "tilt": 0.0}.items():
+            values = getattr(contacts, name)
+            wrong = np.flatnonzero(np.abs(values - known) > 1e-6)
+            if len(wrong):
+                raise ObjectFolderError(
+                    f"{name}: row {wrong[0]} is {values[wrong[0]]:g}; a touch net of kind image is a "
+                    f"function of the point alone, trained at depth {self.depth:g} m, "
+                    f"angle {self.angle:g}, tilt 0; "
+                    "a net of kind geometric answers others (train_touch.net: geometric)"
+                )
+
+
+class TouchSense(Protocol):
+    """What an Object File asks a touch net of any kind. A profile of None is the stored sensor's."""
+
+    def images(self, contacts: ContactPoses, tolerance: float, profile: SensorProfile | None) -> np.ndarray:
+        """Return tactile images; (N, H, W, 3) uint8, RGB."""
+
+    def touches(
+        self, contacts: ContactPoses, tolerance: float, profile: SensorProfile | None
+    ) -> Iterator[Touches]:
+        """Return everything about the contacts in order, a few at a time; one empty answer if N is 0.
+
+        Raises
+        ------
+        ObjectFolderError
+            At once, if a contact is not possible or a point is off the surface.
+        """
+
+    def depth_maps(self, contacts: ContactPoses, tolerance: float) -> np.ndarray:
+        """Return depth maps of the released sensor, metres; (N, 120, 160) float32."""
+
+
+def touch_sense(stored: StoredNet) -> TouchSense:
+    """Load a touch net. The code of a kind is imported when a file holds it."""
+    if stored.kind == "geometric":
+        return GeometricSense(stored)
+    if stored.kind == "image":
+        from objectfolder.nets.touch_image import ImageTouch
+
+        return ImageSense(stored.load(ImageTouch), stored)
+    from objectfolder.nets.released.registry import released_net
+
+    net = stored.load(released_net(stored.kind))
+    return ImageSense(net, stored) if stored.kind == "released_image" else DepthMapSense(net, stored)
+
+
+class GeometricSense:
+    """Touch by simulating the sensor on the stored surface."""
+
+    def __init__(self, stored: StoredNet):
+        from objectfolder.nets.touch_geometric import GeometricTouch
+
+        self._key, self._surface = stored.key, stored.surface
+        surface, scale = stored.surface.read(), stored.surface.scale
+        with report_damage(stored.key, "touch net"):
+            self.net: GeometricTouch = GeometricTouch.from_tensors(
+                surface, scale, stored.tensors, stored.config, stored.device
+            )
+
+    def images(self, contacts: ContactPoses, tolerance: float, profile: SensorProfile | None) -> np.ndarray:
+        """Return tactile images; (N, H, W, 3) uint8, RGB."""
+        return np.concatenate([part.images for part in self.touches(contacts, tolerance, profile)])
+
+    def touches(
+        self, contacts: ContactPoses, tolerance: float, profile: SensorProfile | None
+    ) -> Iterator[Touches]:
+        """Return everything about the contacts, a few at a time."""
+        net = self.net if profile is None else self.net.with_sensor(profile)
+        depth, limit = contacts.depth, net.profile.max_indentation
+        wrong = np.flatnonzero((depth < 0) | (depth > limit))
+        if len(wrong):
+            raise ObjectFolderError(
+                f"depth: row {wrong[0]} is {depth[wrong[0]]:g} m; the sensor {net.profile.name!r} takes "
+                f"0 to {limit:g} m"
+            )
+        points = self._surface.snap(contacts.points, tolerance, UNMOVED)
+        return net.touches(points, contacts.leaned(net.normals(points)), contacts.angle, depth)
+
+    def depth_maps(self, contacts: ContactPoses, tolerance: float) -> np.ndarray:
+        """Refuse: there is no released sensor."""
+        raise _no_depth_maps(self._key)
+
+
+class ImageNet(Protocol):
+    """Net from a point to a tactile image."""
+
+    def images(self, points: np.ndarray) -> np.ndarray:
+        """Tactile images (N, H, W, 3), uint8, at (N, 3) points of the unit frame."""
+
+
+class ImageSense:
+    """Touch by a net that stores the images of one press."""
+
+    def __init__(self, net: ImageNet, stored: StoredNet):
+        fixed = FixedContact.of(stored.config)
+        assert fixed is not None
+        self.net, self._fixed = net, fixed
+        self._key, self._surface = stored.key, stored.surface
+
+    def images(self, contacts: ContactPoses, tolerance: float, profile: SensorProfile | None) -> np.ndarray:
+        """Return tactile images of the stored sensor; (N, H, W, 3) uint8, RGB."""
+        if profile is not None:
+            raise self._images_only()
+        self._fixed.require(contacts)
+        points = self._surface.snap(contacts.points, tolerance)
+        return self.net.images(self._surface.to_unit(points))
+
+    def touches(
+        self, contacts: ContactPoses, tolerance: float, profile: SensorProfile | None
+    ) -> Iterator[Touches]:
+        """Refuse: the net stores images alone."""
+        raise self._images_only()
+
+    def depth_maps(self, contacts: ContactPoses, tolerance: float) -> np.ndarray:
+        """Refuse: the net stores images alone."""
+        raise _no_depth_maps(self._key)
+
+    def _images_only(self) -> ObjectFolderError:
+        return ObjectFolderError(
+            f"{self._key}: its touch net stores images of one sensor, no shapes or forces; "
+            "train_touch.net: geometric answers with them, and for other sensors"
+        )
+
+
+class DepthMapSense:
+    """Touch by pressing a sensor's gel into the depth maps that a released net stores."""
+
+    def __init__(self, net: "ReleasedDepth", stored: StoredNet):
+        self.net, self._surface = net, stored.surface
+
+    def images(self, contacts: ContactPoses, tolerance: float, profile: SensorProfile | None) -> np.ndarray:
+        """Return tactile images; (N, H, W, 3) uint8, RGB."""
+        return np.concatenate([part.images for part in self.touches(contacts, tolerance, profile)])
+
+    def touches(
+        self, contacts: ContactPoses, tolerance: float, profile: SensorProfile | None
+    ) -> Iterator[Touches]:
+        """Return everything about the contacts, one at a time."""
+        turned = np.flatnonzero(contacts.angle)
+        if len(turned):
+            raise ObjectFolderError(
+                f"angle: row {turned[0]} is {contacts.angle[turned[0]]:g}; a released touch net knows tilt, "
+                "no rotation"
+            )
+        return self.net.touches(*self._pressed(contacts, tolerance), profile)
+
+    def depth_maps(self, contacts: ContactPoses, tolerance: float) -> np.ndarray:
+        """Return depth maps of the released sensor, metres; (N, 120, 160) float32."""
+        return self.net.depth_maps(*self._pressed(contacts, tolerance))
+
+    def _pressed(
+        self, contacts: ContactPoses, tolerance: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Points in the unit frame, depths, tilts and azimuths."""
+        self.net.require(contacts.depth, contacts.tilt)
+        points = self._surface.to_unit(self._surface.snap(contacts.points, tolerance))
+        return points, contacts.depth, contacts.tilt, contacts.azimuth
+
+
+def concatenate_touches(parts: Iterable[Touches]) -> Touches:
+    """Join answers of one sensor."""
+    parts = list(parts)
+    names = [field.name for field in fields(Touches) if field.name != "profile"]
+    arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return Touches(**arrays, profile=parts[0].profile)
+
+
+def _no_depth_maps(key: str) -> ObjectFolderError:
+    return ObjectFolderError(
+        f"{key}: its touch net stores no depth maps, as those of imported 2.0 files; press() gives heights"
+    )

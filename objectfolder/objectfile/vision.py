@@ -1,0 +1,158 @@
+"""Vision of an Object File: cameras and lights in, pictures out."""
+
+import threading
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+import torch
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile.arguments import Rows, broadcast_rows, finite_rows, real_array
+from objectfolder.objectfile.reading import StoredNet, once, report_damage
+from objectfolder.vision.cameras import Intrinsics, look_at
+from objectfolder.vision.color import on_white
+from objectfolder.vision.picture import Drawer, Views
+from objectfolder.vision.view import Shader, draw
+
+if TYPE_CHECKING:
+    pass
+
+_CHUNK = 2**17  # points whose base colours are evaluated at once
+
+#: (N, 3) points near the surface, unit frame -> base colours (N, 3), sRGB uint8.
+BaseColors = Callable[[np.ndarray], np.ndarray]
+
+
+class VisionSense(Protocol):
+    """What an Object File asks a vision net of any kind."""
+
+    @property
+    def base_colors(self) -> BaseColors | None:
+        """Base colours at points, if the net stores them apart from the light."""
+
+    def drawer(self, supersample: bool) -> Drawer:
+        """Return the function that draws views."""
+
+
+def vision_sense(stored: StoredNet) -> VisionSense:
+    """Load a vision net. The code of a kind is imported when a file holds it."""
+    if stored.kind == "surface":
+        return SurfaceSense(stored)
+    if stored.kind == "osf":
+        from objectfolder.nets.vision_osf import OsfNet
+
+        return VolumeSense(stored.load(OsfNet).picture)
+    from objectfolder.nets.released.registry import released_net
+
+    return VolumeSense(stored.load(released_net(stored.kind)).picture)
+
+
+class SurfaceSense:
+    """Vision by shading the stored surface."""
+
+    def __init__(self, stored: StoredNet):
+        from objectfolder.nets.vision_surface import SurfaceNet
+
+        self.net: SurfaceNet = stored.load(SurfaceNet)
+        self._stored = stored
+        self._lock = threading.RLock()
+
+    @once
+    def _shader(self) -> Shader:
+        surface = self._stored.surface.read()
+        with report_damage(self._stored.key, "vision net"):
+            return self.net.shader(surface, self._stored.device)
+
+    def drawer(self, supersample: bool) -> Drawer:
+        """Return the function that draws views."""
+        return partial(draw, self._stored.surface.read(), self._shader, supersample=supersample)
+
+    @torch.no_grad()
+    def base_colors(self, points: np.ndarray) -> np.ndarray:
+        """Return base colours (N, 3), sRGB uint8, at (N, 3) points near the surface, unit frame."""
+        colors = []
+        for part in torch.from_numpy(points.astype(np.float32)).to(self._stored.device).split(_CHUNK):
+            color = self.net.base_colors(part)
+            colors.append((255 * color.clamp(0, 1)).round().to(torch.uint8))
+        return torch.cat(colors).cpu().numpy()
+
+
+class VolumeSense:
+    """Vision by a net that is rendered along rays; every pixel is the ray through its centre."""
+
+    base_colors = None
+
+    def __init__(self, picture: Drawer):
+        self._picture = picture
+
+    def drawer(self, supersample: bool) -> Drawer:
+        """Return the function that draws views, the same with and without supersampling."""
+        return self._picture
+
+
+def view_images(drawer: Drawer, camera: Rows, light: Rows, intrinsics: Intrinsics) -> np.ndarray:
+    """Render an object on white.
+
+    Parameters
+    ----------
+    drawer : Drawer
+    camera : (N, 3) array or (N, 4, 4) array
+        Positions of cameras that look at the centre with z up, or camera-to-world matrices (OpenGL axes);
+        unit frame. One row may be given without its first axis.
+    light : (N, 3) or (3,) array
+        Point light, unit frame. A white Lambertian surface that faces it at distance 1 has radiance 1.
+    intrinsics : Intrinsics
+
+    Returns
+    -------
+    (N, H, W, 3) float32, sRGB in [0, 1]
+
+    Raises
+    ------
+    ObjectFolderError
+        If shapes do not fit or values are not finite.
+    """
+    poses, lights = _poses_and_lights(camera, light)
+    images = np.empty((len(poses), intrinsics.height, intrinsics.width, 3), np.float32)
+    for image, pose, point in zip(images, poses, lights):
+        image[:] = on_white(torch.from_numpy(drawer(pose, point, intrinsics).rgba)).numpy()
+    return images
+
+
+def render_views(drawer: Drawer, scale: float, camera: Rows, light: Rows, intrinsics: Intrinsics) -> Views:
+    """Render colour, alpha, depth and normals; otherwise as `view_images`, whose result is ``rgb`` here.
+
+    Where an edge crosses a pixel, its colour is a mean of samples. Its depth and normal belong to one point:
+    the one at its centre, or the nearest sample if the centre misses the object.
+
+    Parameters
+    ----------
+    scale : float
+        Longest side, metres.
+    """
+    poses, lights = _poses_and_lights(camera, light)
+    size = len(poses), intrinsics.height, intrinsics.width
+    views = Views(*(np.empty((*size, *last), np.float32) for last in ((3,), (4,), (), (3,))))
+    for i, (pose, point) in enumerate(zip(poses, lights)):
+        picture = drawer(pose, point, intrinsics)
+        views.rgb[i] = on_white(torch.from_numpy(picture.rgba)).numpy()
+        views.rgba[i], views.normals[i] = picture.rgba, picture.normals
+        views.depth[i] = picture.depth * scale
+    return views
+
+
+def _poses_and_lights(camera: Rows, light: Rows) -> tuple[np.ndarray, np.ndarray]:
+    """Camera-to-world matrices (N, 4, 4) and lights (N, 3)."""
+    places = real_array("camera", camera)
+    if places.ndim in (2, 3) and places.shape[-2:] == (4, 4):
+        poses = places.reshape(-1, 4, 4)
+    elif places.ndim in (1, 2) and places.shape[-1] == 3:
+        poses = look_at(places)
+    else:
+        raise ObjectFolderError(f"camera has shape {places.shape}, expected (N, 3) or (N, 4, 4)")
+    poses, lights = broadcast_rows("camera", poses, "light", finite_rows("light", light, 3))
+    if not np.isfinite(poses).all():
+        raise ObjectFolderError("camera holds values that are not finite")
+    return poses, lights
