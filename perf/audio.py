@@ -6,14 +6,13 @@ neither training nor early stopping used. Exits with 1 if a target is missed.
 """
 
 import argparse
-import json
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
 import torch
-from harness import exit_with_verdict, fresh_row, write_record
+from harness import exit_with_verdict, fresh, run_job, write_record
 from rich.console import Console
 from rich.table import Table
 
@@ -45,10 +44,10 @@ def targets(modes: int) -> dict[str, tuple[str, float]]:
     return {}
 
 
-def measure(workspace: Path, key: str) -> dict:
+def measure(workspace: str, key: str) -> dict:
     """Train and score one object in this process."""
     torch.set_num_threads(1)
-    values = params.read(workspace / "params.yaml")
+    values = params.read(Path(workspace) / "params.yaml")
     config = params.settings(AudioConfig, values)
     names = ("points", "shapes", "damped_frequency", "damping")
     modes = read_npz(Build(key, workspace).modes, *names, "split")
@@ -133,23 +132,18 @@ def show(rows: list[dict], console: Console) -> None:
 
 
 def main() -> None:
+    run_job({"measure": measure})
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("keys", nargs="*", help="objects (default: all of params.yaml)")
     parser.add_argument("--workspace", type=Path, default=ROOT, help="holds params.yaml and build/")
     parser.add_argument("--json", type=Path, help="file for the figures")
-    parser.add_argument("--job", choices=["measure"], help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    if arguments.job:
-        print(json.dumps(measure(arguments.workspace, arguments.keys[0])))
-        return
     keys = arguments.keys or list(params.read(arguments.workspace / "params.yaml")["objects"])
     console = Console(width=max(Console().width, 130))
-    rows = [fresh_row(__file__, "measure", key, "--workspace", arguments.workspace, key) for key in keys]
+    rows = [{"object": key} | fresh(__file__, "measure", arguments.workspace, key) for key in keys]
     show(rows, console)
     write_record(arguments.json, {"objects": rows})
-    exit_with_verdict(
-        [f"{row['object']}: {text}" for row in rows for text in misses(row)], len(rows), console
-    )
+    exit_with_verdict([f"{row['object']}: {text}" for row in rows for text in misses(row)], console)
 
 
 if __name__ == "__main__":

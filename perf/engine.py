@@ -8,7 +8,6 @@ Times are wall seconds; peak memory is that of the engine. Exits with 1 if a tar
 """
 
 import argparse
-import json
 import os
 import re
 import resource
@@ -20,7 +19,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from harness import fresh, write_record
+from harness import fresh, require, run_job, write_record
 from rich.console import Console
 from rich.table import Table
 from ruamel.yaml import YAML
@@ -140,6 +139,11 @@ def run_build(root: str, workers: str) -> dict:
     }
 
 
+def built(root: Path, workers: int) -> dict:
+    """Build in a fresh process."""
+    return require(fresh(__file__, "build", root, workers))
+
+
 def dvc(root: Path, *arguments: str, limit: float | None = None) -> float | None:
     """Return the wall seconds of a DVC command, or None if it was stopped at the limit."""
     start = time.monotonic()
@@ -169,13 +173,13 @@ def scale(folder: Path, workers: int, objects: int) -> dict:
     row = {
         "objects": objects,
         "workers": workers,
-        "first": fresh(__file__, "build", root, workers),
-        "idle": fresh(__file__, "build", root, workers),
+        "first": built(root, workers),
+        "idle": built(root, workers),
     }
     params = root / "params.yaml"
     text = params.read_text()
     params.write_text(text.replace(f"material: {MATERIALS[0]}", f"material: {MATERIALS[1]}", 1))
-    row["changed"] = fresh(__file__, "build", root, workers)
+    row["changed"] = built(root, workers)
     row["status_s"] = dvc(root, "status", limit=IDLE_SECONDS)
     row["peer_idle_s"] = dvc(root, "repro", limit=IDLE_SECONDS)
     seconds = dvc(peer, "repro", limit=PEER_SECONDS) or PEER_SECONDS
@@ -186,7 +190,7 @@ def scale(folder: Path, workers: int, objects: int) -> dict:
 
 def efficiency(folder: Path, workers: int, _: int) -> dict:
     """Measure the share of the workers' time that is spent in commands."""
-    ran = fresh(__file__, "build", columns(folder / "own", COLUMNS, STAGES, SECONDS), workers)
+    ran = built(columns(folder / "own", COLUMNS, STAGES, SECONDS), workers)
     work = COLUMNS * STAGES * SECONDS
     return {"workers": workers, "seconds": ran["seconds"], "efficiency": work / workers / ran["seconds"]}
 
@@ -273,9 +277,7 @@ def show(command: str, row: dict, console: Console) -> bool:
 
 
 def main() -> None:
-    if sys.argv[1:2] == ["--job"]:
-        print(json.dumps(run_build(*sys.argv[3:])))
-        return
+    run_job({"build": run_build})
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

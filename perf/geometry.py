@@ -1,24 +1,21 @@
 """Time and memory of normalize and voxelize, object by object: `python perf/geometry.py [--objects DIR]`.
 
-Each object gets a fresh process with one thread. Exits with 1 if an object misses a target; an object that
-is refused with a reason misses none.
+Each object gets a fresh single-threaded process. Exits with 1 if an object misses a target; a refused
+object misses none.
 """
 
 import argparse
-import json
-import os
 import resource
-import subprocess
 import sys
 import time
 from pathlib import Path
 
 import numpy as np
+from harness import exit_with_verdict, fresh, run_job, write_record
 from rich.console import Console
 from rich.table import Table
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic
 from objectfolder.mesh.grid import BOUND, band_width
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.reading.load import load_mesh
@@ -29,7 +26,6 @@ ROOT = Path(__file__).parents[1]
 MAX_SECONDS = 10.0  # CPU time of normalize and voxelize of one object, loading included
 MAX_MEGABYTES = 2048.0
 PEER_RESOLUTION = 64  # the peer needs the whole grid: minutes at the real resolution
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "IGL_NUM_THREADS")
 
 
 def meshes(folder: Path | None) -> dict[str, tuple[Path, str]]:
@@ -43,10 +39,11 @@ def meshes(folder: Path | None) -> dict[str, tuple[Path, str]]:
     return {p.parent.name: (p, "y" if p.suffix in (".gltf", ".glb") else "z") for p in paths}
 
 
-def measure(path: Path, up: str) -> dict:
+def measure(mesh: str, up: str) -> dict:
     """Measure one object in this process."""
     from objectfolder.fem.voxelize import VoxelizeConfig, voxelize
 
+    path = Path(mesh)
     values = params.read(ROOT / "params.yaml")
     row: dict = {"object": path.parent.name}
     start = time.process_time()
@@ -68,10 +65,11 @@ def measure(path: Path, up: str) -> dict:
     return row
 
 
-def compare(path: Path, up: str) -> dict:
+def compare(mesh: str, up: str) -> dict:
     """Compare the distance grid with libigl's distance and winding number of every sample."""
     import igl
 
+    path = Path(mesh)
     vertices, faces = normalize(load_mesh(path, up), path.parent.name).surface.mesh
     start = time.process_time()
     values, band = distance_grid(vertices, faces, PEER_RESOLUTION)
@@ -85,19 +83,6 @@ def compare(path: Path, up: str) -> dict:
     assert band == band_width(PEER_RESOLUTION)
     apart = np.abs(values.ravel() * (band / 127) - peer.clip(-band, band)).max() / (axis[1] - axis[0])
     return {"object": path.parent.name, "own_s": own, "peer_s": seconds, "apart_voxels": float(apart)}
-
-
-def fresh(job: str, path: Path, up: str) -> dict:
-    """Run this file for one object in a process of its own."""
-    done = subprocess.run(
-        [sys.executable, __file__, "--job", job, str(path), up],
-        capture_output=True,
-        text=True,
-        env={**os.environ, **dict.fromkeys(THREADS, "1")},
-    )
-    if done.returncode:
-        return {"object": path.parent.name, "failed": done.stderr.strip().splitlines()[-1:]}
-    return json.loads(done.stdout.splitlines()[-1])
 
 
 def misses(row: dict) -> list[str]:
@@ -157,35 +142,22 @@ def show(rows: list[dict], peer: dict | None, console: Console) -> None:
 
 
 def main() -> None:
+    run_job({"measure": measure, "compare": compare})
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--objects", type=Path, help="folder with a mesh.* in each subfolder")
-    parser.add_argument("--json", type=Path, help="also write the figures here")
-    parser.add_argument("--job", nargs=3, help=argparse.SUPPRESS)
+    parser.add_argument("--json", type=Path, help="file for the figures")
     arguments = parser.parse_args()
-    if arguments.job:
-        job, path, up = arguments.job
-        print(json.dumps({"measure": measure, "compare": compare}[job](Path(path), up)))
-        return
     found = meshes(arguments.objects)
     if not found:
         sys.exit(f"{arguments.objects}: no subfolder holds a mesh.obj, .gltf, .glb, .ply or .stl")
     console = Console(width=max(Console().width, 150))
-    rows = [{**fresh("measure", *mesh), "object": key} for key, mesh in found.items()]
+    rows = [{**fresh(__file__, "measure", *mesh), "object": key} for key, mesh in found.items()]
     faces = {row["object"]: row["faces"] for row in rows if "voxelize_s" in row}  # accepted ones
     largest = max(faces, key=faces.__getitem__, default=None)
-    peer = fresh("compare", *found[largest]) if largest else None
+    peer = fresh(__file__, "compare", *found[largest]) if largest else None
     show(rows, peer, console)
-    if arguments.json:
-        with atomic(arguments.json) as path:
-            path.write_text(json.dumps({"objects": rows, "distance_grid": peer}, indent=2) + "\n")
-    missed = [f"{row['object']}: {reason}" for row in rows for reason in misses(row)]
-    console.print(
-        f"target: at most {MAX_SECONDS:g} s and {MAX_MEGABYTES:g} MB per object: "
-        + ("; ".join(missed) if missed else f"met by all {len(rows)}"),
-        markup=False,
-        soft_wrap=True,
-    )
-    sys.exit(bool(missed))
+    write_record(arguments.json, {"objects": rows, "distance_grid": peer})
+    exit_with_verdict([f"{row['object']}: {reason}" for row in rows for reason in misses(row)], console)
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from harness import write_record
 from rich.console import Console
 from rich.table import Table
 
@@ -31,7 +32,6 @@ from objectfolder.benchmarks.tasks.running import machine
 from objectfolder.envs.body import RigidBody, rigid_body
 from objectfolder.envs.grasp_scene import GraspScene, Physics
 from objectfolder.envs.hulls import cached_hulls
-from objectfolder.io import write_json
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator
 
@@ -141,7 +141,7 @@ def main() -> int:
     parser.add_argument("--image", type=int, default=64)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", type=Path, help="also write the figures here")
+    parser.add_argument("--json", type=Path, help="file for the figures")
     given = parser.parse_args()
     torch.set_num_threads(1)
     files = [ObjectFile.load(path) for path in given.files]
@@ -161,9 +161,7 @@ def main() -> int:
             *(f"{v:.3g}" if isinstance(v, float) else str(v) for v in (row[name] for name in columns))
         )
     Console(width=160).print(table)
-    if given.json:
-        given.json.parent.mkdir(parents=True, exist_ok=True)
-        write_json(given.json, {"machine": machine("cpu"), "seed": given.seed, "rows": rows})
+    write_record(given.json, {"machine": machine("cpu"), "seed": given.seed, "rows": rows})
     return 0 if met else 1
 
 

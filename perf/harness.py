@@ -1,26 +1,29 @@
-"""What the measuring scripts share: fresh single-threaded processes, JSON records, verdicts on targets."""
+"""Helpers of the measuring scripts: jobs in fresh single-threaded processes, JSON records, verdicts."""
 
 import json
 import os
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
+from objectfolder.errors import ObjectFolderError
 from objectfolder.io import write_text
 
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-
-
-class JobError(Exception):
-    """A job's process failed."""
+LIBRARIES = ("OMP", "OPENBLAS", "MKL", "IGL")
+ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in LIBRARIES}
 
 
 def fresh(script: str, job: str, *arguments: object) -> dict:
-    """Run ``script --job JOB ARGUMENTS`` in a new single-threaded process and return the JSON it prints."""
+    """Run a job of a script in a new single-threaded process.
+
+    Returns
+    -------
+    What the job returns, or the reason under ``failed``.
+    """
     done = subprocess.run(
         [sys.executable, script, "--job", job, *map(str, arguments)],
         capture_output=True,
@@ -28,21 +31,28 @@ def fresh(script: str, job: str, *arguments: object) -> dict:
         env={**os.environ, **ONE_THREAD},
     )
     if done.returncode:
-        reason = (done.stderr.strip().splitlines() or ["failed"])[-1]
-        raise JobError(f"{job} {' '.join(map(str, arguments))}: {reason}")
+        return {"failed": (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]}
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def fresh_row(script: str, job: str, key: str, *arguments: object) -> dict:
-    """Return the row of an object, measured in a new process; a crash is part of the row."""
-    try:
-        return {"object": key, **fresh(script, job, *arguments)}
-    except JobError as error:
-        return {"object": key, "failed": str(error)}
+def require(row: dict) -> dict:
+    """Return a row, or end the script if its job failed."""
+    return sys.exit(row["failed"]) if "failed" in row else row
 
 
-def write_record(path: Path | None, record: Mapping[str, Any]) -> None:
-    """Write the figures for docs/results.md, one row per line, if a path is given."""
+def run_job(jobs: Mapping[str, Callable[..., dict]]) -> None:
+    """In a process that `fresh` started, run the job, print its result and exit."""
+    if sys.argv[1:2] == ["--job"]:
+        name, *arguments = sys.argv[2:]
+        try:
+            print(json.dumps(jobs[name](*arguments)))
+        except ObjectFolderError as error:
+            sys.exit(str(error))
+        sys.exit()
+
+
+def write_record(path: Path | None, record: Mapping[str, Any] | list) -> None:
+    """Write figures for docs/results.md, one row per line, if a path is given."""
     if path:
         write_text(path, encoded(record) + "\n")
 
@@ -59,8 +69,7 @@ def encoded(value: Any, indent: str = "") -> str:
     return "[\n" + ",\n".join(inner + encoded(item, inner) for item in value) + f"\n{indent}]"
 
 
-def exit_with_verdict(missed: Sequence[str], count: int, console: Console) -> None:
+def exit_with_verdict(missed: Sequence[str], console: Console) -> None:
     """Print the missed targets and exit with 1 if there are any."""
-    verdict = "; ".join(missed) or f"met by all {count}"
-    console.print(f"targets: {verdict}", markup=False, soft_wrap=True)
+    console.print("targets: " + ("; ".join(missed) or "met"), markup=False, soft_wrap=True)
     sys.exit(bool(missed))

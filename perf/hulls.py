@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import torch
 import trimesh
+from harness import write_record
 from manifold3d import Manifold, Mesh64, OpType
 from rich.console import Console
 from rich.table import Table
@@ -22,7 +23,6 @@ from rich.table import Table
 from objectfolder.envs.body import density, rigid_body
 from objectfolder.envs.hulls import convex_hulls
 from objectfolder.envs.solid import close_holes
-from objectfolder.io import write_json
 from objectfolder.mesh.ply import read_surface
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator
@@ -98,8 +98,7 @@ def main() -> None:
     for key, values in found.items():
         table.add_row(key, *(f"{values[name]:.3g}" if name in values else "" for name in columns))
     Console(width=200).print(table)
-    if arguments.json:
-        write_json(arguments.json, found)
+    write_record(arguments.json, found)
 
 
 if __name__ == "__main__":

@@ -1,16 +1,12 @@
 """Modal analysis and synthesis, object by object: `python perf/modal.py [--workspace DIR] [KEY ...]`.
 
-Needs `objectfolder build voxelize`. Each object gets a fresh process with one thread; seconds are CPU
-seconds. The peers' solver calls run on the same matrices in the same process as ours. Exits with 1 if a
-target is missed.
+Run `objectfolder build voxelize` first. Each object gets a fresh single-threaded process; times are CPU
+seconds. The eigensolver calls of other projects run on the same matrices in the same process. Exits with 1
+if a target is missed.
 """
 
 import argparse
-import json
-import os
 import resource
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +15,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse.linalg as sla
 import torch
+from harness import exit_with_verdict, fresh, run_job, write_record
 from rich.console import Console
 from rich.table import Table
 
@@ -28,7 +25,7 @@ from objectfolder.fem.eigen import solve_modes
 from objectfolder.fem.elasticity import Solid
 from objectfolder.fem.elements import solid_from_arrays
 from objectfolder.fem.modal import MIN_FREQUENCY, refined_analysis
-from objectfolder.io import atomic, read_npz
+from objectfolder.io import read_npz
 from objectfolder.materials import material
 from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.sampling import sample_surface
@@ -45,7 +42,6 @@ PEER_STEP = 100  # modes added per call of DeepModal
 PEER_DOF, PEER_MODES = 50_000, 300
 STRIKES, NAIVE_STRIKES = 300, 4  # times three axes
 SAMPLE_RATE, DURATION = 48000, 2.0  # at which every mode below 20 kHz sounds
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def timed(function: Callable[[], Any]) -> tuple[Any, float]:
@@ -53,14 +49,14 @@ def timed(function: Callable[[], Any]) -> tuple[Any, float]:
     return function(), time.process_time() - start
 
 
-def load(workspace: Path, key: str) -> tuple[Solid, Mesh, dict, dict]:
+def load(workspace: str, key: str) -> tuple[Solid, Mesh, dict, dict]:
     """Return the first grid, its surface, the object's entry and the section `modal`."""
-    values, build = params.read(workspace / "params.yaml"), Build(key, workspace)
+    values, build = params.read(Path(workspace) / "params.yaml"), Build(key, workspace)
     solid, surface = solid_from_arrays(read_npz(build.solid, "kind")), read_surface(build.solid_surface)
     return solid, surface, values["objects"][key], values["modal"]
 
 
-def measure(workspace: Path, key: str) -> dict:
+def measure(workspace: str, key: str) -> dict:
     """Measure the stage `modal` and the synthesis in this process."""
     solid, solid_surface, entry, section = load(workspace, key)
     surface = read_surface(Build(key, workspace).surface)
@@ -119,7 +115,7 @@ def synthesis(shapes: np.ndarray, damped_frequency: np.ndarray, damping: np.ndar
     }
 
 
-def compare(workspace: Path, key: str) -> dict:
+def compare(workspace: str, key: str) -> dict:
     """Time our solver and the peers' on the same matrices and frequency limit.
 
     DeepModal (analysis/FEM.py, compute_modes): `eigsh` around the middle of the band, by eigenvalue, with
@@ -158,19 +154,6 @@ def compare(workspace: Path, key: str) -> dict:
         apart = np.abs(np.sqrt(elastic / modes.eigenvalues[: len(elastic)]) - 1)
         row[f"{name}_apart"] = float(apart.max()) if len(elastic) == len(modes.eigenvalues) else None
     return row
-
-
-def fresh(job: str, workspace: Path, key: str) -> dict:
-    """Run this file for one object in a process of its own."""
-    done = subprocess.run(
-        [sys.executable, __file__, "--job", job, str(workspace), key],
-        capture_output=True,
-        text=True,
-        env={**os.environ, **dict.fromkeys(THREADS, "1")},
-    )
-    if done.returncode:
-        return {"object": key, "failed": done.stderr.strip().splitlines()[-1:]}
-    return json.loads(done.stdout.splitlines()[-1])
 
 
 def misses(rows: list[dict], peers: list[dict]) -> list[str]:
@@ -213,20 +196,15 @@ def show(rows: list[dict], peers: list[dict], console: Console) -> None:
 
 
 def main() -> None:
+    run_job({"measure": measure, "compare": compare})
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("keys", nargs="*", help="objects (default: all of params.yaml)")
     parser.add_argument("--workspace", type=Path, default=ROOT, help="holds params.yaml and build/")
-    parser.add_argument("--json", type=Path, help="also write the figures here")
-    parser.add_argument("--job", choices=("measure", "compare"), help=argparse.SUPPRESS)
-    # `--job NAME WORKSPACE KEY` comes from `fresh`.
+    parser.add_argument("--json", type=Path, help="file for the figures")
     arguments = parser.parse_args()
-    if arguments.job:
-        workspace, key = arguments.keys
-        print(json.dumps({"measure": measure, "compare": compare}[arguments.job](Path(workspace), key)))
-        return
     keys = arguments.keys or list(params.read(arguments.workspace / "params.yaml")["objects"])
     console = Console(width=max(Console().width, 120))
-    rows = [fresh("measure", arguments.workspace, key) for key in keys]
+    rows = [{"object": key} | fresh(__file__, "measure", arguments.workspace, key) for key in keys]
     small = [
         row["object"]
         for row in rows
@@ -234,18 +212,10 @@ def main() -> None:
         and row["degrees_of_freedom"] <= PEER_DOF
         and row["count_below_max_frequency"] <= PEER_MODES
     ]
-    peers = [fresh("compare", arguments.workspace, key) for key in small]
+    peers = [{"object": key} | fresh(__file__, "compare", arguments.workspace, key) for key in small]
     show(rows, peers, console)
-    if arguments.json:
-        with atomic(arguments.json) as path:
-            path.write_text(json.dumps({"objects": rows, "peers": peers}, indent=2) + "\n")
-    missed = misses(rows, peers)
-    console.print(
-        "targets: " + ("; ".join(missed) if missed else f"met by all {len(rows)}"),
-        markup=False,
-        soft_wrap=True,
-    )
-    sys.exit(bool(missed))
+    write_record(arguments.json, {"objects": rows, "peers": peers})
+    exit_with_verdict(misses(rows, peers), console)
 
 
 if __name__ == "__main__":

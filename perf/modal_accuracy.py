@@ -7,7 +7,6 @@ Set OMP_NUM_THREADS=1: the seconds are CPU time of one core.
 
 import argparse
 import itertools
-import json
 import os
 import subprocess
 import sys
@@ -17,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import scipy.linalg
+from harness import write_record
 from numpy.polynomial import legendre
 from rich.console import Console
 from rich.table import Table
@@ -27,7 +27,6 @@ from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.eigen import Modes, solve_modes
 from objectfolder.fem.elements import discretize
 from objectfolder.fem.modal import refined_analysis
-from objectfolder.io import atomic
 from objectfolder.materials import Material, material
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.procedural import generate
@@ -240,7 +239,7 @@ def real(path: Path) -> list[Row]:
 def threads() -> Row:
     """Compare the mode shapes of one object solved with one and with two threads."""
     code = (
-        "import sys; from perf.modal_accuracy import *;"
+        "import sys; from modal_accuracy import *;"
         "s = normalize(generate('bell', texture_size=64)).surface.mesh;"
         "f = cut_cells(*s, 16, 8).assemble(material('steel'), .09);"
         "np.save(sys.argv[1], solve_modes(f, 2e4, 40).shapes)"
@@ -250,9 +249,8 @@ def threads() -> Row:
         target = ROOT / "build" / "perf" / f"threads{count}.npy"
         target.parent.mkdir(parents=True, exist_ok=True)
         variables = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), count)
-        subprocess.run(
-            [sys.executable, "-c", code, str(target)], cwd=ROOT, env=os.environ | variables, check=True
-        )
+        command = [sys.executable, "-c", code, str(target)]
+        subprocess.run(command, cwd=ROOT / "perf", env=os.environ | variables, check=True)
         shapes.append(np.load(target))
         target.unlink()
     return Row(
@@ -279,14 +277,13 @@ def main() -> int:
     for path in sorted(arguments.objects.glob("*/mesh.*")) if arguments.objects else []:
         if path.parent.name in OBJECTS and path.suffix in (".obj", ".glb", ".gltf", ".ply", ".stl"):
             rows += real(path)
-    table = Table("what", "value", "target", "", "detail")
+    table = Table("quantity", "value", "target", "", "detail")
     for row in rows:
         met = "met" if row.value <= row.target else "MISSED"
         table.add_row(row.name, f"{row.value:.3g}", f"{row.target:g}", met, row.detail)
     Console(width=120).print(table)
-    if arguments.json:
-        with atomic(arguments.json) as path:
-            path.write_text(json.dumps([vars(row) for row in rows], indent=1) + "\n")
+    finite = [vars(row) | {"target": row.target if np.isfinite(row.target) else None} for row in rows]
+    write_record(arguments.json, finite)
     return int(any(row.value > row.target for row in rows))
 
 

@@ -8,6 +8,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from harness import write_record
 from rich.console import Console
 from rich.table import Table
 
@@ -16,7 +17,7 @@ from objectfolder.benchmarks.datasets.occupancy import is_inside, uniform_points
 from objectfolder.benchmarks.datasets.splits import per_sample
 from objectfolder.benchmarks.models.shape_model import load_model
 from objectfolder.benchmarks.tasks.photograph import photograph_scores, view_scores
-from objectfolder.io import read_npz, write_json
+from objectfolder.io import read_npz
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator
 from objectfolder.workspace.layout import Build
@@ -54,7 +55,7 @@ def main() -> None:
     parser.add_argument("model", type=Path, help="reconstruct_seen.safetensors of the benchmark")
     parser.add_argument("--root", type=Path, default=Path(), help="workspace whose build/ has the views")
     parser.add_argument("--observations", type=Path, required=True, help="folder with a folder per object")
-    parser.add_argument("--json", type=Path, help="also write the figures here")
+    parser.add_argument("--json", type=Path, help="file for the figures")
     given = parser.parse_args()
     rows = scores(given.model, given.root, given.observations)
     conditions = list(next(iter(rows.values())))
@@ -65,8 +66,7 @@ def main() -> None:
     table.add_section()
     table.add_row("mean", *(f"{means[name]:.3f}" for name in conditions))
     Console().print(table)
-    if given.json:
-        write_json(given.json, {"objects": rows, "mean": means})
+    write_record(given.json, {"objects": rows, "mean": means})
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ sequence. Needs the base install only. Exits with 1 if a target is missed.
 
 import argparse
 import hashlib
-import json
 import resource
 import time
 from collections.abc import Callable
@@ -18,7 +17,7 @@ from functools import partial
 from pathlib import Path
 from statistics import median
 
-from harness import exit_with_verdict, fresh, write_record
+from harness import exit_with_verdict, fresh, require, run_job, write_record
 from rich.console import Console
 from rich.table import Table
 
@@ -117,9 +116,6 @@ def mixed(path: str, count: str) -> dict:
     return {"mixed_queries": len(together), "differing": differing}
 
 
-JOBS = {"first": first, "speed": speed, "mixed": mixed}
-
-
 def significant(value: float | None) -> str:
     """Format with at least three significant digits; an empty string for None."""
     return "" if value is None else f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
@@ -160,30 +156,26 @@ def show(rows: list[dict], console: Console) -> None:
 
 
 def main() -> None:
+    run_job({"first": first, "speed": speed, "mixed": mixed})
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("files", nargs="*", help="Object Files")
     parser.add_argument("--mixed", type=int, help="number of mixed queries of the first file")
     parser.add_argument("--json", type=Path, help="file for the figures")
-    parser.add_argument("--job", nargs=argparse.REMAINDER, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    if arguments.job:
-        job, *rest = arguments.job
-        print(json.dumps(JOBS[job](*rest)))
-        return
     rows = []
     for path in arguments.files:
-        row = fresh(__file__, "speed", path)
+        row = require(fresh(__file__, "speed", path))
         point = [str(x) for x in row.pop("point")]
-        starts = [fresh(__file__, "first", path, *point)["first_touch_s"] for _ in range(3)]
+        starts = [require(fresh(__file__, "first", path, *point))["first_touch_s"] for _ in range(3)]
         rows.append(row | {"first_touch_s": median(starts)})
     if arguments.mixed:
-        rows[0] |= fresh(__file__, "mixed", arguments.files[0], arguments.mixed)
+        rows[0] |= require(fresh(__file__, "mixed", arguments.files[0], arguments.mixed))
     console = Console(width=max(Console().width, 130))
     show(rows, console)
     write_record(arguments.json, {"objects": rows})
-    exit_with_verdict(misses(rows), len(rows), console)
+    exit_with_verdict(misses(rows), console)
 
 
 if __name__ == "__main__":

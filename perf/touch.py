@@ -12,11 +12,7 @@ Without pyrender the reference's rows are left out, with what to install. Exits 
 """
 
 import argparse
-import json
-import os
 import resource
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -26,13 +22,14 @@ from pathlib import Path
 import igl
 import numpy as np
 import torch
+from harness import exit_with_verdict, fresh, run_job, write_record
 from rich.console import Console
 from rich.table import Table
 
 from objectfolder import ObjectFile
 from objectfolder.errors import ObjectFolderError
 from objectfolder.figures import tile
-from objectfolder.io import atomic, write_npz, write_png
+from objectfolder.io import write_npz, write_png
 from objectfolder.mesh.closing.surface import close_surface
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
@@ -81,7 +78,6 @@ IMAGE = ImageConfig(
     width=256, depth=8, point_octaves=10, pixel_octaves=10, steps=0, batch=4096, learning_rate=5e-4
 )
 IMAGE_PRESS = 0.001  # m; the angle is 0
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "IGL_NUM_THREADS")
 
 Contact = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
@@ -338,34 +334,14 @@ def sources(arguments: argparse.Namespace) -> dict[str, tuple[str, str]]:
     return {key: found[key] for key in arguments.keys or found}
 
 
-def fresh(job: str, *arguments: str) -> dict:
-    """Run a job of this file in a process of its own."""
-    done = subprocess.run(
-        [sys.executable, __file__, "job", job, *arguments],
-        capture_output=True,
-        text=True,
-        env={**os.environ, **dict.fromkeys(THREADS, "1")},
-    )
-    if done.returncode:
-        return {"failed": (done.stderr.strip().splitlines() or [f"ended with {done.returncode}"])[-1]}
-    return json.loads(done.stdout.splitlines()[-1])
-
-
-def run_job(job: str, *arguments: str) -> None:
-    """Child's side of `fresh`."""
-    jobs = {
-        "speed": speed,
-        "query": query,
-        "dataset": dataset,
-        "accuracy": accuracy,
-        "net": net,
-        "image": image,
-    }
-    try:
-        print(json.dumps(jobs[job](*arguments)))
-    except ObjectFolderError as error:
-        sys.exit(str(error))
-
+JOBS = {
+    "speed": speed,
+    "query": query,
+    "dataset": dataset,
+    "accuracy": accuracy,
+    "net": net,
+    "image": image,
+}
 
 SPEED = {
     "object": ("object", ""),
@@ -475,9 +451,7 @@ def misses(command: str, rows: list[dict]) -> list[str]:
 
 
 def main() -> None:
-    if sys.argv[1:2] == ["job"]:  # from `fresh`
-        run_job(*sys.argv[2:])
-        return
+    run_job(JOBS)
     parser = argparse.ArgumentParser(description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     described = {
@@ -495,7 +469,7 @@ def main() -> None:
         command.add_argument("--objects", type=Path, help="meshes in metres instead: DIR/KEY/mesh.*")
         contacts = 3000 if name == "dataset" else 40
         command.add_argument("--contacts", type=int, default=contacts, help="of each object")
-        command.add_argument("--json", type=Path, help="also write the figures here")
+        command.add_argument("--json", type=Path, help="file for the figures")
         command.add_argument("--pictures", type=Path, default=PICTURES, help="folder for side-by-sides")
         command.add_argument(
             "--resolution", type=int, nargs="+", default=[192], help="of the stored grids (net)"
@@ -509,12 +483,12 @@ def main() -> None:
             "speed": [[]],
             "query": [[]],
             "dataset": [[]],
-            "accuracy": [[str(arguments.pictures / f"tacto_{key}.png")]],
-            "net": [[str(resolution)] for resolution in arguments.resolution],
-            "image": [[str(arguments.steps)]],
+            "accuracy": [[arguments.pictures / f"tacto_{key}.png"]],
+            "net": [[resolution] for resolution in arguments.resolution],
+            "image": [[arguments.steps]],
         }
         for extra in more[arguments.command]:
-            row = fresh(arguments.command, source, scale, str(arguments.contacts), *extra)
+            row = fresh(__file__, arguments.command, source, scale, arguments.contacts, *extra)
             rows.append({"object": key, **row})
     titles = {
         "speed": ("CPU ms per image, one thread; the reference is TACTO's renderer", SPEED),
@@ -525,12 +499,8 @@ def main() -> None:
         "image": ("TouchNet image, PSNR in dB beside the mean image's", IMAGES),
     }
     show(rows, *titles[arguments.command], console)
-    if arguments.json:
-        with atomic(arguments.json) as path:
-            path.write_text(json.dumps({arguments.command: rows}, indent=2) + "\n")
-    missed = misses(arguments.command, rows)
-    console.print("targets: " + ("; ".join(missed) or "met"), markup=False, soft_wrap=True)
-    sys.exit(bool(missed))
+    write_record(arguments.json, {arguments.command: rows})
+    exit_with_verdict(misses(arguments.command, rows), console)
 
 
 if __name__ == "__main__":

@@ -10,24 +10,20 @@ steps through the stored distances. Exits with 1 if a target is missed.
 """
 
 import argparse
-import json
 import lzma
-import os
 import resource
-import subprocess
-import sys
 import tempfile
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
+from harness import exit_with_verdict, fresh, run_job, write_record
 from rich.console import Console
 from rich.table import Table
 
-from objectfolder.errors import ObjectFolderError
 from objectfolder.figures import tile
-from objectfolder.io import atomic, read_npz, write_npz, write_png
+from objectfolder.io import read_npz, write_npz, write_png
 from objectfolder.mesh.grid import BOUND, DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.reading.load import load_mesh
@@ -67,7 +63,6 @@ OSF_OCTAVES = {"point_octaves": 10, "direction_octaves": 4}
 OSF_ROWS = 2  # of pixels that are timed
 MAX_STEPS = 500  # of a ray that a sphere tracer follows
 SHOWN = 6  # views in a picture
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def cpu_seconds() -> float:
@@ -294,7 +289,7 @@ def renderers(workspace: Path, key: str, count: int) -> list[dict]:
     with tempfile.TemporaryDirectory() as folder:
         for name in RENDERERS:
             out = Path(folder) / f"{name}.npz"
-            row = fresh("draw", str(workspace), key, name, str(count), str(out))
+            row = fresh(__file__, "draw", workspace, key, name, count, out)
             if out.exists():
                 drawn[name] = read_npz(out, "rgba")["rgba"]
             rows.append({"object": key, "renderer": name, **row})
@@ -314,28 +309,7 @@ def renderers(workspace: Path, key: str, count: int) -> list[dict]:
     return rows
 
 
-def fresh(job: str, *arguments: str) -> dict:
-    """Run a job of this file in a process of its own."""
-    done = subprocess.run(
-        [sys.executable, __file__, "job", job, *arguments],
-        capture_output=True,
-        text=True,
-        env={**os.environ, **dict.fromkeys(THREADS, "1")},
-    )
-    if done.returncode:
-        return {"failed": (done.stderr.strip().splitlines() or [f"ended with {done.returncode}"])[-1]}
-    return json.loads(done.stdout.splitlines()[-1])
-
-
 JOBS = {"draw": draw, "train": train, "query": query, "query_osf": query_osf, "primary": primary}
-
-
-def run_job(job: str, *arguments: str) -> None:
-    """Child's side of `fresh`."""
-    try:
-        print(json.dumps(JOBS[job](*arguments)))
-    except ObjectFolderError as error:
-        sys.exit(str(error))
 
 
 def show_renderers(rows: list[dict], console: Console) -> None:
@@ -483,9 +457,7 @@ def misses_renderers(rows: list[dict]) -> list[str]:
 
 
 def main() -> None:
-    if sys.argv[1:2] == ["job"]:  # from `fresh`
-        run_job(*sys.argv[2:])
-        return
+    run_job(JOBS)
     parser = argparse.ArgumentParser(description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     for name, text in (
@@ -497,7 +469,7 @@ def main() -> None:
         command = commands.add_parser(name, help=text)
         command.add_argument("keys", nargs="*", help="objects (default: all of params.yaml)")
         command.add_argument("--workspace", type=Path, default=ROOT, help="holds params.yaml and build/")
-        command.add_argument("--json", type=Path, help="also write the figures here")
+        command.add_argument("--json", type=Path, help="file for the figures")
         if name != "training":
             command.add_argument("--views", type=int, default=12, help="drawn by each")
     arguments = parser.parse_args()
@@ -509,24 +481,20 @@ def main() -> None:
         missed = misses_renderers(rows)
         show_renderers(rows, console)
     elif command == "training":
-        rows = [{"object": key} | fresh("train", str(workspace), key) for key in keys]
+        rows = [{"object": key} | fresh(__file__, "train", workspace, key) for key in keys]
         missed = misses_training(rows)
         show_training(rows, console)
     elif command == "primary":
-        rows = [{"object": key} | fresh("primary", str(workspace), key, str(arguments.views)) for key in keys]
+        rows = [{"object": key} | fresh(__file__, "primary", workspace, key, arguments.views) for key in keys]
         missed = beyond(rows, {})
         show_primary(rows, console)
     else:
-        views = str(arguments.views)
-        rows = [{"object": key} | fresh("query", str(workspace), key, views) for key in keys]
-        rows.append({"object": "any", "net": "osf"} | fresh("query_osf"))
+        rows = [{"object": key} | fresh(__file__, "query", workspace, key, arguments.views) for key in keys]
+        rows.append({"object": "any", "net": "osf"} | fresh(__file__, "query_osf"))
         missed = misses_query(rows)
         show_query(rows, console)
-    if arguments.json:
-        with atomic(arguments.json) as path:
-            path.write_text(json.dumps({command: rows}, indent=2) + "\n")
-    console.print("targets: " + ("; ".join(missed) or "met"), markup=False, soft_wrap=True)
-    sys.exit(bool(missed))
+    write_record(arguments.json, {command: rows})
+    exit_with_verdict(missed, console)
 
 
 if __name__ == "__main__":
