@@ -8,9 +8,9 @@ from objectfolder.touch.profiles import SensorProfile
 
 
 def ray_directions(profile: SensorProfile) -> np.ndarray:
-    """Directions of the pixel rays; (H, W, 3), camera frame, float64.
+    """Return the directions of the pixel rays; (H, W, 3), camera frame, float64.
 
-    Every x is 1, so that a distance along a ray is a depth along the optical axis. Row 0 is the top of the
+    Every x is 1, so that distance along a ray is depth along the optical axis. Row 0 is the top of the
     image (+z), column 0 its left (+y).
     """
     vertical, horizontal = profile.half_extent
@@ -20,18 +20,18 @@ def ray_directions(profile: SensorProfile) -> np.ndarray:
 
 
 def gel_sag(profile: SensorProfile, radius: np.ndarray) -> np.ndarray:
-    """How far the undeformed gel is before its apex, metres, at a distance from the optical axis."""
+    """How far the undeformed gel recedes from its apex at a distance from the optical axis, metres."""
     dome = profile.gel_dome_radius
     return profile.gel_curvature * dome * (dome - np.sqrt(dome**2 - radius**2))
 
 
 def gel_depth(profile: SensorProfile, directions: np.ndarray | None = None) -> np.ndarray:
-    """Depth of the undeformed gel surface along rays with x = 1, metres; without any, (H, W), of the pixels.
+    """Return the depth of the undeformed gel along rays with x = 1, metres; by default of the pixels, (H, W).
 
     The surface is the cap of a spheroid about the optical axis, as TACTO models its gels (Wang et al. 2022):
     x = g - κ R (R - sqrt(R² - y² - z²)), with g = `camera_to_gel`, κ = `gel_curvature` at the apex and R =
     `gel_dome_radius`; κ R = 1 is a sphere, κ = 0 a plane. On the ray t (1, a, b) the sag g - t is the smaller
-    root of a quadratic equation, written so that it holds for a plane, too.
+    root of a quadratic equation, in a form that also holds for a plane.
     """
     directions = ray_directions(profile) if directions is None else directions
     slope = directions[..., 1] ** 2 + directions[..., 2] ** 2
@@ -42,7 +42,7 @@ def gel_depth(profile: SensorProfile, directions: np.ndarray | None = None) -> n
 
 
 def gel_normals(displacement: np.ndarray, profile: SensorProfile) -> np.ndarray:
-    """Unit normals of the deformed gel, towards the camera; (N, H, W, 3) float32, camera frame.
+    """Return unit normals of the deformed gel, towards the camera; (N, H, W, 3) float32, camera frame.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def gel_normals(displacement: np.ndarray, profile: SensorProfile) -> np.ndarray:
     depth = gel_depth(profile).astype(np.float32) - np.asarray(displacement, np.float32)
     pitch = [-2 * half / n for half, n in zip(profile.half_extent, (profile.height, profile.width))]
     along_z, along_y = np.gradient(depth, *pitch, axis=(1, 2))
-    # Of the surface depth(y, z) * (1, y, z), y and z being slopes of the rays.
+    # Normal of the surface depth(y, z) * (1, y, z), where y and z are the slopes of the rays.
     normals = np.stack([-(depth + y * along_y + z * along_z), along_y, along_z], axis=-1)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     return normals.astype(np.float32)
@@ -62,9 +62,9 @@ def gel_normals(displacement: np.ndarray, profile: SensorProfile) -> np.ndarray:
 
 @lru_cache(maxsize=64)
 def pixel_area(profile: SensorProfile) -> np.ndarray:
-    """Area of undeformed gel that a pixel sees, projected along the optical axis; (H, W), m², float64.
+    """Return the area of undeformed gel per pixel, projected along the optical axis; (H, W), m², float64.
 
-    One array for all who ask: not to be written to.
+    The array is cached and read-only.
     """
     directions, depth = ray_directions(profile), gel_depth(profile)
     vertical, horizontal = profile.half_extent

@@ -1,4 +1,4 @@
-"""Geometry of a contact: its normal, the pose of the sensor, and how far the object is in the gel."""
+"""Geometry of a contact: normal, pose of the sensor, and heightmap of the object in the gel."""
 
 from collections.abc import Callable
 from functools import cache, lru_cache
@@ -10,26 +10,26 @@ from objectfolder.mesh.raycast import RayCaster
 from objectfolder.touch.camera import gel_depth, ray_directions
 from objectfolder.touch.profiles import SensorProfile
 
-#: Up direction of the image before it is turned. No face of a usual object is perpendicular to it.
+#: Up direction of the image at angle 0. It is perpendicular to no face of a usual object.
 UP = np.array([1.0, 2.0, 4.0]) / np.sqrt(21.0)
 
-#: Radius of `contact_normals` in the unit frame: two voxels of a 192^3 distance grid, and within its band.
+#: Radius of `contact_normals` in the unit frame: two voxels of a 192^3 distance grid, inside its narrow band.
 NORMAL_RADIUS = 0.01
 
-#: The widest gap between gel and object that is told from a wider one, as a fraction of the elastomer's
-#: thickness: a soft gel bulges into gaps beside a contact.
+#: Largest gap between gel and object that heightmaps resolve, as a fraction of the elastomer's thickness;
+#: a soft gel bulges into gaps beside a contact.
 GAP = 0.15
 
-# Directions that no usual mesh has an edge along; three, because one ray can still graze an edge.
+# Directions along which no usual mesh has an edge; three, because one ray can still graze an edge.
 _PROBES = np.array([[0.7561, 0.3217, -0.5700], [-0.4129, 0.8836, 0.2205], [-0.2917, -0.6353, 0.7150]])
 
 
 @cache
 def probe_directions(count: int = 64) -> np.ndarray:
-    """Fixed quasi-uniform unit directions; (count, 3), symmetric under u -> -u, with Σ u uᵀ = count/3 · I.
+    """Return quasi-uniform unit directions; (count, 3), symmetric under u -> -u, with Σ u uᵀ = count/3 · I.
 
-    A Fibonacci half sphere and its mirror image, balanced to a tight frame. The symmetry makes even
-    functions sum to nothing, the tight frame makes linear ones exact.
+    A Fibonacci half sphere and its mirror image, balanced to a tight frame. The symmetry cancels even
+    functions; the tight frame makes linear functions exact.
 
     Parameters
     ----------
@@ -51,13 +51,13 @@ def probe_directions(count: int = 64) -> np.ndarray:
 def contact_normals(
     distance: Callable[[np.ndarray], np.ndarray], points: np.ndarray, radius: float
 ) -> np.ndarray:
-    """Outward contact normal from the signed distance around each point.
+    """Return the outward contact normal from the signed distance around each point.
 
     n ∝ Σ_k d(p + r u_k) u_k over the fixed directions of `probe_directions`: the gradient of the distance,
-    averaged over a sphere. This *defines* the contact normal. It exists at edges and corners, where a face
-    or vertex normal depends on the triangulation, and it comes out the same whether the distance is exact
-    or sampled on a grid, so that ground truth and query agree. It is exact on planes; on curved surfaces
-    and edges it is as good as the 64 directions (about a degree).
+    averaged over a sphere. This *defines* the contact normal. Unlike face and vertex normals, it does
+    not depend on the triangulation at edges and corners. It is the same for an exact distance and for one
+    sampled on a grid, so that ground truth and query agree. It is exact on planes; on curved surfaces and
+    edges the 64 directions limit its accuracy to about a degree.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def contact_normals(
     points : (N, 3) array
         On the surface, in the frame and units of ``distance``.
     radius : float
-        Of the sphere, in the same units: the smallest feature that the normal should see.
+        Radius of the sphere, in the same units: the smallest feature that affects the normal.
 
     Returns
     -------
@@ -75,13 +75,13 @@ def contact_normals(
     Raises
     ------
     ObjectFolderError
-        If the distance has no direction around a point.
+        If the distance has no gradient around a point.
     """
     points = np.asarray(points, np.float64).reshape(-1, 3)
     u = probe_directions()
     samples = points[:, None] + radius * u
     d = np.asarray(distance(samples.reshape(-1, 3)), np.float64).reshape(len(points), len(u))
-    # A fixed order of summation, where a matrix product's depends on the number of points.
+    # Sum in a fixed order; that of a matrix product depends on the number of points.
     gradient = (d[..., None] * u).sum(axis=1)
     length = np.linalg.norm(gradient, axis=1)
     lost = np.flatnonzero(~(length > 1e-9 * radius))
@@ -94,11 +94,11 @@ def contact_normals(
 
 
 def sensor_frames(normals: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Axes of the sensor in the object frame.
+    """Return the axes of the sensor in the object frame.
 
     x = -n points into the object; z, up in the image, is the fixed direction `UP` projected onto the tangent
-    plane, then turned by the angle about the outward normal (right-hand rule: anticlockwise for who looks at
-    the surface from outside). Continuous in the normal everywhere but at n = ±`UP`.
+    plane, then turned by the angle about the outward normal (right-hand rule: anticlockwise, seen from
+    outside). Continuous in the normal except at n = ±`UP`.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def sensor_frames(normals: np.ndarray, angles: np.ndarray) -> np.ndarray:
     n = np.asarray(normals, np.float64).reshape(-1, 3)
     angles = np.broadcast_to(np.asarray(angles, np.float64), len(n))
     z = UP - (n * UP).sum(axis=1, keepdims=True) * n
-    # Where the projection vanishes any fixed direction that is not parallel will do.
+    # Where the projection vanishes, any fixed direction that is not parallel will do.
     other = np.array([0.0, 1.0, 0.0]) - n[:, 1:2] * n
     z = np.where(np.linalg.norm(z, axis=1, keepdims=True) > 1e-9, z, other)
     z /= np.linalg.norm(z, axis=1, keepdims=True)
@@ -132,10 +132,10 @@ def heightmaps(
 ) -> tuple[np.ndarray, np.ndarray]:
     """How far the object is past the undeformed gel surface, along the camera's rays.
 
-    The gel's apex is pressed ``depth`` beyond the contact point, along -n. What counts is the first surface
-    beyond the rigid base of the elastomer, `elastomer_thickness` behind the gel's surface. Material wholly on
-    the camera's side of the base does not show, material across it is clipped to the maximal indentation. A
-    real sensor would collide with both: they are reported as obstructed.
+    The gel's apex is pressed ``depth`` beyond the contact point, along -n. Heights are those of the first
+    surface beyond the elastomer's rigid base, `elastomer_thickness` behind the gel's surface. Material wholly
+    on the camera's side of the base is ignored, and material across it is clipped to the maximal indentation.
+    A real sensor would collide with both; such pixels are reported as obstructed.
 
     Parameters
     ----------
@@ -154,10 +154,10 @@ def heightmaps(
     Returns
     -------
     height : (N, H, W) float32, metres
-        From -`GAP` times `elastomer_thickness`, which stands for any wider gap, to `max_indentation`.
+        From -`GAP` times `elastomer_thickness`, also for any wider gap, to `max_indentation`.
     obstructed : (N,) float64
-        Fraction of the pixels with material nearer to the camera than the base. A contact counts as
-        obstructed where this is not 0.
+        Fraction of the pixels with material nearer to the camera than the base; 0 for a contact that is not
+        obstructed.
 
     Raises
     ------
@@ -197,7 +197,7 @@ def heightmaps(
 
 @lru_cache(maxsize=16)  # of sensors and objects
 def _pixels(profile: SensorProfile, scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rays (M, 3) of the pixels, on which distances come out in metres of depth, and depths (M,) of the gel.
+    """Return the rays (M, 3) of the pixels, scaled so that distance is depth in metres, and gel depths (M,).
 
     Float32; directions in caster units, camera frame.
     """
@@ -224,7 +224,7 @@ def _check_contacts(
 
 
 def _enclosed(caster: RayCaster, points: np.ndarray) -> np.ndarray:
-    """Whether the closed surface encloses points (N, 3) in caster units, by the vote of three rays; (N,)."""
+    """Return whether the closed surface encloses points (N, 3) in caster units, by majority of three rays."""
     directions = np.tile(_PROBES, (len(points), 1))
     _, leaving = caster.first_crossing(points.repeat(len(_PROBES), axis=0), directions)
     return leaving.reshape(-1, len(_PROBES)).sum(axis=1) >= 2

@@ -37,7 +37,7 @@ class RenderTouchConfig:
 def contact_points(
     vertices: np.ndarray, faces: np.ndarray, locations: str, counts: list[int], rng: np.random.Generator
 ) -> list[np.ndarray]:
-    """Choose where to touch, per split.
+    """Choose the contact points of each split.
 
     Parameters
     ----------
@@ -85,10 +85,10 @@ def render_contacts(
     profile : SensorProfile
     rng : numpy.random.Generator
     renderer : {"gel", "tacto"}
-        Render the deformed gel, or draw what TACTO draws (`TactoRays`): the object itself before the gel.
+        Render the deformed gel, or as TACTO does (`TactoRays`) the object in front of the gel.
     depth, angle : float, optional
-        Of all contacts, metres and radians; default: random, in the sensor's range of press depths and all
-        around.
+        Of all contacts, metres and radians; default: uniformly random, in the sensor's range of press depths
+        and over the full circle.
     progress : callable
         Wraps the iteration over batches.
 
@@ -103,7 +103,7 @@ def render_contacts(
     vertices, faces = np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int64)
 
     def distance(p: np.ndarray) -> np.ndarray:
-        # The winding number tells the side four times faster than pseudonormals do.
+        # The sign by winding numbers is four times faster than by pseudonormals.
         side = igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER
         return igl.signed_distance(np.ascontiguousarray(p), vertices, faces, side)[0]
 

@@ -1,4 +1,4 @@
-"""How the gel gives way: exactly, or as an elastic layer on a rigid base."""
+"""Deformation of the gel: an exact imprint, or an elastic layer on a rigid base."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -9,35 +9,36 @@ import scipy.fft
 from objectfolder.errors import ObjectFolderError
 from objectfolder.touch.profiles import SensorProfile
 
-# The Fourier transform repeats the contact; the copies are this many thicknesses apart.
+# The Fourier transform makes the contact periodic; the copies are this many thicknesses apart.
 _SPACING = 2.5
 
-# Gap that may be left where there is pressure, and overlap where there is none, of the deepest overlap.
+# Tolerated gap under pressure and overlap without pressure, relative to the deepest overlap.
 _TOLERANCE = 8e-3
 
-_MAX_STEPS = 300  # tens are usual
-_COARSEST = 40  # pixels along the shorter side
+_MAX_STEPS = 300  # typically tens suffice
+_COARSEST = 40  # pixels along the shorter side of the coarsest grid
 
-# Of the preconditioner: no wave is softer than this, relative to the stiffest of the grid.
+# Least stiffness in the preconditioner, relative to that of the stiffest wave of the grid.
 _SOFTEST = 0.06
 
-# Length of the first step, and bounds of the others; 1 would be right for a perfect preconditioner.
+# First step size and bounds of the others; 1 is optimal for a perfect preconditioner.
 _STEP, _STEPS = 0.7, (0.2, 3.0)
 
 
 @dataclass(frozen=True)
 class Layer:
-    """Elastic layer, bonded to a rigid base."""
+    """Elastic layer bonded to a rigid base."""
 
     thickness: float  #: m
     young_modulus: float  #: Pa
     poisson_ratio: float
 
     def compliance(self, wavenumber: np.ndarray) -> np.ndarray:
-        """Normal displacement of the surface per unit of a sinusoidal pressure, m/Pa.
+        """Return the normal displacement of the surface per unit of a sinusoidal pressure, m/Pa.
 
-        Linear elasticity without friction (Nogi and Kato 1997, with a rigid base). Waves much shorter than
-        the thickness see a half space, 2 (1 - ν²) / (E q); long ones a slab that cannot give way sideways.
+        Linear elasticity without friction (Nogi and Kato 1997, with a rigid base). For waves much shorter
+        than the thickness it is that of a half space, 2 (1 - ν²) / (E q); for long ones, that of a laterally
+        confined slab.
 
         Parameters
         ----------
@@ -59,26 +60,27 @@ def deform(height: np.ndarray, profile: SensorProfile) -> tuple[np.ndarray, np.n
     """Press a rigid object into the gel.
 
     A rigid gel takes the exact imprint. A soft one is an elastic layer on a rigid base in unilateral contact
-    without friction: pressure >= 0, gap >= 0, and no pressure where there is a gap. Found by projected
-    gradients with the steps of Barzilai and Borwein (1988), a preconditioner, Fourier transforms, and from
-    coarse grids to the finest. The object is met exactly where it presses; elsewhere the surface is free:
-    drawn in beside the contact, bulging further off, since the gel hardly changes its volume.
+    without friction: pressure >= 0, gap >= 0, and pressure * gap = 0. It is solved by preconditioned
+    projected gradients with the steps of Barzilai and Borwein (1988), on grids from coarse to fine, with the
+    layer's response by Fourier transforms. Where they touch, the gel follows the object exactly; elsewhere
+    its surface is free: it sinks beside the contact and bulges further away, since the gel is
+    nearly incompressible.
 
-    Limits: linear elasticity, which strains beyond about a third exceed; no friction, no adhesion; the layer
-    is flat, evenly thick, on a grid of the apex's pixel pitch (a dome's curvature counts in ``height``
-    only); it goes on past the image, where nothing presses but copies of the contact, 2.5 thicknesses
-    off the image's border.
+    Limits: linear elasticity, valid up to strains of about a third; no friction, no adhesion; the layer is
+    flat and of even thickness, on a grid of the apex's pixel pitch (a dome's curvature enters through
+    ``height`` only); it continues past the image, where only periodic copies of the contact press, 2.5
+    thicknesses from the image's border.
 
     Parameters
     ----------
     height : (N, H, W) array
-        How far the object is past the undeformed surface, metres; negative is a gap. See `heightmaps`.
+        Height of the object past the undeformed surface, metres; negative is a gap. See `heightmaps`.
     profile : SensorProfile
 
     Returns
     -------
     displacement : (N, H, W) float32
-        Of the surface towards the camera, metres; negative where it bulges.
+        Displacement of the surface towards the camera, metres; negative where it bulges.
     pressure : (N, H, W) float32
         Pa. NaN for a rigid gel, which has none.
 
@@ -99,12 +101,12 @@ def deform(height: np.ndarray, profile: SensorProfile) -> tuple[np.ndarray, np.n
 
 
 def indent(height: np.ndarray, pitch: float, layer: Layer) -> tuple[np.ndarray, np.ndarray]:
-    """One contact with an elastic layer; as `deform`.
+    """Solve one contact with an elastic layer; see `deform`.
 
     Parameters
     ----------
     height : (H, W) float32 array, metres
-        Pixels of the lowest value are out of reach: they never touch, however far the layer bulges.
+        Pixels of the lowest value never touch, however far the layer bulges.
     pitch : float
         Metres between pixels.
     layer : Layer
@@ -116,7 +118,7 @@ def indent(height: np.ndarray, pitch: float, layer: Layer) -> tuple[np.ndarray, 
     """
     reachable = height > min(height.min(), 0)
     pressure, displacement = _solve(height, reachable, pitch, layer)
-    # What the tolerance leaves in contact, is taken out.
+    # Remove the gaps and overlaps that the tolerance leaves.
     touching = ((pressure > 0) | (displacement < height)) & reachable
     return np.where(touching, height, displacement), pressure
 
@@ -124,14 +126,14 @@ def indent(height: np.ndarray, pitch: float, layer: Layer) -> tuple[np.ndarray, 
 def _solve(
     height: np.ndarray, reachable: np.ndarray, pitch: float, layer: Layer
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pressure, and the displacement under it."""
+    """Return the pressure and the displacement under it."""
     if min(height.shape) >= 2 * _COARSEST:
         pressure, _ = _solve(_halve(height), _halve(reachable) > 0, 2 * pitch, layer)
         pressure = _double(pressure, height.shape) * reachable
         displacement = _respond(pressure, pitch, layer)
     else:
         pressure = displacement = np.zeros_like(height)
-    tolerance = _TOLERANCE * max(height.max(), 0)  # on a coarse grid, fine peaks may be out of touch
+    tolerance = _TOLERANCE * max(height.max(), 0)  # on a coarse grid, small peaks may not touch
     step = _STEP
     for _ in range(_MAX_STEPS):
         gap = displacement - height
@@ -144,7 +146,7 @@ def _solve(
         changed, moved = pressure - before, displacement
         displacement = _respond(pressure, pitch, layer)
         moved = displacement - moved
-        # The step that would have been best, if the preconditioner were perfect but for a factor.
+        # The optimal step if the preconditioner is right up to a factor.
         work = _sum_of_products(changed, moved)
         if work > 0:
             step = float(np.clip(-step * _sum_of_products(changed, residual) / work, *_STEPS))
@@ -155,11 +157,11 @@ def _solve(
 
 
 def _respond(pressure: np.ndarray, pitch: float, layer: Layer) -> np.ndarray:
-    """Displacement under a pressure."""
+    """Return the displacement under a pressure."""
     height, width = pressure.shape
     margin = round(_SPACING * layer.thickness / pitch)
     rows, columns = (scipy.fft.next_fast_len(n + margin, real=True) for n in pressure.shape)
-    # Axis by axis, to leave out transforms of nothing but zeros, and those that nobody asks for.
+    # Axis by axis, to skip transforms of zeros only and of results that are cut off.
     waves = scipy.fft.fft(scipy.fft.rfft(pressure, rows, axis=0), columns, axis=1, overwrite_x=True)
     parts = waves.view(np.float32)
     parts *= _compliance(rows, columns, pitch, layer)
@@ -168,7 +170,7 @@ def _respond(pressure: np.ndarray, pitch: float, layer: Layer) -> np.ndarray:
 
 
 def _precondition(residual: np.ndarray, pitch: float, layer: Layer) -> np.ndarray:
-    """Roughly the pressure that makes a displacement."""
+    """Return the approximate pressure that causes a displacement."""
     centre, side, corner = _stencil(pitch, layer)
     padded = np.zeros((residual.shape[0] + 2, residual.shape[1] + 2), np.float32)
     padded[1:-1, 1:-1] = residual
@@ -185,12 +187,12 @@ def _precondition(residual: np.ndarray, pitch: float, layer: Layer) -> np.ndarra
 
 
 def _sum_of_products(a: np.ndarray, b: np.ndarray) -> float:
-    return float(np.einsum("ij,ij->", a, b))  # unlike BLAS in one order, whatever the number of threads
+    return float(np.einsum("ij,ij->", a, b))  # unlike BLAS, in an order independent of the number of threads
 
 
 @lru_cache(maxsize=32)  # two for each sensor
 def _compliance(rows: int, columns: int, pitch: float, layer: Layer) -> np.ndarray:
-    """Of the waves of `_respond`, twice each, for real and imaginary parts; (rows // 2 + 1, 2 columns)."""
+    """Compliance of the waves of `_respond`, repeated for their real and imaginary parts."""
     along_rows, along_columns = scipy.fft.rfftfreq(rows, pitch), scipy.fft.fftfreq(columns, pitch)
     wavenumber = 2 * np.pi * np.hypot(along_rows[:, None], along_columns)
     return layer.compliance(wavenumber).astype(np.float32).repeat(2, axis=1)
@@ -198,10 +200,10 @@ def _compliance(rows: int, columns: int, pitch: float, layer: Layer) -> np.ndarr
 
 @lru_cache(maxsize=32)
 def _stencil(pitch: float, layer: Layer) -> tuple[np.float32, np.float32, np.float32]:
-    """Weights of a pixel, of those beside it and of those across its corners, Pa/m.
+    """Return the weights of a pixel, of its edge neighbours and of its corner neighbours, Pa/m.
 
-    Their response to the two shortest waves of the grid, along an axis and diagonal, is the layer's; that to
-    the longest is the layer's greatest compliance.
+    Their response equals the layer's for the two shortest waves of the grid, along an axis and diagonal; for
+    the longest wave, it is the layer's greatest compliance.
     """
     axis, diagonal = 1 / layer.compliance(np.pi / pitch * np.array([1, np.sqrt(2)]))
     waves = np.geomspace(0.01 / layer.thickness, np.pi / pitch, 200)

@@ -1,4 +1,4 @@
-"""Vision-based tactile sensors, described by numbers."""
+"""Profiles of vision-based tactile sensors."""
 
 import hashlib
 import math
@@ -13,7 +13,7 @@ _PROFILES = Path(__file__).with_suffix("")
 
 GELS = ("rigid", "soft")
 
-#: Who draws the images of contacts: the gel as deformed, or as TACTO does, the object before a rigid gel.
+#: Renderers of contacts: of the deformed gel, or, as TACTO does, of the object in front of a rigid gel.
 RENDERERS = ("gel", "tacto")
 
 Vector = tuple[float, float, float]
@@ -43,14 +43,14 @@ class SensorProfile:
     """
 
     name: str
-    source: str  #: where the numbers come from
+    source: str  #: source of the numbers
     height: int  #: image rows
     width: int  #: image columns
     vertical_fov_deg: float  #: full vertical field of view, degrees; pixels are square
     camera_to_gel: float  #: m, pinhole to the apex of the undeformed gel surface
     gel_curvature: float  #: 1/m, at the apex of the gel's dome; 0 is a flat gel
     gel_dome_radius: float  #: m, of the spheroid cap across the optical axis; see `camera.gel_depth`
-    gel: str  #: "soft" is an elastic layer, "rigid" takes the exact imprint and knows no forces
+    gel: str  #: "soft" is an elastic layer; "rigid" takes the exact imprint, without forces
     elastomer_thickness: float  #: m, of the layer, bonded to a rigid base
     young_modulus: float  #: Pa, of the layer
     poisson_ratio: float  #: of the layer, 0 to below 0.5
@@ -62,7 +62,7 @@ class SensorProfile:
     metallic: float  #: of the coating, 0 to 1
     roughness: float  #: of the coating, 0 to 1
     gamma: float  #: display value = radiance^(1/gamma)
-    gain: float  #: of the difference to the undeformed gel
+    gain: float  #: factor on the difference to the undeformed gel
     slope_smoothing: (
         float  #: m on the gel, Gaussian deviation, of the gel's slopes within the contact; 0 is none
     )
@@ -70,7 +70,7 @@ class SensorProfile:
     background_image: (
         str  #: photograph of the untouched sensor, relative to the file; empty is the synthetic one
     )
-    background_sha256: str  #: of that file, hexadecimal, so that a changed picture is a changed profile
+    background_sha256: str  #: of that file, hexadecimal; a changed picture thus changes the profile
     background_color: Vector  #: display RGB of the untouched gel away from the lights, 0 to 1
     background_glow: float  #: display value that each light adds where it is nearest, 0 to 1
     background_falloff: float  #: m on the gel, at which the glow has halved
@@ -115,7 +115,7 @@ class SensorProfile:
             "gel_dome_radius",
             f"more than {seen:.4g}, so that the dome fills the field of view",
         )
-        # The border that a gel or a blur needs around the picture takes memory as these.
+        # Gel and blur pad the image by these lengths: bound the memory.
         side = min(self.height, self.width) * self.pixel_pitch
         for name, part in (("elastomer_thickness", 2), ("slope_smoothing", 4), ("image_smoothing", 4)):
             most = side / part
@@ -151,7 +151,7 @@ class SensorProfile:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> "SensorProfile":
-        """Inverse of `to_dict`; also accepts what JSON or YAML made of it (lists, whole numbers).
+        """Inverse of `to_dict`; also accepts lists and whole numbers, as JSON and YAML store them.
 
         Raises
         ------
@@ -162,7 +162,7 @@ class SensorProfile:
 
 
 def available_profiles() -> list[str]:
-    """Names of the profiles that come with the package."""
+    """Return the names of the profiles in the package."""
     return sorted(path.stem for path in _PROFILES.glob("*.yaml"))
 
 
@@ -172,7 +172,7 @@ def load_profile(name_or_path: str | Path) -> SensorProfile:
     Parameters
     ----------
     name_or_path : str or Path
-        Name of a profile that comes with the package, or path of a ``.yaml`` file.
+        Name of a profile in the package, or path of a ``.yaml`` file.
 
     Raises
     ------
@@ -200,7 +200,7 @@ def load_profile(name_or_path: str | Path) -> SensorProfile:
     if not profile.background_image:
         return profile
     picture = path.parent / profile.background_image
-    if picture.is_file():  # the optics refuse a missing one, and say what they need it for
+    if picture.is_file():  # `Optics` raises an error if it is missing
         digest = hashlib.sha256(picture.read_bytes()).hexdigest()
         if digest != profile.background_sha256:
             raise ObjectFolderError(
@@ -211,7 +211,7 @@ def load_profile(name_or_path: str | Path) -> SensorProfile:
 
 
 def require_renderer(profile: SensorProfile, renderer: str) -> None:
-    """Raise ObjectFolderError unless a renderer can draw what the sensor sees."""
+    """Raise ObjectFolderError unless the renderer can draw the sensor's images."""
     if renderer not in RENDERERS:
         raise ObjectFolderError(f"renderer is {renderer!r}, expected one of {', '.join(RENDERERS)}")
     if renderer == "tacto" and profile.gel != "rigid":

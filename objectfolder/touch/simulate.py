@@ -1,4 +1,4 @@
-"""From contacts to tactile images: the one path that ground truth and query share."""
+"""Tactile images of contacts, the same for ground truth and query."""
 
 from dataclasses import dataclass
 

@@ -12,21 +12,20 @@ from objectfolder.vision.renderers.registry import NEEDS
 #: Grey levels, deviation of the Gaussian noise that TACTO adds to each image.
 NOISE_STD = 7.0
 
-# Of the grid that stands for the gel: as many vertices as on TACTO's DIGIT, across its shorter side.
+# Vertices of the gel's grid along its shorter side, as in TACTO's DIGIT.
 _GEL_VERTICES = 100
-# The gel's sides are so many times those of the view at the apex: 20 mm across the DIGIT.
+# Size of the gel relative to the view at the apex: 20 mm across the DIGIT.
 _GEL_MARGIN = 1.05
-# Of pyrender's shader.
-_GAMMA = 2.2
+_GAMMA = 2.2  # of pyrender's shader
 _FAR = 1.0  # m
 
 
 class TactoReference:
-    """Renders the object before a rigid gel with OpenGL, and adds the difference to a background.
+    """Renderer of the object in front of a rigid gel with OpenGL; adds the difference to a background.
 
-    What the published descriptions of TACTO do not say is assumed: the near plane is 1 mm from the camera,
-    lights do not cast shadows, and the object is drawn with the gel's grey coating and with smooth normals.
-    The force model is left out: contacts come with their depth. TACTO's noise is off unless asked for.
+    Assumed, because the published descriptions of TACTO do not state it: the near plane is 1 mm from the
+    camera, lights do not cast shadows, and the object is drawn with the gel's grey coating and with smooth
+    normals. The force model is left out: contacts have a given depth. TACTO's noise is off unless asked for.
 
     Parameters
     ----------
@@ -40,7 +39,7 @@ class TactoReference:
     Raises
     ------
     ObjectFolderError
-        If OpenGL or pyrender is missing, or the profile has what pyrender cannot draw.
+        If OpenGL or pyrender is missing, or pyrender cannot draw the profile.
     """
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray, profile: SensorProfile, scale: float = 1.0):
@@ -108,13 +107,13 @@ class TactoReference:
         points, normals, angles, depths
             See `objectfolder.touch.tacto_rays.TactoRays.render`.
         noise : numpy.random.Generator, optional
-            Of TACTO's pixel noise, of deviation `NOISE_STD`; none without.
+            Generator of TACTO's pixel noise, of deviation `NOISE_STD`; no noise by default.
 
         Returns
         -------
         images : (N, H, W, 3) uint8, RGB
         contact : (N, H, W) bool
-            Where the object is before the gel.
+            Where the object is in front of the gel.
         """
         cameras, frames = sensor_poses(points, normals, angles, depths, self.profile)
         images = np.empty((len(frames), *self.background.shape), np.uint8)
@@ -133,13 +132,13 @@ class TactoReference:
         return images, contact
 
     def _draw(self) -> tuple[np.ndarray, np.ndarray]:
-        """Colours (H, W, 3) uint8 and depths (H, W), metres, of the scene as it is."""
+        """Return colours (H, W, 3) uint8 and depths (H, W), metres, of the current scene."""
         self._canvas.viewport_width, self._canvas.viewport_height = self.profile.width, self.profile.height
         return self._canvas.render(self._scene)
 
 
 def gel_triangles(profile: SensorProfile) -> np.ndarray:
-    """The undeformed gel as triangles (F, 3, 3), metres, camera frame, anticlockwise from the camera."""
+    """Return the undeformed gel as triangles (F, 3, 3), metres, camera frame, facing the camera."""
     vertical, horizontal = profile.half_extent
     half = np.array([horizontal, vertical]) * profile.camera_to_gel * _GEL_MARGIN
     count = np.round(half / half.min() * (_GEL_VERTICES - 1)).astype(int) + 1

@@ -1,4 +1,4 @@
-"""TACTO's images without OpenGL: the object itself is drawn before the gel, by ray casting."""
+"""TACTO's images without OpenGL, by ray casting: the object is drawn in front of the gel."""
 
 import numpy as np
 import torch
@@ -12,26 +12,26 @@ from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile
 from objectfolder.touch.shading import shade, unit_components
 
-#: m, from the pinhole: nothing nearer is drawn.
+#: m from the pinhole; nothing nearer is drawn.
 NEAR = 0.001
 
-# Of samples within a pixel, from its top left corner: the usual rotated grid of OpenGL drivers.
+# Samples within a pixel, from its top left corner: the usual rotated grid of OpenGL drivers.
 _SAMPLES = np.array([[0.375, 0.125], [0.875, 0.375], [0.125, 0.625], [0.625, 0.875]])
 
-# A ray goes on this far behind a back face, so that it does not meet the face again.
+# A ray continues this far behind a back face, so as not to hit the face again.
 _SKIP = 1e-6  # m
 
-# Back faces on a ray that are looked through; pixels behind more of them show the gel.
+# Back faces that a ray passes through; pixels behind more of them show the gel.
 _BACK_FACES = 4
 
 
 class TactoRays:
-    """Draws what TACTO (Wang et al. 2022) draws.
+    """Ray-cast renderer of TACTO's images (Wang et al. 2022).
 
-    The gel is rigid; wherever the object is nearer to the camera than the gel, it takes the gel's place,
-    down to `NEAR` before the pinhole. Only faces that look at the camera are seen. One ray through the centre
-    of a pixel, shaded with the interpolated normal; at the outline of the contact four, as OpenGL's
-    multisampling has it.
+    The gel is rigid; wherever the object is nearer to the camera than the gel, down to `NEAR`, the object is
+    drawn. Only faces towards the camera are visible. One ray through the centre
+    of a pixel, shaded with the interpolated normal; at the outline of the contact four, as in OpenGL's
+    multisampling.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class TactoRays:
     scale : float
         Metres per unit of the vertices.
     normals : (V, 3) array, optional
-        Of the vertices, unit; default: `smooth_normals`, as TACTO has them.
+        Unit normals of the vertices; default: `smooth_normals`, as in TACTO.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class TactoRays:
         vertices = np.asarray(vertices, np.float64) * scale
         faces = np.asarray(faces, np.int64)
         normals = smooth_normals(vertices, faces) if normals is None else normals
-        self._normals = normals[faces].astype(np.float32)  # of the faces' corners
+        self._normals = normals[faces].astype(np.float32)  # at the faces' corners
         self._flat = area_vectors(vertices, faces).astype(np.float32)
         self._caster = RayCaster(vertices, faces)
         self._rays = ray_directions(profile).reshape(-1, 3).astype(np.float32)
@@ -111,7 +111,7 @@ class TactoRays:
         return images, contact
 
     def _multisample(self, camera: np.ndarray, frame: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-        """Mean colours (P, 3) of some pixels, over the samples within each."""
+        """Return the mean colours (P, 3) over the samples within some pixels."""
         offset = (0.5 - _SAMPLES) * self._pitch
         rays = np.repeat(self._rays[pixels], len(offset), axis=0)
         rays[:, 1:] += np.tile(offset, (len(pixels), 1)).astype(np.float32)
@@ -123,7 +123,7 @@ class TactoRays:
     def _draw(
         self, camera: np.ndarray, frame: np.ndarray, rays: np.ndarray, gel: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Which of the rays show the object, and its colours there, (H, 3), whole numbers from 0 to 255."""
+        """Return the rays that hit the object and its colours there, (H, 3), whole numbers from 0 to 255."""
         hit, depth, face, weights = self._first_front(camera, rays @ frame.T.astype(np.float32), gel)
         if not hit.size:
             return hit, np.empty((0, 3), np.float32)
@@ -134,7 +134,7 @@ class TactoRays:
     def _first_front(
         self, camera: np.ndarray, directions: np.ndarray, gel: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """First faces that look at the camera, before the gel: ray, depth, face, barycentric weights."""
+        """Return the first front faces before the gel: ray, depth, face, barycentric weights."""
         live, along, start = np.arange(len(directions)), directions, np.float32(NEAR)
         camera, found = camera.astype(np.float32), []
         for _ in range(_BACK_FACES):
@@ -155,7 +155,7 @@ class TactoRays:
 def sensor_poses(
     points: np.ndarray, normals: np.ndarray, angles: np.ndarray, depths: np.ndarray, profile: SensorProfile
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pinholes (N, 3) and axes (N, 3, 3; columns x, y, z) of sensors pressed at contacts, object frame."""
+    """Return pinholes (N, 3) and axes (N, 3, 3; columns x, y, z) of pressed sensors, object frame."""
     normals = np.asarray(normals, np.float64).reshape(-1, 3)
     depths = np.broadcast_to(np.asarray(depths, np.float64), len(normals))
     cameras = np.asarray(points, np.float64) + normals * (profile.camera_to_gel - depths)[:, None]
@@ -163,7 +163,7 @@ def sensor_poses(
 
 
 def smooth_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit normals (V, 3) of vertices: means over their faces, weighted by angle, as trimesh makes them."""
+    """Return unit vertex normals (V, 3): means over the faces, weighted by angle, as in trimesh."""
     corners = np.asarray(vertices, np.float64)[faces]
     along = unit_vectors(np.roll(corners, -1, axis=1) - corners)
     angles = np.arccos(-(along * np.roll(along, 1, axis=1)).sum(2).clip(-1, 1))
@@ -176,18 +176,18 @@ def smooth_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def compose(
     rendered: np.ndarray, empty: np.ndarray, background: np.ndarray, profile: SensorProfile
 ) -> np.ndarray:
-    """TACTO's image of what was rendered with and without the object.
+    """Compose TACTO's image from renderings with and without the object.
 
     Parameters
     ----------
     rendered, empty, background : (H, W, 3) arrays
         0 to 255.
     profile : SensorProfile
-        Its gain and blur.
+        Gain and blur.
 
     Returns
     -------
-    (H, W, 3) uint8, truncated as TACTO does
+    (H, W, 3) uint8, truncated as in TACTO
     """
     change = torch.from_numpy((rendered.astype(np.float32) - empty) * profile.gain).permute(2, 0, 1)[None]
     blurred = blur(change, profile.image_smoothing / profile.pixel_pitch)[0].permute(1, 2, 0).numpy()
@@ -195,7 +195,7 @@ def compose(
 
 
 def to_bytes(display: torch.Tensor) -> np.ndarray:
-    """Display values (3, ...) as OpenGL stores them: (..., 3) float32, whole numbers up to 255."""
+    """Convert display values (3, ...) as OpenGL stores them: (..., 3) float32, whole numbers up to 255."""
     return (255 * display).round().movedim(0, -1).numpy()
 
 
@@ -205,7 +205,7 @@ def _columns(vectors: np.ndarray) -> tuple[torch.Tensor, torch.Tensor, torch.Ten
 
 
 def _outline(contact: np.ndarray) -> np.ndarray:
-    """Pixels (H, W) that have a neighbour, of four, on the other side of the contact's edge."""
+    """Return the mask of pixels with one of four neighbours across the contact's edge; (H, W)."""
     edge = np.zeros_like(contact)
     for axis in (0, 1):
         differ = np.diff(contact, axis=axis)

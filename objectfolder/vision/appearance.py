@@ -1,4 +1,4 @@
-"""What a renderer would shade at points near a mesh: base colour and shading normal."""
+"""Base colour and shading normal of a mesh at nearby points."""
 
 import igl
 import numpy as np
@@ -10,7 +10,7 @@ from objectfolder.vision.scene import Scene
 
 
 def appearance_at(scene: Scene, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Base colours and shading normals of the mesh where it is nearest to given points.
+    """Return base colours and shading normals at the mesh's nearest points to given points.
 
     Parameters
     ----------
@@ -20,7 +20,7 @@ def appearance_at(scene: Scene, points: np.ndarray) -> tuple[np.ndarray, np.ndar
     Returns
     -------
     base_color : (N, 3) float32, linear
-    normals : (N, 3) float32, of unit length, as the mesh's faces are turned
+    normals : (N, 3) float32, of unit length, oriented like the mesh's faces
     """
     mesh = scene.mesh
     vertices, faces = mesh.vertices.astype(np.float64), mesh.faces.astype(np.int64)
@@ -41,7 +41,7 @@ def appearance_at(scene: Scene, points: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def _texels(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Bilinear look-up of a repeating sRGB texture, linear; uv from the lower left corner."""
+    """Look up a repeating sRGB texture bilinearly; returns linear colours, uv from the lower left corner."""
     height, width = texture.shape[:2]
     linear = srgb.decode(np.arange(256) / 255)
     x, y = uv[:, 0] * width - 0.5, (1 - uv[:, 1]) * height - 0.5

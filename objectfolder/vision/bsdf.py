@@ -1,4 +1,4 @@
-"""The principled BSDF (Burley 2012) that the ground truth is rendered with, for a point light."""
+"""Principled BSDF (Burley 2012) of the ground truth, for a point light."""
 
 import math
 
@@ -18,15 +18,15 @@ def principled(
     roughness: float,
     metallic: float,
 ) -> torch.Tensor:
-    """Pi times BSDF times cosine: radiance under a light that would give a white Lambertian surface 1.
+    """Return pi * BSDF * cosine: the radiance under a light that gives a white Lambertian surface 1.
 
-    As Mitsuba 3 evaluates it, of its lobes those that an opaque, isotropic surface without coat and sheen
-    has: diffuse with retro-reflection, and GGX with Smith's masking (Walter et al. 2007).
+    As in Mitsuba 3, with the lobes of an opaque, isotropic surface without coat and sheen: diffuse with
+    retro-reflection, and GGX with Smith's masking (Walter et al. 2007).
 
     Parameters
     ----------
     normal : (S, 3) tensor
-        Shading normals, of unit length as the two next.
+        Shading normals; these, views and lights have unit length.
     view : (S, 3) tensor
         From the camera to the surface.
     light : (S, 3) tensor
@@ -36,7 +36,7 @@ def principled(
 
     Returns
     -------
-    (S, 3) tensor, 0 where camera or light are behind the surface
+    (S, 3) tensor, 0 where the camera or the light is behind the surface
     """
     half = unit(light - view)
     seen, received = -dot(normal, view), dot(normal, light)
@@ -56,12 +56,12 @@ def principled(
 
 
 def fresnel(cosine: torch.Tensor, base_color: torch.Tensor, metallic: float) -> torch.Tensor:
-    """Share of light that the surface reflects as a mirror; (S, 3), or (S, 1) where it has no color.
+    """Return the Fresnel reflectance; (S, 3), or (S, 1) for a dielectric, which has no colour.
 
     Parameters
     ----------
     cosine : (S, 1) tensor
-        Between the direction of the light and the (micro)surface's normal.
+        Cosine between the direction of the light and the (micro)surface normal.
     base_color : (S, 3) tensor, linear
     metallic : float
     """

@@ -15,8 +15,8 @@ LIGHT_RADIUS = 1.0
 class Intrinsics:
     """A pinhole camera without skew or distortion.
 
-    Lengths are in pixels; image positions count from the upper left corner, so that the centre of the upper
-    left pixel is (0.5, 0.5).
+    Lengths are in pixels. Image positions are measured from the upper left corner, so that the
+    centre of the upper left pixel is (0.5, 0.5).
 
     Raises
     ------
@@ -26,9 +26,9 @@ class Intrinsics:
 
     width: int = 256
     height: int = 256
-    focal: float = 355.56  #: horizontally
-    center: tuple[float, float] | None = None  #: column, row of the principal point; default: the middle
-    focal_y: float | None = None  #: vertically; default: as horizontally, that is, square pixels
+    focal: float = 355.56  #: horizontal
+    center: tuple[float, float] | None = None  #: column, row of the principal point; default: the centre
+    focal_y: float | None = None  #: vertical; default: the horizontal one, for square pixels
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1 or not (0 < self.fx < math.inf and 0 < self.fy < math.inf):
@@ -63,19 +63,19 @@ class Intrinsics:
 
     @classmethod
     def from_matrix(cls, matrix: np.ndarray, width: int, height: int) -> "Intrinsics":
-        """Return the camera of a calibration matrix K.
+        """Return the intrinsics of a calibration matrix K.
 
         Parameters
         ----------
         matrix : (3, 3) array
-            ``[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]``, pixels. Where pixels are counted from the centre of the
-            upper left one, as OpenCV does, add 0.5 to ``cx`` and ``cy`` first.
+            ``[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]``, pixels. If positions are measured from the centre of
+            the upper left pixel, as in OpenCV, add 0.5 to ``cx`` and ``cy`` first.
         width, height : int
 
         Raises
         ------
         ObjectFolderError
-            If it is not such a matrix: of another shape, with skew, or with another last row.
+            If the matrix has another shape, skew, or another last row.
         """
         k = np.asarray(matrix, np.float64)
         if k.shape != (3, 3) or not np.isfinite(k).all():
@@ -84,13 +84,13 @@ class Intrinsics:
             raise ObjectFolderError(f"camera matrix has the last row {k[2].tolist()}, expected [0, 0, 1]")
         if max(abs(k[0, 1]), abs(k[1, 0])) > 1e-6 * abs(k[0, 0]):
             raise ObjectFolderError(
-                f"camera matrix has skew ({k[0, 1]:g}, {k[1, 0]:g}), which no camera here has: rectify first"
+                f"camera matrix has skew ({k[0, 1]:g}, {k[1, 0]:g}): rectify the image first"
             )
         return cls(width, height, float(k[0, 0]), (float(k[0, 2]), float(k[1, 2])), float(k[1, 1]))
 
 
 def sphere_points(count: int, radius: float, rng: np.random.Generator) -> np.ndarray:
-    """Uniformly random points on a sphere; (count, 3)."""
+    """Return uniformly random points on a sphere; (count, 3)."""
     points = rng.normal(size=(count, 3))
     return radius * points / np.linalg.norm(points, axis=1, keepdims=True)
 
@@ -98,9 +98,9 @@ def sphere_points(count: int, radius: float, rng: np.random.Generator) -> np.nda
 def look_at(
     positions: np.ndarray, target: np.ndarray | tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> np.ndarray:
-    """Camera-to-world matrices of cameras that look at a target with z up.
+    """Return camera-to-world matrices of cameras that look at a target with z up.
 
-    Cameras within 11.5 degrees of the poles take y as up.
+    Cameras within 11.5 degrees of the poles have y up.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def look_at(
 def camera_rays(
     camera_to_world: np.ndarray, intrinsics: Intrinsics, pixels: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rays through image positions.
+    """Return the rays through image positions.
 
     Parameters
     ----------
@@ -155,16 +155,16 @@ def camera_rays(
 
 
 class PixelRays:
-    """Rays through an image's pixels, of any length: several times faster than `camera_rays`.
+    """Rays through the pixels of an image, several times faster than `camera_rays`.
 
-    Along each ray, distance is depth: its direction's component along the optical axis is 1.
+    Directions are not normalized: their component along the optical axis is 1, so that distance is depth.
 
     Parameters
     ----------
     camera_to_world : (4, 4) array
     intrinsics : Intrinsics
     left, top, right, bottom : int
-        The part of the image, columns from left to before right, whose pixels are numbered row by row.
+        Part of the image, from left to before right; its pixels are numbered row by row.
     """
 
     def __init__(
@@ -177,29 +177,29 @@ class PixelRays:
         bottom: int,
     ):
         self.shape = bottom - top, right - left
-        self.origin = camera_to_world[:3, 3].astype(np.float32)  #: (3,), of all
+        self.origin = camera_to_world[:3, 3].astype(np.float32)  #: (3,), of all rays
         right_axis, up, backward = camera_to_world[:3, :3].T
         backward = backward / np.linalg.norm(backward)
         columns = (np.arange(left, right) - intrinsics.cx) / intrinsics.fx
         rows = (intrinsics.cy - np.arange(top, bottom)) / intrinsics.fy
-        # Of the upper left corners of pixels, and of steps of one pixel.
+        # Directions through the upper left corners of pixels, and steps of one pixel.
         self._columns = (columns * right_axis[:, None] - backward[:, None]).astype(np.float32)
         self._rows = (rows * up[:, None]).astype(np.float32)
         self._right = (right_axis / intrinsics.fx).astype(np.float32)[:, None]
         self._down = (-up / intrinsics.fy).astype(np.float32)[:, None]
 
     def centres(self) -> np.ndarray:
-        """Directions of rays through all pixels' centres; (P, 3) float32."""
+        """Return the directions through the centres of all pixels; (P, 3) float32."""
         half = 0.5 * self._right + 0.5 * self._down
         return (self._rows[:, :, None] + (self._columns + half)[:, None]).reshape(3, -1).T
 
     def through(self, pixels: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Directions of rays; (K, 3) float32.
+        """Return the directions through positions within pixels; (K, 3) float32.
 
         Parameters
         ----------
         pixels : (K,) int array
-            Numbers of pixels.
+            Pixel numbers.
         x, y : (K,) float32 arrays
             Position from a pixel's upper left corner, 0 to 1.
         """
@@ -211,7 +211,7 @@ class PixelRays:
 def project(
     points: np.ndarray, camera_to_world: np.ndarray, intrinsics: Intrinsics
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Image positions (P, 2) and depths (P,) of points; the inverse of `camera_rays`."""
+    """Return image positions (P, 2) and depths (P,) of points; the inverse of `camera_rays`."""
     local = (np.asarray(points) - camera_to_world[:3, 3]) @ camera_to_world[:3, :3]
     depth = -local[:, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -223,7 +223,7 @@ def project(
 def covered_rectangle(
     points: np.ndarray, camera_to_world: np.ndarray, intrinsics: Intrinsics
 ) -> tuple[int, int, int, int]:
-    """Pixels that the convex hull of points may cover.
+    """Return the rectangle of pixels that the convex hull of points may cover.
 
     Parameters
     ----------
@@ -235,14 +235,14 @@ def covered_rectangle(
     Returns
     -------
     left, top, right, bottom : int
-        Columns from left to before right, rows from top to before bottom: none, if the hull is out of sight,
-        and the whole image, if a point is behind the camera.
+        Columns from left to before right, rows from top to before bottom: empty if the hull is out of sight,
+        the whole image if a point is behind the camera.
     """
     size = np.array([intrinsics.width, intrinsics.height])
     pixels, depth = project(points, camera_to_world, intrinsics)
     if (depth <= 1e-6).any():
         return 0, 0, intrinsics.width, intrinsics.height
-    # One pixel more on each side: the renderer's projection rounds apart from ours.
+    # One pixel more on each side, since the renderer's projection rounds differently.
     left, top = np.clip(np.floor(pixels.min(0)) - 1, 0, size).astype(int).tolist()
     right, bottom = np.clip(np.ceil(pixels.max(0)) + 1, 0, size).astype(int).tolist()
     return left, top, right, bottom

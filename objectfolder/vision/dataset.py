@@ -14,7 +14,7 @@ from objectfolder.vision.color import lit_foreground, on_white
 from objectfolder.vision.renderers.registry import Renderer
 
 RendererName = Literal["mitsuba", "mitsuba-llvm", "mitsuba-cuda", "cycles", "raster"]
-BRIGHTEST = np.finfo(np.float16).max  # the highlight of a mirror near the light is brighter
+BRIGHTEST = np.finfo(np.float16).max  # highlights of a mirror near the light exceed it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,8 +54,8 @@ def render_split(
     progress : callable
         Wraps the iteration over views.
     halves : bool
-        Whether each view is the mean of two independent renders with half of the samples each, an even
-        number, whose difference tells its noise.
+        Whether to render each view as the mean of two independent renders with half of the samples (an even
+        number) each; their difference gives the noise.
 
     Returns
     -------
@@ -91,11 +91,10 @@ def render_split(
 
 
 def shown_noise(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
-    """Mean squared error, as shown in sRGB on white, of the mean of two independent renders of one view.
+    """Estimate the mean squared error, in sRGB on white, of the mean of two independent renders of a view.
 
-    To first order in the noise: the mean's variance is a quarter of the mean square of their difference. A
-    rare path so bright that the picture clips it counts for less than it does, or, if neither render has
-    met it, for nothing.
+    First order in the noise: the variance of the mean is a quarter of the mean squared difference. Rare
+    bright paths are underestimated where the image clips them, and missed if neither render sampled them.
 
     Parameters
     ----------
@@ -105,9 +104,9 @@ def shown_noise(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
     Returns
     -------
     float
-        Of all pixels.
+        Over all pixels.
     float
-        Of those in `lit_foreground`; 0 where there are none.
+        Over the pixels in `lit_foreground`; 0 if there are none.
     """
     shown = [on_white(torch.from_numpy(image)).numpy().astype(np.float64) for image in (first, second)]
     error = np.square(shown[0] - shown[1]).mean(-1) / 4

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-# pyrender opens a window unless told otherwise, and uses a name that numpy 2 has dropped.
+# By default pyrender opens a window; it also uses a name that numpy 2 has dropped.
 os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
 vars(np).setdefault("infty", np.inf)
 
@@ -16,7 +16,7 @@ from OpenGL.error import Error as OpenGLError  # noqa: E402
 
 @cache
 def canvas() -> "pyrender.OffscreenRenderer":
-    """One for all renderers: to delete one ends OpenGL for the others.
+    """Return the canvas shared by all renderers: deleting one ends OpenGL for the others.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What a net answers for one view, what draws it, and what a user gets of several."""
+"""Rendered views: of one camera, as a net renders them, and as a batch for the user."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,9 +10,9 @@ from objectfolder.vision.cameras import Intrinsics
 
 @dataclass(frozen=True)
 class Picture:
-    """One view of an object; arrays share (H, W).
+    """Rendered view of an object; arrays share (H, W).
 
-    Depth and normal are those of one point, never means across a silhouette.
+    Depth and normal are those of one point, not means across a silhouette.
     """
 
     rgba: np.ndarray  #: (H, W, 4) float32, linear, premultiplied by alpha
@@ -22,7 +22,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Views:
-    """Views of an object; arrays share (N, H, W)."""
+    """Batch of rendered views; arrays share (N, H, W)."""
 
     rgb: np.ndarray  #: (N, H, W, 3) float32, sRGB on white, in [0, 1]
     rgba: np.ndarray  #: (N, H, W, 4) float32, linear, premultiplied by alpha
@@ -31,7 +31,7 @@ class Views:
 
     @property
     def alpha(self) -> np.ndarray:
-        """Share of each pixel that the object covers; (N, H, W) float32."""
+        """Coverage of each pixel by the object; (N, H, W) float32."""
         return self.rgba[..., 3]
 
 

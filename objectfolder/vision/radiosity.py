@@ -1,4 +1,4 @@
-"""Light that bounces between the diffuse parts of a surface (Goral et al. 1984), gathered with rays."""
+"""Radiosity: diffuse interreflection of a surface (Goral et al. 1984), with form factors by ray casting."""
 
 from collections.abc import Callable
 from functools import lru_cache
@@ -18,21 +18,21 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 PATCHES = 8192
-SIDE = 9  # of the square of rays that each patch sends over its hemisphere
-BOUNCES = 2  # later ones are fainter than what the patches get wrong
-NEIGHBOURS = 4  # patches that the light at a vertex is interpolated from
+SIDE = 9  # each patch casts SIDE x SIDE rays over its hemisphere
+BOUNCES = 2  # later ones are fainter than the error of the patches
+NEIGHBOURS = 4  # patches from which the light at a vertex is interpolated
 START = 0.3  # voxels along the normal where rays start
-BLOCKS = 16  # along a side of the cube, in whose order the patches are kept
-SOLVED = 8  # lights whose solution is kept
-TURN = 0.1  # distance in the unit frame that counts like a normal turned by one radian
+BLOCKS = 16  # along a side of the cube; patches are sorted by block
+SOLVED = 8  # lights whose solution is cached
+TURN = 0.1  # distance in the unit frame equivalent to one radian between normals
 
 
 class Radiosity:
     """Diffuse interreflection of a stored surface under any point light.
 
-    Random points of the surface, the patches, stand for it. Rays that leave a patch with the density of
-    Lambert's cosine find how much it sees of each other one. That is done once; under a light, a shadow ray
-    of each patch and one sparse product for each bounce remain.
+    The surface is represented by random points, the patches. Form factors between patches are estimated once,
+    by cosine-weighted rays from each patch. A light then costs one shadow ray per patch and one sparse
+    product per bounce.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class Radiosity:
         points = sample_surface(surface.vertices, surface.faces, PATCHES, rng).astype(np.float32)
         normals = surface.grid.normals(torch.from_numpy(points)).numpy()
         directions = _hemispheres(normals, rng)
-        # Rays of near patches, one after the other, meet the same triangles.
+        # Sorted, so that consecutive rays hit the same triangles.
         order = _blockwise(points)
         points, normals, directions = points[order], normals[order], directions[order]
         self._surface = surface
@@ -68,22 +68,22 @@ class Radiosity:
     def around(
         self, samples: SurfaceSamples, away: torch.Tensor, light: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Diffuse light that samples receive from the rest of the surface, in units of radiance.
+        """Return the diffuse light that samples receive from the rest of the surface, in units of radiance.
 
         Parameters
         ----------
         samples : SurfaceSamples
         away : (S, 3) float32 tensor
-            Where a mirror would look.
+            Mirrored viewing directions.
         light : (3,) float32 tensor
-            A point light, unit frame; it gives a white surface at distance 1 radiance 1.
+            Point light, unit frame; it gives a white surface at distance 1 a radiance of 1.
 
         Returns
         -------
         gathered : (S, 3) float32 tensor
-            What a white Lambertian surface would reflect of it.
+            Its reflection by a white Lambertian surface.
         mirrored : (S, 3) float32 tensor
-            What a mirror would show, 0 where it shows nothing.
+            Its reflection by a mirror, 0 where the mirrored ray hits nothing.
         """
         device, samples = away.device, samples.to("cpu")
         gathered, outgoing = self._solution(tuple(light.tolist()))
@@ -97,14 +97,14 @@ class Radiosity:
         return self._at(gathered, samples.corners, samples.weights).to(device), mirrored.mT.to(device)
 
     def _solve(self, light: tuple[float, float, float]) -> tuple[torch.Tensor, torch.Tensor]:
-        """Radiance that each patch would reflect of the others' if it were white, and gives off; (P, 3)."""
+        """Return light gathered by each patch, as if it were white, and its radiosity; (P, 3) each."""
         where = torch.tensor(light)
         lit = is_lit(self._surface, self._points, self._normals, where).nonzero()[:, 0]
         to_light = where - select(self._points, lit)
         cosine = (to_light * select(self._normals, lit)).sum(1)
         received = np.zeros(PATCHES, np.float32)
         received[lit.numpy()] = (cosine / to_light.square().sum(1) ** 1.5).numpy()
-        # One colour after the other: the sparse product of three at once takes twice as long.
+        # One colour at a time: a sparse product of three takes twice as long.
         gathered = np.zeros((3, PATCHES), np.float32)
         for _ in range(BOUNCES):
             gathered = np.stack([self._seen @ c for c in self._reflectance * (received + gathered)])
@@ -112,7 +112,7 @@ class Radiosity:
         return torch.from_numpy(gathered.T.copy()), torch.from_numpy(given_off.T.copy())
 
     def _at(self, values: torch.Tensor, corners: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-        """Values (P, C) of patches within triangles, as at the nearest corner; (S, C)."""
+        """Interpolate values (P, C) of patches at the nearest corners of triangles; (S, C)."""
         vertex = corners.gather(1, weights.argmax(1, keepdim=True))[:, 0]
         rows = (table.index_select(0, vertex) for table in (self._patches, self._weights))
         return columns(weighted_rows(values, *rows))
@@ -120,7 +120,7 @@ class Radiosity:
     def _form_factors(
         self, tree: "cKDTree", points: np.ndarray, normals: np.ndarray, directions: np.ndarray
     ) -> "sp.csr_matrix":
-        """Share of each patch's view that each other one fills; (P, P) float32."""
+        """Return the form factors between patches; (P, P) float32."""
         import scipy.sparse as sp
 
         starts = points + np.float32(START * self._surface.grid.spacing) * normals
@@ -135,18 +135,18 @@ class Radiosity:
 
 
 def _blockwise(points: np.ndarray) -> np.ndarray:
-    """Order of points (P, 3) in which near ones follow each other."""
+    """Return an order of points (P, 3) that keeps near ones together."""
     block = ((points + BOUND) * (BLOCKS / (2 * BOUND))).astype(int).clip(0, BLOCKS - 1)
     return np.ravel_multi_index(tuple(block.T), (BLOCKS,) * 3).argsort(kind="stable")
 
 
 def _oriented(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Points with normals; (N, 6), to find near ones that face the same way."""
+    """Join points and scaled normals, (N, 6), to search for near points that face the same way."""
     return np.concatenate([points, TURN * normals], 1)
 
 
 def _hemispheres(normals: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Stratified directions about each normal with the density of Lambert's cosine; (P, SIDE^2, 3)."""
+    """Return stratified cosine-weighted directions about each normal; (P, SIDE^2, 3)."""
     row, column = np.mgrid[:SIDE, :SIDE].reshape(2, -1)
     jitter = rng.random((2, len(normals), SIDE**2), np.float32)
     square, azimuth = (row + jitter[0]) / SIDE, 2 * np.pi * (column + jitter[1]) / SIDE

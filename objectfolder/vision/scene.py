@@ -1,4 +1,4 @@
-"""What every renderer draws: one object in the unit frame, how its surface reflects, and what lights it."""
+"""Scene of the renderers: one object in the unit frame, its material and its lights."""
 
 import math
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ class Scene:
     The surface is a principled BSDF, seen from both sides. It is shaded with the mesh's vertex normals,
     interpolated over each face, or flat if it has none; its shape, outline and shadows are those of the faces
     in any case. Its base colour is the texture, if the mesh has one with coordinates; else its vertex
-    colours; else grey. Nothing but the object is in the picture: the background has alpha 0.
+    colours; else grey. The background has alpha 0.
 
     Raises
     ------
@@ -32,7 +32,7 @@ class Scene:
     """
 
     mesh: TexturedMesh
-    ambient: float = 0.0  #: radiance that comes from every direction, beside the point light
+    ambient: float = 0.0  #: radiance from every direction, in addition to the point light
 
     def __post_init__(self) -> None:
         if not len(self.mesh.faces) or not np.isfinite(self.mesh.vertices).all():
@@ -42,7 +42,7 @@ class Scene:
 
     @property
     def base_color(self) -> Literal["texture", "vertices", "plain"]:
-        """Where the base colour comes from."""
+        """Source of the base colour."""
         if self.mesh.texture is not None and self.mesh.uv is not None:
             return "texture"
         return "plain" if self.mesh.vertex_colors is None else "vertices"

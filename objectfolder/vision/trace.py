@@ -1,4 +1,4 @@
-"""What camera rays see of a stored surface: hit points, normals, and whether the light reaches them."""
+"""Ray casting of a stored surface: hit points, normals and shadows."""
 
 from dataclasses import dataclass, fields
 
@@ -9,25 +9,23 @@ import torch.nn.functional as F
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.vision.vectors import columns, dot, joined, select, unit
 
-SHADOW_OFFSET = 0.05  # voxels along the normal where shadow rays start: further off, shadows move
+SHADOW_OFFSET = 0.05  # voxels along the normal where shadow rays start; more would move shadows
 
 
 @dataclass(frozen=True)
 class SurfaceSamples:
     """Visible points of a surface; tensors share their first dimension S.
 
-    The columns of what `trace` returns lie each in one piece of memory; see `objectfolder.vision.vectors`.
+    `trace` returns column-major tensors; see `objectfolder.vision.vectors`.
     """
 
-    ray: torch.Tensor  #: (S,) int64, which ray saw the point
+    ray: torch.Tensor  #: (S,) int64, index of the ray
     points: torch.Tensor  #: (S, 3) float32, unit frame
     normals: torch.Tensor  #: (S, 3) float32, outward
     directions: torch.Tensor  #: (S, 3) float32, from the camera, of unit length
-    distance: (
-        torch.Tensor
-    )  #: (S,) float32, from the camera, in lengths of the ray's direction as it was given
-    lit: torch.Tensor  #: (S,) bool, faces the light and is not in shadow
-    corners: torch.Tensor  #: (S, 3) int64, vertices of the triangle that holds the point
+    distance: torch.Tensor  #: (S,) float32, from the camera, in units of the given ray direction's length
+    lit: torch.Tensor  #: (S,) bool, whether the point faces the light and is not in shadow
+    corners: torch.Tensor  #: (S, 3) int64, vertices of the point's triangle
     weights: torch.Tensor  #: (S, 3) float32, barycentric
 
     def select(self, index: torch.Tensor) -> "SurfaceSamples":
@@ -46,12 +44,12 @@ class SurfaceSamples:
         return SurfaceSamples(*(getattr(self, field.name).to(device) for field in fields(self)))
 
     def interpolated(self, attributes: torch.Tensor) -> torch.Tensor:
-        """Values at the samples of attributes (V, C) at the surface's vertices; (S, C)."""
+        """Interpolate attributes (V, C) of the surface's vertices at the samples; (S, C)."""
         return weighted_rows(attributes, self.corners, self.weights)
 
 
 def weighted_rows(table: torch.Tensor, rows: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-    """Sum of rows of a table (R, C), K for each of S points, by weights; rows and weights are (S, K)."""
+    """Return weighted sums (S, C) of rows of a table (R, C); rows and weights are (S, K)."""
     return F.embedding_bag(rows, table, mode="sum", per_sample_weights=weights)
 
 
@@ -80,7 +78,7 @@ def trace(
 def is_lit(
     surface: Isosurface, points: torch.Tensor, normals: torch.Tensor, light: torch.Tensor
 ) -> torch.Tensor:
-    """Which points of the surface face a light that nothing hides; (S,) bool.
+    """Return which points of the surface face the light and are not in shadow; (S,) bool.
 
     Parameters
     ----------
@@ -90,7 +88,7 @@ def is_lit(
     lit = dot(light - points, normals)[:, 0] > 0
     facing = lit.nonzero()[:, 0]
     start = select(points, facing) + select(normals, facing) * (SHADOW_OFFSET * surface.grid.spacing)
-    # The ray's direction is as long as the way to the light.
+    # Directions reach to the light, at distance 1.
     end = np.ones(len(facing), np.float32)
     lit[facing] = torch.from_numpy(~surface.caster.occluded(start.numpy(), (light - start).numpy(), end))
     return lit

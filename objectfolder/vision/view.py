@@ -1,4 +1,4 @@
-"""Draw a stored surface: rays, shading, and extra samples where the picture has edges."""
+"""Rendering of a stored surface, supersampled at edges of the image."""
 
 from collections.abc import Callable
 
@@ -11,20 +11,20 @@ from objectfolder.vision.picture import Picture
 from objectfolder.vision.trace import SurfaceSamples, trace
 
 CREASE = 0.35  # difference of neighbouring unit normals
-SIDE = 3  # pixels with edges have a square of as many samples, the middle one at the centre
+SIDE = 3  # edge pixels have SIDE x SIDE samples, one of them at the centre
 OTHERS = SIDE**2 - 1
 AXIS = (np.arange(SIDE, dtype=np.float32) + 0.5) / SIDE
 AROUND = np.delete(
     np.stack(np.meshgrid(AXIS, AXIS)).reshape(2, -1), OTHERS // 2, axis=1
 )  # x, y off the centre
-HALVINGS = 5  # of the stretch between two samples in which a silhouette cuts a line of them
-END = np.float32(1 / 64)  # pixels; a line that is met so near to its end is taken to be met up to it
-TILE = 2**18  # pixels that are drawn at once: what bounds the memory of a large picture
-MARGIN = 2  # pixels beyond a tile that its own depend on
+HALVINGS = 5  # bisections of the interval between two samples that contains a silhouette
+END = np.float32(1 / 64)  # pixels; a line that is hit this near to its end is covered up to the end
+TILE = 2**18  # pixels drawn at once, to bound the memory of a large image
+MARGIN = 2  # pixels around a tile that its own pixels depend on
 
-#: Samples, light (3,) and the pixel (S,) that each belongs to -> linear radiance (S, 3).
+#: Samples, light (3,) and pixel (S,) of each sample -> linear radiance (S, 3).
 Shader = Callable[[SurfaceSamples, torch.Tensor, np.ndarray], torch.Tensor]
-#: Of some rays: colour (3, N), whether they hit or what they cover (N,), depth (N,) and normal (3, N).
+#: Colour (3, N), hit or coverage (N,), depth (N,) and normal (3, N) of N rays.
 Images = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
@@ -39,9 +39,9 @@ def draw(
 ) -> Picture:
     """Render one view of a stored surface.
 
-    One ray through every pixel that the object may cover; where silhouettes, shadow edges or creases
-    cross a pixel, a square of samples; on silhouettes, more rays find how much of a pixel is covered. Large
-    pictures are drawn a few rows at a time.
+    Casts one ray through every pixel that the object may cover, and a square of samples through pixels that
+    silhouettes, shadow edges or creases cross. On silhouettes, more rays measure the coverage of the pixel.
+    Large images are drawn a few rows at a time.
 
     Parameters
     ----------
@@ -52,14 +52,14 @@ def draw(
     light : (3,) array
     intrinsics : Intrinsics
     supersample : bool
-        Without, every pixel is the ray through its centre: faster, and jagged at edges.
+        Whether to supersample edges; without, one ray per pixel: faster, with aliased edges.
 
     Returns
     -------
     Picture
-        Depth and normal are of the ray through the pixel's centre; where it misses and other samples hit, of
-        the nearest of them. Normals are the stored surface's, without what the net adds for shading; a camera
-        inside the object sees them from behind.
+        Depth and normal are those of the ray through the pixel's centre; where it misses, of the nearest
+        sample that hits. Normals are those of the stored surface, not the net's shading normals; a camera
+        inside the object sees their back.
     """
     height, width = intrinsics.height, intrinsics.width
     rgba = np.zeros((height, width, 4), np.float32)
@@ -81,7 +81,7 @@ def draw(
 def _draw(
     surface: Isosurface, shade: Shader, rays: PixelRays, light: np.ndarray, supersample: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Linear premultiplied RGBA, depth and normals of a part of an image."""
+    """Return linear premultiplied RGBA, depth and normals of a part of an image."""
     height, width = rays.shape
     light = np.asarray(light, np.float32)
     centre = trace(surface, rays.origin, rays.centres(), light)
@@ -92,7 +92,7 @@ def _draw(
     edges = np.zeros(0, np.int64)
     if supersample:
         state = np.zeros(height * width, np.float32)
-        state[seen] = 10 * (1 + centre.lit.numpy())  # further apart than normals can be
+        state[seen] = 10 * (1 + centre.lit.numpy())  # differs by more than normals can
         edges = np.flatnonzero(_varies(np.concatenate([normals, state[None]]), rays.shape, CREASE))
     around = rays.through(np.repeat(edges, OTHERS), *np.tile(AROUND, len(edges)))
     fine = trace(surface, rays.origin, around, light)
@@ -111,29 +111,29 @@ def _draw(
 
 
 def _images(count: int) -> Images:
-    """Colour, coverage, depth and normal of rays that meet nothing."""
+    """Return colour, coverage, depth and normal of rays that miss."""
     zeros, infinite = np.zeros((7, count), np.float32), np.full(count, np.inf, np.float32)
     return zeros[:3], zeros[3], infinite, zeros[4:]
 
 
 def _shaped(images: Images, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Linear premultiplied RGBA (H, W, 4), depth (H, W) and normals (H, W, 3)."""
+    """Reshape to linear premultiplied RGBA (H, W, 4), depth (H, W) and normals (H, W, 3)."""
     color, alpha, depth, normals = images
     rgba = np.concatenate([color * alpha, alpha[None]])
     return rgba.T.reshape(*shape, 4), depth.reshape(shape), normals.T.reshape(*shape, 3)
 
 
 def _refine(surface: Isosurface, rays: PixelRays, edges: np.ndarray, images: Images, found: Images) -> None:
-    """Put what the other samples of edge pixels found into the images.
+    """Update the images with the additional samples of edge pixels.
 
     Parameters
     ----------
     edges : (E,) int array
-        Numbers of pixels.
+        Pixel numbers.
     images
-        Of the rays through pixels' centres.
+        Of the rays through the pixels' centres; updated in place.
     found
-        Of the other samples of edge pixels.
+        Of the additional samples of edge pixels.
     """
     color, alpha, depth, normals = images
     hit = np.insert(found[1].reshape(-1, OTHERS), OTHERS // 2, alpha[edges], axis=1) > 0
@@ -145,7 +145,7 @@ def _refine(surface: Isosurface, rays: PixelRays, edges: np.ndarray, images: Ima
     pixels = edges[silhouette]
     lines = hit[silhouette].reshape(-1, SIDE, SIDE)
     alpha[pixels] = _coverage(surface, rays, pixels, lines, _slopes(alpha.reshape(rays.shape), pixels))
-    # Where the centre misses, the nearest of the others.
+    # Where the centre misses, take the nearest of the others.
     missed = np.flatnonzero(np.isinf(depth[edges]))
     nearest = OTHERS * missed + found[2].reshape(-1, OTHERS)[missed].argmin(1)
     depth[edges[missed]], normals[:, edges[missed]] = found[2][nearest], found[3][:, nearest]
@@ -154,7 +154,7 @@ def _refine(surface: Isosurface, rays: PixelRays, edges: np.ndarray, images: Ima
 
 
 def _slopes(image: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How an image grows down the rows and along the columns at some of its pixels; (P,) each."""
+    """Return differences of an image down the rows and along the columns at some pixels; (P,) each."""
     padded = np.pad(image, 1, mode="edge")
     row, column = np.divmod(pixels, image.shape[1])
     down = padded[row + 2, column + 1] - padded[row, column + 1]
@@ -168,18 +168,18 @@ def _coverage(
     hit: np.ndarray,
     slopes: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
-    """Share of each pixel that the surface covers; (P,).
+    """Return the coverage of each pixel by the surface; (P,).
 
-    Each pixel's samples are taken as lines across the silhouette. A line is covered from one cut to another
-    one or to its end, and each cut lies between a sample that hits and one, or an end of the line, that does
-    not: halving finds it.
+    Each pixel's samples form lines across the silhouette. A line is covered from one cut to another or to its
+    end. Each cut lies between a sample that hits and one that misses, or the end of the line; bisection finds
+    it.
 
     Parameters
     ----------
     hit : (P, SIDE, SIDE) bool array
-        What the pixels' samples met.
+        Whether the pixels' samples hit.
     slopes : two (P,) arrays
-        How coverage grows down the rows and along the columns.
+        Differences of the coverage down the rows and along the columns.
     """
     down, along = slopes
     upright = np.abs(down) >= np.abs(along)
@@ -205,7 +205,7 @@ def _coverage(
     whole = np.zeros(len(hit), bool)
     whole[ends] = some[ends] == reached
     bare, far = np.flatnonzero(~whole), np.flatnonzero(some & (last < SIDE - 1))
-    # Of each cut: its line, and the nearest places on it that hit and that miss.
+    # Line of each cut, and the nearest positions on it that hit and that miss.
     line = np.concatenate([bare, far])
     hits = np.concatenate([np.where(some[bare], AXIS[first[bare]], 1 - END), AXIS[last[far]]])
     below = np.where(first[bare] > 0, AXIS[first[bare] - 1], END)
@@ -220,7 +220,7 @@ def _coverage(
 
 
 def _varies(values: np.ndarray, shape: tuple[int, int], tolerance: float) -> np.ndarray:
-    """Pixels that differ by more than a tolerance from one of their eight neighbours; (H*W,) bool.
+    """Return which pixels differ by more than a tolerance from one of their eight neighbours; (H*W,) bool.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Volume rendering: rays through a cube, samples along them, and what a density shows of each sample.
+"""Volume rendering: rays through a cube, samples along them, and their weights by density.
 
 The integral of Max (1995) with the quadrature of Mildenhall et al. (2020): density is constant over the
-interval of a sample. Intervals end midway between samples and together fill the ray's way through the cube.
+interval of a sample. Intervals end midway between samples and together fill the ray's segment in the cube.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ import torch
 
 @dataclass(frozen=True)
 class Rays:
-    """Rays and the stretch of each where something may be; tensors share their first dimension N."""
+    """Rays with the segment of each that may hold density; tensors share their first dimension N."""
 
     origins: torch.Tensor  #: (N, 3)
     directions: torch.Tensor  #: (N, 3), of unit length
@@ -20,23 +20,23 @@ class Rays:
 
     @classmethod
     def through_cube(cls, origins: torch.Tensor, directions: torch.Tensor, half: float) -> "Rays":
-        """Rays cut to the cube [-half, half]^3; ``far`` is not beyond ``near`` where a ray misses it."""
-        # Along a face, 0 / 0 would be no number; this far off, a ray is as good as parallel.
+        """Return rays clipped to the cube [-half, half]^3; ``far`` <= ``near`` where a ray misses it."""
+        # Avoid 0 / 0 along a face; such a slope is parallel for all purposes.
         slope = torch.where(directions.abs() < 1e-9, 1e-9, directions)
         first, second = (-half - origins) / slope, (half - origins) / slope
         near = torch.minimum(first, second).amax(1).clamp(min=0)  # a camera may be inside
         return cls(origins, directions, near, torch.maximum(first, second).amin(1))
 
     def __getitem__(self, index: torch.Tensor | slice) -> "Rays":
-        """Some of them."""
+        """Return some of the rays."""
         return Rays(self.origins[index], self.directions[index], self.near[index], self.far[index])
 
     def points(self, distance: torch.Tensor) -> torch.Tensor:
-        """Points at (N, S) distances; (N, S, 3)."""
+        """Return the points at (N, S) distances; (N, S, 3)."""
         return self.origins[:, None] + distance[..., None] * self.directions[:, None]
 
     def intervals(self, distance: torch.Tensor) -> torch.Tensor:
-        """Ends of the intervals of samples at (N, S) ascending distances; (N, S + 1)."""
+        """Return the ends of the intervals of samples at (N, S) ascending distances; (N, S + 1)."""
         middle = (distance[:, 1:] + distance[:, :-1]) / 2
         return torch.cat([self.near[:, None], middle, self.far[:, None]], 1)
 
@@ -44,14 +44,14 @@ class Rays:
 def stratified(
     low: torch.Tensor, high: torch.Tensor, count: int, generator: torch.Generator | None = None
 ) -> torch.Tensor:
-    """One sample in each of ``count`` equal parts of intervals; (N, count), ascending.
+    """Return one sample in each of ``count`` equal parts of intervals; (N, count), ascending.
 
     Parameters
     ----------
     low, high : (N,) tensors
         The intervals.
     generator : torch.Generator, optional
-        On the CPU. Samples are uniform within their part; without, they are in its middle.
+        On the CPU; draws each sample uniformly within its part. By default, samples are the midpoints.
     """
     place = torch.full((len(low), count), 0.5) if generator is None else _uniform(len(low), count, generator)
     fraction = (torch.arange(count, device=low.device) + place.to(low)) / count
@@ -59,12 +59,12 @@ def stratified(
 
 
 def opacity(density: torch.Tensor, lengths: torch.Tensor) -> torch.Tensor:
-    """Share of light that intervals stop, 1 - exp(-density length); any shape."""
+    """Return the fraction of light that intervals absorb, 1 - exp(-density length); any shape."""
     return -torch.expm1(-density * lengths)
 
 
 def transmittance(density: torch.Tensor, lengths: torch.Tensor) -> torch.Tensor:
-    """Share of light that gets to the start of every interval, and through the last one.
+    """Return the fraction of light that reaches the start of every interval, and the end of the last one.
 
     T_i = exp(-sum over j < i of density_j length_j).
 
@@ -81,9 +81,9 @@ def transmittance(density: torch.Tensor, lengths: torch.Tensor) -> torch.Tensor:
 
 
 def visibility(density: torch.Tensor, lengths: torch.Tensor) -> torch.Tensor:
-    """Weight of every sample in its pixel, T_i (1 - exp(-density_i length_i)); (N, S).
+    """Return the weight of every sample in its pixel, T_i (1 - exp(-density_i length_i)); (N, S).
 
-    They add up to the pixel's alpha: one, less what gets through all intervals.
+    They sum to the pixel's alpha, one minus the transmittance of the ray.
     """
     return transmittance(density, lengths)[:, :-1] * opacity(density, lengths)
 
@@ -95,18 +95,18 @@ def resampled(
     generator: torch.Generator | None = None,
     floor: float = 1e-5,
 ) -> torch.Tensor:
-    """Samples that follow weights, by inverting their cumulative distribution.
+    """Draw samples by weights, with the inverse of their cumulative distribution.
 
     Parameters
     ----------
     intervals : (N, S + 1) tensor
-        Their ends; the density of samples is constant within one.
+        Ends of the intervals; the density of samples is constant within one.
     weights : (N, S) tensor
         Of the intervals; not negative, without gradient.
     count : int
         Samples per row.
     generator : torch.Generator, optional
-        Stratifies the samples at random; without, they are the middles of equal shares of the weight.
+        Draws stratified samples; by default, samples are the midpoints of equal parts of the weight.
     floor : float
         Added to every weight, so that rows of zeros give uniform samples.
 

@@ -1,4 +1,4 @@
-"""Ground-truth views with Mitsuba 3; its scalar variant needs no system library and repeats its bytes."""
+"""Ground-truth views with Mitsuba 3; its scalar variant needs no system library and is deterministic."""
 
 import math
 from typing import Any
@@ -19,8 +19,8 @@ OLDEST_LLVM = (19,)  # 14 to 16 cannot compile the kernels and abort
 class MitsubaRenderer:
     """Path tracing with one thread.
 
-    The box filter keeps the result the same for any thread count; multijittered samples are worth 4 to 6 dB
-    at equal count.
+    The box filter makes the result independent of the thread count; multijittered samples gain 4 to 6 dB at
+    equal count.
 
     Parameters
     ----------
@@ -85,8 +85,8 @@ class MitsubaRenderer:
         image = np.zeros((intrinsics.height, intrinsics.width, 4), np.float32)
         left, top, right, bottom = 0, 0, intrinsics.width, intrinsics.height
         if self._variant == SCALAR:
-            # Only where the object may be: rays that miss it are known, and cost a quarter of the time. The
-            # others would compile their kernel anew for each size.
+            # Render only where the object may be, which saves a quarter of the time. The other variants would
+            # recompile their kernel for each size.
             left, top, right, bottom = covered_rectangle(self._vertices, camera_to_world, intrinsics)
         if left == right or top == bottom:
             return image

@@ -8,13 +8,13 @@ from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.opengl import canvas, pyrender
 from objectfolder.vision.scene import LIGHT_INTENSITY, Scene
 
-GAMMA = 2.2  # that pyrender's shader encodes with
+GAMMA = 2.2  # of pyrender's shader
 MAX_SIDE = 4  #: samples per side of a pixel
 NEAR, FAR = 1e-3, 1e3
 
 
 class RasterRenderer:
-    """Direct light on every surface that faces the light, whatever lies between.
+    """Preview renderer: direct light on every surface that faces the light, without shadows.
 
     Parameters
     ----------
@@ -53,14 +53,14 @@ class RasterRenderer:
         self._scene.remove_node(node)
         encoded = drawn.astype(np.float32) / 255
         alpha = encoded[..., 3:]
-        # The canvas averages encoded colours with the black around the object: that is, times alpha.
+        # The canvas averages encoded colours with the black background, that is, multiplies by alpha.
         linear = alpha * (encoded[..., :3] / np.maximum(alpha, 1 / 255)) ** GAMMA
         fine = np.concatenate([linear, alpha], 2)
         return fine.reshape(intrinsics.height, side, intrinsics.width, side, 4).mean((1, 3))
 
 
 def _primitive(scene: Scene) -> "pyrender.Primitive":
-    """Every face with vertices of its own, so that it can be flat."""
+    """Return the mesh with separate vertices per face, to allow flat shading."""
     mesh = scene.mesh
     if mesh.normals is None:
         normals = unit_vectors(area_vectors(mesh.vertices, mesh.faces)).repeat(3, 0)

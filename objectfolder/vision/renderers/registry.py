@@ -1,4 +1,4 @@
-"""The renderers by name, and what all of them do."""
+"""Registry of the renderers, and their common interface."""
 
 from collections.abc import Callable
 from typing import Protocol
@@ -11,17 +11,16 @@ from objectfolder.vision.scene import Scene
 
 
 class Renderer(Protocol):
-    """Draws one scene from any camera under any point light."""
+    """Renderer of one scene from any camera under any point light."""
 
-    version: str  #: program, its version and its variant, as recorded with the views
+    version: str  #: program, version and variant, recorded with the views
 
     def render(
         self, camera_to_world: np.ndarray, light: np.ndarray, intrinsics: Intrinsics, samples: int, seed: int
     ) -> np.ndarray:
         """Render one view.
 
-        The camera may be inside the object, and sees its surface from inside; the light may be anywhere,
-        also on the surface.
+        The camera may be inside the object, and the light may be anywhere, also on the surface.
 
         Parameters
         ----------
@@ -33,7 +32,7 @@ class Renderer(Protocol):
         samples : int
             Per pixel.
         seed : int
-            Of the samples: the same one gives the same image.
+            Seed of the samples; the same seed gives the same image.
 
         Returns
         -------
@@ -63,7 +62,7 @@ def _raster(scene: Scene) -> Renderer:
     return RasterRenderer(scene)
 
 
-#: How each renderer is made; `objectfolder.workspace.params` lists the same names.
+#: Constructor of each renderer; `objectfolder.vision.dataset.RendererName` lists the same names.
 RENDERERS: dict[str, Callable[[Scene], Renderer]] = {
     "mitsuba": _mitsuba("scalar_rgb"),
     "mitsuba-llvm": _mitsuba("llvm_ad_rgb"),
@@ -71,7 +70,7 @@ RENDERERS: dict[str, Callable[[Scene], Renderer]] = {
     "cycles": _cycles,
     "raster": _raster,
 }
-#: What to install for each.
+#: What to install for each renderer.
 NEEDS = {
     "mitsuba": "pip install 'objectfolder[build]'",
     "mitsuba-llvm": "pip install 'objectfolder[build]' and an LLVM library, version 19 or newer (libllvm19)",
@@ -82,7 +81,7 @@ NEEDS = {
 
 
 def make_renderer(name: str, scene: Scene) -> Renderer:
-    """Make the renderer of a name for a scene.
+    """Make a renderer by name.
 
     Raises
     ------
