@@ -20,16 +20,13 @@ SHARED = {
     "environment": 2,
     "film": 2,
     "fused": 2,
-    "joined": 2,
     "play": 2,
     "prepare": 2,
     "read_checkpoint": 2,
-    "read_picture": 2,
     "read_rows": 2,
     "record": 2,
     "select": 2,
     "table": 2,
-    "unit": 2,
     "unpack": 2,
 }
 
