@@ -25,7 +25,6 @@ SHARED = {
     "read_checkpoint": 2,
     "read_rows": 2,
     "record": 2,
-    "select": 2,
     "table": 2,
     "unpack": 2,
 }

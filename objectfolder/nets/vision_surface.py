@@ -23,7 +23,7 @@ from objectfolder.nets.hashgrid import HashGrid
 from objectfolder.vision.bsdf import fresnel, principled
 from objectfolder.vision.radiosity import Radiosity
 from objectfolder.vision.trace import SurfaceSamples
-from objectfolder.vision.vectors import columns, dot, joined, select, unit
+from objectfolder.vision.vectors import column_major, concatenate, dot, normalized, take_rows
 from objectfolder.vision.view import Shader
 
 #: Of the grid of what bounces.
@@ -91,13 +91,13 @@ class SurfaceNet(nn.Module):
     ) -> torch.Tensor:
         """Radiance straight from the light; (S, 3) as base colours (linear) and unit shading normals."""
         lit = samples.lit.nonzero()[:, 0]
-        to_light = light - select(samples.points, lit)
+        to_light = light - take_rows(samples.points, lit)
         squared = dot(to_light, to_light)
         reflected = principled(
-            select(normals, lit),
-            select(samples.directions, lit),
-            unit(to_light),
-            select(base_color, lit),
+            take_rows(normals, lit),
+            take_rows(samples.directions, lit),
+            normalized(to_light),
+            take_rows(base_color, lit),
             self.config["roughness"],
             self.config["metallic"],
         )
@@ -127,10 +127,10 @@ class SurfaceNet(nn.Module):
         to_light = light - p
         # No view has taught lights that are closer than this.
         squared = dot(to_light, to_light).clamp(min=FAMILIAR**2)
-        l = unit(to_light)
+        l = normalized(to_light)
         nl, nv = dot(n, l), -dot(n, view)
         away = view + 2 * nv * n
-        nh = dot(n, unit(l - view)).clamp(0, 1)
+        nh = dot(n, normalized(l - view)).clamp(0, 1)
         nh8 = nh.square().square().square()
         sine, cosine = torch.sin(4 * p), torch.cos(4 * p)
         lit, received = samples.lit[:, None].float(), nl.clamp(min=0) / squared
@@ -162,7 +162,7 @@ class SurfaceNet(nn.Module):
             torch.log1p(4 * gathered),
             torch.log1p(16 * mirrored),
         ]
-        return BounceInputs(joined(features, 1), gathered, mirrored)
+        return BounceInputs(concatenate(features, 1), gathered, mirrored)
 
     def indirect(self, inputs: "BounceInputs", transport: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Light that has bounced: what a white surface would reflect, and what any does; (S, 3) each.
@@ -173,7 +173,7 @@ class SurfaceNet(nn.Module):
         transport : (S, T) tensor
             Of the grid ``transport``.
         """
-        b = columns(self.bounced(joined([inputs.features, transport], 1))).split(3, 1)
+        b = column_major(self.bounced(concatenate([inputs.features, transport], 1))).split(3, 1)
         diffuse = inputs.gathered * F.softplus(b[2] + 0.5) + 0.5 * F.softplus(b[0] - 4)
         return diffuse, inputs.mirrored * F.softplus(b[3]) + 0.1 * F.softplus(b[1] - 5)
 
@@ -198,10 +198,11 @@ class SurfaceNet(nn.Module):
             one, group = (torch.from_numpy(index).to(device) for index in _firsts(pixel))
             bounced = []
             for part in one.split(CHUNK):
-                each, looks = samples.select(part), (select(v, part) for v in (base_color, normals, direct))
+                each = samples.select(part)
+                looks = (take_rows(v, part) for v in (base_color, normals, direct))
                 inputs = net.bounce_inputs(baked, each, light, *looks)
-                bounced.append(net.indirect(inputs, columns(each.interpolated(baked.transport))))
-            diffuse, glossy = (select(joined(parts), group) for parts in zip(*bounced))
+                bounced.append(net.indirect(inputs, column_major(each.interpolated(baked.transport))))
+            diffuse, glossy = (take_rows(concatenate(parts), group) for parts in zip(*bounced))
             return (direct + base_color * diffuse + glossy).cpu()
 
         return shade
@@ -257,8 +258,8 @@ class Baked:
 
     def look_of(self, samples: SurfaceSamples) -> tuple[torch.Tensor, torch.Tensor]:
         """Base colours, linear, and unit shading normals; (S, 3) each."""
-        values = columns(samples.interpolated(self.look))
-        return values[:, :3], unit(values[:, 3:])
+        values = column_major(samples.interpolated(self.look))
+        return values[:, :3], normalized(values[:, 3:])
 
 
 @dataclass(frozen=True)

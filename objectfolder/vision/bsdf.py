@@ -4,7 +4,7 @@ import math
 
 import torch
 
-from objectfolder.vision.vectors import dot, unit
+from objectfolder.vision.vectors import dot, normalized
 
 REFRACTIVE_INDEX = 1.5  # principled specular 0.5
 MIN_ALPHA = 0.001
@@ -38,7 +38,7 @@ def principled(
     -------
     (S, 3) tensor, 0 where the camera or the light is behind the surface
     """
-    half = unit(light - view)
+    half = normalized(light - view)
     seen, received = -dot(normal, view), dot(normal, light)
     facing = (seen > 0) & (received > 0)
     seen, received = seen.clamp(min=1e-4), received.clamp(min=1e-6)

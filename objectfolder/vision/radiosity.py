@@ -11,7 +11,7 @@ from objectfolder.mesh.grid import BOUND
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.vision.trace import SurfaceSamples, is_lit, weighted_rows
-from objectfolder.vision.vectors import columns, select
+from objectfolder.vision.vectors import column_major, take_rows
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
@@ -62,7 +62,7 @@ class Radiosity:
         self._patches = torch.from_numpy(index.astype(np.int32))
         self._weights = torch.from_numpy((weights / weights.sum(1, keepdims=True)).astype(np.float32))
         self._seen = self._form_factors(tree, points, normals, directions)
-        self._points, self._normals = (columns(torch.from_numpy(v)) for v in (points, normals))
+        self._points, self._normals = (column_major(torch.from_numpy(v)) for v in (points, normals))
         self._solution = lru_cache(SOLVED)(self._solve)
 
     def around(
@@ -100,8 +100,8 @@ class Radiosity:
         """Return light gathered by each patch, as if it were white, and its radiosity; (P, 3) each."""
         where = torch.tensor(light)
         lit = is_lit(self._surface, self._points, self._normals, where).nonzero()[:, 0]
-        to_light = where - select(self._points, lit)
-        cosine = (to_light * select(self._normals, lit)).sum(1)
+        to_light = where - take_rows(self._points, lit)
+        cosine = (to_light * take_rows(self._normals, lit)).sum(1)
         received = np.zeros(PATCHES, np.float32)
         received[lit.numpy()] = (cosine / to_light.square().sum(1) ** 1.5).numpy()
         # One colour at a time: a sparse product of three takes twice as long.
@@ -115,7 +115,7 @@ class Radiosity:
         """Interpolate values (P, C) of patches at the nearest corners of triangles; (S, C)."""
         vertex = corners.gather(1, weights.argmax(1, keepdim=True))[:, 0]
         rows = (table.index_select(0, vertex) for table in (self._patches, self._weights))
-        return columns(weighted_rows(values, *rows))
+        return column_major(weighted_rows(values, *rows))
 
     def _form_factors(
         self, tree: "cKDTree", points: np.ndarray, normals: np.ndarray, directions: np.ndarray

@@ -7,7 +7,7 @@ import torch
 import torch.nn.functional as F
 
 from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.vision.vectors import columns, dot, joined, select, unit
+from objectfolder.vision.vectors import column_major, concatenate, dot, normalized, take_rows
 
 SHADOW_OFFSET = 0.05  # voxels along the normal where shadow rays start; more would move shadows
 
@@ -30,14 +30,14 @@ class SurfaceSamples:
 
     def select(self, index: torch.Tensor) -> "SurfaceSamples":
         """Return some of the samples."""
-        return SurfaceSamples(*(select(getattr(self, field.name), index) for field in fields(self)))
+        return SurfaceSamples(*(take_rows(getattr(self, field.name), index) for field in fields(self)))
 
     def joined(self, others: "SurfaceSamples") -> "SurfaceSamples":
         """Return these samples, then the others."""
         if not len(self.ray):
             return others
         pairs = ((getattr(self, field.name), getattr(others, field.name)) for field in fields(self))
-        return SurfaceSamples(*(joined(pair) for pair in pairs))
+        return SurfaceSamples(*(concatenate(pair) for pair in pairs))
 
     def to(self, device: torch.device | str) -> "SurfaceSamples":
         """Return these samples on a device."""
@@ -70,9 +70,9 @@ def trace(
     start = torch.tensor(origins) if origins.ndim == 1 else torch.from_numpy(origins.T.take(ray, 1)).T
     points = start + away * t[:, None]
     corners, weights = torch.from_numpy(surface.faces.take(face, 0)), torch.from_numpy(barycentric)
-    normals = unit(columns(weighted_rows(torch.from_numpy(surface.normals), corners, weights)))
+    normals = normalized(column_major(weighted_rows(torch.from_numpy(surface.normals), corners, weights)))
     lit = is_lit(surface, points, normals, torch.from_numpy(np.asarray(light, np.float32)))
-    return SurfaceSamples(index, points, normals, unit(away), t, lit, corners, weights)
+    return SurfaceSamples(index, points, normals, normalized(away), t, lit, corners, weights)
 
 
 def is_lit(
@@ -87,7 +87,7 @@ def is_lit(
     """
     lit = dot(light - points, normals)[:, 0] > 0
     facing = lit.nonzero()[:, 0]
-    start = select(points, facing) + select(normals, facing) * (SHADOW_OFFSET * surface.grid.spacing)
+    start = take_rows(points, facing) + take_rows(normals, facing) * (SHADOW_OFFSET * surface.grid.spacing)
     # Directions reach to the light, at distance 1.
     end = np.ones(len(facing), np.float32)
     lit[facing] = torch.from_numpy(~surface.caster.occluded(start.numpy(), (light - start).numpy(), end))

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import torch
 
 
-def columns(rows: torch.Tensor) -> torch.Tensor:
+def column_major(rows: torch.Tensor) -> torch.Tensor:
     """Return (S, C) values in column-major order."""
     return rows.mT.contiguous().mT
 
@@ -18,17 +18,17 @@ def dot(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
     return (a * b).sum(-1, keepdim=True)
 
 
-def unit(vectors: torch.Tensor) -> torch.Tensor:
+def normalized(vectors: torch.Tensor) -> torch.Tensor:
     """Scale (S, 3) vectors to unit length; zero stays zero."""
     return vectors / dot(vectors, vectors).sqrt().clamp(min=1e-12)
 
 
-def select(values: torch.Tensor, index: torch.Tensor) -> torch.Tensor:
+def take_rows(values: torch.Tensor, index: torch.Tensor) -> torch.Tensor:
     """Return some rows of (S, ...) values, in the same memory order."""
     return values.mT.index_select(1, index).mT if _in_columns(values) else values.index_select(0, index)
 
 
-def joined(parts: Sequence[torch.Tensor], axis: int = 0) -> torch.Tensor:
+def concatenate(parts: Sequence[torch.Tensor], axis: int = 0) -> torch.Tensor:
     """Concatenate tensors in the memory order of the first."""
     if _in_columns(parts[0]):
         return torch.cat([part.mT for part in parts], 1 - axis).mT
