@@ -1,42 +1,44 @@
-"""How far an answer is from the ground truth."""
+"""Error metrics between answers and ground truth."""
 
 import numpy as np
 import torch
-import torch.nn.functional as F
+from skimage.metrics import structural_similarity
 
 
 def psnr(error: float | np.ndarray, peak: float = 1.0) -> float | np.ndarray:
-    """Peak signal-to-noise ratio of a mean squared error, dB (supplementary F; 200 dB is the ceiling)."""
+    """Compute the peak signal-to-noise ratio of a mean squared error, dB; at most 200 (supplementary F)."""
     return 10 * np.log10(peak**2 / np.maximum(error, 1e-20 * peak**2))
 
 
 def awgn_psnr(shape: tuple[int, ...], sigma: float, rng: np.random.Generator) -> float:
-    """PSNR of data in [0, 1] of this shape, corrupted by white Gaussian noise: the paper's reference row.
+    """Compute the PSNR of data in [0, 1] with additive white Gaussian noise: the paper's reference row.
 
-    The noise is not clipped, so the data itself does not matter.
+    The noise is not clipped, so the PSNR does not depend on the data.
     """
     return float(psnr(float(np.mean(rng.normal(0, sigma, shape) ** 2))))
 
 
 def ssim(image: np.ndarray, reference: np.ndarray) -> float:
-    """Structural similarity of two (H, W, 3) images in [0, 1] (Wang et al. 2004; 11x11 Gaussian)."""
-    x, y = (torch.from_numpy(np.asarray(i, np.float32)).permute(2, 0, 1)[:, None] for i in (image, reference))
-    axis = torch.arange(11, dtype=torch.float32) - 5
-    kernel = torch.exp(-(axis**2) / (2 * 1.5**2))
-    window = torch.outer(kernel, kernel)[None, None] / kernel.sum() ** 2
-    mx, my, xx, yy, xy = (F.conv2d(v, window) for v in (x, y, x * x, y * y, x * y))
-    c1, c2 = 0.01**2, 0.03**2
-    numerator = (2 * mx * my + c1) * (2 * (xy - mx * my) + c2)
-    denominator = (mx * mx + my * my + c1) * (xx - mx * mx + yy - my * my + c2)
-    return float((numerator / denominator).mean())
+    """Compute the structural similarity of two (H, W, 3) images in [0, 1] (Wang et al. 2004; 11x11 Gaussian)."""
+    return float(
+        structural_similarity(
+            np.asarray(image, np.float64),
+            np.asarray(reference, np.float64),
+            channel_axis=2,
+            data_range=1.0,
+            gaussian_weights=True,
+            sigma=1.5,
+            use_sample_covariance=False,
+        )
+    )
 
 
 class SpectrogramErrors:
-    """PSNR of complex spectrograms, gathered batch by batch.
+    """PSNR of complex spectrograms, accumulated batch by batch.
 
-    In the paper's convention real and imaginary parts are scaled to [0, 1] by the smallest and largest true
-    value; silence scores 50 dB and more in it. ``psnr_own_max`` compares magnitudes relative to each sound's
-    own peak.
+    ``psnr`` follows the paper: real and imaginary parts are scaled to [0, 1] by the smallest and largest true
+    value, so that silence scores 50 dB and more. ``psnr_own_max`` compares magnitudes relative to the peak of
+    each sound.
     """
 
     def __init__(self) -> None:
@@ -45,7 +47,7 @@ class SpectrogramErrors:
         self._own: list[np.ndarray] = []
 
     def add(self, image: torch.Tensor, truth: torch.Tensor) -> None:
-        """Take in (N, F, T) complex spectrograms."""
+        """Add a batch of (N, F, T) complex spectrograms."""
         parts = torch.view_as_real(truth)
         self._low, self._high = min(self._low, parts.min().item()), max(self._high, parts.max().item())
         self._error += torch.view_as_real(image - truth).double().square().sum().item()
@@ -56,7 +58,7 @@ class SpectrogramErrors:
         self._own.append(((image.abs().flatten(1) - size) / peak).double().square().mean(1).numpy())
 
     def scores(self) -> dict[str, float]:
-        """Scores of everything taken in, dB; none if the truth is silent."""
+        """Return the scores of all batches, dB; empty if the truth is silent."""
         span = (self._high - self._low) ** 2
         if not span > 0:
             return {}
@@ -70,20 +72,20 @@ class SpectrogramErrors:
 def gain_errors(
     predicted: np.ndarray, shapes: np.ndarray, energy: np.ndarray, gain: np.ndarray
 ) -> dict[str, float]:
-    """Relative errors of mode shapes (P, 3, M).
+    """Compute the relative errors of mode shapes (P, 3, M).
 
     Parameters
     ----------
     energy : (M,) array
         Weight of a squared shape error in the energy-weighted error.
     gain : (M,) array
-        Gain of a unit shape value; its square weighs the Frobenius error.
+        Gain of a unit shape value; its square weights the Frobenius error.
 
     Returns
     -------
     dict
-        ``gain_error``, ``gain_error_frobenius``, and ``gain_error_worst`` of the mode ``worst_mode``,
-        counted from 0.
+        ``gain_error``, ``gain_error_frobenius``, and ``gain_error_worst``, that of the mode ``worst_mode``
+        (counted from 0).
     """
     squared, truth = ((predicted - shapes) ** 2).sum((0, 1)), (shapes**2).sum((0, 1))
     each = np.sqrt(np.divide(squared, truth, out=np.zeros_like(truth), where=truth > 0))

@@ -18,7 +18,7 @@ from ruamel.yaml import YAML
 
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.params import splits_of
-from objectfolder.benchmarks.scoring import tables
+from objectfolder.benchmarks.reporting import tables
 from objectfolder.benchmarks.tasks.running import machine
 from objectfolder.io import read_json, write_text
 

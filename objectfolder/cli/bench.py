@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from objectfolder.benchmarks.datasets.sampling import ObserveConfig
     from objectfolder.benchmarks.layout import Benchmarks
     from objectfolder.benchmarks.params import TaskParams
-    from objectfolder.benchmarks.scoring.tables import Table
+    from objectfolder.benchmarks.reporting.tables import Table
 
 #: Of each task; only that one is imported.
 MODULES = {
@@ -175,7 +175,7 @@ def _run(
     from objectfolder.benchmarks.layout import Benchmarks
     from objectfolder.benchmarks.models.encoders import make_encoder, read_weights, registered
     from objectfolder.benchmarks.params import splits_of, task_params
-    from objectfolder.benchmarks.scoring.tables import table
+    from objectfolder.benchmarks.reporting.tables import table
     from objectfolder.engine.pool import in_processes
     from objectfolder.io import read_json
     from objectfolder.workspace import params as objects

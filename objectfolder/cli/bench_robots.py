@@ -67,7 +67,7 @@ def grasping(
 
     `objectfolder bench grasping --preset quick build/tonic_bottle`
     """
-    from objectfolder.benchmarks.scoring.tables import grasping_table
+    from objectfolder.benchmarks.reporting.tables import grasping_table
     from objectfolder.io import read_json
 
     params, hulls, folder = _asked("grasp_policy", preset, out, seeds)
@@ -104,7 +104,7 @@ def reach(
 
     `objectfolder bench reach --preset quick build/mug build/bowl build/die`
     """
-    from objectfolder.benchmarks.scoring.tables import reach_table
+    from objectfolder.benchmarks.reporting.tables import reach_table
     from objectfolder.engine.pool import in_processes
     from objectfolder.io import read_json
 

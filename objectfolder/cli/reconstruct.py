@@ -28,7 +28,7 @@ def reconstruct(
     The background is removed by the picture's transparency if it has any, else by `--mask`, else by
     `--background`. The model knows objects like those that it was trained on.
     """
-    from objectfolder.benchmarks.datasets.framing import framed
+    from objectfolder.benchmarks.models.framing import framed
     from objectfolder.benchmarks.models.shape_model import load_model
     from objectfolder.benchmarks.tasks.photograph import (
         check_mesh_name,

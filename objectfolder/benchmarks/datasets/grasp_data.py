@@ -11,7 +11,8 @@ import numpy as np
 import torch
 from annotated_types import Ge, Interval, MultipleOf
 
-from objectfolder.benchmarks.datasets.grasps import ARRAYS, FORMAT, OPTIONAL, RECORD, array_path
+from objectfolder.benchmarks.datasets.grasps import ARRAYS, FORMAT, OPTIONAL, RECORD
+from objectfolder.benchmarks.datasets.samples import array_path
 from objectfolder.benchmarks.datasets.sampling import object_digest
 from objectfolder.disk import enough_space
 from objectfolder.envs.body import RigidBody

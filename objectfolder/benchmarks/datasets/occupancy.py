@@ -15,7 +15,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.io import file_digest, read_npz, write_npz
 from objectfolder.mesh.grid import BOUND
 from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.mesh.sampling import sample_faces, sample_surface
+from objectfolder.mesh.sampling import sample_surface
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator
 
@@ -68,18 +68,38 @@ def grid_points(resolution: int) -> np.ndarray:
     return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
 
 
-def surface_points(
-    vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
-    """Points uniform by area, and unit normals of their triangles; two (count, 3) float64."""
-    points, face = sample_faces(vertices, faces, count, rng)
-    a, b, c = (np.asarray(vertices, np.float64)[faces[face, i]] for i in range(3))
-    normal = np.cross(b - a, c - a)
-    return points, normal / np.linalg.norm(normal, axis=1, keepdims=True)
+def extract_mesh(occupancy: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]:
+    """Extract the surface of the region whose occupancy exceeds a threshold, by marching cubes.
+
+    Parameters
+    ----------
+    occupancy : (R, R, R) array
+        Probabilities or logits at the nodes of `grid_points`. Smooth values give a smooth surface.
+    threshold : float
+        In the same unit. Where the occupancy on the border exceeds it, the surface is closed just outside.
+
+    Returns
+    -------
+    vertices : (V, 3) float64, unit frame
+    faces : (F, 3) int64
+        Counter-clockwise seen from outside; empty if no value exceeds the threshold.
+    """
+    from skimage.measure import marching_cubes
+
+    values = np.asarray(occupancy, np.float32)
+    spacing = 2 * HALF_SIDE / (len(values) - 1)
+    outside = min(float(values.min()), threshold - 1.0)
+    padded = np.pad(values, 1, constant_values=outside)
+    if padded.max() <= threshold:
+        return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
+    vertices, faces, _, _ = marching_cubes(
+        padded, threshold, gradient_direction="ascent", allow_degenerate=False
+    )
+    return (vertices.astype(np.float64) - 1) * spacing - HALF_SIDE, faces.astype(np.int64)
 
 
 @dataclass(frozen=True)
-class Occupancy:
+class OccupancySamples:
     """Occupied or not: K objects at points that they share, and at points near each one's surface.
 
     Scores and validation use uniform points only: the IoU of uniform points estimates the ratio of volumes.
@@ -131,7 +151,7 @@ def sample_occupancy(
     score: int,
     resolution: int,
     seed: int,
-) -> Occupancy:
+) -> OccupancySamples:
     """Sample the occupancy of objects.
 
     Parameters
@@ -159,7 +179,7 @@ def sample_occupancy(
         for name, points in pools.items():
             rows[name].append(is_inside(surface, points))
     stacked = {name: np.stack(values) for name, values in rows.items()}
-    return Occupancy(
+    return OccupancySamples(
         pools["train"],
         stacked["train"],
         stacked["near"],
@@ -175,7 +195,7 @@ def sample_occupancy(
 
 def cached_occupancy(
     path: Path, files: Mapping[str, Path], train: int, val: int, score: int, resolution: int, seed: int
-) -> Occupancy:
+) -> OccupancySamples:
     """Sample the occupancy of Object Files, or read it if the same was sampled before.
 
     Parameters
@@ -195,10 +215,10 @@ def cached_occupancy(
     made_of = [f"{key} {file_digest(file)}" for key, file in files.items()]
     identity = np.array([*made_of, f"{train} {val} {score} {resolution} {seed} {HALF_SIDE} {NEAR}"])
     if path.is_file():
-        names = [field.name for field in fields(Occupancy)]
+        names = [field.name for field in fields(OccupancySamples)]
         arrays = read_npz(path, "identity", *names)
         if np.array_equal(arrays["identity"], identity):
-            return Occupancy(**{name: arrays[name] for name in names})
+            return OccupancySamples(**{name: arrays[name] for name in names})
     surfaces = {key: _opener(key, file) for key, file in files.items()}
     occupancy = sample_occupancy(surfaces, train, val, score, resolution, seed)
     write_npz(path, identity=identity, **vars(occupancy))

@@ -1,4 +1,4 @@
-"""Observations of one object, drawn from its Object File: views, sounds, touches (supplementary I.1)."""
+"""Sample an object: random views, impact sounds and touches of its Object File (supplementary I.1)."""
 
 import hashlib
 import json
@@ -13,7 +13,8 @@ import numpy as np
 from annotated_types import Ge, MultipleOf
 
 from objectfolder.audio.spectrogram import DURATION, SAMPLE_RATE
-from objectfolder.benchmarks.datasets.observations import QUERIES, RECORD, SOURCE, VERSION, array_path
+from objectfolder.benchmarks.datasets.observations import QUERIES, RECORD, SOURCE, VERSION
+from objectfolder.benchmarks.datasets.samples import array_path
 from objectfolder.benchmarks.datasets.splits import TEN, check_count
 from objectfolder.disk import enough_space
 from objectfolder.errors import ObjectFolderError
@@ -24,7 +25,7 @@ from objectfolder.objectfile.query_files import sample_presses, sample_strikes, 
 from objectfolder.seeding import numpy_generator
 from objectfolder.workspace.layout import MODALITIES
 
-FORCES = (0.1, 1.0)  #: N s, weakest and strongest impulse
+FORCES = (0.1, 1.0)  #: range of impulses, N s
 _DTYPES: dict[str, np.dtype[Any]] = {
     "vision": np.dtype(np.uint8),
     "audio": np.dtype(np.float32),
@@ -33,7 +34,7 @@ _DTYPES: dict[str, np.dtype[Any]] = {
 
 log = logging.getLogger(__name__)
 
-#: What is asked, by name: (N, 3) or (N,) float64.
+#: Query arrays by name: (N, 3) or (N,) float64.
 Queries = dict[str, np.ndarray]
 
 
@@ -41,7 +42,7 @@ Queries = dict[str, np.ndarray]
 class ObserveConfig:
     """Section ``observe`` of ``params.yaml``."""
 
-    observations: Annotated[int, Ge(10), MultipleOf(10)]  #: of each modality
+    observations: Annotated[int, Ge(10), MultipleOf(10)]  #: per modality
     resolution: Annotated[int, Ge(8)]  #: side of the views, pixels
 
 
@@ -53,30 +54,30 @@ def sample_observations(
     folder: str | Path,
     report: Callable[[str, int], None] = lambda modality, done: None,
 ) -> None:
-    """Draw views, impact sounds and touches of an object, and write them to a folder.
+    """Sample views, impact sounds and touches of an object and write them to a folder.
 
-    A call that was interrupted goes on with the modality it was at; where the folder is complete, nothing is
-    done. What it holds of another Object File, count, resolution or seed is replaced.
+    An interrupted call resumes at the modality it was writing. A complete folder is left alone. Observations
+    of another Object File, count, resolution or seed are replaced.
 
     Parameters
     ----------
     file : ObjectFile
     count : int
-        Observations of each modality, a multiple of ten. The first n are the same whatever the count.
+        Observations per modality, a multiple of ten. The first n do not depend on the count.
     resolution : int
         Side of the views, pixels.
     seed : int
     folder : path
-        Of this object alone. It gets ``vision.npy``, ``audio.npy`` and ``touch.npy``, each with a ``.json``
-        that says what it is of; ``queries.npz``, see `draw_queries`; the Object File; and last
+        Of this object alone. Receives ``vision.npy``, ``audio.npy`` and ``touch.npy``, each with a ``.json``
+        that identifies it; ``queries.npz``, see `draw_queries`; the Object File; and finally
         ``observations.json``.
     report : callable
-        Called with a modality and how many of its observations are there.
+        Called with a modality and the number of its observations written so far.
 
     Raises
     ------
     ObjectFolderError
-        If the count is no multiple of ten, the Object File lacks a part, a question fails, or the disk is
+        If the count is not a multiple of ten, the Object File lacks a part, a query fails, or the disk is
         full.
     """
     folder = Path(folder)
@@ -84,9 +85,9 @@ def sample_observations(
     if resolution < 1:
         raise ObjectFolderError(f"{file.key}: views of {resolution} pixels, expected a positive number")
     _require_parts(file)
-    if are_sampled(file, count, resolution, seed, folder):
+    request = observation_request(file, count, resolution, seed)
+    if is_sampled(request, folder):
         return
-    request = _request(file, count, resolution, seed)
     arrays = {modality: _written(folder, modality, request) for modality in MODALITIES}
     (folder / RECORD).unlink(missing_ok=True)
     queries = draw_queries(file, count, seed)
@@ -97,8 +98,8 @@ def sample_observations(
         "touch": (count, *one.shape[1:]),
     }
     missing = [modality for modality, array in arrays.items() if array is None]
-    needed = sum(_bytes(modality, shapes[modality]) for modality in missing)
-    hint = ", or sample fewer or smaller observations; what is complete is kept"
+    needed = sum(math.prod(shapes[modality]) * _DTYPES[modality].itemsize for modality in missing)
+    hint = ", or sample fewer or smaller observations; complete modalities are kept"
     with enough_space(f"{file.key}: observations", folder, needed, hint):
         write_npz(folder / QUERIES, **queries)
         file.save(folder / SOURCE)
@@ -109,9 +110,24 @@ def sample_observations(
         write_json(folder / RECORD, request | {"arrays": arrays})
 
 
-def are_sampled(file: ObjectFile, count: int, resolution: int, seed: int, folder: str | Path) -> bool:
-    """Whether a folder holds all observations that `sample_observations` would write there."""
-    folder, request = Path(folder), _request(file, count, resolution, seed)
+def observation_request(file: ObjectFile, count: int, resolution: int, seed: int) -> dict[str, Any]:
+    """Identify the observations that `sample_observations` writes; hashes the Object File."""
+    return {
+        "version": VERSION,
+        "key": file.key,
+        "material": file.material,
+        "scale": file.scale,
+        "sensor": file.sensor,
+        "object_sha256": object_digest(file),
+        "count": count,
+        "resolution": resolution,
+        "sample_rate": SAMPLE_RATE,
+        "seed": seed,
+    }
+
+
+def is_sampled(request: dict[str, Any], folder: Path) -> bool:
+    """Return whether a folder holds all observations of an `observation_request`."""
     if not all((folder / name).is_file() for name in (QUERIES, SOURCE)):
         return False
     arrays = {modality: _written(folder, modality, request) for modality in MODALITIES}
@@ -119,13 +135,13 @@ def are_sampled(file: ObjectFile, count: int, resolution: int, seed: int, folder
 
 
 def draw_queries(file: ObjectFile, count: int, seed: int) -> Queries:
-    """Draw what an object is asked.
+    """Draw the queries of an object.
 
     Parameters
     ----------
     file : ObjectFile
     count : int
-        A multiple of ten: each ten rows are drawn on their own, so that they do not depend on the count.
+        A multiple of ten: rows are drawn in independent tens, so that they do not depend on the count.
     seed : int
 
     Returns
@@ -133,9 +149,9 @@ def draw_queries(file: ObjectFile, count: int, seed: int) -> Queries:
     dict
         ``vision_camera`` and ``vision_light`` (N, 3), unit frame: uniform on the spheres of the paper's data
         (supplementary C). ``audio_point`` (N, 3), metres, uniform by area, and ``audio_force`` (N, 3), N s,
-        uniform over the directions into the object, of log-uniform length over `FORCES`. ``touch_point``
-        (N, 3), metres, uniform by area, and ``touch_depth`` (N,), metres, uniform over the sensor's
-        ``press_depth``, or the one depth that a net of kind ``image`` knows.
+        in uniform directions into the object with log-uniform length in `FORCES`. ``touch_point`` (N, 3),
+        metres, uniform by area, and ``touch_depth`` (N,), metres, uniform over the sensor's ``press_depth``,
+        or the single depth of a net of kind ``image``.
     """
     tens = [_draw_ten(file, seed, ten) for ten in range(count // TEN)]
     return {name: np.concatenate([rows[name] for rows in tens]) for name in tens[0]}
@@ -180,9 +196,9 @@ def ask(file: ObjectFile, queries: Queries, modality: str, resolution: int) -> t
     Returns
     -------
     (N, ...) array
-        Observations as `objectfolder.benchmarks.datasets.observations.Observations.read` gives them.
+        Observations, as described in `objectfolder.benchmarks.datasets.observations.Observations`.
     (N,) bool array
-        Which of them show nothing: no pixel of the object, no sound, no contact.
+        Which of them are empty: no pixel of the object, silence, or no contact.
     """
     if modality == "vision":
         views = file.render(queries["vision_camera"], queries["vision_light"], resolution)
@@ -200,7 +216,7 @@ def ask(file: ObjectFile, queries: Queries, modality: str, resolution: int) -> t
 
 
 def object_digest(file: ObjectFile) -> str:
-    """SHA-256 of all that an Object File holds, wherever it lies; hexadecimal."""
+    """Return the SHA-256 of an Object File's header and tensors; hexadecimal."""
     digest = hashlib.sha256(json.dumps(file.header, sort_keys=True).encode())
     for name in sorted(file.tensors):
         tensor = np.ascontiguousarray(file.tensors[name])
@@ -208,33 +224,17 @@ def object_digest(file: ObjectFile) -> str:
     return digest.hexdigest()
 
 
-def _request(file: ObjectFile, count: int, resolution: int, seed: int) -> dict[str, Any]:
-    """What observations are of; those of another request are drawn anew."""
-    return {
-        "version": VERSION,
-        "key": file.key,
-        "material": file.material,
-        "scale": file.scale,
-        "sensor": file.sensor,
-        "object_sha256": object_digest(file),
-        "count": count,
-        "resolution": resolution,
-        "sample_rate": SAMPLE_RATE,
-        "seed": seed,
-    }
-
-
 def _require_parts(file: ObjectFile) -> None:
     lacking = [part for part in PARTS if part not in file.header]
     if lacking:
         raise ObjectFolderError(
-            f"{file.key}: the Object File holds no {' and no '.join(lacking)}; benchmarks look at, strike "
-            "and touch every object: leave it out, or build it whole"
+            f"{file.key}: the Object File holds no {' and no '.join(lacking)}; benchmarks need geometry, "
+            "vision, audio and touch: leave the object out, or rebuild it"
         )
 
 
 def _written(folder: Path, modality: str, request: dict[str, Any]) -> dict[str, Any] | None:
-    """What is said about an array that is there, complete, and of this request."""
+    """Return the metadata of a complete array of this request; None if there is none."""
     path, stored = array_path(folder, modality), _stored(folder / f"{modality}.json")
     if stored is None or stored.get("request") != request or not path.is_file():
         return None
@@ -245,7 +245,7 @@ def _written(folder: Path, modality: str, request: dict[str, Any]) -> dict[str, 
 def _stored(path: Path) -> dict[str, Any] | None:
     try:
         value = read_json(path)
-    except ObjectFolderError:  # missing or damaged: made again
+    except ObjectFolderError:  # missing or damaged: sampled again
         return None
     return value if isinstance(value, dict) else None
 
@@ -258,7 +258,7 @@ def _write(
     folder: Path,
     report: Callable[[str, int], None],
 ) -> dict[str, Any]:
-    """Write the observations of one modality, ten at a time, and say what they are."""
+    """Write the observations of one modality, ten at a time; return their metadata."""
     path, dtype, digest, empty = array_path(folder, modality), _DTYPES[modality], hashlib.sha256(), 0
     header = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
     with atomic(path) as temporary, temporary.open("wb") as stream:
@@ -282,10 +282,6 @@ def _write(
             empty += int(nothing.sum())
             report(modality, start + TEN)
     if empty:
-        log.warning("%s: %d of %d observations of %s show nothing", file.key, empty, shape[0], modality)
+        log.warning("%s: %d of %d observations of %s are empty", file.key, empty, shape[0], modality)
     size = path.stat().st_size
     return {"shape": list(shape), "sha256": digest.hexdigest(), "bytes": size, "empty": empty}
-
-
-def _bytes(modality: str, shape: tuple[int, ...]) -> int:
-    return math.prod(shape) * _DTYPES[modality].itemsize

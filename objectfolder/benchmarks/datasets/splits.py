@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import Protocol
 
 import numpy as np
 
+from objectfolder.benchmarks.datasets.samples import Samples
 from objectfolder.errors import ObjectFolderError
 from objectfolder.workspace.layout import SPLITS
 
@@ -35,13 +35,6 @@ class Split:
     train: np.ndarray
     val: np.ndarray
     test: np.ndarray
-
-
-class Rows(Protocol):
-    """Where rows are read from, such as `objectfolder.benchmarks.datasets.observations.Observations`."""
-
-    def read(self, modality: str, rows: np.ndarray) -> np.ndarray:
-        """Observations (B, ...) of one modality."""
 
 
 def label_order(keys: Iterable[str]) -> tuple[str, ...]:
@@ -144,7 +137,7 @@ def named_split(name: str, keys: Sequence[str], count: int) -> Split:
 
 
 def without_duplicates(
-    split: Split, observations: Rows, modalities: Sequence[str]
+    split: Split, observations: Samples, modalities: Sequence[str]
 ) -> tuple[Split, dict[str, dict[str, int]]]:
     """Drop kept-back rows that show, to the byte, what is learnt from.
 
@@ -193,7 +186,7 @@ def without_duplicates(
     return Split(split.name, split.train, val, test), counts
 
 
-def _digests(observations: Rows, modality: str, rows: np.ndarray) -> Iterable[bytes]:
+def _digests(observations: Samples, modality: str, rows: np.ndarray) -> Iterable[bytes]:
     for start in range(0, len(rows), _CHUNK):
         for row in observations.read(modality, rows[start : start + _CHUNK]):
             yield hashlib.blake2b(row.tobytes(), digest_size=16).digest()

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from objectfolder.benchmarks.datasets.framing import framed_views
-from objectfolder.benchmarks.datasets.occupancy import grid_points
+from objectfolder.benchmarks.models.framing import framed_views
+from objectfolder.benchmarks.datasets.occupancy import extract_mesh, grid_points
 from objectfolder.benchmarks.models.encoders import InputSizes, Weights, make_encoder, prepare
 from objectfolder.benchmarks.models.occupancy_net import Reconstructor, occupancy_logits
-from objectfolder.benchmarks.scoring.shapes import extract_mesh
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_safetensors, write_safetensors
 

@@ -1,9 +1,9 @@
-"""Scores of reconstructed shapes, as Occupancy Networks (Mescheder et al. 2019) defines them.
+"""Scores of reconstructed shapes, as defined by Occupancy Networks (Mescheder et al. 2019).
 
-Lengths are in the unit frame: 1 is the object's longest side. The figures of ObjectFolder's Table 4 must be
-in this unit too: 0.0046 for images is 0.46 % of the longest side, which goes with an IoU of 0.88 and is what
-two samples of 100,000 points can tell; in the unit of the Occupancy Networks paper, a tenth of the side, it
-would be a tenth of that, far below what they can. Multiply by ten to compare with that paper.
+Lengths are in the unit frame, where the object's longest side is 1. ObjectFolder's Table 4 must use the same
+unit: 0.0046 for images is 0.46 % of the longest side, which is plausible for an IoU of 0.88 and close to what
+two samples of 100,000 points can resolve. The Occupancy Networks paper uses a tenth of the side as its unit:
+multiply by ten to compare with it.
 """
 
 import math
@@ -12,32 +12,42 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from objectfolder.benchmarks.datasets.occupancy import HALF_SIDE, surface_points
+from objectfolder.mesh.sampling import sample_faces
 
-EMPTY_CHAMFER = math.sqrt(3)  #: of no surface at all: the unit cube's diagonal, as the authors' code has it
+EMPTY_CHAMFER = math.sqrt(3)  #: of an empty prediction: the unit cube's diagonal, as in the authors' code
 
 
 @dataclass(frozen=True)
-class Surface:
-    """Points of a surface, uniform by area, their unit normals, and a tree to find the nearest."""
+class SampledSurface:
+    """Points uniform by area on a surface, with unit normals and a tree for nearest-neighbour queries."""
 
     points: np.ndarray  #: (N, 3)
     normals: np.ndarray  #: (N, 3)
     tree: cKDTree
 
 
-def sampled_surface(
+def surface_points(
     vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.random.Generator
-) -> Surface | None:
-    """Sample a triangle surface; None where there are no triangles."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sample points uniform by area with the unit normals of their triangles; two (count, 3) float64."""
+    points, face = sample_faces(vertices, faces, count, rng)
+    a, b, c = (np.asarray(vertices, np.float64)[faces[face, i]] for i in range(3))
+    normal = np.cross(b - a, c - a)
+    return points, normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+
+def sample_mesh(
+    vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.random.Generator
+) -> SampledSurface | None:
+    """Sample a triangle mesh; None if it has no triangles."""
     if not len(faces):
         return None
     points, normals = surface_points(vertices, faces, count, rng)
-    return Surface(points, normals, cKDTree(points))
+    return SampledSurface(points, normals, cKDTree(points))
 
 
 def intersection_over_union(predicted: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Volume in both over volume in either, estimated by the same uniform points.
+    """Estimate the volumetric IoU from the same uniform points.
 
     Parameters
     ----------
@@ -52,19 +62,19 @@ def intersection_over_union(predicted: np.ndarray, truth: np.ndarray) -> np.ndar
     return np.where(union == 0, 1.0, (predicted & truth).sum(-1) / np.maximum(union, 1))
 
 
-def surface_scores(predicted: Surface | None, truth: Surface) -> tuple[float, float]:
-    """Chamfer-L1 distance and normal consistency.
+def surface_scores(predicted: SampledSurface | None, truth: SampledSurface) -> tuple[float, float]:
+    """Compute the Chamfer-L1 distance and the normal consistency.
 
-    Chamfer-L1: the mean of accuracy and completeness, which are the mean distances from the points of one
-    surface to the nearest point of the other. Normal consistency: the mean, over both ways, of the absolute
-    cosine between normals at those pairs; absolute, because the definition takes no notice of orientation.
-    Between two samples of one surface of area A the distance is not 0 but about sqrt(A / N) / 2.
+    Chamfer-L1 is the mean of accuracy and completeness: the mean distances from the points of one surface to
+    the nearest points of the other, in both directions. Normal consistency is the mean absolute cosine
+    between the normals of these pairs, in both directions; the sign is ignored, as in the definition. Two
+    samples of one surface of area A are about sqrt(A / N) / 2 apart, not 0.
 
     Parameters
     ----------
-    predicted : Surface or None
+    predicted : SampledSurface or None
         None, an empty prediction, scores `EMPTY_CHAMFER` and 0.
-    truth : Surface
+    truth : SampledSurface
 
     Returns
     -------
@@ -79,37 +89,7 @@ def surface_scores(predicted: Surface | None, truth: Surface) -> tuple[float, fl
     return float(np.mean(distances)), float(np.mean(cosines))
 
 
-def _one_way(source: Surface, target: Surface) -> tuple[float, float]:
+def _one_way(source: SampledSurface, target: SampledSurface) -> tuple[float, float]:
     distance, nearest = target.tree.query(source.points)
     cosine = np.abs((source.normals * target.normals[nearest]).sum(1))
     return float(distance.mean()), float(cosine.mean())
-
-
-def extract_mesh(occupancy: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]:
-    """Surface of the places whose occupancy is above a threshold, by marching cubes.
-
-    Parameters
-    ----------
-    occupancy : (R, R, R) array
-        At the nodes of `objectfolder.benchmarks.datasets.occupancy.grid_points`; probabilities or logits.
-        Smooth values give a smooth surface.
-    threshold : float
-        Of the same kind. Where the occupancy at the border is above it, the surface is closed just outside.
-
-    Returns
-    -------
-    vertices : (V, 3) float64, unit frame
-    faces : (F, 3) int64, counter-clockwise seen from outside; none where nothing is above the threshold
-    """
-    from skimage.measure import marching_cubes
-
-    values = np.asarray(occupancy, np.float32)
-    spacing = 2 * HALF_SIDE / (len(values) - 1)
-    outside = min(float(values.min()), threshold - 1.0)
-    padded = np.pad(values, 1, constant_values=outside)
-    if padded.max() <= threshold:
-        return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
-    vertices, faces, _, _ = marching_cubes(
-        padded, threshold, gradient_direction="ascent", allow_degenerate=False
-    )
-    return (vertices.astype(np.float64) - 1) * spacing - HALF_SIDE, faces.astype(np.int64)

@@ -17,7 +17,7 @@ from torch import nn
 from objectfolder.benchmarks.datasets.grasps import Grasps
 from objectfolder.benchmarks.models.encoders import prepare
 from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig, shuffled
-from objectfolder.benchmarks.scoring.grasp_baselines import baselines
+from objectfolder.benchmarks.models.grasp_baselines import baselines
 from objectfolder.benchmarks.scoring.scores import accuracy, interval_95, wilson_95
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.errors import ObjectFolderError
@@ -219,7 +219,7 @@ def _measured(answers: Mapping[str, np.ndarray], success: np.ndarray) -> dict[st
         accuracies = [accuracy(answer > 0, success) for answer in logits]
         scores[name] = {
             "accuracy": float(np.mean(accuracies)),
-            "wilson_95": wilson_95(float(np.mean(accuracies)), len(success)),
+            "wilson_95": wilson_95(round(np.mean(accuracies) * len(success)), len(success)),
             "interval_95": interval_95(accuracies),
             "seeds": accuracies,
             "balanced_accuracy": float(np.mean([balanced_accuracy_score(success, x > 0) for x in logits]))

@@ -3,13 +3,14 @@
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import torch
 from torch import nn
 
-from objectfolder.benchmarks.datasets.splits import Rows, Split, without_duplicates
+from objectfolder.benchmarks.datasets.samples import Samples
+from objectfolder.benchmarks.datasets.splits import Split, without_duplicates
 from objectfolder.benchmarks.models.encoders import InputSizes, Weights, make_encoder, prepare
 from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, TrainingConfig, train
 from objectfolder.io import read_json, write_json
@@ -17,21 +18,6 @@ from objectfolder.workspace.layout import SPLITS
 
 _Params = TypeVar("_Params", bound=TrainingConfig)
 _Batch = TypeVar("_Batch")
-
-
-class Samples(Rows, Protocol):
-    """What tasks need of `objectfolder.benchmarks.datasets.observations.Observations`, or of grasps."""
-
-    keys: tuple[str, ...]  #: objects in the order of labels
-    count: int  #: samples per object
-    labels: np.ndarray  #: object of each row
-
-    @property
-    def digest(self) -> str:
-        """Of all that is read."""
-
-    def shape(self, modality: str) -> tuple[int, ...]:
-        """Shape of a row."""
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageOps
 
-from objectfolder.benchmarks.datasets.framing import OBJECT, framed, resized, shown
+from objectfolder.benchmarks.models.framing import OBJECT, framed, resized, shown
 from objectfolder.benchmarks.models.shape_model import ShapeModel
 from objectfolder.benchmarks.scoring.shapes import intersection_over_union
 from objectfolder.errors import ObjectFolderError

@@ -13,7 +13,7 @@ from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.models.actor import Actor
 from objectfolder.benchmarks.models.ppo import ReachConfig, train_ppo
 from objectfolder.benchmarks.params import RobotParams
-from objectfolder.benchmarks.scoring.film import write_gif
+from objectfolder.benchmarks.reporting.film import write_gif
 from objectfolder.benchmarks.scoring.scores import share_95
 from objectfolder.benchmarks.tasks.running import leave, object_identity
 from objectfolder.envs.body import RigidBody, rigid_body

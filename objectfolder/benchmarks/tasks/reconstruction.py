@@ -18,7 +18,7 @@ from annotated_types import Ge, Interval
 from torch import nn
 
 from objectfolder.benchmarks.datasets.observations import Observations
-from objectfolder.benchmarks.datasets.truth import THRESHOLDS, Truth, best_level
+from objectfolder.benchmarks.scoring.truth import THRESHOLDS, Truth, best_level
 from objectfolder.benchmarks.models.occupancy_net import EMBEDDING, Reconstructor
 from objectfolder.benchmarks.models.shape_model import (
     Setup,
@@ -29,7 +29,7 @@ from objectfolder.benchmarks.models.shape_model import (
     shape_inputs,
 )
 from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, TrainingConfig, shuffled
-from objectfolder.benchmarks.scoring.shape_pictures import sheet
+from objectfolder.benchmarks.reporting.shape_pictures import sheet
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.io import write_png
 from objectfolder.seeding import numpy_generator, seeded

@@ -12,7 +12,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig
-from objectfolder.benchmarks.scoring import cca
+from objectfolder.benchmarks.models import cca
 from objectfolder.benchmarks.scoring.scores import chance_map, interval_95, mean_average_precision
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.errors import ObjectFolderError

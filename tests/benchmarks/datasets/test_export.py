@@ -188,7 +188,7 @@ def test_commands_take_single_folders(root, tmp_path):
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [(["--split", "other"], "split 'other' is unknown"), (["{tmp}"], "holds no observations")],
+    [(["--split", "other"], "split 'other' is unknown"), (["{tmp}"], "contains no observations")],
 )
 def test_commands_say_what_is_wrong(root, tmp_path, arguments, message):
     filled = [argument.format(tmp=tmp_path) for argument in arguments]

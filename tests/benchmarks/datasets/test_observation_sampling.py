@@ -298,7 +298,7 @@ def test_silent_object_is_named(brick, tmp_path, monkeypatch, caplog):
     monkeypatch.setattr(sampling, "ask", silent)
     with caplog.at_level(logging.WARNING):
         sample_observations(brick, COUNT, SIDE, 7, tmp_path)
-    assert "brick: 10 of 10 observations of audio show nothing" in caplog.text
+    assert "brick: 10 of 10 observations of audio are empty" in caplog.text
     assert json.loads((tmp_path / "observations.json").read_text())["arrays"]["audio"]["empty"] == 10
 
 

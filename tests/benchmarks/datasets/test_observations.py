@@ -59,7 +59,7 @@ def test_rows_that_are_not_there(folders, row):
 
 
 def test_unknown_modality(folders):
-    with pytest.raises(ObjectFolderError, match="'smell' is unknown, expected one of vision, audio, touch"):
+    with pytest.raises(ObjectFolderError, match="no array 'smell', expected one of vision, audio, touch"):
         Observations(folders).read("smell", np.array([0]))
 
 
@@ -117,8 +117,8 @@ def test_array_of_objects_is_not_unpickled(copied):
     ("text", "message"),
     [
         ("{", "is damaged"),
-        ("[]", "of version None, expected 1"),
-        ('{"version": 0}', "of version 0, expected 1"),
+        ("[]", "has version None, expected 1"),
+        ('{"version": 0}', "has version 0, expected 1"),
     ],
 )
 def test_foreign_record_is_refused(copied, text, message):
@@ -136,6 +136,6 @@ def test_folder_of_another_object_is_refused(folders):
 def test_objects_that_were_sampled_differently_are_refused(brick, folders, tmp_path, count, side, what):
     file = ObjectFile(brick.header | {"key": "bell"}, dict(brick.tensors))
     sample_observations(file, count, side, 0, tmp_path)
-    message = rf"bell: its observations of {what} have shape \[{count}, {side}, {side}, 3\], those of mug"
+    message = rf"bell: {what} has shape \[{count}, {side}, {side}, 3\], that of mug"
     with pytest.raises(ObjectFolderError, match=message):
         Observations({"bell": tmp_path, **folders})

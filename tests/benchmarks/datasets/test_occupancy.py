@@ -12,9 +12,9 @@ from objectfolder.benchmarks.datasets.occupancy import (
     is_inside,
     near_points,
     sample_occupancy,
-    surface_points,
     uniform_points,
 )
+from objectfolder.benchmarks.scoring.shapes import surface_points
 from objectfolder.errors import ObjectFolderError
 
 RNG = np.random.default_rng

@@ -9,13 +9,17 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial import cKDTree
 from solids import box, join, sphere
 
-from objectfolder.benchmarks.datasets.occupancy import HALF_SIDE, grid_points, uniform_points
+from objectfolder.benchmarks.datasets.occupancy import (
+    HALF_SIDE,
+    extract_mesh,
+    grid_points,
+    uniform_points,
+)
 from objectfolder.benchmarks.scoring.shapes import (
     EMPTY_CHAMFER,
-    Surface,
-    extract_mesh,
+    SampledSurface,
     intersection_over_union,
-    sampled_surface,
+    sample_mesh,
     surface_scores,
 )
 
@@ -28,7 +32,7 @@ def rng(seed=0):
 
 def surface(points, normals):
     points = np.array(points, float)
-    return Surface(points, np.array(normals, float), cKDTree(points))
+    return SampledSurface(points, np.array(normals, float), cKDTree(points))
 
 
 def in_cube(points, shift=0.0):
@@ -72,7 +76,7 @@ def test_surface_scores_by_hand():
 
 
 def test_two_spheres_are_as_far_apart_as_their_radii():
-    inner, outer = (sampled_surface(*sphere(r, 5), N, rng(i)) for i, r in enumerate((0.3, 0.4)))
+    inner, outer = (sample_mesh(*sphere(r, 5), N, rng(i)) for i, r in enumerate((0.3, 0.4)))
     chamfer, consistency = surface_scores(inner, outer)
     assert chamfer == pytest.approx(0.1, rel=0.01)
     assert consistency == pytest.approx(1, abs=0.002)
@@ -81,7 +85,7 @@ def test_two_spheres_are_as_far_apart_as_their_radii():
 def test_distance_between_samples_of_one_surface_is_the_documented_floor():
     solid = box((1, 0.6, 0.3))
     area = trimesh.Trimesh(*solid).area
-    same = [sampled_surface(*solid, N, rng(i)) for i in range(2)]
+    same = [sample_mesh(*solid, N, rng(i)) for i in range(2)]
     chamfer, consistency = surface_scores(*same)
     assert chamfer == pytest.approx(math.sqrt(area / N) / 2, rel=0.02)
     assert 0.98 < consistency < 1  # at edges, the nearest point may be on another face
@@ -91,15 +95,15 @@ def test_distance_between_samples_of_one_surface_is_the_documented_floor():
 def test_squares_at_right_angles_have_no_normals_in_common():
     square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
     faces = np.array([[0, 1, 2], [0, 2, 3]])
-    flat, upright = (sampled_surface(v, faces, 500, rng()) for v in (square, square[:, [2, 0, 1]]))
-    lifted = sampled_surface(square + np.array([0, 0, 0.5]), faces[:, ::-1], 500, rng())
+    flat, upright = (sample_mesh(v, faces, 500, rng()) for v in (square, square[:, [2, 0, 1]]))
+    lifted = sample_mesh(square + np.array([0, 0, 0.5]), faces[:, ::-1], 500, rng())
     assert surface_scores(flat, upright)[1] == 0
     assert surface_scores(flat, lifted) == pytest.approx((0.5, 1), abs=0.01)  # whichever way they face
 
 
 def test_no_surface_scores_worst():
-    truth = sampled_surface(*sphere(0.4), 100, rng())
-    nothing = sampled_surface(*extract_mesh(np.zeros((5, 5, 5)), 0.5), 100, rng())
+    truth = sample_mesh(*sphere(0.4), 100, rng())
+    nothing = sample_mesh(*extract_mesh(np.zeros((5, 5, 5)), 0.5), 100, rng())
     assert nothing is None
     assert surface_scores(nothing, truth) == (EMPTY_CHAMFER, 0.0)
     assert pytest.approx(math.sqrt(3)) == EMPTY_CHAMFER

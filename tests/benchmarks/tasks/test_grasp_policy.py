@@ -4,7 +4,7 @@ from PIL import Image
 
 from objectfolder.benchmarks.models.actor import Actor
 from objectfolder.benchmarks.models.trpo import GraspPolicyConfig
-from objectfolder.benchmarks.scoring.tables import grasping_table
+from objectfolder.benchmarks.reporting.tables import grasping_table
 from objectfolder.benchmarks.tasks.grasp_policy import CURVE_COLUMNS, grasp_policy, play
 from objectfolder.envs.body import rigid_body
 from objectfolder.envs.episodes import Episodes

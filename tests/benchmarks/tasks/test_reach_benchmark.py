@@ -16,7 +16,7 @@ from objectfolder.benchmarks.models import ppo
 from objectfolder.benchmarks.models.actor import Actor
 from objectfolder.benchmarks.models.ppo import ReachConfig, train_ppo
 from objectfolder.benchmarks.params import RobotParams, robot_params
-from objectfolder.benchmarks.scoring.tables import reach_table
+from objectfolder.benchmarks.reporting.tables import reach_table
 from objectfolder.benchmarks.tasks.reach import (
     CURVE_COLUMNS,
     POLICIES,

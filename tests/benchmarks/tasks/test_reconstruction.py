@@ -10,10 +10,10 @@ from PIL import Image
 from solids import box, sphere
 from torch import nn
 
-from objectfolder.benchmarks.datasets import truth
+from objectfolder.benchmarks.scoring import truth
 from objectfolder.benchmarks.datasets.occupancy import HALF_SIDE, sample_occupancy
 from objectfolder.benchmarks.datasets.splits import Split, per_sample
-from objectfolder.benchmarks.datasets.truth import Truth, best_level
+from objectfolder.benchmarks.scoring.truth import Truth, best_level
 from objectfolder.benchmarks.models import encoders
 from objectfolder.benchmarks.models.encoders import InputSizes, register_encoder
 from objectfolder.benchmarks.models.shape_model import Setup, ShapeModel, load_model, new_net, save_model

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from objectfolder.benchmarks.datasets.framing import SHARE, framed, framed_views
+from objectfolder.benchmarks.models.framing import SHARE, framed, framed_views
 
 SIDE = 64
 SMALL = (50, 50, 60, 60)  # left, top, right, bottom

@@ -1,4 +1,4 @@
-from objectfolder.benchmarks.scoring.tables import table
+from objectfolder.benchmarks.reporting.tables import table
 
 ROWS = {
     "rows": {"train": 16, "val": 2, "test": 2},

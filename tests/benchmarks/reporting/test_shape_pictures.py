@@ -1,7 +1,7 @@
 import numpy as np
 from solids import box
 
-from objectfolder.benchmarks.scoring.shape_pictures import SIDE, shaded, sheet
+from objectfolder.benchmarks.reporting.shape_pictures import SIDE, shaded, sheet
 
 
 def test_a_box_is_drawn_in_the_middle_on_white_brighter_where_it_faces_the_camera():

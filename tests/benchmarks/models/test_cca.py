@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from sklearn.cross_decomposition import CCA
 
-from objectfolder.benchmarks.scoring import cca
+from objectfolder.benchmarks.models import cca
 
 
 @pytest.fixture

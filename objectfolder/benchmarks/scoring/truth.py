@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.benchmarks.datasets.occupancy import Occupancy, cached_occupancy
+from objectfolder.benchmarks.datasets.occupancy import OccupancySamples, cached_occupancy, extract_mesh
 from objectfolder.benchmarks.scoring.shapes import (
-    Surface,
-    extract_mesh,
+    SampledSurface,
     intersection_over_union,
-    sampled_surface,
+    sample_mesh,
     surface_scores,
 )
 from objectfolder.mesh.isosurface import Isosurface
@@ -42,13 +41,13 @@ class Truth:
         return tuple(self.files)
 
     @cached_property
-    def occupancy(self) -> Occupancy:
+    def occupancy(self) -> OccupancySamples:
         """Occupancy samples of all objects; made at first use, or read."""
         path, sizes = self.folder / "occupancy.npz", (POOL, VAL_POINTS, self.points, self.resolution)
         return cached_occupancy(path, self.files, *sizes, self.seed)
 
     @cached_property
-    def sampled(self) -> Callable[[int], Surface]:
+    def sampled(self) -> Callable[[int], SampledSurface]:
         """Give the sampled surface of an object; only those that are asked for are sampled, and kept."""
         return cache(lambda label: self._sampled(label, "truth"))
 
@@ -57,7 +56,7 @@ class Truth:
         return ObjectFile.load(self.files[self.keys[label]]).surface
 
     def floor(self, labels: Sequence[int] | np.ndarray) -> dict[str, float]:
-        """Surface scores of objects sampled anew: what a perfect answer would get."""
+        """SampledSurface scores of objects sampled anew: what a perfect answer would get."""
         scores = [surface_scores(self._sampled(int(i), "floor"), self.sampled(int(i))) for i in labels]
         return dict(zip(("chamfer_l1", "normal_consistency"), np.mean(scores, 0).tolist()))
 
@@ -90,7 +89,7 @@ class Truth:
         for i, label in enumerate(labels):
             iou[i] = intersection_over_union(inside(i), self.occupancy.score_inside[label])
             rng = numpy_generator(self.seed, "reconstruct", "surface", purpose, str(i))
-            predicted = sampled_surface(*mesh(i), self.points, rng)
+            predicted = sample_mesh(*mesh(i), self.points, rng)
             surfaces[i] = surface_scores(predicted, self.sampled(int(label)))
             empty += predicted is None
         chamfer, consistency = surfaces.mean(0).tolist()
@@ -134,10 +133,10 @@ class Truth:
         inside, mesh = mean(occupancy.score_inside) > level, extract_mesh(grid, level)
         return self.scores("average_shape", test, lambda i: inside, lambda i: mesh) | {"threshold": level}
 
-    def _sampled(self, label: int, purpose: str) -> Surface:
+    def _sampled(self, label: int, purpose: str) -> SampledSurface:
         surface = self.surface(label)
         rng = numpy_generator(self.seed, "reconstruct", "surface", purpose, self.keys[label])
-        sampled = sampled_surface(surface.vertices, surface.faces, self.points, rng)
+        sampled = sample_mesh(surface.vertices, surface.faces, self.points, rng)
         assert sampled is not None  # an Object File without a surface is refused when it is read
         return sampled
 

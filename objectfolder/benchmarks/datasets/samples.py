@@ -1,0 +1,160 @@
+"""Memory-mapped arrays of several objects, read as one table."""
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from objectfolder.errors import ObjectFolderError
+
+
+class Samples:
+    """Arrays of several objects with equally many rows each, read-only and memory-mapped.
+
+    With N rows per object, row r is sample ``r % N`` of object ``r // N``.
+
+    Parameters
+    ----------
+    records : mapping
+        Contents of each object's record file by key, in label order.
+    arrays : mapping
+        By name, the array (N, ...) of each object in the same order.
+
+    Attributes
+    ----------
+    keys : tuple of str
+        Objects in label order; see `objectfolder.benchmarks.datasets.splits.label_order`.
+    count : int
+        Samples per object, N.
+    labels : (K N,) int64 array
+        Object index of each row.
+    records : dict
+        Contents of the record files by key.
+    """
+
+    def __init__(self, records: Mapping[str, dict[str, Any]], arrays: Mapping[str, Sequence[np.ndarray]]):
+        self.keys = tuple(records)
+        self.records = dict(records)
+        self.count = int(records[self.keys[0]]["count"])
+        self.labels = np.repeat(np.arange(len(self.keys), dtype=np.int64), self.count)
+        self._arrays = arrays
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all records, which contain digests of the arrays; hexadecimal."""
+        records = [self.records[key] for key in self.keys]
+        return hashlib.sha256(json.dumps(records, sort_keys=True).encode()).hexdigest()
+
+    def shape(self, name: str) -> tuple[int, ...]:
+        """Return the shape of one row of an array."""
+        return self._of(name)[0].shape[1:]
+
+    def read(self, name: str, rows: np.ndarray) -> np.ndarray:
+        """Read rows of an array.
+
+        Parameters
+        ----------
+        name : str
+        rows : (B,) int array
+            In any order; repetitions are allowed.
+
+        Returns
+        -------
+        (B, ...) array
+
+        Raises
+        ------
+        ObjectFolderError
+            If there is no such array.
+        IndexError
+            If a row is out of range.
+        """
+        return gather_rows(self._of(name), rows)
+
+    def _of(self, name: str) -> Sequence[np.ndarray]:
+        if name not in self._arrays:
+            raise ObjectFolderError(f"no array {name!r}, expected one of {', '.join(self._arrays)}")
+        return self._arrays[name]
+
+
+def array_path(folder: Path, name: str) -> Path:
+    """Return the path of an array in an object's folder."""
+    return folder / f"{name}.npy"
+
+
+def map_array(key: str, path: Path, remedy: str) -> np.ndarray:
+    """Memory-map an object's ``.npy`` file, read-only; nothing is unpickled.
+
+    Parameters
+    ----------
+    key : str
+        Object, named in errors.
+    path : Path
+    remedy : str
+        What to do about a damaged file; ends the error message.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the file is missing, damaged, or not a numeric array.
+    """
+    try:
+        return np.load(path, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise ObjectFolderError(f"{key}: {path} is damaged ({error}); {remedy}") from error
+
+
+def check_equal_shapes(name: str, shapes: Mapping[str, Any], remedy: str) -> None:
+    """Raise ObjectFolderError unless all objects have arrays of the same shape.
+
+    Parameters
+    ----------
+    name : str
+        Array, named in the error.
+    shapes : mapping
+        Shape by object key.
+    remedy : str
+        Ends the error message.
+    """
+    (first, expected), *others = shapes.items()
+    for key, shape in others:
+        if shape != expected:
+            raise ObjectFolderError(
+                f"{key}: {name} has shape {shape}, that of {first} {expected}; expected equal shapes: {remedy}"
+            )
+
+
+def gather_rows(arrays: Sequence[np.ndarray], rows: np.ndarray) -> np.ndarray:
+    """Gather rows of arrays of equal shape (N, ...); row r is row ``r % N`` of array ``r // N``.
+
+    Parameters
+    ----------
+    arrays : sequence of arrays
+    rows : (B,) int array
+        In any order; repetitions are allowed.
+
+    Returns
+    -------
+    (B, ...) array
+
+    Raises
+    ------
+    IndexError
+        If a row is out of range.
+    """
+    rows, count = np.asarray(rows, np.int64), len(arrays[0])
+    wrong = rows[(rows < 0) | (rows >= len(arrays) * count)]
+    if len(wrong):
+        raise IndexError(f"row {wrong[0]} of {len(arrays) * count}")
+    objects, within = np.divmod(rows, count)
+    out = np.empty((len(rows), *arrays[0].shape[1:]), arrays[0].dtype)
+    for i in np.unique(objects):
+        chosen = objects == i
+        out[chosen] = arrays[i][within[chosen]]
+    return out
