@@ -19,7 +19,7 @@ def awgn_psnr(shape: tuple[int, ...], sigma: float, rng: np.random.Generator) ->
 
 
 def ssim(image: np.ndarray, reference: np.ndarray) -> float:
-    """Compute the structural similarity of two (H, W, 3) images in [0, 1] (Wang et al. 2004; 11x11 Gaussian)."""
+    """Compute the SSIM of two (H, W, 3) images in [0, 1] (Wang et al. 2004; 11x11 Gaussian)."""
     return float(
         structural_similarity(
             np.asarray(image, np.float64),

@@ -102,7 +102,7 @@ def shared_tables(keys: dict[str, None]) -> Iterator[dict]:
                     keys |= dict.fromkeys(scores["keys"])
                     option = f" --split {split}" if len(splits_of(task)) > 1 else ""
                     runs = [read_json(folder.machine(task, split))]
-                    shown = tables.table(task, split, scores)
+                    shown = tables.score_table(task, split, scores)
                     yield table_record(shown, f"{command} --preset {preset}{option}", runs)
 
 
@@ -117,7 +117,7 @@ def robot_tables() -> Iterator[dict]:
                 command = f"stability --preset {preset} --split {split}"
                 command += seeds_option(found["V"], sections["grasp_stability"])
                 runs = [read_json(folder.machine("grasp_stability", split))]
-                record = table_record(tables.table("grasp_stability", split, scores), command, runs)
+                record = table_record(tables.score_table("grasp_stability", split, scores), command, runs)
                 record["note"] += f"\n\nObjects: {', '.join(scores['keys'])}."
                 yield record
         for task, (command, layout, section, policy) in SINGLE_OBJECT.items():

@@ -3,16 +3,19 @@
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.models.trpo import GraspPolicyConfig
 from objectfolder.benchmarks.params import robot_params
-from objectfolder.benchmarks.tasks.grasp_policy import run_grasp_policy
+from objectfolder.benchmarks.tasks.grasp_policy import GRASP_POLICY
+from objectfolder.benchmarks.tasks.robots import ObjectRun
+from objectfolder.benchmarks.tasks.running import run_benchmark
 from objectfolder.envs.hulls import read_hulls
+from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace.layout import Build
 from stages import run
 
 
 def main(key: str) -> None:
-    build = Build(key)
-    params = robot_params(GraspPolicyConfig)
-    run_grasp_policy(build.object_file, read_hulls(build.hulls), params, Benchmarks(), print)
+    build, params = Build(key), robot_params(GraspPolicyConfig)
+    file, hulls = ObjectFile.load(build.object_file), read_hulls(build.hulls)
+    run_benchmark(ObjectRun(GRASP_POLICY, file, hulls, params, Benchmarks()), print)
 
 
 if __name__ == "__main__":

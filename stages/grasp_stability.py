@@ -3,15 +3,15 @@
 from objectfolder.benchmarks.datasets.grasps import Grasps
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.params import object_keys, task_params
-from objectfolder.benchmarks.tasks.grasp_stability import CURVE_COLUMNS, GraspStabilityConfig, grasp_stability
-from objectfolder.benchmarks.tasks.running import run_task
+from objectfolder.benchmarks.tasks.grasp_stability import GRASP_STABILITY, GraspStabilityConfig
+from objectfolder.benchmarks.tasks.running import SplitRun, run_benchmark
 from stages import run
 
 
 def main(split: str) -> None:
     params, folder = task_params(GraspStabilityConfig), Benchmarks()
     grasps = Grasps({key: folder.grasps(key) for key in object_keys("grasp_stability")})
-    run_task("grasp_stability", grasp_stability, CURVE_COLUMNS, split, grasps, params, folder, print)
+    run_benchmark(SplitRun(GRASP_STABILITY, split, grasps, params, folder), print)
 
 
 if __name__ == "__main__":

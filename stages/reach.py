@@ -3,15 +3,19 @@
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.models.ppo import ReachConfig
 from objectfolder.benchmarks.params import robot_params
-from objectfolder.benchmarks.tasks.reach import run_reach
+from objectfolder.benchmarks.tasks.reach import REACH
+from objectfolder.benchmarks.tasks.robots import ObjectRun
+from objectfolder.benchmarks.tasks.running import run_benchmark
 from objectfolder.envs.hulls import read_hulls
+from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace.layout import Build
 from stages import run
 
 
 def main(key: str) -> None:
     build, params = Build(key), robot_params(ReachConfig)
-    run_reach(build.object_file, read_hulls(build.hulls), params, Benchmarks(), print)
+    file, hulls = ObjectFile.load(build.object_file), read_hulls(build.hulls)
+    run_benchmark(ObjectRun(REACH, file, hulls, params, Benchmarks()), print)
 
 
 if __name__ == "__main__":

@@ -1,17 +1,17 @@
-"""recognize: observations of all objects -> benchmarks/recognize_<split>.json, .csv: which object is it?"""
+"""recognize: observations of all objects -> benchmarks/recognize_<split>.json, .csv: instance recognition."""
 
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.params import object_keys, task_params
-from objectfolder.benchmarks.tasks.recognition import CURVE_COLUMNS, RecognizeConfig, recognize
-from objectfolder.benchmarks.tasks.running import run_task
+from objectfolder.benchmarks.tasks.recognition import RECOGNIZE, RecognizeConfig
+from objectfolder.benchmarks.tasks.running import SplitRun, run_benchmark
 from stages import run
 
 
 def main(split: str) -> None:
     params, folder = task_params(RecognizeConfig), Benchmarks()
     observations = Observations({key: folder.observations(key) for key in object_keys("recognize")})
-    run_task("recognize", recognize, CURVE_COLUMNS, split, observations, params, folder, print)
+    run_benchmark(SplitRun(RECOGNIZE, split, observations, params, folder), print)
 
 
 if __name__ == "__main__":

@@ -3,15 +3,15 @@
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.params import object_keys, task_params
-from objectfolder.benchmarks.tasks.reconstruction import CURVE_COLUMNS, ReconstructConfig, reconstruct
-from objectfolder.benchmarks.tasks.running import run_task
+from objectfolder.benchmarks.tasks.reconstruction import RECONSTRUCT, ReconstructConfig
+from objectfolder.benchmarks.tasks.running import SplitRun, run_benchmark
 from stages import run
 
 
 def main(split: str) -> None:
     params, folder = task_params(ReconstructConfig), Benchmarks()
     observations = Observations({key: folder.observations(key) for key in object_keys("reconstruct")})
-    run_task("reconstruct", reconstruct, CURVE_COLUMNS, split, observations, params, folder, print)
+    run_benchmark(SplitRun(RECONSTRUCT, split, observations, params, folder), print)
 
 
 if __name__ == "__main__":

@@ -3,15 +3,15 @@
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.params import object_keys, task_params
-from objectfolder.benchmarks.tasks.retrieval import CURVE_COLUMNS, RetrieveConfig, retrieve
-from objectfolder.benchmarks.tasks.running import run_task
+from objectfolder.benchmarks.tasks.retrieval import RETRIEVE, RetrieveConfig
+from objectfolder.benchmarks.tasks.running import SplitRun, run_benchmark
 from stages import run
 
 
 def main(split: str) -> None:
     params, folder = task_params(RetrieveConfig), Benchmarks()
     observations = Observations({key: folder.observations(key) for key in object_keys("retrieve")})
-    run_task("retrieve", retrieve, CURVE_COLUMNS, split, observations, params, folder, print)
+    run_benchmark(SplitRun(RETRIEVE, split, observations, params, folder), print)
 
 
 if __name__ == "__main__":

@@ -111,6 +111,12 @@ def read_hulls(path: str | Path) -> tuple[trimesh.Trimesh, ...]:
     return _unpacked(path, _arrays(path))
 
 
+def hulls_digest(hulls: Sequence[trimesh.Trimesh]) -> str:
+    """Return the SHA-256 of the vertices of hulls; hexadecimal."""
+    vertices = (np.ascontiguousarray(hull.vertices).tobytes() for hull in hulls)
+    return hashlib.sha256(b"".join(vertices)).hexdigest()
+
+
 def cached_hulls(
     file: ObjectFile, folder: str | Path, max_hulls: int = MAX_HULLS
 ) -> tuple[trimesh.Trimesh, ...]:

@@ -10,10 +10,10 @@ import torch
 from ruamel.yaml import YAML
 from typer.testing import CliRunner
 
+from objectfolder.benchmarks import run
 from objectfolder.benchmarks.datasets.sampling import sample_observations
 from objectfolder.benchmarks.datasets.splits import object_split
 from objectfolder.benchmarks.layout import Benchmarks
-from objectfolder.benchmarks.tasks import running
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import open_safetensors, write_safetensors
@@ -128,18 +128,18 @@ def test_a_task_prints_its_table_and_gives_the_same_bytes_again(files, workspace
 @pytest.mark.slow  # each task has it without the command
 def test_an_interrupted_task_goes_on_and_ends_the_same(files, workspace, monkeypatch):
     bench("recognition", files, "--out", "whole")
-    lines, run_task = [], running.run_task
+    lines, run_benchmark = [], run.run_benchmark
 
     def stop(line):
         lines.append(line)
         if len(lines) == 9:
             raise RuntimeError("stopped")
 
-    def interrupted(*arguments):
-        return run_task(*arguments[:7], stop, *arguments[8:])
+    def interrupted(spec, report):
+        return run_benchmark(spec, stop)
 
     with monkeypatch.context() as patch:
-        patch.setattr(running, "run_task", interrupted)
+        patch.setattr(run, "run_benchmark", interrupted)
         with pytest.raises(RuntimeError, match="stopped"):
             bench("recognition", files, "--out", "parts")
     assert not Path("parts/recognize_seen.json").exists()

@@ -12,8 +12,7 @@ import torch
 from annotated_types import Ge, Interval, MultipleOf
 
 from objectfolder.benchmarks.datasets.grasps import ARRAYS, FORMAT, OPTIONAL, RECORD
-from objectfolder.benchmarks.datasets.samples import array_path
-from objectfolder.benchmarks.datasets.sampling import object_digest
+from objectfolder.benchmarks.datasets.samples import array_path, object_digest
 from objectfolder.disk import enough_space
 from objectfolder.envs.body import RigidBody
 from objectfolder.envs.camera import ExternalCamera
@@ -26,6 +25,7 @@ from objectfolder.envs.fingers import (
 )
 from objectfolder.envs.grasp_scene import GraspScene, Outcomes, Physics, lowest_hand
 from objectfolder.envs.gripper import PAD
+from objectfolder.envs.hulls import hulls_digest
 from objectfolder.envs.poses import hand_axes, rotation, turn_poses
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import atomic, read_json, write_json, write_npz
@@ -112,13 +112,13 @@ def collect_grasps(
         If the object does not fit the gripper or cannot be grasped, or the Object File lacks look or touch.
     """
     folder = Path(folder)
-    if are_collected(file, body, wanted, seed, surface is not None, folder):
+    request = grasp_request(file, body, wanted, seed, surface is not None)
+    if is_collected(request, folder):
         return
     _require_parts(file)
     scene = GraspScene(body, Physics(timestep=wanted.timestep), threads)
     truth = None if surface is None else _truth(file, surface)
     rests = scene.rests(numpy_generator(seed, file.key, "rests"))
-    request = _request(file, body, wanted, seed, truth is not None)
     progress = folder / ".progress" / hashlib.sha256(repr(request).encode()).hexdigest()[:16]
     (folder / RECORD).unlink(missing_ok=True)
     camera = ExternalCamera(wanted.image)
@@ -143,14 +143,11 @@ def collect_grasps(
     shutil.rmtree(folder / ".progress")
 
 
-def are_collected(
-    file: ObjectFile, body: RigidBody, wanted: GraspDataConfig, seed: int, explicit: bool, folder: str | Path
-) -> bool:
-    """Whether a folder holds all that `collect_grasps` would write there."""
-    request = _request(file, body, wanted, seed, explicit)
+def is_collected(request: dict[str, Any], folder: Path) -> bool:
+    """Return whether a folder holds all grasps of a `grasp_request`."""
     try:
-        record = read_json(Path(folder) / RECORD)
-    except ObjectFolderError:  # missing or damaged: made again
+        record = read_json(folder / RECORD)
+    except ObjectFolderError:  # missing or damaged: collected again
         return False
     return isinstance(record, dict) and record | request == record
 
@@ -325,18 +322,17 @@ def _parts(paths: list[Path], name: str) -> Iterator[np.ndarray]:
             yield stored[name]
 
 
-def _request(
+def grasp_request(
     file: ObjectFile, body: RigidBody, wanted: GraspDataConfig, seed: int, explicit: bool
 ) -> dict[str, Any]:
-    """What grasps are of; those of another request are collected anew."""
-    shape = b"".join(np.ascontiguousarray(hull.vertices).tobytes() for hull in body.hulls)
+    """Identify the grasps that `collect_grasps` writes; hashes the Object File."""
     return {
         "format": FORMAT,
         "key": file.key,
         "material": file.material,
         "scale": file.scale,
         "object_sha256": object_digest(file),
-        "hulls_sha256": hashlib.sha256(shape).hexdigest(),
+        "hulls_sha256": hulls_digest(body.hulls),
         "friction": body.friction,
         "count": wanted.grasps,
         "wanted": {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(wanted).items()},

@@ -22,7 +22,10 @@ ARRAYS: dict[str, tuple[str, tuple[int | None, ...]]] = {
     "success": ("bool", ()),  #: whether the grasp held
     "soft": ("float32", ()),  #: success rate over the grasp and its slightly perturbed repetitions
     "width": ("float32", ()),  #: opening of the closed jaws, m
-    "offset": ("float32", (3,)),  #: midpoint of the contacts relative to the centre of mass; closing, lateral, up; m
+    "offset": (
+        "float32",
+        (3,),
+    ),  #: contact midpoint from the centre of mass; closing, lateral, up; m
     "force": ("float32", ()),  #: of the jaws, N
     "image": ("uint8", (None, None, 3)),  #: of the external camera
     "touch": ("uint8", (2, None, None, 3)),  #: left and right finger, from the Object File
@@ -124,6 +127,6 @@ def _check_all_or_none(there: Mapping[str, bool]) -> None:
     without = [key for key, is_there in there.items() if not is_there]
     if without and len(without) < len(there):
         raise ObjectFolderError(
-            f"{', '.join(without)}: no explicit touches ({array_path(Path(), OPTIONAL)}), unlike the other objects; "
+            f"{', '.join(without)}: no explicit touches ({array_path(Path(), OPTIONAL)}), unlike others; "
             "collect them for all objects or for none"
         )

@@ -1,7 +1,6 @@
-"""Which points are inside an object, learnt from its Object File alone (Occupancy Networks' training data).
+"""Occupancy of Object Files: samples to train on (Occupancy Networks), and meshes extracted from grids.
 
-The solid is the physical one: what the stored surface encloses is occupied. A mug's wall is occupied, the
-room for the coffee is not.
+The region enclosed by the stored surface is occupied: the wall of a mug, but not its cavity.
 """
 
 from collections.abc import Callable, Mapping
@@ -11,24 +10,22 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import file_digest, read_npz, write_npz
+from objectfolder.io import read_npz, write_npz
 from objectfolder.mesh.grid import BOUND
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sampling import sample_surface
-from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator
 
-#: Points fill [-HALF_SIDE, HALF_SIDE]^3: the unit cube and a tenth, as in Occupancy Networks.
+#: Points fill [-HALF_SIDE, HALF_SIDE]^3, a tenth larger than the unit cube, as in Occupancy Networks.
 HALF_SIDE = 0.55
-NEAR = 0.02  #: standard deviation of the points near the surface, fraction of the longest side
-CHUNK = 2**20  # points that are looked up at once
+NEAR = 0.02  #: standard deviation of points near the surface, fraction of the longest side
+CHUNK = 2**20  # points looked up at once
 
 
 def is_inside(surface: Isosurface, points: np.ndarray) -> np.ndarray:
-    """Whether points are inside the solid that the stored surface encloses.
+    """Return whether points are inside the solid enclosed by the stored surface.
 
-    The sign of the stored signed distance, trilinear between samples. Beyond the stored grid is outside.
+    Uses the sign of the trilinearly interpolated signed distance. Points beyond the stored grid are outside.
 
     Parameters
     ----------
@@ -47,15 +44,15 @@ def is_inside(surface: Isosurface, points: np.ndarray) -> np.ndarray:
 
 
 def uniform_points(count: int, rng: np.random.Generator) -> np.ndarray:
-    """Points uniform in the cube of side 1.1; (count, 3) float32."""
+    """Sample points uniformly in the cube of side 1.1; (count, 3) float32."""
     return rng.uniform(-HALF_SIDE, HALF_SIDE, (count, 3)).astype(np.float32)
 
 
 def near_points(surface: Isosurface, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Points around the surface, normally distributed in each axis; (count, 3) float16.
+    """Sample points near the surface, with normal offsets in each axis; (count, 3) float16.
 
-    A third of them are inside a thin wall that uniform points all but miss. They are rounded before anyone
-    asks whether they are inside, so the answers are exact.
+    A third of them lie inside thin walls, which uniform points hardly hit. Occupancy is evaluated at the
+    rounded points, so that it is exact.
     """
     on_surface = sample_surface(surface.vertices, surface.faces, count, rng)
     moved = on_surface + rng.normal(scale=NEAR, size=on_surface.shape)
@@ -63,7 +60,7 @@ def near_points(surface: Isosurface, count: int, rng: np.random.Generator) -> np
 
 
 def grid_points(resolution: int) -> np.ndarray:
-    """Nodes of a regular grid that spans the cube; (resolution^3, 3) float32, the last axis fastest."""
+    """Return the nodes of a regular grid over the cube; (resolution^3, 3) float32, last axis fastest."""
     axis = np.linspace(-HALF_SIDE, HALF_SIDE, resolution, dtype=np.float32)
     return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
 
@@ -100,9 +97,9 @@ def extract_mesh(occupancy: np.ndarray, threshold: float) -> tuple[np.ndarray, n
 
 @dataclass(frozen=True)
 class OccupancySamples:
-    """Occupied or not: K objects at points that they share, and at points near each one's surface.
+    """Occupancy of K objects at shared uniform points and at points near each surface.
 
-    Scores and validation use uniform points only: the IoU of uniform points estimates the ratio of volumes.
+    Validation and scores use uniform points only, whose IoU estimates the volumetric IoU.
     """
 
     train_points: np.ndarray  #: (P, 3) float32, uniform, to train on
@@ -113,22 +110,22 @@ class OccupancySamples:
     val_inside: np.ndarray  #: (K, V) bool
     score_points: np.ndarray  #: (S, 3) float32, uniform, for the scores
     score_inside: np.ndarray  #: (K, S) bool
-    grid_inside: np.ndarray  #: (K, G) uint8, bits of the nodes of `grid_points`
+    grid_inside: np.ndarray  #: (K, G) uint8, packed bits at the nodes of `grid_points`
     resolution: np.ndarray  #: nodes along a side of that grid
 
     def grid(self, objects: np.ndarray) -> np.ndarray:
-        """Occupancy of the grid's nodes; (len(objects), resolution^3) bool."""
+        """Return the occupancy at the nodes of the grid; (len(objects), resolution^3) bool."""
         return np.unpackbits(self.grid_inside[objects], axis=1, count=int(self.resolution) ** 3).astype(bool)
 
     def draw(self, labels: np.ndarray, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """Draw training points for objects: half of them uniform, half near the surface.
+        """Draw training points: half of them uniform, half near the surface.
 
         Parameters
         ----------
         labels : (B,) int array
-            Objects, which may repeat.
+            Objects; repetitions are allowed.
         count : int
-            Points each.
+            Points per row.
 
         Returns
         -------
@@ -157,9 +154,9 @@ def sample_occupancy(
     Parameters
     ----------
     surfaces : mapping of str to callable
-        Key to what gives the stored surface, in label order; one surface at a time is held.
+        Loads the stored surface by key, in label order; one surface is held at a time.
     train, val, score : int
-        Numbers of points: uniform and near ones for training, uniform ones for validation, for scores.
+        Numbers of points: uniform and near points for training, uniform points for validation and scores.
     resolution : int
         Nodes along a side of the grid.
     seed : int
@@ -194,42 +191,40 @@ def sample_occupancy(
 
 
 def cached_occupancy(
-    path: Path, files: Mapping[str, Path], train: int, val: int, score: int, resolution: int, seed: int
+    path: Path,
+    surfaces: Mapping[str, Callable[[], Isosurface]],
+    digests: Mapping[str, str],
+    train: int,
+    val: int,
+    score: int,
+    resolution: int,
+    seed: int,
 ) -> OccupancySamples:
-    """Sample the occupancy of Object Files, or read it if the same was sampled before.
+    """Sample the occupancy of objects, or read the samples if they exist.
 
     Parameters
     ----------
     path : Path
-        An ``.npz``; written anew where it holds other objects, numbers or another seed.
-    files : mapping of str to Path
-        Key to Object File, in label order.
+        An ``.npz``; rewritten if it holds other objects, sizes or another seed.
+    surfaces : mapping of str to callable
+        See `sample_occupancy`.
+    digests : mapping of str to str
+        Digest of each Object File by key, in the same order.
     train, val, score, resolution, seed : int
         See `sample_occupancy`.
 
     Raises
     ------
     ObjectFolderError
-        If a file cannot be read, or holds no surface, or what is at ``path`` is damaged.
+        If a surface cannot be read, or ``path`` is damaged.
     """
-    made_of = [f"{key} {file_digest(file)}" for key, file in files.items()]
-    identity = np.array([*made_of, f"{train} {val} {score} {resolution} {seed} {HALF_SIDE} {NEAR}"])
+    sizes = f"{train} {val} {score} {resolution} {seed} {HALF_SIDE} {NEAR}"
+    identity = np.array([*(f"{key} {digest}" for key, digest in digests.items()), sizes])
     if path.is_file():
         names = [field.name for field in fields(OccupancySamples)]
         arrays = read_npz(path, "identity", *names)
         if np.array_equal(arrays["identity"], identity):
             return OccupancySamples(**{name: arrays[name] for name in names})
-    surfaces = {key: _opener(key, file) for key, file in files.items()}
     occupancy = sample_occupancy(surfaces, train, val, score, resolution, seed)
     write_npz(path, identity=identity, **vars(occupancy))
     return occupancy
-
-
-def _opener(key: str, file: Path) -> Callable[[], Isosurface]:
-    def surface() -> Isosurface:
-        opened = ObjectFile.load(file)
-        if opened.key != key:
-            raise ObjectFolderError(f"{file} holds {opened.key}, expected {key}")
-        return opened.surface
-
-    return surface

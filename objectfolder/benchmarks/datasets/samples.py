@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile.file import ObjectFile
 
 
 class Samples:
@@ -83,6 +84,15 @@ class Samples:
         return self._arrays[name]
 
 
+def object_digest(file: ObjectFile) -> str:
+    """Return the SHA-256 of an Object File's header and tensors; hexadecimal."""
+    digest = hashlib.sha256(json.dumps(file.header, sort_keys=True).encode())
+    for name in sorted(file.tensors):
+        tensor = np.ascontiguousarray(file.tensors[name])
+        digest.update(f"{name} {tensor.dtype.str} {tensor.shape}".encode() + tensor.tobytes())
+    return digest.hexdigest()
+
+
 def array_path(folder: Path, name: str) -> Path:
     """Return the path of an array in an object's folder."""
     return folder / f"{name}.npy"
@@ -126,7 +136,7 @@ def check_equal_shapes(name: str, shapes: Mapping[str, Any], remedy: str) -> Non
     for key, shape in others:
         if shape != expected:
             raise ObjectFolderError(
-                f"{key}: {name} has shape {shape}, that of {first} {expected}; expected equal shapes: {remedy}"
+                f"{key}: {name} has shape {shape}, that of {first} {expected}; expected the same: {remedy}"
             )
 
 

@@ -1,7 +1,6 @@
 """Sample an object: random views, impact sounds and touches of its Object File (supplementary I.1)."""
 
 import hashlib
-import json
 import logging
 import math
 from collections.abc import Callable
@@ -14,7 +13,7 @@ from annotated_types import Ge, MultipleOf
 
 from objectfolder.audio.spectrogram import DURATION, SAMPLE_RATE
 from objectfolder.benchmarks.datasets.observations import QUERIES, RECORD, SOURCE, VERSION
-from objectfolder.benchmarks.datasets.samples import array_path
+from objectfolder.benchmarks.datasets.samples import array_path, object_digest
 from objectfolder.benchmarks.datasets.splits import TEN, check_count
 from objectfolder.disk import enough_space
 from objectfolder.errors import ObjectFolderError
@@ -213,15 +212,6 @@ def ask(file: ObjectFile, queries: Queries, modality: str, resolution: int) -> t
         return file.touch(points, depth, file.fixed_contact.angle), np.zeros(len(points), bool)
     felt = file.press(points, depth)
     return felt.images, ~np.any(felt.mask, axis=(1, 2))
-
-
-def object_digest(file: ObjectFile) -> str:
-    """Return the SHA-256 of an Object File's header and tensors; hexadecimal."""
-    digest = hashlib.sha256(json.dumps(file.header, sort_keys=True).encode())
-    for name in sorted(file.tensors):
-        tensor = np.ascontiguousarray(file.tensors[name])
-        digest.update(f"{name} {tensor.dtype.str} {tensor.shape}".encode() + tensor.tobytes())
-    return digest.hexdigest()
 
 
 def _require_parts(file: ObjectFile) -> None:

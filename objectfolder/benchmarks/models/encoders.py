@@ -15,7 +15,7 @@ from objectfolder.audio.spectrogram import spectrogram
 from objectfolder.benchmarks.models.resnet import ResNet18
 from objectfolder.errors import ObjectFolderError
 
-CHANNELS = {"vision": 3, "audio": 1, "touch": 3}  #: of what `prepare` gives
+CHANNELS = {"vision": 3, "audio": 1, "touch": 3}  #: of what `encoder_inputs` gives
 FLOOR = 80.0  #: dB below a spectrogram's maximum under which nothing is seen
 #: Of ImageNet's photographs, sRGB in [0, 1].
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -197,7 +197,7 @@ class InputSizes:
     touch: tuple[int, int]  #: height, width
 
 
-def prepare(
+def encoder_inputs(
     modality: str,
     raw: np.ndarray,
     sizes: InputSizes,

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from objectfolder.benchmarks.models.framing import framed_views
 from objectfolder.benchmarks.datasets.occupancy import extract_mesh, grid_points
-from objectfolder.benchmarks.models.encoders import InputSizes, Weights, make_encoder, prepare
+from objectfolder.benchmarks.models.encoders import InputSizes, Weights, encoder_inputs, make_encoder
+from objectfolder.benchmarks.models.framing import framed_views
 from objectfolder.benchmarks.models.occupancy_net import Reconstructor, occupancy_logits
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_safetensors, write_safetensors
@@ -110,8 +110,8 @@ def shape_inputs(
     rng: np.random.Generator | None = None,
     device: str | torch.device = "cpu",
 ) -> torch.Tensor:
-    """Make a reconstructor's input: `objectfolder.benchmarks.models.encoders.prepare` of framed views."""
-    return prepare(modality, framed_views(raw) if modality == "vision" else raw, sizes, rng, device)
+    """Make a reconstructor's input: `objectfolder.benchmarks.models.encoders.encoder_inputs` of framed views."""
+    return encoder_inputs(modality, framed_views(raw) if modality == "vision" else raw, sizes, rng, device)
 
 
 def new_net(setup: Setup, weights: Weights | None = None) -> Reconstructor:

@@ -1,4 +1,4 @@
-"""Short films of what policies do."""
+"""Short animations of policies."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,16 +8,26 @@ from PIL import Image
 
 from objectfolder.io import atomic
 
+SUCCESS, FAILURE = (30, 150, 60), (190, 40, 40)  #: sRGB of the mark
+MARK = 6  #: height of the mark, pixels
+
+
+def mark_outcome(frame: np.ndarray, success: bool) -> np.ndarray:
+    """Copy a frame (H, W, 3) and mark it with a line at the bottom: green for success, red for failure."""
+    marked = np.array(frame)
+    marked[-MARK:] = SUCCESS if success else FAILURE
+    return marked
+
 
 def write_gif(path: Path, frames: Sequence[np.ndarray], seconds: float) -> None:
-    """Write frames as a GIF that repeats.
+    """Write frames as a looping GIF.
 
     Parameters
     ----------
     path : Path
     frames : sequence of (H, W, 3) uint8 arrays
     seconds : float
-        Each frame is shown, a multiple of 0.01.
+        Duration of each frame, a multiple of 0.01.
     """
     first, *rest = [Image.fromarray(frame) for frame in frames]
     with atomic(path) as temporary:

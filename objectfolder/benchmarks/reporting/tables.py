@@ -80,7 +80,7 @@ class Table:
         return "\n".join([*(f"| {' | '.join(line)} |" for line in lines), "", self.note])
 
 
-def table(task: str, split: str, scores: Mapping[str, Any]) -> Table:
+def score_table(task: str, split: str, scores: Mapping[str, Any]) -> Table:
     """Lay out what a task has scored on a split.
 
     Parameters

@@ -27,7 +27,7 @@ def accuracy(predicted: np.ndarray, labels: np.ndarray) -> float:
     predicted, labels = np.asarray(predicted), np.asarray(labels)
     if predicted.shape != labels.shape or not labels.size:
         raise ObjectFolderError(
-            f"predictions have shape {predicted.shape}, labels {labels.shape}; expected equal, non-empty arrays"
+            f"predictions have shape {predicted.shape}, labels {labels.shape}; expected equal and not empty"
         )
     return float(np.mean(predicted == labels))
 
@@ -163,7 +163,7 @@ def _relevant_counts(gallery_labels: np.ndarray, query_labels: np.ndarray) -> np
 
 
 def _average_precisions(similarity: np.ndarray, relevant: np.ndarray) -> np.ndarray:
-    """Compute the average precision of each row of (B, G) similarities, averaged over the orders of ties; (B,)."""
+    """Compute the average precision of each row of (B, G) similarities, over all orders of ties; (B,)."""
     order = np.argsort(-similarity, axis=1, kind="stable")
     similarity = np.take_along_axis(similarity, order, 1)
     seen = np.cumsum(np.take_along_axis(relevant, order, 1), axis=1)

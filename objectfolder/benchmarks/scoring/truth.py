@@ -1,6 +1,6 @@
-"""The shapes that reconstructions are measured against, and the scores of answers to them."""
+"""Ground truth of reconstruction, and scores of predictions against it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
@@ -16,48 +16,60 @@ from objectfolder.benchmarks.scoring.shapes import (
     surface_scores,
 )
 from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator
 
 POOL = 2**16  #: points of each kind to train on, per object
 VAL_POINTS = 2**12  #: uniform points to validate on
-#: Occupancies that are tried as the threshold; the best on validation is taken.
+#: Candidate thresholds; the best on validation rows is used.
 THRESHOLDS = np.linspace(0.05, 0.95, 19).round(2)
 
 
 @dataclass(frozen=True)
 class Truth:
-    """Shapes of objects, which are named by their labels."""
+    """True shapes of objects, which are identified by label."""
 
-    files: dict[str, Path]  #: Object Files by key, in the order of the labels
-    points: int  #: of the scores: for the IoU, and on either surface
+    surfaces: Mapping[str, Callable[[], Isosurface]]  #: loads the stored surface by key, in label order
+    digests: Mapping[str, str]  #: of the Object Files by key
+    points: int  #: for the IoU, and on each surface
     resolution: int  #: nodes along a side of the grid
     seed: int
-    folder: Path  #: where sampled occupancies are kept
+    folder: Path  #: of cached occupancy samples
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """Objects by label."""
-        return tuple(self.files)
+        """Objects in label order."""
+        return tuple(self.surfaces)
 
     @cached_property
     def occupancy(self) -> OccupancySamples:
-        """Occupancy samples of all objects; made at first use, or read."""
+        """Occupancy samples of all objects; sampled at first use, or read."""
         path, sizes = self.folder / "occupancy.npz", (POOL, VAL_POINTS, self.points, self.resolution)
-        return cached_occupancy(path, self.files, *sizes, self.seed)
-
-    @cached_property
-    def sampled(self) -> Callable[[int], SampledSurface]:
-        """Give the sampled surface of an object; only those that are asked for are sampled, and kept."""
-        return cache(lambda label: self._sampled(label, "truth"))
+        return cached_occupancy(path, self.surfaces, self.digests, *sizes, self.seed)
 
     def surface(self, label: int) -> Isosurface:
-        """Stored surface of an object."""
-        return ObjectFile.load(self.files[self.keys[label]]).surface
+        """Load the stored surface of an object."""
+        return self.surfaces[self.keys[label]]()
+
+    @cached_property
+    def reference(self) -> Callable[[int], tuple[SampledSurface, tuple[float, float]]]:
+        """Function that samples an object's surface and scores a second sample of it; results are cached."""
+        return cache(self._reference)
+
+    def _reference(self, label: int) -> tuple[SampledSurface, tuple[float, float]]:
+        surface = self.surface(label)
+
+        def sample(purpose: str) -> SampledSurface:
+            rng = numpy_generator(self.seed, "reconstruct", "surface", purpose, self.keys[label])
+            sampled = sample_mesh(surface.vertices, surface.faces, self.points, rng)
+            assert sampled is not None  # Object Files without a surface are refused when read
+            return sampled
+
+        truth = sample("truth")
+        return truth, surface_scores(sample("floor"), truth)
 
     def floor(self, labels: Sequence[int] | np.ndarray) -> dict[str, float]:
-        """SampledSurface scores of objects sampled anew: what a perfect answer would get."""
-        scores = [surface_scores(self._sampled(int(i), "floor"), self.sampled(int(i))) for i in labels]
+        """Return the mean surface scores of a second sample of objects: those of a perfect prediction."""
+        scores = [self.reference(int(label))[1] for label in labels]
         return dict(zip(("chamfer_l1", "normal_consistency"), np.mean(scores, 0).tolist()))
 
     def scores(
@@ -67,30 +79,31 @@ class Truth:
         inside: Callable[[int], np.ndarray],
         mesh: Callable[[int], tuple[np.ndarray, np.ndarray]],
     ) -> dict[str, Any]:
-        """Score answers, each about the object of a label.
+        """Score predictions.
 
         Parameters
         ----------
         purpose : str
-            Names the random points on the answers' surfaces.
+            Seeds the random points on the predicted surfaces.
         labels : (N,) int array
+            True object of each prediction.
         inside : callable
-            Gives for the i-th answer which of ``occupancy.score_points`` are inside.
+            Returns which of ``occupancy.score_points`` are inside the i-th prediction.
         mesh : callable
-            Gives its vertices and faces.
+            Returns its vertices and faces.
 
         Returns
         -------
         dict
-            Means of ``iou``, ``chamfer_l1`` and ``normal_consistency``; ``samples``, the number of answers,
-            of which ``empty`` had no surface; ``per_object``, IoU by key.
+            Means of ``iou``, ``chamfer_l1`` and ``normal_consistency``; ``samples``, the number of
+            predictions, of which ``empty`` have no surface; ``per_object``, IoU by key.
         """
         iou, surfaces, empty = np.zeros(len(labels)), np.zeros((len(labels), 2)), 0
         for i, label in enumerate(labels):
             iou[i] = intersection_over_union(inside(i), self.occupancy.score_inside[label])
             rng = numpy_generator(self.seed, "reconstruct", "surface", purpose, str(i))
             predicted = sample_mesh(*mesh(i), self.points, rng)
-            surfaces[i] = surface_scores(predicted, self.sampled(int(label)))
+            surfaces[i] = surface_scores(predicted, self.reference(int(label))[0])
             empty += predicted is None
         chamfer, consistency = surfaces.mean(0).tolist()
         return {
@@ -104,47 +117,40 @@ class Truth:
             },
         }
 
-    def average_shape(self, learnt: np.ndarray, val: np.ndarray, test: np.ndarray) -> dict[str, Any]:
-        """Score the mean occupancy of some objects, the same answer whatever is seen or heard.
+    def average_shape(self, train: np.ndarray, val: np.ndarray, test: np.ndarray) -> dict[str, Any]:
+        """Score the mean occupancy of the training objects as a constant prediction.
 
         Parameters
         ----------
-        learnt : (K,) int array
-            Labels of the objects that are averaged.
+        train : (K,) int array
+            Labels of the objects to average.
         val : (V,) int array
-            Labels that the threshold is best for.
+            Labels to choose the threshold on.
         test : (N,) int array
-            Labels that are answered.
+            Labels to score.
 
         Returns
         -------
         dict
-            See `scores`; and ``threshold``.
+            See `scores`; also ``threshold``.
         """
         occupancy, side = self.occupancy, self.resolution
 
         def mean(inside: np.ndarray) -> np.ndarray:
-            return inside[learnt].mean(0, dtype=np.float32)
+            return inside[train].mean(0, dtype=np.float32)
 
         guess = mean(occupancy.val_inside)
         guesses = np.broadcast_to(guess, (len(val), len(guess)))
         level, _ = best_level(guesses, occupancy.val_inside[val], THRESHOLDS)
-        grid = occupancy.grid(learnt).mean(0, dtype=np.float32).reshape(side, side, side)
+        grid = occupancy.grid(train).mean(0, dtype=np.float32).reshape(side, side, side)
         inside, mesh = mean(occupancy.score_inside) > level, extract_mesh(grid, level)
         return self.scores("average_shape", test, lambda i: inside, lambda i: mesh) | {"threshold": level}
 
-    def _sampled(self, label: int, purpose: str) -> SampledSurface:
-        surface = self.surface(label)
-        rng = numpy_generator(self.seed, "reconstruct", "surface", purpose, self.keys[label])
-        sampled = sample_mesh(surface.vertices, surface.faces, self.points, rng)
-        assert sampled is not None  # an Object File without a surface is refused when it is read
-        return sampled
-
 
 def best_level(values: np.ndarray, inside: np.ndarray, levels: np.ndarray) -> tuple[float, float]:
-    """Level above which values (B, P) agree best with the truth (B, P), and the mean IoU there.
+    """Return the level of values (B, P) with the highest mean IoU to the truth (B, P), and that IoU.
 
-    Of levels that are equally good, the lowest.
+    Ties go to the lowest level.
     """
     scores = [float(intersection_over_union(values > level, inside).mean()) for level in levels]
     best = int(np.argmax(scores))

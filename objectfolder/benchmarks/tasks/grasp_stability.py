@@ -15,11 +15,12 @@ from sklearn.metrics import balanced_accuracy_score, roc_auc_score
 from torch import nn
 
 from objectfolder.benchmarks.datasets.grasps import Grasps
-from objectfolder.benchmarks.models.encoders import prepare
-from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig, shuffled
+from objectfolder.benchmarks.models.encoders import encoder_inputs
 from objectfolder.benchmarks.models.grasp_baselines import baselines
+from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig, shuffled
 from objectfolder.benchmarks.scoring.scores import accuracy, interval_95, wilson_95
 from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.benchmarks.tasks.running import Task
 from objectfolder.errors import ObjectFolderError
 from objectfolder.seeding import numpy_generator, seeded
 from objectfolder.settings import Count
@@ -97,7 +98,7 @@ class StabilityNet(nn.Module):
         return self.last(torch.relu(self.first(torch.cat(features, 1))))[:, 0]
 
 
-def fused(parts: Sequence[StabilityNet], prior: float) -> StabilityNet:
+def join_streams(parts: Sequence[StabilityNet], prior: float) -> StabilityNet:
     """Join trained nets of different streams.
 
     It starts from the sum of their logits, with the prior counted once: what both believe together, if they
@@ -142,7 +143,7 @@ def grasp_stability(job: Job[GraspStabilityConfig]) -> tuple[dict[str, Any], lis
     """Train and score the prediction of whether a grasp holds (main paper, 4.4; supplementary H and I.4).
 
     A stream alone is an encoder with two fully connected layers; both together start from the same seed's
-    nets of each (`fused`) and are trained jointly. A small number of training grasps is part of a larger one.
+    nets of each (`join_streams`) and are trained jointly. A small number of training grasps is part of a larger one.
     Nets of touches from Object Files and from the ground truth start alike and meet the same grasps in the
     same order. The best epoch is chosen on the validation rows, which are the same for every size.
 
@@ -280,7 +281,7 @@ def _trained(
         parts = [
             part for part, given in VARIANTS.items() if len(given) == 1 and given.items() <= arrays.items()
         ]
-        net = fused(
+        net = join_streams(
             [_trained(job, train, run, part)[0] for part in parts], float(np.log(share / (1 - share)))
         )
         epochs, rate = params.fusion_epochs, FUSION_RATE
@@ -330,7 +331,7 @@ def _inputs(
     for stream, array in arrays.items():
         raw = job.observations.read(array, rows)
         pictures = raw.reshape(-1, *raw.shape[-3:])
-        prepared = prepare(MODALITIES[stream], pictures, job.sizes, rng, job.device)
+        prepared = encoder_inputs(MODALITIES[stream], pictures, job.sizes, rng, job.device)
         inputs[stream] = prepared.unflatten(0, (len(rows), PICTURES[stream]))
     return inputs
 
@@ -342,3 +343,6 @@ def _logits(
     """Answers of a net for rows; (n,) float32, above 0 for success."""
     parts = np.split(rows, range(job.params.batch, len(rows), job.params.batch))
     return torch.cat([net(_inputs(job, arrays, part)) for part in parts]).float().cpu().numpy()
+
+
+GRASP_STABILITY = Task("grasp_stability", GraspStabilityConfig, grasp_stability, CURVE_COLUMNS, Grasps)

@@ -11,7 +11,7 @@ from torch import nn
 
 from objectfolder.benchmarks.datasets.samples import Samples
 from objectfolder.benchmarks.datasets.splits import Split, without_duplicates
-from objectfolder.benchmarks.models.encoders import InputSizes, Weights, make_encoder, prepare
+from objectfolder.benchmarks.models.encoders import InputSizes, Weights, encoder_inputs, make_encoder
 from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, TrainingConfig, train
 from objectfolder.io import read_json, write_json
 from objectfolder.workspace.layout import SPLITS
@@ -59,8 +59,8 @@ class Job(Generic[_Params]):
         return make_encoder(self.encoder, modality, self.weights)
 
     def inputs(self, modality: str, rows: np.ndarray, rng: np.random.Generator | None = None) -> torch.Tensor:
-        """Encoder inputs of some rows; see `objectfolder.benchmarks.models.encoders.prepare`."""
-        return prepare(modality, self.observations.read(modality, rows), self.sizes, rng, self.device)
+        """Encoder inputs of some rows; see `objectfolder.benchmarks.models.encoders.encoder_inputs`."""
+        return encoder_inputs(modality, self.observations.read(modality, rows), self.sizes, rng, self.device)
 
     def labels(self, rows: np.ndarray) -> torch.Tensor:
         """Objects of rows, as a tensor."""

@@ -17,7 +17,7 @@ DIFFERENCE = 30  #: levels, of 255, by which the object differs from a plain bac
 OPAQUE = 250  #: alpha above which a pixel of a picture counts as fully covered
 
 
-def read_picture(path: str | Path, mode: str = "RGBA") -> np.ndarray:
+def read_photograph(path: str | Path, mode: str = "RGBA") -> np.ndarray:
     """Read a picture, upright; (H, W, 4) uint8, or (H, W) for mode "L".
 
     Raises

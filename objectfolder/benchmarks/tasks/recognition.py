@@ -12,9 +12,11 @@ import numpy as np
 import torch
 from torch import nn
 
+from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig, shuffled
 from objectfolder.benchmarks.scoring.scores import accuracy, interval_95
 from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.benchmarks.tasks.running import Task
 from objectfolder.errors import ObjectFolderError
 from objectfolder.seeding import numpy_generator, seeded
 from objectfolder.settings import Count
@@ -58,7 +60,7 @@ class Classifier(nn.Module):
         return self.head(torch.cat(features, 1))
 
 
-def fused(parts: Sequence[Classifier]) -> Classifier:
+def join_classifiers(parts: Sequence[Classifier]) -> Classifier:
     """Join trained classifiers of different modalities.
 
     It starts from the sum of their logits: the product of what each believes, which is right for
@@ -80,7 +82,7 @@ def recognize(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[list[Any]
     """Train and score the recognition of instances (main paper, Table 2).
 
     Each modality alone is an encoder with a linear classifier. A combination starts from the same seed's nets
-    of its modalities (`fused`) and is trained jointly. The best epoch is chosen on the validation rows; the
+    of its modalities (`join_classifiers`) and is trained jointly. The best epoch is chosen on the validation rows; the
     test rows are read once, with that one.
 
     Returns
@@ -103,8 +105,7 @@ def recognize(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[list[Any]
     unknown = np.setdiff1d(job.observations.labels[split.test], job.observations.labels[split.train])
     if unknown.size:
         raise ObjectFolderError(
-            f"split {split.name} tests with {keys[unknown[0]]}, which is not learnt; nobody recognizes what "
-            "he never met: use split seen"
+            f"split {split.name}: test class {keys[unknown[0]]} is absent from training; use --split seen"
         )
     job, rows = job.without_duplicates(tuple(LETTERS.values()))
     finished = {
@@ -155,7 +156,7 @@ def _trained(job: Job[RecognizeConfig], run: int, name: str) -> tuple[Classifier
     """Train one combination; where its checkpoint is finished, that is read and no more."""
     params, split, labels = job.params, job.split, job.observations.labels
     if len(name) > 1:
-        net = fused([_trained(job, run, letter)[0] for letter in name])
+        net = join_classifiers([_trained(job, run, letter)[0] for letter in name])
         epochs, rate = params.fusion_epochs, FUSION_RATE
     else:
         with seeded(job.seed, "recognize", str(run), name):
@@ -202,3 +203,6 @@ def _predicted(job: Job[RecognizeConfig], net: Classifier, name: str, rows: np.n
     parts = np.split(rows, range(job.params.batch, len(rows), job.params.batch))
     answers = [net(_inputs(job, name, part)).argmax(1) for part in parts]
     return torch.cat(answers).cpu().numpy()
+
+
+RECOGNIZE = Task("recognize", RecognizeConfig, recognize, CURVE_COLUMNS, Observations)

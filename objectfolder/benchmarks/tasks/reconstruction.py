@@ -7,6 +7,7 @@ encoders of the other benchmarks. IMAGE2MESH is "V", AUDIO2MESH "A", IMAGE+AUDIO
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass, replace
+from functools import partial
 from pathlib import Path
 from shutil import copyfile
 from typing import Annotated, Any, cast
@@ -18,7 +19,6 @@ from annotated_types import Ge, Interval
 from torch import nn
 
 from objectfolder.benchmarks.datasets.observations import Observations
-from objectfolder.benchmarks.scoring.truth import THRESHOLDS, Truth, best_level
 from objectfolder.benchmarks.models.occupancy_net import EMBEDDING, Reconstructor
 from objectfolder.benchmarks.models.shape_model import (
     Setup,
@@ -30,8 +30,11 @@ from objectfolder.benchmarks.models.shape_model import (
 )
 from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, TrainingConfig, shuffled
 from objectfolder.benchmarks.reporting.shape_pictures import sheet
+from objectfolder.benchmarks.scoring.truth import THRESHOLDS, Truth, best_level
 from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.benchmarks.tasks.running import Task
 from objectfolder.io import write_png
+from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.seeding import numpy_generator, seeded
 from objectfolder.settings import Count, NonNegative
 
@@ -126,8 +129,13 @@ def validation_rows(job: Job[ReconstructConfig]) -> np.ndarray:
 
 def _truth(job: Job[ReconstructConfig]) -> Truth:
     observations = cast(Observations, job.observations)
-    files = {key: observations.object_file(key) for key in observations.keys}
-    return Truth(files, job.params.score_points, job.params.resolution, job.seed, job.progress)
+    surfaces = {key: partial(_surface, observations, key) for key in observations.keys}
+    digests = {key: record["object_sha256"] for key, record in observations.records.items()}
+    return Truth(surfaces, digests, job.params.score_points, job.params.resolution, job.seed, job.progress)
+
+
+def _surface(observations: Observations, key: str) -> Isosurface:
+    return observations.object_file(key).surface
 
 
 def _model_path(job: Job[ReconstructConfig], variant: str) -> Path:
@@ -280,3 +288,6 @@ def _sheet(job: Job[ReconstructConfig], truth: Truth) -> np.ndarray:
     shapes.append([(surface.vertices, surface.faces) for surface in surfaces])
     views = job.observations.read("vision", rows)
     return sheet(views, [list(meshes) for meshes in zip(*shapes)])
+
+
+RECONSTRUCT = Task("reconstruct", ReconstructConfig, reconstruct, CURVE_COLUMNS, Observations)

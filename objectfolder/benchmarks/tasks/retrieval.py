@@ -11,10 +11,12 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig
+from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.models import cca
+from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig
 from objectfolder.benchmarks.scoring.scores import chance_map, interval_95, mean_average_precision
 from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.benchmarks.tasks.running import Task
 from objectfolder.errors import ObjectFolderError
 from objectfolder.seeding import numpy_generator, seeded
 from objectfolder.settings import Count, Positive
@@ -342,3 +344,6 @@ def _correlated(
     chosen = max(tried, key=tried.__getitem__)
     scores = _maps(job, pair, variates("test", *chosen), test, len(test))
     return scores, dict(zip(("dimensions", "components"), chosen))
+
+
+RETRIEVE = Task("retrieve", RetrieveConfig, retrieve, CURVE_COLUMNS, Observations)

@@ -1,163 +1,172 @@
-"""Run a task on one split and leave its results: what the stages and the command line share."""
+"""Run one benchmark task and write its results; shared by the stages and the command line."""
 
 import csv
-import hashlib
 import inspect
 import platform
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from shutil import rmtree
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
-import numpy as np
 import torch
 
 import objectfolder
+from objectfolder.benchmarks.datasets.samples import Samples
 from objectfolder.benchmarks.datasets.splits import named_split
 from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.models.encoders import InputSizes, Weights, own_file, registered
-from objectfolder.benchmarks.params import RobotParams, TaskParams
-from objectfolder.benchmarks.tasks.job import Job, Samples
+from objectfolder.benchmarks.params import TaskParams
+from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.io import atomic, file_digest, write_json
 from objectfolder.workspace.code_digests import digests
 
-if TYPE_CHECKING:
-    import trimesh
-
-#: What a task leaves in its progress folder under these names is kept: a net to ask, a picture or a film to
-#: look at.
+#: Files in a progress folder that are kept as results: a trained model, a figure, an animation.
 KEPT = {
     "model.safetensors": Benchmarks.model,
     "sheet.png": Benchmarks.sheet,
     "episodes.gif": Benchmarks.film,
 }
 
-
-#: A task, such as `objectfolder.benchmarks.tasks.recognition.recognize`: returns scores, with the ``seconds``
-#: that they took, and rows of training curves.
-Task = Callable[[Job[Any]], tuple[dict[str, Any], list[list[Any]]]]
+Report = Callable[[str], None]
 
 
-def run_task(
-    name: str,
-    task: Task,
-    columns: Sequence[str],
-    split: str,
-    observations: Samples,
-    params: TaskParams[Any],
-    folder: Benchmarks,
-    report: Callable[[str], None],
-    weights: Weights | None = None,
-    device: str | None = None,
-) -> float:
-    """Run a task on one split and write its scores, curves and what else it has.
+@dataclass(frozen=True)
+class Task:
+    """A benchmark task; each task module declares its own."""
 
-    An interrupted call is gone on from, unless observations, parameters, weights or the
-    code of the task have changed.
+    name: str  #: of the stage, and prefix of result files
+    config: type[Any]  #: dataclass of the task's section in ``params.yaml``
+    #: Takes a `Job` or a `objectfolder.benchmarks.tasks.robots.RobotJob`. Returns scores, including the
+    #: ``seconds`` taken, and rows of training curves.
+    run: Callable[[Any], tuple[dict[str, Any], list[list[Any]]]]
+    columns: tuple[str, ...]  #: of the training curves
+    samples: Callable[[dict[str, Path]], Samples] | None = None  #: opens samples by key; None for robots
+
+
+class Run(Protocol):
+    """One run of a task: `SplitRun` or `objectfolder.benchmarks.tasks.robots.ObjectRun`."""
+
+    @property
+    def task(self) -> Task:
+        """Task to run."""
+
+    @property
+    def part(self) -> str:
+        """Split or object key, which names the result files."""
+
+    @property
+    def folder(self) -> Benchmarks:
+        """Folder of results."""
+
+    def identity(self) -> tuple[Any, ...]:
+        """Return everything that the results depend on."""
+
+    def job(self, progress: Path, report: Report) -> Any:
+        """Return the argument of the task."""
+
+    def description(self) -> dict[str, Any]:
+        """Return entries to add to the scores."""
+
+
+@dataclass(frozen=True)
+class SplitRun:
+    """Run of a task on one split of the samples of many objects."""
+
+    task: Task
+    part: str  #: split, "seen" or "unseen"
+    samples: Samples
+    params: TaskParams[Any]
+    folder: Benchmarks
+    weights: Weights | None = None  #: initial weights of encoders; default: random
+    device: str | None = None  #: to train on; default: a GPU if there is one
+
+    def identity(self) -> tuple[Any, ...]:
+        """Return everything that the results depend on."""
+        files = [None if self.weights is None else self.weights.path, own_file(self.params.encode.encoder)]
+        given = [file_digest(path) for path in files if path is not None]
+        return self.samples.digest, self.params, code_digest(self.task.run), given
+
+    def job(self, progress: Path, report: Report) -> Job[Any]:
+        """Return the argument of the task."""
+        encode = self.params.encode
+        return Job(
+            self.samples,
+            named_split(self.part, self.samples.keys, self.samples.count),
+            self.params.settings,
+            registered(encode.encoder),
+            InputSizes(encode.image, encode.spectrogram, encode.touch),
+            self.params.seed,
+            progress,
+            self.weights,
+            self.device or ("cuda" if torch.cuda.is_available() else "cpu"),
+            report,
+        )
+
+    def description(self) -> dict[str, Any]:
+        """Return entries to add to the scores."""
+        return {"keys": self.samples.keys}
+
+
+def run_benchmark(spec: Run, report: Report) -> float:
+    """Run a task and write its scores, training curves and the files in `KEPT`.
+
+    An interrupted run is resumed, unless its inputs, parameters or code have changed.
 
     Parameters
     ----------
-    name : str
-        Of the task, one of `objectfolder.workspace.params.TASKS`.
-    task : callable
-    columns : sequence of str
-        Of its training curves.
-    split : str
-    observations : Observations or Grasps
-    params : TaskParams
-    folder : Benchmarks
+    spec : SplitRun or ObjectRun
     report : callable
-        Called with a line about each epoch.
-    weights : Weights, optional
-        That encoders start from.
-    device : str, optional
-        Where nets train; default: a GPU, if there is one.
+        Called with a line of text about each part of the training.
 
     Returns
     -------
-    Seconds that training and scoring took, those of interrupted calls included.
+    Seconds of training and scoring, including those of interrupted calls.
 
     Raises
     ------
     ObjectFolderError
-        If the split cannot be made of these objects, or the task fails.
+        If the split cannot be made from these objects, or the task fails.
     """
-    encode = params.encode
-    sizes = InputSizes(encode.image, encode.spectrogram, encode.touch)
-    files = [None if weights is None else weights.path, own_file(encode.encoder)]
-    given = [file_digest(path) for path in files if path is not None]
-    identity = (observations.digest, params, code_digest(task), given)
-    progress = folder.progress(name, split, identity)
-    scores, curve = task(
-        Job(
-            observations,
-            named_split(split, observations.keys, observations.count),
-            params.settings,
-            registered(encode.encoder),
-            sizes,
-            params.seed,
-            progress,
-            weights,
-            device or ("cuda" if torch.cuda.is_available() else "cpu"),
-            report,
-        )
-    )
-    return leave(name, split, folder, progress, scores | {"keys": observations.keys}, columns, curve)
-
-
-def leave(
-    name: str,
-    split: str,
-    folder: Benchmarks,
-    progress: Path,
-    scores: dict[str, Any],
-    columns: Sequence[str],
-    curve: Sequence[Sequence[Any]],
-) -> float:
-    """Write scores and curves of a task that is done, keep the files of `KEPT`, remove its progress.
-
-    Returns
-    -------
-    The ``seconds`` among the scores, which are not written: the rest is the same whenever it is run.
-    """
-    with atomic(folder.curve(name, split)) as temporary, temporary.open("w", newline="") as stream:
-        csv.writer(stream, lineterminator="\n").writerows([columns, *curve])
-    for left, path in KEPT.items():
-        if (progress / left).exists():
-            (progress / left).replace(path(folder, name, split))
-    write_json(folder.result(name, split), {k: v for k, v in scores.items() if k != "seconds"})
+    task, part, folder = spec.task, spec.part, spec.folder
+    progress = folder.progress(task.name, part, spec.identity())
+    scores, curve = task.run(spec.job(progress, report))
+    write_results(task, part, folder, progress, scores | spec.description(), curve)
     rmtree(progress, ignore_errors=True)
     seconds: float = scores["seconds"]
     return seconds
 
 
-def object_identity(
-    path: Path, hulls: "Sequence[trimesh.Trimesh]", params: RobotParams[Any], task: Callable[..., Any]
-) -> tuple[Any, ...]:
-    """All that the results of a robot's task with an object follow from, for `Benchmarks.progress`.
+def write_results(
+    task: Task,
+    part: str,
+    folder: Benchmarks,
+    progress: Path,
+    scores: dict[str, Any],
+    curve: Sequence[Sequence[Any]],
+) -> None:
+    """Write scores and curves of a finished task, and move the files in `KEPT` out of its progress folder.
 
-    Parameters
-    ----------
-    path : Path
-        The Object File.
-    hulls : sequence of trimesh.Trimesh
-    params : RobotParams
-    task : callable
+    ``seconds`` are left out of the scores, so that the same inputs give the same bytes.
     """
-    shapes = hashlib.sha256(b"".join(np.ascontiguousarray(hull.vertices).tobytes() for hull in hulls))
-    return file_digest(path), shapes.hexdigest(), params, code_digest(task)
+    with atomic(folder.curve(task.name, part)) as temporary, temporary.open("w", newline="") as stream:
+        csv.writer(stream, lineterminator="\n").writerows([task.columns, *curve])
+    for name, path in KEPT.items():
+        if (progress / name).exists():
+            (progress / name).replace(path(folder, task.name, part))
+    write_json(folder.result(task.name, part), {k: v for k, v in scores.items() if k != "seconds"})
 
 
 def machine(device: str | None = None) -> str:
-    """Name of the processor that nets train on."""
+    """Return the name of the processor that nets train on."""
     if device != "cpu" and torch.cuda.is_available():
         return torch.cuda.get_device_name(device)
     models = re.findall(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text())
     return models[0] if models else platform.processor()
 
 
-def code_digest(task: Callable[..., Any]) -> str:
-    """Digests of all modules of ours that a task runs."""
+def code_digest(function: Callable[..., Any]) -> str:
+    """Return the digests of all modules of this package that a function's module imports."""
     package = Path(objectfolder.__file__).parent
-    return digests(Path(inspect.getfile(task)).relative_to(package.parent), package.parent)
+    return digests(Path(inspect.getfile(function)).relative_to(package.parent), package.parent)

@@ -8,9 +8,10 @@ from objectfolder.benchmarks.datasets import grasp_data
 from objectfolder.benchmarks.datasets.grasp_data import (
     FORCES,
     GraspDataConfig,
-    are_collected,
     collect_grasps,
     draw_attempts,
+    grasp_request,
+    is_collected,
 )
 from objectfolder.benchmarks.datasets.grasps import ARRAYS, Grasps
 from objectfolder.envs.body import rigid_body
@@ -95,14 +96,14 @@ def test_interrupted_and_threaded_collections_are_the_same(
     with pytest.raises(Interrupted):
         collect_grasps(brick, body, WANTED, 0, tmp_path / "brick", surface, report=stop)
     assert not (tmp_path / "brick" / "record.json").exists()
-    assert not are_collected(brick, body, WANTED, 0, True, tmp_path / "brick")
+    assert not is_collected(grasp_request(brick, body, WANTED, 0, True), tmp_path / "brick")
     tried = []
     first = grasp_data.label_grasps
     monkeypatch.setattr(grasp_data, "label_grasps", lambda *args: tried.append(0) or first(*args))
     collect_grasps(brick, body, WANTED, 0, tmp_path / "brick", surface, threads=2)
     assert contents(tmp_path / "brick") == contents(collected)
     assert len(tried) == 1  # of two batches the first was there
-    assert are_collected(brick, body, WANTED, 0, True, tmp_path / "brick")
+    assert is_collected(grasp_request(brick, body, WANTED, 0, True), tmp_path / "brick")
     collect_grasps(brick, body, WANTED, 0, tmp_path / "brick", surface)
     assert len(tried) == 1
 
@@ -137,15 +138,15 @@ def test_what_is_flatter_than_pads_reach_is_said(brick, tmp_path):
 
 
 def test_other_hulls_are_another_collection(brick, body, surface, collected):
-    assert are_collected(brick, body, WANTED, 0, True, collected)
+    assert is_collected(grasp_request(brick, body, WANTED, 0, True), collected)
     moved = replace(body, hulls=tuple(hull.copy().apply_scale(1.01) for hull in body.hulls))
-    assert not are_collected(brick, moved, WANTED, 0, True, collected)
-    assert not are_collected(brick, body, WANTED, 0, False, collected)
+    assert not is_collected(grasp_request(brick, moved, WANTED, 0, True), collected)
+    assert not is_collected(grasp_request(brick, body, WANTED, 0, False), collected)
 
 
 def test_another_time_step_is_another_collection(brick, body, surface, collected, tmp_path, monkeypatch):
     finer = replace(WANTED, timestep=0.001)
-    assert not are_collected(brick, body, finer, 0, True, collected)
+    assert not is_collected(grasp_request(brick, body, finer, 0, True), collected)
     asked = []
 
     def scene(body, physics, threads):

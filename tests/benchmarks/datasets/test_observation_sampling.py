@@ -7,7 +7,8 @@ import pytest
 
 from objectfolder import disk as space
 from objectfolder.benchmarks.datasets import sampling
-from objectfolder.benchmarks.datasets.sampling import ask, draw_queries, object_digest, sample_observations
+from objectfolder.benchmarks.datasets.samples import object_digest
+from objectfolder.benchmarks.datasets.sampling import ask, draw_queries, sample_observations
 from objectfolder.errors import ObjectFolderError
 from objectfolder.nets.touch_image import ImageTouch
 from objectfolder.objectfile.file import ObjectFile

@@ -107,19 +107,20 @@ def test_all_that_is_drawn_is_labelled_truly():
     assert len(np.unique(np.concatenate(pools), axis=0)) == 4500  # no set shares a point with another
 
 
-def test_cache_is_read_where_it_fits_and_made_anew_where_not(brick_path, tmp_path):
+def test_cache_is_read_where_it_fits_and_made_anew_where_not(brick, tmp_path):
     path, sizes = tmp_path / "occupancy.npz", (500, 50, 40, 6)
-    first = cached_occupancy(path, {"brick": brick_path}, *sizes, seed=0)
+    surfaces, digests = {"brick": lambda: brick.surface}, {"brick": "a"}
+    first = cached_occupancy(path, surfaces, digests, *sizes, seed=0)
     bytes_, time = path.read_bytes(), path.stat().st_mtime_ns
-    again = cached_occupancy(path, {"brick": brick_path}, *sizes, seed=0)
+    again = cached_occupancy(path, surfaces, digests, *sizes, seed=0)
     assert path.stat().st_mtime_ns == time
     assert all(np.array_equal(vars(first)[name], vars(again)[name]) for name in vars(first))
-    other = cached_occupancy(path, {"brick": brick_path}, *sizes, seed=1)
+    other = cached_occupancy(path, surfaces, digests, *sizes, seed=1)
     assert not np.array_equal(other.val_points, first.val_points)
-    cached_occupancy(path, {"brick": brick_path}, *sizes, seed=0)
+    cached_occupancy(path, surfaces, digests, *sizes, seed=0)
     assert path.read_bytes() == bytes_
-    with pytest.raises(ObjectFolderError, match="holds brick, expected mug"):
-        cached_occupancy(path, {"mug": brick_path}, *sizes, seed=0)
+    cached_occupancy(path, {"brick": lambda: isosurface(sphere(0.4))}, {"brick": "b"}, *sizes, seed=0)
+    assert path.read_bytes() != bytes_
     path.write_bytes(bytes_[:1000])
     with pytest.raises(ObjectFolderError, match="damaged"):
-        cached_occupancy(path, {"brick": brick_path}, *sizes, seed=0)
+        cached_occupancy(path, surfaces, digests, *sizes, seed=0)

@@ -7,8 +7,8 @@ from objectfolder.audio.spectrogram import SAMPLE_RATE
 from objectfolder.benchmarks.models import encoders
 from objectfolder.benchmarks.models.encoders import (
     InputSizes,
+    encoder_inputs,
     make_encoder,
-    prepare,
     read_weights,
     register_encoder,
     registered,
@@ -127,7 +127,7 @@ def test_own_encoder_is_made_by_its_name_for_the_channels_of_a_modality(monkeypa
 
 def test_views_are_cropped_at_the_centre_and_normalised(rng):
     raw = rng.integers(256, size=(2, 64, 60, 3), dtype=np.uint8)
-    x = prepare("vision", raw, SIZES)
+    x = encoder_inputs("vision", raw, SIZES)
     assert x.dtype == torch.float32
     expected = (raw[:, 4:60, 2:58] / 255 - [0.485, 0.456, 0.406]) / [0.229, 0.224, 0.225]
     np.testing.assert_allclose(x, expected.transpose(0, 3, 1, 2), atol=1e-5)
@@ -148,7 +148,7 @@ def test_spectrogram_is_relative_to_the_sounds_own_maximum(rng):
     seconds = np.arange(2 * SAMPLE_RATE) / SAMPLE_RATE
     tone = (np.sin(2 * np.pi * 1000 * seconds) * np.exp(-4 * seconds)).astype(np.float32)
     raw = np.stack([tone, 1e-6 * tone, 1e3 * tone, 0 * tone]).astype(np.float32)
-    full = prepare("audio", raw, InputSizes(56, (257, 201), (64, 48)))
+    full = encoder_inputs("audio", raw, InputSizes(56, (257, 201), (64, 48)))
     assert full.shape == (4, 1, 257, 201)
     torch.testing.assert_close(full[1], full[0], rtol=0, atol=1e-3)
     torch.testing.assert_close(full[2], full[0], rtol=0, atol=1e-3)
@@ -158,13 +158,13 @@ def test_spectrogram_is_relative_to_the_sounds_own_maximum(rng):
     assert full[0, 0].argmax() // 201 == 32  # 1000 Hz of 31.25 Hz per row
     # It decays by 20 log10(e) * 4 = 34.74 dB per second, 100 columns apart.
     assert (full[0, 0, 32, 20] - full[0, 0, 32, 120]).item() == pytest.approx(34.74 / 80, abs=1e-3)
-    pooled = prepare("audio", raw, SIZES)
+    pooled = encoder_inputs("audio", raw, SIZES)
     torch.testing.assert_close(pooled, nn.functional.adaptive_avg_pool2d(full, (64, 50)))
 
 
 def test_touches_are_normalised_and_averaged(rng):
     raw = rng.integers(256, size=(2, 128, 96, 3), dtype=np.uint8)
-    x = prepare("touch", raw, SIZES)
+    x = encoder_inputs("touch", raw, SIZES)
     means = raw.reshape(2, 64, 2, 48, 2, 3).mean((2, 4))
     expected = (means / 255 - [0.485, 0.456, 0.406]) / [0.229, 0.224, 0.225]
     np.testing.assert_allclose(x, expected.transpose(0, 3, 1, 2), atol=1e-5)
@@ -177,8 +177,8 @@ def test_rows_do_not_depend_on_each_other(rng, modality):
         "audio": rng.standard_normal((3, 32000)).astype(np.float32),
         "touch": rng.integers(256, size=(3, 160, 120, 3), dtype=np.uint8),
     }[modality]
-    together = prepare(modality, raw, SIZES)
-    alone = torch.cat([prepare(modality, raw[i : i + 1], SIZES) for i in range(3)])
+    together = encoder_inputs(modality, raw, SIZES)
+    alone = torch.cat([encoder_inputs(modality, raw[i : i + 1], SIZES) for i in range(3)])
     torch.testing.assert_close(alone, together, rtol=0, atol=1e-6)
 
 
@@ -186,9 +186,9 @@ def test_observations_smaller_than_the_sizes_are_refused(rng):
     with pytest.raises(
         ObjectFolderError, match="views of 48 x 64 pixels are smaller than the encoder's image 56"
     ):
-        prepare("vision", np.zeros((1, 48, 64, 3), np.uint8), SIZES)
+        encoder_inputs("vision", np.zeros((1, 48, 64, 3), np.uint8), SIZES)
     with pytest.raises(ObjectFolderError, match="touch of 60 x 48 is smaller than the encoder's 64 x 48"):
-        prepare("touch", np.zeros((1, 60, 48, 3), np.uint8), SIZES)
+        encoder_inputs("touch", np.zeros((1, 60, 48, 3), np.uint8), SIZES)
 
 
 def test_a_file_registers_its_encoder_and_is_run_by_nobody_else(tmp_path, monkeypatch):

@@ -1,4 +1,4 @@
-from objectfolder.benchmarks.reporting.tables import table
+from objectfolder.benchmarks.reporting.tables import score_table
 
 ROWS = {
     "rows": {"train": 16, "val": 2, "test": 2},
@@ -18,7 +18,7 @@ def test_recognition_in_percent_with_its_interval_beside_chance_and_the_paper():
         "chance": {"uniform": 0.5, "majority": 0.625},
         **ROWS,
     }
-    shown = table("recognize", "seen", scores)
+    shown = score_table("recognize", "seen", scores)
     assert cells(shown) == {
         "V": ("75.0 ± 12.5", "50.0 100.0", "94.8"),
         "VAT": ("100.0", "100.0", "99.8"),
@@ -36,14 +36,20 @@ def test_the_paper_has_no_figures_for_unseen_objects():
     names = ("V->A", "V->T", "A->V", "A->T", "T->V", "T->A")
     score = {"map": 0.5, "interval_95": None, "seeds": [0.5], "cca": 0.25, "chance": 0.125}
     scores = {"directions": dict.fromkeys(names, score), **ROWS}
-    assert cells(table("retrieve", "seen", scores))["A->T"] == ("0.500", "0.250", "0.125", "0.55", "0.31")
-    assert cells(table("retrieve", "unseen", scores))["A->T"] == ("0.500", "0.250", "0.125", "-", "-")
+    assert cells(score_table("retrieve", "seen", scores))["A->T"] == (
+        "0.500",
+        "0.250",
+        "0.125",
+        "0.55",
+        "0.31",
+    )
+    assert cells(score_table("retrieve", "unseen", scores))["A->T"] == ("0.500", "0.250", "0.125", "-", "-")
 
 
 def test_reconstruction_beside_the_average_shape():
     score = {"iou": 0.5, "chamfer_l1": 0.02, "normal_consistency": 0.75}
     scores = dict.fromkeys(("V", "A", "VA", "average_shape"), score) | ROWS
-    shown = table("reconstruct", "seen", scores)
+    shown = score_table("reconstruct", "seen", scores)
     assert list(cells(shown)) == ["average shape", "image", "audio", "image + audio"]
     assert cells(shown)["audio"] == ("0.5000", "0.0200", "0.7500", "0.8729 / 0.0048 / 0.9504")
 
@@ -69,7 +75,7 @@ def test_grasp_stability_by_number_of_grasps():
         "success": {"train": 0.5, "val": 0.5, "test": 0.25},
         **ROWS,
     }
-    shown = table("grasp_stability", "unseen", scores)
+    shown = score_table("grasp_stability", "unseen", scores)
     assert shown.columns == ("from", "200", "all 1,600 (of 10,000)", "balanced accuracy", "AUC")
     assert cells(shown) == {
         "vision": ("50.0 (25-75)", "75.0 (50-88)", "0.500", "-"),
@@ -90,7 +96,7 @@ def test_grasp_stability_shows_each_of_several_seeds():
         "compared": {"VT - V": {"difference": 0.25, "interval_95": 0.1}},
     }
     success = {"train": 0.5, "test": 0.25}
-    shown = table("grasp_stability", "seen", {"sizes": {"100": found}, "success": success, **ROWS})
+    shown = score_table("grasp_stability", "seen", {"sizes": {"100": found}, "success": success, **ROWS})
     assert shown.columns[-1] == "each seed"
     assert {name: row[-1] for name, row in cells(shown).items()} == {
         "vision": "25.0 75.0",

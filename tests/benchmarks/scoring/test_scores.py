@@ -33,7 +33,7 @@ def test_accuracy_counts_the_right_ones():
     assert accuracy(np.array([3]), np.array([3])) == 1
     with pytest.raises(ObjectFolderError, match="expected equal"):
         accuracy(np.array([1, 2]), np.array([1]))
-    with pytest.raises(ObjectFolderError, match="non-empty"):
+    with pytest.raises(ObjectFolderError, match="not empty"):
         accuracy(np.array([], int), np.array([], int))
 
 

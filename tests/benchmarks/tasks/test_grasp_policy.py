@@ -1,3 +1,5 @@
+from functools import cache
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -5,7 +7,8 @@ from PIL import Image
 from objectfolder.benchmarks.models.actor import Actor
 from objectfolder.benchmarks.models.trpo import GraspPolicyConfig
 from objectfolder.benchmarks.reporting.tables import grasping_table
-from objectfolder.benchmarks.tasks.grasp_policy import CURVE_COLUMNS, grasp_policy, play
+from objectfolder.benchmarks.tasks.grasp_policy import CURVE_COLUMNS, grasp_policy, rollout_successes
+from objectfolder.benchmarks.tasks.robots import RobotJob
 from objectfolder.envs.body import rigid_body
 from objectfolder.envs.episodes import Episodes
 from objectfolder.envs.features import TouchFeatures
@@ -32,15 +35,24 @@ PARAMS = GraspPolicyConfig(
 )
 
 
+@cache
+def brick_body(brick):
+    return rigid_body(brick, convex_hulls(brick.to_mesh()))
+
+
 @pytest.fixture(scope="module")
 def task(brick):
-    return GraspTask(brick, rigid_body(brick, convex_hulls(brick.to_mesh())))
+    return GraspTask(brick, brick_body(brick))
+
+
+def job(brick, progress, report=lambda line: None):
+    return RobotJob("grasp_policy", brick, brick_body(brick), PARAMS, 0, progress, report)
 
 
 @pytest.fixture(scope="module")
-def whole(task, tmp_path_factory):
+def whole(brick, tmp_path_factory):
     folder = tmp_path_factory.mktemp("policy")
-    return folder, *grasp_policy(task, PARAMS, 0, folder)
+    return folder, *grasp_policy(job(brick, folder))
 
 
 def without_seconds(scores):
@@ -64,7 +76,7 @@ def test_scores_curves_and_what_is_kept(whole):
 
 
 @pytest.mark.slow
-def test_an_interrupted_training_goes_on_to_the_same(task, whole, tmp_path):
+def test_an_interrupted_training_goes_on_to_the_same(brick, whole, tmp_path):
     class Interrupted(Exception):
         pass
 
@@ -73,9 +85,9 @@ def test_an_interrupted_training_goes_on_to_the_same(task, whole, tmp_path):
             raise Interrupted
 
     with pytest.raises(Interrupted):
-        grasp_policy(task, PARAMS, 0, tmp_path, stop)
+        grasp_policy(job(brick, tmp_path, stop))
     folder, scores, curve = whole
-    again, lines = grasp_policy(task, PARAMS, 0, tmp_path)
+    again, lines = grasp_policy(job(brick, tmp_path))
     assert without_seconds(again) == without_seconds(scores)
     assert lines == curve
     kept = (path / "model.safetensors" for path in (folder, tmp_path))
@@ -89,6 +101,6 @@ def test_rollouts_count_what_is_held(task):
     def leave(seen):
         return np.tile([0, 1.0, 1.0, 0], (len(seen), 1))
 
-    stay = play(episodes, lambda seen: np.zeros((len(seen), 4)), 12, np.random.default_rng(0))
-    away = play(episodes, leave, 12, np.random.default_rng(0))
+    stay = rollout_successes(episodes, lambda seen: np.zeros((len(seen), 4)), 12, np.random.default_rng(0))
+    away = rollout_successes(episodes, leave, 12, np.random.default_rng(0))
     assert stay.mean() > away.mean()

@@ -15,8 +15,8 @@ from objectfolder.benchmarks.tasks.grasp_stability import (
     TRANSFERRED,
     VARIANTS,
     StabilityNet,
-    fused,
     grasp_stability,
+    join_streams,
     nested_order,
 )
 from objectfolder.benchmarks.tasks.job import Job
@@ -294,7 +294,7 @@ def test_fusion_starts_from_both_logits_with_the_prior_counted_once():
         for stream, modality in (("V", "vision"), ("T", "touch"))
     ]
     inputs = {"V": torch.randn(3, 1, 3, 8, 8), "T": torch.randn(3, 2, 3, 8, 6)}
-    joined = fused(parts, prior=0.75).eval()
+    joined = join_streams(parts, prior=0.75).eval()
     with torch.no_grad():
         torch.testing.assert_close(joined(inputs), sum(part(inputs) for part in parts) - 0.75)
         swapped = inputs | {"T": inputs["T"].flip(1)}

@@ -20,15 +20,17 @@ from objectfolder.benchmarks.reporting.tables import reach_table
 from objectfolder.benchmarks.tasks.reach import (
     CURVE_COLUMNS,
     POLICIES,
+    REACH,
     controller,
-    episodes,
-    film,
     fresh_seeds,
     nothing,
     random_policy,
     reach,
-    run_reach,
+    reach_frames,
+    run_episodes,
 )
+from objectfolder.benchmarks.tasks.robots import ObjectRun, RobotJob
+from objectfolder.benchmarks.tasks.running import run_benchmark
 from objectfolder.cli.bench_robots import reach as reach_command
 from objectfolder.envs.body import rigid_body
 from objectfolder.envs.reach import ReachEnv
@@ -224,8 +226,8 @@ def test_an_actor_by_hand():
 def test_baselines_bound_the_task(body):
     env = ReachEnv(body, horizon=60)
     seeds = fresh_seeds(0, "brick", "test", 5)
-    best, idle = episodes(env, controller, seeds), episodes(env, nothing, seeds)
-    aimless = episodes(env, random_policy(np.random.default_rng(0)), seeds)
+    best, idle = run_episodes(env, controller, seeds), run_episodes(env, nothing, seeds)
+    aimless = run_episodes(env, random_policy(np.random.default_rng(0)), seeds)
     assert best.last.all()
     assert best.ever.all()
     assert not idle.ever.any()
@@ -244,7 +246,7 @@ def test_success_at_any_time_is_not_success_at_the_end(body):
         away = near or observation[3] < 0.97
         return np.array([0, -1, 1, 1], np.float32) if away else controller(observation) - [0, 0, 0, 1]
 
-    played = episodes(env, leaving, [0, 1])
+    played = run_episodes(env, leaving, [0, 1])
     assert played.ever.all()
     assert not played.last.any()
 
@@ -258,16 +260,16 @@ def test_goals_of_validation_and_test_are_others_and_stay():
 
 def test_films_show_where_the_goal_is_met(body):
     env = ReachEnv(body, horizon=60, render_mode="rgb_array", resolution=(30, 40))
-    frames = film(env, controller, [0, 1])
+    frames = reach_frames(env, controller, [0, 1])
     assert len(frames) == 2 * 15
     assert {tuple(frame[-1, 0]) for frame in (frames[0], frames[15])} == {(190, 40, 40)}
     assert {tuple(frame[-1, 0]) for frame in (frames[14], frames[29])} == {(30, 150, 60)}
 
 
-def test_scores_have_everything_and_are_the_same_again(body, tmp_path):
+def test_scores_have_everything_and_are_the_same_again(brick, body, tmp_path):
     said = []
     params = replace(TINY, seeds=2)
-    scores, curve = reach(body, params, 0, tmp_path / "a", said.append)
+    scores, curve = reach(RobotJob("reach", brick, body, params, 0, tmp_path / "a", said.append))
     assert len(said) == len(curve) == 2  # a part has 32 steps
     assert [row[:2] for row in curve] == [[0, 32], [1, 32]]
     assert len(curve[0]) == len(CURVE_COLUMNS)
@@ -282,16 +284,16 @@ def test_scores_have_everything_and_are_the_same_again(body, tmp_path):
         "rate": 0,
         "interval_95": [0, pytest.approx(1.96**2 / (2 + 1.96**2), abs=1e-4)],
     }
-    again, curve_again = reach(body, params, 0, tmp_path / "b")
+    again, curve_again = reach(RobotJob("reach", brick, body, params, 0, tmp_path / "b"))
     assert curve_again == curve
     assert again | {"seconds": 0} == scores | {"seconds": 0}
     assert (tmp_path / "b/episodes.gif").read_bytes() == (tmp_path / "a/episodes.gif").read_bytes()
 
 
-def test_a_run_leaves_its_files_and_goes_on_where_it_was(brick_path, hulls, tmp_path):
+def test_a_run_leaves_its_files_and_goes_on_where_it_was(brick, hulls, tmp_path):
     params = RobotParams(settings=TINY, seed=0)
     whole, part = Benchmarks(tmp_path / "whole"), Benchmarks(tmp_path / "part")
-    run_reach(brick_path, hulls, params, whole, print)
+    run_benchmark(ObjectRun(REACH, brick, hulls, params, whole), print)
     files = {path.name for path in whole.dir.iterdir()} - {".progress"}
     assert files == {f"reach_brick.{suffix}" for suffix in ("json", "csv", "gif", "safetensors")}
     assert read_json(whole.result("reach", "brick"))["task"] == "reach"
@@ -303,10 +305,12 @@ def test_a_run_leaves_its_files_and_goes_on_where_it_was(brick_path, hulls, tmp_
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_reach(brick_path, hulls, params, part, stop)
+        run_benchmark(ObjectRun(REACH, brick, hulls, params, part), stop)
     kept = list((part.dir / ".progress").glob("*/0.pt"))
     assert len(kept) == 1
-    run_reach(brick_path, hulls, params, part, lambda line: pytest.fail("nothing is left to train"))
+    run_benchmark(
+        ObjectRun(REACH, brick, hulls, params, part), lambda line: pytest.fail("nothing is left to train")
+    )
     for name in files:
         assert (part.dir / name).read_bytes() == (whole.dir / name).read_bytes()
     shutil.rmtree(part.dir)

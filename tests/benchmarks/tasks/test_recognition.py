@@ -13,7 +13,7 @@ from objectfolder.benchmarks.tasks.recognition import (
     COMBINATIONS,
     CURVE_COLUMNS,
     Classifier,
-    fused,
+    join_classifiers,
     recognize,
 )
 from objectfolder.errors import ObjectFolderError
@@ -217,7 +217,7 @@ def test_fusion_starts_from_the_sum_of_its_parts_logits():
         for letter, modality in (("V", "vision"), ("A", "audio"), ("T", "touch"))
     ]
     inputs = {"V": torch.randn(2, 3, 8, 8), "A": torch.randn(2, 1, 16, 8), "T": torch.randn(2, 3, 8, 8)}
-    joined = fused(parts)
+    joined = join_classifiers(parts)
     with torch.no_grad():
         torch.testing.assert_close(joined.eval()(inputs), sum(part(inputs) for part in parts))
         for parameter in joined.parameters():

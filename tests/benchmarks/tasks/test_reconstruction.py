@@ -1,6 +1,5 @@
 import json
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,13 +9,13 @@ from PIL import Image
 from solids import box, sphere
 from torch import nn
 
-from objectfolder.benchmarks.scoring import truth
 from objectfolder.benchmarks.datasets.occupancy import HALF_SIDE, sample_occupancy
 from objectfolder.benchmarks.datasets.splits import Split, per_sample
-from objectfolder.benchmarks.scoring.truth import Truth, best_level
 from objectfolder.benchmarks.models import encoders
 from objectfolder.benchmarks.models.encoders import InputSizes, register_encoder
 from objectfolder.benchmarks.models.shape_model import Setup, ShapeModel, load_model, new_net, save_model
+from objectfolder.benchmarks.scoring import truth
+from objectfolder.benchmarks.scoring.truth import Truth, best_level
 from objectfolder.benchmarks.tasks import job
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.reconstruction import (
@@ -64,8 +63,10 @@ class Observed:
     keys, count, digest = tuple(SOLIDS), COUNT, "observed"
     labels = np.repeat(np.arange(len(SOLIDS)), COUNT)
 
+    records = {key: {"object_sha256": key} for key in keys}  # noqa: RUF012
+
     def object_file(self, key):
-        return Path(key)
+        return SimpleNamespace(surface=SURFACES[key])
 
     def shape(self, modality):
         return self.read(modality, np.array([0])).shape[1:]
@@ -105,8 +106,6 @@ def occupancy(monkeypatch):
     opened = {key: (lambda surface=surface: surface) for key, surface in SURFACES.items()}
     sampled = sample_occupancy(opened, 3000, 600, PARAMS.score_points, PARAMS.resolution, 0)
     monkeypatch.setattr(truth, "cached_occupancy", lambda *given: sampled)
-    load = SimpleNamespace(load=lambda path: SimpleNamespace(surface=SURFACES[path.name]))
-    monkeypatch.setattr(truth, "ObjectFile", load)
     return sampled
 
 
@@ -186,7 +185,9 @@ def test_of_objects_without_validation_rows_training_rows_help_to_choose(tmp_pat
 
 
 def test_average_shape_is_the_mean_of_the_training_objects(occupancy, tmp_path):
-    shapes = Truth({key: Path(key) for key in SOLIDS}, PARAMS.score_points, PARAMS.resolution, 0, tmp_path)
+    opened = {key: (lambda surface=surface: surface) for key, surface in SURFACES.items()}
+    digests = {key: key for key in SOLIDS}
+    shapes = Truth(opened, digests, PARAMS.score_points, PARAMS.resolution, 0, tmp_path)
 
     def labels(*keys):
         return np.array([shapes.keys.index(key) for key in keys])

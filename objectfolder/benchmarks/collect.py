@@ -1,0 +1,166 @@
+"""Collect the samples of benchmarks from Object Files, several objects at a time."""
+
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import torch
+
+from objectfolder.benchmarks.datasets import grasps, observations
+from objectfolder.benchmarks.datasets.sampling import (
+    ObserveConfig,
+    is_sampled,
+    observation_request,
+    sample_observations,
+)
+from objectfolder.benchmarks.layout import Benchmarks
+from objectfolder.benchmarks.tasks.running import Report
+from objectfolder.engine.pool import in_processes
+from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.workspace.layout import Build
+
+if TYPE_CHECKING:
+    from objectfolder.benchmarks.datasets.grasp_data import GraspDataConfig
+
+#: Wraps an iteration in a progress bar, given its description and length.
+Tracker = Callable[[Iterable[Any], str, int], Iterable[Any]]
+
+
+class Source(NamedTuple):
+    """An Object File and its path."""
+
+    path: Path
+    file: ObjectFile
+
+
+def load_object_files(places: Sequence[Path] | None) -> dict[str, Source]:
+    """Load Object Files; return them by key.
+
+    Parameters
+    ----------
+    places : sequence of Path, optional
+        Object Files, or folders that contain some. Default: ``build``.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there are none, one is invalid, or two are of the same object.
+    """
+    name = Build("any").object_file.name
+    searched = places or [Build("any").dir.parent]
+    paths: list[Path] = []
+    for place in searched:
+        found = sorted(place.rglob(name)) if place.is_dir() else [place] if places else []
+        # Skip the copies in observation folders.
+        paths += [path for path in found if not (path.parent / observations.RECORD).exists()]
+    if not paths:
+        raise ObjectFolderError(
+            f"no Object Files in {', '.join(map(str, searched))}; run `objectfolder build`, or name some"
+        )
+    sources: dict[str, Source] = {}
+    for path in paths:
+        file = ObjectFile.load(path)
+        if file.key in sources:
+            raise ObjectFolderError(
+                f"{path} and {sources[file.key].path} are both of {file.key}; give each object once"
+            )
+        sources[file.key] = Source(path, file)
+    return sources
+
+
+def collect_observations(
+    sources: Mapping[str, Source],
+    wanted: ObserveConfig,
+    seed: int,
+    folder: Benchmarks,
+    jobs: int,
+    track: Tracker,
+) -> dict[str, Path]:
+    """Sample observations of each object, unless its folder is complete; return the folders by key."""
+    settings = (wanted.observations, wanted.resolution, seed)
+    folders = {key: folder.observations(key) for key in sources}
+    new = []
+    for key, source in sources.items():
+        if (folders[key] / observations.RECORD).is_file() and is_sampled(
+            observation_request(source.file, *settings), folders[key]
+        ):
+            continue
+        new.append((source.path, *settings, folders[key]))
+    if new:  # starting processes takes seconds
+        for _ in track(in_processes(_observe, new, jobs), "observing objects", len(new)):
+            pass
+    return folders
+
+
+def _observe(path: Path, count: int, resolution: int, seed: int, folder: Path) -> None:
+    torch.set_num_threads(1)
+    sample_observations(ObjectFile.load(path), count, resolution, seed, folder)
+
+
+def collect_all_grasps(
+    sources: Mapping[str, Source],
+    wanted: "GraspDataConfig",
+    max_hulls: int,
+    seed: int,
+    folder: Benchmarks,
+    jobs: int,
+    track: Tracker,
+    report: Report,
+) -> dict[str, Path]:
+    """Simulate grasps of each object, unless its folder is complete; return the folders by key.
+
+    Touches are also simulated on the true surfaces if these lie beside all Object Files.
+    """
+    from objectfolder.benchmarks.datasets.grasp_data import grasp_request, is_collected
+    from objectfolder.envs.body import rigid_body
+    from objectfolder.envs.hulls import cached_hulls
+
+    folders = {key: folder.grasps(key) for key in sources}
+    surfaces = {key: source.path.with_name(Build(key).surface.name) for key, source in sources.items()}
+    lacking = [key for key, surface in surfaces.items() if not surface.is_file()]
+    if lacking:
+        report(
+            f"no true surface beside the Object File of {', '.join(lacking)}: touches are simulated from "
+            "Object Files only, without explicit ones to compare with"
+        )
+    new = []
+    for key, source in sources.items():
+        if (folders[key] / grasps.RECORD).is_file():  # and hence its hulls
+            body = rigid_body(source.file, cached_hulls(source.file, folder.hulls, max_hulls))
+            if is_collected(grasp_request(source.file, body, wanted, seed, not lacking), folders[key]):
+                continue
+        surface = None if lacking else surfaces[key]
+        new.append((source.path, surface, wanted, max_hulls, seed, folder, report))
+    if new:
+        for _ in track(in_processes(_grasp, new, jobs), "grasping objects", len(new)):
+            pass
+    return folders
+
+
+def _grasp(
+    path: Path,
+    surface: Path | None,
+    wanted: "GraspDataConfig",
+    max_hulls: int,
+    seed: int,
+    folder: Benchmarks,
+    report: Report,
+) -> None:
+    from threadpoolctl import threadpool_limits
+
+    from objectfolder.benchmarks.datasets.grasp_data import collect_grasps
+    from objectfolder.envs.body import rigid_body
+    from objectfolder.envs.hulls import cached_hulls
+    from objectfolder.mesh.ply import read_surface
+
+    torch.set_num_threads(1)
+    with threadpool_limits(1):
+        file = ObjectFile.load(path)
+        body = rigid_body(file, cached_hulls(file, folder.hulls, max_hulls))
+        truth = None if surface is None else read_surface(surface)
+        start = time.perf_counter()
+        collect_grasps(file, body, wanted, seed, folder.grasps(file.key), truth)
+        seconds = time.perf_counter() - start
+    report(f"{file.key}: {wanted.grasps} grasps in {seconds:.0f} s, {wanted.grasps / seconds:.1f} per second")

@@ -1,0 +1,222 @@
+"""Run benchmarks on Object Files outside the pipeline, as the command line does."""
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from objectfolder.benchmarks.collect import (
+    Tracker,
+    collect_all_grasps,
+    collect_observations,
+    load_object_files,
+)
+from objectfolder.benchmarks.datasets.observations import Observations
+from objectfolder.benchmarks.datasets.sampling import ObserveConfig
+from objectfolder.benchmarks.datasets.splits import label_order, named_split
+from objectfolder.benchmarks.layout import Benchmarks
+from objectfolder.benchmarks.models.encoders import make_encoder, read_weights, registered
+from objectfolder.benchmarks.params import RobotParams, TaskParams, robot_params, splits_of, task_params
+from objectfolder.benchmarks.tasks.running import Report, Run, SplitRun, Task, machine, run_benchmark
+from objectfolder.engine.pool import in_processes
+from objectfolder.errors import ObjectFolderError
+from objectfolder.io import read_json, write_json
+from objectfolder.workspace import params as workspace
+from objectfolder.workspace.presets import read_preset
+
+Scores = dict[str, dict[str, Any]]  #: contents of result files, by split or object
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchmarkOptions:
+    """Options of a benchmark on Object Files; None stands for the default."""
+
+    files: Sequence[Path] | None = None  #: Object Files, or folders that contain some; default: ``build``
+    preset: str | None = None  #: default: ``params.yaml``
+    out: Path | None = None  #: folder of results; default: ``benchmarks/PRESET``
+    splits: Sequence[str] | None = None  #: default: all splits of the task
+    seeds: int | None = None
+    encoder: str | None = None
+    weights: Path | None = None
+    threads: int | None = None  #: default: one per core
+    device: str | None = None  #: default: a GPU if there is one
+
+    @property
+    def folder(self) -> Benchmarks:
+        """Folder of results."""
+        return Benchmarks(self.out or Path("benchmarks") / (self.preset or "own"))
+
+    @property
+    def cores(self) -> int:
+        """Threads to use in total."""
+        return self.threads or os.cpu_count() or 1
+
+    def values(self) -> tuple[dict[str, Any], Path]:
+        """Return ``params.yaml`` with the preset merged into it, and the file to name in errors."""
+        values, path = workspace.read(), Path(workspace.PARAMS_FILE)
+        if self.preset is not None:
+            sections, path = read_preset(self.preset)
+            values |= sections
+        return values, path
+
+    def with_seeds(self, settings: Any) -> Any:
+        """Return a task's section with the chosen number of seeds."""
+        return settings if self.seeds is None else replace(settings, seeds=self.seeds)
+
+
+def run_on_splits(task: Task, options: BenchmarkOptions, report: Report, track: Tracker) -> Scores:
+    """Collect the samples of all objects and run a task on each split; splits run in parallel on a CPU.
+
+    Parameters
+    ----------
+    task : Task
+    options : BenchmarkOptions
+    report : callable
+        A module-level function, called with lines of text, also in other processes.
+    track : callable
+        Shows the progress of sampling.
+
+    Returns
+    -------
+    Scores by split.
+
+    Raises
+    ------
+    ObjectFolderError
+        If an option is wrong or a split cannot be made, before any work; or if sampling or the task fails.
+    """
+    known = splits_of(task.name)
+    splits = list(dict.fromkeys(options.splits or known))
+    for split in splits:
+        if split not in known:
+            raise ObjectFolderError(f"--split {split!r} is unknown here, expected {' or '.join(known)}")
+    values, path = options.values()
+    params = task_params(task.config, values, path)
+    encode = params.encode if options.encoder is None else replace(params.encode, encoder=options.encoder)
+    params = replace(params, settings=options.with_seeds(params.settings), encode=encode)
+    weights = None if options.weights is None else read_weights(options.weights)
+    make_encoder(registered(encode.encoder), "vision", weights)  # fails before any work
+    sources, folder, cores = load_object_files(options.files), options.folder, options.cores
+
+    def announce(count: int, samples: str) -> None:
+        for split in splits:  # fails before any work
+            named_split(split, label_order(sources), count)
+        report(f"{len(sources)} objects, {count} {samples} of each")
+
+    if task.samples is Observations:
+        observe = workspace.settings(ObserveConfig, values, path)
+        announce(observe.observations, "observations")
+        folders = collect_observations(sources, observe, params.seed, folder, cores, track)
+    else:
+        wanted = workspace.settings(workspace.section_config("grasp_data"), values, path)
+        announce(wanted.grasps, "grasps")
+        hulls = _max_hulls(values, path)
+        folders = collect_all_grasps(sources, wanted, hulls, params.seed, folder, cores, track, report)
+    on_gpu = torch.cuda.is_available() if options.device is None else options.device != "cpu"
+    jobs = 1 if on_gpu else min(cores, len(splits))
+    shared = (folders, params, folder, options.weights, cores // jobs, options.device, report)
+    _call_all(_run_split, [(task, split, *shared) for split in splits], jobs)
+    return {split: read_json(folder.result(task.name, split)) for split in splits}
+
+
+def _run_split(
+    task: Task,
+    split: str,
+    folders: dict[str, Path],
+    params: TaskParams[Any],
+    folder: Benchmarks,
+    weights: Path | None,
+    threads: int,
+    device: str | None,
+    report: Report,
+) -> None:
+    torch.set_num_threads(threads)
+    assert task.samples is not None
+    initial = None if weights is None else read_weights(weights)
+    spec = SplitRun(task, split, task.samples(folders), params, folder, initial, device)
+    _run_timed(spec, report, threads, device)
+
+
+def run_on_objects(task: Task, options: BenchmarkOptions, report: Report, jobs: int = 1) -> Scores:
+    """Run a robot's task with each object.
+
+    Parameters
+    ----------
+    task : Task
+    options : BenchmarkOptions
+        ``threads`` are those of one object's simulation.
+    report : callable
+        A module-level function, called with lines of text, also in other processes.
+    jobs : int
+        Objects in parallel.
+
+    Returns
+    -------
+    Scores by object key.
+
+    Raises
+    ------
+    ObjectFolderError
+        If an option is wrong, before any work; or if the task fails.
+    """
+    values, path = options.values()
+    params = robot_params(task.config, values, path)
+    params = replace(params, settings=options.with_seeds(params.settings))
+    hulls, folder = _max_hulls(values, path), options.folder
+    sources = load_object_files(options.files)
+    shared = (hulls, params, folder, options.cores, report)
+    _call_all(_run_object, [(task, source.path, *shared) for source in sources.values()], jobs)
+    return {key: read_json(folder.result(task.name, key)) for key in sources}
+
+
+def _run_object(
+    task: Task,
+    path: Path,
+    max_hulls: int,
+    params: RobotParams[Any],
+    folder: Benchmarks,
+    threads: int,
+    report: Report,
+) -> None:
+    from threadpoolctl import threadpool_limits
+
+    from objectfolder.benchmarks.tasks.robots import ObjectRun
+    from objectfolder.envs.hulls import cached_hulls
+    from objectfolder.objectfile.file import ObjectFile
+
+    torch.set_num_threads(1)
+    with threadpool_limits(1):
+        file = ObjectFile.load(path)
+        try:
+            hulls = cached_hulls(file, folder.hulls, max_hulls)
+            _run_timed(ObjectRun(task, file, hulls, params, folder, threads), report, threads, "cpu")
+        except ObjectFolderError as error:
+            raise ObjectFolderError(f"{path}: {error}") from error
+
+
+def _run_timed(spec: Run, report: Report, threads: int, device: str | None) -> None:
+    """Run a task, and write its cost beside the results."""
+    before = time.process_time()
+    seconds = run_benchmark(spec, report)
+    cost = {"seconds": seconds, "cpu_seconds": time.process_time() - before}
+    where = {"threads": threads, "machine": machine(device)}
+    write_json(spec.folder.machine(spec.task.name, spec.part), cost | where)
+
+
+def _call_all(call: Callable[..., None], arguments: list[tuple[Any, ...]], jobs: int) -> None:
+    """Call a function with each of the arguments, in processes if there are several jobs."""
+    if min(jobs, len(arguments)) > 1:
+        for _ in in_processes(call, arguments, jobs):
+            pass
+    else:
+        for given in arguments:
+            call(*given)
+
+
+def _max_hulls(values: dict[str, Any], path: Path) -> int:
+    hulls: int = workspace.settings(workspace.section_config("decompose"), values, path).hulls
+    return hulls
