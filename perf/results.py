@@ -16,11 +16,11 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined, Undefined
 from query import FIGURES, MEDIAN_KB, significant
 from ruamel.yaml import YAML
 
-from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.params import splits_of
 from objectfolder.benchmarks.reporting import tables
 from objectfolder.benchmarks.tasks.running import machine
 from objectfolder.io import read_json, write_text
+from objectfolder.workspace.layout import Benchmarks
 
 ROOT = Path(__file__).parents[1]
 RECORDS = ROOT / "docs" / "results"

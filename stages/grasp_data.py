@@ -1,12 +1,11 @@
 """grasp_data: Object File, hulls, surface.ply -> benchmarks/grasps/<object>: seen, felt, how it ended."""
 
 from objectfolder.benchmarks.datasets.grasp_data import GraspDataConfig, collect_grasps
-from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.envs.body import rigid_body
 from objectfolder.envs.hulls import read_hulls
 from objectfolder.mesh.ply import read_surface
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.workspace.layout import Build
+from objectfolder.workspace.layout import Benchmarks, Build
 from objectfolder.workspace.params import stage_params
 from stages import run
 

@@ -1,6 +1,5 @@
 """grasp_policy: Object File, hulls -> benchmarks/grasp_policy_<object>.json, .csv, .safetensors, .gif."""
 
-from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.models.trpo import GraspPolicyConfig
 from objectfolder.benchmarks.params import robot_params
 from objectfolder.benchmarks.tasks.grasp_policy import GRASP_POLICY
@@ -8,7 +7,7 @@ from objectfolder.benchmarks.tasks.robots import ObjectRun
 from objectfolder.benchmarks.tasks.running import run_benchmark
 from objectfolder.envs.hulls import read_hulls
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.workspace.layout import Build
+from objectfolder.workspace.layout import Benchmarks, Build
 from stages import run
 
 

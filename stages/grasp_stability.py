@@ -1,10 +1,10 @@
 """grasp_stability: grasps of all objects -> benchmarks/grasp_stability_<split>.json, .csv: will it hold?"""
 
 from objectfolder.benchmarks.datasets.grasps import Grasps
-from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.params import object_keys, task_params
 from objectfolder.benchmarks.tasks.grasp_stability import GRASP_STABILITY, GraspStabilityConfig
 from objectfolder.benchmarks.tasks.running import SplitRun, run_benchmark
+from objectfolder.workspace.layout import Benchmarks
 from stages import run
 
 

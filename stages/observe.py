@@ -1,9 +1,8 @@
 """observe: ObjectFile.safetensors -> benchmarks/observations/<object>: random views, impacts and touches."""
 
 from objectfolder.benchmarks.datasets.sampling import ObserveConfig, sample_observations
-from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.workspace.layout import Build
+from objectfolder.workspace.layout import Benchmarks, Build
 from objectfolder.workspace.params import stage_params
 from stages import run
 

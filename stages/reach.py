@@ -1,6 +1,5 @@
 """reach: Object File and its hulls -> benchmarks/reach_<key>.json, .csv, .safetensors, .gif: PPO on reach."""
 
-from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.models.ppo import ReachConfig
 from objectfolder.benchmarks.params import robot_params
 from objectfolder.benchmarks.tasks.reach import REACH
@@ -8,7 +7,7 @@ from objectfolder.benchmarks.tasks.robots import ObjectRun
 from objectfolder.benchmarks.tasks.running import run_benchmark
 from objectfolder.envs.hulls import read_hulls
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.workspace.layout import Build
+from objectfolder.workspace.layout import Benchmarks, Build
 from stages import run
 
 

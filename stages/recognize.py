@@ -1,10 +1,10 @@
 """recognize: observations of all objects -> benchmarks/recognize_<split>.json, .csv: instance recognition."""
 
 from objectfolder.benchmarks.datasets.observations import Observations
-from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.params import object_keys, task_params
 from objectfolder.benchmarks.tasks.recognition import RECOGNIZE, RecognizeConfig
 from objectfolder.benchmarks.tasks.running import SplitRun, run_benchmark
+from objectfolder.workspace.layout import Benchmarks
 from stages import run
 
 

@@ -1,10 +1,10 @@
 """reconstruct: observations of all objects -> benchmarks/reconstruct_<split>.{json,csv,safetensors,png}."""
 
 from objectfolder.benchmarks.datasets.observations import Observations
-from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.params import object_keys, task_params
 from objectfolder.benchmarks.tasks.reconstruction import RECONSTRUCT, ReconstructConfig
 from objectfolder.benchmarks.tasks.running import SplitRun, run_benchmark
+from objectfolder.workspace.layout import Benchmarks
 from stages import run
 
 

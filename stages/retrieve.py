@@ -1,10 +1,10 @@
 """retrieve: observations of all objects -> benchmarks/retrieve_<split>.json, .csv: by another sense."""
 
 from objectfolder.benchmarks.datasets.observations import Observations
-from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.params import object_keys, task_params
 from objectfolder.benchmarks.tasks.retrieval import RETRIEVE, RetrieveConfig
 from objectfolder.benchmarks.tasks.running import SplitRun, run_benchmark
+from objectfolder.workspace.layout import Benchmarks
 from stages import run
 
 

@@ -14,12 +14,11 @@ from objectfolder.benchmarks.datasets.sampling import (
     observation_request,
     sample_observations,
 )
-from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.tasks.running import Report
 from objectfolder.engine.pool import in_processes
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.workspace.layout import Build
+from objectfolder.workspace.layout import Benchmarks, Build
 
 if TYPE_CHECKING:
     from objectfolder.benchmarks.datasets.grasp_data import GraspDataConfig

@@ -18,7 +18,6 @@ from objectfolder.benchmarks.collect import (
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.datasets.sampling import ObserveConfig
 from objectfolder.benchmarks.datasets.splits import label_order, named_split
-from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.models.encoders import make_encoder, read_weights, registered
 from objectfolder.benchmarks.params import RobotParams, TaskParams, robot_params, splits_of, task_params
 from objectfolder.benchmarks.tasks.running import Report, Run, SplitRun, Task, machine, run_benchmark
@@ -26,6 +25,7 @@ from objectfolder.engine.pool import in_processes
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_json, write_json
 from objectfolder.workspace import params as workspace
+from objectfolder.workspace.layout import Benchmarks
 from objectfolder.workspace.presets import read_preset
 
 Scores = dict[str, dict[str, Any]]  #: contents of result files, by split or object

@@ -1,4 +1,4 @@
-"""Commands that write observations and objects in the formats of other libraries and engines: export."""
+"""Commands that export observations and objects for other libraries and engines: export."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -22,17 +22,18 @@ export_app = typer.Typer(
     "engines: MuJoCo (`mjcf`), PyBullet and others (`urdf`).",
 )
 
-OutArgument = Annotated[Path, typer.Argument(metavar="OUT", help="Folder to make.")]
+OutArgument = Annotated[Path, typer.Argument(metavar="OUT", help="Folder to create.")]
 FoldersArgument = Annotated[
-    list[Path], typer.Argument(metavar="FOLDER...", help="Folders of observations, or what holds them.")
+    list[Path],
+    typer.Argument(metavar="FOLDER...", help="Folders of observations, or folders that contain some."),
 ]
 FilesArgument = Annotated[
-    list[Path], typer.Argument(metavar="FILE...", help="ObjectFile.safetensors of objects.")
+    list[Path], typer.Argument(metavar="FILE...", help="Object Files (ObjectFile.safetensors).")
 ]
-HullsOption = Annotated[int, typer.Option(min=1, help="Convex hulls of an object, at most.")]
+HullsOption = Annotated[int, typer.Option(min=1, help="Maximum number of convex hulls per object.")]
 SplitOption = Annotated[
     str,
-    typer.Option(help="seen: every object in all splits; unseen: objects of the test in no other split."),
+    typer.Option(help="seen: all objects in all parts; unseen: test objects absent from the other parts."),
 ]
 
 
@@ -41,12 +42,12 @@ def webdataset(
     out: OutArgument,
     folders: FoldersArgument,
     split: SplitOption = "seen",
-    shard: Annotated[int, typer.Option(min=1, help="Samples of a tar file.")] = 1000,
+    shard: Annotated[int, typer.Option(min=1, help="Samples per tar file.")] = 1000,
 ) -> None:
     """Write tar files for the WebDataset library: train-000000.tar ... val- ... test-...
 
     A sample has vision.png, audio.wav (float, absolute scale), touch.png and json: label, key, material,
-    scale and what was asked. index.json names the labels. Then, in Python:
+    scale and the queries. index.json names the labels. Then, in Python:
 
     `webdataset.WebDataset("OUT/train-{000000..000003}.tar").decode("rgb")`
     """
@@ -74,7 +75,7 @@ def datasets(out: OutArgument, folders: FoldersArgument, split: SplitOption = "s
 
 @export_app.command()
 def mjcf(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None:
-    """Write a folder OUT/KEY for MuJoCo per object: a body with a free joint, hulls, texture, mass, inertia.
+    """Write a folder OUT/KEY per object for MuJoCo: a body with a free joint, hulls, texture, mass, inertia.
 
     Then, in Python: `mujoco.MjModel.from_xml_path("OUT/KEY/KEY.xml")`. Half a minute per object.
     """
@@ -86,7 +87,7 @@ def mjcf(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> Non
 
 @export_app.command()
 def urdf(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None:
-    """Write a folder OUT/KEY for PyBullet and other readers of URDF per object: a link as of `mjcf`.
+    """Write a folder OUT/KEY per object for PyBullet and other URDF readers: a link as in `mjcf`.
 
     Then, in Python: `loadURDF("OUT/KEY/KEY.urdf", flags=URDF_USE_INERTIA_FROM_FILE)`. Half a minute per
     object.
@@ -103,7 +104,7 @@ def _export_objects(
     from objectfolder.objectfile.file import ObjectFile
 
     objects = [ObjectFile.load(file) for file in files]
-    # Before hulls of the first objects take their time.
+    # Checked before hulls are computed, which takes long.
     for i, (file, found) in enumerate(zip(files, objects)):
         if (out / found.key).exists():
             raise ObjectFolderError(f"{out / found.key} exists already: choose another folder, or delete it")

@@ -1,4 +1,4 @@
-"""Command that makes a mesh of a photograph: reconstruct."""
+"""Command that reconstructs a mesh from a photograph: reconstruct."""
 
 from pathlib import Path
 from typing import Annotated
@@ -10,23 +10,22 @@ from objectfolder.errors import ObjectFolderError
 
 
 def reconstruct(
-    photo: Annotated[Path, typer.Argument(metavar="PHOTO", help="A picture of one object.")],
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="The mesh to write: .obj, .ply or .glb.")],
+    photo: Annotated[Path, typer.Argument(metavar="PHOTO", help="Image of one object.")],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Mesh to write: .obj, .ply or .glb.")],
     model: Annotated[Path, typer.Option(help="IMAGE2MESH, a .safetensors file of the benchmark.")],
-    mask: Annotated[
-        Path | None, typer.Option(help="A picture of the same size, white where the object is.")
-    ] = None,
+    mask: Annotated[Path | None, typer.Option(help="Image of the same size, white on the object.")] = None,
     background: Annotated[
         str | None, typer.Option(metavar="R,G,B", help="Colour of a plain background, 0 to 255 each.")
     ] = None,
     tolerance: Annotated[
-        int, typer.Option(min=0, max=255, help="Levels by which the object differs from the background.")
+        int,
+        typer.Option(min=0, max=255, help="Smallest difference of the object from the background, levels."),
     ] = 30,
 ) -> None:
-    """Reconstruct an object's shape from one picture (unit frame: the longest side is 1).
+    """Reconstruct an object's shape from one image (unit frame: the longest side is 1).
 
-    The background is removed by the picture's transparency if it has any, else by `--mask`, else by
-    `--background`. The model knows objects like those that it was trained on.
+    The background is removed with the image's transparency if it has any, else with `--mask`, else with
+    `--background`. The model only knows objects like those it was trained on.
     """
     from objectfolder.benchmarks.models.framing import framed
     from objectfolder.benchmarks.models.shape_model import load_model
@@ -57,6 +56,6 @@ def reconstruct(
 def _colour(text: str) -> tuple[int, int, int]:
     parts = text.split(",")
     if len(parts) != 3 or not all(part.strip().isdecimal() and int(part) < 256 for part in parts):
-        raise ObjectFolderError(f"--background {text!r}: expected three levels, such as 255,255,255")
+        raise ObjectFolderError(f"--background {text!r}: expected three levels such as 255,255,255")
     red, green, blue = map(int, parts)
     return red, green, blue

@@ -16,7 +16,7 @@ sample_app = typer.Typer(
     help="Write random, valid query files: `vision`, `audio` or `touch`; `query` answers them.",
 )
 
-OutArgument = Annotated[Path, typer.Argument(metavar="OUT.npy", help="The file to write.")]
+OutArgument = Annotated[Path, typer.Argument(metavar="OUT.npy", help="File to write.")]
 CountOption = Annotated[int, typer.Option("-n", "--count", min=1, help="Queries, one per row.")]
 SeedOption = Annotated[int, typer.Option(min=0, help="The same seed gives the same file.")]
 
@@ -26,12 +26,12 @@ def vision(
     out: OutArgument,
     count: CountOption = 20,
     seed: SeedOption = 0,
-    radius: Annotated[float, typer.Option(help="Of the sphere that cameras are on.")] = 2.5,
-    light_radius: Annotated[float, typer.Option(help="Of the sphere that lights are on.")] = 1.0,
+    radius: Annotated[float, typer.Option(help="Radius of the sphere of cameras.")] = 2.5,
+    light_radius: Annotated[float, typer.Option(help="Radius of the sphere of lights.")] = 1.0,
 ) -> None:
     """Write views, (N, 6): camera xyz, light xyz, each uniform on a sphere around the object.
 
-    Unit frame: the object's longest side is 1. It takes no object, as all are looked at alike. Then:
+    Unit frame: the object's longest side is 1. No object is needed, since all are viewed alike. Then:
 
     `objectfolder query vision FILE OUT.npy IMAGES/`
     """
@@ -46,21 +46,23 @@ def audio(
     out: OutArgument,
     count: CountOption = 20,
     seed: SeedOption = 0,
-    force: Annotated[float, typer.Option(help="Length of every impulse, N s.")] = 1.0,
+    force: Annotated[float, typer.Option(help="Magnitude of every impulse, N s.")] = 1.0,
     directions: Annotated[
         str,
         typer.Option(
-            help="normal: along the inward surface normal, as a hammer strikes; random: anywhere inward."
+            help="normal: along the inward surface normal, like a hammer; random: any inward direction."
         ),
     ] = "normal",
     forces: Annotated[
         Path | None,
-        typer.Option(metavar="FORCES.npy", help="Write impulses (N, 3) here, and only points to OUT.npy."),
+        typer.Option(
+            metavar="FORCES.npy", help="Write impulses (N, 3) to this file, and only points to OUT.npy."
+        ),
     ] = None,
 ) -> None:
     """Write strikes, (N, 6): points on the surface (metres), uniform by area, and impulses (N s).
 
-    With `--forces`, two files of (N, 3), as the published dataset has them. Then:
+    With `--forces`, two files of (N, 3), as in the published dataset. Then:
 
     `objectfolder query audio FILE OUT.npy SOUNDS/ [--forces FORCES.npy]`
     """
@@ -88,12 +90,14 @@ def touch(
     ] = None,
     sensor: Annotated[
         str | None,
-        typer.Option(help="Whose depths: a name (`sensor list`) or a .yaml file; default: the stored."),
+        typer.Option(
+            help="Sensor that determines depths: a name (`sensor list`) or a .yaml file; default: the stored one."
+        ),
     ] = None,
 ) -> None:
     """Write contacts, (N, 3): points on the surface (metres), uniform by area.
 
-    With `--gelinfo`, how the sensor leans and how far it is pressed besides. Then:
+    With `--gelinfo`, also the tilt and press depth of the sensor. Then:
 
     `objectfolder query touch FILE OUT.npy IMAGES/ [--gelinfo GELINFO.npy]`
     """
@@ -113,7 +117,7 @@ def touch(
 
 
 def _check_names(*paths: Path | None) -> None:
-    """Refuse what would be written over something else, before any work."""
+    """Check output names before any work."""
     given = [path for path in paths if path is not None]
     for path in given:
         if path.suffix != ".npy":

@@ -11,14 +11,13 @@ from typing import Any
 from dvc.exceptions import DvcException
 from dvc.repo import Repo
 
-from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.engine.dvc import emit
 from objectfolder.engine.dvc.lockfile import LockFiles
 from objectfolder.engine.dvc.repository import held, read_params
 from objectfolder.engine.dvc.savedruns import entries, outputs, remove
 from objectfolder.engine.failures import LOGS
 from objectfolder.errors import ObjectFolderError
-from objectfolder.workspace.layout import Build
+from objectfolder.workspace.layout import Benchmarks, Build
 
 LOCK = "dvc.lock"
 _OID = re.compile(r"\b[0-9a-f]{32}(?:\.dir)?\b")

@@ -1,6 +1,8 @@
 """Paths of the artifacts of a workspace: the only module that names a file under ``build/``."""
 
+import hashlib
 from pathlib import Path
+from typing import Any
 
 SPLITS = ("train", "val", "test")
 MODALITIES = ("vision", "audio", "touch")
@@ -66,6 +68,57 @@ class Build:
         data = [path for split in SPLITS for path in (self.views(split), self.touch(split))]
         nets = [path for modality in MODALITIES for path in (self.net(modality), self.curve(modality))]
         return [*single, *data, *nets]
+
+
+class Benchmarks:
+    """Paths of the samples and results of benchmarks.
+
+    Parameters
+    ----------
+    folder : Path
+        Default: that of the stages.
+    """
+
+    def __init__(self, folder: str | Path = "benchmarks"):
+        self.dir = Path(folder)
+        self.hulls = self.dir / "hulls"  #: undeclared: recomputed if the Object File has changed
+
+    def observations(self, key: str) -> Path:
+        """Return the folder of an object's observations."""
+        return self.dir / "observations" / key
+
+    def grasps(self, key: str) -> Path:
+        """Return the folder of an object's grasps."""
+        return self.dir / "grasps" / key
+
+    def result(self, task: str, split: str) -> Path:
+        """Return the path of the scores (JSON)."""
+        return self.dir / f"{task}_{split}.json"
+
+    def curve(self, task: str, split: str) -> Path:
+        """Return the path of the training curves (CSV)."""
+        return self.dir / f"{task}_{split}.csv"
+
+    def machine(self, task: str, split: str) -> Path:
+        """Return the path of run time and machine (JSON); undeclared."""
+        return self.dir / f"{task}_{split}_machine.json"
+
+    def model(self, task: str, split: str) -> Path:
+        """Return the path of a trained model."""
+        return self.dir / f"{task}_{split}.safetensors"
+
+    def sheet(self, task: str, split: str) -> Path:
+        """Return the path of a figure."""
+        return self.dir / f"{task}_{split}.png"
+
+    def film(self, task: str, split: str) -> Path:
+        """Return the path of an animation."""
+        return self.dir / f"{task}_{split}.gif"
+
+    def progress(self, task: str, split: str, identity: Any) -> Path:
+        """Return the folder that a run with the same inputs resumes from; undeclared."""
+        digest = hashlib.sha256(repr(identity).encode()).hexdigest()
+        return self.dir / ".progress" / f"{task}_{split}_{digest[:16]}"
 
 
 def code_list(stage: str) -> Path:

@@ -13,11 +13,11 @@ from typer.testing import CliRunner
 from objectfolder.benchmarks import run
 from objectfolder.benchmarks.datasets.sampling import sample_observations
 from objectfolder.benchmarks.datasets.splits import object_split
-from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import open_safetensors, write_safetensors
 from objectfolder.objectfile.file import ObjectFile
+from objectfolder.workspace.layout import Benchmarks
 from objectfolder.workspace.params import read
 
 ROOT = Path(__file__).parents[2]

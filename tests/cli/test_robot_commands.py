@@ -7,11 +7,11 @@ from ruamel.yaml import YAML
 from typer.testing import CliRunner
 
 from objectfolder.benchmarks.datasets.grasps import Grasps
-from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_json
 from objectfolder.objectfile.file import ObjectFile
+from objectfolder.workspace.layout import Benchmarks
 
 ROOT = Path(__file__).parents[2]
 TINY = {

@@ -18,7 +18,6 @@ from ruamel.yaml import YAML
 
 from objectfolder import ObjectFile
 from objectfolder.benchmarks.datasets.grasps import Grasps
-from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.models.shape_model import load_model
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_json, read_npz
@@ -26,7 +25,7 @@ from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.view import draw
-from objectfolder.workspace.layout import Build
+from objectfolder.workspace.layout import Benchmarks, Build
 from objectfolder.workspace.params import ROBOT_STAGES
 
 pytestmark = pytest.mark.xdist_group("pipeline")

@@ -1,4 +1,4 @@
-"""Observations in the formats of two libraries: WebDataset shards, a folder for Hugging Face ``datasets``.
+"""Export observations as WebDataset shards or as a folder for Hugging Face ``datasets``.
 
 Views and touches are PNG, sounds float WAV at absolute scale. The same observations give the same bytes.
 """
@@ -35,27 +35,27 @@ def write_webdataset(
     shard: int = 1000,
     report: Report = lambda done, total: None,
 ) -> None:
-    """Write tar files that ``webdataset`` reads.
+    """Write tar files for ``webdataset``.
 
     A sample has ``vision.png``, ``audio.wav``, ``touch.png`` and ``json``: label, key, material, scale and
-    what was asked (`objectfolder.benchmarks.datasets.sampling.draw_queries`). Samples are shuffled, because
-    readers stream them; ``index.json`` has the names of labels and the number of samples of each shard.
+    queries (`objectfolder.benchmarks.datasets.sampling.draw_queries`). Samples are shuffled, because readers
+    stream them; ``index.json`` holds the label names and the number of samples of each shard.
 
     Parameters
     ----------
     observations : Observations
     split : Split
     out : path
-        Folder to make: ``train-000000.tar`` ... ``val-000000.tar`` ... ``test-000000.tar`` ...
+        Folder to create: ``train-000000.tar`` ... ``val-000000.tar`` ... ``test-000000.tar`` ...
     shard : int
-        Samples of a shard.
+        Samples per shard.
     report : callable
-        Called with the number of samples that are written, and of all.
+        Called with the numbers of written and of all samples.
 
     Raises
     ------
     ObjectFolderError
-        If the folder is there already, or the disk is full.
+        If the folder exists, or the disk is full.
     """
     from webdataset import TarWriter
 
@@ -85,21 +85,21 @@ def write_webdataset(
 def write_datasets(
     observations: Observations, split: Split, out: str | Path, report: Report = lambda done, total: None
 ) -> None:
-    """Write a folder that ``datasets.load_dataset(OUT)`` reads: Parquet files and a card.
+    """Write a folder for ``datasets.load_dataset(OUT)``: Parquet files and a card.
 
     Parameters
     ----------
     observations : Observations
     split : Split
     out : path
-        Folder to make.
+        Folder to create.
     report : callable
-        Called with the number of samples that are written, and of all.
+        Called with the numbers of written and of all samples.
 
     Raises
     ------
     ObjectFolderError
-        If the folder is there already, or the disk is full.
+        If the folder exists, or the disk is full.
     """
     import datasets
     import pyarrow as pa
@@ -140,7 +140,7 @@ def write_datasets(
 
 
 def _samples(observations: Observations, rows: np.ndarray) -> Iterator[dict[str, Any]]:
-    """Encode rows, a few in the memory at a time."""
+    """Yield encoded rows, reading few at a time."""
     queries = {key: observations.queries(key) for key in observations.keys}
     for start in range(0, len(rows), _BATCH):
         batch = rows[start : start + _BATCH]
@@ -162,7 +162,7 @@ def _samples(observations: Observations, rows: np.ndarray) -> Iterator[dict[str,
 
 
 def _members(sample: dict[str, Any]) -> dict[str, Any]:
-    """Files of a sample of WebDataset."""
+    """Return the files of a WebDataset sample."""
     said = {name: value for name, value in sample.items() if name not in MODALITIES}
     return {
         "__key__": f"{sample['key']}_{sample['observation']:06d}",
@@ -174,7 +174,7 @@ def _members(sample: dict[str, Any]) -> dict[str, Any]:
 
 
 def _columns(sample: dict[str, Any]) -> dict[str, Any]:
-    """Columns of a sample of ``datasets``, which has a name for each label."""
+    """Return the columns of a ``datasets`` sample."""
     name, suffixes = f"{sample['key']}_{sample['observation']:06d}", {"audio": "wav"}
     stored = {
         modality: {"bytes": sample[modality], "path": f"{name}_{modality}.{suffixes.get(modality, 'png')}"}
@@ -190,7 +190,7 @@ def _png(image: np.ndarray) -> bytes:
 
 
 def _wav(sound: np.ndarray, rate: int) -> bytes:
-    """Float WAV. Not libsndfile's: its PEAK chunk holds the time of day."""
+    """Encode as float WAV. Not with libsndfile, whose PEAK chunk contains the time of day."""
     stream = io.BytesIO()
     wavfile.write(stream, rate, sound)
     return stream.getvalue()
@@ -205,7 +205,7 @@ def _total(split: Split) -> int:
 
 
 def _new_folder(out: Path, observations: Observations, samples: int) -> AbstractContextManager[Path]:
-    # What sounds take; images get smaller by an amount that is not known before.
+    # Size of the sounds; that of the compressed images is not known before.
     needed = samples * 4 * observations.shape("audio")[0]
     return new_folder("export", out, needed, ", or export fewer objects")
 

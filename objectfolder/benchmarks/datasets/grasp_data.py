@@ -1,4 +1,4 @@
-"""Collect grasps of an object: what was seen, what both fingers felt, how it ended (supplementary I.4)."""
+"""Simulate grasps of an object: camera images, touches of both fingers, outcomes (supplementary I.4)."""
 
 import hashlib
 import shutil
@@ -32,16 +32,14 @@ from objectfolder.io import atomic, read_json, write_json, write_npz
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator
 
-POSES = (
-    "poses.npz"  #: where objects and hands were, what touched where: all that a grasp can be run again from
-)
+POSES = "poses.npz"  #: poses and contacts, sufficient to repeat each grasp
 FORCES = (1.0, 40.0)  #: of each jaw, N, log-uniform
-PLACES = 0.03  #: objects stand up to so far from the origin along x and y, m
-INSIDE = 0.8  #: hands come down over the object's silhouette shrunk so much
+PLACES = 0.03  #: largest offset of objects from the origin along x and y, m
+INSIDE = 0.8  #: shrinkage of the object's silhouette over which hands come down
 SHIFT, TURN, STRENGTH = 0.001, np.radians(1.0), 0.03  #: perturbations: standard deviations, m, rad, fraction
-BATCH = 32  #: grasps that are tried together; the unit of progress
-ATTEMPTS = 20000  #: poses in a row of which none is free, before an object is given up
-EMPTY = 10  #: batches in a row in which both pads touch nothing, before it is
+BATCH = 32  #: grasps simulated together; the unit of progress
+ATTEMPTS = 20000  #: consecutive colliding poses before an object is given up
+EMPTY = 10  #: consecutive batches without contact of both pads before it is
 
 Report = Callable[[int, int], None]
 
@@ -51,26 +49,26 @@ class GraspDataConfig:
     """Section ``grasp_data`` of ``params.yaml``: grasps to collect of each object."""
 
     grasps: Annotated[int, Ge(10), MultipleOf(10)]
-    perturbations: Annotated[int, Ge(0)]  #: repetitions of each grasp, slightly changed, for the soft label
+    perturbations: Annotated[int, Ge(0)]  #: perturbed repetitions of each grasp for the soft label
     image: Annotated[int, Ge(8)]  #: side of the camera's pictures, pixels
     touch: tuple[int, int]  #: height and width of tactile images, pixels; the sensor's: 160, 120
     timestep: Annotated[float, Interval(gt=0, le=0.004)] = Physics.timestep  #: of the simulation, s
 
     def bytes(self, explicit: bool) -> int:
-        """Of the pictures of a grasp."""
+        """Return the size of the images of a grasp."""
         return 3 * (self.image**2 + 2 * (1 + explicit) * self.touch[0] * self.touch[1])
 
 
 @dataclass(frozen=True)
 class Attempts:
-    """N grasps to try; world frame."""
+    """N grasps to simulate; world frame."""
 
     objects: np.ndarray  #: (N, 7)
     hands: np.ndarray  #: (N, 4)
     forces: np.ndarray  #: (N,)
 
     def take(self, rows: np.ndarray) -> "Attempts":
-        """Some of them."""
+        """Select rows."""
         return Attempts(self.objects[rows], self.hands[rows], self.forces[rows])
 
 
@@ -84,11 +82,11 @@ def collect_grasps(
     threads: int = 1,
     report: Report = lambda done, total: None,
 ) -> None:
-    """Grasp an object at random places, and write what was seen and felt and how it ended.
+    """Simulate random grasps of an object, and write images, touches and outcomes.
 
-    Positions, orientations and forces are random. Those at which the open gripper would run into the object
-    are not tried, and those in which not both pads touch it do not count; the record tells their numbers.
-    What is interrupted goes on where it was. The same bytes follow for any number of threads.
+    Positions, orientations and forces are random. Poses in which the open gripper collides with the object
+    are skipped, and grasps without contact of both pads do not count; the record reports their numbers. An
+    interrupted call resumes. The bytes do not depend on the number of threads.
 
     Parameters
     ----------
@@ -104,12 +102,12 @@ def collect_grasps(
     threads : int
         Of the simulation.
     report : callable
-        Called with the number of grasps that are there and that are wanted.
+        Called with the numbers of collected and of wanted grasps.
 
     Raises
     ------
     ObjectFolderError
-        If the object does not fit the gripper or cannot be grasped, or the Object File lacks look or touch.
+        If the object does not fit the gripper or cannot be grasped, or the Object File lacks vision or touch.
     """
     folder = Path(folder)
     request = grasp_request(file, body, wanted, seed, surface is not None)
@@ -155,15 +153,15 @@ def is_collected(request: dict[str, Any], folder: Path) -> bool:
 def draw_attempts(
     scene: GraspScene, rests: np.ndarray, count: int, rng: np.random.Generator
 ) -> tuple[Attempts, int]:
-    """Draw grasps whose start is free, and say how many poses that took.
+    """Draw grasps with collision-free start poses; also return the number of poses drawn.
 
-    The object rests as one of its drops did, turned about the vertical and moved. The hand comes down over a
-    random point of its silhouette, to any height, from any direction; the force is log-uniform over `FORCES`.
+    The object has one of its resting poses, turned about the vertical and moved. The hand comes down over a
+    random point of its silhouette, to any height, from any direction; the force is log-uniform in `FORCES`.
 
     Raises
     ------
     ObjectFolderError
-        If none of `ATTEMPTS` poses in a row is free.
+        If `ATTEMPTS` consecutive poses collide.
     """
     found: list[Attempts] = []
     drawn, since, points = 0, 0, scene.body.points
@@ -195,20 +193,19 @@ def draw_attempts(
 def label_grasps(
     scene: GraspScene, rests: np.ndarray, perturbations: int, rng: np.random.Generator
 ) -> tuple[Outcomes, dict[str, np.ndarray]]:
-    """Try `BATCH` grasps, or more until both pads touch the object in one; those get labels.
+    """Simulate batches of grasps until both pads touch the object in some; label those.
 
     Returns
     -------
     Outcomes
     dict
-        What else to store of them: where the object stood before (``start``), the greatest force of each jaw
-        (``limits``), the share of ``perturbations`` that succeed (``soft``), numbers of poses that were
-        ``drawn``, ``free`` and ``touched``.
+        Initial object poses (``start``), maximum force of each jaw (``limits``), success rate over the
+        perturbations (``soft``), and the numbers of ``drawn``, ``free`` and ``touched`` poses.
 
     Raises
     ------
     ObjectFolderError
-        If no free pose is found, or the pads touch nothing in `EMPTY` batches.
+        If no collision-free pose is found, or no batch of `EMPTY` has contact of both pads.
     """
     drawn = free_poses = 0
     for _ in range(EMPTY):
@@ -258,7 +255,7 @@ def _observed(
     grasps: Outcomes,
     more: dict[str, np.ndarray],
 ) -> dict[str, np.ndarray]:
-    """All arrays of a batch."""
+    """Compute all arrays of a batch."""
     pressed = pad_presses(grasps.objects, grasps.hands, grasps.contacts)
     depths = press_depths(file, pressed, grasps.forces.ravel())
     middle = grasps.contacts.mean(1) - np.stack([_placed(body.centre, pose) for pose in grasps.objects])
@@ -287,14 +284,14 @@ def _images(
     depths: np.ndarray,
     size: tuple[int, int],
 ) -> np.ndarray:
-    """Tactile images of both fingers at the stored size; (N, 2, h, w, 3) uint8."""
+    """Compute tactile images of both fingers at the stored size; (N, 2, h, w, 3) uint8."""
     images = torch.from_numpy(ask(source, pressed, depths)).permute(0, 3, 1, 2).float()
     small = torch.nn.functional.adaptive_avg_pool2d(images, size).round().to(torch.uint8)
     return small.permute(0, 2, 3, 1).reshape(-1, 2, *size, 3).numpy()
 
 
 def _write(folder: Path, paths: list[Path], count: int) -> str:
-    """Write what batches hold, array by array; SHA-256 of all of it."""
+    """Concatenate batches array by array; return the SHA-256 of the arrays."""
     digest = hashlib.sha256()
     with np.load(paths[0]) as first:
         rows = {name: first[name][:1] for name in first.files if first[name].ndim}
@@ -345,8 +342,8 @@ def _require_parts(file: ObjectFile) -> None:
     lacking = [part for part in ("geometry", "vision", "touch") if part not in file.header]
     if lacking:
         raise ObjectFolderError(
-            f"{file.key}: the Object File holds no {' and no '.join(lacking)}; grasps are seen and felt: "
-            "leave it out, or build it whole"
+            f"{file.key}: the Object File holds no {' and no '.join(lacking)}; grasps need geometry, "
+            "vision and touch: leave the object out, or rebuild it"
         )
 
 
@@ -356,5 +353,5 @@ def _truth(file: ObjectFile, surface: tuple[np.ndarray, np.ndarray]) -> TrueSurf
 
 
 def _placed(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Points (..., 3) of an object at a pose (7,)."""
+    """Transform points (..., 3) of an object by a pose (7,)."""
     return points @ rotation(pose[3:]).T + pose[:3]

@@ -15,7 +15,6 @@ from objectfolder.benchmarks.datasets.samples import Samples, array_path, check_
 from objectfolder.benchmarks.datasets.splits import label_order
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_json, read_npz
-from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace.layout import MODALITIES
 
 VERSION = 1  #: of the sampling procedure and the format; other versions are refused
@@ -90,19 +89,9 @@ class Observations(Samples):
         """Return an object's queries; see `objectfolder.benchmarks.datasets.sampling.draw_queries`."""
         return read_npz(self._folders[key] / QUERIES)
 
-    def object_file(self, key: str) -> ObjectFile:
-        """Load the observed Object File.
-
-        Raises
-        ------
-        ObjectFolderError
-            If it is missing, damaged, or of another object.
-        """
-        path = self._folders[key] / SOURCE
-        file = ObjectFile.load(path)
-        if file.key != key:
-            raise ObjectFolderError(f"{path} holds {file.key}, expected {key}; sample the object again")
-        return file
+    def object_file(self, key: str) -> Path:
+        """Return the path of the observed Object File."""
+        return self._folders[key] / SOURCE
 
 
 def _record(key: str, folder: Path) -> dict[str, Any]:

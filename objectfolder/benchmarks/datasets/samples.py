@@ -4,12 +4,14 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.objectfile.file import ObjectFile
+
+if TYPE_CHECKING:
+    from objectfolder.objectfile.file import ObjectFile
 
 
 class Samples:
@@ -84,7 +86,7 @@ class Samples:
         return self._arrays[name]
 
 
-def object_digest(file: ObjectFile) -> str:
+def object_digest(file: "ObjectFile") -> str:
     """Return the SHA-256 of an Object File's header and tensors; hexadecimal."""
     digest = hashlib.sha256(json.dumps(file.header, sort_keys=True).encode())
     for name in sorted(file.tensors):

@@ -110,7 +110,7 @@ def shape_inputs(
     rng: np.random.Generator | None = None,
     device: str | torch.device = "cpu",
 ) -> torch.Tensor:
-    """Make a reconstructor's input: `objectfolder.benchmarks.models.encoders.encoder_inputs` of framed views."""
+    """Make a reconstructor's inputs: as `encoder_inputs`, with views framed."""
     return encoder_inputs(modality, framed_views(raw) if modality == "vision" else raw, sizes, rng, device)
 
 

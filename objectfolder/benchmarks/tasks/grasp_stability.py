@@ -142,10 +142,11 @@ def nested_order(rows: np.ndarray, labels: np.ndarray, rng: np.random.Generator)
 def grasp_stability(job: Job[GraspStabilityConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train and score the prediction of whether a grasp holds (main paper, 4.4; supplementary H and I.4).
 
-    A stream alone is an encoder with two fully connected layers; both together start from the same seed's
-    nets of each (`join_streams`) and are trained jointly. A small number of training grasps is part of a larger one.
-    Nets of touches from Object Files and from the ground truth start alike and meet the same grasps in the
-    same order. The best epoch is chosen on the validation rows, which are the same for every size.
+    A single stream is an encoder with two fully connected layers; vision and touch together start from the
+    nets of each with the same seed (`join_streams`) and are trained jointly. Smaller training sets are
+    subsets of larger ones. Nets of touches from Object Files and ground truth have the same initial weights
+    and see the same grasps in the same order. The best epoch is chosen on the validation rows, which are the
+    same for every size.
 
     Returns
     -------

@@ -81,9 +81,9 @@ def join_classifiers(parts: Sequence[Classifier]) -> Classifier:
 def recognize(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train and score the recognition of instances (main paper, Table 2).
 
-    Each modality alone is an encoder with a linear classifier. A combination starts from the same seed's nets
-    of its modalities (`join_classifiers`) and is trained jointly. The best epoch is chosen on the validation rows; the
-    test rows are read once, with that one.
+    Each modality alone is an encoder with a linear classifier. A combination starts from the nets of its
+    modalities with the same seed (`join_classifiers`) and is trained jointly. The best epoch is chosen on the
+    validation rows; the test rows are evaluated once, with that epoch.
 
     Returns
     -------

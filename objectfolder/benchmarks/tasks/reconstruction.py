@@ -33,8 +33,10 @@ from objectfolder.benchmarks.reporting.shape_pictures import sheet
 from objectfolder.benchmarks.scoring.truth import THRESHOLDS, Truth, best_level
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.running import Task
+from objectfolder.errors import ObjectFolderError
 from objectfolder.io import write_png
 from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator, seeded
 from objectfolder.settings import Count, NonNegative
 
@@ -129,13 +131,17 @@ def validation_rows(job: Job[ReconstructConfig]) -> np.ndarray:
 
 def _truth(job: Job[ReconstructConfig]) -> Truth:
     observations = cast(Observations, job.observations)
-    surfaces = {key: partial(_surface, observations, key) for key in observations.keys}
+    surfaces = {key: partial(_surface, observations.object_file(key), key) for key in observations.keys}
     digests = {key: record["object_sha256"] for key, record in observations.records.items()}
     return Truth(surfaces, digests, job.params.score_points, job.params.resolution, job.seed, job.progress)
 
 
-def _surface(observations: Observations, key: str) -> Isosurface:
-    return observations.object_file(key).surface
+def _surface(path: Path, key: str) -> Isosurface:
+    """Load the stored surface of an observed Object File."""
+    file = ObjectFile.load(path)
+    if file.key != key:
+        raise ObjectFolderError(f"{path} holds {file.key}, expected {key}; sample the object again")
+    return file.surface
 
 
 def _model_path(job: Job[ReconstructConfig], variant: str) -> Path:

@@ -15,12 +15,12 @@ import torch
 import objectfolder
 from objectfolder.benchmarks.datasets.samples import Samples
 from objectfolder.benchmarks.datasets.splits import named_split
-from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.models.encoders import InputSizes, Weights, own_file, registered
 from objectfolder.benchmarks.params import TaskParams
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.io import atomic, file_digest, write_json
 from objectfolder.workspace.code_digests import digests
+from objectfolder.workspace.layout import Benchmarks
 
 #: Files in a progress folder that are kept as results: a trained model, a figure, an animation.
 KEPT = {

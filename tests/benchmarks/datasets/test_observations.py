@@ -139,11 +139,3 @@ def test_objects_that_were_sampled_differently_are_refused(brick, folders, tmp_p
     message = rf"bell: {what} has shape \[{count}, {side}, {side}, 3\], that of mug"
     with pytest.raises(ObjectFolderError, match=message):
         Observations({"bell": tmp_path, **folders})
-
-
-def test_object_file_is_the_observed_one(folders, copied):
-    assert Observations(folders).object_file("die").scale == 0.1
-    source = copied["die"] / "ObjectFile.safetensors"
-    source.write_bytes((copied["mug"] / "ObjectFile.safetensors").read_bytes())
-    with pytest.raises(ObjectFolderError, match=f"{source} holds mug, expected die"):
-        Observations(copied).object_file("die")

@@ -11,7 +11,6 @@ from PIL import Image
 from ruamel.yaml import YAML
 from typer.testing import CliRunner
 
-from objectfolder.benchmarks.layout import Benchmarks
 from objectfolder.benchmarks.models import ppo
 from objectfolder.benchmarks.models.actor import Actor
 from objectfolder.benchmarks.models.ppo import ReachConfig, train_ppo
@@ -36,6 +35,7 @@ from objectfolder.envs.body import rigid_body
 from objectfolder.envs.reach import ReachEnv
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_json, write_safetensors
+from objectfolder.workspace.layout import Benchmarks
 
 TINY = ReachConfig(
     seeds=1,

@@ -229,6 +229,6 @@ def test_objects_that_are_never_learnt_are_refused(tmp_path):
     table = Table(10)
     split = per_object(table.keys, table.count)
     with pytest.raises(
-        ObjectFolderError, match=r"split unseen tests with .*which is not learnt.*use split seen"
+        ObjectFolderError, match=r"split unseen: test class .* is absent from training; use --split seen"
     ):
         _run(table, tmp_path, split)

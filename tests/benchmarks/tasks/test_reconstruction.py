@@ -1,5 +1,6 @@
 import json
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,7 +17,7 @@ from objectfolder.benchmarks.models.encoders import InputSizes, register_encoder
 from objectfolder.benchmarks.models.shape_model import Setup, ShapeModel, load_model, new_net, save_model
 from objectfolder.benchmarks.scoring import truth
 from objectfolder.benchmarks.scoring.truth import Truth, best_level
-from objectfolder.benchmarks.tasks import job
+from objectfolder.benchmarks.tasks import job, reconstruction
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.reconstruction import (
     CURVE_COLUMNS,
@@ -29,6 +30,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sdf import distance_grid
+from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import seeded
 
 SOLIDS = {
@@ -66,7 +68,7 @@ class Observed:
     records = {key: {"object_sha256": key} for key in keys}  # noqa: RUF012
 
     def object_file(self, key):
-        return SimpleNamespace(surface=SURFACES[key])
+        return Path(key)
 
     def shape(self, modality):
         return self.read(modality, np.array([0])).shape[1:]
@@ -106,6 +108,7 @@ def occupancy(monkeypatch):
     opened = {key: (lambda surface=surface: surface) for key, surface in SURFACES.items()}
     sampled = sample_occupancy(opened, 3000, 600, PARAMS.score_points, PARAMS.resolution, 0)
     monkeypatch.setattr(truth, "cached_occupancy", lambda *given: sampled)
+    monkeypatch.setattr(reconstruction, "_surface", lambda path, key: SURFACES[key])
     return sampled
 
 
@@ -256,3 +259,11 @@ def test_encoders_start_from_given_weights(tmp_path):
         encoders.Weights(tmp_path, ones),
     )
     assert all((value == 1).all() for value in net.encoders["vision"].state_dict().values())
+
+
+def test_an_object_file_of_another_object_is_named(brick_path):
+    assert np.array_equal(
+        reconstruction._surface(brick_path, "brick").vertices, ObjectFile.load(brick_path).surface.vertices
+    )
+    with pytest.raises(ObjectFolderError, match=f"{brick_path} holds brick, expected mug"):
+        reconstruction._surface(brick_path, "mug")
