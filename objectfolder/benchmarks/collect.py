@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 Tracker = Callable[[Iterable[Any], str, int], Iterable[Any]]
 
 
-class Source(NamedTuple):
+class LoadedFile(NamedTuple):
     """An Object File and its path."""
 
     path: Path
     file: ObjectFile
 
 
-def load_object_files(places: Sequence[Path] | None) -> dict[str, Source]:
+def load_object_files(places: Sequence[Path] | None) -> dict[str, LoadedFile]:
     """Load Object Files; return them by key.
 
     Parameters
@@ -58,19 +58,19 @@ def load_object_files(places: Sequence[Path] | None) -> dict[str, Source]:
         raise ObjectFolderError(
             f"no Object Files in {', '.join(map(str, searched))}; run `objectfolder build`, or name some"
         )
-    sources: dict[str, Source] = {}
+    sources: dict[str, LoadedFile] = {}
     for path in paths:
         file = ObjectFile.load(path)
         if file.key in sources:
             raise ObjectFolderError(
                 f"{path} and {sources[file.key].path} are both of {file.key}; give each object once"
             )
-        sources[file.key] = Source(path, file)
+        sources[file.key] = LoadedFile(path, file)
     return sources
 
 
 def collect_observations(
-    sources: Mapping[str, Source],
+    sources: Mapping[str, LoadedFile],
     wanted: ObserveConfig,
     seed: int,
     folder: Benchmarks,
@@ -99,7 +99,7 @@ def _observe(path: Path, count: int, resolution: int, seed: int, folder: Path) -
 
 
 def collect_all_grasps(
-    sources: Mapping[str, Source],
+    sources: Mapping[str, LoadedFile],
     wanted: "GraspDataConfig",
     max_hulls: int,
     seed: int,

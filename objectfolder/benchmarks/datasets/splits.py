@@ -1,7 +1,7 @@
-"""Which observations are learnt from, and which are kept back: frozen lists, by sample and by object.
+"""Frozen training, validation and test splits, by sample and by object.
 
-``data/objects.csv`` numbers the objects of the shipped catalogues: a list that is only ever appended to, of
-every ten consecutive objects 7 for training, 1 for validation and 2 for tests. ``data/samples.txt`` has a
+``data/objects.csv`` lists the objects of the shipped catalogues. It is only ever appended to; of every ten
+consecutive objects 7 are for training, 1 for validation and 2 for the test. ``data/samples.txt`` has a
 letter (t, v, e) for every observation of an object: of every ten 8, 1 and 1, the paper's shares
 (supplementary I.1). Both were drawn once, at random, and never change, so that scores stay comparable.
 """
@@ -21,7 +21,7 @@ from objectfolder.workspace.layout import SPLITS
 
 TEN = 10  #: observations of an object come in tens, each with 8 for training, 1 for validation, 1 for tests
 _LETTERS = dict(zip("tve", SPLITS))
-_CHUNK = 64  # rows that are read at once
+_CHUNK = 64  # rows read at once
 
 
 @dataclass(frozen=True)
@@ -38,15 +38,15 @@ class Split:
 
 
 def label_order(keys: Iterable[str]) -> tuple[str, ...]:
-    """Return objects in the order of their labels: the frozen list's first, then others by key."""
+    """Return objects in label order: those of the frozen list first, then others by key."""
     given, listed = set(keys), _listed()
     return *(key for key in listed if key in given), *sorted(given - listed.keys())
 
 
 def object_split(key: str) -> str:
-    """Return the split of an object, ``train``, ``val`` or ``test``: it does not depend on other objects.
+    """Return the split of an object, ``train``, ``val`` or ``test``, independent of other objects.
 
-    Objects that the frozen list lacks go by a hash of their key, in the same shares.
+    Objects that are not in the frozen list are assigned by a hash of their key, in the same proportions.
     """
     listed = _listed()
     if key in listed:
@@ -65,29 +65,29 @@ def check_count(count: int) -> None:
 
 
 def per_sample(keys: Sequence[str], count: int) -> Split:
-    """Split ``seen``: of every object 80 % of the observations to learn from, 10 % and 10 % kept back.
+    """Split ``seen``: 80 % of the observations of every object for training, 10 % validation, 10 % test.
 
     Parameters
     ----------
     keys : sequence of str
         Objects in the order of their rows.
     count : int
-        Observations per object. The first n are in the same splits whatever the count.
+        Observations per object. The split of the first n does not depend on it.
 
     Raises
     ------
     ObjectFolderError
-        If there are fewer than two objects, or the count is no multiple of ten.
+        If there are fewer than two objects, or the count is not a multiple of ten.
     """
     letters = _sample_splits(keys, count)
     return Split("seen", *(_rows(letters == name, [True] * len(keys)) for name in SPLITS))
 
 
 def per_object(keys: Sequence[str], count: int) -> Split:
-    """Split ``unseen``: objects in the test rows are in no training or validation row.
+    """Split ``unseen``: test objects are absent from training and validation.
 
-    Validation has objects of its own where the frozen list gives some. Where it gives none, it has the
-    observations of training objects that ``seen`` validates with, and training goes without them.
+    Validation uses separate objects if the frozen list provides any. Otherwise it uses the observations of
+    training objects that ``seen`` validates on, and training omits them.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def per_object(keys: Sequence[str], count: int) -> Split:
     return Split("unseen", _rows(~kept, train), _rows(kept, train), _rows(np.ones(count, bool), test))
 
 
-#: By name: trained on every object, and tested on objects that were never met.
+#: Splits by name: test on training objects, and on new objects.
 NAMED: dict[str, Callable[[Sequence[str], int], Split]] = {"seen": per_sample, "unseen": per_object}
 
 
@@ -139,17 +139,17 @@ def named_split(name: str, keys: Sequence[str], count: int) -> Split:
 def without_duplicates(
     split: Split, observations: Samples, modalities: Sequence[str]
 ) -> tuple[Split, dict[str, dict[str, int]]]:
-    """Drop kept-back rows that show, to the byte, what is learnt from.
+    """Drop validation and test rows that duplicate earlier rows byte by byte.
 
-    Two presses on a flat face may give one image. A validation row is dropped if what it holds in any of the
-    modalities is in a training row, of any object; a test row also if it is in a validation row.
+    Two presses on a flat face may give the same image. A validation row is dropped if any of its modalities
+    equals that of a training row of any object; a test row also if it equals that of a validation row.
 
     Parameters
     ----------
     split : Split
     observations : Observations
     modalities : sequence of str
-        Those that the task looks at.
+        Inputs of the task.
 
     Returns
     -------
@@ -193,12 +193,12 @@ def _digests(observations: Samples, modality: str, rows: np.ndarray) -> Iterable
 
 
 def _rows(of_count: np.ndarray, of_objects: Sequence[bool] | np.ndarray) -> np.ndarray:
-    """Rows of the chosen observations of the chosen objects."""
+    """Return the rows of the selected observations of the selected objects."""
     return np.flatnonzero(np.outer(of_objects, of_count)).astype(np.int64)
 
 
 def _sample_splits(keys: Sequence[str], count: int) -> np.ndarray:
-    """Split of each of an object's observations; (count,) str."""
+    """Return the split of each observation of an object; (count,) str."""
     if len(keys) < 2:
         raise ObjectFolderError(
             f"objects: {_named(keys) or 'none'}; a benchmark tells objects apart, and needs two at least"

@@ -1,4 +1,4 @@
-"""A trained policy as plain arrays: observation in, action out, and a file that needs no pickle."""
+"""Trained policies as plain arrays, in files without pickle."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,17 +10,17 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.io import open_safetensors, write_safetensors
 
 FORMAT = "objectfolder actor 1"
-CLIP = 10.0  #: standard deviations beyond which a normalised observation is cut
+CLIP = 10.0  #: standard deviations to which normalized observations are clipped
 
 
 @dataclass(frozen=True)
 class Actor:
-    """Mean action of a Gaussian policy: normalisation, layers with tanh between them, a cut to [-1, 1].
+    """Mean action of a Gaussian policy: normalization, layers with tanh between them, clipping to [-1, 1].
 
     Parameters
     ----------
     mean, deviation : (n,) float64
-        Of the observations that were trained with.
+        Of the training observations.
     layers : sequence of pairs
         Weight (out, in) and bias (out,) of each layer, float32.
     """
@@ -30,7 +30,7 @@ class Actor:
     layers: Sequence[tuple[np.ndarray, np.ndarray]]
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
-        """Observations (..., n) to actions (..., m), float32."""
+        """Map observations (..., n) to actions (..., m), float32."""
         x = np.clip((observation - self.mean) / self.deviation, -CLIP, CLIP).astype(np.float32)
         *hidden, (weight, bias) = self.layers
         for inner, shift in hidden:
@@ -46,27 +46,27 @@ class Actor:
 
     @classmethod
     def of(cls, tensors: Mapping[str, np.ndarray]) -> "Actor":
-        """Put together what `tensors` gave."""
+        """Make an actor from its `tensors`."""
         count = sum(name.endswith(".weight") for name in tensors)
         layers = [(tensors[f"layers.{i}.weight"], tensors[f"layers.{i}.bias"]) for i in range(count)]
         return cls(tensors["mean"], tensors["deviation"], layers)
 
     def save(self, path: str | Path, task: str) -> None:
-        """Write a safetensors file; ``task`` says what the policy was trained for."""
+        """Write a safetensors file; its header names the task."""
         write_safetensors(path, self.tensors(), {"format": FORMAT, "task": task})
 
     @classmethod
     def load(cls, path: str | Path) -> "Actor":
-        """Read what `save` wrote.
+        """Read a file written by `save`.
 
         Raises
         ------
         ObjectFolderError
-            If it is something else.
+            If it is no policy file.
         """
         tensors, header = open_safetensors(path)
         if header.get("format") != FORMAT:
             raise ObjectFolderError(
-                f"{path} is no trained policy ({FORMAT}); train one: objectfolder bench reach"
+                f"{path} is not a trained policy ({FORMAT}); train one: objectfolder bench reach"
             )
         return cls.of(tensors)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-RANK = 1e-10  #: variances below this part of the largest, and correlations below it, are rounding
+RANK = 1e-10  #: relative variances, and correlations, below this are rounding errors
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Whitening:
 
 
 def whitening(features: np.ndarray, dimensions: int) -> Whitening:
-    """Find the principal components of (N, D) features: as many as are asked for, or as there are."""
+    """Find the principal components of (N, D) features, at most ``dimensions``."""
     mean = features.mean(0, dtype=np.float64)
     centred = features - mean
     variances, axes = np.linalg.eigh(centred.T @ centred / len(features))
@@ -32,8 +32,8 @@ def directions(first: np.ndarray, second: np.ndarray, labels: np.ndarray) -> tup
     """Find the directions of two modalities that correlate most over pairs of the same object.
 
     Each observation of an object pairs up equally with all observations of the same object in the other
-    modality: the cross-covariance of all these pairs is that of the objects' means, and nothing is left to
-    the chance of one pairing. There are fewer directions than objects, because the means span no more.
+    modality: the cross-covariance over all these pairs is that of the object means, independent of any random
+    pairing. There are fewer directions than objects, because the means span no more.
 
     Parameters
     ----------

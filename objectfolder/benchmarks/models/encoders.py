@@ -1,4 +1,4 @@
-"""Encoders by name, weights trained elsewhere, and what each modality looks like to an encoder."""
+"""Registered encoders, pretrained weights, and encoder inputs of each modality."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -15,9 +15,9 @@ from objectfolder.audio.spectrogram import spectrogram
 from objectfolder.benchmarks.models.resnet import ResNet18
 from objectfolder.errors import ObjectFolderError
 
-CHANNELS = {"vision": 3, "audio": 1, "touch": 3}  #: of what `encoder_inputs` gives
-FLOOR = 80.0  #: dB below a spectrogram's maximum under which nothing is seen
-#: Of ImageNet's photographs, sRGB in [0, 1].
+CHANNELS = {"vision": 3, "audio": 1, "touch": 3}  #: of `encoder_inputs`
+FLOOR = 80.0  #: range of spectrograms below their maximum, dB
+#: Of ImageNet, sRGB in [0, 1].
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 Factory = Callable[[int], nn.Module]
@@ -35,10 +35,10 @@ class EncodeConfig:
 
 
 def register_encoder(name: str) -> Callable[[Factory], Factory]:
-    """Make an encoder known under a name; a decorator.
+    """Return a decorator that registers an encoder under a name.
 
-    What it decorates takes the number of input channels and gives a module with an attribute ``features``,
-    which maps (B, channels, H, W) to (B, features).
+    The decorated callable takes the number of input channels and returns a module with an attribute
+    ``features`` that maps (B, channels, H, W) to (B, features).
     """
 
     def register(factory: Factory) -> Factory:
@@ -52,13 +52,13 @@ register_encoder("resnet18")(ResNet18)
 
 
 def own_file(name: str) -> Path | None:
-    """File that registers an encoder, of a name such as ``mine.py:small``."""
+    """Return the file that registers an encoder with a name such as ``mine.py:small``."""
     file, colon, _ = name.rpartition(":")
     return Path(file) if colon else None
 
 
 class Weights(dict[str, torch.Tensor]):
-    """Tensors of a checkpoint by name, and the file they are from."""
+    """Tensors of a checkpoint by name, and their file."""
 
     def __init__(self, path: Path, tensors: Mapping[str, torch.Tensor]):
         super().__init__(tensors)
@@ -66,12 +66,12 @@ class Weights(dict[str, torch.Tensor]):
 
 
 def registered(name: str) -> str:
-    """Make sure that an encoder is known, and give the name that it is registered under.
+    """Return the registered name of an encoder.
 
     Parameters
     ----------
     name : str
-        Registered, or ``FILE.py:NAME``: that Python file is run, and registers it.
+        Registered name, or ``FILE.py:NAME``: that Python file is run to register it.
 
     Raises
     ------
@@ -92,30 +92,29 @@ def _factory(name: str) -> Factory:
     if name not in _FACTORIES:
         raise ObjectFolderError(
             f"encoder {name!r} is not one of {', '.join(sorted(_FACTORIES))}; "
-            "make your own known with objectfolder.benchmarks.models.encoders.register_encoder"
+            "register your own with objectfolder.benchmarks.models.encoders.register_encoder"
         )
     return _FACTORIES[name]
 
 
 def make_encoder(name: str, modality: str, weights: Weights | None = None) -> nn.Module:
-    """Make the encoder of a registered name for a modality.
+    """Make a registered encoder for a modality.
 
-    Its random parameters come from torch's global generator: make it within `objectfolder.seeding.seeded`.
+    Its random parameters come from torch's global generator: call within `objectfolder.seeding.seeded`.
 
     Parameters
     ----------
     name : str
-        As `registered` gives it. No file is run here: names come from models of strangers, too.
+        As returned by `registered`. No file is run here, since names may come from untrusted model files.
     modality : str
         "vision", "audio" or "touch".
     weights : Weights, optional
-        Parameters to start from. A convolution over three channels is summed over them where the encoder
-        takes one.
+        Initial parameters. A convolution over three channels is summed over them if the encoder takes one.
 
     Raises
     ------
     ObjectFolderError
-        If there is no such encoder, or the weights are of another one.
+        If there is no such encoder, or the weights do not fit it.
     """
     encoder = _factory(name)(CHANNELS[modality])
     if weights is not None:
@@ -124,15 +123,15 @@ def make_encoder(name: str, modality: str, weights: Weights | None = None) -> nn
 
 
 def read_weights(path: str | Path) -> Weights:
-    """Read an encoder's weights from a file that ``torch.save`` wrote, such as torchvision's for ImageNet.
+    """Read an encoder's weights from a ``torch.save`` file, such as torchvision's ImageNet weights.
 
-    The last layer (``fc``) is left out, and so is the prefix ``module.`` of parallel training. Nothing in the
-    file is executed.
+    The last layer (``fc``) and the prefix ``module.`` of parallel training are dropped. Nothing in the file is
+    executed.
 
     Raises
     ------
     ObjectFolderError
-        If the file is missing or no such file.
+        If the file is missing or is no checkpoint of tensors.
     """
     path = Path(path)
     expected = "expected a dictionary of tensors by name, such as torchvision's resnet18 file"
@@ -140,7 +139,7 @@ def read_weights(path: str | Path) -> Weights:
         raise ObjectFolderError(f"{path} does not exist; {expected}")
     try:
         stored = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # the unpickler raises what it likes
+    except Exception as error:  # the unpickler raises any exception
         reason = str(error).partition("\n")[0]
         raise ObjectFolderError(f"{path} is not a readable checkpoint ({reason}); {expected}") from error
     if isinstance(stored, Mapping) and isinstance(stored.get("state_dict"), Mapping):
@@ -158,8 +157,8 @@ def read_weights(path: str | Path) -> Weights:
 
 
 def _matched(weights: Weights, expected: Mapping[str, torch.Tensor], encoder: str) -> dict[str, torch.Tensor]:
-    """Tensors of the weights as an encoder's state dictionary has them."""
-    # Files from before PyTorch 0.4 lack the counters, which a fixed momentum does not use.
+    """Return the weights as a state dictionary of an encoder."""
+    # Files older than PyTorch 0.4 lack the counters, which a fixed momentum does not use.
     missing = [n for n in expected if n not in weights and not n.endswith("num_batches_tracked")]
     unexpected = [name for name in weights if name not in expected]
     if missing or unexpected:
@@ -175,7 +174,7 @@ def _matched(weights: Weights, expected: Mapping[str, torch.Tensor], encoder: st
     for name, value in weights.items():
         shape = expected[name].shape
         if value.ndim == 4 and value.shape[1] == 3 and shape[1] == 1:
-            value = value.sum(1, keepdim=True)  # a grey picture gives the same as its three equal channels
+            value = value.sum(1, keepdim=True)  # same output for a grey image as for three equal channels
         if value.shape != shape:
             raise ObjectFolderError(
                 f"{weights.path}: {name} has shape {tuple(value.shape)}, expected {tuple(shape)} of {encoder}"
@@ -190,7 +189,7 @@ def _some(names: list[str]) -> str:
 
 @dataclass(frozen=True)
 class InputSizes:
-    """Pixels that an encoder is given."""
+    """Sizes of encoder inputs, pixels."""
 
     image: int  #: side of the crop of a view
     spectrogram: tuple[int, int]  #: frequencies, times
@@ -204,22 +203,22 @@ def encoder_inputs(
     rng: np.random.Generator | None = None,
     device: str | torch.device = "cpu",
 ) -> torch.Tensor:
-    """Make an encoder's input of observations (supplementary I.1).
+    """Compute encoder inputs from observations (supplementary I.1).
 
     Parameters
     ----------
     modality : str
     raw : array
-        "vision": (B, H, W, 3) uint8 sRGB, cropped and normalised as ImageNet's photographs.
-        "audio": (B, samples) float32 at 16 kHz. Its magnitude spectrogram in decibels below the sound's own
-        maximum, so that the force does not matter, from 0 (80 dB below, or silence) to 1.
-        "touch": (B, h, w, 3) uint8, normalised as views.
+        "vision": (B, H, W, 3) uint8 sRGB, cropped and normalized as ImageNet.
+        "audio": (B, samples) float32 at 16 kHz. Its magnitude spectrogram in decibels relative to the sound's
+        own maximum, which removes the force, from 0 (80 dB below, or silence) to 1.
+        "touch": (B, h, w, 3) uint8, normalized as views.
     sizes : InputSizes
-        Spectrograms and touches are average-pooled to it.
+        Spectrograms and touches are average-pooled to these.
     rng : numpy Generator, optional
         Places the crop of each view; default: the centre.
     device : str or torch.device
-        Where it is computed, and returned.
+        Of the result.
 
     Returns
     -------
@@ -242,7 +241,7 @@ def encoder_inputs(
 
 
 def _crops(raw: np.ndarray, side: int, rng: np.random.Generator | None) -> torch.Tensor:
-    """Square parts of views, (B, H, W, 3) -> (B, 3, side, side)."""
+    """Crop squares from views, (B, H, W, 3) -> (B, 3, side, side)."""
     spare = np.subtract(raw.shape[1:3], side)
     if spare.min() < 0:
         height, width = raw.shape[1:3]

@@ -1,4 +1,4 @@
-"""Objects in the middle of the picture, all as large: how far away one is, a photograph does not tell."""
+"""Framing: centre objects in views and normalize their size, since photographs do not tell distance."""
 
 import numpy as np
 import torch
@@ -7,18 +7,18 @@ from PIL import Image
 
 from objectfolder.vision.color import on_white
 
-SHARE = 0.8  #: of the frame's side that the longer side of what is seen fills; encoders see the middle 7/8
-OBJECT = 0.5  #: alpha above which a pixel of a picture counts as the object
-WHITE = 250  #: level, of 255, above which all channels of a view's background are
+SHARE = 0.8  #: length of an object's longer side relative to the frame; encoders crop to 7/8
+OBJECT = 0.5  #: alpha above which a pixel belongs to the object
+WHITE = 250  #: level, of 255, above which all channels are background
 
 
 def framed_views(views: np.ndarray) -> np.ndarray:
-    """Move what views on white show to the middle, and scale it to `SHARE`.
+    """Centre the objects in views on white, and scale them to `SHARE`.
 
     Parameters
     ----------
     views : (B, S, S, 3) uint8 array
-        sRGB. A view that is white all over stays so.
+        sRGB. Empty views stay white.
 
     Returns
     -------
@@ -34,24 +34,24 @@ def framed_views(views: np.ndarray) -> np.ndarray:
     affine = np.zeros((len(views), 2, 3), np.float32)
     affine[:, 0, 0] = affine[:, 1, 1] = scale
     affine[:, :, 2] = middle
-    dark = 255 - torch.from_numpy(views).movedim(-1, 1).float()  # beyond the view is white, as 0 is
+    dark = 255 - torch.from_numpy(views).movedim(-1, 1).float()  # padding with 0 is white
     grid = F.affine_grid(torch.from_numpy(affine), list(dark.shape), align_corners=False)
     moved = F.grid_sample(dark, grid, mode="bilinear", align_corners=False)
     return (255 - moved).round().byte().movedim(1, -1).numpy()
 
 
 def _extent(marked: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First and one past the last mark of each row (B, S); 0 and S where there is none."""
+    """Return the first and one past the last mark of each row (B, S); 0 and S without marks."""
     return marked.argmax(1), marked.shape[1] - marked[:, ::-1].argmax(1)
 
 
 def framed(rgba: np.ndarray, side: int) -> np.ndarray:
-    """Show a cut-out object in the middle of a view, on white, and as large as `framed_views` shows others.
+    """Frame a cut-out object on white, with the same size as in `framed_views`.
 
     Parameters
     ----------
     rgba : (H, W, 4) float32 array
-        Linear and premultiplied; some of it is the object.
+        Linear and premultiplied; not empty.
     side : int
         Pixels of the view.
 
@@ -74,12 +74,12 @@ def shown(rgba: np.ndarray) -> np.ndarray:
 
 
 def resized(rgba: np.ndarray, side: int) -> np.ndarray:
-    """Resample a square linear RGBA picture as a whole; (side, side, 4) float32."""
+    """Resample a whole square linear RGBA image; (side, side, 4) float32."""
     return _window(rgba, 0.0, 0.0, float(len(rgba)), side)
 
 
 def _window(rgba: np.ndarray, top: float, left: float, length: float, side: int) -> np.ndarray:
-    """Resample a square part, transparent beyond the picture; (side, side, 4) float32."""
+    """Resample a square window, transparent beyond the image; (side, side, 4) float32."""
     first = np.floor([top, left]).astype(int)
     size = int(np.ceil(length)) + 1
     part = np.zeros((size, size, 4), np.float32)

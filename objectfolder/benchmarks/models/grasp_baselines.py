@@ -1,11 +1,11 @@
-"""What tells the outcome of a grasp without looking or touching: the commonest one, and plain geometry."""
+"""Baselines of grasp stability: the most frequent outcome, and classifiers of geometric measurements."""
 
 import numpy as np
 from sklearn.ensemble import GradientBoostingClassifier
 
 from objectfolder.benchmarks.datasets.grasps import Grasps
 
-#: What each classifier of plain numbers is given.
+#: Inputs of each classifier.
 GEOMETRY: dict[str, tuple[str, ...]] = {
     "geometry": ("width", "offset"),
     "geometry_force": ("width", "offset", "force"),
@@ -15,7 +15,7 @@ BASELINES = ("majority", "object_majority", *GEOMETRY)
 
 
 def baselines(grasps: Grasps, train: np.ndarray, test: np.ndarray) -> dict[str, np.ndarray]:
-    """Answers of all baselines for the test rows.
+    """Compute the predictions of all baselines for the test rows.
 
     Parameters
     ----------
@@ -26,9 +26,9 @@ def baselines(grasps: Grasps, train: np.ndarray, test: np.ndarray) -> dict[str, 
     Returns
     -------
     dict
-        By name of `BASELINES`, (m,) numbers: above 0 means success, and the higher, the more likely.
-        "majority": the commonest outcome; "object_majority": that of the same object, or of all objects for
-        one that is never learnt; "geometry": gradient boosted trees (Friedman 2001) on the opening of the
+        By name of `BASELINES`, (m,) decision values: above 0 for success, higher for more likely.
+        "majority": the most frequent outcome; "object_majority": that of the same object, or of all objects
+        for one absent from training; "geometry": gradient boosted trees (Friedman 2001) on the opening of the
         jaws and the offset from the centre of mass, "geometry_force" with the force of the jaws, too.
     """
     outcomes, labels = grasps.success[train], grasps.labels
@@ -43,5 +43,5 @@ def baselines(grasps: Grasps, train: np.ndarray, test: np.ndarray) -> dict[str, 
 
 
 def _numbers(grasps: Grasps, names: tuple[str, ...], rows: np.ndarray) -> np.ndarray:
-    """Some measured arrays side by side; (n, D) float64."""
+    """Stack measured arrays as columns; (n, D) float64."""
     return np.column_stack([grasps.read(name, rows).astype(np.float64) for name in names])

@@ -1,4 +1,4 @@
-"""Occupancy Networks (Mescheder et al. 2019) behind features of images and sounds (supplementary I.3)."""
+"""Occupancy Networks (Mescheder et al. 2019) conditioned on images and sounds (supplementary I.3)."""
 
 import math
 from collections.abc import Mapping
@@ -8,18 +8,18 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-EMBEDDING = 256  #: numbers that describe a shape to the decoder
+EMBEDDING = 256  #: size of shape embeddings
 
 
 class ConditionalBatchNorm(nn.Module):
-    """Batch normalisation over all points of a batch, whose scale and shift each object's embedding chooses.
+    """Batch normalization over all points of a batch, with scale and shift predicted from the embedding.
 
-    At first every object has scale 1 and shift 0.
+    Initially the scale is 1 and the shift 0.
 
     Parameters
     ----------
     embedding, width : int
-        Numbers that describe an object, and that describe a point.
+        Sizes of embeddings and of point features.
     """
 
     def __init__(self, embedding: int, width: int):
@@ -31,11 +31,11 @@ class ConditionalBatchNorm(nn.Module):
         self.norm = nn.BatchNorm1d(width, affine=False)
 
     def forward(self, points: torch.Tensor, embedding: torch.Tensor) -> torch.Tensor:
-        """Normalise (B, P, width) points of objects described by a (B, embedding) tensor."""
+        """Normalize (B, P, width) points of objects with (B, embedding) embeddings."""
         gamma, beta = self.gamma(embedding)[:, None], self.beta(embedding)[:, None]
         if self.training:
             return torch.addcmul(beta, gamma, self.norm(points.flatten(0, 1)).view_as(points))
-        # The running statistics belong to scale and shift: one pass over the points, not two.
+        # Fold the running statistics into scale and shift: one pass over the points instead of two.
         mean, variance = self.norm.running_mean, self.norm.running_var
         assert mean is not None
         assert variance is not None
@@ -44,9 +44,9 @@ class ConditionalBatchNorm(nn.Module):
 
 
 class ConditionalBlock(nn.Module):
-    """Two fully-connected layers, each behind `ConditionalBatchNorm` and ReLU, added to their input.
+    """Residual block of two fully connected layers, each preceded by `ConditionalBatchNorm` and ReLU.
 
-    The second layer starts at 0, so that the block starts as the identity.
+    The second layer is initialized to 0, so that the block is initially the identity.
     """
 
     def __init__(self, embedding: int, width: int):
@@ -62,16 +62,16 @@ class ConditionalBlock(nn.Module):
 
 
 class OccupancyDecoder(nn.Module):
-    """From points and an embedding of a shape to the logits that the points are inside.
+    """Predict occupancy logits of points from the embedding of a shape.
 
     Parameters
     ----------
     width : int
-        Numbers that describe a point between layers.
+        Size of point features.
     blocks : int
     frequencies : int
-        Octaves of sines and cosines that a point's coordinates come with. The paper has none, and hundreds of
-        thousands of steps; with a few, thin walls are learnt in hundreds.
+        Octaves of sines and cosines of the coordinates. The paper uses none and hundreds of thousands of
+        steps; with a few, thin walls are learned in hundreds.
     embedding : int
     """
 
@@ -98,8 +98,7 @@ class Reconstructor(nn.Module):
     Parameters
     ----------
     encoders : mapping of str to nn.Module
-        Of each modality, in the order in which features are concatenated; each says how many ``features``
-        it gives.
+        By modality, in the order of concatenation; each has an attribute ``features``.
     width, blocks, frequencies : int
         Of the decoder.
     """
@@ -120,11 +119,11 @@ class Reconstructor(nn.Module):
         return torch.cat([encoder(inputs[modality]) for modality, encoder in self.encoders.items()], 1)
 
     def embed(self, inputs: Mapping[str, torch.Tensor]) -> torch.Tensor:
-        """Describe the shapes that a batch of images, sounds, or both, of the same objects show; (B, 256)."""
+        """Embed the shapes of a batch of images, sounds, or both, of the same objects; (B, 256)."""
         return self.fusion(self.features(inputs))
 
     def forward(self, inputs: Mapping[str, torch.Tensor], points: torch.Tensor) -> torch.Tensor:
-        """Logits (B, P) that points (B, P, 3), unit frame, are inside; their sigmoid is the occupancy."""
+        """Return the occupancy logits (B, P) of points (B, P, 3), unit frame."""
         return self.decoder(points, self.embed(inputs))
 
 
@@ -132,7 +131,7 @@ class Reconstructor(nn.Module):
 def occupancy_logits(
     decoder: OccupancyDecoder, embedding: torch.Tensor, points: torch.Tensor, chunk: int = 2**12
 ) -> torch.Tensor:
-    """Logits (B, P) at (P, 3) points that all objects share, a chunk of points at a time."""
+    """Return logits (B, P) at points (P, 3) shared by all objects, in chunks of points."""
     return torch.stack(
         [torch.cat([decoder(part[None], one[None])[0] for part in points.split(chunk)]) for one in embedding]
     )

@@ -1,4 +1,4 @@
-"""A trained reconstructor with all that it takes to use it, and the file that keeps it."""
+"""Trained reconstructors with their configuration, and their file format."""
 
 import math
 from collections.abc import Mapping
@@ -18,22 +18,22 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_safetensors, write_safetensors
 
 FORMAT = "objectfolder reconstruction 2"
-ROWS = 64  # observations that are encoded at once
+ROWS = 64  # observations encoded at once
 
 
 @dataclass(frozen=True)
 class Setup:
-    """What a reconstructor is made of; the header of its file."""
+    """Configuration of a reconstructor; the header of its file."""
 
-    modalities: tuple[str, ...]  #: what it looks at, in this order: "vision", "audio", or both
+    modalities: tuple[str, ...]  #: inputs, in this order: "vision", "audio", or both
     encoder: str  #: a name of `objectfolder.benchmarks.models.encoders`
     sizes: InputSizes
-    view: int  #: side of the views that are cropped, pixels
+    view: int  #: side of the views before cropping, pixels
     width: int  #: of the decoder
     blocks: int
     frequencies: int
     resolution: int  #: nodes along a side for marching cubes
-    keys: tuple[str, ...]  #: objects that it was trained on
+    keys: tuple[str, ...]  #: training objects
     threshold: float = 0.5  #: occupancy above which a point is inside
 
 
@@ -52,12 +52,12 @@ class ShapeModel:
 
     @property
     def level(self) -> float:
-        """Logit above which a point is inside."""
+        """Logit of the threshold."""
         return math.log(self.setup.threshold / (1 - self.setup.threshold))
 
     @torch.no_grad()
     def embed(self, observations: Mapping[str, np.ndarray]) -> torch.Tensor:
-        """Describe the shapes that observations show.
+        """Embed the shapes of observations.
 
         Parameters
         ----------
@@ -84,16 +84,16 @@ class ShapeModel:
         return torch.cat(parts)
 
     def logits(self, embedding: torch.Tensor, points: np.ndarray) -> np.ndarray:
-        """Logits (B, P) that points (P, 3), unit frame, are inside each of B shapes."""
+        """Return the occupancy logits (B, P) of points (P, 3), unit frame, for each of B shapes."""
         places = torch.from_numpy(points).to(embedding.device)
         return occupancy_logits(self.net.decoder, embedding, places).cpu().numpy()
 
     def is_inside(self, embedding: torch.Tensor, points: np.ndarray) -> np.ndarray:
-        """Whether points (P, 3), unit frame, are inside each of B shapes; (B, P) bool."""
+        """Return whether points (P, 3), unit frame, are inside each of B shapes; (B, P) bool."""
         return self.logits(embedding, points) > self.level
 
     def mesh(self, embedding: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices (V, 3), unit frame, and faces (F, 3) of the shape of an embedding (256,)."""
+        """Extract vertices (V, 3), unit frame, and faces (F, 3) of the shape of an embedding (256,)."""
         side = self.setup.resolution
         values = self.logits(embedding[None], self._grid)[0]
         return extract_mesh(values.reshape(side, side, side), self.level)
@@ -115,24 +115,24 @@ def shape_inputs(
 
 
 def new_net(setup: Setup, weights: Weights | None = None) -> Reconstructor:
-    """Make an untrained net, from torch's global generator; encoders may start from given weights."""
+    """Make an untrained net, initialized from torch's global generator or, for encoders, given weights."""
     encoders = {name: make_encoder(setup.encoder, name, weights) for name in setup.modalities}
     return Reconstructor(encoders, setup.width, setup.blocks, setup.frequencies)
 
 
 def save_model(path: str | Path, model: ShapeModel) -> None:
-    """Write a trained model: its tensors, and its setup as the header of a safetensors file."""
+    """Write a model as a safetensors file with its setup as the header."""
     tensors = {name: value.detach().cpu().numpy() for name, value in model.net.state_dict().items()}
     write_safetensors(path, tensors, {"format": FORMAT, **asdict(model.setup)})
 
 
 def load_model(path: str | Path, device: str | torch.device = "cpu") -> ShapeModel:
-    """Read a model that `save_model` wrote; nothing in the file is executed.
+    """Read a model written by `save_model`; nothing in the file is executed.
 
     Raises
     ------
     ObjectFolderError
-        If the file is missing, damaged, or holds something else.
+        If the file is missing, damaged, or no model file.
     """
     tensors, header = read_safetensors(path)
     if not isinstance(header, dict) or header.get("format") != FORMAT:
@@ -147,7 +147,7 @@ def load_model(path: str | Path, device: str | torch.device = "cpu") -> ShapeMod
         if expected.keys() != tensors.keys():
             wrong = sorted(expected.keys() ^ tensors.keys())
             raise ValueError(f"{len(wrong)} tensors are missing or too many, such as {wrong[0]}")
-        # Numbers come back as arrays of one.
+        # Scalars are stored as arrays of one element.
         net.load_state_dict(
             {name: torch.from_numpy(value.reshape(expected[name].shape)) for name, value in tensors.items()}
         )

@@ -1,4 +1,4 @@
-"""The training loop of every benchmark net: epochs that can be resumed."""
+"""Resumable training loop of all benchmark nets."""
 
 import math
 import time
@@ -17,10 +17,10 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.io import atomic
 from objectfolder.settings import Count, NonNegative, Positive
 
-WARM_UP = 20  #: steps until the learning rate is reached
-STATISTICS = 8  #: batches that the statistics of batch normalisation are taken from, after each epoch
+WARM_UP = 20  #: steps of linear learning rate warm-up
+STATISTICS = 8  #: batches to recompute batch normalization statistics from after each epoch
 FORMAT = "objectfolder benchmark training 1"  #: of a checkpoint
-REMOVE = "remove it, and this training starts over"
+REMOVE = "delete it to restart this training"
 
 Batch = TypeVar("Batch")
 Norm = nn.modules.batchnorm._BatchNorm
@@ -62,32 +62,32 @@ def train(
     device: str | torch.device = "cpu",
     report: Callable[[EpochPoint], None] = lambda point: None,
 ) -> list[EpochPoint]:
-    """Train a net with AdamW, warm-up and cosine decay; leave it at its best epoch, in evaluation mode.
+    """Train a net with AdamW, warm-up and cosine decay; restore its best epoch, in evaluation mode.
 
-    The same arguments give the same net, whether or not the call was interrupted in between. For that, what
-    is random must follow from the epoch's number: nothing may be drawn from a generator that lives on.
+    The same arguments give the same net, whether or not the call was interrupted. To that end, all randomness
+    must follow from the epoch number, not from a generator that persists over epochs.
 
     Parameters
     ----------
     net : nn.Module
         Moved to the device and trained in place.
     epoch_batches : callable
-        Gives the batches of an epoch; the first is 1.
+        Returns the batches of an epoch, counted from 1.
     batch_loss : callable
-        Loss of a batch; in bfloat16 where that is safe on CUDA, in float32 elsewhere.
+        Returns the loss of a batch; under bfloat16 autocast on CUDA, in float32 elsewhere.
     val_score : callable
-        Score on the validation split after each epoch, in evaluation mode and without gradients; higher is
+        Returns the validation score after each epoch, in evaluation mode and without gradients; higher is
         better.
     epochs : int
         At most; the learning rate decays over all of them.
     learning_rate : float
         Peak rate.
     patience : int
-        Training stops after so many epochs without a better score.
+        Epochs without a better score after which training stops.
     statistics : int
-        Batches that the statistics of batch normalisation are taken from, after each epoch.
+        Batches to recompute batch normalization statistics from after each epoch.
     checkpoint : Path, optional
-        File that keeps the state after each epoch, from which the same call goes on; remove it afterwards.
+        File that stores the state after each epoch, from which the same call resumes; delete it afterwards.
     report : callable
         Called with each new point of the curve.
 
@@ -98,7 +98,7 @@ def train(
     Raises
     ------
     ObjectFolderError
-        If the training diverges, or the checkpoint is damaged or of another training.
+        If training diverges, or the checkpoint is damaged or of another training.
     """
     device = torch.device(device)
     net.to(device)
@@ -137,7 +137,7 @@ def train(
         if not math.isfinite(train_loss) or math.isnan(score):
             raise ObjectFolderError(
                 f"epoch {epoch} has a training loss of {train_loss} and a validation score of {score}; "
-                f"expected finite ones: take a smaller learning_rate than {learning_rate:g}"
+                f"expected finite values: use a smaller learning_rate than {learning_rate:g}"
             )
         curve.append(EpochPoint(epoch, train_loss, score, time.perf_counter() - start))
         if _best_epoch(curve) == epoch:
@@ -166,9 +166,9 @@ def read_checkpoint(path: Path, form: str, settings: dict[str, Any]) -> dict[str
     Parameters
     ----------
     path : Path
-        File by ``torch.save``.
+        Written by ``torch.save``.
     form, settings
-        What its entries ``format`` and ``settings`` have to be.
+        Expected entries ``format`` and ``settings``.
 
     Raises
     ------
@@ -177,7 +177,7 @@ def read_checkpoint(path: Path, form: str, settings: dict[str, Any]) -> dict[str
     """
     try:
         stored: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # the unpickler raises what it likes
+    except Exception as error:  # the unpickler raises any exception
         reason = str(error).partition("\n")[0]
         raise ObjectFolderError(f"{path} is damaged ({reason}); {REMOVE}") from error
     if not isinstance(stored, dict) or stored.get("format") != form:
@@ -192,10 +192,10 @@ def read_checkpoint(path: Path, form: str, settings: dict[str, Any]) -> dict[str
 def _renew(
     norms: Sequence[Norm], batches: Iterable[Batch], batch_loss: Callable[[Batch], torch.Tensor]
 ) -> None:
-    """Take the statistics of batch normalisation anew, as means over some batches (Wu and Johnson 2021).
+    """Recompute batch normalization statistics as means over some batches (Wu and Johnson 2021).
 
-    Running averages lag behind weights that change fast: on small data the first epochs would score near
-    chance, however well they separate their batches.
+    Running averages lag behind rapidly changing weights: on small data the first epochs would score near
+    chance.
     """
     for norm in norms:
         norm.reset_running_stats()
@@ -206,9 +206,9 @@ def _renew(
 
 
 def shuffled(rows: np.ndarray, batch: int, rng: np.random.Generator) -> Iterator[np.ndarray]:
-    """Give each row once, in random order and in batches.
+    """Yield each row once, in random order and in batches.
 
-    A last batch of a single row is merged into the one before, because batch normalisation needs two.
+    A last batch of one row is merged into the one before, because batch normalization needs two.
     """
     order = rng.permutation(rows)
     ends = list(range(batch, len(order), batch))
@@ -218,7 +218,7 @@ def shuffled(rows: np.ndarray, batch: int, rng: np.random.Generator) -> Iterator
 
 
 def _best_epoch(curve: list[EpochPoint]) -> int:
-    """Epoch of the best score, the first of equals; 0 before the first."""
+    """Return the epoch of the best score, the first of equals; 0 without epochs."""
     return max(curve, key=lambda point: point.val_score).epoch if curve else 0
 
 
@@ -233,7 +233,7 @@ def _shapes(state: dict[str, torch.Tensor]) -> dict[str, torch.Size]:
 def _resume(
     checkpoint: Path, net: nn.Module, optimizer: torch.optim.Optimizer, settings: dict[str, Any]
 ) -> tuple[list[EpochPoint], dict[str, torch.Tensor], int]:
-    """Put net and optimizer in the state of a checkpoint; give curve, best state and count of steps."""
+    """Restore net and optimizer from a checkpoint; return curve, best state and number of steps."""
     stored = read_checkpoint(checkpoint, FORMAT, settings)
     if _shapes(stored["net"]) != _shapes(net.state_dict()):
         raise ObjectFolderError(f"{checkpoint} is of another net; {REMOVE}")

@@ -1,4 +1,4 @@
-"""Pictures of meshes, without OpenGL."""
+"""Images of meshes, ray cast without OpenGL."""
 
 from collections.abc import Sequence
 
@@ -14,14 +14,14 @@ CAMERA = np.array([1.5, -1.5, 1.35])  #: unit frame
 
 
 def shaded(vertices: np.ndarray, faces: np.ndarray, side: int = SIDE) -> np.ndarray:
-    """Draw a mesh as a camera with a lamp beside it sees it.
+    """Draw a mesh with a light at the camera.
 
     Parameters
     ----------
     vertices : (V, 3) array
         Unit frame.
     faces : (F, 3) int array
-        Without any, the picture is white.
+        An empty mesh gives a white image.
     side : int
         Pixels.
 
@@ -44,13 +44,13 @@ def shaded(vertices: np.ndarray, faces: np.ndarray, side: int = SIDE) -> np.ndar
 
 
 def sheet(views: np.ndarray, meshes: Sequence[Sequence[tuple[np.ndarray, np.ndarray]]]) -> np.ndarray:
-    """Lay out views and, beside each, meshes; a row of each.
+    """Lay out rows of a view and its meshes.
 
     Parameters
     ----------
     views : (N, H, W, 3) uint8 array
     meshes : N sequences of (vertices, faces)
-        As many for each view.
+        Equally many for each view.
 
     Returns
     -------

@@ -58,7 +58,7 @@ NAMES = {"V": "image", "A": "audio", "VA": "image + audio", "average_shape": "av
 
 @dataclass(frozen=True)
 class Table:
-    """Text in rows and columns.
+    """Text table.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class Table:
     columns : tuple of str
     rows : sequence of tuples of str
     note : str
-        What to know in order to read it.
+        Explanation below the table.
     """
 
     title: str
@@ -81,7 +81,7 @@ class Table:
 
 
 def score_table(task: str, split: str, scores: Mapping[str, Any]) -> Table:
-    """Lay out what a task has scored on a split.
+    """Lay out the scores of a task on a split.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def score_table(task: str, split: str, scores: Mapping[str, Any]) -> Table:
         One of `objectfolder.workspace.params.TASKS`.
     split : str
     scores : mapping
-        What the task returned, as its JSON file holds it.
+        Contents of the task's result file.
     """
     layouts: dict[str, Callable[[str, Mapping[str, Any]], Table]] = {
         "recognize": _recognition,
@@ -101,7 +101,7 @@ def score_table(task: str, split: str, scores: Mapping[str, Any]) -> Table:
 
 
 def reach_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
-    """Lay out what `objectfolder.benchmarks.tasks.reach.reach` has scored, by object."""
+    """Lay out the scores of `objectfolder.benchmarks.tasks.reach.reach` by object."""
     rows = []
     for key, score in scores.items():
         for policy, name in REACH_POLICIES.items():
@@ -130,7 +130,7 @@ def reach_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
 
 
 def grasping_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
-    """Lay out what `objectfolder.benchmarks.tasks.grasp_policy.grasp_policy` has scored, by object."""
+    """Lay out the scores of `objectfolder.benchmarks.tasks.grasp_policy.grasp_policy` by object."""
     rows = []
     for key, score in scores.items():
         for policy, (name, paper) in GRASP_POLICIES.items():
@@ -239,7 +239,7 @@ def _stability(split: str, scores: Mapping[str, Any]) -> Table:
 
 
 def _note(scores: Mapping[str, Any]) -> str:
-    """What was learnt from and tested with."""
+    """Describe the rows of a split."""
     rows, duplicates = scores["rows"], scores["duplicates"]
     dropped = ", ".join(
         f"{counts['test']} of {name}" for name, counts in duplicates.items() if counts["test"]
@@ -264,7 +264,7 @@ def _map(score: Mapping[str, Any]) -> str:
 
 
 def _interval(score: Mapping[str, Any], factor: float, digits: str) -> str:
-    """95 %, where there are seeds enough to tell."""
+    """Format a half width; empty for a single seed."""
     half = score["interval_95"]
     return "" if half is None else f" ± {factor * half:{digits}}"
 

@@ -1,4 +1,4 @@
-"""Will the object be held? From a view, from touch, and from both (main paper, 4.4; supplementary H, I.4)."""
+"""Grasp stability prediction from a view, from touch, and from both (main paper, 4.4; supplementary H, I.4)."""
 
 import copy
 import time
@@ -25,8 +25,8 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.seeding import numpy_generator, seeded
 from objectfolder.settings import Count
 
-#: What a prediction is made from: by stream of the net, V or T, the array that it is given. Touches are those
-#: of Object Files or "explicit", from the ground truth of the same contacts.
+#: Input array of each stream of the net, V or T, by variant. Touches are simulated with Object Files or, if
+#: "explicit", with the ground truth of the same contacts.
 VARIANTS: dict[str, dict[str, str]] = {
     "V": {"V": "image"},
     "T": {"T": "touch"},
@@ -34,7 +34,7 @@ VARIANTS: dict[str, dict[str, str]] = {
     "T_explicit": {"T": "explicit"},
     "VT_explicit": {"V": "image", "T": "explicit"},
 }
-#: Nets that learnt from Object Files, and are tested with touches of the ground truth.
+#: Nets trained on Object Files and tested with touches of the ground truth.
 TRANSFERRED = {"T_on_explicit": "T", "VT_on_explicit": "VT"}
 #: Differences of accuracies on the same rows: the first less the second.
 COMPARED = (
@@ -45,10 +45,10 @@ COMPARED = (
     ("T_on_explicit", "T"),
     ("VT_on_explicit", "VT"),
 )
-MODALITIES = {"V": "vision", "T": "touch"}  #: as which a stream's array is prepared
+MODALITIES = {"V": "vision", "T": "touch"}  #: modality of each stream
 PICTURES = {"V": 1, "T": 2}  #: per grasp; two fingers go through one encoder
 CURVE_COLUMNS = ("size", "seed", "variant", "epoch", "train_loss", "val_accuracy")  #: of the training curves
-FUSION_RATE = 0.1  #: learning rate of streams that are trained already, relative to that of new ones
+FUSION_RATE = 0.1  #: learning rate of trained streams relative to new ones
 
 Inputs = dict[str, torch.Tensor]  #: by stream
 
@@ -101,14 +101,14 @@ class StabilityNet(nn.Module):
 def join_streams(parts: Sequence[StabilityNet], prior: float) -> StabilityNet:
     """Join trained nets of different streams.
 
-    It starts from the sum of their logits, with the prior counted once: what both believe together, if they
-    are independent of each other, given the outcome.
+    The joint net initially outputs the sum of their logits with the prior counted once, which is exact if the
+    streams are conditionally independent given the outcome.
 
     Parameters
     ----------
     parts : sequence of StabilityNet
     prior : float
-        Logit of success before anything is seen or felt.
+        Logit of the success rate.
     """
     encoders = {name: copy.deepcopy(net) for part in parts for name, net in part.encoders.items()}
     with seeded(0, "fused"):  # the layers are filled below
@@ -122,7 +122,7 @@ def join_streams(parts: Sequence[StabilityNet], prior: float) -> StabilityNet:
 
 
 def nested_order(rows: np.ndarray, labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Order rows at random, so that the first n are as many of each object, give or take one, for every n.
+    """Order rows at random so that, for every n, the first n are balanced over objects to within one.
 
     Parameters
     ----------
@@ -156,8 +156,8 @@ def grasp_stability(job: Job[GraspStabilityConfig]) -> tuple[dict[str, Any], lis
         ``wilson_95`` (its interval over grasps of the same objects), the accuracies of the ``seeds`` and
         their ``interval_95`` (half width, None for one), ``balanced_accuracy`` and ``auc`` (None where all
         test grasps end alike); under ``compared``, as "A - B" of `COMPARED`, the paired ``difference`` of
-        accuracies and its ``interval_95`` over rows. ``success``: shares in each part of the split; what
-        `Job.without_duplicates` says, grasps that look the same being duplicates, and ``seconds`` of
+        accuracies and its ``interval_95`` over rows. ``success``: shares in each part of the split; the
+        counts of `Job.without_duplicates`, with equal camera images as duplicates, and ``seconds`` of
         training.
     list
         Rows of the training curves: `CURVE_COLUMNS`.
@@ -165,7 +165,7 @@ def grasp_stability(job: Job[GraspStabilityConfig]) -> tuple[dict[str, Any], lis
     Raises
     ------
     ObjectFolderError
-        If training grasps all end alike, nothing is left of a part of the split, a training diverges, or the
+        If all training grasps have the same outcome, a part of the split is empty, training diverges, or the
         encoder is unknown.
     """
     job, rows = job.without_duplicates(("image",))
@@ -209,12 +209,12 @@ def _check_outcomes(success: np.ndarray, split: str) -> None:
         end = "succeed" if success[0] else "fail"
         raise ObjectFolderError(
             f"split {split}: the first {len(success)} training grasps all {end}, expected both outcomes; "
-            "take a larger first size, or collect other grasps"
+            "use a larger first size, or collect other grasps"
         )
 
 
 def _measured(answers: Mapping[str, np.ndarray], success: np.ndarray) -> dict[str, Any]:
-    """Score answers (seeds, n), above 0 for success, of each variant for the same n rows."""
+    """Score the predictions (seeds, n) of each variant for the same n rows; above 0 for success."""
     both = len(np.unique(success)) == 2
     scores: dict[str, Any] = {}
     for name, logits in answers.items():
@@ -244,7 +244,7 @@ def _measured(answers: Mapping[str, np.ndarray], success: np.ndarray) -> dict[st
 def _finished(
     job: Job[GraspStabilityConfig], train: np.ndarray, run: int, name: str, last: str
 ) -> dict[str, Any]:
-    """What one variant answers with one seed, learnt from some grasps; trained if no earlier call did."""
+    """Return the predictions of one variant with one seed, trained unless finished earlier."""
 
     def make() -> dict[str, Any]:
         net, curve = _trained(job, train, run, name)
@@ -263,7 +263,7 @@ def _finished(
         return {"logits": logits, "curve": [astuple(point)[:3] for point in curve], "seconds": seconds}
 
     result = job.finished(_checkpoint(job, train, run, name).stem, make)
-    # Fusions start from the nets of single streams, which are kept until the last of a seed.
+    # Fusion needs the nets of single streams, so they are kept until a seed is finished.
     for done in VARIANTS if name == last else [name] * (len(VARIANTS[name]) > 1):
         _checkpoint(job, train, run, done).unlink(missing_ok=True)
     return result
@@ -272,10 +272,10 @@ def _finished(
 def _trained(
     job: Job[GraspStabilityConfig], train: np.ndarray, run: int, name: str
 ) -> tuple[StabilityNet, list[EpochPoint]]:
-    """Train one variant; where its checkpoint is finished, that is read and no more."""
+    """Train one variant, or read its finished checkpoint."""
     params, split, arrays = job.params, job.split, VARIANTS[name]
     success = cast(Grasps, job.observations).success
-    # The same for touches of either source: what differs is what the net is shown, and nothing else.
+    # The same for touches of either source, so that only the inputs differ.
     purpose = ("grasp_stability", split.name, str(len(train)), str(run), "".join(arrays))
     if len(arrays) > 1:
         share = success[train].mean()
@@ -327,7 +327,7 @@ def _inputs(
     rows: np.ndarray,
     rng: np.random.Generator | None = None,
 ) -> Inputs:
-    """What the streams of a variant are given of some rows; (B, pictures, C, H, W) each."""
+    """Return the stream inputs of a variant for rows; (B, pictures, C, H, W) each."""
     inputs = {}
     for stream, array in arrays.items():
         raw = job.observations.read(array, rows)
@@ -341,7 +341,7 @@ def _inputs(
 def _logits(
     job: Job[GraspStabilityConfig], net: StabilityNet, arrays: Mapping[str, str], rows: np.ndarray
 ) -> np.ndarray:
-    """Answers of a net for rows; (n,) float32, above 0 for success."""
+    """Return the logits of a net for rows; (n,) float32, above 0 for success."""
     parts = np.split(rows, range(job.params.batch, len(rows), job.params.batch))
     return torch.cat([net(_inputs(job, arrays, part)) for part in parts]).float().cpu().numpy()
 

@@ -1,4 +1,4 @@
-"""What a task is asked, and what every task does in the same way: read, train, keep what is finished."""
+"""Input of a task, with the steps that all tasks share: reading, training, and caching finished parts."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -30,22 +30,22 @@ class Job(Generic[_Params]):
     encoder: str  #: registered in `objectfolder.benchmarks.models.encoders`
     sizes: InputSizes
     seed: int
-    #: Folder of what is finished, and of checkpoints. A call that was interrupted goes on from it: it must be
-    #: empty, or of a call with the same arguments.
+    #: Folder of finished parts and checkpoints. An interrupted call resumes from it, so it must be empty or of
+    #: a call with the same arguments.
     progress: Path
-    weights: Weights | None = None  #: that encoders start from; default: random ones
+    weights: Weights | None = None  #: initial weights of encoders; default: random
     device: str | torch.device = "cpu"
     report: Callable[[str], None] = lambda line: None
 
     def without_duplicates(self, modalities: Sequence[str]) -> tuple["Job[_Params]", dict[str, Any]]:
-        """Drop kept-back rows that show what is learnt from.
+        """Drop validation and test rows that duplicate training rows.
 
         Returns
         -------
         Job
         dict
-            What the scores are of: numbers of ``objects``, of ``rows`` in each part of the split, and of the
-            ``duplicates`` that were dropped, by modality.
+            Numbers of ``objects``, of ``rows`` in each part of the split, and of dropped ``duplicates`` by
+            modality.
         """
         split, duplicates = without_duplicates(self.split, self.observations, modalities)
         return replace(self, split=split), {
@@ -55,15 +55,15 @@ class Job(Generic[_Params]):
         }
 
     def make_encoder(self, modality: str) -> nn.Module:
-        """Make an untrained encoder; within `objectfolder.seeding.seeded`."""
+        """Make an untrained encoder; call within `objectfolder.seeding.seeded`."""
         return make_encoder(self.encoder, modality, self.weights)
 
     def inputs(self, modality: str, rows: np.ndarray, rng: np.random.Generator | None = None) -> torch.Tensor:
-        """Encoder inputs of some rows; see `objectfolder.benchmarks.models.encoders.encoder_inputs`."""
+        """Return the encoder inputs of rows; see `objectfolder.benchmarks.models.encoders.encoder_inputs`."""
         return encoder_inputs(modality, self.observations.read(modality, rows), self.sizes, rng, self.device)
 
     def labels(self, rows: np.ndarray) -> torch.Tensor:
-        """Objects of rows, as a tensor."""
+        """Return the objects of rows as a tensor."""
         return torch.from_numpy(self.observations.labels[rows]).to(self.device)
 
     def train(
@@ -79,16 +79,16 @@ class Job(Generic[_Params]):
         rate: float = 1.0,
         statistics: int = STATISTICS,
     ) -> list[EpochPoint]:
-        """Train a net with the task's parameters, and report each epoch.
+        """Train a net with the task's settings, and report each epoch.
 
         Parameters
         ----------
         title, score : str
-            What is trained, and the name of its validation score; for the reports.
+            Names of the training and of its validation score, for reports.
         net, epoch_batches, batch_loss, val_score, checkpoint, statistics
             See `objectfolder.benchmarks.models.training.train`.
         epochs : int, optional
-            Default: those of the parameters.
+            Default: those of the settings.
         rate : float
             Factor of the learning rate.
         """
@@ -117,7 +117,7 @@ class Job(Generic[_Params]):
         )
 
     def finished(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-        """Result of a part of the job; made if no earlier call did."""
+        """Return the result of a part of the job; computed once and kept in the progress folder."""
         path = self.progress / f"{name}.json"
         if not path.is_file():
             write_json(path, make())

@@ -1,4 +1,4 @@
-"""IMAGE2MESH on pictures that no Object File drew (supplementary G): cut out, frame, reconstruct."""
+"""IMAGE2MESH on photographs (supplementary G): remove the background, frame, reconstruct."""
 
 from pathlib import Path
 
@@ -13,12 +13,12 @@ from objectfolder.io import atomic
 from objectfolder.mesh.srgb import decode, encode
 
 FORMATS = (".obj", ".ply", ".glb")
-DIFFERENCE = 30  #: levels, of 255, by which the object differs from a plain background
-OPAQUE = 250  #: alpha above which a pixel of a picture counts as fully covered
+DIFFERENCE = 30  #: smallest difference of the object from a plain background, levels of 255
+OPAQUE = 250  #: alpha above which a pixel is fully covered
 
 
 def read_photograph(path: str | Path, mode: str = "RGBA") -> np.ndarray:
-    """Read a picture, upright; (H, W, 4) uint8, or (H, W) for mode "L".
+    """Read an image in its EXIF orientation; (H, W, 4) uint8, or (H, W) for mode "L".
 
     Raises
     ------
@@ -31,7 +31,7 @@ def read_photograph(path: str | Path, mode: str = "RGBA") -> np.ndarray:
     try:
         with Image.open(path) as picture:
             return np.asarray(ImageOps.exif_transpose(picture).convert(mode))
-    except Exception as error:  # decoders raise what they like
+    except Exception as error:  # decoders raise any exception
         raise ObjectFolderError(f"{path} is not a readable picture: {error}") from error
 
 
@@ -42,10 +42,10 @@ def cut_out(
     tolerance: int = DIFFERENCE,
     name: str = "the picture",
 ) -> np.ndarray:
-    """Remove a picture's background.
+    """Remove the background of an image.
 
-    By its own alpha if it has any, else by a mask, else by the background's colour: then the object is the
-    largest connected part that differs from it.
+    Uses its alpha channel if it has one, else a mask, else the background colour: the object is then the
+    largest connected region that differs from it.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def cut_out(
 
 
 def photograph_to_mesh(model: ShapeModel, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Reconstruct the object that a framed view shows.
+    """Reconstruct the object in a framed view.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def write_mesh(path: str | Path, vertices: np.ndarray, faces: np.ndarray) -> Non
 
 
 def cluttered(height: int, width: int, rng: np.random.Generator, rectangles: int = 40) -> np.ndarray:
-    """Draw a busy background: rectangles of random places, colours and stripes, and noise on all of it.
+    """Draw a cluttered background: random rectangles with colours and stripes, and noise.
 
     Returns
     -------
@@ -167,10 +167,9 @@ def cluttered(height: int, width: int, rng: np.random.Generator, rectangles: int
 
 
 def photograph_conditions(rgba: np.ndarray, side: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Show a rendered object as cameras might: on white or cluttered, as it is or cut out and framed.
+    """Composite a rendered object on white and on clutter, each both as is and cut out and framed.
 
-    What is cut out comes from the picture and its alpha, as a photograph's does: at edges, some of the
-    background stays.
+    Cut-outs are made from the composite and its alpha, as with photographs: some background remains at edges.
 
     Parameters
     ----------
@@ -201,14 +200,14 @@ def photograph_conditions(rgba: np.ndarray, side: int, rng: np.random.Generator)
 def photograph_scores(
     model: ShapeModel, rgba: np.ndarray, points: np.ndarray, inside: np.ndarray, rng: np.random.Generator
 ) -> dict[str, np.ndarray]:
-    """IoU of reconstructions from another renderer's pictures, by condition.
+    """Compute the IoU of reconstructions from another renderer's images, by condition.
 
     Parameters
     ----------
     model : ShapeModel
         IMAGE2MESH.
     rgba : (N, H, H, 4) array
-        Linear and premultiplied. Pictures that show nothing are not allowed.
+        Linear and premultiplied; no image may be empty.
     points : (P, 3) float32 array
         Uniform, unit frame.
     inside : (N, P) or (P,) bool array
@@ -228,12 +227,12 @@ def photograph_scores(
 
 
 def view_scores(model: ShapeModel, images: np.ndarray, points: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    """IoU of reconstructions from views (N, S, S, 3) uint8; (N,). Otherwise as `photograph_scores`."""
+    """Compute the IoU of reconstructions from views (N, S, S, 3) uint8; (N,)."""
     return intersection_over_union(model.is_inside(model.embed({"vision": images}), points), inside)
 
 
 def _largest(marked: np.ndarray) -> np.ndarray:
-    """Keep the largest connected part of marked pixels (H, W)."""
+    """Return the largest connected component of marked pixels (H, W)."""
     from scipy.ndimage import label
 
     parts, count = label(marked, np.ones((3, 3)))

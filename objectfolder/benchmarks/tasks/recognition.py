@@ -1,4 +1,4 @@
-"""Which object is it? From a view, a sound, a touch, and all of their combinations (supplementary I.1)."""
+"""Instance recognition from a view, a sound, a touch, and all of their combinations (supplementary I.1)."""
 
 import copy
 import time
@@ -22,10 +22,10 @@ from objectfolder.seeding import numpy_generator, seeded
 from objectfolder.settings import Count
 
 LETTERS = {"V": "vision", "A": "audio", "T": "touch"}
-#: V, A, T, VA, VT, AT, VAT: what an object is told by; the rows of the main paper's Table 2.
+#: V, A, T, VA, VT, AT, VAT: input modalities; the rows of the main paper's Table 2.
 COMBINATIONS = tuple("".join(letters) for size in (1, 2, 3) for letters in combinations(LETTERS, size))
 CURVE_COLUMNS = ("seed", "modalities", "epoch", "train_loss", "val_accuracy")  #: of the training curves
-FUSION_RATE = 0.1  #: learning rate of encoders that are trained already, relative to that of new ones
+FUSION_RATE = 0.1  #: learning rate of trained encoders relative to new ones
 
 Inputs = dict[str, torch.Tensor]  #: by letter
 
@@ -63,8 +63,8 @@ class Classifier(nn.Module):
 def join_classifiers(parts: Sequence[Classifier]) -> Classifier:
     """Join trained classifiers of different modalities.
 
-    It starts from the sum of their logits: the product of what each believes, which is right for
-    observations that are independent of each other, given the object.
+    The joint classifier initially outputs the sum of their logits, the product of their probabilities, which
+    is exact for observations that are conditionally independent given the object.
     """
     encoders = {name: copy.deepcopy(net) for part in parts for name, net in part.encoders.items()}
     with seeded(0, "fused"):  # the layer is filled below
@@ -91,15 +91,15 @@ def recognize(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[list[Any]
         By combination (``V`` to ``VAT``) the ``accuracy``, its ``interval_95`` (half width over the training
         seeds, None for one), and the accuracies of the ``seeds``; ``confusion`` of VAT (K, K), by object and
         answer, summed over the seeds; ``chance`` (``uniform``: 1/K, ``majority``: the share of the commonest
-        object in the test rows); what `Job.without_duplicates` says, and ``seconds`` of training.
+        object in the test rows); the counts of `Job.without_duplicates`, and ``seconds`` of training.
     list
         Rows of the training curves: `CURVE_COLUMNS`.
 
     Raises
     ------
     ObjectFolderError
-        If an object of the test rows is never learnt, nothing is left of a part of the split, a training
-        diverges, or the encoder is unknown.
+        If a test object is absent from training, a part of the split is empty, training diverges, or the
+        encoder is unknown.
     """
     keys, split, params = job.observations.keys, job.split, job.params
     unknown = np.setdiff1d(job.observations.labels[split.test], job.observations.labels[split.train])
@@ -135,7 +135,7 @@ def recognize(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[list[Any]
 
 
 def _finished(job: Job[RecognizeConfig], run: int, name: str) -> dict[str, Any]:
-    """What one combination scored with one seed; trained if no earlier call did."""
+    """Return the results of one combination with one seed, trained unless finished earlier."""
 
     def make() -> dict[str, Any]:
         net, curve = _trained(job, run, name)
@@ -146,14 +146,14 @@ def _finished(job: Job[RecognizeConfig], run: int, name: str) -> dict[str, Any]:
         return {"predicted": predicted.tolist(), "curve": rows, "seconds": seconds}
 
     result = job.finished(f"{run}_{name}", make)
-    # Fusions start from the nets of single modalities, which are kept until the last of a seed.
+    # Fusion needs the nets of single modalities, so they are kept until a seed is finished.
     for done in COMBINATIONS if name == COMBINATIONS[-1] else [name] * (len(name) > 1):
         _checkpoint(job, run, done).unlink(missing_ok=True)
     return result
 
 
 def _trained(job: Job[RecognizeConfig], run: int, name: str) -> tuple[Classifier, list[EpochPoint]]:
-    """Train one combination; where its checkpoint is finished, that is read and no more."""
+    """Train one combination, or read its finished checkpoint."""
     params, split, labels = job.params, job.split, job.observations.labels
     if len(name) > 1:
         net = join_classifiers([_trained(job, run, letter)[0] for letter in name])
@@ -193,13 +193,13 @@ def _checkpoint(job: Job[RecognizeConfig], run: int, name: str) -> Path:
 def _inputs(
     job: Job[RecognizeConfig], name: str, rows: np.ndarray, rng: np.random.Generator | None = None
 ) -> Inputs:
-    """What the encoders of a combination are given of some rows."""
+    """Return the encoder inputs of a combination for rows."""
     return {letter: job.inputs(LETTERS[letter], rows, rng) for letter in name}
 
 
 @torch.no_grad()
 def _predicted(job: Job[RecognizeConfig], net: Classifier, name: str, rows: np.ndarray) -> np.ndarray:
-    """Answers of a net for rows; (n,) int64."""
+    """Return the predictions of a net for rows; (n,) int64."""
     parts = np.split(rows, range(job.params.batch, len(rows), job.params.batch))
     answers = [net(_inputs(job, name, part)).argmax(1) for part in parts]
     return torch.cat(answers).cpu().numpy()

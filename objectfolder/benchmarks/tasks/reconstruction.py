@@ -41,11 +41,11 @@ from objectfolder.seeding import numpy_generator, seeded
 from objectfolder.settings import Count, NonNegative
 
 SHOWN = 8  #: test rows in the picture
-#: What each variant looks at. VA comes last: it starts from the encoders of the others.
+#: Inputs of each variant. VA comes last: it starts from the encoders of the others.
 VARIANTS: dict[str, tuple[str, ...]] = {"V": ("vision",), "A": ("audio",), "VA": ("vision", "audio")}
 CURVE_COLUMNS = ("variant", "epoch", "train_loss", "val_iou")  #: of the training curves
-#: Steps from one encoded batch, each on other points; all but the first train fusion and decoder alone.
-#: Shapes take many more steps to learn than features, and encoders most of the time.
+#: Steps per encoded batch, each on other points; all but the first train fusion and decoder only. Encoders
+#: take most of the time, while shapes need many more steps than features.
 POINT_SETS = 4
 #: Inputs of the encoders, or None for those of the batch before; numbers of the objects; points;
 #: whether they are inside.
@@ -69,10 +69,10 @@ class ReconstructConfig(TrainingConfig):
 def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train and score all variants (main paper, Table 4).
 
-    Test rows are looked at once, after everything was chosen on validation rows. Every variant trains at most
+    Test rows are evaluated once, after all choices were made on validation rows. Every variant trains at most
     ``epochs`` epochs; VA half as many, as it starts from the encoders of V and A, and from the fusion and the
-    decoder of the one that validates better. The model of views is left in the folder of progress as
-    ``model.safetensors``, and a picture of some meshes as ``sheet.png``.
+    decoder of the one that validates better. The model of views is written to the progress folder as
+    ``model.safetensors``, and a figure of some meshes as ``sheet.png``.
 
     Returns
     -------
@@ -80,7 +80,7 @@ def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[
         By variant, and ``average_shape`` (the mean occupancy of the training objects): the scores of
         `Truth.scores` over the first ``views`` test rows of each object; ``threshold``; of variants also
         ``epochs`` and ``val_iou``. Beside them ``perfect``, the surface scores of the truth against itself,
-        what `Job.without_duplicates` says, and ``seconds``.
+        the counts of `Job.without_duplicates`, and ``seconds``.
     list
         Rows of the training curves: `CURVE_COLUMNS`.
 
@@ -93,10 +93,10 @@ def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[
     truth = _truth(job)
     finished = {variant: _finished(job, truth, variant) for variant in VARIANTS}
     labels, split = job.observations.labels, job.split
-    learnt, val, test = (np.unique(labels[split.train]), labels[validation_rows(job)], labels[_test(job)])
+    trained_labels, val, test = (np.unique(labels[split.train]), labels[validation_rows(job)], labels[_test(job)])
     scores = {
         **{variant: done["scores"] for variant, done in finished.items()},
-        "average_shape": truth.average_shape(learnt, val, test),
+        "average_shape": truth.average_shape(trained_labels, val, test),
         "perfect": truth.floor(np.unique(test)),
         **rows,
         "seconds": sum(done["seconds"] for done in finished.values()),
@@ -113,15 +113,15 @@ def first_rows(rows: np.ndarray, labels: np.ndarray, count: int) -> np.ndarray:
 
 
 def _test(job: Job[ReconstructConfig]) -> np.ndarray:
-    """Rows that are scored."""
+    """Return the rows to score."""
     return first_rows(job.split.test, job.observations.labels, job.params.views)
 
 
 def validation_rows(job: Job[ReconstructConfig]) -> np.ndarray:
-    """Rows that epochs and thresholds are chosen by: of objects without validation rows, training rows.
+    """Return the rows to choose epochs and thresholds on, with training rows of objects without validation rows.
 
-    A threshold that is best for the few validation objects of the split ``unseen`` may leave every other
-    answer empty.
+    A threshold that is best for the few validation objects of the split ``unseen`` may leave all other
+    predictions empty.
     """
     labels, split = job.observations.labels, job.split
     rest = split.train[~np.isin(labels[split.train], labels[split.val])]
@@ -145,12 +145,12 @@ def _surface(path: Path, key: str) -> Isosurface:
 
 
 def _model_path(job: Job[ReconstructConfig], variant: str) -> Path:
-    """Where a trained model is kept until all are finished."""
+    """Return the path of a trained model until all are finished."""
     return job.progress / f"{variant}.safetensors"
 
 
 def _finished(job: Job[ReconstructConfig], truth: Truth, variant: str) -> dict[str, Any]:
-    """Scores and curve of a variant; trained if no earlier call did."""
+    """Return scores and curve of a variant, trained unless finished earlier."""
     checkpoint = job.progress / f"{variant}.pt"
 
     def make() -> dict[str, Any]:
@@ -173,10 +173,10 @@ def _finished(job: Job[ReconstructConfig], truth: Truth, variant: str) -> dict[s
 def _trained(
     job: Job[ReconstructConfig], truth: Truth, variant: str, checkpoint: Path
 ) -> tuple[ShapeModel, list[EpochPoint]]:
-    """Train one variant, or go on from its checkpoint."""
+    """Train one variant, or resume from its checkpoint."""
     observations, occupancy, params, split = job.observations, truth.occupancy, job.params, job.split
     labels, modalities, device = observations.labels, VARIANTS[variant], job.device
-    learnt = np.unique(labels[split.train])
+    trained_labels = np.unique(labels[split.train])
     setup = Setup(
         modalities,
         job.encoder,
@@ -186,12 +186,12 @@ def _trained(
         params.blocks,
         params.frequencies,
         params.resolution,
-        tuple(observations.keys[label] for label in learnt),
+        tuple(observations.keys[label] for label in trained_labels),
     )
     purpose = ("reconstruct", split.name, variant)
     with seeded(job.seed, *purpose):
         net = new_net(setup, job.weights)
-        naming = nn.Linear(net.fusion.get_parameter("0.weight").shape[1], len(learnt))
+        naming = nn.Linear(net.fusion.get_parameter("0.weight").shape[1], len(trained_labels))
     epochs = params.epochs if len(modalities) == 1 else _start_from_parts(job, truth, net)
 
     def epoch_batches(epoch: int) -> Iterator[Batch]:
@@ -200,7 +200,7 @@ def _trained(
             inputs = {
                 m: shape_inputs(m, observations.read(m, rows), job.sizes, rng, device) for m in modalities
             }
-            names = torch.from_numpy(np.searchsorted(learnt, labels[rows])).to(device)
+            names = torch.from_numpy(np.searchsorted(trained_labels, labels[rows])).to(device)
             for given in (inputs, *[None] * (POINT_SETS - 1)):
                 points, inside = occupancy.draw(labels[rows], params.points, rng)
                 yield given, names, torch.from_numpy(points).to(device), torch.from_numpy(inside).to(device)
@@ -243,7 +243,7 @@ def _trained(
 
 
 def _start_from_parts(job: Job[ReconstructConfig], truth: Truth, net: Reconstructor) -> int:
-    """Make a net of several modalities start from nets of one each; give the epochs that it still needs."""
+    """Initialize a net of several modalities from nets of one each; return its number of epochs."""
     parts = {variant: load_model(_model_path(job, variant)).net for variant in ("V", "A")}
     scores = {variant: _finished(job, truth, variant)["scores"]["val_iou"] for variant in parts}
     _start_from(net, list(parts.values()), parts[max(scores, key=lambda variant: scores[variant])])
@@ -251,7 +251,7 @@ def _start_from_parts(job: Job[ReconstructConfig], truth: Truth, net: Reconstruc
 
 
 def _start_from(net: Reconstructor, parts: Sequence[Reconstructor], best: Reconstructor) -> None:
-    """Give a net the encoders of nets of one modality each; it answers as the best of them at first."""
+    """Copy the encoders of nets of one modality each; the net initially predicts as the best of them."""
     for part in parts:
         for modality, encoder in part.encoders.items():
             net.encoders[modality].load_state_dict(encoder.state_dict())
@@ -282,7 +282,7 @@ def _scores(job: Job[ReconstructConfig], truth: Truth, variant: str, model: Shap
 
 
 def _sheet(job: Job[ReconstructConfig], truth: Truth) -> np.ndarray:
-    """Draw some test rows: the view; what V, A and VA make of it and of the sound; the truth."""
+    """Draw some test rows: the view, the reconstructions by V, A and VA, and the truth."""
     rows = _test(job)
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, SHOWN).round().astype(int))]
     shapes = []

@@ -1,4 +1,4 @@
-"""Cross-sensory retrieval: find, by one sense, the same object as met by another (supplementary I.2)."""
+"""Cross-sensory retrieval: find observations of the same object in another modality (supplementary I.2)."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass
@@ -27,9 +27,9 @@ Maps = dict[str, float]  #: mean average precision by direction, such as V->A
 Batch = tuple[torch.Tensor, torch.Tensor, torch.Tensor]  #: inputs of both streams, classes of the rows
 PAIRS: tuple[Pair, ...] = tuple(combinations(MODALITIES, 2))
 CURVE_COLUMNS = ("first", "second", "seed", "epoch", "train_loss", "val_map")  #: of the training curves
-FEATURE_SIZES = {"vision": (16, 16), "audio": (64, 8), "touch": (16, 12)}  #: pixels that CCA is given
-DIMENSIONS = (1, 2, 4, 8, 16, 32, 64, 128)  #: principal components and variates that CCA is tried with
-CHUNK = 64  #: rows, at most, that are embedded at once
+FEATURE_SIZES = {"vision": (16, 16), "audio": (64, 8), "touch": (16, 12)}  #: input sizes of CCA, pixels
+DIMENSIONS = (1, 2, 4, 8, 16, 32, 64, 128)  #: candidate numbers of principal components and variates of CCA
+CHUNK = 64  #: most rows embedded at once
 SAMPLE = 256  #: training rows in the gallery of validation
 
 
@@ -39,11 +39,11 @@ class RetrieveConfig(TrainingConfig):
 
     seeds: Count  #: runs whose mean is the result
     margin: Positive  #: of the triplet losses, cosine distance
-    embedding: Count  #: features that are compared
+    embedding: Count  #: size of the compared embeddings
 
 
 class TwoStream(nn.Module):
-    """Two encoders, one of each modality, and the head that they share.
+    """Two encoders, one per modality, and a shared head.
 
     The head's first layer maps features to the cross-sensory embedding, its second, after a ReLU, to classes.
     The embedding is taken before the ReLU, so that its cosines may be negative.
@@ -52,7 +52,7 @@ class TwoStream(nn.Module):
     ----------
     encoders : two modules with an attribute ``features``
     embedding : int
-        Numbers of an embedding.
+        Size of the embedding.
     classes : int
     """
 
@@ -74,7 +74,7 @@ class TwoStream(nn.Module):
 def triplet_loss(
     anchor: torch.Tensor, positive: torch.Tensor, labels: torch.Tensor, margin: float
 ) -> torch.Tensor:
-    """Equation 1, averaged over the anchors and over all negatives that the batch has for each.
+    """Compute equation 1, averaged over anchors and all their negatives in the batch.
 
     The loss of a triplet is ``max(0, D(anchor, positive) - D(anchor, negative) + margin)`` with the cosine
     distance D = 1 - cos. A negative is of the anchor's modality and of another object.
@@ -93,7 +93,7 @@ def triplet_loss(
     -------
     Scalar tensor.
     """
-    # Sixteen bits would round the differences of near cosines away.
+    # Differences of similar cosines need more than 16 bits.
     with torch.autocast(anchor.device.type, enabled=False):
         anchor, positive = F.normalize(anchor.float()), F.normalize(positive.float())
         to_positive = (anchor * positive).sum(1, keepdim=True)
@@ -104,16 +104,16 @@ def triplet_loss(
 def cross_sensory_loss(
     first: torch.Tensor, second: torch.Tensor, labels: torch.Tensor, margin: float
 ) -> torch.Tensor:
-    """Equation 2: the triplet losses with anchors of the first and of the second modality."""
+    """Compute equation 2: the sum of the triplet losses with anchors of either modality."""
     return triplet_loss(first, second, labels, margin) + triplet_loss(second, first, labels, margin)
 
 
 def paired_batches(
     rows: np.ndarray, labels: np.ndarray, batch: int, rng: np.random.Generator
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Give every row once in each of two modalities, in pairs of the same object, and in batches.
+    """Yield batches of pairs of rows of the same object, each row once per modality.
 
-    Which rows of an object pair up is random. Objects take turns, so that each batch has two or more.
+    Rows of an object are paired at random. Objects alternate, so that each batch has at least two.
 
     Parameters
     ----------
@@ -156,17 +156,17 @@ def paired_batches(
 def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train and score the retrieval of each pair of modalities (main paper, Table 3).
 
-    Queries are the test rows of one modality, the gallery those of the other; relevant is what is of the same
-    object. The epoch is chosen by the validation rows, ranked among some training rows. The baseline CCA is
-    fitted on the same training rows, and its dimensions are chosen in the same way. Nothing is chosen by the
-    test rows, which a net meets once, after its training.
+    Queries are the test rows of one modality, the gallery those of the other; observations of
+    the same object are relevant. The epoch is chosen on the validation rows, ranked among some training rows.
+    The baseline CCA is fitted on the same training rows, and its dimensions are chosen in the same way. Test
+    rows are evaluated once, after training.
 
     Returns
     -------
     dict
-        ``directions``, such as ``V->A`` (seen, what does it sound like?): ``map`` (mean over the seeds), its
+        ``directions``, such as ``V->A`` (sounds from views): ``map`` (mean over the seeds), its
         ``interval_95``, ``seeds`` (one value each), ``cca`` and ``chance``. Then what was chosen for ``cca``,
-        what `Job.without_duplicates` says, and ``seconds`` of training.
+        the counts of `Job.without_duplicates`, and ``seconds`` of training.
     list
         Rows of the training curves, see `CURVE_COLUMNS`.
 
@@ -179,7 +179,7 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
     if len(learnt) < 2:
         raise ObjectFolderError(
             f"split {job.split.name} trains on {job.observations.keys[learnt[0]]} alone, expected two "
-            "objects at least: what is found is told from what is not; add training objects"
+            "objects or more; add training objects"
         )
     job, rows = job.without_duplicates(MODALITIES)
     labels = job.observations.labels[job.split.test]
@@ -207,7 +207,7 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
 
 
 def _finished(job: Job[RetrieveConfig], pair: Pair, run: int) -> dict[str, Any]:
-    """Scores of one net; trained if no earlier call did."""
+    """Return the scores of one net, trained unless finished earlier."""
     name = f"{pair[0]}_{pair[1]}_{run}"
     checkpoint = job.progress / f"{name}.pt"
 
@@ -228,7 +228,7 @@ def _finished(job: Job[RetrieveConfig], pair: Pair, run: int) -> dict[str, Any]:
 def _trained(
     job: Job[RetrieveConfig], pair: Pair, run: int, checkpoint: Path
 ) -> tuple[TwoStream, list[EpochPoint]]:
-    """Train one net, or go on from its checkpoint."""
+    """Train one net, or resume from its checkpoint."""
     params, rows, labels = job.params, job.split.train, job.observations.labels
     classes = np.unique(labels[rows])
     purpose = ("retrieve", job.split.name, *pair, str(run))
@@ -266,9 +266,9 @@ def _trained(
 
 
 def _validation(job: Job[RetrieveConfig]) -> np.ndarray:
-    """Gallery of the validation: its rows, which are the queries, and among them training rows.
+    """Return the validation gallery: the validation rows, which are the queries, then some training rows.
 
-    The few validation objects of the split ``unseen`` alone, or the only one, would tell little.
+    The few validation objects of the split ``unseen`` alone would be too easy to rank.
     """
     rng = numpy_generator(job.seed, "retrieve", job.split.name, "sample")
     return np.concatenate([job.split.val, rng.permutation(job.split.train)[:SAMPLE]])
@@ -288,7 +288,7 @@ def _maps(
 
 
 def _chunks(job: Job[RetrieveConfig], modality: str, rows: np.ndarray) -> Iterator[torch.Tensor]:
-    """What the encoder of a modality is given of many rows, some at a time."""
+    """Yield the encoder inputs of many rows in chunks."""
     for some in np.array_split(rows, -(-len(rows) // CHUNK)):
         yield job.inputs(modality, some)
 
@@ -303,7 +303,7 @@ def _embeddings(job: Job[RetrieveConfig], net: TwoStream, pair: Pair, rows: np.n
 
 
 def _features(job: Job[RetrieveConfig], modality: str) -> dict[str, np.ndarray]:
-    """What CCA knows of a split's rows: white components of the encoder's input at few pixels; (n, D)."""
+    """Return the CCA inputs of each part of a split: whitened, downsampled encoder inputs; (n, D)."""
     shape = FEATURE_SIZES[modality]
 
     def pixels(rows: np.ndarray) -> np.ndarray:
