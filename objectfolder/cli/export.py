@@ -25,7 +25,7 @@ export_app = typer.Typer(
 OutArgument = Annotated[Path, typer.Argument(metavar="OUT", help="Folder to create.")]
 FoldersArgument = Annotated[
     list[Path],
-    typer.Argument(metavar="FOLDER...", help="Folders of observations, or folders that contain some."),
+    typer.Argument(metavar="FOLDER...", help="Folders with observations in them or below."),
 ]
 FilesArgument = Annotated[
     list[Path], typer.Argument(metavar="FILE...", help="Object Files (ObjectFile.safetensors).")

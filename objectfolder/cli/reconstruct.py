@@ -19,7 +19,7 @@ def reconstruct(
     ] = None,
     tolerance: Annotated[
         int,
-        typer.Option(min=0, max=255, help="Smallest difference of the object from the background, levels."),
+        typer.Option(min=0, max=255, help="Smallest difference from the background, levels."),
     ] = 30,
 ) -> None:
     """Reconstruct an object's shape from one image (unit frame: the longest side is 1).

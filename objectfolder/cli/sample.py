@@ -56,7 +56,7 @@ def audio(
     forces: Annotated[
         Path | None,
         typer.Option(
-            metavar="FORCES.npy", help="Write impulses (N, 3) to this file, and only points to OUT.npy."
+            metavar="FORCES.npy", help="Write impulses (N, 3) to this file, only points to OUT.npy."
         ),
     ] = None,
 ) -> None:
@@ -90,9 +90,7 @@ def touch(
     ] = None,
     sensor: Annotated[
         str | None,
-        typer.Option(
-            help="Sensor that determines depths: a name (`sensor list`) or a .yaml file; default: the stored one."
-        ),
+        typer.Option(help="Sensor of the depths: a name (`sensor list`) or .yaml file; default: the stored."),
     ] = None,
 ) -> None:
     """Write contacts, (N, 3): points on the surface (metres), uniform by area.

@@ -125,8 +125,8 @@ def make_encoder(name: str, modality: str, weights: Weights | None = None) -> nn
 def read_weights(path: str | Path) -> Weights:
     """Read an encoder's weights from a ``torch.save`` file, such as torchvision's ImageNet weights.
 
-    The last layer (``fc``) and the prefix ``module.`` of parallel training are dropped. Nothing in the file is
-    executed.
+    The last layer (``fc``) and the prefix ``module.`` of parallel training are dropped. Nothing in the file
+    is executed.
 
     Raises
     ------

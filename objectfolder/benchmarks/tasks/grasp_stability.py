@@ -1,4 +1,4 @@
-"""Grasp stability prediction from a view, from touch, and from both (main paper, 4.4; supplementary H, I.4)."""
+"""Grasp stability from a view, from touch, and from both (main paper, 4.4; supplementary H, I.4)."""
 
 import copy
 import time

@@ -30,8 +30,8 @@ class Job(Generic[_Params]):
     encoder: str  #: registered in `objectfolder.benchmarks.models.encoders`
     sizes: InputSizes
     seed: int
-    #: Folder of finished parts and checkpoints. An interrupted call resumes from it, so it must be empty or of
-    #: a call with the same arguments.
+    #: Folder of finished parts and checkpoints. An interrupted call resumes from it, so it must be empty or
+    #: of a call with the same arguments.
     progress: Path
     weights: Weights | None = None  #: initial weights of encoders; default: random
     device: str | torch.device = "cpu"

@@ -93,7 +93,11 @@ def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[
     truth = _truth(job)
     finished = {variant: _finished(job, truth, variant) for variant in VARIANTS}
     labels, split = job.observations.labels, job.split
-    trained_labels, val, test = (np.unique(labels[split.train]), labels[validation_rows(job)], labels[_test(job)])
+    trained_labels, val, test = (
+        np.unique(labels[split.train]),
+        labels[validation_rows(job)],
+        labels[_test(job)],
+    )
     scores = {
         **{variant: done["scores"] for variant, done in finished.items()},
         "average_shape": truth.average_shape(trained_labels, val, test),
@@ -118,7 +122,7 @@ def _test(job: Job[ReconstructConfig]) -> np.ndarray:
 
 
 def validation_rows(job: Job[ReconstructConfig]) -> np.ndarray:
-    """Return the rows to choose epochs and thresholds on, with training rows of objects without validation rows.
+    """Return the rows to choose epochs and thresholds on; training rows of objects without validation rows.
 
     A threshold that is best for the few validation objects of the split ``unseen`` may leave all other
     predictions empty.

@@ -208,5 +208,5 @@ def test_folders_are_found_at_any_depth_and_once(root, tmp_path):
     copy = tmp_path / "copy"
     copy.mkdir()
     (copy / "observations.json").write_bytes((root / KEYS[0] / "observations.json").read_bytes())
-    with pytest.raises(ObjectFolderError, match=f"{KEYS[0]}: both .* hold its observations; give one"):
+    with pytest.raises(ObjectFolderError, match=f"{KEYS[0]}: both .* hold its observations; pass only one"):
         find_folders([root, copy])

@@ -81,7 +81,7 @@ def test_queries_are_those_of_the_object(folders):
 
 
 def test_no_objects():
-    with pytest.raises(ObjectFolderError, match="no objects were given"):
+    with pytest.raises(ObjectFolderError, match="no objects given"):
         Observations({})
 
 
