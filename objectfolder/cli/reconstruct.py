@@ -33,14 +33,14 @@ def reconstruct(
         check_mesh_name,
         cut_out,
         photograph_to_mesh,
-        read_photograph,
+        read_picture,
         write_mesh,
     )
 
     check_mesh_name(out)
     colour = None if background is None else _colour(background)
-    picture = read_photograph(photo)
-    shape = None if mask is None else read_photograph(mask, "L")
+    picture = read_picture(photo)
+    shape = None if mask is None else read_picture(mask, "L")
     rgba = cut_out(picture, shape, colour, tolerance, str(photo))
     trained = load_model(model)
     vertices, faces = photograph_to_mesh(trained, framed(rgba, trained.setup.view))

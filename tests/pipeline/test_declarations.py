@@ -115,14 +115,14 @@ MAX_MODULES = {
     "pack": 10,
     "evaluate": 66,
     "observe": 68,
-    "recognize": 23,
-    "retrieve": 24,
+    "recognize": 22,
+    "retrieve": 23,
     "reconstruct": 83,
     "decompose": 64,
-    "grasp_data": 81,
-    "grasp_stability": 24,
-    "grasp_policy": 94,
-    "reach": 86,
+    "grasp_data": 84,
+    "grasp_stability": 23,
+    "grasp_policy": 97,
+    "reach": 89,
 }
 
 

@@ -17,7 +17,7 @@ DIFFERENCE = 30  #: smallest difference of the object from a plain background, l
 OPAQUE = 250  #: alpha above which a pixel is fully covered
 
 
-def read_photograph(path: str | Path, mode: str = "RGBA") -> np.ndarray:
+def read_picture(path: str | Path, mode: str = "RGBA") -> np.ndarray:
     """Read an image in its EXIF orientation; (H, W, 4) uint8, or (H, W) for mode "L".
 
     Raises

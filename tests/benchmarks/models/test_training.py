@@ -163,7 +163,7 @@ def test_damaged_or_foreign_checkpoint_is_named(tmp_path):
     def refused(message, width=16, **changes):
         net, functions, settings = _problem(width=width)
         before = _state(net)
-        with pytest.raises(ObjectFolderError, match=rf"training\.pt {message}.*remove it") as caught:
+        with pytest.raises(ObjectFolderError, match=rf"training\.pt {message}.*delete it") as caught:
             train(net, *functions, **{**settings, "epochs": 1} | changes, checkpoint=checkpoint)
         assert _state(net) == before
         return caught

@@ -15,7 +15,7 @@ from objectfolder.benchmarks.tasks.photograph import (
     cut_out,
     photograph_conditions,
     photograph_scores,
-    read_photograph,
+    read_picture,
 )
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
@@ -137,11 +137,11 @@ def test_pictures_are_read_upright_and_others_refused(tmp_path):
     exif = Image.Exif()
     exif[0x0112] = 6  # to be turned by 90 degrees
     turned.save(tmp_path / "turned.png", exif=exif)
-    assert read_photograph(tmp_path / "turned.png").shape == (80, 60, 4)
+    assert read_picture(tmp_path / "turned.png").shape == (80, 60, 4)
     (tmp_path / "text.jpg").write_text("no picture")
     for name, message in (("text.jpg", "not a readable picture"), ("none.png", "does not exist")):
         with pytest.raises(ObjectFolderError, match=message):
-            read_photograph(tmp_path / name)
+            read_picture(tmp_path / name)
 
 
 def run(*arguments):

@@ -156,7 +156,7 @@ def test_the_best_part_in_validation_is_kept(tmp_path, monkeypatch):
 def test_a_checkpoint_of_another_training_is_refused(tmp_path):
     checkpoint = tmp_path / "a.pt"
     _train(checkpoint, steps=128)
-    with pytest.raises(ObjectFolderError, match=r"a\.pt is of a training with .* remove it"):
+    with pytest.raises(ObjectFolderError, match=r"a\.pt is of a training with .* delete it"):
         _train(checkpoint, steps=256)
     checkpoint.write_bytes(checkpoint.read_bytes()[:100])
     with pytest.raises(ObjectFolderError, match=r"a\.pt is damaged"):
@@ -209,7 +209,7 @@ def test_an_actor_is_read_as_it_was_written(tmp_path):
     read = Actor.load(tmp_path / "actor.safetensors")
     assert _bytes(read) == _bytes(actor)
     write_safetensors(tmp_path / "other.safetensors", {"x": np.ones(1)}, {"format": "other"})
-    with pytest.raises(ObjectFolderError, match=r"other\.safetensors is no trained policy"):
+    with pytest.raises(ObjectFolderError, match=r"other\.safetensors is not a trained policy"):
         Actor.load(tmp_path / "other.safetensors")
 
 
