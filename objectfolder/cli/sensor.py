@@ -67,14 +67,14 @@ def fit_sensor_profile(
     In Python, load it with `load_profile("mine.yaml")`. For a build, copy it to objectfolder/touch/profiles/.
     """
     from objectfolder.touch.calibration import fit_sensor, save_fit
-    from objectfolder.touch.photographs import read_picture
+    from objectfolder.touch.photographs import read_photograph
     from objectfolder.touch.profiles import load_profile
 
     if out.suffix not in (".yaml", ".yml"):
         raise ObjectFolderError(f"--out is {out}, expected the name of a .yaml file")
     profile = load_profile(sensor)
-    pictures = np.stack([read_picture(path, profile) for path in images])
-    rest = read_picture(untouched, profile) if untouched else None
+    pictures = np.stack([read_photograph(path, profile) for path in images])
+    rest = read_photograph(untouched, profile) if untouched else None
     circles = [_circle(text) for text in circle] if circle else None
     fit = fit_sensor(pictures, radius, profile, rest, circles, [str(path) for path in images])
     table = Table(title=f"{out.stem}: lights of {profile.name}, fitted to {len(images)} images")
