@@ -9,23 +9,13 @@ ENTRY_POINT = "main"  # of a process: the command line, the supervisor, Blender'
 
 #: Names that several modules still share, and how many do. Shrink this list; never extend it.
 SHARED = {
-    "Episodes": 2,
-    "Occupancy": 2,
     "Options": 2,
     "Outcome": 2,
     "Status": 2,
-    "array_path": 2,
     "check": 2,
     "describe": 2,
-    "environment": 2,
-    "film": 2,
-    "fused": 2,
-    "play": 2,
-    "prepare": 2,
     "read_checkpoint": 2,
-    "read_rows": 2,
     "record": 2,
-    "table": 2,
     "unpack": 2,
 }
 
