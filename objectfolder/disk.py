@@ -1,45 +1,80 @@
-"""Room on a disk: asked for before a folder is written, and named where it runs out on the way."""
+"""Disk space: check it before writing, and name the disk that is full."""
 
 import errno
+import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from objectfolder.errors import ObjectFolderError
 
+#: A disk with less than this many bytes free is full for practical purposes.
+LOW = 2**20
 _FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+def is_shortage(error: BaseException | None) -> bool:
+    """Return whether an error or one of its causes is a full disk."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in _FULL:
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+def mentions_shortage(lines: Iterable[str]) -> bool:
+    """Return whether a log reports a full disk."""
+    return any(os.strerror(number) in line for line in lines for number in _FULL)
+
+
+def free_bytes(path: Path) -> int:
+    """Return the free bytes on the disk of a path, which need not exist."""
+    return shutil.disk_usage(_existing(path)).free
+
+
+def fullest(paths: Iterable[Path]) -> tuple[Path, int]:
+    """Return the path whose disk has the least space, and its free bytes."""
+    free = {path: free_bytes(path) for path in paths}
+    path = min(free, key=free.__getitem__)
+    return path, free[path]
+
+
+def describe_full(path: Path) -> str:
+    """Describe a full disk for an error message."""
+    usage = shutil.disk_usage(_existing(path))
+    free, total = usage.free / 1e6, usage.total / 1e6
+    return f"the disk of {path} is full ({free:.1f} of {total:.1f} MB free); make space and build again"
 
 
 @contextmanager
 def enough_space(what: str, folder: Path, needed: int, hint: str) -> Iterator[None]:
-    """Write into a folder, if its disk has room.
+    """Check free space before the block writes into a folder, and report a disk that fills up meanwhile.
 
     Parameters
     ----------
     what : str
-        What is written, for messages.
+        Name of the data, for messages.
     folder : Path
-        It need not exist.
+        Destination; it need not exist.
     needed : int
-        Bytes that it takes at least.
+        Lower bound of the bytes to write.
     hint : str
-        What else than to make room helps; ends messages.
+        Alternative to making room; ends the message.
 
     Raises
     ------
     ObjectFolderError
-        If the disk has less than that, or is full before all is written.
+        If fewer bytes are free, or the disk fills up before the block ends.
     """
-    there = next(parent for parent in (folder.absolute(), *folder.absolute().parents) if parent.exists())
 
     def shortage() -> ObjectFolderError:
-        free = shutil.disk_usage(there).free
         return ObjectFolderError(
-            f"{what}: no space in {folder}: at least {needed:,} bytes needed, {free:,} free; make room{hint}"
+            f"{what}: no space in {folder}: at least {needed:,} bytes needed, "
+            f"{free_bytes(folder):,} free; make room{hint}"
         )
 
-    if shutil.disk_usage(there).free < needed:
+    if free_bytes(folder) < needed:
         raise shortage()
     try:
         yield
@@ -51,12 +86,12 @@ def enough_space(what: str, folder: Path, needed: int, hint: str) -> Iterator[No
 
 @contextmanager
 def new_folder(what: str, out: Path, needed: int, hint: str) -> Iterator[Path]:
-    """Give a folder that takes its name when all is written; otherwise as `enough_space`.
+    """Yield a temporary folder that is renamed to ``out`` on success; otherwise as `enough_space`.
 
     Raises
     ------
     ObjectFolderError
-        If the folder exists already.
+        If ``out`` exists already.
     """
     if out.exists():
         raise ObjectFolderError(f"{out} exists already: choose another name, or delete it")
@@ -69,3 +104,8 @@ def new_folder(what: str, out: Path, needed: int, hint: str) -> Iterator[Path]:
             temporary.rename(out)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _existing(path: Path) -> Path:
+    path = path.absolute()
+    return next(parent for parent in (path, *path.parents) if parent.exists())

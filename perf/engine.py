@@ -24,8 +24,8 @@ from rich.console import Console
 from rich.table import Table
 from ruamel.yaml import YAML
 
-from objectfolder.engine.build import Options, build
-from objectfolder.engine.summary import Status
+from objectfolder.engine.build import BuildOptions, build
+from objectfolder.engine.summary import StageOutcome
 
 ROOT = Path(__file__).parents[1]
 PEER_SECONDS, IDLE_SECONDS = 60.0, 180.0  # limits of DVC alone: first build, no-op build
@@ -127,14 +127,14 @@ def new_repository(root: Path) -> None:
 def run_build(root: str, workers: str) -> dict:
     """Build once; the job of a fresh process."""
     start, cpu = time.monotonic(), time.process_time()
-    summary = build(options=Options(jobs=int(workers)), root=root)
+    summary = build(options=BuildOptions(jobs=int(workers)), root=root)
     if not summary.ok:
         sys.exit(f"{summary.failures[0].address}: {summary.failures[0].error}")
     return {
         "seconds": time.monotonic() - start,
         "cpu_s": time.process_time() - cpu,
         "stages": len(summary.stages),
-        "ran": len(summary.with_status(Status.RAN)),
+        "ran": len(summary.with_status(StageOutcome.RAN)),
         "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     }
 

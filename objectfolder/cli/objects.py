@@ -171,8 +171,8 @@ def fetch(
     The meshes have their own licences, kept with each as SOURCE.txt.
     """
     from objectfolder.fetch import report
-    from objectfolder.fetch.catalogue import read_catalogue, select
-    from objectfolder.fetch.run import Status, fetch_all
+    from objectfolder.fetch.catalogue import read_catalogue, select_objects
+    from objectfolder.fetch.run import FetchStatus, fetch_all
     from objectfolder.workspace import params
 
     published = read_catalogue(catalogue, url or ())
@@ -180,19 +180,19 @@ def fetch(
     if listing:
         report.print_catalogue(published, present, console)
         return
-    keys = list(published.objects) if everything else select(published, objects or ())
+    keys = list(published.objects) if everything else select_objects(published, objects or ())
     if not keys:
         report.print_overview(published, present, console)
         raise ObjectFolderError("nothing was asked for; name objects (--list shows them), or give --all")
     report.print_licences(published, [key for key in keys if key not in present], console)
-    with report.download_progress(Console(stderr=True)) as reporter:
-        outcomes = fetch_all(
+    with report.download_progress(Console(stderr=True)) as progress:
+        results = fetch_all(
             keys,
             published,
             directory,
             accept_changed,
-            reporter=reporter,
-            on_outcome=lambda outcome: report.print_outcome(outcome, console),
+            progress=progress,
+            on_result=lambda result: report.print_result(result, console),
         )
-    report.print_totals(outcomes, console)
-    raise typer.Exit(any(outcome.status is Status.FAILED for outcome in outcomes))
+    report.print_totals(results, console)
+    raise typer.Exit(any(result.status is FetchStatus.FAILED for result in results))

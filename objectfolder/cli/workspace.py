@@ -67,7 +67,7 @@ def build(
     `objectfolder build --engine ray` (docs/pipeline.md: what a cluster must share).
     Logs of stages are in build/.logs. `dvc status`, `dvc repro` and `dvc metrics show` work as usual.
     """
-    from objectfolder.engine.build import Options, local_workers
+    from objectfolder.engine.build import BuildOptions, local_workers
     from objectfolder.engine.build import build as run_build
     from objectfolder.engine.progress import Progress, print_summary
     from objectfolder.engine.ray import ray_workers
@@ -93,7 +93,7 @@ def build(
     with Progress() as progress:
         summary = run_build(
             targets or (),
-            Options(jobs, force, keep_going, timeout, pull, wait),
+            BuildOptions(jobs, force, keep_going, timeout, pull, wait),
             on_event=progress,
             make_workers=ray_workers(address or "auto") if engine is Engine.RAY else local_workers,
         )

@@ -1,70 +1,62 @@
-"""Build: one owner of DVC's lock, many commands at a time."""
+"""Parallel build: one thread calls DVC, workers run the commands of stages."""
 
 import bisect
 import logging
-import signal
-import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
-from dvc.exceptions import DvcException
-from dvc.repo import Repo
-
-from objectfolder.engine import failures
-from objectfolder.engine.dvc import full_disk as disk
+from objectfolder import disk
 from objectfolder.engine.dvc import remote, steps
-from objectfolder.engine.dvc.graph import Plan, plan
-from objectfolder.engine.dvc.lockfile import LockFiles
-from objectfolder.engine.dvc.repository import held, read_params
-from objectfolder.engine.dvc.runcache import RunCache, remove_damaged
-from objectfolder.engine.failures import LOGS, log_path
-from objectfolder.engine.process import Outcome, describe, tail
+from objectfolder.engine.dvc.graph import StageGraph, stage_graph
+from objectfolder.engine.dvc.repository import OpenRepository, open_repository, read_params
+from objectfolder.engine.failures import LOGS, forget_failure, log_path, record_failure
+from objectfolder.engine.process import Command, CommandResult, describe_result, stage_environment, tail
 from objectfolder.engine.resources import Machine, Needs, cores, needs_of
 from objectfolder.engine.schedule import Schedule, object_groups
+from objectfolder.engine.signals import StopSignals
 from objectfolder.engine.summary import (
     Finished,
     Listener,
     Lost,
     Planned,
+    StageOutcome,
     StageResult,
     Started,
-    Status,
     Summary,
 )
-from objectfolder.engine.workers import Finished as FinishedQueue
-from objectfolder.engine.workers import LocalWorkers, WorkerLost, Workers
+from objectfolder.engine.workers import FinishedQueue, LocalWorkers, WorkerLost, Workers
 from objectfolder.errors import ObjectFolderError
 
-OBJECTS_PER_CORE = 2  # that are worked on at a time
-#: How often a stage is started again when it was lost with its worker.
+#: Objects in progress at a time, per core.
+OBJECTS_PER_CORE = 2
+#: Restarts of a stage whose worker was lost.
 RESTARTS = 3
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Options:
-    """How to build.
+class BuildOptions:
+    """Options of a build.
 
     Parameters
     ----------
     jobs : int, optional
         Cores that stages may use together; default: all of this process.
     force : bool
-        Run every stage again, changed or not.
+        Run every stage, even if it is up to date.
     keep_going : bool
-        After a failure, go on with what does not depend on it; else start nothing more.
+        After a failure, continue with stages that do not depend on it; otherwise start no more stages.
     timeout : float, optional
-        Wall seconds after which a stage is killed, in place of the table's; 0 never.
+        Wall seconds after which a stage is killed; default: see `objectfolder.engine.resources.NEEDS`;
+        0: never.
     pull : bool
-        Before anything runs, fetch from DVC's default remote what the lock file and the run cache know.
+        First download recorded outputs and saved runs from DVC's default remote.
     wait : bool
-        If another process uses the workspace, wait until it ends; else refuse.
+        If another process uses the workspace, wait until it ends; otherwise refuse.
     """
 
     jobs: int | None = None
@@ -77,122 +69,105 @@ class Options:
     def __post_init__(self) -> None:
         if self.jobs is not None and self.jobs < 1:
             raise ObjectFolderError(
-                f"jobs is {self.jobs}, expected at least 1; use --jobs 1 for one at a time"
+                f"jobs is {self.jobs}, expected at least 1; use --jobs 1 to run one stage at a time"
             )
         if self.timeout is not None and not self.timeout >= 0:
             raise ObjectFolderError(f"timeout is {self.timeout} s, expected 0 (never) or more")
 
 
-#: Makes the workers of a build from the number of jobs and the queue for what they finish.
+#: Creates the workers of a build from the number of jobs and the queue for their results.
 MakeWorkers = Callable[[int | None, FinishedQueue], Workers]
 
 
 def local_workers(jobs: int | None, finished: FinishedQueue) -> Workers:
-    """Run stages on this machine."""
+    """Return workers on this machine."""
     return LocalWorkers(Machine(jobs or cores()), finished)
 
 
 def build(
     targets: Sequence[str] = (),
-    options: Options = Options(),
+    options: BuildOptions = BuildOptions(),
     root: str | Path = ".",
     on_event: Listener = lambda event: None,
     make_workers: MakeWorkers = local_workers,
 ) -> Summary:
     """Bring targets and everything upstream of them up to date.
 
-    A stage that fails blocks what depends on it; the rest goes on. On SIGINT or SIGTERM the running commands
-    are killed and what had finished is kept.
+    A failed stage blocks its downstream stages; the others continue. On SIGINT or SIGTERM the running
+    commands are killed and finished stages are kept.
 
     Parameters
     ----------
     targets : sequence of str
-        Stage addresses, stage names, object keys or paths of outputs; none means everything.
-    options : Options
-        How to build.
+        Stage addresses, stage names, object keys or paths of outputs; default: everything.
+    options : BuildOptions
     root : Path
         Workspace, the directory that holds ``dvc.yaml``.
     on_event : callable
-        Called in this thread with every `Planned`, `Started`, `Lost` and
-        `summary.Finished`.
+        Called in this thread with every event.
     make_workers : callable
-        Makes what runs the commands; default: this machine.
+        Creates the workers that run the commands; default: on this machine.
 
     Raises
     ------
     ObjectFolderError
-        If the workspace is busy or cannot be read. A failed stage does not raise.
+        If the workspace is busy or cannot be read. Failed stages are reported in the summary.
     """
     start = time.monotonic()
-    root = Path(root).resolve()
-    with held(root, options.wait) as (repo, lockfiles):
-        disk.sweep(repo)
-        try:
-            wanted = plan(repo, root, targets)
-        except DvcException as error:
-            raise ObjectFolderError(f"DVC cannot read the pipeline in {root}: {error}") from error
-        reached = options.pull and remote.fetch(repo, wanted.stages.values())
-        repo.stage_cache = RunCache(repo, pull=reached)
-        params = read_params(root)
-        needs = {address: needs_of(address, params) for address in wanted.stages}
+    with open_repository(root, options.wait) as repository:
+        repository.remove_partial_copies()
+        graph = stage_graph(repository, targets)
+        reached = options.pull and remote.pull_build(repository.repo, graph.stages.values())
+        repository.use_run_cache(pull=reached)
+        params = read_params(repository.root)
+        needs = {address: needs_of(address, params) for address in graph.stages}
         if options.timeout is not None:
             limit = options.timeout or None
             needs = {address: replace(need, timeout=limit) for address, need in needs.items()}
         on_event(Planned({address: need.seconds for address, need in needs.items()}))
-        logs = root / LOGS
-        results = _Build(repo, wanted, needs, options, lockfiles, logs, on_event, make_workers).run()
-    ordered = {address: results[address] for address in wanted.stages}
+        results = _Build(repository, graph, needs, options, on_event, make_workers).run()
+    ordered = {address: results[address] for address in graph.stages}
     return Summary(stages=ordered, seconds=time.monotonic() - start)
 
 
-class _Interrupted(Exception):
-    """A signal asked the build to stop; it is raised at a point where DVC's files are whole."""
-
-    def __init__(self, number: int):
-        super().__init__(number)
-        self.number = number
-
-
 class _Build:
-    """State of one build. All of DVC is called from one thread; the workers only run commands."""
+    """State of one build. DVC is called from one thread only; workers run the commands."""
 
     def __init__(
         self,
-        repo: Repo,
-        wanted: Plan,
+        repository: OpenRepository,
+        graph: StageGraph,
         needs: dict[str, Needs],
-        options: Options,
-        lockfiles: LockFiles,
-        logs: Path,
+        options: BuildOptions,
         on_event: Listener,
         make_workers: MakeWorkers,
     ):
-        self.repo = repo
-        self.stages = wanted.stages
+        self.repository = repository
+        self.stages = graph.stages
         self.needs = needs
         self.options = options
-        self.logs = logs
+        self.logs = repository.root / LOGS
         self.on_event = on_event
         self.results: dict[str, StageResult] = {}
-        # Stages known to have changed, waiting for a free worker; the most urgent first.
+        # Changed stages that wait for a free worker, most urgent first.
         self.due: list[tuple[tuple[int, float, int], str]] = []
         self.running: set[str] = set()
         self.losses: Counter[str] = Counter()
-        self.lockfiles = lockfiles
+        self.lockfiles = repository.lockfiles
         self.finished: FinishedQueue = SimpleQueue()
         self.workers = make_workers(options.jobs, self.finished)
         self.schedule = Schedule(
-            wanted.upstream,
+            graph.upstream,
             weight=lambda address: needs[address].seconds,
-            group=object_groups(wanted.stages, OBJECTS_PER_CORE * self.workers.cores),
+            group=object_groups(graph.stages, OBJECTS_PER_CORE * self.workers.cores),
         )
-        self.signal: int | None = None
+        self.signals = StopSignals(wake=lambda: self.finished.put(None))
         self.stopping = False
         self.unwritable = False
 
     def run(self) -> dict[str, StageResult]:
-        """Run until nothing is left, and return the results by address."""
-        with self._signals():
+        """Run all stages and return their results by address."""
+        with self.signals.caught():
             try:
                 self._loop()
             finally:
@@ -200,19 +175,18 @@ class _Build:
                 self.workers.kill()
                 try:
                     self.workers.close()
-                    self._collect_finished()  # what ended on its own just before the kill is kept
+                    self._collect_finished()  # keep what ended before the kill
                 finally:
                     self._flush()
         return self.results
 
     def _loop(self) -> None:
         while True:
-            if self.signal is not None:
-                raise _Interrupted(self.signal)
+            self.signals.raise_if_caught()  # DVC's files are consistent here
             if (address := self._pop_due()) is not None:
                 self._start(address)
             elif (address := self.schedule.pop()) is not None:
-                if address not in self.results:  # what a build that gave up has written off
+                if address not in self.results:  # not blocked by --fail-fast
                     self._examine(address)
             elif self.running:
                 self._collect(timeout=None if self.unwritable else self.lockfiles.seconds_until_due())
@@ -222,10 +196,10 @@ class _Build:
             self._flush_if_due()
 
     def _pop_due(self) -> str | None:
-        """Take the most urgent stage that there is room for.
+        """Take the most urgent stage that fits the free resources.
 
-        What waits for a GPU lets others pass; what waits for a core or memory does not, or small stages
-        would keep a large one waiting until the end.
+        Stages may overtake one that waits for a GPU, but not one that waits for cores or memory: small
+        stages would delay a large one until the end.
         """
         for place, (_, address) in enumerate(self.due):
             lacking = self.workers.room(self.needs[address])
@@ -237,50 +211,49 @@ class _Build:
         return None
 
     def _examine(self, address: str) -> None:
-        """Decide what a ready stage needs; only checks, so that it can be done ahead of a free worker."""
+        """Check whether a ready stage must run; needs no free worker."""
         stage = self.stages[address]
         try:
             if not steps.has_command(stage):
                 self._pass_through(address)
-            elif self.options.force or stage.changed():
+            elif self.options.force or steps.has_changed(stage):
                 bisect.insort(self.due, (self.schedule.rank[address], address))
             else:
-                self._succeed(StageResult(address, Status.SKIPPED))
-        except (DvcException, OSError) as error:
-            self._fail(StageResult(address, Status.FAILED, error=self._explain(error, address)))
+                self._succeed(StageResult(address, StageOutcome.SKIPPED))
+        except (ObjectFolderError, OSError) as error:
+            self._fail(StageResult(address, StageOutcome.FAILED, error=self._explain(error, address)))
 
     def _pass_through(self, address: str) -> None:
-        """Let DVC handle a stage without a command itself: it verifies data, or downloads an import."""
+        """Let DVC handle a stage without a command."""
         start = time.monotonic()
         stage = self.stages[address]
-        if any(not out.exists for out in stage.outs):
-            remove_damaged(stage.outs)
-            stage.checkout(allow_missing=True)  # deleted data comes back from the cache
-        if stage.reproduce(force=self.options.force) is None:
-            self._succeed(StageResult(address, Status.SKIPPED))
+        if not steps.update_data(stage, self.options.force):
+            self._succeed(StageResult(address, StageOutcome.SKIPPED))
             return
         self.lockfiles.add(stage)
-        self._succeed(StageResult(address, Status.RAN, time.monotonic() - start))
+        self._succeed(StageResult(address, StageOutcome.RAN, time.monotonic() - start))
 
     def _start(self, address: str) -> None:
-        """Restore a changed stage from the run cache, or hand its command to a worker.
+        """Restore a changed stage from the run cache, or submit its command to a worker.
 
-        Old outputs go only now that a worker is free, so that an interrupted build has removed few.
+        Old outputs are removed only once a worker is free, so that an interrupted build has removed few.
         """
         start = time.monotonic()
         stage = self.stages[address]
         log = self._log(address)
         try:
-            if not self.options.force and steps.restore(stage):
+            if not self.options.force and steps.restore_run(stage):
                 self.lockfiles.add(stage)
-                self._succeed(StageResult(address, Status.RESTORED, time.monotonic() - start))
+                self._succeed(StageResult(address, StageOutcome.RESTORED, time.monotonic() - start))
                 return
-            command = steps.prepare(stage, log, self.needs[address])
-        except (DvcException, OSError) as error:
-            self._fail(StageResult(address, Status.FAILED, error=self._explain(error, address)))
+            shell = steps.prepare_run(stage)
+        except (ObjectFolderError, OSError) as error:
+            self._fail(StageResult(address, StageOutcome.FAILED, error=self._explain(error, address)))
             return
+        needs = self.needs[address]
+        env = stage_environment(shell.env, needs.cpus)
         self.running.add(address)
-        self.workers.submit(address, command, self.needs[address])
+        self.workers.submit(address, Command(shell.lines, shell.cwd, env, log, needs.timeout), needs)
         self.on_event(Started(address, log))
 
     def _collect_finished(self) -> None:
@@ -288,7 +261,7 @@ class _Build:
             self._collect(timeout=0.0)
 
     def _collect(self, timeout: float | None) -> None:
-        """Take one finished command from the workers and save what it wrote."""
+        """Take one finished command from the workers and save its outputs."""
         try:
             item = self.finished.get(timeout=timeout)
         except Empty:
@@ -298,29 +271,29 @@ class _Build:
         address, outcome = item
         self.running.discard(address)
         self.workers.finish(address)
-        if self.stopping and not (isinstance(outcome, Outcome) and outcome.code == 0):
-            return  # killed by us: not a failure of the stage
+        if self.stopping and not (isinstance(outcome, CommandResult) and outcome.code == 0):
+            return  # killed by this build, not a failure of the stage
         if isinstance(outcome, WorkerLost):
             self._lose(address, outcome)
             return
         log = self._log(address)
         if isinstance(outcome, Exception):
             error = f"cannot run the command: {self._explain(outcome, address)}"
-            self._fail(StageResult(address, Status.FAILED, error=error))
+            self._fail(StageResult(address, StageOutcome.FAILED, error=error))
             return
-        error = describe(outcome)
+        error = describe_result(outcome)
         if error:
             error += self._hint(address, log)
         else:
             try:
                 stage = self.stages[address]
-                steps.save(stage)
+                steps.save_run(stage)
                 self.lockfiles.add(stage)
-            except (DvcException, OSError) as problem:
+            except (ObjectFolderError, OSError) as problem:
                 error = self._explain(problem, address)
         result = StageResult(
             address=address,
-            status=Status.FAILED if error else Status.RAN,
+            status=StageOutcome.FAILED if error else StageOutcome.RAN,
             seconds=outcome.seconds,
             peak_mb=outcome.peak_mb,
             log=log,
@@ -333,17 +306,17 @@ class _Build:
             self._succeed(result)
 
     def _lose(self, address: str, loss: WorkerLost) -> None:
-        """Put a stage whose worker is gone back among those to start, unless that keeps happening."""
+        """Queue a stage again whose worker was lost, up to `RESTARTS` times."""
         self.losses[address] += 1
         if self.losses[address] > RESTARTS:
             error = f"lost {self.losses[address]} times with its worker, the last time because {loss}"
-            self._fail(StageResult(address, Status.FAILED, error=error))
+            self._fail(StageResult(address, StageOutcome.FAILED, error=error))
             return
         bisect.insort(self.due, (self.schedule.rank[address], address))
         self.on_event(Lost(address, str(loss)))
 
     def _flush_if_due(self) -> None:
-        """Write what has waited; what cannot be written is tried again at the end, what runs goes on."""
+        """Write the lock file if due; if that fails, continue and try again at the end."""
         if self.unwritable:
             return
         try:
@@ -357,83 +330,56 @@ class _Build:
             self.lockfiles.flush()
         except (OSError, ObjectFolderError) as error:
             raise ObjectFolderError(
-                f"cannot write dvc.lock: {self._explain(error)}; what has finished is in DVC's cache: build "
-                "again once it can be written, and none of that runs twice"
+                f"cannot write dvc.lock: {self._explain(error)}; build again once it can be written; "
+                "finished stages are in DVC's cache and will not run again"
             ) from error
 
     def _explain(self, error: BaseException, address: str | None = None) -> str:
-        """Give an error's message and the cause that DVC often keeps to itself; name a full disk."""
-        cause = f": {error.__cause__}" if isinstance(error, DvcException) and error.__cause__ else ""
-        text = f"{error}{cause}"
-        if disk.is_shortage(error):
-            text += f": {disk.describe(*disk.fullest(self._disks(address)))}; make space and build again"
-            disk.sweep(self.repo)
+        """Return the message of an error; name the disk if it is full, and free what DVC left there."""
+        if not disk.is_shortage(error):
+            return str(error)
+        text = f"{error}: {disk.describe_full(disk.fullest(self._disks(address))[0])}"
+        self.repository.remove_partial_copies()
         return text
 
     def _hint(self, address: str, log: Path) -> str:
-        """Name the full disk, if that may be why a command has failed."""
-        path, free, total = disk.fullest(self._disks(address))
-        if free >= disk.LOW and not disk.mentions_shortage(tail(log)):
-            return ""
-        return f"; {disk.describe(path, free, total)}; make space and build again"
+        """Name the full disk if that may be why a command failed."""
+        path, free = disk.fullest(self._disks(address))
+        full = free < disk.LOW or disk.mentions_shortage(tail(log))
+        return f"; {disk.describe_full(path)}" if full else ""
 
     def _disks(self, address: str | None) -> list[Path]:
-        outs = self.stages[address].outs if address else ()
-        cache = Path(self.repo.cache.local.path)
-        return [*(Path(out.fs_path) for out in outs), self.logs, cache, Path(self.repo.tmp_dir)]
+        outs = steps.output_paths(self.stages[address]) if address else []
+        return [*outs, self.logs, self.repository.cache, self.repository.tmp]
 
     def _log(self, address: str) -> Path:
         return log_path(self.logs, address)
 
     def _succeed(self, result: StageResult) -> None:
-        failures.forget(self.logs, result.address)
+        forget_failure(self.logs, result.address)
         self.schedule.finish(result.address)
         self._report(result)
 
     def _fail(self, result: StageResult) -> None:
-        failures.record(self.logs, self.stages[result.address], result)
+        record_failure(self.logs, result, steps.input_state(self.stages[result.address]))
         self._report(result)
         for address in self.schedule.downstream(result.address):
             if address not in self.results:
-                self._report(StageResult(address, Status.BLOCKED, error=f"needs {result.address}"))
+                self._report(StageResult(address, StageOutcome.BLOCKED, error=f"needs {result.address}"))
         if not self.options.keep_going:
             self._give_up(result.address)
 
     def _give_up(self, cause: str) -> None:
-        """Start nothing more; what runs may end."""
+        """Start no more stages; running ones may finish."""
         self.due.clear()
         while self.schedule.pop() is not None:
             pass
         for address in self.stages:
             if address not in self.results and address not in self.running:
-                self._report(StageResult(address, Status.BLOCKED, error=f"not started after {cause} failed"))
+                self._report(
+                    StageResult(address, StageOutcome.BLOCKED, error=f"not started after {cause} failed")
+                )
 
     def _report(self, result: StageResult) -> None:
         self.results[result.address] = result
         self.on_event(Finished(result))
-
-    @contextmanager
-    def _signals(self) -> Iterator[None]:
-        """Turn the first signal into a clean stop; a second one stops at once."""
-        if threading.current_thread() is not threading.main_thread():
-            yield  # only the main thread may handle signals; its handler is the caller's business
-            return
-
-        def handle(number: int, frame: object) -> None:
-            if self.signal is not None:
-                raise KeyboardInterrupt
-            self.signal = number
-            self.finished.put(None)
-
-        # A signal that is ignored (nohup, background jobs) stays ignored.
-        heeded = [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
-        before = {number: signal.signal(number, handle) for number in heeded}
-        try:
-            yield
-        except _Interrupted as interrupted:
-            if interrupted.number == signal.SIGINT:
-                raise KeyboardInterrupt from None
-            raise SystemExit(128 + interrupted.number) from None
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)

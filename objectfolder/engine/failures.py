@@ -1,14 +1,11 @@
-"""Which stages failed at the last build, and why: a record beside the log, void once the inputs change."""
+"""Records of failed stages, kept next to their logs and valid until an input changes."""
 
 import json
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-from dvc.dependency import ParamsDependency
-from dvc.exceptions import DvcException
-from dvc.stage import Stage
 
 from objectfolder.engine.summary import StageResult
 from objectfolder.errors import ObjectFolderError
@@ -19,12 +16,12 @@ LOGS = Path("build/.logs")
 
 @dataclass(frozen=True)
 class Failure:
-    """How a stage failed.
+    """Recorded failure of a stage.
 
     Parameters
     ----------
     error : str
-        What went wrong, one line.
+        Error message, one line.
     log : str
         Log of the command; empty if none ran.
     """
@@ -34,46 +31,33 @@ class Failure:
 
 
 def log_path(logs: Path, address: str) -> Path:
-    """File for what the command of a stage prints."""
+    """Return the path of the log of a stage."""
     return logs / f"{address.replace('/', '_')}.log"
 
 
-def record(logs: Path, stage: Stage, result: StageResult) -> None:
-    """Leave a record of a failure; a disk that does not take it must not stop the build."""
+def record_failure(logs: Path, result: StageResult, inputs: Mapping[str, Any]) -> None:
+    """Write the record of a failure; errors are ignored, because a full disk must not stop the build."""
     error = "; ".join(filter(None, (result.error.partition("\n")[0], *result.tail[-1:])))
-    value = {"error": error, "log": str(result.log or ""), "inputs": _inputs(stage)}
+    value = {"error": error, "log": str(result.log or ""), "inputs": inputs}
     with suppress(OSError, ObjectFolderError):
         write_json(_path(logs, result.address), value)
 
 
-def forget(logs: Path, address: str) -> None:
+def forget_failure(logs: Path, address: str) -> None:
     """Remove the record of a stage that is up to date again."""
     with suppress(OSError):
         _path(logs, address).unlink(missing_ok=True)
 
 
-def recall(logs: Path, address: str, stage: Stage) -> Failure | None:
-    """How a stage failed with the inputs that it has now; None if it did not."""
+def recall_failure(logs: Path, address: str, inputs: Callable[[], Mapping[str, Any]]) -> Failure | None:
+    """Return the recorded failure of a stage; None if there is none with its current inputs."""
     try:
         value = json.loads(_path(logs, address).read_text())
         failure = Failure(value["error"], value["log"])
-        return failure if value["inputs"] == _inputs(stage) else None
+        return failure if value["inputs"] == inputs() else None
     except (OSError, ValueError, LookupError, TypeError):
         return None
 
 
 def _path(logs: Path, address: str) -> Path:
     return log_path(logs, address).with_suffix(".failed")
-
-
-def _inputs(stage: Stage) -> dict[str, Any]:
-    """Command, parameters and hashes of the dependencies, as they are on disk, in a form that JSON keeps."""
-    values: dict[str, Any] = {"cmd": stage.cmd}
-    for dep in stage.deps:
-        try:
-            values[str(dep)] = dep.get_hash().value
-        except (DvcException, OSError):
-            values[str(dep)] = None
-        if isinstance(dep, ParamsDependency):
-            values[str(dep)] = json.dumps(values[str(dep)], sort_keys=True, default=str)
-    return values

@@ -8,7 +8,7 @@ import socket
 from dataclasses import replace
 from pathlib import Path
 
-from objectfolder.engine.process import Children, Command, Outcome, environment
+from objectfolder.engine.process import Children, Command, CommandResult, stage_environment
 
 #: Variables of the engine's environment that a command gets; all others are the node's own. Paths, GPUs and
 #: temporary folders of the machine where the engine runs mean nothing here.
@@ -19,7 +19,7 @@ class NotShared(Exception):
     """This node does not see the workspace of the build."""
 
 
-def check(marker: Path) -> None:
+def check_workspace(marker: Path) -> None:
     """Make sure that this node sees the very workspace of the build, not a folder of the same name.
 
     Parameters
@@ -39,7 +39,7 @@ def check(marker: Path) -> None:
         )
 
 
-def run(command: Command, threads: int, marker: Path) -> Outcome:
+def run(command: Command, threads: int, marker: Path) -> CommandResult:
     """Run the command of one stage with the Python that started Ray here, on the GPUs that Ray gives it.
 
     Parameters
@@ -49,15 +49,15 @@ def run(command: Command, threads: int, marker: Path) -> Outcome:
     threads : int
         Threads that numerical libraries may start.
     marker : Path
-        See `check`.
+        See `check_workspace`.
     """
     import ray
 
-    check(marker)
+    check_workspace(marker)
     gpus = ",".join(str(gpu) for gpu in ray.get_gpu_ids())
     passed_on = {name: value for name, value in command.env.items() if name.startswith(PASSED_ON)}
     env = {
-        **environment({**os.environ, **passed_on}, threads),
+        **stage_environment({**os.environ, **passed_on}, threads),
         "CUDA_VISIBLE_DEVICES": gpus or "-1",
     }
     return Children().run(replace(command, env=env))

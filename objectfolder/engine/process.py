@@ -43,7 +43,7 @@ class Command:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CommandResult:
     """How a command ended.
 
     Parameters
@@ -72,7 +72,7 @@ class Children:
         self._groups: set[int] = set()
         self._closed = False
 
-    def run(self, command: Command) -> Outcome:
+    def run(self, command: Command) -> CommandResult:
         """Run a command and wait for it.
 
         Call it from a thread that outlives the command: the kernel takes the end of the thread that started
@@ -85,7 +85,7 @@ class Children:
             try:
                 with self._lock:
                     if self._closed:
-                        return Outcome(-signal.SIGKILL, 0.0, 0.0)
+                        return CommandResult(-signal.SIGKILL, 0.0, 0.0)
                     supervisor = subprocess.Popen(
                         [
                             sys.executable,
@@ -126,8 +126,8 @@ class Children:
                 f"its supervisor has ended with code {supervisor.returncode}; see {command.log}"
             )
         if not text:
-            return Outcome(-signal.SIGKILL, time.monotonic() - start, 0.0, timed_out.is_set())
-        return Outcome(**json.loads(text))
+            return CommandResult(-signal.SIGKILL, time.monotonic() - start, 0.0, timed_out.is_set())
+        return CommandResult(**json.loads(text))
 
     def kill(self) -> None:
         """Kill every running command with all its processes, and start no more."""
@@ -137,7 +137,7 @@ class Children:
                 _kill(group)
 
 
-def environment(base: Mapping[str, str], threads: int = 1) -> dict[str, str]:
+def stage_environment(base: Mapping[str, str], threads: int = 1) -> dict[str, str]:
     """Environment of a stage: this interpreter's ``python`` first, and numerical libraries held in.
 
     The workers are the parallelism; libraries that each start a thread per core would only fight.
@@ -165,7 +165,7 @@ def tail(log: Path) -> tuple[str, ...]:
     return tuple(text.splitlines()[-TAIL_LINES:])
 
 
-def describe(outcome: Outcome) -> str:
+def describe_result(outcome: CommandResult) -> str:
     """Say in words how a command that did not succeed ended; empty if it did."""
     if outcome.timed_out:
         return f"killed after {outcome.seconds:.0f} s, its time limit (--timeout sets another)"

@@ -11,15 +11,24 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from objectfolder.engine.summary import Event, Finished, Lost, Planned, StageResult, Started, Status, Summary
+from objectfolder.engine.summary import (
+    Event,
+    Finished,
+    Lost,
+    Planned,
+    StageOutcome,
+    StageResult,
+    Started,
+    Summary,
+)
 
 MAX_ROWS = 60  # of the summary's table; more are added up by stage
 STYLES = {
-    Status.RAN: "green",
-    Status.RESTORED: "cyan",
-    Status.SKIPPED: "dim",
-    Status.FAILED: "bold red",
-    Status.BLOCKED: "yellow",
+    StageOutcome.RAN: "green",
+    StageOutcome.RESTORED: "cyan",
+    StageOutcome.SKIPPED: "dim",
+    StageOutcome.FAILED: "bold red",
+    StageOutcome.BLOCKED: "yellow",
 }
 
 
@@ -35,7 +44,7 @@ class Progress:
     def __init__(self, console: Console | None = None):
         self.console = console or Console(stderr=True)
         self.total = 0
-        self.counts = dict.fromkeys(Status, 0)
+        self.counts = dict.fromkeys(StageOutcome, 0)
         self.running: dict[str, float] = {}
         self._clock = time.monotonic()
         # Rough seconds of what is still to end, and of what has run.
@@ -80,10 +89,10 @@ class Progress:
                 self.running.pop(result.address, None)
                 self.counts[result.status] += 1
                 expected = self._ahead.pop(result.address, 0.0)
-                if result.status is Status.RAN:
+                if result.status is StageOutcome.RAN:
                     self._behind += expected
                 # A thousand unchanged stages are a number, not a thousand lines.
-                if result.status is not Status.SKIPPED:
+                if result.status is not StageOutcome.SKIPPED:
                     self._line(self._describe(result), STYLES[result.status])
 
     @property
@@ -106,7 +115,9 @@ class Progress:
         place = f"[{self.done}/{self.total}]"
         detail = result.error or " ".join(filter(None, (_seconds(result), _peak(result))))
         line = f"{result.status:<8} {result.address} {place} {detail}".rstrip()
-        return f"{line}; {self._times()}" if result.status is Status.RAN and self._live is None else line
+        return (
+            f"{line}; {self._times()}" if result.status is StageOutcome.RAN and self._live is None else line
+        )
 
     def _line(self, text: str, style: str = "") -> None:
         self.console.print(Text(text, style=style), soft_wrap=True)
@@ -132,7 +143,11 @@ class Progress:
 def print_summary(summary: Summary, console: Console | None = None) -> None:
     """Print what ran or was restored, the totals, and what failed with the end of its log."""
     console = console or Console()
-    shown = [result for result in summary.stages.values() if result.status in (Status.RAN, Status.RESTORED)]
+    shown = [
+        result
+        for result in summary.stages.values()
+        if result.status in (StageOutcome.RAN, StageOutcome.RESTORED)
+    ]
     if shown:
         console.print(_table(shown) if len(shown) <= MAX_ROWS else _totals(shown))
     for result in summary.failures[:MAX_ROWS]:
@@ -161,7 +176,7 @@ def _totals(results: list[StageResult]) -> Table:
     table = Table("stage", "", box=None)
     for name in ("objects", "total s", "median s", "most s", "peak MB"):
         table.add_column(name, justify="right")
-    groups: dict[tuple[str, Status], list[StageResult]] = {}
+    groups: dict[tuple[str, StageOutcome], list[StageResult]] = {}
     for result in results:
         groups.setdefault((result.stage, result.status), []).append(result)
     for (stage, status), group in groups.items():
@@ -175,7 +190,7 @@ def _totals(results: list[StageResult]) -> Table:
 
 def _failure(result: StageResult) -> Text:
     place = f"{result.stage} of {result.object}" if result.object else result.stage
-    text = Text(f"{place} failed: {result.error}\n", style=STYLES[Status.FAILED])
+    text = Text(f"{place} failed: {result.error}\n", style=STYLES[StageOutcome.FAILED])
     for line in result.tail:
         text.append(f"  | {line}\n", style="default")
     if result.log is not None:

@@ -18,9 +18,9 @@ from typing import Any
 from objectfolder.engine import node
 from objectfolder.engine.build import MakeWorkers
 from objectfolder.engine.failures import LOGS
-from objectfolder.engine.process import Command, Outcome
+from objectfolder.engine.process import Command, CommandResult
 from objectfolder.engine.resources import Needs
-from objectfolder.engine.workers import Finished, WorkerLost
+from objectfolder.engine.workers import FinishedQueue, WorkerLost
 from objectfolder.errors import ObjectFolderError
 
 #: Seconds between two looks at which nodes there are.
@@ -92,7 +92,7 @@ def ray_workers(address: str = "auto") -> MakeWorkers:
         does not see the workspace.
     """
 
-    def make(jobs: int | None, finished: Finished) -> RayWorkers:
+    def make(jobs: int | None, finished: FinishedQueue) -> RayWorkers:
         return RayWorkers(address, jobs, finished, Path.cwd())  # a build works in its workspace
 
     return make
@@ -121,7 +121,7 @@ class RayWorkers:
         See `ray_workers`.
     """
 
-    def __init__(self, address: str, jobs: int | None, finished: Finished, workspace: Path):
+    def __init__(self, address: str, jobs: int | None, finished: FinishedQueue, workspace: Path):
         self.ray = _connect(address)
         self.jobs = jobs
         self.finished = finished
@@ -203,7 +203,7 @@ class RayWorkers:
         self._watcher.join()
         self._disconnect()
 
-    def _done(self, address: str, ended: threading.Event, future: "Future[Outcome]") -> None:
+    def _done(self, address: str, ended: threading.Event, future: "Future[CommandResult]") -> None:
         """Report a command; called in a thread of Ray's."""
         error = future.exception()
         self.finished.put((address, future.result() if error is None else _failure(error)))
@@ -251,7 +251,7 @@ class RayWorkers:
         """Make sure that every node can run the engine's code and sees the workspace."""
         from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-        check = self.ray.remote(node.check)
+        check = self.ray.remote(node.check_workspace)
         looks = [
             check.options(
                 num_cpus=0,

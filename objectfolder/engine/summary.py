@@ -6,7 +6,7 @@ from enum import StrEnum
 from pathlib import Path
 
 
-class Status(StrEnum):
+class StageOutcome(StrEnum):
     """How a stage ended."""
 
     RAN = "ran"
@@ -40,7 +40,7 @@ class StageResult(Addressed):
     ----------
     address : str
         Stage address, such as ``modal@mug``.
-    status : Status
+    status : StageOutcome
         How it ended.
     seconds : float
         Wall time of the command, or of the restore.
@@ -55,7 +55,7 @@ class StageResult(Addressed):
     """
 
     address: str
-    status: Status
+    status: StageOutcome
     seconds: float = 0.0
     peak_mb: float | None = None
     log: Path | None = None
@@ -86,15 +86,15 @@ class Summary:
     @property
     def failures(self) -> tuple[StageResult, ...]:
         """Results of the stages that failed."""
-        return self.with_status(Status.FAILED)
+        return self.with_status(StageOutcome.FAILED)
 
-    def with_status(self, status: Status) -> tuple[StageResult, ...]:
+    def with_status(self, status: StageOutcome) -> tuple[StageResult, ...]:
         """Results of the stages that ended in one way."""
         return tuple(result for result in self.stages.values() if result.status is status)
 
-    def counts(self) -> dict[Status, int]:
+    def counts(self) -> dict[StageOutcome, int]:
         """Count the stages by how they ended."""
-        return {status: len(self.with_status(status)) for status in Status}
+        return {status: len(self.with_status(status)) for status in StageOutcome}
 
 
 @dataclass(frozen=True)

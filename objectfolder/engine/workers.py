@@ -5,11 +5,11 @@ from dataclasses import replace
 from queue import SimpleQueue
 from typing import Protocol
 
-from objectfolder.engine.process import Children, Command, Outcome
+from objectfolder.engine.process import Children, Command, CommandResult
 from objectfolder.engine.resources import Machine, Needs
 
 #: What workers hand back: an outcome, or why there is none. None only wakes the engine up.
-Finished = SimpleQueue[tuple[str, Outcome | Exception] | None]
+FinishedQueue = SimpleQueue[tuple[str, CommandResult | Exception] | None]
 
 
 class WorkerLost(Exception):
@@ -50,7 +50,7 @@ class LocalWorkers:
         Where outcomes go.
     """
 
-    def __init__(self, machine: Machine, finished: Finished):
+    def __init__(self, machine: Machine, finished: FinishedQueue):
         self.machine = machine
         self.finished = finished
         self.children = Children()

@@ -1,4 +1,4 @@
-"""Unpack archives from strangers: nothing outside the folder, no links, no devices, no bombs."""
+"""Safely extract untrusted archives: no links, devices or paths outside the folder; bounded size."""
 
 import lzma
 import shutil
@@ -6,20 +6,16 @@ import stat
 import tarfile
 import zipfile
 import zlib
-from collections.abc import Callable, Generator
-from contextlib import closing
-from functools import partial
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import IO, Any, cast
+from typing import IO, cast
 
 from objectfolder.errors import ObjectFolderError
 
 SUFFIXES = (".tar.gz", ".tar.xz", ".tar.bz2", ".tgz", ".zip", ".tar")
-MAX_BYTES = 2 << 30  #: unpacked
+MAX_BYTES = 2 << 30  #: extracted
 MAX_MEMBERS = 10_000
 MAX_PADDING = 64 << 20  #: after the end of a tar
 
-Members = Generator[tuple[str, Callable[[], Any]], None, None]  #: names, and what opens each
 DAMAGE = (
     zipfile.BadZipFile,
     tarfile.TarError,
@@ -31,48 +27,41 @@ DAMAGE = (
 )
 
 
-def unpack(archive: Path, into: Path, max_bytes: int = MAX_BYTES, max_members: int = MAX_MEMBERS) -> None:
-    """Unpack a zip or tar archive.
+def extract(archive: Path, into: Path, max_bytes: int = MAX_BYTES, max_members: int = MAX_MEMBERS) -> None:
+    """Extract a zip or tar archive.
+
+    The extraction filter of `tarfile` only sets safe permissions and owners here: it would extract links
+    inside the folder and absolute paths, and knows no limits.
 
     Parameters
     ----------
     archive : Path
-        Recognised by content.
+        The format is recognised by content.
     into : Path
-        New directory.
+        New directory; removed again on error.
     max_bytes : int
-        Most bytes that it may unpack to.
+        Maximum extracted size.
     max_members : int
-        Most members that it may have.
+        Maximum number of members.
 
     Raises
     ------
     ObjectFolderError
-        If it is damaged or no archive, too large, or has a member with an absolute path, a parent path,
-        a link, a device or a password; the message names archive and member. Nothing is left in ``into``.
+        If it is damaged, not an archive, too large, or has a member that is a link, a device, encrypted, or
+        outside the folder; the message names archive and member.
     """
     into.mkdir(parents=True)
+    budget = _Budget(archive.name, max_bytes, max_members)
     try:
         if zipfile.is_zipfile(archive):
-            members = _zip_members(archive)
+            _extract_zip(archive, into, budget)
         elif _is_tar(archive):
-            members = _tar_members(archive)
+            _extract_tar(archive, into, budget)
         else:
             raise ObjectFolderError(
-                f"{archive.name} is neither a zip nor a tar archive; it is damaged, or something else came "
-                "in its place, such as a web page"
+                f"{archive.name} is neither a zip nor a tar archive; it is damaged, or another file such as "
+                "a web page"
             )
-        room = max_bytes
-        with closing(members):
-            for count, (name, member) in enumerate(members, 1):
-                if count > max_members:
-                    raise ObjectFolderError(
-                        f"{archive.name} has over {max_members} members; expected one object"
-                    )
-                target = into / safe_path(name, archive.name)
-                target.parent.mkdir(parents=True, exist_ok=True)
-                with member() as stream, target.open("wb") as out:
-                    room -= _copy(stream, out, room, f"{archive.name}: {name}", max_bytes)
     except DAMAGE as error:
         shutil.rmtree(into, ignore_errors=True)
         if isinstance(error, OSError) and error.errno is not None:  # of the file system, not of a decoder
@@ -84,30 +73,45 @@ def unpack(archive: Path, into: Path, max_bytes: int = MAX_BYTES, max_members: i
 
 
 def safe_path(name: str, where: str) -> PurePosixPath:
-    """Return a relative path that stays inside its folder.
+    """Return the path of a member relative to its folder.
 
     Raises
     ------
     ObjectFolderError
-        If it does not.
+        If the path is absolute or leaves the folder.
     """
     path = PurePosixPath(name.replace("\\", "/"))
     if path.is_absolute() or PureWindowsPath(name).drive or ".." in path.parts or "\0" in name:
         raise ObjectFolderError(
-            f"{where}: member {name!r} would be written outside the folder; do not trust it"
+            f"{where}: member {name!r} would be written outside the folder; the archive is not trustworthy"
         )
     return path
 
 
-def _copy(stream: IO[bytes], out: IO[bytes], room: int, where: str, limit: int) -> int:
-    """Copy, counting what comes out rather than what the archive claims."""
-    written = 0
-    while block := stream.read(1 << 20):
-        written += len(block)
-        if written > room:
-            raise ObjectFolderError(f"{where}: the archive unpacks to over {limit / 2**20:.0f} MB; refused")
-        out.write(block)
-    return written
+class _Budget:
+    """Limits of one archive.
+
+    The sizes that members declare can be trusted: `tarfile` and `zipfile` read no more than that.
+    """
+
+    def __init__(self, archive: str, max_bytes: int, max_members: int):
+        self.archive = archive
+        self.max_bytes, self.max_members = max_bytes, max_members
+        self.bytes = self.members = 0
+
+    def spend(self, name: str, size: int) -> None:
+        """Count a file."""
+        self.members += 1
+        self.bytes += size
+        if self.members > self.max_members:
+            raise ObjectFolderError(
+                f"{self.archive} has over {self.max_members} members; expected one object"
+            )
+        if self.bytes > self.max_bytes:
+            raise ObjectFolderError(
+                f"{self.archive}: {name}: the archive unpacks to over {self.max_bytes / 2**20:.0f} MB; "
+                "refused"
+            )
 
 
 def _is_tar(archive: Path) -> bool:
@@ -117,7 +121,7 @@ def _is_tar(archive: Path) -> bool:
         return False
 
 
-def _zip_members(archive: Path) -> Members:
+def _extract_zip(archive: Path, into: Path, budget: _Budget) -> None:
     with zipfile.ZipFile(archive) as opened:
         for info in opened.infolist():
             kind = stat.S_IFMT(info.external_attr >> 16)
@@ -127,23 +131,27 @@ def _zip_members(archive: Path) -> Members:
                 raise ObjectFolderError(
                     f"{archive.name}: member {info.filename!r} is encrypted; unpack it yourself"
                 )
-            if info.is_dir():
-                safe_path(info.filename, archive.name)
-            else:
-                # The name as it is in the archive: zipfile cuts the other at a zero byte.
-                yield info.orig_filename, partial(opened.open, info)
+            # `orig_filename` is the name in the archive; `filename` is cut at a zero byte.
+            path = safe_path(info.orig_filename, archive.name)
+            if not info.is_dir():
+                budget.spend(info.filename, info.file_size)
+                info.filename = str(path)
+                opened.extract(info, into)
 
 
-def _tar_members(archive: Path) -> Members:
+def _extract_tar(archive: Path, into: Path, budget: _Budget) -> None:
+    def check(info: tarfile.TarInfo, folder: str) -> tarfile.TarInfo | None:
+        path = safe_path(info.name, archive.name)
+        if info.isdir():
+            return None  # created with the files in it
+        if not info.isreg():
+            raise _refused(archive, info.name)
+        budget.spend(info.name, info.size)
+        return tarfile.data_filter(info.replace(name=str(path), deep=False), folder)
+
     with tarfile.open(archive) as opened:
-        for info in opened:
-            if info.isdir():
-                safe_path(info.name, archive.name)
-            elif info.isreg():
-                yield info.name, partial(opened.extractfile, info)
-            else:
-                raise _refused(archive, info.name)
-        # The checksum of a compressed tar comes after the padding, and is checked when that is read.
+        opened.extractall(into, filter=check)
+        # The checksum of a compressed tar follows the padding, and is verified when that is read.
         for _ in range(MAX_PADDING >> 20):
             if not cast(IO[bytes], opened.fileobj).read(1 << 20):
                 return

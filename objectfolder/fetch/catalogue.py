@@ -1,4 +1,4 @@
-"""Catalogues of published objects: what they are, and where their meshes come from."""
+"""Catalogues of published objects and the sources of their meshes."""
 
 import difflib
 import re
@@ -16,14 +16,14 @@ from objectfolder.workspace import params
 
 
 class Source(params.Record):
-    """A collection of meshes; ``{model}`` in an address stands for the object's id there."""
+    """A collection of meshes; ``{model}`` in a URL stands for the object's id there."""
 
     title: str
-    page: str  #: for people
+    page: str  #: web page
     url: str
-    kind: Literal["archive", "polyhaven"]  #: zip or tar of one object; files list of the Poly Haven API
-    resolution: str = "1k"  #: of the textures, where the source offers several
-    mesh: str  #: how the path of the mesh ends
+    kind: Literal["archive", "polyhaven"]  #: zip or tar of one object; file list of the Poly Haven API
+    resolution: str = "1k"  #: of the textures, if the source offers several
+    mesh: str  #: end of the path of the mesh
     up: Literal["y", "z"]
     licence: str
     attribution: str
@@ -37,7 +37,7 @@ class Entry(params.Record):
     material: str
     scale: float = Field(gt=0, le=100)  #: longest side, metres
     source: str
-    model: str = ""  #: id at the source, where it is not the name
+    model: str = ""  #: id at the source, if not the name
     note: str = ""
 
     @field_validator("material")
@@ -62,20 +62,20 @@ class Catalogue(params.Record):
         return self.sources[self.objects[key].source]
 
     def url(self, key: str) -> str:
-        """Return the address of an object."""
-        return address(self.source(key).url, self.objects[key])
+        """Return the URL of an object."""
+        return object_url(self.source(key).url, self.objects[key])
 
     def archive_name(self, key: str) -> str:
-        """Return the name of the file at an object's address."""
+        """Return the file name in an object's URL."""
         return PurePosixPath(urlsplit(self.url(key)).path).name or key
 
     def page(self, key: str) -> str:
-        """Return the address of an object's page."""
-        return address(self.source(key).page, self.objects[key])
+        """Return the URL of an object's web page."""
+        return object_url(self.source(key).page, self.objects[key])
 
 
-def address(template: str, entry: Entry) -> str:
-    """Fill a template in."""
+def object_url(template: str, entry: Entry) -> str:
+    """Insert an object's id into a template."""
     return template.replace("{model}", quote(entry.source_model, safe=""))
 
 
@@ -87,12 +87,12 @@ def read_catalogue(path: Path, urls: Sequence[str] = ()) -> Catalogue:
     path : Path
         YAML with ``sources`` and ``objects``.
     urls : sequence of str
-        ``SOURCE=TEMPLATE``: addresses instead of those in the catalogue.
+        ``SOURCE=TEMPLATE``: URL templates to use instead of those in the catalogue.
 
     Raises
     ------
     ObjectFolderError
-        If it is missing or invalid, an object names no source of it, or an address is none.
+        If it is missing or invalid, an object has an unknown source, or a template is not a URL.
     """
     if not path.is_file():
         raise ObjectFolderError(f"catalogue {path} does not exist; run inside an objectfolder workspace")
@@ -127,39 +127,41 @@ def _with_urls(sources: Mapping[str, Source], urls: Sequence[str]) -> dict[str, 
     for name, source in (result := {**sources, **changed}).items():
         if not re.match("https?://", source.url) or "{model}" not in source.url:
             raise ObjectFolderError(
-                f"address of source {name} is {source.url!r}, expected http:// or https:// and {{model}} "
-                "where the object's id goes; for files on this computer use --from DIR"
+                f"URL of source {name} is {source.url!r}, expected http:// or https:// and {{model}} "
+                "in place of the object's id; for files on this computer use --from DIR"
             )
     return result
 
 
-def normal(name: str) -> str:
-    """Return a name in the form in which names are compared."""
+def normalized(name: str) -> str:
+    """Return a name in lower case without punctuation, for comparison."""
     return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
 
 
-def select(catalogue: Catalogue, wanted: Sequence[str]) -> list[str]:
-    """Find objects by key, published name or id at the source, in any case.
+def select_objects(catalogue: Catalogue, wanted: Sequence[str]) -> list[str]:
+    """Find objects by key, published name or id at the source; case and punctuation are ignored.
 
     Returns
     -------
     list of str
-        Keys, each once, in the order asked for.
+        Unique keys, in the given order.
 
     Raises
     ------
     ObjectFolderError
-        If there is no such object; the message names near ones.
+        If there is no such object; the message lists similar names.
     """
     known = {
-        normal(name): key
+        normalized(name): key
         for key, entry in catalogue.objects.items()
         for name in (key, entry.name, entry.source_model)
     }
     for name in wanted:
-        if normal(name) not in known:
-            near = [key for form, key in known.items() if normal(name) in form]
-            near += [known[form] for form in difflib.get_close_matches(normal(name), known, 5)]
-            hint = f"near ones: {', '.join(list(dict.fromkeys(near))[:8])}; " if near and normal(name) else ""
+        if normalized(name) not in known:
+            near = [key for form, key in known.items() if normalized(name) in form]
+            near += [known[form] for form in difflib.get_close_matches(normalized(name), known, 5)]
+            hint = (
+                f"similar: {', '.join(list(dict.fromkeys(near))[:8])}; " if near and normalized(name) else ""
+            )
             raise ObjectFolderError(f"no object {name!r} in the catalogue; {hint}--list shows all of them")
-    return list(dict.fromkeys(known[normal(name)] for name in wanted))
+    return list(dict.fromkeys(known[normalized(name)] for name in wanted))

@@ -1,4 +1,4 @@
-"""SHA-256 of what objects were made from, recorded at first use, so that a change is noticed."""
+"""SHA-256 of the sources of fetched objects, recorded at first use to detect changes."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,12 +10,12 @@ from objectfolder.io import atomic
 
 PATH = Path("data/checksums.yaml")
 HEADER = (
-    "# SHA-256 of what `objectfolder fetch` made objects from, recorded at first use. Commit this file.\n"
+    "# SHA-256 of the files that `objectfolder fetch` has used, recorded at first use. Commit this file.\n"
 )
 
 
 def read_checksums(path: Path) -> dict[str, dict[str, str]]:
-    """Read recorded checksums, by object and file name; a missing file is an empty record.
+    """Read recorded checksums by object and file name; empty if the file does not exist.
 
     Raises
     ------
@@ -34,8 +34,8 @@ def read_checksums(path: Path) -> dict[str, dict[str, str]]:
     return values
 
 
-def check(recorded: Mapping[str, str], digests: Mapping[str, str], key: str, path: Path) -> None:
-    """Compare checksums with those recorded; files that are new are not compared.
+def check_unchanged(recorded: Mapping[str, str], digests: Mapping[str, str], key: str, path: Path) -> None:
+    """Compare checksums with the recorded ones; new files are accepted.
 
     Raises
     ------
@@ -46,12 +46,12 @@ def check(recorded: Mapping[str, str], digests: Mapping[str, str], key: str, pat
         if recorded.get(name, digest) != digest:
             raise ObjectFolderError(
                 f"{name} of {key} has changed since it was first used: expected SHA-256 {recorded[name]} "
-                f"({path}), got {digest}; if the new file is right, give --accept-changed"
+                f"({path}), got {digest}; to accept the new file, give --accept-changed"
             )
 
 
-def record(path: Path, key: str, digests: Mapping[str, str]) -> None:
-    """Add an object's checksums to the record, in place of those of files with the same names."""
+def record_checksums(path: Path, key: str, digests: Mapping[str, str]) -> None:
+    """Record the checksums of an object, replacing those of files with the same names."""
     values = read_checksums(path)
     values[key] = {**values.get(key, {}), **digests}
     yaml = YAML(typ="safe")

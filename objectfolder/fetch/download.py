@@ -1,4 +1,8 @@
-"""Download a file over HTTP: go on where it broke off, and try again with growing waits."""
+"""Download files over HTTP, resuming interrupted downloads and retrying with growing waits.
+
+pooch (1.9) would not do: it starts every attempt and every run from the first byte, its hashes must be known
+beforehand, and its archive processors neither limit sizes nor, before Python 3.12, filter members.
+"""
 
 import time
 from collections.abc import Callable, Sequence
@@ -11,38 +15,38 @@ from urllib.request import Request, urlopen
 
 from objectfolder.errors import ObjectFolderError
 
-WAITS = (1.0, 2.0, 4.0, 8.0)  #: seconds before the next attempt, after attempts that brought nothing new
+WAITS = (1.0, 2.0, 4.0, 8.0)  #: seconds between attempts that received no new bytes
 TIMEOUT = 30  #: seconds without an answer or a byte
 BLOCK = 1 << 16
-PASSING = (408, 425, 429, 500, 502, 503, 504)  #: answers that may be better the next time
+RETRYABLE = (408, 425, 429, 500, 502, 503, 504)  #: HTTP status codes
 RANGE_NOT_SATISFIABLE = 416
 
-Report = Callable[[int, int | None], None]  #: takes the bytes there are, and the bytes expected or None
-Reporter = Callable[[str], Report]  #: takes the name of a file that is downloaded
+ProgressCallback = Callable[[int, int | None], None]  #: takes bytes received, and bytes expected if known
+ProgressFactory = Callable[[str], ProgressCallback]  #: takes the name of the file to download
 
 
-class _BrokenOffError(Exception):
-    """An attempt that may succeed when repeated."""
+class _RetryableError(Exception):
+    """A failed attempt that may succeed when repeated."""
 
 
 def download(
-    url: str, path: Path, report: Report = lambda done, total: None, waits: Sequence[float] = WAITS
+    url: str, path: Path, report: ProgressCallback = lambda done, total: None, waits: Sequence[float] = WAITS
 ) -> None:
-    """Download a file; what an earlier attempt left in ``path`` is kept and continued.
+    """Download a file, resuming from the bytes that an earlier attempt left in ``path``.
 
-    An interrupted file is continued only if the server still offers the same one, by its ETag or date
-    (RFC 9110, If-Range), which is kept beside it in ``<name>.tag``.
+    A download is resumed only if the server still has the same file, by its ETag or date (RFC 9110,
+    If-Range), which is stored next to it in ``<name>.tag``.
 
     Parameters
     ----------
     url : str
         ``http`` or ``https``.
     path : Path
-        Complete after return, partial after an error. Its directory must exist.
+        Destination, partial after an error. Its directory must exist.
     report : callable
-        Called with the bytes there are and the bytes expected, or None.
+        Called with the bytes received and the bytes expected, or None.
     waits : sequence of float
-        Seconds before each further attempt. Attempts that bring new bytes start the sequence again.
+        Seconds before each further attempt. An attempt that receives new bytes restarts the sequence.
 
     Raises
     ------
@@ -54,7 +58,7 @@ def download(
         try:
             _attempt(url, path, report)
             break
-        except _BrokenOffError as error:
+        except _RetryableError as error:
             size = path.stat().st_size if path.exists() else 0
             if size > furthest:
                 furthest, left = size, list(waits)
@@ -68,19 +72,19 @@ def download(
     _tag(path).unlink(missing_ok=True)
 
 
-def download_to(path: Path, url: str, part: Path, reporter: Reporter) -> None:
-    """Download to ``part``, going on where it ends, and move it to ``path`` when it is whole."""
-    download(url, part, reporter(path.name))
+def download_to(path: Path, url: str, part: Path, progress: ProgressFactory) -> None:
+    """Download to ``part``, resuming it, and move it to ``path`` when it is complete."""
+    download(url, part, progress(path.name))
     path.parent.mkdir(parents=True, exist_ok=True)
     part.replace(path)
 
 
-def silent(name: str) -> Report:
-    """Reporter for which nothing is to be said."""
+def no_progress(name: str) -> ProgressCallback:
+    """Return a callback that ignores the progress."""
     return lambda done, total: None
 
 
-def _attempt(url: str, path: Path, report: Report) -> None:
+def _attempt(url: str, path: Path, report: ProgressCallback) -> None:
     tag = _tag(path)
     start = path.stat().st_size if path.exists() and tag.exists() else 0
     headers = {"User-Agent": _user_agent(), "Accept-Encoding": "identity"}
@@ -92,23 +96,23 @@ def _attempt(url: str, path: Path, report: Report) -> None:
     except HTTPError as error:
         with error:
             if error.code == RANGE_NOT_SATISFIABLE:
-                _forget(path)  # the file there is shorter now, or ours is whole: ask for all of it
-            elif error.code not in PASSING:
+                _forget(path)  # the remote file is shorter now, or ours is complete: start again
+            elif error.code not in RETRYABLE:
                 raise ObjectFolderError(
                     f"{url} answered {error.code} {error.reason}; if the source has moved, give its address "
                     "with --url SOURCE=TEMPLATE, or download the object yourself and use --from DIR"
                 ) from error
-            raise _BrokenOffError(f"{error.code} {error.reason}") from error
+            raise _RetryableError(f"{error.code} {error.reason}") from error
     except (OSError, HTTPException) as error:
-        raise _BrokenOffError(getattr(error, "reason", None) or error or type(error).__name__) from error
+        raise _RetryableError(getattr(error, "reason", None) or error or type(error).__name__) from error
 
 
-def _receive(response: HTTPResponse, path: Path, start: int, report: Report) -> None:
+def _receive(response: HTTPResponse, path: Path, start: int, report: ProgressCallback) -> None:
     headers = response.headers
     resumed = response.status == 206
     if resumed and not (start and headers.get("Content-Range", "").startswith(f"bytes {start}-")):
         _forget(path)
-        raise _BrokenOffError(f"it sent {headers.get('Content-Range')!r}, expected bytes from {start}")
+        raise _RetryableError(f"it sent {headers.get('Content-Range')!r}, expected bytes from {start}")
     done = start if resumed else 0
     length = headers.get("Content-Length", "")
     total = done + int(length) if length.isdigit() else None
@@ -133,11 +137,13 @@ def _receive(response: HTTPResponse, path: Path, start: int, report: Report) -> 
             done += len(block)
             report(done, total)
     if total is not None and done < total:
-        raise _BrokenOffError(f"after {done} of {total} bytes")
+        raise _RetryableError(f"after {done} of {total} bytes")
 
 
 def _cannot_write(path: Path, error: OSError) -> ObjectFolderError:
-    return ObjectFolderError(f"cannot write {path}: {error.strerror}; make room, or the directory writable")
+    return ObjectFolderError(
+        f"cannot write {path}: {error.strerror}; make room, or make the directory writable"
+    )
 
 
 def _forget(path: Path) -> None:
@@ -150,7 +156,7 @@ def _tag(path: Path) -> Path:
 
 
 def _user_agent() -> str:
-    # Poly Haven's terms ask for a name of one's own.
+    # Required by the terms of Poly Haven.
     with suppress(PackageNotFoundError):
         return f"objectfolder/{version('objectfolder')}"
     return "objectfolder"

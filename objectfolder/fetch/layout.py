@@ -1,4 +1,4 @@
-"""Find the mesh in what a source gave, and gather it with its materials and textures."""
+"""Find the mesh among the files of a source, and copy it with its materials and textures."""
 
 import shutil
 from pathlib import Path
@@ -10,12 +10,12 @@ from objectfolder.workspace.objects import references
 
 
 def find_mesh(tree: Path, source: Source) -> Path:
-    """Choose the mesh: where its source has it, else under the name it has there, else the only one.
+    """Return the mesh at the source's path, otherwise with the source's file name, otherwise the only mesh.
 
     Raises
     ------
     ObjectFolderError
-        If there is none, or several.
+        If there is none, or more than one.
     """
     files = [path for path in _files(tree) if path.suffix.lower() in FORMATS]
     found = (
@@ -33,16 +33,16 @@ def find_mesh(tree: Path, source: Source) -> Path:
 
 
 def collect(mesh: Path, tree: Path, into: Path) -> tuple[Path, dict[str, Path]]:
-    """Copy a mesh and what it refers to, from beside it or from elsewhere in the tree, into one folder.
+    """Copy a mesh and the files that it refers to into one folder.
 
-    Google Scanned Objects keep the texture in another folder than the material that names it. What is
-    found nowhere is left for `add_mesh` to name.
+    A file that is not at its path is looked up by name in the whole tree: Google Scanned Objects keep the
+    texture in another folder than the material. Missing files are reported later, by `add_mesh`.
 
     Parameters
     ----------
     mesh : Path
     tree : Path
-        What the source gave.
+        Folder with the files of the source.
     into : Path
         New directory.
 
@@ -63,7 +63,7 @@ def collect(mesh: Path, tree: Path, into: Path) -> tuple[Path, dict[str, Path]]:
     shutil.copyfile(mesh, copy)
     copied = {mesh.name: copy}
     try:
-        # Lazy: an OBJ's textures are looked up in the copy of the material file, which comes before them.
+        # Lazy: an OBJ's textures are read from the copy of the material file, which comes first.
         for name in references(copy):
             beside = mesh.parent / name
             elsewhere = [path for path in _files(tree) if path.name == name.name]
@@ -75,13 +75,13 @@ def collect(mesh: Path, tree: Path, into: Path) -> tuple[Path, dict[str, Path]]:
                 copied[str(name)] = target
     except ObjectFolderError:
         raise
-    except (ValueError, TypeError, AttributeError) as error:  # not the JSON that a glTF is
+    except (ValueError, TypeError, AttributeError) as error:  # not the JSON of a glTF
         raise ObjectFolderError(f"{mesh.name} cannot be read as a mesh: {error}") from error
     return copy, copied
 
 
 def _files(tree: Path) -> list[Path]:
-    """Files, without the hidden ones that macOS adds to archives."""
+    """List files, without the hidden ones that macOS adds to archives."""
     return sorted(
         path
         for path in tree.rglob("*")

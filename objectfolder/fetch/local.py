@@ -1,4 +1,4 @@
-"""Find an object among archives and folders that the user has already."""
+"""Find the archive or folder of an object in a local directory."""
 
 import difflib
 from pathlib import Path
@@ -6,16 +6,15 @@ from urllib.parse import unquote
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fetch.archive import SUFFIXES
-from objectfolder.fetch.catalogue import Catalogue, normal
+from objectfolder.fetch.catalogue import Catalogue, normalized
 
 
 def find_local(directory: Path, catalogue: Catalogue, key: str) -> Path:
     """Find the archive or folder of an object in a directory.
 
-    Names are compared without case and punctuation: with the object's key, its published name, its id at
-    the source, those two after the source's name, and the name of the source's archive. Failing that, a
-    name may go on after the id, as in ``025_mug_google_64k.tgz``; failing that, the directory itself may be
-    the object's folder.
+    Case and punctuation are ignored. Accepted names: the object's key, its published name, its id at the
+    source, either of these after the source's name, and the name of the source's archive. Otherwise, names
+    that start with the id, as ``025_mug_google_64k.tgz``; otherwise, the directory itself.
 
     Returns
     -------
@@ -24,16 +23,16 @@ def find_local(directory: Path, catalogue: Catalogue, key: str) -> Path:
     Raises
     ------
     ObjectFolderError
-        If nothing matches, or several do; the message names candidates.
+        If nothing matches, or more than one; the message lists candidates.
     """
     if not directory.is_dir():
         raise ObjectFolderError(
             f"--from {directory} is not a directory; expected one with archives or folders"
         )
     entry = catalogue.objects[key]
-    ids = {normal(entry.name), normal(entry.source_model)}
+    ids = {normalized(entry.name), normalized(entry.source_model)}
     archive = unquote(catalogue.archive_name(key))
-    exact = ids | {normal(f"{entry.source}_{name}") for name in ids} | {normal(key), _form(archive)}
+    exact = ids | {normalized(f"{entry.source}_{name}") for name in ids} | {normalized(key), _form(archive)}
     candidates = sorted(
         path
         for path in directory.iterdir()
@@ -47,7 +46,7 @@ def find_local(directory: Path, catalogue: Catalogue, key: str) -> Path:
     if len(found) > 1:
         raise ObjectFolderError(
             f"{directory} has {len(found)} candidates for {key} ({entry.name}): "
-            f"{', '.join(path.name for path in found)}; leave one of them there"
+            f"{', '.join(path.name for path in found)}; keep only one of them"
         )
     if not found:
         forms = {_form(path.name): path.name for path in candidates}
@@ -55,11 +54,11 @@ def find_local(directory: Path, catalogue: Catalogue, key: str) -> Path:
         shown = list(dict.fromkeys(near)) or [path.name for path in candidates]
         raise ObjectFolderError(
             f"{directory} has no archive or folder of {key}; expected a name such as {entry.name}, "
-            f"{archive} or {key}; {'near ones' if near else 'it has'}: {', '.join(shown[:8]) or 'nothing'}"
+            f"{archive} or {key}; {'similar' if near else 'found'}: {', '.join(shown[:8]) or 'nothing'}"
         )
     return found[0]
 
 
 def _form(name: str) -> str:
     suffix = next((suffix for suffix in SUFFIXES if name.lower().endswith(suffix)), "")
-    return normal(name[: len(name) - len(suffix)])
+    return normalized(name[: len(name) - len(suffix)])

@@ -1,4 +1,4 @@
-"""Download a model from Poly Haven: a glTF and the files that it includes, each at its own address."""
+"""Download a model from Poly Haven: a glTF and the files that it refers to."""
 
 import hashlib
 import json
@@ -7,16 +7,16 @@ from typing import Any
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fetch.archive import safe_path
-from objectfolder.fetch.download import Reporter, download_to
+from objectfolder.fetch.download import ProgressFactory, download_to
 
 
-def download_polyhaven(url: str, resolution: str, into: Path, part: Path, reporter: Reporter) -> None:
-    """Download the glTF of a model and what it includes.
+def download_polyhaven(url: str, resolution: str, into: Path, part: Path, progress: ProgressFactory) -> None:
+    """Download the glTF of a model and the files that it refers to.
 
     Parameters
     ----------
     url : str
-        Files list of the model in the Poly Haven API (``/files/{id}``): JSON, in which
+        File list of the model in the Poly Haven API (``/files/{id}``): JSON, in which
         ``gltf.<resolution>.gltf`` has ``url``, ``md5`` and ``include``, a mapping from the paths that the
         glTF refers to, to ``url`` and ``md5``.
     resolution : str
@@ -24,27 +24,27 @@ def download_polyhaven(url: str, resolution: str, into: Path, part: Path, report
     into : Path
         Directory for the files.
     part : Path
-        Unfinished downloads are kept in files whose names start so.
-    reporter : callable
+        Prefix of the paths of unfinished downloads.
+    progress : callable
         As in `download_to`.
 
     Raises
     ------
     ObjectFolderError
-        If a download fails or is damaged, or the list is not of that form.
+        If a download fails or is damaged, or the list is malformed.
     """
     index = into.with_name("files.json")
-    download_to(index, url, part.with_name(f"{part.name}.index.part"), reporter)
+    download_to(index, url, part.with_name(f"{part.name}.index.part"), progress)
     files = _files(index, url, resolution)
     for number, (name, (address, md5)) in enumerate(sorted(files.items())):
-        download_to(into / name, address, part.with_name(f"{part.name}.{number}.part"), reporter)
+        download_to(into / name, address, part.with_name(f"{part.name}.{number}.part"), progress)
         actual = hashlib.md5((into / name).read_bytes(), usedforsecurity=False).hexdigest()
         if actual != md5:
             raise ObjectFolderError(f"{address} is damaged: its MD5 is {actual}, {url} says {md5}; try again")
 
 
 def _files(index: Path, url: str, resolution: str) -> dict[str, tuple[str, str]]:
-    """Addresses and MD5 by path. The list is a stranger's: paths stay inside, addresses are of the web."""
+    """Return URL and MD5 by path; the list is untrusted, so paths and URLs are checked."""
     try:
         gltf: dict[str, Any] = json.loads(index.read_text())["gltf"][resolution]["gltf"]
         files = {PurePosixPath(gltf["url"]).name: gltf, **gltf.get("include", {})}
@@ -55,8 +55,8 @@ def _files(index: Path, url: str, resolution: str) -> dict[str, tuple[str, str]]
         raise
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ObjectFolderError(
-            f"{url} lists no glTF at {resolution} as the Poly Haven API does "
-            f"({type(error).__name__}: {error}); look at it, and at `resolution` in the catalogue"
+            f"{url} lists no glTF at {resolution} in the format of the Poly Haven API "
+            f"({type(error).__name__}: {error}); check the list, and `resolution` in the catalogue"
         ) from error
     for name, (address, _) in result.items():
         if not address.startswith(("http://", "https://")):

@@ -1,4 +1,4 @@
-"""Show a catalogue, the licences of what is fetched, progress and results."""
+"""Print a catalogue, licences, download progress and results."""
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
@@ -9,14 +9,14 @@ from rich.markup import escape
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 
 from objectfolder.fetch.catalogue import Catalogue
-from objectfolder.fetch.download import Report, Reporter
-from objectfolder.fetch.run import Outcome, Status
+from objectfolder.fetch.download import ProgressCallback, ProgressFactory
+from objectfolder.fetch.run import FetchResult, FetchStatus
 
-STYLES = {Status.ADDED: "green", Status.PRESENT: "dim", Status.FAILED: "bold red"}
+STYLES = {FetchStatus.ADDED: "green", FetchStatus.PRESENT: "dim", FetchStatus.FAILED: "bold red"}
 
 
 def print_catalogue(catalogue: Catalogue, present: Collection[str], console: Console) -> None:
-    """Print one line for each object; those in the workspace are marked."""
+    """Print one line per object, with a mark if it is in the workspace."""
     width = max(map(len, catalogue.objects))
     for key, entry in catalogue.objects.items():
         mark = "✓" if key in present else " "
@@ -26,7 +26,7 @@ def print_catalogue(catalogue: Catalogue, present: Collection[str], console: Con
 
 
 def print_overview(catalogue: Catalogue, present: Collection[str], console: Console) -> None:
-    """Print how many objects there are, and of which sources."""
+    """Print the number of objects, by source."""
     counts = Counter(entry.source for entry in catalogue.objects.values())
     there = sum(key in present for key in catalogue.objects)
     sources = ", ".join(f"{counts[name]} {name}" for name in catalogue.sources)
@@ -34,47 +34,47 @@ def print_overview(catalogue: Catalogue, present: Collection[str], console: Cons
 
 
 def print_licences(catalogue: Catalogue, keys: Sequence[str], console: Console) -> None:
-    """Print the licence of each source that objects come from, once."""
+    """Print the licence of each source of the objects."""
     for name in dict.fromkeys(catalogue.objects[key].source for key in keys):
         source = catalogue.sources[name]
         text = f"{source.title}: {source.licence}. {source.attribution}."
         console.print(escape(text), soft_wrap=True, highlight=False)
 
 
-def print_outcome(outcome: Outcome, console: Console) -> None:
+def print_result(result: FetchResult, console: Console) -> None:
     """Print one result."""
-    style = STYLES[outcome.status]
+    style = STYLES[result.status]
     console.print(
-        f"[{style}]{outcome.status:<7}[/] {outcome.key}: {escape(outcome.detail)}",
+        f"[{style}]{result.status:<7}[/] {result.key}: {escape(result.detail)}",
         soft_wrap=True,
         highlight=False,
     )
 
 
-def print_totals(outcomes: Sequence[Outcome], console: Console) -> None:
-    """Print how many objects were added, were there, and failed, and what to do next."""
-    counts = Counter(outcome.status for outcome in outcomes)
-    text = ", ".join(f"{counts[status]} {status}" for status in Status if counts[status])
-    failed = [outcome.key for outcome in outcomes if outcome.status is Status.FAILED]
+def print_totals(results: Sequence[FetchResult], console: Console) -> None:
+    """Print the number of objects by status, and the next step."""
+    counts = Counter(result.status for result in results)
+    text = ", ".join(f"{counts[status]} {status}" for status in FetchStatus if counts[status])
+    failed = [result.key for result in results if result.status is FetchStatus.FAILED]
     if failed:
         text += f" ({', '.join(failed)})"
-    if counts[Status.ADDED]:
+    if counts[FetchStatus.ADDED]:
         text += "; next: objectfolder build"
     console.print(text or "nothing to do", soft_wrap=True, highlight=False)
 
 
 @contextmanager
-def download_progress(console: Console) -> Iterator[Reporter]:
-    """Show a bar for each download, on a terminal only; gives what `fetch_all` takes as reporter."""
+def download_progress(console: Console) -> Iterator[ProgressFactory]:
+    """Show a bar for each download, on a terminal only; yields the ``progress`` argument of `fetch_all`."""
     columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
 
-        def reporter(name: str) -> Report:
-            task = progress.add_task(escape(name), total=None)
+        def progress(name: str) -> ProgressCallback:
+            task = bars.add_task(escape(name), total=None)
 
             def report(done: int, total: int | None) -> None:
-                progress.update(task, completed=done, total=total, visible=done != total)
+                bars.update(task, completed=done, total=total, visible=done != total)
 
             return report
 
-        yield reporter
+        yield progress

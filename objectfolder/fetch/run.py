@@ -1,4 +1,4 @@
-"""Fetch objects of a catalogue: obtain, check, unpack, and add each as ``objectfolder add`` does."""
+"""Fetch objects of a catalogue: download, verify, extract, and add each as ``objectfolder add`` does."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,9 +11,9 @@ import trimesh
 from objectfolder.engine.dvc.repository import track
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fetch import checksums
-from objectfolder.fetch.archive import unpack
+from objectfolder.fetch.archive import extract
 from objectfolder.fetch.catalogue import Catalogue
-from objectfolder.fetch.download import Reporter, download_to, silent
+from objectfolder.fetch.download import ProgressFactory, download_to, no_progress
 from objectfolder.fetch.layout import collect, find_mesh
 from objectfolder.fetch.local import find_local
 from objectfolder.fetch.polyhaven import download_polyhaven
@@ -26,8 +26,8 @@ SOURCE_FILE = "SOURCE.txt"  #: beside the mesh
 SIZE_TOLERANCE = 0.05  #: between the catalogue's size and the mesh's own
 
 
-class Status(StrEnum):
-    """What became of an object."""
+class FetchStatus(StrEnum):
+    """Outcome of fetching an object."""
 
     ADDED = "added"
     PRESENT = "present"
@@ -35,12 +35,12 @@ class Status(StrEnum):
 
 
 @dataclass(frozen=True)
-class Outcome:
+class FetchResult:
     """Result of fetching one object."""
 
     key: str
-    status: Status
-    detail: str  #: for people
+    status: FetchStatus
+    detail: str  #: message
 
 
 @dataclass(frozen=True)
@@ -58,36 +58,36 @@ def fetch_object(
     directory: Path | None = None,
     accept_changed: bool = False,
     root: Path = Path(),
-    reporter: Reporter = silent,
-) -> Outcome:
-    """Fetch one object and add it to the workspace, unless it is there.
+    progress: ProgressFactory = no_progress,
+) -> FetchResult:
+    """Fetch one object and add it to the workspace, unless it is present.
 
     Parameters
     ----------
     key : str
     catalogue : Catalogue
     directory : Path, optional
-        Take it from here instead of downloading it.
+        Local directory to take it from, instead of downloading it.
     accept_changed : bool
-        Record the checksums of files that have changed since they were first used, rather than fail.
+        Accept files that have changed since first use, and record their new checksums.
     root : Path
         Workspace.
-    reporter : callable
-        Takes the name of a file that is downloaded and returns a listener for its progress.
+    progress : callable
+        Takes the name of a file to download and returns the callback for its progress.
 
     Returns
     -------
-    Outcome
-        Never failed: that is an exception.
+    FetchResult
+        Added or present; failures raise.
 
     Raises
     ------
     ObjectFolderError
-        If anything is wrong; nothing is changed under ``data/`` and in ``params.yaml`` then.
+        On any failure; ``data/`` and ``params.yaml`` are then unchanged.
     """
     home = Path("data/objects") / key
     if key in params.read(root / params.PARAMS_FILE)["objects"]:
-        return Outcome(key, Status.PRESENT, f"{home} is there already")
+        return FetchResult(key, FetchStatus.PRESENT, f"{home} is there already")
     if (root / home).exists():
         raise ObjectFolderError(
             f"{home} exists, but {params.PARAMS_FILE} has no such object; remove the folder"
@@ -98,27 +98,27 @@ def fetch_object(
     check_writable(root / CACHE)
     with TemporaryDirectory(dir=root / CACHE, prefix=f"{key}.") as folder:
         scratch = Path(folder)
-        obtained = _obtain(key, catalogue, directory, scratch, root / CACHE, reporter)
+        obtained = _obtain(key, catalogue, directory, scratch, root / CACHE, progress)
         try:
             mesh, files = collect(find_mesh(obtained.tree, source), obtained.tree, scratch / "object")
             used = {obtained.archive.name: obtained.archive} if obtained.archive else files
             digests = {name: file_digest(path) for name, path in used.items()}
             if not accept_changed:
-                checksums.check(recorded, digests, key, lock)
+                checksums.check_unchanged(recorded, digests, key, lock)
             notice = scratch / SOURCE_FILE
             notice.write_text(source_text(key, catalogue, obtained.origin))
-            # The source's up axis holds for its own files; another format has its own.
+            # The source's up axis applies to its own format only.
             up = source.up if mesh.suffix.lower() == Path(source.mesh).suffix else None
             add_mesh(mesh, key, entry.material, entry.scale, up, root, [notice], track=track)
         except (ObjectFolderError, OSError) as error:
             message = str(error).replace(f"{scratch / 'object'}/", "")
             raise ObjectFolderError(f"{message} (from {obtained.origin})") from error
         own_size = float(trimesh.load_scene(mesh, process=False, skip_materials=True).extents.max())
-    checksums.record(lock, key, digests)
+    checksums.record_checksums(lock, key, digests)
     detail = f"{entry.material}, {entry.scale:g} m"
     if abs(own_size / entry.scale - 1) > SIZE_TOLERANCE:
         detail += f" (scaled: the mesh itself measures {own_size:.3g} m)"
-    return Outcome(key, Status.ADDED, detail + (f"; {entry.note}" if entry.note else ""))
+    return FetchResult(key, FetchStatus.ADDED, detail + (f"; {entry.note}" if entry.note else ""))
 
 
 def fetch_all(
@@ -127,31 +127,31 @@ def fetch_all(
     directory: Path | None = None,
     accept_changed: bool = False,
     root: Path = Path(),
-    reporter: Reporter = silent,
-    on_outcome: Callable[[Outcome], None] = lambda outcome: None,
-) -> list[Outcome]:
-    """Fetch objects one after another; one that fails does not stop the others.
+    progress: ProgressFactory = no_progress,
+    on_result: Callable[[FetchResult], None] = lambda result: None,
+) -> list[FetchResult]:
+    """Fetch objects one after another; a failure does not stop the others.
 
     Parameters
     ----------
     keys : sequence of str
-    on_outcome : callable
-        Called with each result as it comes. The other parameters are those of `fetch_object`.
+    on_result : callable
+        Called with each result. The other parameters are those of `fetch_object`.
     """
-    params.read(root / params.PARAMS_FILE)  # no workspace: one error, not one for each object
-    outcomes = []
+    params.read(root / params.PARAMS_FILE)  # without a workspace, raise once instead of once per object
+    results = []
     for key in keys:
         try:
-            outcome = fetch_object(key, catalogue, directory, accept_changed, root, reporter)
+            result = fetch_object(key, catalogue, directory, accept_changed, root, progress)
         except (ObjectFolderError, OSError) as error:
-            outcome = Outcome(key, Status.FAILED, str(error))
-        on_outcome(outcome)
-        outcomes.append(outcome)
-    return outcomes
+            result = FetchResult(key, FetchStatus.FAILED, str(error))
+        on_result(result)
+        results.append(result)
+    return results
 
 
 def source_text(key: str, catalogue: Catalogue, origin: str) -> str:
-    """Text that stays with a mesh: where it is from, whose it is, and what was changed."""
+    """Return the notice stored with a mesh: origin, licence, attribution and changes."""
     entry, source = catalogue.objects[key], catalogue.source(key)
     return (
         f"{entry.name}, object {entry.id} of ObjectFolder 1.0\n\n"
@@ -159,30 +159,35 @@ def source_text(key: str, catalogue: Catalogue, origin: str) -> str:
         f"Taken from: {origin}\n"
         f"Licence: {source.licence}\n"
         f"Attribution: {source.attribution}\n"
-        "Changes: the mesh is renamed; files that it does not refer to are left out.\n\n"
+        "Changes: the mesh is renamed; files that it does not refer to are omitted.\n\n"
         "Name, material and size: ObjectFolder, Gao et al., CoRL 2021, CC BY 4.0\n"
         "(https://creativecommons.org/licenses/by/4.0/)" + (f"; {entry.note}" if entry.note else "") + "\n"
     )
 
 
 def _obtain(
-    key: str, catalogue: Catalogue, directory: Path | None, scratch: Path, cache: Path, reporter: Reporter
+    key: str,
+    catalogue: Catalogue,
+    directory: Path | None,
+    scratch: Path,
+    cache: Path,
+    progress: ProgressFactory,
 ) -> _Obtained:
     tree = scratch / "tree"
     if directory is not None:
         found = find_local(directory, catalogue, key)
         if found.is_dir():
             return _Obtained(found, f"the folder {found.name}")
-        unpack(found, tree)
+        extract(found, tree)
         return _Obtained(tree, f"the archive {found.name}", found)
     url = catalogue.url(key)
     if catalogue.source(key).kind == "polyhaven":
-        download_polyhaven(url, catalogue.source(key).resolution, tree, cache / key, reporter)
+        download_polyhaven(url, catalogue.source(key).resolution, tree, cache / key, progress)
         return _Obtained(tree, url)
     archive = scratch / catalogue.archive_name(key)
-    download_to(archive, url, cache / f"{key}.part", reporter)
+    download_to(archive, url, cache / f"{key}.part", progress)
     try:
-        unpack(archive, tree)
+        extract(archive, tree)
     except ObjectFolderError as error:
         raise ObjectFolderError(f"{error} (from {url})") from error
     return _Obtained(tree, url, archive)

@@ -2,8 +2,8 @@ import shutil
 
 import pytest
 
-from objectfolder.engine.build import Options, build
-from objectfolder.engine.summary import Finished, Planned, Started, Status
+from objectfolder.engine.build import BuildOptions, build
+from objectfolder.engine.summary import Finished, Planned, StageOutcome, Started
 from objectfolder.errors import ObjectFolderError
 
 from .conftest import everything
@@ -22,7 +22,7 @@ def test_builds_once_and_leaves_dvc_content(workspace):
     assert sum(isinstance(event, Started) for event in events) == 9
     assert sum(isinstance(event, Finished) for event in events) == 9
     result = summary.stages["solve@mug"]
-    assert (result.stage, result.object, result.status) == ("solve", "mug", Status.RAN)
+    assert (result.stage, result.object, result.status) == ("solve", "mug", StageOutcome.RAN)
     assert result.seconds > 0
     assert 1 < result.peak_mb < 60
     assert result.log == workspace.root / "build/.logs/solve@mug.log"
@@ -38,7 +38,7 @@ def test_builds_once_and_leaves_dvc_content(workspace):
     assert workspace.ran() == []
     assert (workspace.root / "dvc.lock").read_bytes() == lock
 
-    forced = build(["prepare@mug"], root=workspace.root, options=Options(force=True))
+    forced = build(["prepare@mug"], root=workspace.root, options=BuildOptions(force=True))
     assert statuses(forced) == {"prepare@mug": "ran"}
 
 
@@ -55,7 +55,7 @@ def test_change_of_one_object_reruns_only_what_depends_on_it(workspace):
     workspace.params(mug={"material": "glass"})
     summary = build(root=workspace.root)
     assert workspace.ran() == ["pack@mug", "solve@mug"]
-    assert summary.counts()[Status.SKIPPED] == 7
+    assert summary.counts()[StageOutcome.SKIPPED] == 7
     assert "up to date" in workspace.dvc("status")
 
 
@@ -77,8 +77,8 @@ def test_failure_blocks_its_branch_only_and_the_fix_resumes(workspace):
     assert "code 3" in failure.error
     assert failure.tail[-1] == "the reason of the failure"
     assert failure.log.is_file()
-    assert [result.address for result in summary.with_status(Status.BLOCKED)] == ["pack@bowl"]
-    assert summary.counts()[Status.RAN] == 7
+    assert [result.address for result in summary.with_status(StageOutcome.BLOCKED)] == ["pack@bowl"]
+    assert summary.counts()[StageOutcome.RAN] == 7
     assert workspace.locked() == set(everything()) - {"solve@bowl", "pack@bowl"}
     workspace.ran()
 
@@ -107,7 +107,7 @@ def test_outputs_come_back_from_the_run_cache(workspace):
     shutil.rmtree(workspace.root / "build/mug")
     (workspace.root / "metrics/mug.json").unlink()
     summary = build(root=workspace.root)
-    assert [result.address for result in summary.with_status(Status.RESTORED)] == [
+    assert [result.address for result in summary.with_status(StageOutcome.RESTORED)] == [
         "prepare@mug",
         "solve@mug",
         "pack@mug",
@@ -159,14 +159,14 @@ def test_unknown_target_suggests_close_ones(workspace, target, suggestion):
 def test_two_jobs_overlap(workspace):
     for key in ("bell", "mug"):
         workspace.control(f"prepare@{key}", "1.5")
-    build(["prepare@bell", "prepare@mug"], options=Options(jobs=2), root=workspace.root)
+    build(["prepare@bell", "prepare@mug"], options=BuildOptions(jobs=2), root=workspace.root)
     kinds = [call[1] for call in workspace.calls()]
     assert kinds == ["start", "start", "end", "end"]
 
 
 def test_wrong_arguments_and_workspaces(workspace, tmp_path):
     with pytest.raises(ObjectFolderError, match="jobs is 0"):
-        Options(jobs=0)
+        BuildOptions(jobs=0)
     with pytest.raises(ObjectFolderError, match="not a directory"):
         build(root=tmp_path / "nowhere")
     with pytest.raises(ObjectFolderError, match="dvc init"):

@@ -11,9 +11,9 @@ from contextlib import contextmanager, suppress
 import psutil
 import pytest
 
-from objectfolder.engine.build import Options, build
+from objectfolder.engine.build import BuildOptions, build
 from objectfolder.engine.process import Children
-from objectfolder.engine.summary import Finished, Status
+from objectfolder.engine.summary import Finished, StageOutcome
 from objectfolder.errors import ObjectFolderError
 
 from .conftest import KEYS, everything
@@ -95,7 +95,7 @@ def test_killed_stage_is_said_in_words_and_its_half_output_is_not_taken(workspac
     (failure,) = summary.failures
     assert (failure.stage, failure.object) == ("prepare", "mug")
     assert "was killed by SIGKILL" in failure.error
-    assert names(summary.with_status(Status.BLOCKED)) == ["pack@mug", "solve@mug"]
+    assert names(summary.with_status(StageOutcome.BLOCKED)) == ["pack@mug", "solve@mug"]
     mug = {"pack@mug", "prepare@mug", "solve@mug"}
     assert workspace.locked() == set(everything()) - mug
     wait_for(lambda: not alive(started(workspace, "prepare@mug")))
@@ -131,7 +131,7 @@ MORTAL = """
 import os, signal, sys
 from objectfolder.engine import build
 from objectfolder.engine.dvc import lockfile
-from objectfolder.engine.summary import Finished, Status
+from objectfolder.engine.summary import Finished, StageOutcome
 
 lockfile.PERIOD = lockfile.PERIOD_PER_WRITE = 0.0  # dvc.lock is written after every stage
 left, root = int(sys.argv[1]), os.getcwd()
@@ -147,11 +147,11 @@ def count(event, arguments):
                 os.kill(os.getpid(), signal.SIGKILL)
 
 def on_event(event):
-    if isinstance(event, Finished) and event.result.status is not Status.FAILED:
+    if isinstance(event, Finished) and event.result.status is not StageOutcome.FAILED:
         os.write(report, f"{event.result.address}\\n".encode())
 
 sys.addaudithook(count)
-assert build.build(options=build.Options(jobs=2), on_event=on_event).ok
+assert build.build(options=build.BuildOptions(jobs=2), on_event=on_event).ok
 """
 
 
@@ -207,7 +207,7 @@ def bulky(make_workspace):
 @pytest.mark.parametrize("place", ["build", ".dvc/cache"])
 def test_full_disk_is_named_and_after_space_is_made_the_rest_is_built(bulky, place):
     with small_disk(bulky.root / place):
-        summary = build(root=bulky.root, options=Options(jobs=1))
+        summary = build(root=bulky.root, options=BuildOptions(jobs=1))
         (failure,) = summary.failures
         assert failure.address == "big"
         assert f"the disk of {bulky.root / place}/" in failure.error
@@ -413,11 +413,11 @@ def test_params_broken_during_a_build_fail_stages_and_no_more(workspace, broken)
             if broken is not None:
                 path.write_bytes(broken)
 
-    summary = build(root=workspace.root, options=Options(jobs=1), on_event=break_it)
+    summary = build(root=workspace.root, options=BuildOptions(jobs=1), on_event=break_it)
     assert len(summary.stages) == len(everything())
     assert summary.failures
     assert set(everything()) == set(summary.stages)
-    done = names(summary.with_status(Status.RAN))
+    done = names(summary.with_status(StageOutcome.RAN))
     assert done
     path.write_bytes(good)
     workspace.ran()
@@ -444,10 +444,10 @@ def test_params_changed_while_a_stage_runs_are_not_taken_for_those_it_has_read(m
     with meanwhile(change):
         summary = build(root=workspace.root)
     assert summary.ok  # as what it was when the stage began
-    assert build(root=workspace.root).with_status(Status.RAN)
+    assert build(root=workspace.root).with_status(StageOutcome.RAN)
     assert "mug: {size: 1, material: glass}" in (workspace.root / "read").read_text()
     workspace.params()
-    assert build(root=workspace.root).with_status(Status.RESTORED)
+    assert build(root=workspace.root).with_status(StageOutcome.RESTORED)
     assert "glass" not in (workspace.root / "read").read_text()
 
 
@@ -470,12 +470,12 @@ def test_hanging_stage_dies_with_its_children_and_the_rest_is_built(workspace):
     path = workspace.root / "dvc.yaml"
     child = "sh -c 'echo $$ > child; exec sleep 600' & python -m steps solve ${key}"
     path.write_text(path.read_text().replace("python -m steps solve ${key}", child))
-    summary = build(root=workspace.root, options=Options(jobs=2, timeout=5))
+    summary = build(root=workspace.root, options=BuildOptions(jobs=2, timeout=5))
     (failure,) = summary.failures
     assert failure.address == "solve@mug"
     assert "time limit" in failure.error
     assert failure.seconds >= 5
-    assert names(summary.with_status(Status.RAN)) == OTHERS
+    assert names(summary.with_status(StageOutcome.RAN)) == OTHERS
     assert not alive(started(workspace, "solve@mug"))
     wait_for(lambda: not alive(int((workspace.root / "child").read_text())))
     workspace.ran()
@@ -496,7 +496,7 @@ def test_exception_in_a_worker_fails_its_stage_only(workspace, monkeypatch):
     summary = build(root=workspace.root)
     (failure,) = summary.failures
     assert (failure.address, failure.error) == ("solve@mug", "cannot run the command: no more threads")
-    assert names(summary.with_status(Status.RAN)) == OTHERS
+    assert names(summary.with_status(StageOutcome.RAN)) == OTHERS
     monkeypatch.undo()
     workspace.ran()
     assert build(root=workspace.root).ok
@@ -524,7 +524,7 @@ def test_second_build_can_wait_for_the_first(workspace, other, caplog):
             os.kill(pid, signal.SIGKILL)  # dvc leaves its child running
 
     with meanwhile(stop_first):
-        summary = build(root=workspace.root, options=Options(wait=True))
+        summary = build(root=workspace.root, options=BuildOptions(wait=True))
     assert summary.ok
     assert caplog.text.count("waiting until it ends") == 1
     assert f"process {first.pid}" in caplog.text

@@ -12,7 +12,7 @@ from objectfolder.errors import ObjectFolderError
 from .conftest import everything
 from .processes import alive, start, started, wait_for
 
-ENGINE = "from objectfolder.engine.build import Options, build; build(options=Options(jobs=2))"
+ENGINE = "from objectfolder.engine.build import BuildOptions, build; build(options=BuildOptions(jobs=2))"
 
 
 def start_and_hang(workspace):

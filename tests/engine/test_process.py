@@ -3,11 +3,13 @@ import sys
 import threading
 import time
 
-from objectfolder.engine.process import Children, Command, describe_exit, environment, tail
+from objectfolder.engine.process import Children, Command, describe_exit, stage_environment, tail
 
 
 def command(tmp_path, *lines):
-    return Command(lines=lines, cwd=tmp_path, env=environment(os.environ), log=tmp_path / "logs" / "x.log")
+    return Command(
+        lines=lines, cwd=tmp_path, env=stage_environment(os.environ), log=tmp_path / "logs" / "x.log"
+    )
 
 
 def test_measures_time_and_memory(tmp_path):

@@ -5,20 +5,20 @@ import pytest
 from rich.console import Console
 
 from objectfolder.engine.progress import Progress, print_summary
-from objectfolder.engine.summary import Finished, Planned, StageResult, Started, Status, Summary
+from objectfolder.engine.summary import Finished, Planned, StageOutcome, StageResult, Started, Summary
 
-RAN = StageResult("modal@mug", Status.RAN, 12.34, 654.0, Path("/w/build/.logs/modal@mug.log"))
+RAN = StageResult("modal@mug", StageOutcome.RAN, 12.34, 654.0, Path("/w/build/.logs/modal@mug.log"))
 FAILED = StageResult(
     "modal@bell",
-    Status.FAILED,
+    StageOutcome.FAILED,
     1.0,
     9.0,
     Path("/w/bell.log"),
     "the command exited with code 3",
     ("[a]", "no mesh"),
 )
-BLOCKED = StageResult("pack@bell", Status.BLOCKED, error="needs modal@bell")
-SKIPPED = StageResult("pack@mug", Status.SKIPPED)
+BLOCKED = StageResult("pack@bell", StageOutcome.BLOCKED, error="needs modal@bell")
+SKIPPED = StageResult("pack@mug", StageOutcome.SKIPPED)
 
 
 @pytest.mark.parametrize("terminal", [False, True])
@@ -65,7 +65,7 @@ def test_summary_names_what_ran_and_what_failed():
 def test_summary_of_many_objects_adds_up_by_stage():
     console = Console(file=io.StringIO(), width=100)
     results = {
-        f"modal@o{number}": StageResult(f"modal@o{number}", Status.RAN, float(number), 100.0 + number)
+        f"modal@o{number}": StageResult(f"modal@o{number}", StageOutcome.RAN, float(number), 100.0 + number)
         for number in range(1, 101)
     }
     print_summary(Summary(results, 20.0), console)

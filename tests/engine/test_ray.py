@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from objectfolder.cli import app
 from objectfolder.engine import resources
-from objectfolder.engine.build import Options, build
+from objectfolder.engine.build import BuildOptions, build
 from objectfolder.engine.ray import Node, RayWorkers, fitted, ray_workers
 from objectfolder.engine.resources import Needs
 from objectfolder.errors import ObjectFolderError
@@ -187,7 +187,7 @@ def test_stages_of_a_whole_gpu_take_turns_and_too_large_ones_are_cut_down(locate
 
 @pytest.mark.slow
 def test_jobs_limit_the_cores_of_the_whole_cluster(located, cluster):
-    options = Options(jobs=1)
+    options = BuildOptions(jobs=1)
     assert build(["prepare"], options, located.root, make_workers=ray_workers(cluster.address)).ok
     assert [call[1] for call in located.calls()] == ["start", "end"] * 3
 

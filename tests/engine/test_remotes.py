@@ -9,13 +9,13 @@ from contextlib import contextmanager
 import pytest
 from dvc.repo import Repo
 
-from objectfolder.engine.build import Options, build
-from objectfolder.engine.summary import Planned, Status
+from objectfolder.engine.build import BuildOptions, build
+from objectfolder.engine.summary import Planned, StageOutcome
 from objectfolder.errors import ObjectFolderError
 
 from .conftest import PIPELINE, Workspace, everything
 
-PULL = Options(jobs=2, pull=True)
+PULL = BuildOptions(jobs=2, pull=True)
 
 SERVER = """
 import signal
@@ -128,11 +128,11 @@ def test_fresh_clone_gets_a_whole_build_without_running_a_stage(shared, kind, re
     pulled = clone(shared, "pulled")
     pulled.dvc("pull", "--run-cache")
     summary = build(root=pulled.root)
-    assert len(summary.with_status(Status.SKIPPED)) == len(everything())
+    assert len(summary.with_status(StageOutcome.SKIPPED)) == len(everything())
 
     fresh = clone(shared, "fresh")
     summary = build(root=fresh.root, options=PULL)
-    assert sorted(result.address for result in summary.with_status(Status.RESTORED)) == everything()
+    assert sorted(result.address for result in summary.with_status(StageOutcome.RESTORED)) == everything()
     assert "up to date" in fresh.dvc("status")
 
     for workspace in (pulled, fresh):

@@ -2,7 +2,7 @@ import threading
 
 import pytest
 
-from objectfolder.engine.build import Options, build
+from objectfolder.engine.build import BuildOptions, build
 from objectfolder.engine.resources import NEEDS, Machine, Needs, cores, machine_gpus, needs_of
 from objectfolder.engine.workers import LocalWorkers
 
@@ -111,7 +111,7 @@ def build_with(workspace, monkeypatch):
             workspace.control(f"prepare@{key}", "0.5")
         summary = build(
             [f"prepare@{key}" for key in needs],
-            Options(jobs=4),
+            BuildOptions(jobs=4),
             workspace.root,
             make_workers=lambda jobs, finished: LocalWorkers(Machine(jobs, 4 * GB, gpus), finished),
         )

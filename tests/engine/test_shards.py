@@ -7,7 +7,7 @@ from pathlib import Path
 from dvc.repo import Repo
 
 from objectfolder.engine.build import build
-from objectfolder.engine.summary import Status
+from objectfolder.engine.summary import StageOutcome
 
 from .conftest import KEYS, Workspace, everything
 from .test_interruption import start
@@ -39,6 +39,6 @@ def test_shards_build_at_the_same_time_and_the_whole_takes_all_from_their_cache(
         assert (part.root / f"build/{key}/pack.txt").stat().st_nlink >= 2
 
     summary = build(root=workspace.root)
-    assert sorted(result.address for result in summary.with_status(Status.RESTORED)) == everything()
+    assert sorted(result.address for result in summary.with_status(StageOutcome.RESTORED)) == everything()
     assert workspace.ran() == []
     assert "up to date" in workspace.dvc("status")

@@ -11,7 +11,7 @@ from rich.console import Console
 from objectfolder.cli.statusview import as_json, print_details, print_outlook, print_table
 from objectfolder.engine.build import build
 from objectfolder.engine.status import Outlook, State, status
-from objectfolder.engine.summary import Status
+from objectfolder.engine.summary import StageOutcome
 
 from .conftest import KEYS, everything
 
@@ -56,10 +56,10 @@ def check_prediction(workspace):
     workspace.ran()
     did = {address: result.status for address, result in build(root=workspace.root).stages.items()}
     meaning = {
-        Outlook.SKIP: {Status.SKIPPED},
-        Outlook.RESTORE: {Status.RESTORED},
-        Outlook.RUN: {Status.RAN, Status.FAILED},
-        Outlook.PERHAPS: set(Status),
+        Outlook.SKIP: {StageOutcome.SKIPPED},
+        Outlook.RESTORE: {StageOutcome.RESTORED},
+        Outlook.RUN: {StageOutcome.RAN, StageOutcome.FAILED},
+        Outlook.PERHAPS: set(StageOutcome),
     }
     assert {a: (said[a], did[a]) for a in said if did[a] not in meaning[said[a]]} == {}
     return said
@@ -158,7 +158,7 @@ def test_changed_and_missing_data(make_workspace):
     data.unlink()
     assert not_fresh(workspace) == {"data.txt.dvc": State.MISSING}
     assert one(workspace, "data.txt.dvc").outlook is Outlook.RESTORE
-    assert build(root=workspace.root).stages["copy"].status is Status.SKIPPED
+    assert build(root=workspace.root).stages["copy"].status is StageOutcome.SKIPPED
     data.unlink()
     data.write_text("two")
     assert not_fresh(workspace) == {"data.txt.dvc": State.STALE, "copy": State.UPSTREAM}

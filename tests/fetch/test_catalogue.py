@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fetch.catalogue import read_catalogue, select
+from objectfolder.fetch.catalogue import read_catalogue, select_objects
 from objectfolder.fetch.run import source_text
 from objectfolder.materials import MATERIALS
 from objectfolder.workspace import params
@@ -105,7 +105,7 @@ def test_the_notice_names_licence_and_authors(catalogue):
 
 
 def test_objects_are_found_by_key_and_name_in_any_case(catalogue):
-    assert select(catalogue, ["ycb_mug", "024_BOWL", "065-a cups", "bunny_racer", "025_mug"]) == [
+    assert select_objects(catalogue, ["ycb_mug", "024_BOWL", "065-a cups", "bunny_racer", "025_mug"]) == [
         "ycb_mug",
         "ycb_bowl",
         "ycb_cup_a",
@@ -123,14 +123,14 @@ def test_objects_are_found_by_key_and_name_in_any_case(catalogue):
     ],
 )
 def test_an_unknown_name_brings_near_ones(catalogue, name, near):
-    with pytest.raises(ObjectFolderError, match=rf"no object {name!r}.*near ones: .*{near}.*--list"):
-        select(catalogue, ["ycb_bowl", name])
+    with pytest.raises(ObjectFolderError, match=rf"no object {name!r}.*similar: .*{near}.*--list"):
+        select_objects(catalogue, ["ycb_bowl", name])
 
 
 @pytest.mark.parametrize("name", ["", "zzzzqqqq"])
 def test_a_name_like_none_brings_none(catalogue, name):
     with pytest.raises(ObjectFolderError, match="in the catalogue; --list shows"):
-        select(catalogue, [name])
+        select_objects(catalogue, [name])
 
 
 def test_an_address_can_be_replaced(catalogue):

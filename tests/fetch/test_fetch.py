@@ -17,7 +17,7 @@ from objectfolder.fetch.catalogue import read_catalogue
 from objectfolder.fetch.checksums import read_checksums
 from objectfolder.fetch.download import WAITS
 from objectfolder.fetch.local import find_local
-from objectfolder.fetch.run import SIZE_TOLERANCE, Status, fetch_all, fetch_object
+from objectfolder.fetch.run import SIZE_TOLERANCE, FetchStatus, fetch_all, fetch_object
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.workspace import params
 from objectfolder.workspace.check import check_all
@@ -60,8 +60,8 @@ def run(publisher, *arguments):
 
 def test_every_layout_is_fetched_added_and_tracked(published, publisher):
     keys = ["ycb_mug", "gso_bunny_racer", "polyhaven_barrel_01"]
-    outcomes = fetch_all(keys, published)
-    assert [outcome.status for outcome in outcomes] == [Status.ADDED] * 3
+    results = fetch_all(keys, published)
+    assert [result.status for result in results] == [FetchStatus.ADDED] * 3
     values = params.read()
     check_all(values)
     assert values["objects"]["ycb_mug"] == {
@@ -97,7 +97,7 @@ def test_every_layout_is_fetched_added_and_tracked(published, publisher):
     assert set(read_checksums(Path("data/checksums.yaml"))["ycb_mug"]) == {"025_mug_google_16k.tgz"}
     assert leftovers() == set()
     asked = len(publisher.requests)
-    assert [outcome.status for outcome in fetch_all(keys, published)] == [Status.PRESENT] * 3
+    assert [result.status for result in fetch_all(keys, published)] == [FetchStatus.PRESENT] * 3
     assert len(publisher.requests) == asked
 
 
@@ -108,7 +108,7 @@ def test_a_download_that_breaks_off_goes_on_in_the_next_run(published, publisher
         fetch_object("ycb_mug", published)
     assert state() == before
     assert leftovers() == {"ycb_mug.part", "ycb_mug.part.tag"}
-    assert fetch_object("ycb_mug", published).status is Status.ADDED
+    assert fetch_object("ycb_mug", published).status is FetchStatus.ADDED
     assert publisher.requests[-1][1]["Range"] == "bytes=20000-"
     assert leftovers() == set()
 
@@ -121,10 +121,10 @@ def test_an_interruption_keeps_what_was_downloaded_and_nothing_else(published):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        fetch_object("ycb_mug", published, reporter=lambda name: interrupt)
+        fetch_object("ycb_mug", published, progress=lambda name: interrupt)
     assert state() == before
     assert leftovers() == {"ycb_mug.part", "ycb_mug.part.tag"}
-    assert fetch_object("ycb_mug", published).status is Status.ADDED
+    assert fetch_object("ycb_mug", published).status is FetchStatus.ADDED
 
 
 def test_one_that_fails_does_not_stop_the_others(published, publisher):
@@ -210,7 +210,7 @@ def test_a_bad_archive_leaves_nothing(published, publisher, case):
     assert state() == before
     assert leftovers() == set()
     publisher.pages[MUG] = ycb("025_mug")
-    assert fetch_object("ycb_mug", published).status is Status.ADDED
+    assert fetch_object("ycb_mug", published).status is FetchStatus.ADDED
 
 
 def test_a_changed_archive_is_refused_until_accepted(published, publisher):
@@ -225,13 +225,13 @@ def test_a_changed_archive_is_refused_until_accepted(published, publisher):
     for fact in ("025_mug_google_16k.tgz of ycb_mug", f"expected SHA-256 {first}", str(lock), "got "):
         assert fact in str(error.value)
     assert state() == before
-    outcome = fetch_object("ycb_mug", published, accept_changed=True)
-    assert "scaled: the mesh itself measures 0.1 m" in outcome.detail
+    result = fetch_object("ycb_mug", published, accept_changed=True)
+    assert "scaled: the mesh itself measures 0.1 m" in result.detail
     second = read_checksums(lock)["ycb_mug"]["025_mug_google_16k.tgz"]
     assert second != first
     assert second in str(error.value)
     forget("ycb_mug")
-    assert fetch_object("ycb_mug", published).status is Status.ADDED
+    assert fetch_object("ycb_mug", published).status is FetchStatus.ADDED
 
 
 def forget(key):
@@ -339,10 +339,10 @@ def test_what_is_not_writable_is_said_before_downloading(published, publisher):
 def test_real_meshes_come_from_their_folders(workspace, key):
     if not OBJECTS.exists():
         pytest.skip("the development set of real objects is not here")
-    outcome = fetch_object(key, read_catalogue(CATALOGUE), OBJECTS)
-    assert outcome.status is Status.ADDED
+    result = fetch_object(key, read_catalogue(CATALOGUE), OBJECTS)
+    assert result.status is FetchStatus.ADDED
     # Where the published size was a slip, ours is the mesh's own: nothing is scaled.
-    assert "scaled" not in outcome.detail
+    assert "scaled" not in result.detail
     files = {p.name for p in (OBJECTS / key).iterdir()}
     assert {p.name for p in Path(f"data/objects/{key}").iterdir()} == files | {"SOURCE.txt"}
 

@@ -63,14 +63,14 @@ def test_two_candidates_are_named(tmp_path, catalogue):
 def test_what_is_not_there_brings_near_names(tmp_path, catalogue):
     fill(tmp_path, [*OTHERS, "026_mug"])
     with pytest.raises(
-        ObjectFolderError, match=r"no archive or folder of ycb_mug.*near ones: 026_mug"
+        ObjectFolderError, match=r"no archive or folder of ycb_mug.*similar: 026_mug"
     ) as error:
         find_local(tmp_path, catalogue, "ycb_mug")
     assert "025_mug_google_16k.tgz" in str(error.value)
 
 
 def test_an_empty_or_missing_directory_is_said(tmp_path, catalogue):
-    with pytest.raises(ObjectFolderError, match="it has: nothing"):
+    with pytest.raises(ObjectFolderError, match="found: nothing"):
         find_local(tmp_path, catalogue, "ycb_mug")
     with pytest.raises(ObjectFolderError, match=r"--from .*gone is not a directory"):
         find_local(tmp_path / "gone", catalogue, "ycb_mug")

@@ -1,4 +1,4 @@
-"""YAML text of lock entries, the same as DVC's emitter gives and ten times as fast."""
+"""Emit the YAML of lock entries, identical to that of DVC's emitter and ten times as fast."""
 
 import re
 from collections.abc import Iterator
@@ -7,22 +7,22 @@ from typing import Any
 from dvc.utils.serialize import dumps_yaml
 
 WIDTH = 80  # where the emitter folds lines
-# Strings that need no quotes. Everything else is left to the emitter.
+# Strings that need no quotes. Everything else needs the full emitter.
 _PLAIN = re.compile(r"[A-Za-z/][\w./@-]*(?: [A-Za-z/-][\w./@-]*)*", re.ASCII)
 _WORDS = {"true", "false", "null"}
 _DIGEST = re.compile(r"[0-9a-f]{32}(?:\.dir)?")
 _NUMBER = re.compile(r"[0-9]+(?:e[0-9]+)?")
 
 
-class _Unusual(Exception):
-    """A value that is left to the emitter."""
+class _NeedsEmitter(Exception):
+    """A value that needs the full emitter."""
 
 
 def dumps(value: dict[str, Any]) -> str:
-    """YAML of nested mappings and lists, as `dvc.utils.serialize.dumps_yaml` writes it."""
+    """Return nested mappings and lists as YAML, as `dvc.utils.serialize.dumps_yaml` does."""
     try:
         return "".join(f"{line}\n" for line in _mapping(value, ""))
-    except _Unusual:
+    except _NeedsEmitter:
         return str(dumps_yaml(value))
 
 
@@ -61,10 +61,10 @@ def _scalar(value: Any) -> str:
         return f"'{value}'" if _NUMBER.fullmatch(value) else value
     if kind is str and _PLAIN.fullmatch(value) and value.lower() not in _WORDS:
         return value
-    raise _Unusual
+    raise _NeedsEmitter
 
 
 def _fitting(line: str) -> str:
     if len(line) > WIDTH and " " in line.strip():
-        raise _Unusual
+        raise _NeedsEmitter
     return line

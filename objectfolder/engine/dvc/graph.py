@@ -1,4 +1,4 @@
-"""The part of DVC's graph that some targets want, in a deterministic order."""
+"""Subgraph of DVC's graph for given targets, in a deterministic order."""
 
 import difflib
 import os
@@ -7,16 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import networkx as nx
-from dvc.repo import Repo
 from dvc.repo.reproduce import get_active_graph
 from dvc.stage import PipelineStage, Stage
 
+from objectfolder.engine.dvc.repository import OpenRepository
 from objectfolder.errors import ObjectFolderError
 
 
 @dataclass(frozen=True)
-class Plan:
-    """Stages to look at.
+class StageGraph:
+    """Targets and everything upstream of them.
 
     Parameters
     ----------
@@ -30,15 +30,13 @@ class Plan:
     upstream: dict[str, set[str]]
 
 
-def plan(repo: Repo, root: str | Path = ".", targets: Sequence[str] = ()) -> Plan:
+def stage_graph(repository: OpenRepository, targets: Sequence[str] = ()) -> StageGraph:
     """Collect the targets and everything upstream of them.
 
     Parameters
     ----------
-    repo : Repo
-        Open DVC repository.
-    root : Path
-        Workspace, the directory that holds ``dvc.yaml``; targets are relative to it.
+    repository : OpenRepository
+        Targets are relative to its root.
     targets : sequence of str
         Stage addresses (``modal@mug``), stage names (``modal``), object keys (``mug``) or paths of outputs,
         tried in that order; none means every stage of the workspace's ``dvc.yaml``.
@@ -48,7 +46,7 @@ def plan(repo: Repo, root: str | Path = ".", targets: Sequence[str] = ()) -> Pla
     ObjectFolderError
         If there is no ``dvc.yaml``, or a target names nothing.
     """
-    root = Path(root).resolve()  # as DVC does
+    repo, root = repository.repo, repository.root
     if not (root / "dvc.yaml").is_file():
         raise ObjectFolderError(
             f"{root} has no dvc.yaml; run this in the workspace, the directory that holds dvc.yaml"
@@ -63,18 +61,29 @@ def plan(repo: Repo, root: str | Path = ".", targets: Sequence[str] = ()) -> Pla
     named = nx.relabel_nodes(graph, names)
     named = named.subgraph(wanted.union(*(nx.descendants(named, address) for address in wanted)))
     order = list(nx.lexicographical_topological_sort(named.reverse()))
-    return Plan(
+    return StageGraph(
         stages={address: addresses[address] for address in order},
         upstream={address: set(named.successors(address)) for address in order},
     )
 
 
 def address_of(stage: Stage, root: Path) -> str:
-    """Address of a stage relative to the workspace (DVC's own is relative to the current directory)."""
+    """Return the address of a stage relative to the workspace; DVC's is relative to the current directory."""
     path = os.path.relpath(stage.path, root)
     if not isinstance(stage, PipelineStage):
         return path
     return str(stage.name) if path == "dvc.yaml" else f"{path}:{stage.name}"
+
+
+def all_stages(repository: OpenRepository) -> dict[str, Stage]:
+    """Return all stages of a repository by address."""
+    return {address_of(stage, repository.root): stage for stage in repository.repo.index.stages}
+
+
+def dvc_files(repository: OpenRepository) -> list[Path]:
+    """Return the files that record the state of stages: ``.dvc`` and lock files, sorted."""
+    paths = {Path(stage.path) for stage in repository.repo.index.stages}
+    return sorted(path if path.suffix == ".dvc" else path.with_suffix(".lock") for path in paths)
 
 
 def _match(target: str, addresses: dict[str, Stage], root: Path) -> set[str]:

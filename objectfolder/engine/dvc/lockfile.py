@@ -1,10 +1,9 @@
-"""``dvc.lock``, read without parsing it twice and written in batches.
+"""``dvc.lock``, parsed at most once and written in batches.
 
-DVC rewrites the whole file after every stage, which is quadratic, and parses it at every start. Whoever
-holds the repository's lock is the only writer, so here the contents stay in memory and go to disk now and
-then; the text of a stage that did not change is written again as it was read. A copy under ``.dvc/tmp`` in
-JSON, which loads a hundred times faster than YAML, stands in for the parser, and for the file if that is
-damaged.
+DVC rewrites the whole file after every stage, which is quadratic, and parses it at every start. The holder of
+the repository's lock is the only writer, so the contents stay in memory and are written periodically; the
+text of an unchanged stage is reused. A JSON copy under ``.dvc/tmp``, which loads a hundred times faster than
+YAML, replaces the parser, and the file itself if that is damaged.
 """
 
 import hashlib
@@ -13,13 +12,10 @@ import logging
 import os
 import re
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
-from dvc.dvcfile import Lockfile
 from dvc.stage import PipelineStage, Stage
 from dvc.stage.serialize import to_lockfile
 from dvc.utils.serialize import EncodingError
@@ -30,7 +26,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.io import atomic
 
 PERIOD = 5.0
-# With thousands of stages a write takes seconds; this bounds its share of the build's time.
+# With thousands of stages a write takes seconds; this bounds its share of the build time.
 PERIOD_PER_WRITE = 20.0
 COPIES = Path(".dvc/tmp/objectfolder")
 HEAD = "schema: '2.0'\nstages:\n"
@@ -39,12 +35,12 @@ _log = logging.getLogger(__name__)
 
 
 class LockFiles:
-    """Lock files of a workspace: what was read, and states of finished stages on their way to disk.
+    """Contents of the lock files of a workspace, including finished stages not written yet.
 
     Parameters
     ----------
     root : Path
-        The repository, the directory that holds ``.dvc``.
+        Directory that holds ``.dvc``.
     """
 
     def __init__(self, root: Path):
@@ -55,21 +51,10 @@ class LockFiles:
         self._due = 0.0
         self._period = PERIOD
 
-    @contextmanager
-    def serving(self) -> Iterator[None]:
-        """Let DVC read its lock files from here."""
-        parse = Lockfile._load
-
-        def load(lockfile: Lockfile, **kwargs: Any) -> tuple[Any, str]:
-            return self._read(lockfile, lambda: parse(lockfile, **kwargs))
-
-        with patch.object(Lockfile, "_load", load):
-            yield
-
     def add(self, stage: Stage) -> None:
-        """Record the state of a finished stage; it reaches the disk at the next `flush`."""
+        """Record the state of a finished stage; `flush` writes it."""
         if not isinstance(stage, PipelineStage):
-            stage.dump(update_pipeline=False)  # a .dvc file holds one stage: nothing to batch
+            stage.dump(update_pipeline=False)  # a .dvc file holds a single stage
             return
         path = Path(stage.dvcfile.path).absolute().with_suffix(".lock")
         entry = to_lockfile(stage)
@@ -81,17 +66,17 @@ class LockFiles:
         self._dirty.add(path)
 
     def remove(self, path: Path, name: str) -> None:
-        """Forget a stage; it leaves the disk at the next `flush`."""
+        """Remove the entry of a stage; `flush` writes the change."""
         if self.stages(path).pop(name, None) is not None:
             self._dirty.add(path)
 
     def flush_if_due(self) -> None:
-        """Write what has waited long enough."""
+        """Write pending changes if the last write was long enough ago."""
         if self._dirty and time.monotonic() >= self._due:
             self.flush()
 
     def flush(self) -> None:
-        """Write everything that is not on disk yet."""
+        """Write all pending changes."""
         start = time.monotonic()
         for path in sorted(self._dirty):
             self._write(path)
@@ -99,17 +84,17 @@ class LockFiles:
         self._period = max(PERIOD, PERIOD_PER_WRITE * (time.monotonic() - start))
 
     def seconds_until_due(self) -> float | None:
-        """Time until the next write; None if there is nothing to write."""
+        """Return the time until the next write; None if nothing is pending."""
         return max(0.0, self._due - time.monotonic()) if self._dirty else None
 
     def stages(self, path: Path) -> dict[str, Any]:
-        """Entries of a lock file as DVC has read it, and of what has finished since."""
+        """Return the entries of a lock file by stage, including those added since it was read."""
         if path not in self._contents:
             self._contents[path], self._text[path] = {"schema": "2.0"}, {}
         return self._contents[path].setdefault("stages", {})
 
-    def _read(self, lockfile: Lockfile, parse: Any) -> tuple[Any, str]:
-        path = Path(lockfile.path).absolute()
+    def read(self, path: Path, parse: Callable[[], tuple[Any, str]]) -> tuple[Any, str]:
+        """Return contents and text of a lock file, parsing it with DVC only if no valid copy exists."""
         if not path.exists():
             return parse()
         text = path.read_bytes()
@@ -135,7 +120,7 @@ class LockFiles:
         broken = path.with_name(path.name + ".damaged")
         path.replace(broken)
         _log.warning(
-            "%s is damaged (%s); restored to what the last build wrote, the damaged file is kept as %s",
+            "%s is damaged (%s); restored from the last build, the damaged file is kept as %s",
             path,
             getattr(error, "__cause__", None) or error,
             broken.name,
@@ -172,7 +157,7 @@ class LockFiles:
     def _write_copy(self, path: Path, contents: Any, text: bytes) -> None:
         copy = {"sha256": hashlib.sha256(text).hexdigest(), "contents": contents}
         dumped = json.dumps(copy)
-        if json.loads(dumped) == copy:  # not if a parameter has keys that are numbers
+        if json.loads(dumped) == copy:  # numeric keys of parameters would become strings
             with atomic(self._copy_path(path)) as temporary:
                 temporary.write_text(dumped)
         else:
@@ -180,7 +165,7 @@ class LockFiles:
 
 
 def _split(text: str, contents: dict[str, Any]) -> dict[str, str]:
-    """Text of every stage by its name; empty if the file is not laid out as DVC does."""
+    """Return the text of every stage by name; empty if the layout is not that of DVC."""
     if set(contents) != {"schema", "stages"} or not text.startswith(HEAD):
         return {}
     chunks = _STAGE.split(text[len(HEAD) :])[1:]

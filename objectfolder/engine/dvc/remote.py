@@ -1,4 +1,4 @@
-"""Fetch what a build may need from the default remote, many files at a time."""
+"""Download saved runs and outputs from the default remote, many files at a time."""
 
 import logging
 from collections.abc import Iterable
@@ -20,54 +20,54 @@ from objectfolder.errors import ObjectFolderError
 _log = logging.getLogger(__name__)
 
 
-def fetch(repo: Repo, stages: Iterable[Stage]) -> bool:
-    """Fetch the run cache, and what the lock files know of some stages, into the local cache.
+def pull_build(repo: Repo, stages: Iterable[Stage]) -> bool:
+    """Download the run cache and the recorded outputs of stages into the local cache.
 
     Parameters
     ----------
     repo : Repo
         Open DVC repository.
     stages : iterable of Stage
-        Stages whose outputs to fetch.
+        Stages whose outputs to download.
 
     Returns
     -------
     reached : bool
-        Whether the remote answered; if not, a warning says why.
+        Whether the remote could be reached; if not, the reason is logged as a warning.
 
     Raises
     ------
     ObjectFolderError
-        If there is no default remote, or what speaks to it is not installed.
+        If there is no default remote, or the package for its protocol is not installed.
     """
     remote = _default(repo)
     try:
         if not remote.fs.exists(remote.path):
-            _log.warning("%s is empty or not there; going on with what is here", _name(remote))
+            _log.warning("%s is empty or does not exist; continuing without it", _name(remote))
             return False
         _fetch_runs(repo, remote)
         if lacking := pull_outputs(repo, stages):
             _log.warning(
-                "%d files are not in %s or did not arrive; their stages are built here",
+                "%d files are missing in %s or failed to download; their stages are built here",
                 lacking,
                 _name(remote),
             )
-    except Exception as error:  # each kind of remote has its own
-        _log.warning("cannot fetch from %s: %s; going on with what is here", _name(remote), error)
+    except Exception as error:  # every kind of remote has its own errors
+        _log.warning("cannot fetch from %s: %s; continuing without it", _name(remote), error)
         return False
     return True
 
 
 def pull_outputs(repo: Repo, stages: Iterable[Stage]) -> int:
-    """Fetch what some stages have written; the remote's own error if it cannot be reached.
+    """Download the outputs of stages; raises the remote's own error if it cannot be reached.
 
     Returns
     -------
     lacking : int
-        Files that are not here afterwards.
+        Files that are still missing.
     """
     outs = [out for stage in stages for out in stage.outs if out.use_cache and out.hash_info]
-    # The listings of directories first: `get_used_objs` fetches them too, one by one, and hides errors.
+    # Directory listings first: `get_used_objs` would fetch them one by one and hide errors.
     if listings := {out.hash_info for out in outs if out.hash_info.isdir}:
         repo.cloud.pull(listings)
     wanted: dict[HashFileDB | None, set[HashInfo]] = {}
@@ -94,15 +94,15 @@ def _default(repo: Repo) -> Remote:
         ) from error
     except (ImportError, RemoteMissingDepsError) as error:
         raise ObjectFolderError(
-            f"{error}: pip install the package that it names (for S3: pip install 'objectfolder[s3]')"
+            f"{error}: pip install the package named above (for S3: pip install 'objectfolder[s3]')"
         ) from error
     except DvcException as error:
         raise ObjectFolderError(f"DVC cannot use the default remote of {repo.root_dir}: {error}") from error
 
 
 def _fetch_runs(repo: Repo, remote: Remote) -> None:
-    """Copy the entries of the run cache that are not here; DVC copies all, one after another."""
-    odb = remote.legacy_odb  # the run cache lies beside the objects of DVC 2
+    """Copy missing entries of the run cache; DVC would copy all of them, one at a time."""
+    odb = remote.legacy_odb  # the run cache is stored next to the objects of DVC 2
     runs = odb.fs.join(odb.path, "runs")
     if not odb.fs.exists(runs):
         return

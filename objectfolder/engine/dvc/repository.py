@@ -1,4 +1,4 @@
-"""Open a DVC workspace as its only owner, quietly."""
+"""Open a DVC workspace exclusively, without DVC's log output."""
 
 import itertools
 import json
@@ -6,7 +6,8 @@ import logging
 import os
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, chdir, contextmanager
+from contextlib import ExitStack, chdir, contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,8 @@ from dvc.utils.serialize import load_yaml
 from voluptuous import Invalid
 
 from objectfolder.engine.dvc.lockfile import LockFiles
-from objectfolder.engine.dvc.once import remembered
+from objectfolder.engine.dvc.replacements import replacements
+from objectfolder.engine.dvc.runcache import RunCache
 from objectfolder.errors import ObjectFolderError
 
 LOGGERS = ("dvc", "dvc_data", "dvc_objects")
@@ -28,47 +30,101 @@ POLL = 0.5
 _log = logging.getLogger(__name__)
 
 
-@contextmanager
-def owned(root: str | Path = ".") -> Iterator[Repo]:
-    """Open the DVC repository of a workspace to read it; otherwise as `held`."""
-    with held(root) as (repo, _):
-        yield repo
+@dataclass(frozen=True)
+class OpenRepository:
+    """A DVC repository whose lock this process holds.
+
+    Parameters
+    ----------
+    repo : dvc.repo.Repo
+        For the modules of this package.
+    root : Path
+        Workspace, the directory that holds ``dvc.yaml``.
+    lockfiles : LockFiles
+        Its lock files.
+    """
+
+    repo: Repo
+    root: Path
+    lockfiles: LockFiles
+
+    @property
+    def cache(self) -> Path:
+        """Directory of the cached objects."""
+        return Path(self.repo.cache.local.path)
+
+    @property
+    def cache_dir(self) -> Path:
+        """DVC's cache directory, which holds objects and run cache."""
+        return Path(self.repo.cache.local_cache_dir)
+
+    @property
+    def tmp(self) -> Path:
+        """DVC's directory for temporary files."""
+        return Path(self.repo.tmp_dir)
+
+    @property
+    def owns_cache(self) -> bool:
+        """Whether the cache lies in the workspace, so that no other workspace uses it."""
+        return self.cache_dir.is_relative_to(self.root)
+
+    def object_path(self, oid: str) -> Path:
+        """Path of a cached object by its hash."""
+        return Path(self.repo.cache.local.oid_to_path(oid))
+
+    def use_run_cache(self, pull: bool) -> None:
+        """Verify what the run cache restores; if ``pull``, fetch what it lacks from the default remote."""
+        self.repo.stage_cache = RunCache(self.repo, pull=pull)
+
+    def remove_partial_copies(self) -> None:
+        """Remove temporary files of interrupted copies into the cache.
+
+        DVC removes them neither when it is killed nor when the disk is full.
+        """
+        if not self.cache.is_relative_to(self.repo.root_dir):
+            return  # shared: another repository may be writing
+        for pattern in (".*.tmp", "*/.*.tmp"):
+            for path in self.cache.glob(pattern):
+                with suppress(OSError):
+                    path.unlink()
 
 
 @contextmanager
-def held(root: str | Path = ".", wait: bool = False) -> Iterator[tuple[Repo, LockFiles]]:
+def open_repository(root: str | Path = ".", wait: bool = False) -> Iterator[OpenRepository]:
     """Open the DVC repository of a workspace and hold its lock.
 
-    The process works in ``root`` meanwhile: DVC resolves the outputs of its run cache against the current
-    directory.
+    The working directory is ``root`` meanwhile: DVC resolves the outputs of its run cache against the
+    current directory. Errors of DVC in the block are raised as ObjectFolderError.
 
     Parameters
     ----------
     root : Path
         Workspace, the directory that holds ``dvc.yaml``.
     wait : bool
-        If another process uses it, say which and wait until it ends; else refuse.
+        If another process uses the workspace, log which and wait until it ends; otherwise refuse.
 
     Raises
     ------
     ObjectFolderError
         If it is not a DVC workspace, another process uses it, or DVC cannot read it.
     """
-    if not Path(root).is_dir():
-        raise ObjectFolderError(f"{root} is not a directory; give the one that holds dvc.yaml")
+    root = Path(root).resolve()
+    if not root.is_dir():
+        raise ObjectFolderError(f"{root} is not a directory; expected the one that holds dvc.yaml")
     with _quiet(), chdir(root):
         try:
             repo = Repo()
         except NotDvcRepoError as error:
-            raise ObjectFolderError(
-                f"{Path.cwd()} is not inside a DVC repository; run `dvc init` there"
-            ) from error
+            raise ObjectFolderError(f"{root} is not inside a DVC repository; run `dvc init` there") from error
         except DvcException as error:
-            raise ObjectFolderError(f"DVC cannot open {Path.cwd()}: {error}") from error
+            raise ObjectFolderError(f"DVC cannot open {root}: {error}") from error
         with repo, _alone(repo, wait):
             lockfiles = LockFiles(Path(repo.root_dir))
-            with repo.scm_context(quiet=True), remembered(), lockfiles.serving():
-                yield repo, lockfiles
+            with repo.scm_context(quiet=True), replacements(lockfiles):
+                try:
+                    yield OpenRepository(repo, root, lockfiles)
+                except DvcException as error:
+                    raise ObjectFolderError(f"DVC cannot read the workspace {root}: {error}") from error
 
 
 def track(path: Path, root: str | Path = ".") -> None:
@@ -79,15 +135,15 @@ def track(path: Path, root: str | Path = ".") -> None:
     ObjectFolderError
         If DVC cannot, or another process uses the workspace.
     """
-    with owned(root) as repo:
+    with open_repository(root) as repository:
         try:
-            repo.add(str(path.resolve()))
+            repository.repo.add(str(path.resolve()))
         except DvcException as error:
             raise ObjectFolderError(f"DVC cannot track {path}: {error}; nothing was changed") from error
 
 
 def read_params(root: Path) -> dict[str, Any]:
-    """Contents of ``params.yaml``; empty if there is none."""
+    """Return the contents of ``params.yaml``; empty if it does not exist."""
     path = root / "params.yaml"
     try:
         values = load_yaml(path) if path.exists() else {}
@@ -110,7 +166,7 @@ def _quiet() -> Iterator[None]:
 
 
 class _Busy(Exception):
-    """Who uses the workspace."""
+    """Another process uses the workspace; the message names it."""
 
 
 @contextmanager
@@ -152,14 +208,14 @@ def _holder(repo: Repo) -> str:
 
 
 def _refuse_if_busy(repo: Repo) -> None:
-    # While `dvc repro` runs a command it gives the lock back and keeps only entries in this file.
+    # While `dvc repro` runs a command it releases the lock and keeps only entries in this file.
     path = Path(repo.tmp_dir) / RWLOCK_FILE
     try:
         entries = RWLOCK_SCHEMA(json.loads(path.read_text()))
     except FileNotFoundError:
         return
     except (ValueError, Invalid):
-        # Torn by a process that was killed while it wrote: nobody can be writing now, the lock is ours.
+        # Left by a process that was killed while writing; nobody writes now, because the lock is ours.
         path.unlink()
         return
     readers = itertools.chain.from_iterable(entries["read"].values())

@@ -1,4 +1,4 @@
-"""DVC's run cache, made to hash again what it gives back and to pull what it lacks."""
+"""DVC's run cache, extended to verify what it restores and to pull what is missing."""
 
 import logging
 import os
@@ -19,17 +19,17 @@ _log = logging.getLogger(__name__)
 
 
 class RunCache(StageCache):
-    """Stands in for ``repo.stage_cache``.
+    """Replacement for ``repo.stage_cache``.
 
-    DVC trusts a cached file whose permissions say that nobody wrote to it, and enters the hash that it ought
-    to have as the hash of the copy: a damaged object would be delivered, and recorded, as good.
+    DVC trusts a read-only cached file and records the expected hash for the copy without computing it: a
+    damaged object would be restored and recorded as valid.
 
     Parameters
     ----------
     repo : Repo
         Open DVC repository.
     pull : bool
-        Fetch objects that the run cache refers to and the cache lacks from the default remote.
+        Download missing cached objects from the default remote.
     """
 
     def __init__(self, repo: Repo, pull: bool = False):
@@ -37,17 +37,17 @@ class RunCache(StageCache):
         self.pull_objects = pull
 
     def _load_cache(self, key: str, value: str | None) -> dict[str, Any] | None:
-        # DVC makes a folder for the entry first, and trips over it if it was killed before the entry.
+        # A killed DVC leaves the folder of an entry empty, and fails on it later.
         return None if value is None else super()._load_cache(key, value)
 
     def _create_stage(self, cache: dict[str, Any], wdir: str | None = None) -> PipelineStage:
-        # DVC's `restore` makes this stage from an entry, and checks its outputs out if they are cached.
+        # DVC's `restore` creates this stage from an entry and checks out its outputs if they are cached.
         stage = super()._create_stage(cache, wdir)
         cached = stage.outs_cached
-        stage.outs_cached = lambda: self._whole(stage, cached)
+        stage.outs_cached = lambda: self._outs_cached(stage, cached)
         return stage
 
-    def _whole(self, stage: PipelineStage, cached: Any) -> bool:
+    def _outs_cached(self, stage: PipelineStage, cached: Any) -> bool:
         remove_damaged(stage.outs)
         if cached():
             return True
@@ -59,39 +59,30 @@ class RunCache(StageCache):
     def _pull(self, stage: PipelineStage) -> bool:
         try:
             return pull_outputs(self.repo, [stage]) == 0
-        except Exception as error:  # each kind of remote has its own
-            _log.warning("the remote cannot be reached any more: %s; going on with what is here", error)
+        except Exception as error:  # every kind of remote has its own errors
+            _log.warning("lost connection to the remote: %s; continuing without it", error)
             self.pull_objects = False
             return False
 
 
-def remove_damaged(outs: Iterable[Output]) -> list[str]:
-    """Remove cached files of some outputs whose content does not have the hash that names them.
-
-    Returns
-    -------
-    damaged : list of str
-        Paths of the files as they would be in the workspace.
-    """
-    damaged = []
+def remove_damaged(outs: Iterable[Output]) -> None:
+    """Remove cached files of outputs whose content does not match the hash in their name."""
     for out in outs:
         for path, oid in _files(out):
             cached = out.local_cache.oid_to_path(oid)
             try:
-                whole = file_md5(cached, name=out.hash_name) == oid.removesuffix(".dir")
+                valid = file_md5(cached, name=out.hash_name) == oid.removesuffix(".dir")
             except FileNotFoundError:
                 continue
-            if not whole:
+            if not valid:
                 _log.warning("%s: its copy in the cache, %s, is damaged and was removed", path, cached)
                 Path(cached).unlink()
-                damaged.append(path)
                 if oid.endswith(".dir"):
-                    break  # its listing is wrong too
-    return damaged
+                    break  # the rest of the listing cannot be trusted
 
 
 def _files(out: Output) -> Iterator[tuple[str, str]]:
-    """Path and hash of every cached file of an output; of a directory, the listing first."""
+    """Yield path and hash of every cached file of an output; for a directory, the listing first."""
     oid = out.hash_info.value
     if not oid:
         return

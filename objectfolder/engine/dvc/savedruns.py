@@ -1,4 +1,4 @@
-"""DVC's run cache, the record of what commands made of which inputs."""
+"""Entries of DVC's run cache: which outputs a command produced from which inputs."""
 
 import shutil
 from collections.abc import Iterator
@@ -11,16 +11,16 @@ from dvc.stage.serialize import to_single_stage_lockfile
 
 
 def saved_run(stage: Stage, changed: bool) -> Stage | None:
-    """Find the run whose outputs `steps.restore` would bring back; None if there is none, or not whole.
+    """Find the run whose outputs `steps.restore_run` would restore; None if missing or incomplete.
 
     Changes nothing on disk.
 
     Parameters
     ----------
     stage : Stage
-        Its dependencies hold the hashes that they will have.
+        Its dependencies hold the hashes that they will have when it runs.
     changed : bool
-        Whether command or dependencies differ from the lock file; if not, it says what to bring back.
+        Whether command or dependencies differ from the lock file; if not, the lock file names the outputs.
     """
     cache = stage.repo.stage_cache
     if not _can_hash(stage):
@@ -35,21 +35,21 @@ def saved_run(stage: Stage, changed: bool) -> Stage | None:
     return found if found.outs_cached() else None
 
 
-def entries(repo: Repo) -> Iterator[Path]:
-    """Files of the run cache."""
+def saved_runs(repo: Repo) -> Iterator[Path]:
+    """Yield the files of the run cache, one per saved run."""
     return (path for path in Path(repo.stage_cache.cache_dir).glob("*/*/*") if path.is_file())
 
 
-def outputs(text: str) -> str:
-    """The part of an entry that names the outputs; what comes before names the dependencies."""
+def saved_outputs(text: str) -> str:
+    """Return the part of an entry that lists the outputs; dependencies come before it."""
     return text.partition("\nouts:\n")[2]
 
 
-def remove(entry: Path) -> None:
-    """Remove an entry; the directory goes with its last one in one step, as DVC cannot read an empty one."""
+def remove_saved_run(entry: Path) -> None:
+    """Remove an entry, with its directory if it is the last one: DVC cannot read an empty directory."""
     if len(list(entry.parent.iterdir())) > 1:
         entry.unlink()
         return
     runs = entry.parents[2]
-    trash = entry.parent.rename(runs / f".{entry.parent.name}")  # where `entries` and DVC do not look
+    trash = entry.parent.rename(runs / f".{entry.parent.name}")  # ignored by `saved_runs` and DVC
     shutil.rmtree(trash)

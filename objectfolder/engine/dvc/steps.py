@@ -1,55 +1,130 @@
-"""What ``dvc repro`` does with one stage, taken apart so that the command can run elsewhere.
+"""``dvc repro`` of one stage, split into steps so that the command can run elsewhere.
 
 The order is DVC's (``Stage.reproduce``, ``Stage.run``, ``run_stage``) and matters: dependencies must not be
-saved before `restore`, or the run cache would take the old outputs for those of the new dependencies.
+saved before `restore_run`, or the run cache would store the old outputs under the new dependencies.
 """
 
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+from dvc.dependency import ParamsDependency
+from dvc.exceptions import DvcException
 from dvc.stage import Stage
 from dvc.stage.cache import RunCacheNotFoundError
 from dvc.stage.run import prepare_kwargs
 
-from objectfolder.engine.process import Command, environment
-from objectfolder.engine.resources import Needs
+from objectfolder.engine.dvc.runcache import remove_damaged
+from objectfolder.errors import ObjectFolderError
+
+
+@dataclass(frozen=True)
+class ShellCommand:
+    """Command of a stage.
+
+    Parameters
+    ----------
+    lines : sequence of str
+        Shell commands, to run one after another.
+    cwd : Path
+        Working directory.
+    env : mapping of str to str
+        Environment, with DVC's variables.
+    """
+
+    lines: Sequence[str]
+    cwd: Path
+    env: Mapping[str, str]
+
+
+@contextmanager
+def _explained() -> Iterator[None]:
+    """Raise DVC's errors as ObjectFolderError, with the cause that DVC often leaves out of the message."""
+    try:
+        yield
+    except DvcException as error:
+        cause = f": {error.__cause__}" if error.__cause__ else ""
+        raise ObjectFolderError(f"{error}{cause}") from error
 
 
 def has_command(stage: Stage) -> bool:
-    """Whether the stage runs a command; if not, it is data (``dvc add``), an import, or frozen."""
+    """Return whether a stage runs a command; otherwise it is data (``dvc add``), an import, or frozen."""
     return bool(stage.cmd) and not stage.frozen
 
 
-def restore(stage: Stage) -> bool:
-    """Remove the old outputs and bring the right ones back from the run cache, if it has them."""
+@_explained()
+def has_changed(stage: Stage) -> bool:
+    """Return whether a stage differs from the lock file."""
+    return bool(stage.changed())
+
+
+@_explained()
+def update_data(stage: Stage, force: bool) -> bool:
+    """Let DVC handle a stage without a command: it verifies data or downloads an import.
+
+    Returns
+    -------
+    bool
+        Whether anything was done.
+    """
+    if any(not out.exists for out in stage.outs):
+        remove_damaged(stage.outs)
+        stage.checkout(allow_missing=True)  # restores deleted data from the cache
+    return stage.reproduce(force=force) is not None
+
+
+@_explained()
+def restore_run(stage: Stage) -> bool:
+    """Replace old outputs by those in the run cache; return whether it had them."""
     stage.remove_outs(ignore_remove=False, force=False)
     try:
         stage.repo.stage_cache.restore(stage)
     except RunCacheNotFoundError:
         return False
-    save(stage)
+    _save(stage)
     return True
 
 
-def prepare(stage: Stage, log: Path, needs: Needs) -> Command:
-    """Get a stage ready to run: old outputs removed, dependencies hashed."""
+@_explained()
+def prepare_run(stage: Stage) -> ShellCommand:
+    """Remove old outputs, hash dependencies, and return the command to run."""
     stage.remove_outs(ignore_remove=False, force=False)
     stage.save_deps()
-    base = prepare_kwargs(stage)
     lines = stage.cmd if isinstance(stage.cmd, list) else stage.cmd.splitlines()
-    return Command(
-        lines=lines,
-        cwd=Path(stage.wdir),
-        env=environment(base["env"], needs.cpus),
-        log=log,
-        timeout=needs.timeout,
-    )
+    return ShellCommand(lines, Path(stage.wdir), prepare_kwargs(stage)["env"])
 
 
-def save(stage: Stage) -> None:
-    """Hash what a command has written and put it into DVC's cache and run cache."""
+@_explained()
+def save_run(stage: Stage) -> None:
+    """Hash the outputs of a finished command and store them in DVC's cache and run cache."""
+    _save(stage)
+
+
+def output_paths(stage: Stage) -> list[Path]:
+    """Return the paths of the outputs of a stage."""
+    return [Path(out.fs_path) for out in stage.outs]
+
+
+def input_state(stage: Stage) -> dict[str, Any]:
+    """Return command, parameters and hashes of the dependencies on disk, as JSON values."""
+    values: dict[str, Any] = {"cmd": stage.cmd}
+    for dep in stage.deps:
+        try:
+            values[str(dep)] = dep.get_hash().value
+        except (DvcException, OSError):
+            values[str(dep)] = None
+        if isinstance(dep, ParamsDependency):
+            values[str(dep)] = json.dumps(values[str(dep)], sort_keys=True, default=str)
+    return values
+
+
+def _save(stage: Stage) -> None:
     plain = (out for out in stage.outs if not (out.is_metric or out.is_plot))
     run_cache = all(out.use_cache for out in plain)
-    # Unlike DVC, not the dependencies: what changed while the command ran must count as changed.
+    # Unlike DVC, do not hash the dependencies again: one that changed during the run must count as changed.
     stage.save_outs()
     stage.md5 = stage.compute_md5()
     if run_cache:

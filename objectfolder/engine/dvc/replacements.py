@@ -1,46 +1,70 @@
-"""What DVC does again for every stage, done once while the engine owns the repository.
+"""The only place that replaces parts of DVC, for as long as the engine holds a repository's lock.
 
-DVC reads ``params.yaml`` anew for each stage, asks its database for a file's hash each time that a stage
-mentions it, rewrites a file of read and write locks around each of its own calls, and commits a transaction
-for each output that it checks out: with a thousand objects that is most of a build. Nobody else may change
-the repository's state while its lock is held, so the first two are remembered (until the file changes), the
-third is not needed, and the fourth waits for the end. DVC is pinned; the tests compare what is written with
-what DVC itself writes.
+DVC parses ``params.yaml`` for every stage, queries its hash database each time a stage mentions a file,
+rewrites a file of read and write locks around each of its calls, commits a transaction for every output that
+it checks out, and parses ``dvc.lock`` at every start. With a thousand objects, that dominates a build. While
+the lock is held nobody else changes the repository, so parsed files and hashes are cached until the file
+changes, the inner locks are skipped, and transactions are batched.
+
+DVC is pinned. tests/engine/dvc/test_contract.py checks each replaced name and its signature.
 """
 
 import copy
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
+from dvc import rwlock
 from dvc.dependency import param
+from dvc.dvcfile import Lockfile
 from dvc.output import Output
+from dvc.utils import serialize
 from dvc_data.hashfile.state import State
 from dvc_objects.fs.utils import relpath
 
 from objectfolder.engine.dvc import emit
+from objectfolder.engine.dvc.lockfile import LockFiles
 
+#: Version of DVC whose internals this package knows.
+DVC_VERSION = "3.67.1"
+#: What `replacements` replaces: (owner, attribute).
+REPLACED: tuple[tuple[Any, str], ...] = (
+    (param, "read_param_file"),
+    (rwlock, "rwlock"),
+    (State, "set_link"),
+    (serialize, "dump_yaml"),
+    (Output, "_get_hash_meta"),
+    (Lockfile, "_load"),
+)
 MISSING = object()
 
 
 @contextmanager
-def remembered() -> Iterator[None]:
-    """Let DVC work so; needs the repository's lock."""
+def replacements(lockfiles: LockFiles) -> Iterator[None]:
+    """Replace slow parts of DVC until the block ends; requires the repository's lock."""
     links: dict[State, dict[str, Any]] = {}
+    parse = Lockfile._load
 
     def set_link(state: State, path: str, inode: int, mtime: str) -> None:
         links.setdefault(state, {})[relpath(path, state.root_dir)] = inode, mtime
 
-    with (
-        patch.object(param, "read_param_file", _Params(param.read_param_file)),
-        patch("dvc.rwlock.rwlock", lambda *_: nullcontext()),
-        patch.object(State, "set_link", set_link),
-        patch("dvc.utils.serialize.dump_yaml", lambda path, data: Path(path).write_text(emit.dumps(data))),
-        patch.object(Output, "_get_hash_meta", _remember_hashes(Output._get_hash_meta)),
-    ):
+    def load_lockfile(lockfile: Lockfile, **kwargs: Any) -> tuple[Any, str]:
+        return lockfiles.read(Path(lockfile.path).absolute(), lambda: parse(lockfile, **kwargs))
+
+    values = (
+        _Params(param.read_param_file),
+        lambda *_: nullcontext(),
+        set_link,
+        lambda path, data: Path(path).write_text(emit.dumps(data)),
+        _cached_hashes(Output._get_hash_meta),
+        load_lockfile,
+    )
+    with ExitStack() as restore:
+        for (owner, name), value in zip(REPLACED, values, strict=True):
+            restore.callback(setattr, owner, name, vars(owner)[name])
+            setattr(owner, name, value)
         try:
             yield
         finally:
@@ -51,7 +75,7 @@ def remembered() -> Iterator[None]:
 
 
 class _Params:
-    """`dvc.dependency.param.read_param_file` that parses a file again only if it has changed."""
+    """`dvc.dependency.param.read_param_file` that parses a file only if it has changed."""
 
     def __init__(self, read: Any):
         self._read = read
@@ -60,7 +84,7 @@ class _Params:
     def __call__(
         self, fs: Any, path: str, key_paths: list[str] | None = None, flatten: bool = False, **kwargs: Any
     ) -> Any:
-        # DVC's own names may be patterns; a plain path of keys is looked up directly.
+        # A plain path of keys is looked up directly; patterns are left to DVC.
         if not flatten or not key_paths or any(set(key) & set("*?[]") for key in key_paths):
             return self._read(fs, path, key_paths, flatten, **kwargs)
         values = self._load(fs, path, **kwargs)
@@ -75,11 +99,11 @@ class _Params:
         return self._files[path][1]
 
 
-def _remember_hashes(get_hash_meta: Any) -> Any:
-    """`Output._get_hash_meta` that asks again only if the file has changed, as DVC's database would tell."""
+def _cached_hashes(get_hash_meta: Any) -> Any:
+    """Wrap `Output._get_hash_meta` to hash a file only if it has changed, as DVC's database decides."""
     hashes: dict[tuple[str, str], tuple[tuple[int, int, int], Any]] = {}
 
-    def remembering(out: Output) -> Any:
+    def cached(out: Output) -> Any:
         if out.protocol != "local":
             return get_hash_meta(out)
         status = Path(out.fs_path).stat()
@@ -91,7 +115,7 @@ def _remember_hashes(get_hash_meta: Any) -> Any:
             hashes[key] = stamp, get_hash_meta(out)
         return hashes[key][1]
 
-    return remembering
+    return cached
 
 
 def _get(values: Any, key_path: str) -> Any:

@@ -1,0 +1,233 @@
+"""Differences between stages and their records, and the outputs that the next build will restore."""
+
+import hashlib
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dvc.dependency import ParamsDependency
+from dvc.exceptions import DvcException
+from dvc.stage import PipelineStage, Stage
+from dvc_data.hashfile.hash_info import HashInfo
+from dvc_data.hashfile.meta import Meta
+from dvc_data.hashfile.tree import Tree
+
+from objectfolder.engine.dvc import steps
+from objectfolder.engine.dvc.graph import StageGraph
+from objectfolder.engine.dvc.savedruns import saved_run
+from objectfolder.workspace.code_digests import digests
+from objectfolder.workspace.layout import code_list
+
+#: Future content of an output: metadata and hash by path inside it; a file has the empty path.
+Content = dict[tuple[str, ...], tuple[Meta, HashInfo]]
+
+
+@dataclass(frozen=True)
+class Changes:
+    """Differences between a stage and its record.
+
+    Parameters
+    ----------
+    inputs : tuple of str
+        Changes of its command, parameters, and dependencies that no stale stage writes.
+    missing : tuple of str
+        Outputs that are missing.
+    altered : tuple of str
+        Outputs that differ from the record.
+    waits_for : tuple of str
+        Upstream stages that are not up to date and will change its dependencies.
+    recorded : bool
+        Whether it has ever been built.
+    predictable : bool
+        Whether the dependencies that it will get are known without running anything.
+    restorable : bool
+        Whether its outputs will come from the cache.
+    """
+
+    inputs: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
+    altered: tuple[str, ...] = ()
+    waits_for: tuple[str, ...] = ()
+    recorded: bool = True
+    predictable: bool = True
+    restorable: bool = False
+
+    @property
+    def fresh(self) -> bool:
+        """Whether there are none."""
+        return self.recorded and not (self.inputs or self.missing or self.altered or self.waits_for)
+
+
+class ChangeTracker:
+    """Finds the changes of stages in topological order, predicting the outputs of stale stages.
+
+    Parameters
+    ----------
+    graph : StageGraph
+        Stages to examine.
+    root : Path
+        Workspace.
+    """
+
+    def __init__(self, graph: StageGraph, root: Path):
+        self.graph = graph
+        self.root = root
+        # By stale stage and path of an output; None if only a run can tell.
+        self.future: dict[str, dict[str, Content | None]] = {}
+        self.modules: dict[Path, str | None] = {}  # by script: digests of the modules that it imports
+
+    def changes(self, address: str) -> Changes:
+        """Compare a stage with its record; stages upstream must have been compared before."""
+        stage = self.graph.stages[address]
+        if not steps.has_command(stage):
+            return self._data_changes(address, stage)
+        own = ["its command changed"] if isinstance(stage, PipelineStage) and stage.cmd_changed else []
+        if stage.is_callback or stage.always_changed:
+            own.append("it runs every time")
+        waits_for, predictable = [], True
+        hashes: dict[int, tuple[Meta, HashInfo]] = {}
+        for number, dep in enumerate(stage.deps):
+            if isinstance(dep, ParamsDependency):
+                own += _changed_params(dep)
+                continue
+            producer, expected = self._expected(address, dep.fs_path)
+            if not producer:
+                own += [self._code_change(dep) or f"{dep} {_words(word)}" for word in dep.status().values()]
+            elif expected is None:
+                predictable = False
+                waits_for.append(producer)
+            else:
+                hashes[number] = expected
+                if expected[1] != dep.hash_info:
+                    change = self._code_change(dep)
+                    own += [change] if change else []
+                    waits_for += [] if change else [producer]
+        missing, altered = _output_changes(stage)
+        recorded = any(out.hash_info for out in stage.outs)
+        found = Changes(tuple(own), missing, altered, tuple(dict.fromkeys(waits_for)), recorded, predictable)
+        if found.fresh:
+            return found
+        run = _find_run(stage, hashes, bool(own or waits_for or not recorded)) if predictable else None
+        if run is None:
+            self.future[address] = dict.fromkeys((out.fs_path for out in stage.outs), None)
+            return found
+        self.future[address] = {out.fs_path: _content(out) for out in run.outs}
+        return Changes(found.inputs, missing, altered, found.waits_for, recorded, restorable=True)
+
+    def _data_changes(self, address: str, stage: Stage) -> Changes:
+        missing, altered = _output_changes(stage)
+        if not missing and not altered:
+            return Changes()
+        restorable = bool(missing) and all(not out.changed_cache() for out in stage.outs)
+        if restorable or not missing:
+            # A build records changed data as it is, and restores missing data as recorded.
+            present = {out.fs_path: out._get_hash_meta() for out in stage.outs if out.exists}
+            self.future[address] = {
+                out.fs_path: {(): present[out.fs_path]} if out.fs_path in present else _content(out)
+                for out in stage.outs
+            }
+        else:
+            self.future[address] = dict.fromkeys((out.fs_path for out in stage.outs), None)
+        return Changes(missing=missing, altered=altered, restorable=restorable)
+
+    def _expected(self, address: str, path: str) -> tuple[str, tuple[Meta, HashInfo] | None]:
+        """Return the stale stage that will write a path, or an empty string, and the predicted content."""
+        for producer in sorted(self.graph.upstream[address]):
+            for out, content in self.future.get(producer, {}).items():
+                if out.startswith(path + os.sep):
+                    return producer, None  # a directory that holds the output and other files
+                if path != out and not path.startswith(out + os.sep):
+                    continue
+                if Path(out) == self.root / code_list("").parent:
+                    return producer, self._code(path)
+                inside = Path(path).relative_to(out).parts
+                return producer, (content or {}).get(inside)
+        return "", None
+
+    def _code(self, path: str) -> tuple[Meta, HashInfo] | None:
+        """Return the future content of a stage's list of modules, predicted from the sources."""
+        text = self._modules(path)
+        if text is None:
+            return None
+        digest = hashlib.md5(text.encode(), usedforsecurity=False).hexdigest()
+        return Meta(size=len(text)), HashInfo("md5", digest)
+
+    def _modules(self, path: str) -> str | None:
+        script = Path("stages", f"{Path(path).stem}.py")
+        if script not in self.modules:
+            self.modules[script] = digests(script, self.root) if (self.root / script).is_file() else None
+        return self.modules[script]
+
+    def _code_change(self, dep: Any) -> str:
+        """Name the changed modules if the dependency is a list of modules; otherwise return nothing."""
+        if Path(dep.fs_path).parent != self.root / code_list("").parent or not dep.hash_info:
+            return ""
+        new = self._modules(dep.fs_path)
+        try:
+            old = Path(dep.repo.cache.local.oid_to_path(dep.hash_info.value)).read_text()
+        except OSError:
+            return ""
+        lines = set(old.splitlines()) ^ set((new or "").splitlines())
+        return "code changed: " + ", ".join(sorted({line.split()[1] for line in lines}))
+
+
+def _changed_params(dep: ParamsDependency) -> list[str]:
+    changed = dep.status().get(str(dep), {})
+    if isinstance(changed, str):
+        return [f"{dep} {_words(changed)}"]
+    old, new = dep.hash_info.value or {}, dep.read_params()
+    return [reason for name in changed for reason in _differences(name, old.get(name), new.get(name))]
+
+
+def _differences(name: str, old: Any, new: Any) -> list[str]:
+    """List the leaves of nested parameters that differ, with both values."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        names = dict.fromkeys([*old, *new])
+        return [text for key in names for text in _differences(f"{name}.{key}", old.get(key), new.get(key))]
+    return [] if old == new else [f"{name}: {_shortened(old)} -> {_shortened(new)}"]
+
+
+def _shortened(value: Any) -> str:
+    text = "nothing" if value is None else str(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _output_changes(stage: Stage) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return descriptions of missing and of altered outputs."""
+    missing: list[str] = []
+    altered: list[str] = []
+    for out in stage.outs:
+        if not out.hash_info:
+            continue
+        for word in out.status().values():
+            if word == "not in cache":
+                missing.append(f"{out} is gone from the cache" if out.exists else f"{out} is missing")
+            else:
+                (missing if word == "deleted" else altered).append(f"{out} {_words(word)}")
+    return tuple(missing), tuple(altered)
+
+
+def _words(word: str) -> str:
+    return {"deleted": "is missing", "modified": "changed", "new": "is new"}.get(word, f"is {word}")
+
+
+def _find_run(stage: Stage, hashes: dict[int, tuple[Meta, HashInfo]], changed: bool) -> Stage | None:
+    """Set the future hashes of the dependencies, and look up the saved run with these inputs."""
+    try:
+        for number, dep in enumerate(stage.deps):
+            if isinstance(dep, ParamsDependency):
+                dep.hash_info = dep.get_hash()
+            else:
+                dep.meta, dep.hash_info = hashes[number] if number in hashes else dep._get_hash_meta()
+        return saved_run(stage, changed)
+    except (DvcException, OSError):  # a dependency is missing: the stage will fail
+        return None
+
+
+def _content(out: Any) -> Content:
+    content: Content = {(): (out.meta, out.hash_info)}
+    tree = out.get_obj() if out.hash_info.isdir else None
+    if isinstance(tree, Tree):
+        content |= {parts: (meta or Meta(), found) for parts, meta, found in tree if found}
+    return content

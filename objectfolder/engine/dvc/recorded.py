@@ -1,0 +1,115 @@
+"""Files that the lock files describe, in the workspace and in the cache."""
+
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import networkx as nx
+from dvc.exceptions import DvcException
+from dvc_data.hashfile.hash import file_md5
+from dvc_data.hashfile.hash_info import HashInfo
+from dvc_data.hashfile.meta import Meta
+from dvc_data.hashfile.tree import Tree
+
+from objectfolder.engine.dvc import steps
+from objectfolder.engine.dvc.graph import address_of, all_stages, stage_graph
+from objectfolder.engine.dvc.repository import OpenRepository
+
+#: Permissions by which DVC marks a cached object whose hash is known.
+READ_ONLY = 0o444
+
+
+@dataclass(frozen=True)
+class RecordedFile:
+    """A file or directory that a lock file describes.
+
+    Parameters
+    ----------
+    address : str
+        Stage that writes it.
+    out : dvc.output.Output
+        Output that it is, or is part of.
+    path : Path
+        Path in the workspace.
+    oid : str
+        Recorded hash; ends in ``.dir`` for a directory.
+    hash_name : str
+        Kind of the hash.
+    cached : Path, optional
+        Path in the cache, of the listing if it is a directory; None if it is not cached.
+    """
+
+    address: str
+    out: Any
+    path: Path
+    oid: str
+    hash_name: str
+    cached: Path | None
+
+    @property
+    def rebuildable(self) -> bool:
+        """Whether a command writes it."""
+        return steps.has_command(self.out.stage)
+
+    def members(self) -> Iterator["RecordedFile"]:
+        """Yield the files of a directory from its listing in the cache, which must be valid."""
+        if self.cached is not None:
+            for member in json.loads(self.cached.read_text()):
+                cached = Path(self.out.cache.oid_to_path(member["md5"]))
+                yield replace(self, path=self.path / member["relpath"], oid=member["md5"], cached=cached)
+
+
+def recorded_outputs(repository: OpenRepository, targets: Sequence[str]) -> Iterator[RecordedFile]:
+    """Yield the recorded outputs of targets and everything upstream; without targets, of all stages."""
+    stages = stage_graph(repository, targets).stages if targets else all_stages(repository)
+    for address, stage in stages.items():
+        for out in stage.outs:
+            if out.hash_info:
+                oid = out.hash_info.value
+                cached = Path(out.cache.oid_to_path(oid)) if out.use_cache else None
+                yield RecordedFile(address, out, Path(out.fs_path), oid, out.hash_name, cached)
+
+
+def cached_objects(repository: OpenRepository) -> Iterator[tuple[Path, str]]:
+    """Yield path and hash of every cached object."""
+    for path in repository.cache.glob("??/*"):
+        oid = path.parent.name + path.name
+        if len(oid.removesuffix(".dir")) == 32 and path.is_file():
+            yield path, oid
+
+
+def cache_hash_name(repository: OpenRepository) -> str:
+    """Return the kind of the hashes of cached objects."""
+    return str(repository.repo.cache.local.hash_name)
+
+
+def file_hash(path: Path, hash_name: str) -> str:
+    """Return DVC's hash of a file."""
+    return str(file_md5(str(path), name=hash_name))
+
+
+def listing_of(digests: Mapping[tuple[str, ...], str]) -> tuple[str, bytes]:
+    """Return hash and content of the listing of a directory, from the hashes of its files by path parts."""
+    tree = Tree()
+    for parts, digest in digests.items():
+        tree.add(parts, Meta(), HashInfo("md5", digest))
+    tree.digest()
+    return (str(tree.hash_info.value) if tree.hash_info else ""), tree.as_bytes()
+
+
+def with_downstream(repository: OpenRepository, outs: Iterable[Any]) -> set[str]:
+    """Return the addresses of the stages of outputs and of everything downstream."""
+    graph = repository.repo.index.graph  # edges point from a stage to its dependencies
+    stages = {out.stage for out in outs}
+    found = set().union(stages, *(nx.ancestors(graph, stage) for stage in stages))
+    return {address_of(stage, repository.root) for stage in found}
+
+
+def check_out(outs: Iterable[Any]) -> None:
+    """Restore outputs from the cache; skip those that are incomplete."""
+    for out in outs:
+        with suppress(DvcException):
+            out.checkout(force=True)
