@@ -137,7 +137,7 @@ def test_a_cache_outside_the_workspace_is_left(workspace, tmp_path):
     before = sorted((tmp_path / "cache").rglob("*"))
     remove(workspace, "mug")
     waste = survey(workspace.root)
-    assert any("may serve other workspaces" in note for note in waste.left)
+    assert any("other workspaces may use it" in note for note in waste.left)
     prune(waste, workspace.root)
     assert sorted((tmp_path / "cache").rglob("*")) == before
     assert not (workspace.root / "build/mug").exists()

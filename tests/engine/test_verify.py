@@ -103,7 +103,7 @@ def test_dvc_does_not_see_what_verify_finds_and_repairs(workspace):
         "build/mug/prepare.txt": (
             "mug",
             "prepare",
-            "its object in the cache is damaged (1 saved runs would bring it back)",
+            "its object in the cache is damaged (1 saved runs would restore it)",
             "--repair copies the checked-out file there",
         ),
         "build/bowl/prepare.txt": (
@@ -177,7 +177,7 @@ def test_what_only_earlier_states_refer_to_is_read_too_and_not_brought_back_bad(
     spoil(old)
     (finding,) = verify((), workspace.root).findings
     assert (finding.address, finding.path) == ("", str(old.relative_to(workspace.root)))
-    assert "saved runs would bring it back" in finding.problem
+    assert "saved runs would restore it" in finding.problem
     assert found(workspace, "mug") == set()
     assert verify((), workspace.root, repair=True).findings == ()
     assert not old.exists()
