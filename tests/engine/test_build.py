@@ -172,7 +172,7 @@ def test_wrong_arguments_and_workspaces(workspace, tmp_path):
     with pytest.raises(ObjectFolderError, match="dvc init"):
         build(root=tmp_path)
     (workspace.root / "dvc.yaml").write_text("stages: 3\n")
-    with pytest.raises(ObjectFolderError, match="cannot read the pipeline"):
+    with pytest.raises(ObjectFolderError, match="cannot read the workspace"):
         build(root=workspace.root)
     (workspace.root / "dvc.yaml").unlink()
     with pytest.raises(ObjectFolderError, match=r"no dvc\.yaml"):

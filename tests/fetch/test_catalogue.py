@@ -144,7 +144,7 @@ def test_an_address_can_be_replaced(catalogue):
     [
         ("nowhere=https://x/{model}", "SOURCE one of polyhaven, ycb, gso"),
         ("https://x/{model}", "SOURCE one of"),
-        ("ycb=https://x/mug.tgz", "{model} where the object's id goes"),
+        ("ycb=https://x/mug.tgz", "{model} in place of the object's id"),
         ("ycb=file:///{model}", "use --from DIR"),
     ],
 )

@@ -1,6 +1,7 @@
 """What the engine replaces in DVC, or relies on, exists in the pinned version with the known signature."""
 
 import inspect
+from contextlib import suppress
 
 import dvc
 import pytest
@@ -90,7 +91,7 @@ def test_other_names_relied_on_exist():
 
 def test_replacements_are_undone(tmp_path):
     before = [vars(owner)[name] for owner, name in REPLACED]
-    with pytest.raises(ZeroDivisionError), replacements(LockFiles(tmp_path)):
+    with suppress(KeyboardInterrupt), replacements(LockFiles(tmp_path)):
         assert all(vars(owner)[name] is not value for (owner, name), value in zip(REPLACED, before))
-        raise ZeroDivisionError
+        raise KeyboardInterrupt
     assert [vars(owner)[name] for owner, name in REPLACED] == before
