@@ -9,14 +9,7 @@ ENTRY_POINT = "main"  # of a process: the command line, the supervisor, Blender'
 
 #: Names that several modules still share, and how many do. Shrink this list; never extend it.
 SHARED = {
-    "Options": 2,
-    "Outcome": 2,
-    "Status": 2,
-    "check": 2,
-    "describe": 2,
     "read_checkpoint": 2,
-    "record": 2,
-    "unpack": 2,
 }
 
 

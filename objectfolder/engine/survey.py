@@ -132,7 +132,7 @@ def take_survey(repository: OpenRepository, targets: Sequence[str], jobs: int | 
     return survey
 
 
-def references(repository: OpenRepository, survey: Survey) -> dict[str, list[Path]]:
+def runs_by_object(repository: OpenRepository, survey: Survey) -> dict[str, list[Path]]:
     """Return the saved runs that refer to each bad object."""
     bad = survey.bad_objects()
     found: dict[str, list[Path]] = {}

@@ -14,7 +14,7 @@ from objectfolder.engine.dvc.recorded import RecordedFile
 from objectfolder.engine.dvc.repository import open_repository
 from objectfolder.engine.repair import remove_dead_runs, restore_files
 from objectfolder.engine.summary import Addressed, Listener, Summary
-from objectfolder.engine.survey import Survey, Track, references, take_survey
+from objectfolder.engine.survey import Survey, Track, runs_by_object, take_survey
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def verify(
     """
     with open_repository(root) as repository:
         survey = take_survey(repository, targets, jobs, track)
-        defects = _defects(survey, references(repository, survey))
+        defects = _defects(survey, runs_by_object(repository, survey))
         if not repair or not defects:
             return _report(survey, defects)
         bad = survey.bad_objects()
@@ -102,7 +102,7 @@ def verify(
     with open_repository(root) as repository:
         remove_dead_runs(repository, bad)
         survey = take_survey(repository, targets, jobs, track)
-        return replace(_report(survey, _defects(survey, references(repository, survey))), rebuilt=summary)
+        return replace(_report(survey, _defects(survey, runs_by_object(repository, survey))), rebuilt=summary)
 
 
 def _report(survey: Survey, defects: list[Defect]) -> VerifyReport:
