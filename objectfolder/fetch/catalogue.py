@@ -15,7 +15,7 @@ from objectfolder.materials import material
 from objectfolder.workspace import params
 
 
-class Source(params.Record):
+class MeshSource(params.Record):
     """A collection of meshes; ``{model}`` in a URL stands for the object's id there."""
 
     title: str
@@ -54,10 +54,10 @@ class Entry(params.Record):
 class Catalogue(params.Record):
     """Sources and objects by key."""
 
-    sources: dict[str, Source]
+    sources: dict[str, MeshSource]
     objects: dict[str, Entry]
 
-    def source(self, key: str) -> Source:
+    def source(self, key: str) -> MeshSource:
         """Return the source of an object."""
         return self.sources[self.objects[key].source]
 
@@ -115,7 +115,7 @@ def read_catalogue(path: Path, urls: Sequence[str] = ()) -> Catalogue:
     return catalogue.model_copy(update={"sources": _with_urls(catalogue.sources, urls)})
 
 
-def _with_urls(sources: Mapping[str, Source], urls: Sequence[str]) -> dict[str, Source]:
+def _with_urls(sources: Mapping[str, MeshSource], urls: Sequence[str]) -> dict[str, MeshSource]:
     changed: dict[str, Any] = {}
     for option in urls:
         name, equals, template = option.partition("=")
@@ -133,7 +133,7 @@ def _with_urls(sources: Mapping[str, Source], urls: Sequence[str]) -> dict[str, 
     return result
 
 
-def normalized(name: str) -> str:
+def comparable_name(name: str) -> str:
     """Return a name in lower case without punctuation, for comparison."""
     return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
 
@@ -152,16 +152,15 @@ def select_objects(catalogue: Catalogue, wanted: Sequence[str]) -> list[str]:
         If there is no such object; the message lists similar names.
     """
     known = {
-        normalized(name): key
+        comparable_name(name): key
         for key, entry in catalogue.objects.items()
         for name in (key, entry.name, entry.source_model)
     }
     for name in wanted:
-        if normalized(name) not in known:
-            near = [key for form, key in known.items() if normalized(name) in form]
-            near += [known[form] for form in difflib.get_close_matches(normalized(name), known, 5)]
-            hint = (
-                f"similar: {', '.join(list(dict.fromkeys(near))[:8])}; " if near and normalized(name) else ""
-            )
+        if comparable_name(name) not in known:
+            near = [key for form, key in known.items() if comparable_name(name) in form]
+            near += [known[form] for form in difflib.get_close_matches(comparable_name(name), known, 5)]
+            shown = ", ".join(list(dict.fromkeys(near))[:8])
+            hint = f"similar: {shown}; " if near and comparable_name(name) else ""
             raise ObjectFolderError(f"no object {name!r} in the catalogue; {hint}--list shows all of them")
-    return list(dict.fromkeys(known[normalized(name)] for name in wanted))
+    return list(dict.fromkeys(known[comparable_name(name)] for name in wanted))

@@ -4,12 +4,12 @@ import shutil
 from pathlib import Path
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fetch.catalogue import Source
+from objectfolder.fetch.catalogue import MeshSource
 from objectfolder.mesh.reading.load import FORMATS
 from objectfolder.workspace.objects import references
 
 
-def find_mesh(tree: Path, source: Source) -> Path:
+def find_mesh(tree: Path, source: MeshSource) -> Path:
     """Return the mesh at the source's path, otherwise with the source's file name, otherwise the only mesh.
 
     Raises

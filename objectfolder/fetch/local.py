@@ -6,7 +6,7 @@ from urllib.parse import unquote
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fetch.archive import SUFFIXES
-from objectfolder.fetch.catalogue import Catalogue, normalized
+from objectfolder.fetch.catalogue import Catalogue, comparable_name
 
 
 def find_local(directory: Path, catalogue: Catalogue, key: str) -> Path:
@@ -30,9 +30,13 @@ def find_local(directory: Path, catalogue: Catalogue, key: str) -> Path:
             f"--from {directory} is not a directory; expected one with archives or folders"
         )
     entry = catalogue.objects[key]
-    ids = {normalized(entry.name), normalized(entry.source_model)}
+    ids = {comparable_name(entry.name), comparable_name(entry.source_model)}
     archive = unquote(catalogue.archive_name(key))
-    exact = ids | {normalized(f"{entry.source}_{name}") for name in ids} | {normalized(key), _form(archive)}
+    exact = (
+        ids
+        | {comparable_name(f"{entry.source}_{name}") for name in ids}
+        | {comparable_name(key), _form(archive)}
+    )
     candidates = sorted(
         path
         for path in directory.iterdir()
@@ -61,4 +65,4 @@ def find_local(directory: Path, catalogue: Catalogue, key: str) -> Path:
 
 def _form(name: str) -> str:
     suffix = next((suffix for suffix in SUFFIXES if name.lower().endswith(suffix)), "")
-    return normalized(name[: len(name) - len(suffix)])
+    return comparable_name(name[: len(name) - len(suffix)])
