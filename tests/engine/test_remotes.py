@@ -180,7 +180,7 @@ def test_object_that_the_remote_lacks_or_has_damaged_is_built_again(shared, faul
     assert "solve@mug" in fresh.ran()
     assert content(fresh) == content(shared)
     assert (
-        "files are not in remote store" if fault == "missing" else "is damaged and was removed"
+        "files are missing in remote store" if fault == "missing" else "is damaged and was removed"
     ) in caplog.text
     assert "up to date" in fresh.dvc("status")
 
@@ -222,7 +222,7 @@ def test_outage_during_a_build_is_said_once_and_the_stages_are_built(shared, ser
 def test_remote_directory_that_is_not_there_is_said(shared, caplog):
     configure(shared, url=str(shared.root.parent / "nowhere"))
     assert build(["prepare@mug"], root=shared.root, options=PULL).ok
-    assert "nowhere) is empty or not there" in caplog.text
+    assert "nowhere) is empty or does not exist" in caplog.text
 
 
 def test_pull_without_a_remote_or_what_speaks_to_it_is_refused(shared):
