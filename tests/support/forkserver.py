@@ -179,7 +179,9 @@ def serve(path: str, shim: str) -> None:
     Path(path + ".new").rename(path)
     leases, started = set(), False
     while leases or not started:
-        ready, _, _ = select.select([listener, *leases], [], [])
+        ready, _, _ = select.select([listener, *leases], [], [], None if started else 60)
+        if not ready:  # who started it was killed meanwhile
+            break
         for connection in ready:
             if connection is not listener:
                 leases.discard(connection)  # it never says more: it has ended
