@@ -22,7 +22,7 @@ with atheris.instrument_imports(include=["objectfolder"]):
     import torch
 
     from objectfolder.errors import ObjectFolderError
-    from objectfolder.released.convert import Options, convert
+    from objectfolder.released.convert import ImportOptions, convert
 
 FOLDER = Path(tempfile.mkdtemp(prefix="fuzz"))
 PICKLE = 2000  # leading bytes of the older format, which hold its structure
@@ -72,7 +72,7 @@ def main() -> None:
     torch.set_num_threads(1)
     logging.disable()
     files, path = whole_files(), FOLDER / "ObjectFile.pth"
-    options = Options(key="fuzzed", bounds=np.array([[-0.5] * 3, [0.5] * 3]))
+    options = ImportOptions(key="fuzzed", bounds=np.array([[-0.5] * 3, [0.5] * 3]))
 
     def once(raw: bytes) -> None:
         data = atheris.FuzzedDataProvider(raw)

@@ -9,7 +9,6 @@ ENTRY_POINT = "main"  # of a process: the command line, the supervisor, Blender'
 
 #: Names that several modules still share, and how many do. Shrink this list; never extend it.
 SHARED = {
-    "read_checkpoint": 2,
 }
 
 

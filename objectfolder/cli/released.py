@@ -53,11 +53,11 @@ def import_released(
 
     `objectfolder import Objects/25/ObjectFile.pth bowl.safetensors --bounds -0.1 -0.1 -0.05 0.1 0.1 0.05`
     """
-    from objectfolder.released.convert import Options, convert
+    from objectfolder.released.convert import ImportOptions, convert
     from objectfolder.workspace.layout import MODALITIES
 
     box = None if bounds is None else np.reshape(bounds, (2, 3))
-    options = Options(key, material, scale, box, mesh, sensor, gel, crop)
+    options = ImportOptions(key, material, scale, box, mesh, sensor, gel, crop)
     obj = convert(file, options)
     obj.save(out)
     held = [f"{m} ({obj.header[m]['kind']})" for m in ("geometry", *MODALITIES) if m in obj.header]

@@ -99,7 +99,7 @@ class GainsNet(nn.Module):
         tensors = {}
         for name, value in self.state_dict().items():
             if name in INT8:
-                tensors[name], tensors[f"{name}_exponent"] = int8.pack(value)
+                tensors[name], tensors[f"{name}_exponent"] = int8.to_codes(value)
             elif value.dtype == torch.bool:
                 tensors[name] = np.packbits(value.numpy())
             else:
@@ -122,7 +122,7 @@ class GainsNet(nn.Module):
             if name.endswith("_exponent"):
                 continue
             if value.dtype == np.int8:
-                state[name] = int8.unpack(np.array(value), np.array(tensors[f"{name}_exponent"]))
+                state[name] = int8.from_codes(np.array(value), np.array(tensors[f"{name}_exponent"]))
             else:
                 state[name] = torch.from_numpy(np.array(value))
         state["grid.used"] = used

@@ -122,7 +122,7 @@ def _finish(
 ) -> None:
     """Round the net to what is stored, and solve for its output layer by least squares over all points."""
     for matrix in (net.grid.table, net.sines.weights[1]):
-        matrix.copy_(int8.rounded(matrix))
+        matrix.copy_(int8.round_to_codes(matrix))
     features = torch.cat([net.features(points, nodes, weights), torch.ones(len(points), 1)], 1).double()
     gram = features.T @ features
     gram += RIDGE * gram.diagonal().mean() * torch.eye(len(gram))

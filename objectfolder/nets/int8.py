@@ -15,20 +15,20 @@ def exponents(matrix: torch.Tensor) -> torch.Tensor:
     return torch.ceil(torch.log2(largest.clamp(min=1e-30) / LARGEST)).to(torch.int8)
 
 
-def pack(matrix: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
+def to_codes(matrix: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
     """Codes (R, C) and exponents (R,) of the rows, both int8."""
     exponent = exponents(matrix)
     return torch.round(torch.ldexp(matrix, -exponent[:, None].int())).to(torch.int8).numpy(), exponent.numpy()
 
 
-def unpack(codes: np.ndarray, exponent: np.ndarray) -> torch.Tensor:
+def from_codes(codes: np.ndarray, exponent: np.ndarray) -> torch.Tensor:
     """Return the (R, C) float32 matrix that was packed."""
     return torch.ldexp(torch.from_numpy(codes).float(), torch.from_numpy(exponent)[:, None].int())
 
 
-def rounded(matrix: torch.Tensor) -> torch.Tensor:
+def round_to_codes(matrix: torch.Tensor) -> torch.Tensor:
     """Nearest matrix that is stored exactly."""
-    return unpack(*pack(matrix))
+    return from_codes(*to_codes(matrix))
 
 
 def rounded_with(matrix: torch.Tensor, gram: torch.Tensor) -> torch.Tensor:

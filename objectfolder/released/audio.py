@@ -6,13 +6,13 @@ import torch
 from objectfolder.nets.released.gains import ReleasedGains
 from objectfolder.nets.released.network import Frame, network_of
 from objectfolder.nets.released.spectrogram import AXES, NEIGHBOURS, ReleasedSpectrogram
-from objectfolder.released.checkpoint import Part
+from objectfolder.released.checkpoint import ReleasedDict
 from objectfolder.released.encoding import network
 
 MAX_MODES = 1 << 16
 
 
-def spectrogram_net(audio: Part, frame: Frame) -> ReleasedSpectrogram:
+def spectrogram_net(audio: ReleasedDict, frame: Frame) -> ReleasedSpectrogram:
     """Read the AudioNet of 1.0.
 
     Raises
@@ -40,7 +40,7 @@ def spectrogram_net(audio: Part, frame: Frame) -> ReleasedSpectrogram:
     return ReleasedSpectrogram(branches, vertices, config)
 
 
-def gains_net(audio: Part, frame: Frame) -> ReleasedGains:
+def gains_net(audio: ReleasedDict, frame: Frame) -> ReleasedGains:
     """Read the AudioNet of 2.0.
 
     Raises
@@ -71,7 +71,7 @@ def gains_net(audio: Part, frame: Frame) -> ReleasedGains:
     return ReleasedGains(branches, config, *(x.float()[..., heard] for x in modes))
 
 
-def box(part: Part) -> list[list[float]]:
+def box(part: ReleasedDict) -> list[list[float]]:
     """Return ``xyz_min`` and ``xyz_max``, each three numbers or one for all axes."""
     low, high = (part.numbers_or_one(f"xyz_{end}", 3) for end in ("min", "max"))
     if not (low < high).all():
@@ -79,6 +79,6 @@ def box(part: Part) -> list[list[float]]:
     return [low.tolist(), high.tolist()]
 
 
-def _range(normalizer: Part, axis: int) -> list[float]:
+def _range(normalizer: ReleasedDict, axis: int) -> list[float]:
     low, high = (normalizer.number(f"f{axis}_{end}") for end in ("min", "max"))
     return [low, high]

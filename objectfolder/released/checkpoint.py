@@ -23,7 +23,7 @@ MAX_ENTRIES = 100_000
 _FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 
 
-class Part:
+class ReleasedDict:
     """A dictionary in a released file, which checks what is asked of it.
 
     Parameters
@@ -43,7 +43,7 @@ class Part:
     def __contains__(self, key: str) -> bool:
         return key in self.values
 
-    def part(self, key: str) -> "Part":
+    def part(self, key: str) -> "ReleasedDict":
         """Return a dictionary in it.
 
         Raises
@@ -54,18 +54,18 @@ class Part:
         value = self._get(key, "a dictionary")
         if not isinstance(value, Mapping):
             raise self.wrong(key, _described(value), "a dictionary")
-        return Part(self.path, self._full(key), value)
+        return ReleasedDict(self.path, self._full(key), value)
 
-    def state(self, key: str) -> "Part":
+    def state(self, key: str) -> "ReleasedDict":
         """Return a state dictionary, its keys without the prefix ``module.`` of parallel training."""
         part = self.part(key)
         values = {str(name).removeprefix("module."): value for name, value in part.values.items()}
-        return Part(self.path, part.name, values)
+        return ReleasedDict(self.path, part.name, values)
 
-    def below(self, prefix: str) -> "Part":
+    def below(self, prefix: str) -> "ReleasedDict":
         """Return those entries whose keys start with a prefix, without it."""
         values = {k.removeprefix(prefix): v for k, v in self.values.items() if k.startswith(prefix)}
-        return Part(self.path, f"{self.name}.{prefix.rstrip('.')}", values)
+        return ReleasedDict(self.path, f"{self.name}.{prefix.rstrip('.')}", values)
 
     def tensor(self, key: str, *shape: int | None) -> torch.Tensor:
         """Return a float32 tensor of finite numbers.
@@ -174,7 +174,7 @@ class Part:
         return f"{self.name}.{key}" if self.name else key
 
 
-def read_checkpoint(path: str | Path) -> Part:
+def read_released(path: str | Path) -> ReleasedDict:
     """Read a ``.pth`` file of numbers: a zip archive, or the older format.
 
     Nothing in it is run: torch's restricted reader rebuilds tensors and plain containers, `STAND_INS` numpy's
@@ -182,7 +182,7 @@ def read_checkpoint(path: str | Path) -> Part:
 
     Returns
     -------
-    Part
+    ReleasedDict
         The outermost dictionary.
 
     Raises
@@ -213,7 +213,7 @@ def read_checkpoint(path: str | Path) -> Part:
         ) from error
     if not isinstance(values, Mapping):
         raise ObjectFolderError(f"{path} holds {_described(values)}; expected a dictionary")
-    return Part(path, "", values)
+    return ReleasedDict(path, "", values)
 
 
 def _check_archive(path: Path, size: int) -> None:

@@ -21,7 +21,7 @@ from objectfolder.nets.released.vision import ReleasedNerf
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.header import format_name
 from objectfolder.released.audio import box, gains_net, spectrogram_net
-from objectfolder.released.checkpoint import Part, read_checkpoint
+from objectfolder.released.checkpoint import ReleasedDict, read_released
 from objectfolder.released.touch import depth_net, image_net
 from objectfolder.released.vision import configured_net, nerf_net
 from objectfolder.touch.profiles import load_profile
@@ -43,7 +43,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class ImportOptions:
     """What a released file does not say."""
 
     key: str | None = None  #: default: from the file's folder
@@ -56,7 +56,7 @@ class Options:
     crop: float | None = None  #: half the side of the cube outside of which nothing is seen
 
 
-def convert(path: str | Path, options: Options = Options()) -> ObjectFile:
+def convert(path: str | Path, options: ImportOptions = ImportOptions()) -> ObjectFile:
     """Read a released ObjectFolder 1.0 or 2.0 file.
 
     What cannot be read is left out with a warning, as long as something can.
@@ -72,7 +72,7 @@ def convert(path: str | Path, options: Options = Options()) -> ObjectFile:
         If nothing can be read, or an option is not valid.
     """
     path = Path(path)
-    checkpoint = read_checkpoint(path)
+    checkpoint = read_released(path)
     bounds, geometry = _body(options)
     where = bounds if bounds is not None else _stored_bounds(checkpoint)
     scale = options.scale
@@ -82,7 +82,7 @@ def convert(path: str | Path, options: Options = Options()) -> ObjectFile:
     if geometry is not None and bounds is not None:
         low, high = bounds
         frame = Frame(tuple(((low + high) / 2).tolist()), float((high - low).max()))
-    readers: dict[str, Callable[[Part], Any]] = {
+    readers: dict[str, Callable[[ReleasedDict], Any]] = {
         "vision": lambda part: _vision(part, options),
         "audio": lambda part: _audio(part, frame),
         "touch": lambda part: _touch(part, frame, bounds, options),
@@ -117,18 +117,18 @@ def convert(path: str | Path, options: Options = Options()) -> ObjectFile:
     return ObjectFile(header, tensors, path)
 
 
-def _vision(part: Part, options: Options) -> ReleasedNerf | ReleasedKilo:
+def _vision(part: ReleasedDict, options: ImportOptions) -> ReleasedNerf | ReleasedKilo:
     if "network_fn_state_dict" in part:
         return nerf_net(part, options.crop)
     return configured_net(part, options.crop)
 
 
-def _audio(part: Part, frame: Frame) -> ReleasedSpectrogram | ReleasedGains:
+def _audio(part: ReleasedDict, frame: Frame) -> ReleasedSpectrogram | ReleasedGains:
     return spectrogram_net(part, frame) if "voxel_vertex" in part else gains_net(part, frame)
 
 
 def _touch(
-    part: Part, frame: Frame, bounds: np.ndarray | None, options: Options
+    part: ReleasedDict, frame: Frame, bounds: np.ndarray | None, options: ImportOptions
 ) -> ReleasedImage | ReleasedDepth:
     if "xyz_min" in part or "xyz_max" in part:
         return depth_net(part, frame, load_profile(options.sensor), _gel(options.gel))
@@ -154,7 +154,7 @@ def _gel(path: Path | None) -> np.ndarray | None:
     return heights
 
 
-def _stored_bounds(checkpoint: Part) -> np.ndarray | None:
+def _stored_bounds(checkpoint: ReleasedDict) -> np.ndarray | None:
     """Bounds of a file of 2.0, or None."""
     for holder in (("TouchNet",), ("AudioNet", "normalizer")):
         try:
@@ -167,7 +167,7 @@ def _stored_bounds(checkpoint: Part) -> np.ndarray | None:
     return None
 
 
-def _body(options: Options) -> tuple[np.ndarray | None, Any]:
+def _body(options: ImportOptions) -> tuple[np.ndarray | None, Any]:
     """Bounds in the file's coordinates, and header, stream and source of the geometry, where known."""
     if options.scale is not None and not 0 < options.scale < np.inf:
         raise ObjectFolderError(f"scale is {options.scale!r}, expected the longest side in metres")

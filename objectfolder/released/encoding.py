@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from objectfolder.nets.positional import SKIP
-from objectfolder.released.checkpoint import Part
+from objectfolder.released.checkpoint import ReleasedDict
 
 DEPTH = 8  #: layers of every net but those of KiloOSF, if its settings do not say another
 
@@ -28,7 +28,7 @@ def by_number(inputs: int, octaves: int) -> np.ndarray:
     return np.concatenate([np.arange(inputs) * size, cosine + octaves, cosine])
 
 
-def octaves_of(state: Part, key: str, channels: int, inputs: int) -> int:
+def octaves_of(state: ReleasedDict, key: str, channels: int, inputs: int) -> int:
     """Octaves of an encoding of some numbers with so many channels."""
     octaves, rest = divmod(channels // inputs - 1, 2)
     if channels % inputs or rest or octaves < 0:
@@ -39,7 +39,7 @@ def octaves_of(state: Part, key: str, channels: int, inputs: int) -> int:
 
 
 def trunk(
-    state: Part, inputs: int, prefix: str, refeed: bool = True, depth: int = DEPTH
+    state: ReleasedDict, inputs: int, prefix: str, refeed: bool = True, depth: int = DEPTH
 ) -> tuple[dict[str, torch.Tensor], int]:
     """Read the layers ``pts_linears.N`` as those of a `SkipNetwork`.
 
@@ -76,7 +76,7 @@ def trunk(
     return tensors, octaves
 
 
-def network(state: Part, inputs: int, outputs: int, prefix: str = "") -> dict[str, torch.Tensor]:
+def network(state: ReleasedDict, inputs: int, outputs: int, prefix: str = "") -> dict[str, torch.Tensor]:
     """Read ``pts_linears`` and ``output_linear`` as a `ReleasedNetwork`; the layer for views is not used."""
     tensors, _ = trunk(state, inputs, prefix)
     width = len(tensors[f"{prefix}hidden.0.weight"])

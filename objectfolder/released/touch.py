@@ -7,7 +7,7 @@ from torch.nn.functional import interpolate
 from objectfolder.nets.released.network import Frame, ReleasedNetwork, network_of
 from objectfolder.nets.released.touch import APEX, DEPTH_SIZE, DEPTHS, PIXEL, ReleasedDepth, ReleasedImage
 from objectfolder.released.audio import box
-from objectfolder.released.checkpoint import Part
+from objectfolder.released.checkpoint import ReleasedDict
 from objectfolder.released.encoding import network
 from objectfolder.touch.profiles import SensorProfile
 
@@ -17,7 +17,7 @@ _STRIDE = 4  # pixels between those that are asked for it
 _RARE = 0.9  # share of the probes that are not deeper
 
 
-def image_net(touch: Part, frame: Frame, bounds: np.ndarray) -> ReleasedImage:
+def image_net(touch: ReleasedDict, frame: Frame, bounds: np.ndarray) -> ReleasedImage:
     """Read the TouchNet of 1.0.
 
     Parameters
@@ -42,7 +42,7 @@ def image_net(touch: Part, frame: Frame, bounds: np.ndarray) -> ReleasedImage:
 
 
 def depth_net(
-    touch: Part, frame: Frame, profile: SensorProfile, gel: np.ndarray | None = None
+    touch: ReleasedDict, frame: Frame, profile: SensorProfile, gel: np.ndarray | None = None
 ) -> ReleasedDepth:
     """Read the TouchNet of 2.0.
 

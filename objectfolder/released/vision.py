@@ -10,7 +10,7 @@ from objectfolder.nets.positional import SKIP
 from objectfolder.nets.released.kilo import MARGIN, MAX_CELLS, ReleasedKilo
 from objectfolder.nets.released.vision import MAX_SAMPLES, March, ReleasedNerf, scattering_of
 from objectfolder.nets.vision_osf import ScatteringFunction
-from objectfolder.released.checkpoint import Part
+from objectfolder.released.checkpoint import ReleasedDict
 from objectfolder.released.encoding import DEPTH, by_number, by_octave, octaves_of, trunk
 
 #: The released code of 1.0 has these built in.
@@ -24,7 +24,7 @@ _UNKNOWN = (
 )
 
 
-def nerf_net(vision: Part, crop: float | None = None) -> ReleasedNerf:
+def nerf_net(vision: ReleasedDict, crop: float | None = None) -> ReleasedNerf:
     """Read the VisionNet of 1.0.
 
     Raises
@@ -37,7 +37,7 @@ def nerf_net(vision: Part, crop: float | None = None) -> ReleasedNerf:
     return ReleasedNerf(nets, MARCH, crop)
 
 
-def configured_net(vision: Part, crop: float | None = None) -> ReleasedNerf | ReleasedKilo:
+def configured_net(vision: ReleasedDict, crop: float | None = None) -> ReleasedNerf | ReleasedKilo:
     """Read the VisionNet of 2.0: which kind it is, and how it is rendered, its ``cfg`` says."""
     cfg = vision.part("cfg")
     state = vision.state("model_state_dict")
@@ -58,7 +58,7 @@ def configured_net(vision: Part, crop: float | None = None) -> ReleasedNerf | Re
     return ReleasedNerf(nets, march, crop)
 
 
-def _march(cfg: Part, refine: bool) -> March:
+def _march(cfg: ReleasedDict, refine: bool) -> March:
     for name in _UNKNOWN:
         if cfg.setting(name):
             raise cfg.wrong(name, "set", "a file without it: how it is rendered then is not known here")
@@ -74,7 +74,7 @@ def _march(cfg: Part, refine: bool) -> March:
     return March(near, far, samples, more, bool(cfg.setting("llff_lindisp")))
 
 
-def _net(state: Part, refeed: bool = True, depth: int = DEPTH) -> ScatteringFunction:
+def _net(state: ReleasedDict, refeed: bool = True, depth: int = DEPTH) -> ScatteringFunction:
     """Read a net of point, view and light."""
     tensors, octaves = trunk(state, 3, "trunk.", refeed, depth)
     width = len(tensors["trunk.hidden.0.weight"])
@@ -102,7 +102,7 @@ def _net(state: Part, refeed: bool = True, depth: int = DEPTH) -> ScatteringFunc
     return scattering_of(tensors, octaves, direction_octaves)
 
 
-def _kilo(vision: Part, cfg: Part, state: Part) -> ReleasedKilo:
+def _kilo(vision: ReleasedDict, cfg: ReleasedDict, state: ReleasedDict) -> ReleasedKilo:
     if not cfg.setting("late_feed_direction"):
         raise cfg.wrong("late_feed_direction", "not set", "true")
     if cfg.setting("refeed_position_index") is not None:
@@ -164,7 +164,7 @@ def _asked(occupied: torch.Tensor, voxels: tuple[int, ...], grid: tuple[int, ...
     return mask.flatten().nonzero()[:, 0]
 
 
-def _sizes(part: Part, key: str, limit: int) -> tuple[int, int, int]:
+def _sizes(part: ReleasedDict, key: str, limit: int) -> tuple[int, int, int]:
     values = part.numbers(key, 3)
     if (values < 1).any() or (values % 1 != 0).any() or values.prod() > limit:
         raise part.wrong(key, f"{values.tolist()}", f"three whole numbers with a product of at most {limit}")

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.released.checkpoint import read_checkpoint
+from objectfolder.released.checkpoint import read_released
 
 FORMATS = pytest.mark.parametrize("zipped", [True, False], ids=["zip", "older"])
 
@@ -43,7 +43,7 @@ def test_tensors_arrays_and_numbers_come_back(tmp_path, rng, zipped):
             "parameter": torch.nn.Parameter(torch.ones(3)),
         }
     }
-    part = read_checkpoint(save(tmp_path / "file.pth", values, zipped)).part("a")
+    part = read_released(save(tmp_path / "file.pth", values, zipped)).part("a")
     given = values["a"]
     assert torch.equal(part.tensor("tensor", 2, None), given["tensor"])
     assert part.tensor("half", 4).dtype == torch.float32
@@ -81,7 +81,7 @@ def test_pickled_calls_are_never_run(tmp_path, attack, zipped):
     trace = tmp_path / "trace"
     path = save(tmp_path / "file.pth", {"VisionNet": attack(trace)}, zipped)
     with pytest.raises(ObjectFolderError, match=r"it names \S+, which is never run"):
-        read_checkpoint(path)
+        read_released(path)
     assert not trace.exists()
     torch.load(path, weights_only=False)  # it would have
     assert trace.exists()
@@ -91,7 +91,7 @@ def test_a_bare_pickle_is_not_run(tmp_path):
     trace, path = tmp_path / "trace", tmp_path / "file.pth"
     path.write_bytes(pickle.dumps(Evaluate(trace), protocol=2))
     with pytest.raises(ObjectFolderError, match="not a file of tensors"):
-        read_checkpoint(path)
+        read_released(path)
     assert not trace.exists()
 
 
@@ -101,13 +101,13 @@ def test_numpy_objects_other_than_numbers_are_refused(tmp_path, zipped):
     for array in (np.array([{"a": 1}], object), np.zeros(2, [("a", "f4")]), np.array(["text"])):
         path = save(tmp_path / "file.pth", {"a": array}, zipped)
         with pytest.raises(ObjectFolderError, match="not a file of tensors and numbers"):
-            read_checkpoint(path)
+            read_released(path)
 
 
 def test_what_is_read_does_not_outlive_the_reading(tmp_path):
     """Other readers in the process accept no more than before."""
     before = set(torch.serialization.get_safe_globals())
-    read_checkpoint(save(tmp_path / "file.pth", {"a": np.ones(2)}))
+    read_released(save(tmp_path / "file.pth", {"a": np.ones(2)}))
     assert set(torch.serialization.get_safe_globals()) == before
 
 
@@ -117,7 +117,7 @@ def test_tensors_larger_than_the_file_are_refused(tmp_path):
     for _ in range(8):
         lists = [lists] * 100
     values = {"a": torch.zeros(1).expand(10**6, 10**6), "b": lists, "c": [[0.0] * 100] * 1000}
-    part = read_checkpoint(save(tmp_path / "file.pth", values))
+    part = read_released(save(tmp_path / "file.pth", values))
     for ask in (
         lambda: part.tensor("a", None, None),
         lambda: part.numbers("b", None, None),
@@ -134,7 +134,7 @@ def test_compressed_archives_are_refused(tmp_path):
         for entry in source.infolist():
             target.writestr(entry.filename, source.read(entry))
     with pytest.raises(ObjectFolderError, match="compressed"):
-        read_checkpoint(packed)
+        read_released(packed)
 
 
 def test_files_that_are_none_are_errors(tmp_path):
@@ -142,11 +142,11 @@ def test_files_that_are_none_are_errors(tmp_path):
         path = tmp_path / name
         path.write_bytes(data)
         with pytest.raises(ObjectFolderError, match=name):
-            read_checkpoint(path)
+            read_released(path)
     with pytest.raises(ObjectFolderError, match="does not exist"):
-        read_checkpoint(tmp_path / "none")
+        read_released(tmp_path / "none")
     with pytest.raises(ObjectFolderError, match="holds a tensor of float32"):
-        read_checkpoint(save(tmp_path / "tensor", torch.zeros(2)))
+        read_released(save(tmp_path / "tensor", torch.zeros(2)))
 
 
 def test_errors_name_the_key_and_what_is_there(tmp_path):
@@ -156,7 +156,7 @@ def test_errors_name_the_key_and_what_is_there(tmp_path):
             "sparse": torch.eye(2).to_sparse(),
         }
     }
-    part = read_checkpoint(save(tmp_path / "file.pth", values)).part("a")
+    part = read_released(save(tmp_path / "file.pth", values)).part("a")
     inner = part.part("b")
     for ask, message in (
         (
@@ -198,7 +198,7 @@ def test_damaged_bytes_are_errors_or_read(tmp_path, data):
     path = tmp_path / "file.pth"
     path.write_bytes(bytes(raw[: data.draw(st.integers(len(raw) // 2, len(raw)))]))
     try:
-        part = read_checkpoint(path).part("a")
+        part = read_released(path).part("a")
         assert part.tensor("b", 4).shape == (4,)
         assert part.numbers("c", 3).shape == (3,)
     except ObjectFolderError:
@@ -214,4 +214,4 @@ def test_a_file_that_claims_a_large_tensor_takes_no_memory(tmp_path):
     path = tmp_path / "file.pth"
     path.write_bytes(raw.replace(struct.pack("<q", 3), struct.pack("<q", 1 << 50)))
     with pytest.raises(ObjectFolderError, match=r"file\.pth"):
-        read_checkpoint(path).tensor("a", 3)
+        read_released(path).tensor("a", 3)

@@ -20,8 +20,8 @@ from objectfolder.nets.released.network import Frame
 from objectfolder.released import convert as converter
 from objectfolder.released import touch
 from objectfolder.released.audio import gains_net, spectrogram_net
-from objectfolder.released.checkpoint import Part, read_checkpoint
-from objectfolder.released.convert import Options, convert
+from objectfolder.released.checkpoint import ReleasedDict, read_released
+from objectfolder.released.convert import ImportOptions, convert
 from objectfolder.released.encoding import by_number, by_octave
 from objectfolder.released.touch import depth_net, image_net
 from objectfolder.released.vision import configured_net, nerf_net
@@ -41,7 +41,7 @@ def file(tmp_path):
         path = tmp_path / "25" / "ObjectFile.pth"
         path.parent.mkdir(exist_ok=True)
         torch.save(values, path)
-        return convert(path, Options(**options))
+        return convert(path, ImportOptions(**options))
 
     return write
 
@@ -221,7 +221,7 @@ def without(values, path):
 @pytest.mark.parametrize("make", [released.released_1, released.released_2, released.released_kilo])
 def test_every_missing_key_is_named(tmp_path, quick_gel, make):
     torch.save(make(1, 4), tmp_path / "file.pth")
-    whole = read_checkpoint(tmp_path / "file.pth").values
+    whole = read_released(tmp_path / "file.pth").values
     readers = {
         "VisionNet": lambda part: (nerf_net if make is released.released_1 else configured_net)(part),
         "AudioNet": lambda part: (spectrogram_net if make is released.released_1 else gains_net)(
@@ -238,10 +238,10 @@ def test_every_missing_key_is_named(tmp_path, quick_gel, make):
     for path in needed:
         if path[-1] == "occupancy_grid":
             continue  # without, every net is asked
-        part = Part("file.pth", "", without(whole, path)).part(path[0])
+        part = ReleasedDict("file.pth", "", without(whole, path)).part(path[0])
         named = re.escape(".".join(path).replace("module.", ""))
         with pytest.raises(ObjectFolderError, match=named):
-            readers[path[0]](Part(tmp_path / "file.pth", path[0], part.values))
+            readers[path[0]](ReleasedDict(tmp_path / "file.pth", path[0], part.values))
 
 
 def test_points_are_those_of_the_released_file_or_of_the_centred_mesh(file, tmp_path, monkeypatch):

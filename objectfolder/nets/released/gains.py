@@ -6,7 +6,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from objectfolder.nets.released.network import Frame, ReleasedNetwork, float_tensors, network_of, stored
+from objectfolder.nets.released.network import (
+    Frame,
+    ReleasedNetwork,
+    float_tensors,
+    network_of,
+    stored_tensors,
+)
 from objectfolder.nets.released.spectrogram import AXES
 
 BLOCK = 16  # points at once, always: a row's bits must not depend on its batch
@@ -80,7 +86,7 @@ class ReleasedGains:
             "high": self._high.cpu().numpy(),
         }
         for axis, branch in zip(AXES, self.branches):
-            tensors |= stored(branch, f"{axis}.")
+            tensors |= stored_tensors(branch, f"{axis}.")
         return tensors, dict(self.config)
 
     @classmethod

@@ -67,7 +67,7 @@ def float_tensors(tensors: dict[str, np.ndarray]) -> dict[str, torch.Tensor]:
     return {name: torch.from_numpy(np.array(value, np.float32)) for name, value in tensors.items()}
 
 
-def stored(net: nn.Module, prefix: str = "") -> dict[str, np.ndarray]:
+def stored_tensors(net: nn.Module, prefix: str = "") -> dict[str, np.ndarray]:
     """Tensors of a net for storing."""
     return {prefix + name: value.cpu().numpy() for name, value in net.state_dict().items()}
 

@@ -7,7 +7,13 @@ import numpy as np
 import torch
 
 from objectfolder.audio.spectrogram import SHAPE
-from objectfolder.nets.released.network import Frame, ReleasedNetwork, float_tensors, network_of, stored
+from objectfolder.nets.released.network import (
+    Frame,
+    ReleasedNetwork,
+    float_tensors,
+    network_of,
+    stored_tensors,
+)
 
 AXES = ("x", "y", "z")
 GRID = 32  # voxels along an axis
@@ -93,7 +99,7 @@ class ReleasedSpectrogram:
         """Tensors and configuration, for storing."""
         tensors = {"voxel_vertex": self.vertices.astype(np.float32)}
         for axis, branch in zip(AXES, self.branches):
-            tensors |= stored(branch, f"{axis}.")
+            tensors |= stored_tensors(branch, f"{axis}.")
         return tensors, dict(self.config)
 
     @classmethod

@@ -10,7 +10,13 @@ from torch.nn.functional import grid_sample
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.nets.released.gains import checked_bounds
-from objectfolder.nets.released.network import Frame, ReleasedNetwork, float_tensors, network_of, stored
+from objectfolder.nets.released.network import (
+    Frame,
+    ReleasedNetwork,
+    float_tensors,
+    network_of,
+    stored_tensors,
+)
 from objectfolder.touch.camera import ray_directions
 from objectfolder.touch.contact import GAP
 from objectfolder.touch.optics import Optics
@@ -75,7 +81,7 @@ class ReleasedImage:
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Tensors and configuration, for storing."""
-        return stored(self.network), dict(self.config)
+        return stored_tensors(self.network), dict(self.config)
 
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "ReleasedImage":
@@ -211,7 +217,7 @@ class ReleasedDepth:
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Tensors and configuration, for storing."""
-        return {"untouched": self.untouched.numpy(), **stored(self.network)}, dict(self.config)
+        return {"untouched": self.untouched.numpy(), **stored_tensors(self.network)}, dict(self.config)
 
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "ReleasedDepth":

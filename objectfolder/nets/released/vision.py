@@ -13,7 +13,7 @@ import torch
 
 from objectfolder.mesh import srgb
 from objectfolder.mesh.grid import ascent
-from objectfolder.nets.released.network import filled, float_tensors, stored
+from objectfolder.nets.released.network import filled, float_tensors, stored_tensors
 from objectfolder.nets.vision_osf import ScatteringFunction
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.picture import Picture
@@ -235,7 +235,7 @@ class ReleasedNerf(ReleasedVision):
         """Tensors and configuration, for storing."""
         tensors: dict[str, np.ndarray] = {}
         for name, net in self.nets.items():
-            tensors |= stored(net, f"{name}.")
+            tensors |= stored_tensors(net, f"{name}.")
         point_octaves, direction_octaves = self.nets["fine"].octaves
         octaves = {"point_octaves": point_octaves, "direction_octaves": direction_octaves}
         return tensors, {**asdict(self.march), **octaves, "crop": self.crop}

@@ -12,7 +12,7 @@ from objectfolder.nets.released.spectrogram import ReleasedSpectrogram
 from objectfolder.nets.released.touch import DEPTH_SIZE, ReleasedDepth, ReleasedImage
 from objectfolder.nets.released.vision import ReleasedNerf
 from objectfolder.released.audio import gains_net, spectrogram_net
-from objectfolder.released.checkpoint import read_checkpoint
+from objectfolder.released.checkpoint import read_released
 from objectfolder.released.touch import depth_net, image_net
 from objectfolder.released.vision import configured_net, nerf_net
 from objectfolder.touch.profiles import load_profile
@@ -30,7 +30,7 @@ def saved(tmp_path):
     def save(values, **options):
         path = tmp_path / "ObjectFile.pth"
         torch.save(values, path, **options)
-        return read_checkpoint(path)
+        return read_released(path)
 
     return save
 
