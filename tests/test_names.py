@@ -8,8 +8,7 @@ PACKAGE = Path(__file__).parents[1] / "objectfolder"
 ENTRY_POINT = "main"  # of a process: the command line, the supervisor, Blender's script
 
 #: Names that several modules still share, and how many do. Shrink this list; never extend it.
-SHARED = {
-}
+SHARED = {}
 
 
 def public_names():
