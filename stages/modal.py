@@ -26,8 +26,8 @@ def main(key: str) -> None:
     vertices, faces = read_surface(build.surface)
     rng = numpy_generator(params.seed, key, "modal")
     points = np.concatenate([vertices, sample_surface(vertices, faces, settings.surface_points, rng)])
-    material = materials.material(params.object.material)
-    request = Request(material, params.object.scale, settings.max_frequency, settings.max_modes)
+    material = materials.material(params.entry.material)
+    request = Request(material, params.entry.scale, settings.max_frequency, settings.max_modes)
     options = {"fine": asdict(settings.fine), "surface_points": settings.surface_points}
     task = problem_digest(file_digest(build.solid), points, material.poisson_ratio, options)
     data = None

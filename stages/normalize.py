@@ -12,11 +12,11 @@ from stages import run
 def main(key: str) -> None:
     params = stage_params(NormalizeConfig, key)
     build = Build(key)
-    mesh = load_mesh(params.object.mesh, params.object.up, params.settings.texture_size)
-    wall = params.object.wall and params.object.wall / params.object.scale
-    normalized = normalize(mesh, key, wall, params.object.bridge != "off")
+    mesh = load_mesh(params.entry.mesh, params.entry.up, params.settings.texture_size)
+    wall = params.entry.wall and params.entry.wall / params.entry.scale
+    normalized = normalize(mesh, key, wall, params.entry.bridge != "off")
     solid = normalized.surface.mesh
-    seen = (params.object.bridge == "fem" and normalized.surface.unbridged) or solid
+    seen = (params.entry.bridge == "fem" and normalized.surface.unbridged) or solid
     for warning in normalized.surface.warnings:
         print(f"warning: {key}: {warning}")
     with atomic(build.visual) as path:
@@ -24,7 +24,7 @@ def main(key: str) -> None:
     for target, surface in ((build.surface, seen), (build.solid_surface, solid)):
         with atomic(target) as path:
             write_surface(path, surface)
-    write_json(build.normalize, normalized.report(params.object.scale, params.object.up))
+    write_json(build.normalize, normalized.report(params.entry.scale, params.entry.up))
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ def main(key: str) -> None:
         contacts = render_contacts(
             vertices,
             faces,
-            params.object.scale,
+            params.entry.scale,
             split_points,
             profile,
             numpy_generator(params.seed, key, "render_touch", split),

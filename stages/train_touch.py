@@ -21,7 +21,7 @@ ROWS = ("images", "points", "angles", "depths")
 
 def main(key: str) -> None:
     params = stage_params(TouchConfig, key)
-    build, settings, scale = Build(key), params.settings, params.object.scale
+    build, settings, scale = Build(key), params.settings, params.entry.scale
     profile = load_profile(params.sensor)
     train, val = (read_npz(build.touch(split), *ROWS, "renderer") for split in ("train", "val"))
     net: GeometricTouch | ImageTouch

@@ -26,15 +26,15 @@ def print_table(found: Sequence[StageStatus], console: Console) -> None:
     """Print a line per object that is not all fresh, with a mark per stage, and the most common causes."""
     objects: dict[str, dict[str, StageStatus]] = {}
     for one in found:
-        objects.setdefault(one.object or one.address, {})[one.stage] = one
+        objects.setdefault(one.key or one.address, {})[one.stage] = one
     lines = {
         key: row for key, row in objects.items() if any(s.state is not State.FRESH for s in row.values())
     }
-    stages = list(dict.fromkeys(one.stage for row in lines.values() for one in row.values() if one.object))
+    stages = list(dict.fromkeys(one.stage for row in lines.values() for one in row.values() if one.key))
     if lines:
         table = Table("", *(name.replace("_", "\n") for name in stages), box=None, padding=(0, 1, 0, 0))
         for key, row in sorted(lines.items()):
-            if all(one.object for one in row.values()):
+            if all(one.key for one in row.values()):
                 table.add_row(key, *(_mark(row[s].state) if s in row else "" for s in stages))
             else:
                 (one,) = row.values()
@@ -50,7 +50,7 @@ def print_table(found: Sequence[StageStatus], console: Console) -> None:
     causes = Counter(reason for one in found for reason in one.reasons)
     for reason, count in causes.most_common(CAUSES):
         console.print(Text(f"{count:5d} x {reason}"), soft_wrap=True)
-    fresh = len({one.object for one in found if one.object} - set(lines))
+    fresh = len({one.key for one in found if one.key} - set(lines))
     console.print(f"{_counts(one.state for one in found)}; {fresh} objects all fresh", highlight=False)
     if lines:
         hint = "`objectfolder status OBJECT` says why, `objectfolder build --dry-run` what would run"
@@ -90,7 +90,7 @@ def as_json(found: Iterable[StageStatus]) -> list[dict[str, object]]:
         {
             "address": one.address,
             "stage": one.stage,
-            "object": one.object,
+            "object": one.key,
             "state": one.state,
             "next": one.outlook,
             "reasons": one.reasons,

@@ -71,7 +71,7 @@ def verify(
     if report.findings:
         table = Table("object", "stage", "file", "what is wrong", "what to do", box=None)
         for one in report.findings:
-            table.add_row(*map(Text, (one.object, one.stage, one.path, one.problem, one.remedy)))
+            table.add_row(*map(Text, (one.key, one.stage, one.path, one.problem, one.remedy)))
         print_wide(table)
     bad = f"{len(report.findings)} bad" if report.findings else "all good"
     console.print(f"{report.files} files, {report.bytes / 1e6:.1f} MB read: {bad}", highlight=False)

@@ -167,7 +167,7 @@ def _table(results: list[StageResult]) -> Table:
     for result in results:
         peak = "" if result.peak_mb is None else f"{result.peak_mb:.0f}"
         status = Text(result.status, style=STYLES[result.status])
-        table.add_row(result.stage, result.object, status, f"{result.seconds:.1f}", peak)
+        table.add_row(result.stage, result.key, status, f"{result.seconds:.1f}", peak)
     return table
 
 
@@ -189,7 +189,7 @@ def _totals(results: list[StageResult]) -> Table:
 
 
 def _failure(result: StageResult) -> Text:
-    place = f"{result.stage} of {result.object}" if result.object else result.stage
+    place = f"{result.stage} of {result.key}" if result.key else result.stage
     text = Text(f"{place} failed: {result.error}\n", style=STYLES[StageOutcome.FAILED])
     for line in result.tail:
         text.append(f"  | {line}\n", style="default")

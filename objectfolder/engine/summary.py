@@ -17,7 +17,7 @@ class StageOutcome(StrEnum):
 
 
 class Addressed:
-    """Something that is said of one stage."""
+    """Statement about one stage."""
 
     address: str
 
@@ -27,7 +27,7 @@ class Addressed:
         return self.address.partition("@")[0]
 
     @property
-    def object(self) -> str:
+    def key(self) -> str:
         """Object key, empty for a stage that is not per object."""
         return self.address.partition("@")[2]
 

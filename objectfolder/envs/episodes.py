@@ -23,7 +23,7 @@ class Episodes:
     """N episodes side by side, shared by the single and the vector environment."""
 
     task: GraspTask
-    observation: str  #: one of `OBSERVATIONS`
+    observation: str  #: one of ``OBSERVATIONS``
     features: FeatureFunction | None = None  #: default: queries of the Object File
     objects: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))  #: (N, 3) x, y, yaw
     hands: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))  #: (N, 4) x, y, z, yaw

@@ -101,7 +101,7 @@ class ClosedGrasps:
     @property
     def objects(self) -> np.ndarray:
         """Position and quaternion of the objects; (N, 7)."""
-        return self.states[:, self.layout.object]
+        return self.states[:, self.layout.object_pose]
 
     @property
     def width(self) -> np.ndarray:
@@ -189,7 +189,7 @@ class GraspScene:
                 f"{self.body.key}: none of {count} drops came to rest within {SETTLING:g} s, the slowest "
                 f"moves at {speeds.min():.2g}; it rolls or rocks: give it a flatter side"
             )
-        found = states[still][:, self.layout.object]
+        found = states[still][:, self.layout.object_pose]
         found[:, :2] = 0
         return found
 
@@ -278,7 +278,7 @@ class GraspScene:
         return [
             GraspFrame(
                 targets.phases[row],
-                states[0, row, layout.object],
+                states[0, row, layout.object_pose],
                 states[0, row, layout.hand],
                 float(states[0, row, layout.jaws].sum()),
             )
@@ -338,12 +338,12 @@ class GraspScene:
         return states, held
 
     def _rise(self, states: np.ndarray, closed: ClosedGrasps) -> np.ndarray:
-        return states[:, self.layout.object[2]] - closed.states[:, self.layout.object[2]]
+        return states[:, self.layout.object_pose[2]] - closed.states[:, self.layout.object_pose[2]]
 
     def _place_in_hand(self, states: np.ndarray) -> np.ndarray:
         """Return origins of the objects in the gripper's frame; (N, 3)."""
         hands = states[:, self.layout.hand]
-        offsets = states[:, self.layout.object[:3]] - hands[:, :3]
+        offsets = states[:, self.layout.object_pose[:3]] - hands[:, :3]
         return np.einsum("nij,ni->nj", hand_axes(hands), offsets)
 
     def _minimum_width(self) -> float:

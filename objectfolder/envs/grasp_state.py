@@ -20,7 +20,7 @@ class StateLayout:
     def __init__(self, model: mujoco.MjModel):
         thing, positions, velocities = model.joint("object"), 1, 1 + model.nq
         self.size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
-        self.object = positions + thing.qposadr[0] + np.arange(7)  #: position and quaternion
+        self.object_pose = positions + thing.qposadr[0] + np.arange(7)  #: position and quaternion
         self.object_speed = velocities + thing.dofadr[0] + np.arange(6)
         self.hand = np.array([positions + model.joint(name).qposadr[0] for name in AXES])
         self.jaws = np.array([positions + model.joint(name).qposadr[0] for name in SIDES])
@@ -33,7 +33,7 @@ class StateLayout:
     def states(self, objects: np.ndarray, hands: np.ndarray, jaws: np.ndarray) -> np.ndarray:
         """Return states at rest, (N, size), of objects (N, 7), hands (N, 4) and jaw positions (N,)."""
         states = np.zeros((len(objects), self.size))
-        states[:, self.object] = objects
+        states[:, self.object_pose] = objects
         states[:, self.hand] = hands
         states[:, self.jaws] = jaws[:, None]
         return states

@@ -30,7 +30,7 @@ DAMAGE = (
 def extract(archive: Path, into: Path, max_bytes: int = MAX_BYTES, max_members: int = MAX_MEMBERS) -> None:
     """Extract a zip or tar archive.
 
-    The extraction filter of `tarfile` only sets safe permissions and owners here: it would extract links
+    The extraction filter of ``tarfile`` only sets safe permissions and owners here: it would extract links
     inside the folder and absolute paths, and knows no limits.
 
     Parameters
@@ -91,7 +91,7 @@ def safe_path(name: str, where: str) -> PurePosixPath:
 class _Budget:
     """Limits of one archive.
 
-    The sizes that members declare can be trusted: `tarfile` and `zipfile` read no more than that.
+    The sizes that members declare can be trusted: ``tarfile`` and ``zipfile`` read no more than that.
     """
 
     def __init__(self, archive: str, max_bytes: int, max_members: int):

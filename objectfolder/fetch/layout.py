@@ -36,7 +36,7 @@ def collect(mesh: Path, tree: Path, into: Path) -> tuple[Path, dict[str, Path]]:
     """Copy a mesh and the files that it refers to into one folder.
 
     A file that is not at its path is looked up by name in the whole tree: Google Scanned Objects keep the
-    texture in another folder than the material. Missing files are reported later, by `add_mesh`.
+    texture in another folder than the material. Missing files are reported later, by ``add_mesh``.
 
     Parameters
     ----------

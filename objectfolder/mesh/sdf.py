@@ -58,7 +58,7 @@ def check_resolved(values: np.ndarray, vertices: np.ndarray, faces: np.ndarray, 
     Raises
     ------
     ObjectFolderError
-        If the stored surface encloses less than `MIN_KEPT_VOLUME` of the volume.
+        If the stored surface encloses less than ``MIN_KEPT_VOLUME`` of the volume.
     """
     spacing = 2 * BOUND / (len(values) - 1)
     kept = 0.0

@@ -9,7 +9,7 @@ from typing_extensions import TypeVar  # the standard one has defaults since Pyt
 
 from objectfolder.errors import ObjectFolderError
 
-#: The answer to a query is a tensor if its first argument is one, and an array if that is an array or a list.
+# The answer to a query is a tensor if its first argument is one, and an array if that is an array or a list.
 Answer = TypeVar("Answer", np.ndarray, torch.Tensor, default=np.ndarray)
 #: Rows of numbers, of any real dtype and any strides.
 Rows = np.ndarray | torch.Tensor | Sequence[float] | Sequence[Sequence[float]]

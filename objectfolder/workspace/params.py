@@ -107,7 +107,7 @@ class StageParams(Generic[Config]):
     """Parameters of one stage. It may read only what it declares in ``dvc.yaml``; a test compares the two."""
 
     settings: Config  #: the stage's section
-    object: ObjectEntry
+    entry: ObjectEntry
     seed: int
     sensor: str
 

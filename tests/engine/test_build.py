@@ -22,7 +22,7 @@ def test_builds_once_and_leaves_dvc_content(workspace):
     assert sum(isinstance(event, Started) for event in events) == 9
     assert sum(isinstance(event, Finished) for event in events) == 9
     result = summary.stages["solve@mug"]
-    assert (result.stage, result.object, result.status) == ("solve", "mug", StageOutcome.RAN)
+    assert (result.stage, result.key, result.status) == ("solve", "mug", StageOutcome.RAN)
     assert result.seconds > 0
     assert 1 < result.peak_mb < 60
     assert result.log == workspace.root / "build/.logs/solve@mug.log"

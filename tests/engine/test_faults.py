@@ -93,7 +93,7 @@ def test_killed_stage_is_said_in_words_and_its_half_output_is_not_taken(workspac
     with meanwhile(kill):
         summary = build(root=workspace.root)
     (failure,) = summary.failures
-    assert (failure.stage, failure.object) == ("prepare", "mug")
+    assert (failure.stage, failure.key) == ("prepare", "mug")
     assert "was killed by SIGKILL" in failure.error
     assert names(summary.with_status(StageOutcome.BLOCKED)) == ["pack@mug", "solve@mug"]
     mug = {"pack@mug", "prepare@mug", "solve@mug"}
@@ -459,9 +459,9 @@ def test_stage_that_writes_nothing_is_named_with_its_file(make_workspace):
         'stages: {lazy: {foreach: [mug, bell], do: {cmd: "true", outs: ["build/${item}/x.txt"]}}}\n'
     )
     summary = build(root=workspace.root)
-    assert [(f.stage, f.object) for f in summary.failures] == [("lazy", "bell"), ("lazy", "mug")]
+    assert [(f.stage, f.key) for f in summary.failures] == [("lazy", "bell"), ("lazy", "mug")]
     for failure in summary.failures:
-        assert f"build/{failure.object}/x.txt" in failure.error
+        assert f"build/{failure.key}/x.txt" in failure.error
         assert "does not exist" in failure.error
 
 

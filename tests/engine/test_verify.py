@@ -98,7 +98,7 @@ def test_dvc_does_not_see_what_verify_finds_and_repairs(workspace):
     assert "up to date" in workspace.dvc("status")
     assert set(build(root=workspace.root).counts().items()) >= {("skipped", 9)}
     report = verify((), workspace.root)
-    said = {one.path: (one.object, one.stage, one.problem, one.remedy) for one in report.findings}
+    said = {one.path: (one.key, one.stage, one.problem, one.remedy) for one in report.findings}
     assert said == {
         "build/mug/prepare.txt": (
             "mug",

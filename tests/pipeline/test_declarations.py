@@ -41,7 +41,7 @@ def test_code_lists_are_made_from_all_sources():
 def parameters_read(stage):
     """Return the parameters that a stage's script reads, as dvc.yaml names them.
 
-    Scripts use ``params.<name>`` and ``params.object.<field>``. They pass ``params`` whole only to a task,
+    Scripts use ``params.<name>`` and ``params.entry.<field>``. They pass ``params`` whole only to a task,
     which reads its section and the seed.
     """
     tree = ast.parse((ROOT / "stages" / f"{stage}.py").read_text())
@@ -60,7 +60,7 @@ def parameters_read(stage):
             if isinstance(used, ast.Call):
                 assert stage in {*params.TASKS, *params.ROBOT_STAGES}
                 read.add("seed")
-            elif used.attr == "object":
+            elif used.attr == "entry":
                 read.add(f"objects.${{key}}.{parents[used].attr}")
             elif used.attr != "settings":
                 read.add(used.attr)
@@ -70,7 +70,7 @@ def parameters_read(stage):
 READERS = {"stage_params": set(), "robot_params": set(), "task_params": {"encode"}}
 
 
-@pytest.mark.parametrize("stage", set(STAGES) - {"generate"})
+@pytest.mark.parametrize("stage", sorted(set(STAGES) - {"generate"}))
 def test_declared_params_are_the_ones_the_stage_reads(stage):
     declared = STAGES[stage]["do"].get("params", [])
     assert len(declared) == len(set(declared))

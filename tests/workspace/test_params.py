@@ -183,7 +183,7 @@ def test_a_section_is_the_dataclass_of_its_code(write, values, name):
     assert "pydantic" not in getattr(config, "__module__", "")
     params = stage_params(config, "mug", write())
     assert params.settings == section
-    assert params.object == object_entry("mug", values)
+    assert params.entry == object_entry("mug", values)
     assert (params.seed, params.sensor) == (values["seed"], values["sensor"])
 
 

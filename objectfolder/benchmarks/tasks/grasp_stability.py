@@ -152,7 +152,7 @@ def grasp_stability(job: Job[GraspStabilityConfig]) -> tuple[dict[str, Any], lis
     -------
     dict
         ``sizes``: by number of training grasps what was ``asked`` for and, by variant (`VARIANTS`,
-        `TRANSFERRED`, `BASELINES` of `grasp_baselines`), the ``accuracy`` on test rows,
+        `TRANSFERRED`, `BASELINES`), the ``accuracy`` on test rows,
         ``wilson_95`` (its interval over grasps of the same objects), the accuracies of the ``seeds`` and
         their ``interval_95`` (half width, None for one), ``balanced_accuracy`` and ``auc`` (None where all
         test grasps end alike); under ``compared``, as "A - B" of `COMPARED`, the paired ``difference`` of
