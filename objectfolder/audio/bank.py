@@ -1,4 +1,4 @@
-"""Sounds of many strikes on the same modes: the modes' responses are made once and mixed by gains."""
+"""Synthesis of many strikes on the same modes: responses are computed once, then mixed by gains."""
 
 import numpy as np
 import torch
@@ -6,13 +6,13 @@ import torch
 from objectfolder.audio.synthesis import audible, count_samples, responses
 from objectfolder.audio.tuning import Tuning
 
-BLOCK = 16  # sounds mixed at once, always: a row's bits must not depend on its batch
+BLOCK = 16  # sounds mixed at once; fixed, so that a row's bits do not depend on its batch
 PIECE = 1 << 15  # samples mixed at once
-KEPT = 1 << 27  # bytes; responses that take more are made anew for every block of sounds
+KEPT = 1 << 27  # bytes; larger responses are recomputed for every block of sounds
 
 
 class Bank:
-    """Responses of modes to unit impulses; modes at or above half the sample rate alias, and are left out.
+    """Responses of modes to unit impulses, without modes at or above half the sample rate, which would alias.
 
     Parameters
     ----------
@@ -21,12 +21,12 @@ class Bank:
     sample_rate, duration, response, contact_time
         See `objectfolder.audio.synthesis.sinusoid_bank`.
     device : torch.device, optional
-        Where sounds are mixed.
+        Device that mixes the sounds.
 
     Attributes
     ----------
     heard : (H,) int64 tensor
-        Which of the tuning's modes sound.
+        Indices of the tuning's modes below half the sample rate.
     sample_rate : float
     samples : int
 
@@ -54,10 +54,10 @@ class Bank:
         kept = 4 * len(self.heard) * self.samples <= KEPT
         self._pieces = [self._piece(start) for start in range(0, self.samples, PIECE)] if kept else []
         if not kept:
-            self._piece(self.samples - 1)  # refuses what cannot be asked
+            self._piece(self.samples - 1)  # validates the response and the contact time
 
     def mix(self, gains: torch.Tensor) -> np.ndarray:
-        """Sounds (N, samples), float32, of modal gains (N, H) of the heard modes."""
+        """Return the sounds (N, samples), float32, for gains (N, H) of the modes in `heard`."""
         sounds = np.empty((len(gains), self.samples), np.float32)
         for first in range(0, len(gains), BLOCK):
             rows = gains[first : first + BLOCK]

@@ -1,4 +1,4 @@
-"""Spectrogram panels for pages made with `objectfolder.figures`."""
+"""Spectrogram panels for pages of `objectfolder.figures`."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -26,7 +26,7 @@ def show_spectrogram(
     sound : (samples,) array at `SAMPLE_RATE`
     title : str
     peak : float, optional
-        Reference magnitude instead of the sound's own; no colour bar is added then, since panels share one.
+        Reference magnitude; default: the sound's own. If given, no colour bar is added: panels share one.
 
     Returns
     -------
@@ -55,7 +55,7 @@ def magnitudes(sound: np.ndarray) -> np.ndarray:
 
 
 def show_sounds(figure: "Figure", truth: np.ndarray, answers: np.ndarray, titles: Sequence[str]) -> None:
-    """Fill a page with spectrograms: one sound per column; ground truth, answer and difference in rows.
+    """Fill a page with spectrograms: one column per sound; rows for ground truth, answer and difference.
 
     Decibels are relative to the peak of the column's ground truth.
 

@@ -6,12 +6,12 @@ from objectfolder.errors import ObjectFolderError
 
 WINDOW, HOP, FFT = 400, 160, 512
 SAMPLE_RATE = 16000  #: Hz
-DURATION = 2.0
-SHAPE = (FFT // 2 + 1, 1 + round(SAMPLE_RATE * DURATION) // HOP)  #: of one spectrogram: (257, 201)
+DURATION = 2.0  #: s
+SHAPE = (FFT // 2 + 1, 1 + round(SAMPLE_RATE * DURATION) // HOP)  #: (257, 201): bins, frames
 
 
 def spectrogram(sounds: torch.Tensor) -> torch.Tensor:
-    """Complex spectrograms; (N, samples) -> (N, 257, frames), 201 frames for two seconds.
+    """Compute complex spectrograms; (N, samples) -> (N, 257, frames), 201 frames for two seconds.
 
     Raises
     ------
@@ -20,13 +20,13 @@ def spectrogram(sounds: torch.Tensor) -> torch.Tensor:
     """
     if sounds.shape[-1] <= FFT // 2:
         raise ObjectFolderError(
-            f"sounds of {sounds.shape[-1]} samples are too short, expected over {FFT // 2}"
+            f"sounds of {sounds.shape[-1]} samples are too short, expected more than {FFT // 2}"
         )
     window = torch.hann_window(WINDOW, device=sounds.device)
     return torch.stft(sounds, FFT, hop_length=HOP, win_length=WINDOW, window=window, return_complex=True)
 
 
 def sounds_of(spectra: torch.Tensor) -> torch.Tensor:
-    """Sounds of two seconds whose spectrograms are closest to these; (N, 257, 201) -> (N, 32000)."""
+    """Return the two-second sounds with the closest spectrograms; (N, 257, 201) -> (N, 32000)."""
     window = torch.hann_window(WINDOW)
     return torch.istft(spectra, FFT, HOP, WINDOW, window, length=round(SAMPLE_RATE * DURATION))

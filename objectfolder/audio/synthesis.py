@@ -1,4 +1,4 @@
-"""Sound of a struck object: a bank of damped sinusoids, mixed by modal gains."""
+"""Modal sound synthesis: a bank of damped sinusoids, mixed by modal gains."""
 
 import math
 
@@ -7,7 +7,7 @@ import torch
 from objectfolder.errors import ObjectFolderError
 
 RESPONSES = ("displacement", "velocity", "acceleration")
-_STRIDE = 256  # samples between those whose exponentials are computed
+_STRIDE = 256  # samples between computed exponentials; the others are products
 
 
 def sinusoid_bank(
@@ -18,12 +18,11 @@ def sinusoid_bank(
     response: str = "displacement",
     contact_time: float = 0.0,
 ) -> torch.Tensor:
-    """Response of each mode to a unit impulse, per unit of gain.
+    """Compute the response of each mode to a unit impulse, per unit of gain.
 
-    A mode with shape value g that is struck for an instant moves as g / w exp(-c t) sin(w t); velocity and
-    acceleration are its derivatives. A strike of finite duration pushes with half a sine, whose integral is
-    one too, and the answer is that of `half_sine_response`. Modes above the Nyquist frequency would alias
-    and are zero.
+    After an ideal impulse, a mode with shape value g is displaced by g / w exp(-c t) sin(w t); velocity and
+    acceleration are the derivatives. A strike of finite duration is a half-sine force pulse of unit impulse;
+    see `half_sine_response`. Modes at or above the Nyquist frequency would alias and are set to zero.
 
     Parameters
     ----------
@@ -37,7 +36,7 @@ def sinusoid_bank(
         Seconds.
     response : {"displacement", "velocity", "acceleration"}
     contact_time : float
-        Seconds that the strike lasts from the first sample on; 0 is an ideal impulse.
+        Duration of the strike, which starts at the first sample, seconds; 0 is an ideal impulse.
 
     Returns
     -------
@@ -57,12 +56,12 @@ def sinusoid_bank(
 
 
 def count_samples(sample_rate: float, duration: float) -> int:
-    """Number of samples of a sound.
+    """Return the number of samples of a sound.
 
     Raises
     ------
     ObjectFolderError
-        If there are none: a rate or duration that is not positive.
+        If there are none, since the rate or the duration is not positive.
     """
     samples = sample_rate * duration
     samples = round(samples) if sample_rate > 0 and math.isfinite(samples) else 0
@@ -81,12 +80,12 @@ def responses(
     response: str = "displacement",
     contact_time: float = 0.0,
 ) -> torch.Tensor:
-    """Some samples of `sinusoid_bank`, aliased or not; (M, len(samples)) float32.
+    """Compute a range of samples of `sinusoid_bank`, including modes that alias; (M, len(samples)) float32.
 
     Parameters
     ----------
     samples : range
-        Consecutive ones.
+        Consecutive sample numbers.
 
     Raises
     ------
@@ -109,7 +108,7 @@ def responses(
         if contact_time
         else torch.ones_like(s)
     )
-    # Once it is free, a mode rings as exp(s t), whose derivatives are s exp(s t) and s^2 exp(s t).
+    # After contact, a mode rings freely as exp(s t), whose derivatives are s exp(s t) and s^2 exp(s t).
     free = bank[:, len(contact) :]
     if free.numel():
         start = float(time[len(contact)]) - contact_time
@@ -118,15 +117,15 @@ def responses(
 
 
 def _ringing(state: torch.Tensor, s: torch.Tensor, start: float, step: float, count: int) -> torch.Tensor:
-    """Imaginary part of state exp(s t) at regular times; (M, count) float32.
+    """Compute the imaginary part of state exp(s t) at evenly spaced times; (M, count) float32.
 
-    exp(s (a + b)) = exp(s a) exp(s b): two short tables instead of an exponential for each sample.
+    exp(s (a + b)) = exp(s a) exp(s b): two short tables replace an exponential per sample.
     """
     near = torch.arange(_STRIDE, dtype=torch.float64, device=s.device) * step
     far = start + torch.arange(-(-count // _STRIDE), dtype=torch.float64, device=s.device) * (_STRIDE * step)
     fast, slow = torch.exp(s * near)[:, None, :], (state * torch.exp(s * far))[:, :, None]
     wave = torch.empty(len(s), far.shape[0], _STRIDE, device=s.device)
-    for out, x, y in zip(wave, fast, slow):  # mode by mode: what lies between stays in the cache
+    for out, x, y in zip(wave, fast, slow):  # mode by mode, so that intermediates stay in the cache
         out.copy_(torch.addcmul(x.imag * y.real, x.real, y.imag))
     return wave.flatten(1)[:, :count]
 
@@ -134,17 +133,17 @@ def _ringing(state: torch.Tensor, s: torch.Tensor, start: float, step: float, co
 def half_sine_response(
     s: torch.Tensor, time: torch.Tensor, contact_time: float, order: int = 0
 ) -> torch.Tensor:
-    """Response of modes, at rest before, while half a sine of force of unit impulse acts; closed form.
+    """Compute in closed form the response of modes, initially at rest, during a half-sine force pulse.
 
-    Solves ``y'' + 2 c y' + (w^2 + c^2) y = f(t)`` with ``f(t) = pi / (2 T) sin(pi t / T)``, the force of an
-    elastic (Hertzian) contact to a few per cent.
+    Solves ``y'' + 2 c y' + (w^2 + c^2) y = f(t)`` with ``f(t) = pi / (2 T) sin(pi t / T)``, which has unit
+    impulse and approximates the force of an elastic (Hertzian) contact to a few per cent.
 
     Parameters
     ----------
     s : (M, 1) complex tensor
         -c + i w, 1/s.
     time : (samples,) tensor
-        Seconds since the contact began, from 0 to the contact time T.
+        Time since the start of contact, from 0 to the contact time T, seconds.
     contact_time : float
         T, seconds.
     order : int
@@ -155,13 +154,13 @@ def half_sine_response(
     (M, samples) float64
     """
     moved = (_state(s, time / contact_time, contact_time) * s**order).imag / s.imag
-    if order == 2:  # the force itself; what remains of the acceleration is elastic and viscous
+    if order == 2:  # add the force itself; the other terms are elastic and viscous
         moved = moved + math.pi / (2 * contact_time) * torch.sin(math.pi * time / contact_time)
     return moved
 
 
 def _state(s: torch.Tensor, share: torch.Tensor, contact_time: float) -> torch.Tensor:
-    """Convolution of exp(s t) with the half sine of unit impulse, at shares of the contact; (M, samples)."""
+    """Convolve exp(s t) with the half sine of unit impulse, at fractions of the contact; (M, samples)."""
     motion = s * (share * contact_time)
     turn = 1j * math.pi * share
     difference = _divided_difference(turn, motion) - _divided_difference(-turn, motion)
@@ -169,7 +168,7 @@ def _state(s: torch.Tensor, share: torch.Tensor, contact_time: float) -> torch.T
 
 
 def _divided_difference(p: torch.Tensor, q: torch.Tensor) -> torch.Tensor:
-    """(exp(p) - exp(q)) / (p - q), accurate where p is near q: a strike in tune with an undamped mode."""
+    """Compute (exp(p) - exp(q)) / (p - q), accurate near p = q, where the pulse resonates with the mode."""
     half = (p - q) / 2
     near = half.abs() < 0.1
     x = torch.where(near, half, 0) ** 2
@@ -178,10 +177,10 @@ def _divided_difference(p: torch.Tensor, q: torch.Tensor) -> torch.Tensor:
 
 
 def audible(damped_frequency: torch.Tensor, sample_rate: float) -> torch.Tensor:
-    """Which modes lie below the Nyquist frequency; (M,) bool."""
+    """Return a mask of the modes below the Nyquist frequency; (M,) bool."""
     return damped_frequency < math.pi * sample_rate
 
 
 def gains(shapes: torch.Tensor, forces: torch.Tensor) -> torch.Tensor:
-    """Modal gains: shapes (N, 3, M) in kg^-1/2, impulses (N, 3) in N s -> (N, M)."""
+    """Compute modal gains: shapes (N, 3, M) in kg^-1/2, impulses (N, 3) in N s -> (N, M)."""
     return torch.einsum("ndm,nd->nm", shapes, forces)

@@ -1,4 +1,4 @@
-"""The modes of an object of another material or size, from those that were solved."""
+"""Modes of an object of another material or size, derived from the stored modes."""
 
 import math
 from collections.abc import Iterator
@@ -15,16 +15,16 @@ HEARING_HZ = (20.0, 20000.0)
 
 @dataclass(frozen=True)
 class Tuning:
-    """Modes that an object has, and what is known of those that it lacks."""
+    """Modes of an object, and their known gaps and errors."""
 
     modes: torch.Tensor  #: (M,) int, rows of the stored modes
     damped_frequency: torch.Tensor  #: (M,) angular, rad/s
     damping: torch.Tensor  #: (M,) decay rates, 1/s
-    shape_factor: float = 1.0  #: of the stored mode shapes
-    complete_hz: tuple[float, float] = (0.0, math.inf)  #: no mode in between is lacking
-    #: At another Poisson ratio the true natural frequencies are those given here times a factor in between.
+    shape_factor: float = 1.0  #: multiplies the stored mode shapes
+    complete_hz: tuple[float, float] = (0.0, math.inf)  #: band without missing modes
+    #: Bounds on the ratio of true to given natural frequencies; not 1 if Poisson's ratio differs.
     frequency_bounds: tuple[float, float] = (1.0, 1.0)
-    notes: tuple[str, ...] = ()  #: what the answer lacks, in words
+    notes: tuple[str, ...] = ()  #: gaps and approximations, for people
 
     @property
     def frequencies(self) -> torch.Tensor:
@@ -33,7 +33,7 @@ class Tuning:
 
 
 def stored_modes(damped_frequency: torch.Tensor, damping: torch.Tensor) -> Tuning:
-    """Return the modes as they were solved."""
+    """Return the stored modes unchanged."""
     return Tuning(torch.arange(len(damping)), damped_frequency, damping)
 
 
@@ -44,17 +44,17 @@ def retune(
     stored: tuple[Material, float],
     wanted: tuple[Material, float],
 ) -> Tuning:
-    """Modes of an object of another material or size.
+    """Compute the modes of an object of another material or size.
 
-    Modes that leave the range of hearing, 20 Hz to 20 kHz, or become overdamped are left out, as in a solve.
-    Of a softer or larger object, modes come into that range that were above the band when it was solved.
+    Modes that leave the range of hearing, 20 Hz to 20 kHz, or become overdamped are dropped, as in a solve.
+    A softer or larger object has audible modes that lay above the solved band and are missing.
 
     Parameters
     ----------
     damped_frequency, damping : (M,) tensors
         Of the stored modes, rad/s and 1/s.
     band_hz : tuple of float
-        Natural frequencies between which every mode was stored.
+        Band of natural frequencies in which every mode is stored.
     stored, wanted : tuple of Material and float
         Material and longest side in metres.
 
@@ -86,10 +86,10 @@ def retune(
 
 
 def _poisson_bounds(old: float, new: float) -> tuple[float, float]:
-    """Least and largest factor of a natural frequency when only Poisson's ratio changes.
+    """Bound the factor by which natural frequencies change when only Poisson's ratio does.
 
     The elasticity tensor has eigenvalues E / (1 + nu) and E / (1 - 2 nu). The strain energy of any motion
-    changes by a factor between theirs, and so does, by Rayleigh's principle, every eigenvalue.
+    changes by a factor between theirs, and so, by Rayleigh's principle, does every eigenvalue.
     """
     shear, bulk = (1 + old) / (1 + new), (1 - 2 * old) / (1 - 2 * new)
     return math.sqrt(min(shear, bulk)), math.sqrt(max(shear, bulk))
@@ -98,7 +98,7 @@ def _poisson_bounds(old: float, new: float) -> tuple[float, float]:
 def _notes(
     complete: tuple[float, float], old: Material, new: Material, bounds: tuple[float, float]
 ) -> Iterator[str]:
-    """Say what an answer lacks."""
+    """Describe the gaps and approximations of retuned modes."""
     low, high = HEARING_HZ
     if old.poisson_ratio != new.poisson_ratio:
         yield (
@@ -106,7 +106,7 @@ def _notes(
             f"{new.name} has {new.poisson_ratio:g}; true frequencies are {bounds[0]:.3f} to {bounds[1]:.3f} "
             f"times these; build the object with material {new.name} to solve it exactly"
         )
-    # The solved band ends at 20 kHz or so: rounding is no loss.
+    # The solved band may end at 20 kHz itself; do not report rounding as a gap.
     if complete[1] < high * (1 - 1e-9):
         yield (
             f"incomplete: modes from {complete[1]:.0f} to {high:.0f} Hz were above the band that was solved "
