@@ -1,6 +1,5 @@
 """Objects as rigid bodies: mass and inertia of the solid, and convex hulls for collisions."""
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,6 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import trimesh
+from platformdirs import user_cache_path
 
 from objectfolder import materials
 from objectfolder.envs.hulls import cached_hulls
@@ -90,8 +90,7 @@ def as_rigid_body(
         return file
     file = file if isinstance(file, ObjectFile) else ObjectFile.load(file)
     if hulls is None:
-        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        hulls = cached_hulls(file, cache / "objectfolder" / "hulls")
+        hulls = cached_hulls(file, user_cache_path("objectfolder") / "hulls")
     return rigid_body(file, hulls)
 
 

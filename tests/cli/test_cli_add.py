@@ -64,7 +64,7 @@ def test_add_copies_what_the_mesh_refers_to_and_tracks_it(workspace, box):
     values = params.read()
     check_all(values)
     assert set(values["objects"]) == {"mug", "die", "bell", "crate"}
-    assert "# mesh: under data/objects" in (workspace / "params.yaml").read_text()  # comments survive
+    assert "# mesh: path under data/objects" in (workspace / "params.yaml").read_text()  # comments survive
 
 
 def test_a_ply_brings_its_texture_and_deleted_data_comes_back(workspace, tmp_path):
