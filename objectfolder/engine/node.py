@@ -1,6 +1,6 @@
-"""What runs on a node of a cluster: the command of one stage, with that node's Python and environment.
+"""Functions that Ray runs on a cluster node, with the Python and environment of that node.
 
-Imports no DVC, which only the engine needs.
+This module must not import DVC, which nodes need not have.
 """
 
 import os
@@ -10,27 +10,27 @@ from pathlib import Path
 
 from objectfolder.engine.process import Children, Command, CommandResult, stage_environment
 
-#: Variables of the engine's environment that a command gets; all others are the node's own. Paths, GPUs and
-#: temporary folders of the machine where the engine runs mean nothing here.
+#: Prefix of the variables that a command gets from the engine's environment. All others come from the node,
+#: because paths, GPUs and temporary folders differ between machines.
 PASSED_ON = "DVC_"
 
 
 class NotShared(Exception):
-    """This node does not see the workspace of the build."""
+    """The workspace of the build is not visible on this node."""
 
 
 def check_workspace(marker: Path) -> None:
-    """Make sure that this node sees the very workspace of the build, not a folder of the same name.
+    """Check that this node sees the workspace of the build, not another folder at the same path.
 
     Parameters
     ----------
     marker : Path
-        A file that the engine has just made in the workspace, of a name never used before.
+        File with a unique name that the engine has created in the workspace.
 
     Raises
     ------
     NotShared
-        If it is not there.
+        If the marker does not exist.
     """
     if not marker.exists():
         raise NotShared(
@@ -40,12 +40,12 @@ def check_workspace(marker: Path) -> None:
 
 
 def run(command: Command, threads: int, marker: Path) -> CommandResult:
-    """Run the command of one stage with the Python that started Ray here, on the GPUs that Ray gives it.
+    """Run the command of one stage with the Python of this Ray node, on the GPUs that Ray assigned.
 
     Parameters
     ----------
     command : Command
-        What to run; of its environment only what DVC sets is used.
+        Command of the stage; only DVC's variables of its environment are used.
     threads : int
         Threads that numerical libraries may start.
     marker : Path

@@ -1,4 +1,4 @@
-"""Processes that share what one command computes of many objects, and end with it."""
+"""Pools of worker processes that end with their parent."""
 
 import os
 from collections.abc import Callable, Iterator
@@ -10,15 +10,15 @@ from objectfolder.engine.supervisor import die_with
 
 
 def process_pool(jobs: int | None) -> ProcessPoolExecutor:
-    """Return fresh processes, ``jobs`` or as many as there are cores.
+    """Return a pool of ``jobs`` spawned processes; default: one per core.
 
-    Without `die_with`, one whose parent was killed would finish its task, for nobody, and wait for ever.
+    Without `die_with`, workers of a killed parent would finish their task and then wait forever.
     """
     return ProcessPoolExecutor(jobs, get_context("spawn"), initializer=die_with, initargs=(os.getpid(),))
 
 
 def in_processes(call: Callable[..., None], arguments: list[tuple[Any, ...]], jobs: int) -> Iterator[None]:
-    """Call a function with each of the arguments, several at a time; give an item for each that is done."""
+    """Call a function with each tuple of arguments in parallel; yield once per finished call."""
     with process_pool(min(jobs, len(arguments))) as pool:
         waiting = [pool.submit(call, *given) for given in arguments]
         try:

@@ -1,4 +1,4 @@
-"""Run the command of one stage in its own session, measured and logged; kill all that are running."""
+"""Stage commands: each runs in its own session, is timed and logged, and can be killed with its children."""
 
 import json
 import os
@@ -19,7 +19,7 @@ TAIL_BYTES = 16_384
 
 @dataclass(frozen=True)
 class Command:
-    """What to run.
+    """Shell commands of a stage, with their environment and log.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class Command:
     log : Path
         File for standard output and standard error.
     timeout : float, optional
-        Wall seconds after which it is killed; None never.
+        Wall seconds after which the command is killed; None: never.
     """
 
     lines: Sequence[str]
@@ -44,18 +44,18 @@ class Command:
 
 @dataclass(frozen=True)
 class CommandResult:
-    """How a command ended.
+    """Exit code, wall time and peak memory of a command.
 
     Parameters
     ----------
     code : int
-        Exit code; minus the signal's number if the shell was killed.
+        Exit code; the negative signal number if the shell was killed.
     seconds : float
-        Wall time.
+        Wall time, s.
     peak_mb : float
-        Peak resident memory of the largest process.
+        Peak resident memory of the largest process, MB.
     timed_out : bool
-        Whether it was killed because its time was up.
+        Whether the command was killed at its time limit.
     """
 
     code: int
@@ -65,7 +65,7 @@ class CommandResult:
 
 
 class Children:
-    """Commands that are running now."""
+    """Running commands of this process."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -75,8 +75,8 @@ class Children:
     def run(self, command: Command) -> CommandResult:
         """Run a command and wait for it.
 
-        Call it from a thread that outlives the command: the kernel takes the end of the thread that started
-        a child for the end of its parent.
+        The calling thread must outlive the command: to the kernel, the thread that started a child is its
+        parent.
         """
         start = time.monotonic()
         command.log.parent.mkdir(parents=True, exist_ok=True)
@@ -114,23 +114,23 @@ class Children:
                 _kill(supervisor.pid)
 
             with _alarm(command.timeout, expire):
-                # Wait without reaping, so that the group's id cannot be given to anyone else meanwhile.
+                # Wait without reaping, so that the kernel cannot reuse the group's id meanwhile.
                 os.waitid(os.P_PID, supervisor.pid, os.WEXITED | os.WNOWAIT)
             with self._lock:
-                _kill(supervisor.pid)  # what the command left in the background
+                _kill(supervisor.pid)  # background processes of the command
                 supervisor.wait()
                 self._groups.discard(supervisor.pid)
             text = report.read()
         if not text and supervisor.returncode != -signal.SIGKILL:
             raise RuntimeError(
-                f"its supervisor has ended with code {supervisor.returncode}; see {command.log}"
+                f"the supervisor process exited with code {supervisor.returncode}; see {command.log}"
             )
         if not text:
             return CommandResult(-signal.SIGKILL, time.monotonic() - start, 0.0, timed_out.is_set())
         return CommandResult(**json.loads(text))
 
     def kill(self) -> None:
-        """Kill every running command with all its processes, and start no more."""
+        """Kill all running commands with their child processes, and start no more."""
         with self._lock:
             self._closed = True
             for group in self._groups:
@@ -138,9 +138,9 @@ class Children:
 
 
 def stage_environment(base: Mapping[str, str], threads: int = 1) -> dict[str, str]:
-    """Environment of a stage: this interpreter's ``python`` first, and numerical libraries held in.
+    """Return the environment of a stage: this ``python`` first in PATH, and a limit on library threads.
 
-    The workers are the parallelism; libraries that each start a thread per core would only fight.
+    Stages already run in parallel; a thread per core in each numerical library would oversubscribe the cores.
     """
     path = os.pathsep.join(filter(None, (str(Path(sys.executable).parent), base.get("PATH"))))
     return {
@@ -149,12 +149,12 @@ def stage_environment(base: Mapping[str, str], threads: int = 1) -> dict[str, st
         "OMP_NUM_THREADS": str(threads),
         "OPENBLAS_NUM_THREADS": str(threads),
         "MKL_NUM_THREADS": str(threads),
-        "PYTHONUNBUFFERED": "1",  # so that the log is complete up to the moment a stage is killed
+        "PYTHONUNBUFFERED": "1",  # keeps the log complete when a stage is killed
     }
 
 
 def tail(log: Path) -> tuple[str, ...]:
-    """Last lines of a log; empty if there is none."""
+    """Return the last lines of a log; empty without a log."""
     try:
         with log.open("rb") as stream:
             stream.seek(0, os.SEEK_END)
@@ -166,14 +166,14 @@ def tail(log: Path) -> tuple[str, ...]:
 
 
 def describe_result(outcome: CommandResult) -> str:
-    """Say in words how a command that did not succeed ended; empty if it did."""
+    """Describe the failure of a command; empty if it succeeded."""
     if outcome.timed_out:
         return f"killed after {outcome.seconds:.0f} s, its time limit (--timeout sets another)"
     return describe_exit(outcome.code) if outcome.code else ""
 
 
 def describe_exit(code: int) -> str:
-    """Say in words what an exit code other than 0 means."""
+    """Describe a nonzero exit code."""
     # A shell reports a child's death by signal N as exit code 128 + N.
     number = -code if code < 0 else code - 128
     try:
@@ -186,7 +186,7 @@ def describe_exit(code: int) -> str:
 
 @contextmanager
 def _alarm(seconds: float | None, action: Callable[[], None]) -> Iterator[None]:
-    """Do something if the block takes longer than this."""
+    """Call an action if the block takes longer than ``seconds``."""
     if seconds is None:
         yield
         return

@@ -1,4 +1,4 @@
-"""Show a build as it goes, and its summary: live on a terminal, one line per event elsewhere."""
+"""Progress of a build (live on a terminal, else one line per event), and its final summary."""
 
 import statistics
 import time
@@ -22,7 +22,7 @@ from objectfolder.engine.summary import (
     Summary,
 )
 
-MAX_ROWS = 60  # of the summary's table; more are added up by stage
+MAX_ROWS = 60  # of the summary table; with more results, one row per stage and outcome
 STYLES = {
     StageOutcome.RAN: "green",
     StageOutcome.RESTORED: "cyan",
@@ -33,12 +33,12 @@ STYLES = {
 
 
 class Progress:
-    """Listener for `objectfolder.engine.build.build`, used as a context manager.
+    """Progress display: a listener of `objectfolder.engine.build.build` and a context manager.
 
     Parameters
     ----------
     console : Console, optional
-        Where to write; standard error by default.
+        Output; default: standard error.
     """
 
     def __init__(self, console: Console | None = None):
@@ -47,7 +47,7 @@ class Progress:
         self.counts = dict.fromkeys(StageOutcome, 0)
         self.running: dict[str, float] = {}
         self._clock = time.monotonic()
-        # Rough seconds of what is still to end, and of what has run.
+        # Rough seconds of the remaining stages, and of those that have run.
         self._ahead: dict[str, float] = {}
         self._behind = 0.0
         self._live = (
@@ -71,7 +71,7 @@ class Progress:
             self._live.stop()
 
     def __call__(self, event: Event) -> None:
-        """Take one event of the build."""
+        """Show one event of the build."""
         match event:
             case Planned(seconds):
                 self._clock = time.monotonic()
@@ -91,17 +91,17 @@ class Progress:
                 expected = self._ahead.pop(result.address, 0.0)
                 if result.status is StageOutcome.RAN:
                     self._behind += expected
-                # A thousand unchanged stages are a number, not a thousand lines.
+                # Skipped stages are only counted: there may be thousands.
                 if result.status is not StageOutcome.SKIPPED:
                     self._line(self._describe(result), STYLES[result.status])
 
     @property
     def done(self) -> int:
-        """Stages that have ended."""
+        """Number of stages that have ended."""
         return sum(self.counts.values())
 
     def seconds_left(self) -> float | None:
-        """Time until the end, if it goes on as fast as so far; None until something has run."""
+        """Return the remaining time in s at the speed so far; None before the first stage has run."""
         if not self._behind:
             return None
         return (time.monotonic() - self._clock) * sum(self._ahead.copy().values()) / self._behind
@@ -124,7 +124,7 @@ class Progress:
 
     def _render(self) -> Group:
         now = time.monotonic()
-        # Copied in one step, because this runs in the display's thread.
+        # Copied in one step, because this runs in the display thread.
         running = [
             Text(f"  {address}  {now - start:.0f} s", style="bold")
             for address, start in self.running.copy().items()
@@ -141,7 +141,7 @@ class Progress:
 
 
 def print_summary(summary: Summary, console: Console | None = None) -> None:
-    """Print what ran or was restored, the totals, and what failed with the end of its log."""
+    """Print the stages that ran or were restored, the failures with the end of their logs, and the totals."""
     console = console or Console()
     shown = [
         result
@@ -172,7 +172,7 @@ def _table(results: list[StageResult]) -> Table:
 
 
 def _totals(results: list[StageResult]) -> Table:
-    """What many objects took, by stage."""
+    """Return a table of totals over objects, by stage and outcome."""
     table = Table("stage", "", box=None)
     for name in ("objects", "total s", "median s", "most s", "peak MB"):
         table.add_column(name, justify="right")

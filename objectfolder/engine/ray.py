@@ -1,4 +1,4 @@
-"""Run the commands of stages on the nodes of a Ray cluster that share the workspace's file system."""
+"""Workers on a Ray cluster whose nodes share the file system of the workspace."""
 
 import logging
 import os
@@ -23,11 +23,11 @@ from objectfolder.engine.resources import Needs
 from objectfolder.engine.workers import FinishedQueue, WorkerLost
 from objectfolder.errors import ObjectFolderError
 
-#: Seconds between two looks at which nodes there are.
+#: Seconds between two queries for the nodes of the cluster.
 PERIOD = 1.0
-#: Seconds that a node may take to start a worker and look for the workspace.
+#: Seconds for a node to start a worker and check the workspace.
 PROBE_TIMEOUT = 60.0
-#: Seconds that killed commands may take to end.
+#: Seconds for killed commands to end.
 KILL_TIMEOUT = 30.0
 CONNECT_TIMEOUT = 5.0
 MARKER = "cluster-{}.tmp"
@@ -35,16 +35,16 @@ MARKER = "cluster-{}.tmp"
 
 @dataclass(frozen=True)
 class Node:
-    """A node of the cluster that can run stages.
+    """Cluster node that can run stages.
 
     Parameters
     ----------
     id : str
-        Ray's name for it.
+        Node id of Ray.
     name : str
         Host name and address.
     cpus, gpus, memory_mb : int
-        What it has in all, free or not.
+        Total resources, free or taken.
     """
 
     id: str
@@ -54,18 +54,17 @@ class Node:
     memory_mb: int
 
     def has(self, needs: Needs) -> bool:
-        """Whether a stage could ever run here."""
+        """Return whether the total resources of this node suffice for a stage."""
         return needs.cpus <= self.cpus and needs.gpus <= self.gpus and needs.memory_mb <= self.memory_mb
 
 
 def fitted(needs: Needs, nodes: Sequence[Node], jobs: int | None = None) -> Needs:
-    """Reduce needs to what one node has, so that no stage waits forever.
+    """Reduce the needs of a stage to the resources of the best-fitting node, so that no stage waits forever.
 
-    That node is the one that comes closest: in GPUs first, then cores, then memory. Without any GPU in the
-    cluster, a stage that can use one runs on the CPU.
+    Nodes are compared by GPUs first, then cores, then memory. Without GPUs, stages run on the CPU.
     """
     cpus = needs.cpus if jobs is None else min(needs.cpus, jobs)
-    gpus = needs.gpus if needs.gpus <= 1 else round(needs.gpus)  # Ray shares one GPU, but not several
+    gpus = needs.gpus if needs.gpus <= 1 else round(needs.gpus)  # Ray allows fractions of one GPU only
     reduced = (
         (min(gpus, place.gpus), min(cpus, place.cpus), min(needs.memory_mb, place.memory_mb))
         for place in nodes
@@ -75,21 +74,21 @@ def fitted(needs: Needs, nodes: Sequence[Node], jobs: int | None = None) -> Need
 
 
 def ray_workers(address: str = "auto") -> MakeWorkers:
-    """Give what makes the workers of a build on a running Ray cluster.
+    """Return a factory of workers on a running Ray cluster.
 
     Parameters
     ----------
     address : str
-        ``HOST:PORT`` of the head node; ``auto`` takes ``RAY_ADDRESS``, or the cluster that this machine is
-        a node of. This machine must be a node of it (``ray start --address HOST:PORT --num-cpus 0`` makes
-        it one that runs nothing).
+        ``HOST:PORT`` of the head node; ``auto``: ``RAY_ADDRESS``, or the cluster of this machine. This
+        machine must be a node of the cluster (``ray start --address HOST:PORT --num-cpus 0`` adds it as a
+        node that runs no stages).
 
     Returns
     -------
     callable
-        For the argument ``make_workers`` of `objectfolder.engine.build.build`. It raises `ObjectFolderError`
-        if Ray is not installed, no cluster answers, the versions of Python or Ray differ, or a node
-        does not see the workspace.
+        Value of the argument ``make_workers`` of `objectfolder.engine.build.build`. It raises
+        `ObjectFolderError` if Ray is not installed, no cluster answers, the versions of Python or Ray
+        differ, or a node does not see the workspace.
     """
 
     def make(jobs: int | None, finished: FinishedQueue) -> RayWorkers:
@@ -99,21 +98,21 @@ def ray_workers(address: str = "auto") -> MakeWorkers:
 
 
 class RayWorkers:
-    """Run commands on a Ray cluster, on the nodes that Ray chooses.
+    """Workers on a Ray cluster; Ray chooses the node of each command.
 
-    The end of this process, of whatever kind, ends its commands: Ray kills the workers of a dead driver, and
-    each command dies with its worker.
+    When this process ends, for whatever reason, its commands end too: Ray kills the workers of a dead driver,
+    and each command dies with its worker.
 
     Parameters
     ----------
     address : str
-        Of the cluster; see `ray_workers`.
+        Address of the cluster; see `ray_workers`.
     jobs : int, optional
         Cores to use in the whole cluster; default: all.
     finished : SimpleQueue
-        Where outcomes go. A command that was lost with its worker gives a `WorkerLost`.
+        Queue for outcomes. A command that was lost with its worker yields a `WorkerLost`.
     workspace : Path
-        Folder that all nodes must see.
+        Folder that must be visible on all nodes.
 
     Raises
     ------
@@ -142,15 +141,15 @@ class RayWorkers:
 
     @property
     def cores(self) -> int:
-        """Cores that commands may use together."""
+        """Cores for all commands together."""
         cpus = sum(place.cpus for place in self._nodes)
         return min(cpus, self.jobs or cpus)
 
     def room(self, needs: Needs) -> str:
-        """What a command would have to wait for in the cluster as a whole; Ray chooses the node."""
-        nodes = self._nodes  # which `_watch` replaces
+        """Return the resource that a command must wait for in the cluster as a whole."""
+        nodes = self._nodes  # `_watch` replaces the attribute
         if not self._taken or not nodes:
-            return ""  # without nodes, `submit` says what is wrong
+            return ""  # without nodes, `submit` raises an error
         wanted = fitted(needs, nodes, self.jobs)
         taken = self._taken.values()
         if sum(other.cpus for other in taken) + wanted.cpus > self.cores:
@@ -177,7 +176,7 @@ class RayWorkers:
             num_cpus=wanted.cpus,
             num_gpus=wanted.gpus,
             memory=wanted.memory_mb * 2**20,
-            max_retries=0,  # the engine starts it again, after it has removed what the lost one left behind
+            max_retries=0,  # the engine restarts it, after removing partial outputs
         )
         reference = task.remote(command, wanted.cpus, self._marker)
         self._taken[address] = wanted
@@ -186,16 +185,16 @@ class RayWorkers:
         reference.future().add_done_callback(partial(self._done, address, self._ended[address]))
 
     def finish(self, address: str) -> None:
-        """Free what a command held."""
+        """Release the resources of a command."""
         del self._taken[address], self._refs[address], self._ended[address]
 
     def kill(self) -> None:
-        """Kill every running command, by killing its worker."""
+        """Kill all running commands by killing their workers."""
         for reference in self._refs.values():
             self.ray.cancel(reference, force=True)
 
     def close(self) -> None:
-        """Wait until the commands have ended, and leave the cluster."""
+        """Wait for the commands to end, then disconnect from the cluster."""
         deadline = time.monotonic() + KILL_TIMEOUT
         for ended in self._ended.values():
             ended.wait(max(0.0, deadline - time.monotonic()))
@@ -204,7 +203,7 @@ class RayWorkers:
         self._disconnect()
 
     def _done(self, address: str, ended: threading.Event, future: "Future[CommandResult]") -> None:
-        """Report a command; called in a thread of Ray's."""
+        """Report the outcome of a command; called in a thread of Ray."""
         error = future.exception()
         self.finished.put((address, future.result() if error is None else _failure(error)))
         ended.set()
@@ -230,7 +229,7 @@ class RayWorkers:
         return nodes
 
     def _watch(self) -> None:
-        """Look which nodes there are, and take back what waits for a node that is gone."""
+        """Update the list of nodes periodically, and cancel commands that no remaining node can run."""
         while not self._closing.wait(PERIOD):
             try:
                 self._nodes = self._find_nodes()
@@ -244,11 +243,11 @@ class RayWorkers:
     def _mark(self) -> None:
         self._marker.parent.mkdir(parents=True, exist_ok=True)
         for stale in self._marker.parent.glob(MARKER.format("*")):
-            stale.unlink()  # of an engine that was killed; this one owns the workspace
+            stale.unlink()  # left by a killed engine; this one holds the workspace lock
         self._marker.touch()
 
     def _probe(self) -> None:
-        """Make sure that every node can run the engine's code and sees the workspace."""
+        """Check that every node can run the engine's code and sees the workspace."""
         from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
         check = self.ray.remote(node.check_workspace)
@@ -266,20 +265,20 @@ class RayWorkers:
             raise ObjectFolderError(text)
 
     def _problem(self, place: Node, look: Any) -> str:
-        """What is wrong with a node; empty if nothing."""
+        """Return the problem of a node; empty if there is none."""
         from ray.exceptions import GetTimeoutError, RayError, RayTaskError
 
         try:
             self.ray.get(look, timeout=0)
         except GetTimeoutError:
-            return f"node {place.name} has not answered for {PROBE_TIMEOUT:.0f} s; see its Ray logs"
+            return f"node {place.name} did not answer within {PROBE_TIMEOUT:.0f} s; see its Ray logs"
         except RayTaskError as error:
             cause = _cause(error)
             if isinstance(cause, node.NotShared):
                 return str(cause)
             return (
                 f"node {place.name} cannot run the engine's code ({_last_line(cause)}); "
-                "install objectfolder there, for the Python that runs `ray start`"
+                "install objectfolder there, in the Python environment of `ray start`"
             )
         except RayError as error:
             return f"node {place.name}: {_describe(error)}"
@@ -291,7 +290,7 @@ class RayWorkers:
 
 
 def _connect(address: str) -> Any:
-    """Connect this process to a running cluster, quietly; returns Ray."""
+    """Connect this process to a running cluster without log output; return the module ``ray``."""
     try:
         import ray
         from ray._private import worker
@@ -303,10 +302,10 @@ def _connect(address: str) -> Any:
     given = os.environ.get("RAY_ADDRESS", address) if address == "auto" else address
     if "://" in given:
         raise ObjectFolderError(
-            f"Ray address {given}: clients from outside are not supported, their stages would outlive them; "
+            f"Ray address {given}: Ray Client is not supported, because stages would outlive the client; "
             "make this machine a node (ray start --address HOST:PORT --num-cpus 0) and give HOST:PORT"
         )
-    # Ray tells the driver of dead workers on standard output, whatever `log_to_driver` says.
+    # Ray reports dead workers on standard output even with `log_to_driver=False`.
     worker._worker_logs_enabled = False
     try:
         found = canonicalize_bootstrap_address_or_die(given)
@@ -318,7 +317,7 @@ def _connect(address: str) -> Any:
             f"no Ray cluster answers at {given!r} ({error}); start one with `ray start --head`, and give its "
             "--address HOST:PORT on a machine that is a node of it"
         ) from error
-    except RuntimeError as error:  # Ray insists on its own and Python's version, to the patch level
+    except RuntimeError as error:  # the versions of Ray and Python must match to the patch level
         raise ObjectFolderError(
             f"cannot join the Ray cluster at {given}: {error}\n"
             "start Ray on all nodes from environments with the same versions"
@@ -327,7 +326,7 @@ def _connect(address: str) -> Any:
 
 
 def _knock(address: str) -> None:
-    """Ask whether anyone listens: Ray itself waits for two minutes and then ends the process."""
+    """Check that the address accepts connections: Ray would wait two minutes and then exit the process."""
     host, _, port = address.rpartition(":")
     with socket.create_connection((host.strip("[]"), int(port)), CONNECT_TIMEOUT):
         pass
@@ -335,7 +334,7 @@ def _knock(address: str) -> None:
 
 @contextmanager
 def _own_signals() -> Iterator[None]:
-    """Keep the handler of SIGTERM, which Ray replaces."""
+    """Restore the handler of SIGTERM, which Ray replaces."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -347,30 +346,30 @@ def _own_signals() -> Iterator[None]:
 
 
 def _failure(error: BaseException) -> Exception:
-    """What the engine is to hear of a command that has no outcome."""
+    """Return the exception to report for a command without an outcome."""
     from ray.exceptions import RayTaskError, TaskCancelledError
 
     if isinstance(error, RayTaskError):
         return _cause(error)
     if isinstance(error, TaskCancelledError):
-        # By `_watch`; what `kill` cancels nobody asks about any more.
-        return WorkerLost("no node is left that has what it needs")
+        # Cancelled by `_watch`; outcomes after `kill` are not read.
+        return WorkerLost("no remaining node has the resources that it needs")
     return WorkerLost(_describe(error))
 
 
 def _cause(error: Any) -> Exception:
-    """What a task itself raised on its node."""
+    """Return the exception that a task raised on its node."""
     cause = getattr(error, "cause", None)
     return cause if isinstance(cause, Exception) else error
 
 
 def _last_line(error: BaseException) -> str:
-    """Reduce a message that holds a traceback to what happened."""
+    """Return the last line of an error message, which may contain a traceback."""
     return next((line for line in reversed(str(error).splitlines()) if line.strip()), type(error).__name__)
 
 
 def _describe(error: BaseException) -> str:
-    """Say in a line what became of a worker."""
+    """Describe the loss of a worker in one line."""
     known = {
         "WorkerCrashedError": "its worker died",
         "NodeDiedError": "its node died",

@@ -1,4 +1,4 @@
-"""What a stage takes of a machine: the one table, and the accounts of one machine."""
+"""Resource needs of stages, and the free resources of one machine."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -9,26 +9,27 @@ from typing import Any
 import psutil
 
 HOUR = 3600.0
-#: Share of the machine's memory that stages may take together; the rest is for the engine and the system.
+#: Share of the available memory for stages; the rest is for the engine and the system.
 MEMORY_SHARE = 0.9
 
 
 @dataclass(frozen=True)
 class Needs:
-    """What one stage takes while it runs.
+    """Resources of a running stage.
 
     Parameters
     ----------
     seconds : float
-        Rough time on one core at preset quick. Decides what starts first, and what is left.
+        Rough time on one core with preset quick; sets the priority of a stage and the estimate of remaining
+        time.
     cpus : int
-        Cores, and threads that numerical libraries may start.
+        Number of cores, which is also the thread limit of numerical libraries.
     gpus : float
-        GPUs; a fraction shares one.
+        Number of GPUs; a fraction is a share of one GPU.
     memory_mb : int
         Peak resident memory, MB.
     timeout : float, optional
-        Wall seconds after which the stage is taken for hanging and killed; None never.
+        Wall seconds after which the stage is considered hung and killed; None: never.
     """
 
     seconds: float = 1.0
@@ -38,9 +39,9 @@ class Needs:
     timeout: float | None = HOUR
 
 
-#: By stage, or by stage and its net or renderer (``train_vision/osf``). Memory: above the largest peaks in
-#: docs/results.md. One core each: bytes must not depend on a thread count. Timeouts
-#: are an order of magnitude above the longest run; the paper's nets train for days.
+#: Keys: stage, or stage and its net or renderer (``train_vision/osf``). Memory is above the largest peaks in
+#: docs/results.md. One core each, because outputs must not depend on the number of threads. Timeouts are an
+#: order of magnitude above the longest run; the paper's nets train for days and have none.
 NEEDS = {
     "generate": Needs(2, memory_mb=500),
     "normalize": Needs(4, memory_mb=2000),
@@ -70,7 +71,7 @@ NEEDS = {
 
 
 def needs_of(address: str, params: Mapping[str, Any]) -> Needs:
-    """Needs of a stage, from its name and, where its net or renderer decides, from the parameters.
+    """Return the needs of a stage, by its name and by its net or renderer in the parameters.
 
     Parameters
     ----------
@@ -87,12 +88,12 @@ def needs_of(address: str, params: Mapping[str, Any]) -> Needs:
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
 def machine_gpus() -> list[str]:
-    """NVIDIA GPUs of this machine that ``CUDA_VISIBLE_DEVICES`` does not hide, by the names that it takes."""
+    """Return the visible NVIDIA GPUs of this machine, as names for ``CUDA_VISIBLE_DEVICES``."""
     visible = os.environ.get("CUDA_VISIBLE_DEVICES")
     if visible is not None:
         return [name.strip() for name in visible.split(",") if name.strip() not in ("", "-1")]
@@ -101,18 +102,18 @@ def machine_gpus() -> list[str]:
 
 
 class Machine:
-    """Accounts of one machine: what is free while stages run.
+    """Free resources of one machine while stages run.
 
-    A stage that wants more than the machine has runs alone, so that none waits forever.
+    Needs beyond the capacity of the machine are capped, so that no stage waits forever.
 
     Parameters
     ----------
     cpus : int
-        Cores to use.
+        Number of cores to use.
     memory_mb : float, optional
-        Memory to use; default: most of what is available now.
+        Memory to use; default: 90 % of the memory available now.
     gpus : sequence of str, optional
-        Names of the GPUs to use; default: all. Without one, a stage that can use it trains on the CPU.
+        Names of the GPUs to use; default: all. Without GPUs, stages train on the CPU.
     """
 
     def __init__(self, cpus: int, memory_mb: float | None = None, gpus: Sequence[str] | None = None):
@@ -127,11 +128,11 @@ class Machine:
 
     @property
     def has_gpus(self) -> bool:
-        """Whether there is any GPU to use."""
+        """Whether there are GPUs to use."""
         return bool(self._gpus)
 
     def room(self, needs: Needs) -> str:
-        """What a stage would have to wait for: ``cpu``, ``memory``, ``gpu`` or nothing (empty)."""
+        """Return the resource that a stage must wait for: ``cpu``, ``memory`` or ``gpu``; empty if none."""
         needs = self._capped(needs)
         if needs.cpus > self._cpus:
             return "cpu"
@@ -140,7 +141,7 @@ class Machine:
         return "" if self._choose_gpus(needs.gpus) is not None else "gpu"
 
     def take(self, address: str, needs: Needs) -> list[str]:
-        """Enter a stage that starts; returns the GPUs that it gets."""
+        """Reserve the resources of a stage; return its GPUs."""
         needs = self._capped(needs)
         chosen = self._choose_gpus(needs.gpus) or []
         self._cpus -= needs.cpus
@@ -151,7 +152,7 @@ class Machine:
         return chosen
 
     def give(self, address: str) -> None:
-        """Enter that a stage has ended."""
+        """Release the resources of a stage."""
         needs, chosen = self._taken.pop(address)
         self._cpus += needs.cpus
         self._memory_mb += needs.memory_mb
@@ -167,7 +168,7 @@ class Machine:
         )
 
     def _choose_gpus(self, wanted: float) -> list[str] | None:
-        """GPUs with room, the fullest first, so that whole ones stay free; None if there are too few."""
+        """Return GPUs with enough free share, the busiest first to keep others idle; None if too few."""
         if wanted == 0:
             return []
         share, count = min(1.0, wanted), max(1, round(wanted))

@@ -1,13 +1,13 @@
-"""Which stage comes next: a ready queue ordered by group and longest remaining path. Knows nothing of DVC."""
+"""Order of stages: a queue of ready stages by group and longest remaining path, independent of DVC."""
 
 import heapq
 from collections.abc import Callable, Iterable, Mapping, Set
 
 
 def object_groups(addresses: Iterable[str], size: int) -> Callable[[str], int]:
-    """Group stages by their objects, so many to a group; stages of no object come first.
+    """Return a function from stages to groups of ``size`` objects; stages without an object come first.
 
-    A build of a thousand objects then finishes them a few at a time, and not all of them at its end.
+    With groups, a build of a thousand objects finishes them a few at a time instead of all at the end.
     """
     keys = dict.fromkeys(key for _, _, key in (address.partition("@") for address in addresses) if key)
     places = {key: place // size for place, key in enumerate(keys)}
@@ -15,7 +15,7 @@ def object_groups(addresses: Iterable[str], size: int) -> Callable[[str], int]:
 
 
 def remaining_paths(upstream: Mapping[str, Set[str]], weight: Callable[[str], float]) -> dict[str, float]:
-    """Length of the longest path from each stage to the end of the graph, the stage included.
+    """Return the length of the longest path from each stage to the end of the graph, including the stage.
 
     Parameters
     ----------
@@ -32,16 +32,16 @@ def remaining_paths(upstream: Mapping[str, Set[str]], weight: Callable[[str], fl
 
 
 class Schedule:
-    """Stages whose upstream is done, the most urgent first.
+    """Priority queue of the stages whose upstream stages are done.
 
     Parameters
     ----------
     upstream : mapping of str to set of str
         Direct upstream stages of every stage; the keys are in topological order.
     weight : callable
-        Rough cost of a stage. Only the order matters: the longest chain should start first.
+        Rough cost of a stage; only the order of the sums matters, since the longest chain starts first.
     group : callable
-        Number of the group that a stage belongs to; a lower one comes first, whatever is left to do after it.
+        Group number of a stage; lower numbers come first, whatever their remaining paths.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class Schedule:
             for parent in parents:
                 self._downstream[parent].append(address)
         lengths = remaining_paths(upstream, weight)
-        # Ties go to the topological order, so that a build is the same every time.
+        # Topological order breaks ties, so that builds are reproducible.
         self.rank = {
             address: (group(address), -lengths[address], place) for place, address in enumerate(upstream)
         }
@@ -66,18 +66,18 @@ class Schedule:
                 self._push(address)
 
     def pop(self) -> str | None:
-        """Take the most urgent ready stage; None if there is none at the moment."""
+        """Remove and return the first ready stage; None if no stage is ready."""
         return heapq.heappop(self._ready)[1] if self._ready else None
 
     def finish(self, address: str) -> None:
-        """Record that a stage is done: what waited only for it becomes ready."""
+        """Mark a stage as done; stages that waited only for it become ready."""
         for child in self._downstream[address]:
             self._waiting[child].discard(address)
             if not self._waiting[child]:
                 self._push(child)
 
     def downstream(self, address: str) -> list[str]:
-        """All stages that depend on this one, directly or not, in topological order."""
+        """Return all direct and indirect downstream stages, in topological order."""
         found: set[str] = set()
         stack = [address]
         while stack:

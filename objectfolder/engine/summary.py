@@ -1,4 +1,4 @@
-"""What a build reports: events while it runs, and a summary at the end."""
+"""Events and final summary of a build."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -7,17 +7,17 @@ from pathlib import Path
 
 
 class StageOutcome(StrEnum):
-    """How a stage ended."""
+    """Outcome of a stage."""
 
     RAN = "ran"
-    RESTORED = "restored"  # outputs came back from DVC's run cache
-    SKIPPED = "skipped"  # nothing it depends on has changed
+    RESTORED = "restored"  # outputs taken from DVC's run cache
+    SKIPPED = "skipped"  # up to date
     FAILED = "failed"
-    BLOCKED = "blocked"  # something upstream failed
+    BLOCKED = "blocked"  # an upstream stage failed
 
 
 class Addressed:
-    """Statement about one stage."""
+    """Base class of records about one stage."""
 
     address: str
 
@@ -28,28 +28,28 @@ class Addressed:
 
     @property
     def key(self) -> str:
-        """Object key, empty for a stage that is not per object."""
+        """Object key; empty for a stage that is not per object."""
         return self.address.partition("@")[2]
 
 
 @dataclass(frozen=True)
 class StageResult(Addressed):
-    """How one stage ended.
+    """Outcome of one stage, with its time, memory and log.
 
     Parameters
     ----------
     address : str
         Stage address, such as ``modal@mug``.
     status : StageOutcome
-        How it ended.
+        Outcome.
     seconds : float
-        Wall time of the command, or of the restore.
+        Wall time of the command or of the restore, s.
     peak_mb : float, optional
-        Peak resident memory of the largest process of the command; None if no command ran.
+        Peak resident memory of the largest process of the command, MB; None if no command ran.
     log : Path, optional
-        Output of the command; None if no command ran.
+        Log file of the command; None if no command ran.
     error : str
-        What went wrong, empty unless failed or blocked.
+        Error message; empty unless failed or blocked.
     tail : tuple of str
         Last lines of the log of a failed command.
     """
@@ -65,14 +65,14 @@ class StageResult(Addressed):
 
 @dataclass(frozen=True)
 class Summary:
-    """How a build ended.
+    """Results of a build.
 
     Parameters
     ----------
     stages : mapping of str to StageResult
-        Result of every wanted stage, by address, in topological order.
+        Result of every requested stage, by address, in topological order.
     seconds : float
-        Wall time of the whole build.
+        Wall time of the whole build, s.
     """
 
     stages: Mapping[str, StageResult]
@@ -80,7 +80,7 @@ class Summary:
 
     @property
     def ok(self) -> bool:
-        """Whether no stage failed (then none is blocked either)."""
+        """Whether no stage failed, and hence none is blocked."""
         return not self.failures
 
     @property
@@ -89,24 +89,24 @@ class Summary:
         return self.with_status(StageOutcome.FAILED)
 
     def with_status(self, status: StageOutcome) -> tuple[StageResult, ...]:
-        """Results of the stages that ended in one way."""
+        """Return the results with one outcome."""
         return tuple(result for result in self.stages.values() if result.status is status)
 
     def counts(self) -> dict[StageOutcome, int]:
-        """Count the stages by how they ended."""
+        """Count the stages by outcome."""
         return {status: len(self.with_status(status)) for status in StageOutcome}
 
 
 @dataclass(frozen=True)
 class Planned:
-    """The graph is known: these stages will be looked at, in topological order, with their rough seconds."""
+    """Start of a build: rough seconds of all requested stages, in topological order."""
 
     seconds: Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class Started:
-    """A command was handed to a worker."""
+    """Start of a command on a worker."""
 
     address: str
     log: Path
@@ -114,7 +114,7 @@ class Started:
 
 @dataclass(frozen=True)
 class Lost:
-    """A command ended with its worker or node; it will be started again."""
+    """Loss of a command with its worker or node; the engine starts it again."""
 
     address: str
     reason: str
@@ -122,7 +122,7 @@ class Lost:
 
 @dataclass(frozen=True)
 class Finished:
-    """A stage has ended, in whatever way."""
+    """End of a stage, with any outcome."""
 
     result: StageResult
 

@@ -1,12 +1,12 @@
-"""Run commands one after another as the head of their own session, and die with the engine.
+"""Run commands one after another in a session of their own, and end them when the engine dies.
 
-A script, started by `objectfolder.engine.process` with ``ENGINE_PID REPORT_FD COMMAND...``. It stands between
-the engine and the command for two reasons. When the engine dies, the kernel tells only its direct children;
-this one passes it on to the whole process group, a shell's children included. And a process's peak memory
-starts at that of the process it was forked from, so forking from the engine would hide anything smaller.
+A script, started by `objectfolder.engine.process` with ``ENGINE_PID REPORT_FD COMMAND...``. It is an
+intermediate process for two reasons. When the engine dies, the kernel signals only its direct children; the
+supervisor kills the whole process group, including children of the shell. And the peak memory of a process
+starts at that of its parent, so a fork of the engine would hide smaller peaks.
 
-It is two processes: a worker of Ray kills its direct children when it ends, and then it is the second one
-that is left to end the command.
+It consists of two processes: a dying Ray worker kills its direct children, and the second process then ends
+the command.
 """
 
 import ctypes
@@ -20,7 +20,7 @@ PR_SET_PDEATHSIG = 1
 
 
 def main(engine: int, report: int, commands: list[str]) -> None:
-    """Run the commands until one fails, then write exit code, wall seconds and peak MB as JSON."""
+    """Run the commands until one fails; then report exit code, wall seconds and peak MB as JSON."""
     os.set_inheritable(report, False)
     signal.signal(signal.SIGTERM, lambda *_: os.killpg(0, signal.SIGKILL))
     die_with(engine)
@@ -35,7 +35,7 @@ def main(engine: int, report: int, commands: list[str]) -> None:
         try:  # noqa: SIM105 (contextlib would cost every stage milliseconds)
             print(f"$ {command}", flush=True)
         except OSError:
-            pass  # the disk of the log is full: the command itself may need none
+            pass  # the disk of the log is full, but the command may not need it
         pid = os.posix_spawn(
             "/bin/sh", ["sh", "-c", command], os.environ, setsigdef=[signal.SIGPIPE, signal.SIGXFSZ]
         )
@@ -48,11 +48,11 @@ def main(engine: int, report: int, commands: list[str]) -> None:
 
 
 def die_with(parent: int) -> None:
-    """Get SIGTERM when the parent ends; the supervisor ends its whole group then. Only Linux can do it."""
+    """Request SIGTERM for this process when its parent ends; Linux only."""
     if sys.platform != "linux":
         return
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
-    if os.getppid() != parent:  # it died before the kernel was asked to watch it
+    if os.getppid() != parent:  # the parent died before the request
         sys.exit()
 
 

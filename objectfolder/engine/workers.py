@@ -1,4 +1,4 @@
-"""Who runs the commands of stages: threads of this process here, a cluster in `objectfolder.engine.ray`."""
+"""Workers that run stage commands: their interface, and threads of this process."""
 
 import threading
 from dataclasses import replace
@@ -8,46 +8,46 @@ from typing import Protocol
 from objectfolder.engine.process import Children, Command, CommandResult
 from objectfolder.engine.resources import Machine, Needs
 
-#: What workers hand back: an outcome, or why there is none. None only wakes the engine up.
+#: Results of workers: address and outcome, or the error instead of one. None only wakes up the engine.
 FinishedQueue = SimpleQueue[tuple[str, CommandResult | Exception] | None]
 
 
 class WorkerLost(Exception):
-    """A command ended with the worker or node that ran it, through no fault of its own."""
+    """A command was lost with its worker or node and can be started again."""
 
 
 class Workers(Protocol):
-    """Run commands and put ``(address, outcome)`` into a queue."""
+    """Interface of workers, which run commands and put ``(address, outcome)`` into a queue."""
 
     @property
     def cores(self) -> int:
-        """Cores that commands may use together."""
+        """Cores for all commands together."""
 
     def room(self, needs: Needs) -> str:
-        """What a command would have to wait for: ``cpu``, ``memory``, ``gpu`` or nothing (empty)."""
+        """Return the resource that a command must wait for: ``cpu``, ``memory`` or ``gpu``; empty if none."""
 
     def submit(self, address: str, command: Command, needs: Needs) -> None:
-        """Start a command; called only when there is room."""
+        """Start a command; call only when there is room."""
 
     def finish(self, address: str) -> None:
-        """Take note that the outcome of a command was seen: its room is free again."""
+        """Release the resources of a command, after its outcome was read."""
 
     def kill(self) -> None:
-        """Kill what runs, and start nothing more."""
+        """Kill all running commands, and start no more."""
 
     def close(self) -> None:
-        """Wait until all outcomes are in the queue, and let go of what was held."""
+        """Wait until all outcomes are in the queue, then release all resources."""
 
 
 class LocalWorkers:
-    """Run commands on this machine, each watched by a thread.
+    """Workers on this machine: one thread per command.
 
     Parameters
     ----------
     machine : Machine
-        What may be used.
+        Resources to use.
     finished : SimpleQueue
-        Where outcomes go.
+        Queue for outcomes.
     """
 
     def __init__(self, machine: Machine, finished: FinishedQueue):
@@ -58,18 +58,18 @@ class LocalWorkers:
 
     @property
     def cores(self) -> int:
-        """Cores that commands may use together."""
+        """Cores for all commands together."""
         return self.machine.cores
 
     def room(self, needs: Needs) -> str:
-        """What a command would have to wait for."""
+        """Return the resource that a command must wait for."""
         return self.machine.room(needs)
 
     def submit(self, address: str, command: Command, needs: Needs) -> None:
-        """Start a command in a thread of its own, which outlives it, as `Children.run` requires."""
+        """Start a command in a thread that outlives it, as `Children.run` requires."""
         gpus = self.machine.take(address, needs)
         if self.machine.has_gpus:
-            # A stage sees the GPUs that it was given, and none if it did not ask.
+            # Hide all GPUs that are not reserved for this stage.
             visible = {"CUDA_VISIBLE_DEVICES": ",".join(gpus) or "-1"}
             command = replace(command, env={**command.env, **visible})
         thread = threading.Thread(target=self._work, args=(address, command), name=address, daemon=True)
@@ -77,12 +77,12 @@ class LocalWorkers:
         thread.start()
 
     def finish(self, address: str) -> None:
-        """Free what a command held."""
+        """Release the resources of a command."""
         self._threads.pop(address).join()
         self.machine.give(address)
 
     def kill(self) -> None:
-        """Kill every running command with all its processes."""
+        """Kill all running commands with their child processes."""
         self.children.kill()
 
     def close(self) -> None:
@@ -93,5 +93,5 @@ class LocalWorkers:
     def _work(self, address: str, command: Command) -> None:
         try:
             self.finished.put((address, self.children.run(command)))
-        except Exception as error:  # the engine must hear of everything, or it would wait forever
+        except Exception as error:  # without an outcome the engine would wait forever
             self.finished.put((address, error))
