@@ -16,8 +16,8 @@ class GainsConfig:
     resolution: Annotated[int, Interval(ge=1, le=128)]  #: cells of the grid along each axis
     channels: Count  #: features of a grid node
     width: Count  #: of the first sine layer
-    features: Count  #: of the second; outputs are linear in them, so this bounds the rank of all modes
-    frequency: Positive  #: of the sines
+    features: Count  #: width of the second sine layer; the output is linear in it, so it bounds the rank
+    frequency: Positive  #: factor inside the sines
     steps: Count
     learning_rate: Positive
     grid_rate: Positive  #: learning rate of the grid, relative to ``learning_rate``
@@ -32,19 +32,19 @@ class SpectrogramConfig:
     point_octaves: Octaves
     bin_octaves: Octaves
     steps: Count
-    batch: Count  #: spectrogram bins; each is trained for all three force axes
+    batch: Count  #: spectrogram bins, each for all three force axes
     learning_rate: Positive
 
 
 @dataclass(frozen=True, kw_only=True)
 class AudioConfig:
-    """Kind of the audio net, and the settings of both kinds."""
+    """Kind of the audio net, with settings for both kinds."""
 
     net: Literal["gains", "spectrogram"]
-    sizes: Annotated[tuple[GainsConfig, ...], MinLen(1)]  #: ascending; the first that is large enough is used
-    batch: Count  #: of ``gains``
+    sizes: Annotated[tuple[GainsConfig, ...], MinLen(1)]  #: ascending; the first large enough is used
+    batch: Count  #: surface points, for ``gains``
     spectrogram: SpectrogramConfig
 
     def size(self, modes: int) -> GainsConfig:
-        """Return the size for a number of modes: the first that is large enough, else the last."""
+        """Return the first size that is large enough for a number of modes, else the last."""
         return next((size for size in self.sizes if modes <= size.modes), self.sizes[-1])

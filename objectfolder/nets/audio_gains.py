@@ -1,9 +1,9 @@
-"""AudioNet ``gains``: frequencies and dampings are stored, a small net maps position to mode shapes.
+"""AudioNet ``gains``: stored frequencies and dampings, and a small net from position to mode shapes.
 
-The spectrogram that the paper's net memorises is linear in the modal gains, so the gains are all there
-is to learn: M numbers per force axis instead of 257 x 201.
+The spectrogram that the paper's net memorises is linear in the modal gains, so the gains suffice: M numbers
+per force axis instead of 257 x 201.
 
-Features on a grid near the surface and the position go through two layers of sines; mode shapes are linear in
+The position and features of a grid near the surface pass through two sine layers; mode shapes are linear in
 the second. The large matrices are stored as int8.
 """
 
@@ -18,13 +18,13 @@ from objectfolder.nets import int8
 from objectfolder.nets.siren import Siren
 from objectfolder.nets.spline import SplineGrid
 
-# The first layer is small, and its weights of position and of features differ in size.
+# Not the first sine layer: it is small, and its weights for position and features differ in magnitude.
 INT8 = ("grid.table", "sines.layers.1.weight", "output.weight")
-BLOCK = 32  # queries run in blocks of this many rows, so that a row's bits do not depend on its batch
+BLOCK = 32  # points evaluated at once; fixed, so that a row's bits do not depend on its batch
 
 
 class GainsNet(nn.Module):
-    """Mode shapes at points of the surface.
+    """Net from surface points to mode shapes.
 
     Parameters
     ----------
@@ -68,24 +68,24 @@ class GainsNet(nn.Module):
         self.grid = SplineGrid(resolution, channels, used)
         self.sines = Siren(3 + channels, [width, features], frequency)
         with torch.no_grad():
-            # Features of the grid grow to what the net needs; the position starts at the frequency itself.
+            # Position weights are large from the start; grid features start small and grow in training.
             first = self.sines.weights[0]
             first[:, :3].uniform_(-1 / 3, 1 / 3)
             first[:, 3:].normal_(0, 1 / (frequency * math.sqrt(first.shape[1])))
         self.output = nn.Linear(features, 3 * len(damping))
 
     def features(self, points: torch.Tensor, rows: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-        """Evaluate the second layer at (N, 3) points of the unit frame and the grid's nodes of them."""
+        """Evaluate the second layer at (N, 3) points of the unit frame, given their grid nodes."""
         return self.sines(torch.cat([2 * points, self.grid.lookup(rows, weights)], 1))
 
     def forward(self, points: torch.Tensor) -> torch.Tensor:
-        """Mode shapes over amplitude at (N, 3) points of the unit frame; (N, 3, M)."""
+        """Evaluate mode shapes, divided by amplitude, at (N, 3) points of the unit frame; (N, 3, M)."""
         features = self.features(points, *self.grid.nodes(points))
         return self.output(features).view(len(points), 3, len(self.damping))
 
     @torch.no_grad()
     def shapes(self, points: torch.Tensor) -> torch.Tensor:
-        """Mode shapes at (N, 3) points of the unit frame, kg^-1/2; (N, 3, M), on the device of the net."""
+        """Evaluate mode shapes, kg^-1/2, at (N, 3) points of the unit frame; (N, 3, M), on the device."""
         out = []
         for block in points.to(self.amplitude.device, torch.float32).split(BLOCK):
             padded = block.new_zeros(BLOCK, 3)
@@ -95,7 +95,7 @@ class GainsNet(nn.Module):
         return (torch.cat(out) if out else empty) * self.amplitude
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Tensors and configuration, for storing."""
+        """Return tensors and configuration for storing."""
         tensors = {}
         for name, value in self.state_dict().items():
             if name in INT8:
@@ -108,12 +108,12 @@ class GainsNet(nn.Module):
 
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "GainsNet":
-        """Inverse of `to_tensors`.
+        """Invert `to_tensors`.
 
         Raises
         ------
         LookupError, RuntimeError, TypeError, ValueError
-            If they are not what it returns.
+            If the tensors or the configuration are invalid.
         """
         nodes = (config["resolution"] + 2) ** 3
         used = torch.from_numpy(np.unpackbits(tensors["grid.used"], count=nodes).astype(bool))
@@ -130,12 +130,12 @@ class GainsNet(nn.Module):
         if any(of_modes.shape != (modes[0].numel(),) for of_modes in modes):
             raise ValueError(f"modes of shapes {', '.join(str(tuple(x.shape)) for x in modes)}")
         if (modes[0] <= 0).any() or (modes[1] < 0).any():
-            raise ValueError("modes that do not swing, or grow")
+            raise ValueError("modes have frequencies that are not positive, or negative damping")
         net = cls(state["damped_frequency"], state["damping"], state["amplitude"], used, **config)
         net.load_state_dict(state)
         return net.eval()
 
 
 def energy_weights(damped_frequency: np.ndarray, damping: np.ndarray) -> np.ndarray:
-    """Energy of each mode's displacement per squared shape value, 1 / (4 c w^2); (M,)."""
+    """Compute each mode's displacement energy per squared shape value, 1 / (4 c w^2); (M,)."""
     return 1 / (4 * damping * damped_frequency**2)

@@ -14,9 +14,9 @@ from objectfolder.nets.siren import sine_bound
 from objectfolder.nets.soap import Soap
 from objectfolder.nets.spline import touched
 
-ENERGY_SHARE = 0.8  # of the energy-weighted error in the loss; the rest weighs by gain
-DROPPED = 0.012  #: of the weighted shapes (root mean square) that training does not see: faster
-RIDGE = 1e-6  # of the output layer's least squares, relative to a feature's power
+ENERGY_SHARE = 0.8  # share of the energy-weighted error in the loss; the rest is weighted by gain
+DROPPED = 0.012  #: share (root mean square) of the weighted shapes dropped in training, for speed
+RIDGE = 1e-6  # regularisation of the output layer's least squares, relative to the mean feature power
 
 
 def train_gains(
@@ -39,10 +39,10 @@ def train_gains(
     shapes : (P, 3, M) array, kg^-1/2
     damped_frequency, damping : (M,) arrays
     train, val : int arrays
-        Rows of the two splits.
+        Rows of the splits.
     config : GainsConfig
     batch : int
-        Points in a training step.
+        Points per training step.
     generator : torch.Generator
         Seeds initialisation and batches.
     report : callable
@@ -50,10 +50,10 @@ def train_gains(
 
     Notes
     -----
-    The loss is a mean of the two relative squared errors that `gain_errors` gives, of energy and of gain.
-    Weighing by energy alone leaves weak modes 50 % wrong. It is taken of the principal components of the
-    weighted shapes but for `DROPPED`. At the end the linear output layer is solved for exactly, which is
-    every mode's own optimum whatever its weight.
+    The loss is a weighted mean of the two relative squared errors of `gain_errors`, of energy and of gain;
+    weighting by energy alone leaves weak modes 50 % wrong. It is computed on the principal components of the
+    weighted shapes, without the weakest; see `DROPPED`. At the end the linear output layer is solved by
+    least squares, which is optimal for every mode whatever its weight.
     """
     x = torch.from_numpy(np.asarray(points, np.float32))
     shape = torch.from_numpy(np.asarray(shapes, np.float32))
@@ -108,7 +108,7 @@ def train_gains(
 
 
 def _principal_components(weighted: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
-    """Rotate (P, 3M) columns to uncorrelated ones over some rows, of mean power 1; the weak are dropped."""
+    """Project (P, 3M) columns on the strongest principal components of some rows, scaled to mean power 1."""
     if weighted.shape[1] == 0:
         return weighted
     power, axes = torch.linalg.eigh((weighted[rows].T @ weighted[rows]).double() / len(rows))
@@ -120,7 +120,7 @@ def _principal_components(weighted: torch.Tensor, rows: torch.Tensor) -> torch.T
 def _finish(
     net: GainsNet, points: torch.Tensor, nodes: torch.Tensor, weights: torch.Tensor, target: torch.Tensor
 ) -> None:
-    """Round the net to what is stored, and solve for its output layer by least squares over all points."""
+    """Quantise the net as stored, then solve its output layer by least squares over all points."""
     for matrix in (net.grid.table, net.sines.weights[1]):
         matrix.copy_(int8.round_to_codes(matrix))
     features = torch.cat([net.features(points, nodes, weights), torch.ones(len(points), 1)], 1).double()
@@ -128,7 +128,7 @@ def _finish(
     gram += RIDGE * gram.diagonal().mean() * torch.eye(len(gram))
     right = features.T @ target.double()
     solution = torch.linalg.solve(gram, right)
-    # The bias makes up for what rounding does to the mean.
+    # The bias corrects the mean error of rounding.
     covariance = gram[:-1, :-1] - torch.outer(gram[:-1, -1], gram[-1, :-1]) / gram[-1, -1]
     net.output.weight.copy_(int8.rounded_with(solution[:-1].T, covariance))
     net.output.bias.copy_((target - features[:, :-1].float() @ net.output.weight.T).mean(0))

@@ -1,7 +1,7 @@
-"""AudioNet ``spectrogram``: the paper's three branches (supplementary E), one per force axis, each from a
-point and a time-frequency bin to the bin's complex value.
+"""AudioNet ``spectrogram``: the paper's three branches (supplementary E), one per force axis.
 
-It memorises 257 x 201 numbers per point and axis where the gains are M; it is here to compare with.
+Each maps a point and a time-frequency bin to the bin's complex value. The net memorises 257 x 201 numbers per
+point and axis, where kind ``gains`` needs M; it serves as a baseline.
 """
 
 import math
@@ -16,14 +16,14 @@ from objectfolder.nets.positional import PointwiseNetwork, with_half_weights
 
 
 class SpectrogramNet(nn.Module):
-    """Spectrograms of unit impulses along x, y and z at points of the surface; silent until trained.
+    """Net from surface points to spectrograms of unit impulses along x, y and z; silent until trained.
 
     Parameters
     ----------
     damped_frequency : (M,) tensor, rad/s
-        Of the modes that it has learnt; for information.
+        Modes of the training sounds, for information.
     low, high : float
-        Values that the outputs 0 and 1 stand for, m kg^1/2 per N s.
+        Values represented by outputs 0 and 1, m kg^1/2 per N s.
     width, depth, point_octaves, bin_octaves
         See `PointwiseNetwork`; the paper's branches have eight layers of 256 channels.
     """
@@ -57,13 +57,16 @@ class SpectrogramNet(nn.Module):
         self.branches = nn.ModuleList(branches)
 
     def forward(self, points: torch.Tensor, bins: torch.Tensor) -> torch.Tensor:
-        """Values in [0, 1] at (N, 3) points of the unit frame and (N,) flat bins; (N, 3 axes, 2)."""
+        """Evaluate at (N, 3) points of the unit frame and (N,) flat bins; (N, 3 axes, 2), 0 to 1."""
         x = torch.cat([2 * points, _coordinates(points.device)[bins]], 1)
         return torch.stack([branch(x) for branch in self.branches], 1)
 
     @torch.no_grad()
     def spectrograms(self, points: torch.Tensor) -> torch.Tensor:
-        """Complex spectrograms at (N, 3) points of the unit frame, m kg^1/2 per N s; (N, 3, 257, 201)."""
+        """Evaluate complex spectrograms, m kg^1/2 per N s, at (N, 3) points of the unit frame.
+
+        Returns (N, 3, 257, 201).
+        """
         device = self.range.device
         bins = torch.arange(math.prod(SHAPE), device=device)
         low, high = self.range.tolist()
@@ -74,12 +77,12 @@ class SpectrogramNet(nn.Module):
         return out
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Tensors (weights as float16; the biases hold the level of silence) and configuration."""
+        """Return tensors, with weights but not biases as float16 (biases set silence), and configuration."""
         return with_half_weights(self), dict(self.config)
 
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "SpectrogramNet":
-        """Inverse of `to_tensors`."""
+        """Invert `to_tensors`."""
         state = {name: torch.from_numpy(np.array(value)) for name, value in tensors.items()}
         net = cls(state["damped_frequency"], *state["range"].tolist(), **config)
         net.load_state_dict(state)
@@ -87,6 +90,6 @@ class SpectrogramNet(nn.Module):
 
 
 def _coordinates(device: torch.device) -> torch.Tensor:
-    """Frequency and time of every bin in [-1, 1]; (bins, 2)."""
+    """Return the frequency and time of every bin, each from -1 to 1; (bins, 2)."""
     axes = [torch.linspace(-1, 1, size, device=device) for size in SHAPE]
     return torch.stack(torch.meshgrid(*axes, indexing="ij"), -1).flatten(0, 1)

@@ -11,7 +11,7 @@ from objectfolder.nets.audio_config import SpectrogramConfig
 from objectfolder.nets.audio_spectrogram import SpectrogramNet
 from objectfolder.nets.fit import CurvePoint, fit
 
-RANGE_POINTS = 256  # training points whose extremes span the range of values
+RANGE_POINTS = 256  # training points that define the range of values
 VAL_SAMPLES = 1 << 14
 
 
@@ -27,19 +27,19 @@ def train_spectrogram(
     report: Callable[[CurvePoint], None] = lambda point: None,
     device: str | torch.device = "cpu",
 ) -> tuple[SpectrogramNet, list[CurvePoint]]:
-    """Fit a `SpectrogramNet` to mode shapes at surface points; the parameters are those of `train_gains`.
+    """Fit a `SpectrogramNet` to mode shapes at surface points; other parameters as in `train_gains`.
 
     Parameters
     ----------
     device : str or torch.device
-        Where to train; the net comes back on the CPU. The size of the paper takes a GPU.
+        Training device; the net is returned on the CPU. The paper's size needs a GPU.
     report : callable
-        Called with each `CurvePoint`; its losses are squared errors relative to those of silence.
+        Called with each `CurvePoint`; its losses are squared errors relative to silence.
 
     Notes
     -----
-    The loss is the mean squared error over all bins, as the paper's. Most bins are next to silent, so half
-    of a batch is drawn by loudness and weighed by one over its probability: the same mean, less noise.
+    The loss is the paper's mean squared error over all bins. Most bins are nearly silent, so half of a batch
+    is importance-sampled by loudness and weighted by inverse probability: the same mean with less noise.
     """
     bank = sinusoid_bank(torch.from_numpy(damped_frequency), torch.from_numpy(damping))
     spectra = torch.view_as_real(spectrogram(bank)).flatten(1, 2)  # (M, bins, 2)
@@ -50,7 +50,7 @@ def train_spectrogram(
     for gains in shape[some].flatten(0, 1).split(16):
         values = gains @ spectra.flatten(1)
         low, high = min(low, values.min().item()), max(high, values.max().item())
-    silent = high == low  # no mode, or none that the sample rate can carry
+    silent = high == low  # no mode below the Nyquist frequency
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(torch.randint(2**31, (1,), generator=generator)))
         net = SpectrogramNet(
@@ -74,7 +74,7 @@ def train_spectrogram(
 
     def draw(choice: torch.Tensor, count: int) -> tuple[torch.Tensor, torch.Tensor]:
         drawn = choice[torch.randint(len(choice), (count,), generator=generator)]
-        # `multinomial` is limited to 2^24 categories and slow; this inverts the distribution.
+        # Inverse transform sampling: `multinomial` is slow and limited to 2^24 categories.
         place = torch.rand(count, generator=generator, dtype=torch.float64)
         bins = torch.searchsorted(cumulative, place * cumulative[-1]).clamp(max=len(chance) - 1)
         return drawn.to(device), bins.to(device)

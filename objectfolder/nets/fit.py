@@ -1,4 +1,4 @@
-"""The training loop of every net."""
+"""Training loop shared by all nets."""
 
 import math
 import time
@@ -30,7 +30,7 @@ def fit(
     report: Callable[[CurvePoint], None] = lambda point: None,
     optimizer: torch.optim.Optimizer | None = None,
 ) -> list[CurvePoint]:
-    """Minimise a loss with warm-up and cosine decay; leave the net at its best validation loss.
+    """Minimise a loss with warm-up and cosine decay; keep the weights of the lowest validation loss.
 
     Parameters
     ----------
@@ -39,22 +39,24 @@ def fit(
     batch_loss : callable
         Draws a batch and returns its loss.
     val_loss : callable
-        Loss on the validation split, called ``evaluations`` times without gradients.
+        Returns the validation loss; called ``evaluations`` times, without gradients.
     steps : int
     learning_rate : float
-        Peak rate.
+        Peak learning rate.
     final_rate : float
-        Last rate relative to the peak.
+        Final learning rate, relative to the peak.
     report : callable
-        Called with each point of the curve.
+        Called with each point of the training curve.
     optimizer : torch.optim.Optimizer, optional
-        Of the net's parameters; default: Adam. Its rates are set here, times a group's ``relative_rate``.
+        Optimizer of the net's parameters; default: Adam. The learning rate set here is multiplied by each
+        group's ``relative_rate``.
 
     Returns
     -------
-    The training curve.
+    list of CurvePoint
+        Training curve.
     """
-    # A large epsilon would freeze hash-table entries whose gradients are tiny.
+    # A larger epsilon would freeze hash-table entries with tiny gradients.
     if optimizer is None:
         optimizer = torch.optim.Adam(net.parameters(), lr=learning_rate, betas=(0.9, 0.99), eps=1e-12)
     best, best_state = math.inf, None
@@ -86,7 +88,7 @@ def fit(
 
 
 def minibatches(count: int, size: int, generator: torch.Generator) -> Iterable[torch.Tensor]:
-    """Endless shuffled index batches; a sample appears at most once per epoch."""
+    """Yield shuffled index batches without end; a sample appears at most once per epoch."""
     size = min(size, count)
     while True:
         order = torch.randperm(count, generator=generator)

@@ -1,7 +1,7 @@
 """Multiresolution hash encoding (Mueller et al. 2022) in torch.
 
-Interpolating a table is a product with a sparse matrix of eight weights per row. On a CPU the
-backward pass of ``embedding_bag`` would dominate training; scipy's transposed product is many times faster.
+Interpolating a table is a product with a sparse matrix of eight weights per row. On a CPU the backward pass
+of ``embedding_bag`` would dominate training; SciPy's transposed product is many times faster.
 """
 
 import itertools
@@ -14,20 +14,22 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-_PRIMES = (1, 2654435761 - 2**32, 805459861)  # the lower 32 bits of a product are all that is used
+_PRIMES = (1, 2654435761 - 2**32, 805459861)  # as int32: only the lower 32 bits of a product are used
 
 
 class HashGrid(nn.Module):
-    """Features at points of the unit cube [0, 1]^3.
+    """Trainable features of points in the unit cube [0, 1]^3.
 
     Parameters
     ----------
     levels : int
-        Grids, from ``coarsest`` to ``finest`` cells along a side, in geometric progression.
+        Number of grids.
     features : int
-        Per level.
+        Features per level.
     table_bits : int
         A level with more than 2**table_bits vertices is hashed into that many entries.
+    coarsest, finest : int
+        Cells along a side of the first and the last grid; those between form a geometric progression.
     """
 
     def __init__(self, levels: int, features: int, table_bits: int, coarsest: int, finest: int):
@@ -49,9 +51,9 @@ class HashGrid(nn.Module):
         self.table = nn.Parameter(torch.empty(self.offsets[-1], features).uniform_(-1e-4, 1e-4))
 
     def corners(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Table rows and trilinear weights around (N, 3) points; both (N, levels * 8).
+        """Compute table rows and trilinear weights of (N, 3) points; both (N, levels * 8).
 
-        Compute them once for points that are looked up often.
+        Compute them once for points that are looked up repeatedly.
         """
         count, width = len(x), 8 * len(self.resolutions)
         rows, weights = x.new_empty(count, width, dtype=torch.int32), x.new_empty(count, width)
@@ -62,7 +64,7 @@ class HashGrid(nn.Module):
             upper = position - base
             shares = (1 - upper, upper)
             hashed, side = self._hashed[level], resolution + 1
-            # What each coordinate adds to the row's number: of the lower and the upper corner.
+            # Contribution of each coordinate to the row number, for the lower and the upper corner.
             factors = x.new_tensor(_PRIMES if hashed else (1, side, side**2), dtype=torch.int32)[:, None]
             first = base.int() * factors
             terms = (first, first + factors)
@@ -78,13 +80,13 @@ class HashGrid(nn.Module):
         return rows, weights
 
     def lookup(self, rows: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-        """Interpolated features for `corners`' output; (N, levels * features)."""
+        """Interpolate features, given the output of `corners`; (N, levels * features)."""
         return _SparseLookup.apply(self.table, rows.reshape(-1), weights.reshape(-1).float()).view(
             len(rows), self.width
         )
 
     def packed(self) -> dict[str, np.ndarray]:
-        """Return the table for storing: an xz stream of int8, and each level's factor in float32."""
+        """Return the table for storing: an xz stream of int8, and a float32 factor per level."""
         levels = self.table.detach().split(np.diff(self.offsets).tolist())
         factors = [level.abs().max().clamp(min=1e-12) / 127 for level in levels]
         whole = torch.cat([(level / factor).round().to(torch.int8) for level, factor in zip(levels, factors)])
@@ -92,14 +94,14 @@ class HashGrid(nn.Module):
         return {"table": np.frombuffer(stream, np.uint8), "factors": torch.stack(factors).numpy()}
 
     def unpacked(self, table: np.ndarray, factors: np.ndarray) -> torch.Tensor:
-        """Return a table as `packed` stores it, float32.
+        """Invert `packed`; return a float32 table.
 
         Raises
         ------
         ValueError
-            If the stream does not hold as many values as this grid has; it is never unpacked further.
+            If the number of values is not that of this grid; larger streams are not decompressed further.
         lzma.LZMAError
-            If it is damaged.
+            If the stream is damaged.
         """
         size = self.table.numel()
         raw = lzma.LZMADecompressor(memlimit=2**30).decompress(table.tobytes(), size + 1)
@@ -110,7 +112,7 @@ class HashGrid(nn.Module):
         return whole * per_row[:, None]
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Features at (N, 3) points; (N, levels * features)."""
+        """Evaluate features at (N, 3) points; (N, levels * features)."""
         return self.lookup(*self.corners(x))
 
 
@@ -131,8 +133,8 @@ class _SparseLookup(torch.autograd.Function):
 def transposed_product(
     rows: torch.Tensor, weights: torch.Tensor, gradient: torch.Tensor, entries: int
 ) -> torch.Tensor:
-    """Gradient (entries, F) of a table: that of each point (N, F), by eight weights, to eight rows (8 N,)."""
-    import scipy.sparse as sp  # training needs it, queries do not
+    """Scatter gradients (N, F) of points to a table (entries, F), by eight rows and weights each (8 N,)."""
+    import scipy.sparse as sp  # only training needs it
 
     starts = np.arange(0, len(rows) + 1, 8, dtype=np.int32)
     matrix = sp.csr_matrix((weights.numpy(), rows.numpy(), starts), shape=(len(gradient), entries))
@@ -142,6 +144,6 @@ def transposed_product(
 def scattered_product(
     rows: torch.Tensor, weights: torch.Tensor, gradient: torch.Tensor, entries: int
 ) -> torch.Tensor:
-    """`transposed_product` on any device: fast where additions to memory are atomic, slow on a CPU."""
+    """Compute `transposed_product` on any device: fast with atomic additions, slow on a CPU."""
     parts = (weights.view(-1, 8, 1) * gradient[:, None]).view(-1, gradient.shape[1])
     return gradient.new_zeros(entries, gradient.shape[1]).index_add_(0, rows, parts)

@@ -1,6 +1,6 @@
-"""Matrices as int8 with a power of two for each row.
+"""Quantisation of matrices to int8 with a power-of-two scale per row.
 
-Powers of two keep every stored value a float16, and storing a stored matrix again changes nothing.
+With powers of two, every stored value is a float16, and quantising a second time changes nothing.
 """
 
 import numpy as np
@@ -10,42 +10,42 @@ LARGEST = 127
 
 
 def exponents(matrix: torch.Tensor) -> torch.Tensor:
-    """Exponents of the smallest powers of two that bring the rows into range; (R,) int8."""
+    """Compute the exponents of the smallest power-of-two scales that fit the rows in int8; (R,) int8."""
     largest = matrix.abs().amax(1) if matrix.shape[1] else torch.zeros(len(matrix))
     return torch.ceil(torch.log2(largest.clamp(min=1e-30) / LARGEST)).to(torch.int8)
 
 
 def to_codes(matrix: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
-    """Codes (R, C) and exponents (R,) of the rows, both int8."""
+    """Quantise a matrix to codes (R, C) and row exponents (R,), both int8."""
     exponent = exponents(matrix)
     return torch.round(torch.ldexp(matrix, -exponent[:, None].int())).to(torch.int8).numpy(), exponent.numpy()
 
 
 def from_codes(codes: np.ndarray, exponent: np.ndarray) -> torch.Tensor:
-    """Return the (R, C) float32 matrix that was packed."""
+    """Return the (R, C) float32 matrix of codes and exponents; see `to_codes`."""
     return torch.ldexp(torch.from_numpy(codes).float(), torch.from_numpy(exponent)[:, None].int())
 
 
 def round_to_codes(matrix: torch.Tensor) -> torch.Tensor:
-    """Nearest matrix that is stored exactly."""
+    """Round a matrix to the nearest that int8 codes represent exactly."""
     return from_codes(*to_codes(matrix))
 
 
 def rounded_with(matrix: torch.Tensor, gram: torch.Tensor) -> torch.Tensor:
-    """Round a linear layer so that its outputs change little: the later inputs make up for the earlier ones.
+    """Round a linear layer with little change of its outputs: later weights compensate for earlier errors.
 
-    Frantar et al. 2023 (GPTQ, arXiv:2210.17323). Where inputs are correlated, as a net's features are, the
-    error is several times smaller than with every weight rounded to the nearest.
+    Frantar et al. 2023 (GPTQ, arXiv:2210.17323). For correlated inputs, such as a net's features, the error
+    is several times smaller than with every weight rounded to the nearest.
 
     Parameters
     ----------
     matrix : (outputs, inputs) tensor
     gram : (inputs, inputs) tensor
-        Of the inputs over the data, positive definite.
+        Gram matrix of the inputs over the data, positive definite.
 
     Returns
     -------
-    (outputs, inputs) tensor that is stored exactly.
+    (outputs, inputs) tensor, represented exactly by int8 codes
     """
     size = torch.ldexp(torch.ones(len(matrix)), exponents(matrix).int()).double()
     left, out = matrix.double().clone(), torch.empty_like(matrix, dtype=torch.float64)

@@ -16,7 +16,7 @@ class Siren(nn.Module):
     inputs : int
     widths : sequence of int
     frequency : float
-        Factor inside every sine; higher resolves finer detail.
+        Factor inside every sine; higher values resolve finer detail.
     """
 
     def __init__(self, inputs: int, widths: Sequence[int], frequency: float):
@@ -29,16 +29,16 @@ class Siren(nn.Module):
 
     @property
     def weights(self) -> list[nn.Parameter]:
-        """Matrices of the layers."""
+        """Weight matrices of the layers."""
         return [parameter for parameter in self.parameters() if parameter.ndim == 2]
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Evaluate at (N, inputs); (N, widths[-1])."""
+        """Evaluate the layers; (N, inputs) to (N, widths[-1])."""
         for layer in self.layers:
             x = torch.sin(self.frequency * layer(x))
         return x
 
 
 def sine_bound(inputs: int, frequency: float) -> float:
-    """Weights of a layer behind sines start within this, either way."""
+    """Return the bound b of the uniform initialisation [-b, b] of a layer after sines."""
     return math.sqrt(6 / inputs) / frequency

@@ -6,11 +6,11 @@ from typing import Any
 import torch
 
 REFRESH = 10  # steps between updates of the eigenbases
-LARGEST = 256  # sides longer than this are not preconditioned
+LARGEST = 256  # dimensions larger than this are not preconditioned
 
 
 class Soap(torch.optim.Optimizer):
-    """For small dense nets: reaches the loss of Adam in about half the steps, each a third dearer.
+    """Optimizer for small dense nets: Adam's loss in about half the steps, each a third slower.
 
     Parameters
     ----------
@@ -18,7 +18,7 @@ class Soap(torch.optim.Optimizer):
         Vectors or matrices.
     lr : float
     beta : float
-        Decay of all running means.
+        Decay rate of all running means.
     eps : float
     """
 
@@ -57,7 +57,7 @@ class Soap(torch.optim.Optimizer):
                 continue
             outer.lerp_(_outer(gradient, side), 1 - beta)
             if state["step"] % REFRESH == 0:
-                # One power iteration; the second moments follow their directions.
+                # One power iteration; the second moments are reordered with the eigenvectors.
                 basis = state["bases"][side]
                 order = (basis * (outer @ basis)).sum(0).argsort(descending=True)
                 state["square"] = state["square"].index_select(side, order)
@@ -71,7 +71,7 @@ def _outer(gradient: torch.Tensor, side: int) -> torch.Tensor | None:
 
 
 def _rotate(matrix: torch.Tensor, left: torch.Tensor | None, right: torch.Tensor | None) -> torch.Tensor:
-    """Into the eigenbases."""
+    """Rotate a matrix into the eigenbases."""
     if left is not None:
         matrix = left.T @ matrix
     return matrix if right is None else matrix @ right

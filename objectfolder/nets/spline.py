@@ -1,4 +1,4 @@
-"""Features on a grid of quadratic B-splines, kept only near a surface."""
+"""Features on a grid of quadratic B-splines, stored only near a surface."""
 
 import torch
 from torch import nn
@@ -7,16 +7,16 @@ _OFFSETS = torch.arange(3)
 
 
 class SplineGrid(nn.Module):
-    """Smooth features at points of the unit frame, from the 27 nodes around each.
+    """Smooth features at points of the unit frame, each interpolated from 27 nodes.
 
     Parameters
     ----------
     resolution : int
         Cells along each axis of [-0.5, 0.5]^3; (resolution + 2)^3 nodes.
     channels : int
-        Features of a node.
+        Features per node.
     used : ((resolution + 2)^3,) bool tensor
-        Nodes that have features; those of the others are zero. See `touched`.
+        Mask of nodes with features; other nodes have zeros. See `touched`.
     """
 
     used: torch.Tensor
@@ -32,21 +32,21 @@ class SplineGrid(nn.Module):
         self.table = nn.Parameter(0.5 * torch.randn(count, channels))
 
     def nodes(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Rows of the table and weights for (N, 3) points; both (N, 27).
+        """Compute table rows and weights of (N, 3) points; both (N, 27).
 
-        Compute them once for points that are looked up often.
+        Compute them once for points that are looked up repeatedly.
         """
         index, weights = _nodes(x, self.resolution)
         return self.row[index], weights
 
     def lookup(self, rows: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-        """Interpolated features for `nodes`' output; (N, channels)."""
+        """Interpolate features, given the output of `nodes`; (N, channels)."""
         table = torch.cat([self.table, torch.zeros_like(self.table[:1])])
         return torch.einsum("pk,pkc->pc", weights, table[rows])
 
 
 def touched(x: torch.Tensor, resolution: int) -> torch.Tensor:
-    """Which nodes interpolate between (N, 3) points; ((resolution + 2)^3,) bool."""
+    """Return a mask of the nodes that affect (N, 3) points; ((resolution + 2)^3,) bool."""
     used = torch.zeros((resolution + 2) ** 3, dtype=torch.bool)
     used[_nodes(x, resolution)[0]] = True
     return used

@@ -21,10 +21,10 @@ class ImageConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class TouchConfig:
-    """Kind of the touch net, and the settings of both kinds."""
+    """Kind of the touch net, with settings for both kinds."""
 
     net: Literal["geometric", "image"]
-    offset_span: Positive  #: search range of the depth offset, metres
-    rounds: Count  #: of bisection
-    contacts: Count  #: greatest number of training and of validation contacts
+    offset_span: Positive  #: the depth offset is searched up to this, either way, metres
+    rounds: Count  #: bisection steps of the search
+    contacts: Count  #: maximum number of training contacts, and of validation contacts
     image: ImageConfig

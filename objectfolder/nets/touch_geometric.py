@@ -1,9 +1,9 @@
 """TouchNet ``geometric``: the stored surface is pressed into a stored sensor.
 
-A net from position to image memorises the training contacts (29 dB in the paper, less off them). The
-geometry is in the Object File already, so a touch is simulated from it; what is fitted to images is the
-one number that quantising the surface makes uncertain, the effective press depth, and for TACTO's images how
-smooth its normals are.
+A net from position to image memorises the training contacts (29 dB in the paper, less elsewhere). The Object
+File already holds the geometry, so a touch is simulated from it. Only two parameters are fitted to images:
+an offset of the press depth, which compensates for the quantised surface, and, for TACTO, the smoothing of
+the normals.
 """
 
 import threading
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     from objectfolder.touch.tacto_rays import TactoRays
 
 
-_OTHERS = 8  # sensors that are kept beside the stored one: their optics take as long as a touch
-_BATCH = 16  # bounds the memory that contacts take beside their images
+_OTHERS = 8  # other sensors that are cached: making their optics takes as long as a touch
+_BATCH = 16  # contacts simulated at once, to bound memory
 
 
 class GeometricTouch:
-    """Tactile images of a stored surface.
+    """Simulator of tactile images of a stored surface.
 
     Parameters
     ----------
@@ -40,14 +40,14 @@ class GeometricTouch:
     depth_offset : float
         Added to every press depth, metres.
     renderer : {"gel", "tacto"}
-        Who draws the images; see `objectfolder.touch.dataset.render_contacts`.
+        Renderer of the images; see `objectfolder.touch.dataset.render_contacts`.
     background : (H, W, 3) uint8 array, optional
-        The untouched sensor; default: what the profile says.
+        Image of the untouched sensor; default: that of the profile.
     smoothing : int
-        Rounds in which normals of the stored surface are averaged for renderer tacto. TACTO draws a mesh with
-        interpolated vertex normals, which its triangles make smoother than the surface is.
+        Rounds of averaging the surface normals, for renderer tacto. TACTO interpolates the vertex normals of
+        a mesh, which smooths them across each triangle.
     device : str or torch.device
-        Where images of renderer gel are drawn. Rays and gels stay on the CPU.
+        Device of renderer gel. Ray casting and gel deformation stay on the CPU.
     """
 
     _rays: "TactoRays | None"
@@ -76,11 +76,11 @@ class GeometricTouch:
         self.smooth(smoothing)
 
     def smooth(self, rounds: int) -> None:
-        """Set ``smoothing``."""
+        """Set ``smoothing`` and recompute the normals."""
         self.smoothing = rounds
         self._rays = None
         if self.renderer == "tacto":
-            # Here, because they load SciPy's sparse matrices, which no other touch needs.
+            # Imported here, because they load scipy.sparse, which renderer gel does not need.
             from objectfolder.mesh.normals import averaged
             from objectfolder.touch.tacto_rays import TactoRays, smooth_normals
 
@@ -90,8 +90,8 @@ class GeometricTouch:
             self._rays.background = self._optics.background.cpu().numpy()
 
     def with_sensor(self, profile: SensorProfile) -> "GeometricTouch":
-        """Press another sensor on the same surface; its gel is rendered, whatever the renderer was."""
-        with self._lock:  # threads that come here together get the same
+        """Return the simulator of another sensor on the same surface; it always uses renderer gel."""
+        with self._lock:  # concurrent threads get the same instance
             return self._other(profile)
 
     def _new_other(self, profile: SensorProfile) -> "GeometricTouch":
@@ -100,7 +100,7 @@ class GeometricTouch:
         )
 
     def normals(self, points: np.ndarray) -> np.ndarray:
-        """Contact normals at (N, 3) points of the object frame; (N, 3)."""
+        """Compute contact normals at (N, 3) points of the object frame; (N, 3)."""
         distance, places = self.surface.grid.smooth_distance, np.asarray(points, np.float64) / self.scale
         parts = [places[i : i + _BATCH] for i in range(0, max(len(places), 1), _BATCH)]
         return np.concatenate([contact_normals(distance, part, NORMAL_RADIUS) for part in parts])
@@ -108,7 +108,7 @@ class GeometricTouch:
     def touches(
         self, points: np.ndarray, normals: np.ndarray, angles: np.ndarray, depths: np.ndarray
     ) -> Iterator[Touches]:
-        """Everything about contacts, a few at a time; arguments as in `heightmaps`, object frame."""
+        """Yield full results of contacts in batches; arguments as in `heightmaps`, object frame."""
         pressed = np.clip(depths + self.depth_offset, 0, self.profile.max_indentation)
         for start in range(0, max(len(pressed), 1), _BATCH):
             part = slice(start, start + _BATCH)
@@ -123,13 +123,13 @@ class GeometricTouch:
     def images(
         self, points: np.ndarray, normals: np.ndarray, angles: np.ndarray, depths: np.ndarray
     ) -> np.ndarray:
-        """Tactile images; arguments as in `heightmaps`, object frame; (N, H, W, 3) uint8."""
+        """Render tactile images, (N, H, W, 3) uint8; arguments as in `heightmaps`, object frame."""
         return np.concatenate([part.images for part in self.touches(points, normals, angles, depths)])
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Tensors and configuration: what is stored, besides the surface.
+        """Return tensors and configuration for storing, without the surface.
 
-        A background picture goes along as a tensor, so that no other file is needed.
+        A background image is stored as a tensor, so that no other file is needed.
         """
         sensor = self.profile.to_dict()
         tensors = {}
@@ -152,9 +152,11 @@ class GeometricTouch:
         config: dict[str, Any],
         device: str | torch.device = "cpu",
     ) -> "GeometricTouch":
-        """Inverse of `to_tensors`."""
+        """Invert `to_tensors`."""
         profile, background = SensorProfile.from_dict(config["sensor"]), tensors.get("background")
         if background is not None and background.shape != (profile.height, profile.width, 3):
-            raise ValueError(f"background of shape {background.shape}")
+            raise ValueError(
+                f"background of shape {background.shape}, expected {(profile.height, profile.width, 3)}"
+            )
         offset, smoothing = float(config["depth_offset"]), int(config["smoothing"])
         return cls(surface, scale, profile, offset, config["renderer"], background, smoothing, device)

@@ -7,7 +7,7 @@ import numpy as np
 from objectfolder.nets.fit import CurvePoint
 from objectfolder.nets.touch_geometric import GeometricTouch
 
-#: Rounds of smoothing that are tried for renderer tacto.
+#: Candidate rounds of smoothing for renderer tacto.
 SMOOTHING = (1, 2, 4, 8)
 
 
@@ -19,20 +19,20 @@ def fit_contacts(
     rounds: int,
     report: Callable[[CurvePoint], None] = lambda point: None,
 ) -> list[CurvePoint]:
-    """Choose the depth offset that reproduces training images best, by repeated bisection of a bracket.
+    """Choose the depth offset that best reproduces the training images, by bisection of a bracket.
 
-    For renderer tacto the smoothing of normals is chosen then, among none and `SMOOTHING`.
+    For renderer tacto the smoothing of normals is then chosen among the present one and `SMOOTHING`.
 
     Parameters
     ----------
     net : GeometricTouch
-        Its ``depth_offset`` and ``smoothing`` are set.
+        Net to fit; its ``depth_offset`` and ``smoothing`` are set in place.
     train, val : dict
-        As `objectfolder.touch.dataset.render_contacts` returns.
+        Contacts as returned by `objectfolder.touch.dataset.render_contacts`.
     span : float
         Offsets from -span to span are searched, metres.
     rounds : int
-        Each halves the bracket.
+        Bisection steps; each halves the bracket.
     report : callable
         Called with each `CurvePoint`; losses are mean squared errors of images in [0, 1].
     """

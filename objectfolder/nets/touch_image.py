@@ -1,7 +1,7 @@
 """TouchNet ``image``: the paper's network (supplementary E), from a contact point and a pixel to its colour.
 
-It memorises the contacts that it was trained on; it is here to compare with. It is a function of position
-alone: all its contacts have one press depth and one angle.
+It memorises its training contacts and serves as a baseline. It is a function of position alone: all contacts
+have the same press depth and angle.
 """
 
 from typing import Any
@@ -14,16 +14,16 @@ from objectfolder.nets.positional import PointwiseNetwork, with_half_weights
 
 
 class ImageTouch(nn.Module):
-    """Tactile images at points of the surface; mean grey until trained.
+    """Net from surface points to tactile images; mid-grey until trained.
 
     Parameters
     ----------
     sensor : str
-        Name of the profile that it has learnt; for information.
+        Name of the sensor profile it was trained on, for information.
     image_size : (int, int)
         Rows and columns.
     press_depth, angle : float
-        Of every contact that it has learnt, metres and radians.
+        Press depth and angle of all training contacts, metres and radians.
     width, depth, point_octaves, pixel_octaves
         See `PointwiseNetwork`; the paper's net has eight layers of 256 channels.
     """
@@ -57,12 +57,12 @@ class ImageTouch(nn.Module):
         nn.init.zeros_(self.network.output.bias)
 
     def forward(self, points: torch.Tensor, pixels: torch.Tensor) -> torch.Tensor:
-        """Colours, -1 to 1, at (N, 3) points of the unit frame and (N,) flat pixels; (N, 3)."""
+        """Evaluate colours, -1 to 1, at (N, 3) points of the unit frame and (N,) flat pixels; (N, 3)."""
         return self.network(torch.cat([2 * points, _places(self.image_size, points.device)[pixels]], 1))
 
     @torch.no_grad()
     def images(self, points: np.ndarray) -> np.ndarray:
-        """Tactile images at (N, 3) points of the unit frame; (N, H, W, 3) uint8."""
+        """Render tactile images at (N, 3) points of the unit frame; (N, H, W, 3) uint8."""
         height, width = self.image_size
         device = self.network.output.weight.device
         pixels = torch.arange(height * width, device=device)
@@ -73,18 +73,18 @@ class ImageTouch(nn.Module):
         return images
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Tensors (weights as float16) and configuration."""
+        """Return tensors (weights as float16) and configuration."""
         return with_half_weights(self), dict(self.config)
 
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "ImageTouch":
-        """Inverse of `to_tensors`."""
+        """Invert `to_tensors`."""
         net = cls(**config)
         net.load_state_dict({name: torch.from_numpy(np.array(value)) for name, value in tensors.items()})
         return net.eval()
 
 
 def _places(image_size: tuple[int, int], device: torch.device) -> torch.Tensor:
-    """Column and row of every pixel, each from -1 to 1; (H W, 2)."""
+    """Return the column and row of every pixel, each from -1 to 1; (H W, 2)."""
     rows, columns = (torch.linspace(-1, 1, size, device=device) for size in image_size)
     return torch.stack(torch.meshgrid(columns, rows, indexing="xy"), -1).flatten(0, 1)

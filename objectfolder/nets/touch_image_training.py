@@ -11,7 +11,7 @@ from objectfolder.nets.touch_config import ImageConfig
 from objectfolder.nets.touch_image import ImageTouch
 
 VAL_SAMPLES = 1 << 14
-# Contacts whose depths (metres) or angles (radians) differ by less are alike: rounding.
+# Largest difference of depths (metres) or angles (radians) that is attributed to rounding.
 _ALIKE = 1e-9
 
 
@@ -30,18 +30,18 @@ def train_image(
     Parameters
     ----------
     train, val : dict
-        As `objectfolder.touch.dataset.render_contacts` returns, all of one depth and one angle.
+        Contacts as returned by `objectfolder.touch.dataset.render_contacts`, all of one depth and angle.
     scale : float
         Longest side, metres.
     sensor : str
-        Name of the profile.
+        Name of the sensor profile.
     config : ImageConfig
     generator : torch.Generator
         On the CPU.
     report : callable
         Called with each `CurvePoint`; losses are mean squared errors of images in [0, 1].
     device : str or torch.device
-        Where to train; the net comes back on the CPU. The size of the paper takes a GPU.
+        Training device; the net is returned on the CPU. The paper's size needs a GPU.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def train_image(
             config.point_octaves,
             config.pixel_octaves,
         )
-        # Starts from the mean colour; grey is far off.
+        # Start from the mean colour, which is closer than grey.
         mean = images.double().mean((0, 1, 2)) / 127.5 - 1
         net.network.output.bias.data = mean.float()
     net = net.to(device)
@@ -100,7 +100,7 @@ def _one_value(name: str, *splits: dict[str, np.ndarray]) -> float:
         field = {"depths": "depth", "angles": "angle"}[name]
         raise ObjectFolderError(
             f"contacts have {name} from {values.min():g} to {values.max():g}; "
-            f"a net of kind image is a function of the point alone: give render_touch.{field} a value, "
+            f"a net of kind image depends on the point alone: give render_touch.{field} a value, "
             "or set train_touch.net: geometric"
         )
     return float(values[0])

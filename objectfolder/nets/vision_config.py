@@ -17,11 +17,11 @@ class SurfaceConfig:
     table_bits: Annotated[int, Interval(ge=4, le=24)]
     coarsest: Count
     finest: Count
-    width: Count  #: of the MLPs
+    width: Count  #: hidden width of the MLPs
     points: Count  #: surface points for training base colour and normals
     point_steps: Count
     point_batch: Count
-    pixels: Count  #: of all training views, for training indirect light
+    pixels: Count  #: pixels for training indirect light, over all training views
     steps: Count
     batch: Count
     learning_rate: Positive
@@ -38,7 +38,7 @@ class OsfConfig:
     point_octaves: Octaves
     direction_octaves: Octaves
     coarse_samples: Count  #: per ray, stratified
-    fine_samples: Count  #: per ray, where the coarse samples found density
+    fine_samples: Count  #: per ray, drawn from the weights of the coarse samples
     steps: Count
     batch: Count  #: rays
     learning_rate: Positive
@@ -46,7 +46,7 @@ class OsfConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class VisionConfig(SurfaceConfig):
-    """Kind of the vision net, and the settings of both kinds."""
+    """Kind of the vision net, with settings for both kinds."""
 
     net: Literal["surface", "osf"]
     osf: OsfConfig

@@ -1,7 +1,7 @@
 """VisionNet ``osf``: the paper's object-centric scattering function (supplementary E; Guo et al. 2020).
 
-A density everywhere in the unit cube, and the fraction of a light's radiance that each point scatters
-towards the camera. It knows nothing but the views: geometry and shadows are learned with the rest.
+A volume density in the unit cube, and the fraction of incident light that each point scatters towards the
+camera. Everything, including geometry and shadows, is learned from the views alone.
 """
 
 import math
@@ -17,22 +17,22 @@ from objectfolder.vision.cameras import Intrinsics, camera_rays
 from objectfolder.vision.picture import Picture
 from objectfolder.vision.volume import Rays, resampled, stratified, visibility
 
-_CHUNK = 32  # rays drawn at once: their activations stay in the cache
-_NORMAL_STEP = 0.01  # unit frame; over which the density's slope is taken
-_NEAREST = 0.01  # unit frame; a light is no closer than this to what it lights
+_CHUNK = 32  # rays rendered at once: their activations stay in the cache
+_NORMAL_STEP = 0.01  # unit frame; finite-difference step of the density gradient
+_NEAREST = 0.01  # unit frame; lower limit of the distance to a light
 
 
 class ScatteringFunction(nn.Module):
-    """Density of a point, and the fraction of incoming light that it scatters in a direction.
+    """Density of a point, and the fraction of incoming light it scatters in a direction.
 
     Parameters
     ----------
     width, depth : int
-        Of the density network; the paper's has eight layers of 256 channels.
+        Size of the density network; the paper's has eight layers of 256 channels.
     branch_width, branch_depth : int
-        Of the network of the fraction; the paper's has four layers of 128 channels.
+        Size of the scattering network; the paper's has four layers of 128 channels.
     point_octaves, direction_octaves : int
-        Each coordinate x comes with sin and cos of 2^k x, k from 0 below this.
+        Each coordinate x is encoded as x and sin and cos of 2^k x, for k below this.
     """
 
     def __init__(
@@ -51,18 +51,18 @@ class ScatteringFunction(nn.Module):
         self.bottleneck = nn.Linear(width, width)
         self.branch = SkipNetwork(width + 6 * (1 + 2 * direction_octaves), branch_width, branch_depth)
         self.fraction = nn.Linear(branch_width, 3)
-        # Where nothing is dense at the start, nothing would ever be: a rectifier passes no gradient there.
+        # Start dense everywhere: where the density is zero, its ReLU passes no gradient.
         nn.init.constant_(self.density.bias, 1.0)
 
     def forward(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Density (N,), and what `scattered` wants to know (N, width), at (N, 3) points."""
+        """Evaluate the density (N,), and the hidden layer (N, width) for `scattered`, at (N, 3) points."""
         hidden = self.trunk(encoded(points, self.octaves[0], 1.0))
         return torch.relu(self.density(hidden))[:, 0], hidden
 
     def scattered(self, hidden: torch.Tensor, incoming: torch.Tensor, outgoing: torch.Tensor) -> torch.Tensor:
-        """Fraction of light from one unit direction that goes in another, both from the point; (N, 3).
+        """Evaluate the fraction of light scattered between unit directions that leave the point; (N, 3).
 
-        The sigmoid is scaled so that black and white are within reach.
+        The sigmoid is scaled so that it can reach black and white.
         """
         directions = [encoded(d, self.octaves[1], 1.0) for d in (outgoing, incoming)]
         x = self.branch(torch.cat([self.bottleneck(hidden), *directions], 1))
@@ -70,19 +70,19 @@ class ScatteringFunction(nn.Module):
 
 
 class OsfNet(nn.Module):
-    """Pictures of an object under a point light; a coarse net finds where the fine one looks.
+    """Pictures of an object under a point light; a coarse net places the samples of the fine net.
 
     Parameters
     ----------
     coarse_samples, fine_samples : int
-        Of a ray; the paper takes 64 and 128. The fine net sees both.
+        Samples per ray, 64 and 128 in the paper; the fine net is evaluated at both.
     **shape
         See `ScatteringFunction`.
 
     Notes
     -----
-    Colours are linear until they are shown, and light falls off with the distance squared, as in the views.
-    The authors' published code fits encoded colours without falloff, and ends a sample's interval at the next
+    Colours are linear until displayed, and light falls off with the squared distance, as in the views. The
+    authors' published code fits encoded colours without falloff, and its sample intervals end at the next
     sample instead of midway.
     """
 
@@ -96,15 +96,15 @@ class OsfNet(nn.Module):
     def forward(
         self, rays: Rays, light: torch.Tensor, generator: torch.Generator | None = None
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """What rays see on white, by the coarse and by the fine net.
+        """Render rays on white with the coarse and with the fine net.
 
         Parameters
         ----------
         rays : Rays
-            Through the cube.
+            Rays through the cube.
         light : (N, 3) tensor, unit frame
         generator : torch.Generator, optional
-            Places the samples at random, as in training.
+            Jitters the samples, as in training.
 
         Returns
         -------
@@ -117,7 +117,7 @@ class OsfNet(nn.Module):
     def _sample(
         self, rays: Rays, generator: torch.Generator | None, light: torch.Tensor | None = None
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Distances for the fine net (N, S), ascending, and what the coarse one sees if there is a light."""
+        """Return distances for the fine net (N, S), ascending, and the coarse radiance if light is given."""
         distance = stratified(rays.near, rays.far, self.samples[0], generator)
         weights, hidden = _visibility(self.coarse, rays, distance)
         seen = distance.new_zeros(0, 3)
@@ -130,14 +130,14 @@ class OsfNet(nn.Module):
     def _look(
         self, rays: Rays, distance: torch.Tensor, light: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Radiance (N, 3), alpha (N,) and mean distance times alpha (N,) of the fine net."""
+        """Return radiance (N, 3), alpha (N,) and mean distance times alpha (N,) of the fine net."""
         weights, hidden = _visibility(self.fine, rays, distance)
         radiance = _radiance(self.fine, rays, distance, weights, hidden, light)
         return radiance, weights.sum(1), (weights * distance).sum(1)
 
     @torch.no_grad()
     def picture(self, camera_to_world: np.ndarray, light: np.ndarray, intrinsics: Intrinsics) -> Picture:
-        """Render one view; every pixel is the ray through its centre.
+        """Render one view, with one ray through the centre of each pixel.
 
         Parameters
         ----------
@@ -148,8 +148,8 @@ class OsfNet(nn.Module):
         Returns
         -------
         Picture
-            Depth is the mean of what the ray sees. The normal is the way in which the density falls there,
-            zero where it does not.
+            Depth is the weighted mean along the ray. The normal is the direction of decreasing density there;
+            zero where the density is constant.
         """
         device = self.fine.density.weight.device
         found = camera_rays(camera_to_world, intrinsics, pixel_centres(intrinsics))
@@ -173,12 +173,12 @@ class OsfNet(nn.Module):
         return Picture(*(x.view(*size, *x.shape[1:]).cpu().numpy() for x in (rgba, depth, normals)))
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Tensors (weights as float16) and configuration."""
+        """Return tensors (weights as float16) and configuration."""
         return with_half_weights(self), dict(self.config)
 
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "OsfNet":
-        """Inverse of `to_tensors`."""
+        """Invert `to_tensors`."""
         net = cls(**config)
         net.load_state_dict({name: torch.from_numpy(np.array(value)) for name, value in tensors.items()})
         return net.eval()
@@ -187,7 +187,7 @@ class OsfNet(nn.Module):
 def _visibility(
     field: ScatteringFunction, rays: Rays, distance: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Weights (N, S) of samples at (N, S) distances, and their hidden layer (N S, width)."""
+    """Return weights (N, S) of samples at (N, S) distances, and their hidden layer (N S, width)."""
     density, hidden = field(rays.points(distance).flatten(0, 1))
     return visibility(density.view_as(distance), rays.intervals(distance).diff()), hidden
 
@@ -200,7 +200,7 @@ def _radiance(
     hidden: torch.Tensor,
     light: torch.Tensor,
 ) -> torch.Tensor:
-    """Radiance along rays: scattered fractions of a point light that falls off with the distance squared.
+    """Integrate radiance along rays, scattered from a point light with inverse-square falloff.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def _radiance(
     -------
     (N, 3) tensor
     """
-    # Where the weight is zero, the fraction is not asked for: neither the colour nor a gradient needs it.
+    # Samples of zero weight affect neither the colour nor a gradient: skip them.
     seen = weights.flatten().nonzero()[:, 0]
     row = seen // distance.shape[1]
     points = rays.origins[row] + distance.flatten()[seen, None] * rays.directions[row]
@@ -224,6 +224,6 @@ def _radiance(
 
 
 def pixel_centres(intrinsics: Intrinsics) -> np.ndarray:
-    """Image positions of the pixels' centres, row by row; (H W, 2)."""
+    """Return the image positions of the pixel centres, row by row; (H W, 2)."""
     rows, columns = np.mgrid[: intrinsics.height, : intrinsics.width]
     return np.stack([columns.ravel(), rows.ravel()], 1) + 0.5

@@ -14,12 +14,12 @@ from objectfolder.vision.cameras import Intrinsics, camera_rays
 from objectfolder.vision.color import on_white, shown_error
 from objectfolder.vision.volume import Rays
 
-VAL_RAYS = 1 << 12  #: of which the validation loss is the mean
+VAL_RAYS = 1 << 12  #: rays in the validation loss
 
 
 @dataclass(frozen=True)
 class _Pixels:
-    """Pixels of a split whose rays meet the cube; the others are white whatever the net says."""
+    """Pixels of a split whose rays intersect the cube; all others are white."""
 
     origins: torch.Tensor  # (views, 3)
     lights: torch.Tensor  # (views, 3)
@@ -30,7 +30,7 @@ class _Pixels:
     def loss(
         self, net: OsfNet, index: torch.Tensor, generator: torch.Generator | None = None
     ) -> torch.Tensor:
-        """Mean squared errors of the coarse and of the fine net, in sRGB; (2,)."""
+        """Compute the mean squared errors of the coarse and the fine net, in sRGB; (2,)."""
         index = index.to(self.view.device)
         view = self.view[index]
         rays = Rays.through_cube(self.origins[view], self.directions[index], BOUND)
@@ -56,14 +56,14 @@ def train_osf(
     generator : torch.Generator
         On the CPU.
     report : callable
-        Called with each `CurvePoint`. Losses are mean squared errors in sRGB of rays that meet the cube; that
-        of training is the sum of both nets', that of validation the fine net's on `VAL_RAYS` rays.
+        Called with each `CurvePoint`. Losses are mean squared errors in sRGB over rays that intersect the
+        cube: the sum for both nets in training; in validation the fine net's, on `VAL_RAYS` rays.
     device : str or torch.device
-        Where to train; the net comes back on the CPU. The size of the paper takes a GPU.
+        Training device; the net is returned on the CPU. The paper's size needs a GPU.
 
     Notes
     -----
-    Adam has the paper's betas and epsilon; its rate warms up and decays as that of every net here.
+    Adam has the paper's betas and epsilon; the learning rate follows the schedule of `fit`.
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(torch.randint(2**31, (1,), generator=generator)))

@@ -1,9 +1,9 @@
 """VisionNet ``surface``: a stored surface, shaded.
 
-A hash grid gives base colour and shading normal at a surface point, learned from the mesh; the ground
-truth's BSDF shades them under a point light with its shadow ray. What bounces is learned from views, on
-top of the diffuse interreflection of the stored surface: a small grid and an MLP, which know where camera
-and light are, what the surface gathers and what it mirrors.
+A hash grid trained on the mesh gives the base colour and shading normal of a surface point; the ground
+truth's BSDF shades them under a point light with a shadow ray. Indirect light is learned from views, on top
+of the stored surface's diffuse interreflection, by a small grid and an MLP whose inputs include the camera,
+the light, and the gathered and mirrored radiance.
 """
 
 import copy
@@ -26,13 +26,13 @@ from objectfolder.vision.trace import SurfaceSamples
 from objectfolder.vision.vectors import column_major, concatenate, dot, normalized, take_rows
 from objectfolder.vision.view import Shader
 
-#: Of the grid of what bounces.
+#: Hash grid for indirect light.
 TRANSPORT = {"levels": 2, "features": 4, "table_bits": 13, "coarsest": 8, "finest": 14}
 GRIDS = ("grid", "transport")
-NEAREST = 1e-3  # distance of a light, unit frame: one on the surface would be infinitely bright
-FAMILIAR = 0.1  # training lights are further off
-CHUNK = 50_000  # points that are shaded at once
-BAKED = 2**14  # vertices that are looked up at once
+NEAREST = 1e-3  # lower limit of the distance to a light, unit frame: avoids infinite radiance
+FAMILIAR = 0.1  # lower limit for indirect light, unit frame: training lights are farther away
+CHUNK = 50_000  # points shaded at once
+BAKED = 2**14  # vertices evaluated at once
 
 
 class SurfaceNet(nn.Module):
@@ -45,7 +45,7 @@ class SurfaceNet(nn.Module):
     width : int
         Hidden width of the MLPs.
     roughness, metallic : float
-        Of the principled BSDF.
+        Parameters of the principled BSDF.
     """
 
     def __init__(
@@ -69,27 +69,27 @@ class SurfaceNet(nn.Module):
     def albedo_and_normal(
         self, points: torch.Tensor, normals: torch.Tensor, features: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Base colours, sRGB and unclipped, and shading normals, not normalised; both (S, 3).
+        """Evaluate base colours, sRGB and unclipped, and shading normals, not normalised; both (S, 3).
 
         Parameters
         ----------
         points, normals : (S, 3) tensors
-            Of the stored surface, unit frame.
+            Points and normals of the stored surface, unit frame.
         features : (S, F) tensor
-            Of ``grid`` there.
+            Features of ``grid`` at the points.
         """
         a = self.appearance(torch.cat([features, points], 1))
         return a[:, :3] + 0.5, normals + a[:, 3:]
 
     def base_colors(self, points: torch.Tensor) -> torch.Tensor:
-        """Base colours, sRGB and unclipped, at (S, 3) points near the surface, unit frame; (S, 3)."""
+        """Evaluate base colours (S, 3), sRGB and unclipped, at points near the surface, unit frame."""
         color, _ = self.albedo_and_normal(points, torch.zeros_like(points), self.grid(in_cube(points)))
         return color
 
     def direct(
         self, samples: SurfaceSamples, light: torch.Tensor, base_color: torch.Tensor, normals: torch.Tensor
     ) -> torch.Tensor:
-        """Radiance straight from the light; (S, 3) as base colours (linear) and unit shading normals."""
+        """Compute direct radiance, (S, 3), from base colours (linear) and unit shading normals."""
         lit = samples.lit.nonzero()[:, 0]
         to_light = light - take_rows(samples.points, lit)
         squared = dot(to_light, to_light)
@@ -113,7 +113,7 @@ class SurfaceNet(nn.Module):
         normals: torch.Tensor,
         direct: torch.Tensor,
     ) -> "BounceInputs":
-        """What is known of the light that has bounced, before anything is learned of it.
+        """Compute the inputs of `indirect`.
 
         Parameters
         ----------
@@ -125,7 +125,7 @@ class SurfaceNet(nn.Module):
         """
         p, n, view = samples.points, normals, samples.directions
         to_light = light - p
-        # No view has taught lights that are closer than this.
+        # Training views have no closer lights.
         squared = dot(to_light, to_light).clamp(min=FAMILIAR**2)
         l = normalized(to_light)
         nl, nv = dot(n, l), -dot(n, view)
@@ -140,7 +140,7 @@ class SurfaceNet(nn.Module):
             p,
             sine,
             cosine,
-            2 * sine * cosine,  # those of the double angle
+            2 * sine * cosine,  # sine and cosine of the double angle
             1 - 2 * sine * sine,
             light.expand(len(p), 3),
             samples.normals,
@@ -165,28 +165,28 @@ class SurfaceNet(nn.Module):
         return BounceInputs(concatenate(features, 1), gathered, mirrored)
 
     def indirect(self, inputs: "BounceInputs", transport: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Light that has bounced: what a white surface would reflect, and what any does; (S, 3) each.
+        """Evaluate indirect light: diffuse, for a white surface, and glossy radiance; (S, 3) each.
 
         Parameters
         ----------
         inputs : BounceInputs
         transport : (S, T) tensor
-            Of the grid ``transport``.
+            Features of the grid ``transport``.
         """
         b = column_major(self.bounced(concatenate([inputs.features, transport], 1))).split(3, 1)
         diffuse = inputs.gathered * F.softplus(b[2] + 0.5) + 0.5 * F.softplus(b[0] - 4)
         return diffuse, inputs.mirrored * F.softplus(b[3]) + 0.1 * F.softplus(b[1] - 5)
 
     def shader(self, surface: Isosurface, device: torch.device | str = "cpu") -> Shader:
-        """Return what shades samples of one surface.
+        """Return a function that shades samples of one surface.
 
-        Samples of one pixel share the light that bounces, which is smooth.
+        Samples of one pixel share their indirect light, which is smooth.
 
         Parameters
         ----------
         surface : Isosurface
         device : torch.device or str
-            Where samples are shaded. Rays are cast on the CPU.
+            Device for shading. Rays are cast on the CPU.
         """
         net, baked = copy.deepcopy(self).to(device), self.bake(surface).to(device)
 
@@ -209,7 +209,7 @@ class SurfaceNet(nn.Module):
 
     @torch.no_grad()
     def bake(self, surface: Isosurface) -> "Baked":
-        """Evaluate once what depends on the point alone, at the surface's vertices and patches."""
+        """Precompute all quantities that depend on the point alone, at the surface's vertices and patches."""
         points = torch.from_numpy(surface.vertices.astype(np.float32))
         looks, transport = [], []
         for p, n in zip(points.split(BAKED), torch.from_numpy(surface.normals).split(BAKED)):
@@ -225,7 +225,7 @@ class SurfaceNet(nn.Module):
         return Baked(torch.cat(looks), torch.cat(transport), Radiosity(surface, reflectance))
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Tensors for storing: see `HashGrid.packed`; the rest as float16."""
+        """Return tensors, grids as by `HashGrid.packed` and the rest as float16, and configuration."""
         state = {k: v.half().numpy() for k, v in self.state_dict().items() if not k.endswith(".table")}
         for grid in GRIDS:
             state |= {f"{grid}.{name}": value for name, value in getattr(self, grid).packed().items()}
@@ -233,7 +233,7 @@ class SurfaceNet(nn.Module):
 
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "SurfaceNet":
-        """Inverse of `to_tensors`, up to quantisation."""
+        """Invert `to_tensors`, up to quantisation."""
         net = cls(**config)
         packed = {f"{grid}.{name}" for grid in GRIDS for name in ("table", "factors")}
         state = {k: torch.from_numpy(np.array(v)).float() for k, v in tensors.items() if k not in packed}
@@ -246,37 +246,37 @@ class SurfaceNet(nn.Module):
 
 @dataclass(frozen=True)
 class Baked:
-    """Attributes of a surface's vertices; they are interpolated over triangles smaller than a usual pixel."""
+    """Attributes of a surface's vertices, interpolated over triangles usually smaller than a pixel."""
 
-    look: torch.Tensor  #: (V, 6), base colour, linear, and unit shading normal
+    look: torch.Tensor  #: (V, 6), base colour (linear) and unit shading normal
     transport: torch.Tensor  #: (V, T), features of the grid ``transport``
     radiosity: Radiosity
 
     def to(self, device: torch.device | str) -> "Baked":
-        """Return these on a device, but for the radiosity, which answers from the CPU."""
+        """Return a copy on a device, except the radiosity, which stays on the CPU."""
         return replace(self, look=self.look.to(device), transport=self.transport.to(device))
 
     def look_of(self, samples: SurfaceSamples) -> tuple[torch.Tensor, torch.Tensor]:
-        """Base colours, linear, and unit shading normals; (S, 3) each."""
+        """Interpolate base colours (linear) and unit shading normals; (S, 3) each."""
         values = column_major(samples.interpolated(self.look))
         return values[:, :3], normalized(values[:, 3:])
 
 
 @dataclass(frozen=True)
 class BounceInputs:
-    """What light that has bounced is predicted from; tensors share their first dimension S."""
+    """Inputs from which indirect light is predicted; tensors share their first dimension S."""
 
-    features: torch.Tensor  #: (S, 52), positions, angles, distances and the light below
-    gathered: torch.Tensor  #: (S, 3), what a white surface would reflect of diffuse light from the rest
-    mirrored: torch.Tensor  #: (S, 3), what a smooth surface would reflect of it as a mirror
+    features: torch.Tensor  #: (S, 52), positions, angles, distances and the radiances below
+    gathered: torch.Tensor  #: (S, 3), diffuse interreflection by a white surface
+    mirrored: torch.Tensor  #: (S, 3), diffuse light of the surroundings, mirrored by a smooth surface
 
     def select(self, index: torch.Tensor) -> "BounceInputs":
-        """Return those of some samples, in single precision."""
+        """Return the inputs of some samples, in single precision."""
         return BounceInputs(self.features[index].float(), self.gathered[index], self.mirrored[index])
 
 
 def _firsts(groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First row of each group, in the order of rows, and which of these groups each row belongs to."""
+    """Return the first row of each group, in order of rows, and each row's index into them."""
     rows = np.arange(len(groups))
     first = np.empty(groups.max() + 1, np.int64)
     first[groups[::-1]] = rows[::-1]
@@ -287,7 +287,7 @@ def _firsts(groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def in_cube(points: torch.Tensor) -> torch.Tensor:
-    """Points (S, 3) of the unit frame in the cube [0, 1]^3 of a `HashGrid`."""
+    """Map points (S, 3) from the unit frame to the cube [0, 1]^3 of a `HashGrid`."""
     return (points / BOUND + 1) / 2
 
 

@@ -1,4 +1,4 @@
-"""Training of VisionNet ``surface``: the mesh's look at points of the stored surface, then views."""
+"""Training of VisionNet ``surface``: first on the mesh's appearance at surface points, then on views."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,13 +22,13 @@ from objectfolder.vision.color import COVERED
 from objectfolder.vision.scene import Scene
 from objectfolder.vision.trace import trace
 
-DARK = 0.002  # radiance that is hardly shown
-DARK_SHARE = 0.2  # of such pixels that training takes, against others
+DARK = 0.002  # radiance below which a pixel is nearly black
+DARK_SHARE = 0.2  # sampling probability of dark pixels, relative to others
 
 
 @dataclass(frozen=True)
 class _Points:
-    """Points of the stored surface with what the mesh looks like there."""
+    """Points of the stored surface with the mesh's appearance there."""
 
     points: torch.Tensor  # (S, 3)
     normals: torch.Tensor  # (S, 3), of the stored surface
@@ -47,7 +47,7 @@ class _Points:
 
 @dataclass(frozen=True)
 class _Pixels:
-    """Pixels of views within the object, away from shadow edges; all that does not learn is computed."""
+    """Pixels of views inside the object, away from shadow edges, with all quantities that stay fixed."""
 
     inputs: BounceInputs
     base_color: torch.Tensor  # (S, 3) linear
@@ -62,7 +62,7 @@ class _Pixels:
         transport = net.transport.lookup(self.corners[0][index], self.corners[1][index])
         diffuse, glossy = net.indirect(self.inputs.select(index), transport)
         radiance = (self.direct[index] + self.base_color[index] * diffuse + glossy).clamp(max=1)
-        # As it is shown, to first order: the mean of noisy samples is right before the gamma, not after it.
+        # Linearised sRGB error: noisy samples have the right mean in linear radiance, not after encoding.
         error = (radiance - self.target[index]) * srgb.encode_slope(radiance.detach())
         return error.square().mean()
 
@@ -81,16 +81,16 @@ def train_surface(
     Parameters
     ----------
     surface : Isosurface
-        The stored surface: training points must lie on what a query will see.
+        Stored surface; training points lie on it because queries do.
     scene : Scene
-        The mesh that the views show.
+        Mesh shown in the views.
     train, val : dict
         ``rgba`` (N, H, W, 4), ``camera_to_world`` (N, 4, 4), ``light`` (N, 3), ``focal``.
     config : SurfaceConfig
     generator : torch.Generator
     report : callable
-        Called with each `CurvePoint` of the views; losses are mean squared errors in sRGB on pixels within
-        the object.
+        Called with each `CurvePoint` of the training on views; losses are mean squared errors in sRGB over
+        pixels inside the object.
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(torch.randint(2**31, (1,), generator=generator)))
@@ -126,7 +126,7 @@ def train_surface(
 
     known, unknown = (_look_up(surface, scene, net, n, rng) for n in (config.points, config.points // 20))
     fitted(known, unknown, config.point_steps, config.point_batch)
-    # What bounces is learned on top of what a query will see.
+    # Train indirect light on the quantised net, as queries use it.
     net = SurfaceNet.from_tensors(*net.to_tensors())
     baked = net.bake(surface)
     pixels = _gather(surface, net, baked, train, config.pixels, DARK_SHARE, rng)
@@ -138,14 +138,14 @@ def train_surface(
 def _look_up(
     surface: Isosurface, scene: Scene, net: SurfaceNet, count: int, rng: np.random.Generator
 ) -> _Points:
-    """Random points of the surface, and what the mesh looks like nearest to them."""
+    """Sample random points of the surface, with the mesh's appearance at the closest points."""
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
     points, _ = trimesh.sample.sample_surface(mesh, count, seed=rng)
     color, looked_up = appearance_at(scene, points)
     p = torch.from_numpy(points.astype(np.float32))
     normals = surface.grid.normals(p)
     shading = torch.from_numpy(looked_up)
-    # Meshes may have faces turned inside; renderers turn them to the eye, which is outside.
+    # Meshes may have inverted faces; renderers flip their normals towards the camera, which is outside.
     shading = torch.where((shading * normals).sum(1, keepdim=True) < 0, -shading, shading)
     encoded = torch.from_numpy(srgb.encode(color).astype(np.float32))
     return _Points(p, normals, _corners(net.grid, p), encoded, shading)
@@ -161,7 +161,7 @@ def _gather(
     dark_share: float,
     rng: np.random.Generator,
 ) -> _Pixels:
-    """About ``count`` pixels of views, as many of each, or all; dark ones with a smaller chance."""
+    """Sample about ``count`` pixels, equally many per view; dark ones with lower probability."""
     height, width = views["rgba"].shape[1:3]
     intrinsics = Intrinsics(width, height, float(views["focal"]))
     share, parts = -(-count // len(views["rgba"])), []
@@ -175,7 +175,7 @@ def _gather(
         if not len(chosen):
             continue
         target = rgba[row[chosen], column[chosen], :3].astype(np.float32).clip(max=1)
-        # There is more to learn where there is light.
+        # Bright pixels are more informative.
         chance = np.where(target.max(1) > DARK, 1, dark_share)
         picked = rng.choice(len(chosen), min(share, len(chosen)), replace=False, p=chance / chance.sum())
         samples = samples.select(torch.from_numpy(chosen[picked]))
@@ -187,7 +187,7 @@ def _gather(
         parts.append((*bounced, base_color, direct, torch.from_numpy(target[picked]), samples.points))
     if not parts:
         raise ObjectFolderError(
-            f"none of {len(views['rgba'])} views shows a pixel that lies well within the object: "
+            f"none of {len(views['rgba'])} views shows a pixel well inside the object: "
             "check cameras, focal length and scale, or render at a higher resolution"
         )
     features, gathered, mirrored, base_color, direct, colors, points = (torch.cat(p) for p in zip(*parts))
@@ -196,7 +196,10 @@ def _gather(
 
 
 def _corners(grid: HashGrid, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Of points that are looked up in every epoch; preallocated, because they are most of the memory."""
+    """Precompute grid corners of points that are looked up in every epoch.
+
+    Preallocated, because they take most of the memory.
+    """
     width = 8 * len(grid.resolutions)
     rows = torch.empty(len(points), width, dtype=torch.int32)
     weights = torch.empty(len(points), width, dtype=torch.float16)
