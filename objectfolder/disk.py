@@ -1,4 +1,4 @@
-"""Disk space: check it before writing, and name the disk that is full."""
+"""Checks of free disk space, and descriptions of full disks."""
 
 import errno
 import os
@@ -9,13 +9,13 @@ from pathlib import Path
 
 from objectfolder.errors import ObjectFolderError
 
-#: A disk with less than this many bytes free is full for practical purposes.
+#: Free bytes below which a disk counts as full.
 LOW = 2**20
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 def is_shortage(error: BaseException | None) -> bool:
-    """Return whether an error or one of its causes is a full disk."""
+    """Return whether an error or one of its causes reports a full disk."""
     while error is not None:
         if isinstance(error, OSError) and error.errno in _FULL:
             return True
@@ -29,12 +29,12 @@ def mentions_shortage(lines: Iterable[str]) -> bool:
 
 
 def free_bytes(path: Path) -> int:
-    """Return the free bytes on the disk of a path, which need not exist."""
+    """Return the free bytes on the disk of a path; the path need not exist."""
     return shutil.disk_usage(_existing(path)).free
 
 
 def fullest(paths: Iterable[Path]) -> tuple[Path, int]:
-    """Return the path whose disk has the least space, and its free bytes."""
+    """Return the path whose disk has the least free space, and its free bytes."""
     free = {path: free_bytes(path) for path in paths}
     path = min(free, key=free.__getitem__)
     return path, free[path]
@@ -49,7 +49,7 @@ def describe_full(path: Path) -> str:
 
 @contextmanager
 def enough_space(what: str, folder: Path, needed: int, hint: str) -> Iterator[None]:
-    """Check free space before the block writes into a folder, and report a disk that fills up meanwhile.
+    """Check free space before the block writes into a folder, and report a disk that fills up in the block.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def enough_space(what: str, folder: Path, needed: int, hint: str) -> Iterator[No
     needed : int
         Lower bound of the bytes to write.
     hint : str
-        Alternative to making room; ends the message.
+        Alternative to freeing space, appended to the message.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def enough_space(what: str, folder: Path, needed: int, hint: str) -> Iterator[No
 
 @contextmanager
 def new_folder(what: str, out: Path, needed: int, hint: str) -> Iterator[Path]:
-    """Yield a temporary folder that is renamed to ``out`` on success; otherwise as `enough_space`.
+    """Yield a temporary folder that is renamed to ``out`` on success; otherwise like `enough_space`.
 
     Raises
     ------

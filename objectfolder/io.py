@@ -1,7 +1,7 @@
 """Read and write artifacts.
 
-Every writer goes through `atomic`, so a file is either absent or complete. Every reader checks what it needs
-and names the file when something is wrong.
+All writers use `atomic`, so a file is either absent or complete. All readers check their input and name the
+file in errors.
 """
 
 import hashlib
@@ -18,16 +18,16 @@ import numpy as np
 
 from objectfolder.errors import ObjectFolderError
 
-MAX_BYTES = 2**30  #: of a safetensors file; a thousand times what an Object File takes
-MAX_HEADER = 2**20  #: characters of its JSON header
+MAX_BYTES = 2**30  #: size limit of a safetensors file; a thousand times that of an Object File
+MAX_HEADER = 2**20  #: length limit of its JSON header, characters
 
 
 @contextmanager
 def atomic(path: str | Path) -> Iterator[Path]:
-    """Give a temporary path next to ``path``; on success fsync it and rename it into place.
+    """Yield a temporary path next to ``path``; on success, fsync the file and rename it into place.
 
-    The temporary name keeps the suffix, because writers choose the format by it, and is the same every time,
-    so that a killed writer leaves at most one.
+    The temporary name has the same suffix, because writers choose the format by it. It is always the same, so
+    that killed writers leave at most one file behind.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def atomic(path: str | Path) -> Iterator[Path]:
 
 
 def check_writable(directory: Path) -> None:
-    """Raise ObjectFolderError unless files can be made in a directory."""
+    """Raise ObjectFolderError unless files can be created in a directory."""
     with atomic(directory / ".writable"):
         pass
     (directory / ".writable").unlink()
@@ -72,7 +72,7 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def write_npz(path: str | Path, **arrays: Any) -> None:
-    """Write a compressed ``.npz`` whose bytes depend on the arrays only; no pickled objects."""
+    """Write a compressed ``.npz`` without pickled objects; its bytes depend only on the arrays."""
     pickled = [name for name, array in arrays.items() if np.asarray(array).dtype.hasobject]
     if pickled:
         raise TypeError(f"{path}: {', '.join(pickled)} would be pickled; expected arrays of numbers")
@@ -87,12 +87,12 @@ def write_npy(path: str | Path, array: np.ndarray) -> None:
 
 
 def write_safetensors(path: str | Path, tensors: dict[str, Any], header: dict[str, Any]) -> None:
-    """Write numpy tensors and a JSON header (stored under one metadata key, so the bytes are stable)."""
+    """Write numpy tensors and a JSON header, under a single metadata key so that the bytes are stable."""
     from safetensors.numpy import save_file
 
     with atomic(path) as temporary:
         contiguous = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
-        mode = temporary.stat().st_mode  # safetensors lets nobody else read what it writes
+        mode = temporary.stat().st_mode  # safetensors creates files that only the owner can read
         save_file(contiguous, temporary, metadata={"objectfolder": json.dumps(header, sort_keys=True)})
         temporary.chmod(mode)
 
@@ -115,14 +115,14 @@ def write_table(path: str | Path, columns: list[str], rows: list[list[Any]]) -> 
 def write_curve(path: str | Path, curve: list[Any]) -> None:
     """Write a training curve (`objectfolder.nets.fit.CurvePoint`) as CSV.
 
-    The wall-clock column is left out: the same inputs must give the same bytes.
+    Wall-clock times are omitted: equal inputs must give equal bytes.
     """
     rows = [[p.step, p.train_loss, p.val_loss] for p in curve]
     write_table(path, ["step", "train_loss", "val_loss"], rows)
 
 
 def keep(path: str | Path, name: str | Path) -> None:
-    """Give a file a second name, under which it outlives the first; a copy where links are not possible."""
+    """Hard-link a file to a second name, or copy it where links are impossible."""
     with atomic(name) as temporary:
         temporary.unlink()
         try:
@@ -132,7 +132,7 @@ def keep(path: str | Path, name: str | Path) -> None:
 
 
 def file_digest(path: str | Path) -> str:
-    """SHA-256 of a file, hexadecimal."""
+    """Return the SHA-256 digest of a file in hexadecimal."""
     with _existing(path).open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
@@ -162,7 +162,7 @@ def read_npz(path: str | Path, *required: str) -> dict[str, np.ndarray]:
     """
     path = _existing(path)
     try:
-        # Opened here, because numpy leaves a damaged file open.
+        # Open the file here, because numpy does not close damaged files.
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
     except Exception as error:
@@ -176,12 +176,12 @@ def read_npz(path: str | Path, *required: str) -> dict[str, np.ndarray]:
 
 
 class StoredTensors(Mapping[str, np.ndarray]):
-    """Tensors of a safetensors file, each read from the mapped file when it is asked for.
+    """Mapping of the tensors in a memory-mapped safetensors file, each read on access.
 
     Raises
     ------
     ObjectFolderError
-        On reading, if a tensor is of a type that numpy lacks.
+        On access, if numpy does not support the type of a tensor.
     """
 
     def __init__(self, path: Path, stream: Any):
@@ -203,19 +203,19 @@ class StoredTensors(Mapping[str, np.ndarray]):
         return len(self._names)
 
     def size(self, name: str) -> int:
-        """Count the numbers of a tensor without reading them."""
+        """Return the number of elements of a tensor without reading it."""
         return math.prod(self._stream.get_slice(name).get_shape())
 
 
 def open_safetensors(path: str | Path) -> tuple[StoredTensors, Any]:
-    """Open a file that `write_safetensors` wrote: its tensors, unread, and its JSON header.
+    """Open a file of `write_safetensors`; return its tensors, read on access, and its JSON header.
 
-    Nothing in the file is executed. Its sizes are checked against each other before any memory is taken.
+    Nothing in the file is executed. All sizes are checked before memory is allocated.
 
     Raises
     ------
     ObjectFolderError
-        If the file is missing, damaged, too large, or not one of ours.
+        If the file is missing, damaged, too large, or not a safetensors file.
     """
     from safetensors import safe_open
 
@@ -235,24 +235,24 @@ def open_safetensors(path: str | Path) -> tuple[StoredTensors, Any]:
 
 
 def read_safetensors(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Read all tensors and the JSON header; otherwise as `open_safetensors`."""
+    """Read all tensors and the JSON header; otherwise like `open_safetensors`."""
     tensors, header = open_safetensors(path)
     return dict(tensors), header
 
 
 def read_rows(path: str | Path, width: int, hint: str = "") -> np.ndarray:
-    """Read the (N, width) real numbers of a ``.npy`` file; float64.
+    """Read an (N, width) array of real numbers from a ``.npy`` file as float64.
 
     Parameters
     ----------
     hint : str
-        Ends the message of an error about the shape.
+        Text appended to errors about the shape.
 
     Raises
     ------
     ObjectFolderError
-        If the file is missing, no array of real numbers, or of another shape. It is never unpickled, and no
-        memory is taken for more than it holds.
+        If the file is missing, or not an array of real numbers of this shape. The file is never unpickled,
+        and no more memory is allocated than its size justifies.
     """
     path = Path(path)
     if not path.is_file():
@@ -264,14 +264,16 @@ def read_rows(path: str | Path, width: int, hint: str = "") -> np.ndarray:
                 raise ObjectFolderError(f"{path} holds {dtype}, expected real numbers")
             if len(shape) != 2 or shape[1] != width:
                 raise ObjectFolderError(f"{path} has shape {shape}, expected (N, {width}){hint}")
-            # numpy would take the memory before it sees that the file is too short.
+            # numpy would allocate the array before noticing that the file is too short.
             if shape[0] * width * dtype.itemsize > path.stat().st_size:
                 raise ValueError(f"it is too short for an array of shape {shape}")
             stream.seek(0)
             return np.load(stream, allow_pickle=False).astype(np.float64)
     except ObjectFolderError:
         raise
-    except Exception as error:  # numpy parses the header as Python literals: many things go wrong
+    except (
+        Exception
+    ) as error:  # numpy parses the header as Python literals, which raises many types of errors
         raise ObjectFolderError(f"{path} is not a .npy file of numbers: {error}") from error
 
 

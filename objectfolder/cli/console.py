@@ -1,4 +1,4 @@
-"""What all commands print to."""
+"""Console output of all commands."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -12,13 +12,13 @@ console = Console()
 
 
 def tracked(items: Iterable[Any], description: str, total: int) -> Iterable[Any]:
-    """Iterate with a progress bar, where somebody watches."""
+    """Iterate with a progress bar, shown only on a terminal."""
     screen = Console(stderr=True)
     return track(items, description, total, console=screen, transient=True, disable=not screen.is_terminal)
 
 
 def print_wide(table: Table, console: Console = console) -> None:
-    """Print a table; where there is no terminal, as wide as it is, as nobody gave a width."""
+    """Print a table, at its full width unless the output is a terminal."""
     if not console.is_terminal:
         wide = Measurement.get(console, console.options.update(max_width=10_000), table).maximum
         console = Console(file=console.file, width=max(wide, console.width))

@@ -1,4 +1,4 @@
-"""Commands that bring objects into a workspace: add, fetch."""
+"""Commands that add objects to a workspace: add, fetch."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, get_args
@@ -19,34 +19,34 @@ def add(
         Path,
         typer.Argument(
             metavar="PATH",
-            help=".obj, .glb, .gltf, .ply, .stl or .off; a folder of them; or a catalogue (.yaml).",
+            help="Mesh (.obj, .glb, .gltf, .ply, .stl, .off), folder of meshes, or catalogue (.yaml).",
         ),
     ],
     name: Annotated[str | None, typer.Option(help="Object key, such as `blue_mug`.")] = None,
     material: Annotated[str | None, typer.Option(help="ceramic, glass, wood, plastic, iron, ...")] = None,
     scale: Annotated[
-        float | None, typer.Option(help="Longest side in metres; default: the mesh's own size.")
+        float | None, typer.Option(help="Longest side in metres; default: the size of the mesh.")
     ] = None,
     up: Annotated[str | None, typer.Option(help="Up axis, y or z; default: y for glTF, else z.")] = None,
-    unit: Annotated[str, typer.Option(help="Of the mesh's coordinates: m, cm or mm.")] = "m",
+    unit: Annotated[str, typer.Option(help="Unit of the mesh coordinates: m, cm or mm.")] = "m",
     wall: Annotated[
-        float | None, typer.Option(help="Thickness that open sheets get, metres; default: 2 % of the size.")
+        float | None, typer.Option(help="Thickness for open sheets in metres; default: 2 % of the size.")
     ] = None,
     bridge: Annotated[
-        str, typer.Option(help="Fill gaps under half an FEM cell: all, fem (for sound alone) or off.")
+        str, typer.Option(help="Fill gaps under half an FEM cell: all, fem (for sound only) or off.")
     ] = "all",
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Show what was understood; add nothing.")
+        bool, typer.Option("--dry-run", help="Show the examined meshes; add nothing.")
     ] = False,
 ) -> None:
-    """Add your own mesh, a folder of meshes, or a catalogue of objects, to the workspace.
+    """Add a mesh, a folder of meshes, or a catalogue of objects to the workspace.
 
-    Each mesh is loaded and closed first: what cannot be built is refused here. It is copied with the files
-    that it refers to to data/objects/NAME, tracked with DVC and entered in params.yaml. Then: `objectfolder
-    build NAME`.
+    Each mesh is first loaded and closed; meshes that cannot be built are refused. Accepted meshes are copied
+    with their referenced files to data/objects/NAME, tracked with DVC and entered in params.yaml. Next:
+    `objectfolder build NAME`.
 
-    In a folder, each mesh file is an object, and each subfolder that holds one. --material is that of all;
-    materials.csv (lines `name,material`) or materials.yaml in the folder names others.
+    In a folder, each mesh file and each subfolder with a mesh is an object. --material applies to all;
+    materials.csv (lines `name,material`) or materials.yaml in the folder overrides it by object.
     """
     from objectfolder.engine.dvc.repository import track
     from objectfolder.workspace import params
@@ -102,7 +102,7 @@ def _add_folder(
     bridge: str,
     dry_run: bool,
 ) -> bool:
-    """Examine and add the objects in a folder; whether none was refused."""
+    """Examine and add the objects in a folder; return whether all were accepted."""
     from objectfolder.engine.dvc.repository import track
     from objectfolder.workspace import params
     from objectfolder.workspace.discover import discover, examination_table, examine_all
@@ -143,32 +143,32 @@ def _add_folder(
 
 def fetch(
     objects: Annotated[
-        list[str] | None, typer.Argument(metavar="OBJECT", help="Keys or published names.")
+        list[str] | None, typer.Argument(metavar="OBJECT", help="Object keys or published names.")
     ] = None,
     everything: Annotated[bool, typer.Option("--all", help="Fetch every object.")] = False,
-    listing: Annotated[bool, typer.Option("--list", help="List the catalogue and stop.")] = False,
-    catalogue: Annotated[Path, typer.Option(help="A catalogue of published objects.")] = Path(
+    listing: Annotated[bool, typer.Option("--list", help="List the catalogue and exit.")] = False,
+    catalogue: Annotated[Path, typer.Option(help="Catalogue of published objects.")] = Path(
         "catalogs/objectfolder1.yaml"
     ),
     directory: Annotated[
         Path | None,
-        typer.Option("--from", metavar="DIR", help="Take archives or folders from here; download nothing."),
+        typer.Option("--from", metavar="DIR", help="Use archives or folders in DIR instead of downloads."),
     ] = None,
     url: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="SOURCE=TEMPLATE", help="Another address for a source; {model} is the id there."
+            metavar="SOURCE=TEMPLATE", help="Alternative URL of a source; {model} stands for the model id."
         ),
     ] = None,
     accept_changed: Annotated[
-        bool, typer.Option("--accept-changed", help="Take files whose recorded checksum has changed.")
+        bool, typer.Option("--accept-changed", help="Accept files that differ from their recorded checksum.")
     ] = False,
 ) -> None:
-    """Fetch objects of the paper from where their meshes are published, and add them to the workspace.
+    """Download published meshes of the paper's objects and add them to the workspace.
 
     Examples: `objectfolder fetch --list`, `objectfolder fetch ycb_mug 024_bowl`,
-    `objectfolder fetch --all --from ~/meshes`. What breaks off goes on with the same command.
-    The meshes have their own licences, kept with each as SOURCE.txt.
+    `objectfolder fetch --all --from ~/meshes`. Run the same command again to resume an
+    interrupted download. Each mesh has its own licence, stored next to it in SOURCE.txt.
     """
     from objectfolder.fetch import report
     from objectfolder.fetch.catalogue import read_catalogue, select_objects
@@ -183,7 +183,7 @@ def fetch(
     keys = list(published.objects) if everything else select_objects(published, objects or ())
     if not keys:
         report.print_overview(published, present, console)
-        raise ObjectFolderError("nothing was asked for; name objects (--list shows them), or give --all")
+        raise ObjectFolderError("no objects given; name objects (--list shows them) or use --all")
     report.print_licences(published, [key for key in keys if key not in present], console)
     with report.download_progress(Console(stderr=True)) as progress:
         results = fetch_all(

@@ -1,4 +1,4 @@
-"""Show the status of stages: a table of objects, or the reasons one by one."""
+"""Display of stage status: table of objects, detailed reasons, dry run, JSON."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -18,12 +18,12 @@ MARKS = {
     State.FAILED: ("F", "bold red"),
     State.NEVER: ("-", "cyan"),
 }
-#: Causes that are common to many stages, shown below the table.
+#: Number of most common reasons, shown below the table.
 CAUSES = 5
 
 
 def print_table(found: Sequence[StageStatus], console: Console) -> None:
-    """Print a line per object that is not all fresh, with a mark per stage, and the most common causes."""
+    """Print objects that are not fresh with a mark per stage, and the most common reasons."""
     objects: dict[str, dict[str, StageStatus]] = {}
     for one in found:
         objects.setdefault(one.key or one.address, {})[one.stage] = one
@@ -53,12 +53,14 @@ def print_table(found: Sequence[StageStatus], console: Console) -> None:
     fresh = len({one.key for one in found if one.key} - set(lines))
     console.print(f"{_counts(one.state for one in found)}; {fresh} objects all fresh", highlight=False)
     if lines:
-        hint = "`objectfolder status OBJECT` says why, `objectfolder build --dry-run` what would run"
+        hint = (
+            "`objectfolder status OBJECT` explains why; `objectfolder build --dry-run` shows what would run"
+        )
         console.print(hint, soft_wrap=True)
 
 
 def print_details(found: Iterable[StageStatus], console: Console) -> None:
-    """Print every stage with the reasons why it is not fresh."""
+    """Print every stage, with the reasons if it is not fresh."""
     found = list(found)
     width = max(len(one.address) for one in found)
     for one in found:
@@ -71,7 +73,7 @@ def print_details(found: Iterable[StageStatus], console: Console) -> None:
 
 
 def print_outlook(found: Iterable[StageStatus], console: Console) -> None:
-    """Print what a build would do with every stage that is not fresh, and why."""
+    """Print the action of a build for every stage that is not fresh, and the reasons."""
     found = list(found)
     acting = [one for one in found if one.outlook is not Outlook.SKIP]
     width = max((len(one.address) for one in acting), default=0)
@@ -85,7 +87,7 @@ def print_outlook(found: Iterable[StageStatus], console: Console) -> None:
 
 
 def as_json(found: Iterable[StageStatus]) -> list[dict[str, object]]:
-    """Plain values, for machines."""
+    """Return the status as values for JSON."""
     return [
         {
             "address": one.address,

@@ -1,4 +1,4 @@
-"""Commands that look after a workspace: status, verify, prune."""
+"""Commands that maintain a workspace: status, verify, prune."""
 
 import json
 import sys
@@ -13,20 +13,24 @@ from objectfolder.errors import ObjectFolderError
 
 Targets = Annotated[
     list[str] | None,
-    typer.Argument(metavar="[TARGET]...", help="`modal@mug`, `train_audio` or `mug`; default: all."),
+    typer.Argument(
+        metavar="[TARGET]...", help="Stage and object (`modal@mug`), stage or object; default: all."
+    ),
 ]
 
 
 def status(
     targets: Targets = None,
-    as_json: Annotated[bool, typer.Option("--json", help="A JSON list, for machines.")] = False,
-    check: Annotated[bool, typer.Option("--check", help="Exit with code 1 unless all is fresh.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list.")] = False,
+    check: Annotated[
+        bool, typer.Option("--check", help="Exit with code 1 unless all stages are fresh.")
+    ] = False,
 ) -> None:
-    """Show what is fresh, stale, missing, failed or never built.
+    """Show which stages are fresh, stale, missing, failed or never built.
 
-    Without a target: a line per object that is not all fresh, a mark per stage. With one: every stage that
-    it takes, and why it is not fresh: which dependency, parameter (old -> new) or module changed, which
-    output is missing, how it failed at the last build and where its log is.
+    Without targets: the objects that are not fresh, with a mark per stage. With targets: each stage of the
+    targets, and why it is not fresh: the changed dependency, parameter (old -> new) or module, the missing
+    output, or the failure of the last build and its log.
     """
     from objectfolder.cli import statusview
     from objectfolder.engine.status import State
@@ -45,21 +49,23 @@ def status(
 def verify(
     targets: Targets = None,
     repair: Annotated[
-        bool, typer.Option("--repair", help="Restore or rebuild what is bad, then verify again.")
+        bool, typer.Option("--repair", help="Restore or rebuild bad files, then verify again.")
     ] = False,
     jobs: Annotated[
-        int | None, typer.Option("--jobs", "-j", min=1, help="Files to read at a time; default: all cores.")
+        int | None,
+        typer.Option(
+            "--jobs", "-j", min=1, help="Number of files to read in parallel; default: number of cores."
+        ),
     ] = None,
 ) -> None:
-    """Read all artifacts and cached objects again and compare them with what dvc.lock recorded.
+    """Verify the hashes of all artifacts and cached files against dvc.lock, and check that artifacts load.
 
-    DVC trusts sizes and times; bytes that went bad in place are found here, in the workspace and in the
-    cache. Every artifact is then read as the stages and queries read it. Without a target the whole cache is
-    read, also what only earlier states refer to. Exit code 1 if anything is bad.
+    DVC trusts file sizes and times; this command also finds silent corruption, in the workspace and in the
+    cache. Each artifact is also loaded as the stages and queries load it. Without targets, the whole cache is
+    read, including files of earlier states. The exit code is 1 if anything is bad.
 
-    --repair takes what is bad from the place where its hash is right, the cache or the workspace, and
-    rebuilds what is right in neither. Sources that differ from their .dvc file are left: you may have
-    changed them.
+    --repair restores a bad file from the intact copy in the cache or the workspace, and rebuilds it if there
+    is none. Sources that differ from their .dvc file are kept, because you may have edited them.
     """
     from objectfolder.engine.progress import Progress, print_summary
     from objectfolder.engine.verify import verify as run_verify
@@ -69,7 +75,7 @@ def verify(
     if report.rebuilt is not None:
         print_summary(report.rebuilt)
     if report.findings:
-        table = Table("object", "stage", "file", "what is wrong", "what to do", box=None)
+        table = Table("object", "stage", "file", "problem", "remedy", box=None)
         for one in report.findings:
             table.add_row(*map(Text, (one.key, one.stage, one.path, one.problem, one.remedy)))
         print_wide(table)
@@ -79,17 +85,19 @@ def verify(
 
 
 def prune(
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Remove without asking.")] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what would be removed; keep all.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Remove without confirmation.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Show what would be removed; remove nothing.")
+    ] = False,
 ) -> None:
-    """Remove what was built of objects that are no longer in params.yaml, after showing it.
+    """Remove the build results of objects that are no longer in params.yaml, after confirmation.
 
-    That is their artifacts, metrics and logs, their entries in dvc.lock, and the cached objects and saved
-    runs that are theirs alone: nothing goes that dvc.lock, a .dvc file or a saved run of another object
-    names. Sources in data/objects and files that the pipeline did not write stay.
+    This removes their artifacts, metrics and logs, their entries in dvc.lock, and their cached files and
+    saved runs, unless dvc.lock, a .dvc file or a saved run of another object refers to them. Sources in
+    data/objects and files that the pipeline did not write are kept.
 
-    As `dvc gc --workspace`, it looks at this workspace only: another branch or commit that has these objects
-    will have to build or `dvc pull` them again.
+    Like `dvc gc --workspace`, it considers only this workspace: other branches or commits with these objects
+    must build or `dvc pull` them again.
     """
     from objectfolder.engine.prune import prune as run_prune
     from objectfolder.engine.prune import survey
@@ -105,7 +113,7 @@ def prune(
     for note in waste.left:
         console.print(Text(f"left: {note}"), soft_wrap=True)
     if not waste.keys:
-        console.print("nothing to remove: every object that was built is in params.yaml")
+        console.print("nothing to remove: all built objects are in params.yaml")
         return
     total = f"{waste.bytes / 1e6:.1f} MB of {len(waste.keys)} objects"
     if dry_run:
@@ -114,7 +122,7 @@ def prune(
     if not yes:
         if not sys.stdin.isatty():
             raise ObjectFolderError(
-                f"{total} would be removed; say so with --yes, as nobody can be asked here"
+                f"{total} would be removed; confirm with --yes, because standard input is not a terminal"
             )
         typer.confirm(f"Remove {total}?", abort=True)
     run_prune(waste)

@@ -10,11 +10,11 @@ from rich.table import Table
 from objectfolder.cli.console import console
 from objectfolder.errors import ObjectFolderError
 
-MAX_SCORES = 40  # of objects that a build prints
+MAX_SCORES = 40  # objects whose scores a build prints
 
 
 class Engine(StrEnum):
-    """Where a build runs its stages."""
+    """Execution backend of a build."""
 
     LOCAL = "local"
     RAY = "ray"
@@ -23,49 +23,54 @@ class Engine(StrEnum):
 def build(
     targets: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[TARGET]...", help="`modal@mug`, `train_audio` or `mug`; default: all."),
+        typer.Argument(
+            metavar="[TARGET]...", help="Stage and object (`modal@mug`), stage or object; default: all."
+        ),
     ] = None,
     jobs: Annotated[
         int | None,
         typer.Option(
-            "--jobs", "-j", min=1, help="Cores to use; default: all (--engine ray: of the cluster)."
+            "--jobs", "-j", min=1, help="Number of cores; default: all (--engine ray: of the cluster)."
         ),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", "-f", help="Run even what is up to date.")] = False,
+    force: Annotated[bool, typer.Option("--force", "-f", help="Rerun stages that are up to date.")] = False,
     keep_going: Annotated[
         bool,
-        typer.Option("--keep-going/--fail-fast", help="After a failure, go on with what does not need it."),
+        typer.Option("--keep-going/--fail-fast", help="After a failure, continue with independent stages."),
     ] = True,
     timeout: Annotated[
         float | None,
-        typer.Option(
-            min=0, help="Seconds after which a stage is killed; 0: never. Default: hours, by stage."
-        ),
+        typer.Option(min=0, help="Time limit of each stage in seconds; 0: none. Default: hours, by stage."),
     ] = None,
     engine: Annotated[
-        Engine, typer.Option(help="Run stages on this machine, or on the nodes of a Ray cluster.")
+        Engine, typer.Option(help="Run stages on this machine or on a Ray cluster.")
     ] = Engine.LOCAL,
     address: Annotated[
         str | None,
         typer.Option(
-            metavar="HOST:PORT", help="Head of the Ray cluster; default: auto, the one this machine is in."
+            metavar="HOST:PORT",
+            help="Head node of the Ray cluster; default: auto, the cluster of this machine.",
         ),
     ] = None,
     pull: Annotated[
-        bool, typer.Option("--pull", help="First fetch what is built from DVC's default remote.")
+        bool, typer.Option("--pull", help="Pull available outputs from the default DVC remote first.")
     ] = False,
     wait: Annotated[
-        bool, typer.Option("--wait", help="If another process uses the workspace, wait; else refuse.")
+        bool,
+        typer.Option("--wait", help="Wait for another process that uses the workspace, instead of failing."),
     ] = False,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Show what would run or come back, and why; change nothing.")
+        bool,
+        typer.Option(
+            "--dry-run", help="Show which stages would run or be restored, and why; change nothing."
+        ),
     ] = False,
 ) -> None:
-    """Build what is out of date, in parallel, through DVC's graph and cache.
+    """Build outdated stages in parallel, with the graph and cache of DVC.
 
     Examples: `objectfolder build -j 2`, `objectfolder build mug`, `objectfolder build modal@mug`,
-    `objectfolder build --engine ray` (docs/pipeline.md: what a cluster must share).
-    Logs of stages are in build/.logs. `dvc status`, `dvc repro` and `dvc metrics show` work as usual.
+    `objectfolder build --engine ray` (requirements of a cluster: docs/pipeline.md).
+    Stage logs are in build/.logs. `dvc status`, `dvc repro` and `dvc metrics show` work as usual.
     """
     from objectfolder.engine.build import BuildOptions, local_workers
     from objectfolder.engine.build import build as run_build
@@ -77,7 +82,7 @@ def build(
     from objectfolder.workspace.check import check_all
 
     if address is not None and engine is Engine.LOCAL:
-        raise ObjectFolderError(f"--address {address} is for --engine ray; give both")
+        raise ObjectFolderError(f"--address {address} requires --engine ray")
     values = params.read()
     check_all(values)
     require_renderer(load_profile(values["sensor"]), values["render_touch"]["renderer"])
@@ -86,7 +91,7 @@ def build(
         from objectfolder.engine.status import status
 
         if force or pull:
-            raise ObjectFolderError("--dry-run tells from what is here; --force and --pull are for a build")
+            raise ObjectFolderError("--dry-run cannot be combined with --force or --pull")
         print_outlook(status(targets or ()), console)
         return
     check_writable(Path("build"))
@@ -102,12 +107,12 @@ def build(
     if summary.ok and 0 < len(evaluated) <= MAX_SCORES:
         _print_metrics(evaluated)
     elif summary.ok and evaluated:
-        console.print(f"{len(evaluated)} objects are evaluated; `dvc metrics show` prints their scores")
+        console.print(f"{len(evaluated)} objects evaluated; `dvc metrics show` prints their scores")
     raise typer.Exit(not summary.ok)
 
 
 def preset(name: Annotated[str, typer.Argument(help="quick, standard or paper (files in params/).")]) -> None:
-    """Merge a preset into params.yaml: how many views, how fine the FEM, how long to train."""
+    """Merge a preset into params.yaml: number of views, FEM resolution, training length and more."""
     from objectfolder.workspace.presets import apply_preset
 
     changed = apply_preset(name)
@@ -115,10 +120,12 @@ def preset(name: Annotated[str, typer.Argument(help="quick, standard or paper (f
 
 
 def inspect(
-    target: Annotated[str, typer.Argument(metavar="STAGE@OBJECT", help="Such as `modal@mug`.")],
-    vtu: Annotated[bool, typer.Option(help="Export the solid for ParaView (voxelize).")] = False,
+    target: Annotated[
+        str, typer.Argument(metavar="STAGE@OBJECT", help="Stage and object, such as `modal@mug`.")
+    ],
+    vtu: Annotated[bool, typer.Option(help="Also export the solid for ParaView (voxelize only).")] = False,
 ) -> None:
-    """Show what a stage's artifacts hold: a table, and a picture beside them."""
+    """Summarize the artifacts of a stage in a table, and save a picture next to them."""
     from objectfolder.inspection import inspect_stage, print_inspection
 
     stage, at, key = target.partition("@")
@@ -128,13 +135,13 @@ def inspect(
 
 
 def _print_metrics(keys: list[str]) -> None:
-    """Print the metrics table, and where to look."""
+    """Print the metrics of objects, and the paths of their Object Files and pictures."""
     from objectfolder.io import read_json
     from objectfolder.objectfile.evaluation import summary_row
     from objectfolder.workspace.layout import Build
 
     rows = [summary_row(key, read_json(Build(key).metrics)) for key in keys]
-    table = Table(title="Held-out PSNR in dB / that of a baseline that knows nothing")
+    table = Table(title="Held-out PSNR in dB / PSNR of a trivial baseline")
     for name in rows[0]:
         table.add_column(name, justify="left" if name == "object" else "right", no_wrap=name == "object")
     for row in rows:
