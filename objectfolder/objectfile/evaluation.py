@@ -1,4 +1,4 @@
-"""An Object File against held-out ground truth (supplementary F, Table 2), beside honest baselines."""
+"""Scores of an Object File against held-out ground truth, with baselines (supplementary F, Table 2)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,9 +17,9 @@ from objectfolder.settings import Count
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.color import lit_foreground, on_white
 
-AWGN = {"sigma_0_05": 0.05, "variance_0_05": 0.05**0.5}  # the paper says variance, its figures mean sigma
-BATCH = 16  # sounds transformed at once
-MIN_PIXELS = 50  #: of a contact whose pixels are scored
+AWGN = {"sigma_0_05": 0.05, "variance_0_05": 0.05**0.5}  # the paper says variance, but its numbers match sigma
+BATCH = 16  # sounds per spectrogram batch
+MIN_PIXELS = 50  #: contact pixels that a touch needs to count in ``psnr_contact``
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,19 +30,19 @@ class EvaluateConfig:
 
 
 def evaluate_vision(view: Callable[..., np.ndarray], views: dict[str, np.ndarray]) -> dict[str, Any]:
-    """PSNR and SSIM of held-out views, in sRGB on white.
+    """Compute PSNR and SSIM of held-out views, in sRGB on white.
 
-    Half of all views are nearly unlit on a white background, so the lit foreground is scored apart:
+    Half of all views are nearly unlit on a white background, so the lit foreground is also scored on its own:
     pixels that the object covers fully and whose true radiance exceeds 1 % of white. The views themselves
-    are noisy: ``noise_floor`` and ``noise_floor_lit`` are what a perfect answer would score as ``psnr`` and
-    ``psnr_lit_foreground``, where the views tell their noise.
+    are noisy: ``noise_floor`` and ``noise_floor_lit`` are the ``psnr`` and ``psnr_lit_foreground`` of a
+    perfect answer, given if the views contain their noise.
 
     Parameters
     ----------
     view : callable
-        As `ObjectFile.view`.
+        Called like `ObjectFile.view`.
     views : dict
-        As ``views/test.npz`` holds them.
+        Contents of ``views/test.npz``.
     """
     height, width = views["rgba"].shape[1:3]
     intrinsics = Intrinsics(width, height, float(views["focal"]))
@@ -78,19 +78,19 @@ def evaluate_vision(view: Callable[..., np.ndarray], views: dict[str, np.ndarray
 
 
 def shown_views(scores: dict[str, Any], count: int) -> dict[int, str]:
-    """Choose views for a sheet: the worst, the median and the best one, and others at equal steps.
+    """Choose views for a contact sheet: the worst, the median and the best, and others at equal steps.
 
     Parameters
     ----------
     scores : dict
-        Of `evaluate_vision`.
+        Result of `evaluate_vision`.
     count : int
-        At most so many.
+        Largest number of views.
 
     Returns
     -------
     dict
-        From the number of a view to what it is.
+        Title of each view by its index.
     """
     named = {scores[f"{name}_view"]: name for name in ("best", "median", "worst")}
     others = [i for i in range(scores["views"]) if i not in named]
@@ -102,7 +102,7 @@ def shown_views(scores: dict[str, Any], count: int) -> dict[int, str]:
 def view_answers(
     file: ObjectFile, views: dict[str, np.ndarray], rows: list[int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Held-out views as they are and as the Object File answers them; both (N, H, W, 3), sRGB on white."""
+    """Return true held-out views and the Object File's; both (N, H, W, 3), sRGB on white."""
     rgba = views["rgba"][rows].astype(np.float32)
     intrinsics = Intrinsics(rgba.shape[2], rgba.shape[1], float(views["focal"]))
     answers = file.view(views["camera_to_world"][rows], views["light"][rows], intrinsics=intrinsics)
@@ -113,22 +113,22 @@ def view_answers(
 class Strikes:
     """Unit impulses at surface points whose true modes are known."""
 
-    rows: np.ndarray  #: (N,) of the points
+    rows: np.ndarray  #: (N,) indices of the points
     impulses: np.ndarray  #: (N, 3) N s
 
     @classmethod
     def random(cls, rows: np.ndarray, count: int, rng: np.random.Generator) -> "Strikes":
-        """Draw strikes at some of the points, in random directions."""
+        """Draw strikes at random points of ``rows``, in random directions."""
         impulses = rng.normal(size=(count, 3))
         impulses /= np.linalg.norm(impulses, axis=1, keepdims=True)
         return cls(rows[rng.integers(len(rows), size=count)], impulses)
 
     def __getitem__(self, index: slice) -> "Strikes":
-        """Some of them."""
+        """Return a slice of the strikes."""
         return Strikes(self.rows[index], self.impulses[index])
 
     def titles(self, points: np.ndarray) -> list[str]:
-        """Say where and whereto each goes; points (P, 3) are metres."""
+        """Label each strike with its point and direction; points (P, 3) are metres."""
         return [
             f"at ({', '.join(f'{x:.1f}' for x in points[row] * 1000)}) mm\n"
             f"towards ({', '.join(f'{x:.2f}' for x in impulse)})"
@@ -137,7 +137,7 @@ class Strikes:
 
 
 def evaluate_gains(file: ObjectFile, modes: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, Any]:
-    """Gains at held-out surface points; frequencies and decay times, which are stored and not learnt.
+    """Score gains at held-out surface points, and frequencies and decay times, which are stored, not learned.
 
     Raises
     ------
@@ -167,9 +167,9 @@ def evaluate_gains(file: ObjectFile, modes: dict[str, np.ndarray], rows: np.ndar
 def evaluate_sounds(
     file: ObjectFile, modes: dict[str, np.ndarray], strikes: Strikes, rng: np.random.Generator
 ) -> dict[str, Any]:
-    """Spectrograms of strikes, in the conventions of `SpectrogramErrors`.
+    """Score spectrograms of strikes as defined by `SpectrogramErrors`.
 
-    Silence and white Gaussian noise of each true sound's energy are scored beside.
+    The baselines are silence, and white Gaussian noise with the energy of each true sound.
     """
     frequency = torch.from_numpy(modes["damped_frequency"])
     heard = int(audible(frequency, SAMPLE_RATE).sum())
@@ -186,16 +186,16 @@ def evaluate_sounds(
 
 
 def white_noise(sounds: torch.Tensor, rng: np.random.Generator) -> torch.Tensor:
-    """White Gaussian noise of the energy of each sound; (N, samples)."""
+    """Draw white Gaussian noise with the energy of each sound; (N, samples)."""
     noise = torch.from_numpy(rng.standard_normal(sounds.shape)).to(sounds.dtype)
-    # Norms, because the squares of micrometres per newton second underflow.
+    # Norms in float64, because squares of micrometres per newton second underflow.
     return noise * (sounds.double().norm(dim=1) / noise.double().norm(dim=1)).to(sounds.dtype)[:, None]
 
 
 def strike_sounds(
     file: ObjectFile, modes: dict[str, np.ndarray], strikes: Strikes
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sounds of strikes as they are and as the Object File answers them; both (N, samples)."""
+    """Return true sounds of strikes and the Object File's; both (N, samples)."""
     bank = sinusoid_bank(torch.from_numpy(modes["damped_frequency"]), torch.from_numpy(modes["damping"]))
     shapes = torch.from_numpy(modes["shapes"][strikes.rows]).float()
     truth = gains(shapes, torch.from_numpy(strikes.impulses).float()) @ bank
@@ -205,18 +205,18 @@ def strike_sounds(
 def evaluate_touch(
     file: ObjectFile, contacts: dict[str, np.ndarray], mean_image: np.ndarray
 ) -> dict[str, float]:
-    """PSNR of tactile images at held-out contacts, and the error of their forces.
+    """Compute the PSNR of tactile images at held-out contacts, and the error of their forces.
 
-    Contacts where the object reaches behind the gel (a handle, the inside of a cup) are impossible for a
-    real sensor; they count in ``psnr`` and ``psnr_median`` and are left out of the other scores:
-    ``psnr_unobstructed`` and ``psnr_median_unobstructed`` of whole images, ``psnr_contact`` of the pixels
-    that touch, pooled over contacts with at least `MIN_PIXELS` of them, and ``force_error``, the mean error
-    relative to the mean force, where the gel and the net know forces.
+    Contacts where the object extends behind the gel (a handle, the inside of a cup) are impossible for a
+    real sensor. They count in ``psnr`` and ``psnr_median``, but not in the other scores:
+    ``psnr_unobstructed`` and ``psnr_median_unobstructed`` of whole images; ``psnr_contact`` of contact
+    pixels, pooled over contacts with at least `MIN_PIXELS` of them; and ``force_error``, the mean error
+    relative to the mean force, if both the gel and the network provide forces.
 
     Parameters
     ----------
     contacts : dict
-        As ``touch/test.npz`` holds them.
+        Contents of ``touch/test.npz``.
     mean_image : (H, W, 3) array
         Mean of the training images in grey levels: the baseline.
     """
@@ -238,7 +238,7 @@ def evaluate_touch(
 
 
 def touch_scores(images: np.ndarray, contacts: dict[str, np.ndarray]) -> dict[str, float]:
-    """Scores of images (N, H, W, 3) in grey levels; see `evaluate_touch`."""
+    """Score images (N, H, W, 3) in grey levels; see `evaluate_touch`."""
     errors, free = np.empty(len(images)), contacts["obstructed"] == 0
     contact = []
     truths = zip(images, contacts["images"], contacts["masks"], free)
@@ -264,9 +264,9 @@ def touch_scores(images: np.ndarray, contacts: dict[str, np.ndarray]) -> dict[st
 def evaluate_awgn(
     shapes: dict[str, tuple[int, ...]], rng: np.random.Generator
 ) -> dict[str, dict[str, float]]:
-    """PSNR of ground truth corrupted by white Gaussian noise, per convention and modality.
+    """Compute the PSNR of ground truth with added white Gaussian noise, per convention and modality.
 
-    In data scaled to [0, 1] it is a property of the noise alone: 26.0 dB for sigma 0.05, 13.0 dB for
+    For data scaled to [0, 1] it depends on the noise alone: 26.0 dB for sigma 0.05, 13.0 dB for
     variance 0.05.
     """
     return {
@@ -276,7 +276,7 @@ def evaluate_awgn(
 
 
 def summary_row(key: str, metrics: dict[str, Any]) -> dict[str, str]:
-    """One line of the table that a build ends with."""
+    """Return an object's row of the table printed at the end of a build."""
     v, a, t = metrics["vision"], metrics["audio"], metrics["touch"]
 
     def beside(values: dict[str, Any], score: str, baseline: str) -> str:

@@ -1,6 +1,6 @@
-"""The header of an Object File: its version, and the JSON Schema that every file is checked against.
+"""Header of an Object File: its version, and validation against the JSON Schema.
 
-docs/objectfile.md says it in words; objectfile.schema.json, beside this module, is the definition.
+docs/objectfile.md describes the header; objectfile.schema.json, next to this module, defines it.
 """
 
 import json
@@ -14,13 +14,13 @@ from objectfolder.errors import ObjectFolderError
 if TYPE_CHECKING:
     from jsonschema import Draft202012Validator
 
-FORMAT = (1, 1)  #: major, minor: a reader reads every file of its major version
+FORMAT = (1, 1)  #: major, minor; a reader accepts every file of its major version
 MODALITIES = ("vision", "audio", "touch")
 PARTS = ("geometry", *MODALITIES)
 
 
 def format_name() -> str:
-    """Return the version that this package writes, as files name it."""
+    """Return the format version that this package writes, as stored in files."""
     return ".".join(map(str, FORMAT))
 
 
@@ -31,37 +31,37 @@ def schema() -> dict[str, Any]:
 
 
 def known_kinds(part: str) -> tuple[str, ...]:
-    """Kinds of a part (geometry, vision, audio, touch) that the schema describes."""
+    """Return the kinds of a part (geometry, vision, audio, touch) that the schema describes."""
     return tuple(_rules(part))
 
 
 def known_net(part: str, described: dict[str, Any]) -> dict[str, Any]:
-    """Configuration of a part's net, without fields that only a newer version knows."""
+    """Return the configuration of a part's network, without unknown fields of newer versions."""
     known = _rules(part)[described["kind"]]["properties"]["net"]["properties"]
     return {name: value for name, value in described["net"].items() if name in known}
 
 
 def checked_header(header: Any, path: object) -> dict[str, Any]:
-    """Check a header.
+    """Validate a header.
 
     Parameters
     ----------
     header : anything
-        What the JSON text held, or is to hold.
+        Header as decoded from JSON, or to be encoded.
     path : path
-        Named in errors.
+        Path of the file, for error messages.
 
     Returns
     -------
     dict
-        A copy, as JSON has it.
+        Copy of the header, converted to JSON types.
 
     Raises
     ------
     ObjectFolderError
-        If it is not the header of an Object File, is of another major version, or breaks the schema. A kind
-        that is not known is refused here, unless the file says that it is newer: then whoever asks for that
-        part is refused.
+        If it is not the header of an Object File, is of another major version, or violates the schema. An
+        unknown kind is rejected here, unless the file has a newer version: then it is rejected when its part
+        is queried.
     """
     try:
         header = json.loads(json.dumps(header, allow_nan=False))
@@ -70,7 +70,7 @@ def checked_header(header: Any, path: object) -> dict[str, Any]:
     if not isinstance(header, dict) or "format" not in header:
         if isinstance(header, dict) and "schema" in header:
             raise ObjectFolderError(
-                f"{path} is an Object File of before format 1.0; rebuild it with `objectfolder build`"
+                f"{path} is an Object File from before format 1.0; rebuild it with `objectfolder build`"
             )
         raise ObjectFolderError(f"{path} is not an Object File: its header lacks format")
     if not re.fullmatch(r"[0-9]{1,4}\.[0-9]{1,4}", str(header["format"])):
@@ -87,7 +87,7 @@ def checked_header(header: Any, path: object) -> dict[str, Any]:
     if problem is not None:
         place = ".".join(map(str, problem.path)) or "its header"
         raise ObjectFolderError(
-            f"{path}: {place}: {_shortened(problem.message)}; objectfile.schema.json says what is expected"
+            f"{path}: {place}: {_shortened(problem.message)}; see objectfile.schema.json for what is expected"
         )
     for part in PARTS:
         kinds = known_kinds(part)
@@ -103,7 +103,7 @@ def _shortened(message: str, most: int = 300) -> str:
 
 @cache
 def _rules(part: str) -> dict[str, Any]:
-    """Schemas of the kinds of a part."""
+    """Return the schemas of a part's kinds."""
     rules = schema()["properties"][part]["allOf"]
     return {rule["if"]["properties"]["kind"]["const"]: rule["then"] for rule in rules}
 

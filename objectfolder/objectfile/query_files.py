@@ -1,4 +1,4 @@
-"""Random queries in the file formats of the published dataset: views, strikes and touches that are valid."""
+"""Valid random queries in the file formats of the published dataset: views, strikes and touches."""
 
 import math
 
@@ -10,7 +10,7 @@ from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.profiles import SensorProfile
 from objectfolder.vision.cameras import CAMERA_RADIUS, LIGHT_RADIUS, sphere_points
 
-MAX_TILT = math.radians(15)  #: of the published touches
+MAX_TILT = math.radians(15)  #: largest tilt of the published touches, radians
 
 DIRECTIONS = ("normal", "random")
 
@@ -18,14 +18,14 @@ DIRECTIONS = ("normal", "random")
 def sample_views(
     count: int, seed: int = 0, radius: float = CAMERA_RADIUS, light_radius: float = LIGHT_RADIUS
 ) -> np.ndarray:
-    """Cameras and lights, each uniform on a sphere around the object.
+    """Draw cameras and lights, each uniform on a sphere around the object.
 
     Parameters
     ----------
     count : int
     seed : int
     radius, light_radius : float
-        Of the two spheres, unit frame; default: those of the paper's data (supplementary C).
+        Radii of the two spheres, unit frame; default: those of the paper's data (supplementary C).
 
     Returns
     -------
@@ -50,7 +50,7 @@ def sample_views(
 def sample_strikes(
     obj: ObjectFile, count: int, seed: int = 0, force: float = 1.0, directions: str = "normal"
 ) -> np.ndarray:
-    """Strikes on an object: surface points, uniform by area, and impulses that push into it.
+    """Draw strikes on an object: surface points, uniform by area, and impulses directed into it.
 
     Parameters
     ----------
@@ -58,9 +58,9 @@ def sample_strikes(
     count, seed : int
         The points are those of ``obj.sample_surface(count, seed)``.
     force : float
-        Length of every impulse, N s.
+        Magnitude of every impulse, N s.
     directions : {"normal", "random"}
-        Along the inward surface normal, as a hammer strikes; or uniform over the directions into the object.
+        Along the inward surface normal, as of a hammer, or uniform over the directions into the object.
 
     Returns
     -------
@@ -85,7 +85,7 @@ def sample_strikes(
     inward = -obj.surface.grid.normals(unit_points).numpy().astype(np.float64)
     if directions == "random":
         chosen = sphere_points(count, 1.0, _generator(seed))
-        # No hammer pulls: of a direction and its opposite, one points into the object.
+        # A hammer cannot pull: flip directions that point out of the object.
         inward = np.where((chosen * inward).sum(1, keepdims=True) < 0, -chosen, chosen)
     return np.hstack([points, force * inward / np.linalg.norm(inward, axis=1, keepdims=True)])
 
@@ -93,26 +93,26 @@ def sample_strikes(
 def sample_presses(
     obj: ObjectFile, count: int, seed: int = 0, sensor: SensorProfile | None = None
 ) -> np.ndarray:
-    """How a tactile sensor leans on a surface, and how far it is pressed: the published ``gelinfo``.
+    """Draw tilts and press depths of a tactile sensor: the published ``gelinfo``.
 
     Parameters
     ----------
     obj : ObjectFile
     count, seed : int
     sensor : SensorProfile, optional
-        Default: the stored one.
+        Default: the stored profile.
 
     Returns
     -------
     (count, 3) float64
         Tilt theta, up to 15 degrees, and its direction phi, both in radians, and depth in metres, each
-        uniform. Depths are in the sensor's own range, ``press_depth`` of its profile: 0.5 to 2 mm for DIGIT,
-        as published.
+        uniform. Depths are in the range ``press_depth`` of the sensor's profile: 0.5 to 2 mm for DIGIT, as
+        published.
 
     Raises
     ------
     ObjectFolderError
-        If the object has no touch net, or one that knows a single way to press.
+        If the object has no touch network, or one with a fixed press.
 
     Examples
     --------
@@ -134,7 +134,7 @@ def sample_presses(
 
 
 def _generator(seed: int) -> np.random.Generator:
-    """Independent of the points, which are drawn from the seed itself."""
+    """Return a generator independent of the surface points, which are drawn from the seed itself."""
     return np.random.default_rng(seed).spawn(1)[0]
 
 

@@ -1,7 +1,7 @@
-"""Stand-ins for the numpy objects in a released file, so that no code of numpy unpickles anything.
+"""Safe stand-ins for the NumPy objects of a released file, so that NumPy itself unpickles nothing.
 
-Pickles name the functions that rebuild their objects. torch's restricted reader looks the names up in a list;
-here they lead to functions that accept plain numbers of a stated shape and nothing else.
+Pickles name the functions that rebuild their objects. torch's restricted reader looks these names up in an
+allow list, which maps them to the functions below; these accept only plain numbers of a stated shape.
 """
 
 import math
@@ -15,23 +15,23 @@ _ORDERS = ("<", ">", "=", "|")
 
 
 class StoredDtype:
-    """A numeric type, as pickles describe it: a code, then a state of which the byte order matters."""
+    """Numeric type as pickled: a type code, then a state, of which only the byte order is used."""
 
     def __init__(self, code: Any, align: Any = False, copy: Any = True):
         code = _text(code)
         if code not in _KINDS:
-            raise ValueError(f"an array of numpy type {code!r}; expected numbers")
+            raise ValueError(f"an array of NumPy type {code!r}; expected numbers")
         self.dtype = np.dtype(code)
 
     def __setstate__(self, state: Any) -> None:
         order = _text(state[1])
         if order not in _ORDERS or any(part is not None for part in state[2:5]):
-            raise ValueError(f"a numpy type with state {state!r}; expected plain numbers")
+            raise ValueError(f"a NumPy type with state {state!r}; expected plain numbers")
         self.dtype = self.dtype.newbyteorder("=" if order == "|" else order)
 
 
 class StoredArray:
-    """An array: empty when it is made, then its state."""
+    """Array as pickled: constructed empty, then filled from its state."""
 
     value: np.ndarray
 
@@ -41,7 +41,7 @@ class StoredArray:
     def __setstate__(self, state: Any) -> None:
         _, shape, stored, columns_first, data = state
         if not isinstance(stored, StoredDtype) or not isinstance(data, bytes | bytearray):
-            raise ValueError("an array that is not of numbers")
+            raise ValueError("an array that is not numeric")
         shape = tuple(shape)
         if not all(isinstance(n, int) and n >= 0 for n in shape):
             raise ValueError(f"an array of shape {shape!r}")
@@ -57,7 +57,7 @@ def _reconstruct(kind: Any, shape: Any, code: Any) -> StoredArray:
 
 def _scalar(stored: Any, data: Any) -> int | float | bool:
     if not isinstance(stored, StoredDtype) or not isinstance(data, bytes):
-        raise ValueError("a numpy scalar that is not a number")
+        raise ValueError("a NumPy scalar that is not a number")
     return np.frombuffer(data, stored.dtype, 1)[0].item()
 
 
@@ -65,7 +65,7 @@ def _text(value: Any) -> str:
     return value.decode("latin1") if isinstance(value, bytes) else str(value)
 
 
-#: What a released file may name beside torch's own: numpy's names, before and since version 2.
+#: Names allowed in a released file in addition to torch's: those of NumPy before and since version 2.
 STAND_INS: list[Callable[..., Any] | tuple[Callable[..., Any], str]] = [
     (StoredArray, "numpy.ndarray"),
     (StoredDtype, "numpy.dtype"),

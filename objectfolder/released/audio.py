@@ -1,4 +1,4 @@
-"""Reads the AudioNets of released files."""
+"""Readers of the AudioNets of released files."""
 
 import numpy as np
 import torch
@@ -13,16 +13,16 @@ MAX_MODES = 1 << 16
 
 
 def spectrogram_net(audio: ReleasedDict, frame: Frame) -> ReleasedSpectrogram:
-    """Read the AudioNet of 1.0.
+    """Read an AudioNet of ObjectFolder 1.0.
 
     Raises
     ------
     ObjectFolderError
-        If something is missing or not as documented.
+        If an entry is missing or not as documented.
     """
     vertices = audio.numbers("voxel_vertex", None, 3)
     if len(vertices) < NEIGHBOURS or np.ptp(vertices) == 0:
-        raise audio.wrong("voxel_vertex", f"{len(vertices)} vertices", f"{NEIGHBOURS} or more different ones")
+        raise audio.wrong("voxel_vertex", f"{len(vertices)} vertices", f"{NEIGHBOURS} or more, not all equal")
     normalizer = audio.part("normalizer")
     values = [_range(normalizer, axis) for axis in range(1, 4)]
     state = audio.state("model_state_dict")
@@ -41,12 +41,12 @@ def spectrogram_net(audio: ReleasedDict, frame: Frame) -> ReleasedSpectrogram:
 
 
 def gains_net(audio: ReleasedDict, frame: Frame) -> ReleasedGains:
-    """Read the AudioNet of 2.0.
+    """Read an AudioNet of ObjectFolder 2.0.
 
     Raises
     ------
     ObjectFolderError
-        If something is missing or not as documented.
+        If an entry is missing or not as documented.
     """
     frequencies = audio.numbers("frequencies", None)
     count = len(frequencies)
@@ -72,7 +72,7 @@ def gains_net(audio: ReleasedDict, frame: Frame) -> ReleasedGains:
 
 
 def box(part: ReleasedDict) -> list[list[float]]:
-    """Return ``xyz_min`` and ``xyz_max``, each three numbers or one for all axes."""
+    """Return the bounds ``xyz_min`` and ``xyz_max``, each stored as three numbers or as one for all axes."""
     low, high = (part.numbers_or_one(f"xyz_{end}", 3) for end in ("min", "max"))
     if not (low < high).all():
         raise part.wrong("xyz_min", f"{low.tolist()}", f"numbers below xyz_max, {high.tolist()}")

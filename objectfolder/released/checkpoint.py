@@ -1,4 +1,4 @@
-"""Reads the pickled dictionaries of released files without running what is pickled; checks what they hold."""
+"""Safe reader of released files: loads and validates pickled dictionaries without executing pickled code."""
 
 import math
 import re
@@ -14,9 +14,9 @@ import torch
 from objectfolder.errors import ObjectFolderError
 from objectfolder.released.arrays import STAND_INS, StoredArray
 
-#: Bytes of a file; a released file with a grid of small nets has some hundred million.
+#: Largest file, bytes; a released file with a grid of small networks has a few hundred million.
 MAX_BYTES = 4 << 30
-#: Bytes of the pickle in a zip archive: it holds numpy arrays, but tensors lie beside it.
+#: Largest pickle in a zip archive, bytes; it contains the NumPy arrays, tensors are separate entries.
 MAX_PICKLE = 256 << 20
 MAX_ENTRIES = 100_000
 
@@ -24,14 +24,14 @@ _FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 
 
 class ReleasedDict:
-    """A dictionary in a released file, which checks what is asked of it.
+    """Dictionary of a released file, with methods that return validated entries.
 
     Parameters
     ----------
     path : path
-        The file; named in errors.
+        Path of the file, for error messages.
     name : str
-        Keys that lead to the dictionary, joined by dots; empty for the outermost.
+        Keys that lead to the dictionary, joined by dots; empty for the outermost dictionary.
     values : dict
     """
 
@@ -44,12 +44,12 @@ class ReleasedDict:
         return key in self.values
 
     def part(self, key: str) -> "ReleasedDict":
-        """Return a dictionary in it.
+        """Return a nested dictionary.
 
         Raises
         ------
         ObjectFolderError
-            If it is missing or something else; as all methods.
+            If the entry is missing or not as expected; all methods raise it.
         """
         value = self._get(key, "a dictionary")
         if not isinstance(value, Mapping):
@@ -57,13 +57,13 @@ class ReleasedDict:
         return ReleasedDict(self.path, self._full(key), value)
 
     def state(self, key: str) -> "ReleasedDict":
-        """Return a state dictionary, its keys without the prefix ``module.`` of parallel training."""
+        """Return a state dictionary, without the key prefix ``module.`` of parallel training."""
         part = self.part(key)
         values = {str(name).removeprefix("module."): value for name, value in part.values.items()}
         return ReleasedDict(self.path, part.name, values)
 
     def below(self, prefix: str) -> "ReleasedDict":
-        """Return those entries whose keys start with a prefix, without it."""
+        """Return the entries whose keys start with a prefix, with the prefix removed."""
         values = {k.removeprefix(prefix): v for k, v in self.values.items() if k.startswith(prefix)}
         return ReleasedDict(self.path, f"{self.name}.{prefix.rstrip('.')}", values)
 
@@ -73,7 +73,7 @@ class ReleasedDict:
         Parameters
         ----------
         *shape : int or None
-            None for any size.
+            Expected shape; None allows any size.
         """
         expected = f"a float tensor of shape {_shape_text(shape)}"
         value = self._get(key, expected)
@@ -81,17 +81,17 @@ class ReleasedDict:
             raise self.wrong(key, _described(value), expected)
         if value.dtype not in _FLOATS or value.device.type != "cpu" or not _fits(value.shape, shape):
             raise self.wrong(key, _described(value), expected)
-        # Strides of zero make any size of a few bytes.
+        # With strides of zero, a few bytes stand for a tensor of any size.
         if value.numel() * value.element_size() > Path(self.path).stat().st_size:
             raise self.wrong(key, f"{_described(value)}, more than the file holds", expected)
-        # A copy: the file is mapped into memory, and may be replaced.
+        # Copied, because the file is memory-mapped and may be replaced.
         value = value.detach().contiguous().to(torch.float32, copy=True)
         if not torch.isfinite(value).all():
             raise self.wrong(key, "values that are not finite", "finite numbers")
         return value
 
     def numbers(self, key: str, *shape: int | None) -> np.ndarray:
-        """Return an array, tensor or list of finite numbers as float64; without a shape, one number."""
+        """Return an array, tensor or list of finite numbers as float64; without a shape, a single number."""
         expected = f"numbers of shape {_shape_text(shape)}" if shape else "a number"
         value = self._get(key, expected)
         found = _described(value)
@@ -116,7 +116,7 @@ class ReleasedDict:
         return array
 
     def numbers_or_one(self, key: str, count: int) -> np.ndarray:
-        """Return ``count`` numbers in any shape, or one as many times; (count,) float64."""
+        """Return ``count`` numbers of any shape, or one number repeated; (count,) float64."""
         value = self._get(key, f"{count} numbers or one")
         shape = value.value.shape if isinstance(value, StoredArray) else getattr(value, "shape", None)
         if shape is None:
@@ -131,22 +131,22 @@ class ReleasedDict:
         return float(self.numbers(key))
 
     def integer(self, key: str, low: int, high: int) -> int:
-        """Return a whole number within limits."""
+        """Return an integer from ``low`` to ``high``."""
         value = self.number(key)
         if not (value.is_integer() and low <= value <= high):
             raise self.wrong(key, f"{value:g}", f"a whole number from {low} to {high}")
         return int(value)
 
     def setting(self, key: str, default: Any = None) -> bool | int | float | str | None:
-        """Return a number, truth value or text, where ``"None"`` stands for None."""
+        """Return a number, Boolean or string; the string ``"None"`` becomes None."""
         value = self.values.get(key, default)
         if value is not None and not isinstance(value, bool | int | float | str):
-            raise self.wrong(key, _described(value), "a number, truth value or text")
+            raise self.wrong(key, _described(value), "a number, Boolean or string")
         return None if value == "None" else value
 
     def mask(self, key: str, size: int) -> np.ndarray:
-        """Return a tensor or array of truth values, flat."""
-        expected = f"{size} truth values"
+        """Return a Boolean tensor or array, flattened."""
+        expected = f"{size} Booleans"
         value = self._get(key, expected)
         if isinstance(value, torch.Tensor) and value.dtype in (torch.bool, torch.uint8):
             if value.layout == torch.strided and value.device.type == "cpu" and value.numel() == size:
@@ -158,7 +158,7 @@ class ReleasedDict:
         raise self.wrong(key, _described(value), expected)
 
     def wrong(self, key: str, found: str, expected: str) -> ObjectFolderError:
-        """Return an error that names an entry."""
+        """Return an error that names an entry, its value and the expected value."""
         return ObjectFolderError(f"{self.path}: {self._full(key)} is {found}; expected {expected}")
 
     def _get(self, key: str, expected: str) -> Any:
@@ -175,20 +175,20 @@ class ReleasedDict:
 
 
 def read_released(path: str | Path) -> ReleasedDict:
-    """Read a ``.pth`` file of numbers: a zip archive, or the older format.
+    """Read a ``.pth`` file of numbers, in torch's zip format or its older one.
 
-    Nothing in it is run: torch's restricted reader rebuilds tensors and plain containers, `STAND_INS` numpy's
-    arrays, and every other name is an error.
+    No code in it is executed: torch's restricted reader rebuilds tensors and plain containers, `STAND_INS`
+    rebuild NumPy arrays, and any other name is an error.
 
     Returns
     -------
     ReleasedDict
-        The outermost dictionary.
+        Outermost dictionary.
 
     Raises
     ------
     ObjectFolderError
-        If the file is missing, too large, damaged, or holds more than numbers.
+        If the file is missing, too large, damaged, or contains more than numbers.
     """
     path = Path(path)
     if not path.is_file():
@@ -201,10 +201,10 @@ def read_released(path: str | Path) -> ReleasedDict:
         _check_archive(path, size)
     try:
         with warnings.catch_warnings(), torch.serialization.safe_globals(STAND_INS):
-            warnings.simplefilter("ignore")  # of formats that torch has left behind
+            warnings.simplefilter("ignore")  # about formats that torch has deprecated
             values = torch.load(path, map_location="cpu", weights_only=True, mmap=zipped)
     except MemoryError as error:
-        raise ObjectFolderError(f"{path} asks for more memory than there is: it is damaged") from error
+        raise ObjectFolderError(f"{path} needs more memory than is available: the file is damaged") from error
     except Exception as error:
         refused = re.search(r"GLOBAL (\S+)", str(error))
         reason = f"it names {refused[1]}, which is never run" if refused else _one_line(error)
@@ -217,7 +217,7 @@ def read_released(path: str | Path) -> ReleasedDict:
 
 
 def _check_archive(path: Path, size: int) -> None:
-    """Refuse archives that are larger inside than outside: torch stores tensors as they are."""
+    """Reject archives with compressed entries or more bytes inside than outside; torch never compresses."""
     try:
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()
@@ -234,19 +234,19 @@ def _check_archive(path: Path, size: int) -> None:
 
 
 def _rows(value: Any, limit: int) -> Any:
-    """Check a number, a list of them, or a list of lists or arrays of them.
+    """Check a number, a list of numbers, or a list of lists or arrays of numbers.
 
-    Lists may hold one another many times over, so that few bytes stand for more numbers than memory holds.
+    Lists may contain the same list many times, so that a few bytes stand for more numbers than memory holds.
     """
     if isinstance(value, bool | int | float):
         return value
     if not isinstance(value, list | tuple):
-        raise TypeError("no list")
+        raise TypeError("not a list")
     rows = [row.value.tolist() if isinstance(row, StoredArray) else row for row in value]
     wide = [row for row in rows if isinstance(row, list | tuple)]
     flat = all(isinstance(x, bool | int | float) for row in wide for x in row[: limit + 1])
     if sum(map(len, wide)) + len(rows) > limit or not flat:
-        raise TypeError("no numbers")
+        raise TypeError("not numbers")
     return rows
 
 

@@ -1,4 +1,4 @@
-"""Turns a released file into an Object File."""
+"""Conversion of a released file into an Object File."""
 
 import dataclasses
 import logging
@@ -27,8 +27,8 @@ from objectfolder.released.vision import configured_net, nerf_net
 from objectfolder.touch.profiles import load_profile
 from objectfolder.workspace.layout import MODALITIES
 
-SENSOR = "gelsight_r15"  #: makes images of the depth maps of 2.0
-RESOLUTION = 192  #: of the distance grid of a mesh
+SENSOR = "gelsight_r15"  #: default sensor that renders images from the depth maps of 2.0
+RESOLUTION = 192  #: of a mesh's distance grid
 
 _NAMES = {"vision": "VisionNet", "audio": "AudioNet", "touch": "TouchNet"}
 _KINDS = {
@@ -44,32 +44,32 @@ log = logging.getLogger(__name__)
 
 @dataclasses.dataclass(frozen=True)
 class ImportOptions:
-    """What a released file does not say."""
+    """Facts that a released file does not contain."""
 
     key: str | None = None  #: default: from the file's folder
     material: str = "unknown"
-    scale: float | None = None  #: longest side, metres; default: of the mesh or the bounds, as they are
-    bounds: np.ndarray | None = None  #: (2, 3), of the object in the file's coordinates; 1.0 needs them
-    mesh: Path | None = None  #: of the object in the file's coordinates: its bounds and its surface
+    scale: float | None = None  #: longest side, metres; default: that of the mesh or the bounds
+    bounds: np.ndarray | None = None  #: (2, 3), of the object in the file's coordinates; required by 1.0
+    mesh: Path | None = None  #: mesh in the file's coordinates; gives bounds and surface
     sensor: str | Path = SENSOR
     gel: Path | None = None  #: ``depth_bg.npy`` of the released code
-    crop: float | None = None  #: half the side of the cube outside of which nothing is seen
+    crop: float | None = None  #: half side of the cube outside of which space is empty, unit frame
 
 
 def convert(path: str | Path, options: ImportOptions = ImportOptions()) -> ObjectFile:
     """Read a released ObjectFolder 1.0 or 2.0 file.
 
-    What cannot be read is left out with a warning, as long as something can.
+    Parts that cannot be read are left out with a warning.
 
     Returns
     -------
     ObjectFile
-        With parts of kinds ``released_*``, and a surface if there is a mesh.
+        Object File with parts of kinds ``released_*``, and a surface if a mesh is given.
 
     Raises
     ------
     ObjectFolderError
-        If nothing can be read, or an option is not valid.
+        If no part can be read, or an option is invalid.
     """
     path = Path(path)
     checkpoint = read_released(path)
@@ -134,8 +134,8 @@ def _touch(
         return depth_net(part, frame, load_profile(options.sensor), _gel(options.gel))
     if bounds is None:
         raise ObjectFolderError(
-            f"{part.path}: {part.name} holds no xyz_min; a file of 1.0 does not say how large its object is: "
-            "give --bounds or --mesh"
+            f"{part.path}: {part.name} holds no xyz_min; a file of 1.0 does not contain its bounds: "
+            "pass --bounds or --mesh"
         )
     return image_net(part, frame, bounds)
 
@@ -155,7 +155,7 @@ def _gel(path: Path | None) -> np.ndarray | None:
 
 
 def _stored_bounds(checkpoint: ReleasedDict) -> np.ndarray | None:
-    """Bounds of a file of 2.0, or None."""
+    """Return the bounds stored in a file of 2.0, or None."""
     for holder in (("TouchNet",), ("AudioNet", "normalizer")):
         try:
             part = checkpoint
@@ -168,7 +168,7 @@ def _stored_bounds(checkpoint: ReleasedDict) -> np.ndarray | None:
 
 
 def _body(options: ImportOptions) -> tuple[np.ndarray | None, Any]:
-    """Bounds in the file's coordinates, and header, stream and source of the geometry, where known."""
+    """Return the bounds in the file's coordinates, and the geometry's header, stream and source, if known."""
     if options.scale is not None and not 0 < options.scale < np.inf:
         raise ObjectFolderError(f"scale is {options.scale!r}, expected the longest side in metres")
     if options.mesh is None:
@@ -177,11 +177,11 @@ def _body(options: ImportOptions) -> tuple[np.ndarray | None, Any]:
         bounds = np.asarray(options.bounds, np.float64)
         if bounds.shape != (2, 3) or not np.isfinite(bounds).all() or not (bounds[0] < bounds[1]).all():
             raise ObjectFolderError(
-                f"bounds are {bounds.ravel().tolist()}, expected xmin ymin zmin xmax ymax zmax, each least "
-                "below its greatest"
+                f"bounds are {bounds.ravel().tolist()}, expected xmin ymin zmin xmax ymax zmax, each minimum "
+                "below its maximum"
             )
         return bounds, None
-    # The build extra; the mesh is taken as it lies, so that its axes stay those of the file.
+    # Imported here: needs the build extra. The mesh is not rotated, so that its axes stay those of the file.
     from objectfolder.mesh.gridcodec import pack_grid
     from objectfolder.mesh.normalize import normalize
     from objectfolder.mesh.reading.load import load_mesh
@@ -201,13 +201,13 @@ def _body(options: ImportOptions) -> tuple[np.ndarray | None, Any]:
 
 
 def _release(header: dict[str, Any]) -> str:
-    """Return which release the parts are of."""
+    """Return the name of the release that the parts belong to."""
     kinds = {header[modality]["kind"] for modality in MODALITIES if modality in header}
     first = {"released_spectrogram", "released_image"} & kinds
     return "ObjectFolder 1.0" if first else "ObjectFolder 2.0"
 
 
 def _key(path: Path) -> str:
-    """Key from the folder of a file, which the releases number."""
+    """Derive a key from the folder of a file, whose name is a number in the releases."""
     name = re.sub(r"[^a-z0-9]+", "_", path.resolve().parent.name.lower()).strip("_")
     return name if re.match(r"[a-z]", name) else f"object_{name}".rstrip("_")

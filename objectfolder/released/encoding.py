@@ -1,4 +1,4 @@
-"""How released nets order what they encode, and how ours do."""
+"""Channel order of positional encodings: from that of released networks to ours."""
 
 import numpy as np
 import torch
@@ -6,14 +6,14 @@ import torch
 from objectfolder.nets.positional import SKIP
 from objectfolder.released.checkpoint import ReleasedDict
 
-DEPTH = 8  #: layers of every net but those of KiloOSF, if its settings do not say another
+DEPTH = 8  #: default number of hidden layers
 
 
 def by_octave(inputs: int, octaves: int) -> np.ndarray:
-    """Channels of the released encoding in the order of `objectfolder.nets.positional.encoded`.
+    """Return the channels of the released encoding in the order of `objectfolder.nets.positional.encoded`.
 
-    Released: all numbers, then, octave after octave, the sines of all and the cosines of all. Ours: all
-    numbers, then all sines, then all cosines, number after number.
+    Released: all numbers, then for each octave all sines and all cosines. Ours: all numbers, then all sines,
+    then all cosines, each ordered by number.
     """
     number, octave = np.mgrid[:inputs, :octaves].reshape(2, -1)
     sine = inputs * (1 + 2 * octave) + number
@@ -21,7 +21,7 @@ def by_octave(inputs: int, octaves: int) -> np.ndarray:
 
 
 def by_number(inputs: int, octaves: int) -> np.ndarray:
-    """Return the same for KiloOSF: each number with its cosines, then its sines."""
+    """Return the same for KiloOSF, which stores each number with its cosines and then its sines."""
     number, octave = np.mgrid[:inputs, :octaves].reshape(2, -1)
     size = 1 + 2 * octaves
     cosine = number * size + 1 + octave
@@ -29,11 +29,11 @@ def by_number(inputs: int, octaves: int) -> np.ndarray:
 
 
 def octaves_of(state: ReleasedDict, key: str, channels: int, inputs: int) -> int:
-    """Octaves of an encoding of some numbers with so many channels."""
+    """Return the octaves of an encoding with ``channels`` channels of ``inputs`` numbers."""
     octaves, rest = divmod(channels // inputs - 1, 2)
     if channels % inputs or rest or octaves < 0:
         raise state.wrong(
-            key, f"for {channels} channels", f"an encoding of {inputs} numbers, {inputs} times an odd number"
+            key, f"for {channels} channels", f"{inputs} times an odd number: an encoding of {inputs} numbers"
         )
     return octaves
 
@@ -46,12 +46,13 @@ def trunk(
     Parameters
     ----------
     inputs : int
-        Numbers, before they are encoded.
+        Numbers before encoding.
     prefix : str
-        Of the names that are returned.
+        Prefix of the returned names.
     refeed : bool
-        Whether the input joins again after the layer of index 4.
+        Whether the input is concatenated again after the layer of index 4.
     depth : int
+        Number of layers.
 
     Returns
     -------
@@ -69,7 +70,7 @@ def trunk(
         weight = state.tensor(f"pts_linears.{i}.weight", width, size)
         if i == 0 or joined:
             weight = torch.cat([weight[:, :channels][:, order], weight[:, channels:]], 1)
-        elif i == SKIP + 1:  # ours always joins it: with nothing of it
+        elif i == SKIP + 1:  # ours always concatenates the input: weights of zero ignore it
             weight = torch.cat([weight.new_zeros(width, channels), weight], 1)
         tensors[f"{prefix}hidden.{i}.weight"] = weight
         tensors[f"{prefix}hidden.{i}.bias"] = state.tensor(f"pts_linears.{i}.bias", width)
@@ -77,7 +78,7 @@ def trunk(
 
 
 def network(state: ReleasedDict, inputs: int, outputs: int, prefix: str = "") -> dict[str, torch.Tensor]:
-    """Read ``pts_linears`` and ``output_linear`` as a `ReleasedNetwork`; the layer for views is not used."""
+    """Read ``pts_linears`` and ``output_linear`` as a `ReleasedNetwork`; the view layer is unused."""
     tensors, _ = trunk(state, inputs, prefix)
     width = len(tensors[f"{prefix}hidden.0.weight"])
     tensors[f"{prefix}output.weight"] = state.tensor("output_linear.weight", outputs, width)

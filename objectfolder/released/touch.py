@@ -1,4 +1,4 @@
-"""Reads the TouchNets of released files."""
+"""Readers of the TouchNets of released files."""
 
 import numpy as np
 import torch
@@ -11,24 +11,24 @@ from objectfolder.released.checkpoint import ReleasedDict
 from objectfolder.released.encoding import network
 from objectfolder.touch.profiles import SensorProfile
 
-PRESS_DEPTH = 0.001  #: m, said of the images of 1.0, whose own is not known: the default of queries
-_PROBES = 64  # contacts that tell what the untouched gel looks like
-_STRIDE = 4  # pixels between those that are asked for it
-_RARE = 0.9  # share of the probes that are not deeper
+PRESS_DEPTH = 0.001  #: m, assigned to images of 1.0, whose true depth is unknown; the default of queries
+_PROBES = 64  # contacts to estimate the untouched gel from
+_STRIDE = 4  # pixel stride of the estimate
+_RARE = 0.9  # quantile of the probes' depths
 
 
 def image_net(touch: ReleasedDict, frame: Frame, bounds: np.ndarray) -> ReleasedImage:
-    """Read the TouchNet of 1.0.
+    """Read a TouchNet of ObjectFolder 1.0.
 
     Parameters
     ----------
     bounds : (2, 3) array
-        Of the object, in the coordinates of the file.
+        Bounds of the object in the file's coordinates.
 
     Raises
     ------
     ObjectFolderError
-        If something is missing or not as documented.
+        If an entry is missing or not as documented.
     """
     net = network_of(network(touch.state("model_state_dict"), 5, 3), 5)
     config = {
@@ -44,20 +44,20 @@ def image_net(touch: ReleasedDict, frame: Frame, bounds: np.ndarray) -> Released
 def depth_net(
     touch: ReleasedDict, frame: Frame, profile: SensorProfile, gel: np.ndarray | None = None
 ) -> ReleasedDepth:
-    """Read the TouchNet of 2.0.
+    """Read a TouchNet of ObjectFolder 2.0.
 
     Parameters
     ----------
     profile : SensorProfile
-        Of the sensor that makes images of the depth maps.
+        Sensor that renders images from the depth maps.
     gel : (120, 160) array, optional
         The untouched gel as the released code stores it (``calibs/depth_bg.npy``): heights in pixels.
-        Default: the depth that nine in ten contacts across the object do not exceed, pixel by pixel.
+        Default: the 90th percentile of the depths of contacts across the object, pixel by pixel.
 
     Raises
     ------
     ObjectFolderError
-        If something is missing or not as documented.
+        If an entry is missing or not as documented.
     """
     net = network_of(network(touch.state("model_state_dict"), 9, 1), 9)
     config = {"frame": frame.to_dict(), "bounds": box(touch), "sensor": profile.to_dict()}
@@ -67,7 +67,7 @@ def depth_net(
 
 @torch.no_grad()
 def _untouched(net: ReleasedNetwork) -> torch.Tensor:
-    """Depth map of the untouched gel, from the lightest contacts at random places; (120, 160)."""
+    """Estimate the depth map of the untouched gel from the lightest contacts at random places; (120, 160)."""
     rng = np.random.default_rng(0)
     places = torch.from_numpy(rng.random((_PROBES, 3)).astype(np.float32))
     rows, columns = (torch.linspace(0, 1, n // _STRIDE) for n in DEPTH_SIZE)

@@ -1,4 +1,4 @@
-"""Reads the VisionNets of released files."""
+"""Readers of the VisionNets of released files."""
 
 import math
 from typing import Any
@@ -13,10 +13,10 @@ from objectfolder.nets.vision_osf import ScatteringFunction
 from objectfolder.released.checkpoint import ReleasedDict
 from objectfolder.released.encoding import DEPTH, by_number, by_octave, octaves_of, trunk
 
-#: The released code of 1.0 has these built in.
+#: Ray marching settings, fixed in the released code of 1.0.
 MARCH = March(near=0.01, far=4.0, samples=64, more=128, inverse=False)
 
-# Settings under which the released code does something else than what is read here.
+# Settings that make the released code render in a way that is not supported here.
 _UNKNOWN = (
     *("no_color_sigmoid", "use_view_independent_color", "use_hard_parameter_sharing_for_color"),
     *("use_global_coordinates", "use_single_net", "crop_to_global_domain", "visualize_global_domain"),
@@ -25,12 +25,12 @@ _UNKNOWN = (
 
 
 def nerf_net(vision: ReleasedDict, crop: float | None = None) -> ReleasedNerf:
-    """Read the VisionNet of 1.0.
+    """Read a VisionNet of ObjectFolder 1.0.
 
     Raises
     ------
     ObjectFolderError
-        If something is missing or not as documented; as all here.
+        If an entry is missing or not as documented; all functions here raise it.
     """
     keys = {"coarse": "network_fn_state_dict", "fine": "network_fine_state_dict"}
     nets = {name: _net(vision.state(key)) for name, key in keys.items()}
@@ -38,7 +38,7 @@ def nerf_net(vision: ReleasedDict, crop: float | None = None) -> ReleasedNerf:
 
 
 def configured_net(vision: ReleasedDict, crop: float | None = None) -> ReleasedNerf | ReleasedKilo:
-    """Read the VisionNet of 2.0: which kind it is, and how it is rendered, its ``cfg`` says."""
+    """Read a VisionNet of ObjectFolder 2.0; its ``cfg`` holds the rendering settings."""
     cfg = vision.part("cfg")
     state = vision.state("model_state_dict")
     first = state.values.get("pts_linears.0.weight")
@@ -61,9 +61,9 @@ def configured_net(vision: ReleasedDict, crop: float | None = None) -> ReleasedN
 def _march(cfg: ReleasedDict, refine: bool) -> March:
     for name in _UNKNOWN:
         if cfg.setting(name):
-            raise cfg.wrong(name, "set", "a file without it: how it is rendered then is not known here")
+            raise cfg.wrong(name, "set", "it to be unset, since its way of rendering is not supported")
     if not cfg.setting("blender_white_background"):
-        raise cfg.wrong("blender_white_background", "not set", "true: pictures on white")
+        raise cfg.wrong("blender_white_background", "not set", "true: images on white")
     near, far = cfg.number("near"), cfg.number("far")
     if not 0 < near < far:
         raise cfg.wrong("near", f"{near:g}", f"a positive number below far, {far:g}")
@@ -75,10 +75,10 @@ def _march(cfg: ReleasedDict, refine: bool) -> March:
 
 
 def _net(state: ReleasedDict, refeed: bool = True, depth: int = DEPTH) -> ScatteringFunction:
-    """Read a net of point, view and light."""
+    """Read a network with point, view and light as inputs."""
     tensors, octaves = trunk(state, 3, "trunk.", refeed, depth)
     width = len(tensors["trunk.hidden.0.weight"])
-    # The names of the original, and of the paper's own description.
+    # Layer names of the released code, or those of the paper's description.
     bottleneck = "bottleneck_linear" if "bottleneck_linear.weight" in state else "feature_linear"
     views = "views_lights_linears.0" if "views_lights_linears.0.weight" in state else "views_linears.0"
     if f"{bottleneck}.weight" not in state:
@@ -152,8 +152,8 @@ def _kilo(vision: ReleasedDict, cfg: ReleasedDict, state: ReleasedDict) -> Relea
 
 
 def _asked(occupied: torch.Tensor, voxels: tuple[int, ...], grid: tuple[int, ...]) -> torch.Tensor:
-    """Cells that share some room with an occupied voxel: the nets of the others are never asked."""
-    # A cell covers the voxels that its ends lie in and those between; one more each side, for rounding.
+    """Return the cells that overlap an occupied voxel; the networks of the others are never evaluated."""
+    # A cell covers the voxels from one end to the other; one more on each side allows for rounding.
     mask = occupied.view(voxels)
     for axis, (fine, coarse) in enumerate(zip(voxels, grid)):
         ends = [
