@@ -17,7 +17,7 @@ from objectfolder.settings import Count
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.color import lit_foreground, on_white
 
-AWGN = {"sigma_0_05": 0.05, "variance_0_05": 0.05**0.5}  # the paper says variance, but its numbers match sigma
+AWGN = {"sigma_0_05": 0.05, "variance_0_05": 0.05**0.5}  # the paper says variance, its numbers match sigma
 BATCH = 16  # sounds per spectrogram batch
 MIN_PIXELS = 50  #: contact pixels that a touch needs to count in ``psnr_contact``
 
@@ -188,7 +188,7 @@ def evaluate_sounds(
 def white_noise(sounds: torch.Tensor, rng: np.random.Generator) -> torch.Tensor:
     """Draw white Gaussian noise with the energy of each sound; (N, samples)."""
     noise = torch.from_numpy(rng.standard_normal(sounds.shape)).to(sounds.dtype)
-    # Norms in float64, because squares of micrometres per newton second underflow.
+    # Norms rather than energies: squares of micrometres per newton second underflow.
     return noise * (sounds.double().norm(dim=1) / noise.double().norm(dim=1)).to(sounds.dtype)[:, None]
 
 
