@@ -21,7 +21,7 @@ def by_octave(inputs: int, octaves: int) -> np.ndarray:
 
 
 def by_number(inputs: int, octaves: int) -> np.ndarray:
-    """Return the same for KiloOSF, which stores each number with its cosines and then its sines."""
+    """Return the same for KiloOSF, which stores each number, its cosines and then its sines."""
     number, octave = np.mgrid[:inputs, :octaves].reshape(2, -1)
     size = 1 + 2 * octaves
     cosine = number * size + 1 + octave
