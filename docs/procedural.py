@@ -18,9 +18,9 @@ from objectfolder.workspace import params
 
 DOCS = Path(__file__).parent
 CATALOGUE = DOCS.parent / "catalogs/procedural.yaml"
-COLUMNS, SIZE, CAPTION = 10, 128, 28  # thumbnails in a row, their side, and the height of the caption
+COLUMNS, SIZE, CAPTION = 10, 128, 28  # thumbnails per row; their side and the height of the caption, pixels
 SAMPLES, TEXTURE_SIZE = 64, 512
-FILL = 0.94  # of a thumbnail
+FILL = 0.94  # part of a thumbnail that the object spans
 CAMERA = np.array([[1.3, -2.2, 1.35]])
 #: Positions and powers: key light beside the camera, fill light behind it, light from above.
 LIGHTS = [((3.0, -3.0, 4.0), 0.75), ((0.8, -4.5, 1.2), 0.35), ((-3.5, 0.5, 3.0), 0.3)]
@@ -38,7 +38,7 @@ def main() -> None:
 
 
 def thumbnail(key: str) -> np.ndarray:
-    """Draw an object that fills the picture; (SIZE, SIZE, 3) uint8."""
+    """Render an object so that it fills the thumbnail; (SIZE, SIZE, 3) uint8."""
     generator, parameters = params.procedural_entry(key, CATALOGUE)
     mesh = in_unit_frame(generate(generator, **parameters | {"texture_size": TEXTURE_SIZE}))
     pose = look_at(CAMERA)[0]

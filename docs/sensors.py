@@ -1,4 +1,4 @@
-"""Draw docs/sensors.png, every sensor profile untouched and pressed on things: `python docs/sensors.py`."""
+"""Draw docs/sensors.png, every sensor profile untouched and pressed on objects: `python docs/sensors.py`."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from objectfolder.touch.profiles import SensorProfile, available_profiles, load_
 from objectfolder.touch.simulate import touch_images
 
 DOCS = Path(__file__).parent
-HEIGHT, CAPTION = 240, 24  # pixels of an image and of the line above a row
+HEIGHT, CAPTION = 240, 24  # pixels: an image, the caption above a row
 BALL = 0.005  # m, radius
 DIE = 0.03  # m, longest side
 DEPTH = 0.001  # m
@@ -32,7 +32,7 @@ def main() -> None:
 
 
 def row(profile: SensorProfile) -> np.ndarray:
-    """Untouched; a ball; the pips of a die; the corner of a die."""
+    """Render a sensor untouched, then pressed on a ball, on the pips and on a corner of a die."""
     optics = Optics(profile)
     ball = trimesh.creation.icosphere(6, radius=BALL)
     die = generate("die", texture_size=64)
@@ -56,7 +56,7 @@ def row(profile: SensorProfile) -> np.ndarray:
 
 
 def captioned(picture: np.ndarray, profile: SensorProfile) -> np.ndarray:
-    """A picture below what it shows."""
+    """Add the sensor's name and size above a picture."""
     width, height = (1000 * profile.pixel_pitch * n for n in (profile.width, profile.height))
     text = f"{profile.name}: {width:.1f} x {height:.1f} mm, {profile.width} x {profile.height} pixels"
     page = Image.new("RGB", (picture.shape[1], CAPTION + picture.shape[0]), "white")

@@ -1,7 +1,7 @@
-"""Runs inside Blender or a Python with bpy, without this project: builds the scene, renders what stdin asks.
+"""Build a scene and render the views requested on stdin; run by Blender or a Python with bpy.
 
-Called with the folder that `CyclesRenderer` has filled. Each line of stdin is a view as JSON; its image
-goes to ``image.npy`` in the folder, and a line `DONE` to stdout.
+This script imports nothing of this project. Its argument is the folder that `CyclesRenderer` has filled. Each
+line of stdin is a view as JSON: its image is written to ``image.npy`` in the folder, then `DONE` to stdout.
 """
 
 import json
@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-DONE = "objectfolder: rendered"  #: the line that says so
-OLDEST = (4, 2)  # its principled BSDF has the sockets that are named here
+DONE = "objectfolder: rendered"  #: printed when the scene is ready and after each view
+OLDEST = (4, 2)  # the first version whose principled BSDF has the sockets used here
 
 
 def main(folder: Path) -> None:
-    """Build the scene of a folder, say that it is there, and render view after view until stdin ends."""
+    """Build the scene of a folder, report that it is ready, then render views until stdin ends."""
     import bpy
 
     if bpy.app.version < OLDEST:
@@ -48,7 +48,7 @@ def main(folder: Path) -> None:
     print(f"{DONE} {bpy.app.version_string}", flush=True)
     for line in sys.stdin:
         view = json.loads(line)
-        camera_object.matrix_world = np.transpose(view["camera_to_world"])  # Blender takes columns
+        camera_object.matrix_world = np.transpose(view["camera_to_world"])  # Blender expects columns
         light_object.location = view["light"]
         camera.lens = view["focal"] / view["width"] * camera.sensor_width
         camera.shift_x, camera.shift_y = view["shift"]
@@ -70,7 +70,7 @@ def _set_up_cycles(scene: Any, settings: dict[str, Any]) -> None:
     render.image_settings.file_format = "OPEN_EXR"  # linear: no view transform, no dither
     render.image_settings.color_mode, render.image_settings.color_depth = "RGBA", "32"
     render.use_compositing = render.use_sequencer = False
-    # As unbiased as it goes: nothing clamped, blurred, cut off or cleaned.
+    # As unbiased as possible: no clamping, glossy blur, light threshold or denoising.
     cycles.use_denoising = cycles.use_adaptive_sampling = False
     cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0.0
     cycles.blur_glossy = cycles.light_sampling_threshold = 0.0
@@ -80,7 +80,7 @@ def _set_up_cycles(scene: Any, settings: dict[str, Any]) -> None:
 
 
 def _add_object(bpy: Any, scene: Any, folder: Path, settings: dict[str, Any]) -> None:
-    # From arrays: Blender's importers turn the axes.
+    # From arrays, since Blender's importers rotate the axes.
     with np.load(folder / "mesh.npz") as arrays:
         names = ("vertices", "faces", "uv", "colors", "normals")
         vertices, faces, uv, colors, normals = (arrays[name] for name in names)
@@ -116,29 +116,29 @@ def _material(bpy: Any, folder: Path, settings: dict[str, Any]) -> Any:
     surface.inputs["Specular IOR Level"].default_value = settings["specular"]
     if settings["textured"]:
         color = nodes.new("ShaderNodeTexImage")
-        color.image = bpy.data.images.load(str(folder / "texture.png"))  # sRGB, as PNG are
+        color.image = bpy.data.images.load(str(folder / "texture.png"))  # PNG files load as sRGB
         color.interpolation, color.extension = "Linear", "REPEAT"
     else:
         color = nodes.new("ShaderNodeAttribute")
-        color.attribute_name = "base_color"  # not "color": Cycles reads that as the object's
+        color.attribute_name = "base_color"  # not "color": Cycles reads that as the object's colour
     links.new(color.outputs["Color"], surface.inputs["Base Color"])
     links.new(surface.outputs["BSDF"], output.inputs["Surface"])
     return material
 
 
 def _render(bpy: Any, scene: Any, folder: Path) -> np.ndarray:
-    """(H, W, 4) float32, linear, premultiplied."""
+    """Render the current view; (H, W, 4) float32, linear, premultiplied."""
     path = folder / "image.exr"
     scene.render.filepath = str(path)
     bpy.ops.render.render(write_still=True)
-    image = bpy.data.images.load(str(path))  # of the render itself, background mode has no pixels
+    image = bpy.data.images.load(str(path))  # in background mode, the render result itself has no pixels
     image.colorspace_settings.name = "Non-Color"
     image.alpha_mode = "PREMUL"
     pixels = np.empty(len(image.pixels), np.float32)
     image.pixels.foreach_get(pixels)
     shape = (image.size[1], image.size[0], 4)
     bpy.data.images.remove(image)
-    return pixels.reshape(shape)[::-1]  # Blender's rows start at the bottom
+    return pixels.reshape(shape)[::-1]  # Blender stores the bottom row first
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Views with Blender's Cycles, the paper's renderer, in a process of its own that stays for all views."""
+"""Render views with Blender's Cycles, the paper's renderer, in one separate process for all views."""
 
 import importlib.util
 import json
@@ -18,14 +18,14 @@ from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.renderers import blender_scene
 from objectfolder.vision.scene import BOUNCES, LIGHT_INTENSITY, SPECULAR, Scene
 
-SMALLEST = 4  #: pixels along a side that Blender renders
-SHOWN_LINES = 8  # of what Blender has printed, when it fails
+SMALLEST = 4  #: shortest side of an image that Blender renders, pixels
+SHOWN_LINES = 8  # of Blender's output, in an error
 
 
 class CyclesRenderer:
-    """Path tracing on the CPU with one thread, box filter, no denoising.
+    """Path tracer on the CPU: one thread, box filter, no denoising.
 
-    Blender runs apart from this process: it needs its own numpy, and its licence is the GPL.
+    Blender runs in a separate process: it needs its own numpy, and its licence is the GPL.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class CyclesRenderer:
     Raises
     ------
     ImportError
-        If there is neither the module bpy nor a Blender on the PATH.
+        If neither the module bpy nor a program blender on the PATH is found.
     ObjectFolderError
         If Blender does not start or is too old.
     """
@@ -61,9 +61,9 @@ class CyclesRenderer:
         self, camera_to_world: np.ndarray, light: np.ndarray, intrinsics: Intrinsics, samples: int, seed: int
     ) -> np.ndarray:
         """Render one view; see `objectfolder.vision.renderers.registry.Renderer`."""
-        # A margin makes a picture as large as Blender's smallest.
+        # Pad small images to Blender's smallest size.
         rows, columns = (max(SMALLEST - n + 1, 0) // 2 for n in (intrinsics.height, intrinsics.width))
-        width, aspect = intrinsics.width + 2 * columns, intrinsics.fx / intrinsics.fy  # of a pixel
+        width, aspect = intrinsics.width + 2 * columns, intrinsics.fx / intrinsics.fy  # aspect: of a pixel
         off_center = intrinsics.width / 2 - intrinsics.cx, aspect * (intrinsics.cy - intrinsics.height / 2)
         view = {
             "camera_to_world": np.asarray(camera_to_world).tolist(),
@@ -72,7 +72,7 @@ class CyclesRenderer:
             "height": intrinsics.height + 2 * rows,
             "focal": intrinsics.fx,
             "shift": [pixels / width for pixels in off_center],
-            "pixel_aspect": [max(1, 1 / aspect), max(1, aspect)],  # Blender's are at least 1
+            "pixel_aspect": [max(1, 1 / aspect), max(1, aspect)],  # Blender requires at least 1
             "samples": samples,
             "seed": seed % 2**31,
         }
@@ -81,7 +81,7 @@ class CyclesRenderer:
             self._process.stdin.write(json.dumps(view) + "\n")
             self._process.stdin.flush()
         except BrokenPipeError:
-            pass  # it has ended: waiting says how
+            pass  # Blender has ended; _wait reports why
         self._wait("render")
         image = np.load(self._folder / "image.npy")
         return np.ascontiguousarray(
@@ -89,7 +89,7 @@ class CyclesRenderer:
         )
 
     def _wait(self, what: str) -> str:
-        """Read what Blender prints up to the line that says that it is done, and return that line."""
+        """Read Blender's output up to the line that starts with `DONE`, and return that line."""
         assert self._process.stdout is not None
         for line in self._process.stdout:
             if line.startswith(blender_scene.DONE):
@@ -99,21 +99,21 @@ class CyclesRenderer:
         self._log.seek(0)
         said = [line.strip() for line in [*self._printed, *self._log] if line.strip()]
         raise ObjectFolderError(
-            f"Blender ended with {code} instead of going on to {what}: {' | '.join(said[-SHOWN_LINES:])}"
+            f"Blender ended with {code} before it could {what}: {' | '.join(said[-SHOWN_LINES:])}"
         )
 
 
 def blender_command() -> list[str]:
-    """Command that runs ``blender_scene`` where there is Blender; the folder comes last.
+    """Return the command that runs ``blender_scene`` in Blender; append the folder as its last argument.
 
     Raises
     ------
     ImportError
-        If there is none.
+        If Blender is not found.
     """
     script = blender_scene.__file__
     if importlib.util.find_spec("bpy"):
-        return [sys.executable, "-P", script]  # -P: our modules beside the script have names of Blender's
+        return [sys.executable, "-P", script]  # -P: modules beside the script would shadow Blender's
     blender = shutil.which("blender")
     if blender is None:
         raise ImportError("neither the module bpy nor a program blender on the PATH")
@@ -121,7 +121,7 @@ def blender_command() -> list[str]:
 
 
 def write_scene(scene: Scene, folder: Path) -> None:
-    """Write what ``blender_scene`` builds its scene from: ``scene.json``, ``mesh.npz``, ``texture.png``."""
+    """Write the input of ``blender_scene``: ``scene.json``, ``mesh.npz`` and, if any, ``texture.png``."""
     mesh = scene.mesh
     uv = np.zeros((0, 2)) if mesh.uv is None else mesh.uv
     normals = np.zeros((0, 3)) if mesh.normals is None else mesh.normals
@@ -153,7 +153,7 @@ def _end(process: subprocess.Popen[str]) -> None:
     assert process.stdin is not None
     assert process.stdout is not None
     with suppress(BrokenPipeError):
-        process.stdin.close()  # the script's loop ends
+        process.stdin.close()  # ends the script's loop
     process.stdout.close()
     try:
         process.wait(10)
