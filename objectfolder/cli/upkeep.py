@@ -14,7 +14,7 @@ from objectfolder.errors import ObjectFolderError
 Targets = Annotated[
     list[str] | None,
     typer.Argument(
-        metavar="[TARGET]...", help="Stage and object (`modal@mug`), stage or object; default: all."
+        metavar="[TARGET]...", help="`modal@mug`, a stage (`train_audio`) or an object (`mug`); default: all."
     ),
 ]
 

@@ -24,7 +24,8 @@ def build(
     targets: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[TARGET]...", help="Stage and object (`modal@mug`), stage or object; default: all."
+            metavar="[TARGET]...",
+            help="`modal@mug`, a stage (`train_audio`) or an object (`mug`); default: all.",
         ),
     ] = None,
     jobs: Annotated[
