@@ -97,7 +97,7 @@ def test_a_file_of_2_0_answers_all_three_questions(file, tmp_path):
     felt = obj.press(POINTS, depth=[0.0005, 0.001, 0.002], tilt=0.1, azimuth=[0, 1, 2])
     assert felt.images.shape == (3, 320, 240, 3)
     assert felt.height.shape == felt.mask.shape == (3, 320, 240)
-    with pytest.raises(ObjectFolderError, match=r"depth: row 0 is 0\.003; the released net has learnt"):
+    with pytest.raises(ObjectFolderError, match=r"depth: row 0 is 0\.003; the released net was trained on"):
         obj.touch(POINTS, depth=0.003)
     with pytest.raises(ObjectFolderError, match="tilt: row 0"):
         obj.touch(POINTS, tilt=0.5)

@@ -1,4 +1,4 @@
-"""AudioNet of a released ObjectFolder 2.0 file: frequencies, dampings, and a net from a point to gains."""
+"""AudioNet of a released ObjectFolder 2.0 file: frequencies, dampings and a net from a point to gains."""
 
 import math
 from typing import Any
@@ -15,25 +15,25 @@ from objectfolder.nets.released.network import (
 )
 from objectfolder.nets.released.spectrogram import AXES
 
-BLOCK = 16  # points at once, always: a row's bits must not depend on its batch
+BLOCK = 16  # points evaluated at once; fixed, so that a row's bits do not depend on its batch
 
 
 class ReleasedGains:
-    """Modes of an object and how loud a force along x, y or z makes each of them.
+    """Modes of an object, and their gains for unit forces along x, y and z.
 
     The original's sound is the sum of gain * exp(-abs(damping) t) * sin(2 pi frequency t). A mode of shape g
-    is displaced by g / w exp(-c t) sin(w t); so g = gain * w gives the original's sound as displacement.
+    is displaced by g / w exp(-c t) sin(w t), so g = gain * w gives the original's sound as displacement.
 
     Parameters
     ----------
     branches : three ReleasedNetwork
-        From a point to gains, normalised.
+        Nets from a point to normalised gains, one per axis.
     config : dict
-        ``frame``; ``bounds`` (2, 3), the released coordinates that 0 and 1 stand for.
+        ``frame``; ``bounds`` (2, 3), the released coordinates represented by inputs 0 and 1.
     frequencies, dampings : (M,) tensors
         Hz and 1/s.
     low, high : (3, M) tensors
-        Gains that the outputs 0 and 1 stand for.
+        Gains represented by outputs 0 and 1.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class ReleasedGains:
         self.damping = dampings.double().abs()  #: (M,) 1/s
 
     def to(self, device: str | torch.device) -> "ReleasedGains":
-        """Move to a device, and return itself."""
+        """Move to a device and return self."""
         self.branches = [branch.to(device) for branch in self.branches]
         for name in ("_frequencies", "_dampings", "_low", "_high", "damped_frequency", "damping"):
             setattr(self, name, getattr(self, name).to(device))
@@ -66,7 +66,7 @@ class ReleasedGains:
 
     @torch.no_grad()
     def shapes(self, points: torch.Tensor) -> torch.Tensor:
-        """Gains times angular frequency at (N, 3) points of the unit frame; (N, 3, M) float32."""
+        """Evaluate gain times angular frequency at (N, 3) points of the unit frame; (N, 3, M) float32."""
         low, high = self._bounds
         x = torch.from_numpy((self.frame.released(points.cpu()) - low) / (high - low)).float().to(self._low)
         out = x.new_empty(len(x), 3, len(self.damping))
@@ -78,7 +78,7 @@ class ReleasedGains:
         return out * self.damped_frequency.float()
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Tensors and configuration, for storing."""
+        """Return tensors and configuration for storing."""
         tensors = {
             "frequencies": self._frequencies.cpu().numpy(),
             "dampings": self._dampings.cpu().numpy(),
@@ -91,21 +91,21 @@ class ReleasedGains:
 
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "ReleasedGains":
-        """Inverse of `to_tensors`."""
+        """Invert `to_tensors`."""
         state = float_tensors(tensors)
         modes = [state.pop(name) for name in ("frequencies", "dampings", "low", "high")]
         return cls([network_of(state, 3, f"{axis}.") for axis in AXES], dict(config), *modes)
 
 
 def checked_bounds(bounds: Any) -> np.ndarray:
-    """Lowest and highest coordinates as a (2, 3) array.
+    """Return the lowest and highest coordinates as a (2, 3) array.
 
     Raises
     ------
     ValueError
-        If the lowest are not below the highest.
+        If they are not finite, or the lowest are not below the highest.
     """
     array = np.array(bounds, np.float64).reshape(2, 3)
     if not np.isfinite(array).all() or not (array[0] < array[1]).all():
-        raise ValueError(f"bounds {array.tolist()}")
+        raise ValueError(f"bounds {array.tolist()}, expected finite ones, the lowest first")
     return array

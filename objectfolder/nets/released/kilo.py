@@ -13,32 +13,33 @@ from objectfolder.nets.positional import encoded
 from objectfolder.nets.released.network import float_tensors
 from objectfolder.nets.released.vision import March, ReleasedVision
 
-MARGIN = 0.001  #: points nearer to the end of the grid are outside
+MARGIN = 0.001  #: points closer to the boundary of the grid count as outside
 MAX_CELLS = 1 << 18
-_CHUNK = 2048  # rays at once
+_CHUNK = 2048  # rays rendered at once
 
 
 class ReleasedKilo(ReleasedVision):
-    """Nets of the cells of a box, and a finer grid that tells which points hold anything.
+    """Small nets for the cells of a box, and a finer occupancy grid.
 
-    A net has hidden layers, then a density, and a feature that goes with the directions through one more
-    layer to the colour. Weights have a first dimension of cells, and take row vectors from the left.
+    A net has hidden layers, then a density and a feature; the feature and the directions pass through one
+    more layer to the colour. The first dimension of weights is the cell; they multiply row vectors from the
+    right.
 
     Parameters
     ----------
     weights : dict of str to (K, ...) tensor
         ``points.N``, ``density``, ``feature``, ``direction``, ``color``, each ``.weight`` and ``.bias``.
     cells : (K,) tensor
-        Which cells have a net, row by row, ascending.
+        Flat indices of the cells with a net, in row-major order, ascending.
     occupied : tensor of bool
-        Which voxels hold anything.
+        Mask of occupied voxels.
     march : March
     grid, voxels : (int, int, int)
         Cells and voxels along x, y and z of the box.
     box : (2, 3) nested list
         Lowest and highest coordinates, unit frame.
     octaves : (int, int, int)
-        Of the encodings of point (from -1 to 1 within its cell), view and light.
+        Octaves of the encodings of point (-1 to 1 within its cell), view and light.
     """
 
     def __init__(
@@ -66,14 +67,14 @@ class ReleasedKilo(ReleasedVision):
         self.coarse = self.fine = self
 
     def to(self, device: str | torch.device) -> Self:
-        """Move to a device, and return itself."""
+        """Move to a device and return self."""
         self.weights = {name: value.to(device) for name, value in self.weights.items()}
         for name in ("voxel_mask", "_low", "_high", "_cell", "_voxel", "_row"):
             setattr(self, name, getattr(self, name).to(device))
         return super().to(device)
 
     def occupied(self, points: torch.Tensor) -> torch.Tensor:
-        """Which of (N, 3) points are in an occupied voxel of a cell with a net; (N,) bool."""
+        """Return a mask of the (N, 3) points in occupied voxels of cells with a net; (N,) bool."""
         inside = ((points > self._low + MARGIN) & (points < self._high - MARGIN)).all(1)
         index = inside.nonzero()[:, 0]
         place = points[index]
@@ -82,7 +83,7 @@ class ReleasedKilo(ReleasedVision):
         return inside.index_copy(0, index, held)
 
     def density(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Density (N,) and last hidden layer (N, width) at (N, 3) occupied points."""
+        """Evaluate the density (N,) and last hidden layer (N, width) at (N, 3) occupied points."""
         density = points.new_empty(len(points))
         hidden = points.new_empty(len(points), self.weights["density.weight"].shape[1])
         for row, index, place in self._by_net(points):
@@ -96,7 +97,7 @@ class ReleasedKilo(ReleasedVision):
     def color(
         self, points: torch.Tensor, hidden: torch.Tensor, view: torch.Tensor, light: torch.Tensor
     ) -> torch.Tensor:
-        """Encoded colour (N, 3)."""
+        """Evaluate encoded colours (N, 3)."""
         out = points.new_empty(len(points), 3)
         _, *octaves = self.octaves
         for row, index, _ in self._by_net(points):
@@ -111,7 +112,7 @@ class ReleasedKilo(ReleasedVision):
         return torch.addmm(bias[row], x, weight[row])
 
     def _by_net(self, points: torch.Tensor) -> Iterator[tuple[int, torch.Tensor, torch.Tensor]]:
-        """Yield rows of nets, which points they answer, and where those are in their cells, from -1 to 1."""
+        """Yield each net's row, the indices of its points, and their positions in its cell, -1 to 1."""
         cell = self._cell_of(points)
         place = torch.stack(torch.unravel_index(cell, self.grid), 1) * self._cell
         local = 2 * (points - self._low - place) / self._cell - 1
@@ -126,15 +127,15 @@ class ReleasedKilo(ReleasedVision):
     def _check(self) -> None:
         low, high = np.array(self.box, np.float64).reshape(2, 3)
         if not (np.isfinite([low, high]).all() and (low < high).all()):
-            raise ValueError(f"box {self.box}")
+            raise ValueError(f"box {self.box}, expected finite corners, the lowest first")
         for name, sizes, limit in (("cells", self.grid, MAX_CELLS), ("voxels", self.voxels, 1 << 30)):
             if len(sizes) != 3 or min(sizes) < 1 or math.prod(sizes) > limit:
                 raise ValueError(f"{name} {sizes}")
         count = len(self.cells)
         if count and (self.cells.min() < 0 or self.cells.max() >= math.prod(self.grid)):
-            raise ValueError("cells outside of the grid")
+            raise ValueError("cells outside the grid")
         if self.voxel_mask.numel() != math.prod(self.voxels):
-            raise ValueError(f"{self.voxel_mask.numel()} voxels")
+            raise ValueError(f"{self.voxel_mask.numel()} voxels, expected {math.prod(self.voxels)}")
         width = self.weights["density.weight"].shape[1]
         point, view, light = (3 * (1 + 2 * n) for n in self.octaves)
         branch = self.weights["color.weight"].shape[1]
@@ -152,7 +153,7 @@ class ReleasedKilo(ReleasedVision):
             raise ValueError("no layers")
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Tensors and configuration, for storing."""
+        """Return tensors and configuration for storing."""
         tensors = {name: value.cpu().numpy() for name, value in self.weights.items()}
         tensors["cells"] = self.cells.numpy().astype(np.int32)
         tensors["occupied"] = np.packbits(self.voxel_mask.cpu().numpy())
@@ -161,7 +162,7 @@ class ReleasedKilo(ReleasedVision):
 
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "ReleasedKilo":
-        """Inverse of `to_tensors`."""
+        """Invert `to_tensors`."""
         config, tensors = dict(config), dict(tensors)
         grid, voxels, octaves = (tuple(map(int, config.pop(n))) for n in ("grid", "voxels", "octaves"))
         box = config.pop("box")
@@ -174,6 +175,6 @@ class ReleasedKilo(ReleasedVision):
 
 
 def _index(place: torch.Tensor, sizes: tuple[int, ...]) -> torch.Tensor:
-    """Number of the cell, row by row, at (N, 3) places in cells; (N,)."""
+    """Return the row-major index of the cell of (N, 3) positions, in units of cells; (N,)."""
     cell = torch.minimum(place.long().clamp(min=0), torch.tensor(sizes, device=place.device) - 1)
     return (cell[:, 0] * sizes[1] + cell[:, 1]) * sizes[2] + cell[:, 2]

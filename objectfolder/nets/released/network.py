@@ -1,6 +1,6 @@
-"""What the nets of released ObjectFolder files share: their network, its storing, and where its points are.
+"""Parts shared by the nets of released ObjectFolder files: the network, its storage and its frame.
 
-They keep 32-bit weights: they are to answer as the original does.
+Weights stay 32-bit, to reproduce the original's answers.
 """
 
 import math
@@ -18,12 +18,12 @@ _Net = TypeVar("_Net", bound=nn.Module)
 
 
 class ReleasedNetwork(SkipNetwork):
-    """ReLU network of numbers, each with sin and cos of 2^k times it, k from 0 below ``octaves``.
+    """ReLU network with encoded inputs: each x with sin and cos of 2^k x, for k below ``octaves``.
 
     Parameters
     ----------
     inputs : int
-        Numbers, before they are encoded.
+        Number of inputs before encoding.
     width, depth, octaves, outputs : int
     """
 
@@ -33,17 +33,17 @@ class ReleasedNetwork(SkipNetwork):
         self.output = nn.Linear(width, outputs)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Evaluate at (N, inputs); (N, outputs)."""
+        """Evaluate the network; (N, inputs) to (N, outputs)."""
         return self.output(super().forward(encoded(x, self.octaves, 1.0)))
 
 
 def network_of(tensors: dict[str, torch.Tensor], inputs: int, prefix: str = "") -> ReleasedNetwork:
-    """Build the network that tensors of a state dictionary describe; their own shapes say how large it is.
+    """Build the network described by the tensors of a state dictionary; their shapes define its size.
 
     Raises
     ------
     ValueError, KeyError, RuntimeError
-        If they describe none.
+        If the tensors describe no such network.
     """
     state = {name.removeprefix(prefix): t for name, t in tensors.items() if name.startswith(prefix)}
     width, channels = state["hidden.0.weight"].shape
@@ -55,48 +55,48 @@ def network_of(tensors: dict[str, torch.Tensor], inputs: int, prefix: str = "") 
 
 
 def filled(make: Callable[[], _Net], state: dict[str, torch.Tensor]) -> _Net:
-    """Make a module without memory of its own, and give it these tensors."""
-    with torch.device("meta"):  # a false size asks for nothing before the tensors are compared with it
+    """Make a module that uses these tensors, without allocating its own."""
+    with torch.device("meta"):  # a wrong size allocates nothing before it is compared with the tensors
         net = make()
     net.load_state_dict(state, assign=True)
     return net.eval().requires_grad_(False)
 
 
 def float_tensors(tensors: dict[str, np.ndarray]) -> dict[str, torch.Tensor]:
-    """Stored arrays as float32 tensors."""
+    """Convert stored arrays to float32 tensors."""
     return {name: torch.from_numpy(np.array(value, np.float32)) for name, value in tensors.items()}
 
 
 def stored_tensors(net: nn.Module, prefix: str = "") -> dict[str, np.ndarray]:
-    """Tensors of a net for storing."""
+    """Return a net's tensors for storing."""
     return {prefix + name: value.cpu().numpy() for name, value in net.state_dict().items()}
 
 
 def _depth(state: dict[str, torch.Tensor]) -> int:
     depth = sum(name.startswith("hidden.") and name.endswith(".weight") for name in state)
     if depth > 4 * SKIP:
-        raise ValueError(f"{depth} layers")
+        raise ValueError(f"{depth} layers, expected at most {4 * SKIP}")
     return depth
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Where points of the unit frame lie in the coordinates of a released file: origin + unit * point."""
+    """Map from the unit frame to the coordinates of a released file: origin + unit * point."""
 
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     unit: float = 1.0
 
     def released(self, points: Any) -> np.ndarray:
-        """Coordinates of the released file, float64, of (N, 3) points of the unit frame."""
+        """Map (N, 3) points of the unit frame to coordinates of the released file, float64."""
         return np.asarray(self.origin) + self.unit * np.asarray(points, np.float64)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready dictionary; `from_dict` reads it."""
+        """Return a JSON-compatible dictionary for `from_dict`."""
         return {"origin": list(self.origin), "unit": self.unit}
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> "Frame":
-        """Inverse of `to_dict`."""
+        """Invert `to_dict`."""
         x, y, z = map(float, values["origin"])
         unit = float(values["unit"])
         if not (all(map(math.isfinite, (x, y, z))) and 0 < unit < math.inf):

@@ -1,7 +1,7 @@
-"""Kinds of nets that only imported Object Files hold.
+"""Kinds of nets that occur only in imported Object Files.
 
-Modules are named by strings and imported on demand. The build never makes such nets, so the code lists of its
-stages, which follow import statements, must not hold them.
+Modules are named by strings and imported on demand. The build never makes such nets, so its stages must not
+depend on their code, and stage dependencies follow import statements.
 """
 
 from importlib import import_module
@@ -18,7 +18,7 @@ KINDS = {
 
 
 def released_net(kind: str) -> Any:
-    """Return the class of the nets of a kind."""
+    """Return the net class of a kind."""
     module, name = KINDS[kind]
     return getattr(import_module(f"objectfolder.nets.released.{module}"), name)
 

@@ -17,37 +17,37 @@ from objectfolder.nets.released.network import (
 
 AXES = ("x", "y", "z")
 GRID = 32  # voxels along an axis
-NEIGHBOURS = 4  # vertices that a point's answer is the sum of
-_CHUNK = 4096  # bins at once: their activations stay in the cache
+NEIGHBOURS = 4  # vertices whose answers are summed for a point
+_CHUNK = 4096  # bins evaluated at once: their activations stay in the cache
 
 
 class ReleasedSpectrogram:
-    """Spectrograms of unit forces along x, y and z.
+    """Net from surface points to spectrograms of unit forces along x, y and z.
 
-    A point goes to the voxel grid by ((p + translation) * scale) * 32; the answers of the four vertices
-    nearest to it are added up, as the original does.
+    A point p is mapped to the voxel grid by ((p + translation) * scale) * 32; the answers at its four nearest
+    vertices are summed, as in the original.
 
     Parameters
     ----------
     branches : three ReleasedNetwork
-        From (x, y, z, frequency, time) to real and imaginary part.
+        Nets from (x, y, z, frequency, time) to real and imaginary part, one per axis.
     vertices : (V, 3) array
-        Of the voxel grid, in voxels.
+        Vertices of the voxel grid, in voxels.
     config : dict
         ``frame``; ``translation`` (3) and ``scale``, to the voxel grid; ``coordinates`` (low, high), the
-        voxel coordinates that 0 and 1 stand for; ``values`` (3, 2), what the outputs 0 and 1 of each branch
-        stand for.
+        voxel coordinates represented by inputs 0 and 1; ``values`` (3, 2), the values represented by outputs
+        0 and 1 of each branch.
 
     Notes
     -----
-    The original normalises by the extremes of the queried vertices, so that the answer depends on what
-    else is asked; here ``coordinates`` is fixed.
+    The original normalises by the extremes of the queried vertices, so that an answer depends on the other
+    points of the query; here ``coordinates`` is fixed.
     """
 
     damped_frequency = torch.zeros(0, dtype=torch.float64)  #: no modes are known
 
     def __init__(self, branches: list[ReleasedNetwork], vertices: np.ndarray, config: dict[str, Any]):
-        from scipy.spatial import KDTree  # half a second, which no other kind takes
+        from scipy.spatial import KDTree  # imported here: takes half a second, and other kinds do not need it
 
         self.branches = branches
         self.vertices = np.asarray(vertices, np.float64)
@@ -59,25 +59,27 @@ class ReleasedSpectrogram:
         self._values = torch.tensor(config["values"], dtype=torch.float64).reshape(3, 2)
         finite = np.isfinite([*self._translation, self._scale, *self._values.flatten().tolist()]).all()
         if self.vertices.ndim != 2 or self.vertices.shape[1] != 3 or len(self.vertices) < NEIGHBOURS:
-            raise ValueError(f"voxel vertices of shape {self.vertices.shape}")
+            raise ValueError(
+                f"voxel vertices of shape {self.vertices.shape}, expected (at least {NEIGHBOURS}, 3)"
+            )
         if not finite or not -math.inf < self._low < self._high < math.inf:
-            raise ValueError(f"bounds {config['coordinates']}, or numbers that are not finite")
+            raise ValueError(f"coordinates {config['coordinates']} not ascending, or values not finite")
         if [len(branch.output.weight) for branch in branches] != [2, 2, 2]:
-            raise ValueError("branches that do not answer a complex number")
+            raise ValueError("branches without two outputs each, the real and the imaginary part")
         self._tree = KDTree(self.vertices)
         frequency, time = (np.arange(n) / (n - 1) for n in SHAPE)
         bins = np.stack(np.meshgrid(frequency, time, indexing="ij"), -1).reshape(-1, 2)
         self._bins = torch.from_numpy(bins.astype(np.float32))
 
     def to(self, device: str | torch.device) -> "ReleasedSpectrogram":
-        """Move to a device, and return itself."""
+        """Move to a device and return self."""
         self.branches = [branch.to(device) for branch in self.branches]
         self._bins, self._values = self._bins.to(device), self._values.to(device)
         return self
 
     @torch.no_grad()
     def spectrograms(self, points: torch.Tensor) -> torch.Tensor:
-        """Complex spectrograms at (N, 3) points of the unit frame; (N, 3, 257, 201)."""
+        """Evaluate complex spectrograms at (N, 3) points of the unit frame; (N, 3, 257, 201)."""
         out = torch.empty(len(points), 3, *SHAPE, dtype=torch.complex64, device=self._bins.device)
         place = (self.frame.released(points.cpu()) + self._translation) * self._scale * GRID
         for image, index in zip(out, self._tree.query(place, NEIGHBOURS)[1]):
@@ -87,7 +89,7 @@ class ReleasedSpectrogram:
         return out
 
     def _answers(self, vertex: torch.Tensor) -> torch.Tensor:
-        """Real and imaginary parts of all bins at one vertex; (3, bins, 2) float64."""
+        """Evaluate the real and imaginary parts of all bins at one vertex; (3, bins, 2) float64."""
         parts = []
         for bins in self._bins.split(_CHUNK):
             x = torch.cat([vertex.expand(len(bins), 3), bins], 1)
@@ -96,7 +98,7 @@ class ReleasedSpectrogram:
         return torch.cat(parts, 1).double() * (high - low) + low
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Tensors and configuration, for storing."""
+        """Return tensors and configuration for storing."""
         tensors = {"voxel_vertex": self.vertices.astype(np.float32)}
         for axis, branch in zip(AXES, self.branches):
             tensors |= stored_tensors(branch, f"{axis}.")
@@ -104,7 +106,7 @@ class ReleasedSpectrogram:
 
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "ReleasedSpectrogram":
-        """Inverse of `to_tensors`."""
+        """Invert `to_tensors`."""
         state = float_tensors(tensors)
         vertices = state.pop("voxel_vertex").numpy()
         return cls([network_of(state, 5, f"{axis}.") for axis in AXES], vertices, dict(config))

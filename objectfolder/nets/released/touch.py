@@ -1,4 +1,4 @@
-"""TouchNets of released ObjectFolder files: of 1.0 to the image of a contact, of 2.0 to its depth map."""
+"""TouchNets of released ObjectFolder files: 1.0 predicts the image of a contact, 2.0 its depth map."""
 
 import math
 from collections.abc import Iterator
@@ -27,29 +27,29 @@ IMAGE_SIZE = (160, 120)  #: rows and columns of an image of 1.0
 DEPTH_SIZE = (120, 160)  #: rows and columns of a depth map of 2.0
 MAX_TILT = math.radians(15)
 PRESS_DEPTHS = (0.0005, 0.002)  #: m
-DEPTHS = (0.0339, 0.04)  #: m from the camera, that the outputs 0 and 1 stand for
+DEPTHS = (0.0339, 0.04)  #: m from the camera, represented by outputs 0 and 1
 APEX = 0.04  #: m from the camera to the apex of the untouched gel
 PIXEL = 0.0001245  #: m on the gel
-CONTACT = 0.2  #: of the press depth; less is no contact
+CONTACT = 0.2  #: minimum indentation of a pixel in contact, relative to the press depth
 _ROUNDING = 1e-6
-_CHUNK = 4096  # pixels at once: their activations stay in the cache
+_CHUNK = 4096  # pixels evaluated at once: their activations stay in the cache
 
 
 class ReleasedImage:
-    """Tactile images at points.
+    """Net from surface points to tactile images.
 
     Parameters
     ----------
     network : ReleasedNetwork
-        From (x, y, z, row, column) to a colour, all from -1 to 1.
+        Net from (x, y, z, row, column) to a colour, all from -1 to 1.
     config : dict
-        ``frame``; ``coordinates`` (low, high): a released coordinate c goes to 2 (c - low) / high - 1, as in
-        the original, one pair for all axes; ``press_depth`` and ``angle``, which every image stands for.
+        ``frame``; ``coordinates`` (low, high): a released coordinate c is mapped to 2 (c - low) / high - 1,
+        as in the original, one pair for all axes; ``press_depth`` and ``angle``, assigned to every image.
 
     Notes
     -----
-    The original takes low and high from the queried points, so that an image depends on what else is asked;
-    here they are fixed. The press depth that it was trained with is not known.
+    The original takes low and high from the queried points, so that an image depends on the other points of
+    the query; here they are fixed. The press depth of its training is unknown.
     """
 
     def __init__(self, network: ReleasedNetwork, config: dict[str, Any]):
@@ -61,17 +61,17 @@ class ReleasedImage:
         if not math.isfinite(self._low) or not math.isfinite(self._high) or self._high == 0:
             raise ValueError(f"coordinates {config['coordinates']}")
         if len(network.output.weight) != 3:
-            raise ValueError(f"{len(network.output.weight)} colours")
+            raise ValueError(f"{len(network.output.weight)} colour channels, expected 3")
         self._pixels = torch.from_numpy(2 * _places(IMAGE_SIZE) - 1).float()
 
     def to(self, device: str | torch.device) -> "ReleasedImage":
-        """Move to a device, and return itself."""
+        """Move to a device and return self."""
         self.network, self._pixels = self.network.to(device), self._pixels.to(device)
         return self
 
     @torch.no_grad()
     def images(self, points: np.ndarray) -> np.ndarray:
-        """Tactile images at (N, 3) points of the unit frame; (N, 160, 120, 3) uint8."""
+        """Render tactile images at (N, 3) points of the unit frame; (N, 160, 120, 3) uint8."""
         x = 2 * (self.frame.released(points) - self._low) / self._high - 1
         out = np.empty((len(x), *IMAGE_SIZE, 3), np.uint8)
         for image, point in zip(out, torch.from_numpy(x).float().to(self._pixels)):
@@ -80,26 +80,27 @@ class ReleasedImage:
         return out
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Tensors and configuration, for storing."""
+        """Return tensors and configuration for storing."""
         return stored_tensors(self.network), dict(self.config)
 
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "ReleasedImage":
-        """Inverse of `to_tensors`."""
+        """Invert `to_tensors`."""
         return cls(network_of(float_tensors(tensors), 5), dict(config))
 
 
 class ReleasedDepth:
-    """Depth maps of contacts, and what a sensor of ours makes of them.
+    """Net from contacts to depth maps, and simulation of a sensor pressed into them.
 
     Parameters
     ----------
     network : ReleasedNetwork
-        From (x, y, z, tilt, cos azimuth, sin azimuth, press depth, row, column) to a depth.
+        Net from (x, y, z, tilt, cos azimuth, sin azimuth, press depth, row, column) to a depth.
     untouched : (120, 160) tensor
         Depth map of the untouched gel, metres.
     config : dict
-        ``frame``; ``bounds`` (2, 3), the released coordinates that 0 and 1 stand for; ``sensor``, a profile.
+        ``frame``; ``bounds`` (2, 3), the released coordinates represented by inputs 0 and 1; ``sensor``, a
+        profile.
     """
 
     def __init__(self, network: ReleasedNetwork, untouched: torch.Tensor, config: dict[str, Any]):
@@ -115,7 +116,7 @@ class ReleasedDepth:
         self._optics: dict[SensorProfile, Optics] = {}
 
     def to(self, device: str | torch.device) -> "ReleasedDepth":
-        """Move the net to a device, and return itself; sensors are pressed on the CPU."""
+        """Move the net to a device and return self; sensors are simulated on the CPU."""
         self.network, self._pixels = self.network.to(device), self._pixels.to(device)
         return self
 
@@ -123,7 +124,7 @@ class ReleasedDepth:
     def depth_maps(
         self, points: np.ndarray, depths: np.ndarray, tilts: np.ndarray, azimuths: np.ndarray
     ) -> np.ndarray:
-        """Depth maps as the original answers them, metres from the camera; (N, 120, 160) float32.
+        """Evaluate the original's depth maps, metres from the camera; (N, 120, 160) float32.
 
         Parameters
         ----------
@@ -131,12 +132,12 @@ class ReleasedDepth:
         depths : (N,) array
             Press depths, metres.
         tilts, azimuths : (N,) arrays
-            The released theta and phi, radians.
+            Theta and phi of the release, radians.
 
         Raises
         ------
         ObjectFolderError
-            If a depth or tilt is outside what the net has learnt.
+            If a depth or tilt is outside the net's training range.
         """
         self.require(depths, tilts)
         low, high = self._bounds
@@ -157,7 +158,7 @@ class ReleasedDepth:
         return maps
 
     def require(self, depths: np.ndarray, tilts: np.ndarray) -> None:
-        """Raise ObjectFolderError unless the net has learnt these press depths and tilts."""
+        """Raise ObjectFolderError unless press depths and tilts are in the net's training range."""
         for name, values, (low, high) in (
             ("depth", depths, PRESS_DEPTHS),
             ("tilt", tilts, (0.0, MAX_TILT)),
@@ -165,8 +166,8 @@ class ReleasedDepth:
             wrong = np.flatnonzero(~((values >= low - _ROUNDING) & (values <= high + _ROUNDING)))
             if len(wrong):
                 raise ObjectFolderError(
-                    f"{name}: row {wrong[0]} is {values[wrong[0]]:g}; the released net has learnt {low:g} to "
-                    f"{high:g}"
+                    f"{name}: row {wrong[0]} is {values[wrong[0]]:g}; the released net was trained on "
+                    f"{low:g} to {high:g}"
                 )
 
     def touches(
@@ -177,7 +178,7 @@ class ReleasedDepth:
         azimuths: np.ndarray,
         profile: SensorProfile | None = None,
     ) -> Iterator[Touches]:
-        """Press a sensor's gel into what the depth maps show; one contact at a time.
+        """Press a sensor's gel into the surfaces of the depth maps; yield one contact at a time.
 
         Parameters
         ----------
@@ -198,11 +199,11 @@ class ReleasedDepth:
             yield Touches(**vars(found), images=images, profile=profile)
 
     def heights(self, maps: np.ndarray, depths: np.ndarray, profile: SensorProfile) -> np.ndarray:
-        """How far the object is past a profile's undeformed gel; (N, H, W) float32, as `contact.heightmaps`.
+        """Compute heightmaps relative to a profile's undeformed gel; (N, H, W) float32.
 
-        Pixels that are not at least `CONTACT` of the press depth past the untouched gel are no contact, as in
-        the original. The depth map lies in the middle of the sensor's image, upright; what is outside of it
-        is no contact either.
+        The convention is that of `contact.heightmaps`. As in the original, a pixel is in contact if it
+        indents the gel by more than `CONTACT` of the press depth. The depth map is upright and centred in the
+        sensor's image; pixels outside it are not in contact.
         """
         past = self.untouched.numpy() - maps
         touched = past > CONTACT * np.asarray(depths)[:, None, None]
@@ -216,24 +217,24 @@ class ReleasedDepth:
         return torch.where(share > 0.5, height.clamp(0, profile.max_indentation), -gap).numpy()
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Tensors and configuration, for storing."""
+        """Return tensors and configuration for storing."""
         return {"untouched": self.untouched.numpy(), **stored_tensors(self.network)}, dict(self.config)
 
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "ReleasedDepth":
-        """Inverse of `to_tensors`."""
+        """Invert `to_tensors`."""
         state = float_tensors(tensors)
         untouched = state.pop("untouched")
         return cls(network_of(state, 9), untouched, dict(config))
 
 
 def evaluated(network: ReleasedNetwork, row: torch.Tensor, pixels: torch.Tensor) -> torch.Tensor:
-    """Evaluate at one contact and (P, 2) pixels; (P, outputs)."""
+    """Evaluate a network at one contact and (P, 2) pixels; (P, outputs)."""
     parts = [network(torch.cat([row.expand(len(part), -1), part], 1)) for part in pixels.split(_CHUNK)]
     return torch.cat(parts)
 
 
 def _places(size: tuple[int, int]) -> np.ndarray:
-    """Row and column of every pixel, each from 0 to 1; (H W, 2) float64."""
+    """Return the row and column of every pixel, each from 0 to 1; (H W, 2) float64."""
     axes = [np.arange(n) / (n - 1) for n in size]
     return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)

@@ -1,6 +1,6 @@
-"""VisionNets of released ObjectFolder files: how they look along a ray, and the kind of one large net.
+"""VisionNets of released ObjectFolder files: ray marching, and the kind with one large net.
 
-The kind of many small nets is in `objectfolder.nets.released.kilo`.
+The kind with many small nets is in `objectfolder.nets.released.kilo`.
 """
 
 import math
@@ -18,46 +18,48 @@ from objectfolder.nets.vision_osf import ScatteringFunction
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.picture import Picture
 
-MAX_SAMPLES = 4096  # of a ray
-_INVISIBLE = 1e-8  # weight of a sample in its pixel whose colour is not asked for
-_DEVICE_CHUNK = 2048  # rays at once elsewhere than on a CPU
-_NORMAL_STEP = 0.01  # unit frame; over which the density's slope is taken
+MAX_SAMPLES = 4096  # per ray
+_INVISIBLE = 1e-8  # samples of lower weight get no colour
+_DEVICE_CHUNK = 2048  # rays rendered at once on devices other than the CPU
+_NORMAL_STEP = 0.01  # unit frame; finite-difference step of the density gradient
 
 
 @dataclass(frozen=True)
 class March:
-    """Where the original looks along a ray.
+    """Sample positions of the original along a ray.
 
-    Distances count along the optical axis, as the original's do: its rays have that component one.
+    Distances are along the optical axis, as in the original, whose ray directions have unit component there.
     """
 
     near: float
     far: float
     samples: int
-    more: int  #: samples where the first have found something; 0 for one pass
-    inverse: bool  #: whether the samples are spaced evenly in inverse distance
-    pixel: float = 0.0  #: place within a pixel that its ray goes through: 0 is the corner, 0.5 the middle
+    more: int  #: samples of the second pass, where the first found density; 0 for a single pass
+    inverse: bool  #: whether the samples are evenly spaced in inverse distance
+    pixel: float = 0.0  #: position of the ray in its pixel: 0 is the corner, 0.5 the centre
 
     def __post_init__(self) -> None:
         if not (0 <= self.near < self.far < math.inf and (self.near > 0 or not self.inverse)):
-            raise ValueError(f"near {self.near}, far {self.far}")
+            raise ValueError(
+                f"near {self.near}, far {self.far}, expected 0 <= near < far < inf, near > 0 if inverse"
+            )
         if not (2 <= self.samples <= MAX_SAMPLES and 0 <= self.more <= MAX_SAMPLES):
-            raise ValueError(f"{self.samples} and {self.more} samples")
+            raise ValueError(f"{self.samples} and {self.more} samples, expected 2 and 0 to {MAX_SAMPLES}")
         if (self.more and self.samples < 4) or not 0 <= self.pixel <= 1:
             raise ValueError(f"{self.samples} samples to refine, rays at {self.pixel}")
 
     def distances(self) -> torch.Tensor:
-        """Distances of the first samples; (samples,)."""
+        """Return the distances of the first pass; (samples,)."""
         t = torch.linspace(0.0, 1.0, self.samples)
         if self.inverse:
             return 1 / (1 / self.near * (1 - t) + 1 / self.far * t)
         return self.near * (1 - t) + self.far * t
 
     def refined(self, distance: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-        """Distances (N, S) with those added that follow the samples' weights (N, S); ascending.
+        """Add samples to distances (N, S) by importance sampling of their weights (N, S); ascending.
 
-        The weight of a sample counts between the middles of it and its neighbours; the first and the last
-        sample do not count.
+        A sample's weight is spread between the midpoints to its neighbours; the first and the last sample are
+        ignored.
         """
         ends = (distance[:, 1:] + distance[:, :-1]) / 2
         share = weights[:, 1:-1] + 1e-5
@@ -72,28 +74,28 @@ class March:
 
 
 class Field(Protocol):
-    """What a ray is sent through."""
+    """Density and colour that a ray marches through."""
 
     def occupied(self, points: torch.Tensor) -> torch.Tensor:
-        """Which of (N, 3) points may hold anything; (N,) bool."""
+        """Return a mask of the (N, 3) points that may have density; (N,) bool."""
 
     def density(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Density (N,), not negative, and what `color` wants to know (N, W), at (N, 3) points."""
+        """Evaluate the density (N,), at least 0, and hidden layer (N, W) for `color`, at (N, 3) points."""
 
     def color(
         self, points: torch.Tensor, hidden: torch.Tensor, view: torch.Tensor, light: torch.Tensor
     ) -> torch.Tensor:
-        """Encoded colour (N, 3), for unit directions from the camera and for the light's position, (N, 3)."""
+        """Evaluate encoded colours (N, 3) for unit directions from the camera and light positions (N, 3)."""
 
 
 class Network:
-    """A `Field` of one net that is asked everywhere.
+    """A `Field` of one net for all points.
 
     Parameters
     ----------
     net : ScatteringFunction
     crop : float, optional
-        Half the side of the cube outside of which nothing is believed to be.
+        Half the side of a cube outside of which the density is taken as zero.
     """
 
     def __init__(self, net: ScatteringFunction, crop: float | None):
@@ -101,34 +103,34 @@ class Network:
         self.crop = math.inf if crop is None else crop
 
     def occupied(self, points: torch.Tensor) -> torch.Tensor:
-        """See `Field`; as all methods."""
+        """Return a mask of the points inside the crop cube; (N,) bool."""
         return (points.abs() <= self.crop).all(1)
 
     def density(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Density and hidden layer."""
+        """Evaluate the density and the hidden layer."""
         return self.net(points)
 
     def color(
         self, points: torch.Tensor, hidden: torch.Tensor, view: torch.Tensor, light: torch.Tensor
     ) -> torch.Tensor:
-        """Encoded colour."""
+        """Evaluate encoded colours."""
         return self.net.scattered(hidden, light, view)
 
 
 class ReleasedVision:
-    """Pictures as the released code renders them.
+    """Renderer of pictures like those of the released code.
 
-    Colours are those of an image file, blended on white as they are: so a picture's linear colours are set
-    such that on white they show just that. They are negative where a pixel is partly covered and dark.
+    The released code blends encoded colours on white. Linear colours of a picture are therefore chosen to
+    give the same colours on white; they are negative where a pixel is dark and partly covered.
 
     Parameters
     ----------
     march : March
     chunk : int
-        Rays at once on a CPU.
+        Rays rendered at once on a CPU.
     """
 
-    coarse: Field  #: finds where `fine` looks
+    coarse: Field  #: places the samples of `fine`
     fine: Field
 
     def __init__(self, march: March, chunk: int):
@@ -137,7 +139,7 @@ class ReleasedVision:
         self.device = torch.device("cpu")
 
     def to(self, device: str | torch.device) -> Self:
-        """Move to a device, and return itself."""
+        """Move to a device and return self."""
         self.device = torch.device(device)
         return self
 
@@ -149,14 +151,14 @@ class ReleasedVision:
         ----------
         camera_to_world : (4, 4) array
         light : (3,) array, unit frame
-            The net takes its position as it is; it has learnt those on the unit sphere.
+            Passed to the net unchanged; it was trained with lights on the unit sphere.
         intrinsics : Intrinsics
 
         Returns
         -------
         Picture
-            Depth is the mean of what the ray sees. The normal is the way in which the density falls there,
-            zero where it does not.
+            Depth is the weighted mean along the ray. The normal is the direction of decreasing density there;
+            zero where the density is constant.
         """
         origin, directions = (x.to(self.device) for x in _rays(camera_to_world, intrinsics, self.march.pixel))
         towards = torch.from_numpy(np.asarray(light, np.float32)).to(self.device)
@@ -182,7 +184,7 @@ class ReleasedVision:
     def _look(
         self, origin: torch.Tensor, ways: torch.Tensor, light: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Blended colour (N, 3), alpha (N,) and mean distance times alpha (N,)."""
+        """Return blended colour (N, 3), alpha (N,) and mean distance times alpha (N,)."""
         length = torch.linalg.vector_norm(ways, dim=1, keepdim=True)
         distance = self.march.distances().to(ways).expand(len(ways), -1)
         if self.march.more:
@@ -204,7 +206,7 @@ class ReleasedVision:
 
 
 class ReleasedNerf(ReleasedVision):
-    """One or two nets of a point, a viewing direction and a light, of 1.0 and of 2.0 without KiloOSF.
+    """VisionNet of ObjectFolder 1.0, or of 2.0 without KiloOSF: one or two nets of point, view and light.
 
     Parameters
     ----------
@@ -212,27 +214,27 @@ class ReleasedNerf(ReleasedVision):
         ``coarse`` and ``fine``, or ``fine`` alone.
     march : March
     crop : float, optional
-        Half the side of the cube outside of which nothing is believed to be; default: the nets are asked
-        everywhere, as in the original.
+        Half the side of a cube outside of which the density is taken as zero; default: no limit, as in the
+        original.
     """
 
     def __init__(self, nets: dict[str, ScatteringFunction], march: March, crop: float | None = None):
         super().__init__(march, chunk=max(1, 6144 // (march.samples + march.more)))
         if not (crop is None or 0 < crop < math.inf) or ("coarse" in nets) != (march.more > 0):
-            raise ValueError(f"crop {crop}; nets {', '.join(nets)} for {march.more} more samples")
+            raise ValueError(f"crop {crop}; nets {', '.join(nets)} for {march.more} samples of a second pass")
         self.nets = nets
         self.crop = crop
         self.fine = Network(nets["fine"], crop)
         self.coarse = Network(nets.get("coarse", nets["fine"]), crop)
 
     def to(self, device: str | torch.device) -> Self:
-        """Move to a device, and return itself."""
+        """Move to a device and return self."""
         for net in self.nets.values():
             net.to(device)
         return super().to(device)
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Tensors and configuration, for storing."""
+        """Return tensors and configuration for storing."""
         tensors: dict[str, np.ndarray] = {}
         for name, net in self.nets.items():
             tensors |= stored_tensors(net, f"{name}.")
@@ -242,7 +244,7 @@ class ReleasedNerf(ReleasedVision):
 
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "ReleasedNerf":
-        """Inverse of `to_tensors`."""
+        """Invert `to_tensors`."""
         config = dict(config)
         octaves = int(config.pop("point_octaves")), int(config.pop("direction_octaves"))
         crop = config.pop("crop")
@@ -257,12 +259,12 @@ class ReleasedNerf(ReleasedVision):
 def scattering_of(
     state: dict[str, torch.Tensor], point_octaves: int, direction_octaves: int
 ) -> ScatteringFunction:
-    """Build the `ScatteringFunction` that tensors describe.
+    """Build the `ScatteringFunction` described by tensors.
 
     Raises
     ------
     ValueError, KeyError, RuntimeError
-        If they describe none.
+        If the tensors describe none.
     """
     depth, branch_depth = (
         sum(name.startswith(f"{part}.hidden.") and name.endswith(".weight") for name in state)
@@ -284,7 +286,7 @@ def scattering_of(
 def _rays(
     camera_to_world: np.ndarray, intrinsics: Intrinsics, place: float
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Origin (3,), and directions (H W, 3) whose component along the optical axis is one."""
+    """Return the origin (3,), and directions (H W, 3) with unit component along the optical axis."""
     rows, columns = np.mgrid[: intrinsics.height, : intrinsics.width] + place
     x, y = (columns - intrinsics.cx) / intrinsics.fx, (intrinsics.cy - rows) / intrinsics.fy
     local = np.stack([x, y, -np.ones_like(x)], -1).reshape(-1, 3)
@@ -293,12 +295,12 @@ def _rays(
 
 
 def _points(origin: torch.Tensor, ways: torch.Tensor, distance: torch.Tensor) -> torch.Tensor:
-    """Points at (N, S) distances along (N, 3) directions; (N S, 3)."""
+    """Return the points at (N, S) distances along (N, 3) directions; (N S, 3)."""
     return (origin + ways[:, None] * distance[..., None]).flatten(0, 1)
 
 
 def _everywhere(field: Field) -> Callable[[torch.Tensor], torch.Tensor]:
-    """Density (N,) at (N, 3) points, zero where the field holds nothing."""
+    """Return a function for the density (N,) at (N, 3) points; zero outside occupied space."""
 
     def density(points: torch.Tensor) -> torch.Tensor:
         held = field.occupied(points).nonzero()[:, 0]
@@ -308,7 +310,7 @@ def _everywhere(field: Field) -> Callable[[torch.Tensor], torch.Tensor]:
 
 
 def _weights(density: torch.Tensor, distance: torch.Tensor, length: torch.Tensor) -> torch.Tensor:
-    """Weights (N, S) of samples in their pixels: an interval ends at the next sample, the last one never."""
+    """Compute sample weights (N, S); an interval ends at the next sample, and the last one is infinite."""
     steps = torch.cat([distance.diff(), torch.full_like(distance[:, :1], 1e10)], 1)
     alpha = 1 - torch.exp(-density * steps * length)
     through = torch.cumprod(1 - alpha + 1e-10, 1)
