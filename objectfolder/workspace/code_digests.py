@@ -1,6 +1,7 @@
 """Find the project files that a stage runs, from its source, and digest them."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 from objectfolder.io import file_digest
@@ -31,7 +32,7 @@ def imported_files(script: str | Path, root: str | Path = ".") -> list[str]:
         if name in found:
             continue
         found.add(name)
-        for module in _imports(path):
+        for module in _imports(path.read_text()):
             todo += [file for file in _files(module, root) if file.stat().st_size > 0]
     return sorted(found)
 
@@ -41,9 +42,10 @@ def digests(script: str | Path, root: str | Path = ".") -> str:
     return "".join(f"{file_digest(Path(root) / name)}  {name}\n" for name in imported_files(script, root))
 
 
-def _imports(path: Path) -> set[str]:
+@cache  # many stages share most modules
+def _imports(source: str) -> frozenset[str]:
     modules = set()
-    todo: list[ast.AST] = [ast.parse(path.read_text())]
+    todo: list[ast.AST] = [ast.parse(source)]
     while todo:
         node = todo.pop()
         if isinstance(node, ast.If) and getattr(node.test, "id", None) == "TYPE_CHECKING":
@@ -54,7 +56,7 @@ def _imports(path: Path) -> set[str]:
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
             modules.add(node.module)
             modules |= {f"{node.module}.{alias.name}" for alias in node.names}
-    return {module for module in modules if module.split(".")[0] in PACKAGES}
+    return frozenset(module for module in modules if module.split(".")[0] in PACKAGES)
 
 
 def _files(module: str, root: Path) -> list[Path]:

@@ -98,7 +98,7 @@ def test_what_is_stored_is_what_was_trained_to_the_bit(tmp_path, field, trained)
 
 def test_rounding_the_net_costs_little(field, trained, monkeypatch):
     """Against the same training with nothing rounded."""
-    monkeypatch.setattr(int8, "rounded", lambda matrix: matrix)
+    monkeypatch.setattr(int8, "round_to_codes", lambda matrix: matrix)
     monkeypatch.setattr(int8, "rounded_with", lambda matrix, gram: matrix)
     points, shapes = field
     errors = [

@@ -1,6 +1,7 @@
 """dvc.yaml says exactly what the stages read."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -17,8 +18,13 @@ HASH_CODE = STAGES.pop("hash_code")
 OF_OBJECTS = params.OBJECT_STAGES
 
 
+@cache
+def modules_of(stage):
+    return imported_files(f"stages/{stage}.py", ROOT)
+
+
 def modules(*stages):
-    return {file for stage in stages for file in imported_files(f"stages/{stage}.py", ROOT)}
+    return {file for stage in stages for file in modules_of(stage)}
 
 
 def test_every_stage_script_is_in_the_graph_and_the_reverse():
