@@ -41,7 +41,7 @@ default_role = "py:obj"
 nitpicky = True
 nitpick_ignore_regex = [
     ("py:(class|data|exc|obj)", r"(?!objectfolder\.)[\w.]+\.\w+"),
-    ("py:class", r"\w+|objectfolder\..*\.(_\w+|Answer|Config)"),
+    ("py:class", r"\w+|objectfolder\..*\.(_\w+|Answer|Config|Model)"),
 ]
 autodoc_default_options = {
     "members": True,

@@ -57,7 +57,7 @@ class Bank:
             self._piece(self.samples - 1)  # validates the response and the contact time
 
     def mix(self, gains: torch.Tensor) -> np.ndarray:
-        """Return the sounds (N, samples), float32, for gains (N, H) of the modes in `heard`."""
+        """Return the sounds (N, samples), float32, for gains (N, H) of the modes in ``heard``."""
         sounds = np.empty((len(gains), self.samples), np.float32)
         for first in range(0, len(gains), BLOCK):
             rows = gains[first : first + BLOCK]

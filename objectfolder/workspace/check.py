@@ -1,6 +1,6 @@
 """Check all of ``params.yaml`` before a long build starts.
 
-Stages import `objectfolder.workspace.params` alone, so that a new material reruns only `modal`.
+Stages import `objectfolder.workspace.params` alone, so that a new material reruns only ``modal``.
 """
 
 import json
