@@ -7,9 +7,6 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1] / "objectfolder"
 ENTRY_POINT = "main"  # of a process: the command line, the supervisor, Blender's script
 
-#: Names that several modules still share, and how many do. Shrink this list; never extend it.
-SHARED = {}
-
 
 def public_names():
     """Modules that define each public class or function at their top level, by name.
@@ -29,4 +26,4 @@ def public_names():
 
 
 def test_a_name_stands_for_one_thing():
-    assert not {name: places for name, places in public_names().items() if len(places) > SHARED.get(name, 1)}
+    assert not {name: places for name, places in public_names().items() if len(places) > 1}

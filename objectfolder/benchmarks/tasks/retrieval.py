@@ -173,12 +173,12 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
     Raises
     ------
     ObjectFolderError
-        If a split cannot be trained on or scored, or a training diverges.
+        If a split cannot be classes on or scored, or a training diverges.
     """
-    learnt = np.unique(job.observations.labels[job.split.train])
-    if len(learnt) < 2:
+    classes = np.unique(job.observations.labels[job.split.train])
+    if len(classes) < 2:
         raise ObjectFolderError(
-            f"split {job.split.name} trains on {job.observations.keys[learnt[0]]} alone, expected two "
+            f"split {job.split.name} trains on {job.observations.keys[classes[0]]} alone, expected two "
             "objects or more; add training objects"
         )
     job, rows = job.without_duplicates(MODALITIES)
