@@ -173,7 +173,7 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
     Raises
     ------
     ObjectFolderError
-        If a split cannot be classes on or scored, or a training diverges.
+        If a split cannot be trained on or scored, or a training diverges.
     """
     classes = np.unique(job.observations.labels[job.split.train])
     if len(classes) < 2:
