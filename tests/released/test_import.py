@@ -162,7 +162,7 @@ def test_what_cannot_be_read_is_left_out_with_a_warning(file, caplog):
     with pytest.raises(ObjectFolderError, match="holds no vision"):
         obj.view(CAMERAS, LIGHT)
     obj = file(released.released_1(1))  # without bounds
-    assert "give --bounds or --mesh" in obj.header["imported"]["notes"][0]
+    assert "pass --bounds or --mesh" in obj.header["imported"]["notes"][0]
     assert "touch" not in obj.header
     with pytest.raises(ObjectFolderError, match="nothing could be imported"):
         file({"VisionNet": {}})
