@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import scipy.fft
+import scipy  # scipy.fft loads at first use: views and sounds start without it
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.touch.profiles import SensorProfile
