@@ -193,7 +193,7 @@ def test_the_papers_touch_net_on_the_papers_images_is_a_choice(built):
     assert bell.header["touch"]["kind"] == "image"
     points = bell.sample_surface(3)
     assert bell.touch(points, depth=0.001).shape == (3, 160, 120, 3)
-    with pytest.raises(ObjectFolderError, match=r"depth: row 0 is 0\.002; .* learnt depth 0\.001 m"):
+    with pytest.raises(ObjectFolderError, match=r"depth: row 0 is 0\.002; .* trained at depth 0\.001 m"):
         bell.touch(points, depth=0.002)
     for question in (bell.press, partial(bell.touch, sensor="digit")):
         with pytest.raises(ObjectFolderError, match="bell: its touch net stores images"):
