@@ -9,7 +9,7 @@ from functools import cache
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.errors import ObjectFolderError, shortened
 
 if TYPE_CHECKING:
     from jsonschema import Draft202012Validator
@@ -87,7 +87,7 @@ def checked_header(header: Any, path: object) -> dict[str, Any]:
     if problem is not None:
         place = ".".join(map(str, problem.path)) or "its header"
         raise ObjectFolderError(
-            f"{path}: {place}: {_shortened(problem.message)}; see objectfile.schema.json for what is expected"
+            f"{path}: {place}: {shortened(problem.message, 300)}; see objectfile.schema.json for what is expected"
         )
     for part in PARTS:
         kinds = known_kinds(part)
@@ -95,10 +95,6 @@ def checked_header(header: Any, path: object) -> dict[str, Any]:
             expected = " or ".join(map(repr, kinds))
             raise ObjectFolderError(f"{path}: {part} of kind {header[part]['kind']!r}, expected {expected}")
     return header
-
-
-def _shortened(message: str, most: int = 300) -> str:
-    return message if len(message) <= most else f"{message[: most // 2]} ... {message[-most // 2 :]}"
 
 
 @cache

@@ -16,6 +16,7 @@ from dvc_data.hashfile.tree import Tree
 from objectfolder.engine.dvc import steps
 from objectfolder.engine.dvc.graph import StageGraph
 from objectfolder.engine.dvc.savedruns import saved_run
+from objectfolder.errors import shortened
 from objectfolder.workspace.code_digests import digests
 from objectfolder.workspace.layout import code_list
 
@@ -185,12 +186,11 @@ def _differences(name: str, old: Any, new: Any) -> list[str]:
     if isinstance(old, dict) and isinstance(new, dict):
         names = dict.fromkeys([*old, *new])
         return [text for key in names for text in _differences(f"{name}.{key}", old.get(key), new.get(key))]
-    return [] if old == new else [f"{name}: {_shortened(old)} -> {_shortened(new)}"]
+    return [] if old == new else [f"{name}: {_text(old)} -> {_text(new)}"]
 
 
-def _shortened(value: Any) -> str:
-    text = "nothing" if value is None else str(value)
-    return text if len(text) <= 60 else text[:57] + "..."
+def _text(value: Any) -> str:
+    return "nothing" if value is None else shortened(value)
 
 
 def _output_changes(stage: Stage) -> tuple[tuple[str, ...], tuple[str, ...]]:
