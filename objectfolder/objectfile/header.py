@@ -87,7 +87,8 @@ def checked_header(header: Any, path: object) -> dict[str, Any]:
     if problem is not None:
         place = ".".join(map(str, problem.path)) or "its header"
         raise ObjectFolderError(
-            f"{path}: {place}: {shortened(problem.message, 300)}; see objectfile.schema.json for what is expected"
+            f"{path}: {place}: {shortened(problem.message, 300)}; see objectfile.schema.json for what is "
+            "expected"
         )
     for part in PARTS:
         kinds = known_kinds(part)
