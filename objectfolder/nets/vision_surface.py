@@ -186,9 +186,11 @@ class SurfaceNet(nn.Module):
         ----------
         surface : Isosurface
         device : torch.device or str
-            Device for shading. Rays are cast on the CPU.
+            Device for shading. Rays are cast and the surface is baked on the CPU.
         """
-        net, baked = copy.deepcopy(self).to(device), self.bake(surface).to(device)
+        net = copy.deepcopy(self).cpu()
+        baked = net.bake(surface).to(device)
+        net.to(device)
 
         @torch.inference_mode()
         def shade(samples: SurfaceSamples, light: torch.Tensor, pixel: np.ndarray) -> torch.Tensor:

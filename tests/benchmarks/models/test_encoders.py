@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import torch
+from pretend_device import pretend_device
 from torch import nn
 
 from objectfolder.audio.spectrogram import SAMPLE_RATE
@@ -208,3 +209,21 @@ def test_a_file_registers_its_encoder_and_is_run_by_nobody_else(tmp_path, monkey
         registered(f"{path}:nothing")
     with pytest.raises(ObjectFolderError, match=r"mine2\.py does not exist"):
         registered(f"{tmp_path / 'mine2.py'}:of_a_file")
+
+
+@pytest.mark.parametrize("modality", ["vision", "audio", "touch"])
+def test_inputs_and_features_on_a_device_are_those_of_the_cpu(modality, rng):
+    raw = {
+        "vision": rng.integers(0, 256, (2, 64, 64, 3), dtype=np.uint8),
+        "audio": rng.standard_normal((2, 32000)).astype(np.float32),
+        "touch": rng.integers(0, 256, (2, 96, 72, 3), dtype=np.uint8),
+    }[modality]
+    here = encoder_inputs(modality, raw, SIZES)
+    with pretend_device() as device:
+        net = make_encoder("resnet18", modality).eval()
+        there = encoder_inputs(modality, raw, SIZES, device=device)
+        assert there.device.type == device
+        features = net.to(device)(there).cpu()
+        there = there.cpu()
+    torch.testing.assert_close(there, here, rtol=0, atol=0)
+    torch.testing.assert_close(features, net.cpu()(here), rtol=1e-5, atol=1e-6)

@@ -1,0 +1,194 @@
+"""Every net answers, and those of the paper train, on a device that is not the CPU.
+
+A GPU is seldom there when tests run, so the device is `pretend_device`, which is as strict about devices.
+"""
+
+import numpy as np
+import pytest
+import released_files as released
+import torch
+from pretend_device import pretend_device
+
+from objectfolder import ObjectFile
+from objectfolder.nets.audio_config import SpectrogramConfig
+from objectfolder.nets.audio_spectrogram import SpectrogramNet
+from objectfolder.nets.audio_spectrogram_training import train_spectrogram
+from objectfolder.nets.released.network import Frame
+from objectfolder.nets.touch_config import ImageConfig
+from objectfolder.nets.touch_image import ImageTouch
+from objectfolder.nets.touch_image_training import train_image
+from objectfolder.nets.vision_config import OsfConfig
+from objectfolder.nets.vision_osf import OsfNet
+from objectfolder.nets.vision_osf_training import train_osf
+from objectfolder.released.audio import gains_net, spectrogram_net
+from objectfolder.released.checkpoint import read_released
+from objectfolder.released.touch import depth_net, image_net
+from objectfolder.released.vision import configured_net
+from objectfolder.touch.profiles import load_profile
+from objectfolder.vision.cameras import Intrinsics, look_at
+
+POSE = look_at(np.array([2.0, -1.0, 0.7]))[0]
+LIGHT = np.array([2.0, 0.0, 1.0])
+FRAME = Frame((0.01, -0.02, 0.03), 0.2)
+TRAINING = {"steps": 3, "batch": 32, "learning_rate": 0.01}
+POINTS = np.random.default_rng(0).uniform(-0.1, 0.1, (3, 3)).astype(np.float32)
+
+
+def see(net):
+    picture = net.picture(POSE, LIGHT, Intrinsics(6, 6, 9.0))
+    return picture.rgba, picture.depth
+
+
+def _osf():
+    return OsfNet(
+        8, 8, width=16, depth=2, branch_width=16, branch_depth=2, point_octaves=2, direction_octaves=1
+    )
+
+
+def _vivid(net):
+    """Give a fresh net, whose answer is a constant, an output layer."""
+    for network in getattr(net, "branches", None) or [net.network]:
+        torch.nn.init.normal_(network.output.weight)
+    return net
+
+
+def _read(values, part, tmp_path):
+    path = tmp_path / "ObjectFile.pth"
+    torch.save(values, path)
+    return read_released(path).part(part)
+
+
+NETS = {
+    "osf": (lambda tmp: _osf(), see),
+    "image": (
+        lambda tmp: _vivid(ImageTouch("digit", (6, 8), 0.001, 0.0, 16, 2, 3, 3)),
+        lambda net: net.images(POINTS),
+    ),
+    "spectrogram": (
+        lambda tmp: _vivid(SpectrogramNet(torch.tensor([400.0, 900.0]), -1.0, 1.0, 16, 2, 1, 3)),
+        lambda net: net.spectrograms(torch.from_numpy(POINTS[:1])),
+    ),
+    "released_nerf": (
+        lambda tmp: configured_net(_read(released.released_2(6), "VisionNet", tmp)),
+        see,
+    ),
+    "released_kilo": (lambda tmp: configured_net(_read(released.released_kilo(7), "VisionNet", tmp)), see),
+    "released_spectrogram": (
+        lambda tmp: spectrogram_net(_read(released.released_1(2), "AudioNet", tmp), FRAME),
+        lambda net: net.spectrograms(torch.from_numpy(POINTS[:1])),
+    ),
+    "released_gains": (
+        lambda tmp: gains_net(_read(released.released_2(3), "AudioNet", tmp), FRAME),
+        lambda net: net.shapes(torch.from_numpy(POINTS)),
+    ),
+    "released_image": (
+        lambda tmp: image_net(
+            _read(released.released_1(4), "TouchNet", tmp),
+            Frame(),
+            np.array([[-0.09, -0.12, -0.07], [0.11, 0.08, 0.13]]),
+        ),
+        lambda net: net.images(POINTS[:1]),
+    ),
+    "released_depth": (
+        lambda tmp: depth_net(
+            _read(released.released_2(5), "TouchNet", tmp), FRAME, load_profile("gelsight_r15")
+        ),
+        lambda net: net.depth_maps(POINTS[:1], np.array([0.001]), np.array([0.1]), np.array([1.0])),
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", NETS)
+def test_a_net_on_a_device_answers_as_on_the_cpu(kind, tmp_path):
+    make, query = NETS[kind]
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        net = make(tmp_path)
+    here = query(net)
+    with pretend_device() as device:
+        there = query(net.to(device))
+        arrays = [
+            tuple(
+                np.asarray(x.cpu() if isinstance(x, torch.Tensor) else x)
+                for x in (y if isinstance(y, tuple) else (y,))
+            )
+            for y in (here, there)
+        ]
+    assert all(len(np.unique(x)) > 1 for x in arrays[0])
+    for a, b in zip(*arrays, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def ask(file):
+    points = file.sample_surface(2, seed=0)
+    return {
+        "view": file.view(POSE, LIGHT, 16),
+        "impact": file.impact(points, np.ones((2, 3))),
+        "shapes": file.mode_shapes(points),
+        "touch": file.touch(points, 0.001),
+        "displacement": file.press(points, 0.001).displacement,
+    }
+
+
+def test_an_object_file_on_a_device_answers_as_on_the_cpu(brick_path):
+    here = ask(ObjectFile.load(brick_path))
+    with pretend_device() as device:
+        there = ask(ObjectFile.load(brick_path, device))
+    for name in here:
+        np.testing.assert_allclose(there[name], here[name], rtol=1e-5, atol=1e-6, err_msg=name)
+
+
+def small_views():
+    """Two noisy pictures, in the arrays of `render_views`."""
+    rng = np.random.default_rng(1)
+    return {
+        "rgba": np.concatenate([rng.uniform(0, 1, (2, 8, 8, 3)), np.ones((2, 8, 8, 1))], 3).astype(
+            np.float16
+        ),
+        "camera_to_world": np.stack([POSE, POSE]),
+        "light": np.stack([LIGHT, LIGHT]),
+        "focal": np.float64(9.0),
+    }
+
+
+def train_a_view(device):
+    config = OsfConfig(
+        **{"width": 16, "depth": 2, "branch_width": 16, "branch_depth": 2, "point_octaves": 2},
+        **{"direction_octaves": 1, "coarse_samples": 8, "fine_samples": 8},
+        **TRAINING,
+    )
+    return train_osf(small_views(), small_views(), config, torch.Generator().manual_seed(0), device=device)
+
+
+def train_a_sound(device):
+    points, shapes = POINTS[:, :3], np.random.default_rng(2).standard_normal((3, 3, 2))
+    config = SpectrogramConfig(width=16, depth=2, point_octaves=1, bin_octaves=3, **TRAINING)
+    rows = np.arange(2), np.arange(2, 3)
+    frequency, damping = 2 * np.pi * np.array([400.0, 900.0]), np.array([3.0, 4.0])
+    return train_spectrogram(
+        points, shapes, frequency, damping, *rows, config, torch.Generator().manual_seed(0), device=device
+    )
+
+
+def train_a_touch(device):
+    contacts = {
+        "images": np.random.default_rng(3).integers(0, 255, (3, 6, 8, 3), dtype=np.uint8),
+        "points": POINTS.astype(float),
+        "depths": np.full(3, 0.001),
+        "angles": np.zeros(3),
+    }
+    config = ImageConfig(width=16, depth=2, point_octaves=3, pixel_octaves=3, **TRAINING)
+    return train_image(
+        contacts, contacts, 0.2, "digit", config, torch.Generator().manual_seed(0), device=device
+    )
+
+
+@pytest.mark.parametrize("train", [train_a_view, train_a_sound, train_a_touch])
+def test_training_on_a_device_gives_the_net_of_the_cpu(train):
+    here, _ = train("cpu")
+    with pretend_device() as device:
+        there, curve = train(device)
+    assert len(curve) > 0
+    for (name, a), b in zip(here.state_dict().items(), there.state_dict().values(), strict=True):
+        assert b.device.type == "cpu", name
+        torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-5)
