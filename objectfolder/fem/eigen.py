@@ -13,7 +13,7 @@ import numpy as np
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.elasticity import FiniteElements
-from objectfolder.fem.factorisation import factorise
+from objectfolder.fem.factorisation import factorise, nested_dissection
 from objectfolder.fem.krylov import CONVERGED, lowest_modes
 
 SHIFT_HZ = 300.0  # magnitude of the negative shift
@@ -54,7 +54,8 @@ def solve_modes(fem: FiniteElements, max_frequency: float, max_modes: int, name:
         modes.
     """
     limit = (2 * np.pi * max_frequency) ** 2
-    below = factorise((fem.stiffness - limit * fem.mass).tocsr(), fem.nodal_mass).negative_pivots()
+    order = nested_dissection(fem.nodal_mass)
+    below = factorise((fem.stiffness - limit * fem.mass).tocsr(), order).negative_pivots()
     wanted = max_modes if below is None else min(max(below - 6, 0), max_modes)
     size, rigid = fem.stiffness.shape[0], rigid_modes(fem)
 
@@ -63,7 +64,7 @@ def solve_modes(fem: FiniteElements, max_frequency: float, max_modes: int, name:
         certain = wanted if below is not None else min(int((found < limit).sum()), max_modes)
         return min(certain + SPARES, size - 6)
 
-    values, vectors = _elastic_modes(fem, rigid, needed)
+    values, vectors = _elastic_modes(fem, order, rigid, needed)
     if below is not None and int((values < limit).sum()) < wanted:
         raise ObjectFolderError(
             f"{name}: inertia counts at least {wanted} modes below {max_frequency:g} Hz, the solver found "
@@ -94,17 +95,19 @@ def solve_modes(fem: FiniteElements, max_frequency: float, max_modes: int, name:
 
 def lowest_eigenvalues(fem: FiniteElements, count: int, tolerance: float) -> np.ndarray:
     """Compute the lowest elastic eigenvalues to a relative residual, uncertified; rad^2/s^2 (count,)."""
-    return _elastic_modes(fem, rigid_modes(fem), lambda found: count, tolerance)[0][:count]
+    order = nested_dissection(fem.nodal_mass)
+    return _elastic_modes(fem, order, rigid_modes(fem), lambda found: count, tolerance)[0][:count]
 
 
 def _elastic_modes(
     fem: FiniteElements,
+    order: np.ndarray,
     rigid: np.ndarray,
     wanted: Callable[[np.ndarray], int],
     tolerance: float = CONVERGED,
 ) -> tuple[np.ndarray, np.ndarray]:
     shift = -((2 * np.pi * SHIFT_HZ) ** 2)
-    factor = factorise((fem.stiffness - shift * fem.mass).tocsr(), fem.nodal_mass, definite=True)
+    factor = factorise((fem.stiffness - shift * fem.mass).tocsr(), order, definite=True)
     return lowest_modes(fem.stiffness, fem.nodal_mass, factor.solve, shift, rigid, wanted, tolerance)
 
 

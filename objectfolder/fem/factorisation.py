@@ -29,8 +29,6 @@ except ImportError:
     cholmod = None
 
 
-METIS = 2  # PARDISO's code for this fill-reducing order
-
 
 class Factorisation(Protocol):
     """Factorised symmetric matrix."""
@@ -43,14 +41,16 @@ class Factorisation(Protocol):
 
 
 class Pardiso:
-    """LDL^T, or L L^T if positive definite, with its own fill-reducing order."""
+    """LDL^T, or L L^T if positive definite."""
 
-    def __init__(self, matrix: sp.csr_matrix, nodal_graph: sp.csr_matrix, definite: bool):
+    def __init__(self, matrix: sp.csr_matrix, order: np.ndarray, definite: bool):
         self._upper = sp.csr_matrix(sp.triu(matrix))
         self._solver = PyPardisoSolver(mtype=2 if definite else -2)
         weakref.finalize(self, self._solver.free_memory, everything=True)
-        # MKL's defaults refine every solution, at four times the cost.
-        for name, value in {1: 1, 2: METIS, 10: 8}.items():
+        self._solver.perm = order.astype(np.int32) + 1
+        # No defaults, the given order, small pivots perturbed by 1e-8. MKL's defaults refine every solution, at
+        # four times the cost.
+        for name, value in {1: 1, 5: 1, 10: 8}.items():
             self._solver.set_iparm(name, value)
         self._solver.factorize(self._upper)
 
@@ -65,10 +65,10 @@ class Pardiso:
 
 
 class SuperLU:
-    """LDL^T in METIS' fill-reducing order, one permutation per node."""
+    """LDL^T."""
 
-    def __init__(self, matrix: sp.csr_matrix, nodal_graph: sp.csr_matrix, definite: bool):
-        self._order = nested_dissection(nodal_graph)
+    def __init__(self, matrix: sp.csr_matrix, order: np.ndarray, definite: bool):
+        self._order = order
         self._inverse = np.argsort(self._order)
         self._lu = sla.splu(
             matrix[self._order][:, self._order].tocsc(),
@@ -89,10 +89,10 @@ class SuperLU:
 
 
 class Cholmod:
-    """L L^T of a positive definite matrix in METIS' fill-reducing order."""
+    """L L^T of a positive definite matrix."""
 
-    def __init__(self, matrix: sp.csr_matrix, nodal_graph: sp.csr_matrix, definite: bool):
-        self._order = nested_dissection(nodal_graph)
+    def __init__(self, matrix: sp.csr_matrix, order: np.ndarray, definite: bool):
+        self._order = order
         self._inverse = np.argsort(self._order)
         lower = sp.tril(matrix[self._order][:, self._order]).tocoo()
         rows, columns = (dense(index.astype(np.int64)) for index in (lower.row, lower.col))
@@ -112,26 +112,34 @@ class Cholmod:
         return 0
 
 
-def factorise(matrix: sp.csr_matrix, nodal_graph: sp.csr_matrix, definite: bool = False) -> Factorisation:
+def factorise(matrix: sp.csr_matrix, order: np.ndarray, definite: bool = False) -> Factorisation:
     """Factorise a symmetric matrix with three unknowns per node.
 
     Parameters
     ----------
     matrix : (3N, 3N) sparse
-    nodal_graph : (N, N) sparse
-        Adjacency of the nodes.
+    order : (3N,) int array
+        Order of elimination; see `nested_dissection`.
     definite : bool
         Whether the matrix is known to be positive definite.
     """
     if PyPardisoSolver is not None:
-        return Pardiso(matrix, nodal_graph, definite)
+        return Pardiso(matrix, order, definite)
     if definite and cholmod is not None:
-        return Cholmod(matrix, nodal_graph, definite)
-    return SuperLU(matrix, nodal_graph, definite)
+        return Cholmod(matrix, order, definite)
+    return SuperLU(matrix, order, definite)
 
 
 def nested_dissection(nodal_graph: sp.csr_matrix) -> np.ndarray:
-    """Return a fill-reducing order of the unknowns; (3N,)."""
+    """Return a fill-reducing order of the unknowns by METIS; (3N,).
+
+    All matrices of a solid share it. It is found on the nodes, a ninth of the work of an order of unknowns.
+
+    Parameters
+    ----------
+    nodal_graph : (N, N) sparse
+        Adjacency of the nodes.
+    """
     graph = nodal_graph.copy()
     graph.setdiag(0)
     graph.eliminate_zeros()
