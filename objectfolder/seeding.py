@@ -1,11 +1,16 @@
 """Random generators that depend only on the seed, the object and the purpose."""
 
+from __future__ import annotations
+
 import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
+
+if TYPE_CHECKING:
+    import torch
 
 
 def numpy_generator(seed: int, *purpose: str) -> np.random.Generator:
@@ -15,6 +20,8 @@ def numpy_generator(seed: int, *purpose: str) -> np.random.Generator:
 
 def torch_generator(seed: int, *purpose: str) -> torch.Generator:
     """Return the torch generator (CPU) for one purpose."""
+    import torch  # here, because stages that use no net start in half the time without it
+
     return torch.Generator().manual_seed(_digest(seed, purpose) % 2**63)
 
 
@@ -24,6 +31,8 @@ def seeded(seed: int, *purpose: str) -> Iterator[None]:
 
     For layers, which draw their initial parameters from it.
     """
+    import torch
+
     with torch.random.fork_rng(devices=[]):
         torch.default_generator.manual_seed(_digest(seed, purpose) % 2**63)
         yield

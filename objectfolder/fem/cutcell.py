@@ -20,7 +20,14 @@ from numpy.polynomial import legendre
 from scipy.spatial import cKDTree
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.elasticity import FiniteElements, elasticity, scatter, strain_displacement, symmetric
+from objectfolder.fem.elasticity import (
+    FiniteElements,
+    elasticity,
+    scatter,
+    strain_displacement,
+    symmetric,
+    upper_blocks,
+)
 from objectfolder.fem.hex20 import NODES, shape_functions, shape_gradients
 from objectfolder.fem.occupancy import DEGREE, MARGIN, Occupancy, measure
 from objectfolder.fem.pieces import main_piece
@@ -141,18 +148,25 @@ class CutCells:
         full = np.eye(1, DEGREE**3) * 8
         moments = (moments + FICTITIOUS * (full - moments)) * (self.correction * (size / 2) ** 3)
         stiffness_basis, mass_basis = _reference_matrices(material, size)
-        nodes, width = self.nodes * scale, self.width[:, None]
-        dof = (3 * self.connectivity[:, :, None] + np.arange(3)).reshape(-1, 60)
-        stiffness = scatter((moments * width) @ stiffness_basis, dof, 3 * len(nodes))
-        mass = scatter((moments * width**3) @ mass_basis, self.connectivity, len(nodes))
-        if len(self.hanging) == 0:
-            return FiniteElements.of(stiffness, mass, nodes)
-        join = self.continuity
-        joint = sp.kron(join, sp.eye_array(3), format="csr")
-        nodes = np.delete(nodes, self.hanging, axis=0)
+        width = self.width[:, None]
         return FiniteElements.of(
-            symmetric(joint.T @ stiffness @ joint), symmetric(join.T @ mass @ join), nodes
+            self._joined((moments * width) @ stiffness_basis, 3),
+            self._joined((moments * width**3) @ mass_basis, 1),
+            np.delete(self.nodes, self.hanging, axis=0) * scale,
         )
+
+    def _joined(self, blocks: np.ndarray, size: int) -> sp.csr_matrix:
+        """Sum element matrices, given by their `upper_blocks`, over the free nodes."""
+        free = np.ones(int(self.connectivity.max()) + 1, bool)
+        free[self.hanging] = False
+        plain = free[self.connectivity].all(1)
+        column = np.cumsum(free) - 1
+        matrix = scatter(blocks[plain], column[self.connectivity[plain]], int(free.sum()))
+        if plain.all():
+            return matrix
+        join = sp.kron(self.continuity, sp.eye_array(size), format="csr")
+        hung = scatter(blocks[~plain], self.connectivity[~plain], len(free))
+        return matrix + symmetric(join.T @ hung @ join)
 
     def interpolate(self, values: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Evaluate a nodal field at points with the elements' shape functions.
@@ -299,7 +313,7 @@ def _element_at(cells: CutCells, position: np.ndarray) -> np.ndarray:
 
 
 def _reference_matrices(material: Material, size: float) -> tuple[np.ndarray, np.ndarray]:
-    """Element matrices per unit Legendre moment: stiffness (125, 3600) and scalar mass (125, 400)."""
+    """`upper_blocks` of stiffness (125, 1890) and mass (125, 210) per unit Legendre moment."""
     x, w = np.polynomial.legendre.leggauss(DEGREE)
     points = np.stack(np.meshgrid(x, x, x, indexing="ij"), -1).reshape(-1, 3)
     weights = np.einsum("a,b,c->abc", w, w, w).ravel()
@@ -313,4 +327,4 @@ def _reference_matrices(material: Material, size: float) -> tuple[np.ndarray, np
     stiffness = np.einsum("qik,ij,qjl->qkl", strain, elasticity(material), strain, optimize=True)
     shapes = shape_functions(points)
     mass = material.density * np.einsum("qi,qj->qij", shapes, shapes)
-    return project @ stiffness.reshape(len(points), -1), project @ mass.reshape(len(points), -1)
+    return project @ upper_blocks(stiffness, 3), project @ upper_blocks(mass, 1)

@@ -1,5 +1,6 @@
 """Linear elasticity and assembly, shared by all elements."""
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -87,12 +88,57 @@ def strain_displacement(gradients: np.ndarray) -> np.ndarray:
     return strain.reshape(count, 6, 3 * n)
 
 
-def scatter(element: np.ndarray, dof: np.ndarray, size: int) -> sp.csr_matrix:
-    """Sum element matrices into one symmetric sparse matrix."""
-    n = dof.shape[1]
-    dof = dof.astype(np.int32)
-    rows, columns = np.repeat(dof, n, axis=1).ravel(), np.tile(dof, (1, n)).ravel()
-    return symmetric(sp.coo_matrix((element.ravel(), (rows, columns)), shape=(size, size)).tocsr())
+def upper_blocks(matrices: np.ndarray, size: int) -> np.ndarray:
+    """Take the blocks on and above the diagonal of symmetric element matrices.
+
+    Parameters
+    ----------
+    matrices : (..., n size, n size) array
+        Of elements with n nodes.
+    size : int
+        Unknowns per node.
+
+    Returns
+    -------
+    (..., P size^2) array
+        P = n (n + 1) / 2 blocks of pairs of nodes, in the order of `numpy.triu_indices`.
+    """
+    lead, n = matrices.shape[:-2], matrices.shape[-1] // size
+    own, other = np.triu_indices(n)
+    blocks = matrices.reshape(*lead, n, size, n, size).swapaxes(-3, -2)
+    return blocks[..., own, other, :, :].reshape(*lead, -1)
+
+
+def scatter(blocks: np.ndarray, connectivity: np.ndarray, nodes: int) -> sp.csr_matrix:
+    """Sum element matrices into one symmetric sparse matrix.
+
+    Parameters
+    ----------
+    blocks : (E, P size^2) array
+        Their `upper_blocks`.
+    connectivity : (E, n) int array
+        Nodes of each element.
+    nodes : int
+        Number of all nodes.
+    """
+    own, other = (connectivity[:, side].ravel() for side in np.triu_indices(connectivity.shape[1]))
+    blocks = blocks.reshape(len(own), -1)
+    size = math.isqrt(blocks.shape[1])
+    pair = np.minimum(own, other) * np.int64(nodes) + np.maximum(own, other)
+    order = np.argsort(pair, kind="stable")
+    first = np.flatnonzero(np.diff(pair[order], prepend=-1))
+    blocks = blocks[order].reshape(-1, size, size)
+    turned = (own > other)[order]  # numbered the other way round in their element
+    blocks[turned] = blocks[turned].swapaxes(1, 2)
+    total = np.add.reduceat(blocks, first)
+    row, column = np.divmod(pair[order[first]], nodes)
+    diagonal, above = row == column, np.flatnonzero(row != column)
+    total[diagonal] = (total[diagonal] + total[diagonal].swapaxes(1, 2)) / 2  # symmetric up to rounding
+    total = np.concatenate([total, total[above].swapaxes(1, 2)])
+    row, column = np.concatenate([row, column[above]]), np.concatenate([column, row[above]])
+    order = np.argsort(row * nodes + column)
+    start = np.searchsorted(row[order], np.arange(nodes + 1))
+    return sp.bsr_matrix((total[order], column[order], start), shape=(size * nodes,) * 2).tocsr()
 
 
 def symmetric(matrix: sp.csr_matrix) -> sp.csr_matrix:

@@ -29,7 +29,6 @@ except ImportError:
     cholmod = None
 
 
-
 class Factorisation(Protocol):
     """Factorised symmetric matrix."""
 
@@ -48,7 +47,7 @@ class Pardiso:
         self._solver = PyPardisoSolver(mtype=2 if definite else -2)
         weakref.finalize(self, self._solver.free_memory, everything=True)
         self._solver.perm = order.astype(np.int32) + 1
-        # No defaults, the given order, small pivots perturbed by 1e-8. MKL's defaults refine every solution, at
+        # No defaults, the given order, pivots perturbed below 1e-8. The defaults refine every solution, at
         # four times the cost.
         for name, value in {1: 1, 5: 1, 10: 8}.items():
             self._solver.set_iparm(name, value)

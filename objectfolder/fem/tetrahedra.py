@@ -14,7 +14,13 @@ from scipy.spatial import cKDTree
 from scipy.special import roots_jacobi
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.elasticity import FiniteElements, elasticity, scatter, strain_displacement
+from objectfolder.fem.elasticity import (
+    FiniteElements,
+    elasticity,
+    scatter,
+    strain_displacement,
+    upper_blocks,
+)
 from objectfolder.fem.pieces import main_piece
 from objectfolder.materials import Material
 from objectfolder.mesh.topology import components, signed_volume
@@ -75,7 +81,6 @@ class Tetrahedra:
         """Assemble stiffness and mass; ``scale`` is the longest side in metres."""
         points, weights = _quadrature(3)
         rigidity = elasticity(material)
-        dof = (3 * self.connectivity[:, :, None] + np.arange(3)).reshape(-1, 30)
         volumes = self._volumes * scale**3
         stiffness = np.zeros((self.elements, 30, 30))
         for point, weight in zip(points, weights):
@@ -86,8 +91,8 @@ class Tetrahedra:
         shapes = _shapes(points)
         mass = material.density * (shapes.T * weights) @ shapes
         return FiniteElements.of(
-            scatter(stiffness.reshape(self.elements, -1), dof, self.degrees_of_freedom),
-            scatter(volumes[:, None] * mass.ravel(), self.connectivity, len(self.vertices)),
+            scatter(upper_blocks(stiffness, 3), self.connectivity, len(self.vertices)),
+            scatter(volumes[:, None] * upper_blocks(mass, 1), self.connectivity, len(self.vertices)),
             self.vertices * scale,
         )
 

@@ -12,7 +12,13 @@ from scipy.ndimage import label
 from scipy.spatial import cKDTree
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.elasticity import FiniteElements, elasticity, scatter, strain_displacement
+from objectfolder.fem.elasticity import (
+    FiniteElements,
+    elasticity,
+    scatter,
+    strain_displacement,
+    upper_blocks,
+)
 from objectfolder.fem.hex20 import NODES
 from objectfolder.fem.occupancy import MARGIN
 from objectfolder.fem.pieces import main_piece
@@ -75,11 +81,10 @@ class Voxels:
     def assemble(self, material: Material, scale: float) -> FiniteElements:
         """Assemble stiffness and mass; ``scale`` is the longest side in metres."""
         stiffness, mass = _element_matrices(material, self.cell_size * scale, self.incompatible)
-        dof = (3 * self.connectivity[:, :, None] + np.arange(3)).reshape(-1, 24)
         count, size = len(self.index), int(self.connectivity.max()) + 1
         return FiniteElements.of(
-            scatter(np.tile(stiffness.ravel(), (count, 1)), dof, 3 * size),
-            scatter(np.tile(mass.ravel(), (count, 1)), self.connectivity, size),
+            scatter(np.tile(upper_blocks(stiffness, 3), (count, 1)), self.connectivity, size),
+            scatter(np.tile(upper_blocks(mass, 1), (count, 1)), self.connectivity, size),
             self.nodes * scale,
         )
 
