@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.grid import BOUND, band_width
+from objectfolder.mesh.gridcodec import BOUND, band_width
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.sdf import distance_grid

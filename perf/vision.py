@@ -24,7 +24,8 @@ from rich.table import Table
 
 from objectfolder.figures import tile
 from objectfolder.io import read_npz, write_npz, write_png
-from objectfolder.mesh.grid import BOUND, DistanceGrid
+from objectfolder.mesh.grid import DistanceGrid
+from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.metrics import psnr

@@ -14,7 +14,8 @@ from objectfolder.figures import page, page_rows, save_page, show_image
 from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
 from objectfolder.inspection.scene import CLAY, VIEW_FROM, add_textured, draw_scene, hexahedra, triangles
 from objectfolder.io import atomic, read_json, read_npz
-from objectfolder.mesh.grid import BOUND, DistanceGrid
+from objectfolder.mesh.grid import DistanceGrid
+from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.textured import TexturedMesh

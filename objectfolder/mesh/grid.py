@@ -1,15 +1,14 @@
 """Stored geometry: a band-limited signed distance on a cubic grid, quantised to int8."""
 
-import math
 from collections.abc import Callable
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 
-BOUND = 0.52  #: the grid spans [-BOUND, BOUND]^3 of the unit frame
+from objectfolder.mesh.gridcodec import BOUND
+
 _CORNERS = [[1.0, -1, -1], [-1, -1, 1], [-1, 1, -1], [1, 1, 1]]  # of a tetrahedron
-BAND_VOXELS = 2.5  #: distances are clipped to this many voxels
 
 
 class DistanceGrid:
@@ -91,18 +90,3 @@ def ascent(field: Callable[[torch.Tensor], torch.Tensor], points: torch.Tensor, 
 def _direction(values: torch.Tensor, corner: torch.Tensor) -> torch.Tensor:
     """Compute the normalised gradient from values (4, N) at the corners of tetrahedra; (N, 3)."""
     return F.normalize((values[..., None] * corner[:, None]).sum(0), dim=-1, eps=1e-20)
-
-
-def quantise(distance: np.ndarray, band: float) -> np.ndarray:
-    """Quantise signed distances to int8; 127 is the band."""
-    return np.clip(np.rint(distance * (127 / band)), -127, 127).astype(np.int8)
-
-
-def band_width(resolution: int) -> float:
-    """Return the distance at which a grid of this resolution is clipped."""
-    return BAND_VOXELS * 2 * BOUND / (resolution - 1)
-
-
-def coarse_spacing(resolution: int, step: int) -> tuple[int, float]:
-    """Return samples and spacing of a grid ``step`` times coarser that covers the fine one."""
-    return math.ceil((resolution - 1) / step) + 1, step * 2 * BOUND / (resolution - 1)

@@ -1,13 +1,16 @@
-"""Lossless compression of the distance grid.
+"""Encoding of the distance grid: quantisation to int8, and lossless compression.
 
 LZMA compresses either the grid itself (better for designed objects) or its prediction residuals (better for
 scans); the shorter stream is kept.
 """
 
 import lzma
+import math
 
 import numpy as np
 
+BOUND = 0.52  #: the grid spans [-BOUND, BOUND]^3 of the unit frame
+BAND_VOXELS = 2.5  #: distances are clipped to this many voxels
 #: Prediction subtracted before compression: none, or linear extrapolation of the two preceding x planes.
 PREDICTORS = ("none", "planes")
 
@@ -17,6 +20,21 @@ _FILTERS = {
     "none": [{"id": lzma.FILTER_LZMA2, "preset": 6}],
     "planes": [{"id": lzma.FILTER_LZMA2, "preset": 6, "lc": 0, "pb": 0}],
 }
+
+
+def quantise(distance: np.ndarray, band: float) -> np.ndarray:
+    """Quantise signed distances to int8; 127 is the band."""
+    return np.clip(np.rint(distance * (127 / band)), -127, 127).astype(np.int8)
+
+
+def band_width(resolution: int) -> float:
+    """Return the distance at which a grid of this resolution is clipped."""
+    return BAND_VOXELS * 2 * BOUND / (resolution - 1)
+
+
+def coarse_spacing(resolution: int, step: int) -> tuple[int, float]:
+    """Return samples and spacing of a grid ``step`` times coarser that covers the fine one."""
+    return math.ceil((resolution - 1) / step) + 1, step * 2 * BOUND / (resolution - 1)
 
 
 def pack_grid(values: np.ndarray) -> tuple[np.ndarray, str]:

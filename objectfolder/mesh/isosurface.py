@@ -7,7 +7,8 @@ import numpy as np
 import torch
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.grid import BOUND, DistanceGrid
+from objectfolder.mesh.grid import DistanceGrid
+from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.raycast import RayCaster
 
 if TYPE_CHECKING:

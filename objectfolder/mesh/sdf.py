@@ -5,7 +5,7 @@ import numpy as np
 from skimage.measure import marching_cubes
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.grid import BOUND, band_width, coarse_spacing, quantise
+from objectfolder.mesh.gridcodec import BOUND, band_width, coarse_spacing, quantise
 from objectfolder.mesh.scanline import inside
 from objectfolder.mesh.topology import signed_volume
 

@@ -11,7 +11,8 @@ import numpy as np
 import torch
 from torch import nn
 
-from objectfolder.mesh.grid import BOUND, ascent
+from objectfolder.mesh.grid import ascent
+from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.nets.positional import SkipNetwork, encoded, with_half_weights
 from objectfolder.vision.cameras import Intrinsics, camera_rays
 from objectfolder.vision.picture import Picture

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from objectfolder.mesh.grid import BOUND
+from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.nets.fit import CurvePoint, fit, minibatches
 from objectfolder.nets.vision_config import OsfConfig
 from objectfolder.nets.vision_osf import OsfNet, pixel_centres

@@ -17,7 +17,7 @@ import torch.nn.functional as F
 from torch import nn
 
 from objectfolder.mesh import srgb
-from objectfolder.mesh.grid import BOUND
+from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.hashgrid import HashGrid
 from objectfolder.vision.bsdf import fresnel, principled

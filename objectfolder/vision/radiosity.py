@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from objectfolder.mesh.grid import BOUND
+from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.vision.trace import SurfaceSamples, is_lit, weighted_rows

@@ -52,7 +52,9 @@ def test_negative_pivots_count_the_eigenvalues_below(kind, plate):
     assert len(gaps) > 20
     for below in gaps[::5]:
         shift = values[below : below + 2].mean()
-        factor = kind((fem.stiffness - shift * fem.mass).tocsr(), nested_dissection(fem.nodal_mass), definite=False)
+        factor = kind(
+            (fem.stiffness - shift * fem.mass).tocsr(), nested_dissection(fem.nodal_mass), definite=False
+        )
         assert factor.negative_pivots() == below + 1
 
 

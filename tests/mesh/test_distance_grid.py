@@ -8,7 +8,8 @@ import trimesh
 from solids import TURN, box, sphere
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.grid import BAND_VOXELS, BOUND, DistanceGrid, band_width, quantise
+from objectfolder.mesh.grid import DistanceGrid
+from objectfolder.mesh.gridcodec import BAND_VOXELS, BOUND, band_width, quantise
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.reading.load import load_mesh

@@ -5,7 +5,8 @@ from scipy.ndimage import gaussian_filter
 from skimage.measure import marching_cubes
 from solids import TURN, box, isosurface, sphere
 
-from objectfolder.mesh.grid import BOUND, DistanceGrid
+from objectfolder.mesh.grid import DistanceGrid
+from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.topology import is_closed, signed_volume
 

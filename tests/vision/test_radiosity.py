@@ -3,7 +3,8 @@ import pytest
 import torch
 from solids import isosurface, sphere
 
-from objectfolder.mesh.grid import BOUND, DistanceGrid, quantise
+from objectfolder.mesh.grid import DistanceGrid
+from objectfolder.mesh.gridcodec import BOUND, quantise
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.vision.radiosity import Radiosity
 from objectfolder.vision.trace import SurfaceSamples, trace

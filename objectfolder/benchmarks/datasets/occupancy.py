@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from objectfolder.io import read_npz, write_npz
-from objectfolder.mesh.grid import BOUND
+from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.seeding import numpy_generator
