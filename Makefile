@@ -4,54 +4,89 @@ JOBS ?= 2
 # Such as an index with CPU builds of torch; the default index has CUDA builds, gigabytes that nothing here needs.
 PIP_ARGS ?=
 BIN := .venv/bin
+INSTALL = $(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt $(PIP_ARGS)
 
-.PHONY: setup demo test test-slow test-extras fuzz lint docs gltf-validate clean
+.PHONY: setup demo test test-slow test-extras fuzz lint docs gltf-validate lock sbom licences clean
 
-setup: .venv/installed
+# What a build needs. The targets below that test or check install the rest.
+setup: .venv/.build
 
-.venv/installed: pyproject.toml constraints.txt
+.venv/.build: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt $(PIP_ARGS) -e '.[build,dev]'
+	$(INSTALL) -e '.[build]'
 	touch $@
 
-demo: setup
+.venv/.dev: .venv/.build
+	$(INSTALL) -e '.[dev]'
+	touch $@
+
+demo: .venv/.build
 	$(BIN)/objectfolder build -j $(JOBS)
 
 # A test that hangs is killed after ten minutes and says where it was; a process that dies ends the run, as
 # pytest-xdist would else wait for tests that it had lost.
-test: setup
+test: .venv/.dev
 	$(BIN)/pytest -n $(JOBS) --dist loadscope --no-loadscope-reorder --max-worker-restart 0 \
 	  -o faulthandler_timeout=600 -o faulthandler_exit_on_timeout=true
 
-test-slow: setup
+test-slow: .venv/.dev
 	$(BIN)/pytest -m slow
 
 # Optional extras, in environments of their own; prints a table for docs/development.md.
-test-extras: setup
+test-extras: .venv/.dev
 	@PIP_ARGS="$(PIP_ARGS)" $(BIN)/python tests/extras/run.py
 
 # Ten minutes each.
-fuzz: setup
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt atheris
+fuzz: .venv/.dev
+	$(INSTALL) atheris
 	$(BIN)/python fuzz/objectfile.py -max_total_time=600
 	$(BIN)/python fuzz/queryfiles.py -max_total_time=600
 	$(BIN)/python fuzz/released.py -max_total_time=600
 	$(BIN)/pytest --hypothesis-profile=fuzz tests/objectfile/test_hostile_files.py
 
-lint: setup
+lint: .venv/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
 # The site: build/site/index.html. Warnings are errors.
-docs: setup
+docs: .venv/.dev
 	$(BIN)/sphinx-build --fresh-env --write-all --fail-on-warning --keep-going --quiet docs build/site
 
 # Needs node and npm.
-gltf-validate: setup
+gltf-validate: .venv/.dev
 	npm install --silent --no-save --prefix build/.npm gltf-validator@2.0.0-dev.3.10
 	$(BIN)/pytest -n $(JOBS) tests/mesh/reading/test_gltf_validator.py
+
+# Hashes of base and build for pip --require-hashes. torch is apart: its CPU build has other hashes.
+UV_LOCK = UV_CUSTOM_COMPILE_COMMAND='make lock' .venv-supply/bin/uv pip compile --quiet --no-config --universal \
+  --python-version 3.11 --generate-hashes --annotation-style line -c constraints.txt
+lock: .venv-supply/.tools
+	echo torch | $(UV_LOCK) --extra build --excludes /dev/stdin pyproject.toml -o requirements.lock
+	echo torch | $(UV_LOCK) - -o requirements-torch.lock
+
+# What a user of base and build gets: build/sbom.json (CycloneDX), of an environment installed from the lock.
+sbom: .venv-supply/.tools .venv-lock/.installed
+	mkdir -p build
+	.venv-supply/bin/cyclonedx-py environment --output-reproducible --pyproject pyproject.toml -o build/sbom.json \
+	  .venv-lock
+
+# docs/licences.md
+licences: .venv/.dev
+	$(BIN)/python docs/licences.py
+
+.venv-supply/.tools: Makefile
+	$(PYTHON) -m venv .venv-supply
+	.venv-supply/bin/pip install --quiet --disable-pip-version-check cyclonedx-bom==7.5.0 uv==0.13.9
+	touch $@
+
+.venv-lock/.installed: requirements.lock
+	$(PYTHON) -m venv --clear .venv-lock
+	.venv-lock/bin/pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	.venv-lock/bin/pip install --quiet --disable-pip-version-check -c constraints.txt $(PIP_ARGS) torch
+	.venv-lock/bin/pip check
+	touch $@
 
 clean:
 	rm -rf build metrics

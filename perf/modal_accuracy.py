@@ -251,7 +251,7 @@ def threads() -> Row:
         variables = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), count)
         command = [sys.executable, "-c", code, str(target)]
         subprocess.run(command, cwd=ROOT / "perf", env=os.environ | variables, check=True)
-        shapes.append(np.load(target))
+        shapes.append(np.load(target, allow_pickle=False))
         target.unlink()
     return Row(
         "shapes, 1 and 2 threads", float(np.abs(shapes[0] - shapes[1]).max() / np.abs(shapes[0]).max()), 1e-8

@@ -9,6 +9,7 @@ from rich.markup import escape
 from objectfolder.cli import (
     bench,
     bench_robots,
+    doctor,
     export,
     objectfile,
     objects,
@@ -43,6 +44,7 @@ for command in (
     workspace.inspect,
     objectfile.info,
     reconstruct.reconstruct,
+    doctor.doctor,
 ):
     app.command()(command)
 app.command("import")(released.import_released)
@@ -70,5 +72,5 @@ def main() -> None:
         if (error.name or "").split(".")[0] == "objectfolder":
             raise
         sys.exit(
-            f"error: {error.name} is not installed; this needs: pip install -e '.[build,bench]' (make setup)"
+            f"error: {error.name} is not installed; `objectfolder doctor` shows what to install"
         )

@@ -39,9 +39,9 @@ def draw_scene(
     Raises
     ------
     ObjectFolderError
-        If the machine has no OpenGL.
+        If pyvista is not installed, or the machine has no OpenGL.
     """
-    import pyvista
+    pyvista = _pyvista()
     from vtkmodules.vtkCommonCore import vtkLogger
 
     # Without an X server VTK warns before it falls back to EGL.
@@ -67,15 +67,13 @@ def draw_scene(
 
 def triangles(vertices: np.ndarray, faces: np.ndarray) -> "pyvista.PolyData":
     """Return a VTK mesh of (V, 3) vertices and (F, 3) faces."""
-    import pyvista
-
+    pyvista = _pyvista()
     return pyvista.PolyData.from_regular_faces(np.asarray(vertices, np.float64), faces)
 
 
 def add_textured(plotter: "pyvista.Plotter", mesh: TexturedMesh) -> None:
     """Add a mesh with its texture or vertex colours."""
-    import pyvista
-
+    pyvista = _pyvista()
     poly = triangles(mesh.vertices, mesh.faces)
     if mesh.uv is not None and mesh.texture is not None:
         poly.active_texture_coordinates = mesh.uv
@@ -103,8 +101,7 @@ def hexahedra(
     width : (E,) int array
         Side of each cube, in cells.
     """
-    import pyvista
-
+    pyvista = _pyvista()
     # Corners in VTK's order: around the bottom, then around the top.
     corner = np.array(
         [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]]
@@ -113,6 +110,16 @@ def hexahedra(
         (index[:, None] + width[:, None, None] * corner).reshape(-1, 3), axis=0, return_inverse=True
     )
     return pyvista.UnstructuredGrid({pyvista.CellType.HEXAHEDRON: cells.reshape(-1, 8)}, nodes * size + lower)
+
+
+def _pyvista() -> Any:
+    try:
+        import pyvista
+    except ModuleNotFoundError as error:
+        raise ObjectFolderError(
+            f"{error.name} is not installed; pictures of meshes and cells need: pip install 'objectfolder[inspect]'"
+        ) from error
+    return pyvista
 
 
 def _crop(image: np.ndarray, margin: int = 10) -> np.ndarray:

@@ -130,7 +130,7 @@ def collect_grasps(
                 rng = numpy_generator(seed, file.key, "grasps", str(len(paths)))
                 tried = label_grasps(scene, rests, wanted.perturbations, rng)
                 write_npz(path, **_observed(file, body, camera, wanted.touch, truth, *tried))
-            with np.load(path) as stored:
+            with np.load(path, allow_pickle=False) as stored:
                 counts = {name: count + int(stored[name]) for name, count in counts.items()}
             paths.append(path)
             report(min(counts["touched"], wanted.grasps), wanted.grasps)
@@ -293,7 +293,7 @@ def _images(
 def _write(folder: Path, paths: list[Path], count: int) -> str:
     """Concatenate batches array by array; return the SHA-256 of the arrays."""
     digest = hashlib.sha256()
-    with np.load(paths[0]) as first:
+    with np.load(paths[0], allow_pickle=False) as first:
         rows = {name: first[name][:1] for name in first.files if first[name].ndim}
     for name in ARRAYS:
         if name not in rows:
@@ -315,7 +315,7 @@ def _write(folder: Path, paths: list[Path], count: int) -> str:
 
 def _parts(paths: list[Path], name: str) -> Iterator[np.ndarray]:
     for path in paths:
-        with np.load(path) as stored:
+        with np.load(path, allow_pickle=False) as stored:
             yield stored[name]
 
 

@@ -81,7 +81,7 @@ def _set_up_cycles(scene: Any, settings: dict[str, Any]) -> None:
 
 def _add_object(bpy: Any, scene: Any, folder: Path, settings: dict[str, Any]) -> None:
     # From arrays, since Blender's importers rotate the axes.
-    with np.load(folder / "mesh.npz") as arrays:
+    with np.load(folder / "mesh.npz", allow_pickle=False) as arrays:
         names = ("vertices", "faces", "uv", "colors", "normals")
         vertices, faces, uv, colors, normals = (arrays[name] for name in names)
     mesh = bpy.data.meshes.new("object")

@@ -83,7 +83,7 @@ class CyclesRenderer:
         except BrokenPipeError:
             pass  # Blender has ended; _wait reports why
         self._wait("render")
-        image = np.load(self._folder / "image.npy")
+        image = np.load(self._folder / "image.npy", allow_pickle=False)
         return np.ascontiguousarray(
             image[rows : rows + intrinsics.height, columns : columns + intrinsics.width]
         )

@@ -1,0 +1,175 @@
+"""Command that shows what is installed: doctor."""
+
+import ctypes
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, distribution, requires, version
+
+from packaging.requirements import Requirement
+from rich.markup import escape
+from rich.table import Table
+
+from objectfolder.cli.console import console, print_wide
+
+#: What each extra of pyproject.toml brings, and its size on disk. Extras for developers are left out.
+EXTRAS = {
+    "build": "add, build and all stages; 1.4 GB",
+    "inspect": "inspect of meshes, solids and views (VTK); 0.6 GB",
+    "bench": "retrieval baseline and grasp scores (scikit-learn); 0.06 GB",
+    "rl": "robot environments, export mjcf and urdf (MuJoCo); 0.1 GB",
+    "hub": "export of training sets; 0.3 GB",
+    "ray": "build --engine ray, on a cluster; 0.25 GB",
+    "s3": "remotes on S3; 0.03 GB",
+    "tet": "voxelize.element tet10, a check of the modes; 0.01 GB",
+    "cycles": "render_views.renderer cycles (bpy, GPL); 0.4 GB to download",
+    "raster": "render_views.renderer raster, previews; 0.03 GB",
+    "metaworld": "bench reach --metaworld, in an environment of its own",
+}
+# In a process of its own, because Dr.Jit prints, and a library that it cannot use may end the process.
+LLVM_PROBE = """
+import drjit
+from objectfolder.vision.renderers.mitsuba import OLDEST_LLVM
+found = drjit.detail.llvm_version()
+print("" if found[0] < 0 else ".".join(map(str, found)) + ("" if found >= OLDEST_LLVM else ", too old"))
+"""
+
+
+@dataclass(frozen=True)
+class Part:
+    """Library, program or extra that is used where it is installed.
+
+    Parameters
+    ----------
+    name : str
+    found : str
+        Versions or paths; empty if nothing is installed.
+    usable : bool
+    brings : str
+        What it is for, and what it costs.
+    get : str
+        How to install it.
+    """
+
+    name: str
+    found: str
+    usable: bool
+    brings: str
+    get: str
+
+
+def doctor() -> None:
+    """Show what is installed, what is missing, what each part brings and costs, and how to get it.
+
+    Queries need only Embree. `objectfolder build` needs the extra **build**. The other parts add a command or
+    a setting, or make something faster.
+
+    What is installed changes no result by itself, with two exceptions: PARDISO, CHOLMOD and SuperLU give
+    vibration modes that agree to rounding, and nets are trained on a GPU if there is one.
+
+    **LLVM** is for `render_views.renderer: mitsuba-llvm` in params.yaml. Debian's package is libllvm19. If an
+    older one is found first, set `DRJIT_LIBLLVM_PATH=/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1`.
+    """
+    table = Table("part", "found", "brings", "if missing", box=None)
+    for part in examine():
+        color = "green" if part.usable else "yellow"
+        found = f"[{color}]{escape(part.found or 'missing')}[/]"
+        table.add_row(part.name, found, part.brings, "" if part.usable else escape(part.get))
+    print_wide(table, console)
+
+
+def examine() -> list[Part]:
+    """Look for every part."""
+    return [*(check() for check in CHECKS), *map(extra, EXTRAS)]
+
+
+def embree() -> Part:
+    """Look for the ray caster of all queries."""
+    found = installed("embreex")
+    return Part("Embree", found, bool(found), "all queries and most stages", "pip install objectfolder")
+
+
+def pardiso() -> Part:
+    """Look for the fastest factorisation."""
+    found, mkl = installed("pypardiso"), installed("mkl")
+    brings = "modal in half the time and memory; 0.9 GB of the extra build, x86-64 only"
+    get = "pip install 'objectfolder[build]'"
+    return Part("PARDISO (MKL)", mkl and found, bool(mkl and found), brings, get)
+
+
+def cholmod() -> Part:
+    """Look for the factorisation used without PARDISO."""
+    found = installed("cvxopt")
+    brings = "modal without PARDISO; GPL, so no extra installs it"
+    return Part("CHOLMOD", found, bool(found), brings, "pip install cvxopt")
+
+
+def llvm() -> Part:
+    """Ask Dr.Jit which LLVM it finds."""
+    found = ""
+    if installed("mitsuba"):
+        ran = subprocess.run([sys.executable, "-c", LLVM_PROBE], capture_output=True, text=True)
+        found = ran.stdout.strip()
+    brings = "renderer mitsuba-llvm: views in half the time; 0.15 GB"
+    get = "apt-get install libllvm19, and DRJIT_LIBLLVM_PATH (see --help)"
+    return Part("LLVM 19", found, bool(found) and "too old" not in found, brings, get)
+
+
+def opengl() -> Part:
+    """Look for OpenGL without a screen."""
+    found = ", ".join(name for name in ("libEGL.so.1", "libOSMesa.so.8") if loads(name))
+    brings = "pictures of inspect, renderer raster"
+    return Part("OpenGL", found, bool(found), brings, "apt-get install libegl1 libgl1-mesa-dri")
+
+
+def cuda() -> Part:
+    """Look for an NVIDIA driver, and for torch's CUDA library without importing torch."""
+    driver = loads("libcuda.so.1")
+    torch = any(file.name == "libtorch_cuda.so" for file in distribution("torch").files or ())
+    found = ", ".join((["NVIDIA driver"] if driver else []) + (["torch with CUDA"] if torch else []))
+    brings = "faster training, renderer mitsuba-cuda; several GB"
+    return Part("CUDA", found, driver and torch, brings, "an NVIDIA driver, and torch from the default index")
+
+
+def blender() -> Part:
+    """Look for Blender's program."""
+    found = shutil.which("blender") or ""
+    return Part(
+        "Blender", found, bool(found), "renderer cycles without its extra; GPL", "Blender 4.2 or newer"
+    )
+
+
+CHECKS: tuple[Callable[[], Part], ...] = (embree, pardiso, cholmod, llvm, opengl, cuda, blender)
+
+
+def extra(name: str) -> Part:
+    """Compare an extra of pyproject.toml with the installed packages."""
+    wanted = [
+        one
+        for one in map(Requirement, requires("objectfolder") or ())
+        if one.marker and one.marker.evaluate({"extra": name}) and not one.marker.evaluate({"extra": ""})
+    ]
+    missing = [one.name for one in wanted if not one.specifier.contains(installed(one.name) or "0", True)]
+    shown = ", ".join(missing[:3]) + (", ..." if len(missing) > 3 else "")
+    found = "" if len(missing) == len(wanted) else f"without {shown}" if missing else "installed"
+    get = f"pip install 'objectfolder[{name}]'" if wanted else "not for this Python or machine"
+    return Part(f"extra {name}", found, bool(found) and not missing, EXTRAS[name], get)
+
+
+def installed(package: str) -> str:
+    """Version of an installed package; empty if it is missing."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return ""
+
+
+def loads(library: str) -> bool:
+    """Whether the system has a shared library."""
+    try:
+        ctypes.CDLL(library)
+    except OSError:
+        return False
+    return True

@@ -1,0 +1,71 @@
+"""Locks, licences and extras agree."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+CUDA = re.compile(r"nvidia-|cuda-|triton$|setuptools$")
+WINDOWS = {"pywin32", "tzdata"}
+LICENCES = (ROOT / "docs" / "licences.md").read_text()
+
+
+def pins(text):
+    """Versions by normalized name; every line is a pin."""
+    found = map(Requirement, text.split("\n"))
+    return {canonicalize_name(one.name): str(one.specifier).removeprefix("==") for one in found}
+
+
+def lock(name):
+    """Versions and hashes by package."""
+    lines = [line for line in (ROOT / name).read_text().splitlines() if not line.lstrip().startswith("#")]
+    entries = re.split(r"\n(?=\S)", "\n".join(lines))
+    split = [entry.partition(" \\\n") for entry in entries]
+    hashes = [re.findall(r"--hash=sha256:([0-9a-f]{64})(?: \\)?(?:\n|$)", rest) for *_, rest in split]
+    assert [len(found) for found in hashes] == [rest.count("\n") + 1 for *_, rest in split]
+    versions = pins("\n".join(head for head, *_ in split))
+    assert len(versions) == len(entries)
+    return versions
+
+
+CONSTRAINTS = pins("\n".join((ROOT / "constraints.txt").read_text().splitlines()[1:]))
+
+
+@pytest.mark.parametrize("name", ["requirements.lock", "requirements-torch.lock"])
+def test_locks_pin_every_package_by_hash_at_the_versions_of_constraints(name):
+    locked = lock(name)
+    other = {key for key, version in locked.items() if CONSTRAINTS.get(key) != version}
+    assert {key for key in other if not CUDA.match(key)} <= WINDOWS
+    assert "://" not in (ROOT / name).read_text()
+
+
+def test_the_lock_holds_what_base_and_build_ask_for_and_torch_is_apart():
+    texts = PROJECT["dependencies"] + PROJECT["optional-dependencies"]["build"]
+    locked, torch = lock("requirements.lock"), lock("requirements-torch.lock")
+    wanted = {canonicalize_name(one.name): one.specifier for one in map(Requirement, texts)}
+    assert "torch" in torch
+    assert "torch" not in locked
+    assert [key for key, versions in wanted.items() if not versions.contains((locked | torch)[key])] == []
+    # Else the two could not be installed together.
+    assert {key: torch[key] for key in torch.keys() & locked.keys()}.items() <= locked.items()
+
+
+def test_every_locked_package_has_its_licence():
+    rows = re.findall(r"^\| (\S+) \| (\S+) \| (.+) \| (.+) \|$", LICENCES, re.M)
+    listed = {name: version for name, version, *_ in rows}
+    locked = lock("requirements.lock")
+    assert {key: version for key, version in locked.items() if listed.get(key) != version}.keys() <= WINDOWS
+    assert not [name for name, _, licence, _ in rows if licence in ("", "None", "UNKNOWN")]
+    gpl = {
+        name for name, _, licence, users in rows if re.search(r"\b(A?GPL|GNU)", licence) and users != "dev"
+    }
+    assert gpl == {"asyncssh", "dulwich", "grandalf", "pygit2"}
+    # Each is explained above the table.
+    explained = LICENCES.partition("## All packages")[0]
+    assert all(f"| {name} |" in explained for name in gpl)
+    assert not [name for name, *_, users in rows if name in gpl and "base" in users]
