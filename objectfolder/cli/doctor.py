@@ -136,9 +136,8 @@ def cuda() -> Part:
 def blender() -> Part:
     """Look for Blender's program."""
     found = shutil.which("blender") or ""
-    return Part(
-        "Blender", found, bool(found), "renderer cycles without its extra; GPL", "Blender 4.2 or newer"
-    )
+    brings = "renderer cycles without its extra; GPL"
+    return Part("Blender", found, bool(found), brings, "Blender 4.2 or newer, on the PATH")
 
 
 CHECKS: tuple[Callable[[], Part], ...] = (embree, pardiso, cholmod, llvm, opengl, cuda, blender)

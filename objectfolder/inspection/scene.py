@@ -117,7 +117,7 @@ def _pyvista() -> Any:
         import pyvista
     except ModuleNotFoundError as error:
         raise ObjectFolderError(
-            f"{error.name} is not installed; pictures of meshes and cells need: pip install 'objectfolder[inspect]'"
+            f"{error.name} is not installed; this needs: pip install 'objectfolder[inspect]'"
         ) from error
     return pyvista
 

@@ -19,6 +19,7 @@ from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.elements import solid_arrays, solid_from_arrays
 from objectfolder.fem.modal import modal_analysis
 from objectfolder.inspection import STAGES, Inspection, inspect_stage, print_inspection
+from objectfolder.inspection.scene import triangles
 from objectfolder.io import (
     atomic,
     read_json,
@@ -379,6 +380,12 @@ def test_without_opengl_the_error_says_what_to_install():
     assert ran.returncode == 1
     assert "ObjectFolderError" in ran.stderr
     assert "apt-get install libegl1 libgl1-mesa-dri" in ran.stderr
+
+
+def test_without_pyvista_the_error_names_the_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyvista", None)
+    with pytest.raises(ObjectFolderError, match=r"pyvista is not installed.*objectfolder\[inspect\]"):
+        triangles(np.eye(3), np.array([[0, 1, 2]]))
 
 
 def test_print_keeps_brackets(capsys):
