@@ -71,6 +71,4 @@ def main() -> None:
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] == "objectfolder":
             raise
-        sys.exit(
-            f"error: {error.name} is not installed; `objectfolder doctor` shows what to install"
-        )
+        sys.exit(f"error: {error.name} is not installed; `objectfolder doctor` shows what to install")
