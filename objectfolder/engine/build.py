@@ -4,7 +4,7 @@ import bisect
 import logging
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -12,6 +12,7 @@ from queue import Empty, SimpleQueue
 from objectfolder import disk
 from objectfolder.engine.dvc import remote, steps
 from objectfolder.engine.dvc.graph import StageGraph, stage_graph
+from objectfolder.engine.dvc.inputs import Stamps, hold_params
 from objectfolder.engine.dvc.repository import OpenRepository, open_repository, read_params
 from objectfolder.engine.failures import LOGS, forget_failure, log_path, record_failure
 from objectfolder.engine.process import Command, CommandResult, describe_result, stage_environment, tail
@@ -19,6 +20,7 @@ from objectfolder.engine.resources import Machine, Needs, cores, needs_of
 from objectfolder.engine.schedule import Schedule, object_groups
 from objectfolder.engine.signals import StopSignals
 from objectfolder.engine.summary import (
+    Disturbed,
     Finished,
     Listener,
     Lost,
@@ -33,7 +35,7 @@ from objectfolder.errors import ObjectFolderError
 
 #: Objects in progress at a time, per core.
 OBJECTS_PER_CORE = 2
-#: Restarts of a stage whose worker was lost.
+#: Restarts of a stage whose worker was lost, or whose inputs changed while it ran.
 RESTARTS = 3
 _log = logging.getLogger(__name__)
 
@@ -117,6 +119,7 @@ def build(
     with open_repository(root, options.wait) as repository:
         repository.remove_partial_copies()
         graph = stage_graph(repository, targets)
+        held = hold_params(graph.stages.values(), repository.root, repository.own_files)
         reached = options.pull and remote.pull_build(repository.repo, graph.stages.values())
         repository.use_run_cache(pull=reached)
         params = read_params(repository.root)
@@ -125,7 +128,7 @@ def build(
             limit = options.timeout or None
             needs = {address: replace(need, timeout=limit) for address, need in needs.items()}
         on_event(Planned({address: need.seconds for address, need in needs.items()}))
-        results = _Build(repository, graph, needs, options, on_event, make_workers).run()
+        results = _Build(repository, graph, held, needs, options, on_event, make_workers).run()
     ordered = {address: results[address] for address in graph.stages}
     return Summary(stages=ordered, seconds=time.monotonic() - start)
 
@@ -137,6 +140,7 @@ class _Build:
         self,
         repository: OpenRepository,
         graph: StageGraph,
+        held: Mapping[str, str],
         needs: dict[str, Needs],
         options: BuildOptions,
         on_event: Listener,
@@ -144,6 +148,7 @@ class _Build:
     ):
         self.repository = repository
         self.stages = graph.stages
+        self.held = held
         self.needs = needs
         self.options = options
         self.logs = repository.root / LOGS
@@ -151,8 +156,9 @@ class _Build:
         self.results: dict[str, StageResult] = {}
         # Changed stages that wait for a free worker, most urgent first.
         self.due: list[tuple[tuple[int, float, int], str]] = []
-        self.running: set[str] = set()
-        self.losses: Counter[str] = Counter()
+        # Running stages, with the files that they read.
+        self.running: dict[str, Stamps] = {}
+        self.restarts: Counter[str] = Counter()
         self.lockfiles = repository.lockfiles
         self.finished: FinishedQueue = SimpleQueue()
         self.workers = make_workers(options.jobs, self.finished)
@@ -251,8 +257,8 @@ class _Build:
             self._fail(StageResult(address, StageOutcome.FAILED, error=self._explain(error, address)))
             return
         needs = self.needs[address]
-        env = stage_environment(shell.env, needs.cpus)
-        self.running.add(address)
+        env = stage_environment({**shell.env, **self.held}, needs.cpus)
+        self.running[address] = shell.inputs
         self.workers.submit(address, Command(shell.lines, shell.cwd, env, log, needs.timeout), needs)
         self.on_event(Started(address, log))
 
@@ -269,12 +275,16 @@ class _Build:
         if item is None:
             return
         address, outcome = item
-        self.running.discard(address)
+        inputs = self.running.pop(address)
         self.workers.finish(address)
         if self.stopping and not (isinstance(outcome, CommandResult) and outcome.code == 0):
             return  # killed by this build, not a failure of the stage
         if isinstance(outcome, WorkerLost):
-            self._lose(address, outcome)
+            self._run_again(Lost(address, str(outcome)), f"lost with its worker: {outcome}")
+            return
+        if files := steps.changed_inputs(self.stages[address], inputs):
+            names = ", ".join(files)
+            self._run_again(Disturbed(address, files), f"{names} changed while it ran; stop what writes there")
             return
         log = self._log(address)
         if isinstance(outcome, Exception):
@@ -305,15 +315,18 @@ class _Build:
         else:
             self._succeed(result)
 
-    def _lose(self, address: str, loss: WorkerLost) -> None:
-        """Queue a stage again whose worker was lost, up to `RESTARTS` times."""
-        self.losses[address] += 1
-        if self.losses[address] > RESTARTS:
-            error = f"lost {self.losses[address]} times with its worker, the last time because {loss}"
+    def _run_again(self, event: Lost | Disturbed, reason: str) -> None:
+        """Queue a stage again whose run does not count, up to `RESTARTS` times."""
+        address = event.address
+        if self.stopping:
+            return
+        self.restarts[address] += 1
+        if self.restarts[address] > RESTARTS:
+            error = f"none of its {self.restarts[address]} runs counts; of the last, {reason}"
             self._fail(StageResult(address, StageOutcome.FAILED, error=error))
             return
         bisect.insort(self.due, (self.schedule.rank[address], address))
-        self.on_event(Lost(address, str(loss)))
+        self.on_event(event)
 
     def _flush_if_due(self) -> None:
         """Write the lock file if due; if that fails, continue and try again at the end."""

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from objectfolder.engine.process import Children, Command, CommandResult, stage_environment
 
-#: Prefix of the variables that a command gets from the engine's environment. All others come from the node,
+#: Prefixes of the variables that a command gets from the engine's environment. All others come from the node,
 #: because paths, GPUs and temporary folders differ between machines.
-PASSED_ON = "DVC_"
+PASSED_ON = ("DVC_", "OBJECTFOLDER_")
 
 
 class NotShared(Exception):
@@ -45,7 +45,7 @@ def run(command: Command, threads: int, marker: Path) -> CommandResult:
     Parameters
     ----------
     command : Command
-        Command of the stage; only DVC's variables of its environment are used.
+        Command of the stage; of its environment only DVC's and this project's variables are used.
     threads : int
         Threads that numerical libraries may start.
     marker : Path

@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from objectfolder.engine.summary import (
+    Disturbed,
     Event,
     Finished,
     Lost,
@@ -85,6 +86,10 @@ class Progress:
             case Lost(address, reason):
                 self.running.pop(address, None)
                 self._line(f"lost     {address} {reason}; it will run again", "yellow")
+            case Disturbed(address, files):
+                self.running.pop(address, None)
+                text = f"again    {address} {', '.join(files)} changed while it ran; nothing was saved"
+                self._line(text, "yellow")
             case Finished(result):
                 self.running.pop(result.address, None)
                 self.counts[result.status] += 1

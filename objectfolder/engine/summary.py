@@ -1,6 +1,6 @@
 """Events and final summary of a build."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -121,11 +121,19 @@ class Lost:
 
 
 @dataclass(frozen=True)
+class Disturbed:
+    """Change of input files while a command read them; its outputs are not saved, and it starts again."""
+
+    address: str
+    files: Sequence[str]
+
+
+@dataclass(frozen=True)
 class Finished:
     """End of a stage, with any outcome."""
 
     result: StageResult
 
 
-Event = Planned | Started | Lost | Finished
+Event = Planned | Started | Lost | Disturbed | Finished
 Listener = Callable[[Event], None]

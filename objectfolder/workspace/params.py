@@ -5,6 +5,7 @@ Its annotations are the checks (`objectfolder.settings`).
 """
 
 import json
+import os
 import re
 from dataclasses import dataclass
 from functools import cache
@@ -19,6 +20,8 @@ from ruamel.yaml import YAML, YAMLError
 from objectfolder.errors import ObjectFolderError
 
 PARAMS_FILE = "params.yaml"
+#: Environment variable by which a build gives its stages the parameters that it recorded: a copy of the file.
+HELD_PARAMS = "OBJECTFOLDER_PARAMS"
 KEY = re.compile(r"[a-z][a-z0-9_]*")
 Bridge = Literal["all", "fem", "off"]
 Config = TypeVar("Config")
@@ -58,6 +61,8 @@ OBJECT_STAGES = (
 TASKS = ("recognize", "retrieve", "reconstruct", "grasp_stability")
 #: Stages of the objects that ``benchmarks`` in ``params.yaml`` names.
 ROBOT_STAGES = ("decompose", "grasp_data", "grasp_policy", "reach")
+#: Stages before those of the objects.
+FIRST_STAGES = ("hash_code", "generate")
 
 
 class Record(BaseModel):
@@ -115,16 +120,19 @@ class StageParams(Generic[Config]):
 def read(path: str | Path = PARAMS_FILE) -> dict[str, Any]:
     """Read ``params.yaml`` without interpreting it.
 
+    A stage that a build runs gets the values that the build recorded, whatever the file says by then.
+
     Raises
     ------
     ObjectFolderError
         If it is missing, not YAML, or an object key is not a slug.
     """
     path = Path(path)
-    if not path.is_file():
+    held = Path(os.environ.get(HELD_PARAMS, path)) if path == Path(PARAMS_FILE) else path
+    if not held.is_file():
         raise ObjectFolderError(f"{path} does not exist; run inside an objectfolder workspace")
     try:
-        values = YAML(typ="safe").load(path.read_text())
+        values = YAML(typ="safe").load(held.read_text())
     except (YAMLError, UnicodeDecodeError) as error:
         raise ObjectFolderError(f"{path} is not valid YAML: {error}") from error
     if not isinstance(values, dict):
@@ -146,7 +154,7 @@ def check_key(key: Any, where: str = "object key") -> str:
     ObjectFolderError
         If it is not a slug. DVC drops integer keys silently and takes a dot for a path.
     """
-    stages = {*OBJECT_STAGES, *TASKS, *ROBOT_STAGES}
+    stages = {*FIRST_STAGES, *OBJECT_STAGES, *TASKS, *ROBOT_STAGES}
     if isinstance(key, str) and KEY.fullmatch(key) and key not in stages:
         return key
     reason = (

@@ -64,7 +64,8 @@ if control.exists():
         time.sleep(float(control.read_text()))
 build = Path("build") / key
 build.mkdir(parents=True, exist_ok=True)
-lines = [line for line in Path("params.yaml").read_text().splitlines() if line.startswith(f"  {key}:")]
+params = Path(os.environ.get("OBJECTFOLDER_PARAMS", "params.yaml"))
+lines = [line for line in params.read_text().splitlines() if line.startswith(f"  {key}:")]
 if stage == "prepare":
     (build / "prepare.txt").write_text(lines[0].split("size: ")[1].split(",")[0])
 elif stage == "solve":

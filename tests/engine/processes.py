@@ -2,7 +2,9 @@
 
 import os
 import sys
+import threading
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import psutil
@@ -29,3 +31,23 @@ def started(workspace, address):
 
 def alive(pid):
     return psutil.pid_exists(pid) and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+
+
+@contextmanager
+def meanwhile(action):
+    """Do something in another thread; what it raises is raised at the end."""
+    problems = []
+
+    def work():
+        try:
+            action()
+        except BaseException as problem:
+            problems.append(problem)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        yield
+    finally:
+        thread.join(60)
+    assert not problems

@@ -20,7 +20,7 @@ from dvc.rwlock import SCHEMA as RWLOCK_SCHEMA
 from dvc.utils.serialize import load_yaml
 from voluptuous import Invalid
 
-from objectfolder.engine.dvc.lockfile import LockFiles
+from objectfolder.engine.dvc.lockfile import COPIES, LockFiles
 from objectfolder.engine.dvc.replacements import replacements
 from objectfolder.engine.dvc.runcache import RunCache
 from objectfolder.errors import ObjectFolderError
@@ -62,6 +62,11 @@ class OpenRepository:
     def tmp(self) -> Path:
         """DVC's directory for temporary files."""
         return Path(self.repo.tmp_dir)
+
+    @property
+    def own_files(self) -> Path:
+        """Directory of the engine's files among DVC's."""
+        return Path(self.repo.root_dir) / COPIES
 
     @property
     def owns_cache(self) -> bool:

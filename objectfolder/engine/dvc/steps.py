@@ -5,6 +5,7 @@ saved before `restore_run`, or the run cache would store the old outputs under t
 """
 
 import json
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from dvc.stage import Stage
 from dvc.stage.cache import RunCacheNotFoundError
 from dvc.stage.run import prepare_kwargs
 
+from objectfolder.engine.dvc.inputs import Stamps, check_code, stamps, written
 from objectfolder.engine.dvc.runcache import remove_damaged
 from objectfolder.errors import ObjectFolderError
 
@@ -33,11 +35,14 @@ class ShellCommand:
         Working directory.
     env : mapping of str to str
         Environment, with DVC's variables.
+    inputs : dict of Path to tuple
+        Identity of the files that it reads.
     """
 
     lines: Sequence[str]
     cwd: Path
     env: Mapping[str, str]
+    inputs: Stamps
 
 
 @contextmanager
@@ -92,9 +97,18 @@ def restore_run(stage: Stage) -> bool:
 def prepare_run(stage: Stage) -> ShellCommand:
     """Remove old outputs, hash dependencies, and return the command to run."""
     stage.remove_outs(ignore_remove=False, force=False)
+    for out in stage.outs:
+        out.clear()  # or `restore_run` would bring them back for the new dependencies, if it runs again
+    inputs = stamps(stage)
     stage.save_deps()
+    check_code(stage)
     lines = stage.cmd if isinstance(stage.cmd, list) else stage.cmd.splitlines()
-    return ShellCommand(lines, Path(stage.wdir), prepare_kwargs(stage)["env"])
+    return ShellCommand(lines, Path(stage.wdir), prepare_kwargs(stage)["env"], inputs)
+
+
+def changed_inputs(stage: Stage, inputs: Stamps) -> list[str]:
+    """Return the files, relative to the workspace, that were written since `prepare_run` stamped them."""
+    return [os.path.relpath(path, stage.wdir) for path in written(inputs, stamps(stage))]
 
 
 @_explained()

@@ -6,6 +6,8 @@ from contextlib import suppress
 import dvc
 import pytest
 from dvc.data_cloud import Remote
+from dvc.dependency import ParamsDependency
+from dvc.ignore import DvcIgnoreFilter
 from dvc.lock import LockError
 from dvc.output import Output
 from dvc.repo import lock_repo
@@ -51,12 +53,16 @@ RELIED_ON = [
     (Stage.commit, "self allow_missing filter_info **kwargs"),
     (Stage.checkout, "self allow_missing **kwargs"),
     (Output.get_obj, "self filter_info **kwargs"),
+    (Output.clear, "self"),
     (Output.get_used_objs, "self **kwargs"),
     (Output.changed_cache, "self filter_info"),
     (Output.checkout, "self force progress_callback relink filter_info allow_missing **kwargs"),
     (Tree.add, "self key meta oid"),
     (Tree.digest, "self with_meta name"),
     (Tree.as_bytes, "self with_meta"),
+    (ParamsDependency.read_params, "self flatten **kwargs"),
+    (ParamsDependency.isfile, "self"),
+    (DvcIgnoreFilter.find, "self fs path **kwargs"),
     (file_md5, "fname fs callback name size"),
 ]
 

@@ -1,0 +1,142 @@
+"""Inputs of a stage while its command runs: they must stay what DVC has recorded.
+
+DVC records parameters and digests before a command starts, but the command reads the files later. Parameters
+are therefore read from a copy that a build makes when it begins. All other files are stamped before their
+digests are recorded, and again after the command: an edit shows even if it was reverted meanwhile.
+"""
+
+import stat
+from collections.abc import Iterable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from dvc.dependency import ParamsDependency, param
+from dvc.stage import Stage
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.io import atomic, file_digest
+from objectfolder.workspace.layout import code_list
+from objectfolder.workspace.params import HELD_PARAMS, PARAMS_FILE
+
+#: Identity of every file that a stage reads; None if it does not exist.
+Stamps = dict[Path, tuple[int, ...] | None]
+
+
+class _HeldParams(ParamsDependency):
+    """Parameters that DVC reads from the copy, whatever becomes of the file."""
+
+    exists = True
+    held: str
+
+    def isfile(self) -> bool:
+        return True
+
+    def read_params(self, flatten: bool = True, **_: Any) -> dict[str, Any]:
+        assert self.repo is not None
+        values: dict[str, Any] = param.read_param_file(self.repo.fs, self.held, self.params, flatten)
+        return values
+
+
+def hold_params(stages: Iterable[Stage], root: Path, folder: Path) -> dict[str, str]:
+    """Copy ``params.yaml``, and let DVC read the copy from now on.
+
+    Parameters
+    ----------
+    stages : iterable of Stage
+        Stages whose parameters are held.
+    root : Path
+        Workspace.
+    folder : Path
+        For the copy.
+
+    Returns
+    -------
+    dict of str to str
+        Environment that makes the commands of stages read the copy as well; empty without ``params.yaml``.
+    """
+    path, held = root / PARAMS_FILE, folder / PARAMS_FILE
+    if not path.exists():
+        return {}
+    content = path.read_bytes()
+    if not held.exists() or held.read_bytes() != content:  # a build with nothing to do writes nothing
+        with atomic(held) as temporary:
+            temporary.write_bytes(content)
+    for stage in stages:
+        for dep in stage.deps:
+            if isinstance(dep, ParamsDependency) and dep.fs_path == str(path):
+                dep.__class__ = _HeldParams
+                dep.held = str(held)
+    return {HELD_PARAMS: str(held)}
+
+
+def stamps(stage: Stage) -> Stamps:
+    """Return the identity of every file that a stage reads, without reading it."""
+    return {path: _stamp(path) for dep in stage.deps for path in _files(dep)}
+
+
+def written(before: Stamps, after: Stamps) -> list[Path]:
+    """Return the files that were written, made or removed between two stamps."""
+    return sorted(
+        path for path in before.keys() | after.keys() if before.get(path, ()) != after.get(path, ())
+    )
+
+
+def check_code(stage: Stage) -> None:
+    """Check that the modules of a stage are those that this build has recorded.
+
+    Raises
+    ------
+    ObjectFolderError
+        If one was edited since.
+    """
+    edited = [
+        name
+        for dep in stage.deps
+        for name, digest in _modules(dep).items()
+        if _digest(path := _home(dep) / name, _stamp(path)) != digest
+    ]
+    if edited:
+        raise ObjectFolderError(
+            f"{', '.join(edited)} was edited after this build had recorded the code; build again"
+        )
+
+
+def _files(dep: Any) -> list[Path]:
+    if dep.protocol != "local" or isinstance(dep, _HeldParams):
+        return []
+    path = Path(dep.fs_path)
+    if path.is_dir():
+        return [Path(name) for name in dep.dvcignore.find(dep.fs, dep.fs_path)]
+    return [path, *(_home(dep) / name for name in _modules(dep))]
+
+
+def _modules(dep: Any) -> dict[str, str]:
+    """Return digests by file if a dependency is a list of modules, as `code_digests.digests` writes it."""
+    path = Path(dep.fs_path)
+    if path.parent != _home(dep) / code_list("").parent or not path.is_file():
+        return {}
+    return {name: digest for digest, _, name in (line.partition("  ") for line in path.read_text().splitlines())}
+
+
+def _home(dep: Any) -> Path:
+    return Path(dep.stage.wdir)
+
+
+def _stamp(path: Path) -> tuple[int, ...] | None:
+    try:
+        status = path.lstat()
+        linked = stat.S_ISLNK(status.st_mode) or status.st_nlink > 1
+        status = path.stat() if linked else status
+    except OSError:
+        return None
+    # The clock of a file's status cannot be set back as its modification time can. Every new link to the same
+    # bytes sets it forward, though: with linked caches DVC makes one whenever two outputs are equal.
+    changed = 0 if linked else status.st_ctime_ns
+    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, changed
+
+
+@cache
+def _digest(path: Path, stamp: tuple[int, ...] | None) -> str | None:
+    """Return the digest of a file, which is read once for every stamp."""
+    return None if stamp is None else file_digest(path)
