@@ -284,7 +284,9 @@ class _Build:
             return
         if files := steps.changed_inputs(self.stages[address], inputs):
             names = ", ".join(files)
-            self._run_again(Disturbed(address, files), f"{names} changed while it ran; stop what writes there")
+            self._run_again(
+                Disturbed(address, files), f"{names} changed while it ran; stop what writes there"
+            )
             return
         log = self._log(address)
         if isinstance(outcome, Exception):

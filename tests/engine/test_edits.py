@@ -4,11 +4,10 @@ import os
 import shutil
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 import pytest
 
-from objectfolder.engine.build import BuildOptions, build, local_workers
+from objectfolder.engine.build import build, local_workers
 from objectfolder.engine.status import State, status
 from objectfolder.engine.summary import Disturbed, Lost, StageOutcome
 from objectfolder.engine.workers import WorkerLost
@@ -170,7 +169,11 @@ def test_edit_of_another_object_disturbs_nothing(copying):
     [
         (lambda root: (root / "profile.yaml").write_text("new\n"), "profile.yaml", "mesh\nnew\n"),
         (lambda root: (root / "source/more").write_text("more\n"), "source/more", "mesh\nmore\nprofile\n"),
-        (lambda root: (root / "source/mesh.obj").rename(root / "source/m"), "source/mesh.obj", "mesh\nprofile\n"),
+        (
+            lambda root: (root / "source/mesh.obj").rename(root / "source/m"),
+            "source/mesh.obj",
+            "mesh\nprofile\n",
+        ),
     ],
     ids=["edit", "new file", "rename"],
 )
@@ -188,7 +191,9 @@ def test_edit_of_a_file_is_built(copying, edit, named, expected):
 def test_edit_of_code_fails_the_stage_until_the_next_build(copying):
     editing = Editing(copying, {})
     code = copying.root / "code.sh"
-    summary, disturbed = editing.build(partial(code.write_text, CODE.replace(">> build/part", ">>build/part")))
+    summary, disturbed = editing.build(
+        partial(code.write_text, CODE.replace(">> build/part", ">>build/part"))
+    )
     assert disturbed == [Disturbed("copy", ["code.sh"])]
     (failure,) = summary.failures
     assert failure.address == "copy"
@@ -216,36 +221,22 @@ def test_input_that_always_changes_is_named_and_nothing_is_saved(make_workspace)
     )
     (workspace.root / "in").write_text("now\n")
     (failure,) = build(root=workspace.root).failures
-    assert failure.error == "none of its 4 runs counts; of the last, in changed while it ran; stop what writes there"
+    assert (
+        failure.error
+        == "none of its 4 runs counts; of the last, in changed while it ran; stop what writes there"
+    )
     assert (workspace.root / "calls").read_text() == "run\n" * 4
     assert not (workspace.root / "dvc.lock").exists()
     assert not list((workspace.root / ".dvc/cache").rglob("runs/??/*"))
 
 
-def test_links_that_dvc_makes_to_an_input_are_no_edits(make_workspace):
-    workspace = make_workspace(
-        "stages:\n"
-        "  first: {cmd: 'echo same > a', deps: [steps.py], outs: [a]}\n"
-        "  slow:\n"
-        "    cmd: echo run >> calls; until grep same [.]dvc/tmp/second; do sleep 0.02; done; cp a c\n"
-        "    deps: [a]\n"
-        "    outs: [c]\n"
-        "  second:\n"
-        "    cmd: until [ -e calls ]; do sleep 0.02; done; echo same > b\n"
-        "    deps: [steps.py]\n"
-        "    outs: [b]\n"
-    )
-    with (workspace.root / ".dvc/config").open("a") as config:
-        config.write("[cache]\n    type = hardlink\n")
-    linked = workspace.root / "a"
-
-    def ended(event):
-        if getattr(event, "result", None) and event.result.address == "second":
-            assert linked.stat().st_nlink == 3  # the two outputs and the cached object
-            (workspace.root / ".dvc/tmp/second").write_text("same\n")
-
-    assert build(root=workspace.root, options=BuildOptions(jobs=2), on_event=ended).ok
-    assert (workspace.root / "calls").read_text() == "run\n"
+def test_new_links_to_an_input_that_a_linked_cache_shares_are_no_edits(copying):
+    profile = copying.root / "profile.yaml"
+    os.link(profile, copying.root / "cached")
+    editing = Editing(copying, {})
+    summary, disturbed = editing.build(partial(os.link, profile, copying.root / "another"))
+    assert summary.ok
+    assert (editing.runs, disturbed) == (1, [])
 
 
 def test_stage_that_runs_again_does_not_get_the_outputs_of_other_parameters(workspace):

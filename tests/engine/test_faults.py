@@ -5,7 +5,6 @@ import random
 import shutil
 import signal
 import subprocess
-import threading
 from contextlib import contextmanager, suppress
 
 import psutil

@@ -5,7 +5,15 @@ import pytest
 from rich.console import Console
 
 from objectfolder.engine.progress import Progress, print_summary
-from objectfolder.engine.summary import Finished, Planned, StageOutcome, StageResult, Started, Summary
+from objectfolder.engine.summary import (
+    Disturbed,
+    Finished,
+    Planned,
+    StageOutcome,
+    StageResult,
+    Started,
+    Summary,
+)
 
 RAN = StageResult("modal@mug", StageOutcome.RAN, 12.34, 654.0, Path("/w/build/.logs/modal@mug.log"))
 FAILED = StageResult(
@@ -27,9 +35,12 @@ def test_every_event_is_shown_but_skips(terminal):
     with Progress(console) as progress:
         progress(Planned({"modal@mug": 30.0, "pack@mug": 1.0, "modal@bell": 30.0, "pack@bell": 1.0}))
         progress(Started("modal@mug", Path("x.log")))
+        progress(Disturbed("modal@mug", ["a.ply", "b.ply"]))
+        progress(Started("modal@mug", Path("x.log")))
         for result in (RAN, SKIPPED, FAILED, BLOCKED):
             progress(Finished(result))
     text = console.file.getvalue()
+    assert "again    modal@mug a.ply, b.ply changed while it ran; nothing was saved" in text
     assert "ran      modal@mug [1/4] 12.3 s 654 MB" in text
     assert "failed   modal@bell [3/4] the command exited with code 3" in text
     assert "blocked  pack@bell [4/4] needs modal@bell" in text

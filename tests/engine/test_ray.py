@@ -23,6 +23,7 @@ from objectfolder.errors import ObjectFolderError
 
 from .conftest import STEPS, Workspace, everything
 from .processes import PATH, alive, started, wait_for
+from .test_edits import Editing, check_reverted_edit_of_a_file, check_reverted_edit_of_params, copying  # noqa: F401
 
 pytest.importorskip("ray", reason="needs the extra [ray]")
 
@@ -190,6 +191,15 @@ def test_jobs_limit_the_cores_of_the_whole_cluster(located, cluster):
     options = BuildOptions(jobs=1)
     assert build(["prepare"], options, located.root, make_workers=ray_workers(cluster.address)).ok
     assert [call[1] for call in located.calls()] == ["start", "end"] * 3
+
+
+def test_reverted_edit_of_params_is_not_read_on_a_node(copying, cluster):  # noqa: F811
+    check_reverted_edit_of_params(Editing(copying, {"make_workers": ray_workers(cluster.address)}))
+
+
+def test_reverted_edit_of_a_file_does_not_count_on_a_node(copying, cluster):  # noqa: F811
+    editing = Editing(copying, {"make_workers": ray_workers(cluster.address)})
+    check_reverted_edit_of_a_file(editing, "source/mesh.obj")
 
 
 def test_node_without_the_workspace_is_named(workspace, cluster, monkeypatch):

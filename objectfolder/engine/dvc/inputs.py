@@ -54,14 +54,22 @@ def hold_params(stages: Iterable[Stage], root: Path, folder: Path) -> dict[str, 
     -------
     dict of str to str
         Environment that makes the commands of stages read the copy as well; empty without ``params.yaml``.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it cannot be copied.
     """
     path, held = root / PARAMS_FILE, folder / PARAMS_FILE
     if not path.exists():
         return {}
-    content = path.read_bytes()
-    if not held.exists() or held.read_bytes() != content:  # a build with nothing to do writes nothing
-        with atomic(held) as temporary:
-            temporary.write_bytes(content)
+    try:
+        content = path.read_bytes()
+        if not held.exists() or held.read_bytes() != content:  # a build with nothing to do writes nothing
+            with atomic(held) as temporary:
+                temporary.write_bytes(content)
+    except OSError as error:
+        raise ObjectFolderError(f"cannot copy {path} to {held}: {error}; build again once it can") from error
     for stage in stages:
         for dep in stage.deps:
             if isinstance(dep, ParamsDependency) and dep.fs_path == str(path):
@@ -116,7 +124,9 @@ def _modules(dep: Any) -> dict[str, str]:
     path = Path(dep.fs_path)
     if path.parent != _home(dep) / code_list("").parent or not path.is_file():
         return {}
-    return {name: digest for digest, _, name in (line.partition("  ") for line in path.read_text().splitlines())}
+    return {
+        name: digest for digest, _, name in (line.partition("  ") for line in path.read_text().splitlines())
+    }
 
 
 def _home(dep: Any) -> Path:

@@ -1,0 +1,53 @@
+"""Edits while real stages run."""
+
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from ruamel.yaml import YAML
+
+from objectfolder.mesh.reading.load import load_mesh
+
+#: Begins a stage script: wait for a first edit before anything is read, and for a second one at the end.
+WAIT = """
+import atexit, pathlib, time
+
+def wait(name):
+    while not pathlib.Path(name).exists():
+        time.sleep(0.02)
+
+pathlib.Path("started").touch()
+wait("edited")
+atexit.register(wait, "reverted")
+"""
+
+
+def test_size_that_is_edited_and_edited_back_while_an_object_is_generated_is_not_taken(workspace):
+    script = workspace.root / "stages/generate.py"
+    script.write_text(WAIT + script.read_text())
+    mesh = workspace.root / "data/objects/cube/mesh.glb"
+
+    def wait_for(path):
+        while not path.exists():
+            assert building.running(), building.result().stderr
+            time.sleep(0.02)
+
+    with ThreadPoolExecutor(1) as pool:
+        building = pool.submit(workspace.build, "generate@cube")
+        try:
+            wait_for(workspace.root / "started")
+            with workspace.edit() as values:
+                values["procedural"]["cube"]["size"] = 0.30
+            (workspace.root / "edited").touch()
+            wait_for(mesh)
+            with workspace.edit() as values:
+                values["procedural"]["cube"]["size"] = 0.16
+        finally:
+            for name in ("edited", "reverted"):
+                (workspace.root / name).touch()
+        assert building.result() == {"hash_code", "generate@cube"}
+    lower, upper = load_mesh(mesh, "y").bounds
+    np.testing.assert_allclose(upper - lower, 0.16, rtol=1e-3)
+    lock = YAML(typ="safe").load(workspace.root / "dvc.lock")["stages"]
+    assert lock["generate@cube"]["params"]["params.yaml"]["procedural.cube"]["size"] == 0.16
+    assert workspace.build("generate@cube") == set()
