@@ -85,13 +85,22 @@ def stamps(stage: Stage) -> Stamps:
 
 def written(before: Stamps, after: Stamps) -> list[Path]:
     """Return the files that were written, made or removed between two stamps."""
+    if before == after:
+        return []
     return sorted(
         path for path in before.keys() | after.keys() if before.get(path, ()) != after.get(path, ())
     )
 
 
-def check_code(stage: Stage) -> None:
+def check_code(stage: Stage, found: Stamps) -> None:
     """Check that the modules of a stage are those that this build has recorded.
+
+    Parameters
+    ----------
+    stage : Stage
+        The stage.
+    found : dict of Path to tuple
+        Its stamps.
 
     Raises
     ------
@@ -99,10 +108,10 @@ def check_code(stage: Stage) -> None:
         If one was edited since.
     """
     edited = [
-        name
+        path.relative_to(stage.wdir).as_posix()
         for dep in stage.deps
-        for name, digest in _modules(dep).items()
-        if _digest(path := _home(dep) / name, _stamp(path)) != digest
+        for path, digest in _modules(dep).items()
+        if _digest(path, found.get(path)) != digest
     ]
     if edited:
         raise ObjectFolderError(
@@ -116,21 +125,19 @@ def _files(dep: Any) -> list[Path]:
     path = Path(dep.fs_path)
     if path.is_dir():
         return [Path(name) for name in dep.dvcignore.find(dep.fs, dep.fs_path)]
-    return [path, *(_home(dep) / name for name in _modules(dep))]
+    return [path, *_modules(dep)]
 
 
-def _modules(dep: Any) -> dict[str, str]:
+def _modules(dep: Any) -> dict[Path, str]:
     """Return digests by file if a dependency is a list of modules, as `code_digests.digests` writes it."""
-    path = Path(dep.fs_path)
-    if path.parent != _home(dep) / code_list("").parent or not path.is_file():
-        return {}
-    return {
-        name: digest for digest, _, name in (line.partition("  ") for line in path.read_text().splitlines())
-    }
+    path, home = Path(dep.fs_path), Path(dep.stage.wdir)
+    return _listed(path, home, _stamp(path)) if path == home / code_list(path.stem) else {}
 
 
-def _home(dep: Any) -> Path:
-    return Path(dep.stage.wdir)
+@cache  # all objects share it
+def _listed(path: Path, home: Path, stamp: tuple[int, ...] | None) -> dict[Path, str]:
+    lines = [] if stamp is None else path.read_text().splitlines()
+    return {home / name: digest for digest, _, name in (line.partition("  ") for line in lines)}
 
 
 def _stamp(path: Path) -> tuple[int, ...] | None:

@@ -101,7 +101,7 @@ def prepare_run(stage: Stage) -> ShellCommand:
         out.clear()  # or `restore_run` would bring them back for the new dependencies, if it runs again
     inputs = stamps(stage)
     stage.save_deps()
-    check_code(stage)
+    check_code(stage, inputs)
     lines = stage.cmd if isinstance(stage.cmd, list) else stage.cmd.splitlines()
     return ShellCommand(lines, Path(stage.wdir), prepare_kwargs(stage)["env"], inputs)
 
