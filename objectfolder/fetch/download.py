@@ -4,19 +4,25 @@ pooch (1.9) would not do: it starts every attempt and every run from the first b
 beforehand, and its archive processors neither limit sizes nor, before Python 3.12, filter members.
 """
 
+import io
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from http.client import HTTPException, HTTPResponse
+from http.client import HTTPConnection, HTTPException, HTTPResponse, HTTPSConnection
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 from urllib.error import HTTPError
-from urllib.request import Request, urlopen
+from urllib.request import HTTPHandler, HTTPRedirectHandler, HTTPSHandler, Request, build_opener
 
+from objectfolder.disk import free_bytes
 from objectfolder.errors import ObjectFolderError
 
-WAITS = (1.0, 2.0, 4.0, 8.0)  #: seconds between attempts that received no new bytes
+WAITS = (1.0, 2.0, 4.0, 8.0)  #: seconds between attempts that bring nothing
 TIMEOUT = 30  #: seconds without an answer or a byte
+LEAST, PERIOD = 1 << 16, 60  #: bytes that must arrive, in so many seconds
+MAX_DOWNLOAD = 1 << 30  #: bytes of a file whose size is not known beforehand
+SPARE = 1 << 28  #: bytes that a download leaves free on the disk
 BLOCK = 1 << 16
 RETRYABLE = (408, 425, 429, 500, 502, 503, 504)  #: HTTP status codes
 RANGE_NOT_SATISFIABLE = 416
@@ -30,7 +36,11 @@ class _RetryableError(Exception):
 
 
 def download(
-    url: str, path: Path, report: ProgressCallback = lambda done, total: None, waits: Sequence[float] = WAITS
+    url: str,
+    path: Path,
+    report: ProgressCallback = lambda done, total: None,
+    waits: Sequence[float] = WAITS,
+    most: int = MAX_DOWNLOAD,
 ) -> None:
     """Download a file, resuming from the bytes that an earlier attempt left in ``path``.
 
@@ -46,22 +56,26 @@ def download(
     report : callable
         Called with the bytes received and the bytes expected, or None.
     waits : sequence of float
-        Seconds before each further attempt. An attempt that receives new bytes restarts the sequence.
+        Seconds before each further attempt. Attempts that bring bytes at the least rate restart the sequence.
+    most : int
+        Maximum size of the file, bytes.
 
     Raises
     ------
     ObjectFolderError
-        If the server refuses, the connection keeps breaking, or the file cannot be written.
+        If the server refuses, redirects to another protocol, keeps breaking off or is slower than `LEAST` in
+        `PERIOD`, or the file is too large or cannot be written.
     """
-    furthest, left = 0, list(waits)
+    furthest, since, left = 0, time.monotonic(), list(waits)
     while True:
         try:
-            _attempt(url, path, report)
+            _attempt(url, path, report, most)
             break
         except _RetryableError as error:
             size = path.stat().st_size if path.exists() else 0
-            if size > furthest:
-                furthest, left = size, list(waits)
+            now = time.monotonic()
+            if size > furthest + (now - since) * LEAST / PERIOD:
+                furthest, since, left = size, now, list(waits)
             if not left:
                 kept = f" from the {size} bytes that are kept" if _tag(path).exists() else ""
                 raise ObjectFolderError(
@@ -72,9 +86,11 @@ def download(
     _tag(path).unlink(missing_ok=True)
 
 
-def download_to(path: Path, url: str, part: Path, progress: ProgressFactory) -> None:
+def download_to(
+    path: Path, url: str, part: Path, progress: ProgressFactory, most: int = MAX_DOWNLOAD
+) -> None:
     """Download to ``part``, resuming it, and move it to ``path`` when it is complete."""
-    download(url, part, progress(path.name))
+    download(url, part, progress(path.name), most=most)
     path.parent.mkdir(parents=True, exist_ok=True)
     part.replace(path)
 
@@ -84,15 +100,76 @@ def no_progress(name: str) -> ProgressCallback:
     return lambda done, total: None
 
 
-def _attempt(url: str, path: Path, report: ProgressCallback) -> None:
+class _PacedStream(io.RawIOBase):
+    """The bytes of a connection, headers included; ends in TimeoutError when they come too slowly."""
+
+    def __init__(self, raw: io.RawIOBase):
+        self.raw, self.since, self.count = raw, time.monotonic(), 0
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int | None:
+        got = self.raw.readinto(buffer)
+        self.count += got or 0
+        if (now := time.monotonic()) - self.since > PERIOD:
+            if self.count < LEAST:
+                raise TimeoutError(f"{self.count:,} bytes in {PERIOD} s, expected {LEAST:,} or more")
+            self.since, self.count = now, 0
+        return got
+
+    def close(self) -> None:
+        self.raw.close()
+        super().close()
+
+
+class _Response(HTTPResponse):
+    def __init__(self, sock: Any, *args: Any, **options: Any):
+        super().__init__(sock, *args, **options)
+        self.fp = io.BufferedReader(_PacedStream(self.fp.detach()))  # type: ignore[has-type]
+
+
+class _Connection(HTTPConnection):
+    response_class = _Response
+
+
+class _SecureConnection(HTTPSConnection):
+    response_class = _Response
+
+
+class _Http(HTTPHandler):
+    def http_open(self, request: Request) -> HTTPResponse:
+        return self.do_open(_Connection, request)
+
+
+class _Https(HTTPSHandler):
+    def https_open(self, request: Request) -> HTTPResponse:
+        return self.do_open(_SecureConnection, request)
+
+
+class _Redirects(HTTPRedirectHandler):
+    def redirect_request(
+        self, req: Request, fp: Any, code: int, msg: str, headers: Any, newurl: str
+    ) -> Request | None:
+        fp.close()  # or its body, which may be endless, is read to the end
+        if not newurl.startswith(("http://", "https://")):
+            raise ObjectFolderError(
+                f"{req.full_url} redirects to {newurl}, expected http:// or https://; download the object "
+                "yourself and use --from DIR"
+            )
+        return super().redirect_request(req, fp, code, msg, headers, newurl)
+
+
+def _attempt(url: str, path: Path, report: ProgressCallback, most: int) -> None:
     tag = _tag(path)
     start = path.stat().st_size if path.exists() and tag.exists() else 0
     headers = {"User-Agent": _user_agent(), "Accept-Encoding": "identity"}
     if start:
         headers |= {"Range": f"bytes={start}-", "If-Range": tag.read_text()}
     try:
-        with urlopen(Request(url, headers=headers), timeout=TIMEOUT) as response:
-            _receive(response, path, start, report)
+        opener = build_opener(_Http, _Https, _Redirects)
+        with opener.open(Request(url, headers=headers), timeout=TIMEOUT) as response:
+            _receive(response, path, start, report, most)
     except HTTPError as error:
         with error:
             if error.code == RANGE_NOT_SATISFIABLE:
@@ -103,41 +180,57 @@ def _attempt(url: str, path: Path, report: ProgressCallback) -> None:
                     "with --url SOURCE=TEMPLATE, or download the object yourself and use --from DIR"
                 ) from error
             raise _RetryableError(f"{error.code} {error.reason}") from error
-    except (OSError, HTTPException) as error:
+    except (OSError, HTTPException, UnicodeError) as error:  # UnicodeError: of a host's name
         raise _RetryableError(getattr(error, "reason", None) or error or type(error).__name__) from error
 
 
-def _receive(response: HTTPResponse, path: Path, start: int, report: ProgressCallback) -> None:
+def _receive(response: HTTPResponse, path: Path, start: int, report: ProgressCallback, most: int) -> None:
     headers = response.headers
     resumed = response.status == 206
     if resumed and not (start and headers.get("Content-Range", "").startswith(f"bytes {start}-")):
         _forget(path)
         raise _RetryableError(f"it sent {headers.get('Content-Range')!r}, expected bytes from {start}")
     done = start if resumed else 0
-    length = headers.get("Content-Length", "")
-    total = done + int(length) if length.isdigit() else None
+    total = None if response.length is None else done + response.length
     etag = headers.get("ETag", "")
     # A weak ETag does not promise the same bytes.
     validator = etag if etag.startswith('"') else headers.get("Last-Modified", "")
     try:
         if not resumed:
             _forget(path)
-            if validator:
+            if validator.isprintable() and validator:
                 _tag(path).write_text(validator)
         stream = path.open("ab")
     except OSError as error:
         raise _cannot_write(path, error) from error
+    room = done + free_bytes(path) - SPARE
     with stream:
+        _check_size(response.url, path, total or done, most, room)
         report(done, total)
-        while block := response.read(BLOCK):
+        while block := response.read1(BLOCK):  # what has come; `read` would wait for the whole block
+            done += len(block)
+            _check_size(response.url, path, done, most, room)
             try:
                 stream.write(block)
             except OSError as error:
                 raise _cannot_write(path, error) from error
-            done += len(block)
             report(done, total)
     if total is not None and done < total:
         raise _RetryableError(f"after {done} of {total} bytes")
+
+
+def _check_size(url: str, path: Path, size: int, most: int, room: int) -> None:
+    if size > most:
+        _forget(path)
+        raise ObjectFolderError(
+            f"{url} is larger than {most / 1e6:,.1f} MB, the most that is downloaded; check the address, or "
+            "download the object yourself and use --from DIR"
+        )
+    if size > room:
+        raise ObjectFolderError(
+            f"{url}: no space in {path.parent}: {size / 1e6:,.1f} MB would leave less than "
+            f"{SPARE / 1e6:.0f} MB free; make room and run the same command again"
+        )
 
 
 def _cannot_write(path: Path, error: OSError) -> ObjectFolderError:

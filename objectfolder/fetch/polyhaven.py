@@ -7,7 +7,9 @@ from typing import Any
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fetch.archive import safe_path
-from objectfolder.fetch.download import ProgressFactory, download_to
+from objectfolder.fetch.download import MAX_DOWNLOAD, ProgressFactory, download_to
+
+MAX_LIST = 1 << 24  #: bytes of a list of files
 
 
 def download_polyhaven(url: str, resolution: str, into: Path, part: Path, progress: ProgressFactory) -> None:
@@ -17,8 +19,8 @@ def download_polyhaven(url: str, resolution: str, into: Path, part: Path, progre
     ----------
     url : str
         File list of the model in the Poly Haven API (``/files/{id}``): JSON, in which
-        ``gltf.<resolution>.gltf`` has ``url``, ``md5`` and ``include``, a mapping from the paths that the
-        glTF refers to, to ``url`` and ``md5``.
+        ``gltf.<resolution>.gltf`` has ``url``, ``size``, ``md5`` and ``include``, a mapping from the paths
+        that the glTF refers to, to ``url``, ``size`` and ``md5``.
     resolution : str
         Of the textures, such as ``1k``.
     into : Path
@@ -34,31 +36,41 @@ def download_polyhaven(url: str, resolution: str, into: Path, part: Path, progre
         If a download fails or is damaged, or the list is malformed.
     """
     index = into.with_name("files.json")
-    download_to(index, url, part.with_name(f"{part.name}.index.part"), progress)
+    download_to(index, url, part.with_name(f"{part.name}.index.part"), progress, MAX_LIST)
     files = _files(index, url, resolution)
-    for number, (name, (address, md5)) in enumerate(sorted(files.items())):
-        download_to(into / name, address, part.with_name(f"{part.name}.{number}.part"), progress)
-        actual = hashlib.md5((into / name).read_bytes(), usedforsecurity=False).hexdigest()
+    for number, (name, (address, size, md5)) in enumerate(sorted(files.items())):
+        download_to(into / name, address, part.with_name(f"{part.name}.{number}.part"), progress, size)
+        with (into / name).open("rb") as stream:
+            actual = hashlib.file_digest(stream, _md5).hexdigest()
         if actual != md5:
             raise ObjectFolderError(f"{address} is damaged: its MD5 is {actual}, {url} says {md5}; try again")
 
 
-def _files(index: Path, url: str, resolution: str) -> dict[str, tuple[str, str]]:
-    """Return URL and MD5 by path; the list is untrusted, so paths and URLs are checked."""
+def _md5() -> Any:
+    return hashlib.md5(usedforsecurity=False)
+
+
+def _files(index: Path, url: str, resolution: str) -> dict[str, tuple[str, int, str]]:
+    """Return URL, size and MD5 by path; the list is untrusted, so paths, URLs and sizes are checked."""
     try:
         gltf: dict[str, Any] = json.loads(index.read_text())["gltf"][resolution]["gltf"]
         files = {PurePosixPath(gltf["url"]).name: gltf, **gltf.get("include", {})}
         result = {
-            str(safe_path(name, url)): (str(file["url"]), str(file["md5"])) for name, file in files.items()
+            str(safe_path(name, url)): (
+                str(file["url"]),
+                min(int(file["size"]), MAX_DOWNLOAD),
+                str(file["md5"]),
+            )
+            for name, file in files.items()
         }
     except ObjectFolderError:
         raise
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ObjectFolderError(
             f"{url} lists no glTF at {resolution} in the format of the Poly Haven API "
             f"({type(error).__name__}: {error}); check the list, and `resolution` in the catalogue"
         ) from error
-    for name, (address, _) in result.items():
+    for name, (address, *_) in result.items():
         if not address.startswith(("http://", "https://")):
             raise ObjectFolderError(f"{url}: {name} is at {address!r}, expected http:// or https://")
     return result

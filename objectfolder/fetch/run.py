@@ -145,6 +145,8 @@ def fetch_all(
             result = fetch_object(key, catalogue, directory, accept_changed, root, progress)
         except (ObjectFolderError, OSError) as error:
             result = FetchResult(key, FetchStatus.FAILED, str(error))
+        except Exception as error:  # readers may raise anything on unexpected content
+            result = FetchResult(key, FetchStatus.FAILED, f"unexpected {error!r}")
         on_result(result)
         results.append(result)
     return results

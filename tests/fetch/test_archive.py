@@ -4,7 +4,9 @@ import gzip
 import io
 import stat
 import tarfile
+import tracemalloc
 import zipfile
+from contextlib import suppress
 
 import pytest
 from publisher import tgz, zipped
@@ -66,7 +68,7 @@ def test_a_member_outside_the_folder_is_refused_and_named(tmp_path, pack, name):
 def test_links_and_devices_in_a_tar_are_refused(tmp_path, kind):
     info = tarfile.TarInfo("way/out")
     info.type, info.linkname = kind, "/etc/passwd"
-    refused(write(tmp_path, "link.tgz", tgz(GOOD, [info])), tmp_path, "'way/out' is a link or a device")
+    refused(write(tmp_path, "link.tgz", tgz(GOOD, [info])), tmp_path, "'way/out' is a link, a device")
 
 
 def test_a_folder_outside_is_refused_even_when_empty(tmp_path):
@@ -82,7 +84,7 @@ def test_a_symbolic_link_in_a_zip_is_refused(tmp_path):
         info = zipfile.ZipInfo("way/out")
         info.external_attr = (stat.S_IFLNK | 0o777) << 16
         archive.writestr(info, "/etc/passwd")
-    refused(write(tmp_path, "link.zip", stream.getvalue()), tmp_path, "'way/out' is a link or a device")
+    refused(write(tmp_path, "link.zip", stream.getvalue()), tmp_path, "'way/out' is a link, a device")
 
 
 @pytest.mark.parametrize("pack", [tgz, zipped])
@@ -140,3 +142,120 @@ def test_a_web_page_is_no_archive(tmp_path):
     page = write(tmp_path, "mug.tgz", b"<html>not found</html>")
     refused(page, tmp_path, "neither a zip nor a tar archive.*web page")
     refused(write(tmp_path, "empty.zip", b""), tmp_path, "neither a zip nor a tar archive")
+
+
+def peak_of_refusal(archive, tmp_path, match, **limits):
+    tracemalloc.start()
+    try:
+        refused(archive, tmp_path, match, **limits)
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def extended(kind, content, count=1):
+    """A tar whose one file has ``count`` extended headers of a kind before it."""
+    stream = io.BytesIO()
+    with gzip.open(stream, "wb", 1) as unpacked:
+        for _ in range(count):
+            header = tarfile.TarInfo("x")
+            header.type, header.size = kind, len(content)
+            unpacked.write(header.tobuf() + content + bytes(-len(content) % 512))
+        with tarfile.open(fileobj=unpacked, mode="w|") as archive:
+            info = tarfile.TarInfo("mesh.obj")
+            info.size = 1
+            archive.addfile(info, io.BytesIO(b"v"))
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("kind", [tarfile.XHDTYPE, tarfile.XGLTYPE, tarfile.GNUTYPE_LONGNAME])
+def test_a_long_extended_header_is_not_read(tmp_path, kind):
+    archive = write(tmp_path, "long.tgz", extended(kind, b"20000000 comment=" + bytes(19_999_983)))
+    assert len(archive.read_bytes()) < 200_000
+    assert peak_of_refusal(archive, tmp_path, "extended header of 20,000,000 bytes") < 4 << 20
+
+
+def test_extended_headers_are_limited_together(tmp_path, monkeypatch):
+    monkeypatch.setattr("objectfolder.fetch.archive.MAX_DIRECTORY", 10_000)
+    header = b"120 comment=" + b"x" * 107 + b"\n"
+    extract(write(tmp_path, "few.tgz", extended(tarfile.XGLTYPE, header, 80)), tmp_path / "few")
+    assert (tmp_path / "few" / "mesh.obj").read_bytes() == b"v"
+    refused(write(tmp_path, "many.tgz", extended(tarfile.XGLTYPE, header, 90)), tmp_path, "10,000 in all")
+
+
+def test_a_chain_of_headers_is_no_crash(tmp_path):
+    refused(
+        write(tmp_path, "chain.tgz", extended(tarfile.XHDTYPE, b"", 5000)), tmp_path, "chain.tgz is .*damaged"
+    )
+
+
+def test_a_size_below_zero_is_refused(tmp_path):
+    content = b"19 size=-100000000\n"
+    archive = write(tmp_path, "less.tgz", extended(tarfile.XHDTYPE, content))
+    refused(archive, tmp_path, "unpacks to over|damaged")
+
+
+def folders(count, pack):
+    stream = io.BytesIO()
+    if pack is zipped:
+        with zipfile.ZipFile(stream, "w") as archive:
+            for number in range(count):
+                archive.writestr(f"{number}/", b"")
+        return stream.getvalue()
+    with gzip.open(stream, "wb", 1) as unpacked:
+        for number in range(count):
+            info = tarfile.TarInfo(str(number))
+            info.type = tarfile.DIRTYPE
+            unpacked.write(info.tobuf())
+        unpacked.write(bytes(1024))
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("pack", [tgz, zipped])
+def test_folders_are_members(tmp_path, pack):
+    archive = write(tmp_path, "folders", folders(301, pack))
+    refused(archive, tmp_path, "over 300 members", max_members=300)
+    extract(archive, tmp_path / "out", max_members=301)
+
+
+def test_a_long_directory_of_a_zip_is_not_read(tmp_path):
+    content, count = folders(1, zipped), 60_000
+    start, end = content.index(b"PK\1\2"), content.index(b"PK\5\6")
+    directory = content[start:end] * count
+    size = len(directory).to_bytes(4, "little")
+    content = content[:start] + directory + content[end : end + 12] + size + content[end + 16 :]
+    archive = write(tmp_path, "folders.zip", content)
+    assert peak_of_refusal(archive, tmp_path, "directory of over 2,097,152 bytes") < 8 << 20
+
+
+def test_a_sparse_member_is_refused(tmp_path):
+    info = tarfile.TarInfo("hole")
+    info.type = tarfile.GNUTYPE_SPARSE
+    refused(write(tmp_path, "hole.tar", tgz(GOOD, [info])), tmp_path, "'hole' is .* sparse")
+    pax = b"22 GNU.sparse.major=1\n22 GNU.sparse.minor=0\n"
+    refused(write(tmp_path, "map.tgz", extended(tarfile.XHDTYPE, pax)), tmp_path, "'mesh.obj' is .* sparse")
+
+
+@pytest.mark.parametrize("name", ["", "a/" * 2000 + "b"])
+def test_odd_names_are_refused(tmp_path, name):
+    refused(write(tmp_path, "odd.tgz", tgz({"good": b"1", name: b"2"})), tmp_path, "not trustworthy")
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {b"AA": b"\0x"},
+        # Without a name: the two bytes are of the next field, in the local header and in the directory.
+        {b"\2\0\0\0AA": b"\0\0\2\0AA", b"\2\0\0\0\0\0": b"\0\0\2\0\0\0"},
+        {b"AA": b"./"},
+        {b"AA": b"\xff\xff"},
+    ],
+)
+def test_odd_names_in_a_zip_are_no_crash(tmp_path, changes):
+    content = zipped({"AA": b"2"})
+    for old, new in changes.items():
+        assert old in content
+        content = content.replace(old, new)
+    archive = write(tmp_path, "odd.zip", content)
+    with suppress(ObjectFolderError):
+        extract(archive, tmp_path / "out")

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from publisher import box_obj, gso, polyhaven, tgz, ycb
+from publisher import box_obj, gso, polyhaven, tgz, ycb, zipped
 from typer.testing import CliRunner
 
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
+from objectfolder.fetch import run as run_module
 from objectfolder.fetch.catalogue import read_catalogue
 from objectfolder.fetch.checksums import read_checksums
 from objectfolder.fetch.download import WAITS
@@ -141,6 +142,18 @@ def test_one_that_fails_does_not_stop_the_others(published, publisher):
     assert "present ycb_mug: data/objects/ycb_mug is there already" in again.output
 
 
+def test_an_archive_that_no_reader_expects_fails_alone(published, publisher, monkeypatch):
+    nameless = zipped({"AA": b"2"}).replace(b"\2\0\0\0AA", b"\0\0\2\0AA")
+    publisher.pages[MUG] = nameless.replace(b"\2\0\0\0\0\0", b"\0\0\2\0\0\0")
+    results = fetch_all(["ycb_mug", "gso_bunny_racer"], published)
+    assert [result.status for result in results] == [FetchStatus.FAILED, FetchStatus.ADDED]
+    assert "not trustworthy" in results[0].detail
+    monkeypatch.setattr(run_module, "extract", lambda *_: [][0])
+    (result,) = fetch_all(["ycb_mug"], published)
+    assert result.status is FetchStatus.FAILED
+    assert "IndexError('list index out of range')" in result.detail
+
+
 def test_what_is_in_the_workspace_is_marked(published, publisher):
     fetch_object("ycb_mug", published)
     marked = [line.split()[1] for line in run(publisher, "--list").output.splitlines() if "✓" in line]
@@ -267,6 +280,8 @@ def test_a_damaged_record_is_named(published):
         (lambda gltf: gltf.update(url="/evil/.."), "outside the folder"),
         (lambda gltf: gltf["include"]["Barrel_01.bin"].update(md5="0" * 32), "is damaged: its MD5"),
         (lambda gltf: gltf["include"]["Barrel_01.bin"].update(url="file:///etc/passwd"), "expected http"),
+        (lambda gltf: gltf["include"]["Barrel_01.bin"].update(size=10), "Barrel_01.bin is larger than"),
+        (lambda gltf: gltf["include"]["Barrel_01.bin"].update(size="1" * 5000), "lists no glTF at 1k"),
         (lambda gltf: gltf["include"].pop("Barrel_01.bin"), "Barrel_01"),
         (lambda gltf: gltf.pop("md5"), "lists no glTF at 1k.*md5"),
     ],
@@ -282,7 +297,7 @@ def test_a_bad_list_of_files_leaves_nothing(published, publisher, change, messag
     assert leftovers() == set()
 
 
-@pytest.mark.parametrize("page", [b"no json", b"[]", b'{"gltf": {"4k": {}}}'])
+@pytest.mark.parametrize("page", [b"no json", b"[]", b'{"gltf": {"4k": {}}}', b"[" * 100_000])
 def test_a_list_of_another_kind_is_said(published, publisher, page):
     publisher.pages["/files/Barrel_01"] = page
     with pytest.raises(ObjectFolderError, match="/files/Barrel_01 lists no glTF at 1k"):

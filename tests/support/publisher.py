@@ -6,6 +6,8 @@ import json
 import tarfile
 import threading
 import zipfile
+from collections.abc import Callable
+from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
@@ -143,6 +145,8 @@ class Publisher:
         Bytes after which the next answers for a path break off.
     refusals : dict of str to list of int
         Status of the next answers for a path.
+    scripts : dict of str to callable
+        Sends the answer for a path; takes the handler. It may go on until the other side hangs up.
     requests : list of (str, headers)
         What was asked for.
     """
@@ -162,6 +166,7 @@ class Publisher:
         self.validators = True
         self.drops: dict[str, list[int]] = {}
         self.refusals: dict[str, list[int]] = {}
+        self.scripts: dict[str, Callable[[BaseHTTPRequestHandler], None]] = {}
         self.requests: list[tuple[str, dict[str, str]]] = []
         self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
         self.url = f"http://127.0.0.1:{self.server.server_port}"
@@ -175,6 +180,10 @@ class Publisher:
 
     def answer(self, handler):
         self.requests.append((handler.path, dict(handler.headers)))
+        if script := self.scripts.get(handler.path):
+            with suppress(ConnectionError):
+                script(handler)
+            return
         if refusals := self.refusals.get(handler.path):
             handler.send_error(refusals.pop(0))
             return
