@@ -8,9 +8,9 @@ from typing import Any, Literal
 from urllib.parse import quote, urlsplit
 
 from pydantic import Field, ValidationError, field_validator
-from ruamel.yaml import YAML, YAMLError
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.errors import ObjectFolderError, quoted
+from objectfolder.io import read_yaml
 from objectfolder.materials import material
 from objectfolder.workspace import params
 
@@ -97,9 +97,7 @@ def read_catalogue(path: Path, urls: Sequence[str] = ()) -> Catalogue:
     if not path.is_file():
         raise ObjectFolderError(f"catalogue {path} does not exist; run inside an objectfolder workspace")
     try:
-        catalogue = Catalogue.model_validate(YAML(typ="safe").load(path.read_text()))
-    except (YAMLError, UnicodeDecodeError) as error:
-        raise ObjectFolderError(f"{path} is not valid YAML: {error}") from error
+        catalogue = Catalogue.model_validate(read_yaml(path))
     except ValidationError as error:
         problems = (f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
         raise ObjectFolderError(
@@ -109,7 +107,7 @@ def read_catalogue(path: Path, urls: Sequence[str] = ()) -> Catalogue:
         params.check_key(key, f"{path}: objects")
         if entry.source not in catalogue.sources:
             raise ObjectFolderError(
-                f"{path}: objects.{key}.source is {entry.source!r}, "
+                f"{path}: objects.{key}.source is {quoted(entry.source)}, "
                 f"expected one of {', '.join(catalogue.sources)}"
             )
     return catalogue.model_copy(update={"sources": _with_urls(catalogue.sources, urls)})

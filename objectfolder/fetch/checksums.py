@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from ruamel.yaml import YAML, YAMLError
+from ruamel.yaml import YAML
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic
+from objectfolder.io import atomic, read_yaml
 
 PATH = Path("data/checksums.yaml")
 HEADER = (
@@ -24,10 +24,7 @@ def read_checksums(path: Path) -> dict[str, dict[str, str]]:
     """
     if not path.exists():
         return {}
-    try:
-        values = YAML(typ="safe").load(path.read_text())
-    except (YAMLError, UnicodeDecodeError, OSError) as error:
-        raise ObjectFolderError(f"{path} cannot be read ({error}); restore it from git") from error
+    values = read_yaml(path)
     values = {} if values is None else values
     if not isinstance(values, dict) or not all(isinstance(files, dict) for files in values.values()):
         raise ObjectFolderError(f"{path} does not map objects to files and checksums; restore it from git")

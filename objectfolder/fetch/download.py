@@ -126,7 +126,7 @@ class _PacedStream(io.RawIOBase):
 class _Response(HTTPResponse):
     def __init__(self, sock: Any, *args: Any, **options: Any):
         super().__init__(sock, *args, **options)
-        self.fp = io.BufferedReader(_PacedStream(self.fp.detach()))  # type: ignore[has-type]
+        self.fp = io.BufferedReader(_PacedStream(self.fp.detach()))
 
 
 class _Connection(HTTPConnection):

@@ -7,7 +7,8 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.errors import ObjectFolderError, quoted
+from objectfolder.io import read_yaml
 
 _PROFILES = Path(__file__).with_suffix("")
 
@@ -132,7 +133,9 @@ class SensorProfile:
     def _require(self, condition: bool, name: str, expected: str) -> None:
         if not condition:
             value = getattr(self, name, None)
-            raise ObjectFolderError(f"sensor profile {self.name!r}: {name} = {value} must be {expected}")
+            raise ObjectFolderError(
+                f"sensor profile {self.name!r}: {name} = {quoted(value)} must be {expected}"
+            )
 
     @property
     def half_extent(self) -> tuple[float, float]:
@@ -179,8 +182,6 @@ def load_profile(name_or_path: str | Path) -> SensorProfile:
     ObjectFolderError
         If there is no such profile, or it is not valid.
     """
-    from ruamel.yaml import YAML, YAMLError
-
     path = Path(name_or_path)
     if path.suffix not in (".yaml", ".yml"):
         path = _PROFILES / f"{name_or_path}.yaml"
@@ -189,10 +190,7 @@ def load_profile(name_or_path: str | Path) -> SensorProfile:
         raise ObjectFolderError(
             f"unknown sensor profile {str(name_or_path)!r}: expected one of {available}, or a .yaml file"
         )
-    try:
-        values = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
-    except (YAMLError, UnicodeDecodeError) as error:
-        raise ObjectFolderError(f"{path} is not valid YAML: {error}") from error
+    values = read_yaml(path)
     try:
         profile = SensorProfile.from_dict(values)
     except ObjectFolderError as error:
@@ -223,7 +221,7 @@ def require_renderer(profile: SensorProfile, renderer: str) -> None:
 
 def _from_mapping(cls: type[_T], values: Any, what: str) -> _T:
     if not isinstance(values, Mapping):
-        raise ObjectFolderError(f"{what}: expected named fields, got {values!r}")
+        raise ObjectFolderError(f"{what}: expected named fields, got {quoted(values)}")
     declared = {field.name: field.type for field in fields(cls)}  # type: ignore[arg-type]
     missing, unknown = declared.keys() - values.keys(), values.keys() - declared.keys()
     if missing or unknown:
@@ -251,7 +249,7 @@ def _coerce(value: Any, kind: Any, what: str) -> Any:
     expected = {str: "text", int: "a whole number", float: "a number"}.get(kind, "a list of numbers")
     if kind in lengths:
         expected = f"{lengths[kind]} numbers"
-    raise ObjectFolderError(f"{what} = {value!r} must be {expected}")
+    raise ObjectFolderError(f"{what} = {quoted(value)} must be {expected}")
 
 
 def _flat(value: float | tuple[float, ...]) -> tuple[float, ...]:

@@ -3,12 +3,13 @@
 Stages import `objectfolder.workspace.params` alone, so that a new material reruns only ``modal``.
 """
 
+import difflib
 import json
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any, Literal
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.materials import material
 from objectfolder.workspace.params import (
     PARAMS_FILE,
@@ -17,6 +18,7 @@ from objectfolder.workspace.params import (
     ObjectEntry,
     ProceduralEntry,
     Record,
+    Shared,
     checked,
     object_entry,
     section_config,
@@ -39,7 +41,19 @@ class Selection(Record):
 
 
 def check_all(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
-    """Validate everything, before a long build starts."""
+    """Validate everything, before a long build starts.
+
+    Raises
+    ------
+    ObjectFolderError
+        If a value is wrong or missing, or a name at the top is unknown.
+    """
+    known = ("objects", "procedural", "benchmarks", *Shared.model_fields, *SECTIONS)
+    for name in values:
+        if name not in known:
+            near = difflib.get_close_matches(str(name)[:60], known, 1)
+            hint = f"do you mean {near[0]}?" if near else f"expected one of {', '.join(known)}"
+            raise ObjectFolderError(f"{path}: {quoted(name)} is no section; {hint}")
     for key, entry in values["objects"].items():
         check_object(key, values, path)
         lacking = [name for name in ObjectEntry.model_fields if name not in entry]

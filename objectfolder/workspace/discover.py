@@ -12,11 +12,10 @@ from typing import Any
 from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
 from objectfolder import materials
-from objectfolder.errors import ObjectFolderError
+from objectfolder.errors import ObjectFolderError, quoted
+from objectfolder.io import read_yaml
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.reading.load import FORMATS, default_up, load_mesh
 from objectfolder.workspace.objects import MAX_SCALE, MIN_SCALE, check_new
@@ -136,11 +135,16 @@ def _materials(folder: Path) -> dict[str, str]:
             values: Any = {name.strip(): value.strip() for name, value in rows}
             values = {name: value for name, value in values.items() if (name, value) != ("name", "material")}
         else:
-            values = YAML(typ="safe").load(path.read_text())
-    except (YAMLError, ValueError, csv.Error) as error:
+            values = read_yaml(path)
+    except ObjectFolderError:
+        raise
+    except (ValueError, csv.Error) as error:
         raise ObjectFolderError(f"{path} cannot be read: {error}; expected {expected}") from error
     if not isinstance(values, dict):
         raise ObjectFolderError(f"{path} holds {type(values).__name__}; expected {expected}")
+    for name, value in values.items():
+        if isinstance(value, dict | list):
+            raise ObjectFolderError(f"{path}: {quoted(name)} is {quoted(value)}; expected {expected}")
     return {str(name): str(value) for name, value in values.items()}
 
 

@@ -5,14 +5,14 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-from objectfolder.io import atomic
+from objectfolder.io import atomic, checked_yaml
 from objectfolder.workspace.params import read
 
 
 def editable(path: Path) -> tuple[Any, dict[str, Any]]:
     """Read ``params.yaml`` twice: as a document that keeps comments and order, and as plain values."""
     values = read(path)
-    return YAML().load(path.read_text()), values
+    return YAML().load(checked_yaml(path)), values
 
 
 def write_params(path: Path, document: Any) -> None:

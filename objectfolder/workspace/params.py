@@ -15,9 +15,9 @@ from typing import Any, Generic, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator
 from pydantic_core import ErrorDetails
-from ruamel.yaml import YAML, YAMLError
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.errors import ObjectFolderError, quoted
+from objectfolder.io import read_yaml
 
 PARAMS_FILE = "params.yaml"
 #: Environment variable by which a build gives its stages the parameters that it recorded: a copy of the file.
@@ -131,10 +131,7 @@ def read(path: str | Path = PARAMS_FILE) -> dict[str, Any]:
     held = Path(os.environ.get(HELD_PARAMS, path)) if path == Path(PARAMS_FILE) else path
     if not held.is_file():
         raise ObjectFolderError(f"{path} does not exist; run inside an objectfolder workspace")
-    try:
-        values = YAML(typ="safe").load(held.read_text())
-    except (YAMLError, UnicodeDecodeError) as error:
-        raise ObjectFolderError(f"{path} is not valid YAML: {error}") from error
+    values = read_yaml(held)
     if not isinstance(values, dict):
         raise ObjectFolderError(f"{path} holds {type(values).__name__}, expected a mapping")
     for group in ("objects", "procedural"):
@@ -167,7 +164,7 @@ def check_key(key: Any, where: str = "object key") -> str:
         else "keys become file and stage names"
     )
     raise ObjectFolderError(
-        f"{where}: {key!r} is not a valid object key ({reason}); expected a letter, then letters, digits or "
+        f"{where}: {quoted(key)} is not a valid object key ({reason}); expected a letter, then letters, digits or "
         "underscores, all lower case"
     )
 
@@ -189,7 +186,9 @@ def object_entry(key: str, values: dict[str, Any], path: str | Path = PARAMS_FIL
     home = PurePosixPath("data/objects") / key
     mesh = PurePosixPath(valid.mesh)
     if home not in mesh.parents or ".." in mesh.parts:
-        raise ObjectFolderError(f"{path}: objects.{key}.mesh is {valid.mesh!r}, expected a file in {home}/")
+        raise ObjectFolderError(
+            f"{path}: objects.{key}.mesh is {quoted(valid.mesh)}, expected a file in {home}/"
+        )
     return valid
 
 
@@ -285,6 +284,6 @@ def _wrong(where: str, error: ValidationError, outer: int = 0) -> ObjectFolderEr
         place = ".".join(map(str, e["loc"][outer:]))
         if not place and e["type"] == "value_error":  # of a dataclass's own check, which names the field
             return str(e["ctx"]["error"])
-        return f"{place or 'entry'}: {e['msg']}, got {e['input']!r}"
+        return f"{place or 'entry'}: {e['msg']}, got {quoted(e['input'])}"
 
     return ObjectFolderError(f"{where}: {'; '.join(map(problem, error.errors()))}")

@@ -3,9 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from ruamel.yaml import YAML
-
-from objectfolder.errors import ObjectFolderError
+from objectfolder.errors import ObjectFolderError, quoted
+from objectfolder.io import read_yaml
 from objectfolder.workspace.check import check_all
 from objectfolder.workspace.document import editable, write_params
 from objectfolder.workspace.params import PARAMS_FILE
@@ -40,11 +39,14 @@ def read_preset(name: str, root: Path = Path()) -> tuple[dict[str, Any], Path]:
     Raises
     ------
     ObjectFolderError
-        If there is no such preset.
+        If there is no such preset, or it is not a mapping.
     """
     folder = root / "params"
     path = folder / f"{name}.yaml"
     if not path.is_file():
         known = ", ".join(sorted(p.stem for p in folder.glob("*.yaml"))) or "none"
         raise ObjectFolderError(f"no preset {name!r} in {folder}/; expected one of {known}")
-    return YAML(typ="safe").load(path.read_text()), path
+    sections = read_yaml(path)
+    if not isinstance(sections, dict):
+        raise ObjectFolderError(f"{path} holds {quoted(sections)}, expected sections by name")
+    return sections, path

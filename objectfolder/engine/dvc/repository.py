@@ -17,15 +17,16 @@ from dvc.lock import LockError
 from dvc.repo import Repo, lock_repo
 from dvc.rwlock import RWLOCK_FILE
 from dvc.rwlock import SCHEMA as RWLOCK_SCHEMA
-from dvc.utils.serialize import load_yaml
 from voluptuous import Invalid
 
 from objectfolder.engine.dvc.lockfile import COPIES, LockFiles
 from objectfolder.engine.dvc.replacements import replacements
 from objectfolder.engine.dvc.runcache import RunCache
 from objectfolder.errors import ObjectFolderError
+from objectfolder.io import checked_yaml, read_yaml
 
 LOGGERS = ("dvc", "dvc_data", "dvc_objects")
+PARAMS = "params.yaml"
 POLL = 0.5
 _log = logging.getLogger(__name__)
 
@@ -116,6 +117,8 @@ def open_repository(root: str | Path = ".", wait: bool = False) -> Iterator[Open
     root = Path(root).resolve()
     if not root.is_dir():
         raise ObjectFolderError(f"{root} is not a directory; expected the one that holds dvc.yaml")
+    if (root / PARAMS).exists():  # before DVC reads it, which has no limits
+        checked_yaml(root / PARAMS)
     with _quiet(), chdir(root):
         try:
             repo = Repo()
@@ -149,11 +152,8 @@ def track(path: Path, root: str | Path = ".") -> None:
 
 def read_params(root: Path) -> dict[str, Any]:
     """Return the contents of ``params.yaml``; empty if it does not exist."""
-    path = root / "params.yaml"
-    try:
-        values = load_yaml(path) if path.exists() else {}
-    except DvcException as error:
-        raise ObjectFolderError(f"DVC cannot read {path}: {error}") from error
+    path = root / PARAMS
+    values = read_yaml(path) if path.exists() else {}
     return values if isinstance(values, dict) else {}
 
 

@@ -1,0 +1,116 @@
+"""YAML from elsewhere: what is small to read and huge to show, or too deep, is refused in a short message."""
+
+import time
+
+import pytest
+
+from objectfolder.engine.dvc.repository import open_repository
+from objectfolder.errors import MAX_MESSAGE, ObjectFolderError, quoted
+from objectfolder.fetch.catalogue import read_catalogue
+from objectfolder.fetch.checksums import read_checksums
+from objectfolder.io import MAX_NESTING, read_yaml
+from objectfolder.touch.profiles import load_profile
+from objectfolder.workspace import params
+from objectfolder.workspace.discover import discover
+from objectfolder.workspace.document import editable
+from objectfolder.workspace.presets import read_preset
+
+
+def bomb(levels=9, width=10):
+    """A list of 500 bytes that stands for ``width ** levels`` words."""
+    lines = [f"a0: &a0 [{', '.join(['lol'] * width)}]"]
+    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * width)}]" for i in range(1, levels)]
+    return "\n".join(lines)
+
+
+def read_materials(path):
+    path.rename(path.with_name("materials.yaml"))
+    discover(path.parent)
+
+
+def open_workspace(path):
+    with open_repository(path.parent):
+        pass
+
+
+READERS = {
+    "parameters": params.read,
+    "document": editable,
+    "preset": lambda path: read_preset("params", path.parent.parent),
+    "catalogue": read_catalogue,
+    "checksums": read_checksums,
+    "materials": read_materials,
+    "profile": load_profile,
+    "workspace": open_workspace,
+}
+#: What parses, and what does not.
+BOMBS = {
+    "aliases": (bomb(), r"has over 16,777,216 characters with a copy for each alias"),
+    "mapping": (f"objects: {{}}\nprocedural: {{}}\n{bomb()}", "has over 16,777,216 characters"),
+    "nesting": ("a: " + "[" * 5000 + "]" * 5000, f"more than {MAX_NESTING} deep"),
+    "itself": ("a: &b [*b]", r"the alias \*b in what it stands for"),
+    "number": ("a: 0x" + "f" * 5000, "a value of 5,002 characters"),
+}
+
+
+@pytest.fixture
+def path(tmp_path):
+    folder = tmp_path / "params"
+    folder.mkdir()
+    return folder / "params.yaml"
+
+
+@pytest.mark.parametrize("reader", READERS.values(), ids=READERS)
+@pytest.mark.parametrize(("text", "message"), BOMBS.values(), ids=BOMBS)
+def test_bombs_are_refused_at_once_and_shortly(path, reader, text, message):
+    path.write_text(text)
+    start = time.process_time()
+    with pytest.raises(ObjectFolderError, match=message) as error:
+        reader(path)
+    assert time.process_time() - start < 2
+    assert len(str(error.value)) < 300 + len(str(path))
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["a: 1\na: 2", "a: 2001-99-99", "a: !!int x", "a: [", "a: !foo 1", "? {a: 1}\n: 2", "a: *b", "\xff"],
+)
+def test_what_cannot_be_loaded_is_said_in_one_line(path, text):
+    path.write_text(text, encoding="latin-1")
+    with pytest.raises(ObjectFolderError, match=r"params\.yaml.* is not valid YAML: .*correct it") as error:
+        read_yaml(path)
+    assert "\n" not in str(error.value)
+
+
+def test_a_key_that_is_there_twice_is_named_with_its_line(path):
+    path.write_text("seed: 0\nobjects: {}\nseed: 1\n")
+    with pytest.raises(
+        ObjectFolderError, match=r'params\.yaml, line 3 is not valid YAML.* duplicate key "seed"'
+    ):
+        params.read(path)
+
+
+def test_aliases_and_nesting_within_reason_are_read(path):
+    deep = "[" * (MAX_NESTING - 1) + "]" * (MAX_NESTING - 1)
+    path.write_text(f"a: &a {{b: 1}}\nc: {{<<: *a, d: *a}}\ne: {deep}")
+    values = read_yaml(path)
+    assert values["c"] == {"b": 1, "d": {"b": 1}}
+
+
+def test_values_in_messages_are_short():
+    nested = []
+    for _ in range(200):
+        nested = [nested]
+    for value in ("x" * 10**6, [1] * 10**6, {i: "y" * 1000 for i in range(1000)}, nested, 10**4000):
+        assert len(quoted(value)) <= 310
+    assert quoted({"b": 1, "a": ["x", None]}) == "{'a': ['x', None], 'b': 1}"
+    assert len(str(ObjectFolderError("m" * 10**6))) < MAX_MESSAGE + 10
+    assert str(ObjectFolderError("a message")) == "a message"
+
+
+def test_a_long_value_of_a_wrong_parameter_is_shortened(path):
+    path.write_text(f"objects: {{a: {{mesh: {'m' * 1900}}}}}\nprocedural: {{}}\n")
+    values = params.read(path)
+    with pytest.raises(ObjectFolderError, match="objects.a: material") as error:
+        params.object_entry("a", values, path)
+    assert len(str(error.value)) < 1000
