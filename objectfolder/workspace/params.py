@@ -164,8 +164,8 @@ def check_key(key: Any, where: str = "object key") -> str:
         else "keys become file and stage names"
     )
     raise ObjectFolderError(
-        f"{where}: {quoted(key)} is not a valid object key ({reason}); expected a letter, then letters, digits or "
-        "underscores, all lower case"
+        f"{where}: {quoted(key)} is not a valid object key ({reason}); expected a letter, then letters, "
+        "digits or underscores, all lower case"
     )
 
 

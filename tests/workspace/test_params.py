@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.workspace.check import check_all, check_object
+from objectfolder.workspace.check import Selection, check_all, check_object
 from objectfolder.workspace.params import (
     FIRST_STAGES,
     OBJECT_STAGES,
@@ -293,3 +293,19 @@ def test_presets_are_valid(values, preset):
 
 def test_the_projects_own_parameters_are_valid():
     check_all(read(REPOSITORY / "params.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("train_vison", "do you mean train_vision"),
+        ("Seed", "do you mean seed"),
+        ("zzz", "expected one of objects, "),
+    ],
+)
+def test_an_unknown_section_is_refused_with_the_nearest_name(values, name, hint):
+    values |= {"objects": {}, "procedural": {}, "seed": 0, "sensor": "digit"}
+    values["benchmarks"] = {stage: [] for stage in Selection.model_fields}
+    check_all(values)
+    with pytest.raises(ObjectFolderError, match=rf"params\.yaml: '{name}' is no section; {hint}"):
+        check_all({**values, name: {}})
