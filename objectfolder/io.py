@@ -202,7 +202,7 @@ def _yaml_problem(events: Any) -> str:
     sizes: dict[str, int] = {}  # of what an anchor names
     around: list[tuple[str, int]] = []  # anchor of each collection around, and its size so far
     for event in events:
-        anchor, size = getattr(event, "anchor", None), 1
+        anchor, size = getattr(event, "anchor", None) or "", 1
         if isinstance(event, CollectionStartEvent):
             around.append((anchor, size))
             if len(around) > MAX_NESTING:

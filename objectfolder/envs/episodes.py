@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from objectfolder.envs.calls import started
 from objectfolder.envs.camera import ExternalCamera
 from objectfolder.envs.features import CONTRAST, FeatureFunction, TouchFeatures
 from objectfolder.envs.fingers import Presses
@@ -53,6 +54,20 @@ class Episodes:
         self.objects, self.hands = self.task.start(count, rng)
         self.step = 0
         return self.observe()
+
+    def state(self) -> tuple[np.ndarray, np.ndarray, int]:
+        """Return what changes in an episode, for `restore`."""
+        return self.objects, self.hands, self.step
+
+    def restore(self, state: tuple[np.ndarray, np.ndarray, int]) -> None:
+        """Go on from a `state`; places and hands are never changed in place, so that it can be shared."""
+        self.objects, self.hands, self.step = state
+
+    def check_running(self) -> None:
+        """Raise ObjectFolderError unless the episodes have begun and not ended."""
+        started(len(self.hands) > 0)
+        if self.step >= STEPS:
+            raise ObjectFolderError(f"the episode has ended after {STEPS} steps; call reset()")
 
     def act(self, actions: np.ndarray) -> np.ndarray:
         """Move the hands, and grasp after the last step; rewards (N,)."""

@@ -12,6 +12,7 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
+from objectfolder.envs.calls import finite_actions, no_options, started
 from objectfolder.envs.episodes import Episodes
 from objectfolder.envs.features import FeatureFunction
 from objectfolder.envs.grasp_task import STEPS, GraspTask, make_task
@@ -42,7 +43,12 @@ class GraspEnv(gymnasium.Env[Any, np.ndarray]):
     Raises
     ------
     ObjectFolderError
-        If the object does not fit the gripper, or the file lacks touch.
+        If the object does not fit the gripper, or the file lacks touch. On a step before a reset, with a
+        wrong action, or after the end of an episode, and on a reset with options.
+
+    Notes
+    -----
+    A pickle holds the arguments, the episode and the random generator: a copy goes on as the original does.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 2}  # noqa: RUF012
@@ -54,6 +60,7 @@ class GraspEnv(gymnasium.Env[Any, np.ndarray]):
         hulls: str | Path = "benchmarks/hulls",
         render_mode: str | None = None,
     ):
+        self._arguments = (file, observation, hulls, render_mode)
         self._episodes = Episodes(make_task(_loaded(file), hulls), observation)
         self.observation_space = self._episodes.space()
         self.action_space = spaces.Box(-1, 1, (4,), np.float32)
@@ -63,19 +70,33 @@ class GraspEnv(gymnasium.Env[Any, np.ndarray]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Start an episode with the object at a random place."""
+        no_options(options)
         super().reset(seed=seed)
         return _first(self._episodes.begin(1, self.np_random)), {}
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Move the hand, and grasp after the last step."""
-        reward = float(self._episodes.act(np.asarray(action, np.float64)[None])[0])
+        self._episodes.check_running()
+        reward = float(self._episodes.act(finite_actions(action, (4,))[None])[0])
         done = self._episodes.step >= STEPS
         info = {"success": bool(reward)} if done else {}
         return _first(self._episodes.observe()), reward, done, False, info
 
     def render(self) -> np.ndarray | None:
         """Return the external camera's picture, (256, 256, 3) uint8; None without ``render_mode``."""
-        return None if self.render_mode is None else self._episodes.picture(0)
+        if self.render_mode is None:
+            return None
+        started(len(self._episodes.hands) > 0)
+        return self._episodes.picture(0)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        kept = (self._np_random, self._np_random_seed, self.spec)
+        return type(self), self._arguments, (self._episodes.state(), kept)
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        """Restore the episode and the random generator of a pickle."""
+        episode, (self._np_random, self._np_random_seed, self.spec) = state
+        self._episodes.restore(episode)
 
 
 class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
@@ -127,12 +148,14 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Start all episodes anew; one seed serves all of them."""
+        no_options(options)
         super().reset(seed=seed[0] if isinstance(seed, list) else seed)
         return self._episodes.begin(self.num_envs, self.np_random), {}
 
     def step(self, actions: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Move all hands; after the last step grasp, and start anew."""
-        rewards = self._episodes.act(np.asarray(actions, np.float64))
+        self._episodes.check_running()
+        rewards = self._episodes.act(finite_actions(actions, (self.num_envs, 4)))
         ended = np.full(self.num_envs, self._episodes.step >= STEPS)
         observed, info = self._episodes.observe(), {}
         if ended.all():

@@ -14,6 +14,7 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from objectfolder.envs.body import RigidBody, as_rigid_body
+from objectfolder.envs.calls import finite_actions, no_options, started
 from objectfolder.envs.drawing import draw_model, view_rays
 from objectfolder.envs.reach_scene import (
     GOAL_HIGH,
@@ -40,6 +41,8 @@ SIGMOID = np.sqrt(1 / 0.1 - 1)  #: makes the reward's long tail 0.1 at the margi
 
 #: Camera of `ReachEnv.render`: position and target, m; vertical field of view, degrees.
 EYE, TARGET, FOV = np.array([1.1, 0.05, 0.6]), np.array([0.0, 0.74, 0.12]), 26.0
+#: Attributes of an environment that change, beside its simulation.
+CHANGING = ("goal", "_margin", "_steps", "_previous", "_np_random", "_np_random_seed", "spec")
 
 _REACH_HIGH = np.array([0.525, 1.025, 0.7])
 _REACH_LOW = np.array([-0.525, 0.348, -0.0525])
@@ -75,7 +78,13 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     Raises
     ------
     ObjectFolderError
-        If the object is too large for the scene, or an argument is wrong.
+        If the object is too large for the scene, or an argument is wrong. On a step before a reset or with a
+        wrong action, and on a reset with options.
+
+    Notes
+    -----
+    A pickle holds the arguments, the simulation, the episode and the random generator: a copy goes on as the
+    original does.
 
     Examples
     --------
@@ -102,6 +111,7 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ObjectFolderError(f"render_mode {render_mode!r} is unknown, expected rgb_array or None")
         body = as_rigid_body(file, hulls)
+        self._arguments = (file, hulls, horizon, render_mode, resolution)
         self.model = reach_scene(body)
         self.data = mujoco.MjData(self.model)
         self.horizon, self.render_mode, self.resolution = horizon, render_mode, resolution
@@ -117,12 +127,13 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         )
         self.action_space = Box(-1, 1, (4,), np.float32)
         self.goal = GOAL_LOW
-        self._margin, self._steps, self._previous = 1.0, 0, np.zeros(18)
+        self._margin, self._steps, self._previous = 0.0, 0, np.zeros(18)  # no margin: not reset
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Reset the hand, and draw new places of the object and the goal."""
+        no_options(options)
         super().reset(seed=seed)
         mujoco.mj_resetData(self.model, self.data)
         place, self.goal = draw_placement(self.np_random)
@@ -137,10 +148,8 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Simulate one control step, 12.5 ms."""
-        action = np.asarray(action, np.float64)
-        if action.shape != (4,) or not np.isfinite(action).all():
-            raise ObjectFolderError(f"action is {action.tolist()}, expected 4 finite numbers in [-1, 1]")
-        action = np.clip(action, -1, 1)
+        started(self._margin > 0)
+        action = np.clip(finite_actions(action, (4,)), -1, 1)
         target = self.data.mocap_pos[self._target] + ACTION_SCALE * action[:3]
         self.data.mocap_pos[self._target] = np.clip(target, HAND_LOW, HAND_HIGH)
         self.data.ctrl[:] = action[3], -action[3]
@@ -154,9 +163,19 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """Return a picture of the scene, (height, width, 3) uint8; None without ``render_mode``."""
         if self.render_mode is None:
             return None
+        started(self._margin > 0)
         mujoco.mj_kinematics(self.model, self.data)  # a step leaves the previous step's positions
         rays = view_rays(EYE, TARGET, FOV, *self.resolution)
         return draw_model(self.model, self.data, EYE, rays, *self.resolution)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        kept = {name: getattr(self, name) for name in CHANGING}
+        return type(self), self._arguments, (self.data, kept)
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        """Restore the simulation, the episode and the random generator of a pickle."""
+        self.data, kept = state
+        self.__dict__ |= kept
 
     def _state(self) -> np.ndarray:
         qpos = self.data.qpos

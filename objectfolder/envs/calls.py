@@ -1,0 +1,42 @@
+"""Checks of the calls that an environment gets, as an agent may make any."""
+
+from typing import Any
+
+import numpy as np
+
+from objectfolder.errors import ObjectFolderError, quoted
+
+
+def finite_actions(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """Return actions as float64.
+
+    Raises
+    ------
+    ObjectFolderError
+        If they do not have the shape, or are not finite numbers.
+    """
+    try:
+        values = np.asarray(actions, np.float64)
+    except (TypeError, ValueError):
+        values = np.full(0, np.nan)
+    if values.shape != shape or not np.isfinite(values).all():
+        rows = f"{shape[0]} rows of " if len(shape) > 1 else ""
+        raise ObjectFolderError(
+            f"action is {quoted(getattr(actions, 'tolist', lambda: actions)())}, expected {rows}{shape[-1]} "
+            "finite numbers in [-1, 1]"
+        )
+    return values
+
+
+def no_options(options: dict[str, Any] | None) -> None:
+    """Raise ObjectFolderError if a reset has options, of which the environments have none."""
+    if options:
+        raise ObjectFolderError(
+            f"reset has options {quoted(options)}, but this environment has none; leave them out"
+        )
+
+
+def started(begun: bool) -> None:
+    """Raise ObjectFolderError if an environment was not reset before its first step or picture."""
+    if not begun:
+        raise ObjectFolderError("the environment was not reset; call reset() first")
