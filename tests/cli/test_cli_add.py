@@ -283,7 +283,7 @@ def test_a_list_names_materials(workspace, collection, file, text):
         ("materials.csv", "name,material\nbrik,iron\n", "names brik, which it does not contain"),
         ("materials.csv", "brick\n", r"materials\.csv cannot be read.*expected lines `name,material`"),
         ("materials.yaml", "- brick\n", r"materials\.yaml holds list; expected"),
-        ("materials.yaml", "{", r"materials\.yaml cannot be read"),
+        ("materials.yaml", "{", r"materials\.yaml, line [12] is not valid YAML"),
     ],
 )
 def test_a_bad_list_of_materials_is_refused(collection, file, text, message):
