@@ -129,8 +129,8 @@ MAX_MODULES = {
     "decompose": 67,
     "grasp_data": 83,
     "grasp_stability": 23,
-    "grasp_policy": 96,
-    "reach": 88,
+    "grasp_policy": 97,
+    "reach": 89,
 }
 
 
