@@ -6,6 +6,7 @@ import numpy as np
 from PIL import Image
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.pictures import decoded
 from objectfolder.touch.profiles import SensorProfile
 
 _ASPECT_TOLERANCE = 0.01  # relative, of width / height
@@ -22,11 +23,7 @@ def read_photograph(path: str | Path, profile: SensorProfile) -> np.ndarray:
     where = f"picture {path} of sensor {profile.name!r}"
     if not Path(path).is_file():
         raise ObjectFolderError(f"{where} does not exist; expected a PNG or JPEG file")
-    try:
-        with Image.open(path) as stored:
-            picture = stored.convert("RGB")
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise ObjectFolderError(f"{where} cannot be read ({error}); expected a PNG or JPEG file") from error
+    picture = decoded(Path(path), where)
     wanted = profile.width / profile.height
     if abs(picture.width / picture.height / wanted - 1) > _ASPECT_TOLERANCE:
         raise ObjectFolderError(

@@ -51,7 +51,7 @@ def add_mesh(
     bridge : {"all", "fem", "off"}
         Where to fill small gaps.
     track : callable
-        Puts a folder of a workspace under version control; takes both paths.
+        Puts a folder of a workspace under version control, with all its files, or raises; takes both paths.
 
     Returns
     -------
@@ -61,7 +61,8 @@ def add_mesh(
     Raises
     ------
     ObjectFolderError
-        If an argument or the mesh is invalid; nothing is changed then.
+        If an argument or the mesh is invalid, or it refers to a file whose name is reserved or given to
+        another; nothing is changed then.
     """
     params_path = root / params.PARAMS_FILE
     document, values = editable(params_path)
@@ -83,16 +84,11 @@ def add_mesh(
         "bridge": bridge,
     }
     entry = check_object(key, {"objects": {key: entry}}, params_path).model_dump()
-    sources = {mesh: PurePosixPath("mesh" + mesh.suffix.lower())}
-    sources |= {mesh.parent / name: name for name in references(mesh)}
-    sources |= {path: PurePosixPath(path.name) for path in attachments}
-    for source in sources:
-        if not source.is_file():
-            raise ObjectFolderError(f"{mesh} refers to {source}, which does not exist; put it there")
+    sources = _sources(mesh, attachments)
     staging = home.with_name(f".{key}.tmp")
     shutil.rmtree(staging, ignore_errors=True)
     try:
-        for source, target in sources.items():
+        for target, source in sources.items():
             copy = staging / target
             copy.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source, copy)
@@ -111,6 +107,41 @@ def add_mesh(
     return entry
 
 
+def _sources(mesh: Path, attachments: Sequence[Path]) -> dict[PurePosixPath, Path]:
+    """Map the files of an object's folder, the mesh first, to those that they are copied from."""
+    sources: dict[PurePosixPath, Path] = {}
+    folded: dict[str, Path] = {}
+    for source, target in (
+        (mesh, PurePosixPath("mesh" + mesh.suffix.lower())),
+        *((path, PurePosixPath(path.name)) for path in attachments),
+        *((mesh.parent / name, name) for name in references(mesh)),
+    ):
+        if not source.is_file():
+            raise ObjectFolderError(f"{mesh} refers to {source}, which does not exist; put it there")
+        if any(map(_reserved, target.parts)):
+            raise ObjectFolderError(
+                f"{mesh} refers to {target}, a name that is reserved for Git, DVC and hidden files; rename it"
+            )
+        # Without regard to case, as some file systems compare names.
+        name = str(target).casefold()
+        if not folded.setdefault(name, source).samefile(source):
+            raise ObjectFolderError(
+                f"{mesh} refers to {target}, a name that {folded[name]} gets in the workspace; rename it"
+            )
+        sources[target] = source
+    for target in sources:
+        if any(str(folder).casefold() in folded for folder in target.parents):
+            raise ObjectFolderError(
+                f"{mesh} refers to {target}, in a folder that has the name of a file; rename the folder"
+            )
+    return sources
+
+
+def _reserved(name: str) -> bool:
+    name = name.casefold()
+    return name.startswith(".") or name.endswith(".dvc") or name in ("dvc.yaml", "dvc.lock")
+
+
 def check_new(key: str, values: dict[str, Any], root: Path = Path()) -> Path:
     """Return the folder for the files of a new object.
 
@@ -121,10 +152,10 @@ def check_new(key: str, values: dict[str, Any], root: Path = Path()) -> Path:
     """
     params.check_key(key)
     home = root / "data" / "objects" / key
-    if key in values["objects"] or home.exists():
+    if key in values["objects"] or home.exists() or home.with_name(f"{key}.dvc").exists():
         raise ObjectFolderError(
-            f"object {key!r} exists already ({root / params.PARAMS_FILE} or {home}); choose another name, or "
-            "remove it"
+            f"object {key!r} exists already ({root / params.PARAMS_FILE}, {home} or {home}.dvc); choose "
+            "another name, or remove it"
         )
     return home
 

@@ -23,6 +23,7 @@ PARAMS_FILE = "params.yaml"
 #: Environment variable by which a build gives its stages the parameters that it recorded: a copy of the file.
 HELD_PARAMS = "OBJECTFOLDER_PARAMS"
 KEY = re.compile(r"[a-z][a-z0-9_]*")
+MAX_KEY = 64  #: characters; file names add to a key, and tables show it
 Bridge = Literal["all", "fem", "off"]
 Config = TypeVar("Config")
 Model = TypeVar("Model", bound=BaseModel)
@@ -149,14 +150,16 @@ def check_key(key: Any, where: str = "object key") -> str:
     Raises
     ------
     ObjectFolderError
-        If it is not a slug. DVC drops integer keys silently and takes a dot for a path.
+        If it is not a slug, or too long. DVC drops integer keys silently and takes a dot for a path.
     """
     stages = {*FIRST_STAGES, *OBJECT_STAGES, *TASKS, *ROBOT_STAGES}
-    if isinstance(key, str) and KEY.fullmatch(key) and key not in stages:
+    if isinstance(key, str) and len(key) <= MAX_KEY and KEY.fullmatch(key) and key not in stages:
         return key
     reason = (
         "DVC drops integer keys silently"
         if isinstance(key, int)
+        else f"it has {len(key)} characters"
+        if isinstance(key, str) and len(key) > MAX_KEY
         else "DVC reads a dot as a path into the parameters"
         if isinstance(key, str) and "." in key
         else "it is the name of a stage"
@@ -165,7 +168,7 @@ def check_key(key: Any, where: str = "object key") -> str:
     )
     raise ObjectFolderError(
         f"{where}: {quoted(key)} is not a valid object key ({reason}); expected a letter, then letters, "
-        "digits or underscores, all lower case"
+        f"digits or underscores, all lower case, at most {MAX_KEY}"
     )
 
 

@@ -124,5 +124,5 @@ def _curve(path: Path) -> None:
 
 
 def _picture(path: Path) -> None:
-    with Image.open(path) as image:
+    with Image.open(path, formats=["PNG"]) as image:
         image.load()

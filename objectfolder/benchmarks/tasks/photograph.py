@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, ImageOps
 
 from objectfolder.benchmarks.models.framing import OBJECT, framed, resized, shown
 from objectfolder.benchmarks.models.shape_model import ShapeModel
@@ -11,6 +10,7 @@ from objectfolder.benchmarks.scoring.shapes import intersection_over_union
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import atomic
 from objectfolder.mesh.srgb import decode, encode
+from objectfolder.pictures import decoded
 
 FORMATS = (".obj", ".ply", ".glb")
 DIFFERENCE = 30  #: smallest difference of the object from a plain background, levels of 255
@@ -28,11 +28,7 @@ def read_picture(path: str | Path, mode: str = "RGBA") -> np.ndarray:
     path = Path(path)
     if not path.is_file():
         raise ObjectFolderError(f"{path} does not exist; expected a picture, such as a .jpg or .png file")
-    try:
-        with Image.open(path) as picture:
-            return np.asarray(ImageOps.exif_transpose(picture).convert(mode))
-    except Exception as error:  # decoders raise any exception
-        raise ObjectFolderError(f"{path} is not a readable picture: {error}") from error
+    return np.asarray(decoded(path, str(path), mode, upright=True))
 
 
 def cut_out(

@@ -17,6 +17,8 @@ from dvc.lock import LockError
 from dvc.repo import Repo, lock_repo
 from dvc.rwlock import RWLOCK_FILE
 from dvc.rwlock import SCHEMA as RWLOCK_SCHEMA
+from dvc_data.hashfile.hash import file_md5
+from dvc_data.hashfile.tree import Tree
 from voluptuous import Invalid
 
 from objectfolder.engine.dvc.lockfile import COPIES, LockFiles
@@ -136,18 +138,27 @@ def open_repository(root: str | Path = ".", wait: bool = False) -> Iterator[Open
 
 
 def track(path: Path, root: str | Path = ".") -> None:
-    """Put a file or folder of a workspace under DVC's control.
+    """Put a folder of a workspace under DVC's control, with every file in it.
 
     Raises
     ------
     ObjectFolderError
-        If DVC cannot, or another process uses the workspace.
+        If DVC cannot or leaves files out, or another process uses the workspace.
     """
+    path = path.resolve()
     with open_repository(root) as repository:
         try:
-            repository.repo.add(str(path.resolve()))
+            (stage,) = repository.repo.add(str(path))
         except DvcException as error:
             raise ObjectFolderError(f"DVC cannot track {path}: {error}; nothing was changed") from error
+        tree = stage.outs[0].get_obj()
+        stored = {"/".join(name): digest.value for name, _, digest in tree} if isinstance(tree, Tree) else {}
+    files = {file.relative_to(path).as_posix(): file for file in path.rglob("*") if file.is_file()}
+    for name in sorted({*files, *stored}):
+        if name not in files or stored.get(name) != file_md5(str(files[name]), name="md5"):
+            raise ObjectFolderError(
+                f"DVC did not store {path / name} as it is; rename it, if a pattern in .dvcignore names it"
+            )
 
 
 def read_params(root: Path) -> dict[str, Any]:

@@ -91,24 +91,24 @@ def _roughness_metallic(parts: Sequence[MeshPart]) -> tuple[dict[str, Any], list
     """Average both over the parts that specify them, weighted by area."""
     result: dict[str, Any] = {}
     notes = []
-    areas = np.array([np.linalg.norm(area_vectors(p.vertices, p.faces), axis=1).sum() for p in parts])
     for quantity in ("roughness", "metallic"):
-        values = [getattr(p.material, quantity) for p in parts]
-        said = [i for i, value in enumerate(values) if value is not None]
+        said = [p for p in parts if getattr(p.material, quantity) is not None]
         if not said:
             continue
-        known = np.array([values[i] for i in said], np.float64)
-        weights = areas[said] if areas[said].sum() > 0 else np.ones(len(said))
-        same = np.ptp(known) == 0
-        result[quantity] = mean = float(known[0] if same else np.average(known, weights=weights))
-        if not same:
+        known = np.array([getattr(p.material, quantity) for p in said], np.float64)
+        result[quantity] = float(known[0])
+        if np.ptp(known) != 0:
+            areas = np.array([np.linalg.norm(area_vectors(p.vertices, p.faces), axis=1).sum() for p in said])
+            weights = areas if areas.sum() > 0 else np.ones(len(said))
+            result[quantity] = mean = float(np.average(known, weights=weights))
             notes.append(f"{quantity} {known.min():.3g} to {known.max():.3g} replaced by its mean {mean:.3g}")
     return result, notes
 
 
 def _mean_colored(part: MeshPart) -> MeshPart:
     assert part.material.image is not None
-    mean = srgb.decode(np.asarray(part.material.image) / 255).mean((0, 1))
+    counts = np.reshape(part.material.image.histogram(), (3, 256))
+    mean = counts @ srgb.decode(np.arange(256) / 255) / counts.sum(1)
     color = mean if part.material.color is None else mean * part.material.color
     return replace(part, material=replace(part.material, image=None, color=color))
 

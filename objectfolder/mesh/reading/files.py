@@ -1,15 +1,15 @@
 """Files that a mesh names: path safety, existence, image decoding."""
 
-import warnings
 from io import BytesIO
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from PIL import Image
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.errors import ObjectFolderError, shortened
+from objectfolder.pictures import decoded
 
-MAX_IMAGE_SIDE = 16384  #: pixels
-Image.MAX_IMAGE_PIXELS = MAX_IMAGE_SIDE**2  # in place of Pillow's own, lower limit
+MAX_NAME = 255  #: bytes of a file's or folder's name, as file systems have it
+MAX_PATH = 1024  #: bytes of a path inside the mesh's folder
 
 
 def referenced_path(mesh: Path, name: str) -> PurePosixPath:
@@ -18,15 +18,25 @@ def referenced_path(mesh: Path, name: str) -> PurePosixPath:
     Raises
     ------
     ObjectFolderError
-        If it lies outside that folder.
+        If it lies outside that folder, or is too long for a file system.
     """
     path = PurePosixPath(name.replace("\\", "/"))
+    where = f"the path in the {'.mtl' if mesh.suffix.lower() == '.obj' else mesh.suffix} file"
     if path.is_absolute() or PureWindowsPath(name).drive or ".." in path.parts:
         raise ObjectFolderError(
-            f"{mesh} refers to {name}, outside its folder; put that file beside the mesh and edit the "
-            f"path in the {'.mtl' if mesh.suffix.lower() == '.obj' else mesh.suffix} file"
+            f"{mesh} refers to {shortened(name)}, outside its folder; put that file beside the mesh and edit "
+            + where
+        )
+    if _size(str(path)) > MAX_PATH or any(_size(part) > MAX_NAME for part in path.parts):
+        raise ObjectFolderError(
+            f"{mesh} refers to {shortened(name)}, whose name of {len(name)} characters is too long; shorten "
+            f"the file's name and {where}"
         )
     return path
+
+
+def _size(name: str) -> int:
+    return len(name.encode(errors="replace"))
 
 
 def read_referenced(mesh: Path, name: str) -> bytes:
@@ -35,12 +45,17 @@ def read_referenced(mesh: Path, name: str) -> bytes:
     Raises
     ------
     ObjectFolderError
-        If it is missing, or outside the mesh's folder.
+        If it is missing, outside the mesh's folder, or cannot be read.
     """
     source = mesh.parent / referenced_path(mesh, name)
-    if not source.is_file():
-        raise ObjectFolderError(f"{mesh} refers to {source}, which does not exist; put it there")
-    return source.read_bytes()
+    try:
+        if source.is_file():
+            return source.read_bytes()
+    except OSError as error:
+        raise ObjectFolderError(
+            f"{mesh} refers to {source}, which cannot be read: {error.strerror}"
+        ) from error
+    raise ObjectFolderError(f"{mesh} refers to {source}, which does not exist; put it there")
 
 
 def read_image(data: bytes, name: str | Path, mesh: Path) -> Image.Image:
@@ -49,7 +64,6 @@ def read_image(data: bytes, name: str | Path, mesh: Path) -> Image.Image:
     Parameters
     ----------
     data : bytes
-        PNG, JPEG or another format that Pillow reads.
     name : str or Path
         Name of the image in error messages.
     mesh : Path
@@ -63,22 +77,6 @@ def read_image(data: bytes, name: str | Path, mesh: Path) -> Image.Image:
     Raises
     ------
     ObjectFolderError
-        If it is damaged or larger than `MAX_IMAGE_SIDE`.
+        If `objectfolder.pictures.decoded` does not take it.
     """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # sides are checked below
-            image = Image.open(BytesIO(data))
-        if max(image.size) <= MAX_IMAGE_SIDE:
-            return image.convert("RGB")
-        size = "{} x {}".format(*image.size)
-    except Image.DecompressionBombError as error:
-        size = str(error)
-    except Exception as error:  # Pillow's plugins raise anything on damaged files
-        raise ObjectFolderError(
-            f"{mesh}: its texture {name} cannot be read as an image ({error}); replace it"
-        ) from error
-    raise ObjectFolderError(
-        f"{mesh}: its texture {name} is too large ({size} pixels); expected at most {MAX_IMAGE_SIDE} on a "
-        "side: scale it down"
-    )
+    return decoded(BytesIO(data), f"{mesh}: its texture {shortened(name)}")

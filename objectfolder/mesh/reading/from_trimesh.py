@@ -1,38 +1,47 @@
 """Shared code of the readers built on trimesh: referenced files, materials, polygons."""
 
+from collections.abc import Mapping
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 from trimesh.resolvers import Resolver
 
-from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh import srgb
 from objectfolder.mesh.reading.files import read_image, read_referenced
 from objectfolder.mesh.reading.parts import SurfaceMaterial
 
+NAME = "file"  # entry of a stand-in's metadata
+
 
 class ReferencedFiles(Resolver):
-    """Resolver that gives trimesh the images a mesh names, and keeps the errors that trimesh swallows."""
+    """Resolver that decodes the images a mesh names, in place of trimesh.
+
+    trimesh opens images of every format and swallows errors. It gets stand-ins, see `surface_material`.
+    """
 
     def __init__(self, path: Path):
         self.path = path
-        self.error: ObjectFolderError | None = None
+        self.images: dict[str, Image.Image] = {}
+        self.error: Exception | None = None
 
     def get(self, key: str) -> bytes:
-        """Return the bytes of a file, for trimesh."""
+        """Return the bytes that stand for a file, for trimesh."""
         try:
             return self.read(key)
-        except ObjectFolderError as error:
+        except Exception as error:  # raised by `check`
             self.error = self.error or error
-            raise
+            return _stand_in(key)
 
     def read(self, key: str) -> bytes:
-        """Return the bytes of a file; raise if it is not an image."""
-        data = read_referenced(self.path, key)
-        read_image(data, self.path.parent / key, self.path)
-        return data
+        """Decode an image, and return its stand-in."""
+        if key not in self.images:
+            data = read_referenced(self.path, key)
+            self.images[key] = read_image(data, self.path.parent / key, self.path)
+        return _stand_in(key)
 
     def check(self) -> None:
         """Raise the first error of any file."""
@@ -52,13 +61,21 @@ class ReferencedFiles(Resolver):
         return []
 
 
-def surface_material(source: Any) -> SurfaceMaterial:
-    """Convert a trimesh material, whose colours are sRGB."""
+def _stand_in(key: str) -> bytes:
+    """Return an image of one pixel that carries the name of a file."""
+    note, stream = PngInfo(), BytesIO()
+    note.add_text(NAME, key)
+    Image.new("RGB", (1, 1)).save(stream, "png", pnginfo=note)
+    return stream.getvalue()
+
+
+def surface_material(source: Any, images: Mapping[str, Image.Image]) -> SurfaceMaterial:
+    """Convert a trimesh material, whose colours are sRGB, and whose image stands for one of ``images``."""
     if source is None:
         return SurfaceMaterial()
-    image: Image.Image | None = getattr(source, "image", None) or getattr(source, "baseColorTexture", None)
+    image: Image.Image | None = getattr(source, "image", None)
     if image is not None:
-        return SurfaceMaterial(image.convert("RGB"))
+        return SurfaceMaterial(images[image.info[NAME]])
     return SurfaceMaterial(color=srgb.decode(np.asarray(source.main_color[:3]) / 255))
 
 

@@ -5,13 +5,17 @@ import json
 import math
 import struct
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, unquote_to_bytes
 
 import numpy as np
+from PIL import Image, ImageStat
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.mesh.reading.files import read_image, read_referenced
 from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMaterial
 
@@ -21,6 +25,7 @@ DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126:
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 WRAPS = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
 TRIANGLES, STRIP, FAN = 4, 5, 6
+MAX_ELEMENTS = 50_000_000  # vertices and corners of faces; nodes may repeat a mesh
 
 
 def read_gltf(path: Path) -> MeshContent:
@@ -40,25 +45,40 @@ def read_gltf(path: Path) -> MeshContent:
     ObjectFolderError
         If the file, or one it refers to, is missing or invalid, or requires an unknown extension.
     """
-    try:
+    with _valid(path):
         return _File(path).read()
-    except ObjectFolderError:
-        raise
-    except Exception as error:  # wrong types or indices anywhere in the document
-        raise ObjectFolderError(
-            f"{path} cannot be read as a mesh: it is not valid glTF ({type(error).__name__}: {error}); "
-            "export it again"
-        ) from error
 
 
-def read_document(path: Path) -> tuple[dict[str, Any], bytes]:
-    """Return the JSON document and the binary chunk (empty in ``.gltf``) of a glTF file.
+def uris(path: Path) -> list[str]:
+    """Return the paths of the files that a glTF file refers to, as it names them.
 
     Raises
     ------
     ObjectFolderError
-        If the file is not glTF 2.0, or truncated.
+        If the file is not valid.
     """
+    with _valid(path):
+        document, _ = _document(path)
+        items = [*document.get("buffers", []), *document.get("images", [])]
+        found = [item["uri"] for item in items if item.get("uri")]
+        return [unquote(uri) for uri in found if not uri.startswith("data:")]
+
+
+@contextmanager
+def _valid(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except ObjectFolderError:
+        raise
+    except Exception as error:  # wrong types or indices anywhere in the document
+        raise ObjectFolderError(
+            f"{path} cannot be read as a mesh: it is not valid glTF ({type(error).__name__}: "
+            f"{shortened(error, 200)}); export it again"
+        ) from error
+
+
+def _document(path: Path) -> tuple[dict[str, Any], bytes]:
+    """Return the JSON document and the binary chunk (empty in ``.gltf``) of a glTF file."""
     data, binary = path.read_bytes(), b""
     if path.suffix.lower() == ".glb":
         data, binary = _chunks(path, data)
@@ -70,7 +90,9 @@ def read_document(path: Path) -> tuple[dict[str, Any], bytes]:
         ) from error
     version = document.get("asset", {}).get("version", "2.0") if isinstance(document, dict) else "none"
     if not str(version).startswith("2."):
-        raise ObjectFolderError(f"{path} cannot be read as a mesh: glTF version {version}, expected 2.0")
+        raise ObjectFolderError(
+            f"{path} cannot be read as a mesh: glTF version {shortened(version)}, expected 2.0"
+        )
     return document, binary
 
 
@@ -96,25 +118,30 @@ class _File:
 
     def __init__(self, path: Path):
         self.path = path
-        self.document, self.binary = read_document(path)
+        self.document, self.binary = _document(path)
         for name in self.document.get("extensionsRequired", []):
             if not name.startswith(EXTENSIONS):
                 raise ObjectFolderError(
-                    f"{path} needs the glTF extension {name}, which is not supported; export it without"
+                    f"{path} needs the glTF extension {shortened(name)}, which is not supported; export it "
+                    "without"
                 )
         self.buffers = [self._buffer(buffer) for buffer in self.document.get("buffers", [])]
         self.materials: dict[int | None, tuple[SurfaceMaterial, dict[str, Any]]] = {
             None: (SurfaceMaterial(), {})
         }
+        self.images: dict[int, Image.Image] = {}
         self.changes: Counter[str] = Counter()
 
     def read(self) -> MeshContent:
-        parts = [
-            part
-            for mesh, transform in self._placed()
-            for primitive in self.document["meshes"][mesh]["primitives"]
-            if (part := self._part(primitive, transform)) is not None
-        ]
+        parts: list[MeshPart] = []
+        shapes: dict[int, list[MeshPart]] = {}
+        elements = 0
+        for mesh, transform in self._placed():
+            if mesh not in shapes:
+                shapes[mesh] = self._shapes(mesh)
+            elements += sum(len(shape.vertices) + shape.faces.size for shape in shapes[mesh])
+            self._check_size(elements)
+            parts += [_moved(shape, transform) for shape in shapes[mesh]]
         return MeshContent(parts, [f"{what} ({n})" for what, n in sorted(self.changes.items()) if n])
 
     def _placed(self) -> list[tuple[int, np.ndarray]]:
@@ -140,36 +167,46 @@ class _File:
             queue += [(child, transform) for child in reversed(node.get("children", []))]
         return placed
 
-    def _part(self, primitive: dict[str, Any], transform: np.ndarray) -> MeshPart | None:
-        mode, attributes = primitive.get("mode", TRIANGLES), primitive["attributes"]
-        if mode not in (TRIANGLES, STRIP, FAN):
-            self.changes["points or lines left out"] += 1
-            return None
+    def _check_size(self, elements: int) -> None:
+        if elements > MAX_ELEMENTS:
+            raise ObjectFolderError(
+                f"{self.path} holds more than {MAX_ELEMENTS} vertices and corners of faces, with meshes that "
+                "its nodes repeat; simplify it"
+            )
+
+    def _shapes(self, mesh: int) -> list[MeshPart]:
+        """Return the primitives of a mesh, in its own frame."""
+        shapes: list[MeshPart] = []
+        for primitive in self.document["meshes"][mesh]["primitives"]:
+            if primitive.get("mode", TRIANGLES) in (TRIANGLES, STRIP, FAN):
+                shapes.append(self._shape(primitive))
+                self._check_size(sum(len(shape.vertices) + shape.faces.size for shape in shapes))
+            else:
+                self.changes["points or lines left out"] += 1
+        return shapes
+
+    def _shape(self, primitive: dict[str, Any]) -> MeshPart:
+        attributes = primitive["attributes"]
         self.changes["morph targets left out"] += "targets" in primitive
         vertices = self._accessor(attributes["POSITION"], 3)
-        corners = np.arange(len(vertices))
+        count = len(vertices)
+        corners = np.arange(count)
         if "indices" in primitive:
             corners = self._accessor(primitive["indices"], 1)[:, 0].astype(np.int64)
-        faces = _triangles(corners, mode)
+        faces = _triangles(corners, primitive.get("mode", TRIANGLES))
         material, texture = self._material(primitive.get("material"))
-        # A mirroring transform reverses the orientation of faces.
-        if np.linalg.det(transform[:3, :3]) < 0:
-            faces = faces[:, ::-1]
         uv = None
         transform_uv = texture.get("extensions", {}).get("KHR_texture_transform", {})
         name = f"TEXCOORD_{transform_uv.get('texCoord', texture.get('texCoord', 0))}"
         if material.image is not None and name in attributes:
-            uv = _transform_uv(self._accessor(attributes[name], 2), transform_uv) * [1, -1] + [0, 1]
+            uv = _transform_uv(self._accessor(attributes[name], 2, count), transform_uv) * [1, -1] + [0, 1]
         colors = None
         if "COLOR_0" in attributes:
-            colors = np.clip(self._accessor(attributes["COLOR_0"], None)[:, :3], 0, 1)
+            colors = np.clip(self._accessor(attributes["COLOR_0"], None, count)[:, :3], 0, 1)
             # Exporters often write white beside a texture.
             colors = None if material.image is not None and (colors > 0.999).all() else colors
-        placed = vertices @ transform[:3, :3].T + transform[:3, 3]
-        normals = None
-        if "NORMAL" in attributes:
-            normals = self._accessor(attributes["NORMAL"], 3) @ _of_normals(transform[:3, :3]).T
-        return MeshPart(placed, faces, material, uv, colors, normals)
+        normals = self._accessor(attributes["NORMAL"], 3, count) if "NORMAL" in attributes else None
+        return MeshPart(vertices, faces, material, uv, colors, normals)
 
     def _material(self, index: int | None) -> tuple[SurfaceMaterial, dict[str, Any]]:
         """Return a material, and the texture info of its base colour."""
@@ -185,19 +222,24 @@ class _File:
             roughness, metallic = 1 - gloss.get("glossinessFactor", 1.0), 0.0
         elif "metallicRoughnessTexture" in surface:
             image, _ = self._texture(surface["metallicRoughnessTexture"])
-            mean = np.asarray(image, np.float64).mean((0, 1)) / 255
+            mean = np.array(ImageStat.Stat(image).mean) / 255
             roughness, metallic = roughness * mean[1], metallic * mean[2]
             self.changes["roughness and metallic map replaced by its mean"] += 1
         for what in ("normal", "occlusion", "emissive"):
             self.changes[f"{what} map left out"] += f"{what}Texture" in material
         self.changes["transparency left out"] += material.get("alphaMode", "OPAQUE") != "OPAQUE"
-        image, wrap = self._texture(info) if info is not None else (None, SurfaceMaterial.wrap)
-        linear = np.clip(np.asarray(color[:3], np.float64), 0, 1)
-        made = SurfaceMaterial(image, linear, float(roughness), float(metallic), wrap)
+        texture, wrap = self._texture(info) if info is not None else (None, SurfaceMaterial.wrap)
+        linear = np.asarray(color[:3], np.float64)
+        if linear.shape != (3,) or not np.isfinite([*linear, roughness, metallic]).all():
+            raise ObjectFolderError(
+                f"{self.path}: material {index} has a colour, roughness or metallic factor that is no number; "
+                "export it again"
+            )
+        made = SurfaceMaterial(texture, np.clip(linear, 0, 1), float(roughness), float(metallic), wrap)
         self.materials[index] = made, info or {}
         return self.materials[index]
 
-    def _texture(self, info: dict[str, Any]) -> tuple[Any, tuple[str, str]]:
+    def _texture(self, info: dict[str, Any]) -> tuple[Image.Image, tuple[str, str]]:
         texture = self.document["textures"][info["index"]]
         source = texture.get("extensions", {}).get("EXT_texture_webp", texture).get("source")
         if source is None:
@@ -206,6 +248,13 @@ class _File:
                 f"{self.path}: texture {info['index']} has no image that can be read (extensions: {kinds}); "
                 "export it with PNG or JPEG textures"
             )
+        sampler = self.document["samplers"][texture["sampler"]] if "sampler" in texture else {}
+        wrap = (WRAPS[sampler.get("wrapS", 10497)], WRAPS[sampler.get("wrapT", 10497)])
+        if source not in self.images:
+            self.images[source] = self._image(source)
+        return self.images[source], wrap
+
+    def _image(self, source: int) -> Image.Image:
         image = self.document["images"][source]
         name = image.get("name") or f"image {source}"
         if "bufferView" in image:
@@ -215,9 +264,7 @@ class _File:
         else:
             data = self._fetch(image["uri"])
             name = name if image["uri"].startswith("data:") else unquote(image["uri"])
-        sampler = self.document["samplers"][texture["sampler"]] if "sampler" in texture else {}
-        wrap = (WRAPS[sampler.get("wrapS", 10497)], WRAPS[sampler.get("wrapT", 10497)])
-        return read_image(data, name, self.path), wrap
+        return read_image(data, name, self.path)
 
     def _buffer(self, buffer: dict[str, Any]) -> bytes:
         data = self._fetch(buffer["uri"]) if "uri" in buffer else self.binary
@@ -235,16 +282,27 @@ class _File:
             return base64.b64decode(content) if header.endswith(";base64") else unquote_to_bytes(content)
         return read_referenced(self.path, unquote(uri))
 
-    def _accessor(self, index: int, width: int | None) -> np.ndarray:
+    def _accessor(self, index: int, width: int | None, expected: int | None = None) -> np.ndarray:
         """Values (count, width) of an accessor; scaled to [-1, 1] if normalized."""
         accessor = self.document["accessors"][index]
         dtype, columns, count = DTYPES[accessor["componentType"]], WIDTHS[accessor["type"]], accessor["count"]
         if width not in (None, columns):
             raise ObjectFolderError(f"{self.path}: accessor {index} has {columns} columns, expected {width}")
+        if expected not in (None, count):
+            raise ObjectFolderError(
+                f"{self.path}: accessor {index} has {shortened(count)} values for {expected} vertices; "
+                "export the mesh again"
+            )
         if "bufferView" in accessor:
             offset = accessor.get("byteOffset", 0)
             values = self._view(accessor["bufferView"], offset, np.dtype(dtype), count, columns)
         elif "sparse" in accessor:
+            held = sum(map(len, self.buffers))
+            if count > held:
+                raise ObjectFolderError(
+                    f"{self.path}: accessor {index} has {shortened(count)} values, more than the {held} bytes "
+                    "of the file's buffers; export it again"
+                )
             values = np.zeros((count, columns), dtype)
         else:
             raise ObjectFolderError(f"{self.path}: accessor {index} has no data; export it uncompressed")
@@ -265,14 +323,25 @@ class _File:
     def _view(self, index: int, offset: int, dtype: np.dtype, count: int, columns: int) -> np.ndarray:
         view = self.document["bufferViews"][index]
         row = dtype.itemsize * columns
-        stride = view.get("byteStride", row)
+        stride = view.get("byteStride") or row
         start = view.get("byteOffset", 0) + offset
         end = start + (count - 1) * stride + row
-        if min(offset, count, stride) < 0 or end > view.get("byteOffset", 0) + view["byteLength"]:
+        if min(offset, count) < 0 or stride < row or end > view.get("byteOffset", 0) + view["byteLength"]:
             raise ObjectFolderError(f"{self.path}: an accessor reaches beyond buffer view {index}: cut off?")
         return np.ndarray(
             (count, columns), dtype, self.buffers[view["buffer"]], start, (stride, dtype.itemsize)
         )
+
+
+def _moved(shape: MeshPart, transform: np.ndarray) -> MeshPart:
+    """Place a shape by a matrix (4, 4); one that mirrors reverses the orientation of faces."""
+    linear = transform[:3, :3]
+    return replace(
+        shape,
+        vertices=shape.vertices @ linear.T + transform[:3, 3],
+        faces=shape.faces[:, ::-1] if np.linalg.det(linear) < 0 else shape.faces,
+        normals=None if shape.normals is None else shape.normals @ _of_normals(linear).T,
+    )
 
 
 def _triangles(corners: np.ndarray, mode: int) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Read Wavefront ``.obj`` with its ``.mtl`` material libraries and textures."""
 
 import re
+from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,7 @@ from typing import Any
 import numpy as np
 from trimesh.exchange.obj import load_obj
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
 from objectfolder.mesh.reading.files import read_referenced
 from objectfolder.mesh.reading.from_trimesh import (
@@ -18,6 +19,11 @@ from objectfolder.mesh.reading.from_trimesh import (
     surface_material,
 )
 from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMaterial
+
+MAP = re.compile(r"map_\w+|bump|disp|decal|norm", re.I)
+# Options such as `-s 1 1 1`, which precede a file name. Possessive, so that nothing is tried twice.
+OPTIONS = re.compile(r"^(?:-\w++(?:\s++(?:-?[\d.]++|on|off)(?=\s))*+\s++)*+")
+MAX_MATERIALS = 4096  # trimesh takes time in proportion to the square of their number
 
 
 def read_obj(path: Path) -> MeshContent:
@@ -32,8 +38,9 @@ def read_obj(path: Path) -> MeshContent:
         If a file it refers to is missing or unreadable, or a face index is out of range.
     """
     data = path.read_bytes()
-    text = data.decode(errors="replace")
+    text = _joined(data.decode(errors="replace"))
     _check_indices(path, text)
+    _check_materials(path, text)
     files = _ObjFiles(path, mtl_names(text))
     geometry = load_obj(BytesIO(data), resolver=files).get("geometry", {}).values()
     files.check()
@@ -43,7 +50,7 @@ def read_obj(path: Path) -> MeshContent:
         visual, colors = content.get("visual"), content.get("vertex_colors")
         source = getattr(visual, "material", None)
         if id(source) not in materials:
-            materials[id(source)] = surface_material(source)
+            materials[id(source)] = surface_material(source, files.images)
         material = materials[id(source)]
         colors = None if colors is None else srgb.decode(_unit_range(colors)[:, :3])
         if colors is not None and material.image is not None:
@@ -57,8 +64,8 @@ def read_obj(path: Path) -> MeshContent:
         parts.append(
             MeshPart(vertices, faces, material, uv, colors, None if normals is None else as_points(normals))
         )
-    used = dict.fromkeys(re.findall(r"^usemtl[ \t]+(.+?)\s*$", text, re.MULTILINE))
-    missing = [name for name in used if name not in files.materials]
+    used = dict.fromkeys(name.strip() for name in re.findall(r"^usemtl[ \t](.*)", text, re.MULTILINE))
+    missing = [shortened(name) for name in used if name and name not in files.materials]
     if missing:
         notes.append(f"material {', '.join(missing[:5])} is not defined: its faces have no colour")
     return MeshContent(parts, notes)
@@ -66,17 +73,32 @@ def read_obj(path: Path) -> MeshContent:
 
 def mtl_names(obj: str) -> list[str]:
     """Return the material libraries named in the text of an ``.obj``, in order; names may contain spaces."""
-    lines = re.findall(r"^mtllib[ \t]+(.+?)\s*$", obj, re.MULTILINE)
-    names = [name for line in lines for name in re.findall(r"\S.*?\.mtl(?=\s|$)", line, re.I) or [line]]
+    lines = [line.strip() for line in re.findall(r"^mtllib[ \t](.*)", _joined(obj), re.MULTILINE)]
+    names = [name for line in lines if line for name in _libraries(line)]
     return list(dict.fromkeys(names))
+
+
+def _libraries(line: str) -> list[str]:
+    names = re.split(r"(?<=\.mtl)\s+", line, flags=re.I)
+    return [name for name in names if name.lower().endswith(".mtl")] or [line]
 
 
 def textures(mtl: str) -> list[tuple[str, str]]:
     """Return the maps in the text of an ``.mtl``: statement, such as ``map_Kd``, and file name."""
-    # Options such as `-s 1 1 1` precede the name.
-    option = r"^(-\w+(\s+(-?[\d.]+|on|off))*\s+)*"
-    maps = re.findall(r"^\s*(map_\w+|bump|disp|decal|norm)\s+(.+?)\s*$", mtl, re.MULTILINE | re.I)
-    return [(statement, re.sub(option, "", name)) for statement, name in maps]
+    return [(keyword, OPTIONS.sub("", rest)) for keyword, rest in _statements(mtl) if MAP.fullmatch(keyword)]
+
+
+def _joined(obj: str) -> str:
+    """Join continued lines, as trimesh does."""
+    return obj.replace("\r\n", "\n").replace("\\\n", "")
+
+
+def _statements(mtl: str) -> Iterator[tuple[str, str]]:
+    """Yield the first word and the rest of every line that has more than one word."""
+    for line in mtl.splitlines():
+        words = line.strip().split(maxsplit=1)
+        if len(words) == 2:
+            yield words[0], words[1]
 
 
 class _ObjFiles(ReferencedFiles):
@@ -85,7 +107,7 @@ class _ObjFiles(ReferencedFiles):
     def __init__(self, path: Path, libraries: list[str]):
         super().__init__(path)
         self.libraries: list[str] | None = libraries
-        self.materials: list[str] = []
+        self.materials: set[str] = set()
 
     def read(self, key: str) -> bytes:
         if self.libraries is None:
@@ -93,12 +115,23 @@ class _ObjFiles(ReferencedFiles):
         # trimesh asks for the first library only, before any image: give it all of them.
         libraries, self.libraries = self.libraries, None
         text = "\n".join(read_referenced(self.path, name).decode(errors="replace") for name in libraries)
-        self.materials = re.findall(r"^\s*newmtl[ \t]+(.+?)\s*$", text, re.MULTILINE)
-        return re.sub(r"^\s*map_Kd\s.*$", _without_options, text, flags=re.MULTILINE | re.I).encode()
+        statements = list(_statements(text))
+        named = [rest for keyword, rest in statements if keyword.lower() == "newmtl"]
+        self.materials = {" ".join(name.split()) for name in named}
+        lines = (
+            f"{keyword} {OPTIONS.sub('', rest) if keyword.lower() == 'map_kd' else rest}"
+            for keyword, rest in statements
+        )
+        return "\n".join(lines).encode()
 
 
-def _without_options(statement: re.Match[str]) -> str:
-    return "map_Kd " + textures(statement[0])[0][1]
+def _check_materials(path: Path, text: str) -> None:
+    count = len(set(re.findall("usemtl (.*)", text)))  # as trimesh finds them
+    if count > MAX_MATERIALS:
+        raise ObjectFolderError(
+            f"{path} uses {count} materials, expected at most {MAX_MATERIALS}; join them, such as by baking "
+            "them into one texture"
+        )
 
 
 def _check_indices(path: Path, text: str) -> None:
@@ -107,7 +140,7 @@ def _check_indices(path: Path, text: str) -> None:
     zero = re.search(r"[\s/]0+(?=[/\s]|$)", faces)
     if zero:
         line = faces[faces.rfind("\nf", 0, zero.end()) + 1 :].partition("\n")[0].strip()
-        raise ObjectFolderError(f"{path}: {line[:60]!r} has the index 0, but .obj counts from 1")
+        raise ObjectFolderError(f"{path}: {shortened(line)!r} has the index 0, but .obj counts from 1")
     relative = re.search(r"^f\s[^\n-]*-\d", text, re.MULTILINE) if "-" in faces else None
     if relative and re.search(r"^v\s", text[relative.start() :], re.MULTILINE):
         raise ObjectFolderError(

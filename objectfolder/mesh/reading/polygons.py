@@ -1,11 +1,13 @@
 """Read ``.ply``, ``.stl`` and ``.off``."""
 
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import trimesh
 
+from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh import srgb
 from objectfolder.mesh.reading.from_trimesh import (
     ReferencedFiles,
@@ -14,6 +16,8 @@ from objectfolder.mesh.reading.from_trimesh import (
     surface_material,
 )
 from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMaterial
+
+MAX_SOLIDS = 4096  # trimesh takes time in proportion to the square of their number
 
 
 def read_polygons(path: Path) -> MeshContent:
@@ -26,8 +30,9 @@ def read_polygons(path: Path) -> MeshContent:
     """
     files = ReferencedFiles(path)
     kind = path.suffix.lower().removeprefix(".")
-    with path.open("rb") as stream:
-        scene: Any = trimesh.load_scene(stream, file_type=kind, resolver=files, process=False)
+    data = path.read_bytes()
+    _check_solids(path, data)
+    scene: Any = trimesh.load_scene(BytesIO(data), file_type=kind, resolver=files, process=False)
     files.check()
     mesh = scene.to_mesh()
     visual = mesh.visual
@@ -38,7 +43,7 @@ def read_polygons(path: Path) -> MeshContent:
         # In the cache only if the file holds them; trimesh computes others on access.
         normals = as_points(source.vertex_normals) if "vertex_normals" in source._cache else None
     if visual.kind == "texture":
-        material = surface_material(visual.material)
+        material = surface_material(visual.material, files.images)
         uv = None if visual.uv is None else np.asarray(visual.uv, np.float64)
         return MeshContent([MeshPart(vertices, faces, material, uv, normals=normals)])
     colors: np.ndarray | None = None
@@ -49,6 +54,12 @@ def read_polygons(path: Path) -> MeshContent:
         colors = np.asarray(visual.vertex_colors)
     linear = None if colors is None else srgb.decode(colors[:, :3] / 255)
     return MeshContent([MeshPart(vertices, faces, SurfaceMaterial(), None, linear, normals)])
+
+
+def _check_solids(path: Path, data: bytes) -> None:
+    count = data.lower().count(b"endsolid") if data[:5].lower() == b"solid" else 0  # of an ASCII .stl
+    if count > MAX_SOLIDS:
+        raise ObjectFolderError(f"{path} holds {count} solids, expected at most {MAX_SOLIDS}; join them")
 
 
 def _split(colors: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,0 +1,48 @@
+"""Decode pictures that a user gives: of known formats, and not too large."""
+
+import warnings
+from pathlib import Path
+from typing import BinaryIO
+
+from PIL import Image, ImageOps, UnidentifiedImageError
+
+from objectfolder.errors import ObjectFolderError, shortened
+
+# No others: Pillow passes some to programs, such as EPS to Ghostscript.
+PICTURE_FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "TIFF")
+MAX_SIDE = 8192  #: pixels, of a square picture; others may have as many pixels
+
+
+def decoded(source: Path | BinaryIO, where: str, mode: str = "RGB", upright: bool = False) -> Image.Image:
+    """Decode a picture.
+
+    Parameters
+    ----------
+    source : Path or binary file
+    where : str
+        Name of the picture; errors begin with it.
+    mode : str
+        Pillow's name of the result's pixels, such as "RGBA".
+    upright : bool
+        Turn it as its EXIF orientation says.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it is damaged, not in one of `PICTURE_FORMATS`, or has more pixels than a square of `MAX_SIDE`.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about odd metadata, and sizes, which are checked here
+            with Image.open(source, formats=PICTURE_FORMATS) as stored:
+                if stored.width * stored.height <= MAX_SIDE**2:  # known from the header alone
+                    return (ImageOps.exif_transpose(stored) if upright else stored).convert(mode)
+                size = f"{stored.width} x {stored.height}"
+    except Image.DecompressionBombError:
+        size = f"more than {2 * (Image.MAX_IMAGE_PIXELS or 0)}"
+    except Exception as error:  # decoders raise anything
+        reason = "unknown format" if isinstance(error, UnidentifiedImageError) else shortened(error, 200)
+        raise ObjectFolderError(
+            f"{where} cannot be read as an image ({reason}); expected {', '.join(PICTURE_FORMATS)}"
+        ) from error
+    raise ObjectFolderError(f"{where} has {size} pixels, expected at most {MAX_SIDE} x {MAX_SIDE}; resize it")
