@@ -232,8 +232,8 @@ class _File:
         linear = np.asarray(color[:3], np.float64)
         if linear.shape != (3,) or not np.isfinite([*linear, roughness, metallic]).all():
             raise ObjectFolderError(
-                f"{self.path}: material {index} has a colour, roughness or metallic factor that is no number; "
-                "export it again"
+                f"{self.path}: material {index} has a colour, roughness or metallic factor that is no "
+                "number; export it again"
             )
         made = SurfaceMaterial(texture, np.clip(linear, 0, 1), float(roughness), float(metallic), wrap)
         self.materials[index] = made, info or {}
@@ -300,8 +300,8 @@ class _File:
             held = sum(map(len, self.buffers))
             if count > held:
                 raise ObjectFolderError(
-                    f"{self.path}: accessor {index} has {shortened(count)} values, more than the {held} bytes "
-                    "of the file's buffers; export it again"
+                    f"{self.path}: accessor {index} has {shortened(count)} values, more than the {held} "
+                    "bytes of the file's buffers; export it again"
                 )
             values = np.zeros((count, columns), dtype)
         else:

@@ -1,0 +1,158 @@
+"""What `add` copies is what DVC stores."""
+
+from pathlib import Path
+
+import pytest
+
+from objectfolder.engine.dvc.repository import open_repository, track
+from objectfolder.errors import ObjectFolderError
+from objectfolder.workspace import params
+from objectfolder.workspace.objects import add_mesh
+
+SHAPE = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
+
+def write_mesh(folder, name="box.obj", library="m.mtl", texture=None):
+    """An .obj whose material refers to a texture that the loader does not read."""
+    folder.mkdir(exist_ok=True)
+    (folder / name).write_text(f"mtllib {library}\n" + SHAPE)
+    if not (folder / library).exists():
+        (folder / library).parent.mkdir(parents=True, exist_ok=True)
+        (folder / library).write_text("newmtl a\nKd 1 1 1\n" + (f"map_Ks {texture}\n" if texture else ""))
+    if texture:
+        (folder / texture).parent.mkdir(parents=True, exist_ok=True)
+        (folder / texture).write_text("*\n")
+    return folder / name
+
+
+def files(root):
+    """All files of a workspace but DVC's own database, with their contents."""
+    inside = (p for p in root.rglob("*") if p.is_file() and not {".dvc", ".git"} & set(p.parts))
+    return {p.relative_to(root): p.read_bytes() for p in inside}
+
+
+def refused(mesh, key="crate", **options):
+    """The error of an `add` that changes nothing."""
+    root = Path.cwd()
+    before = files(root)
+    with pytest.raises(ObjectFolderError) as caught:
+        add_mesh(mesh, key, "wood", 0.1, None, **{"track": track, **options})
+    assert files(root) == before
+    assert key not in params.read()["objects"]
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(".dvcignore", ".gitignore", ".DVCIgnore", "skin.dvc", "Skin.DVC", "dvc.yaml", "DVC.lock"),
+        *(".dvc/config", ".git/config", "maps/.dvcignore", "maps/dvc.yaml", "a.dvc/skin.png", ".hidden.png"),
+    ],
+)
+def test_names_that_are_reserved_are_refused(workspace, tmp_path, name):
+    def never(*arguments):
+        raise AssertionError("something was written")
+
+    mesh = write_mesh(tmp_path / "source", texture=name)
+    assert f"refers to {name}, a name that is reserved" in refused(mesh, track=never)
+
+
+def test_a_reference_never_overwrites_the_mesh(workspace, tmp_path):
+    mesh = write_mesh(tmp_path / "source", library="mesh.obj")
+    assert "refers to mesh.obj, a name that" in refused(mesh)
+    assert "box.obj gets in the workspace; rename it" in refused(mesh)
+
+
+@pytest.mark.parametrize("name", ["mesh.obj", "Mesh.OBJ", "SOURCE.txt", "source.TXT"])
+def test_no_reference_has_a_name_that_is_given(workspace, tmp_path, name):
+    note = tmp_path / "SOURCE.txt"
+    note.write_text("licence")
+    mesh = write_mesh(tmp_path / "source", texture=name)
+    assert f"refers to {name}, a name that" in refused(mesh, attachments=[note])
+
+
+def test_references_that_differ_in_case_only_are_refused(workspace, tmp_path):
+    mesh = write_mesh(tmp_path / "source", texture="Skin.png")
+    with (tmp_path / "source" / "m.mtl").open("a") as library:
+        library.write("map_Ka skin.png\n")
+    (tmp_path / "source" / "skin.png").write_text("another")
+    assert "refers to skin.png, a name that" in refused(mesh)
+
+
+def test_a_folder_has_no_name_of_a_file(workspace, tmp_path):
+    mesh = write_mesh(tmp_path / "source", texture="Mesh.obj/skin.png")
+    assert "refers to Mesh.obj/skin.png, in a folder that has the name of a file" in refused(mesh)
+
+
+@pytest.mark.parametrize("name", ["mesh.obj", "box.obj"])
+def test_a_mesh_that_names_itself_is_copied(workspace, tmp_path, name):
+    mesh = write_mesh(tmp_path / "source", name, library=name)
+    add_mesh(mesh, "crate", "wood", 0.1, None, track=track)
+    copies = {p.name for p in Path("data/objects/crate").iterdir()}
+    assert copies == {"mesh.obj", name}
+    assert Path("data/objects/crate/mesh.obj").read_bytes() == mesh.read_bytes()
+
+
+def test_a_file_that_dvc_does_not_store_undoes_the_addition(workspace, tmp_path):
+    """The workspace's own .dvcignore has this name."""
+    mesh = write_mesh(tmp_path / "source", texture="__pycache__/skin.png")
+    assert "DVC did not store" in refused(mesh)
+    assert not list(Path("data/objects").glob("*crate*"))
+
+
+def test_a_file_that_changes_while_it_is_stored_undoes_the_addition(workspace, tmp_path):
+    mesh = write_mesh(tmp_path / "source", texture="skin.png")
+
+    def track_then_edit(path, root):
+        from dvc.repo import Repo
+
+        real = Repo.add
+
+        def edited(self, *arguments):
+            stages = real(self, *arguments)
+            copy = path.resolve() / "skin.png"
+            copy.unlink()
+            copy.write_text("changed")
+            return stages
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(Repo, "add", edited)
+            track(path, root)
+
+    assert "DVC did not store" in refused(mesh, track=track_then_edit)
+
+
+def test_what_is_stored_comes_back(workspace, tmp_path):
+    mesh = write_mesh(tmp_path / "source", texture="maps/skin.png")
+    add_mesh(mesh, "crate", "wood", 0.1, None, track=track)
+    home = Path("data/objects/crate")
+    before = files(home)
+    assert set(map(str, before)) == {"mesh.obj", "m.mtl", "maps/skin.png"}
+    for path in before:
+        (home / path).unlink()
+    with open_repository() as repository:
+        repository.repo.checkout(["data/objects/crate.dvc"])
+    assert files(home) == before
+
+
+def test_a_record_that_is_there_is_not_overwritten(workspace, tmp_path):
+    """Its data may be in a remote alone."""
+    Path("data/objects").mkdir(parents=True)
+    Path("data/objects/crate.dvc").write_text("outs: []\n")
+    assert "crate.dvc); choose another name, or remove it" in refused(write_mesh(tmp_path / "source"))
+
+
+@pytest.mark.parametrize("length", [64, 65, 300])
+def test_long_keys(workspace, tmp_path, length):
+    mesh = write_mesh(tmp_path / "source")
+    key = "k" * length
+    if length == 64:
+        add_mesh(mesh, key, "wood", 0.1, None, track=track)
+        assert key in params.read()["objects"]
+        return
+    message = refused(mesh, key)
+    assert f"is not a valid object key (it has {length} characters); expected a letter" in message
+    assert len(message) < 300
+    Path("params.yaml").write_text(Path("params.yaml").read_text().replace("\n  mug: {", f"\n  {key}: {{"))
+    with pytest.raises(ObjectFolderError, match=rf"params\.yaml: objects: .*it has {length} characters"):
+        params.read()
