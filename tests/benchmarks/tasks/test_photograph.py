@@ -139,7 +139,7 @@ def test_pictures_are_read_upright_and_others_refused(tmp_path):
     turned.save(tmp_path / "turned.png", exif=exif)
     assert read_picture(tmp_path / "turned.png").shape == (80, 60, 4)
     (tmp_path / "text.jpg").write_text("no picture")
-    for name, message in (("text.jpg", "not a readable picture"), ("none.png", "does not exist")):
+    for name, message in (("text.jpg", "cannot be read as an image"), ("none.png", "does not exist")):
         with pytest.raises(ObjectFolderError, match=message):
             read_picture(tmp_path / name)
 
