@@ -129,8 +129,8 @@ MAX_MODULES = {
     "decompose": 68,
     "grasp_data": 84,
     "grasp_stability": 23,
-    "grasp_policy": 97,
-    "reach": 89,
+    "grasp_policy": 98,
+    "reach": 90,
 }
 
 
