@@ -1,0 +1,348 @@
+"""Random edits, faults and builds: what `status` calls fresh is what a build from nothing gives, byte for byte."""
+
+import shutil
+import signal
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import hypothesis.strategies as st
+import pytest
+from dvc.repo import Repo
+from hypothesis import HealthCheck, settings
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    invariant,
+    precondition,
+    rule,
+    run_state_machine_as_test,
+)
+
+from objectfolder.engine.build import BuildOptions, build
+from objectfolder.engine.prune import prune, survey
+from objectfolder.engine.status import Outlook, State, status
+from objectfolder.engine.summary import StageOutcome
+from objectfolder.engine.verify import verify
+
+from . import tiny_project
+from .tiny_project import KEYS, LIBRARY, STAGES, VERSIONS, Sources
+
+FUZZING = settings.get_current_profile_name() == "fuzz"
+SEQUENCES, STEPS = (200, 20) if FUZZING else (10, 8)
+MESH = "data/objects/bell.dvc"
+STRAY = "stray.txt"
+#: Field of `Sources`, its key if it is a mapping, and the new value.
+EDITS = st.one_of(
+    st.tuples(st.just("size"), st.sampled_from(KEYS), st.sampled_from("123")),
+    st.tuples(st.just("material"), st.sampled_from(KEYS), st.sampled_from("123")),
+    st.tuples(st.just("turns"), st.just(""), st.sampled_from("123")),
+    st.tuples(st.just("mesh"), st.just(""), st.sampled_from(["mesh 1", "mesh 2", "mesh 3"])),
+    st.tuples(st.just("keys"), st.just(""), st.sampled_from([KEYS, KEYS[:1], KEYS[1:]])),
+)
+
+#: Dies before its n-th change of a file; stages may stop it with `HALT`.
+MORTAL = """
+import os, signal, sys
+from objectfolder.engine import build
+from objectfolder.engine.dvc import lockfile
+
+lockfile.PERIOD = lockfile.PERIOD_PER_WRITE = 0.0  # dvc.lock is written after every stage
+left, number, root = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
+os.environ |= {"ENGINE": str(os.getpid()), "SIGNAL": str(number)}
+
+def count(event, arguments):
+    global left
+    writes = event == "open" and arguments[2] & (os.O_WRONLY | os.O_RDWR)
+    if writes or event in ("os.rename", "os.remove", "os.rmdir", "os.mkdir", "os.chmod", "os.link"):
+        if isinstance(arguments[0], str) and os.path.abspath(arguments[0]).startswith(root):
+            left -= 1
+            if left == 0:
+                os.kill(os.getpid(), number)
+
+sys.addaudithook(count)
+build.build(options=build.BuildOptions(jobs=1), root=root)
+"""
+#: What a build may do after what was said.
+MEANING = {
+    Outlook.SKIP: {StageOutcome.SKIPPED},
+    Outlook.RESTORE: {StageOutcome.RESTORED, StageOutcome.SKIPPED},
+    Outlook.RUN: {StageOutcome.RAN},
+    Outlook.PERHAPS: {StageOutcome.RAN, StageOutcome.RESTORED, StageOutcome.SKIPPED},
+}
+
+
+class Sequence(RuleBasedStateMachine):
+    """A workspace that is edited, damaged and built in any order.
+
+    Parameters
+    ----------
+    template : Path
+        A built workspace, which is copied.
+    home : Path
+        Folder for the copies.
+    server : ForkServer
+        Runs the builds that are killed.
+    """
+
+    counts: Counter[str] = Counter()
+
+    def __init__(self, template: Path, home: Path, server):
+        super().__init__()
+        self.counts["sequences"] += 1
+        self.home = home / f"{self.counts['sequences']}"
+        self.root = shutil.copytree(template.parent, self.home) / template.name
+        self.server = server
+        self.sources = Sources()
+        self.earlier = [self.sources]
+        self.recorded_mesh = self.sources.mesh
+        self.locks = [self.lock.read_bytes()]
+        self.changes = 0  # since the last build
+        self.damaged = False  # cached objects, behind DVC's back
+        self.said: dict[str, Outlook] = {}
+
+    def teardown(self):
+        shutil.rmtree(self.home)
+
+    @property
+    def lock(self):
+        return self.root / "dvc.lock"
+
+    @property
+    def mesh(self):
+        return self.root / "data/objects/bell/mesh.obj"
+
+    @property
+    def outputs(self):
+        """Files that stages have written, sorted."""
+        folders = [self.root / name for name in ("build", "benchmarks", "data/objects/mug")]
+        found = [path for folder in folders for path in folder.rglob("*") if path.is_file()]
+        return sorted(path for path in found if ".logs" not in path.parts)
+
+    @property
+    def objects(self):
+        """Cached objects, sorted."""
+        return sorted(p for p in (self.root / ".dvc/cache/files/md5").rglob("*") if p.is_file())
+
+    @property
+    def truth(self):
+        return tiny_project.outputs(self.sources)
+
+    def change(self):
+        self.changes += 1
+
+    def set(self, sources):
+        """Write the files that differ."""
+        self.change()
+        self.earlier.append(sources)
+        for name, text in sources.code().items():
+            if self.sources.code()[name] != text:
+                (self.root / name).write_text(text)
+        if sources.params() != self.sources.params():
+            (self.root / "params.yaml").write_text(sources.params())
+        if sources.mesh != self.sources.mesh:
+            self.mesh.parent.mkdir(exist_ok=True)
+            self.mesh.write_text(sources.mesh)
+        self.sources = sources
+
+    # Changes; after two of them comes a build
+
+    @precondition(lambda self: self.changes < 2)
+    @rule(name=st.sampled_from((*STAGES, *LIBRARY)), version=st.sampled_from(VERSIONS))
+    def edit_code(self, name, version):
+        self.set(self.sources.with_one("versions", name, "2" if name in LIBRARY else version))
+
+    @precondition(lambda self: self.changes < 2)
+    @rule(what=EDITS)
+    def edit(self, what):
+        name, key, value = what
+        self.set(self.sources.with_one(name, key, value) if key else replace(self.sources, **{name: value}))
+
+    @precondition(lambda self: self.changes < 2)
+    @rule(data=st.data())
+    def revert(self, data):
+        self.set(data.draw(st.sampled_from(self.earlier)))
+
+    @precondition(lambda self: self.changes < 2)
+    @rule(data=st.data())
+    def bring_old_lock_back(self, data):
+        self.change()
+        self.lock.write_bytes(data.draw(st.sampled_from(self.locks)))
+
+    @rule(data=st.data())
+    def touch(self, data):
+        before = self.states()
+        sources = [path for name in ("objectfolder", "stages") for path in (self.root / name).rglob("*.py")]
+        everything = [*self.outputs, *sorted(sources), self.root / "params.yaml", self.lock]
+        data.draw(st.sampled_from([path for path in everything if path.exists()])).touch()
+        assert self.states() == before
+
+    @precondition(lambda self: self.changes < 2 and self.outputs)
+    @rule(data=st.data(), how=st.sampled_from(["delete", "delete directory", "empty", "change", "stray"]))
+    def spoil_output(self, data, how):
+        self.change()
+        path = data.draw(st.sampled_from(self.outputs))
+        if how == "delete":
+            path.unlink()
+        elif how == "delete directory":
+            shutil.rmtree(path.parent)
+        elif how == "stray":
+            (path.parent / STRAY).write_text("stray")
+        else:
+            path.write_text("other" if how == "change" else "")
+
+    @precondition(lambda self: self.changes < 2 and self.said.get(MESH) is Outlook.SKIP)
+    @rule()
+    def delete_mesh(self):
+        self.change()
+        shutil.rmtree(self.mesh.parent)
+
+    @precondition(lambda self: self.changes < 2 and self.objects and self.mesh.exists())
+    @rule(data=st.data(), how=st.sampled_from(["delete", "damage"]))
+    def spoil_cached_object(self, data, how):
+        self.change()
+        path = data.draw(st.sampled_from(self.objects))
+        if how == "delete":
+            path.unlink()
+            return
+        path.chmod(0o644)
+        path.write_bytes(bytes([path.read_bytes()[0] ^ 1, *path.read_bytes()[1:]]))
+        path.chmod(0o444)
+        self.damaged = True
+
+    @precondition(lambda self: self.changes < 2 and self.mesh.exists())
+    @rule(what=st.sampled_from(["cache", "cache/files", "cache/runs", "tmp"]))
+    def lose_cache(self, what):
+        self.change()
+        shutil.rmtree(self.root / ".dvc" / what, ignore_errors=True)
+
+    @rule()
+    def prune(self):
+        prune(survey(self.root), self.root)
+
+    @precondition(lambda self: not self.damaged)
+    @rule()
+    def push(self):
+        with Repo(str(self.root)) as repo:
+            repo.push(run_cache=True)
+
+    # Builds
+
+    @rule(jobs=st.sampled_from([1, 2]))
+    def build(self, jobs):
+        self.check_build((), BuildOptions(jobs=jobs))
+
+    @rule(target=st.sampled_from(["mug", "observe@bell", "recognize", "build/bell/surface.txt", "hash_code"]))
+    def build_target(self, target):
+        gone = {"bell", "mug"} - set(self.sources.keys)
+        self.check_build(() if any(key in target for key in gone) else (target,), BuildOptions(jobs=2))
+
+    @rule()
+    def build_by_force(self):
+        self.check_build((), BuildOptions(jobs=2, force=True))
+
+    @rule()
+    def build_with_pull(self):
+        self.check_build((), BuildOptions(jobs=2, pull=True))
+
+    def check_build(self, targets, options):
+        self.changes = 0
+        self.counts["builds"] += 1
+        summary = build(targets, options, self.root)
+        broken = [a for a in summary.stages if a != MESH and self.truth[a] is None]
+        assert summary.ok == (not broken), summary.failures
+        if not options.force and not options.pull and not self.damaged:
+            did = {a: result.status for a, result in summary.stages.items() if a not in broken}
+            assert not {a: (self.said[a], did[a]) for a in did if did[a] not in MEANING[self.said[a]]}
+        assert {a for a, state in self.states(*targets).items() if state is not State.FRESH} == set(broken)
+        assert not [path for path in self.root.rglob("*.tmp*") if path.is_file()]
+        self.locks.append(self.lock.read_bytes())
+
+    @rule(moment=st.integers(1, 150), number=st.sampled_from([signal.SIGKILL, signal.SIGINT]))
+    def build_killed_at_a_change_of_a_file(self, moment, number):
+        self.killed("", moment, number)
+
+    @rule(data=st.data(), number=st.sampled_from([signal.SIGKILL, signal.SIGINT]))
+    def build_killed_while_a_stage_writes(self, data, number):
+        paths = [path for files in self.truth.values() for path in files or () if ".code" not in path]
+        self.killed(data.draw(st.sampled_from(paths)), 0, number)
+
+    def killed(self, path, moment, number):
+        self.changes = 0
+        self.counts["kills"] += 1
+        with (self.home / "log").open("wb") as log:
+            command = ("-c", MORTAL, str(moment), str(int(number)), str(self.root))
+            engine = self.server.start(command, tiny_project.ROOT, log, log, HALT=path)
+            code = engine.wait(100)
+        assert code in (0, -number), (self.home / "log").read_text()
+        self.counts["killed"] += code != 0
+
+    @rule()
+    def repair(self):
+        verify((), self.root, repair=True, jobs=2)
+
+    # What holds after each of them
+
+    def states(self, *targets):
+        found = status(targets, self.root)
+        self.said = {one.address: one.outlook for one in found}
+        return {one.address: one.state for one in found}
+
+    @invariant()
+    def what_is_fresh_is_true(self):
+        self.counts["steps"] += 1
+        if not self.mesh.exists():  # a build brings back what was recorded
+            self.sources = replace(self.sources, mesh=self.recorded_mesh)
+        states = self.states()
+        truth = self.truth
+        if states.pop(MESH, None) is State.FRESH:
+            assert self.mesh.read_text() == self.sources.mesh
+            self.recorded_mesh = self.sources.mesh
+        assert states.keys() == truth.keys()
+        for address, state in states.items():
+            self.counts[state] += 1
+            if state is State.FRESH:
+                assert truth[address] is not None, f"{address} cannot be built"
+                assert self.written(address, truth[address]) == truth[address], address
+        assert {path.relative_to(self.root).as_posix() for path in self.outputs} <= self.known()
+        findings = verify((), self.root, jobs=1).findings
+        bad = {
+            f.address for f in findings if not f.path.startswith(".dvc") and "in the cache" not in f.problem
+        }
+        assert not {address for address in bad if states.get(address) is State.FRESH}, findings
+        if set(states.values()) == {State.FRESH} and not self.damaged:
+            assert not [f for f in findings if f.address in states], findings
+        said = {address for address, state in states.items() if state is State.MISSING}
+        assert said <= {f.address for f in findings}
+
+    def written(self, address, files):
+        """Files in the places of some, with what else is in their directories."""
+        places = {self.root / path for path in files}
+        if address.startswith("observe@"):
+            places |= set((self.root / "benchmarks/observations" / address.partition("@")[2]).iterdir())
+        return {p.relative_to(self.root).as_posix(): p.read_text() for p in places if p.is_file()}
+
+    def known(self):
+        """Files that some stage may write, and the stray ones of these tests."""
+        files = {path for found in tiny_project.outputs(Sources()).values() for path in found or ()}
+        return files | {str(Path(path).parent / STRAY) for path in files}
+
+
+@pytest.fixture(scope="module")
+def template(tmp_path_factory):
+    root = tmp_path_factory.mktemp("template") / "workspace"
+    tiny_project.make(root)
+    assert build(root=root).ok
+    return root
+
+
+def test_what_status_calls_fresh_is_what_a_build_from_nothing_gives(template, tmp_path, fork_server):
+    run_state_machine_as_test(
+        lambda: Sequence(template, tmp_path, fork_server),
+        settings=settings(
+            max_examples=SEQUENCES,
+            stateful_step_count=STEPS,
+            deadline=None,
+            suppress_health_check=list(HealthCheck),
+        ),
+    )
+    print(dict(Sequence.counts))
