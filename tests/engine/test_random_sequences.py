@@ -231,10 +231,10 @@ class Sequence(RuleBasedStateMachine):
     def build(self, jobs):
         self.check_build((), BuildOptions(jobs=jobs))
 
-    @rule(target=st.sampled_from(["mug", "observe@bell", "recognize", "build/bell/surface.txt", "hash_code"]))
-    def build_target(self, target):
+    @rule(what=st.sampled_from(["mug", "observe@bell", "recognize", "build/bell/surface.txt", "hash_code"]))
+    def build_target(self, what):
         gone = {"bell", "mug"} - set(self.sources.keys)
-        self.check_build(() if any(key in target for key in gone) else (target,), BuildOptions(jobs=2))
+        self.check_build(() if any(key in what for key in gone) else (what,), BuildOptions(jobs=2))
 
     @rule()
     def build_by_force(self):

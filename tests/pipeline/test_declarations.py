@@ -58,6 +58,9 @@ def parameters_read(stage):
     for node in ast.walk(tree):
         if not isinstance(node, ast.Call) or getattr(node.func, "id", "") not in READERS:
             continue
+        if node.func.id == "object_keys":
+            read.add(KEYS_OF.get(node.args[0].value, "objects"))
+            continue
         section = {place.rpartition(":")[2]: name for name, place in params.SECTIONS.items()}
         read |= {section[node.args[0].id]} | READERS[node.func.id]
         if isinstance(parents[node], ast.Attribute):  # stage_params(...).settings
@@ -75,7 +78,9 @@ def parameters_read(stage):
     return read
 
 
-READERS = {"stage_params": set(), "robot_params": set(), "task_params": {"encode"}}
+READERS = {"stage_params": set(), "robot_params": set(), "task_params": {"encode"}, "object_keys": set()}
+#: Where a task finds the names of its objects, if not under ``objects``.
+KEYS_OF = {"grasp_stability": "benchmarks.grasp_data"}
 
 
 @pytest.mark.parametrize("stage", sorted(set(STAGES) - {"generate"}))
