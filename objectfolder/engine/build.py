@@ -10,6 +10,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 
 from objectfolder import disk
+from objectfolder.engine.bytecode import compare_by_content
 from objectfolder.engine.dvc import remote, steps
 from objectfolder.engine.dvc.graph import StageGraph, stage_graph
 from objectfolder.engine.dvc.inputs import Stamps, hold_params
@@ -168,6 +169,7 @@ class _Build:
             group=object_groups(graph.stages, OBJECTS_PER_CORE * self.workers.cores),
         )
         self.signals = StopSignals(wake=lambda: self.finished.put(None))
+        self.compared = False
         self.stopping = False
         self.unwritable = False
 
@@ -259,6 +261,9 @@ class _Build:
         needs = self.needs[address]
         env = stage_environment({**shell.env, **self.held}, needs.cpus)
         self.running[address] = shell.inputs
+        if not self.compared:  # not before: a build with nothing to do need not look
+            compare_by_content(self.repository.root)
+            self.compared = True
         self.workers.submit(address, Command(shell.lines, shell.cwd, env, log, needs.timeout), needs)
         self.on_event(Started(address, log))
 

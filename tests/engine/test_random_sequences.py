@@ -1,10 +1,11 @@
-"""Random edits, faults and builds: what `status` calls fresh is what a build from nothing gives, byte for byte."""
+"""Random edits, faults and builds: what `status` calls fresh is what a build from nothing gives."""
 
 import shutil
 import signal
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from typing import ClassVar
 
 import hypothesis.strategies as st
 import pytest
@@ -28,7 +29,7 @@ from . import tiny_project
 from .tiny_project import KEYS, LIBRARY, STAGES, VERSIONS, Sources
 
 FUZZING = settings.get_current_profile_name() == "fuzz"
-SEQUENCES, STEPS = (200, 20) if FUZZING else (10, 8)
+SEQUENCES, STEPS = (200, 20) if FUZZING else (10, 6)
 MESH = "data/objects/bell.dvc"
 STRAY = "stray.txt"
 #: Field of `Sources`, its key if it is a mapping, and the new value.
@@ -84,7 +85,7 @@ class Sequence(RuleBasedStateMachine):
         Runs the builds that are killed.
     """
 
-    counts: Counter[str] = Counter()
+    counts: ClassVar[Counter[str]] = Counter()
 
     def __init__(self, template: Path, home: Path, server):
         super().__init__()

@@ -60,7 +60,7 @@ COMMON = """
 import json, os, sys, time
 from pathlib import Path
 
-params = json.loads(Path("params.yaml").read_text())
+params = json.loads(Path(os.environ.get("OBJECTFOLDER_PARAMS", "params.yaml")).read_text())
 key = sys.argv[1] if len(sys.argv) > 1 else ""
 
 

@@ -1,0 +1,27 @@
+"""A stage runs the code that is recorded, not an older one that Python has compiled."""
+
+import os
+
+import pytest
+
+from objectfolder.engine.build import build
+
+from . import tiny_project
+from .tiny_project import Sources
+
+
+@pytest.mark.parametrize("name", ["generate", "shape"])
+def test_an_edit_of_the_same_size_within_a_second_is_seen(tmp_path, name):
+    root = tmp_path / "workspace"
+    tiny_project.make(root)
+    assert build(root=root).ok
+    sources = Sources().with_one("versions", name, "2")
+    for path, text in sources.code().items():
+        if text != Sources().code()[path]:
+            info = (root / path).stat()
+            assert len(text) == info.st_size
+            (root / path).write_text(text)
+            os.utime(root / path, ns=(info.st_atime_ns, info.st_mtime_ns // 10**9 * 10**9))
+    assert build(root=root).ok
+    for files in tiny_project.outputs(sources).values():
+        assert {path: (root / path).read_text() for path in files} == files
