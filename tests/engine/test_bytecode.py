@@ -11,7 +11,8 @@ from .tiny_project import Sources
 
 
 @pytest.mark.parametrize("name", ["generate", "shape"])
-def test_an_edit_of_the_same_size_within_a_second_is_seen(tmp_path, name):
+def test_an_edit_of_the_same_size_within_a_second_is_seen(tmp_path, monkeypatch, name):
+    monkeypatch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)  # of the stages
     root = tmp_path / "workspace"
     tiny_project.make(root)
     assert build(root=root).ok

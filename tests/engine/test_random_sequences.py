@@ -336,7 +336,10 @@ def template(tmp_path_factory):
     return root
 
 
-def test_what_status_calls_fresh_is_what_a_build_from_nothing_gives(template, tmp_path, fork_server):
+def test_what_status_calls_fresh_is_what_a_build_from_nothing_gives(
+    template, tmp_path, fork_server, monkeypatch
+):
+    monkeypatch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)  # of the stages: it can be outdated
     run_state_machine_as_test(
         lambda: Sequence(template, tmp_path, fork_server),
         settings=settings(
