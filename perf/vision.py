@@ -111,16 +111,16 @@ def draw(workspace: str, key: str, name: str, views: str, out: str) -> dict:
 def train(workspace: str, key: str) -> dict:
     """Train the surface net in this process, then score it as it is stored.
 
-    While it trains, PSNR is that of the validation loss: pooled over views, without the pixels at
-    silhouettes and shadow edges, which the loss leaves out. In the end validation views are scored before
-    and after storing, and the test views once, as `evaluate` scores them.
+    While it trains, PSNR is that of the validation loss in whole views: pooled, without the pixels at
+    silhouettes and shadow edges, which the loss leaves out. In the end validation images, tiles or views, are
+    scored before and after storing, and the test views once, as `evaluate` scores them.
     """
     torch.set_num_threads(1)
     build, values = Build(key, workspace), params.read(Path(workspace) / "params.yaml")
     config = params.settings(VisionConfig, values)
     views = {split: read_npz(build.views(split)) for split in SPLITS}
-    # The loss is a mean over pixels that are covered fully; the background has no error.
-    covered = float((views["val"]["rgba"][..., 3] >= COVERED).mean())
+    # The loss is a mean over pixels that are covered fully; the background of whole views has no error.
+    covered = float((views["test"]["rgba"][..., 3] >= COVERED).mean())
     distances = read_npz(build.sdf, "values", "band")
     surface, scene = Isosurface(DistanceGrid.from_arrays(distances)), Scene(load_mesh(build.visual, up="y"))
     row: dict = {"object": key, "train_views": len(views["train"]["rgba"])}
@@ -349,7 +349,7 @@ def show_rows(rows: list[dict], title: str, form: dict[str, tuple[str, str]], co
 
 TRAINING = {
     "object": ("object", ""),
-    "train_views": ("views", ""),
+    "train_views": ("images", ""),
     "steps_reached": ("steps to 40 dB", ""),
     "seconds_reached": ("CPU s", ".1f"),
     "steps": ("steps in all", ""),

@@ -33,7 +33,7 @@ def main(key: str) -> None:
     build = Build(key)
     rng = numpy_generator(params.seed, key, "evaluate")
     file = ObjectFile.load(build.object_file)
-    views = read_npz(build.views("test"), "rgba", "camera_to_world", "light", "focal", "noise")
+    views = read_npz(build.views("test"), "rgba", "camera_to_world", "light", "focal", "center", "noise")
     modes = read_npz(build.modes, "points", "split", "shapes", "damped_frequency", "damping")
     contacts = read_npz(
         build.touch("test"), "images", "masks", "points", "depths", "angles", "obstructed", "force"

@@ -9,7 +9,7 @@ from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.seeding import numpy_generator
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.color import on_white
-from objectfolder.vision.dataset import RenderViewsConfig, render_split
+from objectfolder.vision.dataset import RenderViewsConfig, Shots, render_split
 from objectfolder.vision.renderers.registry import make_renderer
 from objectfolder.vision.scene import Scene
 from objectfolder.workspace.layout import SPLITS, Build
@@ -22,14 +22,19 @@ def main(key: str) -> None:
     build, settings = Build(key), params.settings
     scene = Scene(load_mesh(build.visual, up="y"), settings.ambient)
     renderer = make_renderer(settings.renderer, scene)
+    whole = Intrinsics.square(settings.resolution)
     for split in SPLITS:
+        count, rng = getattr(settings, split), numpy_generator(params.seed, key, "render_views", split)
+        if settings.tile and split != "test":
+            shots = Shots.tiles(count, settings.tile, scene.mesh.vertices, whole, rng)
+        else:
+            shots = Shots.views(count, whole, rng)
         views = render_split(
             renderer,
-            getattr(settings, split),
+            shots,
             settings.train_samples if split == "train" else settings.test_samples,
-            Intrinsics.square(settings.resolution),
-            numpy_generator(params.seed, key, "render_views", split),
-            progress(f"{key}: {split} views"),
+            rng,
+            progress(f"{key}: {split} images"),
             halves=split != "train",
         )
         write_npz(build.views(split), **views)

@@ -22,7 +22,8 @@ def main(key: str) -> None:
     params = stage_params(VisionConfig, key)
     build, settings = Build(key), params.settings
     train, val = (
-        read_npz(build.views(s), "rgba", "camera_to_world", "light", "focal") for s in ("train", "val")
+        read_npz(build.views(s), "rgba", "camera_to_world", "light", "focal", "center")
+        for s in ("train", "val")
     )
     generator = torch_generator(params.seed, key, "train_vision")
     net: SurfaceNet | OsfNet

@@ -12,7 +12,7 @@ from objectfolder.inspection.record import Inspection, kilobytes, picture_path, 
 from objectfolder.inspection.scene import CLAY, VIEW_FROM, draw_scene, triangles
 from objectfolder.io import read_json, read_npz
 from objectfolder.mesh.ply import read_surface
-from objectfolder.vision.cameras import Intrinsics, project
+from objectfolder.vision.cameras import image_intrinsics, project
 from objectfolder.vision.color import COVERED, lit_foreground, on_white
 from objectfolder.workspace.layout import SPLITS, Build
 
@@ -24,10 +24,10 @@ COLORS = {"train": ("blue", "#2563eb"), "val": ("orange", "#f59e0b"), "test": ("
 
 
 def inspect_render_views(build: Build) -> Inspection:
-    """Inspect the views: images with their lights, and directions of cameras and lights."""
+    """Inspect the views and tiles: images with their lights, and directions of cameras and lights."""
     paths = [build.views(split) for split in SPLITS]
     require(build, "render_views", *paths, build.views_sheet)
-    names = ("rgba", "camera_to_world", "light", "focal", "renderer")
+    names = ("rgba", "camera_to_world", "light", "focal", "center", "renderer")
     splits = {split: read_npz(path, *names) for split, path in zip(SPLITS, paths)}
     table = [
         row
@@ -56,7 +56,7 @@ def _view_rows(split: str, views: dict[str, np.ndarray], size: str) -> list[tupl
     covered, lit = rgba[..., 3] >= COVERED, lit_foreground(rgba)
     broken = np.count_nonzero(~np.isfinite(rgba))
     return [
-        (split, f"{len(rgba)} views, {_size(rgba)} pixels RGBA {views['rgba'].dtype}, {size}"),
+        (split, f"{len(rgba)} {_kind(views)}, {_size(rgba)} pixels RGBA {views['rgba'].dtype}, {size}"),
         ("  radiance", span(rgba[..., :3]) + (f", {broken} values are not finite" if broken else "")),
         (
             "  pixels",
@@ -85,7 +85,10 @@ def _contact_rows(split: str, contacts: dict[str, np.ndarray], size: str) -> lis
 def _views_picture(build: Build, splits: dict[str, dict[str, np.ndarray]]) -> Path:
     figure = page(15, 13, f"render_views@{build.key}")
     top, bottom = page_rows(figure, 3, 1.4)
-    top.suptitle("training views on white; yellow: the light (filled: before the object, ring: behind it)")
+    top.suptitle(
+        f"training {_kind(splits['train'])} on white; yellow: the light (filled: before the object, ring: "
+        "behind it), at the border if it is outside"
+    )
     _show_views(top.subplots(3, 6).flat, splits["train"])
     for axes, name in zip(bottom.subplots(1, 2), ("camera", "light")):
         for split, views in splits.items():
@@ -118,7 +121,7 @@ def _touch_picture(build: Build, splits: dict[str, dict[str, np.ndarray]]) -> Pa
 
 def _show_views(panels: Iterable["Axes"], views: dict[str, np.ndarray]) -> None:
     rgba = views["rgba"]
-    intrinsics = Intrinsics(rgba.shape[2], rgba.shape[1], float(views["focal"]))
+    intrinsics = image_intrinsics(views)
     azimuth, elevation = _angles(views["camera_to_world"][:, :3, 3])
     for index, axes in enumerate(panels):
         axes.set_axis_off()
@@ -131,9 +134,10 @@ def _show_views(panels: Iterable["Axes"], views: dict[str, np.ndarray]) -> None:
         )
         axes.set_axis_on()  # a frame shows to which view a light at the border belongs
         axes.set(xticks=[], yticks=[])
-        place, depth = project(light[None], pose, intrinsics)
+        place, depth = project(light[None], pose, intrinsics[index])
         before = depth[0] < np.linalg.norm(pose[:3, 3])
-        column, row = np.clip(place[0], 4, np.array([intrinsics.width, intrinsics.height]) - 4)
+        margin = rgba.shape[1] / 64
+        column, row = np.clip(place[0], margin, np.array([rgba.shape[2], rgba.shape[1]]) - margin)
         axes.scatter(
             column,
             row,
@@ -179,6 +183,11 @@ def _angles(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.degrees(np.arctan2(positions[:, 1], positions[:, 0])), positions[:, 2] / np.linalg.norm(
         positions, axis=1
     )
+
+
+def _kind(views: dict[str, np.ndarray]) -> str:
+    middle = np.array(views["rgba"].shape[2:0:-1]) / 2
+    return "views" if (views["center"] == middle).all() else "tiles"
 
 
 def _size(images: np.ndarray) -> str:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.nets.fit import CurvePoint, fit, minibatches
 from objectfolder.nets.vision_config import OsfConfig
@@ -51,7 +52,8 @@ def train_osf(
     Parameters
     ----------
     train, val : dict
-        ``rgba`` (N, H, W, 4), ``camera_to_world`` (N, 4, 4), ``light`` (N, 3), ``focal``.
+        Whole views: ``rgba`` (N, H, W, 4), ``camera_to_world`` (N, 4, 4), ``light`` (N, 3), ``focal``,
+        ``center`` (N, 2).
     config : OsfConfig
     generator : torch.Generator
         On the CPU.
@@ -60,6 +62,11 @@ def train_osf(
         cube: the sum for both nets in training; in validation the fine net's, on `VAL_RAYS` rays.
     device : str or torch.device
         Training device; the net is returned on the CPU. The paper's size needs a GPU.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the images are tiles: what lies beside the object would stay unknown.
 
     Notes
     -----
@@ -100,6 +107,11 @@ def train_osf(
 def _gather(views: dict[str, np.ndarray], device: str | torch.device) -> _Pixels:
     height, width = views["rgba"].shape[1:3]
     intrinsics = Intrinsics(width, height, float(views["focal"]))
+    if (views["center"] != (intrinsics.cx, intrinsics.cy)).any():
+        raise ObjectFolderError(
+            f"the net osf learns from whole views, not from tiles of {width} x {height} pixels: set in "
+            "params.yaml render_views.tile to null, train to 120, val to 8 and train_samples to 16"
+        )
     centres = pixel_centres(intrinsics)
     view, directions, targets = [], [], []
     for i, (rgba, pose) in enumerate(zip(views["rgba"], views["camera_to_world"])):

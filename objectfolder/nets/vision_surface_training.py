@@ -17,10 +17,11 @@ from objectfolder.nets.hashgrid import HashGrid
 from objectfolder.nets.vision_config import SurfaceConfig
 from objectfolder.nets.vision_surface import CHUNK, Baked, BounceInputs, SurfaceNet, in_cube
 from objectfolder.vision.appearance import appearance_at
-from objectfolder.vision.cameras import Intrinsics, camera_rays
+from objectfolder.vision.cameras import camera_rays, image_intrinsics
 from objectfolder.vision.color import COVERED
 from objectfolder.vision.scene import Scene
 from objectfolder.vision.trace import trace
+from objectfolder.vision.vectors import take_rows
 
 DARK = 0.002  # radiance below which a pixel is nearly black
 DARK_SHARE = 0.2  # sampling probability of dark pixels, relative to others
@@ -85,7 +86,8 @@ def train_surface(
     scene : Scene
         Mesh shown in the views.
     train, val : dict
-        ``rgba`` (N, H, W, 4), ``camera_to_world`` (N, 4, 4), ``light`` (N, 3), ``focal``.
+        ``rgba`` (N, H, W, 4), ``camera_to_world`` (N, 4, 4), ``light`` (N, 3), ``focal``, ``center`` (N, 2):
+        whole views or tiles; see `objectfolder.vision.dataset`.
     config : SurfaceConfig
     generator : torch.Generator
     report : callable
@@ -161,33 +163,40 @@ def _gather(
     dark_share: float,
     rng: np.random.Generator,
 ) -> _Pixels:
-    """Sample about ``count`` pixels, equally many per view; dark ones with lower probability."""
-    height, width = views["rgba"].shape[1:3]
-    intrinsics = Intrinsics(width, height, float(views["focal"]))
+    """Sample about ``count`` pixels, equally many per image; dark ones with lower probability."""
     share, parts = -(-count // len(views["rgba"])), []
-    for rgba, pose, light in zip(views["rgba"], views["camera_to_world"], views["light"]):
+    for rgba, pose, light, intrinsics in zip(
+        views["rgba"], views["camera_to_world"], views["light"], image_intrinsics(views)
+    ):
         rows, columns = np.nonzero(rgba[..., 3] >= COVERED)
         samples = trace(surface, *camera_rays(pose, intrinsics, np.stack([columns, rows], 1) + 0.5), light)
-        row, column = rows[samples.ray], columns[samples.ray]
-        state = np.zeros((height, width), np.int8)
+        ray = samples.ray.numpy()  # NumPy takes a tensor of one element for a number
+        row, column = rows[ray], columns[ray]
+        state = np.zeros(rgba.shape[:2], np.int8)
         state[row, column] = 1 + samples.lit.numpy()
         chosen = np.flatnonzero((maximum_filter(state, 3) == minimum_filter(state, 3))[row, column])
         if not len(chosen):
             continue
-        target = rgba[row[chosen], column[chosen], :3].astype(np.float32).clip(max=1)
-        # Bright pixels are more informative.
-        chance = np.where(target.max(1) > DARK, 1, dark_share)
-        picked = rng.choice(len(chosen), min(share, len(chosen)), replace=False, p=chance / chance.sum())
-        samples = samples.select(torch.from_numpy(chosen[picked]))
+        samples = samples.select(torch.from_numpy(chosen))
         l = torch.from_numpy(np.asarray(light, np.float32))
         base_color, normals = baked.look_of(samples)
         direct = net.direct(samples, l, base_color, normals)
+        # Bright pixels are more informative. They are told by what is known of them: to choose by the
+        # rendered pixel would prefer those with bright noise.
+        expected = direct + base_color * baked.radiosity.gathered(samples, l)
+        chance = np.where(expected.amax(1).numpy() > DARK, 1, dark_share)
+        picked = rng.choice(len(chosen), min(share, len(chosen)), replace=False, p=chance / chance.sum())
+        kept = torch.from_numpy(picked)
+        samples = samples.select(kept)
+        base_color, normals, direct = (take_rows(v, kept) for v in (base_color, normals, direct))
         inputs = net.bounce_inputs(baked, samples, l, base_color, normals, direct)
         bounced = inputs.features.half(), inputs.gathered, inputs.mirrored
-        parts.append((*bounced, base_color, direct, torch.from_numpy(target[picked]), samples.points))
+        seen = chosen[picked]
+        target = rgba[row[seen], column[seen], :3].astype(np.float32).clip(max=1)
+        parts.append((*bounced, base_color, direct, torch.from_numpy(target), samples.points))
     if not parts:
         raise ObjectFolderError(
-            f"none of {len(views['rgba'])} views shows a pixel well inside the object: "
+            f"none of {len(views['rgba'])} images shows a pixel well inside the object: "
             "check cameras, focal length and scale, or render at a higher resolution"
         )
     features, gathered, mirrored, base_color, direct, colors, points = (torch.cat(p) for p in zip(*parts))

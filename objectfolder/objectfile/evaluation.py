@@ -14,7 +14,7 @@ from objectfolder.metrics import SpectrogramErrors, awgn_psnr, gain_errors, psnr
 from objectfolder.nets.audio_gains import energy_weights
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.settings import Count
-from objectfolder.vision.cameras import Intrinsics
+from objectfolder.vision.cameras import image_intrinsics
 from objectfolder.vision.color import lit_foreground, on_white
 
 AWGN = {"sigma_0_05": 0.05, "variance_0_05": 0.05**0.5}  # the paper says variance, its numbers match sigma
@@ -44,10 +44,10 @@ def evaluate_vision(view: Callable[..., np.ndarray], views: dict[str, np.ndarray
     views : dict
         Contents of ``views/test.npz``.
     """
-    height, width = views["rgba"].shape[1:3]
-    intrinsics = Intrinsics(width, height, float(views["focal"]))
     errors, white, similarity, lit_errors = [], [], [], []
-    for rgba, pose, light in zip(views["rgba"].astype(np.float32), views["camera_to_world"], views["light"]):
+    for rgba, pose, light, intrinsics in zip(
+        views["rgba"].astype(np.float32), views["camera_to_world"], views["light"], image_intrinsics(views)
+    ):
         truth = on_white(torch.from_numpy(rgba)).numpy()
         image = view(pose, light, intrinsics=intrinsics)[0]
         squared = (image - truth) ** 2
@@ -102,10 +102,10 @@ def shown_views(scores: dict[str, Any], count: int) -> dict[int, str]:
 def view_answers(
     file: ObjectFile, views: dict[str, np.ndarray], rows: list[int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return true held-out views and the Object File's; both (N, H, W, 3), sRGB on white."""
+    """Return true held-out whole views and the Object File's; both (N, H, W, 3), sRGB on white."""
     rgba = views["rgba"][rows].astype(np.float32)
-    intrinsics = Intrinsics(rgba.shape[2], rgba.shape[1], float(views["focal"]))
-    answers = file.view(views["camera_to_world"][rows], views["light"][rows], intrinsics=intrinsics)
+    whole = image_intrinsics(views)[0]
+    answers = file.view(views["camera_to_world"][rows], views["light"][rows], intrinsics=whole)
     return on_white(torch.from_numpy(rgba)).numpy(), answers
 
 

@@ -1,6 +1,7 @@
 """Cameras and lights, in the unit frame (OpenGL axes: x right, y up, the camera looks along -z)."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,6 +88,19 @@ class Intrinsics:
                 f"camera matrix has skew ({k[0, 1]:g}, {k[1, 0]:g}): rectify the image first"
             )
         return cls(width, height, float(k[0, 0]), (float(k[0, 2]), float(k[1, 2])), float(k[1, 1]))
+
+
+def image_intrinsics(images: Mapping[str, np.ndarray]) -> list[Intrinsics]:
+    """Return the intrinsics of each image of a file of views.
+
+    Parameters
+    ----------
+    images : mapping
+        ``rgba`` (N, H, W, 4), ``focal`` and ``center`` (N, 2) among others.
+    """
+    height, width = images["rgba"].shape[1:3]
+    focal = float(images["focal"])
+    return [Intrinsics(width, height, focal, (column, row)) for column, row in images["center"].tolist()]
 
 
 def sphere_points(count: int, radius: float, rng: np.random.Generator) -> np.ndarray:

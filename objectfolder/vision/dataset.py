@@ -1,4 +1,4 @@
-"""Views of an object with random cameras and lights."""
+"""Images of an object with random cameras and lights: whole views, and tiles of views."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -9,12 +9,20 @@ import torch
 from annotated_types import Ge, MultipleOf
 
 from objectfolder.settings import Count, NonNegative
-from objectfolder.vision.cameras import CAMERA_RADIUS, LIGHT_RADIUS, Intrinsics, look_at, sphere_points
+from objectfolder.vision.cameras import (
+    CAMERA_RADIUS,
+    LIGHT_RADIUS,
+    Intrinsics,
+    covered_rectangle,
+    look_at,
+    sphere_points,
+)
 from objectfolder.vision.color import lit_foreground, on_white
 from objectfolder.vision.renderers.registry import Renderer
 
 RendererName = Literal["mitsuba", "mitsuba-llvm", "mitsuba-cuda", "cycles", "raster"]
 BRIGHTEST = np.finfo(np.float16).max  # highlights of a mirror near the light exceed it
+TILES_PER_LIGHT = 4  # a new light costs training as much as a few tiles
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,68 +31,110 @@ class RenderViewsConfig:
 
     renderer: RendererName  #: docs/pipeline.md compares them
     ambient: NonNegative  #: radiance from every direction, beside the point light
-    resolution: Count  #: pixels along a side
-    train: Count  #: views
+    resolution: Count  #: pixels along a side of a whole view
+    tile: Annotated[int, Ge(3)] | None  #: pixels along a side of a tile; null: train and val are whole views
+    train: Count  #: tiles or views
     val: Count
-    test: Count
-    train_samples: Count  #: per pixel
+    test: Count  #: always whole views
+    train_samples: Count  #: per pixel; Mitsuba rounds up to a product of two nearly equal numbers
     test_samples: Annotated[int, Ge(2), MultipleOf(2)]  #: per pixel, validation and test: two halves
+
+
+@dataclass(frozen=True)
+class Shots:
+    """What images of one size and focal length show."""
+
+    camera_to_world: np.ndarray  #: (N, 4, 4), unit frame
+    light: np.ndarray  #: (N, 3), unit frame
+    intrinsics: list[Intrinsics]
+
+    @classmethod
+    def views(cls, count: int, intrinsics: Intrinsics, rng: np.random.Generator) -> "Shots":
+        """Draw whole views with cameras and lights uniform on their spheres (supplementary C)."""
+        cameras = look_at(sphere_points(count, CAMERA_RADIUS, rng))
+        return cls(cameras, sphere_points(count, LIGHT_RADIUS, rng), [intrinsics] * count)
+
+    @classmethod
+    def tiles(
+        cls, count: int, side: int, points: np.ndarray, intrinsics: Intrinsics, rng: np.random.Generator
+    ) -> "Shots":
+        """Draw square tiles of views, each of another camera; consecutive ones share a light.
+
+        A tile lies anywhere in the rectangle that the object may cover. It is an image of its own: its
+        principal point, measured from its own corner, says where it lies.
+
+        Parameters
+        ----------
+        count : int
+        side : int
+            Pixels along a side.
+        points : (P, 3) array
+            Vertices of the object, unit frame.
+        intrinsics : Intrinsics
+            Of the whole views.
+        rng : numpy.random.Generator
+        """
+        cameras = look_at(sphere_points(count, CAMERA_RADIUS, rng))
+        lights = sphere_points(-(-count // TILES_PER_LIGHT), LIGHT_RADIUS, rng)
+        parts = []
+        for camera in cameras:
+            left, top, right, bottom = covered_rectangle(points, camera, intrinsics)
+            column = rng.integers(left, max(right - side, left), endpoint=True)
+            row = rng.integers(top, max(bottom - side, top), endpoint=True)
+            center = (float(intrinsics.cx - column), float(intrinsics.cy - row))
+            parts.append(Intrinsics(side, side, intrinsics.focal, center))
+        return cls(cameras, lights.repeat(TILES_PER_LIGHT, 0)[:count], parts)
 
 
 def render_split(
     renderer: Renderer,
-    count: int,
+    shots: Shots,
     samples: int,
-    intrinsics: Intrinsics,
     rng: np.random.Generator,
     progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
     halves: bool = False,
 ) -> dict[str, np.ndarray]:
-    """Render views with cameras and lights uniform on their spheres (supplementary C).
+    """Render images.
 
     Parameters
     ----------
     renderer : Renderer
-    count : int
-        Views.
+    shots : Shots
     samples : int
         Per pixel.
-    intrinsics : Intrinsics
     rng : numpy.random.Generator
     progress : callable
-        Wraps the iteration over views.
+        Wraps the iteration over images.
     halves : bool
-        Whether to render each view as the mean of two independent renders with half of the samples (an even
+        Whether to render each image as the mean of two independent renders with half of the samples (an even
         number) each; their difference gives the noise.
 
     Returns
     -------
     dict
         ``rgba`` (N, H, W, 4) float16, linear and premultiplied; ``camera_to_world`` (N, 4, 4);
-        ``light`` (N, 3); ``focal``; ``renderer``, its version. With halves also ``noise`` (N, 2), see
-        `shown_noise`.
+        ``light`` (N, 3); ``focal``; ``center`` (N, 2), column and row of the principal point in each image;
+        ``renderer``, its version. With halves also ``noise`` (N, 2), see `shown_noise`.
     """
-    camera_to_world = look_at(sphere_points(count, CAMERA_RADIUS, rng))
-    light = sphere_points(count, LIGHT_RADIUS, rng)
+    count, one = len(shots.intrinsics), shots.intrinsics[0]
     parts = 2 if halves else 1
     seeds = rng.integers(2**31, size=(parts, count))
-    rgba = np.empty((count, intrinsics.height, intrinsics.width, 4), np.float16)
+    rgba = np.empty((count, one.height, one.width, 4), np.float16)
     noise = np.zeros((count, 2))
     for i in progress(range(count)):
+        shot = shots.camera_to_world[i], shots.light[i], shots.intrinsics[i]
         images = [
-            renderer.render(camera_to_world[i], light[i], intrinsics, samples // parts, int(seed)).clip(
-                max=BRIGHTEST
-            )
-            for seed in seeds[:, i]
+            renderer.render(*shot, samples // parts, int(seed)).clip(max=BRIGHTEST) for seed in seeds[:, i]
         ]
         rgba[i] = sum(images) / parts
         if halves:
             noise[i] = shown_noise(*images)
     views = {
         "rgba": rgba,
-        "camera_to_world": camera_to_world,
-        "light": light,
-        "focal": np.asarray(intrinsics.focal, np.float64),
+        "camera_to_world": shots.camera_to_world,
+        "light": shots.light,
+        "focal": np.asarray(one.focal, np.float64),
+        "center": np.array([[part.cx, part.cy] for part in shots.intrinsics]),
         "renderer": np.asarray(renderer.version),
     }
     return views | {"noise": noise} if halves else views

@@ -86,7 +86,7 @@ class Radiosity:
             Its reflection by a mirror, 0 where the mirrored ray hits nothing.
         """
         device, samples = away.device, samples.to("cpu")
-        gathered, outgoing = self._solution(tuple(light.tolist()))
+        _, outgoing = self._solution(tuple(light.tolist()))
         starts = samples.points + START * self._surface.grid.spacing * samples.normals
         ray, _, face, weights = self._surface.caster.intersect(starts.numpy(), away.cpu().numpy())
         mirrored = torch.zeros(3, len(starts))
@@ -94,7 +94,12 @@ class Radiosity:
             outgoing, torch.from_numpy(self._surface.faces.take(face, 0)), torch.from_numpy(weights)
         )
         mirrored.index_copy_(1, torch.from_numpy(ray), shown.mT)
-        return self._at(gathered, samples.corners, samples.weights).to(device), mirrored.mT.to(device)
+        return self.gathered(samples, light).to(device), mirrored.mT.to(device)
+
+    def gathered(self, samples: SurfaceSamples, light: torch.Tensor) -> torch.Tensor:
+        """Return the first result of `around` alone, on the CPU."""
+        gathered, _ = self._solution(tuple(light.tolist()))
+        return self._at(gathered, samples.corners, samples.weights)
 
     def _solve(self, light: tuple[float, float, float]) -> tuple[torch.Tensor, torch.Tensor]:
         """Return light gathered by each patch, as if it were white, and its radiosity; (P, 3) each."""

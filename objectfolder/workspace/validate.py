@@ -30,7 +30,7 @@ MODES = {
     "truncated": "",
     "band_hz": "2",
 }
-VIEWS = {"rgba": "nhw4", "camera_to_world": "n44", "light": "n3", "focal": "", "renderer": ""}
+VIEWS = {"rgba": "nhw4", "camera_to_world": "n44", "light": "n3", "focal": "", "center": "n2", "renderer": ""}
 TOUCHES = {
     "images": "nhw3",
     "masks": "nhw",

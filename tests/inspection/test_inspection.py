@@ -114,6 +114,7 @@ def _datasets(build, vertices, faces, rng):
             camera_to_world=poses,
             light=lights,
             focal=np.float64(22.2),
+            center=np.full((count, 2), 2.5 if split == "train" else 8.0),
             renderer="mitsuba",
         )
         write_npz(
@@ -298,7 +299,7 @@ def test_modal_of_an_object_without_modes(tmp_path, root):
 def test_render_views_rows(root):
     rows = _inspected(root, "render_views").rows
     assert [value.partition(",")[0] for name, value in rows if name in SPLITS] == [
-        "20 views",
+        "20 tiles",
         "3 views",
         "4 views",
     ]

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from objectfolder import ObjectFile
+from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_safetensors, write_safetensors
 from objectfolder.metrics import psnr
 from objectfolder.nets.vision_config import OsfConfig
@@ -211,6 +212,7 @@ def painted_ball(count, seed, size=16):
         "camera_to_world": poses,
         "light": lights,
         "focal": np.float64(intrinsics.focal),
+        "center": np.full((len(images), 2), size / 2),
     }
 
 
@@ -300,3 +302,11 @@ def test_a_gpu_learns_as_well(views, trained):
     net, curve = train_osf(*views, CONFIG, torch.Generator().manual_seed(1), device="cuda")
     assert next(net.parameters()).device.type == "cpu"
     assert min(p.val_loss for p in curve) < 2 * min(p.val_loss for p in trained[1])
+
+
+def test_tiles_are_refused_with_what_to_set(views):
+    train, val = views
+    with pytest.raises(
+        ObjectFolderError, match=r"whole views, not from tiles of .*render_views.tile to null"
+    ):
+        train_osf({**train, "center": train["center"] + 3}, val, CONFIG, torch.Generator().manual_seed(1))

@@ -134,6 +134,7 @@ def views(ball, painted):
             "camera_to_world": poses,
             "light": lights,
             "focal": np.float64(intrinsics.focal),
+            "center": np.full((count, 2), 16.0),
         }
 
     return split(24, 0), split(4, 1)
@@ -179,7 +180,49 @@ def test_views_that_show_nothing_are_passed_over_unless_all_do(ball, painted, vi
     config = training(points=2000, point_steps=5, pixels=2000, steps=5)
     train, val = views
     empty = {**train, "rgba": train["rgba"] * (np.arange(len(train["rgba"])) % 2)[:, None, None, None]}
+    empty["rgba"][2] = 0
+    empty["rgba"][2, 16, 16] = 1  # one pixel
     train_surface(ball, painted, empty, val, config, torch.Generator().manual_seed(3))
     nothing = {**train, "rgba": np.zeros_like(train["rgba"])}
-    with pytest.raises(ObjectFolderError, match="none of 24 views shows"):
+    with pytest.raises(ObjectFolderError, match="none of 24 images shows"):
         train_surface(ball, painted, nothing, val, config, torch.Generator().manual_seed(3))
+
+
+def test_tiles_teach_what_the_views_teach_that_they_are_cut_from(ball, painted, views):
+    """Every quarter of every view is a tile."""
+    config = training(points=5000, point_steps=40, pixels=4000, steps=40)
+    tiles = [
+        {
+            "rgba": view["rgba"]
+            .reshape(-1, 2, 16, 2, 16, 4)
+            .transpose(0, 1, 3, 2, 4, 5)
+            .reshape(-1, 16, 16, 4),
+            "camera_to_world": view["camera_to_world"].repeat(4, 0),
+            "light": view["light"].repeat(4, 0),
+            "focal": view["focal"],
+            "center": np.tile([[16.0, 16], [0, 16], [16, 0], [0, 0]], (len(view["rgba"]), 1)),
+        }
+        for view in views
+    ]
+    losses = [
+        train_surface(ball, painted, *data, config, torch.Generator().manual_seed(3))[1][-1].val_loss
+        for data in (views, tiles)
+    ]
+    assert losses[1] == pytest.approx(losses[0], rel=0.15)
+
+
+def test_noise_does_not_choose_the_pixels(ball, painted, views):
+    """Noise of mean zero on dark pixels must not teach light, though it makes half of them bright."""
+    config = training(points=5000, point_steps=40, pixels=1200, steps=60)
+    train, val = views
+    rng = np.random.default_rng(0)
+    flipped = rng.choice([0.0, 2.0], (*train["rgba"].shape[:3], 1))  # as rare bright paths would
+    noisy = {**train, "rgba": train["rgba"].copy()}
+    noisy["rgba"][..., :3] *= np.where(train["rgba"][..., :3] < 0.1, flipped, 1)
+    shade, light = [], np.array([0.0, 0, -1.0])
+    pose = look_at(np.array([[0.0, 1.0, 2.2]]))[0]
+    for data in (train, noisy):
+        net, _ = train_surface(ball, painted, data, val, config, torch.Generator().manual_seed(3))
+        rgba = draw(ball, net.shader(ball), pose, light, Intrinsics.square(32)).rgba
+        shade.append(rgba[rgba[..., 3] == 1][:, :3].mean())
+    assert shade[1] == pytest.approx(shade[0], rel=0.1)

@@ -191,7 +191,8 @@ def views(brick):
     rgba = brick.render(poses, lights, intrinsics=Intrinsics(30, 20, 40.0)).rgba
     for row, error in ((2, 0.3), (4, 0.1)):
         rgba[row, 10, 15, :3] += error
-    return {"rgba": rgba, "camera_to_world": poses, "light": lights, "focal": np.float64(40.0)}
+    optics = {"focal": np.float64(40.0), "center": np.full((5, 2), [15.0, 10.0])}
+    return {"rgba": rgba, "camera_to_world": poses, "light": lights} | optics
 
 
 def test_the_best_the_median_and_the_worst_view_are_named(brick, views):

@@ -26,8 +26,9 @@ TINY = {
     },
     "render_views": {
         "resolution": 32,
-        "train": 6,
-        "val": 2,
+        "tile": 12,
+        "train": 40,
+        "val": 6,
         "test": 2,
         "train_samples": 4,
         "test_samples": 4,

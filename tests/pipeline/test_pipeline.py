@@ -163,8 +163,9 @@ def test_the_papers_audio_net_is_a_choice(built):
 def test_the_papers_vision_net_is_a_choice(built):
     with built.edit() as values:
         values["train_vision"]["net"] = "osf"
+        values["render_views"] |= {"tile": None, "train": 6, "val": 2}
     assert built.build("bell") == {
-        f"{stage}@bell" for stage in ("train_vision", "pack", "evaluate", "observe")
+        f"{stage}@bell" for stage in ("render_views", "train_vision", "pack", "evaluate", "observe")
     }
     bell = ObjectFile.load(built.root / "build/bell/ObjectFile.safetensors")
     assert bell.header["vision"]["kind"] == "osf"
@@ -177,6 +178,7 @@ def test_the_papers_vision_net_is_a_choice(built):
     assert "osf" in built.cli("info", "build/bell/ObjectFile.safetensors").stdout
     with built.edit() as values:
         values["train_vision"]["net"] = "surface"
+        values["render_views"] |= {"tile": 12, "train": 40, "val": 6}
     assert built.build() == set()  # restored
 
 

@@ -8,9 +8,9 @@ from solids import box, join, sphere
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.metrics import psnr
 from objectfolder.objectfile.evaluation import evaluate_vision
-from objectfolder.vision.cameras import Intrinsics
+from objectfolder.vision.cameras import Intrinsics, image_intrinsics
 from objectfolder.vision.color import on_white
-from objectfolder.vision.dataset import render_split, shown_noise
+from objectfolder.vision.dataset import TILES_PER_LIGHT, Shots, render_split, shown_noise
 from objectfolder.vision.renderers.mitsuba import MitsubaRenderer
 from objectfolder.vision.scene import Scene
 
@@ -49,7 +49,8 @@ class Perfect:
 
 
 def split(renderer, samples, halves=True, count=4):
-    return render_split(renderer, count, samples, SMALL, np.random.default_rng(5), halves=halves)
+    rng = np.random.default_rng(5)
+    return render_split(renderer, Shots.views(count, SMALL, rng), samples, rng, halves=halves)
 
 
 def test_halves_share_the_samples_and_no_seed():
@@ -111,3 +112,44 @@ def test_the_noise_of_path_traced_views_is_their_error_against_the_converged():
     ]
     scores = evaluate_vision(Perfect(*truth).view, views)
     assert scores["noise_floor"] == pytest.approx(scores["psnr"], abs=1.5)
+
+
+def test_tiles_are_cut_from_whole_views():
+    solid = join(sphere(0.25, 3, (0, 0, 0.2)), box((1.0, 1.0, 0.1), (0, 0, -0.1)))
+    colors = np.random.default_rng(1).integers(0, 255, (len(solid[0]), 3)).astype(np.uint8)
+    renderer, rng = (
+        MitsubaRenderer(Scene(TexturedMesh(*solid, vertex_colors=colors))),
+        np.random.default_rng(2),
+    )
+    shots = Shots.tiles(9, 12, solid[0], SMALL, rng)
+    tiles = render_split(renderer, shots, 64, rng)
+    assert tiles["rgba"].shape == (9, 12, 12, 4)
+    corners = np.round(16 - tiles["center"]).astype(int)
+    assert len(np.unique(corners, axis=0)) > 4
+    for tile, pose, light, (column, row) in zip(tiles["rgba"], shots.camera_to_world, shots.light, corners):
+        whole = np.pad(renderer.render(pose, light, SMALL, 64, 1), ((0, 12), (0, 12), (0, 0)))
+        truth = whole[row : row + 12, column : column + 12]
+        error = np.abs(tile - truth)
+        assert truth[..., 3].any()
+        assert error[truth[..., 3] == 1].mean() < 0.02
+        assert error[..., 3].mean() < 0.01
+    assert [(i.width, i.cx, i.cy) for i in image_intrinsics(tiles)] == [
+        (12, i.cx, i.cy) for i in shots.intrinsics
+    ]
+
+
+def test_every_tile_has_a_camera_and_every_few_a_light():
+    shots = Shots.tiles(10, 8, sphere(0.4, 2)[0], SMALL, np.random.default_rng(3))
+    assert len(np.unique(shots.camera_to_world[:, :3, 3].round(9), axis=0)) == 10
+    changes = np.flatnonzero(np.diff(shots.light, axis=0).any(1)) + 1
+    assert changes.tolist() == list(range(TILES_PER_LIGHT, 10, TILES_PER_LIGHT))
+
+
+def test_a_tile_that_is_larger_than_the_object_begins_where_it_may_begin():
+    shots = Shots.tiles(9, 30, np.zeros((1, 3)), SMALL, np.random.default_rng(3))
+    # The point is at pixel 16 of 32, and its rectangle begins up to two pixels before it.
+    assert all(1 <= c <= 2 for part in shots.intrinsics for c in (part.cx, part.cy))
+
+
+def test_whole_views_say_their_principal_point():
+    np.testing.assert_array_equal(split(Noisy(), 4, halves=False)["center"], np.full((4, 2), 16.0))

@@ -5,7 +5,7 @@ from solids import box, join, sphere
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, project
-from objectfolder.vision.dataset import render_split
+from objectfolder.vision.dataset import Shots, render_split
 from objectfolder.vision.renderers.mitsuba import MitsubaRenderer
 from objectfolder.vision.scene import Scene
 
@@ -117,7 +117,8 @@ def test_unit_alpha_background_and_finite():
 def test_a_split_is_the_same_bytes_twice():
     def split():
         renderer = MitsubaRenderer(Scene(painted(box((0.5, 0.4, 0.3)))))
-        return render_split(renderer, 3, 4, Intrinsics.square(16), np.random.default_rng(3))
+        rng = np.random.default_rng(3)
+        return render_split(renderer, Shots.views(3, Intrinsics.square(16), rng), 4, rng)
 
     first, second = split(), split()
     assert first["rgba"].dtype == np.float16
