@@ -274,7 +274,8 @@ class BounceInputs:
 
     def select(self, index: torch.Tensor) -> "BounceInputs":
         """Return the inputs of some samples, in single precision."""
-        return BounceInputs(self.features[index].float(), self.gathered[index], self.mirrored[index])
+        features, *radiances = (take_rows(v, index) for v in (self.features, self.gathered, self.mirrored))
+        return BounceInputs(features.float(), *radiances)
 
 
 def _firsts(groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -41,9 +41,11 @@ class _Points:
         return len(self.points)
 
     def loss(self, net: SurfaceNet, index: torch.Tensor) -> torch.Tensor:
-        features = net.grid.lookup(self.corners[0][index], self.corners[1][index])
-        color, shading = net.albedo_and_normal(self.points[index], self.normals[index], features)
-        return F.mse_loss(color, self.color[index]) + F.mse_loss(shading, self.shading[index])
+        features = net.grid.lookup(*(take_rows(v, index) for v in self.corners))
+        values = self.points, self.normals, self.color, self.shading
+        points, normals, true_color, true_shading = (take_rows(v, index) for v in values)
+        color, shading = net.albedo_and_normal(points, normals, features)
+        return F.mse_loss(color, true_color) + F.mse_loss(shading, true_shading)
 
 
 @dataclass(frozen=True)
@@ -60,11 +62,13 @@ class _Pixels:
         return len(self.target)
 
     def loss(self, net: SurfaceNet, index: torch.Tensor) -> torch.Tensor:
-        transport = net.transport.lookup(self.corners[0][index], self.corners[1][index])
+        transport = net.transport.lookup(*(take_rows(v, index) for v in self.corners))
         diffuse, glossy = net.indirect(self.inputs.select(index), transport)
-        radiance = (self.direct[index] + self.base_color[index] * diffuse + glossy).clamp(max=1)
+        values = self.direct, self.base_color, self.target
+        direct, base_color, target = (take_rows(v, index) for v in values)
+        radiance = (direct + base_color * diffuse + glossy).clamp(max=1)
         # Linearised sRGB error: noisy samples have the right mean in linear radiance, not after encoding.
-        error = (radiance - self.target[index]) * srgb.encode_slope(radiance.detach())
+        error = (radiance - target) * srgb.encode_slope(radiance.detach())
         return error.square().mean()
 
 

@@ -180,7 +180,6 @@ def test_views_that_show_nothing_are_passed_over_unless_all_do(ball, painted, vi
     config = training(points=2000, point_steps=5, pixels=2000, steps=5)
     train, val = views
     empty = {**train, "rgba": train["rgba"] * (np.arange(len(train["rgba"])) % 2)[:, None, None, None]}
-    empty["rgba"][2] = 0
     empty["rgba"][2, 16, 16] = 1  # one pixel
     train_surface(ball, painted, empty, val, config, torch.Generator().manual_seed(3))
     nothing = {**train, "rgba": np.zeros_like(train["rgba"])}
