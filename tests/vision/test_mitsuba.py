@@ -1,5 +1,9 @@
+from pathlib import Path
+
+import mitsuba as mi
 import numpy as np
 import pytest
+from ruamel.yaml import YAML
 from solids import box, join, sphere
 
 from objectfolder.mesh.raycast import RayCaster
@@ -9,6 +13,7 @@ from objectfolder.vision.dataset import Shots, render_split
 from objectfolder.vision.renderers.mitsuba import MitsubaRenderer
 from objectfolder.vision.scene import Scene
 
+REPOSITORY = Path(__file__).parents[2]
 FRONT = look_at(np.array([2.5, 0, 0]))[0]
 SMALL = Intrinsics.square(64)
 
@@ -127,3 +132,12 @@ def test_a_split_is_the_same_bytes_twice():
     np.testing.assert_allclose(np.linalg.norm(first["camera_to_world"][:, :3, 3], axis=1), 2.5)
     for name, value in first.items():
         assert value.tobytes() == second[name].tobytes()
+
+
+@pytest.mark.parametrize("preset", sorted((REPOSITORY / "params").glob("*.yaml")), ids=lambda path: path.stem)
+def test_mitsuba_takes_the_samples_that_a_preset_says(preset):
+    mi.set_variant("scalar_rgb")
+    section = YAML(typ="safe").load(preset.read_text())["render_views"]
+    for samples in (section["train_samples"], section["test_samples"] // 2):
+        sampler = mi.load_dict({"type": "multijitter", "sample_count": samples})
+        assert sampler.sample_count() == samples
