@@ -134,6 +134,7 @@ def _show_views(panels: Iterable["Axes"], views: dict[str, np.ndarray]) -> None:
         )
         axes.set_axis_on()  # a frame shows to which view a light at the border belongs
         axes.set(xticks=[], yticks=[])
+        axes.autoscale(False)  # a light at the border of a tile must not widen it
         place, depth = project(light[None], pose, intrinsics[index])
         before = depth[0] < np.linalg.norm(pose[:3, 3])
         margin = rgba.shape[1] / 64
