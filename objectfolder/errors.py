@@ -29,4 +29,7 @@ def shortened(value: object, most: int = 60) -> str:
 
 def quoted(value: Any) -> str:
     """Return a value as in Python code, for a message: shortened, and not deeply nested."""
-    return shortened(_SHORT.repr(value), 300)
+    try:
+        return shortened(_SHORT.repr(value), 300)
+    except ValueError:  # Python does not print numbers of thousands of digits
+        return f"a {type(value).__name__}"

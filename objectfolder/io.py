@@ -4,11 +4,12 @@ All writers use `atomic`, so a file is either absent or complete. All readers ch
 file in errors.
 """
 
+import ast
 import hashlib
 import json
-import math
 import os
 import shutil
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,6 +24,10 @@ MAX_HEADER = 2**20  #: length limit of its JSON header, characters
 MAX_YAML = 2**24  #: size limit of a YAML file, characters, with a copy for each alias
 MAX_SCALAR = 2000  #: length limit of a value in it, characters
 MAX_NESTING = 50  #: limit of collections in each other
+#: Numpy's names of the types of tensors.
+DTYPES = {"BOOL": "?", "F64": "<f8", "F32": "<f4", "F16": "<f2"} | {
+    f"{sign}{8 * size}": f"<{sign.lower()}{size}" for sign in "IU" for size in (1, 2, 4, 8)
+}
 
 
 @contextmanager
@@ -35,22 +40,31 @@ def atomic(path: str | Path) -> Iterator[Path]:
     Raises
     ------
     ObjectFolderError
-        If the directory cannot be written.
+        If the directory cannot be written, or the path is a folder or a device.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.stem}.tmp{path.suffix}")
     try:
+        if path.exists() and not path.is_file():
+            raise ObjectFolderError(
+                f"cannot write {path}: it is a folder or a device, expected a file's name"
+            )
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary.touch()
     except OSError as error:
         raise ObjectFolderError(
-            f"cannot write {path}: {error.strerror}; make the directory {path.parent} writable"
+            f"cannot write {shortened(path, 300)}: {error.strerror}; make the directory "
+            f"{shortened(path.parent, 300)} writable, or choose another name"
         ) from error
     try:
         yield temporary
         with temporary.open("rb") as stream:
             os.fsync(stream.fileno())
         temporary.replace(path)
+    except OSError as error:
+        if error.filename is None:  # so it is when a disk fills up
+            error.filename = str(path)
+        raise
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -248,7 +262,7 @@ def read_npz(path: str | Path, *required: str) -> dict[str, np.ndarray]:
     try:
         # Open the file here, because numpy does not close damaged files.
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
+            arrays = _distinct([(name, archive[name]) for name in archive.files])
     except Exception as error:
         raise ObjectFolderError(f"{path} is damaged ({error}); delete it and rebuild") from error
     missing = set(required) - set(arrays)
@@ -260,7 +274,7 @@ def read_npz(path: str | Path, *required: str) -> dict[str, np.ndarray]:
 
 
 class StoredTensors(Mapping[str, np.ndarray]):
-    """Mapping of the tensors in a memory-mapped safetensors file, each read on access.
+    """Mapping of the tensors of a safetensors file; its bytes are in memory, and each access gives a copy.
 
     Raises
     ------
@@ -268,52 +282,52 @@ class StoredTensors(Mapping[str, np.ndarray]):
         On access, if numpy does not support the type of a tensor.
     """
 
-    def __init__(self, path: Path, stream: Any):
-        self._path, self._stream = path, stream
-        self._names = tuple(sorted(stream.keys()))
+    def __init__(self, path: Path, stored: dict[str, dict[str, Any]]):
+        self._path, self._stored = path, stored
 
     def __getitem__(self, name: str) -> np.ndarray:
-        if name not in self._names:
-            raise KeyError(name)
-        try:
-            return self._stream.get_tensor(name)
-        except Exception as error:
-            raise ObjectFolderError(f"{self._path}: tensor {name} cannot be read: {error}") from error
+        stored = self._stored[name]
+        dtype = DTYPES.get(stored["dtype"])
+        if dtype is None:
+            raise ObjectFolderError(
+                f"{self._path}: tensor {name} holds {stored['dtype']}, expected one of {', '.join(DTYPES)}"
+            )
+        return np.ndarray(stored["shape"], dtype, buffer=stored["data"]).copy()
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
+        return iter(sorted(self._stored))
 
     def __len__(self) -> int:
-        return len(self._names)
-
-    def size(self, name: str) -> int:
-        """Return the number of elements of a tensor without reading it."""
-        return math.prod(self._stream.get_slice(name).get_shape())
+        return len(self._stored)
 
 
 def open_safetensors(path: str | Path) -> tuple[StoredTensors, Any]:
-    """Open a file of `write_safetensors`; return its tensors, read on access, and its JSON header.
+    """Read a file of `write_safetensors` at once; return its tensors and its JSON header.
 
-    Nothing in the file is executed. All sizes are checked before memory is allocated.
+    The file is not mapped: it may change or shrink afterwards. Nothing in it is executed. All sizes are
+    checked before memory is allocated.
 
     Raises
     ------
     ObjectFolderError
-        If the file is missing, damaged, too large, or not a safetensors file.
+        If the file is missing, damaged, too large, or not a safetensors file, or holds a name twice.
     """
-    from safetensors import safe_open
+    from safetensors import deserialize
 
     path = _existing(path)
-    size = path.stat().st_size
-    if size > MAX_BYTES:
-        raise ObjectFolderError(f"{path} has {size:,} bytes, expected at most {MAX_BYTES:,}")
     try:
-        stream = safe_open(str(path), framework="numpy")
-        header = (stream.metadata() or {}).get("objectfolder")
+        with path.open("rb") as stream:
+            size = os.fstat(stream.fileno()).st_size
+            if size > MAX_BYTES:
+                raise ValueError(f"it has {size:,} bytes, expected at most {MAX_BYTES:,}")
+            content = stream.read(size)
+        stored = dict(deserialize(content))
+        # Libraries take the last of two values of one name.
+        described = _json(content[8 : 8 + int.from_bytes(content[:8], "little")])
+        header = described.get("__metadata__", {}).get("objectfolder")
         if header is not None and len(header) > MAX_HEADER:
             raise ValueError(f"its header has {len(header):,} characters, expected at most {MAX_HEADER:,}")
-        values = json.loads(header, parse_constant=_no_number) if header is not None else {}
-        return StoredTensors(path, stream), values
+        return StoredTensors(path, stored), {} if header is None else _json(header)
     except Exception as error:
         raise ObjectFolderError(f"{path} is not a readable safetensors file: {error}") from error
 
@@ -338,9 +352,7 @@ def read_rows(path: str | Path, width: int, hint: str = "") -> np.ndarray:
         If the file is missing, or not an array of real numbers of this shape. The file is never unpickled,
         and no more memory is allocated than its size justifies.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise ObjectFolderError(f"{path} does not exist; expected a .npy file of shape (N, {width})")
+    path = _existing(path, f"expected a .npy file of shape (N, {width})")
     try:
         with path.open("rb") as stream:
             shape, dtype = _npy_header(stream)
@@ -363,21 +375,45 @@ def read_rows(path: str | Path, width: int, hint: str = "") -> np.ndarray:
 
 def _npy_header(stream: BinaryIO) -> tuple[tuple[int, ...], np.dtype]:
     version = np.lib.format.read_magic(stream)
+    start = stream.tell()
     if version == (1, 0):
         shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
     elif version == (2, 0):
         shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
     else:
         raise ValueError(f"its version is {version}, expected 1.0 or 2.0")
+    length = stream.tell() - start
+    stream.seek(start)
+    text = stream.read(length)[2 * version[0] :].decode("latin1")  # after its length
+    literal = ast.parse(text.strip(), mode="eval").body
+    if isinstance(literal, ast.Dict) and len(literal.keys) > 3:  # numpy reads three, each of which is there
+        raise ValueError(f"its header {shortened(text.strip())} holds a name twice")
     return shape, dtype
+
+
+def _json(text: str | bytes) -> Any:
+    """Parse JSON, without the extensions and the ambiguities that Python accepts."""
+    return json.loads(text, parse_constant=_no_number, object_pairs_hook=_distinct)
+
+
+def _distinct(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    values = dict(pairs)
+    if len(values) < len(pairs):
+        [(name, times)] = Counter(name for name, _ in pairs).most_common(1)
+        raise ValueError(f"it holds {shortened(repr(name))} {times} times, expected once")
+    return values
 
 
 def _no_number(name: str) -> None:
     raise ValueError(f"its header holds {name}, which is not JSON")
 
 
-def _existing(path: str | Path) -> Path:
+def _existing(path: str | Path, hint: str = "build it with `objectfolder build`") -> Path:
     path = Path(path)
-    if not path.is_file():
-        raise ObjectFolderError(f"{path} does not exist; build it with `objectfolder build`")
+    try:
+        problem = None if path.is_file() else "does not exist"
+    except OSError as error:  # a name that is too long, a folder without permission
+        problem = f"cannot be read: {error.strerror}"
+    if problem:
+        raise ObjectFolderError(f"{shortened(path, 300)} {problem}; {hint}")
     return path

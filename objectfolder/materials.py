@@ -4,7 +4,8 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.checks import finite_number
+from objectfolder.errors import ObjectFolderError, quoted
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,8 @@ class Material:
     beta: float  #: stiffness-proportional Rayleigh damping, s
 
     def __post_init__(self) -> None:
+        for name in self.properties():
+            finite_number(f"material {self.name!r}: {name}", getattr(self, name))
         physical = {
             "density": (0 < self.density < math.inf, "a positive number of kg/m^3"),
             "youngs_modulus": (0 < self.youngs_modulus < math.inf, "a positive number of Pa"),
@@ -70,9 +73,9 @@ def material(name: str) -> Material:
     ObjectFolderError
         If the name is not in the table.
     """
-    found = MATERIALS.get(str(name).lower())
+    found = MATERIALS.get(name.lower()) if isinstance(name, str) else None
     if found is None:
         raise ObjectFolderError(
-            f"unknown material {name!r}: expected one of {', '.join(MATERIALS)} (docs/conventions.md)"
+            f"unknown material {quoted(name)}: expected one of {', '.join(MATERIALS)} (docs/conventions.md)"
         )
     return found

@@ -103,7 +103,7 @@ def test_npy_round_trip_and_nothing_pickled(tmp_path):
     with pytest.raises(ValueError, match="pickle"):
         write_npy(tmp_path / "a.npy", np.array([{}], object))
     assert names(tmp_path) == ["a.npy"]
-    np.testing.assert_array_equal(np.load(tmp_path / "a.npy"), ARRAYS["a"].T)
+    np.testing.assert_array_equal(np.load(tmp_path / "a.npy", allow_pickle=False), ARRAYS["a"].T)
 
 
 def test_safetensors_round_trip_and_same_bytes_whatever_the_order(tmp_path):

@@ -4,6 +4,7 @@ import math
 
 import torch
 
+from objectfolder.checks import finite_number, one_of
 from objectfolder.errors import ObjectFolderError
 
 RESPONSES = ("displacement", "velocity", "acceleration")
@@ -61,10 +62,10 @@ def count_samples(sample_rate: float, duration: float) -> int:
     Raises
     ------
     ObjectFolderError
-        If there are none, since the rate or the duration is not positive.
+        If there are none, since the rate or the duration is not positive, or too large for a number.
     """
-    samples = sample_rate * duration
-    samples = round(samples) if sample_rate > 0 and math.isfinite(samples) else 0
+    rate, seconds = finite_number("sample rate", sample_rate), finite_number("duration", duration)
+    samples = round(rate * seconds) if rate > 0 and math.isfinite(rate * seconds) else 0
     if samples <= 0:
         raise ObjectFolderError(
             f"sample rate {sample_rate} Hz and duration {duration} s give no samples; both must be positive"
@@ -92,9 +93,8 @@ def responses(
     ObjectFolderError
         For an unknown response or a negative contact time.
     """
-    if response not in RESPONSES:
-        raise ObjectFolderError(f"response {response!r} is not one of {', '.join(RESPONSES)}")
-    if not 0 <= contact_time < math.inf:
+    one_of("response", response, RESPONSES)
+    if finite_number("contact time", contact_time) < 0:
         raise ObjectFolderError(f"contact time is {contact_time} s, expected a finite duration or 0")
     order = RESPONSES.index(response)
     s = torch.complex(-damping.double(), damped_frequency.double())[:, None]

@@ -6,11 +6,13 @@ from dataclasses import dataclass
 
 import torch
 
+from objectfolder.checks import finite_number
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.similarity import similarity
 from objectfolder.materials import Material
 
 HEARING_HZ = (20.0, 20000.0)
+SIZES = (1e-12, 1e6)  #: longest sides, metres; those of objectfile.schema.json
 
 
 @dataclass(frozen=True)
@@ -61,12 +63,20 @@ def retune(
     Raises
     ------
     ObjectFolderError
-        If the size is not a positive number.
+        If the size is outside `SIZES`, or the material so extreme that numbers overflow.
     """
     (old, _), (new, new_scale) = stored, wanted
-    if not 0 < new_scale < math.inf:
-        raise ObjectFolderError(f"scale is {new_scale!r}, expected the object's longest side in metres")
-    factor, shape_factor = similarity(stored, wanted)
+    low, high = SIZES
+    if not low <= finite_number("scale", new_scale) <= high:
+        raise ObjectFolderError(
+            f"scale is {new_scale!r}, expected the object's longest side in metres, {low:g} to {high:g}"
+        )
+    try:
+        factor, shape_factor = similarity(stored, wanted)
+    except (OverflowError, ZeroDivisionError):
+        factor = shape_factor = math.inf
+    if not (0 < factor < math.inf and shape_factor < math.inf):
+        raise ObjectFolderError(f"{new} of {new_scale:g} m: its modes are beyond the range of numbers")
     w, c = damped_frequency.double(), damping.double()
     eigenvalues = (w * w + c * c) * factor
     c = new.damping(eigenvalues)

@@ -1,5 +1,7 @@
 """The `objectfolder` command."""
 
+import errno
+import os
 import sys
 
 import typer
@@ -61,13 +63,21 @@ app.add_typer(export.export_app, name="export")
 def main() -> None:
     """Run the command line; print user errors in one line without a traceback."""
     try:
-        app()
+        try:
+            app()
+        finally:
+            sys.stdout.flush()  # here, where a full device can be reported
     except ObjectFolderError as error:
         # Messages hold lists in brackets, which rich would take for markup.
         Console(stderr=True).print(
             f"[bold red]error:[/] {escape(str(error))}", highlight=False, soft_wrap=True
         )
         sys.exit(1)
+    except OSError as error:
+        if error.errno != errno.ENOSPC:
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what Python writes at its end
+        sys.exit(f"error: {error.filename or 'the output'}: {error.strerror}; make space, or write elsewhere")
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] == "objectfolder":
             raise

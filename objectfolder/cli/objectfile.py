@@ -1,5 +1,6 @@
 """Commands on an Object File: info, query."""
 
+import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -28,6 +29,10 @@ TOUCH_COLUMNS = {
     "mean_penetration": "mean_penetration_m",
     "obstructed": "obstructed",
 }
+
+# A WAV file counts its bytes, and those of a second, in 32 bits; a sample has 4.
+_MAX_RATE = 2**30 - 1
+_MAX_SAMPLES = 2**30 - 100
 
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="An ObjectFile.safetensors.")]
 ImagesArgument = Annotated[Path, typer.Argument(metavar="OUT", help="Folder for 1.png, 2.png ...")]
@@ -82,7 +87,7 @@ def audio(
     forces: Annotated[
         Path | None, typer.Option(help="(N, 3) impulses in N s; default: columns 4 to 6 of VERTICES.")
     ] = None,
-    sample_rate: Annotated[int, typer.Option(min=1, help="Hz.")] = 16000,
+    sample_rate: Annotated[int, typer.Option(min=1, max=_MAX_RATE, help="Hz.")] = 16000,
     duration: Annotated[float, typer.Option(help="Seconds.")] = 2.0,
     response: Annotated[str, typer.Option(help="displacement, velocity or acceleration.")] = "displacement",
     contact_time: Annotated[
@@ -106,6 +111,7 @@ def audio(
     """
     import soundfile
 
+    from objectfolder.audio.synthesis import count_samples
     from objectfolder.io import atomic
     from objectfolder.objectfile.file import ObjectFile
 
@@ -114,6 +120,11 @@ def audio(
     )
     impulses = read_rows(forces, 3) if forces else points[:, 3:]
     obj = ObjectFile.load(file)
+    if count_samples(sample_rate, duration) > _MAX_SAMPLES:
+        raise ObjectFolderError(
+            f"--duration {duration:g} at --sample-rate {sample_rate}: a WAV file holds at most "
+            f"{_MAX_SAMPLES:,} samples; ask for a shorter duration or a lower rate"
+        )
     sounds = obj.impact(
         points[:, :3],
         impulses,
@@ -130,8 +141,10 @@ def audio(
     if normalize and peak > 0:
         sounds = sounds / peak * 0.9
     for i, sound in enumerate(sounds, 1):
+        content = io.BytesIO()  # soundfile does not say that a disk is full
+        soundfile.write(content, sound, sample_rate, format="WAV", subtype="FLOAT")
         with atomic(out / f"{i}.wav") as path:
-            soundfile.write(path, sound, sample_rate, subtype="FLOAT")
+            path.write_bytes(content.getbuffer())
     _print_line(f"{len(sounds)} sounds in {out}/, {_sound_summary(peak, frequencies, sample_rate)}")
 
 

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from objectfolder.checks import real_array
 from objectfolder.errors import ObjectFolderError, quoted
 
 
@@ -15,10 +16,7 @@ def finite_actions(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
     ObjectFolderError
         If they do not have the shape, or are not finite numbers.
     """
-    try:
-        values = np.asarray(actions, np.float64)
-    except (TypeError, ValueError):
-        values = np.full(0, np.nan)
+    values = real_array("action", actions)
     if values.shape != shape or not np.isfinite(values).all():
         rows = f"{shape[0]} rows of " if len(shape) > 1 else ""
         raise ObjectFolderError(

@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from typing_extensions import TypeVar  # the standard one has defaults since Python 3.13
 
+from objectfolder.checks import real_array
 from objectfolder.errors import ObjectFolderError
 
 # The answer to a query is a tensor if its first argument is one, and an array if that is an array or a list.
@@ -15,27 +16,6 @@ Answer = TypeVar("Answer", np.ndarray, torch.Tensor, default=np.ndarray)
 Rows = np.ndarray | torch.Tensor | Sequence[float] | Sequence[Sequence[float]]
 #: One number for all rows, or one per row.
 Scalars = float | np.ndarray | torch.Tensor | Sequence[float]
-
-
-def real_array(name: str, values: object) -> np.ndarray:
-    """Return real numbers as a float64 array, without gradients.
-
-    Raises
-    ------
-    ObjectFolderError
-        If they are not real numbers, or not a rectangular array.
-    """
-    if isinstance(values, torch.Tensor):
-        if values.is_complex():
-            raise ObjectFolderError(f"{name} holds {values.dtype}, expected real numbers")
-        return values.detach().to("cpu", torch.float64).numpy()
-    try:
-        array = np.asarray(values)
-    except ValueError as error:
-        raise ObjectFolderError(f"{name} is not an array of numbers: {error}") from error
-    if array.dtype.kind not in "fiu" and array.size:
-        raise ObjectFolderError(f"{name} holds {array.dtype}, expected real numbers")
-    return array.astype(np.float64)
 
 
 def finite_rows(name: str, values: object, width: int) -> np.ndarray:

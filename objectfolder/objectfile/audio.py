@@ -10,13 +10,15 @@ import torch
 
 from objectfolder import materials
 from objectfolder.audio.bank import Bank
-from objectfolder.audio.synthesis import gains
+from objectfolder.audio.synthesis import RESPONSES, count_samples, gains
 from objectfolder.audio.tuning import Tuning, retune, stored_modes
+from objectfolder.checks import finite_number, one_of, require_memory
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material
 from objectfolder.objectfile.reading import StoredNet, report_damage
 
 _BATCH = 1024  # strikes whose mode shapes are in memory at once
+_BYTES_PER_SAMPLE = 8  # of an answer, while it is made
 _BANKS = 4  # sounds whose mode responses are kept
 log = logging.getLogger(__name__)
 
@@ -31,6 +33,42 @@ class SoundSettings:
     contact_time: float  #: seconds; 0 is an ideal impulse
     material: str | Material | None  #: None for the object's own
     scale: float | None  #: longest side, metres; None for the object's own
+
+    @classmethod
+    def checked(
+        cls,
+        sample_rate: float,
+        duration: float,
+        response: str,
+        contact_time: float,
+        material: str | Material | None,
+        scale: float | None,
+        strikes: int,
+    ) -> "SoundSettings":
+        """Check the arguments of a query for the sounds of so many strikes.
+
+        Raises
+        ------
+        ObjectFolderError
+            If one is not of its type, or the sounds do not fit into memory.
+        """
+        if not isinstance(material, Material | None):
+            material = materials.material(material)
+        samples = count_samples(sample_rate, duration)
+        rate, seconds = float(sample_rate), float(duration)
+        require_memory(
+            f"{strikes} sounds of {samples:,} samples ({seconds:g} s at {rate:g} Hz)",
+            _BYTES_PER_SAMPLE * strikes * samples,
+            "ask for a shorter duration, a lower rate or fewer strikes",
+        )
+        return cls(
+            rate,
+            seconds,
+            one_of("response", response, RESPONSES),
+            finite_number("contact time", contact_time),
+            material,
+            None if scale is None else finite_number("scale", scale),
+        )
 
 
 class AudioSense(Protocol):
@@ -211,7 +249,7 @@ class SpectrogramSense:
         if rate != SAMPLE_RATE or settings.response != "displacement" or samples <= 0:
             raise ObjectFolderError(
                 f"a spectrogram net answers displacement at {SAMPLE_RATE} Hz, up to {DURATION:g} s; "
-                f"asked for {settings.response} at {rate} Hz, {duration:g} s. A net of kind gains answers "
+                f"asked for {settings.response} at {rate:g} Hz, {duration:g} s. A net of kind gains answers "
                 "that (train_audio.net: gains)"
             )
         places = torch.from_numpy(self._surface.to_unit(self._surface.snap(points, tolerance)))

@@ -12,6 +12,8 @@ import numpy as np
 import torch
 
 from objectfolder.audio.tuning import Tuning
+from objectfolder.checks import require_memory, whole_number
+from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.io import open_safetensors, write_safetensors
 from objectfolder.materials import Material
 from objectfolder.mesh.isosurface import Isosurface
@@ -40,6 +42,8 @@ if TYPE_CHECKING:
 #: Name of a sensor profile that comes with the package, a ``.yaml`` file, or a profile; None: the stored one.
 Sensor = str | Path | SensorProfile | None
 
+_BYTES_PER_POINT = 84  # that drawing a random point takes
+
 
 class ObjectFile:
     """One object. Points of contacts and strikes are in the object frame (metres), cameras and lights in
@@ -48,6 +52,10 @@ class ObjectFile:
     Queries take numpy arrays, lists, or torch tensors of any real type. If the first argument of `view`,
     `impact` or `touch` is a tensor, so is the answer, on the same device; no gradients flow. The answer to a
     row depends on that row only. Queries are thread-safe.
+
+    The file is in memory: what happens to it later changes no answer. A pickle or a copy holds its bytes, not
+    its path, so that it answers the same in another process, on another machine and after a rebuild; parts
+    are read again there. docs/queries.md tells how to query in worker processes.
 
     Parameters
     ----------
@@ -62,7 +70,7 @@ class ObjectFile:
     Raises
     ------
     ObjectFolderError
-        If this version cannot read the header.
+        If this version cannot read the header, or torch cannot use the device.
 
     Examples
     --------
@@ -92,12 +100,13 @@ class ObjectFile:
     ):
         self.header = checked_header(header, path)
         self.tensors = tensors
-        self.device = torch.device(device)
+        self.device = _usable(device)
+        self._path = path
         self._parts = StoredParts(self.header, tensors, self.device)
 
     @classmethod
     def load(cls, path: str | Path, device: str | torch.device = "cpu") -> "ObjectFile":
-        """Open an Object File and check its header. Its parts are read when a query first needs them.
+        """Read an Object File and check its header. Its parts are unpacked when a query first needs them.
 
         Parameters
         ----------
@@ -108,10 +117,14 @@ class ObjectFile:
         Raises
         ------
         ObjectFolderError
-            If the file is missing, damaged, or not an Object File.
+            If the file is missing, damaged, or not an Object File, or torch cannot use the device.
         """
         tensors, header = open_safetensors(path)
         return cls(header, tensors, path, device)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Locks and ray casters cannot be pickled; every part can be read again.
+        return type(self), (self.header, self.tensors, self._path, self.device)
 
     def check(self) -> None:
         """Read all parts of the file, which queries otherwise do on demand.
@@ -234,11 +247,11 @@ class ObjectFile:
         Raises
         ------
         ObjectFolderError
-            If shapes do not fit or values are not finite.
+            If shapes do not fit, values are not finite or too large, a matrix is no rotation and position, or
+            the images do not fit into memory.
         """
-        drawer = self._parts.vision.drawer(supersample)
-        images = view_images(drawer, camera, light, intrinsics or Intrinsics.square(resolution))
-        return like_first(images, camera)
+        drawer = self._parts.vision.drawer(_flag("supersample", supersample))
+        return like_first(view_images(drawer, camera, light, _intrinsics(intrinsics, resolution)), camera)
 
     def render(
         self,
@@ -255,8 +268,8 @@ class ObjectFile:
         Views
             Of numpy arrays.
         """
-        drawer = self._parts.vision.drawer(supersample)
-        return render_views(drawer, self.scale, camera, light, intrinsics or Intrinsics.square(resolution))
+        drawer = self._parts.vision.drawer(_flag("supersample", supersample))
+        return render_views(drawer, self.scale, camera, light, _intrinsics(intrinsics, resolution))
 
     def impact(
         self,
@@ -303,12 +316,15 @@ class ObjectFile:
         Raises
         ------
         ObjectFolderError
-            If shapes do not fit, values are not finite or too large, or a point is off the surface.
+            If shapes do not fit, values are not finite or too large, a point is off the surface, or the
+            sounds do not fit into memory.
         """
         strikes = broadcast_rows(
             "points", finite_rows("points", points, 3), "forces", finite_rows("forces", forces, 3)
         )
-        settings = SoundSettings(sample_rate, duration, response, contact_time, material, scale)
+        settings = SoundSettings.checked(
+            sample_rate, duration, response, contact_time, material, scale, len(strikes[0])
+        )
         return like_first(self._parts.audio.impact(*strikes, settings, tolerance), points)
 
     def mode_shapes(self, points: Rows, tolerance: float = TOLERANCE) -> np.ndarray:
@@ -389,7 +405,8 @@ class ObjectFile:
             Images, heights, normals, contact masks, displacements, pressures, forces, areas, penetrations and
             obstruction.
         """
-        return concatenate_touches(self.touches(points, depth, angle, tilt, azimuth, tolerance, sensor))
+        contacts = self.touches(points, depth, angle, tilt, azimuth, tolerance, sensor)
+        return concatenate_touches(contacts, len(finite_rows("points", points, 3)))
 
     def touches(
         self,
@@ -430,8 +447,16 @@ class ObjectFile:
         return self._parts.touch.depth_maps(contacts, tolerance)
 
     def sample_surface(self, count: int, seed: int = 0) -> np.ndarray:
-        """Draw random surface points, uniform by area; (count, 3), object frame, metres."""
-        return self._parts.surface.sample(count, np.random.default_rng(seed))
+        """Draw random surface points, uniform by area; (count, 3), object frame, metres.
+
+        Raises
+        ------
+        ObjectFolderError
+            If the count or the seed is no whole number of at least 0, or the points do not fit into memory.
+        """
+        drawn, rng = whole_number("count", count), np.random.default_rng(whole_number("seed", seed))
+        require_memory(f"{drawn} points on the surface", _BYTES_PER_POINT * drawn, "draw fewer at a time")
+        return self._parts.surface.sample(drawn, rng)
 
     def nearest(self, points: Rows) -> tuple[np.ndarray, np.ndarray]:
         """Return the nearest surface points.
@@ -445,6 +470,11 @@ class ObjectFile:
         -------
         nearest : (N, 3) float64, object frame, metres
         distance : (N,) float64, metres
+
+        Raises
+        ------
+        ObjectFolderError
+            If the points are no finite rows of three, or further away than a million times the object's size.
         """
         return self._parts.surface.nearest(finite_rows("points", points, 3))
 
@@ -464,3 +494,32 @@ class ObjectFile:
 
 def _profile(sensor: Sensor) -> SensorProfile | None:
     return sensor if isinstance(sensor, SensorProfile | None) else load_profile(sensor)
+
+
+def _intrinsics(given: Intrinsics | None, resolution: int) -> Intrinsics:
+    if given is None:
+        return Intrinsics.square(resolution)
+    if not isinstance(given, Intrinsics):
+        raise ObjectFolderError(
+            f"intrinsics is of type {type(given).__name__}, expected Intrinsics, as from_matrix gives"
+        )
+    return given
+
+
+def _flag(name: str, value: object) -> bool:
+    if not isinstance(value, bool | np.bool_):
+        raise ObjectFolderError(f"{name} is of type {type(value).__name__}, expected True or False")
+    return bool(value)
+
+
+def _usable(device: str | torch.device) -> torch.device:
+    """Return a device on which a tensor has been, and come back."""
+    try:
+        found = torch.device(device)
+        torch.zeros(1, device=found).cpu()
+    except Exception as error:  # each kind of device has its own
+        raise ObjectFolderError(
+            f"device is {device!r}, which torch cannot use here ({shortened(error, 200)}); "
+            "expected a device of this machine, such as 'cpu'"
+        ) from error
+    return found

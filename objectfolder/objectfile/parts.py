@@ -109,6 +109,10 @@ class StoredParts:
         if name not in self.tensors:
             raise ObjectFolderError(f"{self.key}: the Object File lacks tensor {name}")
         value = self.tensors[name]
+        if not isinstance(value, np.ndarray) or isinstance(value, np.ma.MaskedArray):
+            raise ObjectFolderError(
+                f"{self.key}: tensor {name} is a {type(value).__name__}, expected an array"
+            )
         if value.dtype.kind == "f" and not np.isfinite(value).all():
             raise ObjectFolderError(f"{self.key}: tensor {name} holds values that are not finite; rebuild it")
         return value

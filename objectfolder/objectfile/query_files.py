@@ -5,6 +5,7 @@ import math
 import numpy as np
 import torch
 
+from objectfolder.checks import finite_number, one_of, require_memory, whole_number
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.profiles import SensorProfile
@@ -34,17 +35,17 @@ def sample_views(
     Raises
     ------
     ObjectFolderError
-        If a radius is not a positive, finite number.
+        If the count or the seed is no whole number, or a radius is not a positive, finite number.
 
     Examples
     --------
     >>> sample_views(20).shape
     (20, 6)
     """
-    _check_positive("radius", radius)
-    _check_positive("light_radius", light_radius)
-    rng = np.random.default_rng(seed)
-    return np.hstack([sphere_points(count, radius, rng), sphere_points(count, light_radius, rng)])
+    count, rng = whole_number("count", count), np.random.default_rng(whole_number("seed", seed))
+    require_memory(f"{count} views", 100 * count, "draw fewer at a time")
+    radii = _positive("radius", radius), _positive("light_radius", light_radius)
+    return np.hstack([sphere_points(count, one, rng) for one in radii])
 
 
 def sample_strikes(
@@ -69,7 +70,8 @@ def sample_strikes(
     Raises
     ------
     ObjectFolderError
-        If the force is not a positive, finite number, or the directions are unknown.
+        If the count or the seed is no whole number, the force is not a positive, finite number, or the
+        directions are unknown.
 
     Examples
     --------
@@ -77,9 +79,8 @@ def sample_strikes(
     >>> mug.impact(strikes[:, :3], strikes[:, 3:], duration=0.1).shape
     (20, 1600)
     """
-    _check_positive("force", force)
-    if directions not in DIRECTIONS:
-        raise ObjectFolderError(f"directions is {directions!r}, expected one of {', '.join(DIRECTIONS)}")
+    force = _positive("force", force)
+    one_of("directions", directions, DIRECTIONS)
     points = obj.sample_surface(count, seed)
     unit_points = torch.from_numpy(points / obj.scale).to(torch.float32)
     inward = -obj.surface.grid.normals(unit_points).numpy().astype(np.float64)
@@ -112,7 +113,8 @@ def sample_presses(
     Raises
     ------
     ObjectFolderError
-        If the object has no touch network, or one with a fixed press.
+        If the count or the seed is no whole number, or the object has no touch network, or one with a fixed
+        press.
 
     Examples
     --------
@@ -129,15 +131,19 @@ def sample_presses(
                 f"(--depth {fixed.depth:g})"
             )
         sensor = obj.sensor_profile
+    count = whole_number("count", count)
+    require_memory(f"{count} presses", 50 * count, "draw fewer at a time")
     low, high = sensor.press_depth
     return _generator(seed).uniform((0, 0, low), (MAX_TILT, 2 * math.pi, high), (count, 3))
 
 
 def _generator(seed: int) -> np.random.Generator:
     """Return a generator independent of the surface points, which are drawn from the seed itself."""
-    return np.random.default_rng(seed).spawn(1)[0]
+    return np.random.default_rng(whole_number("seed", seed)).spawn(1)[0]
 
 
-def _check_positive(name: str, value: float) -> None:
-    if not 0 < value < math.inf:
+def _positive(name: str, value: float) -> float:
+    number = finite_number(name, value)
+    if number <= 0:
         raise ObjectFolderError(f"{name} is {value!r}, expected a positive number")
+    return number

@@ -5,10 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from objectfolder.checks import finite_number
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sampling import sample_surface
 
+FARTHEST = 1e6  #: object sizes; further points have no nearest one in double precision
 TOLERANCE = 0.02  #: points further than this from the surface (fraction of the size) are refused
 
 
@@ -41,7 +43,7 @@ class ObjectSurface:
         """Return the nearest surface points (N, 3), and their distances (N,)."""
         if not len(points):
             return points, np.zeros(0)
-        nearest, distance = self.read().nearest(points / self.scale)
+        nearest, distance = self.read().nearest(self._places(points))
         return nearest * self.scale, distance * self.scale
 
     def snap(self, points: np.ndarray, tolerance: float, slack: float = 0.0) -> np.ndarray:
@@ -60,19 +62,30 @@ class ObjectSurface:
         ObjectFolderError
             If a point is further away than the tolerance.
         """
-        if not tolerance >= 0:
+        places = self._places(points)
+        if (most := finite_number("tolerance", tolerance)) < 0:
             raise ObjectFolderError(f"tolerance is {tolerance!r}, expected a fraction of the size")
         if len(points) == 0 or not self.stored:
             return points
-        surface, places = self.read(), points / self.scale
+        surface = self.read()
         snapped, distance = surface.nearest(places)
-        far = np.flatnonzero(distance > tolerance)
+        far = np.flatnonzero(distance > most)
         if len(far):
             raise ObjectFolderError(
                 f"{len(far)} of {len(points)} points are off the surface, the first is row {far[0]} at "
                 f"{places[far[0]].round(4).tolist()} (unit frame), {distance[far[0]]:.3g} of the size away; "
-                f"expected at most {tolerance:g}. Points are in metres, centred on the bounding box: "
+                f"expected at most {most:g}. Points are in metres, centred on the bounding box: "
                 "ObjectFile.sample_surface gives valid ones"
             )
         near = distance < slack * surface.grid.spacing
         return np.where(near[:, None], places, snapped) * self.scale
+
+    def _places(self, points: np.ndarray) -> np.ndarray:
+        """Return points in the unit frame, if they are near enough to have a nearest one."""
+        wrong = np.flatnonzero((np.abs(points) > FARTHEST * self.scale).any(1))
+        if len(wrong):
+            raise ObjectFolderError(
+                f"points: row {wrong[0]} is {points[wrong[0]].tolist()}, expected coordinates of at most "
+                f"{FARTHEST * self.scale:g} m, {FARTHEST:g} times the object's size"
+            )
+        return points / self.scale

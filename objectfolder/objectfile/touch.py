@@ -1,11 +1,13 @@
 """Touch of an Object File: poses of a tactile sensor in, tactile images and contacts out."""
 
-from collections.abc import Iterable, Iterator
+import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from objectfolder.checks import require_memory
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.arguments import Rows, Scalars, finite_rows, finite_scalars
 from objectfolder.objectfile.reading import StoredNet, report_damage
@@ -136,7 +138,7 @@ class GeometricSense:
 
     def images(self, contacts: ContactPoses, tolerance: float, profile: SensorProfile | None) -> np.ndarray:
         """Return tactile images; (N, H, W, 3) uint8, RGB."""
-        return np.concatenate([part.images for part in self.touches(contacts, tolerance, profile)])
+        return _concatenate_images(self.touches(contacts, tolerance, profile), len(contacts.points))
 
     def touches(
         self, contacts: ContactPoses, tolerance: float, profile: SensorProfile | None
@@ -207,7 +209,7 @@ class DepthMapSense:
 
     def images(self, contacts: ContactPoses, tolerance: float, profile: SensorProfile | None) -> np.ndarray:
         """Return tactile images; (N, H, W, 3) uint8, RGB."""
-        return np.concatenate([part.images for part in self.touches(contacts, tolerance, profile)])
+        return _concatenate_images(self.touches(contacts, tolerance, profile), len(contacts.points))
 
     def touches(
         self, contacts: ContactPoses, tolerance: float, profile: SensorProfile | None
@@ -234,12 +236,32 @@ class DepthMapSense:
         return points, contacts.depth, contacts.tilt, contacts.azimuth
 
 
-def concatenate_touches(parts: Iterable[Touches]) -> Touches:
-    """Join answers of one sensor."""
-    parts = list(parts)
+def concatenate_touches(parts: Iterator[Touches], count: int) -> Touches:
+    """Join answers of one sensor to ``count`` contacts.
+
+    Raises
+    ------
+    ObjectFolderError
+        If they do not fit into memory.
+    """
+    first = next(parts)
     names = [field.name for field in fields(Touches) if field.name != "profile"]
-    arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    return Touches(**arrays, profile=parts[0].profile)
+    _require_room([getattr(first, name) for name in names], count)
+    parts = itertools.chain([first], parts)
+    rows = zip(*([getattr(part, name) for name in names] for part in parts))
+    return Touches(**dict(zip(names, map(np.concatenate, rows))), profile=first.profile)
+
+
+def _concatenate_images(parts: Iterator[Touches], count: int) -> np.ndarray:
+    first = next(parts).images
+    _require_room([first], count)
+    return np.concatenate([first, *(part.images for part in parts)])
+
+
+def _require_room(arrays: list[np.ndarray], count: int) -> None:
+    """Refuse ``count`` rows of such arrays, and their concatenation, if memory does not suffice."""
+    row = sum(array[:1].nbytes for array in arrays)
+    require_memory(f"{count} contacts", 2 * row * count, "ask for fewer at a time, or use ObjectFile.touches")
 
 
 def _no_depth_maps(key: str) -> ObjectFolderError:

@@ -3,23 +3,22 @@
 import threading
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 import torch
 
+from objectfolder.checks import real_array, require_memory
 from objectfolder.errors import ObjectFolderError
-from objectfolder.objectfile.arguments import Rows, broadcast_rows, finite_rows, real_array
+from objectfolder.objectfile.arguments import Rows, broadcast_rows, finite_rows
 from objectfolder.objectfile.reading import StoredNet, once, report_damage
-from objectfolder.vision.cameras import Intrinsics, look_at
+from objectfolder.vision.cameras import FARTHEST, Intrinsics, look_at, require_rigid
 from objectfolder.vision.color import on_white
 from objectfolder.vision.picture import Drawer, Views
 from objectfolder.vision.view import Shader, draw
 
-if TYPE_CHECKING:
-    pass
-
 _CHUNK = 2**17  # points whose base colours are evaluated at once
+_BYTES_DRAWING = 64  # per pixel of the image that is being drawn
 
 #: (N, 3) points near the surface, unit frame -> base colours (N, 3), sRGB uint8.
 BaseColors = Callable[[np.ndarray], np.ndarray]
@@ -72,6 +71,10 @@ class SurfaceSense:
     @torch.no_grad()
     def base_colors(self, points: np.ndarray) -> np.ndarray:
         """Return base colours (N, 3), sRGB uint8, at (N, 3) points near the surface, unit frame."""
+        points = finite_rows("points", points, 3)
+        _require_near("points", points)
+        if not len(points):
+            return np.zeros((0, 3), np.uint8)
         colors = []
         for part in torch.from_numpy(points.astype(np.float32)).to(self._stored.device).split(_CHUNK):
             color = self.net.base_colors(part)
@@ -115,6 +118,7 @@ def view_images(drawer: Drawer, camera: Rows, light: Rows, intrinsics: Intrinsic
         If shapes do not fit or values are not finite.
     """
     poses, lights = _poses_and_lights(camera, light)
+    _require_room(len(poses), intrinsics, bytes_per_pixel=12)
     images = np.empty((len(poses), intrinsics.height, intrinsics.width, 3), np.float32)
     for image, pose, point in zip(images, poses, lights):
         image[:] = on_white(torch.from_numpy(drawer(pose, point, intrinsics).rgba)).numpy()
@@ -133,6 +137,7 @@ def render_views(drawer: Drawer, scale: float, camera: Rows, light: Rows, intrin
         Longest side, metres.
     """
     poses, lights = _poses_and_lights(camera, light)
+    _require_room(len(poses), intrinsics, bytes_per_pixel=44)
     size = len(poses), intrinsics.height, intrinsics.width
     views = Views(*(np.empty((*size, *last), np.float32) for last in ((3,), (4,), (), (3,))))
     for i, (pose, point) in enumerate(zip(poses, lights)):
@@ -143,16 +148,35 @@ def render_views(drawer: Drawer, scale: float, camera: Rows, light: Rows, intrin
     return views
 
 
+def _require_room(count: int, intrinsics: Intrinsics, bytes_per_pixel: int) -> None:
+    width, height = intrinsics.width, intrinsics.height
+    require_memory(
+        f"{count} images of {width} x {height} pixels",
+        (count * bytes_per_pixel + _BYTES_DRAWING) * width * height,
+        "ask for a lower resolution or fewer images",
+    )
+
+
 def _poses_and_lights(camera: Rows, light: Rows) -> tuple[np.ndarray, np.ndarray]:
     """Camera-to-world matrices (N, 4, 4) and lights (N, 3)."""
-    places = real_array("camera", camera)
+    places, lights = real_array("camera", camera), finite_rows("light", light, 3)
     if places.ndim in (2, 3) and places.shape[-2:] == (4, 4):
         poses = places.reshape(-1, 4, 4)
+        _require_near("camera", poses[:, :3, 3])
+        require_rigid(poses)
     elif places.ndim in (1, 2) and places.shape[-1] == 3:
+        _require_near("camera", places.reshape(-1, 3))
         poses = look_at(places)
     else:
         raise ObjectFolderError(f"camera has shape {places.shape}, expected (N, 3) or (N, 4, 4)")
-    poses, lights = broadcast_rows("camera", poses, "light", finite_rows("light", light, 3))
-    if not np.isfinite(poses).all():
-        raise ObjectFolderError("camera holds values that are not finite")
-    return poses, lights
+    _require_near("light", lights)
+    return broadcast_rows("camera", poses, "light", lights)
+
+
+def _require_near(name: str, positions: np.ndarray) -> None:
+    wrong = np.flatnonzero(~(np.abs(positions) <= FARTHEST).all(1))
+    if len(wrong):
+        raise ObjectFolderError(
+            f"{name}: row {wrong[0]} is at {positions[wrong[0]].tolist()}, expected finite coordinates of at "
+            f"most {FARTHEST:g}: positions are in the unit frame, in which the object's longest side is 1"
+        )

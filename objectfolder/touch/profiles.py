@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from objectfolder.errors import ObjectFolderError, quoted
+from objectfolder.errors import ObjectFolderError, quoted, shortened
 from objectfolder.io import read_yaml
 
 _PROFILES = Path(__file__).with_suffix("")
@@ -182,13 +182,22 @@ def load_profile(name_or_path: str | Path) -> SensorProfile:
     ObjectFolderError
         If there is no such profile, or it is not valid.
     """
+    if not isinstance(name_or_path, str | Path):
+        raise ObjectFolderError(
+            f"sensor is of type {type(name_or_path).__name__}, expected a name, a path or a profile"
+        )
     path = Path(name_or_path)
     if path.suffix not in (".yaml", ".yml"):
         path = _PROFILES / f"{name_or_path}.yaml"
-    if not path.is_file():
+    try:
+        known = path.is_file()
+    except OSError:  # too long for a name
+        known = False
+    if not known:
         available = ", ".join(available_profiles())
         raise ObjectFolderError(
-            f"unknown sensor profile {str(name_or_path)!r}: expected one of {available}, or a .yaml file"
+            f"unknown sensor profile {shortened(name_or_path)!r}: "
+            f"expected one of {available}, or a .yaml file"
         )
     values = read_yaml(path)
     try:

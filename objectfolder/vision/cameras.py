@@ -1,15 +1,17 @@
 """Cameras and lights, in the unit frame (OpenGL axes: x right, y up, the camera looks along -z)."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from objectfolder.checks import finite_number, real_array, whole_number
 from objectfolder.errors import ObjectFolderError
 
 CAMERA_RADIUS = 2.5  #: training cameras sit on this sphere (supplementary C)
 LIGHT_RADIUS = 1.0
+FARTHEST = 1e3  #: coordinate of a camera or light: beyond, single precision does not resolve the object
+RIGID = 1e-4  #: largest deviation of a camera's matrix from a rigid motion; single precision leaves 1e-6
 
 
 @dataclass(frozen=True)
@@ -22,7 +24,8 @@ class Intrinsics:
     Raises
     ------
     ObjectFolderError
-        If the size or a focal length is not positive, or the principal point is not finite.
+        If the size is no positive whole number, a focal length is not positive, or the principal point is not
+        finite.
     """
 
     width: int = 256
@@ -32,10 +35,18 @@ class Intrinsics:
     focal_y: float | None = None  #: vertical; default: the horizontal one, for square pixels
 
     def __post_init__(self) -> None:
-        if self.width < 1 or self.height < 1 or not (0 < self.fx < math.inf and 0 < self.fy < math.inf):
-            raise ObjectFolderError(f"intrinsics {self}: width, height and focal length must be positive")
-        if not (math.isfinite(self.cx) and math.isfinite(self.cy)):
-            raise ObjectFolderError(f"intrinsics {self}: the principal point must be finite")
+        whole_number("intrinsics: width", self.width, 1)
+        whole_number("intrinsics: height", self.height, 1)
+        if (
+            min(finite_number("intrinsics: focal", self.fx), finite_number("intrinsics: focal_y", self.fy))
+            <= 0
+        ):
+            raise ObjectFolderError(f"intrinsics {self}: focal lengths must be positive")
+        if self.center is not None:
+            if np.shape(self.center) != (2,):
+                raise ObjectFolderError(f"intrinsics {self}: the principal point must be a column and a row")
+            for position in self.center:
+                finite_number("intrinsics: principal point", position)
 
     @property
     def fx(self) -> float:
@@ -60,7 +71,8 @@ class Intrinsics:
     @classmethod
     def square(cls, resolution: int) -> "Intrinsics":
         """Return the default field of view at another resolution."""
-        return cls(resolution, resolution, 355.56 * resolution / 256)
+        side = whole_number("resolution", resolution, 1)
+        return cls(side, side, 355.56 * side / 256)
 
     @classmethod
     def from_matrix(cls, matrix: np.ndarray, width: int, height: int) -> "Intrinsics":
@@ -76,9 +88,9 @@ class Intrinsics:
         Raises
         ------
         ObjectFolderError
-            If the matrix has another shape, skew, or another last row.
+            If the matrix has another shape, skew, or another last row, or the size is not positive.
         """
-        k = np.asarray(matrix, np.float64)
+        k = real_array("camera matrix", matrix)
         if k.shape != (3, 3) or not np.isfinite(k).all():
             raise ObjectFolderError(f"camera matrix {k.tolist()}: expected 3 x 3 finite numbers")
         if not np.allclose(k[2], [0, 0, 1]):
@@ -142,6 +154,38 @@ def look_at(
     pose = np.tile(np.eye(4), (len(positions), 1, 1))
     pose[:, :3, :] = np.stack([right, np.cross(backward, right), backward, positions], 2)
     return pose
+
+
+def require_rigid(poses: np.ndarray) -> None:
+    """Check camera-to-world matrices.
+
+    Parameters
+    ----------
+    poses : (N, 4, 4) array
+
+    Raises
+    ------
+    ObjectFolderError
+        If one is no rotation followed by a translation: not finite, scaled, sheared, mirrored or transposed.
+    """
+    rotation = poses[:, :3, :3]
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not a number fails every comparison
+        problems = {
+            "its last row must be [0, 0, 0, 1] (is it transposed?)": np.abs(
+                poses[:, 3] - [0.0, 0.0, 0.0, 1.0]
+            ).max(1),
+            "its first three columns must be of length 1 and orthogonal": np.abs(
+                rotation.transpose(0, 2, 1) @ rotation - np.eye(3)
+            ).max((1, 2)),
+            "it mirrors: its determinant must be 1": np.abs(np.linalg.det(rotation) - 1),
+        }
+    for problem, deviation in problems.items():
+        wrong = np.flatnonzero(~(deviation <= RIGID))
+        if len(wrong):
+            raise ObjectFolderError(
+                f"camera: matrix {wrong[0]} is {poses[wrong[0]].round(4).tolist()}, must be camera to world: "
+                f"a rotation and a position; {problem}"
+            )
 
 
 def camera_rays(

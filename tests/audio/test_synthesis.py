@@ -190,10 +190,10 @@ def test_no_modes_and_no_rows():
         (0, 1.0, "velocity", "must be positive"),
         (-RATE, -1.0, "velocity", "must be positive"),
         (RATE, 0.0, "velocity", "must be positive"),
-        (math.nan, 1.0, "velocity", "must be positive"),
-        (math.inf, 1.0, "velocity", "must be positive"),
-        (RATE, math.nan, "velocity", "must be positive"),
-        (RATE, math.inf, "velocity", "must be positive"),
+        (math.nan, 1.0, "velocity", "expected a finite number"),
+        (math.inf, 1.0, "velocity", "expected a finite number"),
+        (RATE, math.nan, "velocity", "expected a finite number"),
+        (RATE, math.inf, "velocity", "expected a finite number"),
     ],
 )
 def test_nonsense_is_refused(rate, duration, response, message):

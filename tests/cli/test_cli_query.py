@@ -43,7 +43,7 @@ def test_views_and_their_buffers(brick, brick_path, tmp_path, supersample):
     for i in (0, 1):
         with Image.open(tmp_path / "out" / f"{i + 1}.png") as image:
             np.testing.assert_allclose(np.asarray(image) / 255, expected.rgb[i], atol=0.5 / 255 + 1e-6)
-        with np.load(tmp_path / "out" / f"{i + 1}.npz") as arrays:
+        with np.load(tmp_path / "out" / f"{i + 1}.npz", allow_pickle=False) as arrays:
             for name in ("rgba", "depth", "normals"):
                 np.testing.assert_array_equal(arrays[name], getattr(expected, name)[i])
 
@@ -162,7 +162,7 @@ def test_shapes_of_touches_by_another_sensor(brick, feel):
     for i in range(3):
         with Image.open(out / f"{i + 1}_mask.png") as mask:
             np.testing.assert_array_equal(np.asarray(mask) == 255, expected.mask[i])
-        with np.load(out / f"{i + 1}.npz") as arrays:
+        with np.load(out / f"{i + 1}.npz", allow_pickle=False) as arrays:
             assert set(arrays.files) == {"height", "normals", "pressure"}
             for name in arrays.files:
                 np.testing.assert_array_equal(arrays[name], getattr(expected, name)[i])

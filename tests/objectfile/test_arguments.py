@@ -49,7 +49,7 @@ def test_one_row_and_none():
         ([[1, 2], [3]], "points is not an array of numbers"),
         ("abc", "points holds <U3"),
         (ROWS + 1j, "points holds complex128, expected real numbers"),
-        (torch.zeros(2, 3, dtype=torch.complex64), "points holds torch.complex64, expected real numbers"),
+        (torch.zeros(2, 3, dtype=torch.complex64), "points holds complex64, expected real numbers"),
         (ROWS > 2, "points holds bool"),
         (np.array([[None] * 3]), "points holds object"),
         (None, "points holds object"),

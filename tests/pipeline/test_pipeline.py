@@ -70,7 +70,7 @@ def test_visual_mesh_surface_and_object_file_share_a_frame(built):
     apart = np.sqrt(igl.point_mesh_squared_distance(bell.surface.vertices, vertices, faces)[0])
     assert apart.max() < bell.surface.grid.spacing
     # And in the picture: object pixels of the ground truth are object pixels of the answer.
-    with np.load(folder / "views/test.npz") as views:
+    with np.load(folder / "views/test.npz", allow_pickle=False) as views:
         rgba, pose, light = views["rgba"][0], views["camera_to_world"][0], views["light"][0]
         intrinsics = Intrinsics(*rgba.shape[:2], float(views["focal"]))
     drawn = draw(bell.surface, lambda s, *_: torch.zeros(len(s.points), 3), pose, light, intrinsics)
@@ -289,7 +289,7 @@ def test_killed_stage_leaves_nothing_half_written_and_the_next_build_resumes(wor
     for name in ("solid.npz", "sdf.npz"):
         path = workspace.root / "build/cube" / name
         if path.exists():
-            np.load(path).close()  # whole, or not there
+            np.load(path, allow_pickle=False).close()  # whole, or not there
     assert workspace.build("voxelize@cube") <= {"voxelize@cube"}
     assert (workspace.root / "build/cube/sdf.npz").exists()
 

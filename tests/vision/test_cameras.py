@@ -89,12 +89,12 @@ def test_a_camera_at_its_target_or_nowhere_is_refused(position):
     [(0, 1, 1.0), (1, -1, 1.0), (1, 1, 0.0), (1, 1, float("nan")), (1, 1, np.inf), (1, 1, 1.0, None, -1.0)],
 )
 def test_impossible_intrinsics_are_refused(values):
-    with pytest.raises(ObjectFolderError, match="must be positive"):
+    with pytest.raises(ObjectFolderError, match=r"must be positive|expected a (whole|finite) number"):
         Intrinsics(*values)
 
 
 def test_a_principal_point_nowhere_is_refused():
-    with pytest.raises(ObjectFolderError, match="principal point must be finite"):
+    with pytest.raises(ObjectFolderError, match="principal point is nan, expected a finite number"):
         Intrinsics(4, 4, 1.0, center=(np.nan, 0))
 
 

@@ -31,7 +31,7 @@ def root(brick, tmp_path_factory):
         (root / key).mkdir()
         for path in (root / KEYS[0]).iterdir():
             (root / key / path.name).write_bytes(path.read_bytes())
-        np.save(root / key / "vision.npy", np.load(root / key / "vision.npy") // (i + 1))
+        np.save(root / key / "vision.npy", np.load(root / key / "vision.npy", allow_pickle=False) // (i + 1))
         record = json.loads((root / key / "observations.json").read_text())
         (root / key / "observations.json").write_text(json.dumps(record | {"key": key}))
     return root

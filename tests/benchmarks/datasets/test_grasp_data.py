@@ -77,7 +77,7 @@ def test_what_is_collected(brick, collected):
 
 
 def test_poses_are_enough_to_run_grasps_again(brick, body, collected):
-    poses = np.load(collected / "poses.npz")
+    poses = np.load(collected / "poses.npz", allow_pickle=False)
     grasps = Grasps({"brick": collected})
     again = GraspScene(body).close(poses["start"], poses["hands"], poses["limits"])
     assert np.array_equal(again.objects, poses["objects"])

@@ -29,7 +29,9 @@ def test_objects_are_in_the_order_of_labels(folders):
     assert (grasps.count, len(grasps), grasps.has_explicit) == (10, 30, True)
     assert grasps.labels.dtype == np.int64
     assert grasps.labels.tolist() == [0] * 10 + [1] * 10 + [2] * 10
-    stored = np.concatenate([np.load(folders[key] / "success.npy") for key in grasps.keys])
+    stored = np.concatenate(
+        [np.load(folders[key] / "success.npy", allow_pickle=False) for key in grasps.keys]
+    )
     assert grasps.success.dtype == bool
     assert (grasps.success == stored).all()
     assert grasps.records["die"]["material"] == "wood"
@@ -38,7 +40,7 @@ def test_objects_are_in_the_order_of_labels(folders):
 @pytest.mark.parametrize("name", ARRAYS)
 def test_rows_are_read_in_any_order_and_twice(folders, name, rng):
     grasps = Grasps(folders)
-    whole = np.concatenate([np.load(folders[key] / f"{name}.npy") for key in grasps.keys])
+    whole = np.concatenate([np.load(folders[key] / f"{name}.npy", allow_pickle=False) for key in grasps.keys])
     rows = rng.permutation(np.repeat(np.arange(30), 2))
     found = grasps.read(name, rows)
     assert found.dtype == whole.dtype
@@ -146,7 +148,12 @@ def test_other_contents_are_refused(folders, name, array, message):
 def test_objects_with_other_numbers_of_grasps_are_refused(folders):
     for name in ARRAYS:
         path = folders["die"] / f"{name}.npy"
-        np.save(path, np.tile(np.load(path), (2, *[1] * (np.load(path).ndim - 1))))
+        np.save(
+            path,
+            np.tile(
+                np.load(path, allow_pickle=False), (2, *[1] * (np.load(path, allow_pickle=False).ndim - 1))
+            ),
+        )
     record = json.loads((folders["die"] / "record.json").read_text())
     (folders["die"] / "record.json").write_text(json.dumps(record | {"count": 20}))
     with pytest.raises(ObjectFolderError, match=r"die: success has shape \(20,\), that of mug \(10,\)"):

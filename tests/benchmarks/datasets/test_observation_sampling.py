@@ -47,8 +47,10 @@ def lacking(file, part):
 
 
 def test_observations_are_what_the_object_file_answers(brick, sampled):
-    queries = dict(np.load(sampled / "queries.npz"))
-    vision, audio, touch = (np.load(sampled / f"{name}.npy") for name in ("vision", "audio", "touch"))
+    queries = dict(np.load(sampled / "queries.npz", allow_pickle=False))
+    vision, audio, touch = (
+        np.load(sampled / f"{name}.npy", allow_pickle=False) for name in ("vision", "audio", "touch")
+    )
     view = brick.view(queries["vision_camera"], queries["vision_light"], SIDE)
     assert (vision == (view * 255).round()).all()
     assert (audio == brick.impact(queries["audio_point"], queries["audio_force"])).all()
@@ -285,8 +287,8 @@ def test_net_that_knows_one_press_is_asked_for_that(brick, tmp_path):
     tensors |= {f"touch.{name}": value for name, value in images.items()}
     file = ObjectFile(brick.header | {"touch": {"kind": "image", "net": config}}, tensors)
     sample_observations(file, COUNT, SIDE, 7, tmp_path)
-    assert (np.load(tmp_path / "queries.npz")["touch_depth"] == 0.0012).all()
-    assert np.load(tmp_path / "touch.npy").shape == (10, 6, 4, 3)
+    assert (np.load(tmp_path / "queries.npz", allow_pickle=False)["touch_depth"] == 0.0012).all()
+    assert np.load(tmp_path / "touch.npy", allow_pickle=False).shape == (10, 6, 4, 3)
 
 
 def test_silent_object_is_named(brick, tmp_path, monkeypatch, caplog):
@@ -308,4 +310,7 @@ def test_observations_do_not_depend_on_how_many_follow(brick, sampled, tmp_path)
     sample_observations(brick, 20, SIDE, 7, tmp_path, lambda modality, done: heard.append((modality, done)))
     assert heard == [(name, done) for name in ("vision", "audio", "touch") for done in (10, 20)]
     for name in ("vision", "audio", "touch"):
-        assert (np.load(tmp_path / f"{name}.npy")[:10] == np.load(sampled / f"{name}.npy")).all()
+        assert (
+            np.load(tmp_path / f"{name}.npy", allow_pickle=False)[:10]
+            == np.load(sampled / f"{name}.npy", allow_pickle=False)
+        ).all()

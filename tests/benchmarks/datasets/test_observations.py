@@ -42,7 +42,9 @@ def test_objects_are_in_the_order_of_labels(folders):
 @pytest.mark.parametrize("modality", ["vision", "audio", "touch"])
 def test_rows_are_read_in_any_order_and_twice(folders, modality, rng):
     table = Observations(folders)
-    whole = np.concatenate([np.load(folders[key] / f"{modality}.npy") for key in table.keys])
+    whole = np.concatenate(
+        [np.load(folders[key] / f"{modality}.npy", allow_pickle=False) for key in table.keys]
+    )
     rows = rng.permutation(np.repeat(np.arange(30), 2))
     found = table.read(modality, rows)
     assert found.dtype == whole.dtype

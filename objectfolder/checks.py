@@ -1,0 +1,118 @@
+"""Checks of the arguments of public functions, before any work is done."""
+
+import math
+import os
+from collections.abc import Sequence
+from numbers import Integral, Real
+from typing import Any
+
+import numpy as np
+
+from objectfolder.errors import ObjectFolderError, quoted
+
+
+def finite_number(name: str, value: object) -> float:
+    """Return a real, finite number; numpy's and torch's scalars are numbers, texts and truth values are not.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it is anything else.
+    """
+    given = _scalar(value)
+    if isinstance(given, Real) and not isinstance(given, bool):
+        try:
+            number = float(given)
+        except OverflowError:
+            number = math.inf
+        if math.isfinite(number):
+            return number
+    raise ObjectFolderError(f"{name} is {quoted(value)}, expected a finite number")
+
+
+def real_array(name: str, values: Any) -> np.ndarray:
+    """Return real numbers as a new float64 array, without gradients.
+
+    Parameters
+    ----------
+    name : str
+        For the message.
+    values : array, tensor on any device, or nested sequence
+
+    Raises
+    ------
+    ObjectFolderError
+        If they are not real numbers, not a rectangular array, or some are masked.
+    """
+    rows = values if isinstance(values, list | tuple) else [values]
+    if any(isinstance(row, np.ma.MaskedArray) and np.ma.is_masked(row) for row in rows):
+        raise ObjectFolderError(f"{name} holds masked values, expected numbers: leave them out or fill them")
+    try:
+        if hasattr(values, "detach"):  # a tensor, without importing torch
+            values = values.detach().cpu()
+            values = values.double() if values.is_floating_point() else values
+        array = np.asarray(values)
+        if array.dtype.kind not in "fiu" and array.size:
+            raise ObjectFolderError(f"{name} holds {array.dtype}, expected real numbers")
+        with np.errstate(over="ignore"):  # of a longer float: becomes infinite
+            return array.astype(np.float64)
+    except ObjectFolderError:
+        raise
+    except (ValueError, TypeError, RuntimeError, OverflowError) as error:
+        raise ObjectFolderError(f"{name} is not an array of numbers: {error}") from error
+
+
+def whole_number(name: str, value: object, least: int = 0) -> int:
+    """Return a whole number of an integer type.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it is of another type, less than ``least``, or beyond 64 bits.
+    """
+    given = _scalar(value)
+    if isinstance(given, Integral) and not isinstance(given, bool) and least <= int(given) < 2**63:
+        return int(given)
+    raise ObjectFolderError(f"{name} is {quoted(value)}, expected a whole number of at least {least}")
+
+
+def one_of(name: str, value: object, choices: Sequence[str]) -> str:
+    """Return a text that is one of a few.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it is another, or no text.
+    """
+    if isinstance(value, str) and value in choices:
+        return value
+    raise ObjectFolderError(f"{name} {quoted(value)} is not one of {', '.join(choices)}")
+
+
+def require_memory(what: str, needed: int, remedy: str) -> None:
+    """Refuse work that does not fit into the memory of this machine.
+
+    Parameters
+    ----------
+    what : str
+        Name of the work, for the message.
+    needed : int
+        Bytes.
+    remedy : str
+        What to ask for instead.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the machine has less memory.
+    """
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if needed > memory:
+        raise ObjectFolderError(f"{what}: needs {needed:,} bytes, this machine has {memory:,}; {remedy}")
+
+
+def _scalar(value: object) -> object:
+    """Return the Python number of an array or tensor without axes; anything else as it is."""
+    if getattr(value, "ndim", None) == 0 and not np.ma.is_masked(value):
+        return value.item()  # type: ignore[attr-defined]
+    return value
