@@ -16,7 +16,10 @@ def finite_actions(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
     ObjectFolderError
         If they do not have the shape, or are not finite numbers.
     """
-    values = real_array("action", actions)
+    try:
+        values = real_array("action", actions)
+    except ObjectFolderError:
+        values = np.full(0, np.nan)
     if values.shape != shape or not np.isfinite(values).all():
         rows = f"{shape[0]} rows of " if len(shape) > 1 else ""
         raise ObjectFolderError(
