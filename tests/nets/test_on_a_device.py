@@ -148,6 +148,7 @@ def small_views():
         "camera_to_world": np.stack([POSE, POSE]),
         "light": np.stack([LIGHT, LIGHT]),
         "focal": np.float64(9.0),
+        "center": np.full((2, 2), 4.0),
     }
 
 
