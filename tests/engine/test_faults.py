@@ -13,6 +13,7 @@ import pytest
 from objectfolder.engine.build import BuildOptions, build
 from objectfolder.engine.process import Children
 from objectfolder.engine.summary import Finished, StageOutcome
+from objectfolder.engine.verify import verify
 from objectfolder.errors import ObjectFolderError
 
 from .conftest import KEYS, everything
@@ -313,6 +314,20 @@ def test_damaged_cached_object_is_not_delivered_but_built_again(workspace, stage
     assert content(workspace) == before
     assert "is damaged and was removed" in caplog.text
     assert "up to date" in workspace.dvc("status", "prepare@mug", "solve@mug", "pack@mug")
+
+
+def test_damaged_cached_object_does_not_replace_what_a_stage_wrote(workspace, caplog):
+    from dvc.repo import Repo
+
+    build(["prepare@mug"], root=workspace.root)
+    before = content(workspace)
+    with Repo(str(workspace.root)) as repo:
+        (found,) = (s for s in repo.index.stages if s.addressing.endswith("prepare@mug"))
+        damage(cached(workspace, found.outs[0].hash_info.value))
+    assert build(["prepare@mug"], BuildOptions(force=True), workspace.root).ok
+    assert content(workspace) == before
+    assert "is damaged and was removed" in caplog.text
+    assert verify(["prepare@mug"], workspace.root, jobs=1).findings == ()
 
 
 def test_damaged_cached_data_is_an_error_that_names_it(make_workspace, caplog):

@@ -22,7 +22,7 @@ from hypothesis.stateful import (
 from objectfolder.engine.build import BuildOptions, build
 from objectfolder.engine.prune import prune, survey
 from objectfolder.engine.status import Outlook, State, status
-from objectfolder.engine.summary import StageOutcome
+from objectfolder.engine.summary import Finished, StageOutcome, Started
 from objectfolder.engine.verify import verify
 
 from . import tiny_project
@@ -155,8 +155,10 @@ class Sequence(RuleBasedStateMachine):
     @precondition(lambda self: self.changes < 2)
     @rule(what=EDITS)
     def edit(self, what):
-        name, key, value = what
-        self.set(self.sources.with_one(name, key, value) if key else replace(self.sources, **{name: value}))
+        self.set(self.edited(*what))
+
+    def edited(self, name, key, value):
+        return self.sources.with_one(name, key, value) if key else replace(self.sources, **{name: value})
 
     @precondition(lambda self: self.changes < 2)
     @rule(data=st.data())
@@ -244,6 +246,28 @@ class Sequence(RuleBasedStateMachine):
     @rule()
     def build_with_pull(self):
         self.check_build((), BuildOptions(jobs=2, pull=True))
+
+    @rule(
+        what=EDITS | st.tuples(st.just("versions"), st.sampled_from(STAGES), st.sampled_from(VERSIONS)),
+        started=st.integers(1, 4),
+        reverted=st.booleans(),
+        force=st.booleans(),
+    )
+    def build_during_an_edit(self, what, started, reverted, force):
+        before, left = self.sources, started
+
+        def edit(event):
+            nonlocal left
+            if isinstance(event, Started):
+                left -= 1
+                if left == 0:
+                    self.set(self.edited(*what))
+            elif isinstance(event, Finished) and reverted and left <= 0 and self.sources != before:
+                self.set(before)
+
+        self.counts["edits during builds"] += 1
+        build((), BuildOptions(jobs=2, force=force), self.root, edit)
+        self.counts["edited during builds"] += left <= 0
 
     def check_build(self, targets, options):
         self.changes = 0

@@ -89,7 +89,10 @@ def restore_run(stage: Stage) -> bool:
         stage.repo.stage_cache.restore(stage)
     except RunCacheNotFoundError:
         return False
-    _save(stage)
+    # Unlike DVC's `save`, do not hash the dependencies again, here and in `save_run`: one that changed during
+    # the run must count as changed.
+    stage.save_outs()
+    _store(stage)
     return True
 
 
@@ -114,7 +117,9 @@ def changed_inputs(stage: Stage, inputs: Stamps) -> list[str]:
 @_explained()
 def save_run(stage: Stage) -> None:
     """Hash the outputs of a finished command and store them in DVC's cache and run cache."""
-    _save(stage)
+    stage.save_outs()
+    remove_damaged(stage.outs)  # DVC would replace the outputs by cached files of the same names
+    _store(stage)
 
 
 def output_paths(stage: Stage) -> list[Path]:
@@ -135,11 +140,9 @@ def input_state(stage: Stage) -> dict[str, Any]:
     return values
 
 
-def _save(stage: Stage) -> None:
+def _store(stage: Stage) -> None:
     plain = (out for out in stage.outs if not (out.is_metric or out.is_plot))
     run_cache = all(out.use_cache for out in plain)
-    # Unlike DVC, do not hash the dependencies again: one that changed during the run must count as changed.
-    stage.save_outs()
     stage.md5 = stage.compute_md5()
     if run_cache:
         stage.repo.stage_cache.save(stage)
