@@ -64,6 +64,30 @@ class CommandResult:
     timed_out: bool = False
 
 
+class NotStarted(RuntimeError):
+    """No supervisor was started for a command."""
+
+
+#: Starts the supervisor of a command, with open files for the output of the command and the reports of the
+#: supervisor. Returns a function that waits for the end of this process group and returns its exit code.
+Start = Callable[[Command, int, int], Callable[[int], int]]
+
+
+def start_process(command: Command, log: int, report: int) -> Callable[[int], int]:
+    """Start the supervisor of a command as a new Python process."""
+    supervisor = subprocess.Popen(
+        [sys.executable, "-I", "-S", SUPERVISOR, str(os.getpid()), str(report), *command.lines],
+        cwd=command.cwd,
+        env=command.env,
+        stdin=subprocess.DEVNULL,
+        stdout=log,
+        stderr=subprocess.STDOUT,
+        pass_fds=[report],
+        start_new_session=True,
+    )
+    return lambda group: supervisor.wait()
+
+
 class Children:
     """Running commands of this process."""
 
@@ -72,61 +96,55 @@ class Children:
         self._groups: set[int] = set()
         self._closed = False
 
-    def run(self, command: Command) -> CommandResult:
+    def run(self, command: Command, start: Start = start_process) -> CommandResult:
         """Run a command and wait for it.
 
         The calling thread must outlive the command: to the kernel, the thread that started a child is its
         parent.
+
+        Parameters
+        ----------
+        command : Command
+            The command.
+        start : callable
+            Starts its supervisor.
+
+        Raises
+        ------
+        NotStarted
+            If no supervisor was started.
         """
-        start = time.monotonic()
+        if self._closed:
+            return CommandResult(-signal.SIGKILL, 0.0, 0.0)
+        begin = time.monotonic()
         command.log.parent.mkdir(parents=True, exist_ok=True)
         read, write = os.pipe()
-        with os.fdopen(read, "rb") as report, command.log.open("wb") as log:
-            try:
-                with self._lock:
-                    if self._closed:
-                        return CommandResult(-signal.SIGKILL, 0.0, 0.0)
-                    supervisor = subprocess.Popen(
-                        [
-                            sys.executable,
-                            "-I",
-                            "-S",
-                            SUPERVISOR,
-                            str(os.getpid()),
-                            str(write),
-                            *command.lines,
-                        ],
-                        cwd=command.cwd,
-                        env=command.env,
-                        stdin=subprocess.DEVNULL,
-                        stdout=log,
-                        stderr=subprocess.STDOUT,
-                        pass_fds=[write],
-                        start_new_session=True,
-                    )
-                    self._groups.add(supervisor.pid)
-            finally:
-                os.close(write)
-            timed_out = threading.Event()
+        with os.fdopen(read, "rb") as report:
+            with os.fdopen(write, "wb"), command.log.open("wb") as log:
+                reap = start(command, log.fileno(), write)
+            said = report.readline().decode().strip()
+            if not said.isdigit():
+                raise NotStarted(said or f"no supervisor started; see {command.log}")
+            group, timed_out = int(said), threading.Event()
+            with self._lock:
+                self._groups.add(group)
+                if self._closed:
+                    _kill(group)
 
             def expire() -> None:
                 timed_out.set()
-                _kill(supervisor.pid)
+                _kill(group)
 
             with _alarm(command.timeout, expire):
-                # Wait without reaping, so that the kernel cannot reuse the group's id meanwhile.
-                os.waitid(os.P_PID, supervisor.pid, os.WEXITED | os.WNOWAIT)
+                text = report.read()  # ends with the supervisor, which holds the other end
             with self._lock:
-                _kill(supervisor.pid)  # background processes of the command
-                supervisor.wait()
-                self._groups.discard(supervisor.pid)
-            text = report.read()
-        if not text and supervisor.returncode != -signal.SIGKILL:
-            raise RuntimeError(
-                f"the supervisor process exited with code {supervisor.returncode}; see {command.log}"
-            )
+                _kill(group)  # background processes of the command
+                code = reap(group)  # not before: the kernel could use the number of the group again
+                self._groups.discard(group)
+        if not text and code != -signal.SIGKILL:
+            raise RuntimeError(f"the supervisor process exited with code {code}; see {command.log}")
         if not text:
-            return CommandResult(-signal.SIGKILL, time.monotonic() - start, 0.0, timed_out.is_set())
+            return CommandResult(-signal.SIGKILL, time.monotonic() - begin, 0.0, timed_out.is_set())
         return CommandResult(**json.loads(text))
 
     def kill(self) -> None:

@@ -15,35 +15,41 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Callable
 
 PR_SET_PDEATHSIG = 1
 
 
-def main(engine: int, report: int, commands: list[str]) -> None:
-    """Run the commands until one fails; then report exit code, wall seconds and peak MB as JSON."""
+def shell(command: str) -> int:
+    """Start a command in a shell; return its process id."""
+    return os.posix_spawn(
+        "/bin/sh", ["sh", "-c", command], os.environ, setsigdef=[signal.SIGPIPE, signal.SIGXFSZ]
+    )
+
+
+def main(parent: int, report: int, commands: list[str], start: Callable[[str], int] = shell) -> None:
+    """Report the process group; run commands until one fails; report exit code, wall seconds, peak MB."""
     os.set_inheritable(report, False)
     signal.signal(signal.SIGTERM, lambda *_: os.killpg(0, signal.SIGKILL))
-    die_with(engine)
+    die_with(parent)
     first = os.getpid()
+    os.write(report, f"{first}\n".encode())
     if second := os.fork():
         os.waitpid(second, 0)
         return
     die_with(first)
-    start = time.monotonic()
+    begin = time.monotonic()
     code, peak_kb = 0, 0
     for command in commands:
         try:  # noqa: SIM105 (contextlib would cost every stage milliseconds)
             print(f"$ {command}", flush=True)
         except OSError:
             pass  # the disk of the log is full, but the command may not need it
-        pid = os.posix_spawn(
-            "/bin/sh", ["sh", "-c", command], os.environ, setsigdef=[signal.SIGPIPE, signal.SIGXFSZ]
-        )
-        _, status, usage = os.wait4(pid, 0)
+        _, status, usage = os.wait4(start(command), 0)
         code, peak_kb = os.waitstatus_to_exitcode(status), max(peak_kb, usage.ru_maxrss)
         if code:
             break
-    result = {"code": code, "seconds": time.monotonic() - start, "peak_mb": peak_kb / 1024}
+    result = {"code": code, "seconds": time.monotonic() - begin, "peak_mb": peak_kb / 1024}
     os.write(report, json.dumps(result).encode())
 
 

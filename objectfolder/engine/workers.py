@@ -1,12 +1,15 @@
 """Workers that run stage commands: their interface, and threads of this process."""
 
+import signal
 import threading
+from contextlib import suppress
 from dataclasses import replace
 from queue import SimpleQueue
 from typing import Protocol
 
-from objectfolder.engine.process import Children, Command, CommandResult
+from objectfolder.engine.process import Children, Command, CommandResult, NotStarted
 from objectfolder.engine.resources import Machine, Needs
+from objectfolder.engine.warm import Starter, is_stage
 
 #: Results of workers: address and outcome, or the error instead of one. None only wakes up the engine.
 FinishedQueue = SimpleQueue[tuple[str, CommandResult | Exception] | None]
@@ -54,6 +57,7 @@ class LocalWorkers:
         self.machine = machine
         self.finished = finished
         self.children = Children()
+        self._starter: Starter | None = None
         self._threads: dict[str, threading.Thread] = {}
 
     @property
@@ -72,7 +76,8 @@ class LocalWorkers:
             # Hide all GPUs that are not reserved for this stage.
             visible = {"CUDA_VISIBLE_DEVICES": ",".join(gpus) or "-1"}
             command = replace(command, env={**command.env, **visible})
-        thread = threading.Thread(target=self._work, args=(address, command), name=address, daemon=True)
+        arguments = address, command, self._warm(command, needs)
+        thread = threading.Thread(target=self._work, args=arguments, name=address, daemon=True)
         self._threads[address] = thread
         thread.start()
 
@@ -84,14 +89,44 @@ class LocalWorkers:
     def kill(self) -> None:
         """Kill all running commands with their child processes."""
         self.children.kill()
+        if self._starter:
+            self._starter.kill()
 
     def close(self) -> None:
         """Wait for the threads."""
         for thread in self._threads.values():
             thread.join()
+        if self._starter:
+            self._starter.close()
 
-    def _work(self, address: str, command: Command) -> None:
+    def _warm(self, command: Command, needs: Needs) -> Starter | None:
+        """Return what starts a command warm; None if it must start cold.
+
+        Libraries set the number of their threads, and look for GPUs, once in a process.
+        """
+        if needs.cpus > 1 or needs.gpus or not is_stage(command):
+            return None
+        if not self._starter:
+            with suppress(OSError):  # no more processes, say; the command itself will fail with it
+                self._starter = Starter(command.env)
+        return self._starter
+
+    def _work(self, address: str, command: Command, starter: Starter | None) -> None:
         try:
-            self.finished.put((address, self.children.run(command)))
+            outcome: CommandResult | Exception = self._run(command, starter)
         except Exception as error:  # without an outcome the engine would wait forever
-            self.finished.put((address, error))
+            outcome = error
+        self.finished.put((address, outcome))
+
+    def _run(self, command: Command, starter: Starter | None) -> CommandResult:
+        if starter and starter.usable:
+            try:
+                result = self.children.run(command, starter.start)
+            except NotStarted as reason:
+                starter.give_up(reason)
+            else:
+                if result.code == -signal.SIGKILL and not starter.alive:
+                    starter.give_up("the process that had imported them died")
+                    raise WorkerLost("the process that started it died")
+                return result
+        return self.children.run(command)
