@@ -116,7 +116,6 @@ class Children:
         """
         if self._closed:
             return CommandResult(-signal.SIGKILL, 0.0, 0.0)
-        begin = time.monotonic()
         command.log.parent.mkdir(parents=True, exist_ok=True)
         read, write = os.pipe()
         with os.fdopen(read, "rb") as report:
@@ -125,7 +124,7 @@ class Children:
             said = report.readline().decode().strip()
             if not said.isdigit():
                 raise NotStarted(said or f"no supervisor started; see {command.log}")
-            group, timed_out = int(said), threading.Event()
+            group, begin, timed_out = int(said), time.monotonic(), threading.Event()
             with self._lock:
                 self._groups.add(group)
                 if self._closed:

@@ -20,14 +20,14 @@ from collections.abc import Callable
 PR_SET_PDEATHSIG = 1
 
 
-def shell(command: str) -> int:
+def start_shell(command: str) -> int:
     """Start a command in a shell; return its process id."""
     return os.posix_spawn(
         "/bin/sh", ["sh", "-c", command], os.environ, setsigdef=[signal.SIGPIPE, signal.SIGXFSZ]
     )
 
 
-def main(parent: int, report: int, commands: list[str], start: Callable[[str], int] = shell) -> None:
+def main(parent: int, report: int, commands: list[str], start: Callable[[str], int] = start_shell) -> None:
     """Report the process group; run commands until one fails; report exit code, wall seconds, peak MB."""
     os.set_inheritable(report, False)
     signal.signal(signal.SIGTERM, lambda *_: os.killpg(0, signal.SIGKILL))
