@@ -53,7 +53,8 @@ class CommandResult:
     seconds : float
         Wall time, s.
     peak_mb : float
-        Peak resident memory of the largest process, MB.
+        Peak resident memory of the largest process, MB. Of a warm start, it contains the libraries that the
+        process has in common with others.
     timed_out : bool
         Whether the command was killed at its time limit.
     """

@@ -20,6 +20,7 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import NoReturn
@@ -142,11 +143,16 @@ def _imports(file: Path) -> Iterator[str]:
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
+def forget_project() -> None:
+    """Let forks of this process import the modules of the project anew."""
+    for name in [name for name in sys.modules if name.partition(".")[0] in PACKAGES]:
+        del sys.modules[name]
+
+
 def serve(engine: int, control_fd: int) -> None:
     """Start a supervisor for each request, until the engine ends."""
     supervisor.die_with(engine)
-    for name in [name for name in sys.modules if name.partition(".")[0] in PACKAGES]:
-        del sys.modules[name]
+    forget_project()
     if "" in sys.path:
         sys.path.remove("")  # the workspace, where code may be edited
     starter = os.getpid()
@@ -189,7 +195,7 @@ def _supervise(
         if pid := os.fork():
             return pid
         os.close(report)
-        _run(line.split(), cwd, env)
+        run_to_exit(partial(_run, line.split(), cwd, env))
 
     try:
         os.setsid()
@@ -200,28 +206,34 @@ def _supervise(
         os._exit(0)
 
 
-def _run(command: Sequence[str], cwd: str, env: Mapping[str, str]) -> NoReturn:
-    """Become ``python -m MODULE ARGUMENT...``; end without tearing libraries down, which takes a second."""
-    code = 1
+def _run(command: Sequence[str], cwd: str, env: Mapping[str, str]) -> None:
+    """Become ``python -m MODULE ARGUMENT...``."""
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    os.chdir(cwd)
+    os.environ.clear()
+    os.environ.update(env)
+    if not getattr(sys.flags, "safe_path", False):  # Python 3.10 has none
+        sys.path.insert(0, cwd)
+    sys.argv = ["-m", *command[3:]]
+    sys.orig_argv = [*command]
+    sys.modules["__main__"] = ModuleType("__main__")
+    importlib.invalidate_caches()
+    runpy._run_module_as_main(command[2])  # type: ignore[attr-defined]
+
+
+def run_to_exit(call: Callable[[], None]) -> NoReturn:
+    """Run a main program and exit as Python does, but leave libraries as they are; tearing down takes long."""
+    code = 0
     try:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        os.chdir(cwd)
-        os.environ.clear()
-        os.environ.update(env)
-        if not getattr(sys.flags, "safe_path", False):  # Python 3.10 has none
-            sys.path.insert(0, cwd)
-        sys.argv = ["-m", *command[3:]]
-        sys.orig_argv = [*command]
-        sys.modules["__main__"] = ModuleType("__main__")
-        importlib.invalidate_caches()
-        runpy._run_module_as_main(command[2])  # type: ignore[attr-defined]
-        code = 0
+        call()
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else int(end.code is not None)
         if not isinstance(end.code, int | None):
             print(end.code, file=sys.stderr)
     except BaseException as error:
-        trace = error.__traceback__ and error.__traceback__.tb_next  # without this function
+        trace = error.__traceback__
+        while trace and trace.tb_frame.f_globals is globals():
+            trace = trace.tb_next
         sys.excepthook(type(error), error.with_traceback(trace), trace)
         code = -signal.SIGINT if isinstance(error, KeyboardInterrupt) else 1
     finally:

@@ -23,33 +23,33 @@ VERSIONS = ("1", "2", "!")
 PIPELINE = """
 stages:
   hash_code:
-    cmd: python -S -m stages.hash_code
+    cmd: python -m stages.hash_code
     deps: [objectfolder, stages]
     outs: [build/.code]
   generate:
     foreach: ${procedural}
     do:
-      cmd: python -S -m stages.generate ${key}
+      cmd: python -m stages.generate ${key}
       deps: [build/.code/generate.sha256]
       params: ["procedural.${key}"]
       outs: ["data/objects/${key}"]
   normalize:
     foreach: ${objects}
     do:
-      cmd: python -S -m stages.normalize ${key}
+      cmd: python -m stages.normalize ${key}
       deps: [build/.code/normalize.sha256, "data/objects/${key}"]
       params: ["objects.${key}.size"]
       outs: ["build/${key}/surface.txt"]
   observe:
     foreach: ${objects}
     do:
-      cmd: python -S -m stages.observe ${key}
+      cmd: python -m stages.observe ${key}
       deps: [build/.code/observe.sha256, "build/${key}/surface.txt"]
       params: ["objects.${key}.material"]
       outs: ["benchmarks/observations/${key}"]
       metrics: ["benchmarks/${key}.json"]
   recognize:
-    cmd: python -S -m stages.recognize
+    cmd: python -m stages.recognize
     deps: [build/.code/recognize.sha256, benchmarks/observations]
     params: [objects]
     metrics: [benchmarks/recognize.json]

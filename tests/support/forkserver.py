@@ -5,7 +5,6 @@ signals or process groups needs a real process instead.
 """
 
 import array
-import atexit
 import fcntl
 import gc
 import importlib
@@ -19,10 +18,9 @@ import struct
 import subprocess
 import sys
 import tempfile
-import threading
 import time
-import traceback
 from contextlib import closing, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 LIBRARIES = """
@@ -248,30 +246,14 @@ def become(command: list[str], cwd: str, env: dict[str, str], files, shim: str) 
 
 
 def main() -> None:
-    """Serve; in a fork, run the command and end without tearing down the libraries, which takes a second."""
+    """Serve; in a fork, run the command."""
+    sys.path.insert(1, str(Path(__file__).parents[2]))
+    from objectfolder.engine.warm import forget_project, run_to_exit
+
+    forget_project()
+    del sys.path[1]
     serve(*sys.argv[1:])
-    code = 1
-    try:
-        _run(sys.orig_argv[1:])
-        code = 0
-    except SystemExit as end:
-        code = end.code if isinstance(end.code, int) else int(end.code is not None)
-        if isinstance(end.code, str):
-            print(end.code, file=sys.stderr)
-    except KeyboardInterrupt:
-        traceback.print_exc()
-        code = -signal.SIGINT
-    except BaseException:
-        traceback.print_exc()
-    finally:
-        threading._shutdown()  # type: ignore[attr-defined]
-        atexit._run_exitfuncs()
-        sys.stdout.flush()
-        sys.stderr.flush()
-        if code == -signal.SIGINT:
-            signal.signal(signal.SIGINT, signal.SIG_DFL)
-            os.kill(os.getpid(), signal.SIGINT)
-        os._exit(code)
+    run_to_exit(partial(_run, sys.orig_argv[1:]))
 
 
 def _run(command: list[str]) -> None:
