@@ -70,7 +70,8 @@ class NotStarted(RuntimeError):
 
 
 #: Starts the supervisor of a command, with open files for the output of the command and the reports of the
-#: supervisor. Returns a function that waits for the end of this process group and returns its exit code.
+#: supervisor. Returns a function that forgets the supervisor, given its process group or 0 if it reported
+#: none, and returns its exit code.
 Start = Callable[[Command, int, int], Callable[[int], int]]
 
 
@@ -124,6 +125,7 @@ class Children:
                 reap = start(command, log.fileno(), write)
             said = report.readline().decode().strip()
             if not said.isdigit():
+                reap(0)
                 raise NotStarted(said or f"no supervisor started; see {command.log}")
             group, begin, timed_out = int(said), time.monotonic(), threading.Event()
             with self._lock:

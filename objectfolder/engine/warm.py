@@ -114,8 +114,9 @@ class Starter:
 
     def _reap(self, group: int) -> int:
         """Let the process forget a supervisor; whatever ended it, one without a result was killed."""
-        with suppress(OSError):
-            self._control.send(str(group).encode())
+        if group:
+            with suppress(OSError):
+                self._control.send(str(group).encode())
         return -signal.SIGKILL
 
 
@@ -170,9 +171,8 @@ def serve(engine: int, control_fd: int) -> None:
             os.dup2(log, 2)
             os.close(log)
             _import(request.pop("libraries"))
-            threads = len(os.listdir("/proc/self/task"))  # noqa: PTH208
-            if threads > 1:  # a fork would be without them, and without what they hold
-                os.write(report, f"a library started {threads - 1} threads\n".encode())
+            if len(os.listdir("/proc/self/task")) > 1:  # noqa: PTH208
+                os.write(report, b"a library started a thread, which a fork would lack\n")
             elif os.fork() == 0:
                 control.close()
                 _supervise(starter, report, **request)
@@ -188,9 +188,7 @@ def _import(libraries: Sequence[str]) -> None:
         gc.freeze()  # a collection in a fork would copy the pages of all these objects
 
 
-def _supervise(
-    starter: int, report: int, line: str, cwd: str, env: Mapping[str, str], **_: object
-) -> NoReturn:
+def _supervise(starter: int, report: int, line: str, cwd: str, env: Mapping[str, str]) -> NoReturn:
     def start(line: str) -> int:
         if pid := os.fork():
             return pid
@@ -222,7 +220,7 @@ def _run(command: Sequence[str], cwd: str, env: Mapping[str, str]) -> None:
 
 
 def run_to_exit(call: Callable[[], None]) -> NoReturn:
-    """Run a main program and exit as Python does, but leave libraries as they are; tearing down takes long."""
+    """Run a main program and exit as Python does, but without tearing libraries down, which takes long."""
     code = 0
     try:
         call()

@@ -258,7 +258,7 @@ def test_a_library_with_threads_is_not_forked(root, workers, caplog):
         assert outcome(workers, run).code == 0
         assert text_of(run) == "$ python -m stages.threads\ndone\n"
     (record,) = caplog.records
-    assert record.getMessage().endswith("a library started 1 threads")
+    assert record.getMessage().endswith("a library started a thread, which a fork would lack")
 
 
 def test_a_starter_that_cannot_start_is_done_without(root, workers, caplog, monkeypatch):
