@@ -57,3 +57,10 @@ def test_a_copy_on_the_device_shares_no_memory():
 def test_numpy_does_not_see_the_device():
     with pretend_device() as device, pytest.raises((RuntimeError, TypeError)):
         np.asarray(torch.ones(2, device=device))
+
+
+def test_other_code_sees_no_device_afterwards():
+    with pretend_device() as device:
+        torch.ones(2, device=device)
+    with torch.random.fork_rng():
+        torch.manual_seed(0)

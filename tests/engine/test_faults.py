@@ -162,6 +162,15 @@ def test_engine_killed_at_any_change_of_a_file_loses_nothing_that_has_finished(m
     assert not half_copies(workspace)
 
 
+@pytest.mark.parametrize("name", [".0a1b.tmp", "78/.0a1b.tmp", "78/6783.dir.0a1b.tmp"])
+def test_half_copies_of_a_killed_build_are_removed(workspace, name):
+    path = workspace.root / ".dvc/cache/files/md5" / name
+    path.parent.mkdir(parents=True)
+    path.write_text("half")
+    build(["prepare@mug"], root=workspace.root)
+    assert not path.exists()
+
+
 # Disks
 
 BULKY = """

@@ -13,7 +13,7 @@ from unittest.mock import patch
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves, tree_map
-from torch.utils.backend_registration import _setup_privateuseone_for_python_backend
+from torch.utils.backend_registration import _DummyBackendModule, _setup_privateuseone_for_python_backend
 
 NAME = "pretend"
 _aten = torch.ops.aten
@@ -82,9 +82,16 @@ def pretend_device() -> Iterator[str]:
         yield NAME
 
 
+class _Module(_DummyBackendModule):
+    """What other code finds of the device after the block: none, so that it saves no random state of it."""
+
+    def device_count(self) -> int:
+        return 0
+
+
 @cache
 def _register() -> None:
-    _setup_privateuseone_for_python_backend(NAME)
+    _setup_privateuseone_for_python_backend(NAME, _Module())
 
 
 def _dispatch(operation: Any, args: Any, kwargs: dict[str, Any]) -> Any:

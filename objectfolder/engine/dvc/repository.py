@@ -91,7 +91,7 @@ class OpenRepository:
         """
         if not self.cache.is_relative_to(self.repo.root_dir):
             return  # shared: another repository may be writing
-        for pattern in (".*.tmp", "*/.*.tmp"):
+        for pattern in ("*.tmp", "*/*.tmp"):
             for path in self.cache.glob(pattern):
                 with suppress(OSError):
                     path.unlink()
