@@ -30,7 +30,8 @@ def status(
 
     Without targets: the objects that are not fresh, with a mark per stage. With targets: each stage of the
     targets, and why it is not fresh: the changed dependency, parameter (old -> new) or module, the missing
-    output, or the failure of the last build and its log.
+    output, or the failure of the last build and its log. Both show the stages that `objectfolder build` with
+    the same targets would bring up to date.
     """
     from objectfolder.cli import statusview
     from objectfolder.engine.status import State

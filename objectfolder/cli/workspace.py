@@ -71,6 +71,7 @@ def build(
 
     Examples: `objectfolder build -j 2`, `objectfolder build mug`, `objectfolder build modal@mug`,
     `objectfolder build --engine ray` (requirements of a cluster: docs/pipeline.md).
+    The stage `observe` runs only for tasks that `benchmarks` in params.yaml lists, or if a target names it.
     Stage logs are in build/.logs. `dvc status`, `dvc repro` and `dvc metrics show` work as usual.
     """
     from objectfolder.engine.build import BuildOptions, local_workers

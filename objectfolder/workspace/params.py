@@ -56,8 +56,10 @@ SECTIONS = {
 #: Stages of single objects that every build runs.
 OBJECT_STAGES = (
     *("normalize", "voxelize", "modal", "render_views", "render_touch"),
-    *("train_vision", "train_audio", "train_touch", "pack", "evaluate", "observe"),
+    *("train_vision", "train_audio", "train_touch", "pack", "evaluate"),
 )
+#: Stages of single objects that run only for the tasks that need them, or if a target names them.
+ON_DEMAND = ("observe",)
 #: Stages over all objects, or over those that are grasped, by split.
 TASKS = ("recognize", "retrieve", "reconstruct", "grasp_stability")
 #: Stages of the objects that ``benchmarks`` in ``params.yaml`` names.
@@ -152,7 +154,7 @@ def check_key(key: Any, where: str = "object key") -> str:
     ObjectFolderError
         If it is not a slug, or too long. DVC drops integer keys silently and takes a dot for a path.
     """
-    stages = {*FIRST_STAGES, *OBJECT_STAGES, *TASKS, *ROBOT_STAGES}
+    stages = {*FIRST_STAGES, *OBJECT_STAGES, *ON_DEMAND, *TASKS, *ROBOT_STAGES}
     if isinstance(key, str) and len(key) <= MAX_KEY and KEY.fullmatch(key) and key not in stages:
         return key
     reason = (

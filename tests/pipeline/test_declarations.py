@@ -17,7 +17,7 @@ from objectfolder.workspace.layout import Benchmarks, Build, code_list
 ROOT = Path(__file__).parents[2]
 STAGES = YAML(typ="safe").load((ROOT / "dvc.yaml").read_text())["stages"]
 HASH_CODE = STAGES.pop("hash_code")
-OF_OBJECTS = params.OBJECT_STAGES
+OF_OBJECTS = (*params.OBJECT_STAGES, *params.ON_DEMAND)
 
 
 @cache
@@ -91,7 +91,7 @@ def test_declared_params_are_the_ones_the_stage_reads(stage):
 
 
 def test_stage_names_are_those_of_the_graph():
-    known = (*params.OBJECT_STAGES, *params.TASKS, *params.ROBOT_STAGES)
+    known = (*OF_OBJECTS, *params.TASKS, *params.ROBOT_STAGES)
     assert {*known, *params.FIRST_STAGES} == {*STAGES, "hash_code"}
     assert len(known) == len(set(known))
 

@@ -30,7 +30,8 @@ from objectfolder.workspace.params import ROBOT_STAGES
 
 pytestmark = pytest.mark.xdist_group("pipeline")
 LANES = ("normalize", "voxelize", "modal", "render_views", "render_touch")
-NETS = ("train_vision", "train_audio", "train_touch", "pack", "evaluate", "observe")
+NETS = ("train_vision", "train_audio", "train_touch", "pack", "evaluate")
+OBSERVED = {"observe@bell", "observe@cube"}
 
 
 def test_everything_is_built_and_a_second_build_runs_nothing(built):
@@ -46,8 +47,8 @@ def test_everything_is_built_and_a_second_build_runs_nothing(built):
         assert metrics["awgn"]["sigma_0_05"]["vision"] == pytest.approx(26.02, abs=0.2)
         assert metrics["awgn"]["variance_0_05"]["touch"] == pytest.approx(13.01, abs=0.2)
     assert built.build() == set()
-    status = built.run("-m", "dvc", "status")
-    assert "up to date" in status.stdout, status.stdout
+    assert built.cli("status", "--check").stdout.endswith("2 objects all fresh\n")
+    assert set(json.loads(built.run("-m", "dvc", "status", "--json").stdout)) <= OBSERVED
 
 
 def test_object_file_answers(built):
@@ -134,9 +135,7 @@ def test_a_smaller_object_is_not_solved_again(built):
 def test_changed_training_reruns_that_lane_only(built):
     with built.edit() as values:
         values["train_audio"]["sizes"][0]["steps"] += 50
-    assert built.build("bell") == {
-        f"{stage}@bell" for stage in ("train_audio", "pack", "evaluate", "observe")
-    }
+    assert built.build("bell") == {f"{stage}@bell" for stage in ("train_audio", "pack", "evaluate")}
     with built.edit() as values:
         values["train_audio"]["sizes"][0]["steps"] -= 50
     assert built.build() == set()  # restored
@@ -146,9 +145,7 @@ def test_changed_training_reruns_that_lane_only(built):
 def test_the_papers_audio_net_is_a_choice(built):
     with built.edit() as values:
         values["train_audio"]["net"] = "spectrogram"
-    assert built.build("bell") == {
-        f"{stage}@bell" for stage in ("train_audio", "pack", "evaluate", "observe")
-    }
+    assert built.build("bell") == {f"{stage}@bell" for stage in ("train_audio", "pack", "evaluate")}
     bell = ObjectFile.load(built.root / "build/bell/ObjectFile.safetensors")
     assert bell.header["audio"]["kind"] == "spectrogram"
     assert bell.impact(bell.sample_surface(1), [0, 0, 1]).shape == (1, 32000)
@@ -165,7 +162,7 @@ def test_the_papers_vision_net_is_a_choice(built):
         values["train_vision"]["net"] = "osf"
         values["render_views"] |= {"tile": None, "train": 6, "val": 2}
     assert built.build("bell") == {
-        f"{stage}@bell" for stage in ("render_views", "train_vision", "pack", "evaluate", "observe")
+        f"{stage}@bell" for stage in ("render_views", "train_vision", "pack", "evaluate")
     }
     bell = ObjectFile.load(built.root / "build/bell/ObjectFile.safetensors")
     assert bell.header["vision"]["kind"] == "osf"
@@ -189,7 +186,7 @@ def test_the_papers_touch_net_on_the_papers_images_is_a_choice(built):
         values["sensor"] = "tacto_digit"
         values["render_touch"] |= {"renderer": "tacto", "depth": 0.001, "angle": 0.0}
         values["train_touch"]["net"] = "image"
-    lane = ("render_touch", "train_touch", "pack", "evaluate", "observe")
+    lane = ("render_touch", "train_touch", "pack", "evaluate")
     assert built.build("bell") == {f"{stage}@bell" for stage in lane}
     bell = ObjectFile.load(built.root / "build/bell/ObjectFile.safetensors")
     assert bell.header["touch"]["kind"] == "image"
@@ -216,10 +213,12 @@ def test_the_papers_touch_net_on_the_papers_images_is_a_choice(built):
     assert built.build() == set()  # restored
 
 
-@pytest.mark.parametrize("stage", [*LANES, *NETS])
+@pytest.mark.parametrize("stage", [*LANES, *NETS, "observe"])
 def test_stage_gives_the_same_bytes_again_from_what_it_declares_alone(
     built, stage, tmp_path, other_fork_server
 ):
+    if stage == "observe":
+        assert built.build("observe@cube") <= {"observe@cube"}
     locked = YAML(typ="safe").load((built.root / "dvc.lock").read_text())["stages"][f"{stage}@cube"]
     code = [line.split()[1] for line in (built.root / f"build/.code/{stage}.sha256").read_text().splitlines()]
     for dependency in ["params.yaml", *code, *(d["path"] for d in locked["deps"])]:
@@ -362,7 +361,7 @@ def test_benchmarks_are_stages_over_all_objects(built):
     """Which splits run is a parameter; they follow from the observations of all objects."""
     with built.edit() as values:
         values["benchmarks"]["recognize"] = ["seen"]
-    assert built.build() == {"recognize@seen"}
+    assert built.build() - OBSERVED == {"recognize@seen"}
     folder = Benchmarks(built.root / "benchmarks")
     scores = read_json(folder.result("recognize", "seen"))
     assert scores["objects"] == 2
@@ -374,7 +373,8 @@ def test_benchmarks_are_stages_over_all_objects(built):
     assert "VAT.accuracy" in shown
     built.run("-m", "stages.recognize", "seen")
     assert {path: path.read_bytes() for path in before} == before
-    assert "recognize@seen" in built.cli("status", "recognize").stdout
+    shown = built.cli("status", "--check", "recognize").stdout
+    assert all(address in shown for address in ("recognize@seen", *OBSERVED))
     assert "nothing to remove" in built.cli("prune", "--dry-run").stdout
     with built.edit() as values:
         values["benchmarks"]["recognize"] = []
@@ -384,7 +384,7 @@ def test_benchmarks_are_stages_over_all_objects(built):
 def test_a_trained_reconstructor_is_an_output(built):
     with built.edit() as values:
         values["benchmarks"]["reconstruct"] = ["seen"]
-    assert built.build() == {"reconstruct@seen"}
+    assert built.build() - OBSERVED == {"reconstruct@seen"}
     folder = Benchmarks(built.root / "benchmarks")
     assert folder.sheet("reconstruct", "seen").stat().st_size > 1000
     assert load_model(folder.model("reconstruct", "seen")).setup.modalities == ("vision",)

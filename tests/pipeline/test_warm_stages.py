@@ -7,7 +7,7 @@ import pytest
 
 from objectfolder.engine.process import Children, Command, stage_environment
 from objectfolder.engine.warm import Starter
-from objectfolder.workspace.params import FIRST_STAGES, OBJECT_STAGES
+from objectfolder.workspace.params import FIRST_STAGES, OBJECT_STAGES, ON_DEMAND
 
 pytestmark = pytest.mark.xdist_group("pipeline")
 
@@ -41,6 +41,6 @@ def test_a_stage_writes_the_same_bytes_as_in_a_new_python(built, starter, stage,
 @pytest.mark.slow
 def test_all_stages_of_an_object_start_warm(built, starter):
     """None of their libraries starts a thread."""
-    for stage in (*FIRST_STAGES, *OBJECT_STAGES):
+    for stage in (*FIRST_STAGES, *OBJECT_STAGES, *ON_DEMAND):
         result = Children().run(command(built.root, f"stages.{stage}", "--help"), starter.start)
         assert result.code == 0

@@ -12,6 +12,7 @@ from objectfolder.workspace.check import Selection, check_all, check_object
 from objectfolder.workspace.params import (
     FIRST_STAGES,
     OBJECT_STAGES,
+    ON_DEMAND,
     ROBOT_STAGES,
     SECTIONS,
     TASKS,
@@ -92,7 +93,7 @@ def test_a_key_that_is_no_slug_is_refused_with_the_reason(key, reason):
 
 @given(st.from_regex(r"[a-z][a-z0-9_]*", fullmatch=True))
 def test_slugs_are_keys(key):
-    if key not in {*FIRST_STAGES, *OBJECT_STAGES, *ROBOT_STAGES, *TASKS}:
+    if key not in {*FIRST_STAGES, *OBJECT_STAGES, *ON_DEMAND, *ROBOT_STAGES, *TASKS}:
         assert check_key(key) == key
 
 

@@ -12,6 +12,7 @@ from dvc.stage import PipelineStage, Stage
 
 from objectfolder.engine.dvc.repository import OpenRepository
 from objectfolder.errors import ObjectFolderError
+from objectfolder.workspace.params import ON_DEMAND
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,9 @@ def stage_graph(repository: OpenRepository, targets: Sequence[str] = ()) -> Stag
         Targets are relative to its root.
     targets : sequence of str
         Stage addresses (``modal@mug``), stage names (``modal``), object keys (``mug``) or paths of outputs,
-        tried in that order; none means every stage of the workspace's ``dvc.yaml``.
+        tried in that order; none means every stage of the workspace's ``dvc.yaml``. Neither none nor an
+        object key includes stages in `objectfolder.workspace.params.ON_DEMAND`, unless others that are
+        included depend on them.
 
     Raises
     ------
@@ -56,7 +59,8 @@ def stage_graph(repository: OpenRepository, targets: Sequence[str] = ()) -> Stag
     if targets:
         wanted = set().union(*(_match(target, addresses, root) for target in targets))
     else:
-        wanted = {name for name, stage in addresses.items() if Path(stage.path) == root / "dvc.yaml"}
+        own = {name for name, stage in addresses.items() if Path(stage.path) == root / "dvc.yaml"}
+        wanted = _without_on_demand(own)
     names = {stage: address for address, stage in addresses.items()}
     named = nx.relabel_nodes(graph, names)
     named = named.subgraph(wanted.union(*(nx.descendants(named, address) for address in wanted)))
@@ -94,7 +98,7 @@ def _match(target: str, addresses: dict[str, Stage], root: Path) -> set[str]:
         return by_stage
     by_object = {address for address in addresses if address.partition("@")[2] == target}
     if target and by_object:
-        return by_object
+        return _without_on_demand(by_object)
     path = Path(os.path.normpath(root / target))
     by_output = {
         address
@@ -108,6 +112,10 @@ def _match(target: str, addresses: dict[str, Stage], root: Path) -> set[str]:
         f"unknown target {target!r}: expected a stage address, a stage name, an object key or the path of an "
         f"output; {_suggest(target, _choices(addresses, root))}"
     )
+
+
+def _without_on_demand(addresses: set[str]) -> set[str]:
+    return {address for address in addresses if address.partition("@")[0] not in ON_DEMAND}
 
 
 def _choices(addresses: dict[str, Stage], root: Path) -> list[str]:
