@@ -74,13 +74,13 @@ class GainsNet(nn.Module):
             first[:, 3:].normal_(0, 1 / (frequency * math.sqrt(first.shape[1])))
         self.output = nn.Linear(features, 3 * len(damping))
 
-    def features(self, points: torch.Tensor, rows: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-        """Evaluate the second layer at (N, 3) points of the unit frame, given their grid nodes."""
-        return self.sines(torch.cat([2 * points, self.grid.lookup(rows, weights)], 1))
+    def features(self, points: torch.Tensor, looked_up: torch.Tensor) -> torch.Tensor:
+        """Evaluate the second layer at (N, 3) points of the unit frame, given the grid's features there."""
+        return self.sines(torch.cat([2 * points, looked_up], 1))
 
     def forward(self, points: torch.Tensor) -> torch.Tensor:
         """Evaluate mode shapes, divided by amplitude, at (N, 3) points of the unit frame; (N, 3, M)."""
-        features = self.features(points, *self.grid.nodes(points))
+        features = self.features(points, self.grid.lookup(*self.grid.nodes(points)))
         return self.output(features).view(len(points), 3, len(self.damping))
 
     @torch.no_grad()

@@ -4,9 +4,12 @@ import math
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import torch
 from torch import nn
+
+from objectfolder.nets.adam import Adam
 
 
 @dataclass(frozen=True)
@@ -19,6 +22,15 @@ class CurvePoint:
     seconds: float
 
 
+class Optimizer(Protocol):
+    """What `fit` asks of an optimizer: groups of ``params`` with learning rates ``lr``, and steps."""
+
+    param_groups: list[dict[str, Any]]
+
+    def step(self) -> None:
+        """Update every parameter that has a gradient."""
+
+
 def fit(
     net: nn.Module,
     batch_loss: Callable[[], torch.Tensor],
@@ -28,7 +40,7 @@ def fit(
     evaluations: int = 20,
     final_rate: float = 0.01,
     report: Callable[[CurvePoint], None] = lambda point: None,
-    optimizer: torch.optim.Optimizer | None = None,
+    optimizer: Optimizer | None = None,
 ) -> list[CurvePoint]:
     """Minimise a loss with warm-up and cosine decay; keep the weights of the lowest validation loss.
 
@@ -47,7 +59,7 @@ def fit(
         Final learning rate, relative to the peak.
     report : callable
         Called with each point of the training curve.
-    optimizer : torch.optim.Optimizer, optional
+    optimizer : Optimizer, optional
         Optimizer of the net's parameters; default: Adam. The learning rate set here is multiplied by each
         group's ``relative_rate``.
 
@@ -58,7 +70,7 @@ def fit(
     """
     # A larger epsilon would freeze hash-table entries with tiny gradients.
     if optimizer is None:
-        optimizer = torch.optim.Adam(net.parameters(), lr=learning_rate, betas=(0.9, 0.99), eps=1e-12)
+        optimizer = Adam([{"params": list(net.parameters())}], (0.9, 0.99), 1e-12)
     best, best_state = math.inf, None
     curve: list[CurvePoint] = []
     marks = {round((i + 1) * steps / evaluations) for i in range(evaluations)}
@@ -68,7 +80,7 @@ def fit(
         decay = 0.5 * (1 + math.cos(math.pi * progress)) * (1 - final_rate) + final_rate
         for group in optimizer.param_groups:
             group["lr"] = learning_rate * group.get("relative_rate", 1) * min(1, step / 50) * decay
-        optimizer.zero_grad(set_to_none=True)
+        net.zero_grad(set_to_none=True)
         loss = batch_loss()
         loss.backward()
         optimizer.step()

@@ -5,6 +5,7 @@ import math
 from collections.abc import Sequence
 
 import torch
+import torch.nn.functional as F
 from torch import nn
 
 
@@ -35,7 +36,9 @@ class Siren(nn.Module):
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Evaluate the layers; (N, inputs) to (N, widths[-1])."""
         for layer in self.layers:
-            x = torch.sin(self.frequency * layer(x))
+            # Weights are fewer than the outputs of a batch.
+            weight, bias = (self.frequency * parameter for parameter in layer.parameters())
+            x = torch.sin(F.linear(x, weight, bias))
         return x
 
 

@@ -1,6 +1,7 @@
 """Features on a grid of quadratic B-splines, stored only near a surface."""
 
 import torch
+import torch.nn.functional as F
 from torch import nn
 
 _OFFSETS = torch.arange(3)
@@ -41,8 +42,11 @@ class SplineGrid(nn.Module):
 
     def lookup(self, rows: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
         """Interpolate features, given the output of `nodes`; (N, channels)."""
-        table = torch.cat([self.table, torch.zeros_like(self.table[:1])])
-        return torch.einsum("pk,pkc->pc", weights, table[rows])
+        return F.embedding_bag(rows, self.padded(), per_sample_weights=weights, mode="sum")
+
+    def padded(self) -> torch.Tensor:
+        """Return the table with a last row of zeros, for nodes without features."""
+        return torch.cat([self.table, torch.zeros_like(self.table[:1])])
 
 
 def touched(x: torch.Tensor, resolution: int) -> torch.Tensor:

@@ -8,6 +8,7 @@ import torch
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.gridcodec import BOUND
+from objectfolder.nets.adam import Adam
 from objectfolder.nets.fit import CurvePoint, fit, minibatches
 from objectfolder.nets.vision_config import OsfConfig
 from objectfolder.nets.vision_osf import OsfNet, pixel_centres
@@ -98,7 +99,7 @@ def train_osf(
         val_loss=val_loss,
         steps=config.steps,
         learning_rate=config.learning_rate,
-        optimizer=torch.optim.Adam(net.parameters(), betas=(0.9, 0.999), eps=1e-7),
+        optimizer=Adam([{"params": list(net.parameters())}], (0.9, 0.999), 1e-7),
         report=report,
     )
     return net.cpu().eval(), curve

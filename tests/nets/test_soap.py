@@ -14,11 +14,11 @@ def regression(optimizer, steps=150):
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         net = nn.Linear(16, 300)
-    optimizer = optimizer(net.parameters())
+    optimizer = optimizer(list(net.parameters()))
     for step in range(steps):
         for group in optimizer.param_groups:
             group["lr"] = 0.05 * (1 - step / steps)
-        optimizer.zero_grad()
+        net.zero_grad()
         loss = (net(x) - x @ truth).square().mean()
         loss.backward()
         optimizer.step()
@@ -27,12 +27,12 @@ def regression(optimizer, steps=150):
 
 def test_it_sees_through_correlated_inputs():
     adam, _ = regression(lambda p: torch.optim.Adam(p, betas=(0.95, 0.95)))
-    soap, _ = regression(lambda p: Soap(p, 0.05))
+    soap, _ = regression(lambda p: Soap([{"params": p}]))
     assert soap < 0.2 * adam
 
 
 def test_two_runs_are_equal():
-    a, b = (regression(lambda p: Soap(p, 0.05), steps=25)[1] for _ in range(2))
+    a, b = (regression(lambda p: Soap([{"params": p}]), steps=25)[1] for _ in range(2))
     assert torch.equal(a.weight, b.weight)
     assert torch.equal(a.bias, b.bias)
 
@@ -40,7 +40,7 @@ def test_two_runs_are_equal():
 def test_one_step_of_a_vector_has_the_length_of_the_rate_in_every_entry():
     """Without a matrix there is nothing to rotate: it is Adam."""
     vector = nn.Parameter(torch.tensor([1.0, -2.0, 3.0]))
-    optimizer = Soap([vector], 0.01)
+    optimizer = Soap([{"params": [vector], "lr": 0.01}])
     vector.grad = torch.tensor([5.0, -0.1, 2.0])
     before = vector.detach().clone()
     optimizer.step()
