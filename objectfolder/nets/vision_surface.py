@@ -24,7 +24,7 @@ from objectfolder.vision.bsdf import fresnel, principled
 from objectfolder.vision.radiosity import Radiosity
 from objectfolder.vision.trace import SurfaceSamples
 from objectfolder.vision.vectors import column_major, concatenate, dot, normalized, take_rows
-from objectfolder.vision.view import Shader
+from objectfolder.vision.view import SQUARE, Shader
 
 #: Hash grid for indirect light.
 TRANSPORT = {"levels": 2, "features": 4, "table_bits": 13, "coarsest": 8, "finest": 14}
@@ -32,6 +32,7 @@ GRIDS = ("grid", "transport")
 NEAREST = 1e-3  # lower limit of the distance to a light, unit frame: avoids infinite radiance
 FAMILIAR = 0.1  # lower limit for indirect light, unit frame: training lights are farther away
 CHUNK = 50_000  # points shaded at once
+ALIKE = 0.985  # least cosine between the normals of samples that share the net's correction
 BAKED = 2**14  # vertices evaluated at once
 
 
@@ -104,24 +105,38 @@ class SurfaceNet(nn.Module):
         radiance = base_color.new_zeros(base_color.shape[::-1])
         return radiance.index_copy_(1, lit, (reflected / squared.clamp(min=NEAREST**2)).mT).mT
 
-    def bounce_inputs(
+    def mirrored(
         self,
         baked: "Baked",
         samples: SurfaceSamples,
         light: torch.Tensor,
         base_color: torch.Tensor,
         normals: torch.Tensor,
+    ) -> torch.Tensor:
+        """Return the radiance ``mirrored`` of `BounceInputs`; parameters as there."""
+        seen = dot(normals, samples.directions)
+        mirrored = baked.radiosity.mirrored(samples, samples.directions - 2 * seen * normals, light)
+        return mirrored * fresnel(-seen, base_color, self.config["metallic"])
+
+    def bounce_inputs(
+        self,
+        samples: SurfaceSamples,
+        light: torch.Tensor,
+        normals: torch.Tensor,
         direct: torch.Tensor,
+        gathered: torch.Tensor,
+        mirrored: torch.Tensor,
     ) -> "BounceInputs":
         """Compute the inputs of `indirect`.
 
         Parameters
         ----------
-        baked : Baked
         samples : SurfaceSamples
         light : (3,) tensor, unit frame
-        base_color, normals, direct : (S, 3) tensors
-            Linear base colours, unit shading normals, and the radiance that `direct` returns.
+        normals, direct : (S, 3) tensors
+            Unit shading normals, and the radiance that `direct` returns.
+        gathered, mirrored : (S, 3) tensors
+            See `BounceInputs`.
         """
         p, n, view = samples.points, normals, samples.directions
         to_light = light - p
@@ -134,8 +149,6 @@ class SurfaceNet(nn.Module):
         nh8 = nh.square().square().square()
         sine, cosine = torch.sin(4 * p), torch.cos(4 * p)
         lit, received = samples.lit[:, None].float(), nl.clamp(min=0) / squared
-        gathered, mirrored = baked.radiosity.around(samples, away, light)
-        mirrored = mirrored * fresnel(nv, base_color, self.config["metallic"])
         features = [
             p,
             sine,
@@ -173,14 +186,17 @@ class SurfaceNet(nn.Module):
         transport : (S, T) tensor
             Features of the grid ``transport``.
         """
-        b = column_major(self.bounced(concatenate([inputs.features, transport], 1))).split(3, 1)
-        diffuse = inputs.gathered * F.softplus(b[2] + 0.5) + 0.5 * F.softplus(b[0] - 4)
-        return diffuse, inputs.mirrored * F.softplus(b[3]) + 0.1 * F.softplus(b[1] - 5)
+        return corrected(self.corrections(inputs, transport), inputs.gathered, inputs.mirrored)
+
+    def corrections(self, inputs: "BounceInputs", transport: torch.Tensor) -> torch.Tensor:
+        """Evaluate the net of indirect light, (S, 12); parameters are those of `indirect`."""
+        return column_major(self.bounced(concatenate([inputs.features, transport], 1)))
 
     def shader(self, surface: Isosurface, device: torch.device | str = "cpu") -> Shader:
         """Return a function that shades samples of one surface.
 
-        Samples of one pixel share their indirect light, which is smooth.
+        Indirect light is smooth: samples of one pixel share it, and those of a square of pixels share the
+        net's correction, if they face nearly the same way and are all lit or all in shadow.
 
         Parameters
         ----------
@@ -194,18 +210,26 @@ class SurfaceNet(nn.Module):
 
         @torch.inference_mode()
         def shade(samples: SurfaceSamples, light: torch.Tensor, pixel: np.ndarray) -> torch.Tensor:
+            one, group, few, share = (
+                torch.from_numpy(index).to(device) for index in _shared(pixel, samples.lit, samples.normals)
+            )
             samples, light = samples.to(device), light.to(device)
             base_color, normals = baked.look_of(samples)
             direct = net.direct(samples, light, base_color, normals)
-            one, group = (torch.from_numpy(index).to(device) for index in _firsts(pixel))
-            bounced = []
-            for part in one.split(CHUNK):
-                each = samples.select(part)
-                looks = (take_rows(v, part) for v in (base_color, normals, direct))
-                inputs = net.bounce_inputs(baked, each, light, *looks)
-                bounced.append(net.indirect(inputs, column_major(each.interpolated(baked.transport))))
-            diffuse, glossy = (take_rows(concatenate(parts), group) for parts in zip(*bounced))
-            return (direct + base_color * diffuse + glossy).cpu()
+            each = samples.select(one)
+            looks = [take_rows(v, one) for v in (base_color, normals, direct)]
+            mirrored = net.mirrored(baked, each, light, *looks[:2])
+            parts = []
+            for part in few.split(CHUNK):
+                some = each.select(part)
+                gathered = baked.radiosity.gathered(some, light)
+                known = *(take_rows(v, part) for v in looks[1:]), gathered, take_rows(mirrored, part)
+                inputs = net.bounce_inputs(some, light, *known)
+                transport = column_major(some.interpolated(baked.transport))
+                parts.append(torch.cat([net.corrections(inputs, transport).mT, gathered.mT]))
+            shared = take_rows(torch.cat(parts, 1).mT, share)
+            diffuse, glossy = corrected(shared[:, :12], shared[:, 12:], mirrored)
+            return (direct + base_color * take_rows(diffuse, group) + take_rows(glossy, group)).cpu()
 
         return shade
 
@@ -278,6 +302,43 @@ class BounceInputs:
         return BounceInputs(features.float(), *radiances)
 
 
+def corrected(
+    corrections: torch.Tensor, gathered: torch.Tensor, mirrored: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return indirect light, as `SurfaceNet.indirect`, from the net's output (S, 12) and the radiances."""
+    b = corrections.split(3, 1)
+    diffuse = gathered * F.softplus(b[2] + 0.5) + 0.5 * F.softplus(b[0] - 4)
+    return diffuse, mirrored * F.softplus(b[3]) + 0.1 * F.softplus(b[1] - 5)
+
+
+def _shared(
+    pixel: np.ndarray, lit: torch.Tensor, normals: torch.Tensor
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Choose the samples whose indirect light serves others.
+
+    Returns
+    -------
+    one : (O,) int array
+        First of the samples of each pixel that are all lit or all in shadow.
+    group : (S,) int array
+        Index into ``one`` of each sample.
+    few : (P,) int array
+        First of ``one`` in each square of pixels that are all lit or all in shadow, and those that face
+        another way than it.
+    share : (O,) int array
+        Index into ``few`` of each of ``one``.
+    """
+    state, facing = lit.numpy(), normals.numpy().T
+    one, group = _firsts(2 * pixel + state)
+    square, leader = _firsts(2 * (pixel[one] // SQUARE) + state[one])
+    leader, facing = square[leader], facing.take(one, 1)
+    alone = (facing * facing.take(leader, 1)).sum(0) < ALIKE
+    evaluated = alone.copy()
+    evaluated[square] = True
+    number = np.cumsum(evaluated) - 1
+    return one, group, np.flatnonzero(evaluated), number[np.where(alone, np.arange(len(one)), leader)]
+
+
 def _firsts(groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the first row of each group, in order of rows, and each row's index into them."""
     rows = np.arange(len(groups))
@@ -296,5 +357,7 @@ def in_cube(points: torch.Tensor) -> torch.Tensor:
 
 def _mlp(inputs: int, width: int, outputs: int, depth: int) -> nn.Sequential:
     sizes = [inputs] + [width] * depth
-    hidden = [layer for a, b in itertools.pairwise(sizes) for layer in (nn.Linear(a, b), nn.ReLU())]
+    hidden = [
+        layer for a, b in itertools.pairwise(sizes) for layer in (nn.Linear(a, b), nn.ReLU(inplace=True))
+    ]
     return nn.Sequential(*hidden, nn.Linear(width, outputs))

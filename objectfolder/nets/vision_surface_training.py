@@ -193,7 +193,9 @@ def _gather(
         kept = torch.from_numpy(picked)
         samples = samples.select(kept)
         base_color, normals, direct = (take_rows(v, kept) for v in (base_color, normals, direct))
-        inputs = net.bounce_inputs(baked, samples, l, base_color, normals, direct)
+        gathered = baked.radiosity.gathered(samples, l)
+        mirrored = net.mirrored(baked, samples, l, base_color, normals)
+        inputs = net.bounce_inputs(samples, l, normals, direct, gathered, mirrored)
         bounced = inputs.features.half(), inputs.gathered, inputs.mirrored
         seen = chosen[picked]
         target = rgba[row[seen], column[seen], :3].astype(np.float32).clip(max=1)

@@ -235,6 +235,7 @@ class PixelRays:
         bottom: int,
     ):
         self.shape = bottom - top, right - left
+        self._odd = top % 2, left % 2
         self.origin = camera_to_world[:3, 3].astype(np.float32)  #: (3,), of all rays
         right_axis, up, backward = camera_to_world[:3, :3].T
         backward = backward / np.linalg.norm(backward)
@@ -250,6 +251,16 @@ class PixelRays:
         """Return the directions through the centres of all pixels; (P, 3) float32."""
         half = 0.5 * self._right + 0.5 * self._down
         return (self._rows[:, :, None] + (self._columns + half)[:, None]).reshape(3, -1).T
+
+    def by_squares(self, pixels: np.ndarray) -> np.ndarray:
+        """Return other numbers of pixels (K,): four from a multiple of four are a square of 2 x 2 pixels.
+
+        Squares begin at even rows and columns of the whole image.
+        """
+        row, column = np.divmod(pixels, self.shape[1])
+        row, column = row + self._odd[0], column + self._odd[1]
+        squares = (self.shape[1] + 2) // 2  # in a row
+        return 4 * (row // 2 * squares + column // 2) + 2 * (row % 2) + column % 2
 
     def through(self, pixels: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return the directions through positions within pixels; (K, 3) float32.

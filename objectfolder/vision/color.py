@@ -1,7 +1,5 @@
 """Conversion of linear radiance with alpha to the displayed and scored image."""
 
-from functools import reduce
-
 import numpy as np
 import torch
 
@@ -19,7 +17,7 @@ def on_white(rgba: torch.Tensor) -> torch.Tensor:
     shown = white.repeat(len(pixels), 3)
     # Encode foreground pixels only, since most are background; a large image in parts, to bound the memory.
     for part, into in zip(pixels.split(CHUNK), shown.split(CHUNK)):
-        drawn = reduce(torch.logical_or, (part != 0).unbind(1)).nonzero()[:, 0]
+        drawn = part[:, 3].nonzero()[:, 0]
         color = part.index_select(0, drawn)
         into.index_copy_(0, drawn, srgb.encode((color[:, :3] + (1 - color[:, 3:])).clamp(0, 1)))
     return shown.view(*rgba.shape[:-1], 3)

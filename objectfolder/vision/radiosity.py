@@ -62,13 +62,30 @@ class Radiosity:
         self._patches = torch.from_numpy(index.astype(np.int32))
         self._weights = torch.from_numpy((weights / weights.sum(1, keepdims=True)).astype(np.float32))
         self._seen = self._form_factors(tree, points, normals, directions)
+        self._sees = torch.from_numpy((np.diff(self._seen.indptr) > 0)[index].any(1))
         self._points, self._normals = (column_major(torch.from_numpy(v)) for v in (points, normals))
         self._solution = lru_cache(SOLVED)(self._solve)
 
-    def around(
-        self, samples: SurfaceSamples, away: torch.Tensor, light: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the diffuse light that samples receive from the rest of the surface, in units of radiance.
+    def gathered(self, samples: SurfaceSamples, light: torch.Tensor) -> torch.Tensor:
+        """Return the diffuse light of the surface that a white Lambertian surface reflects at samples.
+
+        Parameters
+        ----------
+        samples : SurfaceSamples
+        light : (3,) float32 tensor
+            Point light, unit frame; it gives a white surface at distance 1 a radiance of 1.
+
+        Returns
+        -------
+        (S, 3) float32 tensor, radiance, on the light's device
+        """
+        gathered, _ = self._solution(tuple(light.tolist()))
+        return self._at(gathered, samples.corners.cpu(), samples.weights.cpu()).to(light.device)
+
+    def mirrored(self, samples: SurfaceSamples, away: torch.Tensor, light: torch.Tensor) -> torch.Tensor:
+        """Return the diffuse light of the surface that a mirror reflects at samples.
+
+        No rays are cast from where no patch sees the surface, as on a convex object.
 
         Parameters
         ----------
@@ -76,30 +93,25 @@ class Radiosity:
         away : (S, 3) float32 tensor
             Mirrored viewing directions.
         light : (3,) float32 tensor
-            Point light, unit frame; it gives a white surface at distance 1 a radiance of 1.
+            As of `gathered`.
 
         Returns
         -------
-        gathered : (S, 3) float32 tensor
-            Its reflection by a white Lambertian surface.
-        mirrored : (S, 3) float32 tensor
-            Its reflection by a mirror, 0 where the mirrored ray hits nothing.
+        (S, 3) float32 tensor, radiance; 0 where the mirrored ray hits nothing
         """
-        device, samples = away.device, samples.to("cpu")
         _, outgoing = self._solution(tuple(light.tolist()))
-        starts = samples.points + START * self._surface.grid.spacing * samples.normals
-        ray, _, face, weights = self._surface.caster.intersect(starts.numpy(), away.cpu().numpy())
-        mirrored = torch.zeros(3, len(starts))
-        shown = self._at(
-            outgoing, torch.from_numpy(self._surface.faces.take(face, 0)), torch.from_numpy(weights)
+        vertex = _nearest(samples.corners.cpu(), samples.weights.cpu())
+        some = self._sees[vertex].nonzero()[:, 0]
+        points, normals, directions = (
+            take_rows(v.cpu(), some) for v in (samples.points, samples.normals, away)
         )
-        mirrored.index_copy_(1, torch.from_numpy(ray), shown.mT)
-        return self.gathered(samples, light).to(device), mirrored.mT.to(device)
-
-    def gathered(self, samples: SurfaceSamples, light: torch.Tensor) -> torch.Tensor:
-        """Return the first result of `around` alone, on the CPU."""
-        gathered, _ = self._solution(tuple(light.tolist()))
-        return self._at(gathered, samples.corners, samples.weights)
+        starts = points + START * self._surface.grid.spacing * normals
+        ray, _, face, weights = self._surface.caster.intersect(starts.numpy(), directions.numpy())
+        corners = torch.from_numpy(self._surface.faces.take(face, 0))
+        shown = self._at(outgoing, corners, torch.from_numpy(weights))
+        mirrored = torch.zeros(3, len(vertex))
+        mirrored.index_copy_(1, some[torch.from_numpy(ray)], shown.mT)
+        return mirrored.mT.to(away.device)
 
     def _solve(self, light: tuple[float, float, float]) -> tuple[torch.Tensor, torch.Tensor]:
         """Return light gathered by each patch, as if it were white, and its radiosity; (P, 3) each."""
@@ -118,7 +130,7 @@ class Radiosity:
 
     def _at(self, values: torch.Tensor, corners: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
         """Interpolate values (P, C) of patches at the nearest corners of triangles; (S, C)."""
-        vertex = corners.gather(1, weights.argmax(1, keepdim=True))[:, 0]
+        vertex = _nearest(corners, weights)
         rows = (table.index_select(0, vertex) for table in (self._patches, self._weights))
         return column_major(weighted_rows(values, *rows))
 
@@ -137,6 +149,11 @@ class Radiosity:
         patch = tree.query(_oriented(hits, met.numpy()))[1]
         share = np.full(len(ray), 1 / SIDE**2, np.float32)
         return sp.csr_matrix((share, (ray // SIDE**2, patch)), shape=(PATCHES, PATCHES))
+
+
+def _nearest(corners: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+    """Return the nearest corner of each triangle, (S,), from barycentric weights (S, 3)."""
+    return corners.gather(1, weights.argmax(1, keepdim=True))[:, 0]
 
 
 def _blockwise(points: np.ndarray) -> np.ndarray:

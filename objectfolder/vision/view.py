@@ -17,12 +17,15 @@ AXIS = (np.arange(SIDE, dtype=np.float32) + 0.5) / SIDE
 AROUND = np.delete(
     np.stack(np.meshgrid(AXIS, AXIS)).reshape(2, -1), OTHERS // 2, axis=1
 )  # x, y off the centre
-HALVINGS = 5  # bisections of the interval between two samples that contains a silhouette
+HALVINGS = 4  # bisections of the interval between two samples that contains a silhouette
 END = np.float32(1 / 64)  # pixels; a line that is hit this near to its end is covered up to the end
 TILE = 2**18  # pixels drawn at once, to bound the memory of a large image
 MARGIN = 2  # pixels around a tile that its own pixels depend on
 
-#: Samples, light (3,) and pixel (S,) of each sample -> linear radiance (S, 3).
+SQUARE = 4  # pixels of a square of 2 x 2
+
+#: Samples, light (3,) and pixel (S,) of each sample -> linear radiance (S, 3). ``pixel // SQUARE`` numbers
+#: squares of 2 x 2 pixels.
 Shader = Callable[[SurfaceSamples, torch.Tensor, np.ndarray], torch.Tensor]
 #: Colour (3, N), hit or coverage (N,), depth (N,) and normal (3, N) of N rays.
 Images = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -100,7 +103,7 @@ def _draw(
     pixel = np.concatenate([edges[ray // OTHERS], seen])
     if not len(pixel):
         return _shaped(images, rays.shape)
-    radiance = shade(fine.joined(centre), torch.from_numpy(light), pixel).numpy().T
+    radiance = shade(fine.joined(centre), torch.from_numpy(light), rays.by_squares(pixel)).numpy().T
     color[:, seen] = radiance[:, len(ray) :]
     if len(edges):
         found = _images(len(edges) * OTHERS)

@@ -10,7 +10,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_safetensors, write_safetensors
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.nets.vision_config import SurfaceConfig
-from objectfolder.nets.vision_surface import SurfaceNet
+from objectfolder.nets.vision_surface import ALIKE, SurfaceNet
 from objectfolder.nets.vision_surface_training import train_surface
 from objectfolder.vision.appearance import appearance_at
 from objectfolder.vision.bsdf import principled
@@ -18,7 +18,7 @@ from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere
 from objectfolder.vision.color import on_white
 from objectfolder.vision.scene import Scene
 from objectfolder.vision.trace import trace
-from objectfolder.vision.view import draw
+from objectfolder.vision.view import SQUARE, draw
 
 SIZE = {"levels": 3, "features": 2, "table_bits": 12, "coarsest": 4, "finest": 24, "width": 16}
 LOOK = {"roughness": 0.4, "metallic": 0.1}
@@ -87,12 +87,31 @@ def test_a_light_on_the_surface_gives_a_finite_picture(ball, samples, net):
 
 
 def test_samples_of_a_pixel_share_what_bounces_and_nothing_else(ball, samples, net):
-    shade = net.shader(ball)
-    alone = shade(samples, LIGHT, np.arange(len(samples.points)))
-    together = shade(samples, LIGHT, np.arange(len(samples.points)) // 2)
+    shade, number = net.shader(ball), np.arange(len(samples.points))
+    alone = shade(samples, LIGHT, SQUARE * number)
+    together = shade(samples, LIGHT, SQUARE * (number // 2))
     torch.testing.assert_close(together[::2], alone[::2])
     direct = net.direct(samples, LIGHT, *net.bake(ball).look_of(samples))
     assert (together > direct).all()
+
+
+def test_pixels_of_a_square_share_the_net_if_they_are_alike(ball, samples, net, monkeypatch):
+    count = len(samples.points)
+    order = samples.points[:, 0].argsort()
+    samples, number = samples.select(order), np.arange(count)
+    evaluated = []
+    monkeypatch.setattr(
+        SurfaceNet, "corrections", lambda self, i, t: evaluated.append(i) or torch.zeros(len(t), 12)
+    )
+    net.shader(ball)(samples, LIGHT, number)
+    facing = torch.cat([inputs.features[:, 18:21] for inputs in evaluated])
+    leaders, row = {}, 0
+    for i, (normal, lit) in enumerate(zip(samples.normals, samples.lit.tolist())):
+        leader = leaders.setdefault((i // SQUARE, lit), normal)
+        if leader is normal or leader @ normal < ALIKE:
+            torch.testing.assert_close(facing[row], normal)
+            row += 1
+    assert count / SQUARE < row == len(facing) < count
 
 
 def test_a_shader_on_a_device_answers_alike_and_leaves_the_net_alone(ball, samples, net):

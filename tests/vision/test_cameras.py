@@ -147,3 +147,15 @@ def test_rays_of_part_of_an_image_are_its_rays_at_unit_depth(rng):
         np.testing.assert_array_equal(origins, np.broadcast_to(rays.origin, origins.shape))
         np.testing.assert_allclose(found / np.linalg.norm(found, axis=1, keepdims=True), expected, atol=5e-7)
         np.testing.assert_allclose(found @ -pose[:3, 2], 1, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("left", "top", "right", "bottom"), [(0, 0, 9, 7), (3, 2, 8, 7), (4, 5, 9, 6), (5, 3, 6, 4)]
+)
+def test_squares_of_pixels_are_those_of_the_whole_image(left, top, right, bottom):
+    rays = PixelRays(np.eye(4), Intrinsics(9, 7, 9.0), left, top, right, bottom)
+    row, column = np.mgrid[top:bottom, left:right].reshape(2, -1)
+    number = rays.by_squares(np.arange(row.size))
+    assert len(set(number)) == len(number)
+    same = (row[:, None] // 2 == row // 2) & (column[:, None] // 2 == column // 2)
+    np.testing.assert_array_equal(number[:, None] // 4 == number // 4, same)

@@ -37,7 +37,7 @@ def samples_in(surface: Isosurface, eye: list[float], light: torch.Tensor) -> Su
 
 def around(radiosity: Radiosity, samples: SurfaceSamples, light: torch.Tensor):
     away = samples.directions - 2 * dot(samples.directions, samples.normals) * samples.normals
-    return radiosity.around(samples, away, light)
+    return radiosity.gathered(samples, light), radiosity.mirrored(samples, away, light)
 
 
 @pytest.mark.parametrize("light", [[0, 0, 0], [0.15, 0.1, -0.1]])
@@ -62,12 +62,16 @@ def test_the_wall_shows_in_a_mirror_what_it_gives_off(cavity):
     torch.testing.assert_close(mirrored, expected.expand_as(mirrored), rtol=0.05, atol=0)
 
 
-def test_a_convex_object_receives_nothing_from_itself():
+def test_a_convex_object_receives_nothing_from_itself(monkeypatch):
     ball = isosurface(sphere(0.45, 4), 64)
     light = torch.tensor([0.3, 0.5, 1.0])
     axis = np.float32([[-1, 0, 0], [-1, 0.1, 0], [-1, 0, 0.15]])
     samples = trace(ball, np.float32([2, 0, 0]), axis, light.numpy())
-    gathered, mirrored = around(Radiosity(ball, gray), samples, light)
+    radiosity, cast = Radiosity(ball, gray), []
+    intersect = ball.caster.intersect
+    monkeypatch.setattr(ball.caster, "intersect", lambda *rays: cast.append(len(rays[1])) or intersect(*rays))
+    gathered, mirrored = around(radiosity, samples, light)
+    assert sum(cast) == 0
     assert gathered.abs().max() < 1e-3
     assert mirrored.abs().max() == 0
 
