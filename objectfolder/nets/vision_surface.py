@@ -218,17 +218,15 @@ class SurfaceNet(nn.Module):
             direct = net.direct(samples, light, base_color, normals)
             each = samples.select(one)
             looks = [take_rows(v, one) for v in (base_color, normals, direct)]
-            mirrored = net.mirrored(baked, each, light, *looks[:2])
-            parts = []
+            gathered = baked.radiosity.gathered(each, light)
+            radiances = gathered, net.mirrored(baked, each, light, *looks[:2])
+            corrections = []
             for part in few.split(CHUNK):
                 some = each.select(part)
-                gathered = baked.radiosity.gathered(some, light)
-                known = *(take_rows(v, part) for v in looks[1:]), gathered, take_rows(mirrored, part)
-                inputs = net.bounce_inputs(some, light, *known)
-                transport = column_major(some.interpolated(baked.transport))
-                parts.append(torch.cat([net.corrections(inputs, transport).mT, gathered.mT]))
-            shared = take_rows(torch.cat(parts, 1).mT, share)
-            diffuse, glossy = corrected(shared[:, :12], shared[:, 12:], mirrored)
+                values = (take_rows(v, part) for v in (*looks[1:], *radiances))
+                inputs = net.bounce_inputs(some, light, *values)
+                corrections.append(net.corrections(inputs, column_major(some.interpolated(baked.transport))))
+            diffuse, glossy = corrected(take_rows(concatenate(corrections), share), *radiances)
             return (direct + base_color * take_rows(diffuse, group) + take_rows(glossy, group)).cpu()
 
         return shade
