@@ -6,7 +6,6 @@ import torch
 from objectfolder.touch.arrays import Array, array_library, zeros
 from objectfolder.touch.camera import gel_depth, ray_directions
 from objectfolder.touch.filters import blur, convolve, gaussian_weights, neighbours
-from objectfolder.touch.photographs import read_photograph
 from objectfolder.touch.profiles import SensorProfile
 from objectfolder.touch.shading import shade, unit_components
 
@@ -49,6 +48,8 @@ class Optics:
         maps = np.stack([rays[..., 1], rays[..., 2], gel, along_y, along_z])
         self._maps = self._array(torch.from_numpy(maps))
         if profile.background_image:
+            from objectfolder.touch.photographs import read_photograph  # loads PIL
+
             background = read_photograph(profile.background_image, profile)
         else:
             background = _synthetic_background(profile)
