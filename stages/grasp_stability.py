@@ -2,7 +2,8 @@
 
 from objectfolder.benchmarks.datasets.grasps import Grasps
 from objectfolder.benchmarks.params import object_keys, task_params
-from objectfolder.benchmarks.tasks.grasp_stability import GRASP_STABILITY, GraspStabilityConfig
+from objectfolder.benchmarks.tasks.grasp_stability import GRASP_STABILITY
+from objectfolder.benchmarks.tasks.grasp_stability_config import GraspStabilityConfig
 from objectfolder.benchmarks.tasks.running import SplitRun, run_benchmark
 from objectfolder.workspace.layout import Benchmarks
 from stages import run

@@ -1,12 +1,16 @@
 """Locks, licences and extras agree."""
 
 import re
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+
+from objectfolder.workspace.params import SECTIONS
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -69,3 +73,25 @@ def test_every_locked_package_has_its_licence():
     explained = LICENCES.partition("## All packages")[0]
     assert all(f"| {name} |" in explained for name in gpl)
     assert not [name for name, *_, users in rows if name in gpl and "base" in users]
+
+
+WITHOUT_EXTRAS = """
+import sys
+
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {missing!r}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+
+sys.meta_path.insert(0, Missing())
+from objectfolder.workspace.params import SECTIONS, section_config
+print(len([section_config(name) for name in SECTIONS]))
+"""
+
+
+def test_parameters_are_checked_without_the_extras_that_a_build_does_not_need():
+    """`make demo` installs the extra ``build`` alone."""
+    missing = ["coacd", "gymnasium", "mujoco", "ray", "sb3_contrib", "sklearn", "stable_baselines3", "vtk"]
+    script = WITHOUT_EXTRAS.format(missing=missing)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT)
+    assert done.stdout == f"{len(SECTIONS)}\n", done.stderr

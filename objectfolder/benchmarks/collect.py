@@ -21,7 +21,7 @@ from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace.layout import Benchmarks, Build
 
 if TYPE_CHECKING:
-    from objectfolder.benchmarks.datasets.grasp_data import GraspDataConfig
+    from objectfolder.benchmarks.datasets.grasp_config import GraspDataConfig
 
 #: Wraps an iteration in a progress bar, given its description and length.
 Tracker = Callable[[Iterable[Any], str, int], Iterable[Any]]

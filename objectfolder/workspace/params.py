@@ -48,10 +48,10 @@ SECTIONS = {
     "retrieve": "objectfolder.benchmarks.tasks.retrieval:RetrieveConfig",
     "reconstruct": "objectfolder.benchmarks.tasks.reconstruction:ReconstructConfig",
     "decompose": "objectfolder.envs.hulls:DecomposeConfig",
-    "grasp_data": "objectfolder.benchmarks.datasets.grasp_data:GraspDataConfig",
-    "grasp_stability": "objectfolder.benchmarks.tasks.grasp_stability:GraspStabilityConfig",
-    "grasp_policy": "objectfolder.benchmarks.models.trpo:GraspPolicyConfig",
-    "reach": "objectfolder.benchmarks.models.ppo:ReachConfig",
+    "grasp_data": "objectfolder.benchmarks.datasets.grasp_config:GraspDataConfig",
+    "grasp_stability": "objectfolder.benchmarks.tasks.grasp_stability_config:GraspStabilityConfig",
+    "grasp_policy": "objectfolder.benchmarks.models.trpo_config:GraspPolicyConfig",
+    "reach": "objectfolder.benchmarks.models.ppo_config:ReachConfig",
 }
 #: Stages of single objects that every build runs.
 OBJECT_STAGES = (

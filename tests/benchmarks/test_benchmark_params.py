@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from objectfolder.benchmarks.params import object_keys, splits_of, task_params
-from objectfolder.benchmarks.tasks.grasp_stability import GraspStabilityConfig
+from objectfolder.benchmarks.tasks.grasp_stability_config import GraspStabilityConfig
 from objectfolder.errors import ObjectFolderError
 from objectfolder.workspace.check import check_all
 from objectfolder.workspace.params import TASKS, check_key, read, section_config, settings

@@ -132,10 +132,10 @@ MAX_MODULES = {
     "retrieve": 23,
     "reconstruct": 87,
     "decompose": 69,
-    "grasp_data": 85,
-    "grasp_stability": 23,
-    "grasp_policy": 99,
-    "reach": 91,
+    "grasp_data": 86,
+    "grasp_stability": 24,
+    "grasp_policy": 100,
+    "reach": 92,
 }
 
 

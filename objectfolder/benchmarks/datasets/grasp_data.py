@@ -5,12 +5,12 @@ import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import torch
-from annotated_types import Ge, Interval, MultipleOf
 
+from objectfolder.benchmarks.datasets.grasp_config import GraspDataConfig
 from objectfolder.benchmarks.datasets.grasps import ARRAYS, FORMAT, OPTIONAL, RECORD
 from objectfolder.benchmarks.datasets.samples import array_path, object_digest
 from objectfolder.disk import enough_space
@@ -42,21 +42,6 @@ ATTEMPTS = 20000  #: consecutive colliding poses before an object is given up
 EMPTY = 10  #: consecutive batches without contact of both pads before it is
 
 Report = Callable[[int, int], None]
-
-
-@dataclass(frozen=True, kw_only=True)
-class GraspDataConfig:
-    """Section ``grasp_data`` of ``params.yaml``: grasps to collect of each object."""
-
-    grasps: Annotated[int, Ge(10), MultipleOf(10)]
-    perturbations: Annotated[int, Ge(0)]  #: perturbed repetitions of each grasp for the soft label
-    image: Annotated[int, Ge(8)]  #: side of the camera's pictures, pixels
-    touch: tuple[int, int]  #: height and width of tactile images, pixels; the sensor's: 160, 120
-    timestep: Annotated[float, Interval(gt=0, le=0.004)] = Physics.timestep  #: of the simulation, s
-
-    def bytes(self, explicit: bool) -> int:
-        """Return the size of the images of a grasp."""
-        return 3 * (self.image**2 + 2 * (1 + explicit) * self.touch[0] * self.touch[1])
 
 
 @dataclass(frozen=True)

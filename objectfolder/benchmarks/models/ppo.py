@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import cast
 
@@ -15,10 +15,10 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from objectfolder.benchmarks.models.actor import CLIP, Actor
+from objectfolder.benchmarks.models.ppo_config import ReachConfig
 from objectfolder.benchmarks.models.training import read_checkpoint
 from objectfolder.io import atomic
 from objectfolder.seeding import numpy_generator
-from objectfolder.settings import Batch, Count, Discount, Positive
 
 ROUNDS = 10  #: rollouts and updates of a part, after which the policy is validated and kept
 SOLVED = 2  #: parts in a row without a failure in validation, after which training stops
@@ -28,24 +28,6 @@ VARIANCE_FLOOR = 1e-4
 FORMAT = "objectfolder PPO 1"  #: of a checkpoint
 
 Figures = tuple[float, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReachConfig:
-    """Section ``reach`` of ``params.yaml``; names as in Schulman et al. 2017."""
-
-    seeds: Count  #: trainings
-    steps: Count  #: greatest number of control steps of a training
-    horizon: Count  #: control steps (12.5 ms) of an episode
-    goals: Count  #: of the test, and as many others of the validation
-    environments: Count  #: in parallel
-    rollout: Count  #: control steps in each environment between updates
-    batch: Batch
-    epochs: Count  #: over each rollout
-    learning_rate: Positive  #: at the start; falls linearly to 0 at ``steps``
-    discount: Discount  #: gamma, per control step
-    width: Count  #: of both hidden layers
-    log_deviation: float  #: natural logarithm of the initial standard deviation of actions
 
 
 def train_ppo(

@@ -2,50 +2,27 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import gymnasium
 import numpy as np
 import torch
-from annotated_types import Ge, Interval, MultipleOf
 from sb3_contrib import TRPO
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv
 
 from objectfolder.benchmarks.models.actor import Actor
 from objectfolder.benchmarks.models.training import read_checkpoint
+from objectfolder.benchmarks.models.trpo_config import GraspPolicyConfig
 from objectfolder.envs.grasp_task import STEPS
 from objectfolder.io import atomic
 from objectfolder.seeding import numpy_generator
-from objectfolder.settings import Batch, Count, Discount, Positive
 
 FORMAT = "objectfolder TRPO 1"  #: of a checkpoint
 
 Vector = gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]
-
-
-@dataclass(frozen=True, kw_only=True)
-class GraspPolicyConfig:
-    """Section ``grasp_policy`` of ``params.yaml``: TRPO with the constants of supplementary I.4."""
-
-    seeds: Count  #: trainings
-    episodes: Count  #: of a training
-    environments: Count  #: episodes in parallel
-    rollout: Annotated[int, Ge(2), MultipleOf(2)]  #: steps in each environment between updates
-    updates: Count  #: between validations; the policy is saved after each
-    patience: Count  #: validations without an improvement after which training stops
-    batch: Batch  #: of the value function
-    learning_rate: Positive  #: of the value function
-    discount: Discount  #: gamma
-    gae: Annotated[float, Interval(ge=0, le=1)]  #: lambda of generalised advantage estimation
-    damping: Positive  #: alpha of the conjugate gradients
-    divergence: Positive  #: delta, KL divergence of an update
-    width: Count  #: of both hidden layers
-    log_deviation: float  #: natural logarithm of the initial standard deviation of actions
-    rollouts: Count  #: episodes of the test, and as many others of the validation
-    presses: Count  #: poses at which both fingers' features are kept
 
 
 class StableVector(VecEnv):

@@ -3,27 +3,26 @@
 import copy
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Any, cast
 
 import numpy as np
 import torch
-from annotated_types import Ge, MinLen
 from sklearn.metrics import balanced_accuracy_score, roc_auc_score
 from torch import nn
 
 from objectfolder.benchmarks.datasets.grasps import Grasps
 from objectfolder.benchmarks.models.encoders import encoder_inputs
 from objectfolder.benchmarks.models.grasp_baselines import baselines
-from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig, shuffled
+from objectfolder.benchmarks.models.training import EpochPoint, shuffled
 from objectfolder.benchmarks.scoring.scores import accuracy, interval_95, wilson_95
+from objectfolder.benchmarks.tasks.grasp_stability_config import GraspStabilityConfig
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.running import Task
 from objectfolder.errors import ObjectFolderError
 from objectfolder.seeding import numpy_generator, seeded
-from objectfolder.settings import Count
 
 #: Input array of each stream of the net, V or T, by variant. Touches are simulated with Object Files or, if
 #: "explicit", with the ground truth of the same contacts.
@@ -51,24 +50,6 @@ CURVE_COLUMNS = ("size", "seed", "variant", "epoch", "train_loss", "val_accuracy
 FUSION_RATE = 0.1  #: learning rate of trained streams relative to new ones
 
 Inputs = dict[str, torch.Tensor]  #: by stream
-
-
-@dataclass(frozen=True, kw_only=True)
-class GraspStabilityConfig(TrainingConfig):
-    """Section ``grasp_stability`` of ``params.yaml``."""
-
-    seeds: Count  #: runs whose mean is the result
-    #: Training set sizes in grasps, ascending; sizes beyond the available grasps are replaced by all of them.
-    sizes: Annotated[tuple[Annotated[int, Ge(2)], ...], MinLen(1)]
-    epoch_grasps: Count  #: smaller training sets are repeated within an epoch until it has so many grasps
-    fusion_epochs: Count  #: of vision and touch together, after each was trained alone
-    hidden: Count  #: units between both fully connected layers, for each of vision and touch
-    touch: tuple[int, int]  #: height and width that touches are averaged to, instead of those of ``encode``
-
-    def __post_init__(self) -> None:
-        """Check the order of the sizes."""
-        if list(self.sizes) != sorted(set(self.sizes)):
-            raise ValueError(f"sizes: expected ascending numbers, none twice, got {list(self.sizes)}")
 
 
 class StabilityNet(nn.Module):

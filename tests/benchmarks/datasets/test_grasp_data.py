@@ -21,7 +21,7 @@ from objectfolder.envs.poses import rotation
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 
-WANTED = GraspDataConfig(grasps=10, perturbations=1, image=24, touch=(16, 12))
+WANTED = GraspDataConfig(grasps=10, perturbations=1, image=24, touch=(16, 12), timestep=0.002)
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from objectfolder.benchmarks.models.actor import Actor
-from objectfolder.benchmarks.models.trpo import GraspPolicyConfig
+from objectfolder.benchmarks.models.trpo_config import GraspPolicyConfig
 from objectfolder.benchmarks.reporting.tables import grasping_table
 from objectfolder.benchmarks.tasks.grasp_policy import CURVE_COLUMNS, grasp_policy, rollout_successes
 from objectfolder.benchmarks.tasks.robots import RobotJob

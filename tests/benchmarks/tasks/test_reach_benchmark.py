@@ -13,7 +13,8 @@ from typer.testing import CliRunner
 
 from objectfolder.benchmarks.models import ppo
 from objectfolder.benchmarks.models.actor import Actor
-from objectfolder.benchmarks.models.ppo import ReachConfig, train_ppo
+from objectfolder.benchmarks.models.ppo import train_ppo
+from objectfolder.benchmarks.models.ppo_config import ReachConfig
 from objectfolder.benchmarks.params import RobotParams, robot_params
 from objectfolder.benchmarks.reporting.tables import reach_table
 from objectfolder.benchmarks.tasks.reach import (

@@ -1,0 +1,21 @@
+"""Settings of the collection of grasps: section ``grasp_data`` of ``params.yaml``."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from annotated_types import Ge, Interval, MultipleOf
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraspDataConfig:
+    """Section ``grasp_data`` of ``params.yaml``: grasps to collect of each object."""
+
+    grasps: Annotated[int, Ge(10), MultipleOf(10)]
+    perturbations: Annotated[int, Ge(0)]  #: perturbed repetitions of each grasp for the soft label
+    image: Annotated[int, Ge(8)]  #: side of the camera's pictures, pixels
+    touch: tuple[int, int]  #: height and width of tactile images, pixels; the sensor's: 160, 120
+    timestep: Annotated[float, Interval(gt=0, le=0.004)]  #: of the simulation, s
+
+    def bytes(self, explicit: bool) -> int:
+        """Return the size of the images of a grasp."""
+        return 3 * (self.image**2 + 2 * (1 + explicit) * self.touch[0] * self.touch[1])
