@@ -12,6 +12,7 @@ import logging
 import os
 import re
 import runpy
+import shutil
 import signal
 import socket
 import subprocess
@@ -62,9 +63,10 @@ class Starter:
         self.usable = True
         self._known: set[str] = set()
         self._control, control = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        python = shutil.which("python", path=env.get("PATH")) or sys.executable  # as a shell finds it
         with control:
             self._process = subprocess.Popen(
-                [sys.executable, "-c", BOOT, PROJECT, str(os.getpid()), str(control.fileno())],
+                [python, "-c", BOOT, PROJECT, str(os.getpid()), str(control.fileno())],
                 env=env,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
