@@ -62,6 +62,7 @@ class Starter:
     def __init__(self, env: Mapping[str, str]):
         self.usable = True
         self._known: set[str] = set()
+        self._parsing = threading.Lock()
         self._control, control = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         python = shutil.which("python", path=env.get("PATH")) or sys.executable  # as a shell finds it
         with control:
@@ -89,7 +90,8 @@ class Starter:
         module = line.split()[2]
         libraries: list[str] = []
         if module not in self._known:
-            with suppress(OSError, SyntaxError, ValueError):  # the stage itself will say so
+            # One thread at a time: Python 3.11 counts the depth of its parser for all threads together.
+            with self._parsing, suppress(OSError, SyntaxError, ValueError):  # the stage itself will say so
                 libraries = _libraries(f"{module.replace('.', '/')}.py", command.cwd)
             self._known.add(module)
         cwd = str(command.cwd)
