@@ -9,7 +9,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 from objectfolder.errors import ObjectFolderError, shortened
 
 # No others: Pillow passes some to programs, such as EPS to Ghostscript.
-PICTURE_FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "TIFF")
+PICTURE_FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "TIFF")  #: that are opened
 MAX_SIDE = 8192  #: pixels, of a square picture; others may have as many pixels
 
 
