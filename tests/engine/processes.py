@@ -51,3 +51,21 @@ def meanwhile(action):
     finally:
         thread.join(60)
     assert not problems
+
+
+#: Code for a process that is to die before the n-th change of a file below a folder.
+DIE_AT_A_CHANGE = """
+def die_at_a_change(left, number, root):
+    import os, sys
+
+    def count(event, arguments):
+        nonlocal left
+        writes = event == "open" and arguments[2] & (os.O_WRONLY | os.O_RDWR)
+        if writes or event in ("os.rename", "os.remove", "os.rmdir", "os.mkdir", "os.chmod", "os.link"):
+            if isinstance(arguments[0], str) and os.path.abspath(arguments[0]).startswith(root):
+                left -= 1
+                if left == 0:
+                    os.kill(os.getpid(), number)
+
+    sys.addaudithook(count)
+"""

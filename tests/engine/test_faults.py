@@ -17,7 +17,7 @@ from objectfolder.engine.verify import verify
 from objectfolder.errors import ObjectFolderError
 
 from .conftest import KEYS, everything
-from .processes import alive, meanwhile, start, started, wait_for
+from .processes import DIE_AT_A_CHANGE, alive, meanwhile, start, started, wait_for
 
 OTHERS = sorted(set(everything()) - {"solve@mug", "pack@mug"})
 
@@ -107,32 +107,25 @@ stages:
 """
 
 # Dies before its n-th change of a file of the workspace; `finished` names the stages that it has reported.
-MORTAL = """
+MORTAL = (
+    DIE_AT_A_CHANGE
+    + """
 import os, signal, sys
 from objectfolder.engine import build
 from objectfolder.engine.dvc import lockfile
 from objectfolder.engine.summary import Finished, StageOutcome
 
 lockfile.PERIOD = lockfile.PERIOD_PER_WRITE = 0.0  # dvc.lock is written after every stage
-left, root = int(sys.argv[1]), os.getcwd()
 report = os.open("finished", os.O_WRONLY | os.O_APPEND | os.O_CREAT)
-
-def count(event, arguments):
-    global left
-    writes = event == "open" and arguments[2] & (os.O_WRONLY | os.O_RDWR)
-    if writes or event in ("os.rename", "os.remove", "os.rmdir", "os.mkdir", "os.chmod", "os.link"):
-        if isinstance(arguments[0], str) and os.path.abspath(arguments[0]).startswith(root):
-            left -= 1
-            if left == 0:
-                os.kill(os.getpid(), signal.SIGKILL)
 
 def on_event(event):
     if isinstance(event, Finished) and event.result.status is not StageOutcome.FAILED:
         os.write(report, f"{event.result.address}\\n".encode())
 
-sys.addaudithook(count)
+die_at_a_change(int(sys.argv[1]), signal.SIGKILL, os.getcwd())
 assert build.build(options=build.BuildOptions(jobs=2), on_event=on_event).ok
 """
+)
 
 
 def test_engine_killed_at_any_change_of_a_file_loses_nothing_that_has_finished(make_workspace):

@@ -26,6 +26,7 @@ from objectfolder.engine.summary import Finished, StageOutcome, Started
 from objectfolder.engine.verify import verify
 
 from . import tiny_project
+from .processes import DIE_AT_A_CHANGE
 from .tiny_project import KEYS, LIBRARY, STAGES, VERSIONS, Sources
 
 FUZZING = settings.get_current_profile_name() == "fuzz"
@@ -42,7 +43,9 @@ EDITS = st.one_of(
 )
 
 #: Dies before its n-th change of a file; stages may stop it with `HALT`.
-MORTAL = """
+MORTAL = (
+    DIE_AT_A_CHANGE
+    + """
 import os, signal, sys
 from objectfolder.engine import build
 from objectfolder.engine.dvc import lockfile
@@ -51,18 +54,10 @@ lockfile.PERIOD = lockfile.PERIOD_PER_WRITE = 0.0  # dvc.lock is written after e
 left, number, root = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
 os.environ |= {"ENGINE": str(os.getpid()), "SIGNAL": str(number)}
 
-def count(event, arguments):
-    global left
-    writes = event == "open" and arguments[2] & (os.O_WRONLY | os.O_RDWR)
-    if writes or event in ("os.rename", "os.remove", "os.rmdir", "os.mkdir", "os.chmod", "os.link"):
-        if isinstance(arguments[0], str) and os.path.abspath(arguments[0]).startswith(root):
-            left -= 1
-            if left == 0:
-                os.kill(os.getpid(), number)
-
-sys.addaudithook(count)
+die_at_a_change(left, number, root)
 build.build(options=build.BuildOptions(jobs=1), root=root)
 """
+)
 #: What a build may do after what was said.
 MEANING = {
     Outlook.SKIP: {StageOutcome.SKIPPED},
