@@ -15,7 +15,7 @@ from objectfolder.audio.tuning import Tuning, retune, stored_modes
 from objectfolder.checks import finite_number, one_of, require_memory
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material
-from objectfolder.objectfile.reading import StoredNet, report_damage
+from objectfolder.objectfile.reading import StoredNet, damaged_net, report_damage
 
 _BATCH = 1024  # strikes whose mode shapes are in memory at once
 _BYTES_PER_SAMPLE = 8  # of an answer, while it is made
@@ -168,7 +168,10 @@ class ModalSense:
     def mode_shapes(self, points: np.ndarray, tolerance: float) -> np.ndarray:
         """Return mass-normalised mode shapes, kg^-1/2; (N, 3, M) float32."""
         snapped = self._surface.to_unit(self._surface.snap(points, tolerance))
-        return self.net.shapes(torch.from_numpy(snapped)).cpu().numpy()
+        shapes = self.net.shapes(torch.from_numpy(snapped)).cpu().numpy()
+        if not np.isfinite(shapes).all():
+            raise damaged_net(self._stored.key, "audio")
+        return shapes
 
     def impact(
         self, points: np.ndarray, impulses: np.ndarray, settings: SoundSettings, tolerance: float
@@ -257,6 +260,8 @@ class SpectrogramSense:
         for sound, point, force in zip(sounds, places, torch.from_numpy(impulses).float()):
             spectrum = (self.net.spectrograms(point[None])[0].cpu() * force[:, None, None]).sum(0)
             sound[:] = sounds_of(spectrum[None])[0, :samples].numpy()
+        if not np.isfinite(sounds).all():
+            raise damaged_net(self._key, "audio")
         return sounds
 
     def _no_modes(self) -> ObjectFolderError:

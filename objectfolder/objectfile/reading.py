@@ -34,6 +34,13 @@ def report_damage(key: str, part: str) -> Iterator[None]:
         raise ObjectFolderError(f"{key}: the stored {part} is damaged ({error}); rebuild it") from error
 
 
+def damaged_net(key: str, part: str) -> ObjectFolderError:
+    """Return the error of a net whose answers are not finite."""
+    return ObjectFolderError(
+        f"{key}: the stored {part} net is damaged: it gives values that are not finite; rebuild it"
+    )
+
+
 @dataclass(frozen=True)
 class StoredNet:
     """One net as it is stored, and the object that it belongs to."""

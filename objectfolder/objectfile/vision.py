@@ -11,10 +11,10 @@ import torch
 from objectfolder.checks import real_array, require_memory
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.arguments import Rows, broadcast_rows, finite_rows
-from objectfolder.objectfile.reading import StoredNet, once, report_damage
+from objectfolder.objectfile.reading import StoredNet, damaged_net, once, report_damage
 from objectfolder.vision.cameras import FARTHEST, Intrinsics, look_at, require_rigid
 from objectfolder.vision.color import on_white
-from objectfolder.vision.picture import Drawer, Views
+from objectfolder.vision.picture import Drawer, Picture, Views
 from objectfolder.vision.view import Shader, draw
 
 _CHUNK = 2**17  # points whose base colours are evaluated at once
@@ -42,10 +42,10 @@ def vision_sense(stored: StoredNet) -> VisionSense:
     if stored.kind == "osf":
         from objectfolder.nets.vision_osf import OsfNet
 
-        return VolumeSense(stored.load(OsfNet).picture)
+        return VolumeSense(stored.load(OsfNet).picture, stored.key)
     from objectfolder.nets.released.registry import released_net
 
-    return VolumeSense(stored.load(released_net(stored.kind)).picture)
+    return VolumeSense(stored.load(released_net(stored.kind)).picture, stored.key)
 
 
 class SurfaceSense:
@@ -66,7 +66,8 @@ class SurfaceSense:
 
     def drawer(self, supersample: bool) -> Drawer:
         """Return the function that draws views."""
-        return partial(draw, self._stored.surface.read(), self._shader, supersample=supersample)
+        picture = partial(draw, self._stored.surface.read(), self._shader, supersample=supersample)
+        return _checked(picture, self._stored.key)
 
     @torch.no_grad()
     def base_colors(self, points: np.ndarray) -> np.ndarray:
@@ -87,12 +88,24 @@ class VolumeSense:
 
     base_colors = None
 
-    def __init__(self, picture: Drawer):
-        self._picture = picture
+    def __init__(self, picture: Drawer, key: str):
+        self._picture = _checked(picture, key)
 
     def drawer(self, supersample: bool) -> Drawer:
         """Return the function that draws views, the same with and without supersampling."""
         return self._picture
+
+
+def _checked(drawer: Drawer, key: str) -> Drawer:
+    """Return a drawer that refuses pictures that are not finite: weights of a damaged net can overflow."""
+
+    def draw_checked(pose: np.ndarray, light: np.ndarray, intrinsics: Intrinsics) -> Picture:
+        picture = drawer(pose, light, intrinsics)
+        if not (np.isfinite(picture.rgba).all() and np.isfinite(picture.normals).all()):
+            raise damaged_net(key, "vision")
+        return picture
+
+    return draw_checked
 
 
 def view_images(drawer: Drawer, camera: Rows, light: Rows, intrinsics: Intrinsics) -> np.ndarray:

@@ -91,6 +91,22 @@ def test_a_changed_file_is_refused_or_answers_finitely(
     refused_or_finite(path)
 
 
+@pytest.mark.parametrize(
+    ("tensor", "value", "question"),
+    [
+        ("vision.grid.factors", 2e38, lambda file: file.view([[1.5, 1.0, 1.0]], [[0.5, 0.5, 0.9]], 8)),
+        ("vision.grid.factors", 2e38, lambda file: file.render([[1.5, 1.0, 1.0]], [[0.5, 0.5, 0.9]], 8)),
+        ("audio.output.weight_exponent", 127, lambda file: file.mode_shapes([[0, 0, 0.015]])),
+    ],
+)
+def test_weights_that_overflow_are_damage(brick_path, tmp_path, tensor, value, question):
+    tensors, header = read_safetensors(brick_path)
+    tensors[tensor] = np.full_like(tensors[tensor], value)
+    write_safetensors(tmp_path / "file.safetensors", tensors, header)
+    with pytest.raises(ObjectFolderError, match="is damaged: it gives values that are not finite"):
+        question(ObjectFile.load(tmp_path / "file.safetensors"))
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_every_number_of_a_header_is_refused_or_answers_finitely(brick_path, tmp_path, two_gigabytes_more):
