@@ -21,9 +21,6 @@ from objectfolder.errors import ObjectFolderError, shortened
 
 MAX_BYTES = 2**30  #: size limit of a safetensors file; a thousand times that of an Object File
 MAX_HEADER = 2**20  #: length limit of its JSON header, characters
-MAX_YAML = 2**24  #: size limit of a YAML file, characters, with a copy for each alias
-MAX_SCALAR = 2000  #: length limit of a value in it, characters
-MAX_NESTING = 50  #: limit of collections in each other
 #: Numpy's names of the types of tensors.
 DTYPES = {"BOOL": "?", "F64": "<f8", "F32": "<f4", "F16": "<f2"} | {
     f"{sign}{8 * size}": f"<{sign.lower()}{size}" for sign in "IU" for size in (1, 2, 4, 8)
@@ -167,87 +164,6 @@ def read_json(path: str | Path) -> Any:
         return json.loads(path.read_text())
     except ValueError as error:
         raise ObjectFolderError(f"{path} is damaged ({error}); delete it and rebuild") from error
-
-
-def read_yaml(path: str | Path) -> Any:
-    """Read a YAML file; otherwise as `checked_yaml`.
-
-    Raises
-    ------
-    ObjectFolderError
-        Also if a value does not have its type, or a key is there twice.
-    """
-    from ruamel.yaml import YAML
-
-    text = checked_yaml(path)
-    try:
-        return YAML(typ="safe").load(text)
-    except Exception as error:  # of a value's own type as well
-        raise _no_yaml(path, error) from error
-
-
-def checked_yaml(path: str | Path) -> str:
-    """Return the text of a YAML file that is safe to load.
-
-    Loading descends into nested collections, and what is loaded may be written out: a copy for each alias.
-
-    Raises
-    ------
-    ObjectFolderError
-        If it cannot be read, is not YAML, is nested too deeply, has a very long value, refers to itself, or
-        would be too large with a copy for each alias.
-    """
-    from ruamel.yaml import YAML
-
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-        problem = _yaml_problem(YAML(typ="safe").parse(text))
-    except Exception as error:
-        raise _no_yaml(path, error) from error
-    if problem:
-        raise ObjectFolderError(f"{path} {problem}; shorten it")
-    return text
-
-
-def _yaml_problem(events: Any) -> str:
-    """Return what makes YAML unsafe to load, or nothing."""
-    from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent, ScalarEvent
-
-    sizes: dict[str, int] = {}  # of what an anchor names
-    around: list[tuple[str, int]] = []  # anchor of each collection around, and its size so far
-    for event in events:
-        anchor, size = getattr(event, "anchor", None) or "", 1
-        if isinstance(event, CollectionStartEvent):
-            around.append((anchor, size))
-            if len(around) > MAX_NESTING:
-                return f"has collections in each other more than {MAX_NESTING} deep"
-            continue
-        if isinstance(event, AliasEvent):
-            if anchor in (name for name, _ in around):
-                return f"has the alias *{shortened(anchor, 60)} in what it stands for"
-            size += sizes.get(anchor, 0)
-        elif isinstance(event, ScalarEvent):
-            size += len(event.value)
-            if size > MAX_SCALAR:
-                return f"has a value of {size - 1:,} characters, expected at most {MAX_SCALAR:,}"
-        elif isinstance(event, CollectionEndEvent):
-            anchor, size = around.pop()
-        else:
-            continue
-        if anchor and not isinstance(event, AliasEvent):
-            sizes[anchor] = size
-        if around:
-            around[-1] = (around[-1][0], around[-1][1] + size)
-        if size > MAX_YAML:
-            return f"has over {MAX_YAML:,} characters with a copy for each alias"
-    return ""
-
-
-def _no_yaml(path: str | Path, error: Exception) -> ObjectFolderError:
-    mark = getattr(error, "problem_mark", None)
-    line = f", line {mark.line + 1}" if mark is not None else ""
-    problem = shortened(str(getattr(error, "problem", None) or error), 300)
-    return ObjectFolderError(f"{path}{line} is not valid YAML: {problem}; correct it, or restore it from git")
 
 
 def read_npz(path: str | Path, *required: str) -> dict[str, np.ndarray]:

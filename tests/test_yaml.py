@@ -8,12 +8,12 @@ from objectfolder.engine.dvc.repository import open_repository
 from objectfolder.errors import MAX_MESSAGE, ObjectFolderError, quoted
 from objectfolder.fetch.catalogue import read_catalogue
 from objectfolder.fetch.checksums import read_checksums
-from objectfolder.io import MAX_NESTING, read_yaml
 from objectfolder.touch.profiles import load_profile
 from objectfolder.workspace import params
 from objectfolder.workspace.discover import discover
 from objectfolder.workspace.document import editable
 from objectfolder.workspace.presets import read_preset
+from objectfolder.yamlfile import MAX_NESTING, read_yaml
 
 
 def bomb(levels=9, width=10):

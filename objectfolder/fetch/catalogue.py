@@ -10,9 +10,9 @@ from urllib.parse import quote, urlsplit
 from pydantic import Field, ValidationError, field_validator
 
 from objectfolder.errors import ObjectFolderError, quoted
-from objectfolder.io import read_yaml
 from objectfolder.materials import material
 from objectfolder.workspace import params
+from objectfolder.yamlfile import read_yaml
 
 
 class MeshSource(params.Record):

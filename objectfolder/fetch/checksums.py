@@ -6,7 +6,8 @@ from pathlib import Path
 from ruamel.yaml import YAML
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic, read_yaml
+from objectfolder.io import atomic
+from objectfolder.yamlfile import read_yaml
 
 PATH = Path("data/checksums.yaml")
 HEADER = (

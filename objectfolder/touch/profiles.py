@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from objectfolder.errors import ObjectFolderError, quoted, shortened
-from objectfolder.io import read_yaml
+from objectfolder.yamlfile import read_yaml
 
 _PROFILES = Path(__file__).with_suffix("")
 

@@ -15,10 +15,10 @@ from rich.table import Table
 
 from objectfolder import materials
 from objectfolder.errors import ObjectFolderError, quoted
-from objectfolder.io import read_yaml
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.reading.load import FORMATS, default_up, load_mesh
 from objectfolder.workspace.objects import MAX_SCALE, MIN_SCALE, check_new
+from objectfolder.yamlfile import read_yaml
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}  #: metres
 LARGE = 2.0  # metres; few objects that are struck and touched are larger

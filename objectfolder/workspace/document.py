@@ -5,8 +5,9 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-from objectfolder.io import atomic, checked_yaml
+from objectfolder.io import atomic
 from objectfolder.workspace.params import read
+from objectfolder.yamlfile import checked_yaml
 
 
 def editable(path: Path) -> tuple[Any, dict[str, Any]]:

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError,
 from pydantic_core import ErrorDetails
 
 from objectfolder.errors import ObjectFolderError, quoted
-from objectfolder.io import read_yaml
+from objectfolder.yamlfile import read_yaml
 
 PARAMS_FILE = "params.yaml"
 #: Environment variable by which a build gives its stages the parameters that it recorded: a copy of the file.

@@ -4,10 +4,10 @@ from pathlib import Path
 from typing import Any
 
 from objectfolder.errors import ObjectFolderError, quoted
-from objectfolder.io import read_yaml
 from objectfolder.workspace.check import check_all
 from objectfolder.workspace.document import editable, write_params
 from objectfolder.workspace.params import PARAMS_FILE
+from objectfolder.yamlfile import read_yaml
 
 
 def apply_preset(name: str, root: Path = Path()) -> list[str]:

@@ -25,7 +25,7 @@ from objectfolder.engine.dvc.lockfile import COPIES, LockFiles
 from objectfolder.engine.dvc.replacements import replacements
 from objectfolder.engine.dvc.runcache import RunCache
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import checked_yaml, read_yaml
+from objectfolder.yamlfile import checked_yaml, read_yaml
 
 LOGGERS = ("dvc", "dvc_data", "dvc_objects")
 PARAMS = "params.yaml"
