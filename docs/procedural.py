@@ -1,4 +1,4 @@
-"""Draw docs/procedural.png, every object of catalogs/procedural.yaml: `python docs/procedural.py`."""
+"""Draw every object of both catalogues, docs/procedural.png and docs/thin.png: `python docs/procedural.py`."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from objectfolder.vision.scene import Scene
 from objectfolder.workspace import params
 
 DOCS = Path(__file__).parent
-CATALOGUE = DOCS.parent / "catalogs/procedural.yaml"
+CATALOGUES = ("procedural", "thin")
 COLUMNS, SIZE, CAPTION = 10, 128, 28  # thumbnails per row; their side and the height of the caption, pixels
 SAMPLES, TEXTURE_SIZE = 64, 512
 FILL = 0.94  # part of a thumbnail that the object spans
@@ -27,19 +27,20 @@ LIGHTS = [((3.0, -3.0, 4.0), 0.75), ((0.8, -4.5, 1.2), 0.35), ((-3.5, 0.5, 3.0),
 
 
 def main() -> None:
-    values = params.read(CATALOGUE)
-    pictures = [
-        captioned(thumbnail(key), key, entry["material"], entry["scale"])
-        for key, entry in values["objects"].items()
-    ]
-    page = Image.fromarray(tile(np.stack(pictures), COLUMNS))
-    with atomic(DOCS / "procedural.png") as path:
-        page.quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
+    for name in CATALOGUES:
+        catalogue = DOCS.parent / f"catalogs/{name}.yaml"
+        pictures = [
+            captioned(thumbnail(key, catalogue), key, entry["material"], entry["scale"])
+            for key, entry in params.read(catalogue)["objects"].items()
+        ]
+        page = Image.fromarray(tile(np.stack(pictures), COLUMNS))
+        with atomic(DOCS / f"{name}.png") as path:
+            page.quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
-def thumbnail(key: str) -> np.ndarray:
-    """Render an object so that it fills the thumbnail; (SIZE, SIZE, 3) uint8."""
-    generator, parameters = params.procedural_entry(key, CATALOGUE)
+def thumbnail(key: str, catalogue: Path) -> np.ndarray:
+    """Render an object of a catalogue so that it fills the thumbnail; (SIZE, SIZE, 3) uint8."""
+    generator, parameters = params.procedural_entry(key, catalogue)
     mesh = in_unit_frame(generate(generator, **parameters | {"texture_size": TEXTURE_SIZE}))
     pose = look_at(CAMERA)[0]
     at, _ = project(mesh.vertices, pose, Intrinsics(2, 2, 1.0))

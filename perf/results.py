@@ -85,7 +85,8 @@ def collect() -> None:
         by_command = {table["command"]: table for table in record["tables"] + new}
         record["tables"] = list(by_command.values())
         if name == "benchmarks" and keys:
-            procedural = read_yaml("catalogs/procedural.yaml")["procedural"]
+            catalogues = ("catalogs/procedural.yaml", "catalogs/thin.yaml")
+            procedural = {key for path in catalogues for key in read_yaml(path)["procedural"]}
             record["procedural"] = [key for key in keys if key in procedural]
             record["scanned"] = [key for key in keys if key not in procedural]
         write_record(RECORDS / f"{name}.json", record)

@@ -10,7 +10,9 @@ from typing import Any
 from objectfolder.mesh.procedural import generate
 from objectfolder.workspace import params
 
-CATALOGUE = Path(__file__).parents[2] / "catalogs/procedural.yaml"
+ROOT = Path(__file__).parents[2]
+CATALOGUE = ROOT / "catalogs/procedural.yaml"
+THIN = ROOT / "catalogs/thin.yaml"
 SMALL = 256  # texels: most tests examine the geometry
 
 FURNITURE: dict[str, tuple[str, dict[str, Any]]] = {
@@ -62,6 +64,7 @@ TOOLS: dict[str, tuple[str, dict[str, Any]]] = {
     "peg block": ("block", {}),
     "shape sorter": ("block", {"depth": 0.025, "hole": "mixed", "rounding": 0.001}),
     "plain block": ("block", {"relief": "plain", "finish": "print"}),
+    "airplane": ("airplane", {}),
     "brick": ("block", {"relief": "studs", "rounding": 0.001, "finish": "plastic"}),
     **{kind: ("toy", {"kind": kind}) for kind in ("car", "truck", "duck", "rings")},
 }
@@ -79,8 +82,8 @@ def digests(collection: str) -> dict[str, str]:
     """Generate every object of ``cases`` or ``catalogue``; return the digests of their files."""
     cases = CASES
     if collection == "catalogue":
-        keys = params.read(CATALOGUE)["procedural"]
-        cases = {key: params.procedural_entry(key, CATALOGUE) for key in keys}
+        both = (CATALOGUE, THIN)
+        cases = {key: params.procedural_entry(key, c) for c in both for key in params.read(c)["procedural"]}
     found = {}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "object.glb"

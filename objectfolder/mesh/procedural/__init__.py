@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.procedural.airplane import airplane
 from objectfolder.mesh.procedural.bell import bell
 from objectfolder.mesh.procedural.block import block
 from objectfolder.mesh.procedural.bottle import bottle
@@ -29,6 +30,7 @@ __all__ = ["GENERATORS", "generate"]
 
 #: Generators by name; all parameters have defaults, lengths are in metres.
 GENERATORS: dict[str, Callable[..., TexturedMesh]] = {
+    "airplane": airplane,
     "bell": bell,
     "block": block,
     "bottle": bottle,

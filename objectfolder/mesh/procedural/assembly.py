@@ -75,7 +75,10 @@ def union(parts: Sequence[PaintedPart]) -> manifold3d.Manifold:
 
 
 def assemble(
-    solid: manifold3d.Manifold, parts: Sequence[PaintedPart], look: Look, texture_size: int
+    solid: manifold3d.Manifold | Sequence[manifold3d.Manifold],
+    parts: Sequence[PaintedPart],
+    look: Look,
+    texture_size: int,
 ) -> TexturedMesh:
     """Chart, paint and bake the surface of a solid made from parts by Boolean operations.
 
@@ -83,8 +86,8 @@ def assemble(
 
     Parameters
     ----------
-    solid : manifold3d.Manifold
-        Solid, m.
+    solid : manifold3d.Manifold or sequence
+        Solid, m; several stay closed pieces of their own, as in most models of furniture.
     parts : sequence of PaintedPart
         All operands, cutting tools included.
     look : Look
@@ -98,10 +101,12 @@ def assemble(
         If the texture is too small for the object's charts.
     """
     # Boolean operations leave long edges where flats meet: divide them.
-    mesh = solid.refine_to_length(LONGEST * look.size).to_mesh64()
-    vertices = np.array(mesh.vert_properties, np.float64)
-    faces = np.array(mesh.tri_verts, np.int64)
-    owner = _owners(mesh, parts)
+    solids = [solid] if isinstance(solid, manifold3d.Manifold) else solid
+    meshes = [one.refine_to_length(LONGEST * look.size).to_mesh64() for one in solids]
+    vertices = np.concatenate([np.asarray(mesh.vert_properties, np.float64) for mesh in meshes])
+    first = np.cumsum([0, *(len(mesh.vert_properties) for mesh in meshes)])
+    faces = np.concatenate([np.asarray(mesh.tri_verts, np.int64) + k for mesh, k in zip(meshes, first)])
+    owner = np.concatenate([_owners(mesh, parts) for mesh in meshes])
     axes = np.stack([part.axes for part in parts])
 
     local = np.einsum("fi,fij->fj", area_vectors(vertices, faces), axes[owner])

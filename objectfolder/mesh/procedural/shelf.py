@@ -30,6 +30,7 @@ def shelf(
     front: str = "open",
     plinth: float = 0.05,
     bevel: float = 0.0015,
+    joined: bool = True,
     finish: str = "wood",
     color: str | None = None,
     accent: str | None = None,
@@ -55,6 +56,8 @@ def shelf(
         Height of the lowest board above the floor, m.
     bevel : float
         Radius of rounded edges, m; 0 leaves them sharp.
+    joined : bool
+        Whether the boards are united; otherwise each is a closed piece of its own, and they overlap.
     finish, color, accent, seed
         See `objectfolder.mesh.procedural.finish.finish`.
     texture_size : int
@@ -63,7 +66,8 @@ def shelf(
     Returns
     -------
     TexturedMesh
-        One closed surface; x from -width / 2 to width / 2, the case's y from -depth / 2 to depth / 2.
+        One closed surface if joined; x from -width / 2 to width / 2, y of the case from -depth / 2 to
+        depth / 2.
 
     Raises
     ------
@@ -107,7 +111,8 @@ def shelf(
         parts.append(board(look, 13, first, second, spacing, min(bevel, 0.1 * back)))
     if front != "open":
         parts += _fronts(look, front, width, y, levels, t, spacing, bevel)
-    return assemble(union(parts), parts, look, texture_size)
+    solid = union(parts) if joined else [part.solid for part in parts]
+    return assemble(solid, parts, look, texture_size)
 
 
 def shelf_levels(height: float, thickness: float, bays: int, plinth: float) -> np.ndarray:

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from procedural_cases import FURNITURE, SMALL
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.procedural import GENERATORS
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, frame, union
 from objectfolder.mesh.procedural.extrusion import area, inset, prism, rectangle, regular, triangulate
@@ -169,6 +170,20 @@ def test_closed_furniture_is_hollow_and_its_hollow_can_be_reached(front):
     assert surface.volume < 0.35 * np.prod(np.ptp(mesh.bounds, axis=0))
     through = crossings(mesh, (0.1, -1.0, 0.25), (0, 1, 0))
     np.testing.assert_allclose(np.diff(through)[::2], [0.022, 0.010], atol=1e-7)
+
+
+def test_separate_boards_overlap_and_unite_to_the_joined_case():
+    joined, boards = (
+        shelf(front="doors", depth=0.4, bays=1, bevel=0, joined=joined, texture_size=SMALL)
+        for joined in (True, False)
+    )
+    assert welded(boards).body_count == 2 + 2 + 1 + 2 + 2  # sides, levels, back, doors, knobs
+    assert welded(boards).volume > 1.01 * welded(joined).volume
+    united = normalize(boards, "case").surface
+    assert united.rung == "union"
+    np.testing.assert_allclose(boards.bounds, joined.bounds, atol=1e-12)
+    size = np.ptp(boards.bounds, axis=0).max()
+    assert united.volume * size**3 == pytest.approx(welded(joined).volume, rel=1e-6)
 
 
 def test_stool_stands_on_its_legs_and_has_a_seat_as_thick_as_asked():

@@ -10,6 +10,7 @@ from procedural_cases import CLUB, LADLE, MALLET, SMALL, TOOLS
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.procedural import GENERATORS
+from objectfolder.mesh.procedural.airplane import TIP, airplane
 from objectfolder.mesh.procedural.block import block
 from objectfolder.mesh.procedural.hammer import hammer
 from objectfolder.mesh.procedural.spoon import spoon
@@ -45,6 +46,18 @@ def test_vertices_are_even_enough_to_strike_anywhere(made):
     size = np.ptp(mesh.bounds, axis=0).max()
     assert edges.max() < 0.18 * size
     assert np.quantile(edges, 0.98) < 0.09 * size
+
+
+def test_wings_are_lenses_as_thick_as_asked():
+    wing, chord, span = 0.002, 0.05, 0.24
+    mesh = airplane(wing=wing, chord=chord, span=span, sweep=0.0, texture_size=SMALL)
+    np.testing.assert_allclose(np.ptp(mesh.bounds, axis=0)[:2], [0.22, span], rtol=1e-3)
+    x, y = 0.08 * 0.22, 0.25 * span
+    # A superellipse of exponent 2, half way to the tip: 3/4 of the thickness, (1 + TIP) / 2 of the chord.
+    for share in (0.0, 0.6):
+        at = (x + share * chord / 2 * (1 + TIP) / 2, y, 1.0)
+        through = np.diff(crossings(mesh, at, (0, 0, -1)))
+        assert through == pytest.approx([0.75 * wing * np.sqrt(1 - share**2)], rel=0.02)
 
 
 @pytest.mark.parametrize("ends", ["open", "combination"])
@@ -205,6 +218,7 @@ def test_ramp_goes_from_the_first_colour_to_the_last():
         (block, {"depth": 0.0499}, "depth=0.0499.*floor"),
         (block, {"rounding": 0.01}, "rounding=0.01.*expected"),
         (block, {"relief": "slots"}, "relief='slots'.*plain, holes, studs"),
+        (airplane, {"wing": 0.02}, "wing=0.02.*40 % of the body"),
         (toy, {"kind": "robot"}, "kind='robot'.*car, truck, duck, rings"),
         (toy, {"plump": 3}, "plump=3.*expected"),
         (toy, {"count": 20}, "count=20.*whole number"),
