@@ -1,4 +1,4 @@
-"""Draw every object of both catalogues, docs/procedural.png and docs/thin.png: `python docs/procedural.py`."""
+"""Draw docs/procedural.png and docs/thin.png, every object of both catalogues: `docs/procedural.py`."""
 
 from pathlib import Path
 
