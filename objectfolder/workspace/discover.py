@@ -17,7 +17,7 @@ from objectfolder import materials
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.reading.load import FORMATS, default_up, load_mesh
-from objectfolder.workspace.objects import MAX_SCALE, MIN_SCALE, check_new
+from objectfolder.workspace.objects import MAX_SCALE, MIN_SCALE, check_new, object_files
 from objectfolder.yamlfile import read_yaml
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}  #: metres
@@ -187,6 +187,7 @@ def examine(
     if candidate.material is None:
         raise ObjectFolderError(f"{key} has no material; give --material, or list it in {LISTS[0]}")
     materials.material(candidate.material)
+    object_files(mesh)
     loaded = load_mesh(mesh, up or default_up(mesh))
     lower, upper = loaded.bounds
     own = float((upper - lower).max())

@@ -84,7 +84,7 @@ def add_mesh(
         "bridge": bridge,
     }
     entry = check_object(key, {"objects": {key: entry}}, params_path).model_dump()
-    sources = _sources(mesh, attachments)
+    sources = object_files(mesh, attachments)
     staging = home.with_name(f".{key}.tmp")
     shutil.rmtree(staging, ignore_errors=True)
     try:
@@ -107,8 +107,14 @@ def add_mesh(
     return entry
 
 
-def _sources(mesh: Path, attachments: Sequence[Path]) -> dict[PurePosixPath, Path]:
-    """Map the files of an object's folder, the mesh first, to those that they are copied from."""
+def object_files(mesh: Path, attachments: Sequence[Path] = ()) -> dict[PurePosixPath, Path]:
+    """Map the files of an object's folder, the mesh first, to those that they are copied from.
+
+    Raises
+    ------
+    ObjectFolderError
+        If a file is missing, or has a name that is reserved or given to another.
+    """
     sources: dict[PurePosixPath, Path] = {}
     folded: dict[str, Path] = {}
     for source, target in (

@@ -7,6 +7,7 @@ import pytest
 from objectfolder.engine.dvc.repository import open_repository, track
 from objectfolder.errors import ObjectFolderError
 from objectfolder.workspace import params
+from objectfolder.workspace.discover import Candidate, examine
 from objectfolder.workspace.objects import add_mesh
 
 SHAPE = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
@@ -55,6 +56,8 @@ def test_names_that_are_reserved_are_refused(workspace, tmp_path, name):
 
     mesh = write_mesh(tmp_path / "source", texture=name)
     assert f"refers to {name}, a name that is reserved" in refused(mesh, track=never)
+    with pytest.raises(ObjectFolderError, match="a name that is reserved"):  # so a dry run says it, too
+        examine(Candidate("crate", mesh, "wood"), params.read(), 0.1, None)
 
 
 def test_a_reference_never_overwrites_the_mesh(workspace, tmp_path):
