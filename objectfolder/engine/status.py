@@ -31,7 +31,7 @@ class Outlook(StrEnum):
 
     SKIP = "nothing"
     RESTORE = "bring back"  # from DVC's cache
-    RUN = "run"
+    RUN = "run"  # or restore, if another stage brings back what the cache lacks
     PERHAPS = "perhaps run"  # if the outputs of an upstream stage change
 
 
