@@ -9,7 +9,7 @@ from annotated_types import Ge, Interval, MinLen
 from objectfolder.fem.elasticity import Solid
 from objectfolder.fem.elements import Element, discretize
 from objectfolder.mesh.scanline import check_winding
-from objectfolder.mesh.sdf import check_resolved, distance_grid
+from objectfolder.mesh.sdf import FINEST, fitting_grid
 from objectfolder.mesh.topology import Mesh, signed_volume
 from objectfolder.settings import Count
 
@@ -22,9 +22,8 @@ class VoxelizeConfig:
     resolutions: Annotated[tuple[Count, ...], MinLen(1)]  #: cells along the longest side, finest first
     subdivisions: Annotated[int, Ge(4)]  #: sub-cells along each side of a cell; fewer lose walls
     max_degrees_of_freedom: Count  #: the first resolution within this size is used, else the last
-    #: Samples of the distance grid along each axis. On a finer grid the band is narrower than the reach of
-    #: contact normals.
-    sdf_resolution: Annotated[int, Interval(ge=16, le=256)]
+    #: Samples of the distance grid along each axis, or more where walls are thin (`fitting_grid`)
+    sdf_resolution: Annotated[int, Interval(ge=16, le=FINEST)]
 
 
 @dataclass(frozen=True)
@@ -62,8 +61,7 @@ def voxelize(surface: Mesh, solid: Mesh, config: VoxelizeConfig, name: str = "me
         config.max_degrees_of_freedom,
         name,
     )
-    values, band = distance_grid(*surface, config.sdf_resolution)
-    kept = check_resolved(values, *surface, name)
+    grid = fitting_grid(*surface, config.sdf_resolution, name)
     report = {
         "cells": {
             "winding": asdict(certificates[0]),
@@ -78,10 +76,11 @@ def voxelize(surface: Mesh, solid: Mesh, config: VoxelizeConfig, name: str = "me
         "distance_grid": {
             "winding": asdict(certificates[1]),
             "volume": signed_volume(*surface),
-            "volume_share_kept": kept,
-            "resolution": config.sdf_resolution,
-            "band": band,
-            "samples_in_band": int(np.count_nonzero(np.abs(values) < 127)),
+            "volume_share_kept": grid.kept,
+            "wall_thickness": grid.wall,  # unit frame, as the band
+            "resolution": len(grid.values),
+            "band": grid.band,
+            "samples_in_band": int(np.count_nonzero(np.abs(grid.values) < 127)),
         },
     }
-    return Voxelization(cells, values, band, report)
+    return Voxelization(cells, grid.values, grid.band, report)

@@ -26,10 +26,14 @@ class DistanceGrid:
         self.values = np.asarray(values, np.int8)
         self.band = float(band)
         self.spacing = 2 * BOUND / (len(self.values) - 1)
-        volume = self.values.astype(np.float32)
+        box = _box(self.values)
+        volume = self.values[tuple(box)].astype(np.float32)
         volume *= np.float32(self.band / 127)
         # grid_sample expects (batch, channel, z, y, x), with any strides.
         self._volume = torch.from_numpy(volume).permute(2, 1, 0)[None, None]
+        first, last = np.array([(side.start, side.stop - 1) for side in box], np.float32).T
+        self._centre = torch.from_numpy((first + last) / 2 * self.spacing - BOUND).float()
+        self._half = torch.from_numpy((last - first) / 2 * self.spacing).float()
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, np.ndarray]) -> "DistanceGrid":
@@ -38,7 +42,7 @@ class DistanceGrid:
 
     def distance(self, points: torch.Tensor) -> torch.Tensor:
         """Interpolate the signed distance at (N, 3) points; (N,)."""
-        grid = (points.to(torch.float32) / BOUND).view(1, -1, 1, 1, 3)
+        grid = ((points.to(torch.float32) - self._centre) / self._half).view(1, -1, 1, 1, 3)
         return F.grid_sample(self._volume, grid, align_corners=True, padding_mode="border").view(-1)
 
     def smooth_distance(self, points: np.ndarray) -> np.ndarray:
@@ -68,6 +72,19 @@ class DistanceGrid:
         taps = points + corner[:, None] * (self.spacing / 2)
         value = self.distance(torch.cat([points[None], taps]).view(-1, 3)).view(5, -1)
         return value[0], _direction(value[1:], corner)
+
+
+def _box(values: np.ndarray) -> list[slice]:
+    """Return the box, per axis, of all samples below 127 and one beyond them on each side.
+
+    Outside of it every sample is 127, as on its faces, unless those are the grid's own.
+    """
+    sides = []
+    for axis, count in enumerate(values.shape):
+        found = np.flatnonzero(values.min(tuple({0, 1, 2} - {axis})) < 127)
+        first, last = (found[0], found[-1]) if len(found) else (0, count - 1)
+        sides.append(slice(max(int(first) - 1, 0), min(int(last) + 2, count)))
+    return sides
 
 
 def _keys(t: np.ndarray) -> np.ndarray:

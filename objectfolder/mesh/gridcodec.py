@@ -5,12 +5,12 @@ scans); the shorter stream is kept.
 """
 
 import lzma
-import math
 
 import numpy as np
 
 BOUND = 0.52  #: the grid spans [-BOUND, BOUND]^3 of the unit frame
 BAND_VOXELS = 2.5  #: distances are clipped to this many voxels
+LEAST_BAND = 0.0102  #: or to this, unit frame, if it is more: contact normals reach 0.01
 #: Prediction subtracted before compression: none, or linear extrapolation of the two preceding x planes.
 PREDICTORS = ("none", "planes")
 
@@ -29,12 +29,7 @@ def quantise(distance: np.ndarray, band: float) -> np.ndarray:
 
 def band_width(resolution: int) -> float:
     """Return the distance at which a grid of this resolution is clipped."""
-    return BAND_VOXELS * 2 * BOUND / (resolution - 1)
-
-
-def coarse_spacing(resolution: int, step: int) -> tuple[int, float]:
-    """Return samples and spacing of a grid ``step`` times coarser that covers the fine one."""
-    return math.ceil((resolution - 1) / step) + 1, step * 2 * BOUND / (resolution - 1)
+    return max(BAND_VOXELS * 2 * BOUND / (resolution - 1), LEAST_BAND)
 
 
 def pack_grid(values: np.ndarray) -> tuple[np.ndarray, str]:

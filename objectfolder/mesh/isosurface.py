@@ -9,6 +9,7 @@ import torch
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.gridcodec import BOUND
+from objectfolder.mesh.levelset import zero_level
 from objectfolder.mesh.raycast import RayCaster
 
 if TYPE_CHECKING:
@@ -37,15 +38,8 @@ class Isosurface:
 
     @cached_property
     def _mesh(self) -> tuple[np.ndarray, np.ndarray]:
-        from skimage.measure import marching_cubes
-
-        box = _box(self.grid.values <= 0)
-        values = self.grid.values[tuple(box)]
-        vertices, faces, _, _ = marching_cubes(
-            values.astype(np.float32), 0.0, allow_degenerate=False, mask=_crossed(values)
-        )
-        index = vertices.astype(np.float64) + [side.start for side in box]
-        return index * self.grid.spacing - BOUND, faces.astype(np.int64)
+        index, faces = zero_level(self.grid.values)
+        return index * self.grid.spacing - BOUND, faces
 
     @property
     def vertices(self) -> np.ndarray:
@@ -105,29 +99,3 @@ class Isosurface:
             position = position - (distance[:, None] * normals).to(torch.float64)
         projected = position.numpy()
         return projected, np.linalg.norm(projected - points, axis=1)
-
-
-def _box(inside: np.ndarray) -> list[slice]:
-    """Return the range of samples, per axis, that contains the inside and its neighbours."""
-    sides = []
-    for axis, count in enumerate(inside.shape):
-        found = np.flatnonzero(inside.any(tuple({0, 1, 2} - {axis})))
-        sides.append(slice(max(int(found[0]) - 1, 0), min(int(found[-1]) + 2, count)))
-    return sides
-
-
-def _crossed(values: np.ndarray) -> np.ndarray:
-    """Mark the cells that the surface may cross, at their upper corner; bool.
-
-    Marching cubes skips the others, which are most.
-    """
-    cells = values.shape[2] - 1
-    inside = np.packbits(values <= 0, axis=2)  # eight samples at once
-    some, every = inside != 0, inside == 255
-    # Cells of a byte extend into the next byte; bits beyond the last sample are 0.
-    some[:, :, :-1], every[:, :, :-1] = some[:, :, :-1] | some[:, :, 1:], every[:, :, :-1] & every[:, :, 1:]
-    for _ in range(2):
-        some, every = (some[:-1] | some[1:]).swapaxes(0, 1), (every[:-1] & every[1:]).swapaxes(0, 1)
-    crossed = np.zeros(values.shape, bool)
-    crossed[1:, 1:, 1:] = np.repeat(some & ~every, 8, axis=2)[:, :, :cells]
-    return crossed

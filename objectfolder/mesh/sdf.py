@@ -1,17 +1,76 @@
 """Distance grid of a closed surface: sign by scanline, exact distances in a band."""
 
+import math
+from dataclasses import dataclass
+
 import igl
 import numpy as np
-from skimage.measure import marching_cubes
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.gridcodec import BOUND, band_width, coarse_spacing, quantise
+from objectfolder.mesh.gridcodec import BOUND, band_width, quantise
+from objectfolder.mesh.levelset import zero_level
 from objectfolder.mesh.scanline import inside
-from objectfolder.mesh.topology import signed_volume
+from objectfolder.mesh.thickness import wall_thickness
+from objectfolder.mesh.topology import Mesh, signed_volume
 
+FINEST = 384  #: samples along each axis; finer grids make files and queries of megabytes and seconds
+REFINEMENTS = (1.0, 4 / 3, 5 / 3, 2.0)  #: of the asked resolution, where walls are thin
+#: Walls have at least this many voxels, up to `FINEST`. Distances are interpolated linearly, but have a kink
+#: midway through a wall: in walls under two voxels it moves the surface inward, under one it tears it.
+WALL_VOXELS = 1.4
+VOLUME_ERROR = 0.01  #: a grid that changes the volume by more is refined, up to `FINEST`
 MIN_KEPT_VOLUME = 0.7
-_COARSE_STEP = 4
+_BLOCK = 16  # samples along each side of the blocks in which the search for the surface starts
 _CHUNK = 1_000_000
+
+
+@dataclass(frozen=True)
+class FittedGrid:
+    """Distance grid of a surface, and how well it holds it."""
+
+    values: np.ndarray  #: (R, R, R) int8; see `objectfolder.mesh.grid.DistanceGrid`
+    band: float
+    wall: float  #: thickness of thin walls, unit frame; see `wall_thickness`
+    kept: float  #: volume that the stored surface encloses, as a fraction of the true one
+
+
+def fitting_grid(
+    vertices: np.ndarray, faces: np.ndarray, resolution: int, name: str = "mesh"
+) -> FittedGrid:
+    """Compute a distance grid that is as fine as the walls of a closed surface require.
+
+    The resolution is the asked one, or the first of its `REFINEMENTS` at which walls have `WALL_VOXELS` and
+    the volume of the stored surface is within `VOLUME_ERROR`, at most `FINEST`.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array, unit frame
+    faces : (F, 3) int array
+    resolution : int
+        Least number of samples along each axis.
+    name : str
+        Name of the object in errors.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the stored surface encloses less than ``MIN_KEPT_VOLUME`` of the volume even so.
+    """
+    wall = wall_thickness(vertices, faces)
+    for samples in _resolutions(resolution, wall):
+        values, band = distance_grid(vertices, faces, samples)
+        kept = kept_volume(values, vertices, faces)
+        if abs(kept - 1) <= VOLUME_ERROR:
+            break
+    check_resolved(values, kept, name)
+    return FittedGrid(values, band, wall, kept)
+
+
+def _resolutions(asked: int, wall: float) -> list[int]:
+    """Return the resolutions to try, coarsest first."""
+    steps = sorted({max(min(round(asked * factor), FINEST), asked) for factor in REFINEMENTS})
+    needed = 1 + WALL_VOXELS * 2 * BOUND / wall
+    return [n for n in steps if n >= needed] or steps[-1:]
 
 
 def distance_grid(vertices: np.ndarray, faces: np.ndarray, resolution: int) -> tuple[np.ndarray, float]:
@@ -29,58 +88,77 @@ def distance_grid(vertices: np.ndarray, faces: np.ndarray, resolution: int) -> t
     values : (R, R, R) int8, negative inside; see `objectfolder.mesh.grid.DistanceGrid`
     band : float
     """
-    vertices = np.ascontiguousarray(vertices, np.float64)
-    faces = np.ascontiguousarray(faces, np.int64)
+    mesh = np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int64)
     band = band_width(resolution)
     spacing = 2 * BOUND / (resolution - 1)
-    within = inside(vertices, faces, resolution, np.full(3, -BOUND), spacing)
+    within = inside(*mesh, resolution, np.full(3, -BOUND), spacing)
     values = np.where(within, np.int8(-127), np.int8(127))
-    near = np.argwhere(_near_surface(vertices, faces, resolution, band))
-    axis = -BOUND + spacing * np.arange(resolution)
+    near = _near_surface(mesh, resolution, band)
     for start in range(0, len(near), _CHUNK):
         index = near[start : start + _CHUNK]
-        distance = np.sqrt(igl.point_mesh_squared_distance(axis[index], vertices, faces)[0])
         cell = tuple(index.T)
-        values[cell] = np.sign(values[cell]) * quantise(distance, band)
+        values[cell] = np.sign(values[cell]) * quantise(_distance(mesh, spacing * index - BOUND), band)
     return values, band
 
 
-def check_resolved(values: np.ndarray, vertices: np.ndarray, faces: np.ndarray, name: str) -> float:
+def kept_volume(values: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> float:
+    """Return the volume that the surface of a distance grid encloses, as a fraction of the true one."""
+    if values.min() >= 0:
+        return 0.0
+    stored, triangles = zero_level(values)
+    spacing = 2 * BOUND / (len(values) - 1)
+    return signed_volume(stored * spacing, triangles) / signed_volume(vertices, faces)
+
+
+def check_resolved(values: np.ndarray, kept: float, name: str) -> None:
     """Check that a distance grid resolves its surface.
 
     Walls thinner than the spacing fall between samples and break into fragments.
 
-    Returns
-    -------
-    float
-        Fraction of the volume that the stored surface encloses.
+    Parameters
+    ----------
+    values : (R, R, R) array
+    kept : float
+        See `kept_volume`.
+    name : str
 
     Raises
     ------
     ObjectFolderError
         If the stored surface encloses less than ``MIN_KEPT_VOLUME`` of the volume.
     """
-    spacing = 2 * BOUND / (len(values) - 1)
-    kept = 0.0
-    if values.min() < 0:
-        v, f, _, _ = marching_cubes(values.astype(np.float32), 0.0, allow_degenerate=False)
-        kept = signed_volume(v * spacing, f) / signed_volume(vertices, faces)
     if kept < MIN_KEPT_VOLUME:
+        count = len(values)
+        remedy = "" if count >= FINEST else "raise voxelize.sdf_resolution, or "
         raise ObjectFolderError(
-            f"{name}: walls are too thin for the {len(values)}^3 distance grid (spacing {spacing:.2%} of the "
-            f"size): {kept:.0%} of the volume is left; raise voxelize.sdf_resolution, or thicken the mesh"
+            f"{name}: walls are too thin for the {count}^3 distance grid (spacing "
+            f"{2 * BOUND / (count - 1):.2%} of the size): {kept:.0%} of the volume is left; "
+            f"{remedy}thicken the mesh"
         )
-    return kept
 
 
-def _near_surface(vertices: np.ndarray, faces: np.ndarray, resolution: int, band: float) -> np.ndarray:
-    """Find the samples that may lie within the band, from distances on a coarser grid; (R,)*3 bool."""
-    count, spacing = coarse_spacing(resolution, _COARSE_STEP)
-    axis = -BOUND + spacing * np.arange(count)
-    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
-    distance = np.sqrt(igl.point_mesh_squared_distance(points, vertices, faces)[0]).reshape((count,) * 3)
-    nearest = np.rint(np.arange(resolution) / _COARSE_STEP).astype(np.int64)
-    # Distances at a fine sample and its nearest coarse sample differ by at most their separation.
-    apart = ((np.arange(resolution) / _COARSE_STEP - nearest) * spacing).astype(np.float32) ** 2
-    apart = np.sqrt(apart[:, None, None] + apart[:, None] + apart)
-    return distance.astype(np.float32)[np.ix_(nearest, nearest, nearest)] <= apart + np.float32(band + 1e-6)
+def _near_surface(mesh: Mesh, resolution: int, band: float) -> np.ndarray:
+    """Find the samples that may lie within the band; (N, 3) int64 indices.
+
+    Blocks of samples that are farther than the band are dropped; the others are halved along each axis, down
+    to blocks of two samples a side.
+    """
+    spacing = 2 * BOUND / (resolution - 1)
+    count = math.ceil(resolution / _BLOCK)
+    corners = _BLOCK * np.stack(np.meshgrid(*[np.arange(count)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    children = np.stack(np.meshgrid(*[[0, 1]] * 3, indexing="ij"), -1).reshape(-1, 3)
+    side = _BLOCK
+    while True:
+        half = (side - 1) / 2  # the block's centre lies so far from its corners along each axis
+        reach = band + math.sqrt(3) * half * spacing + 1e-6
+        corners = corners[_distance(mesh, spacing * (corners + half) - BOUND) <= reach]
+        side //= 2
+        corners = (corners[:, None] + side * children).reshape(-1, 3)
+        corners = corners[(corners < resolution).all(1)]
+        if side == 1:
+            return corners
+
+
+def _distance(mesh: Mesh, points: np.ndarray) -> np.ndarray:
+    """Return the distance of points (N, 3) from a surface; (N,)."""
+    return np.sqrt(igl.point_mesh_squared_distance(points, *mesh)[0])

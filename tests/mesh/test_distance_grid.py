@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from solids import TURN, box, sphere
+from solids import TURN, box, flipped, join, sphere
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.grid import DistanceGrid
@@ -13,7 +13,15 @@ from objectfolder.mesh.gridcodec import BAND_VOXELS, BOUND, band_width, quantise
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.reading.load import load_mesh
-from objectfolder.mesh.sdf import check_resolved, distance_grid
+from objectfolder.mesh.sdf import (
+    FINEST,
+    VOLUME_ERROR,
+    WALL_VOXELS,
+    distance_grid,
+    fitting_grid,
+    kept_volume,
+)
+from objectfolder.touch.contact import NORMAL_RADIUS
 
 RESOLUTION = 64
 RADIUS = 0.42
@@ -224,14 +232,49 @@ def test_same_bytes_twice():
     assert a == b
 
 
-@pytest.mark.parametrize(("thickness", "kept"), [(0.1, True), (0.03, True), (0.012, False)])
-def test_walls_thinner_than_the_spacing_are_refused(thickness, kept):
-    plate = box((1, 1, thickness))  # centred: no sample of an even grid lies inside a thin one
-    values, band = distance_grid(*plate, RESOLUTION)
-    if kept:
-        check_resolved(values, *plate, "plate")
-        return
-    with pytest.raises(ObjectFolderError, match="plate: walls are too thin for the 64\\^3 distance grid"):
-        check_resolved(values, *plate, "plate")
+@pytest.mark.parametrize("voxels", [0.75, 1.0, 8.0])
+def test_walls_keep_their_volume_on_the_grid_that_fits_them(voxels):
+    """A hollow ball; thickness in voxels of the grid that is asked for, which may become twice as fine."""
+    wall = voxels * 2 * BOUND / (RESOLUTION - 1)
+    shell = join(sphere(0.45, 4), flipped(sphere(0.45 - wall, 4)))
+    grid = fitting_grid(*shell, RESOLUTION)
+    resolution = len(grid.values)
+    assert grid.wall == pytest.approx(wall, rel=0.01)
+    assert grid.wall >= WALL_VOXELS * 2 * BOUND / (resolution - 1)
+    assert abs(grid.kept - 1) < VOLUME_ERROR
+    assert kept_volume(grid.values, *shell) == grid.kept
+    assert grid.band == band_width(resolution)
+    assert voxels > 1.4 or resolution > RESOLUTION
+    assert voxels < 2 or resolution == RESOLUTION
+
+
+def test_the_volume_of_a_grid_converges_with_the_square_of_its_spacing():
+    """Chords cut off edges and arcs: a fixed area per length of edge, in units of the spacing squared."""
+    solid = box(SIDES, CENTRE, TURN)
+    lost = [1 - kept_volume(distance_grid(*solid, n)[0], *solid) for n in (32, 63, 125)]
+    assert lost[0] > 4e-4
+    rate = np.log2(np.divide(lost[:-1], lost[1:]))
+    assert ((rate > 1.6) & (rate < 2.4)).all(), lost
+
+
+def test_an_edge_of_little_volume_asks_for_a_finer_grid():
+    """Walls have five voxels, but most of the volume is near edges."""
+    bar = box((0.9, 0.09, 0.09), (0, 0, 0), TURN)
+    coarse = kept_volume(distance_grid(*bar, RESOLUTION)[0], *bar)
+    grid = fitting_grid(*bar, RESOLUTION)
+    assert abs(coarse - 1) > VOLUME_ERROR >= abs(grid.kept - 1)
+    assert len(grid.values) > RESOLUTION
+
+
+def test_walls_too_thin_for_the_finest_grid_are_refused():
+    plate = box((1, 1, 0.006))  # centred: no sample of an even grid lies inside a thin one
+    with pytest.raises(ObjectFolderError, match="plate: walls are too thin for the 128\\^3 distance grid"):
+        fitting_grid(*plate, RESOLUTION, "plate")
     with pytest.raises(ObjectFolderError, match="holds no surface"):
-        Isosurface(DistanceGrid(values, band))
+        Isosurface(DistanceGrid(*distance_grid(*plate, RESOLUTION)))
+
+
+@pytest.mark.parametrize("resolution", [192, 256, FINEST])
+def test_the_band_holds_the_reach_of_contact_normals(resolution):
+    assert band_width(resolution) > NORMAL_RADIUS
+    assert band_width(resolution) * (resolution - 1) / (2 * BOUND) >= BAND_VOXELS
