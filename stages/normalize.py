@@ -15,8 +15,7 @@ def main(key: str) -> None:
     mesh = load_mesh(params.entry.mesh, params.entry.up, params.settings.texture_size)
     wall = params.entry.wall and params.entry.wall / params.entry.scale
     normalized = normalize(mesh, key, wall, params.entry.bridge != "off")
-    solid = normalized.surface.mesh
-    seen = (params.entry.bridge == "fem" and normalized.surface.unbridged) or solid
+    seen, solid = normalized.seen(params.entry.bridge), normalized.surface.mesh
     for warning in normalized.surface.warnings:
         print(f"warning: {key}: {warning}")
     with atomic(build.visual) as path:

@@ -34,9 +34,7 @@ class FittedGrid:
     kept: float  #: volume that the stored surface encloses, as a fraction of the true one
 
 
-def fitting_grid(
-    vertices: np.ndarray, faces: np.ndarray, resolution: int, name: str = "mesh"
-) -> FittedGrid:
+def fitting_grid(vertices: np.ndarray, faces: np.ndarray, resolution: int, name: str = "mesh") -> FittedGrid:
     """Compute a distance grid that is as fine as the walls of a closed surface require.
 
     The resolution is the asked one, or the first of its `REFINEMENTS` at which walls have `WALL_VOXELS` and

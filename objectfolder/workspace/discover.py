@@ -15,9 +15,11 @@ from rich.table import Table
 
 from objectfolder import materials
 from objectfolder.errors import ObjectFolderError, quoted
+from objectfolder.fem.voxelize import VoxelizeConfig, voxelize
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.reading.load import FORMATS, default_up, load_mesh
 from objectfolder.workspace.objects import MAX_SCALE, MIN_SCALE, check_new, object_files
+from objectfolder.workspace.params import settings
 from objectfolder.yamlfile import read_yaml
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}  #: metres
@@ -157,7 +159,7 @@ def examine(
     wall: float | None = None,
     bridge: str = "all",
 ) -> Examination:
-    """Load a candidate's mesh and close its surface in memory.
+    """Load a candidate's mesh, close its surface and voxelize it in memory.
 
     Parameters
     ----------
@@ -197,9 +199,10 @@ def examine(
             f"scale of {key} is {size:g} m, expected the longest side in metres, {MIN_SCALE} to {MAX_SCALE}; "
             + (f"{_other_units(own)}give --unit or --scale" if scale is None else "give it in metres")
         )
-    report = normalize(loaded, key, wall and wall / size, bridge != "off").report(
-        size, up or default_up(mesh)
-    )
+    normalized = normalize(loaded, key, wall and wall / size, bridge != "off")
+    config = settings(VoxelizeConfig, values)
+    voxelize(normalized.seen(bridge), normalized.surface.mesh, config, key)  # raises
+    report = normalized.report(size, up or default_up(mesh))
     notes = [*report["warnings"], *report["appearance"].get("notes", [])]
     if scale is None and size > LARGE:
         notes.insert(0, f"{size:.3g} m is large: {_other_units(own)}set --unit or --scale")

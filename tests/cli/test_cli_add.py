@@ -27,6 +27,20 @@ OBJECTS = ROOT.parent / "shared" / "objects"
 
 
 @pytest.fixture
+def coarse(workspace):
+    """Meshes are examined on coarse grids, which takes a tenth of the time."""
+    file = workspace / "params.yaml"
+    text = file.read_text()
+    for fine, few in (
+        ("sdf_resolution: 192", "sdf_resolution: 48"),
+        ("resolutions: [32,", "resolutions: [12,"),
+    ):
+        assert fine in text
+        text = text.replace(fine, few)
+    file.write_text(text)
+
+
+@pytest.fixture
 def box(tmp_path):
     """An OBJ with its MTL and texture, 0.2 x 0.1 x 0.1 m."""
     source = tmp_path / "source"
@@ -204,6 +218,7 @@ def test_names_become_keys(name, key):
     params.check_key(key)
 
 
+@pytest.mark.usefixtures("coarse")
 def test_a_folder_shows_what_it_understood_and_adds_what_it_can(workspace, collection):
     result = run(collection, "--material", "wood")
     assert result.exit_code == 1
@@ -238,6 +253,7 @@ def test_a_folder_shows_what_it_understood_and_adds_what_it_can(workspace, colle
     assert left == {"mug_blue", "mug_blue.dvc", "brick", "brick.dvc"}
 
 
+@pytest.mark.usefixtures("coarse")
 def test_a_dry_run_changes_nothing(workspace, collection):
     before = snapshot(workspace)
     result = run(collection, "--material", "wood", "--dry-run")
@@ -252,6 +268,7 @@ def test_a_dry_run_changes_nothing(workspace, collection):
     assert snapshot(workspace) == before
 
 
+@pytest.mark.usefixtures("coarse")
 def test_an_object_that_is_there_is_refused_and_the_others_are_added(workspace, collection):
     (collection / "025_Mug (blue)").rename(collection / "mug")
     result = run(collection, "--material", "wood")
@@ -268,6 +285,7 @@ def test_an_object_that_is_there_is_refused_and_the_others_are_added(workspace, 
         ("materials.yaml", "025_Mug (blue): ceramic\nBrick.STL: iron\n"),
     ],
 )
+@pytest.mark.usefixtures("coarse")
 def test_a_list_names_materials(workspace, collection, file, text):
     (collection / file).write_text(text)
     by_key = {c.key: c.material for c in discover(collection, "wood")}
@@ -295,6 +313,7 @@ def test_a_bad_list_of_materials_is_refused(collection, file, text, message):
         discover(collection)
 
 
+@pytest.mark.usefixtures("coarse")
 def test_an_unknown_material_refuses_that_object_alone(workspace, collection):
     (collection / "materials.csv").write_text("brick,jelly\n")
     result = run(collection, "--material", "wood", "--dry-run")
@@ -331,6 +350,7 @@ def test_deeper_folders_and_the_folder_of_one_mesh(tmp_path):
         (0.117, "mm", 1, "0.000117 m, expected"),
     ],
 )
+@pytest.mark.usefixtures("coarse")
 def test_sizes_that_look_like_other_units(workspace, tmp_path, size, unit, code, message):
     folder = tmp_path / "set"
     folder.mkdir()
@@ -342,6 +362,7 @@ def test_sizes_that_look_like_other_units(workspace, tmp_path, size, unit, code,
         assert row(result, "set")[3] == "0.117"
 
 
+@pytest.mark.usefixtures("coarse")
 def test_one_mesh_is_examined_before_it_is_added(workspace, collection):
     before = snapshot(workspace)
     result = run(collection / "open" / "mesh.ply", "--name", "pair", "--material", "wood")
@@ -379,6 +400,7 @@ def test_a_catalogue_has_no_dry_run(workspace):
     assert snapshot(workspace) == before
 
 
+@pytest.mark.usefixtures("coarse")
 def test_a_full_disk_refuses_each_object_and_leaves_nothing(workspace, collection, monkeypatch):
     before = snapshot(workspace)
 

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+import trimesh
 
 from objectfolder.engine.dvc.repository import open_repository, track
 from objectfolder.errors import ObjectFolderError
@@ -58,6 +59,18 @@ def test_names_that_are_reserved_are_refused(workspace, tmp_path, name):
     assert f"refers to {name}, a name that is reserved" in refused(mesh, track=never)
     with pytest.raises(ObjectFolderError, match="a name that is reserved"):  # so a dry run says it, too
         examine(Candidate("crate", mesh, "wood"), params.read(), 0.1, None)
+
+
+def test_what_voxelize_refuses_is_refused_before_it_is_added(workspace, tmp_path):
+    """A closed solid, but thinner than any grid resolves."""
+    sheet = tmp_path / "sheet.obj"
+    mesh = trimesh.creation.box([0.3, 0.3, 0.0006])
+    mesh.apply_transform(trimesh.transformations.rotation_matrix(0.5, [1, 2, 3]))
+    mesh.export(sheet)
+    values = params.read()
+    values["voxelize"]["sdf_resolution"] = 64
+    with pytest.raises(ObjectFolderError, match=r"sheet: .*thin"):
+        examine(Candidate("sheet", sheet, "steel"), values, None, None)
 
 
 def test_a_reference_never_overwrites_the_mesh(workspace, tmp_path):
