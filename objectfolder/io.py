@@ -40,7 +40,7 @@ def atomic(path: str | Path) -> Iterator[Path]:
         If the directory cannot be written, or the path is a folder or a device.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.stem}.tmp{path.suffix}")
+    temporary = temporary_path(path)
     try:
         if path.exists() and not path.is_file():
             raise ObjectFolderError(
@@ -64,6 +64,11 @@ def atomic(path: str | Path) -> Iterator[Path]:
         raise
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def temporary_path(path: Path) -> Path:
+    """Return the name under which `atomic` writes a file."""
+    return path.with_name(f".{path.stem}.tmp{path.suffix}")
 
 
 def check_writable(directory: Path) -> None:

@@ -118,7 +118,7 @@ def build(
     """
     start = time.monotonic()
     with open_repository(root, options.wait) as repository:
-        repository.remove_partial_copies()
+        repository.remove_partial_files()
         graph = stage_graph(repository, targets)
         held = hold_params(graph.stages.values(), repository.root, repository.own_files)
         reached = options.pull and remote.pull_build(repository.repo, graph.stages.values())
@@ -359,7 +359,7 @@ class _Build:
         if not disk.is_shortage(error):
             return str(error)
         text = f"{error}: {disk.describe_full(disk.fullest(self._disks(address))[0])}"
-        self.repository.remove_partial_copies()
+        self.repository.remove_partial_files()
         return text
 
     def _hint(self, address: str, log: Path) -> str:

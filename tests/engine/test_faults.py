@@ -164,6 +164,13 @@ def test_half_copies_of_a_killed_build_are_removed(workspace, name):
     assert not path.exists()
 
 
+def test_a_half_written_lock_file_is_removed_though_nothing_runs(workspace):
+    build(["prepare@mug"], root=workspace.root)
+    (workspace.root / ".dvc.tmp.lock").write_text("schema: '2.0'\nsta")
+    assert not build(["prepare@mug"], root=workspace.root).with_status(StageOutcome.RAN)
+    assert not list(workspace.root.glob(".*.tmp*"))
+
+
 # Disks
 
 BULKY = """

@@ -276,7 +276,9 @@ class Sequence(RuleBasedStateMachine):
         if not options.force and not options.pull and not self.damaged:
             did = {a: result.status for a, result in summary.stages.items() if a not in broken}
             # What a stage needs of the cache, another may bring back that writes the same content.
-            meaning = MEANING | {Outlook.RUN: {StageOutcome.RAN, StageOutcome.RESTORED}} if self.lost else MEANING
+            meaning = (
+                MEANING | {Outlook.RUN: {StageOutcome.RAN, StageOutcome.RESTORED}} if self.lost else MEANING
+            )
             assert not {a: (self.said[a], did[a]) for a in did if did[a] not in meaning[self.said[a]]}
         assert {a for a, state in self.states(*targets).items() if state is not State.FRESH} == set(broken)
         assert not [path for path in self.root.rglob("*.tmp*") if path.is_file()]

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import psutil
+from dvc.dvcfile import LOCK_FILE
 from dvc.exceptions import DvcException, NotDvcRepoError
 from dvc.lock import LockError
 from dvc.repo import Repo, lock_repo
@@ -25,6 +26,7 @@ from objectfolder.engine.dvc.lockfile import COPIES, LockFiles
 from objectfolder.engine.dvc.replacements import replacements
 from objectfolder.engine.dvc.runcache import RunCache
 from objectfolder.errors import ObjectFolderError
+from objectfolder.io import temporary_path
 from objectfolder.yamlfile import checked_yaml, read_yaml
 
 LOGGERS = ("dvc", "dvc_data", "dvc_objects")
@@ -84,11 +86,13 @@ class OpenRepository:
         """Verify what the run cache restores; if ``pull``, fetch what it lacks from the default remote."""
         self.repo.stage_cache = RunCache(self.repo, pull=pull)
 
-    def remove_partial_copies(self) -> None:
-        """Remove temporary files of interrupted copies into the cache.
+    def remove_partial_files(self) -> None:
+        """Remove temporary files of interrupted copies into the cache, and of a killed engine.
 
-        DVC removes them neither when it is killed nor when the disk is full.
+        DVC removes its own neither when it is killed nor when the disk is full.
         """
+        for path in (self.root / LOCK_FILE, *self.own_files.glob("*.json")):
+            temporary_path(path).unlink(missing_ok=True)
         if not self.cache.is_relative_to(self.repo.root_dir):
             return  # shared: another repository may be writing
         for pattern in ("*.tmp", "*/*.tmp"):
