@@ -191,7 +191,7 @@ def primary(workspace: str, key: str, count: str) -> dict:
         origins, directions = camera_rays(pose, intrinsics, np.stack([columns.ravel(), rows.ravel()], 1))
         start = cpu_seconds()
         ray, distance, face, weights = surface.caster.intersect(origins, directions)
-        corner = torch.from_numpy(surface.faces.take(face, 0))
+        corner = torch.from_numpy(surface.corners(face))
         normals = weighted_rows(table, corner, torch.from_numpy(weights)).numpy()
         between = cpu_seconds()
         met, depth, seen, taken = sphere_trace(surface, origins, directions)

@@ -52,6 +52,14 @@ class Isosurface:
         return self._mesh[1]
 
     @cached_property
+    def _corners(self) -> np.ndarray:
+        return self.faces.astype(np.int32)
+
+    def corners(self, face: np.ndarray) -> np.ndarray:
+        """Return the vertices of triangles (S,); (S, 3) int32, which is faster to look up than ``faces``."""
+        return self._corners.take(face, 0)
+
+    @cached_property
     def normals(self) -> np.ndarray:
         """Outward unit normals at the vertices; (V, 3) float32."""
         return self.grid.normals(torch.from_numpy(self.vertices.astype(np.float32))).numpy()

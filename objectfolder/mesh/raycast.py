@@ -59,14 +59,14 @@ class RayCaster:
         -------
         ray : (H,) int64
         distance : (H,) float32
-        face : (H,) int64
+        face : (H,) int32
         weights : (H, 3) float32
             Barycentric weights of the face's corners.
         """
         hit = self._run(origins, directions, max_distance)
         ray = np.flatnonzero(hit["primID"] >= 0)
         u, v, distance, face = (hit[name].take(ray) for name in ("u", "v", "tfar", "primID"))
-        return ray, distance, face.astype(np.int64), np.stack([1 - u - v, u, v], 1)
+        return ray, distance, face, np.stack([1 - u - v, u, v], 1)
 
     def first_crossing(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Find the first triangle along each ray and the side from which the ray hits it.

@@ -32,8 +32,10 @@ GRIDS = ("grid", "transport")
 NEAREST = 1e-3  # lower limit of the distance to a light, unit frame: avoids infinite radiance
 FAMILIAR = 0.1  # lower limit for indirect light, unit frame: training lights are farther away
 CHUNK = 50_000  # points shaded at once
-ALIKE = 0.985  # least cosine between the normals of samples that share the net's correction
+ALIKE = 0.97  # least cosine between the normals of samples that share the net's correction
 BAKED = 2**14  # vertices evaluated at once
+#: Of `gains`, for each colour: light that the radiances lack, diffuse and glossy, and factors of the radiances.
+GAIN_BIAS, GAIN_SCALE = (-4.0, -5.0, 0.5, 0.0), (0.5, 0.1, 1.0, 1.0)
 
 
 class SurfaceNet(nn.Module):
@@ -186,7 +188,7 @@ class SurfaceNet(nn.Module):
         transport : (S, T) tensor
             Features of the grid ``transport``.
         """
-        return corrected(self.corrections(inputs, transport), inputs.gathered, inputs.mirrored)
+        return gained(gains(self.corrections(inputs, transport)), inputs.gathered, inputs.mirrored)
 
     def corrections(self, inputs: "BounceInputs", transport: torch.Tensor) -> torch.Tensor:
         """Evaluate the net of indirect light, (S, 12); parameters are those of `indirect`."""
@@ -216,8 +218,10 @@ class SurfaceNet(nn.Module):
             samples, light = samples.to(device), light.to(device)
             base_color, normals = baked.look_of(samples)
             direct = net.direct(samples, light, base_color, normals)
-            each = samples.select(one)
-            looks = [take_rows(v, one) for v in (base_color, normals, direct)]
+            each, looks = samples, [base_color, normals, direct]
+            several = len(one) < len(pixel)  # samples in some pixels
+            if several:
+                each, looks = samples.select(one), [take_rows(v, one) for v in looks]
             gathered = baked.radiosity.gathered(each, light)
             radiances = gathered, net.mirrored(baked, each, light, *looks[:2])
             corrections = []
@@ -226,8 +230,9 @@ class SurfaceNet(nn.Module):
                 values = (take_rows(v, part) for v in (*looks[1:], *radiances))
                 inputs = net.bounce_inputs(some, light, *values)
                 corrections.append(net.corrections(inputs, column_major(some.interpolated(baked.transport))))
-            diffuse, glossy = corrected(take_rows(concatenate(corrections), share), *radiances)
-            return (direct + base_color * take_rows(diffuse, group) + take_rows(glossy, group)).cpu()
+            shared = take_rows(gains(concatenate(corrections)), share)
+            diffuse, glossy = (v if not several else take_rows(v, group) for v in gained(shared, *radiances))
+            return (direct + base_color * diffuse + glossy).cpu()
 
         return shade
 
@@ -300,13 +305,18 @@ class BounceInputs:
         return BounceInputs(features.float(), *radiances)
 
 
-def corrected(
-    corrections: torch.Tensor, gathered: torch.Tensor, mirrored: torch.Tensor
+def gains(corrections: torch.Tensor) -> torch.Tensor:
+    """Return what `gained` applies to the radiances, (S, 12), from the net's output (S, 12)."""
+    bias, scale = (corrections.new_tensor(v).repeat_interleave(3) for v in (GAIN_BIAS, GAIN_SCALE))
+    return F.softplus(corrections + bias) * scale
+
+
+def gained(
+    factors: torch.Tensor, gathered: torch.Tensor, mirrored: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return indirect light, as `SurfaceNet.indirect`, from the net's output (S, 12) and the radiances."""
-    b = corrections.split(3, 1)
-    diffuse = gathered * F.softplus(b[2] + 0.5) + 0.5 * F.softplus(b[0] - 4)
-    return diffuse, mirrored * F.softplus(b[3]) + 0.1 * F.softplus(b[1] - 5)
+    """Return indirect light, as `SurfaceNet.indirect`, from `gains` (S, 12) and the radiances (S, 3)."""
+    more_diffuse, more_glossy, diffuse, glossy = factors.split(3, 1)
+    return gathered * diffuse + more_diffuse, mirrored * glossy + more_glossy
 
 
 def _shared(
@@ -328,13 +338,16 @@ def _shared(
     """
     state, facing = lit.numpy(), normals.numpy().T
     one, group = _firsts(2 * pixel + state)
-    square, leader = _firsts(2 * (pixel[one] // SQUARE) + state[one])
-    leader, facing = square[leader], facing.take(one, 1)
-    alone = (facing * facing.take(leader, 1)).sum(0) < ALIKE
+    square, leader = _firsts(2 * (pixel.take(one) // SQUARE) + state.take(one))
+    leader = square.take(leader)
+    if len(one) < len(pixel):
+        facing = facing.take(one, 1)
+    cosine = np.einsum("ks,ks->s", facing, facing.take(leader, 1))
+    alone = cosine < ALIKE
     evaluated = alone.copy()
     evaluated[square] = True
     number = np.cumsum(evaluated) - 1
-    return one, group, np.flatnonzero(evaluated), number[np.where(alone, np.arange(len(one)), leader)]
+    return one, group, np.flatnonzero(evaluated), number.take(np.where(alone, np.arange(len(one)), leader))
 
 
 def _firsts(groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -342,10 +355,9 @@ def _firsts(groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     rows = np.arange(len(groups))
     first = np.empty(groups.max() + 1, np.int64)
     first[groups[::-1]] = rows[::-1]
-    one = np.flatnonzero(first[groups] == rows)
-    number = np.empty_like(first)
-    number[groups[one]] = np.arange(len(one))
-    return one, number[groups]
+    leader = first.take(groups)
+    leads = leader == rows
+    return np.flatnonzero(leads), (leads.cumsum() - 1).take(leader)
 
 
 def in_cube(points: torch.Tensor) -> torch.Tensor:

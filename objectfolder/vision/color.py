@@ -13,13 +13,14 @@ LIT = 0.01  #: least radiance of a lit pixel, relative to white
 def on_white(rgba: torch.Tensor) -> torch.Tensor:
     """Composite premultiplied linear RGBA (..., 4) on white and encode; (..., 3) in [0, 1]."""
     pixels = rgba.reshape(-1, 4)
-    white = srgb.encode(torch.ones(1, dtype=rgba.dtype, device=rgba.device))
-    shown = white.repeat(len(pixels), 3)
+    shown = torch.full((len(pixels), 3), float(srgb.encode(np.ones(1, np.float32))[0]), dtype=rgba.dtype)
     # Encode foreground pixels only, since most are background; a large image in parts, to bound the memory.
     for part, into in zip(pixels.split(CHUNK), shown.split(CHUNK)):
-        drawn = part[:, 3].nonzero()[:, 0]
+        drawn = (part[:, 3] != 0).nonzero()[:, 0]
         color = part.index_select(0, drawn)
-        into.index_copy_(0, drawn, srgb.encode((color[:, :3] + (1 - color[:, 3:])).clamp(0, 1)))
+        linear = (color[:, :3] + (1 - color[:, 3:])).clamp_(0, 1)
+        # NumPy's powers take half the time of torch's.
+        into.index_copy_(0, drawn, torch.from_numpy(srgb.encode(linear.numpy())))
     return shown.view(*rgba.shape[:-1], 3)
 
 

@@ -101,13 +101,13 @@ class Radiosity:
         """
         _, outgoing = self._solution(tuple(light.tolist()))
         vertex = _nearest(samples.corners.cpu(), samples.weights.cpu())
-        some = self._sees[vertex].nonzero()[:, 0]
+        some = self._sees.index_select(0, vertex).nonzero()[:, 0]
         points, normals, directions = (
             take_rows(v.cpu(), some) for v in (samples.points, samples.normals, away)
         )
         starts = points + START * self._surface.grid.spacing * normals
         ray, _, face, weights = self._surface.caster.intersect(starts.numpy(), directions.numpy())
-        corners = torch.from_numpy(self._surface.faces.take(face, 0))
+        corners = torch.from_numpy(self._surface.corners(face))
         shown = self._at(outgoing, corners, torch.from_numpy(weights))
         mirrored = torch.zeros(3, len(vertex))
         mirrored.index_copy_(1, some[torch.from_numpy(ray)], shown.mT)
@@ -144,7 +144,7 @@ class Radiosity:
         starts, directions = np.repeat(starts, SIDE**2, axis=0), directions.reshape(-1, 3)
         ray, distance, face, weights = self._surface.caster.intersect(starts, directions)
         hits = starts.take(ray, 0) + directions.take(ray, 0) * distance[:, None]
-        corners = torch.from_numpy(self._surface.faces.take(face, 0))
+        corners = torch.from_numpy(self._surface.corners(face))
         met = weighted_rows(torch.from_numpy(self._surface.normals), corners, torch.from_numpy(weights))
         patch = tree.query(_oriented(hits, met.numpy()))[1]
         share = np.full(len(ray), 1 / SIDE**2, np.float32)
@@ -153,7 +153,9 @@ class Radiosity:
 
 def _nearest(corners: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
     """Return the nearest corner of each triangle, (S,), from barycentric weights (S, 3)."""
-    return corners.gather(1, weights.argmax(1, keepdim=True))[:, 0]
+    (a, b, c), (first, second, third) = weights.unbind(1), corners.unbind(1)
+    nearest = torch.where(b > a, second, first)  # several times faster than an argmax of three
+    return torch.where(c > torch.maximum(a, b), third, nearest)
 
 
 def _blockwise(points: np.ndarray) -> np.ndarray:

@@ -25,7 +25,7 @@ class SurfaceSamples:
     directions: torch.Tensor  #: (S, 3) float32, from the camera, of unit length
     distance: torch.Tensor  #: (S,) float32, from the camera, in units of the given ray direction's length
     lit: torch.Tensor  #: (S,) bool, whether the point faces the light and is not in shadow
-    corners: torch.Tensor  #: (S, 3) int64, vertices of the point's triangle
+    corners: torch.Tensor  #: (S, 3) int32, vertices of the point's triangle
     weights: torch.Tensor  #: (S, 3) float32, barycentric
 
     def select(self, index: torch.Tensor) -> "SurfaceSamples":
@@ -69,7 +69,7 @@ def trace(
     away = torch.from_numpy(directions.T.take(ray, 1)).T
     start = torch.tensor(origins) if origins.ndim == 1 else torch.from_numpy(origins.T.take(ray, 1)).T
     points = start + away * t[:, None]
-    corners, weights = torch.from_numpy(surface.faces.take(face, 0)), torch.from_numpy(barycentric)
+    corners, weights = torch.from_numpy(surface.corners(face)), torch.from_numpy(barycentric)
     normals = normalized(column_major(weighted_rows(torch.from_numpy(surface.normals), corners, weights)))
     lit = is_lit(surface, points, normals, torch.from_numpy(np.asarray(light, np.float32)))
     return SurfaceSamples(index, points, normals, normalized(away), t, lit, corners, weights)

@@ -20,12 +20,12 @@ AROUND = np.delete(
 HALVINGS = 4  # bisections of the interval between two samples that contains a silhouette
 END = np.float32(1 / 64)  # pixels; a line that is hit this near to its end is covered up to the end
 TILE = 2**18  # pixels drawn at once, to bound the memory of a large image
-MARGIN = 2  # pixels around a tile that its own pixels depend on
-
-SQUARE = 4  # pixels of a square of 2 x 2
+SQUARE_SIDE = 4
+SQUARE = SQUARE_SIDE**2  # pixels of a square that may share light
+MARGIN = SQUARE_SIDE + 1  # pixels around a tile that its own pixels depend on
 
 #: Samples, light (3,) and pixel (S,) of each sample -> linear radiance (S, 3). ``pixel // SQUARE`` numbers
-#: squares of 2 x 2 pixels.
+#: squares of pixels.
 Shader = Callable[[SurfaceSamples, torch.Tensor, np.ndarray], torch.Tensor]
 #: Colour (3, N), hit or coverage (N,), depth (N,) and normal (3, N) of N rays.
 Images = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -91,26 +91,35 @@ def _draw(
     seen = centre.ray.numpy()
     images = color, alpha, depth, normals = _images(height * width)
     alpha[seen], depth[seen] = 1, centre.distance.numpy()
-    normals[:, seen] = centre.normals.numpy().T
-    edges = np.zeros(0, np.int64)
+    _put(normals, seen, centre.normals.numpy().T)
+    samples, edges, finer = centre, np.zeros(0, np.int64), 0
     if supersample:
         state = np.zeros(height * width, np.float32)
         state[seen] = 10 * (1 + centre.lit.numpy())  # differs by more than normals can
         edges = np.flatnonzero(_varies(np.concatenate([normals, state[None]]), rays.shape, CREASE))
-    around = rays.through(np.repeat(edges, OTHERS), *np.tile(AROUND, len(edges)))
-    fine = trace(surface, rays.origin, around, light)
-    ray = fine.ray.numpy()
-    pixel = np.concatenate([edges[ray // OTHERS], seen])
+    pixel = seen
+    if len(edges):
+        around = rays.through(np.repeat(edges, OTHERS), *np.tile(AROUND, len(edges)))
+        fine = trace(surface, rays.origin, around, light)
+        ray = fine.ray.numpy()
+        samples, pixel, finer = fine.joined(centre), np.concatenate([edges[ray // OTHERS], seen]), len(ray)
     if not len(pixel):
         return _shaped(images, rays.shape)
-    radiance = shade(fine.joined(centre), torch.from_numpy(light), rays.by_squares(pixel)).numpy().T
-    color[:, seen] = radiance[:, len(ray) :]
+    radiance = shade(samples, torch.from_numpy(light), rays.by_squares(pixel, SQUARE_SIDE)).numpy().T
+    _put(color, seen, radiance[:, finer:])
     if len(edges):
         found = _images(len(edges) * OTHERS)
-        for whole, part in zip(found, (radiance[:, : len(ray)], 1, fine.distance, fine.normals.T)):
-            whole[..., ray] = part
+        found[1][ray], found[2][ray] = 1, fine.distance.numpy()
+        _put(found[0], ray, radiance[:, :finer])
+        _put(found[3], ray, fine.normals.numpy().T)
         _refine(surface, rays, edges, images, found)
     return _shaped(images, rays.shape)
+
+
+def _put(image: np.ndarray, index: np.ndarray, values: np.ndarray) -> None:
+    """Set pixels (K,) of an image (C, N) to values (C, K); several times faster than in one assignment."""
+    for channel, of_channel in zip(image, values):
+        channel[index] = of_channel
 
 
 def _images(count: int) -> Images:

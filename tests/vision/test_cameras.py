@@ -155,7 +155,8 @@ def test_rays_of_part_of_an_image_are_its_rays_at_unit_depth(rng):
 def test_squares_of_pixels_are_those_of_the_whole_image(left, top, right, bottom):
     rays = PixelRays(np.eye(4), Intrinsics(9, 7, 9.0), left, top, right, bottom)
     row, column = np.mgrid[top:bottom, left:right].reshape(2, -1)
-    number = rays.by_squares(np.arange(row.size))
-    assert len(set(number)) == len(number)
-    same = (row[:, None] // 2 == row // 2) & (column[:, None] // 2 == column // 2)
-    np.testing.assert_array_equal(number[:, None] // 4 == number // 4, same)
+    for side in (2, 3):
+        number = rays.by_squares(np.arange(row.size), side)
+        assert len(set(number)) == len(number)
+        same = (row[:, None] // side == row // side) & (column[:, None] // side == column // side)
+        np.testing.assert_array_equal(number[:, None] // side**2 == number // side**2, same)
