@@ -116,9 +116,10 @@ class SurfaceNet(nn.Module):
         normals: torch.Tensor,
     ) -> torch.Tensor:
         """Return the radiance ``mirrored`` of `BounceInputs`; parameters as there."""
-        seen = dot(normals, samples.directions)
-        mirrored = baked.radiosity.mirrored(samples, samples.directions - 2 * seen * normals, light)
-        return mirrored * fresnel(-seen, base_color, self.config["metallic"])
+        index, shown = baked.radiosity.mirrored(samples, normals, light)
+        color, mirror, view = (take_rows(v, index) for v in (base_color, normals, samples.directions))
+        reflected = shown * fresnel(-dot(mirror, view), color, self.config["metallic"])
+        return normals.new_zeros(normals.shape[::-1]).index_copy_(1, index, reflected.mT).mT
 
     def bounce_inputs(
         self,

@@ -10,8 +10,8 @@ import torch
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sampling import sample_surface
-from objectfolder.vision.trace import SurfaceSamples, is_lit, weighted_rows
-from objectfolder.vision.vectors import column_major, take_rows
+from objectfolder.vision.trace import SurfaceSamples, is_lit, nearest_corners, weighted_rows
+from objectfolder.vision.vectors import column_major, dot, take_rows
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
@@ -62,8 +62,13 @@ class Radiosity:
         self._patches = torch.from_numpy(index.astype(np.int32))
         self._weights = torch.from_numpy((weights / weights.sum(1, keepdims=True)).astype(np.float32))
         self._seen = self._form_factors(tree, points, normals, directions)
-        self._sees = torch.from_numpy((np.diff(self._seen.indptr) > 0)[index].any(1))
-        self._points, self._normals = (column_major(torch.from_numpy(v)) for v in (points, normals))
+        sees = np.diff(self._seen.indptr) > 0
+        self._sees = torch.from_numpy(sees[index].any(1))
+        # The light on all others reaches no patch: most of a convex object.
+        self._involved = np.flatnonzero(sees | (np.bincount(self._seen.indices, minlength=PATCHES) > 0))
+        self._points, self._normals = (
+            column_major(torch.from_numpy(v[self._involved])) for v in (points, normals)
+        )
         self._solution = lru_cache(SOLVED)(self._solve)
 
     def gathered(self, samples: SurfaceSamples, light: torch.Tensor) -> torch.Tensor:
@@ -80,9 +85,11 @@ class Radiosity:
         (S, 3) float32 tensor, radiance, on the light's device
         """
         gathered, _ = self._solution(tuple(light.tolist()))
-        return self._at(gathered, samples.corners.cpu(), samples.weights.cpu()).to(light.device)
+        return self._at(gathered, samples.nearest_corner.cpu()).to(light.device)
 
-    def mirrored(self, samples: SurfaceSamples, away: torch.Tensor, light: torch.Tensor) -> torch.Tensor:
+    def mirrored(
+        self, samples: SurfaceSamples, normals: torch.Tensor, light: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the diffuse light of the surface that a mirror reflects at samples.
 
         No rays are cast from where no patch sees the surface, as on a convex object.
@@ -90,28 +97,29 @@ class Radiosity:
         Parameters
         ----------
         samples : SurfaceSamples
-        away : (S, 3) float32 tensor
-            Mirrored viewing directions.
+        normals : (S, 3) float32 tensor
+            Unit normals of the mirror.
         light : (3,) float32 tensor
             As of `gathered`.
 
         Returns
         -------
-        (S, 3) float32 tensor, radiance; 0 where the mirrored ray hits nothing
+        index : (K,) int64 tensor
+            Samples whose mirrored rays hit the surface.
+        radiance : (K, 3) float32 tensor
+            What these see; both on the device of the samples.
         """
         _, outgoing = self._solution(tuple(light.tolist()))
-        vertex = _nearest(samples.corners.cpu(), samples.weights.cpu())
-        some = self._sees.index_select(0, vertex).nonzero()[:, 0]
-        points, normals, directions = (
-            take_rows(v.cpu(), some) for v in (samples.points, samples.normals, away)
+        some = self._sees.index_select(0, samples.nearest_corner.cpu()).nonzero()[:, 0]
+        points, outward, mirror, view = (
+            take_rows(v.cpu(), some) for v in (samples.points, samples.normals, normals, samples.directions)
         )
-        starts = points + START * self._surface.grid.spacing * normals
-        ray, _, face, weights = self._surface.caster.intersect(starts.numpy(), directions.numpy())
+        starts = points + START * self._surface.grid.spacing * outward
+        away = view - 2 * dot(mirror, view) * mirror
+        ray, _, face, weights = self._surface.caster.intersect(starts.numpy(), away.numpy())
         corners = torch.from_numpy(self._surface.corners(face))
-        shown = self._at(outgoing, corners, torch.from_numpy(weights))
-        mirrored = torch.zeros(3, len(vertex))
-        mirrored.index_copy_(1, some[torch.from_numpy(ray)], shown.mT)
-        return mirrored.mT.to(away.device)
+        shown = self._at(outgoing, nearest_corners(corners, torch.from_numpy(weights)))
+        return some[torch.from_numpy(ray)].to(normals.device), shown.to(normals.device)
 
     def _solve(self, light: tuple[float, float, float]) -> tuple[torch.Tensor, torch.Tensor]:
         """Return light gathered by each patch, as if it were white, and its radiosity; (P, 3) each."""
@@ -120,7 +128,7 @@ class Radiosity:
         to_light = where - take_rows(self._points, lit)
         cosine = (to_light * take_rows(self._normals, lit)).sum(1)
         received = np.zeros(PATCHES, np.float32)
-        received[lit.numpy()] = (cosine / to_light.square().sum(1) ** 1.5).numpy()
+        received[self._involved[lit.numpy()]] = (cosine / to_light.square().sum(1) ** 1.5).numpy()
         # One colour at a time: a sparse product of three takes twice as long.
         gathered = np.zeros((3, PATCHES), np.float32)
         for _ in range(BOUNCES):
@@ -128,9 +136,8 @@ class Radiosity:
         given_off = self._reflectance * (received + gathered)
         return torch.from_numpy(gathered.T.copy()), torch.from_numpy(given_off.T.copy())
 
-    def _at(self, values: torch.Tensor, corners: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-        """Interpolate values (P, C) of patches at the nearest corners of triangles; (S, C)."""
-        vertex = _nearest(corners, weights)
+    def _at(self, values: torch.Tensor, vertex: torch.Tensor) -> torch.Tensor:
+        """Interpolate values (P, C) of patches at vertices (S,); (S, C)."""
         rows = (table.index_select(0, vertex) for table in (self._patches, self._weights))
         return column_major(weighted_rows(values, *rows))
 
@@ -149,13 +156,6 @@ class Radiosity:
         patch = tree.query(_oriented(hits, met.numpy()))[1]
         share = np.full(len(ray), 1 / SIDE**2, np.float32)
         return sp.csr_matrix((share, (ray // SIDE**2, patch)), shape=(PATCHES, PATCHES))
-
-
-def _nearest(corners: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-    """Return the nearest corner of each triangle, (S,), from barycentric weights (S, 3)."""
-    (a, b, c), (first, second, third) = weights.unbind(1), corners.unbind(1)
-    nearest = torch.where(b > a, second, first)  # several times faster than an argmax of three
-    return torch.where(c > torch.maximum(a, b), third, nearest)
 
 
 def _blockwise(points: np.ndarray) -> np.ndarray:

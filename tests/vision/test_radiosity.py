@@ -8,7 +8,6 @@ from objectfolder.mesh.gridcodec import BOUND, quantise
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.vision.radiosity import Radiosity
 from objectfolder.vision.trace import SurfaceSamples, trace
-from objectfolder.vision.vectors import dot
 
 RADIUS = 0.4  # of a cavity
 REFLECTANCE = torch.tensor([0.8, 0.5, 0.1])
@@ -36,8 +35,8 @@ def samples_in(surface: Isosurface, eye: list[float], light: torch.Tensor) -> Su
 
 
 def around(radiosity: Radiosity, samples: SurfaceSamples, light: torch.Tensor):
-    away = samples.directions - 2 * dot(samples.directions, samples.normals) * samples.normals
-    return radiosity.gathered(samples, light), radiosity.mirrored(samples, away, light)
+    index, shown = radiosity.mirrored(samples, samples.normals, light)
+    return radiosity.gathered(samples, light), torch.zeros(len(samples.points), 3).index_copy_(0, index, shown)
 
 
 @pytest.mark.parametrize("light", [[0, 0, 0], [0.15, 0.1, -0.1]])
