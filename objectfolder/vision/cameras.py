@@ -252,6 +252,19 @@ class PixelRays:
         half = 0.5 * self._right + 0.5 * self._down
         return (self._rows[:, :, None] + (self._columns + half)[:, None]).reshape(3, -1).T
 
+    def in_strips(self, height: int) -> np.ndarray:
+        """Return the numbers of all pixels (P,), column by column in strips of rows.
+
+        Consecutive rays then meet the same triangles. Strips begin at multiples of ``height`` rows of the
+        whole image, so that the order of two pixels does not depend on the part.
+        """
+        rows, columns = self.shape
+        above = self._first[0] % height
+        strips = -(-(above + rows) // height)
+        row = np.arange(-above, strips * height - above).reshape(strips, 1, height)
+        pixels = (columns * row + np.arange(columns)[:, None]).ravel()
+        return pixels[(pixels >= 0) & (pixels < rows * columns)]
+
     def by_squares(self, pixels: np.ndarray, side: int) -> np.ndarray:
         """Return other numbers of pixels (K,): ``side**2`` from a multiple of it are a square of pixels.
 

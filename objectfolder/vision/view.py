@@ -22,6 +22,7 @@ END = np.float32(1 / 64)  # pixels; a line that is hit this near to its end is c
 TILE = 2**18  # pixels drawn at once, to bound the memory of a large image
 SQUARE_SIDE = 4
 SQUARE = SQUARE_SIDE**2  # pixels of a square that may share light
+STRIP = 8  # rows whose rays are cast column by column
 MARGIN = SQUARE_SIDE + 1  # pixels around a tile that its own pixels depend on
 
 #: Samples, light (3,) and pixel (S,) of each sample -> linear radiance (S, 3). ``pixel // SQUARE`` numbers
@@ -87,8 +88,9 @@ def _draw(
     """Return linear premultiplied RGBA, depth and normals of a part of an image."""
     height, width = rays.shape
     light = np.asarray(light, np.float32)
-    centre = trace(surface, rays.origin, rays.centres(), light)
-    seen = centre.ray.numpy()
+    order = rays.in_strips(STRIP)
+    centre = trace(surface, rays.origin, rays.centres().T.take(order, 1).T, light)
+    seen = order.take(centre.ray.numpy())
     images = color, alpha, depth, normals = _images(height * width)
     alpha[seen], depth[seen] = 1, centre.distance.numpy()
     _put(normals, seen, centre.normals.numpy().T)
@@ -96,7 +98,7 @@ def _draw(
     if supersample:
         state = np.zeros(height * width, np.float32)
         state[seen] = 10 * (1 + centre.lit.numpy())  # differs by more than normals can
-        edges = np.flatnonzero(_varies(np.concatenate([normals, state[None]]), rays.shape, CREASE))
+        edges = order[_varies(np.concatenate([normals, state[None]]), rays.shape, CREASE)[order]]
     pixel = seen
     if len(edges):
         around = rays.through(np.repeat(edges, OTHERS), *np.tile(AROUND, len(edges)))

@@ -160,3 +160,13 @@ def test_squares_of_pixels_are_those_of_the_whole_image(left, top, right, bottom
         assert len(set(number)) == len(number)
         same = (row[:, None] // side == row // side) & (column[:, None] // side == column // side)
         np.testing.assert_array_equal(number[:, None] // side**2 == number // side**2, same)
+
+
+@pytest.mark.parametrize(("top", "bottom"), [(0, 7), (2, 9), (5, 6), (4, 4)])
+def test_strips_hold_every_pixel_once_in_the_order_of_the_whole_image(top, bottom):
+    whole = PixelRays(np.eye(4), Intrinsics(9, 9, 9.0), 0, 0, 9, 9).in_strips(4)
+    np.testing.assert_array_equal(whole[:9], [0, 9, 18, 27, 1, 10, 19, 28, 2])
+    part = PixelRays(np.eye(4), Intrinsics(9, 9, 9.0), 3, top, 8, bottom).in_strips(4)
+    row, column = np.divmod(whole, 9)
+    inside = (row >= top) & (row < bottom) & (column >= 3) & (column < 8)
+    np.testing.assert_array_equal(part, ((row - top) * 5 + column - 3)[inside])
