@@ -36,7 +36,8 @@ def samples_in(surface: Isosurface, eye: list[float], light: torch.Tensor) -> Su
 
 def around(radiosity: Radiosity, samples: SurfaceSamples, light: torch.Tensor):
     index, shown = radiosity.mirrored(samples, samples.normals, light)
-    return radiosity.gathered(samples, light), torch.zeros(len(samples.points), 3).index_copy_(0, index, shown)
+    mirrored = torch.zeros(len(samples.points), 3).index_copy_(0, index, shown)
+    return radiosity.gathered(samples, light), mirrored
 
 
 @pytest.mark.parametrize("light", [[0, 0, 0], [0.15, 0.1, -0.1]])
