@@ -26,7 +26,7 @@ def main(key: str) -> None:
     vertices, faces = read_surface(build.surface)
     rng = numpy_generator(params.seed, key, "modal")
     points = np.concatenate([vertices, sample_surface(vertices, faces, settings.surface_points, rng)])
-    material = materials.material(params.entry.material)
+    material = materials.own_material(params.entry.material, settings.damping)
     request = Request(material, params.entry.scale, settings.max_frequency, settings.max_modes)
     options = {"fine": asdict(settings.fine), "surface_points": settings.surface_points}
     task = problem_digest(file_digest(build.solid), points, material.poisson_ratio, options)

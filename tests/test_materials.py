@@ -1,10 +1,12 @@
 import dataclasses
 import math
 
+import numpy as np
 import pytest
+import torch
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.materials import MATERIALS, material
+from objectfolder.materials import MATERIALS, Material, material, own_material
 
 
 def test_table_is_that_of_the_supplement():
@@ -52,3 +54,67 @@ def test_an_unphysical_material_is_refused(field, value):
 def test_auxetic_and_undamped_materials_exist():
     m = dataclasses.replace(material("steel"), poisson_ratio=-0.7, alpha=0.0, beta=0.0)
     assert m.poisson_ratio == -0.7
+
+
+def test_a_loss_factor_is_the_inverse_of_the_quality_factor():
+    flat = dataclasses.replace(material("steel"), loss_factor=((1000, 0.002),))
+    angular = 2 * np.pi * np.array([50.0, 1000.0, 15000.0])
+    np.testing.assert_allclose(angular / (2 * flat.damping(angular**2)), 500, rtol=1e-12)
+
+
+def test_a_loss_factor_is_linear_between_its_knots_and_constant_beyond():
+    knots = ((1000.0, 0.001), (2000.0, 0.003), (8000.0, 0.002))
+    loss = dataclasses.replace(material("steel"), loss_factor=knots)
+    hertz = np.array([10.0, 1000.0, 1500.0, 2000.0, 5000.0, 8000.0, 20000.0])
+    angular = 2 * np.pi * hertz
+    found = loss.damping(torch.from_numpy(angular**2)).numpy()
+    np.testing.assert_allclose(found, np.interp(hertz, *zip(*knots)) * angular / 2, rtol=1e-12)
+
+
+def test_the_named_materials_differ_by_their_damping_only():
+    for name in MATERIALS:
+        other = material(name, "loss_factor")
+        assert (material(name).law, other.law) == ("rayleigh", "loss_factor")
+        assert dataclasses.replace(other, loss_factor=()) == material(name)
+
+
+@pytest.mark.parametrize(
+    "knots",
+    [
+        [[1000, 0.1], [1000, 0.2]],
+        [[2000, 0.1], [1000, 0.2]],
+        [[1000, 0.0]],
+        [[1000, 1.5]],
+        [[-1, 0.1]],
+        [1000, 0.1],
+    ],
+)
+def test_an_unphysical_loss_factor_is_refused(knots):
+    with pytest.raises(ObjectFolderError, match=r"'steel': loss_factor is .* pairs of a frequency in Hz"):
+        dataclasses.replace(material("steel"), loss_factor=knots)
+
+
+def test_an_object_may_have_a_material_of_its_own():
+    assert own_material("Steel", "loss_factor") == material("steel", "loss_factor")
+    own = own_material({"base": "ceramic", "youngs_modulus": 7.5e10}, "loss_factor")
+    assert own == dataclasses.replace(material("ceramic", "loss_factor"), youngs_modulus=7.5e10)
+    damped = own_material({"base": "ceramic", "alpha": 1.0, "beta": 1e-8}, "loss_factor")
+    assert damped == dataclasses.replace(material("ceramic"), alpha=1.0, beta=1e-8)
+    # as JSON and YAML give it back
+    listed = own_material({"base": "wood", "loss_factor": [[100, 0.01]]})
+    assert Material("wood", **listed.properties()) == listed
+
+
+@pytest.mark.parametrize(
+    ("described", "message"),
+    [
+        ({"youngs_modulus": 7e10}, "unknown material ''"),
+        ({"base": "gold"}, "unknown material 'gold'"),
+        ({"base": "wood", "young": 1e9}, "unknown property 'young': expected base or one of density"),
+        ({"base": "wood", "name": "oak"}, "unknown property 'name'"),
+        ({"base": "wood", "density": -1.0}, "density is -1.0, expected a positive number"),
+    ],
+)
+def test_a_material_of_its_own_that_is_none_is_refused(described, message):
+    with pytest.raises(ObjectFolderError, match=message):
+        own_material(described)

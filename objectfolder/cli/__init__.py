@@ -13,6 +13,7 @@ from objectfolder.cli import (
     bench_robots,
     doctor,
     export,
+    fit,
     objectfile,
     objects,
     reconstruct,
@@ -58,6 +59,7 @@ bench.bench_app.command()(bench_robots.grasping)
 bench.bench_app.command()(bench_robots.reach)
 app.add_typer(bench.bench_app, name="bench")
 app.add_typer(export.export_app, name="export")
+app.add_typer(fit.fit_app, name="fit")
 
 
 def main() -> None:

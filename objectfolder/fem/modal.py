@@ -1,7 +1,7 @@
 """Modal analysis of a solid: modes at points of its surface."""
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt
@@ -27,6 +27,7 @@ class ModalConfig:
     max_frequency: Annotated[float, Gt(20)]  #: Hz
     max_modes: Count
     surface_points: Annotated[int, Ge(0)]  #: random points, besides the surface's vertices
+    damping: Literal["rayleigh", "loss_factor"]  #: law of objects whose entry gives none
 
 
 @dataclass(frozen=True)
@@ -74,8 +75,8 @@ def modal_analysis(
 
     Notes
     -----
-    Rayleigh damping (supplementary Table 1): a mode decays with rate c = (alpha + beta lambda) / 2 and
-    rings at sqrt(lambda - c^2). Overdamped and inaudible modes are dropped.
+    A mode decays with rate c (`Material.damping`) and rings at sqrt(lambda - c^2). Overdamped and inaudible
+    modes are dropped.
     """
     fem = cells.assemble(material, scale)
     modes = solve_modes(fem, max_frequency, max_modes, name)

@@ -1,7 +1,7 @@
 """Hearing of an Object File: strikes in, sounds out."""
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from typing import Protocol
 
@@ -53,7 +53,7 @@ class SoundSettings:
             If one is not of its type, or the sounds do not fit into memory.
         """
         if not isinstance(material, Material | None):
-            material = materials.material(material)
+            material = materials.material(material).name
         samples = count_samples(sample_rate, duration)
         rate, seconds = float(sample_rate), float(duration)
         require_memory(
@@ -147,9 +147,9 @@ class ModalSense:
         modes = self.net.damped_frequency.cpu(), self.net.damping.cpu()
         if material is None and scale is None:
             return stored_modes(*modes)
-        if material is not None and not isinstance(material, Material):
-            material = materials.material(material)
         own, band = self._solved()
+        if material is not None and not isinstance(material, Material):
+            material = materials.material(material, own.law)
         size = self._surface.scale
         return retune(*modes, band, (own, size), (material or own, size if scale is None else scale))
 
@@ -163,7 +163,9 @@ class ModalSense:
             )
         with report_damage(key, "description of the sound"):
             low, high = header["audio"]["band_hz"]
-            return Material(header["material"], **header["material_properties"]), (float(low), float(high))
+            stored = header["material_properties"]
+            known = {field.name: stored[field.name] for field in fields(Material) if field.name in stored}
+            return Material(header["material"], **known), (float(low), float(high))
 
     def mode_shapes(self, points: np.ndarray, tolerance: float) -> np.ndarray:
         """Return mass-normalised mode shapes, kg^-1/2; (N, 3, M) float32."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from objectfolder.errors import ObjectFolderError, quoted
-from objectfolder.materials import material
+from objectfolder.materials import own_material
 from objectfolder.workspace.params import (
     PARAMS_FILE,
     ROBOT_STAGES,
@@ -81,7 +81,7 @@ def check_object(key: str, values: dict[str, Any], path: str | Path = PARAMS_FIL
     """
     entry = object_entry(key, values, path)
     try:
-        material(entry.material)
+        own_material(entry.material)
     except ObjectFolderError as error:
         raise ObjectFolderError(f"{path}: objects.{key}: material: {error}") from error
     return entry

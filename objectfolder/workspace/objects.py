@@ -107,6 +107,14 @@ def add_mesh(
     return entry
 
 
+def set_material(key: str, described: dict[str, Any], root: Path = Path()) -> None:
+    """Give an object of a workspace a material of its own; see `objectfolder.materials.own_material`."""
+    path = root / params.PARAMS_FILE
+    document, _ = editable(path)
+    document["objects"][key]["material"] = _one_line(described)
+    write_params(path, document)
+
+
 def object_files(mesh: Path, attachments: Sequence[Path] = ()) -> dict[PurePosixPath, Path]:
     """Map the files of an object's folder, the mesh first, to those that they are copied from.
 

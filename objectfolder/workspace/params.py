@@ -78,7 +78,7 @@ class ObjectEntry(Record):
     """One object."""
 
     mesh: str  #: under data/objects/<key>/
-    material: str
+    material: Any  #: a name, or {base: name} and properties that differ
     scale: float = Field(gt=0, le=100)  #: longest side, metres
     up: Literal["y", "z"] = "z"  #: up axis of the source mesh
     wall: float | None = Field(default=None, gt=0)  #: thickness given to open sheets, metres; null: 2 %
@@ -91,7 +91,11 @@ class ObjectEntry(Record):
 
     @field_validator("material")
     @classmethod
-    def _lower_case(cls, value: str) -> str:
+    def _name_or_properties(cls, value: Any) -> str | dict[str, Any]:
+        if isinstance(value, dict):
+            return value
+        if not isinstance(value, str):
+            raise ValueError("expected the name of a material, or {base: NAME, PROPERTY: VALUE, ...}")
         return value.lower()
 
 

@@ -1,0 +1,97 @@
+"""Command that fits an object's material to recordings of it."""
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.table import Table
+
+from objectfolder.cli.console import console, print_wide
+
+fit_app = typer.Typer(
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+    help="Fit an object to reality: `sound`, to recordings of taps.",
+)
+GUESS = 0.6  # score of the next best stiffness, relative to the best, from which on the fit may be wrong
+
+
+@fit_app.callback()
+def _group() -> None:
+    """Keep `sound` a command of its own."""
+
+
+@fit_app.command()
+def sound(
+    key: Annotated[str, typer.Argument(metavar="OBJECT", help="Built object of the workspace.")],
+    recordings: Annotated[
+        list[Path], typer.Argument(metavar="RECORDING...", help="WAV, FLAC or OGG files of taps.")
+    ],
+    law: Annotated[str, typer.Option(help="Law of damping: loss_factor or rayleigh.")] = "loss_factor",
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the fit; change nothing.")] = False,
+) -> None:
+    """Fit stiffness and damping of an object to recordings of taps, and write them to params.yaml.
+
+    Hang the object on a thread or lay it on foam, so that it rings freely, and tap it in several places with
+    something hard and small; one or more taps in each file, at least a second apart, without clipping. Then:
+
+    `objectfolder fit sound mug tap1.wav tap2.wav`
+
+    The modes heard are matched to those of the object's last build. Size and density stay as they are. The
+    next build rescales the modes; it does not solve them again.
+    """
+    from objectfolder.audio.fitting import fit_sound
+    from objectfolder.audio.recordings import at_one_rate, read_recording
+    from objectfolder.audio.ringdown import LN_1000
+    from objectfolder.checks import one_of
+    from objectfolder.io import read_json, read_npz
+    from objectfolder.materials import LAWS, Material
+    from objectfolder.workspace import params
+    from objectfolder.workspace.check import check_object
+    from objectfolder.workspace.layout import Build
+    from objectfolder.workspace.objects import set_material
+
+    one_of("--law", law, LAWS)
+    check_object(key, params.read())
+    build = Build(key)
+    report, modes = read_json(build.modal), read_npz(build.modes, "eigenvalues")
+    sounds, rate = at_one_rate([read_recording(path) for path in recordings])
+    computed = np.sqrt(modes["eigenvalues"]) / (2 * np.pi)
+    solid = Material(report["material"], **report["material_properties"])
+    fit = fit_sound(computed, solid, sounds, rate, law)
+    match, heard = fit.match, fit.heard
+
+    table = Table(title=f"{key}: {len(match.heard)} of {len(heard.frequency)} heard modes matched")
+    for title in ("computed Hz", "heard Hz", "left after the fit", "T60 s", "by the fitted law"):
+        table.add_column(title, justify="right")
+    for row, found, residual, decay in zip(match.computed, match.heard, match.residual, fit.decay_time):
+        table.add_row(
+            f"{computed[row]:.1f}",
+            f"{heard.frequency[found]:.1f}",
+            f"{residual:+.2%}",
+            f"{LN_1000 / heard.damping[found]:.3g}",
+            f"{decay:.3g}",
+        )
+    print_wide(table)
+    left = ", ".join(f"{heard.frequency[row]:.0f}" for row in fit.left_out)
+    lines = [
+        f"stiffness: {match.stiffness:.4f} times that of {report['material']} as built; frequencies then "
+        f"differ by {fit.frequency_error:.2%} (root mean square)",
+        f"not matched, Hz: {left or 'none'}",
+        f"material: {fit.material}",
+    ]
+    if match.rival > GUESS:
+        lines.append(
+            f"uncertain: another stiffness matches {match.rival:.0%} as well; give more recordings, or check "
+            "the size"
+        )
+    for line in lines:
+        console.print(line, highlight=False, soft_wrap=True, markup=False)
+    if dry_run:
+        return
+    set_material(key, fit.material)
+    console.print(
+        f"wrote objects.{key}.material to {params.PARAMS_FILE}; next: objectfolder build {key}",
+        highlight=False,
+    )

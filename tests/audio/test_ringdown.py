@@ -1,0 +1,46 @@
+"""What is heard in made recordings is what rang in them."""
+
+import numpy as np
+import pytest
+from taps import MODES, RATE, taps
+
+from objectfolder.audio.ringdown import ringdown, strikes
+
+
+def heard(sounds):
+    return ringdown([tap for sound in sounds for tap in strikes(sound, RATE)], RATE, highest=18000.0)
+
+
+def test_frequencies_and_decay_times_are_those_of_the_recording():
+    found = heard(taps(MODES, 6))
+    hertz, t60 = np.array(MODES).T
+    assert len(found.frequency) == len(MODES)
+    np.testing.assert_allclose(found.frequency, hertz, rtol=5e-5)
+    np.testing.assert_allclose(found.decay_time, t60, rtol=0.05)
+    assert ((found.level > 0.005) & (found.level < 0.06)).all()
+
+
+def test_one_recording_tells_a_single_mode():
+    found = heard(taps([(1000.0, 1.0)], 1))
+    assert found.frequency == pytest.approx([1000.0], rel=1e-5)
+    assert found.decay_time == pytest.approx([1.0], rel=0.02)
+
+
+def test_more_noise_costs_modes_but_makes_none():
+    hertz = np.array(MODES)[:, 0]
+    for noise in (1e-3, 5e-3):
+        found = heard(taps(MODES, 6, noise))
+        assert 3 <= len(found.frequency) <= len(MODES)
+        assert (np.abs(found.frequency[:, None] / hertz - 1).min(1) < 1e-3).all()
+
+
+def test_noise_alone_rings_not():
+    noise = 0.01 * np.random.default_rng(0).standard_normal(2 * RATE)
+    assert strikes(noise, RATE) == []
+
+
+def test_each_tap_of_a_recording_is_cut_out():
+    parts = taps(MODES, 3, pause=0.5)
+    cut = strikes(np.concatenate(parts), RATE)
+    assert len(strikes(parts[0][RATE // 2 :], RATE)) == 1  # cut at the strike
+    assert [len(tap) / RATE for tap in cut] == pytest.approx([1.5, 1.5, 1.5], abs=0.01)

@@ -1,0 +1,89 @@
+"""`objectfolder fit sound`: from recordings to params.yaml, or a reason why not."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+from taps import MODES, RATE, taps
+from typer.testing import CliRunner
+
+from objectfolder.cli import app
+from objectfolder.io import write_json, write_npz
+from objectfolder.materials import material, own_material
+from objectfolder.workspace import params
+from objectfolder.workspace.check import check_all
+from objectfolder.workspace.layout import Build
+
+STIFFNESS = 1.04
+
+
+@pytest.fixture
+def built(workspace):
+    """A mug whose modes are those of the recordings, but for its stiffness."""
+    hertz = np.append(np.array(MODES)[:, 0] / STIFFNESS**0.5, [2600.0, 19000.0])
+    build, ceramic = Build("mug"), material("ceramic")
+    write_npz(build.modes, eigenvalues=(2 * np.pi * np.sort(hertz)) ** 2)
+    write_json(build.modal, {"material": "ceramic", "material_properties": ceramic.properties()})
+    return workspace
+
+
+@pytest.fixture
+def recordings(tmp_path):
+    paths = []
+    for i, sound in enumerate(taps(MODES, 4)):
+        paths.append(str(tmp_path / f"tap{i}.wav"))
+        soundfile.write(paths[-1], np.stack([0.5 * sound, sound], 1), RATE, subtype="PCM_16")
+    return paths
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, ["fit", "sound", *map(str, arguments)])
+
+
+def test_the_fitted_material_goes_to_params(built, recordings):
+    before = (built / "params.yaml").read_text()
+    shown = run("mug", *recordings, "--dry-run")
+    assert shown.exit_code == 0, shown.output
+    assert f"{len(MODES)} of {len(MODES)} heard modes matched" in shown.output
+    assert (built / "params.yaml").read_text() == before
+    assert run("mug", *recordings).exit_code == 0
+    check_all(params.read())
+    entry = params.read()["objects"]["mug"]["material"]
+    fitted = own_material(entry)
+    assert fitted.youngs_modulus == pytest.approx(STIFFNESS * material("ceramic").youngs_modulus, rel=1e-3)
+    assert fitted.law == "loss_factor"
+    assert (
+        "  mug: {mesh: data/objects/mug/mesh.glb, material: {base: ceramic, "
+        in Path("params.yaml").read_text()
+    )
+    assert run("mug", *recordings, "--law", "rayleigh").exit_code == 0  # again, on what it wrote
+    assert own_material(params.read()["objects"]["mug"]["material"]).law == "rayleigh"
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda sound: 0 * sound, "is silent"),
+        (lambda sound: np.clip(40 * sound, -1, 1), "is clipped"),
+        (lambda sound: sound[::6], "7350 Hz"),
+        (lambda sound: sound[: RATE // 4], "no strike"),
+    ],
+)
+def test_recordings_that_tell_nothing_are_refused(built, tmp_path, spoil, message):
+    sound, path = spoil(taps(MODES, 1)[0]), tmp_path / "bad.wav"
+    soundfile.write(path, sound, RATE // 6 if len(sound) < RATE // 2 and "Hz" in message else RATE)
+    result = run("mug", path)
+    assert result.exit_code == 1
+    assert message in str(result.exception)
+
+
+def test_what_is_no_recording_or_no_object_is_named(built, recordings, tmp_path):
+    (tmp_path / "text.wav").write_text("no audio")
+    assert "text.wav is no readable audio file" in str(run("mug", tmp_path / "text.wav").exception)
+    assert "nowhere.wav" in str(run("mug", tmp_path / "nowhere.wav").exception)
+    assert "cup" in str(run("cup", recordings[0]).exception)
+    assert "--law 'magic' is not one of rayleigh, loss_factor" in str(
+        run("mug", recordings[0], "--law", "magic").exception
+    )
+    assert "build" in str(run("bell", recordings[0]).exception)  # never built
