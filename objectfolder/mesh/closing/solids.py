@@ -100,12 +100,17 @@ def bodies(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndar
     return rank[label[shell]], volumes[order]
 
 
-def without_specks(vertices: np.ndarray, faces: np.ndarray) -> tuple[Mesh, int]:
-    """Drop the smallest bodies that together hold at most `SPECKS` of the volume; returns their number."""
+def without_specks(vertices: np.ndarray, faces: np.ndarray, across: float = np.inf) -> tuple[Mesh, int]:
+    """Drop the smallest bodies that together hold at most `SPECKS` of the volume; returns their number.
+
+    Bodies whose longest side is ``across`` or more are kept.
+    """
     body, volumes = bodies(vertices, faces)
     after = volumes.sum() - np.cumsum(volumes)  # volume of the smaller ones
-    kept = int(np.argmax(after <= SPECKS * volumes.sum())) + 1
-    return compact(vertices, faces[body < kept]), len(volumes) - kept
+    small = np.arange(len(volumes)) > int(np.argmax(after <= SPECKS * volumes.sum()))
+    for k in np.flatnonzero(small) if across < np.inf else ():
+        small[k] = np.ptp(vertices[faces[body == k].ravel()], axis=0).max() < across
+    return compact(vertices, faces[~small[body]]), int(small.sum())
 
 
 def gaps(pieces: list[Mesh], reach: float) -> list[tuple[float, int, int]]:

@@ -1,6 +1,6 @@
 """Closed physical surface from any triangle mesh, by a ladder of repairs that avoids remeshing.
 
-clean -> cap, thicken -> union -> untangle -> grid -> specks -> bridge: each rung is used only where needed.
+clean -> cap, thicken -> union -> untangle -> grid -> specks -> bridge -> specks: each rung is used only where needed.
 Remeshing on a grid fills cavities and doubles thin walls, so it is the last resort and gives a warning. All
 lengths are in the unit frame (longest side 1).
 """
@@ -147,10 +147,13 @@ def close_surface(
         ladder.untangle()
     if not ladder.solid:
         ladder.remesh(openings and (SHEET_WALL if wall is None else wall))
-    ladder.drop_specks()
-    before = ladder.mesh
+    # Small parts, such as knobs, may be within reach of a bridge; crumbs are not worth one.
+    ladder.drop_specks(BRIDGED_GAP if bridging else np.inf)
+    before = bridged = ladder.mesh
     if bridging:
         ladder.bridge()
+        bridged = ladder.mesh
+        ladder.drop_specks()
     ladder.accept(bridging)
     return ClosedSurface(
         *ladder.mesh,
@@ -158,7 +161,7 @@ def close_surface(
         tolerance,
         winding_certificate(*ladder.mesh),
         ladder.warnings,
-        None if before is ladder.mesh else before,
+        None if before is bridged else before,
     )
 
 
@@ -253,9 +256,9 @@ class _Ladder:
         self.warnings.append(f"{detail}: thin walls and cavities may be lost")
         self._record("grid", detail, (mesh[0], mesh[1][:0]), mesh)
 
-    def drop_specks(self) -> None:
+    def drop_specks(self, across: float = np.inf) -> None:
         before = self.mesh
-        mesh, dropped = without_specks(*before)
+        mesh, dropped = without_specks(*before, across)
         if dropped:
             share = 1 - signed_volume(*mesh) / signed_volume(*before)
             self._record("specks", f"{dropped} pieces with {share:.2e} of the volume dropped", before, mesh)

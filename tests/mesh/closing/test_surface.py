@@ -390,6 +390,20 @@ def test_specks_are_dropped():
     assert surface.components == 1
 
 
+def test_small_parts_within_reach_of_a_bridge_are_kept_and_others_dropped():
+    """Two knobs of a ten-thousandth of the volume each, one by the body and one far off, and a crumb."""
+    body, side = box((0.8, 0.4, 0.8)), 0.03
+    knobs = [box((side,) * 3, (x, 0.2 + side / 2 + gap, 0)) for x, gap in ((-0.2, 0.002), (0.2, 0.1))]
+    crumb = box((0.004,) * 3, (0, 0.203, 0.2))
+    surface = close_surface(*join(body, *knobs, crumb))
+    assert [rung.name for rung in surface.rungs[-3:]] == ["specks", "bridge", "specks"]
+    assert surface.components == 1
+    v = surface.vertices[surface.vertices[:, 1] > 0.21]
+    assert (v[:, 0] < -0.17).all()
+    assert v[:, 1].max() == pytest.approx(0.2 + side + 0.002)
+    assert surface.volume - 0.256 == pytest.approx(side**3, rel=0.25)  # and the bridge
+
+
 @pytest.mark.parametrize(
     ("vertices", "faces"),
     [
