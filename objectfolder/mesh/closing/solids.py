@@ -5,10 +5,12 @@ import manifold3d
 import numpy as np
 
 from objectfolder.mesh.closing.contour import BLOCK, block_centres, contour
+from objectfolder.mesh.closing.joints import joint
 from objectfolder.mesh.scanline import winding_certificate
 from objectfolder.mesh.topology import Mesh, compact, face_components, face_volumes, signed_volume
 
 SPECKS = 1e-3  #: volume fraction below which small bodies are dropped (broken-off rims of scans)
+TOUCHING = 1e-3  #: pieces so near to each other, unit frame, are meant to touch: 1 mm of a cupboard
 _NOTHING = 1e-12  # volume below which a piece is flat, unit frame
 _MAX_CUTS = 24  # through a self-overlapping body
 _BRIDGE_SPACING = 1 / 512  # grid spacing of a bridge, unit frame
@@ -129,6 +131,9 @@ def gaps(pieces: list[Mesh], reach: float) -> list[tuple[float, int, int]]:
 def bridge(vertices: np.ndarray, faces: np.ndarray, reach: float) -> tuple[Mesh, list[float]]:
     """Join bodies separated by gaps below ``reach`` with material in the gaps only.
 
+    Bodies that touch, within `TOUCHING`, are bonded wherever they do; wider gaps are filled only until all
+    bodies hang together.
+
     Returns
     -------
     mesh : vertices and faces
@@ -137,12 +142,14 @@ def bridge(vertices: np.ndarray, faces: np.ndarray, reach: float) -> tuple[Mesh,
     """
     body, volumes = bodies(vertices, faces)
     pieces = [compact(vertices, faces[body == k]) for k in range(len(volumes))]
+    solids = [manifold(piece) for piece in pieces]
     tree = np.arange(len(pieces))
     joined, bridged = [manifold((vertices, faces))], []
     for gap, i, j in gaps(pieces, reach):
-        if tree[i] != tree[j]:  # a spanning forest is enough
+        if gap <= TOUCHING or tree[i] != tree[j]:
             tree[tree == tree[j]] = tree[i]
-            joined.append(manifold(_filler(pieces[i], pieces[j], gap)))
+            flat = joint(pieces[i], pieces[j], (solids[i], solids[j]), gap)
+            joined.append(manifold(_filler(pieces[i], pieces[j], gap)) if flat is None else flat)
             bridged.append(gap)
     if not bridged:
         return (vertices, faces), []

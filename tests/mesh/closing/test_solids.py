@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 from solids import TURN, box, flipped, join, pretzel, sphere
 
+from objectfolder.mesh.closing.joints import DEPTH
 from objectfolder.mesh.closing.solids import bodies, bridge, distance, gaps, unite, untangle, without_specks
 from objectfolder.mesh.scanline import winding_certificate
 from objectfolder.mesh.topology import is_closed, signed_volume
@@ -73,6 +74,33 @@ def test_a_chain_of_pieces_needs_one_bridge_fewer_than_it_has_pieces():
     mesh, bridged = bridge(*join(*chain), 1 / 64)
     assert len(bridged) == 3
     assert len(bodies(*mesh)[1]) == 1
+
+
+@pytest.mark.parametrize("gap", [1e-6, 1e-4, 8e-4])
+@pytest.mark.parametrize("turn", [None, TURN], ids=["aligned", "turned"])
+def test_boards_that_touch_are_bonded_at_both_ends_over_their_whole_section(gap, turn):
+    """Two sides and three shelves: six joints, each as wide as the shelf's end, and nothing beside them."""
+    sides = [box((0.02, 0.3, 0.9), (x, 0, 0)) for x in (-0.31, 0.31)]
+    shelves = [box((0.6 - 2 * gap, 0.25, 0.02), (0, 0, z)) for z in (-0.3, 0.05, 0.3)]
+    apart = join(*sides, *shelves)
+    if turn is not None:
+        apart = apart[0] @ turn.T, apart[1]
+    (vertices, faces), bridged = bridge(*apart, 1 / 64)
+    assert bridged == pytest.approx([gap] * 6, rel=1e-3)
+    assert is_closed(faces)
+    volumes = bodies(vertices, faces)[1]
+    assert volumes[0] > (1 - 1e-9) * volumes.sum()  # rounding may leave slivers of no volume
+    filled = signed_volume(vertices, faces) - signed_volume(*apart)
+    beads = 2 * (0.25 + 0.02) * (gap + DEPTH) ** 2  # along the edges of each joint
+    assert 6 * 0.25 * 0.02 * gap * (1 - 1e-6) < filled < 6 * (0.25 * 0.02 * gap + beads)
+    assert distance(apart, vertices).max() < 2 * (gap + DEPTH)
+
+
+def test_boards_that_meet_at_an_edge_alone_are_joined_too():
+    touching = join(box((0.4, 0.4, 0.02)), box((0.4, 0.02, 0.4), (0, 0.21, 0.21)))
+    (vertices, faces), bridged = bridge(*touching, 1 / 64)
+    assert bridged == pytest.approx([0.0], abs=1e-9)
+    assert len(bodies(vertices, faces)[1]) == 1
 
 
 def test_what_is_flat_does_not_take_part_in_a_union():
