@@ -1,8 +1,8 @@
 """Closed physical surface from any triangle mesh, by a ladder of repairs that avoids remeshing.
 
 clean -> cap, thicken -> union -> untangle -> grid -> specks -> bridge -> specks: each rung is used only where
-needed. Remeshing on a grid fills cavities and doubles thin walls, so it is the last resort and gives a warning.
-All lengths are in the unit frame (longest side 1).
+needed. Remeshing on a grid fills cavities and doubles thin walls, so it is the last resort and gives a
+warning. All lengths are in the unit frame (longest side 1).
 """
 
 from dataclasses import dataclass, field
