@@ -37,20 +37,22 @@ class SpectrogramErrors:
     """PSNR of complex spectrograms, accumulated batch by batch.
 
     ``psnr`` follows the paper: real and imaginary parts are scaled to [0, 1] by the smallest and largest true
-    value, so that silence scores 50 dB and more. ``psnr_own_max`` compares magnitudes relative to the peak of
-    each sound.
+    value, so that silence scores 50 dB and more. It pools the errors of all sounds; the loudest count most.
+    ``psnr_mean`` is the mean over sounds. ``psnr_own_max`` compares magnitudes relative to the peak of each.
     """
 
     def __init__(self) -> None:
         self._low, self._high = np.inf, -np.inf
-        self._error, self._power, self._count = 0.0, 0.0, 0
+        self._power, self._count = 0.0, 0
+        self._errors: list[np.ndarray] = []  # mean square of each sound
         self._own: list[np.ndarray] = []
 
     def add(self, image: torch.Tensor, truth: torch.Tensor) -> None:
         """Add a batch of (N, F, T) complex spectrograms."""
         parts = torch.view_as_real(truth)
         self._low, self._high = min(self._low, parts.min().item()), max(self._high, parts.max().item())
-        self._error += torch.view_as_real(image - truth).double().square().sum().item()
+        error = torch.view_as_real(image - truth).double()
+        self._errors.append(error.square().flatten(1).mean(1).numpy())
         self._power += parts.double().square().sum().item()
         self._count += parts.numel()
         size = truth.abs().flatten(1)
@@ -62,8 +64,10 @@ class SpectrogramErrors:
         span = (self._high - self._low) ** 2
         if not span > 0:
             return {}
+        errors = np.concatenate(self._errors) / span
         return {
-            "psnr": float(psnr(self._error / self._count / span)),
+            "psnr": float(psnr(errors.mean())),
+            "psnr_mean": float(np.mean(psnr(errors))),
             "psnr_own_max": float(np.mean(psnr(np.concatenate(self._own)))),
             "baseline_silence": float(psnr(self._power / self._count / span)),
         }

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 
 from objectfolder.audio.spectrogram import SAMPLE_RATE, spectrogram
 from objectfolder.audio.synthesis import audible, gains, sinusoid_bank
@@ -139,6 +140,8 @@ class Strikes:
 def evaluate_gains(file: ObjectFile, modes: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, Any]:
     """Score gains at held-out surface points, and frequencies and decay times, which are stored, not learned.
 
+    ``baseline_nearest`` is the ``gain_error`` of the true mode shapes at the nearest training point.
+
     Raises
     ------
     ObjectFolderError
@@ -155,8 +158,14 @@ def evaluate_gains(file: ObjectFile, modes: dict[str, np.ndarray], rows: np.ndar
     predicted = file.mode_shapes(modes["points"][rows] * file.scale).astype(np.float64)
     true_shapes = modes["shapes"][rows].astype(np.float64)
     scores = gain_errors(predicted, true_shapes, energy_weights(damped, damping), 1 / damped)
+    training = np.flatnonzero(modes["split"] == 0)
+    near = training[cKDTree(modes["points"][training]).query(modes["points"][rows])[1]]
+    nearest = gain_errors(
+        modes["shapes"][near].astype(np.float64), true_shapes, energy_weights(damped, damping), 1 / damped
+    )
     stored = file.tuning()
     return scores | {
+        "baseline_nearest": nearest["gain_error"],
         "worst_mode_hz": float(damped[int(scores.pop("worst_mode"))] / (2 * np.pi)),
         "frequency_error": float(np.abs(stored.damped_frequency.numpy() / damped - 1).max()),
         "decay_time_error": float(np.abs(damping / stored.damping.numpy() - 1).max()),

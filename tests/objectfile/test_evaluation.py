@@ -30,6 +30,7 @@ from objectfolder.objectfile.evaluation import (
 from objectfolder.vision.cameras import Intrinsics, look_at, sphere_points
 
 ROWS = np.arange(20, 60)
+PLACES = ("points", "split")  # what is not of modes
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +39,7 @@ def modes(brick):
     points = brick.sample_surface(60) / SCALE
     return {
         "points": points,
+        "split": np.where(np.isin(np.arange(len(points)), ROWS), 2, 0),
         "shapes": brick.mode_shapes(points * SCALE),
         "damped_frequency": brick.tensors["audio.damped_frequency"],
         "damping": brick.tensors["audio.damping"],
@@ -106,6 +108,26 @@ def test_the_baselines_are_silence_and_noise_of_the_same_energy(brick, modes, st
     assert scores["baseline_noise"] < silence - 1  # saying nothing is better
 
 
+def test_the_mean_over_sounds_counts_each_alike(brick, modes, strikes):
+    """Errors are proportional to the sounds: so is the distance of each from its own silence."""
+    scores = score(brick, louder(modes, 1 / 0.9), strikes)
+    truth, _ = strike_sounds(brick, louder(modes, 1 / 0.9), strikes)
+    spectra = torch.view_as_real(spectrogram(torch.from_numpy(truth))).numpy()
+    silence = -10 * np.log10(np.mean((spectra / np.ptp(spectra)) ** 2, axis=(1, 2, 3)))
+    assert scores["psnr_mean"] == pytest.approx(silence.mean() + 20, abs=0.01)
+    assert scores["psnr_mean"] > scores["psnr"]
+
+
+def test_the_nearest_training_point_is_a_baseline(brick, modes, strikes):
+    train = np.setdiff1d(np.arange(len(modes["points"])), ROWS)
+    apart = np.linalg.norm(modes["points"][ROWS][:, None] - modes["points"][train], axis=2)
+    answer = modes["shapes"][train[apart.argmin(1)]]
+    weight = (1 / (4 * modes["damping"] * modes["damped_frequency"] ** 2))[None, None]
+    truth = modes["shapes"][ROWS]
+    error = np.sqrt((weight * (answer - truth) ** 2).sum() / (weight * truth**2).sum())
+    assert score(brick, modes, strikes)["baseline_nearest"] == pytest.approx(error, rel=1e-4)
+
+
 def test_the_worst_mode_is_named(brick, modes, strikes):
     scores = score(brick, louder(modes, 2.0, 7), strikes)
     assert scores["gain_error_worst"] == pytest.approx(0.5)
@@ -122,7 +144,7 @@ def test_errors_of_frequency_and_decay_time_are_relative(brick, modes, strikes):
 
 
 def test_other_modes_than_the_files_are_refused(brick, modes, strikes):
-    fewer = {name: value[..., :5] if name != "points" else value for name, value in modes.items()}
+    fewer = {name: value if name in PLACES else value[..., :5] for name, value in modes.items()}
     with pytest.raises(ObjectFolderError, match=r"brick: .* 12 modes, modes.npz 5; run `objectfolder build"):
         score(brick, fewer, strikes)
 
@@ -146,7 +168,7 @@ def mute(brick, modes, kept):
         value = tensors[f"audio.output.{name}"]
         rows = value.reshape(3, 12, *value.shape[1:])[:, kept]
         tensors[f"audio.output.{name}"] = rows.reshape(-1, *value.shape[1:])
-    kept_modes = {name: value if name == "points" else value[..., kept] for name, value in modes.items()}
+    kept_modes = {name: value if name in PLACES else value[..., kept] for name, value in modes.items()}
     return ObjectFile(brick.header, tensors), kept_modes
 
 
