@@ -8,7 +8,7 @@ import torch.nn.functional as F
 
 from objectfolder.mesh.gridcodec import BOUND
 
-_CORNERS = [[1.0, -1, -1], [-1, -1, 1], [-1, 1, -1], [1, 1, 1]]  # of a tetrahedron
+_TETRAHEDRON = torch.tensor([[1.0, -1, -1], [-1, -1, 1], [-1, 1, -1], [1, 1, 1]])  # its corners
 
 
 class DistanceGrid:
@@ -68,7 +68,7 @@ class DistanceGrid:
     def distance_and_normals(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return `distance` and `normals` at (N, 3) points, in one pass over the grid."""
         points = points.to(torch.float32)
-        corner = points.new_tensor(_CORNERS)
+        corner = _TETRAHEDRON.to(points.device)
         taps = points + corner[:, None] * (self.spacing / 2)
         value = self.distance(torch.cat([points[None], taps]).view(-1, 3)).view(5, -1)
         return value[0], _direction(value[1:], corner)
@@ -99,7 +99,7 @@ def ascent(field: Callable[[torch.Tensor], torch.Tensor], points: torch.Tensor, 
 
     Zero where the field is constant.
     """
-    corner = points.new_tensor(_CORNERS)
+    corner = _TETRAHEDRON.to(points)
     taps = (points[None] + corner[:, None] * step).reshape(-1, 3)
     return _direction(field(taps).view(4, -1), corner)
 

@@ -96,14 +96,18 @@ class Isosurface:
         distance : (N,) float64, from the given points
         """
         points = np.asarray(points, np.float64)
-        far = np.abs(self.grid.distance(torch.from_numpy(points)).numpy()) >= 0.9 * self.grid.band
+        position = torch.from_numpy(points)
+        distance, normals = self.grid.distance_and_normals(position)
+        far = distance.abs().numpy() >= 0.9 * self.grid.band
         far |= (np.abs(points) > BOUND).any(1)  # the grid is clamped beyond its border
-        start = points.copy()
         if far.any():
+            start = points.copy()
             start[far] = self.vertices[self._tree.query(points[far])[1]]
-        position = torch.from_numpy(start)
-        for _ in range(steps):
+            position = torch.from_numpy(start)
             distance, normals = self.grid.distance_and_normals(position)
+        for step in range(steps):
+            if step:
+                distance, normals = self.grid.distance_and_normals(position)
             position = position - (distance[:, None] * normals).to(torch.float64)
         projected = position.numpy()
         return projected, np.linalg.norm(projected - points, axis=1)

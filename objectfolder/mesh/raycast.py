@@ -43,6 +43,14 @@ class RayCaster:
         # Embree reports 1e37 on a miss.
         return np.where(face >= 0, hit["tfar"], np.float32(np.inf)).astype(np.float32), face
 
+    def depths(self, origins: np.ndarray, directions: np.ndarray, max_distance: np.ndarray) -> np.ndarray:
+        """Return `first_hit`'s distances alone, faster; (N,) float32, ``inf`` where nothing is hit."""
+        distance = self._scene.run(
+            *_rays(origins, directions), dists=_lengths(max_distance), query="DISTANCE"
+        )
+        distance[distance >= max_distance] = np.inf
+        return distance
+
     def intersect(
         self, origins: np.ndarray, directions: np.ndarray, max_distance: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -183,7 +183,7 @@ def heightmaps(
         if enclosed[i]:
             blocked, distance = np.arange(len(rays)), np.empty_like(gel)
         else:
-            distance, _ = caster.first_hit(np.broadcast_to(camera, rays.shape), directions, limit)
+            distance = caster.depths(camera, directions, limit)
             blocked = np.flatnonzero(distance < base)
         if blocked.size:
             begin, onward = base[blocked], directions[blocked]

@@ -159,8 +159,7 @@ def _solve(
 def _respond(pressure: np.ndarray, pitch: float, layer: Layer) -> np.ndarray:
     """Return the displacement under a pressure."""
     height, width = pressure.shape
-    margin = round(_SPACING * layer.thickness / pitch)
-    rows, columns = (scipy.fft.next_fast_len(n + margin, real=True) for n in pressure.shape)
+    rows, columns = _period(pressure.shape, round(_SPACING * layer.thickness / pitch))
     # Axis by axis, to skip transforms of zeros only and of results that are cut off.
     waves = scipy.fft.fft(scipy.fft.rfft(pressure, rows, axis=0), columns, axis=1, overwrite_x=True)
     parts = waves.view(np.float32)
@@ -190,7 +189,13 @@ def _sum_of_products(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.einsum("ij,ij->", a, b))  # unlike BLAS, in an order independent of the number of threads
 
 
-@lru_cache(maxsize=32)  # two for each sensor
+@lru_cache(maxsize=32)  # two for each sensor, as below
+def _period(shape: tuple[int, ...], margin: int) -> tuple[int, ...]:
+    """Return the rows and columns of the transforms of an image and a margin."""
+    return tuple(scipy.fft.next_fast_len(n + margin, real=True) for n in shape)
+
+
+@lru_cache(maxsize=32)
 def _compliance(rows: int, columns: int, pitch: float, layer: Layer) -> np.ndarray:
     """Compliance of the waves of `_respond`, repeated for their real and imaginary parts."""
     along_rows, along_columns = scipy.fft.rfftfreq(rows, pitch), scipy.fft.fftfreq(columns, pitch)

@@ -1,6 +1,7 @@
 """Shading of the gel under point lights: glTF's metallic-roughness model."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -32,6 +33,7 @@ def shade(point: Vectors, normal: Vectors, profile: SensorProfile) -> Array:
     square, height = _dot(point, point), _dot(normal, point)
     length = library.sqrt(square)
     normal_view = -height / length  # the view direction is -point / length
+    reflectance = ggx_reflectance(normal_view, profile)
     radiance = zeros((3, *square.shape), square) + profile.ambient
     for light in profile.lights:  # one at a time, whose arrays fit into the caches
         position: Vectors = tuple(np.array(light.position, np.float32))
@@ -39,18 +41,17 @@ def shade(point: Vectors, normal: Vectors, profile: SensorProfile) -> Array:
         distance = library.sqrt(point_light * -2 + square + _dot(position, position))
         normal_light = (_dot(normal, position) - height) / distance
         view_light = (point_light / -length + length) / distance
-        reflectance = ggx_reflectance(normal_view, normal_light, view_light, profile)
-        reflected = reflectance * normal_light.clip(*_COSINE) / distance / distance
+        reflected = reflectance(normal_light, view_light)
+        reflected *= normal_light.clip(*_COSINE)
+        reflected /= distance * distance
         for channel, weight in zip(radiance, light.color):
             if weight:
                 channel += reflected * (weight * light.intensity)
     return library.exp(library.log(radiance.clip(1e-30, 1)) / profile.gamma)  # twice as fast as a power
 
 
-def ggx_reflectance(
-    normal_view: Array, normal_light: Array, view_light: Array, profile: SensorProfile
-) -> Array:
-    """Return the BRDF of glTF's metallic-roughness model (glTF 2.0, appendix B).
+def ggx_reflectance(normal_view: Array, profile: SensorProfile) -> Callable[[Array, Array], Array]:
+    """Return the BRDF of glTF's metallic-roughness model (glTF 2.0, appendix B) for directions to the camera.
 
     A Lambert base under a GGX layer with Smith's shadowing, in the approximation by Schlick, and Schlick's
     Fresnel term; cosines and denominator are bounded as in pyrender's shader. With the half vector
@@ -60,33 +61,55 @@ def ggx_reflectance(
 
     Parameters
     ----------
-    normal_view, normal_light, view_light : (...) float32 arrays or tensors
-        Cosines between the unit normal n and the directions v to the camera and l to the light.
+    normal_view : (...) float32 array or tensor
+        Cosine between the unit normal n and the direction v to the camera.
     profile : SensorProfile
         Its albedo, roughness and metallic.
 
     Returns
     -------
-    (...) float32 array or tensor, 1/sr
+    callable
+        From the cosines n·l and l·v, l being the direction to a light, to the BRDF, 1/sr; all (...) float32.
     """
     albedo, metallic = profile.albedo, profile.metallic
     f0 = _DIELECTRIC * (1 - metallic) + albedo * metallic
     diffuse = albedo * (1 - _DIELECTRIC) * (1 - metallic) / math.pi
     alpha2 = profile.roughness**4
     k = (profile.roughness + 1) ** 2 / 8
+    cos_view = abs(normal_view).clip(*_COSINE)
+    shadowed = cos_view / (cos_view * (1 - k) + k) * (alpha2 / math.pi)
+    cos_view *= 4
 
-    cos_view, cos_light = abs(normal_view).clip(*_COSINE), normal_light.clip(*_COSINE)
-    one_plus_view_light = (view_light + 1).clip(1e-12, 2)
-    twice_half = (normal_light + normal_view).clip(0, 2)  # n·(l + v)
-    spread = (twice_half * twice_half / one_plus_view_light * ((alpha2 - 1) / 2) + 1).clip(alpha2, 1)
-    grazing = array_library(view_light).sqrt(one_plus_view_light * 0.5) - 1  # v·h - 1
-    grazing2 = grazing * grazing
-    fresnel = grazing2 * grazing2 * grazing * (f0 - 1) + f0
-    shadowing_view = cos_view / (cos_view * (1 - k) + k)
-    shadowing_light = cos_light * (1 - k) + k
-    denominator = (cos_light * (4 * cos_view) + 0.001) * spread * spread * shadowing_light
-    specular = cos_light * (shadowing_view * (alpha2 / math.pi)) / denominator
-    return (specular - diffuse) * fresnel + diffuse
+    def reflectance(normal_light: Array, view_light: Array) -> Array:
+        cos_light = normal_light.clip(*_COSINE)
+        one_plus_view_light = (view_light + 1).clip(1e-12, 2)
+        twice_half = (normal_light + normal_view).clip(0, 2)  # n·(l + v)
+        spread = twice_half * twice_half
+        spread /= one_plus_view_light
+        spread *= (alpha2 - 1) / 2
+        spread += 1
+        spread = spread.clip(alpha2, 1)
+        one_plus_view_light *= 0.5
+        grazing = array_library(view_light).sqrt(one_plus_view_light)  # v·h
+        grazing -= 1
+        fresnel = grazing * grazing
+        fresnel *= fresnel
+        fresnel *= grazing
+        fresnel *= f0 - 1
+        fresnel += f0
+        denominator = cos_light * cos_view
+        denominator += 0.001
+        denominator *= spread
+        denominator *= spread
+        denominator *= cos_light * (1 - k) + k
+        specular = cos_light * shadowed
+        specular /= denominator
+        specular -= diffuse
+        specular *= fresnel
+        specular += diffuse
+        return specular
+
+    return reflectance
 
 
 def unit_components(a: Vectors) -> Vectors:
