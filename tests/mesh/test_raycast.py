@@ -1,5 +1,5 @@
 import numpy as np
-from solids import box
+from solids import box, sphere
 
 from objectfolder.mesh.raycast import RayCaster
 
@@ -54,3 +54,16 @@ def test_one_origin_and_any_strides_serve_all_rays(rng):
             np.testing.assert_array_equal(found, known)
     occluded = caster.occluded(origin, directions)
     assert np.flatnonzero(occluded).tolist() == expected[0].tolist()
+
+
+def test_depths_are_the_distances_of_first_hits():
+    caster = RayCaster(*sphere(0.4, 3))
+    rng = np.random.default_rng(0)
+    directions = (np.array([0, 0, -1]) + 0.4 * rng.normal(size=(300, 3))).astype(np.float32)
+    limit = rng.uniform(0.4, 1.2, 300).astype(np.float32)
+    given = limit.copy()
+    depths = caster.depths(np.float32([0, 0, 1]), directions, limit)
+    expected, face = caster.first_hit(np.tile(np.float32([0, 0, 1]), (300, 1)), directions, limit)
+    assert 0.2 < (face >= 0).mean() < 0.8
+    np.testing.assert_array_equal(depths, expected)
+    np.testing.assert_array_equal(limit, given)
