@@ -8,6 +8,7 @@ from solids import box
 
 from objectfolder.fem import factorisation
 from objectfolder.fem.cutcell import cut_cells
+from objectfolder.fem.eigen import solve_modes
 from objectfolder.fem.factorisation import Cholmod, Pardiso, SuperLU, factorise, nested_dissection
 from objectfolder.materials import Material
 
@@ -108,3 +109,23 @@ def test_without_the_fast_libraries_scipy_factorises(definite, plate, monkeypatc
     fem, _ = plate
     matrix = (fem.stiffness + 1e6 * fem.mass).tocsr()
     assert isinstance(factorise(matrix, nested_dissection(fem.nodal_mass), definite), SuperLU)
+
+
+def without(kind, monkeypatch):
+    """Solve as if only the libraries from this one on were installed."""
+    if kind is not Pardiso:
+        monkeypatch.setattr(factorisation, "PyPardisoSolver", None)
+    if kind is SuperLU:
+        monkeypatch.setattr(factorisation, "cholmod", None)
+
+
+@every
+def test_modes_of_all_libraries_differ_by_rounding_alone(kind, plate, monkeypatch):
+    fem, exact = plate
+    without(kind, monkeypatch)
+    modes = solve_modes(fem, 2000.0, 12, "plate")
+    np.testing.assert_allclose(modes.eigenvalues, exact[6:18], rtol=1e-9)
+    monkeypatch.undo()
+    without(SuperLU, monkeypatch)
+    same = solve_modes(fem, 2000.0, 12, "plate")
+    np.testing.assert_allclose(modes.shapes, same.shapes, atol=1e-7 * np.abs(same.shapes).max())
