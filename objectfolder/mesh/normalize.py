@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from objectfolder.mesh.closing.piercing import self_intersections
 from objectfolder.mesh.closing.surface import ClosedSurface, Rung, close_surface
 from objectfolder.mesh.textured import TexturedMesh, appearance_report
 from objectfolder.mesh.topology import Mesh
@@ -53,6 +54,7 @@ class Normalized:
             "components": surface.components,
             "cavities": surface.cavities,
             "overlap_fraction": surface.certificate.outside_fraction,
+            "self_intersections": self_intersections(*surface.mesh),
             "vertices": len(surface.vertices),
             "faces": len(surface.faces),
             "visual_faces": len(self.visual.faces),

@@ -206,6 +206,8 @@ def examine(
     notes = [*report["warnings"], *report["appearance"].get("notes", [])]
     if scale is None and size > LARGE:
         notes.insert(0, f"{size:.3g} m is large: {_other_units(own)}set --unit or --scale")
+    if report["self_intersections"]:
+        notes.append(f"{report['self_intersections']} edges of its surface pierce another face of it")
     if report["deviation_max_m"] > MOVED * size:
         notes.append(f"closing it moved its surface by up to {report['deviation_max_m'] * 1000:.2g} mm")
     welded = [rung["components_after"] for rung in report["rungs"] if rung["name"] == "clean"]
