@@ -4,7 +4,7 @@ import numpy as np
 
 from objectfolder.fem.blocks import halved
 from objectfolder.fem.cutcell import CutCells
-from objectfolder.fem.eigen import lowest_eigenvalues
+from objectfolder.fem.eigen import lowest_elastic_modes
 from objectfolder.fem.elasticity import Solid
 from objectfolder.materials import Material
 
@@ -16,7 +16,7 @@ NODES_PER_WAVE = 6  #: that resolve a wave: three quadratic elements
 
 def lowest_frequencies(solid: Solid, material: Material, scale: float, count: int = ESTIMATED) -> np.ndarray:
     """Compute the lowest elastic frequencies to `TOLERANCE`, uncertified; Hz (count,)."""
-    return np.sqrt(lowest_eigenvalues(solid.assemble(material, scale), count, TOLERANCE)) / (2 * np.pi)
+    return np.sqrt(lowest_elastic_modes(solid.assemble(material, scale), count, TOLERANCE)[0]) / (2 * np.pi)
 
 
 def discretisation_error(

@@ -93,10 +93,19 @@ def solve_modes(fem: FiniteElements, max_frequency: float, max_modes: int, name:
     )
 
 
-def lowest_eigenvalues(fem: FiniteElements, count: int, tolerance: float) -> np.ndarray:
-    """Compute the lowest elastic eigenvalues to a relative residual, uncertified; rad^2/s^2 (count,)."""
+def lowest_elastic_modes(
+    fem: FiniteElements, count: int, tolerance: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the lowest elastic modes to a relative residual, uncertified.
+
+    Returns
+    -------
+    values : (count,) array, rad^2/s^2
+    vectors : (3N, count) array, mass-normalised
+    """
     order = nested_dissection(fem.nodal_mass)
-    return _elastic_modes(fem, order, rigid_modes(fem), lambda found: count, tolerance)[0][:count]
+    values, vectors = _elastic_modes(fem, order, rigid_modes(fem), lambda found: count, tolerance)
+    return values[:count], vectors[:, :count]
 
 
 def _elastic_modes(

@@ -78,8 +78,9 @@ def _measure_along_z(
     shift = np.tile(across * place[0] - 0.5, resolution)
     origin = -side / 2 + np.array([0.5, 0.5, 0]) * side / count
     found = crossings(vertices, faces, count, origin, side / count, np.stack([shift, shift]))
-    whole = _column_moments(found, resolution, across)
     intervals = _Intervals.between(found, resolution, across).outer()
+    cells = np.unique(intervals.cell)
+    whole = _column_moments(found, resolution, across, cells)
     first, second = intervals.touching()
     same = intervals.cell[first] == intervals.cell[second]
     first, second, inner = first[~same], second[~same], (first[same], second[same])
@@ -91,7 +92,7 @@ def _measure_along_z(
     cell = np.zeros(parts, np.int64)
     cell[part] = intervals.cell
     several = np.bincount(cell, minlength=resolution**3)[cell] > 1
-    moments = whole.reshape(-1, *(DEGREE,) * 3)[cell]
+    moments = whole.reshape(-1, *(DEGREE,) * 3)[np.searchsorted(cells, cell)]
     inside = intervals.select(several[part])
     moments[several] = inside.moments(part[several[part]], parts)[several]
     samples, owner = inside.samples()
@@ -219,24 +220,38 @@ class _Intervals:
         return np.stack([(i + place[a, b])[owner], (j + place[b, a])[owner], z], 1), owner
 
 
-def _column_moments(found: tuple[np.ndarray, ...], resolution: int, across: int) -> np.ndarray:
-    """Compute the Legendre moments of the occupancy of every cell of the grid; (R^3, 125)."""
+def _column_moments(
+    found: tuple[np.ndarray, ...], resolution: int, across: int, cells: np.ndarray
+) -> np.ndarray:
+    """Compute the Legendre moments of the occupancy of flat cells, sorted; (C,) -> (C, 125)."""
     place, weight = _columns(across)
-    inner = np.zeros((DEGREE, resolution**3, DEGREE**2))  # by degree in z: crossed cells
-    above = np.zeros((resolution**2 * (resolution + 1), DEGREE**2))  # whole cells above a crossing
-    for start in range(0, len(found[0]), _CHUNK):
-        column, height, sign = (part[start : start + _CHUNK] for part in found)
-        (i, a), (j, b) = (np.divmod(part, across) for part in np.divmod(column, resolution * across))
-        z = np.clip(height / across, 0, resolution - 1e-9)
-        k = z.astype(np.int64)
-        flat = _products(_legendre(place[a, b]) * (weight[a, b] * sign)[:, None], _legendre(place[b, a]))
-        pillar = i * resolution + j
-        for moment, rise in zip(inner, _legendre_above(z - k).T):
-            moment += _sum_rows(flat, rise, pillar * resolution + k, len(moment))
-        above += _sum_rows(flat, np.full(len(k), 2.0), pillar * (resolution + 1) + k + 1, len(above))
-    above = np.cumsum(above.reshape(resolution**2, resolution + 1, -1), axis=1)[:, :resolution]
-    inner[0] += above.reshape(inner[0].shape)
-    return np.moveaxis(inner, 0, -1).reshape(resolution**3, DEGREE**3)
+    column, height, sign = found
+    (i, a), (j, b) = (np.divmod(part, across) for part in np.divmod(column, resolution * across))
+    z = np.clip(height / across, 0, resolution - 1e-9)
+    k = z.astype(np.int64)
+    # Levels number the upper ends of cells: a crossing fills the rest of its cell and whole cells from its
+    # level on.
+    level = (i * resolution + j) * (resolution + 1) + k + 1
+    levels, event = np.unique(level, return_inverse=True)
+    crossed = (i * resolution + j) * resolution + k
+    seat = np.searchsorted(cells, crossed).clip(max=len(cells) - 1)
+    held = cells[seat] == crossed
+    inner = np.zeros((DEGREE, len(cells), DEGREE**2))  # by degree in z
+    above = np.zeros((len(levels), DEGREE**2))
+    for start in range(0, len(k), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        left = _legendre(place[a[part], b[part]]) * (weight[a[part], b[part]] * sign[part])[:, None]
+        flat = _products(left, _legendre(place[b[part], a[part]]))
+        above += _sum_rows(flat, np.full(len(flat), 2.0), event[part], len(levels))
+        own = np.flatnonzero(held[part])
+        rises = _legendre_above((z - k)[part][own]).T
+        for moment, rise in zip(inner, rises):
+            moment += _sum_rows(flat[own], rise, seat[part][own], len(cells))
+    running = np.concatenate([np.zeros((1, DEGREE**2)), np.cumsum(above, axis=0)])
+    pillar, rank = np.divmod(cells, resolution)
+    last = np.searchsorted(levels, pillar * (resolution + 1) + rank, "right")
+    inner[0] += running[last] - running[np.searchsorted(levels, pillar * (resolution + 1))]
+    return np.moveaxis(inner, 0, -1).reshape(len(cells), DEGREE**3)
 
 
 @cache

@@ -1,0 +1,265 @@
+"""Lowest modes of real and thin objects against quadratic tetrahedra: `python perf/modal_reference.py`.
+
+The tetrahedra keep the facets of the solid (TetGen) or stay close (fTetWild). Two meshes of each object show how far the reference itself is converged. References take minutes each and are kept under
+--cache; the comparison with the project's own modes takes the time of the stages `voxelize` and `modal`.
+
+Needs objectfolder[tet] and, for thin walls, `pip install tetgen` (AGPL: never installed by this project).
+`--objects DIR` adds real meshes, one `mesh.*` in each subfolder. Exits with 1 if a target is missed.
+"""
+
+import argparse
+import time
+from contextlib import chdir
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from harness import exit_with_verdict, fresh, run_job, write_record
+from modal_accuracy import tube
+from rich.console import Console
+from rich.table import Table
+
+from objectfolder.fem.eigen import lowest_elastic_modes
+from objectfolder.fem.elements import discretize
+from objectfolder.fem.modal import ModalConfig, refined_analysis
+from objectfolder.fem.tetrahedra import Tetrahedra, quadratic
+from objectfolder.io import read_npz, write_npz
+from objectfolder.materials import material
+from objectfolder.mesh.normalize import normalize
+from objectfolder.mesh.procedural import generate
+from objectfolder.mesh.reading.load import load_mesh
+from objectfolder.mesh.sampling import sample_surface
+from objectfolder.mesh.thickness import wall_thickness
+from objectfolder.mesh.topology import Mesh, signed_volume
+from objectfolder.workspace import params
+
+ROOT = Path(__file__).parents[1]
+MODES = 10  #: compared
+SPARES = 3  #: more modes of ours that may hold a share of a reference shape
+POINTS = 600  #: of the surface, at which shapes are compared
+TOLERANCE = 1e-4  #: residual of the reference's modes; the error of their frequencies is its square
+CLUSTER = 0.01  #: modes this close (relative) may mix, and are compared as one subspace
+GOOD, BAD = 0.02, 0.04  #: largest difference of the ten modes: for 18 of 22 objects, for all
+GOOD_SHARE = 18 / 22
+FACTOR, LOW = 2.0, 3.0  #: the estimate is within a factor of the difference, never below a third of it
+
+#: material and longest side in metres
+REAL = {
+    "gso_bunny_racer": ("polycarbonate", 0.112),
+    "gso_frypan": ("steel", 0.356),
+    "gso_salad_plate": ("ceramic", 0.222),
+    "gso_school_bell": ("steel", 0.160),
+    "polyhaven_teapot": ("ceramic", 0.268),
+    "polyhaven_wooden_stool": ("wood", 0.579),
+    "polyhaven_wooden_table": ("wood", 1.134),
+    "ycb_bowl": ("steel", 0.162),
+    "ycb_cup_a": ("polycarbonate", 0.061),
+    "ycb_medium_clamp": ("iron", 0.089),
+    "ycb_mug": ("steel", 0.117),
+    "ycb_nine_hole_peg_test": ("wood", 0.191),
+    "ycb_pitcher": ("plastic", 0.242),
+    "ycb_power_drill": ("plastic", 0.188),
+    "ycb_tomato_soup_can": ("steel", 0.102),
+    "ycb_wood_block": ("wood", 0.206),
+}
+#: material, longest side, generator and its parameters
+PROCEDURAL: dict[str, tuple[str, float, str, dict[str, Any]]] = {
+    "rimmed_plate": ("steel", 0.26, "plate", {"wall": 0.0015, "foot_height": 0.001, "height": 0.02}),
+    "pan": ("steel", 0.42, "pan", {"wall": 0.002}),
+    "shelf_box": ("wood", 1.2, "shelf", {"bays": 3, "board_thickness": 0.018, "back": 0.006}),
+    "table": ("wood", 1.4, "table", {}),
+    "spoon": ("steel", 0.19, "spoon", {"wall": 0.0015}),
+    "tube": ("steel", 0.2, "tube", {}),
+}
+#: Mesh sizes, coarse and fine: TetGen's least quality (ratio of radius and edge; none for the coarse mesh) and
+#: largest volume, in cubes of the wall. Quality alone leaves flat plates to tetrahedra 17 walls long, 4 % stiff.
+SIZES = {"coarse": ("", 3.0), "fine": ("q2.5", 1.0)}
+MAX_VOLUME = 1e-4  #: of a tetrahedron, unit frame: edges of about a tenth
+ENVELOPE = 2e-4  #: of fTetWild, where TetGen refuses a surface that crosses itself; in diagonals
+
+
+def surface_of(name: str, objects: str) -> Mesh:
+    """Return the solid of an object; unit frame."""
+    if name in REAL:
+        path = next(p for p in Path(objects, name).glob("mesh.*"))
+        return normalize(load_mesh(path, "y" if path.suffix == ".gltf" else "z"), name).surface.mesh
+    _, _, generator, settings = PROCEDURAL[name]
+    if generator == "tube":
+        return tube(0.15, 0.1425, 1.0, around=192)
+    return normalize(generate(generator, texture_size=64, **settings), name).surface.mesh
+
+
+def body(name: str) -> tuple[str, float]:
+    """Return the material's name and the longest side in metres."""
+    return REAL[name] if name in REAL else PROCEDURAL[name][:2]
+
+
+def filled(surface: Mesh, size: str) -> Tetrahedra:
+    """Fill a surface with tetrahedra that keep its facets or, if it crosses itself, stay near them."""
+    import tetgen
+
+    quality, cubes = SIZES[size]
+    largest = min(MAX_VOLUME, cubes * wall_thickness(*surface) ** 3)
+    vertices, faces = np.ascontiguousarray(surface[0], np.float64), surface[1].astype(np.int32)
+    try:
+        made = tetgen.TetGen(vertices, faces).tetrahedralize(switches=f"p{quality}a{largest:.3g}Q")
+        return quadratic(np.asarray(made[0]), np.asarray(made[1])[:, :4].astype(np.int64), 1)
+    except RuntimeError:  # crosses itself
+        import pytetwild
+    edge = 2 * np.cbrt(largest)  # volume of a regular tetrahedron: edge^3 / 8.5
+    with TemporaryDirectory() as folder, chdir(folder):  # it writes a file into the working directory
+        points, cells = pytetwild.tetrahedralize(
+            vertices, faces, edge_length_abs=edge, epsilon=ENVELOPE, num_threads=1
+        )
+    return quadratic(points, cells.astype(np.int64), 1)
+
+
+def reference(name: str, size: str, objects: str, cache: str) -> dict:
+    """Solve an object on tetrahedra; write solid, frequencies and shapes to the cache."""
+    surface = surface_of(name, objects)
+    stuff, scale = body(name)
+    points = sample_surface(*surface, POINTS, np.random.default_rng(1))
+    solid = filled(surface, size)
+    fem = solid.assemble(material(stuff), scale)
+    values, vectors = lowest_elastic_modes(fem, MODES + SPARES, TOLERANCE)
+    shapes = solid.interpolate(vectors.reshape(len(fem.nodes), -1), points).reshape(POINTS, 3, -1)
+    write_npz(
+        Path(cache) / f"{name}_{size}.npz",
+        vertices=surface[0],
+        faces=surface[1],
+        points=points,
+        shapes=shapes.astype(np.float32),
+        hz=np.sqrt(values) / (2 * np.pi),
+        unknowns=solid.degrees_of_freedom,
+        volume_error=solid.volume / signed_volume(*surface) - 1,
+    )
+    return {"unknowns": solid.degrees_of_freedom}
+
+
+def agreement(own: np.ndarray, other: np.ndarray, other_hz: np.ndarray) -> np.ndarray:
+    """Return how much of each of our shapes lies in the span of the reference's shapes of its frequency.
+
+    The modal assurance criterion of a single mode, the squared cosine of the angle to the subspace of a
+    cluster.
+
+    Parameters
+    ----------
+    own : (Q, M) array
+    other : (Q, N) array, N > M
+    other_hz : (N,) array, ascending
+    """
+    out = np.empty(own.shape[1])
+    for mode, shape in enumerate(own.T):
+        near = np.abs(other_hz / other_hz[mode] - 1) < CLUSTER
+        basis = np.linalg.qr(other[:, near])[0]
+        out[mode] = ((basis.T @ shape) ** 2).sum() / (shape @ shape)
+    return out
+
+
+def compare(name: str, cache: str) -> dict:
+    """Compare the modes of `voxelize` and `modal`, preset quick, with the reference."""
+    coarse, kept = (read_npz(Path(cache) / f"{name}_{size}.npz", "hz") for size in SIZES)
+    surface = kept["vertices"], kept["faces"]
+    stuff, scale = body(name)
+    values = params.read(ROOT / "params/quick.yaml")
+    section = {key: v for key, v in values["voxelize"].items() if key != "sdf_resolution"}
+    config = params.settings(ModalConfig, values)
+    start = time.process_time()
+    solid = discretize(*surface, **section, name=name)
+    limits = config.max_frequency, config.max_modes
+    data = refined_analysis(
+        solid, surface, config.fine, kept["points"], material(stuff), scale, *limits, name
+    )
+    seconds = time.process_time() - start
+    count = min(MODES, len(data.eigenvalues))
+    own, truth = np.sqrt(data.eigenvalues[:count]) / (2 * np.pi), kept["hz"]
+    apart = own / truth[:count] - 1
+    mac = agreement(
+        data.shapes[:, :, :count].reshape(-1, count), kept["shapes"].reshape(3 * POINTS, -1), truth
+    )
+    estimate = np.array(data.report["discretisation_error"])
+    return {
+        "resolution": data.report["resolution"],
+        "wall_cells": wall_thickness(*surface) * data.report["resolution"],
+        "degrees_of_freedom": data.report["degrees_of_freedom"],
+        "modes": count,
+        "difference_max": float(np.abs(apart).max()),
+        "difference_mean": float(np.abs(apart).mean()),
+        "estimate_max": float(np.abs(estimate).max()),
+        "least_agreement": float(mac.min()),
+        "seconds": seconds,
+        "difference": apart.round(5).tolist(),
+        "estimate": estimate.round(5).tolist(),
+        "reference_unknowns": int(kept["unknowns"]),
+        "reference_apart": float(np.abs(coarse["hz"][:count] / truth[:count] - 1).max()),
+        "reference_hz": truth[:count].round(3).tolist(),
+    }
+
+
+def misses(rows: list[dict]) -> list[str]:
+    """Return the missed targets."""
+    missed = [f"{row['object']}: {row['failed']}" for row in rows if "failed" in row]
+    rows = [row for row in rows if "failed" not in row]
+    good = sum(row["difference_max"] <= GOOD for row in rows)
+    if good < GOOD_SHARE * len(rows):
+        missed.append(f"{good} of {len(rows)} objects within {GOOD:.0%}")
+    for row in rows:
+        if row["difference_max"] > BAD:
+            missed.append(f"{row['object']}: {row['difference_max']:.1%} apart, target {BAD:.0%}")
+        if row["estimate_max"] < row["difference_max"] / LOW:
+            missed.append(
+                f"{row['object']}: estimate {row['estimate_max']:.2%} of {row['difference_max']:.2%}"
+            )
+    return missed
+
+
+def show(rows: list[dict], console: Console) -> None:
+    titles = ("object", "cells", "wall", "unknowns", "max %", "mean %", "estimate %", "MAC", "CPU s")
+    table = Table(*titles, "tetrahedra", "theirs %")
+    for row in rows:
+        if "failed" in row:
+            table.add_row(row["object"], row["failed"][:60])
+            continue
+        figures = [100 * row[key] for key in ("difference_max", "difference_mean", "estimate_max")]
+        table.add_row(
+            row["object"],
+            f"{row['resolution']}^3",
+            f"{row['wall_cells']:.2f}",
+            f"{row['degrees_of_freedom']:,}",
+            *(f"{figure:.2f}" for figure in figures),
+            f"{row['least_agreement']:.4f}",
+            f"{row['seconds']:.0f}",
+            f"{row['reference_unknowns']:,}",
+            f"{100 * row['reference_apart']:.2f}",
+        )
+    console.print(table)
+
+
+def main() -> None:
+    run_job({"reference": reference, "compare": compare})
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", help="objects (default: all)")
+    parser.add_argument("--objects", type=Path, help="folder of real meshes")
+    parser.add_argument("--cache", type=Path, default=ROOT / "build/perf/modal_reference")
+    parser.add_argument("--json", type=Path, help="file for the figures")
+    arguments = parser.parse_args()
+    names = arguments.names or [*(REAL if arguments.objects else ()), *PROCEDURAL]
+    arguments.cache.mkdir(parents=True, exist_ok=True)
+    rows = []
+    for name in names:
+        row: dict = {}
+        for size in SIZES:
+            if "failed" not in row and not (arguments.cache / f"{name}_{size}.npz").exists():
+                row = fresh(__file__, "reference", name, size, arguments.objects, arguments.cache)
+        if "failed" not in row:
+            row = fresh(__file__, "compare", name, arguments.cache)
+        rows.append({"object": name} | row)
+    console = Console(width=max(Console().width, 130))
+    show(rows, console)
+    write_record(arguments.json, rows)
+    exit_with_verdict(misses(rows), console)
+
+
+if __name__ == "__main__":
+    main()
