@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 from objectfolder.audio.synthesis import sinusoid_bank
-from objectfolder.fem.adaptive import FineGrid, refined
+from objectfolder.fem.adaptive import FineGrids, refined
 from objectfolder.fem.eigen import solve_modes
 from objectfolder.fem.elasticity import Solid
 from objectfolder.fem.elements import solid_from_arrays
@@ -29,7 +29,6 @@ from objectfolder.io import read_npz
 from objectfolder.materials import material
 from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.sampling import sample_surface
-from objectfolder.mesh.thickness import wall_thickness
 from objectfolder.mesh.topology import Mesh
 from objectfolder.workspace import params
 from objectfolder.workspace.layout import Build
@@ -65,7 +64,7 @@ def measure(workspace: str, key: str) -> dict:
         lambda: refined_analysis(
             solid,
             solid_surface,
-            FineGrid(**section["fine"]),
+            FineGrids(**section["fine"]),
             points,
             material(entry["material"]),
             float(entry["scale"]),
@@ -124,8 +123,8 @@ def compare(workspace: str, key: str) -> dict:
     would have to guess.
     """
     solid, surface, entry, section = load(workspace, key)
-    stuff, scale, fine = material(entry["material"]), float(entry["scale"]), FineGrid(**section["fine"])
-    fem = refined(solid, surface, wall_thickness(*surface), fine, stuff, scale, key).assemble(stuff, scale)
+    stuff, scale, fine = material(entry["material"]), float(entry["scale"]), FineGrids(**section["fine"])
+    fem = refined(solid, surface, fine, stuff, scale, key).assemble(stuff, scale)
     stiffness, mass = fem.stiffness.tocsc(), fem.mass.tocsc()
     limit = (2 * np.pi * section["max_frequency"]) ** 2
     middle = (limit + (2 * np.pi * MIN_FREQUENCY) ** 2) / 2

@@ -21,7 +21,7 @@ from numpy.polynomial import legendre
 from rich.console import Console
 from rich.table import Table
 
-from objectfolder.fem.adaptive import FineGrid
+from objectfolder.fem.adaptive import FineGrids
 from objectfolder.fem.blocks import merge_full_blocks
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.eigen import Modes, solve_modes
@@ -214,7 +214,7 @@ def real(path: Path) -> list[Row]:
     section = {name: v for name, v in values["voxelize"].items() if name != "sdf_resolution"}
     up = "y" if path.suffix in (".gltf", ".glb") else "z"
     solid = normalize(load_mesh(path, up), key).surface.mesh
-    fine = FineGrid(**values["modal"]["fine"])
+    fine = FineGrids(**values["modal"]["fine"])
     divided = discretize(*solid, **section, name=key)
     start = time.process_time()
     points = np.concatenate([solid[0], sample_surface(*solid, 8000, np.random.default_rng(0))])

@@ -1,7 +1,8 @@
 """Lowest modes of real and thin objects against quadratic tetrahedra: `python perf/modal_reference.py`.
 
-The tetrahedra keep the facets of the solid (TetGen) or stay close (fTetWild). Two meshes of each object show how far the reference itself is converged. References take minutes each and are kept under
---cache; the comparison with the project's own modes takes the time of the stages `voxelize` and `modal`.
+The tetrahedra keep the facets of the solid (TetGen) or stay close (fTetWild). Two meshes of each object show
+how far the reference itself is converged. References take minutes each and are kept under --cache; the
+comparison takes the time of the stages `voxelize` and `modal`.
 
 Needs objectfolder[tet] and, for thin walls, `pip install tetgen` (AGPL: never installed by this project).
 `--objects DIR` adds real meshes, one `mesh.*` in each subfolder. Exits with 1 if a target is missed.
@@ -72,9 +73,11 @@ PROCEDURAL: dict[str, tuple[str, float, str, dict[str, Any]]] = {
     "spoon": ("steel", 0.19, "spoon", {"wall": 0.0015}),
     "tube": ("steel", 0.2, "tube", {}),
 }
-#: Mesh sizes, coarse and fine: TetGen's least quality (ratio of radius and edge; none for the coarse mesh) and
-#: largest volume, in cubes of the wall. Quality alone leaves flat plates to tetrahedra 17 walls long, 4 % stiff.
-SIZES = {"coarse": ("", 3.0), "fine": ("q2.5", 1.0)}
+#: Largest volume of a tetrahedron of the coarse and the fine mesh, in cubes of the wall. A bound on their
+#: quality alone leaves flat plates to tetrahedra 17 walls long, 4 % too stiff.
+SIZES = {"coarse": 4.0, "fine": 1.0}
+QUALITY = 10  #: largest ratio of radius and edge
+TETRAHEDRA = 40_000  #: fewer are not asked for by the bound on their volume
 MAX_VOLUME = 1e-4  #: of a tetrahedron, unit frame: edges of about a tenth
 ENVELOPE = 2e-4  #: of fTetWild, where TetGen refuses a surface that crosses itself; in diagonals
 
@@ -87,7 +90,7 @@ def surface_of(name: str, objects: str) -> Mesh:
     _, _, generator, settings = PROCEDURAL[name]
     if generator == "tube":
         return tube(0.15, 0.1425, 1.0, around=192)
-    return normalize(generate(generator, texture_size=64, **settings), name).surface.mesh
+    return normalize(generate(generator, texture_size=128, **settings), name).surface.mesh
 
 
 def body(name: str) -> tuple[str, float]:
@@ -99,14 +102,19 @@ def filled(surface: Mesh, size: str) -> Tetrahedra:
     """Fill a surface with tetrahedra that keep its facets or, if it crosses itself, stay near them."""
     import tetgen
 
-    quality, cubes = SIZES[size]
-    largest = min(MAX_VOLUME, cubes * wall_thickness(*surface) ** 3)
+    volume, wall = signed_volume(*surface), wall_thickness(*surface)
+    largest = SIZES[size] * min(MAX_VOLUME, max(wall**3, volume / TETRAHEDRA))
     vertices, faces = np.ascontiguousarray(surface[0], np.float64), surface[1].astype(np.int32)
-    try:
-        made = tetgen.TetGen(vertices, faces).tetrahedralize(switches=f"p{quality}a{largest:.3g}Q")
-        return quadratic(np.asarray(made[0]), np.asarray(made[1])[:, :4].astype(np.int64), 1)
-    except RuntimeError:  # crosses itself
-        import pytetwild
+    for tolerance in ("", "T1e-10"):  # of coplanar facets
+        try:
+            made = tetgen.TetGen(vertices, faces).tetrahedralize(
+                switches=f"p{tolerance}q{QUALITY}a{largest:.3g}Q"
+            )
+            return quadratic(np.asarray(made[0]), np.asarray(made[1])[:, :4].astype(np.int64), 1)
+        except RuntimeError:  # crosses itself
+            continue
+    import pytetwild
+
     edge = 2 * np.cbrt(largest)  # volume of a regular tetrahedron: edge^3 / 8.5
     with TemporaryDirectory() as folder, chdir(folder):  # it writes a file into the working directory
         points, cells = pytetwild.tetrahedralize(
@@ -162,7 +170,7 @@ def compare(name: str, cache: str) -> dict:
     coarse, kept = (read_npz(Path(cache) / f"{name}_{size}.npz", "hz") for size in SIZES)
     surface = kept["vertices"], kept["faces"]
     stuff, scale = body(name)
-    values = params.read(ROOT / "params/quick.yaml")
+    values = params.read(ROOT / "params.yaml")
     section = {key: v for key, v in values["voxelize"].items() if key != "sdf_resolution"}
     config = params.settings(ModalConfig, values)
     start = time.process_time()

@@ -1,13 +1,13 @@
-"""Choice of the cut-cell grid: limited by model size, refined for thin walls and inaccurate modes."""
+"""Choice of the cut-cell grid: limited by model size, refined until the lowest modes are accurate."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge
+from annotated_types import Ge, MinLen
 
-from objectfolder.fem.accuracy import discretisation_error, lowest_frequencies
+from objectfolder.fem.accuracy import ORDER, discretisation_error, lowest_frequencies
 from objectfolder.fem.blocks import merge_full_blocks
 from objectfolder.fem.cutcell import MAX_VOLUME_ERROR, CutCells, cut_cells
 from objectfolder.fem.elasticity import Solid
@@ -17,20 +17,19 @@ from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.topology import Mesh, signed_volume
 from objectfolder.settings import Count, Positive
 
-MIN_WALL = 0.3  #: cells; solids with thinner walls get the fine grid
 _SAMPLES = 100_000  # surface points, to find the cells that the surface touches
 _UNKNOWNS = 12  # lower bound per element: one corner and three edge nodes of its own
 _GROWTH = 1.8  # unknowns grow at least with this power of the resolution (thin sheets with free edges)
 
 
 @dataclass(frozen=True, kw_only=True)
-class FineGrid:
-    """Finer grid for solids whose first grid is too coarse."""
+class FineGrids:
+    """Finer grids for solids whose first grid is too coarse."""
 
-    resolution: Count  #: cells along the longest side
+    resolutions: Annotated[tuple[Count, ...], MinLen(1)]  #: cells along the longest side, coarsest first
     subdivisions: Annotated[int, Ge(4)]  #: sub-cells along each side of a cell
-    max_degrees_of_freedom: Count  #: the fine grid is not used beyond this size
-    max_error: Positive  #: accepted estimated relative error of the lowest frequencies on the first grid
+    max_degrees_of_freedom: Count  #: grids beyond this size are not used
+    max_error: Positive  #: accepted estimated relative error of the lowest frequencies
 
 
 def adaptive_cut_cells(
@@ -70,16 +69,15 @@ def adaptive_cut_cells(
 def refined(
     solid: Solid,
     surface: Mesh,
-    wall: float,
-    fine: FineGrid,
+    fine: FineGrids,
     material: Material,
     scale: float,
     name: str = "object",
 ) -> Solid:
-    """Cut a solid on the finer grid if it needs one and the size limit allows it.
+    """Cut a solid on finer grids until the estimated error of its lowest frequencies is accepted.
 
-    It needs one if its walls are thinner than `MIN_WALL` cells or the estimated error of its lowest
-    frequencies exceeds ``fine.max_error``.
+    Each step goes to the coarsest grid that should suffice if the error falls with the power `ORDER` of
+    the cells' size, or to the finest one within the size limit.
 
     Parameters
     ----------
@@ -87,29 +85,37 @@ def refined(
         Elements other than cut cells are returned unchanged.
     surface : (V, 3) and (F, 3) arrays, unit frame
         Surface of the solid.
-    wall : float
-        Wall thickness, unit frame.
-    fine : FineGrid
+    fine : FineGrids
     material : Material
     scale : float
         Longest side, metres.
     name : str
         Name of the object in errors.
     """
-    growth = (fine.resolution / solid.resolution) ** _GROWTH
-    if (
-        not isinstance(solid, CutCells)
-        or growth <= 1
-        or growth * solid.degrees_of_freedom > fine.max_degrees_of_freedom
-        or _least_unknowns(*surface)(fine.resolution) > fine.max_degrees_of_freedom
-    ):
+    if not isinstance(solid, CutCells):
         return solid
-    if wall * solid.resolution >= MIN_WALL:
-        error = discretisation_error(solid, material, scale, lowest_frequencies(solid, material, scale))
-        if error is None or np.abs(error).max() <= fine.max_error:
-            return solid
-    finer = merge_full_blocks(cut_cells(*surface, fine.resolution, fine.subdivisions, name))
-    return finer if finer.degrees_of_freedom <= fine.max_degrees_of_freedom else solid
+    least = _least_unknowns(*surface)
+
+    def possible(resolution: int) -> bool:
+        growth = (resolution / solid.resolution) ** _GROWTH
+        size = max(growth * solid.degrees_of_freedom, least(resolution))
+        return growth > 1 and size <= fine.max_degrees_of_freedom
+
+    rungs, wanted = sorted(fine.resolutions), None
+    while rungs := [rung for rung in rungs if possible(rung)]:
+        if wanted is None:
+            error = discretisation_error(solid, material, scale, lowest_frequencies(solid, material, scale))
+            worst = max(error) if error else 0.0
+            if worst <= fine.max_error:
+                break
+            wanted = solid.resolution * (worst / fine.max_error) ** (1 / ORDER)
+        rung = next((rung for rung in rungs if rung >= wanted), rungs[-1])
+        finer = merge_full_blocks(cut_cells(*surface, rung, fine.subdivisions, name))
+        if finer.degrees_of_freedom <= fine.max_degrees_of_freedom:
+            solid, wanted = finer, None
+        else:
+            rungs = [smaller for smaller in rungs if smaller < rung]
+    return solid
 
 
 def _least_unknowns(vertices: np.ndarray, faces: np.ndarray) -> Callable[[int], int]:

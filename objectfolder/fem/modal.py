@@ -7,7 +7,7 @@ import numpy as np
 from annotated_types import Ge, Gt
 
 from objectfolder.fem.accuracy import ESTIMATED, discretisation_error, resolved_frequency
-from objectfolder.fem.adaptive import FineGrid, refined
+from objectfolder.fem.adaptive import FineGrids, refined
 from objectfolder.fem.eigen import solve_modes
 from objectfolder.fem.elasticity import Solid
 from objectfolder.materials import Material
@@ -23,7 +23,7 @@ MIN_FREQUENCY = 20.0  # Hz, the lower end of hearing (supplementary C)
 class ModalConfig:
     """Section ``modal`` of ``params.yaml``."""
 
-    fine: FineGrid  #: used where walls are thin or the first grid's error is large
+    fine: FineGrids  #: used where the error of the first grid is large
     max_frequency: Annotated[float, Gt(20)]  #: Hz
     max_modes: Count
     surface_points: Annotated[int, Ge(0)]  #: random points, besides the surface's vertices
@@ -122,7 +122,7 @@ def modal_analysis(
 def refined_analysis(
     solid: Solid,
     surface: Mesh,
-    fine: FineGrid,
+    fine: FineGrids,
     points: np.ndarray,
     material: Material,
     scale: float,
@@ -138,12 +138,12 @@ def refined_analysis(
         Solid on the first grid.
     surface : (V, 3) and (F, 3) arrays, unit frame
         Surface of the solid.
-    fine : FineGrid
+    fine : FineGrids
     points, material, scale, max_frequency, max_modes, name
         See `modal_analysis`.
     """
+    cells = refined(solid, surface, fine, material, scale, name)
     wall = wall_thickness(*surface)
-    cells = refined(solid, surface, wall, fine, material, scale, name)
     return modal_analysis(cells, points, material, scale, max_frequency, max_modes, name, wall)
 
 

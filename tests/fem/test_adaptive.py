@@ -6,14 +6,14 @@ from solids import box, join, sphere
 
 from objectfolder.fem import adaptive
 from objectfolder.fem.accuracy import discretisation_error, lowest_frequencies
-from objectfolder.fem.adaptive import FineGrid, adaptive_cut_cells, refined
+from objectfolder.fem.adaptive import FineGrids, adaptive_cut_cells, refined
 from objectfolder.fem.blocks import merge_full_blocks
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.voxel import voxels
 from objectfolder.materials import Material
 
 STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
-FINE = FineGrid(resolution=16, subdivisions=4, max_degrees_of_freedom=10**6, max_error=0.02)
+FINE = FineGrids(resolutions=(12, 16), subdivisions=4, max_degrees_of_freedom=10**6, max_error=0.02)
 SHEET = box((1, 1, 0.03))  # 0.24 cells of eight
 THICK = box((1, 1, 0.06))
 
@@ -31,8 +31,20 @@ def frame():
     )
 
 
-def refine(surface, wall, fine=FINE, resolution=8):
-    return refined(cut_cells(*surface, resolution, 4), surface, wall, fine, STUFF, 1.0)
+def refine(surface, fine=FINE, resolution=8):
+    return refined(cut_cells(*surface, resolution, 4), surface, fine, STUFF, 1.0)
+
+
+def estimating(monkeypatch, errors):
+    """Let the estimate depend on the resolution; returns the resolutions asked about."""
+    asked = []
+    monkeypatch.setattr(adaptive, "lowest_frequencies", lambda *_: np.ones(1))
+    monkeypatch.setattr(
+        adaptive,
+        "discretisation_error",
+        lambda cells, *_: asked.append(cells.resolution) or [errors[cells.resolution]],
+    )
+    return asked
 
 
 def no_solve(*_):
@@ -62,38 +74,47 @@ def test_a_grid_that_is_surely_too_large_is_not_cut(monkeypatch):
     assert cut == [8]
 
 
-def test_thin_walls_are_refined_without_a_solve(monkeypatch):
-    monkeypatch.setattr(adaptive, "lowest_frequencies", no_solve)
-    assert refine(SHEET, 0.03).resolution == 16
-
-
 def test_large_errors_are_refined_and_small_ones_are_not():
     cells = cut_cells(*THICK, 8, 4)
     error = max(discretisation_error(cells, STUFF, 1.0, lowest_frequencies(cells, STUFF, 1.0)))
-    assert refine(THICK, 0.06, fine(10**6, error * 0.99)).resolution == 16
-    assert refine(THICK, 0.06, fine(10**6, error * 1.01)).resolution == 8
+    assert refine(THICK, fine(10**6, error * 0.99)).resolution == 12
+    assert refine(THICK, fine(10**6, error * 1.01)).resolution == 8
+
+
+def test_a_step_leads_to_the_coarsest_grid_that_should_suffice(monkeypatch):
+    asked = estimating(monkeypatch, {8: 0.02 * 1.5**1.5 * 0.99, 12: 0.01})
+    assert refine(THICK).resolution == 12
+    assert asked == [8, 12]
+    asked = estimating(monkeypatch, {8: 0.02 * 1.5**1.5 * 1.01})
+    assert refine(THICK).resolution == 16
+    assert asked == [8]  # nothing is finer than 16
+
+
+def test_steps_are_repeated_until_the_error_is_accepted(monkeypatch):
+    estimating(monkeypatch, {8: 0.021, 12: 0.021})
+    assert refine(THICK).resolution == 16
 
 
 @pytest.mark.slow
 def test_refining_brings_the_frequencies_nearer():
     solid = frame()
-    fine, coarse = refine(solid, 0.1), cut_cells(*solid, 8, 4)
-    assert fine.resolution == 16
-    found = [lowest_frequencies(c, STUFF, 1.0) for c in (coarse, fine, cut_cells(*solid, 32, 4))]
+    finer, coarse = refine(solid, fine(10**6, 1e-9)), cut_cells(*solid, 8, 4)
+    assert finer.resolution == 16
+    found = [lowest_frequencies(c, STUFF, 1.0) for c in (coarse, finer, cut_cells(*solid, 32, 4))]
     errors = [np.abs(f / found[2] - 1).max() for f in found[:2]]
     assert errors[1] < 0.5 * errors[0]
 
 
 @pytest.mark.parametrize("wall", [0.03, 0.06])
-def test_the_fine_grid_keeps_to_its_size(wall):
+def test_the_budget_of_unknowns_is_used_and_kept(wall):
     solid = box((1, 1, wall))
     size = merge_full_blocks(cut_cells(*solid, 16, 4)).degrees_of_freedom
-    assert refine(solid, wall, fine(size, 1e-9)).resolution == 16
-    assert refine(solid, wall, fine(size - 1, 1e-9)).resolution == 8
+    assert refine(solid, fine(size, 1e-9)).resolution == 16
+    assert refine(solid, fine(size - 1, 1e-9)).resolution == 12
 
 
 def test_nothing_finer_is_tried_where_there_is_none(monkeypatch):
     monkeypatch.setattr(adaptive, "lowest_frequencies", no_solve)
-    assert refine(SHEET, 0.03, resolution=16).resolution == 16
+    assert refine(SHEET, resolution=16).resolution == 16
     other = voxels(*box((1, 1, 0.3)), 8, incompatible=False)
-    assert refined(other, THICK, 0.01, FINE, STUFF, 1.0) is other
+    assert refined(other, THICK, FINE, STUFF, 1.0) is other

@@ -20,7 +20,7 @@ TINY = {
         "sdf_resolution": 48,
     },
     "modal": {
-        "fine": {"resolution": 12, "subdivisions": 4, "max_degrees_of_freedom": 20000, "max_error": 0.5},
+        "fine": {"resolutions": [12], "subdivisions": 4, "max_degrees_of_freedom": 20000, "max_error": 0.5},
         "max_modes": 12,
         "surface_points": 300,
     },
