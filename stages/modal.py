@@ -9,7 +9,7 @@ from objectfolder import materials
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.band import solved_band
 from objectfolder.fem.elements import solid_from_arrays
-from objectfolder.fem.modal import ModalConfig, refined_analysis
+from objectfolder.fem.modal import ModalConfig, refined_analysis, uncertainty_warning
 from objectfolder.fem.reuse import Request, problem_digest, rescaled, solution_record
 from objectfolder.io import file_digest, keep, read_npz, write_json, write_npz
 from objectfolder.mesh.ply import read_surface
@@ -43,6 +43,9 @@ def main(key: str) -> None:
             **vars(request),
             name=key,
         )
+    warning = uncertainty_warning(data.report, settings.allow_uncertain, key)
+    if warning:
+        print(f"warning: {warning}")
     write_npz(
         build.modes,
         points=points,

@@ -249,4 +249,7 @@ def _summary_of(obj: "ObjectFile", part: str) -> str:
     frequencies = obj.frequencies
     if not len(frequencies):
         return f"{kind}, no modes: silent" if obj.has_modes else kind
-    return f"{kind}, {len(frequencies)} modes from {frequencies.min():.0f} to {frequencies.max():.0f} Hz"
+    error = obj.header[part].get("frequency_uncertainty")
+    certain = "" if error is None else f", lowest ten within about {error:.1%}"
+    span = f"{frequencies.min():.0f} to {frequencies.max():.0f} Hz"
+    return f"{kind}, {len(frequencies)} modes from {span}{certain}"

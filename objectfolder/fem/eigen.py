@@ -93,9 +93,7 @@ def solve_modes(fem: FiniteElements, max_frequency: float, max_modes: int, name:
     )
 
 
-def lowest_elastic_modes(
-    fem: FiniteElements, count: int, tolerance: float
-) -> tuple[np.ndarray, np.ndarray]:
+def lowest_elastic_modes(fem: FiniteElements, count: int, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
     """Compute the lowest elastic modes to a relative residual, uncertified.
 
     Returns

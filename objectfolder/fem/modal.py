@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from annotated_types import Ge, Gt
 
+from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.accuracy import ESTIMATED, discretisation_error, resolved_frequency
 from objectfolder.fem.adaptive import FineGrids, refined
 from objectfolder.fem.eigen import solve_modes
@@ -16,6 +17,7 @@ from objectfolder.mesh.topology import Mesh
 from objectfolder.settings import Count
 
 MAX_RESIDUAL, MAX_RIGID_HZ = 1e-8, 0.1
+CERTAIN, REFUSED = 0.1, 0.3  #: uncertainty of frequencies that needs no warning; that is refused
 MIN_FREQUENCY = 20.0  # Hz, the lower end of hearing (supplementary C)
 
 
@@ -28,6 +30,7 @@ class ModalConfig:
     max_modes: Count
     surface_points: Annotated[int, Ge(0)]  #: random points, besides the surface's vertices
     damping: Literal["rayleigh", "loss_factor"]  #: law of objects whose entry gives none
+    allow_uncertain: bool  #: whether to keep modes whose estimated error exceeds `REFUSED`
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,7 @@ def modal_analysis(
     shapes = cells.interpolate(nodal, points).reshape(len(points), 3, -1)
     frequencies = np.sqrt(eigenvalues) / (2 * np.pi)
     lowest = np.sqrt(modes.eigenvalues[:ESTIMATED]) / (2 * np.pi)
+    errors = discretisation_error(cells, material, scale, lowest)
     report = {
         "element": cells.name,
         "resolution": cells.resolution,
@@ -106,7 +110,8 @@ def modal_analysis(
         "lowest_hz": frequencies[:8].round(2).tolist(),
         "rigid_hz": modes.rigid_frequencies.round(4).tolist(),
         "residual_max": float(modes.residuals.max(initial=0.0)),
-        "discretisation_error": discretisation_error(cells, material, scale, lowest),
+        "discretisation_error": errors,
+        "frequency_uncertainty": max(errors, default=0.0) if errors is not None else None,
         "highest_resolved_hz": resolved_frequency(cells, material, scale, wall),
     }
     return ModalData(
@@ -145,6 +150,35 @@ def refined_analysis(
     cells = refined(solid, surface, fine, material, scale, name)
     wall = wall_thickness(*surface)
     return modal_analysis(cells, points, material, scale, max_frequency, max_modes, name, wall)
+
+
+def uncertainty_warning(report: dict[str, Any], allow: bool, name: str = "object") -> str | None:
+    """Describe an estimated error of the lowest frequencies above `CERTAIN`; None below.
+
+    Parameters
+    ----------
+    report : dict
+        Content of ``modal.json``.
+    allow : bool
+        Whether an error above `REFUSED` is accepted, too.
+    name : str
+        Name of the object in errors.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the error exceeds `REFUSED` and is not allowed.
+    """
+    error = report["frequency_uncertainty"] or 0.0
+    if error <= CERTAIN:
+        return None
+    grid = f"{report['resolution']}^3"
+    text = f"{name}: frequencies may be {error:.0%} wrong: the walls are thin for the {grid} grid"
+    if error > REFUSED and not allow:
+        raise ObjectFolderError(
+            f"{text}; thicken them, raise modal.fine.max_degrees_of_freedom, or set modal.allow_uncertain"
+        )
+    return text
 
 
 def solver_checks(report: dict[str, Any]) -> dict[str, bool]:

@@ -119,6 +119,7 @@ def rescaled(solved: dict[str, np.ndarray], problem: str, wanted: Request) -> Mo
             "truncated": count > wanted.max_modes or not complete,
             "max_frequency_hz": wanted.max_frequency,
             "discretisation_error": estimates or None,
+            "frequency_uncertainty": max(estimates, default=None),
             "lowest_hz": natural[:8].round(2).tolist(),
             "residual_max": float(solved["residuals"][kept].max(initial=0.0)),
         }

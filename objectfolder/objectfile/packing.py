@@ -22,7 +22,8 @@ def pack_object_file(
     ----------
     key : str
     modal : dict
-        ``modal.json``: material and scale of the solid whose modes the audio net holds.
+        ``modal.json``: material and scale of the solid whose modes the audio net holds, and how accurate
+        their frequencies are.
     normalize : dict
         ``normalize.json``: mass properties and the transform to the source mesh.
     sdf : dict
@@ -60,4 +61,6 @@ def pack_object_file(
         net_tensors, net_header = nets[modality]
         tensors.update({f"{modality}.{name}": value for name, value in net_tensors.items()})
         header[modality] = net_header
+    if modal["frequency_uncertainty"] is not None:
+        header["audio"] = header["audio"] | {"frequency_uncertainty": modal["frequency_uncertainty"]}
     return checked_header(header, key), tensors

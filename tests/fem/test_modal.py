@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 from solids import box
 
+from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.cutcell import cut_cells
-from objectfolder.fem.modal import modal_analysis
+from objectfolder.fem.modal import modal_analysis, uncertainty_warning
 from objectfolder.materials import Material, material
 
 SOLID = box((1, 0.5, 0.2))
@@ -70,3 +71,23 @@ def test_a_silent_object_has_no_modes(cells):
     assert data.shapes.shape == (8, 3, 0)
     assert data.report["modes"] == 0
     assert data.report["residual_max"] == 0
+
+
+def test_the_uncertainty_is_the_largest_estimated_error(cells):
+    report = analyse(cells, material("steel")).report
+    assert report["frequency_uncertainty"] == max(report["discretisation_error"]) > 0
+    silent = analyse(cells, material("steel"), max_frequency=100.0).report
+    assert silent["frequency_uncertainty"] is None
+
+
+@pytest.mark.parametrize(("error", "said"), [(None, None), (0.1, None), (0.11, "11%"), (0.3, "30%")])
+def test_uncertain_frequencies_are_warned_of(error, said):
+    warning = uncertainty_warning({"frequency_uncertainty": error, "resolution": 32}, False, "cabinet")
+    assert warning is None if said is None else f"cabinet: frequencies may be {said} wrong" in warning
+
+
+def test_very_uncertain_frequencies_are_refused_unless_allowed():
+    report = {"frequency_uncertainty": 0.31, "resolution": 32}
+    assert "31%" in uncertainty_warning(report, True, "cabinet")
+    with pytest.raises(ObjectFolderError, match=r"cabinet: .*31% wrong.*modal\.allow_uncertain"):
+        uncertainty_warning(report, False, "cabinet")

@@ -23,6 +23,7 @@ TINY = {
         "fine": {"resolutions": [12], "subdivisions": 4, "max_degrees_of_freedom": 20000, "max_error": 0.5},
         "max_modes": 12,
         "surface_points": 300,
+        "allow_uncertain": True,
     },
     "render_views": {
         "resolution": 32,
