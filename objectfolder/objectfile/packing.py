@@ -61,6 +61,6 @@ def pack_object_file(
         net_tensors, net_header = nets[modality]
         tensors.update({f"{modality}.{name}": value for name, value in net_tensors.items()})
         header[modality] = net_header
-    if modal["frequency_uncertainty"] is not None:
+    if modal.get("frequency_uncertainty") is not None:
         header["audio"] = header["audio"] | {"frequency_uncertainty": modal["frequency_uncertainty"]}
     return checked_header(header, key), tensors
