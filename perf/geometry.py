@@ -1,10 +1,12 @@
-"""Time and memory of normalize and voxelize, object by object: `python perf/geometry.py [--objects DIR]`.
+"""Time, memory and volumes of normalize and voxelize, object by object.
 
-Each object gets a fresh single-threaded process. Exits with 1 if an object misses a target; a refused
-object misses none.
+`python perf/geometry.py [--objects DIR] [--catalogue catalogs/procedural.yaml --every 5]` measures those of
+params.yaml or of a folder, and every fifth object of a catalogue. Each gets a fresh single-threaded process.
+Exits with 1 if an object misses a target; a refused object misses none.
 """
 
 import argparse
+import json
 import resource
 import sys
 import time
@@ -16,15 +18,20 @@ from rich.console import Console
 from rich.table import Table
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.gridcodec import BOUND, band_width
+from objectfolder.mesh.gridcodec import BOUND, band_width, pack_grid
 from objectfolder.mesh.normalize import normalize
+from objectfolder.mesh.procedural import generate
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.sdf import distance_grid
+from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.workspace import params
+from objectfolder.yamlfile import read_yaml
 
+GENERATED = "generated"  # stands for the up axis of a procedural object
 ROOT = Path(__file__).parents[1]
 MAX_SECONDS = 10.0  # CPU time of normalize and voxelize of one object, loading included
 MAX_MEGABYTES = 2048.0
+MAX_GRID_ERROR = 0.01  # of the volume that the distance grid's surface encloses
 PEER_RESOLUTION = 64  # the peer needs the whole grid: minutes at the real resolution
 
 
@@ -39,25 +46,41 @@ def meshes(folder: Path | None) -> dict[str, tuple[Path, str]]:
     return {p.parent.name: (p, "y" if p.suffix in (".gltf", ".glb") else "z") for p in paths}
 
 
-def measure(mesh: str, up: str) -> dict:
+def generated(catalogue: Path, every: int) -> dict[str, tuple[str, str]]:
+    """Return generator and parameters (JSON) of every n-th procedural object of a catalogue, by key."""
+    entries = read_yaml(catalogue)["procedural"]
+    keys = sorted(entries)[::every]
+    return {key: (json.dumps(entries[key]), GENERATED) for key in keys}
+
+
+def load(source: str, up: str, texture_size: int) -> TexturedMesh:
+    """Return the mesh of a file, or of an entry that `generated` returned."""
+    return generate(**json.loads(source)) if up == GENERATED else load_mesh(Path(source), up, texture_size)
+
+
+def measure(key: str, source: str, up: str) -> dict:
     """Measure one object in this process."""
     from objectfolder.fem.voxelize import VoxelizeConfig, voxelize
 
-    path = Path(mesh)
     values = params.read(ROOT / "params.yaml")
-    row: dict = {"object": path.parent.name}
+    mesh = load(source, up, values["normalize"]["texture_size"])
+    row: dict = {"object": key}
     start = time.process_time()
     try:
-        result = normalize(load_mesh(path, up, values["normalize"]["texture_size"]), path.parent.name)
+        result = normalize(mesh, key)
         report = result.report(1.0, up)
         row["normalize_s"] = time.process_time() - start
         row |= {name: report[name] for name in ("rung", "components", "volume_m3", "faces")}
         row |= {name: report[f"{name}_percent"] for name in ("deviation_mean", "deviation_max")}
         start = time.process_time()
         config = params.settings(VoxelizeConfig, values)
-        voxels = voxelize(result.surface.mesh, result.surface.mesh, config, path.parent.name)
+        voxels = voxelize(result.surface.mesh, result.surface.mesh, config, key)
         row["voxelize_s"] = time.process_time() - start
         row |= {name: voxels.report["cells"][name] for name in ("resolution", "volume_error")}
+        grid = voxels.report["distance_grid"]
+        row |= {"wall": grid["wall_thickness"], "grid": grid["resolution"]}
+        row["grid_error"] = grid["volume_share_kept"] - 1
+        row["grid_kb"] = len(pack_grid(voxels.values)[0]) / 1000
     except ObjectFolderError as error:
         row["refused"] = str(error)
         row.setdefault("normalize_s", time.process_time() - start)
@@ -93,6 +116,8 @@ def misses(row: dict) -> list[str]:
     seconds = row.get("normalize_s", 0.0) + row.get("voxelize_s", 0.0)
     if seconds > MAX_SECONDS:
         missed.append(f"{seconds:.1f} s, target {MAX_SECONDS:g} s")
+    if abs(row.get("grid_error", 0.0)) > MAX_GRID_ERROR:
+        missed.append(f"its grid holds {row['grid_error']:+.2%} of the volume, target {MAX_GRID_ERROR:.0%}")
     if row.get("peak_mb", 0.0) > MAX_MEGABYTES:
         missed.append(f"{row['peak_mb']:.0f} MB, target {MAX_MEGABYTES:g} MB")
     return missed
@@ -109,6 +134,10 @@ def show(rows: list[dict], peer: dict | None, console: Console) -> None:
         "deviation_max": "max dev. %",
         "resolution": "cells",
         "volume_error": "volume error %",
+        "wall": "wall %",
+        "grid": "grid",
+        "grid_error": "grid vol. error %",
+        "grid_kb": "grid KB",
         "normalize_s": "normalize s",
         "voxelize_s": "voxelize s",
         "peak_mb": "peak MB",
@@ -119,6 +148,9 @@ def show(rows: list[dict], peer: dict | None, console: Console) -> None:
     form = {
         "volume_m3": lambda v: f"{v:.3%}"[:-1],
         "volume_error": lambda v: f"{v:+.3%}"[:-1],
+        "wall": lambda v: f"{v:.2%}"[:-1],
+        "grid_error": lambda v: f"{v:+.2%}"[:-1],
+        "grid_kb": lambda v: f"{v:.0f}",
         "deviation_mean": lambda v: f"{v:.2g}",
         "deviation_max": lambda v: f"{v:.2g}",
         "normalize_s": lambda v: f"{v:.2f}",
@@ -145,14 +177,17 @@ def main() -> None:
     run_job({"measure": measure, "compare": compare})
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--objects", type=Path, help="folder with a mesh.* in each subfolder")
+    parser.add_argument("--catalogue", type=Path, help="catalogue of procedural objects to measure, too")
+    parser.add_argument("--every", type=int, default=1, help="measure every n-th object of the catalogue")
     parser.add_argument("--json", type=Path, help="file for the figures")
     arguments = parser.parse_args()
     found = meshes(arguments.objects)
     if not found:
         sys.exit(f"{arguments.objects}: no subfolder holds a mesh.obj, .gltf, .glb, .ply or .stl")
-    console = Console(width=max(Console().width, 150))
-    rows = [{**fresh(__file__, "measure", *mesh), "object": key} for key, mesh in found.items()]
-    faces = {row["object"]: row["faces"] for row in rows if "voxelize_s" in row}  # accepted ones
+    console = Console(width=max(Console().width, 190))
+    sources = found | (generated(arguments.catalogue, arguments.every) if arguments.catalogue else {})
+    rows = [{**fresh(__file__, "measure", key, *mesh), "object": key} for key, mesh in sources.items()]
+    faces = {row["object"]: row["faces"] for row in rows if "voxelize_s" in row and row["object"] in found}
     largest = max(faces, key=faces.__getitem__, default=None)
     peer = fresh(__file__, "compare", *found[largest]) if largest else None
     show(rows, peer, console)
