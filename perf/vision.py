@@ -175,7 +175,7 @@ def primary(workspace: str, key: str, count: str) -> dict:
     start = cpu_seconds()
     corners, table = (
         np.array(np.meshgrid(*surface.bounds.T)).reshape(3, -1).T,
-        torch.from_numpy(surface.normals),
+        torch.from_numpy(surface.shading.normals),
     )
     surface.caster.occluded(np.ones((1, 3)), np.ones((1, 3)))  # Embree builds its tree at the first ray
     row: dict = {

@@ -15,7 +15,7 @@ def main(key: str) -> None:
     surface, solid = read_surface(build.surface), read_surface(build.solid_surface)
     voxels = voxelize(surface, solid, settings, key)
     write_npz(build.solid, **solid_arrays(voxels.cells))
-    write_npz(build.sdf, values=voxels.values, band=voxels.band)
+    write_npz(build.sdf, values=voxels.values, band=voxels.band, **vars(voxels.features))
     write_json(build.voxelize, voxels.report)
 
 

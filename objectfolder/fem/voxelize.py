@@ -8,6 +8,8 @@ from annotated_types import Ge, Interval, MinLen
 
 from objectfolder.fem.elasticity import Solid
 from objectfolder.fem.elements import Element, discretize
+from objectfolder.mesh.featurecodec import Features
+from objectfolder.mesh.features import find_features
 from objectfolder.mesh.scanline import check_winding
 from objectfolder.mesh.sdf import FINEST, fitting_grid
 from objectfolder.mesh.topology import Mesh, signed_volume
@@ -33,6 +35,7 @@ class Voxelization:
     cells: Solid
     values: np.ndarray  #: (R, R, R) int8; see `objectfolder.mesh.grid.DistanceGrid`
     band: float
+    features: Features
     report: dict[str, Any]  #: content of ``voxelize.json``
 
 
@@ -62,6 +65,7 @@ def voxelize(surface: Mesh, solid: Mesh, config: VoxelizeConfig, name: str = "me
         name,
     )
     grid = fitting_grid(*surface, config.sdf_resolution, name)
+    features = find_features(grid.values, *surface)
     report = {
         "cells": {
             "winding": asdict(certificates[0]),
@@ -81,6 +85,8 @@ def voxelize(surface: Mesh, solid: Mesh, config: VoxelizeConfig, name: str = "me
             "resolution": len(grid.values),
             "band": grid.band,
             "samples_in_band": int(np.count_nonzero(np.abs(grid.values) < 127)),
+            "moved_crossings": len(features.edges),
+            "sharp_cells": len(features.cells),
         },
     }
-    return Voxelization(cells, grid.values, grid.band, report)
+    return Voxelization(cells, grid.values, grid.band, features, report)

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 
+from objectfolder.mesh.featurecodec import Features
 from objectfolder.mesh.gridcodec import BOUND
 
 _TETRAHEDRON = torch.tensor([[1.0, -1, -1], [-1, -1, 1], [-1, 1, -1], [1, 1, 1]])  # its corners
@@ -20,10 +21,13 @@ class DistanceGrid:
         Distances in units of ``band / 127``.
     band : float
         Distances are clipped to +-band.
+    features : Features, optional
+        Of the surface's mesh; distances do without them.
     """
 
-    def __init__(self, values: np.ndarray, band: float):
+    def __init__(self, values: np.ndarray, band: float, features: Features | None = None):
         self.values = np.asarray(values, np.int8)
+        self.features = features
         self.band = float(band)
         self.spacing = 2 * BOUND / (len(self.values) - 1)
         box = _box(self.values)
@@ -38,7 +42,7 @@ class DistanceGrid:
     @classmethod
     def from_arrays(cls, arrays: dict[str, np.ndarray]) -> "DistanceGrid":
         """Return the grid stored in ``sdf.npz``."""
-        return cls(arrays["values"], float(arrays["band"]))
+        return cls(arrays["values"], float(arrays["band"]), Features.from_arrays(arrays))
 
     def distance(self, points: torch.Tensor) -> torch.Tensor:
         """Interpolate the signed distance at (N, 3) points; (N,)."""

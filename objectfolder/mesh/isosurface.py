@@ -1,5 +1,6 @@
 """Surface of the stored distance grid, which queries use in place of the mesh."""
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -11,9 +12,21 @@ from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.levelset import zero_level
 from objectfolder.mesh.raycast import RayCaster
+from objectfolder.mesh.sharpen import sharp_normals, sharpened
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
+
+BESIDE = -0.05  # stored distance instead of 0, so that each vertex lies on one edge of the grid only
+
+
+@dataclass(frozen=True)
+class Shading:
+    """Triangles with normals."""
+
+    vertices: np.ndarray  #: (V', 3) float64, unit frame
+    faces: np.ndarray  #: (F, 3) int64, in the order of the surface's
+    normals: np.ndarray  #: (V', 3) float32, outward, of unit length
 
 
 class Isosurface:
@@ -37,9 +50,15 @@ class Isosurface:
             raise ObjectFolderError("the distance grid holds no surface: all samples are on one side of it")
 
     @cached_property
-    def _mesh(self) -> tuple[np.ndarray, np.ndarray]:
-        index, faces = zero_level(self.grid.values)
-        return index * self.grid.spacing - BOUND, faces
+    def _mesh(self) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Vertices, faces, and which faces have a stored point."""
+        features = self.grid.features
+        if features is None:
+            index, faces = zero_level(self.grid.values)
+            return index * self.grid.spacing - BOUND, faces, None
+        index, faces = zero_level(self.grid.values, BESIDE)
+        index, faces, touched = sharpened(index, faces, features, len(self.grid.values))
+        return index * self.grid.spacing - BOUND, faces, touched
 
     @property
     def vertices(self) -> np.ndarray:
@@ -53,16 +72,25 @@ class Isosurface:
 
     @cached_property
     def _corners(self) -> np.ndarray:
-        return self.faces.astype(np.int32)
+        return self.shading.faces.astype(np.int32)
 
     def corners(self, face: np.ndarray) -> np.ndarray:
-        """Return the vertices of triangles (S,); (S, 3) int32, which is faster to look up than ``faces``."""
+        """Return the vertices in `shading` of triangles (S,); (S, 3) int32, which is faster than int64."""
         return self._corners.take(face, 0)
 
     @cached_property
     def normals(self) -> np.ndarray:
-        """Outward unit normals at the vertices; (V, 3) float32."""
+        """Outward unit normals at the vertices, of the grid; (V, 3) float32."""
         return self.grid.normals(torch.from_numpy(self.vertices.astype(np.float32))).numpy()
+
+    @cached_property
+    def shading(self) -> Shading:
+        """The triangles as they are shaded: a vertex on a sharp edge has a copy for each side of it."""
+        vertices, faces, touched = self._mesh
+        if touched is None or not touched.any():
+            return Shading(vertices, faces, self.normals)
+        own, split, normals = sharp_normals(vertices, faces, touched, self.normals)
+        return Shading(vertices[own], split, normals)
 
     @cached_property
     def bounds(self) -> np.ndarray:

@@ -3,13 +3,15 @@
 import numpy as np
 
 
-def zero_level(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def zero_level(values: np.ndarray, zero: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Extract the zero level set by marching cubes (Lewiner et al. 2003).
 
     Parameters
     ----------
     values : (R, R, R) int8 array, negative inside
         Some are negative or 0, and some positive.
+    zero : float
+        Taken for values of 0; not positive.
 
     Returns
     -------
@@ -22,9 +24,10 @@ def zero_level(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     box = _box(values <= 0)
     values = values[tuple(box)]
-    vertices, faces, _, _ = marching_cubes(
-        values.astype(np.float32), 0.0, allow_degenerate=False, mask=_crossed(values)
-    )
+    distances = values.astype(np.float32)
+    if zero:
+        distances[values == 0] = zero
+    vertices, faces, _, _ = marching_cubes(distances, 0.0, allow_degenerate=False, mask=_crossed(values))
     return vertices.astype(np.float64) + [side.start for side in box], faces.astype(np.int64)
 
 

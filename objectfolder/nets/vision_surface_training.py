@@ -146,10 +146,14 @@ def _look_up(
 ) -> _Points:
     """Sample random points of the surface, with the mesh's appearance at the closest points."""
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
-    points, _ = trimesh.sample.sample_surface(mesh, count, seed=rng)
+    points, face = trimesh.sample.sample_surface(mesh, count, seed=rng)
     color, looked_up = appearance_at(scene, points)
     p = torch.from_numpy(points.astype(np.float32))
-    normals = surface.grid.normals(p)
+    weights = trimesh.triangles.points_to_barycentric(mesh.triangles[face], points)
+    corners = surface.shading.normals[surface.shading.faces[face]]
+    normals = F.normalize(
+        torch.from_numpy(np.einsum("sk,skc->sc", weights, corners).astype(np.float32)), dim=1
+    )
     shading = torch.from_numpy(looked_up)
     # Meshes may have inverted faces; renderers flip their normals towards the camera, which is outside.
     shading = torch.where((shading * normals).sum(1, keepdim=True) < 0, -shading, shading)

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from objectfolder.mesh.featurecodec import Features, pack_features
 from objectfolder.mesh.gridcodec import pack_grid
 from objectfolder.objectfile.header import MODALITIES, checked_header, format_name
 
@@ -27,7 +28,7 @@ def pack_object_file(
     normalize : dict
         ``normalize.json``: mass properties and the transform to the source mesh.
     sdf : dict
-        ``values`` int8 and ``band``.
+        ``values`` int8 and ``band``, and the arrays of `Features`, if the surface has any.
     nets : dict
         Per modality its tensors and header, as the training stages wrote them.
     provenance : dict
@@ -40,12 +41,16 @@ def pack_object_file(
     """
     stream, predictor = pack_grid(sdf["values"])
     tensors = {"geometry.distances": stream}
-    geometry = {
+    geometry: dict[str, Any] = {
         "kind": "distance_grid",
         "resolution": len(sdf["values"]),
         "band": float(sdf["band"]),
         "predictor": predictor,
     }
+    features = Features.from_arrays(sdf)
+    if features is not None:
+        tensors["geometry.features"] = pack_features(features)
+        geometry |= {"edges": len(features.edges), "cells": len(features.cells)}
     header: dict[str, Any] = {
         "format": format_name(),
         "key": key,

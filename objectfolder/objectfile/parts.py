@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.featurecodec import Features, unpack_features
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.gridcodec import unpack_grid
 from objectfolder.mesh.isosurface import Isosurface
@@ -79,10 +80,16 @@ class StoredParts:
         packed = self._tensor("geometry.distances")
         with report_damage(self.key, "distance grid"):
             values = unpack_grid(packed, int(config["resolution"]), config["predictor"])
-            surface = Isosurface(DistanceGrid(values, config["band"]))
+            surface = Isosurface(DistanceGrid(values, config["band"], self._features(config)))
             if not len(surface.faces):
                 raise ValueError("no surface")
             return surface
+
+    def _features(self, config: dict[str, Any]) -> Features | None:
+        counts = config.get("edges", 0), config.get("cells", 0)
+        if not any(counts):
+            return None
+        return unpack_features(self._tensor("geometry.features"), *counts, int(config["resolution"]))
 
     @once
     def vision(self) -> VisionSense:

@@ -57,7 +57,9 @@ class Radiosity:
         self._surface = surface
         self._reflectance = reflectance(*map(torch.from_numpy, (points, normals))).numpy().T.copy()
         tree = cKDTree(_oriented(points, normals))
-        distance, index = tree.query(_oriented(surface.vertices, surface.normals), k=NEIGHBOURS)
+        distance, index = tree.query(
+            _oriented(surface.shading.vertices, surface.shading.normals), k=NEIGHBOURS
+        )
         weights = 1 / (distance**2 + 1e-6)
         self._patches = torch.from_numpy(index.astype(np.int32))
         self._weights = torch.from_numpy((weights / weights.sum(1, keepdims=True)).astype(np.float32))
@@ -126,7 +128,7 @@ class Radiosity:
         where = torch.tensor(light)
         lit = is_lit(self._surface, self._points, self._normals, where).nonzero()[:, 0]
         to_light = where - take_rows(self._points, lit)
-        cosine = (to_light * take_rows(self._normals, lit)).sum(1)
+        cosine = (to_light * take_rows(self._normals, lit)).sum(1).clamp(min=0)
         received = np.zeros(PATCHES, np.float32)
         received[self._involved[lit.numpy()]] = (cosine / to_light.square().sum(1) ** 1.5).numpy()
         # One colour at a time: a sparse product of three takes twice as long.
@@ -152,7 +154,9 @@ class Radiosity:
         ray, distance, face, weights = self._surface.caster.intersect(starts, directions)
         hits = starts.take(ray, 0) + directions.take(ray, 0) * distance[:, None]
         corners = torch.from_numpy(self._surface.corners(face))
-        met = weighted_rows(torch.from_numpy(self._surface.normals), corners, torch.from_numpy(weights))
+        met = weighted_rows(
+            torch.from_numpy(self._surface.shading.normals), corners, torch.from_numpy(weights)
+        )
         patch = tree.query(_oriented(hits, met.numpy()))[1]
         share = np.full(len(ray), 1 / SIDE**2, np.float32)
         return sp.csr_matrix((share, (ray // SIDE**2, patch)), shape=(PATCHES, PATCHES))

@@ -10,6 +10,7 @@ import torch.nn.functional as F
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.vision.vectors import column_major, concatenate, dot, normalized, take_rows
 
+HORIZON = 0.035  # sine of the angle behind a surface from which light may still reach it
 SHADOW_OFFSET = 0.05  # voxels along the normal where shadow rays start; more would move shadows
 
 
@@ -26,7 +27,7 @@ class SurfaceSamples:
     directions: torch.Tensor  #: (S, 3) float32, from the camera, of unit length
     distance: torch.Tensor  #: (S,) float32, from the camera, in units of the given ray direction's length
     lit: torch.Tensor  #: (S,) bool, whether the point faces the light and is not in shadow
-    corners: torch.Tensor  #: (S, 3) int32, vertices of the point's triangle
+    corners: torch.Tensor  #: (S, 3) int32, vertices of the point's triangle in `Isosurface.shading`
     weights: torch.Tensor  #: (S, 3) float32, barycentric
 
     def select(self, index: torch.Tensor) -> "SurfaceSamples":
@@ -46,11 +47,11 @@ class SurfaceSamples:
 
     @cached_property
     def nearest_corner(self) -> torch.Tensor:
-        """Nearest vertex of the surface; (S,) int32."""
+        """Nearest vertex of `Isosurface.shading`; (S,) int32."""
         return nearest_corners(self.corners, self.weights)
 
     def interpolated(self, attributes: torch.Tensor) -> torch.Tensor:
-        """Interpolate attributes (V, C) of the surface's vertices at the samples; (S, C)."""
+        """Interpolate attributes (V', C) of the vertices of `Isosurface.shading` at the samples; (S, C)."""
         return weighted_rows(attributes, self.corners, self.weights)
 
 
@@ -83,7 +84,9 @@ def trace(
     start = torch.tensor(origins) if origins.ndim == 1 else torch.from_numpy(origins.T.take(ray, 1)).T
     points = start + away * t[:, None]
     corners, weights = torch.from_numpy(surface.corners(face)), torch.from_numpy(barycentric)
-    normals = normalized(column_major(weighted_rows(torch.from_numpy(surface.normals), corners, weights)))
+    normals = normalized(
+        column_major(weighted_rows(torch.from_numpy(surface.shading.normals), corners, weights))
+    )
     lit = is_lit(surface, points, normals, torch.from_numpy(np.asarray(light, np.float32)))
     return SurfaceSamples(index, points, normals, normalized(away), t, lit, corners, weights)
 
@@ -98,7 +101,9 @@ def is_lit(
     points, normals : (S, 3) float32 tensors, unit frame
     light : (3,) float32 tensor, unit frame
     """
-    lit = dot(light - points, normals)[:, 0] > 0
+    to_light = light - points
+    # Stored normals are off by a degree; shadow rays and shading normals tell what is behind the horizon.
+    lit = dot(to_light, normals)[:, 0] > -HORIZON * to_light.square().sum(1).sqrt()
     facing = lit.nonzero()[:, 0]
     start = take_rows(points, facing) + take_rows(normals, facing) * (SHADOW_OFFSET * surface.grid.spacing)
     # Directions reach to the light, at distance 1.

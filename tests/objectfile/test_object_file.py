@@ -6,16 +6,21 @@ import pickle
 import struct
 import subprocess
 import sys
+from functools import partial
 
 import jsonschema
 import numpy as np
 import pytest
 import torch
 from brick import SCALE, SIDES, build_brick
+from solids import box
 
 from objectfolder import ObjectFile
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_safetensors, write_safetensors
+from objectfolder.mesh.featurecodec import pack_features
+from objectfolder.mesh.features import find_features
+from objectfolder.mesh.topology import signed_volume
 from objectfolder.objectfile.header import PARTS, format_name, schema
 
 CAMERA, LIGHT = [2.0, 1.0, 1.0], [0.5, 0.5, 0.9]
@@ -194,7 +199,8 @@ def test_the_schema_is_a_valid_one_that_describes_every_field_of_a_file(brick):
         rules = schema()["properties"][part]["allOf"]
         rules = {rule["if"]["properties"]["kind"]["const"]: rule["then"]["properties"] for rule in rules}
         rule = rules[brick.header[part]["kind"]]
-        assert brick.header[part].keys() - {"kind"} == rule.keys() - {"truncated"}
+        optional = {"truncated", "edges", "cells"}
+        assert brick.header[part].keys() - {"kind"} == rule.keys() - optional
         if "net" in rule:
             assert brick.header[part]["net"].keys() == rule["net"]["properties"].keys()
 
@@ -243,6 +249,31 @@ def test_damaged_geometry(edit, brick):
             file.sample_surface(3)
     with pytest.raises(ObjectFolderError, match=r"lacks tensor geometry\.distances"):
         edit(drop=["geometry.distances"]).sample_surface(3)
+
+
+def test_features_sharpen_the_stored_surface(edit, brick):
+    solid = box(SIDES)
+    features = find_features(brick.surface.grid.values, *solid)
+    stream = pack_features(features)
+
+    def named(header, fewer=0):
+        header["geometry"] |= {"edges": len(features.edges), "cells": len(features.cells) - fewer}
+
+    file = edit(named, **{"geometry.features": stream})
+    sharp = file.surface
+    assert len(sharp.grid.features.cells) == len(features.cells) > 100
+    kept = [signed_volume(one.vertices, one.faces) / np.prod(SIDES) for one in (brick.surface, sharp)]
+    assert abs(kept[1] - 1) < 0.2 * abs(kept[0] - 1)
+    assert file.to_mesh().is_watertight
+    assert np.isfinite(file.view(CAMERA, LIGHT, 16)).all()
+    assert file.touch(file.sample_surface(1)).shape == brick.touch(brick.sample_surface(1)).shape
+    flipped = stream.copy()
+    flipped[len(stream) // 2] ^= 255
+    for change, tensor in ((named, flipped), (named, stream[:-100]), (partial(named, fewer=1), stream)):
+        with pytest.raises(ObjectFolderError, match="distance grid is damaged"):
+            edit(change, **{"geometry.features": tensor}).sample_surface(1)
+    with pytest.raises(ObjectFolderError, match=r"lacks tensor geometry\.features"):
+        edit(named).sample_surface(1)
 
 
 def test_every_missing_tensor_is_an_error_of_its_question(edit, brick):

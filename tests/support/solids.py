@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from objectfolder.fem.cutcell import CutCells
 from objectfolder.fem.hex20 import NODES
 from objectfolder.fem.voxel import lattice_connectivity
+from objectfolder.mesh.features import find_features
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sdf import distance_grid
@@ -55,6 +56,12 @@ def flipped(solid):
 
 def isosurface(solid, resolution=64):
     return Isosurface(DistanceGrid(*distance_grid(*solid, resolution)))
+
+
+def sharp_isosurface(solid, resolution=64):
+    """The stored surface with its features."""
+    values, band = distance_grid(*solid, resolution)
+    return Isosurface(DistanceGrid(values, band, find_features(values, *solid)))
 
 
 def full_cells(index, resolution):

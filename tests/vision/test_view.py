@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 import torch
-from solids import TURN, box, isosurface, join, sphere
+from solids import TURN, box, isosurface, join, sharp_isosurface, sphere
 
+from objectfolder.mesh.raycast import RayCaster
 from objectfolder.vision import view
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, project
 from objectfolder.vision.trace import trace
@@ -282,3 +283,48 @@ def test_same_bytes_twice_and_rays_are_independent(ball):
     kept = whole.ray >= 50
     for name in ("points", "normals", "lit"):
         assert torch.equal(getattr(part, name), getattr(whole, name)[kept])
+
+
+def rays_of(pose, intrinsics, fine):
+    """Rays through ``fine`` x ``fine`` points of each pixel."""
+    rows, columns = (np.mgrid[: intrinsics.height * fine, : intrinsics.width * fine] + 0.5) / fine
+    return camera_rays(pose, intrinsics, np.stack([columns.ravel(), rows.ravel()], 1))
+
+
+@pytest.mark.parametrize("turn", [None, TURN])
+def test_a_lit_panel_has_no_shadow_of_its_own_where_light_grazes(turn):
+    """Light one degree above a panel, camera above: its pixels are lit, up to its edges."""
+    turn = np.eye(3) if turn is None else turn
+    sides = np.array([0.9, 0.7, 0.08])
+    surface = sharp_isosurface(box(sides, turn=turn), 96)
+    up, ahead = turn[:, 2], turn[:, 0]
+    light = 2.0 * ahead + (sides[2] / 2 + np.tan(np.deg2rad(1.0)) * 1.55) * up
+    pose = look_at(2.2 * up - 0.9 * ahead)[0]
+    origin, rays = camera_rays(pose, Intrinsics.square(128), np.mgrid[:128, :128].reshape(2, -1).T + 0.5)
+    samples = trace(surface, origin, rays, light)
+    height = samples.points.numpy() @ up
+    panel = np.abs(height - sides[2] / 2) < 0.1 * surface.grid.spacing
+    assert panel.sum() > 2000
+    dark = panel & ~samples.lit.numpy()
+    assert dark.sum() < 1e-3 * panel.sum()  # in notches of its edge
+    rounded = trace(isosurface(box(sides, turn=turn), 96), origin, rays, light).lit.numpy()
+    assert rounded.sum() < 0.99 * samples.lit.numpy().sum()
+
+
+@pytest.mark.parametrize("sides", [(0.5, 0.6, 0.7), (0.9, 0.6, 0.04)])
+def test_silhouettes_of_a_sharp_box_are_its_own(sides):
+    """Coverage is that of the box itself, not of a rounded one; half a pixel would be 0.5."""
+    solid = box(sides, turn=TURN)
+    intrinsics = Intrinsics.square(96)
+    pose = look_at(np.array([1.5, -1.6, 1.2]))[0]
+    fine = 8
+    met = RayCaster(*solid).first_hit(*rays_of(pose, intrinsics, fine))[1] >= 0
+    exact = met.reshape(96, fine, 96, fine).mean((1, 3))
+    apart = [
+        np.abs(draw(made(solid, 96), white, pose, LIGHT, intrinsics).rgba[..., 3] - exact)
+        for made in (sharp_isosurface, isosurface)
+    ]
+    edge = (exact > 0) & (exact < 1)
+    assert apart[0][edge].mean() < 0.03
+    assert apart[0].max() < 0.4
+    assert apart[0][edge].mean() < 0.5 * apart[1][edge].mean()

@@ -1,0 +1,144 @@
+"""Sharp edges in the mesh of marching cubes: extended marching cubes (Kobbelt et al. 2001)."""
+
+import numpy as np
+
+from objectfolder.mesh.featurecodec import MARGIN, STEPS, Features
+from objectfolder.mesh.normals import area_vectors, creased, split_vertices, unit_vectors
+
+ON_EDGE = 1e-4  # voxels off a grid edge by which a vertex is still on it; single precision has 3e-5
+MIXED = np.cos(np.deg2rad(3))  # of the angle to the faces' normal from which a normal of the grid is wrong
+FOLDED = 0.2  # least cosine between the normals of faces before and after an edge is flipped
+
+
+def sharpened(
+    vertices: np.ndarray, faces: np.ndarray, features: Features, count: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Put stored features into a mesh of marching cubes.
+
+    Crossings move to their stored places. In a cell with a stored point, the faces become a fan around it;
+    an edge between two such fans is flipped, so that it joins their points.
+
+    Parameters
+    ----------
+    vertices : (V, 3) float64 array
+        In voxels, on the edges of the grid.
+    faces : (F, 3) int array
+    features : Features
+    count : int
+        Samples of the grid along each side.
+
+    Returns
+    -------
+    vertices : (V', 3) float64
+    faces : (F', 3) int64
+    touched : (F',) bool
+        Faces of fans.
+    """
+    vertices = _placed(vertices, features, count)
+    if not len(features.cells):
+        return vertices, faces, np.zeros(len(faces), bool)
+    cell = np.floor(vertices[faces].mean(1)).astype(np.int64) @ [count**2, count, 1]
+    which = np.searchsorted(features.cells, cell)
+    chosen = features.cells[np.minimum(which, len(features.cells) - 1)] == cell
+    border, owner = _borders(faces[chosen], which[chosen], len(vertices))
+    low = np.stack(np.unravel_index(features.cells, (count,) * 3), 1)
+    points = low + features.points / STEPS * (1 + 2 * MARGIN) - MARGIN
+    fans = np.column_stack([border, len(vertices) + owner])
+    vertices = np.concatenate([vertices, points])
+    fans = _flipped(vertices, fans)
+    joined = np.concatenate([faces[~chosen], fans])
+    used, index = np.unique(joined, return_inverse=True)
+    touched = np.arange(len(joined)) >= len(joined) - len(fans)
+    return vertices[used], index.reshape(-1, 3).astype(np.int64), touched
+
+
+def sharp_normals(
+    vertices: np.ndarray, faces: np.ndarray, touched: np.ndarray, smooth: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Give vertices the normals of their faces where those of the grid are wrong, split at creases.
+
+    Within a voxel of an edge, and in walls of two voxels, distances are those to several faces; their
+    gradient belongs to none.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array
+    faces : (F, 3) int array
+    touched : (F,) bool array
+        Faces of fans.
+    smooth : (V, 3) array
+        Unit normals of the grid at the vertices.
+
+    Returns
+    -------
+    vertex : (V',) int64
+        Vertex of each new one.
+    faces : (F, 3) int64
+    normals : (V', 3)
+    """
+    areas = area_vectors(vertices, faces)
+    mean = np.stack([np.bincount(faces.ravel(), np.repeat(a, 3), len(vertices)) for a in areas.T], 1)
+    own = np.einsum("ij,ij->i", unit_vectors(mean), smooth) < MIXED
+    own[faces[touched]] = True
+    near = own[faces].any(1)
+    index, inverse = np.unique(faces[near], return_inverse=True)
+    local = inverse.reshape(-1, 3)
+    flat = creased(vertices[index], local)
+    corners = np.where(own[faces[near]][..., None], flat, smooth[faces[near]])
+    vertex, split, normals = split_vertices(local, corners, len(index))
+    extra = len(vertices) + np.arange(len(vertex) - len(index))
+    number = np.concatenate([index, extra])
+    renumbered = faces.copy()
+    renumbered[near] = number[split]
+    all_normals = np.concatenate([smooth, np.empty((len(extra), 3), np.float32)])
+    all_normals[number] = normals
+    return np.concatenate([np.arange(len(vertices)), index[vertex[len(index) :]]]), renumbered, all_normals
+
+
+def _placed(vertices: np.ndarray, features: Features, count: int) -> np.ndarray:
+    """Move the vertices on listed grid edges to their places."""
+    if not len(features.edges):
+        return vertices
+    off = np.abs(vertices - np.rint(vertices)) > ON_EDGE
+    single = np.flatnonzero(off.sum(1) == 1)
+    axis = off[single].argmax(1)
+    low = np.rint(vertices[single])
+    low[np.arange(len(single)), axis] = np.floor(vertices[single, axis])
+    edge = 3 * (low.astype(np.int64) @ [count**2, count, 1]) + axis
+    which = np.minimum(np.searchsorted(features.edges, edge), len(features.edges) - 1)
+    listed = features.edges[which] == edge
+    placed = vertices.copy()
+    place = low[np.arange(len(single)), axis] + features.places[which] / STEPS
+    placed[single[listed], axis[listed]] = place[listed]
+    return placed
+
+
+def _borders(faces: np.ndarray, owner: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the directed edges around each group of faces (E, 2), and their groups (E,)."""
+    directed, group = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), np.repeat(owner, 3)
+    key = (group * count + directed.min(1)) * count + directed.max(1)
+    _, first, uses = np.unique(key, return_index=True, return_counts=True)
+    single = np.sort(first[uses == 1])
+    return directed[single], group[single]
+
+
+def _flipped(vertices: np.ndarray, fans: np.ndarray) -> np.ndarray:
+    """Flip the edges that two fans share, unless the new faces would fold; fans are (edge, point)."""
+    low, high = fans[:, :2].min(1), fans[:, :2].max(1)
+    _, inverse, uses = np.unique(low * len(vertices) + high, return_inverse=True, return_counts=True)
+    shared = np.flatnonzero(uses[inverse] == 2)
+    pairs = shared[np.argsort(inverse[shared], kind="stable")].reshape(-1, 2)
+    one, other = fans[pairs].swapaxes(0, 1)
+    opposed = one[:, 0] == other[:, 1]
+    one, other, pairs = one[opposed], other[opposed], pairs[opposed]
+    (a, b, p), q = one.T, other[:, 2]
+    new = np.stack([np.stack([p, a, q], 1), np.stack([q, b, p], 1)])
+    before = area_vectors(vertices, one) + area_vectors(vertices, other)
+    facing = [
+        np.einsum("ij,ij->i", unit_vectors(area_vectors(vertices, faces)), unit_vectors(before))
+        for faces in new
+    ]
+    good = np.minimum(*facing) > FOLDED
+    flipped = fans.copy()
+    flipped[pairs[good, 0]], flipped[pairs[good, 1]] = new[0][good], new[1][good]
+    return flipped
