@@ -3,17 +3,15 @@
 from contextlib import suppress
 from dataclasses import asdict
 
-import numpy as np
-
 from objectfolder import materials
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.band import solved_band
 from objectfolder.fem.elements import solid_from_arrays
-from objectfolder.fem.modal import ModalConfig, refined_analysis, uncertainty_warning
+from objectfolder.fem.modal import ModalConfig, refined_analysis, shape_points, uncertainty_warning
 from objectfolder.fem.reuse import Request, problem_digest, rescaled, solution_record
 from objectfolder.io import file_digest, keep, read_npz, write_json, write_npz
 from objectfolder.mesh.ply import read_surface
-from objectfolder.mesh.sampling import sample_surface, split_rows
+from objectfolder.mesh.sampling import split_rows
 from objectfolder.seeding import numpy_generator
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.params import stage_params
@@ -23,9 +21,8 @@ from stages import run
 def main(key: str) -> None:
     params = stage_params(ModalConfig, key)
     build, settings = Build(key), params.settings
-    vertices, faces = read_surface(build.surface)
     rng = numpy_generator(params.seed, key, "modal")
-    points = np.concatenate([vertices, sample_surface(vertices, faces, settings.surface_points, rng)])
+    points = shape_points(*read_surface(build.surface), settings.surface_points, rng)
     material = materials.own_material(params.entry.material, settings.damping)
     request = Request(material, params.entry.scale, settings.max_frequency, settings.max_modes)
     options = {"fine": asdict(settings.fine), "surface_points": settings.surface_points}

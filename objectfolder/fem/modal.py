@@ -12,12 +12,14 @@ from objectfolder.fem.adaptive import FineGrids, refined
 from objectfolder.fem.eigen import solve_modes
 from objectfolder.fem.elasticity import Solid
 from objectfolder.materials import Material
+from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.thickness import wall_thickness
 from objectfolder.mesh.topology import Mesh
 from objectfolder.settings import Count
 
 MAX_RESIDUAL, MAX_RIGID_HZ = 1e-8, 0.1
 CERTAIN, REFUSED = 0.1, 0.3  #: uncertainty of frequencies that needs no warning; that is refused
+MAX_VERTICES = 20_000  #: of a surface at which shapes are stored; furniture has hundreds of thousands
 MIN_FREQUENCY = 20.0  # Hz, the lower end of hearing (supplementary C)
 
 
@@ -150,6 +152,27 @@ def refined_analysis(
     cells = refined(solid, surface, fine, material, scale, name)
     wall = wall_thickness(*surface)
     return modal_analysis(cells, points, material, scale, max_frequency, max_modes, name, wall)
+
+
+def shape_points(vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Choose the points at which shapes are stored: vertices, at most `MAX_VERTICES`, then random points.
+
+    Parameters
+    ----------
+    vertices, faces : (V, 3) and (F, 3) arrays
+    count : int
+        Random points, uniform by area.
+    rng : Generator
+
+    Returns
+    -------
+    (min(V, `MAX_VERTICES`) + count, 3) array
+    """
+    if len(vertices) > MAX_VERTICES:
+        kept = vertices[np.sort(rng.choice(len(vertices), MAX_VERTICES, replace=False))]
+    else:
+        kept = vertices
+    return np.concatenate([kept, sample_surface(vertices, faces, count, rng)])
 
 
 def uncertainty_warning(report: dict[str, Any], allow: bool, name: str = "object") -> str | None:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 
 from objectfolder.audio.figures import show_spectrogram
 from objectfolder.audio.spectrogram import SAMPLE_RATE
@@ -67,19 +68,19 @@ def _modal_picture(
     build: Build, modes: dict[str, np.ndarray], frequency: np.ndarray, decay: np.ndarray, scale: float
 ) -> Path:
     vertices, faces = read_surface(build.surface)
-    shapes = modes["shapes"][: len(vertices)]  # the surface's vertices are the first points
+    near = cKDTree(modes["points"]).query(vertices)[1]  # the vertex itself, unless its surface has too many
     figure = page(15, 13.5, f"modal@{build.key}: first mode shapes, exaggerated (colour: amplitude)")
     top, bottom = page_rows(figure, 2, 1)
     for mode, axes in enumerate(top.subplots(2, DRAWN // 2).flat):
         axes.set_axis_off()
         if mode < len(frequency):
-            image = _draw_shape(vertices, faces, shapes[:, :, mode])
+            image = _draw_shape(vertices, faces, modes["shapes"][near, :, mode])
             show_image(axes, image, f"mode {mode + 1}: {frequency[mode]:.1f} Hz, T60 {decay[mode]:.2g} s")
     left, right = bottom.subplots(1, 2)
-    vertex, direction, sound = _loudest_strike(modes, len(vertices))
-    place = np.array2string(vertices[vertex] * scale * 1000, precision=1, suppress_small=True)
+    point, direction, sound = _loudest_strike(modes)
+    place = np.array2string(modes["points"][point] * scale * 1000, precision=1, suppress_small=True)
     show_spectrogram(
-        left, sound, f"struck at {place} mm along {'xyz'[direction]}: loudest vertex (displacement)"
+        left, sound, f"struck at {place} mm along {'xyz'[direction]}: loudest point (displacement)"
     )
     right.scatter(frequency / 1000, decay, s=18)
     right.set(title=f"all {len(frequency)} modes", xlabel="frequency [kHz]", ylabel="decay time T60 [s]")
@@ -105,12 +106,12 @@ def _draw_shape(vertices: np.ndarray, faces: np.ndarray, shape: np.ndarray) -> n
     )
 
 
-def _loudest_strike(modes: dict[str, np.ndarray], count: int) -> tuple[int, int, np.ndarray]:
-    """Return the vertex and axis whose unit impulse gives the most energy, and its sound (samples,)."""
-    energy = modes["shapes"][:count].astype(np.float64) ** 2 @ energy_weights(
+def _loudest_strike(modes: dict[str, np.ndarray]) -> tuple[int, int, np.ndarray]:
+    """Return the point and axis whose unit impulse gives the most energy, and its sound (samples,)."""
+    energy = modes["shapes"].astype(np.float64) ** 2 @ energy_weights(
         modes["damped_frequency"], modes["damping"]
     )
-    vertex, axis = (int(i) for i in np.unravel_index(energy.argmax(), energy.shape))
+    point, axis = (int(i) for i in np.unravel_index(energy.argmax(), energy.shape))
     bank = sinusoid_bank(torch.from_numpy(modes["damped_frequency"]), torch.from_numpy(modes["damping"]))
     force = torch.eye(3)[axis][None]
-    return vertex, axis, (gains(torch.from_numpy(modes["shapes"][[vertex]]), force) @ bank)[0].numpy()
+    return point, axis, (gains(torch.from_numpy(modes["shapes"][[point]]), force) @ bank)[0].numpy()

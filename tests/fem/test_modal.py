@@ -3,8 +3,9 @@ import pytest
 from solids import box
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.fem import modal
 from objectfolder.fem.cutcell import cut_cells
-from objectfolder.fem.modal import modal_analysis, uncertainty_warning
+from objectfolder.fem.modal import modal_analysis, shape_points, uncertainty_warning
 from objectfolder.materials import Material, material
 
 SOLID = box((1, 0.5, 0.2))
@@ -91,3 +92,13 @@ def test_very_uncertain_frequencies_are_refused_unless_allowed():
     assert "31%" in uncertainty_warning(report, True, "cabinet")
     with pytest.raises(ObjectFolderError, match=r"cabinet: .*31% wrong.*modal\.allow_uncertain"):
         uncertainty_warning(report, False, "cabinet")
+
+
+def test_shapes_are_stored_at_a_bounded_number_of_vertices(monkeypatch):
+    everything = shape_points(*SOLID, 50, np.random.default_rng(0))
+    assert np.array_equal(everything[:8], SOLID[0])
+    monkeypatch.setattr(modal, "MAX_VERTICES", 5)
+    points = shape_points(*SOLID, 50, np.random.default_rng(0))
+    assert points.shape == (55, 3)
+    assert len({tuple(p) for p in points[:5]} & {tuple(v) for v in SOLID[0]}) == 5
+    assert (np.abs(np.abs(points[5:]) - np.array([0.5, 0.25, 0.1])).min(1) < 1e-12).all()
