@@ -23,6 +23,29 @@ def test_free_plate_thinner_than_a_cell():
     assert perf.plate("converged", perf.KIRCHHOFF).value <= 0.01
 
 
+def thin_plate(thick, resolution):
+    """Cells of a free square plate, and the frequencies of the Kirchhoff plate, Hz."""
+    exact = np.array(perf.KIRCHHOFF) * perf.WAVE * thick / np.sqrt(12 * (1 - 0.3**2)) / (2 * np.pi)
+    return cut_cells(*perf.box((1, 1, thick), (0, 0, 0.013)), resolution, 8), exact
+
+
+@pytest.mark.parametrize("slenderness", [50, 100, 200])
+def test_plates_of_a_tenth_of_a_cell_do_not_lock(slenderness):
+    cells, exact = thin_plate(1 / slenderness, 16)
+    assert np.abs(lowest_frequencies(cells, perf.STUFF, 1.0, 6) / exact - 1).max() < 0.012
+
+
+def test_the_error_of_a_thin_plate_falls_with_the_square_of_the_cells_and_is_not_underestimated():
+    errors, estimates = [], []
+    for resolution in (8, 16):
+        cells, exact = thin_plate(1 / 200, resolution)
+        found = lowest_frequencies(cells, perf.STUFF, 1.0, 6)
+        errors.append(found / exact - 1)
+        estimates.append(np.array(discretisation_error(cells, perf.STUFF, 1.0, found)))
+    assert (errors[1] < errors[0] / 4).all()
+    assert (np.array(estimates) > errors).all()
+
+
 @pytest.mark.parametrize("wall", [0.5, 1, pytest.param(2, marks=pytest.mark.slow)])
 def test_free_cylinder_with_a_wall_of_few_cells(wall):
     assert perf.cylinder(wall).value <= 0.01
