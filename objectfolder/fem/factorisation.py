@@ -5,11 +5,12 @@
 this project never installs it.
 """
 
+import ctypes
 import os
 import sys
 import weakref
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import pymetis
@@ -20,6 +21,7 @@ for library in Path(sys.prefix, "lib").glob("libmkl_rt.so*"):
     os.environ.setdefault("PYPARDISO_MKL_RT", str(library))  # otherwise every solver searches sys.prefix
 try:
     from pypardiso import PyPardisoSolver
+    from pypardiso.pardiso_wrapper import PyPardisoError
 except ImportError:  # installed on x86-64 only
     PyPardisoSolver = None
 try:
@@ -43,7 +45,10 @@ class Pardiso:
     """LDL^T, or L L^T if positive definite."""
 
     def __init__(self, matrix: sp.csr_matrix, order: np.ndarray, definite: bool):
-        self._upper = sp.csr_matrix(sp.triu(matrix))
+        upper = sp.csr_matrix(sp.triu(matrix))
+        upper.sort_indices()
+        self._size = upper.shape[0]
+        self._arrays = upper.data, upper.indptr.astype(np.int32) + 1, upper.indices.astype(np.int32) + 1
         self._solver = PyPardisoSolver(mtype=2 if definite else -2)
         weakref.finalize(self, self._solver.free_memory, everything=True)
         self._solver.perm = order.astype(np.int32) + 1
@@ -51,11 +56,38 @@ class Pardiso:
         # four times the cost.
         for name, value in {1: 1, 5: 1, 10: 8}.items():
             self._solver.set_iparm(name, value)
-        self._solver.factorize(self._upper)
+        self._call(12, np.zeros((self._size, 1), order="F"))
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solve for (3N,) or (3N, b) right-hand sides."""
-        return self._solver.solve(self._upper, np.asfortranarray(right))
+        return np.ascontiguousarray(self._call(33, np.asfortranarray(right, np.float64)))
+
+    def _call(self, phase: int, right: np.ndarray) -> np.ndarray:
+        """Call the library. PyPardisoSolver's own method compares and copies the matrix at every call."""
+        solution, error = np.zeros_like(right), ctypes.c_int32(0)
+        values, rows, columns = self._arrays
+        columns_of_right = 1 if right.ndim == 1 else right.shape[1]
+
+        def pointer(array: np.ndarray) -> Any:
+            return array.ctypes.data_as(ctypes.POINTER(np.ctypeslib.as_ctypes_type(array.dtype)))
+
+        def number(value: int) -> Any:
+            return ctypes.byref(ctypes.c_int32(value))
+
+        self._solver._mkl_pardiso(
+            pointer(self._solver.pt),
+            *(number(value) for value in (1, 1, self._solver.mtype, phase, self._size)),
+            *(pointer(array) for array in (values, rows, columns, self._solver.perm)),
+            number(columns_of_right),
+            pointer(self._solver.iparm),
+            number(0),
+            pointer(right),
+            pointer(solution),
+            ctypes.byref(error),
+        )
+        if error.value:
+            raise PyPardisoError(error.value)
+        return solution
 
     def negative_pivots(self) -> int | None:
         """Count negative eigenvalues of the matrix (Sylvester); None if pivoting spoiled the count."""
