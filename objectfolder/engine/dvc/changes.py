@@ -15,6 +15,7 @@ from dvc_data.hashfile.tree import Tree
 
 from objectfolder.engine.dvc import steps
 from objectfolder.engine.dvc.graph import StageGraph
+from objectfolder.engine.dvc.runcache import is_there
 from objectfolder.engine.dvc.savedruns import saved_run
 from objectfolder.errors import shortened
 from objectfolder.workspace.code_digests import digests
@@ -123,7 +124,7 @@ class ChangeTracker:
         restorable = bool(missing) and all(not out.changed_cache() for out in stage.outs)
         if restorable or not missing:
             # A build records changed data as it is, and restores missing data as recorded.
-            present = {out.fs_path: out._get_hash_meta() for out in stage.outs if out.exists}
+            present = {out.fs_path: out._get_hash_meta() for out in stage.outs if is_there(out)}
             self.future[address] = {
                 out.fs_path: {(): present[out.fs_path]} if out.fs_path in present else _content(out)
                 for out in stage.outs
@@ -204,6 +205,7 @@ def _output_changes(stage: Stage) -> tuple[tuple[str, ...], tuple[str, ...]]:
             if word == "not in cache":
                 missing.append(f"{out} is gone from the cache" if out.exists else f"{out} is missing")
             else:
+                word = word if is_there(out) else "deleted"
                 (missing if word == "deleted" else altered).append(f"{out} {_words(word)}")
     return tuple(missing), tuple(altered)
 

@@ -65,6 +65,12 @@ class RunCache(StageCache):
             return False
 
 
+def is_there(out: Output) -> bool:
+    """Return whether an output exists; an empty folder is what a restore leaves that was killed or failed."""
+    path = Path(out.fs_path)
+    return bool(out.exists) and not (path.is_dir() and next(path.iterdir(), None) is None)
+
+
 def remove_damaged(outs: Iterable[Output]) -> None:
     """Remove cached files of outputs whose content does not match the hash in their name."""
     for out in outs:

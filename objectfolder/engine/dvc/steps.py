@@ -19,7 +19,7 @@ from dvc.stage.cache import RunCacheNotFoundError
 from dvc.stage.run import prepare_kwargs
 
 from objectfolder.engine.dvc.inputs import Stamps, check_code, stamps, written
-from objectfolder.engine.dvc.runcache import remove_damaged
+from objectfolder.engine.dvc.runcache import is_there, remove_damaged
 from objectfolder.errors import ObjectFolderError
 
 
@@ -74,10 +74,23 @@ def update_data(stage: Stage, force: bool) -> bool:
     -------
     bool
         Whether anything was done.
+
+    Raises
+    ------
+    ObjectFolderError
+        If data is missing, and so is a part of its copy in the cache. DVC would restore the rest, and record
+        that as the data from then on.
     """
-    if any(not out.exists for out in stage.outs):
-        remove_damaged(stage.outs)
-        stage.checkout(allow_missing=True)  # restores deleted data from the cache
+    missing = [out for out in stage.outs if out.hash_info and not is_there(out)]
+    if missing:
+        remove_damaged(missing)
+        for out in missing:
+            if stage.is_data_source and out.changed_cache():
+                raise ObjectFolderError(
+                    f"{out} is missing, and its copy in DVC's cache is missing or damaged, too; fetch it "
+                    "with `dvc pull`, restore it from a backup, or remove the object and add it again"
+                )
+        stage.checkout()  # restores deleted data from the cache
     return stage.reproduce(force=force) is not None
 
 
