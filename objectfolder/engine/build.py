@@ -14,7 +14,12 @@ from objectfolder.engine.bytecode import compare_by_content
 from objectfolder.engine.dvc import remote, steps
 from objectfolder.engine.dvc.graph import StageGraph, stage_graph
 from objectfolder.engine.dvc.inputs import Stamps, hold_params
-from objectfolder.engine.dvc.repository import OpenRepository, open_repository, read_params
+from objectfolder.engine.dvc.repository import (
+    OpenRepository,
+    open_repository,
+    read_params,
+    remove_partial_outputs,
+)
 from objectfolder.engine.failures import LOGS, forget_failure, log_path, record_failure
 from objectfolder.engine.process import Command, CommandResult, describe_result, stage_environment, tail
 from objectfolder.engine.resources import Machine, Needs, cores, needs_of
@@ -120,6 +125,7 @@ def build(
     with open_repository(root, options.wait) as repository:
         repository.remove_partial_files()
         graph = stage_graph(repository, targets)
+        remove_partial_outputs(graph.stages.values())
         held = hold_params(graph.stages.values(), repository.root, repository.own_files)
         reached = options.pull and remote.pull_build(repository.repo, graph.stages.values())
         repository.use_run_cache(pull=reached)

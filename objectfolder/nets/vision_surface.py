@@ -34,7 +34,7 @@ FAMILIAR = 0.1  # lower limit for indirect light, unit frame: training lights ar
 CHUNK = 50_000  # points shaded at once
 ALIKE = 0.97  # least cosine between the normals of samples that share the net's correction
 BAKED = 2**14  # vertices evaluated at once
-#: Of `gains`: light that the radiances lack, diffuse and glossy, and factors of the radiances; all by colour.
+#: Of `light_terms`: light that the radiances lack, diffuse and glossy, and factors of the radiances, by colour.
 GAIN_BIAS, GAIN_SCALE = (-4.0, -5.0, 0.5, 0.0), (0.5, 0.1, 1.0, 1.0)
 
 
@@ -189,7 +189,7 @@ class SurfaceNet(nn.Module):
         transport : (S, T) tensor
             Features of the grid ``transport``.
         """
-        return gained(gains(self.corrections(inputs, transport)), inputs.gathered, inputs.mirrored)
+        return gained(light_terms(self.corrections(inputs, transport)), inputs.gathered, inputs.mirrored)
 
     def corrections(self, inputs: "BounceInputs", transport: torch.Tensor) -> torch.Tensor:
         """Evaluate the net of indirect light, (S, 12); parameters are those of `indirect`."""
@@ -231,7 +231,7 @@ class SurfaceNet(nn.Module):
                 values = (take_rows(v, part) for v in (*looks[1:], *radiances))
                 inputs = net.bounce_inputs(some, light, *values)
                 corrections.append(net.corrections(inputs, column_major(some.interpolated(baked.transport))))
-            shared = take_rows(gains(concatenate(corrections)), share)
+            shared = take_rows(light_terms(concatenate(corrections)), share)
             diffuse, glossy = (v if not several else take_rows(v, group) for v in gained(shared, *radiances))
             return (direct + base_color * diffuse + glossy).cpu()
 
@@ -306,7 +306,7 @@ class BounceInputs:
         return BounceInputs(features.float(), *radiances)
 
 
-def gains(corrections: torch.Tensor) -> torch.Tensor:
+def light_terms(corrections: torch.Tensor) -> torch.Tensor:
     """Return what `gained` applies to the radiances, (S, 12), from the net's output (S, 12)."""
     bias, scale = (corrections.new_tensor(v).repeat_interleave(3) for v in (GAIN_BIAS, GAIN_SCALE))
     return F.softplus(corrections + bias) * scale
@@ -315,7 +315,7 @@ def gains(corrections: torch.Tensor) -> torch.Tensor:
 def gained(
     factors: torch.Tensor, gathered: torch.Tensor, mirrored: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return indirect light, as `SurfaceNet.indirect`, from `gains` (S, 12) and the radiances (S, 3)."""
+    """Return indirect light, as `SurfaceNet.indirect`, from `light_terms` (S, 12) and radiances (S, 3)."""
     more_diffuse, more_glossy, diffuse, glossy = factors.split(3, 1)
     return gathered * diffuse + more_diffuse, mirrored * glossy + more_glossy
 

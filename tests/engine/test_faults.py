@@ -164,6 +164,17 @@ def test_half_copies_of_a_killed_build_are_removed(workspace, name):
     assert not path.exists()
 
 
+def test_half_restored_outputs_of_a_killed_build_are_removed(workspace):
+    build(["prepare@mug"], root=workspace.root)
+    left = workspace.root / "build/mug/.VhHhvrvRl79uOAUOjhXoQg.tmp"
+    left.write_text("half")
+    mine = left.with_name(".mine.tmp")
+    mine.write_text("of the user")
+    build(["prepare@mug"], root=workspace.root)
+    assert not left.exists()
+    assert mine.exists()
+
+
 def test_a_half_written_lock_file_is_removed_though_nothing_runs(workspace):
     build(["prepare@mug"], root=workspace.root)
     (workspace.root / ".dvc.tmp.lock").write_text("schema: '2.0'\nsta")

@@ -110,10 +110,10 @@ class Sequence(RuleBasedStateMachine):
 
     @property
     def outputs(self):
-        """Files that stages have written, sorted."""
+        """Files that stages have written, sorted; without half copies, which the next build removes."""
         folders = [self.root / name for name in ("build", "benchmarks", "data/objects/mug")]
         found = [path for folder in folders for path in folder.rglob("*") if path.is_file()]
-        return sorted(path for path in found if ".logs" not in path.parts)
+        return sorted(path for path in found if ".logs" not in path.parts and path.suffix != ".tmp")
 
     @property
     def objects(self):

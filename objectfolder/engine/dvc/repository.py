@@ -4,8 +4,9 @@ import itertools
 import json
 import logging
 import os
+import re
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, chdir, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ from dvc.lock import LockError
 from dvc.repo import Repo, lock_repo
 from dvc.rwlock import RWLOCK_FILE
 from dvc.rwlock import SCHEMA as RWLOCK_SCHEMA
+from dvc.stage import Stage
 from dvc_data.hashfile.hash import file_md5
 from dvc_data.hashfile.tree import Tree
 from voluptuous import Invalid
@@ -32,6 +34,7 @@ from objectfolder.yamlfile import checked_yaml, read_yaml
 LOGGERS = ("dvc", "dvc_data", "dvc_objects")
 PARAMS = "params.yaml"
 POLL = 0.5
+_PARTIAL = re.compile(r"\.[0-9A-Za-z_-]{20,24}\.tmp")  # DVC's names: 22 characters at random
 _log = logging.getLogger(__name__)
 
 
@@ -98,6 +101,15 @@ class OpenRepository:
         for pattern in ("*.tmp", "*/*.tmp"):
             for path in self.cache.glob(pattern):
                 with suppress(OSError):
+                    path.unlink()
+
+
+def remove_partial_outputs(stages: Iterable[Stage]) -> None:
+    """Remove temporary files of interrupted restores beside the outputs of stages."""
+    for folder in {Path(out.fs_path).parent for stage in stages for out in stage.outs}:
+        with suppress(OSError):
+            for path in folder.glob(".*.tmp"):
+                if _PARTIAL.fullmatch(path.name):
                     path.unlink()
 
 
