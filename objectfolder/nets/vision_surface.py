@@ -34,7 +34,7 @@ FAMILIAR = 0.1  # lower limit for indirect light, unit frame: training lights ar
 CHUNK = 50_000  # points shaded at once
 ALIKE = 0.97  # least cosine between the normals of samples that share the net's correction
 BAKED = 2**14  # vertices evaluated at once
-#: Of `light_terms`: light that the radiances lack, diffuse and glossy, and factors of the radiances, by colour.
+#: Of `light_terms`: light that the radiances lack, diffuse and glossy, and their factors; all by colour.
 GAIN_BIAS, GAIN_SCALE = (-4.0, -5.0, 0.5, 0.0), (0.5, 0.1, 1.0, 1.0)
 
 
