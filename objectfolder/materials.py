@@ -57,7 +57,7 @@ class Material:
 
     @property
     def law(self) -> str:
-        """Law of damping, one of `LAWS`."""
+        """Law of damping, one of ``LAWS``."""
         return "loss_factor" if self.loss_factor else "rayleigh"
 
     def damping(self, eigenvalues: Any) -> Any:

@@ -76,7 +76,7 @@ def refined(
 ) -> Solid:
     """Cut a solid on finer grids until the estimated error of its lowest frequencies is accepted.
 
-    Each step goes to the coarsest grid that should suffice if the error falls with the power `ORDER` of
+    Each step goes to the coarsest grid that should suffice if the error falls with the power ``ORDER`` of
     the cells' size, or to the finest one within the size limit.
 
     Parameters

@@ -79,8 +79,17 @@ CASES = {
 
 
 def digests(collection: str) -> dict[str, str]:
-    """Generate every object of ``cases`` or ``catalogue``; return the digests of their files."""
+    """Generate objects and return the digests of their files.
+
+    Parameters
+    ----------
+    collection : {"generators", "cases", "catalogue"}
+        The first case of each generator, all cases, or the objects of the catalogues.
+    """
     cases = CASES
+    if collection == "generators":
+        cases = {case[0]: (name, case) for name, case in reversed(CASES.items())}
+        cases = {name: case for name, case in cases.values()}
     if collection == "catalogue":
         both = (CATALOGUE, THIN)
         cases = {key: params.procedural_entry(key, c) for c in both for key in params.read(c)["procedural"]}
