@@ -28,8 +28,8 @@ def discretisation_error(
     Richardson extrapolation: if halving the cells divides the error by 2^p, the error of the finest grid is
     the difference between the last two grids divided by 2^p - 1. Smooth shells converge with p of about 2,
     inner edges and walls thinner than a cell with 1 to 1.5. The order observed on three coarse grids is not
-    yet the final one, so the estimate assumes ``ORDER``, which is right within a factor of two for p from 1 to
-    2, and ``LOW_ORDER`` for modes whose difference did not fall by ``FALL``.
+    yet the final one, so the estimate assumes ``ORDER``, which is right within a factor of two for p from 1
+    to 2, and ``LOW_ORDER`` for modes whose difference did not fall by ``FALL``.
 
     Parameters
     ----------

@@ -88,8 +88,8 @@ def digests(collection: str) -> dict[str, str]:
     """
     cases = CASES
     if collection == "generators":
-        cases = {case[0]: (name, case) for name, case in reversed(CASES.items())}
-        cases = {name: case for name, case in cases.values()}
+        first = {case[0]: (name, case) for name, case in reversed(CASES.items())}
+        cases = dict(first.values())
     if collection == "catalogue":
         both = (CATALOGUE, THIN)
         cases = {key: params.procedural_entry(key, c) for c in both for key in params.read(c)["procedural"]}
