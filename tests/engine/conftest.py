@@ -9,7 +9,10 @@ import pytest
 from forkserver import ForkServer
 from ruamel.yaml import YAML
 
+from objectfolder.engine.build import build
 from objectfolder.engine.verify import verify
+
+from . import tiny_project
 
 PIPELINE = r"""
 stages:
@@ -179,3 +182,12 @@ def make_workspace(tmp_path: Path, make: Callable[[Path, str], Workspace]) -> Ca
 @pytest.fixture
 def workspace(make_workspace: Callable[[str], Workspace]) -> Workspace:
     return make_workspace(PIPELINE)
+
+
+@pytest.fixture(scope="module")
+def template(tmp_path_factory):
+    """The project in miniature, built."""
+    root = tmp_path_factory.mktemp("template") / "workspace"
+    tiny_project.make(root)
+    assert build(root=root).ok
+    return root

@@ -7,17 +7,7 @@ import pytest
 from objectfolder.engine.build import build
 from objectfolder.engine.status import Outlook, State, status
 
-from . import tiny_project
-
 MESH = "data/objects/bell.dvc"
-
-
-@pytest.fixture(scope="module")
-def template(tmp_path_factory):
-    root = tmp_path_factory.mktemp("template") / "workspace"
-    tiny_project.make(root)
-    assert build(root=root).ok
-    return root
 
 
 @pytest.fixture

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import ClassVar
 
 import hypothesis.strategies as st
-import pytest
 from dvc.repo import Repo
 from hypothesis import HealthCheck, settings
 from hypothesis.stateful import (
@@ -353,14 +352,6 @@ class Sequence(RuleBasedStateMachine):
         """Files that some stage may write, and the stray ones of these tests."""
         files = {path for found in tiny_project.outputs(Sources()).values() for path in found or ()}
         return files | {str(Path(path).parent / STRAY) for path in files}
-
-
-@pytest.fixture(scope="module")
-def template(tmp_path_factory):
-    root = tmp_path_factory.mktemp("template") / "workspace"
-    tiny_project.make(root)
-    assert build(root=root).ok
-    return root
 
 
 def test_what_status_calls_fresh_is_what_a_build_from_nothing_gives(
