@@ -77,7 +77,7 @@ elif stage == "solve":
 else:
     (build / "pack.txt").write_text((build / "solve" / "a.txt").read_text())
     Path("metrics").mkdir(exist_ok=True)
-    metrics = '{"vision": {}, "audio": {}, "touch": {}, "file_bytes": 1}'
+    metrics = '{"vision": {}, "audio": {"modes": 0}, "touch": {}, "file_bytes": 1}'
     (Path("metrics") / f"{key}.json").write_text(metrics + "\n")
 with open("calls", "a") as stream:
     stream.write(f"{stage}@{key} end {time.monotonic()} {os.getpid()} -\n")

@@ -155,9 +155,17 @@ def test_engine_killed_at_any_change_of_a_file_loses_nothing_that_has_finished(m
     assert not half_copies(workspace)
 
 
-@pytest.mark.parametrize("name", [".0a1b.tmp", "78/.0a1b.tmp", "78/6783.dir.0a1b.tmp"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "files/md5/.0a1b.tmp",
+        "files/md5/78/.0a1b.tmp",
+        "files/md5/78/6783.dir.0a1b.tmp",
+        "runs/78/6783/.0a1b.tmp",
+    ],
+)
 def test_half_copies_of_a_killed_build_are_removed(workspace, name):
-    path = workspace.root / ".dvc/cache/files/md5" / name
+    path = workspace.root / ".dvc/cache" / name
     path.parent.mkdir(parents=True)
     path.write_text("half")
     build(["prepare@mug"], root=workspace.root)

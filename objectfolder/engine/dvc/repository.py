@@ -90,7 +90,7 @@ class OpenRepository:
         self.repo.stage_cache = RunCache(self.repo, pull=pull)
 
     def remove_partial_files(self) -> None:
-        """Remove temporary files of interrupted copies into the cache, and of a killed engine.
+        """Remove temporary files of interrupted writes to the caches, and of a killed engine.
 
         DVC removes its own neither when it is killed nor when the disk is full.
         """
@@ -98,10 +98,10 @@ class OpenRepository:
             temporary_path(path).unlink(missing_ok=True)
         if not self.cache.is_relative_to(self.repo.root_dir):
             return  # shared: another repository may be writing
-        for pattern in ("*.tmp", "*/*.tmp"):
-            for path in self.cache.glob(pattern):
-                with suppress(OSError):
-                    path.unlink()
+        patterns = ((self.cache, "*.tmp"), (self.cache, "*/*.tmp"), (self.cache_dir, "runs/*/*/.*.tmp"))
+        for path in itertools.chain.from_iterable(folder.glob(pattern) for folder, pattern in patterns):
+            with suppress(OSError):
+                path.unlink()
 
 
 def remove_partial_outputs(stages: Iterable[Stage]) -> None:

@@ -91,6 +91,9 @@ def update_data(stage: Stage, force: bool) -> bool:
                     "with `dvc pull`, restore it from a backup, or remove the object and add it again"
                 )
         stage.checkout()  # restores deleted data from the cache
+    if not (force or stage.changed()):
+        return False
+    remove_damaged(stage.outs)  # DVC would keep them, and the data would stay without a copy
     return stage.reproduce(force=force) is not None
 
 
