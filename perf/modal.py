@@ -124,7 +124,7 @@ def compare(workspace: str, key: str) -> dict:
     """
     solid, surface, entry, section = load(workspace, key)
     stuff, scale, fine = material(entry["material"]), float(entry["scale"]), FineGrids(**section["fine"])
-    fem = refined(solid, surface, fine, stuff, scale, key).assemble(stuff, scale)
+    fem = refined(solid, surface, fine, stuff, scale, key).vibration.fem
     stiffness, mass = fem.stiffness.tocsc(), fem.mass.tocsc()
     limit = (2 * np.pi * section["max_frequency"]) ** 2
     middle = (limit + (2 * np.pi * MIN_FREQUENCY) ** 2) / 2

@@ -1,10 +1,12 @@
 """Estimates of discretisation error and resolved frequency."""
 
+from functools import cached_property
+
 import numpy as np
 
 from objectfolder.fem.blocks import halved
 from objectfolder.fem.cutcell import CutCells
-from objectfolder.fem.eigen import lowest_elastic_modes
+from objectfolder.fem.eigen import FreeVibration
 from objectfolder.fem.elasticity import Solid
 from objectfolder.materials import Material
 
@@ -15,15 +17,55 @@ FALL = 2**0.5  # least ratio of the differences that shows convergence
 NODES_PER_WAVE = 6  #: that resolve a wave: three quadratic elements
 
 
-def lowest_frequencies(solid: Solid, material: Material, scale: float, count: int = ESTIMATED) -> np.ndarray:
-    """Compute the lowest elastic frequencies to `TOLERANCE`, uncertified; Hz (count,)."""
-    return np.sqrt(lowest_elastic_modes(solid.assemble(material, scale), count, TOLERANCE)[0]) / (2 * np.pi)
+class Candidate:
+    """A solid on one grid. What its error estimate solves is kept for the solve of all modes.
+
+    Parameters
+    ----------
+    solid : Solid
+    material : Material
+    scale : float
+        Longest side, metres.
+    """
+
+    def __init__(self, solid: Solid, material: Material, scale: float):
+        self.solid, self.material, self.scale = solid, material, scale
+
+    @cached_property
+    def vibration(self) -> FreeVibration:
+        """Eigenproblem of the solid."""
+        return FreeVibration(self.solid.assemble(self.material, self.scale))
+
+    @cached_property
+    def coarser(self) -> list[np.ndarray]:
+        """Lowest frequencies on the grids of half and quarter resolution, as far as they exist; Hz."""
+        half = halved(self.solid) if isinstance(self.solid, CutCells) else None
+        quarter = halved(half) if half is not None else None
+        return [self._on(solid).lowest_frequencies() for solid in (half, quarter) if solid is not None]
+
+    def _on(self, solid: Solid) -> "Candidate":
+        return Candidate(solid, self.material, self.scale)
+
+    def lowest_frequencies(self, count: int = ESTIMATED) -> np.ndarray:
+        """Compute the lowest elastic frequencies to `TOLERANCE`, uncertified; Hz (count,)."""
+        values = self.vibration.lowest(lambda found: count, TOLERANCE)[0]
+        return np.sqrt(values[:count]) / (2 * np.pi)
+
+    def errors(self, frequencies: np.ndarray) -> list[float] | None:
+        """Estimate the relative errors of the lowest frequencies of this grid, Hz (M,).
+
+        Returns
+        -------
+        list of float, or None
+            One per frequency (see `discretisation_error`); None for elements without a coarser grid.
+        """
+        return discretisation_error(frequencies, *self.coarser) if len(frequencies) and self.coarser else None
 
 
 def discretisation_error(
-    solid: Solid, material: Material, scale: float, frequencies: np.ndarray
-) -> list[float] | None:
-    """Estimate the relative errors of the lowest frequencies from grids of half and quarter resolution.
+    frequencies: np.ndarray, half: np.ndarray, quarter: np.ndarray | None = None
+) -> list[float]:
+    """Estimate the relative errors of frequencies from those on grids of half and quarter resolution.
 
     Richardson extrapolation: if halving the cells divides the error by 2^p, the error of the finest grid is
     the difference between the last two grids divided by 2^p - 1. Smooth shells converge with p of about 2,
@@ -33,29 +75,16 @@ def discretisation_error(
 
     Parameters
     ----------
-    solid : Solid
-    material : Material
-    scale : float
-        Longest side, metres.
-    frequencies : (M,) array
-        Lowest frequencies of the solid, Hz.
-
-    Returns
-    -------
-    list of float, or None
-        One per frequency; None for elements without a coarser grid.
+    frequencies, half, quarter : arrays
+        Lowest frequencies on each grid, Hz; as many as all have are compared.
     """
-    half = halved(solid) if isinstance(solid, CutCells) else None
-    if half is None or len(frequencies) == 0:
-        return None
-    quarter = halved(half)
-    found = lowest_frequencies(half, material, scale, len(frequencies))
-    last = found / frequencies[: len(found)] - 1
-    order = np.full(len(last), ORDER)
+    count = min(len(frequencies), len(half))
+    last = half[:count] / frequencies[:count] - 1
+    order = np.full(count, ORDER)
     if quarter is not None:
-        coarse = lowest_frequencies(quarter, material, scale, len(found))
-        former = coarse / found[: len(coarse)] - 1
-        order[: len(former)][former < FALL * last[: len(former)]] = LOW_ORDER
+        seen = min(count, len(quarter))
+        former = quarter[:seen] / half[:seen] - 1
+        order[:seen][former < FALL * last[:seen]] = LOW_ORDER
     return np.abs(last / (2**order - 1)).tolist()
 
 

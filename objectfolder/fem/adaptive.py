@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Ge, MinLen
 
-from objectfolder.fem.accuracy import ORDER, discretisation_error, lowest_frequencies
+from objectfolder.fem.accuracy import ORDER, Candidate
 from objectfolder.fem.blocks import merge_full_blocks
 from objectfolder.fem.cutcell import MAX_VOLUME_ERROR, CutCells, cut_cells
 from objectfolder.fem.elasticity import Solid
@@ -73,7 +73,7 @@ def refined(
     material: Material,
     scale: float,
     name: str = "object",
-) -> Solid:
+) -> Candidate:
     """Cut a solid on finer grids until the estimated error of its lowest frequencies is accepted.
 
     Each step goes to the coarsest grid that should suffice if the error falls with the power ``ORDER`` of
@@ -92,19 +92,20 @@ def refined(
     name : str
         Name of the object in errors.
     """
+    candidate = Candidate(solid, material, scale)
     if not isinstance(solid, CutCells):
-        return solid
+        return candidate
     least = _least_unknowns(*surface)
 
-    def possible(resolution: int) -> bool:
-        growth = (resolution / solid.resolution) ** _GROWTH
-        size = max(growth * solid.degrees_of_freedom, least(resolution))
+    def possible(resolution: int, grid: CutCells) -> bool:
+        growth = (resolution / grid.resolution) ** _GROWTH
+        size = max(growth * grid.degrees_of_freedom, least(resolution))
         return growth > 1 and size <= fine.max_degrees_of_freedom
 
     rungs, wanted = sorted(fine.resolutions), None
-    while rungs := [rung for rung in rungs if possible(rung)]:
+    while rungs := [rung for rung in rungs if possible(rung, solid)]:
         if wanted is None:
-            error = discretisation_error(solid, material, scale, lowest_frequencies(solid, material, scale))
+            error = candidate.errors(candidate.lowest_frequencies())
             worst = max(error) if error else 0.0
             if worst <= fine.max_error:
                 break
@@ -112,10 +113,10 @@ def refined(
         rung = next((rung for rung in rungs if rung >= wanted), rungs[-1])
         finer = merge_full_blocks(cut_cells(*surface, rung, fine.subdivisions, name))
         if finer.degrees_of_freedom <= fine.max_degrees_of_freedom:
-            solid, wanted = finer, None
+            solid, candidate, wanted = finer, Candidate(finer, material, scale), None
         else:
             rungs = [smaller for smaller in rungs if smaller < rung]
-    return solid
+    return candidate
 
 
 def _least_unknowns(vertices: np.ndarray, faces: np.ndarray) -> Callable[[int], int]:

@@ -35,6 +35,8 @@ def solved_band(data: ModalData, material: Material, max_frequency: float, max_m
     count = data.report["count_below_max_frequency"]
     if data.report["modes"] == (max_modes if count is None else min(count, max_modes)):
         return [0.0, top]
+    if material.loss_factor:  # it rings, whatever its frequency
+        return [MIN_FREQUENCY, max(MIN_FREQUENCY, top)]
     # Some modes were inaudible or overdamped: a mode of natural frequency w rings if alpha + beta w^2 < 2 w.
     root = math.sqrt(max(0.0, 1 - material.alpha * material.beta))
     dull = (1 + root) / material.beta if material.beta else math.inf

@@ -8,18 +8,19 @@ solve must find exactly that many.
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.elasticity import FiniteElements
-from objectfolder.fem.factorisation import factorise, nested_dissection
+from objectfolder.fem.factorisation import Factorisation, factorise, nested_dissection
 from objectfolder.fem.krylov import CONVERGED, lowest_modes
 
-SHIFT_HZ = 300.0  # magnitude of the negative shift
+SHIFT = -((2 * np.pi * 300.0) ** 2)  # rad^2/s^2
 CLUSTER = 1e-6  # frequencies closer than this (relative) span one subspace
 SPARES = 4  # modes computed beyond the wanted ones, so that the cut splits no repeated eigenvalue
-LOOSE = 1e-12  # eigenvalues below this fraction of the largest (roughly) are zero up to rounding
+LOOSE = 1e-12  # share of the energy of moving each unknown alone, below which a mode's is zero up to rounding
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,93 @@ class Modes:
     rigid_frequencies: np.ndarray  #: (6,), Hz; exactly zero in exact arithmetic
     count_below: int  #: elastic modes below the frequency limit, by inertia
     truncated: bool  #: whether fewer modes were kept
+
+
+class FreeVibration:
+    """Eigenproblem of a free solid; its factorised K - sigma M serves rough and exact solves alike.
+
+    Parameters
+    ----------
+    fem : FiniteElements
+    """
+
+    def __init__(self, fem: FiniteElements):
+        self.fem = fem
+        self._order = nested_dissection(fem.nodal_mass)
+        self._rigid = rigid_modes(fem)
+
+    @cached_property
+    def _factor(self) -> Factorisation:
+        return factorise((self.fem.stiffness - SHIFT * self.fem.mass).tocsr(), self._order, definite=True)
+
+    def count_below(self, eigenvalue: float) -> int | None:
+        """Count the elastic modes below an eigenvalue by inertia; None if rounding spoiled the count."""
+        matrix = (self.fem.stiffness - eigenvalue * self.fem.mass).tocsr()
+        below = factorise(matrix, self._order).negative_pivots()
+        return None if below is None else max(below - 6, 0)
+
+    def lowest(
+        self, wanted: Callable[[np.ndarray], int], tolerance: float = CONVERGED
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Compute the lowest elastic modes to a relative residual, uncertified.
+
+        Parameters
+        ----------
+        wanted : callable
+            Maps the eigenvalues found so far, ascending, to the number of modes that must converge.
+        tolerance : float
+
+        Returns
+        -------
+        values : (k,) array, rad^2/s^2
+        vectors : (3N, k) array, mass-normalised
+        """
+        fem = self.fem
+        return lowest_modes(
+            fem.stiffness, fem.nodal_mass, self._factor.solve, SHIFT, self._rigid, wanted, tolerance
+        )
+
+    def modes_below(self, max_frequency: float, max_modes: int, name: str = "object") -> Modes:
+        """Find the elastic modes below a frequency; see `solve_modes`."""
+        fem, limit = self.fem, (2 * np.pi * max_frequency) ** 2
+        below = self.count_below(limit)
+        wanted = max_modes if below is None else min(below, max_modes)
+
+        def needed(found: np.ndarray) -> int:
+            """Modes counted by inertia or, without a count, those found below the limit; with spares."""
+            certain = wanted if below is not None else min(int((found < limit).sum()), max_modes)
+            return min(certain + SPARES, fem.stiffness.shape[0] - 6)
+
+        values, vectors = self.lowest(needed)
+        if below is not None and int((values < limit).sum()) < wanted:
+            raise ObjectFolderError(
+                f"{name}: inertia counts at least {wanted} modes below {max_frequency:g} Hz, the solver "
+                f"found {int((values < limit).sum())}; perturb the object's symmetry slightly, or report "
+                "this mesh"
+            )
+        alone = np.einsum("i,ij,ij->j", fem.stiffness.diagonal(), vectors, vectors)
+        loose = int((values < LOOSE * alone).sum())
+        if loose:
+            raise ObjectFolderError(
+                f"{name}: the solid has at least {6 + loose} rigid modes, expected 6; it is in several "
+                "pieces on the grid: join the mesh's parts, or use a finer voxelize.resolutions with a "
+                "larger voxelize.max_degrees_of_freedom"
+            )
+        keep = np.flatnonzero(values < limit)[:max_modes]
+        # Before the cut, which may separate the modes of a repeated eigenvalue.
+        elastic = canonical(values, vectors, fem)[:, keep]
+        inertia = elastic * values[keep]
+        residual = np.linalg.norm(fem.stiffness @ elastic - fem.mass @ inertia, axis=0)
+        rigid = np.einsum("ij,ij->j", self._rigid, fem.stiffness @ self._rigid)
+        count = len(keep) if below is None else below
+        return Modes(
+            eigenvalues=values[keep],
+            shapes=elastic,
+            residuals=residual / np.linalg.norm(fem.mass @ inertia, axis=0),
+            rigid_frequencies=np.sqrt(np.abs(rigid)) / (2 * np.pi),
+            count_below=count,
+            truncated=count > len(keep),
+        )
 
 
 def solve_modes(fem: FiniteElements, max_frequency: float, max_modes: int, name: str = "object") -> Modes:
@@ -53,69 +141,7 @@ def solve_modes(fem: FiniteElements, max_frequency: float, max_modes: int, name:
         If the solid has more than six rigid modes (it is not one connected piece), or the solver misses
         modes.
     """
-    limit = (2 * np.pi * max_frequency) ** 2
-    order = nested_dissection(fem.nodal_mass)
-    below = factorise((fem.stiffness - limit * fem.mass).tocsr(), order).negative_pivots()
-    wanted = max_modes if below is None else min(max(below - 6, 0), max_modes)
-    size, rigid = fem.stiffness.shape[0], rigid_modes(fem)
-
-    def needed(found: np.ndarray) -> int:
-        """Modes counted by inertia or, without a count, those found below the limit; with spares."""
-        certain = wanted if below is not None else min(int((found < limit).sum()), max_modes)
-        return min(certain + SPARES, size - 6)
-
-    values, vectors = _elastic_modes(fem, order, rigid, needed)
-    if below is not None and int((values < limit).sum()) < wanted:
-        raise ObjectFolderError(
-            f"{name}: inertia counts at least {wanted} modes below {max_frequency:g} Hz, the solver found "
-            f"{int((values < limit).sum())}; perturb the object's symmetry slightly, or report this mesh"
-        )
-    loose = int((values < LOOSE * (fem.stiffness.diagonal() / fem.mass.diagonal()).max()).sum())
-    if loose:
-        raise ObjectFolderError(
-            f"{name}: the solid has at least {6 + loose} rigid modes, expected 6; it is in several pieces on "
-            "the grid: join the mesh's parts, or use a finer voxelize.resolutions with a larger "
-            "voxelize.max_degrees_of_freedom"
-        )
-    keep = np.flatnonzero(values < limit)[:max_modes]
-    # Before the cut, which may separate the modes of a repeated eigenvalue.
-    elastic = canonical(values, vectors, fem)[:, keep]
-    inertia = elastic * values[keep]
-    residual = np.linalg.norm(fem.stiffness @ elastic - fem.mass @ inertia, axis=0)
-    count = len(keep) if below is None else below - 6
-    return Modes(
-        eigenvalues=values[keep],
-        shapes=elastic,
-        residuals=residual / np.linalg.norm(fem.mass @ inertia, axis=0),
-        rigid_frequencies=np.sqrt(np.abs(np.einsum("ij,ij->j", rigid, fem.stiffness @ rigid))) / (2 * np.pi),
-        count_below=count,
-        truncated=count > len(keep),
-    )
-
-
-def lowest_elastic_modes(fem: FiniteElements, count: int, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the lowest elastic modes to a relative residual, uncertified.
-
-    Returns
-    -------
-    values : (count,) array, rad^2/s^2
-    vectors : (3N, count) array, mass-normalised
-    """
-    order = nested_dissection(fem.nodal_mass)
-    values, vectors = _elastic_modes(fem, order, rigid_modes(fem), lambda found: count, tolerance)
-    return values[:count], vectors[:, :count]
-
-
-def _elastic_modes(
-    fem: FiniteElements,
-    order: np.ndarray,
-    rigid: np.ndarray,
-    wanted: Callable[[np.ndarray], int],
-    tolerance: float = CONVERGED,
-) -> tuple[np.ndarray, np.ndarray]:
-    shift = -((2 * np.pi * SHIFT_HZ) ** 2)
-    factor = factorise((fem.stiffness - shift * fem.mass).tocsr(), order, definite=True)
-    return lowest_modes(fem.stiffness, fem.nodal_mass, factor.solve, shift, rigid, wanted, tolerance)
+    return FreeVibration(fem).modes_below(max_frequency, max_modes, name)
 
 
 def rigid_modes(fem: FiniteElements) -> np.ndarray:

@@ -7,9 +7,8 @@ import numpy as np
 from annotated_types import Ge, Gt
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.accuracy import ESTIMATED, discretisation_error, resolved_frequency
+from objectfolder.fem.accuracy import ESTIMATED, Candidate, resolved_frequency
 from objectfolder.fem.adaptive import FineGrids, refined
-from objectfolder.fem.eigen import solve_modes
 from objectfolder.fem.elasticity import Solid
 from objectfolder.materials import Material
 from objectfolder.mesh.sampling import sample_surface
@@ -83,16 +82,23 @@ def modal_analysis(
     A mode decays with rate c (`Material.damping`) and rings at sqrt(lambda - c^2). Overdamped and inaudible
     modes are dropped.
     """
-    fem = cells.assemble(material, scale)
-    modes = solve_modes(fem, max_frequency, max_modes, name)
+    candidate = Candidate(cells, material, scale)
+    return _modes_at(candidate, points, max_frequency, max_modes, name, wall)
+
+
+def _modes_at(
+    candidate: Candidate, points: np.ndarray, max_frequency: float, max_modes: int, name: str, wall: float
+) -> ModalData:
+    cells, material, scale = candidate.solid, candidate.material, candidate.scale
+    fem = candidate.vibration.fem
+    modes = candidate.vibration.modes_below(max_frequency, max_modes, name)
     damping = material.damping(modes.eigenvalues)
     rings = (modes.eigenvalues > damping**2) & (modes.eigenvalues > (2 * np.pi * MIN_FREQUENCY) ** 2)
     eigenvalues, damping = modes.eigenvalues[rings], damping[rings]
     nodal = modes.shapes[:, rings].reshape(len(fem.nodes), -1)
     shapes = cells.interpolate(nodal, points).reshape(len(points), 3, -1)
     frequencies = np.sqrt(eigenvalues) / (2 * np.pi)
-    lowest = np.sqrt(modes.eigenvalues[:ESTIMATED]) / (2 * np.pi)
-    errors = discretisation_error(cells, material, scale, lowest)
+    errors = candidate.errors(np.sqrt(modes.eigenvalues[:ESTIMATED]) / (2 * np.pi))
     report = {
         "element": cells.name,
         "resolution": cells.resolution,
@@ -149,9 +155,8 @@ def refined_analysis(
     points, material, scale, max_frequency, max_modes, name
         See `modal_analysis`.
     """
-    cells = refined(solid, surface, fine, material, scale, name)
-    wall = wall_thickness(*surface)
-    return modal_analysis(cells, points, material, scale, max_frequency, max_modes, name, wall)
+    candidate = refined(solid, surface, fine, material, scale, name)
+    return _modes_at(candidate, points, max_frequency, max_modes, name, wall_thickness(*surface))
 
 
 def shape_points(vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:

@@ -1,12 +1,14 @@
 import numpy as np
 import pytest
 import scipy.linalg
+import scipy.sparse as sp
 from scipy.optimize import brentq
 from solids import box, full_cells, sphere
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.eigen import canonical, rigid_motions, solve_modes
+from objectfolder.fem.elasticity import FiniteElements
 from objectfolder.materials import Material
 
 BAR = Material("bar", 1000.0, 1e9, 0.0, 0.0, 0.0)  # no Poisson effect: a bar is one-dimensional
@@ -205,3 +207,13 @@ def test_a_solid_in_two_pieces_is_refused_by_name():
     cells = full_cells(np.array([[0, 0, 0], [3, 3, 3]]), 4)
     with pytest.raises(ObjectFolderError, match=r"^lamp: .*rigid modes.*expected 6"):
         solve_modes(cells.assemble(STUFF, 1.0), 1e4, 10, "lamp")
+
+
+def test_a_node_of_hardly_any_material_does_not_count_as_a_piece():
+    """Slivers of cut cells have little mass, and a ratio of stiffness and mass far above all others."""
+    fem = beam(10)
+    light = np.ones(len(fem.nodes))
+    light[0] = 1e-7
+    scaled = sp.diags_array(light) @ fem.nodal_mass @ sp.diags_array(light)
+    found = solve_modes(FiniteElements.of(fem.stiffness, scaled.tocsr(), fem.nodes), 150, 4)
+    np.testing.assert_allclose(hertz(found)[0], hertz(solve_modes(fem, 150, 4))[0], rtol=0.01)

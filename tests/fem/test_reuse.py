@@ -153,6 +153,11 @@ def test_the_band_of_an_object_that_is_not_heard(solve):
     assert solve(large).report["modes"] == 0
     low, high = solved_band(solve(large), GLASS, 60.0, 1)
     assert low == high
+    # With a loss factor only those are missing, however large alpha and beta.
+    slack = dataclasses.replace(GLASS, alpha=1e5, beta=2e-5, loss_factor=((1000.0, 0.01),))
+    deep = solve(Request(slack, 200.0, 60.0, 1000))
+    assert 0 < deep.report["modes"] < deep.report["count_below_max_frequency"]
+    assert solved_band(deep, slack, 60.0, 1000) == [20, 60]
 
 
 def test_similarity_is_that_of_the_wave_equation():
