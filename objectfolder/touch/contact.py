@@ -20,6 +20,10 @@ NORMAL_RADIUS = 0.01
 #: a soft gel bulges into gaps beside a contact.
 GAP = 0.15
 
+# A contact is free if material past the base reaches less far than this, as a fraction of the thickness; a
+# retreat along the normal turns perspective rays a little.
+_FREED = 0.05
+
 # Directions along which no usual mesh has an edge; three, because one ray can still graze an edge.
 _PROBES = np.array([[0.7561, 0.3217, -0.5700], [-0.4129, 0.8836, 0.2205], [-0.2917, -0.6353, 0.7150]])
 
@@ -133,9 +137,11 @@ def heightmaps(
     """How far the object is past the undeformed gel surface, along the camera's rays.
 
     The gel's apex is pressed ``depth`` beyond the contact point, along -n. Heights are those of the first
-    surface beyond the elastomer's rigid base, `elastomer_thickness` behind the gel's surface. Material wholly
-    on the camera's side of the base is ignored, and material across it is clipped to the maximal indentation.
-    A real sensor would collide with both; such pixels are reported as obstructed.
+    surface beyond the elastomer's rigid base, `elastomer_thickness` behind the gel's surface. A real sensor
+    would collide with material on the camera's side of the base; such pixels are reported as obstructed.
+    Material wholly on that side, such as the opposite wall of a cup, is ignored otherwise. Material across
+    the base meets the sensor's body before the gel is pressed in: the sensor stops short, by as much as it
+    reaches past the base. Where no retreat along n frees the sensor, the gel is not touched at all.
 
     Parameters
     ----------
@@ -156,8 +162,8 @@ def heightmaps(
     height : (N, H, W) float32, metres
         From -`GAP` times `elastomer_thickness`, also for any wider gap, to `max_indentation`.
     obstructed : (N,) float64
-        Fraction of the pixels with material nearer to the camera than the base; 0 for a contact that is not
-        obstructed.
+        Fraction of the pixels with material nearer to the camera than the base, in the pose asked for; 0 for
+        a contact that is not obstructed.
 
     Raises
     ------
@@ -180,19 +186,48 @@ def heightmaps(
     obstructed = np.empty(len(points))
     for i, (frame, camera) in enumerate(zip(frames, cameras)):  # one image at a time bounds the memory
         directions = rays @ frame.T.astype(np.float32)
-        if enclosed[i]:
-            blocked, distance = np.arange(len(rays)), np.empty_like(gel)
-        else:
-            distance = caster.depths(camera, directions, limit)
-            blocked = np.flatnonzero(distance < base)
-        if blocked.size:
-            begin, onward = base[blocked], directions[blocked]
-            rest, leaving = caster.first_crossing(camera + begin[:, None] * onward, onward)
-            distance[blocked] = np.where(leaving, 0, begin + rest)
-        np.subtract(gel, distance, out=distance)
-        distance.clip(-gap, profile.max_indentation, out=height[i].reshape(-1))
-        obstructed[i] = blocked.size / len(rays)
+        distance, blocked, overlap = _first_surface(
+            caster, camera, directions, base, limit, bool(enclosed[i])
+        )
+        obstructed[i] = blocked / len(rays)
+        if 0 < overlap < profile.camera_to_gel:
+            camera = camera + (normals[i] * (overlap / scale)).astype(np.float32)
+            inside = bool(_enclosed(caster, camera[None])[0])
+            distance, _, overlap = _first_surface(caster, camera, directions, base, limit, inside)
+        if overlap > _FREED * profile.elastomer_thickness:
+            distance = limit
+        (gel - distance).clip(-gap, profile.max_indentation, out=height[i].reshape(-1))
     return height, obstructed
+
+
+def _first_surface(
+    caster: RayCaster,
+    camera: np.ndarray,
+    directions: np.ndarray,
+    base: np.ndarray,
+    limit: np.ndarray,
+    enclosed: bool,
+) -> tuple[np.ndarray, int, float]:
+    """Return the depths (M,) of the first surface beyond the base, and how the object blocks the sensor.
+
+    The last two are the number of blocked pixels, and how far material across the base reaches past it
+    towards the camera, metres.
+    """
+    if enclosed:
+        blocked, distance = np.arange(len(directions)), np.empty_like(base)
+    else:
+        distance = caster.depths(camera, directions, limit)
+        blocked = np.flatnonzero(distance < base)
+    if not blocked.size:
+        return distance, 0, 0.0
+    begin, onward = base[blocked], directions[blocked]
+    start = camera + begin[:, None] * onward
+    rest, across = caster.first_crossing(start, onward)
+    distance[blocked] = np.where(across, 0, begin + rest)
+    if not across.any():
+        return distance, blocked.size, 0.0
+    back, _ = caster.first_crossing(start[across], -onward[across])
+    return distance, blocked.size, float(back.max())
 
 
 @lru_cache(maxsize=16)  # of sensors and objects

@@ -7,7 +7,8 @@ from objectfolder.touch.arrays import Array, array_library, zeros
 from objectfolder.touch.camera import gel_depth, ray_directions
 from objectfolder.touch.filters import blur, convolve, gaussian_weights, neighbours
 from objectfolder.touch.profiles import SensorProfile
-from objectfolder.touch.shading import shade, unit_components
+from objectfolder.touch.residual import places, residual_levels, tilt
+from objectfolder.touch.shading import Vectors, shade, unit_components
 
 # Neighbouring pixels whose depths differ by more pixel pitches than this lie on different surfaces.
 _MAX_STEP = 2.0
@@ -19,8 +20,8 @@ class Optics:
     """Renderer of the gel, lit from inside.
 
     An image is the background plus the change in shading from the undeformed gel, as in TACTO's calibration
-    (Wang et al. 2022). Shading is glTF's metallic-roughness model under point lights, without shadows or
-    interreflections.
+    (Wang et al. 2022), plus the profile's residual, if it has one. Shading is glTF's metallic-roughness model
+    under point lights, without shadows or interreflections.
 
     Parameters
     ----------
@@ -47,6 +48,7 @@ class Optics:
         along_z, along_y = np.gradient(gel, -self._pitch[1], -self._pitch[0])
         maps = np.stack([rays[..., 1], rays[..., 2], gel, along_y, along_z])
         self._maps = self._array(torch.from_numpy(maps))
+        self._places = self._array(torch.from_numpy(places(profile)))
         if profile.background_image:
             from objectfolder.touch.photographs import read_photograph  # loads PIL
 
@@ -105,6 +107,17 @@ class Optics:
         """Return the change in grey levels, (N, 3, H, W) float32, that displacements (N, H, W) cause."""
         return torch.as_tensor(self._change(self._array(displacement)))
 
+    def surface(self, displacement: torch.Tensor) -> tuple[Vectors, Vectors, Array]:
+        """Return points, unit normals and tilt of the deformed gel; see `shade` and `residual_levels`.
+
+        Parameters
+        ----------
+        displacement : (N, H, W) float32 tensor
+        """
+        moved = self._array(displacement)
+        slopes = self._slopes(moved)
+        return *self._geometry(self._maps, moved, *slopes), tilt(slopes, self._maps[2])
+
     def noise(self, images: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
         """Add the profile's pixel noise, if any, to (N, H, W, 3) uint8 images."""
         if self.profile.noise_std == 0:
@@ -120,9 +133,13 @@ class Optics:
     def _change(self, displacement: Array) -> Array:
         rows, columns = self._window(displacement)
         moved = displacement[:, rows, columns]
-        display = self._display(self._maps[:, rows, columns], moved, *self._slopes(moved))
+        slopes = self._slopes(moved)
+        display = self._display(self._maps[:, rows, columns], moved, *slopes)
         display -= self._still[:, :, rows, columns]
         display *= 255 * self.profile.gain
+        if self.profile.residual:
+            leaning = tilt(slopes, self._maps[2, rows, columns])
+            display += residual_levels(leaning, self._places[:, rows, columns], self.profile.residual)
         display *= moved != 0  # exactly 0 where the gel is at rest
         change = zeros((len(displacement), 3, *displacement.shape[1:]), displacement)
         for channel, brighter in enumerate(display):
@@ -131,10 +148,15 @@ class Optics:
 
     def _display(self, maps: Array, moved: Array, slope_y: Array, slope_z: Array) -> Array:
         """Return display values (3, N, H, W) of a displacement (N, H, W) with the given slopes."""
+        return shade(*self._geometry(maps, moved, slope_y, slope_z), self.profile)
+
+    @staticmethod
+    def _geometry(maps: Array, moved: Array, slope_y: Array, slope_z: Array) -> tuple[Vectors, Vectors]:
+        """Return points and unit normals of the gel, moved (N, H, W) with the given slopes."""
         y, z, gel, gel_y, gel_z = maps
         depth, along_y, along_z = gel - moved, gel_y - slope_y, gel_z - slope_z
         normal = unit_components((-(depth + y * along_y + z * along_z), along_y, along_z))
-        return shade((depth, y * depth, z * depth), normal, self.profile)
+        return (depth, y * depth, z * depth), normal
 
     def _slopes(self, displacement: Array) -> Array:
         """Return the derivatives (2, N, H, W) of the displacement along y and z of the image plane.

@@ -3,7 +3,7 @@
 import hashlib
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,6 +13,8 @@ from objectfolder.yamlfile import read_yaml
 _PROFILES = Path(__file__).with_suffix("")
 
 GELS = ("rigid", "soft")
+
+RESIDUAL_TERMS = 27  #: coefficients of one colour in `SensorProfile.residual`
 
 #: Renderers of contacts: of the deformed gel, or, as TACTO does, of the object in front of a rigid gel.
 RENDERERS = ("gel", "tacto")
@@ -76,6 +78,7 @@ class SensorProfile:
     background_glow: float  #: display value that each light adds where it is nearest, 0 to 1
     background_falloff: float  #: m on the gel, at which the glow has halved
     noise_std: float  #: grey levels (0 to 255) of Gaussian pixel noise; 0 is none
+    residual: tuple[tuple[float, ...], ...] = ()  #: of a fitted light model; see `residual`; empty is none
 
     def __post_init__(self) -> None:
         """Check every range."""
@@ -129,6 +132,11 @@ class SensorProfile:
             self._require(all(map(math.isfinite, light.position)), "lights", "at finite positions")
             self._require(all(0 <= c <= 1 for c in light.color), "lights", "of colors between 0 and 1")
             self._require(0 < light.intensity < math.inf, "lights", "of positive intensity")
+        shape = [len(row) for row in self.residual]
+        self._require(
+            shape in ([], [RESIDUAL_TERMS] * 3), "residual", f"empty or 3 x {RESIDUAL_TERMS} numbers"
+        )
+        self._require(all(map(math.isfinite, sum(self.residual, ()))), "residual", "finite")
 
     def _require(self, condition: bool, name: str, expected: str) -> None:
         if not condition:
@@ -149,8 +157,11 @@ class SensorProfile:
         return 2 * self.half_extent[0] * self.camera_to_gel / self.height
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready dictionary; `from_dict` reads it."""
-        return asdict(self)
+        """JSON-ready dictionary; `from_dict` reads it. An empty residual is left out."""
+        values = asdict(self)
+        if not self.residual:
+            del values["residual"]
+        return values
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> "SensorProfile":
@@ -232,12 +243,14 @@ def _from_mapping(cls: type[_T], values: Any, what: str) -> _T:
     if not isinstance(values, Mapping):
         raise ObjectFolderError(f"{what}: expected named fields, got {quoted(values)}")
     declared = {field.name: field.type for field in fields(cls)}  # type: ignore[arg-type]
-    missing, unknown = declared.keys() - values.keys(), values.keys() - declared.keys()
+    required = {field.name for field in fields(cls) if field.default is MISSING}  # type: ignore[arg-type]
+    missing, unknown = required - values.keys(), values.keys() - declared.keys()
     if missing or unknown:
         problems = [f"lacks {', '.join(sorted(missing))}"] if missing else []
         problems += [f"has unknown fields {', '.join(sorted(map(str, unknown)))}"] if unknown else []
         raise ObjectFolderError(f"{what} {' and '.join(problems)}; the fields are {', '.join(declared)}")
-    return cls(**{name: _coerce(values[name], kind, f"{what}: {name}") for name, kind in declared.items()})
+    given = {name: kind for name, kind in declared.items() if name in values}
+    return cls(**{name: _coerce(values[name], kind, f"{what}: {name}") for name, kind in given.items()})
 
 
 def _coerce(value: Any, kind: Any, what: str) -> Any:
@@ -252,6 +265,12 @@ def _coerce(value: Any, kind: Any, what: str) -> Any:
         return float(value)
     if kind == tuple[Light, ...] and sequence:
         return tuple(_from_mapping(Light, item, what) for item in value)
+    if (
+        kind == tuple[tuple[float, ...], ...]
+        and sequence
+        and all(isinstance(row, list | tuple) for row in value)
+    ):
+        return tuple(tuple(_coerce(item, float, what) for item in row) for row in value)
     lengths = {Vector: 3, tuple[float, float]: 2}
     if kind in lengths and sequence and len(value) == lengths[kind]:
         return tuple(_coerce(item, float, what) for item in value)

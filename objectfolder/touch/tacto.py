@@ -1,4 +1,4 @@
-"""TACTO's renderer (Wang et al. 2022) on pyrender: the images that the paper trained on, as a reference."""
+"""Our re-implementation of TACTO's renderer (Wang et al. 2022) on pyrender, as a reference."""
 
 import numpy as np
 
