@@ -6,7 +6,7 @@ PIP_ARGS ?=
 BIN := .venv/bin
 INSTALL = $(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt $(PIP_ARGS)
 
-.PHONY: setup demo test test-slow test-extras fuzz lint docs gltf-validate lock sbom licences clean
+.PHONY: setup demo test test-slow test-extras fuzz lint docs viewer samples gltf-validate lock sbom licences clean
 
 # What a build needs. The targets below that test or check install the rest.
 setup: .venv/.build
@@ -54,6 +54,16 @@ lint: .venv/.dev
 # The site: build/site/index.html. Warnings are errors.
 docs: .venv/.dev
 	$(BIN)/sphinx-build --fresh-env --write-all --fail-on-warning --keep-going --quiet docs build/site
+
+# The Object Files that come with the package.
+samples: demo
+	for name in mug die bell; do cp build/$$name/ObjectFile.safetensors objectfolder/objectfile/samples/$$name.safetensors; done
+
+# The page that Object Files answer in: rebuilds what the package ships. Needs node and npm, its tests Chromium.
+viewer: .venv/.dev
+	npm ci --silent --prefix viewer
+	cd viewer && npm run --silent check && npm test --silent && npm run --silent build
+	$(BIN)/pytest -m "" tests/viewer
 
 # Needs node and npm.
 gltf-validate: .venv/.dev

@@ -21,6 +21,7 @@ from objectfolder.cli import (
     sample,
     sensor,
     upkeep,
+    view,
     workspace,
 )
 from objectfolder.errors import ObjectFolderError
@@ -46,6 +47,7 @@ for command in (
     workspace.preset,
     workspace.inspect,
     objectfile.info,
+    view.view,
     reconstruct.reconstruct,
     doctor.doctor,
 ):

@@ -1,0 +1,51 @@
+"""Command that opens Object Files in a browser: view."""
+
+import webbrowser
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import Annotated
+
+import typer
+
+from objectfolder.cli.console import console
+from objectfolder.errors import ObjectFolderError
+
+
+def view(
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILE...", help="Object Files, or the samples mug, die and bell."),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Page to write, such as mug.html, to keep or to mail. Default: a temporary file."),
+    ] = None,
+    open_page: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser.")] = True,
+) -> None:
+    """See, strike and touch objects in a browser.
+
+    Writes one page that holds the files and the program that answers from them. It needs no server and no
+    network; docs/viewer.md.
+
+    Examples: objectfolder view mug, objectfolder view build/mug/ObjectFile.safetensors
+    """
+    from objectfolder.io import atomic
+    from objectfolder.objectfile.file import ObjectFile
+    from objectfolder.objectfile.samples import available_samples, sample_path
+    from objectfolder.viewer.page import viewer_page
+
+    objects: dict[str, bytes] = {}
+    for given in files:
+        path = sample_path(str(given)) if str(given) in available_samples() and not given.exists() else given
+        key = ObjectFile.load(path).key
+        if key in objects:
+            raise ObjectFolderError(
+                f"{path}: another file holds an object of the key {key}; give one of them"
+            )
+        objects[key] = path.read_bytes()
+    page = out or Path(mkdtemp(prefix="objectfolder-")) / "view.html"
+    with atomic(page) as path:
+        path.write_text(viewer_page(objects, ", ".join(objects)), encoding="utf-8")
+    console.print(f"{page} ({page.stat().st_size / 1e6:.1f} MB)", highlight=False, soft_wrap=True)
+    if open_page and not webbrowser.open(page.resolve().as_uri()):
+        console.print("no browser found: open the page in one", highlight=False)

@@ -1,0 +1,25 @@
+"""Object Files that come with the package, built from the starter catalogue."""
+
+from pathlib import Path
+
+from objectfolder.errors import ObjectFolderError, quoted
+
+_FOLDER = Path(__file__).with_suffix("")
+
+
+def available_samples() -> list[str]:
+    """Return the names of the samples."""
+    return sorted(path.stem for path in _FOLDER.glob("*.safetensors"))
+
+
+def sample_path(name: str) -> Path:
+    """Return the file of a sample.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there is none of this name.
+    """
+    if name not in (names := available_samples()):
+        raise ObjectFolderError(f"no sample {quoted(name)}: expected one of {', '.join(names)}")
+    return _FOLDER / f"{name}.safetensors"

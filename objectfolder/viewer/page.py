@@ -1,0 +1,74 @@
+"""One page that answers from Object Files in a browser, without a server."""
+
+import base64
+import json
+from collections.abc import Mapping
+from functools import cache
+from html import escape
+from importlib.resources import files
+from typing import Any
+
+from objectfolder.materials import MATERIALS, material
+from objectfolder.touch.profiles import available_profiles, load_profile
+
+LAWS = ("rayleigh", "loss_factor")
+
+
+def viewer_page(objects: Mapping[str, bytes], title: str = "Object File") -> str:
+    """Return a page of HTML that holds Object Files and the program that answers from them.
+
+    It works from disk and offline: nothing is loaded from anywhere.
+
+    Parameters
+    ----------
+    objects : mapping of bytes
+        Contents of Object Files by the names in the page's menu.
+    title : str
+    """
+    parts = {
+        "title": escape(title),
+        "settings": _settings(),
+        "objects": "\n".join(_embedded(name, content) for name, content in objects.items()),
+        "script": static_text("viewer.js"),
+    }
+    # One pass: what is put in may hold braces itself.
+    first, *rest = static_text("page.html").split("{{")
+    return first + "".join(parts[name] + text for name, _, text in (piece.partition("}}") for piece in rest))
+
+
+def viewer_frame(objects: Mapping[str, bytes], height: int = 640) -> str:
+    """Return `viewer_page` in a frame, for notebooks; its height is in pixels."""
+    page = escape(viewer_page(objects))
+    return f'<iframe srcdoc="{page}" style="width:100%;height:{height}px;border:0" allow="autoplay"></iframe>'
+
+
+@cache
+def static_text(name: str) -> str:
+    """Return a file that `viewer/` builds (docs/viewer.md)."""
+    return (files("objectfolder.viewer") / "static" / name).read_text(encoding="utf-8")
+
+
+def _embedded(name: str, content: bytes) -> str:
+    text = base64.b64encode(content).decode()
+    return f'<script type="text/plain" data-object="{escape(name)}">{text}</script>'
+
+
+@cache
+def _settings() -> str:
+    """Return materials and sensors as JSON that may stand in HTML."""
+    settings = {
+        "materials": {law: {name: _material(name, law) for name in MATERIALS} for law in LAWS},
+        "sensors": {name: _sensor(name) for name in available_profiles()},
+    }
+    return json.dumps(settings, separators=(",", ":")).replace("<", "\\u003c")
+
+
+def _material(name: str, law: str) -> dict[str, Any]:
+    found = material(name, law)
+    return {"name": name, **found.properties()}
+
+
+def _sensor(name: str) -> dict[str, Any]:
+    """Return a profile without what only people and calibrations read."""
+    unread = ("source", "noise_std", "press_depth", "background_image", "background_sha256")
+    return {key: value for key, value in load_profile(name).to_dict().items() if key not in unread}

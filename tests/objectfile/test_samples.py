@@ -1,0 +1,32 @@
+import pytest
+
+from objectfolder import ObjectFile
+from objectfolder.errors import ObjectFolderError
+from objectfolder.io import safetensors_bytes
+from objectfolder.objectfile.header import format_name
+from objectfolder.objectfile.samples import available_samples, sample_path
+
+
+def test_samples_are_small_files_of_this_format():
+    assert available_samples() == ["bell", "die", "mug"]
+    assert sum(sample_path(name).stat().st_size for name in available_samples()) < 1_500_000
+    for name in available_samples():
+        sample = ObjectFile.sample(name)
+        assert sample.header["format"] == format_name(), "run `make samples`"
+        sample.check()
+        assert sample.key == name
+
+
+def test_an_unknown_sample_is_refused():
+    with pytest.raises(ObjectFolderError, match="bell, die, mug"):
+        ObjectFile.sample("../mug")
+
+
+def test_bytes_are_those_of_the_file(brick, brick_path):
+    assert safetensors_bytes(brick.tensors, brick.header) == brick_path.read_bytes()
+
+
+def test_a_notebook_shows_the_page(brick):
+    frame = brick._repr_html_()
+    assert frame.startswith("<iframe srcdoc=")
+    assert frame.count("<") == 2, "what the frame holds is escaped"

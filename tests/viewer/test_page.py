@@ -1,0 +1,96 @@
+import base64
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from objectfolder.cli import app
+from objectfolder.errors import ObjectFolderError
+from objectfolder.materials import LOSS_FACTORS, MATERIALS
+from objectfolder.touch.profiles import available_profiles
+from objectfolder.viewer.page import static_text, viewer_page
+
+VIEWER = Path(__file__).parents[2] / "viewer"
+BUILT = Path(viewer_page.__code__.co_filename).parent / "static"
+has_node = pytest.mark.skipif(
+    shutil.which("node") is None or not (VIEWER / "node_modules").exists(),
+    reason="needs node and `npm ci` in viewer/",
+)
+
+
+def embedded(page):
+    """Object Files in a page by name."""
+    found = re.findall(r'<script type="text/plain" data-object="([^"]*)">([^<]*)</script>', page)
+    return {name: base64.b64decode(text) for name, text in found}
+
+
+def settings(page):
+    return json.loads(re.search(r'<script type="application/json" id="settings">(.*?)</script>', page)[1])
+
+
+def test_a_page_holds_its_objects_and_loads_nothing():
+    objects = {"mug": bytes(range(256)), "bell": b"</script>{{script}}"}
+    page = viewer_page(objects, title="a </title><script>")
+    assert embedded(page) == objects
+    assert "<title>a &lt;/title&gt;&lt;script&gt;</title>" in page
+    assert not re.search(r"""(src|href)=["'](?!data:)""", page)
+    assert page.count("<script") == page.count("</script>") == 2 + len(objects)
+
+
+def test_a_page_knows_materials_and_sensors():
+    found = settings(viewer_page({}))
+    for law, materials in found["materials"].items():
+        assert list(materials) == list(MATERIALS)
+        assert materials["steel"]["density"] == MATERIALS["steel"].density
+        assert ("loss_factor" in materials["steel"]) == (law == "loss_factor")
+    assert found["materials"]["loss_factor"]["wood"]["loss_factor"] == [list(k) for k in LOSS_FACTORS["wood"]]
+    assert list(found["sensors"]) == available_profiles()
+    assert found["sensors"]["digit"]["lights"][0]["intensity"] > 0
+
+
+def test_pages_stay_small():
+    assert len(static_text("viewer.js").encode()) <= 90_000
+    assert len(viewer_page({}).encode()) <= 140_000
+
+
+def test_view_writes_one_page(brick_path, tmp_path, monkeypatch, capsys):
+    opened = []
+    monkeypatch.setattr("webbrowser.open", lambda url: opened.append(url) or True)
+    out = tmp_path / "site" / "brick.html"
+    app(["view", str(brick_path), "--out", str(out)], standalone_mode=False)
+    assert embedded(out.read_text()) == {"brick": brick_path.read_bytes()}
+    assert opened == [out.as_uri()]
+    assert str(out) in capsys.readouterr().out.replace("\n", "")
+
+
+def test_view_refuses_what_is_no_object_file(tmp_path):
+    path = tmp_path / "a.safetensors"
+    path.write_bytes(b"no Object File at all")
+    with pytest.raises(ObjectFolderError, match=re.escape(str(path))):
+        app(["view", str(path), "--no-open"], standalone_mode=False)
+
+
+def test_view_refuses_two_files_of_one_object(brick_path):
+    with pytest.raises(ObjectFolderError, match="another file holds an object of the key brick"):
+        app(["view", str(brick_path), str(brick_path), "--no-open"], standalone_mode=False)
+
+
+@has_node
+def test_the_program_is_what_its_sources_give(tmp_path):
+    subprocess.run(["node", "build.mjs", str(tmp_path)], cwd=VIEWER, check=True)
+    for path in BUILT.iterdir():
+        assert path.read_bytes() == (tmp_path / path.name).read_bytes(), "run `make viewer`"
+
+
+@pytest.mark.slow
+@has_node
+def test_the_page_in_chromium(brick_path, tmp_path):
+    page = tmp_path / "brick.html"
+    page.write_text(viewer_page({"brick": brick_path.read_bytes()}))
+    done = subprocess.run(
+        ["node", "tests/drive.mjs", str(page), str(tmp_path)], cwd=VIEWER, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr

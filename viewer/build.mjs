@@ -1,0 +1,35 @@
+// Build the script and the page that the Python package ships: node build.mjs [OUT]
+import { mkdirSync, readFileSync, writeFileSync } from "node:fs";
+import { build } from "esbuild";
+
+const out = process.argv[2] ?? "../objectfolder/viewer/static";
+const options = {
+  bundle: true,
+  write: false,
+  minify: true,
+  target: "es2022",
+  format: "iife",
+  charset: "utf8",
+};
+
+const text = async (entry, extra = {}) => {
+  const { outputFiles } = await build({ ...options, ...extra, entryPoints: [entry] });
+  return outputFiles[0].text.trim();
+};
+
+// A page from disk may start a worker from a text of its own, not from a file beside it.
+const worker = await text("worker/main.ts");
+const inline = {
+  name: "worker",
+  setup(to) {
+    to.onResolve({ filter: /^worker-source$/ }, ({ path }) => ({ path, namespace: "worker" }));
+    to.onLoad({ filter: /.*/, namespace: "worker" }, () => ({ contents: worker, loader: "text" }));
+  },
+};
+mkdirSync(out, { recursive: true });
+const script = await text("page/main.ts", { plugins: [inline] });
+// Within a page, </script would end the script.
+writeFileSync(`${out}/viewer.js`, `${script.replaceAll("</script", "<\\/script")}\n`);
+const style = await text("page/style.css");
+const page = readFileSync("page/page.html", "utf8").replace("/* style */", () => style);
+writeFileSync(`${out}/page.html`, page);

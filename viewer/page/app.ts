@@ -1,0 +1,393 @@
+/** What the page does: opens objects, and turns clicks and settings into questions to the worker. */
+
+import source from "worker-source";
+import { BOUND } from "../core/grid.ts";
+import type { PointLight } from "../core/indirect.ts";
+import type { Material } from "../core/materials.ts";
+import type { Gaps, Header } from "../core/objectfile.ts";
+import type { Profile } from "../core/sensor.ts";
+import { ownMaterial } from "../core/tuning.ts";
+import type { Vector } from "../core/vector.ts";
+import type { Place, Reply, Request, StrikeSettings, TouchSettings } from "../worker/protocol.ts";
+import { drawHeights, drawImage, drawTones, drawWave } from "./charts.ts";
+import { canvas, element, input, options, select, tell, whenever } from "./elements.ts";
+import { Gestures } from "./gestures.ts";
+import { single, studio } from "./lighting.ts";
+import { embedded, whenOpened } from "./objects.ts";
+import { Orbit } from "./orbit.ts";
+import { Player } from "./player.ts";
+import { View } from "./view.ts";
+
+const START: Vector = [1.8, 1.2, 1.15]; // of the camera
+const RATE = 44100;
+const DURATION = 2.5;
+const SILENCE = 1e-5; // modes end below this share of the loudest
+const RING = 0.02; // radius of the mark, unit frame
+const STRONGEST = 0.1; // N s
+const PAUSE = 90; // milliseconds without a change after which indirect light is asked for
+
+export interface Settings {
+  /** By law of damping, then by name. */
+  materials?: Record<"rayleigh" | "loss_factor", Record<string, Material>>;
+  sensors?: Record<string, Profile>;
+}
+
+export class App {
+  /** Milliseconds from the opening of the page or a file, by event; of the last strike and touch. */
+  readonly times: Record<string, number> = {};
+  readonly view: View;
+  readonly orbit = new Orbit(START);
+  readonly player = new Player();
+  lastSound: Extract<Reply, { kind: "sound" }> | null = null;
+  lastTouch: Extract<Reply, { kind: "touch" }> | null = null;
+  point: Vector | null = null;
+  private readonly worker: Worker;
+  private header: Header | null = null;
+  private gaps: Gaps | null = null;
+  private began = 0;
+  private bounces = false;
+  private asked = 0;
+  private timer = 0;
+  private poking = false;
+  private waiting: { place: Place; strike: boolean } | null = null;
+  private lights: PointLight[] = [];
+  private readonly settled: (() => void)[] = [];
+  private readonly answered: (() => void)[] = [];
+
+  constructor(private readonly settings: Settings) {
+    const accent = matchMedia("(prefers-color-scheme: dark)").matches
+      ? [0.98, 0.6, 0.33]
+      : [0.78, 0.25, 0.02];
+    this.view = new View(canvas("view"), this.orbit, accent as Vector);
+    this.worker = new Worker(URL.createObjectURL(new Blob([source], { type: "text/javascript" })));
+    this.worker.onmessage = (event: MessageEvent<Reply>) => this.receive(event.data);
+    this.worker.onerror = (event) => this.problem(event.message);
+    new Gestures(this.view, {
+      poke: (place, strike) => this.poke(place, strike),
+      turned: () => this.relight(false),
+    });
+    this.wire();
+    new ResizeObserver(() => this.resize()).observe(element("stage"));
+    this.resize();
+    this.relight();
+    const frame = () => {
+      this.view.draw();
+      requestAnimationFrame(frame);
+    };
+    frame();
+    const objects = embedded();
+    element("chooser").hidden = objects.length < 2;
+    options(
+      "object",
+      objects.map(({ name }) => [name, name]),
+    );
+    const show = (n: number) => {
+      this.open(objects[n].read());
+    };
+    select("object").addEventListener("change", () => show(select("object").selectedIndex));
+    if (objects.length) show(0);
+    else this.problem("Open an Object File, or drop one on this page.", "No object");
+  }
+
+  /** Open an Object File. */
+  open(buffer: ArrayBuffer, began = performance.now()): void {
+    this.began = this.times.shape === undefined ? 0 : began;
+    this.bounces = false;
+    this.point = null;
+    tell("message", null);
+    tell("busy", "Reading the Object File …");
+    this.ask({ kind: "open", buffer }, [buffer]);
+  }
+
+  /** Strike and touch a place, or only touch it. */
+  poke(place: Place, strike = true): void {
+    if (this.poking) {
+      this.waiting = { place, strike: strike || (this.waiting?.strike ?? false) };
+      return;
+    }
+    this.poking = true;
+    tell("message", null);
+    const touch = this.gaps?.touch ? null : this.touchSettings();
+    this.ask({
+      kind: "poke",
+      place,
+      strike: strike && !this.gaps?.sound ? this.strikeSettings() : null,
+      touch,
+    });
+    this.ask({ kind: "ping" });
+  }
+
+  /** Strike and touch a place with settings of one's own, and return when both are answered. */
+  query(place: Place, strike: StrikeSettings | null, touch: TouchSettings | null): Promise<void> {
+    this.ask({ kind: "poke", place, strike, touch });
+    this.ask({ kind: "ping" });
+    return new Promise((resolve) => this.answered.push(resolve));
+  }
+
+  /** Show a camera and lights and return when their indirect light is drawn. */
+  settle(eye: Vector, lights: PointLight[]): Promise<void> {
+    this.orbit.place(eye);
+    this.lights = lights;
+    this.view.light(lights);
+    return new Promise((resolve) => {
+      if (!this.bounces) return resolve();
+      this.settled.push(resolve);
+      this.askLight();
+    });
+  }
+
+  private ask(request: Request, transfer: Transferable[] = []): void {
+    this.worker.postMessage(request, transfer);
+  }
+
+  private receive(reply: Reply): void {
+    switch (reply.kind) {
+      case "problem":
+        return this.problem(reply.message);
+      case "shape":
+        return this.showShape(reply);
+      case "look":
+        this.view.dress(reply.color, reply.normal, reply.roughness, reply.metallic);
+        this.note("coloured");
+        return;
+      case "bounces":
+        this.bounces = true;
+        return this.askLight();
+      case "indirect":
+        if (reply.request !== this.asked) return;
+        this.view.bounce(reply.values);
+        this.note("bounced");
+        for (const resolve of this.settled.splice(0)) resolve();
+        return;
+      case "point":
+        this.point = reply.point;
+        return this.view.point(reply.point, RING);
+      case "sound":
+        return this.showSound(reply);
+      case "touch":
+        return this.showTouch(reply);
+      case "done":
+        return this.next();
+      case "missed":
+        return;
+    }
+  }
+
+  private next(): void {
+    const resolve = this.answered.shift();
+    if (resolve) return resolve();
+    this.poking = false;
+    const { waiting } = this;
+    this.waiting = null;
+    if (waiting) this.poke(waiting.place, waiting.strike);
+  }
+
+  private note(event: string): void {
+    this.times[event] = performance.now() - this.began;
+  }
+
+  private problem(message: string, title = "This file cannot be shown"): void {
+    tell("busy", null);
+    const place = element("message");
+    const heading = document.createElement("strong");
+    heading.textContent = title;
+    place.replaceChildren(heading, message);
+    place.hidden = false;
+    this.next();
+  }
+
+  private showShape({ header, gaps, mesh, bytes }: Extract<Reply, { kind: "shape" }>): void {
+    this.header = header;
+    this.gaps = gaps;
+    this.lastSound = null;
+    this.lastTouch = null;
+    tell("busy", null);
+    element("name").textContent = header.key.replaceAll("_", " ");
+    const size =
+      header.scale < 1 ? `${+(header.scale * 1000).toPrecision(3)} mm` : `${+header.scale.toPrecision(3)} m`;
+    tell("facts", `${header.material} · ${size} · ${(bytes / 1000).toFixed(0)} KB`);
+    document.title = `${header.key} – objectfolder`;
+    for (const sense of ["sound", "touch"] as const) {
+      tell(`${sense}-gap`, gaps[sense]);
+      element(`${sense}-controls`).hidden = gaps[sense] !== null;
+    }
+    tell("look-gap", gaps.look);
+    this.fillMenus(header);
+    this.view.show(mesh, (2 * BOUND) / (header.geometry!.resolution - 1));
+    this.relight();
+    this.view.draw();
+    this.note("shape");
+  }
+
+  private fillMenus(header: Header): void {
+    const tunable = ownMaterial(header) !== null;
+    const law = header.material_properties?.loss_factor ? "loss_factor" : "rayleigh";
+    const names = Object.keys(this.settings.materials?.[law] ?? {});
+    const others = names.filter((name) => name !== header.material && tunable);
+    options("material", [
+      ["", `${header.material} (its own)`],
+      ...others.map((name) => [name, name] as [string, string]),
+    ]);
+    select("material").disabled = input("size").disabled = !tunable;
+    input("size").value = "0";
+    const sensors = Object.keys(this.settings.sensors ?? {});
+    const own = this.gaps?.touch === null ? header.touch!.net : null;
+    const tacto = own?.renderer === "tacto" ? " (images as this library's gel, not TACTO)" : "";
+    options("sensor", [
+      ["", `${own?.sensor.name ?? "none"}, as stored${tacto}`],
+      ["rigid", "the same with a rigid gel"],
+      ...sensors.filter((name) => name !== own?.sensor.name).map((name) => [name, name] as [string, string]),
+    ]);
+    this.labels();
+  }
+
+  private get sensor(): Profile | null {
+    const name = select("sensor").value;
+    return (
+      (name && name !== "rigid" ? this.settings.sensors?.[name] : this.header?.touch?.net.sensor) ?? null
+    );
+  }
+
+  private strikeSettings(): StrikeSettings {
+    const law = this.header?.material_properties?.loss_factor ? "loss_factor" : "rayleigh";
+    const material = this.settings.materials?.[law][select("material").value] ?? null;
+    const size = 2 ** +input("size").value;
+    const contact = +input("contact").value * 1e-3;
+    return {
+      impulse: this.impulse,
+      contact,
+      material,
+      size,
+      rate: RATE,
+      duration: DURATION,
+      response: "acceleration",
+      silence: SILENCE,
+    };
+  }
+
+  private touchSettings(): TouchSettings {
+    const name = select("sensor").value;
+    return {
+      profile: name && name !== "rigid" ? (this.settings.sensors?.[name] ?? null) : null,
+      gel: name === "rigid" ? "rigid" : "stored",
+      depth: +input("depth").value * 1e-3,
+      angle: (+input("angle").value * Math.PI) / 180,
+    };
+  }
+
+  /** N s. */
+  private get impulse(): number {
+    return 10 ** +input("impulse").value * 1e-3;
+  }
+
+  private showSound(sound: Extract<Reply, { kind: "sound" }>): void {
+    this.lastSound = sound;
+    this.times.strike = sound.milliseconds;
+    this.play();
+    let peak = 0;
+    for (const value of sound.samples) peak = Math.max(peak, Math.abs(value));
+    const gain = sound.reference > 0 ? 1 / (sound.reference * STRONGEST) : 0;
+    drawWave(canvas("wave"), sound.samples.subarray(0, RATE / 2), peak > 0 ? 0.95 / peak : 0);
+    drawTones(canvas("tones"), sound.tones);
+    const [loudest] = sound.tones;
+    const level = 20 * Math.log10(Math.max(peak * gain, 1e-9));
+    element("sound-readout").innerHTML = loudest
+      ? `<b>${loudest.frequency.toFixed(0)} Hz</b> loudest of ${sound.modes} modes, rings ${loudest.decay.toPrecision(2)} s · <b>${level.toFixed(0)} dB</b>`
+      : "Silent: no mode lies within hearing.";
+    element("notes").replaceChildren(
+      ...sound.notes.map((text) => Object.assign(document.createElement("li"), { textContent: text })),
+    );
+    element<HTMLButtonElement>("again").disabled = false;
+    this.timing();
+  }
+
+  private play(): void {
+    const { lastSound } = this;
+    if (lastSound?.reference)
+      this.player.play(lastSound.samples, lastSound.rate, 1 / (lastSound.reference * STRONGEST));
+  }
+
+  private showTouch(touch: Extract<Reply, { kind: "touch" }>): void {
+    this.lastTouch = touch;
+    this.times.touch = touch.milliseconds;
+    drawImage(canvas("touch"), touch.image, touch.width, touch.rows);
+    drawHeights(canvas("heights"), touch.height, touch.width, touch.rows, touch.deepest);
+    const force = touch.force === null ? "" : `<b>${touch.force.toPrecision(3)} N</b> on `;
+    const blocked = touch.obstructed > 0 ? " · obstructed: a real sensor could not get there" : "";
+    element("touch-readout").innerHTML = `${force}<b>${(touch.area * 1e6).toPrecision(3)} mm²</b>${blocked}`;
+    this.timing();
+  }
+
+  private timing(): void {
+    const { strike, touch } = this.times;
+    const parts = [strike && `strike ${strike.toFixed(0)} ms`, touch && `touch ${touch.toFixed(0)} ms`];
+    element("timing").textContent = parts.filter(Boolean).join(", ");
+  }
+
+  private labels(): void {
+    const show = (id: string, text: string) => {
+      element(id).parentElement!.querySelector("output")!.textContent = text;
+    };
+    const deepest = (this.sensor?.max_indentation ?? 2e-3) * 1e3;
+    input("depth").max = String(deepest);
+    show("impulse", `${(this.impulse * 1e3).toPrecision(2)} mN·s`);
+    show("contact", `${(+input("contact").value).toFixed(2)} ms`);
+    show("size", `× ${(2 ** +input("size").value).toPrecision(2)}`);
+    show("depth", `${(+input("depth").value).toFixed(2)} mm`);
+    for (const id of ["angle", "azimuth", "elevation"]) show(id, `${input(id).value}°`);
+    show("distance", input("distance").value);
+    element("distance-row").hidden = select("setup").value === "studio";
+  }
+
+  private wire(): void {
+    const again = (strike: boolean) => () => {
+      this.labels();
+      if (this.point) this.poke({ point: this.point }, strike);
+    };
+    whenever(["impulse", "contact", "size"], "change", again(true));
+    whenever(["impulse", "contact", "size"], "input", () => this.labels());
+    whenever(["material"], "change", again(true));
+    whenever(["depth", "angle"], "input", again(false));
+    whenever(["sensor"], "change", again(false));
+    whenever(["azimuth", "elevation", "distance"], "input", () => this.relight());
+    whenever(["setup"], "change", () => this.relight());
+    element("again").addEventListener("click", () => this.play());
+    element("reset").addEventListener("click", () => {
+      this.orbit.reset();
+      this.view.changed();
+      this.relight(false);
+    });
+    whenOpened(input("file"), async (file) => {
+      const began = performance.now();
+      this.open(await file.arrayBuffer(), began);
+    });
+    this.labels();
+  }
+
+  private relight(moved = true): void {
+    this.labels();
+    if (moved) {
+      const [azimuth, elevation] = [+input("azimuth").value, +input("elevation").value];
+      this.lights =
+        select("setup").value === "studio"
+          ? studio(azimuth, elevation)
+          : single(azimuth, elevation, +input("distance").value);
+      this.view.light(this.lights);
+    }
+    clearTimeout(this.timer);
+    if (this.bounces) this.timer = window.setTimeout(() => this.askLight(), PAUSE);
+  }
+
+  private askLight(): void {
+    this.ask({ kind: "light", camera: this.orbit.eye, lights: this.lights, request: ++this.asked });
+  }
+
+  private resize(): void {
+    const box = element("stage").getBoundingClientRect();
+    const ratio = Math.min(window.devicePixelRatio || 1, 2);
+    const { canvas: picture } = this.view;
+    picture.width = Math.max(Math.round(box.width * ratio), 1);
+    picture.height = Math.max(Math.round(box.height * ratio), 1);
+    this.view.changed();
+  }
+}

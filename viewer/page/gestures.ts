@@ -1,0 +1,115 @@
+/** Pointer, wheel and keys on the picture: poke the object, turn it, zoom. */
+
+import type { Place } from "../worker/protocol.ts";
+import type { View } from "./view.ts";
+
+const TURN = 0.008; // rad per pixel
+const KEY_TURN = 0.12; // rad
+const KEY_ZOOM = 1.12;
+
+export interface Handlers {
+  /** A place was pressed (strike), or the pointer was drawn across it. */
+  poke(place: Place, strike: boolean): void;
+  turned(): void;
+}
+
+export class Gestures {
+  private readonly pointers = new Map<number, { x: number; y: number }>();
+  private mode: "poke" | "turn" | null = null;
+  private travelled = 0;
+
+  constructor(
+    private readonly view: View,
+    private readonly handlers: Handlers,
+  ) {
+    const { canvas } = view;
+    canvas.addEventListener("pointerdown", (event) => this.down(event));
+    canvas.addEventListener("pointermove", (event) => this.move(event));
+    for (const name of ["pointerup", "pointercancel"] as const)
+      canvas.addEventListener(name, (event) => {
+        this.pointers.delete(event.pointerId);
+        if (!this.pointers.size) this.mode = null;
+      });
+    canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+    canvas.addEventListener(
+      "wheel",
+      (event) => {
+        event.preventDefault();
+        this.zoom(Math.exp(event.deltaY * 0.001));
+      },
+      { passive: false },
+    );
+    canvas.addEventListener("keydown", (event) => this.key(event));
+  }
+
+  private placeAt(x: number, y: number): Place {
+    const box = this.view.canvas.getBoundingClientRect();
+    const across = ((x - box.left) / box.width) * 2 - 1;
+    const up = 1 - ((y - box.top) / box.height) * 2;
+    const { orbit, aspect } = this.view;
+    return { origin: orbit.eye, direction: orbit.ray(across, up, aspect) };
+  }
+
+  private down(event: PointerEvent): void {
+    const { clientX: x, clientY: y } = event;
+    this.view.canvas.setPointerCapture(event.pointerId);
+    this.pointers.set(event.pointerId, { x, y });
+    this.travelled = 0;
+    const turning = event.button !== 0 || event.shiftKey || this.pointers.size > 1;
+    this.mode = !turning && this.view.covers(x, y) ? "poke" : "turn";
+    if (this.mode === "poke") this.handlers.poke(this.placeAt(x, y), true);
+  }
+
+  private move(event: PointerEvent): void {
+    const { clientX: x, clientY: y } = event;
+    const before = this.pointers.get(event.pointerId);
+    if (!before) {
+      this.view.canvas.classList.toggle("over", this.view.covers(x, y));
+      return;
+    }
+    const [right, down] = [x - before.x, y - before.y];
+    const spread = this.spread();
+    this.pointers.set(event.pointerId, { x, y });
+    this.travelled += Math.hypot(right, down);
+    if (this.mode === "poke") {
+      if (this.travelled > 2 && this.view.covers(x, y)) this.handlers.poke(this.placeAt(x, y), false);
+    } else if (this.pointers.size > 1) this.zoom(spread / Math.max(this.spread(), 1));
+    else this.turn(right * TURN, down * TURN);
+  }
+
+  /** Distance between two fingers. */
+  private spread(): number {
+    const [a, b] = [...this.pointers.values()];
+    return a && b ? Math.hypot(a.x - b.x, a.y - b.y) : 1;
+  }
+
+  private key(event: KeyboardEvent): void {
+    const turns: Record<string, [number, number]> = {
+      ArrowLeft: [-KEY_TURN, 0],
+      ArrowRight: [KEY_TURN, 0],
+      ArrowUp: [0, -KEY_TURN],
+      ArrowDown: [0, KEY_TURN],
+    };
+    const turn = turns[event.key];
+    if (turn) this.turn(...turn);
+    else if (event.key === "+" || event.key === "=") this.zoom(1 / KEY_ZOOM);
+    else if (event.key === "-") this.zoom(KEY_ZOOM);
+    else if (event.key === "Enter" || event.key === " ") {
+      const { orbit, aspect } = this.view;
+      this.handlers.poke({ origin: orbit.eye, direction: orbit.ray(0, 0, aspect) }, true);
+    } else return;
+    event.preventDefault();
+  }
+
+  private turn(right: number, up: number): void {
+    this.view.orbit.turn(right, up);
+    this.view.changed();
+    this.handlers.turned();
+  }
+
+  private zoom(factor: number): void {
+    this.view.orbit.zoom(factor);
+    this.view.changed();
+    this.handlers.turned();
+  }
+}

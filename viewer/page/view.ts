@@ -1,0 +1,270 @@
+/** The object in WebGL 2. */
+
+import { BOUND } from "../core/grid.ts";
+import type { PointLight } from "../core/indirect.ts";
+import type { Mesh } from "../core/surface.ts";
+import { length, type Vector } from "../core/vector.ts";
+import { lookAt, type Matrix, perspective, product } from "./matrix.ts";
+import type { Orbit } from "./orbit.ts";
+import { DEPTH_FRAGMENT, DEPTH_VERTEX, FRAGMENT, LIGHTS, VERTEX } from "./shaders.ts";
+
+const SHADOW_SIZE = 2048;
+const RADIUS = BOUND * Math.sqrt(3); // of a ball around the object
+const GREY = 0.42;
+const ATTRIBUTES = ["position", "normal", "color", "shading", "indirect"] as const;
+type Attribute = (typeof ATTRIBUTES)[number];
+
+export class View {
+  private readonly gl: WebGL2RenderingContext;
+  private readonly paint: WebGLProgram;
+  private readonly cast: WebGLProgram;
+  private readonly shadows: WebGLTexture;
+  private readonly target: WebGLFramebuffer;
+  private readonly object: WebGLVertexArrayObject;
+  private readonly buffers = new Map<Attribute, WebGLBuffer>();
+  private readonly triangles: WebGLBuffer;
+  private corners = 0;
+  private vertices = 0;
+  private lights: PointLight[] = [];
+  private lightMatrices: Matrix[] = [];
+  private mark: [number, number, number, number] = [0, 0, 0, 0];
+  private surface = { roughness: 0.6, metallic: 0 };
+  private lift = 0.003;
+  private stale = true;
+
+  constructor(
+    readonly canvas: HTMLCanvasElement,
+    readonly orbit: Orbit,
+    private readonly accent: Vector,
+  ) {
+    const gl = canvas.getContext("webgl2", { antialias: true, preserveDrawingBuffer: true });
+    if (!gl) throw new Error("This browser has no WebGL 2, which the picture needs.");
+    this.gl = gl;
+    this.paint = program(gl, VERTEX, FRAGMENT);
+    this.cast = program(gl, DEPTH_VERTEX, DEPTH_FRAGMENT);
+    this.object = gl.createVertexArray();
+    this.triangles = gl.createBuffer();
+    gl.bindVertexArray(this.object);
+    ATTRIBUTES.forEach((name, place) => {
+      const buffer = gl.createBuffer();
+      this.buffers.set(name, buffer);
+      gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+      gl.enableVertexAttribArray(place);
+      gl.vertexAttribPointer(place, 3, gl.FLOAT, false, 0, 0);
+    });
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.triangles);
+    this.shadows = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.shadows);
+    gl.texStorage3D(gl.TEXTURE_2D_ARRAY, 1, gl.DEPTH_COMPONENT24, SHADOW_SIZE, SHADOW_SIZE, LIGHTS);
+    for (const [name, value] of [
+      [gl.TEXTURE_MIN_FILTER, gl.LINEAR],
+      [gl.TEXTURE_MAG_FILTER, gl.LINEAR],
+      [gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE],
+      [gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE],
+      [gl.TEXTURE_COMPARE_MODE, gl.COMPARE_REF_TO_TEXTURE],
+      [gl.TEXTURE_COMPARE_FUNC, gl.LEQUAL],
+    ])
+      gl.texParameteri(gl.TEXTURE_2D_ARRAY, name, value);
+    this.target = gl.createFramebuffer();
+    gl.enable(gl.DEPTH_TEST);
+  }
+
+  get aspect(): number {
+    return this.canvas.width / Math.max(this.canvas.height, 1);
+  }
+
+  private fill(name: Attribute, values: Float32Array): void {
+    const { gl } = this;
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.buffers.get(name)!);
+    gl.bufferData(gl.ARRAY_BUFFER, values, gl.STATIC_DRAW);
+    this.stale = true;
+  }
+
+  /** Show a shape in grey. */
+  show(mesh: Mesh, spacing: number): void {
+    const { gl } = this;
+    this.vertices = mesh.position.length;
+    this.corners = mesh.index.length;
+    this.lift = 0.5 * spacing;
+    this.surface = { roughness: 0.6, metallic: 0 };
+    this.mark = [0, 0, 0, 0];
+    this.fill("position", mesh.position);
+    this.fill("normal", mesh.normal);
+    this.fill("color", new Float32Array(this.vertices).fill(GREY));
+    this.fill("shading", mesh.normal);
+    this.fill("indirect", new Float32Array(this.vertices));
+    gl.bindVertexArray(this.object);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.triangles);
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, mesh.index, gl.STATIC_DRAW);
+    this.light(this.lights);
+  }
+
+  /** Give the vertices base colours and shading normals. */
+  dress(color: Float32Array, shading: Float32Array, roughness: number, metallic: number): void {
+    if (color.length !== this.vertices) return;
+    this.surface = { roughness, metallic };
+    this.fill("color", color);
+    this.fill("shading", shading);
+  }
+
+  /** Give the vertices indirect radiance. */
+  bounce(indirect: Float32Array): void {
+    if (indirect.length === this.vertices) this.fill("indirect", indirect);
+  }
+
+  /** Mark a point of the surface by a ring; radius 0 removes it. */
+  point(place: Vector, radius: number): void {
+    this.mark = [...place, radius];
+    this.stale = true;
+  }
+
+  /** Set the lights and draw their shadow maps. */
+  light(lights: PointLight[]): void {
+    const { gl } = this;
+    this.lights = lights.slice(0, LIGHTS);
+    this.lightMatrices = this.lights.map(({ position }) => {
+      const far = length(position);
+      const tangent = far > RADIUS * 1.02 ? Math.tan(Math.asin(RADIUS / far)) : 4;
+      const near = Math.max(far - RADIUS, 0.02);
+      return product(perspective(tangent, 1, near, far + RADIUS), lookAt(position, [0, 0, 0]));
+    });
+    this.stale = true;
+    if (!this.corners) return;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
+    gl.viewport(0, 0, SHADOW_SIZE, SHADOW_SIZE);
+    gl.useProgram(this.cast);
+    gl.bindVertexArray(this.object);
+    gl.enable(gl.POLYGON_OFFSET_FILL);
+    gl.polygonOffset(1, 1);
+    this.lightMatrices.forEach((matrix, k) => {
+      gl.framebufferTextureLayer(gl.FRAMEBUFFER, gl.DEPTH_ATTACHMENT, this.shadows, 0, k);
+      gl.clear(gl.DEPTH_BUFFER_BIT);
+      gl.uniformMatrix4fv(gl.getUniformLocation(this.cast, "camera"), false, matrix);
+      gl.drawElements(gl.TRIANGLES, this.corners, gl.UNSIGNED_INT, 0);
+    });
+    gl.disable(gl.POLYGON_OFFSET_FILL);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+  }
+
+  changed(): void {
+    this.stale = true;
+  }
+
+  /** Draw, if anything changed. */
+  draw(): boolean {
+    if (!this.stale) return false;
+    this.stale = false;
+    this.paintInto(this.canvas.width, this.canvas.height, false);
+    return true;
+  }
+
+  private paintInto(width: number, height: number, raw: boolean): void {
+    const { gl, paint, orbit } = this;
+    gl.viewport(0, 0, width, height);
+    gl.clearColor(0, 0, 0, 0);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    if (!this.corners) return;
+    const { eye } = orbit;
+    const [, high] = orbit.extent(width / height);
+    const far = length(eye) + RADIUS;
+    const projection = perspective(high, width / height, Math.max(length(eye) - RADIUS, 0.01), far);
+    gl.useProgram(paint);
+    const at = (name: string) => gl.getUniformLocation(paint, name);
+    gl.uniformMatrix4fv(at("camera"), false, product(projection, lookAt(eye, [0, 0, 0])));
+    gl.uniform3fv(at("eye"), eye);
+    gl.uniform3fv(at("accent"), this.accent);
+    gl.uniform1i(at("count"), this.lights.length);
+    gl.uniform1f(at("roughness"), this.surface.roughness);
+    gl.uniform1f(at("metallic"), this.surface.metallic);
+    gl.uniform1f(at("texel"), 1 / SHADOW_SIZE);
+    gl.uniform1f(at("lift"), this.lift);
+    gl.uniform1f(at("raw"), raw ? 1 : 0);
+    gl.uniform4fv(at("mark"), this.mark);
+    this.lights.forEach(({ position, color }, k) => {
+      gl.uniform3fv(at(`lights[${k}]`), position);
+      gl.uniform3fv(at(`intensities[${k}]`), color);
+      gl.uniformMatrix4fv(at(`lightMatrices[${k}]`), false, this.lightMatrices[k]);
+    });
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.shadows);
+    gl.uniform1i(at("shadows"), 0);
+    gl.bindVertexArray(this.object);
+    gl.drawElements(gl.TRIANGLES, this.corners, gl.UNSIGNED_INT, 0);
+  }
+
+  /** Return whether the picture shows the object at a pixel of the page. */
+  covers(x: number, y: number): boolean {
+    const { gl, canvas } = this;
+    const box = canvas.getBoundingClientRect();
+    const pixel = new Uint8Array(4);
+    this.draw();
+    const column = Math.floor(((x - box.left) / box.width) * canvas.width);
+    const row = Math.floor((1 - (y - box.top) / box.height) * canvas.height);
+    gl.readPixels(column, row, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
+    return pixel[3] > 127;
+  }
+
+  /**
+   * Return linear radiance and coverage, (size, size, 4), premultiplied.
+   *
+   * Coverage is the share of `side` x `side` samples of a pixel, an odd number. As in the library, the colour of
+   * a covered pixel is that at its centre, and that of others the mean of the samples that meet the object.
+   */
+  capture(size: number, side: number): Float32Array {
+    const wide = size * side;
+    const fine = this.samples(wide);
+    const out = new Float32Array(4 * size * size);
+    const middle = (side - 1) / 2;
+    for (let y = 0; y < size; y++)
+      for (let x = 0; x < size; x++) {
+        const to = 4 * (y * size + x);
+        const at = (i: number, j: number) => 4 * ((wide - 1 - (y * side + i)) * wide + x * side + j);
+        for (let i = 0; i < side; i++)
+          for (let j = 0; j < side; j++)
+            for (let c = 0; c < 4; c++) out[to + c] += fine[at(i, j) + c] / side ** 2;
+        if (out[to + 3] > 1 - 0.5 / side ** 2)
+          for (let c = 0; c < 4; c++) out[to + c] = fine[at(middle, middle) + c];
+      }
+    return out;
+  }
+
+  /** Draw linear radiance and coverage into a square of samples, lowest row first. */
+  private samples(wide: number): Float32Array {
+    const { gl } = this;
+    if (!gl.getExtension("EXT_color_buffer_float")) throw new Error("no pictures of floating-point numbers");
+    const frame = gl.createFramebuffer();
+    gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
+    for (const [place, format] of [
+      [gl.COLOR_ATTACHMENT0, gl.RGBA32F],
+      [gl.DEPTH_ATTACHMENT, gl.DEPTH_COMPONENT24],
+    ]) {
+      const store = gl.createRenderbuffer();
+      gl.bindRenderbuffer(gl.RENDERBUFFER, store);
+      gl.renderbufferStorage(gl.RENDERBUFFER, format, wide, wide);
+      gl.framebufferRenderbuffer(gl.FRAMEBUFFER, place, gl.RENDERBUFFER, store);
+    }
+    this.paintInto(wide, wide, true);
+    const fine = new Float32Array(4 * wide * wide);
+    gl.readPixels(0, 0, wide, wide, gl.RGBA, gl.FLOAT, fine);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.deleteFramebuffer(frame);
+    return fine;
+  }
+}
+
+function program(gl: WebGL2RenderingContext, vertex: string, fragment: string): WebGLProgram {
+  const made = gl.createProgram();
+  for (const [kind, source] of [
+    [gl.VERTEX_SHADER, vertex],
+    [gl.FRAGMENT_SHADER, fragment],
+  ] as const) {
+    const shader = gl.createShader(kind)!;
+    gl.shaderSource(shader, source);
+    gl.compileShader(shader);
+    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS))
+      throw new Error(`The picture cannot be drawn: ${gl.getShaderInfoLog(shader)}`);
+    gl.attachShader(made, shader);
+  }
+  gl.linkProgram(made);
+  return made;
+}

@@ -1,0 +1,158 @@
+// Use a page of one object as people do, in headless Chromium: node drive.mjs PAGE [FOLDER for pictures]
+import assert from "node:assert/strict";
+import { createRequire } from "node:module";
+import { open } from "./browser.mjs";
+
+const [, , file, pictures] = process.argv;
+const axe = createRequire(import.meta.url).resolve("axe-core/axe.min.js");
+const WAIT = { timeout: 120_000 };
+const SIZES = { desktop: { width: 1280, height: 800 }, phone: { width: 390, height: 844, hasTouch: true } };
+
+/** Do something, and remember what was answered before it. */
+async function answered(page, act) {
+  const before = await page.evaluate(() => {
+    window.seen = { sound: window.objectfolder.lastSound, touch: window.objectfolder.lastTouch };
+    return document.getElementById("touch").toDataURL();
+  });
+  await act();
+  return { before, after: () => page.evaluate(() => document.getElementById("touch").toDataURL()) };
+}
+
+const struck = (page) =>
+  page.waitForFunction(() => window.objectfolder.lastSound !== window.seen.sound, null, WAIT);
+const felt = (page) =>
+  page.waitForFunction(() => window.objectfolder.lastTouch !== window.seen.touch, null, WAIT);
+
+async function middle(page) {
+  const box = await page.locator("#view").boundingBox();
+  return [box.x + box.width / 2, box.y + box.height / 2];
+}
+
+async function strike(page) {
+  const [x, y] = await middle(page);
+  const { before, after } = await answered(page, () => page.mouse.click(x, y));
+  await struck(page);
+  await felt(page);
+  assert.notEqual(await after(), before, "the tactile image changes");
+}
+
+async function use(page) {
+  await strike(page);
+  const sound = await page.evaluate(() => {
+    const { samples, rate, tones } = window.objectfolder.lastSound;
+    // Power of the sound at a frequency, by Goertzel's algorithm.
+    const power = (hertz) => {
+      const factor = 2 * Math.cos((2 * Math.PI * hertz) / rate);
+      let [a, b] = [0, 0];
+      for (const value of samples) [a, b] = [value + factor * a - b, a];
+      return a * a + b * b - factor * a * b;
+    };
+    const everywhere = Array.from({ length: 200 }, (_, n) => power(50 * 300 ** (n / 199))).sort(
+      (a, b) => a - b,
+    );
+    return {
+      peak: samples.reduce((most, value) => Math.max(most, Math.abs(value)), 0),
+      own: power(tones[0].frequency),
+      usual: everywhere[100],
+      state: window.objectfolder.player.state,
+    };
+  });
+  assert.ok(sound.peak > 0, "the sound is not silent");
+  assert.ok(sound.own > 10 * sound.usual, "its loudest tone is at the frequency that is shown");
+  assert.equal(sound.state, "running");
+
+  const [x, y] = await middle(page);
+  let step = await answered(page, async () => {
+    await page.mouse.move(x, y);
+    await page.mouse.down();
+    await page.mouse.move(x + 30, y + 10, { steps: 4 });
+    await page.mouse.up();
+  });
+  await felt(page);
+  assert.notEqual(await step.after(), step.before, "a drag across the object touches on");
+
+  for (const [id, key] of [
+    ["depth", "End"],
+    ["angle", "End"],
+  ]) {
+    step = await answered(page, () => page.locator(`#${id}`).press(key));
+    await felt(page);
+    assert.notEqual(await step.after(), step.before, `${id} changes the tactile image`);
+  }
+  for (const id of ["impulse", "contact", "size"]) {
+    await answered(page, () => page.locator(`#${id}`).press("End"));
+    await struck(page);
+  }
+  assert.match(await page.locator("#notes").textContent(), /Incomplete/, "notes of the tuning are shown");
+  await answered(page, () => page.locator("#material").selectOption({ index: 1 }));
+  await struck(page);
+  assert.match(await page.locator("#notes").textContent(), /Poisson/);
+  await page.locator("#sensor").selectOption("rigid");
+  // A rigid gel has no force.
+  await page.waitForFunction(
+    () => !/ N on/.test(document.getElementById("touch-readout").textContent),
+    null,
+    WAIT,
+  );
+
+  const eye = () => page.evaluate(() => window.objectfolder.orbit.eye);
+  const start = await eye();
+  const corner = await page.locator("#view").boundingBox();
+  await page.mouse.move(corner.x + 15, corner.y + corner.height - 15);
+  await page.mouse.down();
+  await page.mouse.move(corner.x + 115, corner.y + corner.height - 60, { steps: 4 });
+  await page.mouse.up();
+  const dragged = await eye();
+  assert.notDeepEqual(dragged, start, "a drag beside the object turns it");
+  await page.locator("#view").focus();
+  for (const key of ["ArrowLeft", "ArrowUp", "+", "-"]) await page.keyboard.press(key);
+  assert.notDeepEqual(await eye(), dragged, "arrow keys turn it");
+  await page.locator("#reset").click();
+  assert.deepEqual(await eye(), start);
+  await page.locator("#view").focus();
+  await answered(page, () => page.keyboard.press("Enter"));
+  await struck(page);
+
+  const picture = () => page.evaluate(() => document.getElementById("view").toDataURL());
+  const drawn = () =>
+    page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))));
+  for (const act of [
+    () => page.locator("#azimuth").press("Home"),
+    () => page.locator("#elevation").press("Home"),
+    () => page.locator("#setup").selectOption("point"),
+    () => page.locator("#distance").press("End"),
+  ]) {
+    const before = await picture();
+    await act();
+    await drawn();
+    assert.notEqual(await picture(), before, "the light moves");
+  }
+  await page.locator("#file").setInputFiles({
+    name: "cube.stl",
+    mimeType: "model/stl",
+    buffer: Buffer.from("solid cube of a foreign format"),
+  });
+  await page.locator("#message").waitFor();
+  assert.match(await page.locator("#message").textContent(), /no safetensors file/);
+}
+
+for (const [name, size] of Object.entries(SIZES))
+  for (const colorScheme of ["light", "dark"]) {
+    const { browser, page, complaints } = await open(file, { ...size, colorScheme });
+    await page.waitForFunction(() => window.objectfolder?.times.bounced, null, WAIT);
+    if (name === "desktop" && colorScheme === "light") await use(page);
+    else await strike(page);
+    await page.addScriptTag({ path: axe });
+    const { violations } = await page.evaluate(() => window.axe.run());
+    const serious = violations.filter(({ impact }) => ["serious", "critical"].includes(impact));
+    assert.deepEqual(
+      serious.map(({ id, nodes }) => `${id}: ${nodes.map(({ target }) => target).join(", ")}`),
+      [],
+      `${name}, ${colorScheme}`,
+    );
+    const wide = await page.evaluate(() => document.documentElement.scrollWidth - window.innerWidth);
+    assert.ok(wide <= 0, `${name}: ${wide} pixels too wide`);
+    if (pictures) await page.screenshot({ path: `${pictures}/${name}-${colorScheme}.png` });
+    assert.deepEqual(complaints, []);
+    await browser.close();
+  }

@@ -1,0 +1,180 @@
+/** An open Object File and its answers; everything that takes longer than a frame is sliced. */
+
+import { readFeatures } from "../core/features.ts";
+import { Gains } from "../core/gains.ts";
+import { Grid } from "../core/grid.ts";
+import { Indirect, type PointLight, type Slice } from "../core/indirect.ts";
+import { Look } from "../core/look.ts";
+import { type Gaps, gaps, ObjectFile } from "../core/objectfile.ts";
+import type { Profile } from "../core/sensor.ts";
+import { type Mesh, surface } from "../core/surface.ts";
+import { amplitudes, modalGains, synthesise } from "../core/synthesis.ts";
+import { Touch } from "../core/touch.ts";
+import { type Modes, tuned } from "../core/tuning.ts";
+import { along, scaled, type Vector } from "../core/vector.ts";
+import type { Place, Reply, StrikeSettings, Tone, TouchSettings } from "./protocol.ts";
+
+const SPOTS = 48; // vertices among which the loudest is sought
+const PEAK = 0.1; // seconds within which a sound has its peak
+const QUIETEST = -60; // dB of tones that are shown
+const SHOWN = 120; // tones
+
+export class Answers {
+  readonly file: ObjectFile;
+  readonly gaps: Gaps;
+  readonly grid: Grid;
+  readonly mesh: Mesh;
+  private readonly gains: Gains | null;
+  private look: Look | null = null;
+  private color: Float32Array | null = null;
+  private indirect: Indirect | null = null;
+  private touch: { key: string; press: Touch } | null = null;
+  private reference: { key: string; peak: number } | null = null;
+
+  constructor(buffer: ArrayBuffer) {
+    this.file = new ObjectFile(buffer);
+    const found = gaps(this.file.header);
+    if (found.shape) throw new Error(found.shape);
+    this.grid = Grid.read(this.file);
+    this.mesh = surface(this.grid, readFeatures(this.file));
+    if (!this.mesh.index.length) throw new Error("The geometry of this file holds no surface.");
+    this.gains = found.sound === null ? new Gains(this.file) : null;
+    if (this.gains?.count === 0)
+      found.sound = "The object has no modes between 20 Hz and 20 kHz: it is silent.";
+    this.gaps = found;
+  }
+
+  /** Return the point that is meant, on the surface. */
+  at(place: Place): Vector | null {
+    if ("point" in place) return this.grid.nearest(place.point);
+    const far = this.grid.cast(place.origin, place.direction);
+    return Number.isFinite(far) ? this.grid.nearest(along(place.origin, far, place.direction)) : null;
+  }
+
+  normalAt(point: Vector): Vector {
+    const normal: Vector = [0, 0, 0];
+    this.grid.normal(point[0], point[1], point[2], normal);
+    return normal;
+  }
+
+  /** Evaluate the base colours and shading normals of the vertices. */
+  async appearance(slice: Slice): Promise<Reply | null> {
+    if (this.gaps.look) return null;
+    const look = new Look(this.file);
+    const size = this.mesh.position.length;
+    const found = { color: new Float32Array(size), normal: new Float32Array(size) };
+    await slice(size / 3, (from, to) => look.bake(this.mesh, from, to, found));
+    this.look = look;
+    this.color = found.color.slice();
+    return { kind: "look", ...found, roughness: look.config.roughness, metallic: look.config.metallic };
+  }
+
+  /** Prepare indirect light. */
+  async prepareBounces(slice: Slice): Promise<boolean> {
+    if (!this.look) return false;
+    this.indirect = await Indirect.make(this.file, this.look, this.grid, this.mesh, slice);
+    return true;
+  }
+
+  async bounces(camera: Vector, lights: PointLight[], slice: Slice): Promise<Float32Array | null> {
+    if (!this.indirect || !this.color) return null;
+    return this.indirect.at(this.color, camera, lights, slice);
+  }
+
+  strike(point: Vector, settings: StrikeSettings): Extract<Reply, { kind: "sound" }> | null {
+    const { gains } = this;
+    if (!gains || this.gaps.sound) return null;
+    const start = performance.now();
+    const modes = tuned(gains, this.file.header, settings.material, settings.size);
+    const impulse =
+      typeof settings.impulse === "number"
+        ? scaled(-settings.impulse, this.normalAt(point))
+        : settings.impulse;
+    const mixed = modalGains(modes, gains.shapes(point), impulse);
+    const samples = synthesise(modes, mixed, settings);
+    const milliseconds = performance.now() - start;
+    return {
+      kind: "sound",
+      samples,
+      rate: settings.rate,
+      reference: this.loudest(modes, settings),
+      tones: tones(modes, amplitudes(modes, mixed, settings)),
+      modes: modes.which.length,
+      notes: modes.notes,
+      milliseconds,
+    };
+  }
+
+  /** Peak of the loudest of some spots, for an impulse of 1 N s along the normal. */
+  private loudest(modes: Modes, settings: StrikeSettings): number {
+    const { material, size, contact, rate, response } = settings;
+    const key = JSON.stringify([material, size, contact, rate, response]);
+    if (this.reference?.key === key) return this.reference.peak;
+    const { position } = this.mesh;
+    let best: Float64Array | null = null;
+    let most = 0;
+    for (let n = 0; n < SPOTS; n++) {
+      const vertex = Math.floor(((n + 0.5) / SPOTS) * (position.length / 3));
+      const point = [...position.subarray(3 * vertex, 3 * vertex + 3)] as Vector;
+      const mixed = modalGains(modes, this.gains!.shapes(point), this.normalAt(point));
+      const energy = mixed.reduce((sum, gain) => sum + gain * gain, 0);
+      if (energy > most) [best, most] = [mixed, energy];
+    }
+    let peak = 0;
+    if (best)
+      for (const value of synthesise(modes, best, { rate, duration: PEAK, response, contact, silence: 1e-3 }))
+        peak = Math.max(peak, Math.abs(value));
+    this.reference = { key, peak };
+    return peak;
+  }
+
+  press(point: Vector, settings: TouchSettings): Extract<Reply, { kind: "touch" }> | null {
+    if (this.gaps.touch) return null;
+    const { net } = this.file.header.touch!;
+    const own = settings.profile === null;
+    const profile: Profile = { ...(settings.profile ?? net.sensor) };
+    if (settings.gel === "rigid") profile.gel = "rigid";
+    const key = JSON.stringify(profile);
+    if (this.touch?.key !== key) {
+      const stored = own && this.file.has("touch.background");
+      const background = stored ? this.file.tensor("touch.background").bytes : undefined;
+      const { scale } = this.file.header;
+      this.touch = {
+        key,
+        press: new Touch(this.grid, this.mesh, scale, profile, net.depth_offset, background),
+      };
+    }
+    const start = performance.now();
+    const { image, height, force, area, obstructed } = this.touch.press.press(
+      point,
+      settings.depth,
+      settings.angle,
+    );
+    return {
+      kind: "touch",
+      image,
+      height,
+      width: profile.width,
+      rows: profile.height,
+      deepest: profile.max_indentation,
+      force,
+      area,
+      obstructed,
+      milliseconds: performance.now() - start,
+    };
+  }
+}
+
+/** The loudest modes of a sound, by their energy in it. */
+function tones(modes: Modes, amplitude: Float64Array): Tone[] {
+  const loudness = amplitude.map((value, n) => value / Math.sqrt(modes.damping[n]));
+  const most = loudness.reduce((a, b) => Math.max(a, b), 1e-300);
+  const found: Tone[] = [];
+  loudness.forEach((value, n) => {
+    const level = 20 * Math.log10(value / most);
+    if (level < QUIETEST) return;
+    const frequency = modes.frequency[n] / (2 * Math.PI);
+    found.push({ frequency, level, decay: Math.log(1000) / modes.damping[n] });
+  });
+  return found.sort((a, b) => b.level - a.level).slice(0, SHOWN);
+}
