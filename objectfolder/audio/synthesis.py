@@ -159,6 +159,30 @@ def half_sine_response(
     return moved
 
 
+def response_at(s: torch.Tensor, time: torch.Tensor, contact_time: float, order: int = 0) -> torch.Tensor:
+    """Compute the response of modes at any times, as `responses` does at samples; 0 before the strike.
+
+    Parameters
+    ----------
+    s : (M, 1) complex tensor
+        -c + i w, 1/s.
+    time : (M, T) or (T,) tensor
+        Since the start of contact, seconds.
+    contact_time : float
+        Seconds; 0 is an ideal impulse.
+    order : int
+        0 for the displacement, 1 for its velocity.
+
+    Returns
+    -------
+    (M, T) float64
+    """
+    free = (time - contact_time).clip(min=0)
+    share = (time / contact_time).clip(0, 1) if contact_time else torch.ones_like(time)
+    state = _state(s, share, contact_time) if contact_time else torch.ones_like(s * share)
+    return (state * torch.exp(s * free) * s**order).imag / s.imag * (time >= 0)
+
+
 def _state(s: torch.Tensor, share: torch.Tensor, contact_time: float) -> torch.Tensor:
     """Convolve exp(s t) with the half sine of unit impulse, at fractions of the contact; (M, samples)."""
     motion = s * (share * contact_time)

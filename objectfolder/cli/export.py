@@ -19,7 +19,7 @@ export_app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="markdown",
     help="Write observations as a `webdataset` or for Hugging Face `datasets`, and objects for physics "
-    "engines: MuJoCo (`mjcf`), PyBullet and others (`urdf`).",
+    "engines: MuJoCo (`mjcf`), PyBullet and others (`urdf`), and for game engines and browsers (`glb`).",
 )
 
 OutArgument = Annotated[Path, typer.Argument(metavar="OUT", help="Folder to create.")]
@@ -96,6 +96,19 @@ def urdf(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> Non
     from objectfolder.envs.export import write_urdf
 
     _export_objects(out, files, hulls, write_urdf)
+
+
+@export_app.command()
+def glb(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None:
+    """Write OUT/KEY/KEY.glb per object: glTF with its look, mass, hulls and vibration modes.
+
+    Any glTF reader draws it. Rigid body and sound are the draft extensions KHR_physics_rigid_bodies and
+    KHR_audio_rigid_bodies (docs/robots.md). Half a minute per object.
+    """
+    _require("rl", "mujoco", "coacd", "manifold3d")
+    from objectfolder.envs.gltf import write_glb
+
+    _export_objects(out, files, hulls, write_glb)
 
 
 def _export_objects(

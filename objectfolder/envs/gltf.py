@@ -1,0 +1,199 @@
+"""Export to glTF: look, rigid body and sound of an object in one file.
+
+Rigid bodies follow KHR_physics_rigid_bodies, draft of 29 October 2025 (eoineoineoin/glTF_Physics ac5c413),
+and sounds KHR_audio_rigid_bodies, draft of 16 August 2026 (khiner/MeshEditor 806d6e3). Neither is ratified.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from objectfolder.disk import new_folder
+from objectfolder.envs.body import RigidBody, rigid_body
+from objectfolder.envs.glb import append, packed, unpacked
+from objectfolder.envs.hulls import MAX_HULLS, convex_hulls
+from objectfolder.envs.visual import visual_mesh
+from objectfolder.mesh.textured import complete_document, y_up
+from objectfolder.nets.audio_gains import energy_weights
+from objectfolder.objectfile.file import ObjectFile
+
+PHYSICS, AUDIO = "KHR_physics_rigid_bodies", "KHR_audio_rigid_bodies"
+SAMPLES = 1000  #: most points at which mode shapes are stored
+_NEEDED = 16 * 2**20  # approximate size of a file, bytes
+_ROUGHNESS = 0.5
+_GROWTH = 1.15  # of the cells of the sample surface, until it has few enough points
+
+
+def write_glb(
+    file: ObjectFile,
+    out: str | Path,
+    max_hulls: int = MAX_HULLS,
+    hulls: Sequence[trimesh.Trimesh] | None = None,
+) -> Path:
+    """Write ``OUT/<key>/<key>.glb``, y up: textured surface, mass, convex hulls and vibration modes.
+
+    A file without modes gets no sound. Modes are in descending order of their mean energy, so that the first
+    ones matter most; their shapes are stored at up to `SAMPLES` points of a triangulated surface.
+
+    Parameters
+    ----------
+    file : ObjectFile
+    out : path
+        Parent of the new folder, which is named after the object.
+    max_hulls : int
+    hulls : sequence of trimesh.Trimesh, optional
+        Default: computed, which takes up to half a minute.
+
+    Returns
+    -------
+    Path
+        Of the file.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the folder exists already, the file holds no geometry, or an extra is not installed.
+    """
+    folder = Path(out) / file.key
+    with new_folder(f"{file.key}: export", folder, _NEEDED, "") as new:
+        body = rigid_body(file, convex_hulls(file.to_mesh(), max_hulls) if hulls is None else hulls)
+        document, buffer = unpacked(_meshes(file, body))
+        node = _add_body(document, body)
+        if "audio" in file.header and file.has_modes and len(file.frequencies):
+            node["extensions"][AUDIO] = {"modalModel": 0}
+            document["extensionsUsed"].append(AUDIO)
+            document["extensions"][AUDIO] = _modal_model(document, buffer, file, body)
+        (new / f"{file.key}.glb").write_bytes(packed(document, buffer))
+    return folder / f"{file.key}.glb"
+
+
+def _meshes(file: ObjectFile, body: RigidBody) -> bytes:
+    """Return a binary glTF with the visual mesh and the hulls."""
+    look = visual_mesh(file)
+    image = getattr(getattr(look.visual, "material", None), "image", None)
+    surface = trimesh.visual.material.PBRMaterial(
+        baseColorTexture=image, roughnessFactor=_ROUGHNESS, metallicFactor=0.0
+    )
+    drawn = trimesh.Trimesh(
+        y_up(look.vertices),
+        look.faces,
+        vertex_normals=y_up(np.asarray(look.vertex_normals)),
+        visual=trimesh.visual.TextureVisuals(uv=getattr(look.visual, "uv", None), material=surface),
+        process=False,
+    )
+    scene = trimesh.Scene()
+    scene.add_geometry(drawn, geom_name="visual")
+    for k, hull in enumerate(body.hulls):
+        shape = trimesh.Trimesh(y_up(hull.vertices), hull.faces, process=False)
+        scene.add_geometry(shape, geom_name=f"hull{k:02d}")
+    return bytes(scene.export(file_type="glb", tree_postprocessor=complete_document))
+
+
+def _add_body(document: dict[str, Any], body: RigidBody) -> dict[str, Any]:
+    """Replace the nodes by a body with its colliders; return its node."""
+    numbers = {mesh["name"]: i for i, mesh in enumerate(document["meshes"])}
+    count = len(body.hulls)
+    names = [f"hull{k:02d}" for k in range(count)]
+    node: dict[str, Any] = {
+        "name": body.key,
+        "mesh": numbers["visual"],
+        "children": list(range(1, count + 1)),
+        "extensions": {PHYSICS: {"motion": motion_of(body)}},
+    }
+    # Shapes are nodes of no scene, so that nobody draws them.
+    colliders = [
+        {"geometry": {"node": count + 1 + k, "convexHull": True}, "physicsMaterial": 0} for k in range(count)
+    ]
+    document["nodes"] = [
+        node,
+        *(
+            {"name": f"{n}_collider", "extensions": {PHYSICS: {"collider": c}}}
+            for n, c in zip(names, colliders)
+        ),
+        *({"name": name, "mesh": numbers[name]} for name in names),
+    ]
+    document["scenes"], document["scene"] = [{"nodes": [0]}], 0
+    document["extensionsUsed"] = [PHYSICS]
+    friction = {"staticFriction": body.friction, "dynamicFriction": body.friction}
+    document["extensions"] = {PHYSICS: {"physicsMaterials": [friction]}}
+    return node
+
+
+def motion_of(body: RigidBody) -> dict[str, Any]:
+    """Return mass, centre of mass and inertia as both extensions describe them, y up."""
+    turn = y_up(np.eye(3)).T  # from z up to y up
+    moments, axes = np.linalg.eigh(turn @ body.inertia @ turn.T)
+    axes[:, 0] *= np.sign(np.linalg.det(axes))
+    return {
+        "mass": body.mass,
+        "centerOfMass": y_up(body.centre[None])[0].tolist(),
+        "inertiaDiagonal": moments.tolist(),
+        "inertiaOrientation": Rotation.from_matrix(axes).as_quat().tolist(),
+    }
+
+
+def _modal_model(
+    document: dict[str, Any], buffer: bytearray, file: ObjectFile, body: RigidBody
+) -> dict[str, Any]:
+    """Store modes and their shapes, and return the document's extension."""
+    tuning, (points, faces) = file.tuning(), sampled_surface(file)
+    damped, damping = tuning.damped_frequency.numpy(), tuning.damping.numpy()
+    shapes = file.mode_shapes(points)
+    energy = np.square(shapes).mean((0, 1)) * energy_weights(damped, damping)
+    order = np.argsort(-energy, kind="stable")
+    displaced = shapes[..., order].transpose(2, 0, 1).reshape(-1, 3)  # mode by mode
+    arrays = {
+        "frequencies": damped[order] / (2 * np.pi),
+        "decayRates": damping[order],
+        "positions": y_up(points),
+        "shapes": y_up(displaced),
+    }
+    model: dict[str, Any] = {
+        name: append(document, buffer, values.astype(np.float32)) for name, values in arrays.items()
+    }
+    model["indices"] = append(document, buffer, faces.reshape(-1).astype(np.uint32))
+    found: dict[str, Any] = {"modalModels": [{"name": file.key, **model, "massProperties": motion_of(body)}]}
+    stored = file.header.get("material_properties")
+    if stored:
+        material = {"name": file.material, "density": stored["density"]}
+        material |= {"youngsModulus": stored["youngs_modulus"], "poissonRatio": stored["poisson_ratio"]}
+        if not stored.get("loss_factor"):  # the draft knows no other law
+            material |= {"alpha": stored["alpha"], "beta": stored["beta"]}
+        found["acousticMaterials"] = [material]
+        found["modalModels"][0]["material"] = 0
+    return found
+
+
+def sampled_surface(file: ObjectFile) -> tuple[np.ndarray, np.ndarray]:
+    """Return points of the stored surface about evenly apart, metres, and triangles between them.
+
+    Vertices in one cell of a grid that face the same octant become one of them, so that the two sides of a
+    thin wall stay apart.
+
+    Returns
+    -------
+    (P, 3) float64
+    (F, 3) int64
+    """
+    surface = file.surface
+    octant = ((surface.normals > 0) @ [1, 2, 4])[:, None]
+    cell = 1 / 64
+    while True:
+        key = np.hstack([np.floor(surface.vertices / cell).astype(np.int64), octant])
+        _, first, group = np.unique(key, axis=0, return_index=True, return_inverse=True)
+        if len(first) <= SAMPLES:
+            break
+        cell *= _GROWTH
+    group = group.reshape(-1)
+    count = np.bincount(group)[:, None]
+    centre = np.stack([np.bincount(group, axis) for axis in surface.vertices.T], 1) / count
+    away = np.linalg.norm(surface.vertices - centre[group], axis=1)
+    chosen = np.lexsort((away, group))[np.cumsum(count[:, 0]) - count[:, 0]]  # the nearest to the centre
+    faces = group[surface.faces]
+    faces = faces[(faces != np.roll(faces, 1, 1)).all(1)]
+    _, first = np.unique(np.sort(faces, 1), axis=0, return_index=True)
+    return surface.vertices[chosen] * file.scale, faces[first]

@@ -1,0 +1,89 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from objectfolder.audio.contact import (
+    STRIKERS,
+    Striker,
+    as_striker,
+    contact_time,
+    effective_modulus,
+    hertz_time,
+)
+from objectfolder.errors import ObjectFolderError
+from objectfolder.materials import material
+
+STEEL = 2.0e11, 0.29
+
+
+@pytest.mark.parametrize(
+    ("modulus", "radius", "mass", "speed"),
+    [
+        (effective_modulus(STEEL, STEEL), 0.0125 / 2, 0.032, 0.5),
+        (2e6, 0.01, 0.02, 1.0),
+        (6e10, 1e-3, 1e-4, 4.0),
+    ],
+)
+def test_the_contact_lasts_as_long_as_two_spheres_collide(modulus, radius, mass, speed):
+    """Newton's law with Hertz's force, integrated until the spheres part."""
+    time = hertz_time(modulus, radius, mass, speed)
+    depth = speed * time  # scales that make both unknowns of order 1
+    stiffness = 4 / 3 * modulus * np.sqrt(radius * depth) * time**2 / mass
+
+    def motion(_, state):
+        return state[1], -stiffness * max(state[0], 0) ** 1.5
+
+    def parted(_, state):
+        return state[0]
+
+    parted.terminal, parted.direction = True, -1
+    collision = solve_ivp(motion, (0, 2), (0, 1), events=parted, rtol=1e-9, atol=1e-12)
+    assert collision.t_events[0][0] == pytest.approx(1, rel=1e-5)
+    assert collision.y_events[0][0][1] == pytest.approx(-1, rel=1e-5)  # elastic
+
+
+def test_steel_balls_touch_for_the_time_of_the_textbook():
+    """T = 2.94 (15/16 m / (R^1/2 E*))^(2/5) v^(-1/5) of equal balls, with m and R half of one's."""
+    radius, density = 0.02, 7850
+    mass = 4 / 3 * np.pi * radius**3 * density
+    expected = 2.9432 * (15 / 16 * mass / 2 / (np.sqrt(radius / 2) * 2.0e11 / (1 - 0.29**2) / 2)) ** 0.4
+    found = hertz_time(effective_modulus(STEEL, STEEL), radius / 2, mass / 2, 1.0)
+    assert found == pytest.approx(expected, rel=1e-4)
+    assert 5e-5 < found < 2e-4
+
+
+def test_soft_light_and_slow_strikes_last_longer():
+    times = [contact_time(STRIKERS[name], material("ceramic"), 0.3) for name in STRIKERS]
+    assert times == sorted(times)
+    assert 2e-5 < times[0] < 1e-4 < 1e-3 < times[-1] < 1e-2
+    steel, soft = STRIKERS["steel"], material("plastic")
+    assert contact_time(steel, soft, 0.3) > contact_time(steel, material("steel"), 0.3)
+    slow = dataclasses.replace(steel, speed=1 / 32)
+    assert contact_time(slow, soft, 0.3) == pytest.approx(2 * contact_time(steel, soft, 0.3))
+
+
+def test_the_lighter_body_decides():
+    striker, stuff = STRIKERS["wood"], material("glass")
+    heavy = contact_time(striker, stuff, np.inf)
+    assert contact_time(striker, stuff, 1e6) == pytest.approx(heavy)
+    assert contact_time(striker, stuff, striker.mass) == pytest.approx(heavy / 2**0.4)
+    assert contact_time(striker, stuff, 0.0) == 0
+
+
+def test_a_striker_is_a_name_or_one_of_your_own():
+    own = Striker(7e10, 0.33, radius=0.002, mass=0.05)
+    assert as_striker(own) is own
+    assert as_striker("finger") is STRIKERS["finger"]
+    with pytest.raises(ObjectFolderError, match="striker 'sword' is not one of steel, wood, rubber, finger"):
+        as_striker("sword")
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"mass": 0.0}, {"radius": -1.0}, {"poisson_ratio": 0.5}, {"speed": np.nan}, {"youngs_modulus": 0}],
+)
+def test_an_unphysical_striker_is_refused(wrong):
+    with pytest.raises(ObjectFolderError, match=f"striker: {next(iter(wrong))} is .*, expected"):
+        dataclasses.replace(STRIKERS["steel"], **wrong)
