@@ -116,6 +116,14 @@ def write_safetensors(path: str | Path, tensors: dict[str, Any], header: dict[st
         temporary.chmod(mode)
 
 
+def safetensors_bytes(tensors: Mapping[str, Any], header: dict[str, Any]) -> bytes:
+    """Return the content of the file that `write_safetensors` writes."""
+    from safetensors.numpy import save
+
+    contiguous = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
+    return save(contiguous, metadata={"objectfolder": json.dumps(header, sort_keys=True)})
+
+
 def write_png(path: str | Path, image: np.ndarray) -> None:
     """Write an (H, W, 3) or (H, W) uint8 image."""
     from PIL import Image

@@ -10,14 +10,6 @@ def psnr(error: float | np.ndarray, peak: float = 1.0) -> float | np.ndarray:
     return 10 * np.log10(peak**2 / np.maximum(error, 1e-20 * peak**2))
 
 
-def awgn_psnr(shape: tuple[int, ...], sigma: float, rng: np.random.Generator) -> float:
-    """Compute the PSNR of data in [0, 1] with additive white Gaussian noise: the paper's reference row.
-
-    The noise is not clipped, so the PSNR does not depend on the data.
-    """
-    return float(psnr(float(np.mean(rng.normal(0, sigma, shape) ** 2))))
-
-
 def ssim(image: np.ndarray, reference: np.ndarray) -> float:
     """Compute the SSIM of two (H, W, 3) images in [0, 1] (Wang et al. 2004; 11x11 Gaussian)."""
     return float(

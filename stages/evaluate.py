@@ -3,16 +3,15 @@
 import numpy as np
 
 from objectfolder.audio.figures import show_sounds
-from objectfolder.audio.spectrogram import SHAPE
 from objectfolder.figures import page, save_page, show_views
-from objectfolder.io import read_npz, write_json
+from objectfolder.io import read_json, read_npz, write_json
 from objectfolder.objectfile.evaluation import (
     EvaluateConfig,
     Strikes,
-    evaluate_awgn,
     evaluate_gains,
     evaluate_sounds,
     evaluate_touch,
+    evaluate_truncation,
     evaluate_vision,
     shown_views,
     strike_sounds,
@@ -40,20 +39,15 @@ def main(key: str) -> None:
     )
     # The baseline of touch: what knows the training images but not the contact.
     mean_image = read_npz(build.touch("train"), "images")["images"].mean(0, dtype=np.float64).round()
-    shapes = {
-        "vision": (*views["rgba"].shape[1:3], 3),
-        "audio": (*SHAPE, 2),
-        "touch": contacts["images"].shape[1:],
-    }
     rows = np.flatnonzero(modes["split"] == 2)
     strikes = Strikes.random(rows, params.settings.impacts, rng)
     vision = evaluate_vision(file.view, views)
     metrics = {
         "vision": vision,
         "audio": (evaluate_gains(file, modes, rows) if file.has_modes else {})
-        | evaluate_sounds(file, modes, strikes, rng),
+        | evaluate_sounds(file, modes, strikes, rng)
+        | evaluate_truncation(modes, read_json(build.modal)),
         "touch": evaluate_touch(file, contacts, mean_image),
-        "awgn": evaluate_awgn(shapes, rng),
         "file_bytes": build.object_file.stat().st_size,
     }
     write_json(build.metrics, metrics)

@@ -3,8 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from objectfolder.metrics import awgn_psnr, gain_errors, psnr, ssim
-from objectfolder.objectfile.evaluation import evaluate_awgn
+from objectfolder.metrics import gain_errors, psnr, ssim
 
 
 def test_psnr_of_known_errors():
@@ -13,14 +12,6 @@ def test_psnr_of_known_errors():
     assert psnr(4.0, peak=20.0) == pytest.approx(20)
     assert psnr(0.0) == pytest.approx(200)
     np.testing.assert_allclose(psnr(np.array([0.1, 0.001])), [10, 30])
-
-
-def test_awgn_reference_row(rng):
-    assert awgn_psnr((300, 1000), 0.05, rng) == pytest.approx(26.02, abs=0.03)
-    assert awgn_psnr((300, 1000), 0.05**0.5, rng) == pytest.approx(13.01, abs=0.03)
-    rows = evaluate_awgn({"vision": (200, 500)}, rng)
-    assert rows["sigma_0_05"]["vision"] == pytest.approx(26.02, abs=0.05)
-    assert rows["variance_0_05"]["vision"] == pytest.approx(13.01, abs=0.05)
 
 
 def test_ssim(rng):

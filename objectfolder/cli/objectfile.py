@@ -91,9 +91,9 @@ def audio(
     duration: Annotated[float, typer.Option(help="Seconds.")] = 2.0,
     response: Annotated[str, typer.Option(help="displacement, velocity or acceleration.")] = "displacement",
     contact_time: Annotated[
-        float,
-        typer.Option(help="Duration of the strike, seconds; 0: an impulse; wood on metal: about 0.0003."),
-    ] = 0.0,
+        float | None,
+        typer.Option(help="Duration of the strike, seconds; 0: an impulse; default: the striker's."),
+    ] = None,
     material: Annotated[
         str | None, typer.Option(help="Material of the struck object; default: the object's own.")
     ] = None,
@@ -103,6 +103,10 @@ def audio(
             help="Longest side of the struck object in metres, to which VERTICES refer; default: its own."
         ),
     ] = None,
+    striker: Annotated[
+        str,
+        typer.Option(help="What strikes, by which the contact time follows: steel, wood, rubber, finger."),
+    ] = "steel",
     normalize: Annotated[bool, typer.Option(help="Scale all sounds by their common peak.")] = False,
 ) -> None:
     """Synthesize impact sounds as float WAV files.
@@ -134,6 +138,7 @@ def audio(
         contact_time=contact_time,
         material=material,
         scale=scale,
+        striker=striker,
     )
     own = material is None and scale is None
     frequencies = obj.frequencies if own else obj.tuning(material, scale).frequencies.numpy()

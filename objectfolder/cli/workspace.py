@@ -137,7 +137,8 @@ def inspect(
 
 
 def _print_metrics(keys: list[str]) -> None:
-    """Print the metrics of objects, and the paths of their Object Files and pictures."""
+    """Print the metrics of objects, what is uncertain, and the paths of Object Files and pictures."""
+    from objectfolder.fem.modal import uncertainty_warning
     from objectfolder.io import read_json
     from objectfolder.objectfile.evaluation import summary_row
     from objectfolder.workspace.layout import Build
@@ -151,5 +152,7 @@ def _print_metrics(keys: list[str]) -> None:
     console.print(table)
     for key in keys:
         b = Build(key)
+        if warning := uncertainty_warning(read_json(b.modal), allow=True, name=key):
+            console.print(f"warning: {warning}", style="yellow", soft_wrap=True)
         sheets = (b.views_sheet, b.touch_sheet, b.vision_sheet, b.sound_sheet)
         console.print(f"{b.object_file}  pictures: {' '.join(map(str, sheets))}", soft_wrap=True)

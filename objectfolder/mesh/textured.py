@@ -99,7 +99,7 @@ class TexturedMesh:
     def write_glb(self, path: str | Path) -> None:
         """Write a binary glTF, rotated y up as the format requires."""
         scene = trimesh.Scene(self.turned(y_up).to_trimesh())
-        Path(path).write_bytes(scene.export(file_type="glb", tree_postprocessor=_complete))
+        Path(path).write_bytes(scene.export(file_type="glb", tree_postprocessor=complete_document))
 
 
 def y_up(vectors: np.ndarray) -> np.ndarray:
@@ -141,7 +141,7 @@ def appearance_report(mesh: TexturedMesh) -> dict[str, Any]:
     }
 
 
-def _complete(document: dict[str, Any]) -> None:
+def complete_document(document: dict[str, Any]) -> None:
     """Complete the glTF document that trimesh exports.
 
     Renames the vertex colours to their standard name: trimesh's own export has 8 bits, too few for linear

@@ -1,6 +1,7 @@
 """Hearing of an Object File: strikes in, sounds out."""
 
 import logging
+import math
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from typing import Protocol
@@ -10,6 +11,7 @@ import torch
 
 from objectfolder import materials
 from objectfolder.audio.bank import Bank
+from objectfolder.audio.contact import STRIKERS, Striker, as_striker, contact_time
 from objectfolder.audio.synthesis import RESPONSES, count_samples, gains
 from objectfolder.audio.tuning import Tuning, retune, stored_modes
 from objectfolder.checks import finite_number, one_of, require_memory
@@ -30,9 +32,10 @@ class SoundSettings:
     sample_rate: float  #: Hz
     duration: float  #: seconds
     response: str  #: displacement, velocity or acceleration
-    contact_time: float  #: seconds; 0 is an ideal impulse
+    contact_time: float | None  #: seconds; 0 is an ideal impulse, None the striker's
     material: str | Material | None  #: None for the object's own
     scale: float | None  #: longest side, metres; None for the object's own
+    striker: Striker = STRIKERS["steel"]
 
     @classmethod
     def checked(
@@ -40,9 +43,10 @@ class SoundSettings:
         sample_rate: float,
         duration: float,
         response: str,
-        contact_time: float,
+        contact_time: float | None,
         material: str | Material | None,
         scale: float | None,
+        striker: str | Striker,
         strikes: int,
     ) -> "SoundSettings":
         """Check the arguments of a query for the sounds of so many strikes.
@@ -65,9 +69,10 @@ class SoundSettings:
             rate,
             seconds,
             one_of("response", response, RESPONSES),
-            finite_number("contact time", contact_time),
+            None if contact_time is None else finite_number("contact time", contact_time),
             material,
             None if scale is None else finite_number("scale", scale),
+            as_striker(striker),
         )
 
 
@@ -82,6 +87,11 @@ class AudioSense(Protocol):
 
     def tuning(self, material: str | Material | None, scale: float | None) -> Tuning:
         """Return the modes of this shape in another material or size."""
+
+    def contact_time(
+        self, striker: Striker, material: str | Material | None, scale: float | None
+    ) -> float | None:
+        """Return how long a striker touches an object of this shape, seconds; None if it is not known."""
 
     def mode_shapes(self, points: np.ndarray, tolerance: float) -> np.ndarray:
         """Return mass-normalised mode shapes, kg^-1/2; (N, 3, M) float32."""
@@ -148,15 +158,42 @@ class ModalSense:
         if material is None and scale is None:
             return stored_modes(*modes)
         own, band = self._solved()
+        return retune(*modes, band, (own, self._surface.scale), self._struck(own, material, scale))
+
+    def contact_time(
+        self, striker: Striker, material: str | Material | None, scale: float | None
+    ) -> float | None:
+        """Return how long a striker touches an object of this shape, seconds.
+
+        An object whose volume is not stored, as before format 1.1, counts as heavy. None for imported files,
+        which do not say what their modes are of.
+        """
+        header = self._stored.header
+        if not self._described and material is None and scale is None:
+            return None
+        self.tuning(material, scale)  # refuses impossible ones
+        stuff, size = self._struck(self._solved()[0], material, scale)
+        solid = header.get("solid")
+        return contact_time(striker, stuff, stuff.density * solid["volume"] * size**3 if solid else math.inf)
+
+    def _struck(
+        self, own: Material, material: str | Material | None, scale: float | None
+    ) -> tuple[Material, float]:
+        """Return material and longest side of the struck object."""
         if material is not None and not isinstance(material, Material):
             material = materials.material(material, own.law)
-        size = self._surface.scale
-        return retune(*modes, band, (own, size), (material or own, size if scale is None else scale))
+        return material or own, self._surface.scale if scale is None else scale
+
+    @property
+    def _described(self) -> bool:
+        """Whether the file says what its modes are of."""
+        header = self._stored.header
+        return "band_hz" in header["audio"] and "material_properties" in header
 
     def _solved(self) -> tuple[Material, tuple[float, float]]:
         """Material and band of natural frequencies (Hz) for which the stored modes were solved."""
         header, key = self._stored.header, self._stored.key
-        if "band_hz" not in header["audio"] or "material_properties" not in header:
+        if not self._described:
             raise ObjectFolderError(
                 f"{key}: the file does not say what its modes are of, as imported ones do not; it "
                 "answers in its own material and size only"
@@ -205,8 +242,10 @@ class ModalSense:
         return sounds
 
     def _new_bank(self, settings: SoundSettings) -> tuple[Tuning, Bank]:
-        tuning = self.tuning(settings.material, settings.scale)
-        played = settings.sample_rate, settings.duration, settings.response, settings.contact_time
+        tuning, contact = self.tuning(settings.material, settings.scale), settings.contact_time
+        if contact is None:
+            contact = self.contact_time(settings.striker, settings.material, settings.scale) or 0.0
+        played = settings.sample_rate, settings.duration, settings.response, contact
         return tuning, Bank(tuning, *played, self._stored.device)
 
 
@@ -227,6 +266,12 @@ class SpectrogramSense:
     def tuning(self, material: str | Material | None, scale: float | None) -> Tuning:
         """Refuse: the net knows no modes."""
         raise self._no_modes()
+
+    def contact_time(
+        self, striker: Striker, material: str | Material | None, scale: float | None
+    ) -> float | None:
+        """Return None: the spectrograms are those of ideal impulses."""
+        return None
 
     def mode_shapes(self, points: np.ndarray, tolerance: float) -> np.ndarray:
         """Refuse: the net knows no modes."""

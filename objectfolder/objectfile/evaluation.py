@@ -11,14 +11,15 @@ from scipy.spatial import cKDTree
 from objectfolder.audio.spectrogram import SAMPLE_RATE, spectrogram
 from objectfolder.audio.synthesis import audible, gains, sinusoid_bank
 from objectfolder.errors import ObjectFolderError
-from objectfolder.metrics import SpectrogramErrors, awgn_psnr, gain_errors, psnr, ssim
+from objectfolder.materials import Material
+from objectfolder.metrics import SpectrogramErrors, gain_errors, psnr, ssim
 from objectfolder.nets.audio_gains import energy_weights
 from objectfolder.objectfile.file import ObjectFile
+from objectfolder.objectfile.truncation import lost_energy
 from objectfolder.settings import Count
 from objectfolder.vision.cameras import image_intrinsics
 from objectfolder.vision.color import lit_foreground, on_white
 
-AWGN = {"sigma_0_05": 0.05, "variance_0_05": 0.05**0.5}  # the paper says variance, its numbers match sigma
 BATCH = 16  # sounds per spectrogram batch
 MIN_PIXELS = 50  #: contact pixels that a touch needs to count in ``psnr_contact``
 
@@ -194,6 +195,26 @@ def evaluate_sounds(
     return counts | errors.scores() | ({"baseline_noise": noise_scores["psnr"]} if noise_scores else {})
 
 
+def evaluate_truncation(modes: dict[str, np.ndarray], report: dict[str, Any]) -> dict[str, Any]:
+    """Count the modes that were found but not solved, and estimate their energy; empty if none were counted.
+
+    ``lost_energy`` is the share of the energy of unit impulses' sounds, with all modes below the frequency to
+    which they were counted; see `objectfolder.objectfile.truncation.lost_energy`.
+
+    Parameters
+    ----------
+    report : dict
+        Contents of ``modal.json``.
+    """
+    found = report["count_below_max_frequency"]
+    if found is None:
+        return {}
+    stuff = Material(report["material"], **report["material_properties"])
+    kept, limit = modes["damped_frequency"], report["max_frequency_hz"]
+    lost = lost_energy(modes["shapes"], kept, stuff, found, limit) if report["truncated"] else 0.0
+    return {"modes_found": found, "lost_energy": lost}
+
+
 def white_noise(sounds: torch.Tensor, rng: np.random.Generator) -> torch.Tensor:
     """Draw white Gaussian noise with the energy of each sound; (N, samples)."""
     noise = torch.from_numpy(rng.standard_normal(sounds.shape)).to(sounds.dtype)
@@ -204,11 +225,15 @@ def white_noise(sounds: torch.Tensor, rng: np.random.Generator) -> torch.Tensor:
 def strike_sounds(
     file: ObjectFile, modes: dict[str, np.ndarray], strikes: Strikes
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return true sounds of strikes and the Object File's; both (N, samples)."""
+    """Return true sounds of strikes and the Object File's; both (N, samples).
+
+    The strikes are ideal impulses, which excite all modes alike.
+    """
     bank = sinusoid_bank(torch.from_numpy(modes["damped_frequency"]), torch.from_numpy(modes["damping"]))
     shapes = torch.from_numpy(modes["shapes"][strikes.rows]).float()
     truth = gains(shapes, torch.from_numpy(strikes.impulses).float()) @ bank
-    return truth.numpy(), file.impact(modes["points"][strikes.rows] * file.scale, strikes.impulses)
+    points = modes["points"][strikes.rows] * file.scale
+    return truth.numpy(), file.impact(points, strikes.impulses, contact_time=0.0)
 
 
 def evaluate_touch(
@@ -270,33 +295,22 @@ def touch_scores(images: np.ndarray, contacts: dict[str, np.ndarray]) -> dict[st
     return scores
 
 
-def evaluate_awgn(
-    shapes: dict[str, tuple[int, ...]], rng: np.random.Generator
-) -> dict[str, dict[str, float]]:
-    """Compute the PSNR of ground truth with added white Gaussian noise, per convention and modality.
-
-    For data scaled to [0, 1] it depends on the noise alone: 26.0 dB for sigma 0.05, 13.0 dB for
-    variance 0.05.
-    """
-    return {
-        name: {modality: awgn_psnr(shape, sigma, rng) for modality, shape in shapes.items()}
-        for name, sigma in AWGN.items()
-    }
-
-
 def summary_row(key: str, metrics: dict[str, Any]) -> dict[str, str]:
     """Return an object's row of the table printed at the end of a build."""
     v, a, t = metrics["vision"], metrics["audio"], metrics["touch"]
 
-    def beside(values: dict[str, Any], score: str, baseline: str) -> str:
-        return f"{values[score]:.1f}/{values[baseline]:.1f}" if score in values else "silent"
+    def beside(values: dict[str, Any], *scores: str, form: str = ".1f", none: str = "silent") -> str:
+        return "/".join(f"{values[name]:{form}}" for name in scores) if scores[0] in values else none
+
+    kept, found = a["modes"], a.get("modes_found")
 
     return {
         "object": key,
         "vision / white": beside(v, "psnr", "baseline_white"),
         "lit": f"{v['psnr_lit_foreground']:.1f}" if "psnr_lit_foreground" in v else "-",
-        "audio / silence": beside(a, "psnr", "baseline_silence"),
-        "gain error": f"{a['gain_error']:.1%}" if "gain_error" in a else "-",
+        "audio / mean / silence": beside(a, "psnr", "psnr_mean", "baseline_silence"),
+        "gain error / nearest": beside(a, "gain_error", "baseline_nearest", form=".1%", none="-"),
+        "modes": f"{kept}" if found in (None, kept) else f"{kept} of {found}",
         "touch / mean": beside(t, "psnr", "baseline_mean_image"),
         "KB": f"{metrics['file_bytes'] / 1024:.0f}",
     }

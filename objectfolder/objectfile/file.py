@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
+from objectfolder.audio.contact import Striker
 from objectfolder.audio.tuning import Tuning
 from objectfolder.checks import require_memory, whole_number
 from objectfolder.errors import ObjectFolderError, shortened
-from objectfolder.io import open_safetensors, write_safetensors
+from objectfolder.io import open_safetensors, safetensors_bytes, write_safetensors
 from objectfolder.materials import Material
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.arguments import (
@@ -28,6 +29,7 @@ from objectfolder.objectfile.arguments import (
 from objectfolder.objectfile.audio import SoundSettings
 from objectfolder.objectfile.header import checked_header
 from objectfolder.objectfile.parts import StoredParts
+from objectfolder.objectfile.samples import sample_path
 from objectfolder.objectfile.surface import TOLERANCE
 from objectfolder.objectfile.touch import ContactPoses, FixedContact, concatenate_touches
 from objectfolder.objectfile.vision import BaseColors, render_views, view_images
@@ -122,6 +124,17 @@ class ObjectFile:
         tensors, header = open_safetensors(path)
         return cls(header, tensors, path, device)
 
+    @classmethod
+    def sample(cls, name: str) -> "ObjectFile":
+        """Return an Object File that comes with the package: mug, die or bell.
+
+        Raises
+        ------
+        ObjectFolderError
+            If there is none of this name.
+        """
+        return cls.load(sample_path(name))
+
     def __reduce__(self) -> tuple[Any, ...]:
         # Locks and ray casters cannot be pickled; every part can be read again.
         return type(self), (self.header, self.tensors, self._path, self.device)
@@ -139,6 +152,12 @@ class ObjectFile:
     def save(self, path: str | Path) -> None:
         """Write the Object File; the same object gives the same bytes."""
         write_safetensors(path, dict(self.tensors), self.header)
+
+    def _repr_html_(self) -> str:
+        """Return the page of `objectfolder view`, which notebooks show."""
+        from objectfolder.viewer.page import viewer_frame
+
+        return viewer_frame({self.key: safetensors_bytes(self.tensors, self.header)})
 
     @property
     def key(self) -> str:
@@ -279,9 +298,10 @@ class ObjectFile:
         duration: float = 2.0,
         response: str = "displacement",
         tolerance: float = TOLERANCE,
-        contact_time: float = 0.0,
+        contact_time: float | None = None,
         material: str | Material | None = None,
         scale: float | None = None,
+        striker: str | Striker = "steel",
     ) -> Answer:
         """Strike the object, or one of its shape, with impulses; see docs/sound.md.
 
@@ -299,15 +319,17 @@ class ObjectFile:
             Of the modes, summed: m kg^1/2 and its time derivatives.
         tolerance : float
             Greatest distance of a point from the surface, fraction of the size.
-        contact_time : float
+        contact_time : float, optional
             Duration of the strike, seconds: half a sine of force whose integral is the impulse. 0 is an
-            ideal impulse.
+            ideal impulse. Default: that of the striker, see `contact_time`.
         material : str or Material, optional
             Material of the struck object. Another Poisson ratio makes the answer approximate: a warning
             gives the error bounds.
         scale : float, optional
             Longest side of the struck object, metres; ``points`` are metres of that object. A warning names
             the band where modes are missing.
+        striker : str or Striker
+            What strikes the object; a name is one of `objectfolder.audio.contact.STRIKERS`.
 
         Returns
         -------
@@ -323,9 +345,30 @@ class ObjectFile:
             "points", finite_rows("points", points, 3), "forces", finite_rows("forces", forces, 3)
         )
         settings = SoundSettings.checked(
-            sample_rate, duration, response, contact_time, material, scale, len(strikes[0])
+            sample_rate, duration, response, contact_time, material, scale, striker, len(strikes[0])
         )
         return like_first(self._parts.audio.impact(*strikes, settings, tolerance), points)
+
+    def contact_time(
+        self,
+        striker: str | Striker = "steel",
+        material: str | Material | None = None,
+        scale: float | None = None,
+    ) -> float:
+        """Return how long a striker touches the object, or one of its shape, seconds.
+
+        0, an ideal impulse, if the file does not say what its modes are of, as imported ones do not, or
+        stores spectrograms.
+
+        Parameters
+        ----------
+        striker : str or Striker
+            A name is one of `objectfolder.audio.contact.STRIKERS`.
+        material, scale
+            As in `impact`.
+        """
+        settings = SoundSettings.checked(16000, 1.0, "displacement", None, material, scale, striker, 0)
+        return self._parts.audio.contact_time(settings.striker, settings.material, settings.scale) or 0.0
 
     def mode_shapes(self, points: Rows, tolerance: float = TOLERANCE) -> np.ndarray:
         """Return mass-normalised mode shapes: the modal gains of unit impulses along x, y and z.

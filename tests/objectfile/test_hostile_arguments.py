@@ -19,7 +19,7 @@ CAMERA, LIGHT, TOP, UP = [2.0, 1.0, 1.0], [0.5, 0.5, 0.9], [[0.0, 0.0, 0.015]], 
 VIEW = {"camera": CAMERA, "light": LIGHT, "resolution": 4, "intrinsics": None, "supersample": True}
 TOUCH = {"points": TOP, "depth": 0.001, "angle": 0.0, "tilt": 0.0, "azimuth": 0.0, "tolerance": 0.02}
 STRIKE = {"points": TOP, "forces": UP, "sample_rate": 1000, "duration": 0.001, "response": "velocity"}
-STRIKE |= {"tolerance": 0.02, "contact_time": 0.0, "material": None, "scale": None}
+STRIKE |= {"tolerance": 0.02, "contact_time": 0.0, "material": None, "scale": None, "striker": "wood"}
 #: Questions to a file, and arguments that are all valid.
 QUESTIONS = {
     "view": VIEW,
@@ -27,6 +27,7 @@ QUESTIONS = {
     "impact": STRIKE,
     "mode_shapes": {"points": TOP, "tolerance": 0.02},
     "tuning": {"material": "iron", "scale": 1.0},
+    "contact_time": {"striker": "wood", "material": "iron", "scale": 1.0},
     "touch": TOUCH | {"sensor": None},
     "press": TOUCH | {"sensor": None},
     "depth_maps": {name: value for name, value in TOUCH.items() if name != "angle"},
@@ -125,6 +126,8 @@ def arrays_of(answer):
         return [answer.numpy()]
     if isinstance(answer, np.ndarray):
         return [answer]
+    if isinstance(answer, float):
+        return [np.array(answer)]
     if isinstance(answer, tuple):
         return [array for part in answer for array in arrays_of(part)]
     if is_dataclass(answer):

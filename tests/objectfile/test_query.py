@@ -14,6 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from objectfolder import ObjectFile
+from objectfolder.audio.contact import STRIKERS, contact_time
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import material
 from objectfolder.nets.audio_gains import GainsNet
@@ -324,6 +325,18 @@ def test_a_soft_strike_keeps_its_momentum_and_loses_its_treble(brick):
     assert spectra[1][0] == pytest.approx(spectra[0][0], rel=0.05)
 
 
+def test_a_strike_lasts_as_long_as_its_striker_touches_the_object(brick):
+    plastic, mass = material("plastic"), 1070 * 0.18 * SCALE**3
+    assert brick.contact_time() == pytest.approx(contact_time(STRIKERS["steel"], plastic, mass), rel=1e-4)
+    iron = contact_time(STRIKERS["wood"], material("iron"), mass * 8000 / 1070 * 8)
+    assert brick.contact_time("wood", "iron", 2 * SCALE) == pytest.approx(iron, rel=1e-4)
+    for striker, named in (("steel", {}), ("finger", {"striker": "finger"})):
+        by_hand = brick.impact(TOP, UP, duration=0.1, contact_time=brick.contact_time(striker))
+        np.testing.assert_array_equal(brick.impact(TOP, UP, duration=0.1, **named), by_hand)
+    without = ObjectFile({k: v for k, v in brick.header.items() if k != "solid"}, brick.tensors)
+    assert without.contact_time() == contact_time(STRIKERS["steel"], plastic, np.inf)
+
+
 def test_an_object_of_another_size_and_material_sounds_as_its_modes(brick, caplog):
     """The same as an Object File whose modes were scaled by hand."""
     glass = dataclasses.replace(material("glass"), poisson_ratio=material("plastic").poisson_ratio)
@@ -342,10 +355,10 @@ def test_an_object_of_another_size_and_material_sounds_as_its_modes(brick, caplo
         },
     )
     points, forces = brick.sample_surface(4), np.eye(3)[[0, 1, 2, 2]]
-    expected = by_hand.impact(points * size, forces, 48000)
+    expected = by_hand.impact(points * size, forces, 48000, contact_time=0.0)
     heard = brick.tuning(glass, SCALE * size)
     assert len(heard.modes) == 12
-    sounds = brick.impact(points * size, forces, 48000, material=glass, scale=SCALE * size)
+    sounds = brick.impact(points * size, forces, 48000, contact_time=0.0, material=glass, scale=SCALE * size)
     np.testing.assert_allclose(sounds, expected, atol=1e-5 * np.abs(expected).max())
     assert "brick: incomplete: modes from" in caplog.text
     assert "approximate" not in caplog.text

@@ -126,16 +126,16 @@ MAX_MODULES = {
     "train_audio": 25,
     "train_touch": 39,
     "pack": 11,
-    "evaluate": 75,
-    "observe": 76,
+    "evaluate": 77,
+    "observe": 77,
     "recognize": 23,
     "retrieve": 24,
-    "reconstruct": 91,
-    "decompose": 73,
-    "grasp_data": 90,
+    "reconstruct": 92,
+    "decompose": 74,
+    "grasp_data": 91,
     "grasp_stability": 25,
-    "grasp_policy": 104,
-    "reach": 96,
+    "grasp_policy": 105,
+    "reach": 97,
 }
 
 

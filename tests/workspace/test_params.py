@@ -310,3 +310,9 @@ def test_an_unknown_section_is_refused_with_the_nearest_name(values, name, hint)
     check_all(values)
     with pytest.raises(ObjectFolderError, match=rf"params\.yaml: '{name}' is no section; {hint}"):
         check_all({**values, name: {}})
+
+
+def test_only_the_preset_of_the_paper_damps_as_the_paper():
+    files = ["params.yaml", *(f"params/{name}.yaml" for name in ("quick", "standard", "paper"))]
+    laws = [YAML(typ="safe").load(REPOSITORY / name)["modal"]["damping"] for name in files]
+    assert laws == ["loss_factor"] * 3 + ["rayleigh"]

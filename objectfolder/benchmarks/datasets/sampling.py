@@ -203,9 +203,9 @@ def ask(file: ObjectFile, queries: Queries, modality: str, resolution: int) -> t
         views = file.render(queries["vision_camera"], queries["vision_light"], resolution)
         return np.round(views.rgb * 255).astype(np.uint8), ~np.any(views.alpha, axis=(1, 2))
     if modality == "audio":
-        sounds = file.impact(
-            queries["audio_point"], queries["audio_force"], SAMPLE_RATE, DURATION, "displacement"
-        )
+        strikes = queries["audio_point"], queries["audio_force"]
+        # Ideal impulses, as in the paper.
+        sounds = file.impact(*strikes, SAMPLE_RATE, DURATION, "displacement", contact_time=0.0)
         return sounds, ~np.any(sounds, axis=1)
     points, depth = queries["touch_point"], queries["touch_depth"]
     if file.fixed_contact is not None:

@@ -1,4 +1,4 @@
-"""What `write_glb` writes, against the Khronos glTF validator: `make gltf-validate` installs it."""
+"""What is written as glTF, against the Khronos glTF validator: `make gltf-validate` installs it."""
 
 import json
 import shutil
@@ -10,6 +10,8 @@ import pytest
 from gltf_scene import Scene, checker, square
 from solids import box
 
+from objectfolder.envs import gltf, visual
+from objectfolder.envs.hulls import convex_hulls
 from objectfolder.mesh.procedural import GENERATORS, generate
 from objectfolder.mesh.reading.load import FORMATS, default_up, load_mesh
 from objectfolder.mesh.textured import TexturedMesh
@@ -62,6 +64,15 @@ def test_objects_without_texture(colors, surface, tmp_path):
     vertices, faces = box((1, 2, 3))
     shades = np.arange(24, dtype=np.uint8).reshape(8, 3) * 10 if colors else None
     assert_valid(TexturedMesh(vertices, faces, vertex_colors=shades, **surface), tmp_path)
+
+
+def test_exported_objects_but_for_extensions_that_it_does_not_know(brick, tmp_path, monkeypatch):
+    monkeypatch.setattr(visual, "TEXELS", 64)
+    path = gltf.write_glb(brick, tmp_path, hulls=convex_hulls(brick.to_mesh()))
+    found = issues(path)
+    assert found["numErrors"] == found["numWarnings"] == 0
+    unknown = [m["message"] for m in found["messages"] if m["code"] == "UNSUPPORTED_EXTENSION"]
+    assert len(unknown) == 2  # both drafts; their data are valid accessors
 
 
 def test_plain_and_baked_objects(tmp_path):
