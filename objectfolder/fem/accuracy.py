@@ -17,7 +17,7 @@ FALL = 2**0.5  # least ratio of the differences that shows convergence
 NODES_PER_WAVE = 6  #: that resolve a wave: three quadratic elements
 
 
-class Candidate:
+class Discretisation:
     """A solid on one grid. What its error estimate solves is kept for the solve of all modes.
 
     Parameters
@@ -43,8 +43,8 @@ class Candidate:
         quarter = halved(half) if half is not None else None
         return [self._on(solid).lowest_frequencies() for solid in (half, quarter) if solid is not None]
 
-    def _on(self, solid: Solid) -> "Candidate":
-        return Candidate(solid, self.material, self.scale)
+    def _on(self, solid: Solid) -> "Discretisation":
+        return Discretisation(solid, self.material, self.scale)
 
     def lowest_frequencies(self, count: int = ESTIMATED) -> np.ndarray:
         """Compute the lowest elastic frequencies to `TOLERANCE`, uncertified; Hz (count,)."""

@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Ge, MinLen
 
-from objectfolder.fem.accuracy import ORDER, Candidate
+from objectfolder.fem.accuracy import ORDER, Discretisation
 from objectfolder.fem.blocks import merge_full_blocks
 from objectfolder.fem.cutcell import MAX_VOLUME_ERROR, CutCells, cut_cells
 from objectfolder.fem.elasticity import Solid
@@ -73,7 +73,7 @@ def refined(
     material: Material,
     scale: float,
     name: str = "object",
-) -> Candidate:
+) -> Discretisation:
     """Cut a solid on finer grids until the estimated error of its lowest frequencies is accepted.
 
     Each step goes to the coarsest grid that should suffice if the error falls with the power ``ORDER`` of
@@ -92,7 +92,7 @@ def refined(
     name : str
         Name of the object in errors.
     """
-    candidate = Candidate(solid, material, scale)
+    candidate = Discretisation(solid, material, scale)
     if not isinstance(solid, CutCells):
         return candidate
     least = _least_unknowns(*surface)
@@ -113,7 +113,7 @@ def refined(
         rung = next((rung for rung in rungs if rung >= wanted), rungs[-1])
         finer = merge_full_blocks(cut_cells(*surface, rung, fine.subdivisions, name))
         if finer.degrees_of_freedom <= fine.max_degrees_of_freedom:
-            solid, candidate, wanted = finer, Candidate(finer, material, scale), None
+            solid, candidate, wanted = finer, Discretisation(finer, material, scale), None
         else:
             rungs = [smaller for smaller in rungs if smaller < rung]
     return candidate

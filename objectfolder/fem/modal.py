@@ -7,7 +7,7 @@ import numpy as np
 from annotated_types import Ge, Gt
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.accuracy import ESTIMATED, Candidate, resolved_frequency
+from objectfolder.fem.accuracy import ESTIMATED, Discretisation, resolved_frequency
 from objectfolder.fem.adaptive import FineGrids, refined
 from objectfolder.fem.elasticity import Solid
 from objectfolder.materials import Material
@@ -82,12 +82,17 @@ def modal_analysis(
     A mode decays with rate c (`Material.damping`) and rings at sqrt(lambda - c^2). Overdamped and inaudible
     modes are dropped.
     """
-    candidate = Candidate(cells, material, scale)
+    candidate = Discretisation(cells, material, scale)
     return _modes_at(candidate, points, max_frequency, max_modes, name, wall)
 
 
 def _modes_at(
-    candidate: Candidate, points: np.ndarray, max_frequency: float, max_modes: int, name: str, wall: float
+    candidate: Discretisation,
+    points: np.ndarray,
+    max_frequency: float,
+    max_modes: int,
+    name: str,
+    wall: float,
 ) -> ModalData:
     cells, material, scale = candidate.solid, candidate.material, candidate.scale
     fem = candidate.vibration.fem

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from solids import box
 
-from objectfolder.fem.accuracy import Candidate, discretisation_error, resolved_frequency
+from objectfolder.fem.accuracy import Discretisation, discretisation_error, resolved_frequency
 from objectfolder.fem.blocks import halved
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.eigen import solve_modes
@@ -31,16 +31,16 @@ def thin_plate(thick, resolution):
 @pytest.mark.parametrize("slenderness", [50, 100, 200])
 def test_plates_of_a_tenth_of_a_cell_do_not_lock(slenderness):
     cells, exact = thin_plate(1 / slenderness, 16)
-    assert np.abs(Candidate(cells, perf.STUFF, 1.0).lowest_frequencies(6) / exact - 1).max() < 0.012
+    assert np.abs(Discretisation(cells, perf.STUFF, 1.0).lowest_frequencies(6) / exact - 1).max() < 0.012
 
 
 def test_the_error_of_a_thin_plate_falls_with_the_square_of_the_cells_and_is_not_underestimated():
     errors, estimates = [], []
     for resolution in (8, 16):
         cells, exact = thin_plate(1 / 200, resolution)
-        found = Candidate(cells, perf.STUFF, 1.0).lowest_frequencies(6)
+        found = Discretisation(cells, perf.STUFF, 1.0).lowest_frequencies(6)
         errors.append(found / exact - 1)
-        estimates.append(np.array(Candidate(cells, perf.STUFF, 1.0).errors(found)))
+        estimates.append(np.array(Discretisation(cells, perf.STUFF, 1.0).errors(found)))
     assert (errors[1] < errors[0] / 4).all()
     assert (np.array(estimates) > errors).all()
 
@@ -71,8 +71,8 @@ def test_volume_of_thin_aligned_boards():
 def test_the_estimate_is_of_the_size_of_the_error_where_the_solid_is_smooth():
     solid = box((1, 0.3, 0.05), (0, 0.01, 0.013))
     grid, fine = (cut_cells(*solid, r, 8) for r in (8, 48))
-    coarse, exact = (Candidate(cells, BAR, 1.0).lowest_frequencies(4) for cells in (grid, fine))
-    error, estimate = coarse / exact - 1, np.array(Candidate(grid, BAR, 1.0).errors(coarse))
+    coarse, exact = (Discretisation(cells, BAR, 1.0).lowest_frequencies(4) for cells in (grid, fine))
+    error, estimate = coarse / exact - 1, np.array(Discretisation(grid, BAR, 1.0).errors(coarse))
     assert (estimate > 0.8 * error).all()
     assert estimate.max() < 10 * error.max()
 
@@ -93,14 +93,14 @@ def test_where_differences_do_not_fall_the_last_one_is_the_estimate():
 def test_quick_frequencies_are_those_of_the_full_solve():
     cells = cut_cells(*box((1, 0.7, 0.1)), 8, 4)
     exact = np.sqrt(solve_modes(cells.assemble(BAR, 1.0), 2000, 8).eigenvalues) / (2 * np.pi)
-    np.testing.assert_allclose(Candidate(cells, BAR, 1.0).lowest_frequencies(8), exact, rtol=1e-6)
+    np.testing.assert_allclose(Discretisation(cells, BAR, 1.0).lowest_frequencies(8), exact, rtol=1e-6)
 
 
 def test_no_estimate_where_there_is_no_coarser_grid_or_no_mode():
     odd = cut_cells(*box((1, 0.5, 0.5)), 5, 4)
     assert halved(odd) is None
-    assert Candidate(odd, BAR, 1.0).errors(np.array([1e6])) is None
-    assert Candidate(cut_cells(*box((1, 0.5, 0.5)), 4, 4), BAR, 1.0).errors(np.empty(0)) is None
+    assert Discretisation(odd, BAR, 1.0).errors(np.array([1e6])) is None
+    assert Discretisation(cut_cells(*box((1, 0.5, 0.5)), 4, 4), BAR, 1.0).errors(np.empty(0)) is None
 
 
 def test_the_resolved_frequency_is_that_of_waves_three_elements_long():

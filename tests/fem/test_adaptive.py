@@ -5,7 +5,7 @@ import pytest
 from solids import box, join, sphere
 
 from objectfolder.fem import adaptive
-from objectfolder.fem.accuracy import Candidate
+from objectfolder.fem.accuracy import Discretisation
 from objectfolder.fem.adaptive import FineGrids, adaptive_cut_cells, refined
 from objectfolder.fem.blocks import merge_full_blocks
 from objectfolder.fem.cutcell import cut_cells
@@ -38,9 +38,9 @@ def refine(surface, fine=FINE, resolution=8):
 def estimating(monkeypatch, errors):
     """Let the estimate depend on the resolution; returns the resolutions asked about."""
     asked = []
-    monkeypatch.setattr(Candidate, "lowest_frequencies", lambda *_: np.ones(1))
+    monkeypatch.setattr(Discretisation, "lowest_frequencies", lambda *_: np.ones(1))
     monkeypatch.setattr(
-        Candidate,
+        Discretisation,
         "errors",
         lambda candidate, _: asked.append(candidate.solid.resolution) or [errors[candidate.solid.resolution]],
     )
@@ -76,7 +76,7 @@ def test_a_grid_that_is_surely_too_large_is_not_cut(monkeypatch):
 
 def test_large_errors_are_refined_and_small_ones_are_not():
     cells = cut_cells(*THICK, 8, 4)
-    candidate = Candidate(cells, STUFF, 1.0)
+    candidate = Discretisation(cells, STUFF, 1.0)
     error = max(candidate.errors(candidate.lowest_frequencies()))
     assert refine(THICK, fine(10**6, error * 0.99)).resolution == 12
     assert refine(THICK, fine(10**6, error * 1.01)).resolution == 8
@@ -101,7 +101,9 @@ def test_refining_brings_the_frequencies_nearer():
     solid = frame()
     finer, coarse = refine(solid, fine(10**6, 1e-9)), cut_cells(*solid, 8, 4)
     assert finer.resolution == 16
-    found = [Candidate(c, STUFF, 1.0).lowest_frequencies() for c in (coarse, finer, cut_cells(*solid, 32, 4))]
+    found = [
+        Discretisation(c, STUFF, 1.0).lowest_frequencies() for c in (coarse, finer, cut_cells(*solid, 32, 4))
+    ]
     errors = [np.abs(f / found[2] - 1).max() for f in found[:2]]
     assert errors[1] < 0.5 * errors[0]
 
@@ -115,7 +117,7 @@ def test_the_budget_of_unknowns_is_used_and_kept(wall):
 
 
 def test_nothing_finer_is_tried_where_there_is_none(monkeypatch):
-    monkeypatch.setattr(Candidate, "lowest_frequencies", no_solve)
+    monkeypatch.setattr(Discretisation, "lowest_frequencies", no_solve)
     assert refine(SHEET, resolution=16).resolution == 16
     other = voxels(*box((1, 1, 0.3)), 8, incompatible=False)
     assert refined(other, THICK, FINE, STUFF, 1.0).solid is other
