@@ -1,4 +1,4 @@
-"""Draw docs/starter.png from built Object Files: `python docs/picture.py [KEY...]`."""
+"""Draw docs/starter.png: `python docs/picture.py [FILE...]`, of the samples if no files are given."""
 
 import sys
 from pathlib import Path
@@ -10,18 +10,16 @@ from matplotlib.figure import Figure
 from objectfolder import ObjectFile
 from objectfolder.audio.spectrogram import spectrogram
 from objectfolder.io import atomic
-from objectfolder.workspace.layout import Build
+from objectfolder.objectfile.samples import available_samples
 
 CAMERAS = np.array([[1.9, -1.2, 1.1], [-1.6, -1.6, 1.2], [0.6, 2.0, 1.5]])
-LIGHTS = np.array([[0.5, -0.6, 0.75], [-0.2, -0.9, 0.5], [0.6, 0.4, 0.8]])
 
 
-def main(keys: list[str]) -> None:
-    figure = Figure(figsize=(13, 2.6 * len(keys)), dpi=110, layout="constrained")
-    axes = figure.subplots(len(keys), 6, squeeze=False, width_ratios=[1, 1, 1, 0.75, 0.75, 1.5])
-    for row, key in zip(axes, keys):
-        obj = ObjectFile.load(Build(key).object_file)
-        for ax, image in zip(row, obj.view(CAMERAS, LIGHTS)):
+def main(objects: list[ObjectFile]) -> None:
+    figure = Figure(figsize=(13, 2.6 * len(objects)), dpi=110, layout="constrained")
+    axes = figure.subplots(len(objects), 6, squeeze=False, width_ratios=[1, 1, 1, 0.75, 0.75, 1.5])
+    for row, obj in zip(axes, objects):
+        for ax, image in zip(row, obj.view(CAMERAS, lights="studio")):
             ax.imshow(image)
         points = obj.sample_surface(200, seed=4)
         images = obj.touch(points, depth=0.0012)
@@ -39,7 +37,7 @@ def main(keys: list[str]) -> None:
             cmap="magma",
         )
         row[5].set(xlabel="s", ylabel="kHz")
-        row[0].set_ylabel(f"{key}: {obj.material}, {obj.scale * 100:.0f} cm")
+        row[0].set_ylabel(f"{obj.key}: {obj.material}, {obj.scale * 100:.0f} cm")
         for ax in row[:5]:
             ax.set(xticks=[], yticks=[])
     for ax, title in zip(axes[0], ("look", "", "", "feel", "", "sound")):
@@ -49,4 +47,5 @@ def main(keys: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:] or ["mug", "die", "bell"])
+    given = [ObjectFile.load(path) for path in sys.argv[1:]]
+    main(given or [ObjectFile.sample(name) for name in reversed(available_samples())])

@@ -21,6 +21,7 @@ from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.hashgrid import HashGrid
 from objectfolder.vision.bsdf import fresnel, principled
+from objectfolder.vision.lighting import toward
 from objectfolder.vision.radiosity import Radiosity
 from objectfolder.vision.trace import SurfaceSamples
 from objectfolder.vision.vectors import column_major, concatenate, dot, normalized, take_rows
@@ -94,7 +95,7 @@ class SurfaceNet(nn.Module):
     ) -> torch.Tensor:
         """Compute direct radiance, (S, 3), from base colours (linear) and unit shading normals."""
         lit = samples.lit.nonzero()[:, 0]
-        to_light = light - take_rows(samples.points, lit)
+        to_light = toward(light, take_rows(samples.points, lit))
         squared = dot(to_light, to_light)
         reflected = principled(
             take_rows(normals, lit),
@@ -135,14 +136,15 @@ class SurfaceNet(nn.Module):
         Parameters
         ----------
         samples : SurfaceSamples
-        light : (3,) tensor, unit frame
+        light : (3,) or (4,) tensor
+            A point light, unit frame, or a distant one, see `objectfolder.vision.lighting.toward`.
         normals, direct : (S, 3) tensors
             Unit shading normals, and the radiance that `direct` returns.
         gathered, mirrored : (S, 3) tensors
             See `BounceInputs`.
         """
         p, n, view = samples.points, normals, samples.directions
-        to_light = light - p
+        to_light = toward(light, p)
         # Training views have no closer lights.
         squared = dot(to_light, to_light).clamp(min=FAMILIAR**2)
         l = normalized(to_light)
@@ -158,7 +160,7 @@ class SurfaceNet(nn.Module):
             cosine,
             2 * sine * cosine,  # sine and cosine of the double angle
             1 - 2 * sine * sine,
-            light.expand(len(p), 3),
+            light[:3].expand(len(p), 3),  # distant ones as if on the unit sphere, as in training
             samples.normals,
             n,
             view,

@@ -36,6 +36,8 @@ from objectfolder.objectfile.vision import BaseColors, render_views, view_images
 from objectfolder.touch.profiles import SensorProfile, load_profile
 from objectfolder.touch.simulate import Touches
 from objectfolder.vision.cameras import Intrinsics
+from objectfolder.vision.environment import environment_lamps
+from objectfolder.vision.lighting import Lamp, chosen_lamps
 from objectfolder.vision.picture import Views
 
 if TYPE_CHECKING:
@@ -43,6 +45,10 @@ if TYPE_CHECKING:
 
 #: Name of a sensor profile that comes with the package, a ``.yaml`` file, or a profile; None: the stored one.
 Sensor = str | Path | SensorProfile | None
+#: "studio", or lights.
+Lights = str | Sequence[Lamp] | None
+#: Equirectangular picture of linear radiance, (H, W, 3), or its path.
+Environment = str | Path | np.ndarray | None
 
 _BYTES_PER_POINT = 84  # that drawing a random point takes
 
@@ -237,19 +243,21 @@ class ObjectFile:
     def view(
         self,
         camera: Answer | Sequence[Any],
-        light: Rows,
+        light: Rows | None = None,
         resolution: int = 256,
         intrinsics: Intrinsics | None = None,
         supersample: bool = True,
+        lights: Lights = None,
+        environment: Environment = None,
     ) -> Answer:
-        """Render the object on white.
+        """Render the object on white, under one light, several, or the light of its surroundings.
 
         Parameters
         ----------
         camera : (N, 3) or (N, 4, 4) array
             Positions, unit frame, that look at the object with z up, or camera-to-world matrices (OpenGL
             axes). One row may be given without its first axis.
-        light : (N, 3) array
+        light : (N, 3) array, optional
             Point lights, unit frame. A white Lambertian surface that faces one at distance 1 has radiance 1.
         resolution : int
             Side of a square image with the default field of view, pixels.
@@ -258,6 +266,13 @@ class ObjectFile:
         supersample : bool
             False takes one ray through the centre of each pixel: faster, with jagged edges. Nets of other
             kinds than ``surface`` always do.
+        lights : "studio" or sequence, optional
+            Lights of `objectfolder.vision.lighting`, of all rows; "studio" stands for its three. Radiances
+            add up, before they are clipped and encoded.
+        environment : path or (H, W, 3) array, optional
+            Equirectangular picture of linear radiance around the object, which 64 distant lights stand for;
+            see `objectfolder.vision.environment.environment_lamps`. It is light only: the background stays
+            white.
 
         Returns
         -------
@@ -266,19 +281,22 @@ class ObjectFile:
         Raises
         ------
         ObjectFolderError
-            If shapes do not fit, values are not finite or too large, a matrix is no rotation and position, or
-            the images do not fit into memory.
+            If shapes do not fit, values are not finite or too large, a matrix is no rotation and position,
+            there is no light, or the images do not fit into memory.
         """
         drawer = self._parts.vision.drawer(_flag("supersample", supersample))
-        return like_first(view_images(drawer, camera, light, _intrinsics(intrinsics, resolution)), camera)
+        lamps, seen_by = _lamps(lights, environment), _intrinsics(intrinsics, resolution)
+        return like_first(view_images(drawer, camera, light, seen_by, lamps), camera)
 
     def render(
         self,
         camera: Rows,
-        light: Rows,
+        light: Rows | None = None,
         resolution: int = 256,
         intrinsics: Intrinsics | None = None,
         supersample: bool = True,
+        lights: Lights = None,
+        environment: Environment = None,
     ) -> Views:
         """Render colour, alpha, depth and normals; otherwise as `view`.
 
@@ -288,7 +306,8 @@ class ObjectFile:
             Of numpy arrays.
         """
         drawer = self._parts.vision.drawer(_flag("supersample", supersample))
-        return render_views(drawer, self.scale, camera, light, _intrinsics(intrinsics, resolution))
+        lamps, seen_by = _lamps(lights, environment), _intrinsics(intrinsics, resolution)
+        return render_views(drawer, self.scale, camera, light, seen_by, lamps)
 
     def impact(
         self,
@@ -537,6 +556,11 @@ class ObjectFile:
 
 def _profile(sensor: Sensor) -> SensorProfile | None:
     return sensor if isinstance(sensor, SensorProfile | None) else load_profile(sensor)
+
+
+def _lamps(lights: Lights, environment: Environment) -> list[Lamp]:
+    around = [] if environment is None else environment_lamps(environment)
+    return [*chosen_lamps(lights), *around]
 
 
 def _intrinsics(given: Intrinsics | None, resolution: int) -> Intrinsics:

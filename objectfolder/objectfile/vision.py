@@ -1,7 +1,8 @@
 """Vision of an Object File: cameras and lights in, pictures out."""
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Protocol
 
@@ -14,6 +15,7 @@ from objectfolder.objectfile.arguments import Rows, broadcast_rows, finite_rows
 from objectfolder.objectfile.reading import StoredNet, damaged_net, once, report_damage
 from objectfolder.vision.cameras import FARTHEST, Intrinsics, look_at, require_rigid
 from objectfolder.vision.color import on_white
+from objectfolder.vision.lighting import Lamp, PointLight
 from objectfolder.vision.picture import Drawer, Picture, Views
 from objectfolder.vision.view import Shader, draw
 
@@ -84,12 +86,18 @@ class SurfaceSense:
 
 
 class VolumeSense:
-    """Vision by a net that is rendered along rays; every pixel is the ray through its centre."""
+    """Vision by a net that is rendered along rays; every pixel is the ray through its centre.
+
+    These nets know point lights only: a distant light is one at distance 1, where they were trained.
+    """
 
     base_colors = None
 
     def __init__(self, picture: Drawer, key: str):
-        self._picture = _checked(picture, key)
+        def under_points(pose: np.ndarray, light: np.ndarray, intrinsics: Intrinsics) -> Picture:
+            return picture(pose, light[:3], intrinsics)
+
+        self._picture = _checked(under_points, key)
 
     def drawer(self, supersample: bool) -> Drawer:
         """Return the function that draws views, the same with and without supersampling."""
@@ -108,7 +116,24 @@ def _checked(drawer: Drawer, key: str) -> Drawer:
     return draw_checked
 
 
-def view_images(drawer: Drawer, camera: Rows, light: Rows, intrinsics: Intrinsics) -> np.ndarray:
+def lit_picture(drawer: Drawer, pose: np.ndarray, lamps: Sequence[Lamp], intrinsics: Intrinsics) -> Picture:
+    """Draw an object under several lights: the sum of its radiances under each.
+
+    Depth, normals and coverage are those of the first light.
+    """
+    first = drawer(pose, lamps[0].place, intrinsics)
+    rgba = first.rgba
+    if len(lamps) > 1 or tuple(lamps[0].color) != (1, 1, 1):
+        rgba = rgba * np.array([*lamps[0].color, 1], np.float32)
+        for lamp in lamps[1:]:
+            seen = drawer(pose, lamp.place, intrinsics).rgba
+            rgba[..., :3] += seen[..., :3] * np.array(lamp.color, np.float32)
+    return replace(first, rgba=rgba)
+
+
+def view_images(
+    drawer: Drawer, camera: Rows, light: Rows | None, intrinsics: Intrinsics, lamps: Sequence[Lamp] = ()
+) -> np.ndarray:
     """Render an object on white.
 
     Parameters
@@ -117,9 +142,11 @@ def view_images(drawer: Drawer, camera: Rows, light: Rows, intrinsics: Intrinsic
     camera : (N, 3) array or (N, 4, 4) array
         Positions of cameras that look at the centre with z up, or camera-to-world matrices (OpenGL axes);
         unit frame. One row may be given without its first axis.
-    light : (N, 3) or (3,) array
+    light : (N, 3) or (3,) array, optional
         Point light, unit frame. A white Lambertian surface that faces it at distance 1 has radiance 1.
     intrinsics : Intrinsics
+    lamps : sequence of Lamp
+        More lights, of every row.
 
     Returns
     -------
@@ -128,17 +155,24 @@ def view_images(drawer: Drawer, camera: Rows, light: Rows, intrinsics: Intrinsic
     Raises
     ------
     ObjectFolderError
-        If shapes do not fit or values are not finite.
+        If shapes do not fit, values are not finite, or there is no light.
     """
-    poses, lights = _poses_and_lights(camera, light)
+    poses, lights = _poses_and_lights(camera, light, lamps)
     _require_room(len(poses), intrinsics, bytes_per_pixel=12)
     images = np.empty((len(poses), intrinsics.height, intrinsics.width, 3), np.float32)
-    for image, pose, point in zip(images, poses, lights):
-        image[:] = on_white(torch.from_numpy(drawer(pose, point, intrinsics).rgba)).numpy()
+    for image, pose, lit_by in zip(images, poses, lights):
+        image[:] = on_white(torch.from_numpy(lit_picture(drawer, pose, lit_by, intrinsics).rgba)).numpy()
     return images
 
 
-def render_views(drawer: Drawer, scale: float, camera: Rows, light: Rows, intrinsics: Intrinsics) -> Views:
+def render_views(
+    drawer: Drawer,
+    scale: float,
+    camera: Rows,
+    light: Rows | None,
+    intrinsics: Intrinsics,
+    lamps: Sequence[Lamp] = (),
+) -> Views:
     """Render colour, alpha, depth and normals; otherwise as `view_images`, whose result is ``rgb`` here.
 
     Where an edge crosses a pixel, its colour is a mean of samples. Its depth and normal belong to one point:
@@ -149,12 +183,12 @@ def render_views(drawer: Drawer, scale: float, camera: Rows, light: Rows, intrin
     scale : float
         Longest side, metres.
     """
-    poses, lights = _poses_and_lights(camera, light)
+    poses, lights = _poses_and_lights(camera, light, lamps)
     _require_room(len(poses), intrinsics, bytes_per_pixel=44)
     size = len(poses), intrinsics.height, intrinsics.width
     views = Views(*(np.empty((*size, *last), np.float32) for last in ((3,), (4,), (), (3,))))
-    for i, (pose, point) in enumerate(zip(poses, lights)):
-        picture = drawer(pose, point, intrinsics)
+    for i, (pose, lit_by) in enumerate(zip(poses, lights)):
+        picture = lit_picture(drawer, pose, lit_by, intrinsics)
         views.rgb[i] = on_white(torch.from_numpy(picture.rgba)).numpy()
         views.rgba[i], views.normals[i] = picture.rgba, picture.normals
         views.depth[i] = picture.depth * scale
@@ -170,9 +204,11 @@ def _require_room(count: int, intrinsics: Intrinsics, bytes_per_pixel: int) -> N
     )
 
 
-def _poses_and_lights(camera: Rows, light: Rows) -> tuple[np.ndarray, np.ndarray]:
-    """Camera-to-world matrices (N, 4, 4) and lights (N, 3)."""
-    places, lights = real_array("camera", camera), finite_rows("light", light, 3)
+def _poses_and_lights(
+    camera: Rows, light: Rows | None, lamps: Sequence[Lamp]
+) -> tuple[np.ndarray, list[list[Lamp]]]:
+    """Camera-to-world matrices (N, 4, 4) and the lights of each."""
+    places = real_array("camera", camera)
     if places.ndim in (2, 3) and places.shape[-2:] == (4, 4):
         poses = places.reshape(-1, 4, 4)
         _require_near("camera", poses[:, :3, 3])
@@ -182,8 +218,14 @@ def _poses_and_lights(camera: Rows, light: Rows) -> tuple[np.ndarray, np.ndarray
         poses = look_at(places)
     else:
         raise ObjectFolderError(f"camera has shape {places.shape}, expected (N, 3) or (N, 4, 4)")
-    _require_near("light", lights)
-    return broadcast_rows("camera", poses, "light", lights)
+    if light is None:
+        if not lamps:
+            raise ObjectFolderError("there is no light; give light, lights or environment")
+        return poses, [list(lamps)] * len(poses)
+    points = finite_rows("light", light, 3)
+    _require_near("light", points)
+    poses, points = broadcast_rows("camera", poses, "light", points)
+    return poses, [[PointLight(point), *lamps] for point in points]
 
 
 def _require_near(name: str, positions: np.ndarray) -> None:

@@ -35,5 +35,6 @@ class Views:
         return self.rgba[..., 3]
 
 
-#: Camera-to-world matrix (4, 4), light (3,) and intrinsics -> the picture.
+#: Camera-to-world matrix (4, 4), light (3,) or (4,) and intrinsics -> the picture; `lighting.toward` tells
+#: lights apart.
 Drawer = Callable[[np.ndarray, np.ndarray, Intrinsics], Picture]

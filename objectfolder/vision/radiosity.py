@@ -10,6 +10,7 @@ import torch
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sampling import sample_surface
+from objectfolder.vision.lighting import toward
 from objectfolder.vision.trace import SurfaceSamples, is_lit, nearest_corners, weighted_rows
 from objectfolder.vision.vectors import column_major, dot, take_rows
 
@@ -23,12 +24,12 @@ BOUNCES = 2  # later ones are fainter than the error of the patches
 NEIGHBOURS = 4  # patches from which the light at a vertex is interpolated
 START = 0.3  # voxels along the normal where rays start
 BLOCKS = 16  # along a side of the cube; patches are sorted by block
-SOLVED = 8  # lights whose solution is cached
+SOLVED = 64  # lights whose solution is cached
 TURN = 0.1  # distance in the unit frame equivalent to one radian between normals
 
 
 class Radiosity:
-    """Diffuse interreflection of a stored surface under any point light.
+    """Diffuse interreflection of a stored surface under any light.
 
     The surface is represented by random points, the patches. Form factors between patches are estimated once,
     by cosine-weighted rays from each patch. A light then costs one shadow ray per patch and one sparse
@@ -79,8 +80,9 @@ class Radiosity:
         Parameters
         ----------
         samples : SurfaceSamples
-        light : (3,) float32 tensor
-            Point light, unit frame; it gives a white surface at distance 1 a radiance of 1.
+        light : (3,) or (4,) float32 tensor
+            A point light, unit frame, or a distant one, see `objectfolder.vision.lighting.toward`. A white
+            surface that faces it at distance 1, or at any, has a radiance of 1.
 
         Returns
         -------
@@ -101,7 +103,7 @@ class Radiosity:
         samples : SurfaceSamples
         normals : (S, 3) float32 tensor
             Unit normals of the mirror.
-        light : (3,) float32 tensor
+        light : (3,) or (4,) float32 tensor
             As of `gathered`.
 
         Returns
@@ -123,11 +125,11 @@ class Radiosity:
         shown = self._at(outgoing, nearest_corners(corners, torch.from_numpy(weights)))
         return some[torch.from_numpy(ray)].to(normals.device), shown.to(normals.device)
 
-    def _solve(self, light: tuple[float, float, float]) -> tuple[torch.Tensor, torch.Tensor]:
+    def _solve(self, light: tuple[float, ...]) -> tuple[torch.Tensor, torch.Tensor]:
         """Return light gathered by each patch, as if it were white, and its radiosity; (P, 3) each."""
         where = torch.tensor(light)
         lit = is_lit(self._surface, self._points, self._normals, where).nonzero()[:, 0]
-        to_light = where - take_rows(self._points, lit)
+        to_light = toward(where, take_rows(self._points, lit))
         cosine = (to_light * take_rows(self._normals, lit)).sum(1).clamp(min=0)
         received = np.zeros(PATCHES, np.float32)
         received[self._involved[lit.numpy()]] = (cosine / to_light.square().sum(1) ** 1.5).numpy()

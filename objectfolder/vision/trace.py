@@ -8,9 +8,11 @@ import torch
 import torch.nn.functional as F
 
 from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.vision.lighting import toward
 from objectfolder.vision.vectors import column_major, concatenate, dot, normalized, take_rows
 
 HORIZON = 0.035  # sine of the angle behind a surface from which light may still reach it
+REACH = 2.0  # unit frame; beyond the cube of any point of the surface
 SHADOW_OFFSET = 0.05  # voxels along the normal where shadow rays start; more would move shadows
 
 
@@ -70,13 +72,14 @@ def nearest_corners(corners: torch.Tensor, weights: torch.Tensor) -> torch.Tenso
 def trace(
     surface: Isosurface, origins: np.ndarray, directions: np.ndarray, light: np.ndarray
 ) -> SurfaceSamples:
-    """Cast rays against a surface and shadow rays to a point light.
+    """Cast rays against a surface and shadow rays to a light.
 
     Parameters
     ----------
     origins : (N, 3) or (3,) float32 array, unit frame
     directions : (N, 3) float32 array
-    light : (3,) array, unit frame
+    light : (3,) or (4,) array, unit frame
+        A point light or a distant one, see `objectfolder.vision.lighting.toward`.
     """
     ray, distance, face, barycentric = surface.caster.intersect(origins, directions)
     index, t = torch.from_numpy(ray), torch.from_numpy(distance)
@@ -99,14 +102,16 @@ def is_lit(
     Parameters
     ----------
     points, normals : (S, 3) float32 tensors, unit frame
-    light : (3,) float32 tensor, unit frame
+    light : (3,) or (4,) float32 tensor, unit frame
+        A point light or a distant one, see `objectfolder.vision.lighting.toward`.
     """
-    to_light = light - points
+    to_light = toward(light, points)
     # Stored normals are off by a degree; shadow rays and shading normals tell what is behind the horizon.
     lit = dot(to_light, normals)[:, 0] > -HORIZON * to_light.square().sum(1).sqrt()
     facing = lit.nonzero()[:, 0]
     start = take_rows(points, facing) + take_rows(normals, facing) * (SHADOW_OFFSET * surface.grid.spacing)
-    # Directions reach to the light, at distance 1.
-    end = np.ones(len(facing), np.float32)
-    lit[facing] = torch.from_numpy(~surface.caster.occluded(start.numpy(), (light - start).numpy(), end))
+    # Directions reach to the light, at distance 1, or out of the cube.
+    end = np.full(len(facing), 1 if len(light) == 3 else REACH, np.float32)
+    way = toward(light, start).numpy()
+    lit[facing] = torch.from_numpy(~surface.caster.occluded(start.numpy(), way, end))
     return lit

@@ -25,8 +25,8 @@ SQUARE = SQUARE_SIDE**2  # pixels of a square that may share light
 STRIP = 8  # rows whose rays are cast column by column
 MARGIN = SQUARE_SIDE + 1  # pixels around a tile that its own pixels depend on
 
-#: Samples, light (3,) and pixel (S,) of each sample -> linear radiance (S, 3). ``pixel // SQUARE`` numbers
-#: squares of pixels.
+#: Samples, light (3,) or (4,) and pixel (S,) of each sample -> linear radiance (S, 3). ``pixel // SQUARE``
+#: numbers squares of pixels.
 Shader = Callable[[SurfaceSamples, torch.Tensor, np.ndarray], torch.Tensor]
 #: Colour (3, N), hit or coverage (N,), depth (N,) and normal (3, N) of N rays.
 Images = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -53,7 +53,8 @@ def draw(
     shade : callable
         See `Shader`.
     camera_to_world : (4, 4) array
-    light : (3,) array
+    light : (3,) or (4,) array
+        A point light or a distant one, see `objectfolder.vision.lighting.toward`.
     intrinsics : Intrinsics
     supersample : bool
         Whether to supersample edges; without, one ray per pixel: faster, with aliased edges.

@@ -1,0 +1,169 @@
+"""Lights of a view: points, distant lights, the studio, and pictures of surroundings.
+
+Radiance is linear in the lights, so a view under several is the sum of views under each.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from objectfolder.checks import finite_number, real_array
+from objectfolder.errors import ObjectFolderError, quoted
+from objectfolder.vision.cameras import FARTHEST
+
+KEY_DISTANCE = 2.4  #: of the lights of the studio, unit frame
+
+#: Three numbers, such as a position or a linear colour.
+Triple = Sequence[float] | np.ndarray
+
+
+@dataclass(frozen=True)
+class PointLight:
+    """A point light.
+
+    Parameters
+    ----------
+    position : three numbers
+        Unit frame.
+    color : three numbers
+        Linear: the radiance of a white Lambertian surface that faces the light at distance 1.
+
+    Raises
+    ------
+    ObjectFolderError
+        If a number is not finite, the position too far away, or the colour negative.
+    """
+
+    position: Triple
+    color: Triple = (1.0, 1.0, 1.0)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position", _triple("position of a light", self.position))
+        if np.abs(self.position).max() > FARTHEST:
+            raise ObjectFolderError(
+                f"position of a light is {quoted(self.position)}, expected coordinates of at most "
+                f"{FARTHEST:g}, in the unit frame (longest side 1); give a DistantLight instead"
+            )
+        object.__setattr__(self, "color", _color(self.color))
+
+    @property
+    def place(self) -> np.ndarray:
+        """Position, (3,), as shaders take it."""
+        return np.array(self.position)
+
+
+@dataclass(frozen=True)
+class DistantLight:
+    """Parallel light, as of the sun.
+
+    Parameters
+    ----------
+    direction : three numbers
+        Towards the light; any length but 0.
+    color : three numbers
+        Linear: the radiance of a white Lambertian surface that faces the light, its irradiance over pi.
+
+    Raises
+    ------
+    ObjectFolderError
+        If a number is not finite, the direction has no length, or the colour is negative.
+    """
+
+    direction: Triple
+    color: Triple = (1.0, 1.0, 1.0)
+
+    def __post_init__(self) -> None:
+        way = np.array(_triple("direction of a light", self.direction))
+        length = math.hypot(*way)
+        if not 0 < length < math.inf:
+            raise ObjectFolderError(
+                f"direction of a light is {quoted(self.direction)}, expected another length than {length:g}"
+            )
+        object.__setattr__(self, "direction", tuple((way / length).tolist()))
+        object.__setattr__(self, "color", _color(self.color))
+
+    @property
+    def place(self) -> np.ndarray:
+        """Unit vector towards the light and a zero, (4,), as shaders take it: homogeneous coordinates."""
+        return np.append(self.direction, 0.0)
+
+
+#: A light of a view.
+Lamp = PointLight | DistantLight
+
+
+def toward(light: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
+    """Return vectors from points to a light; (S, 3), of unit length if the light is distant.
+
+    Parameters
+    ----------
+    light : (3,) or (4,) tensor
+        Position of a point light, or a unit vector and 0: a distant light.
+    points : (S, 3) tensor, unit frame
+    """
+    return light - points if len(light) == 3 else light[:3] + torch.zeros_like(points)
+
+
+def studio(azimuth: float = 35.0, elevation: float = 50.0) -> list[PointLight]:
+    """Return the three lights of a studio: a main one, a weaker one from the other side, one from behind.
+
+    Parameters
+    ----------
+    azimuth, elevation : float
+        Of the main light, degrees: from the x axis towards the y axis, and above the horizon.
+    """
+    azimuth, elevation = finite_number("azimuth", azimuth), finite_number("elevation", elevation)
+
+    def light(turn: float, height: float, strength: float, tint: tuple[float, float, float]) -> PointLight:
+        around, above = math.radians(azimuth + turn), math.radians(height)
+        flat = math.cos(above)
+        way = np.array([math.cos(around) * flat, math.sin(around) * flat, math.sin(above)])
+        return PointLight(KEY_DISTANCE * way, strength * KEY_DISTANCE**2 * np.array(tint))
+
+    return [
+        light(0, elevation, 0.82, (1, 0.985, 0.96)),
+        light(-100, 20, 0.34, (0.94, 0.97, 1)),
+        light(150, 45, 0.5, (1, 1, 1)),
+    ]
+
+
+def chosen_lamps(lights: str | Sequence[Any] | None) -> list[Lamp]:
+    """Return the lights that a query names: "studio", or lights.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it is anything else.
+    """
+    if lights is None:
+        return []
+    if isinstance(lights, str):
+        if lights == "studio":
+            return list(studio())
+        raise ObjectFolderError(f"lights is {quoted(lights)}, expected 'studio' or a list of lights")
+    found: list[Any] = list(lights) if isinstance(lights, list | tuple) else [lights]
+    for lamp in found:
+        if not isinstance(lamp, PointLight | DistantLight):
+            raise ObjectFolderError(
+                f"lights holds {quoted(lamp)}, expected PointLight or DistantLight of "
+                "objectfolder.vision.lighting; or give positions as `light`"
+            )
+    return found
+
+
+def _triple(name: str, values: Triple) -> tuple[float, ...]:
+    array = real_array(name, values)
+    if array.shape != (3,) or not np.isfinite(array).all():
+        raise ObjectFolderError(f"{name} is {quoted(array.tolist())}, expected three finite numbers")
+    return tuple(array.tolist())
+
+
+def _color(values: Triple) -> tuple[float, ...]:
+    color = _triple("colour of a light", values)
+    if min(color) < 0:
+        raise ObjectFolderError(f"colour of a light is {quoted(color)}, expected no negative number")
+    return color

@@ -1,0 +1,224 @@
+"""Lights of a view: radiance is linear in them."""
+
+import re
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+from solids import box, isosurface, sphere
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.io import write_png
+from objectfolder.mesh.grid import DistanceGrid
+from objectfolder.mesh.gridcodec import BOUND, quantise
+from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.objectfile.vision import lit_picture
+from objectfolder.vision.cameras import Intrinsics, look_at
+from objectfolder.vision.environment import environment_lamps, pixel_directions, read_environment
+from objectfolder.vision.lighting import DistantLight, PointLight, studio, toward
+from objectfolder.vision.radiosity import Radiosity
+from objectfolder.vision.trace import trace
+from objectfolder.vision.view import draw
+
+CAMERA = [1.5, -1.2, 0.9]
+LAMPS = [
+    PointLight((0.5, -0.6, 0.75), (0.5, 0.2, 1.0)),
+    DistantLight((-1, 2, 1), (0.3, 0.3, 0.1)),
+    PointLight((-2, 1, 1), (4, 0, 2)),
+]
+
+
+def lambert(samples, light, pixel):
+    """Shader of a white Lambertian surface."""
+    way = toward(light, samples.points)
+    squared = way.square().sum(1)
+    cosine = (way * samples.normals).sum(1) / squared.sqrt()
+    return (samples.lit * cosine.clamp(min=0) / squared)[:, None].expand(-1, 3)
+
+
+@pytest.fixture(scope="module")
+def ball():
+    return isosurface(sphere(0.45, 5), 64)
+
+
+def test_the_view_under_several_lights_is_the_sum_of_those_under_each(brick):
+    single = [brick.render(CAMERA, resolution=48, lights=[lamp]) for lamp in LAMPS]
+    several = brick.render(CAMERA, resolution=48, lights=LAMPS)
+    expected = sum(view.rgba[..., :3].astype(np.float64) for view in single)
+    assert several.rgba[..., :3].max() > 0.1
+    np.testing.assert_allclose(several.rgba[..., :3], expected, rtol=1e-6, atol=1e-7)
+    for name in ("alpha", "depth", "normals"):
+        np.testing.assert_array_equal(getattr(several, name), getattr(single[0], name))
+    np.testing.assert_array_equal(brick.view(CAMERA, resolution=48, lights=LAMPS), several.rgb)
+
+
+def test_a_colour_multiplies(brick):
+    white = brick.render(CAMERA, [0.5, 0.5, 0.9], 32).rgba
+    tinted = brick.render(CAMERA, resolution=32, lights=[PointLight((0.5, 0.5, 0.9), (2, 1, 0))]).rgba
+    np.testing.assert_allclose(tinted, white * [2, 1, 0, 1], rtol=1e-6)
+
+
+def test_a_white_light_of_colour_one_is_the_light_of_a_query(brick):
+    rows = np.array([[0.5, 0.5, 0.9], [-1, 0.2, 0.3]])
+    expected = brick.view(CAMERA, rows, 32)
+    for light, image in zip(rows, expected):
+        np.testing.assert_array_equal(brick.view(CAMERA, resolution=32, lights=[PointLight(light)])[0], image)
+
+
+def test_all_lights_that_are_given_shine(brick):
+    sky = np.zeros((8, 16, 3))
+    sky[2, :2] = 3
+    parts = [
+        brick.render(CAMERA, resolution=24, **given).rgba[..., :3]
+        for given in ({"light": [0.5, 0.5, 0.9]}, {"lights": "studio"}, {"environment": sky})
+    ]
+    whole = brick.render(CAMERA, [0.5, 0.5, 0.9], 24, lights="studio", environment=sky).rgba[..., :3]
+    np.testing.assert_allclose(whole, sum(parts), rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("shape", [sphere(0.45, 4), box((0.9, 0.5, 0.3))])
+def test_a_distant_light_is_the_limit_of_a_far_point_light(shape):
+    surface = isosurface(shape, 64)
+    way = np.array([0.48, -0.64, 0.6])
+    pose, intrinsics = look_at(np.array(CAMERA))[0], Intrinsics.square(48)
+    exact = draw(surface, lambert, pose, DistantLight(way).place, intrinsics).rgba
+    errors = []
+    for distance in (50.0, 100.0):
+        far = draw(surface, lambert, pose, way * distance, intrinsics).rgba[..., :3] * distance**2
+        errors.append(np.abs(far - exact[..., :3]).mean())
+    assert errors[1] < 0.01
+    assert errors[0] / errors[1] == pytest.approx(2, rel=0.25)  # of first order in the inverse distance
+
+
+def test_interreflection_of_a_distant_light_is_the_limit_of_a_far_one():
+    # A bowl: light falls in and bounces.
+    axis = np.linspace(-BOUND, BOUND, 64)
+    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
+    r = np.sqrt(x**2 + y**2 + z**2)
+    band = 2.5 * (axis[1] - axis[0])
+    distance = np.maximum(np.maximum(r - 0.49, 0.38 - r), z - 0.1)
+    surface = Isosurface(DistanceGrid(quantise(distance, band), band))
+    radiosity = Radiosity(surface, lambda points, normals: torch.full((len(points), 3), 0.5))
+    way = torch.tensor([0.36, 0.48, 0.8])
+    distant = torch.cat([way, torch.zeros(1)])
+    rays = np.float32(np.random.default_rng(0).normal(size=(500, 3)))
+    samples = trace(surface, np.float32([0, 0, -0.1]), rays, distant.numpy())
+    exact = radiosity.gathered(samples, distant)
+    assert exact.mean() > 0.03
+    far = radiosity.gathered(samples, 300 * way) * 300**2
+    assert (far - exact).abs().mean() < 0.01 * exact.mean()
+
+
+@pytest.mark.parametrize(("count", "worst"), [(32, 0.06), (128, 0.03)])
+def test_uniform_surroundings_light_a_white_ball_evenly(ball, count, worst):
+    """The integral of a radiance L over a hemisphere, times the cosine over pi, is L."""
+    lamps = environment_lamps(np.full((64, 128, 3), (0.5, 1.0, 0.25)), count)
+    shown = radiance_on(ball, lamps) / (0.5, 1.0, 0.25)
+    assert shown.mean() == pytest.approx(1, abs=0.01)
+    assert np.abs(shown - 1).max() < worst
+
+
+def test_a_sky_lights_a_white_ball_as_its_integral(ball):
+    """Half a sphere of radiance 1 above gives (1 + cos(tilt)) / 2."""
+    sky = np.zeros((64, 128, 3))
+    sky[:32] = 1
+    picture = lit_by(ball, environment_lamps(sky, 128))
+    inside = picture.rgba[..., 3] == 1
+    expected = (1 + picture.normals[inside][:, 2]) / 2
+    assert np.abs(picture.rgba[inside][:, 0] - expected).max() < 0.05
+
+
+def lit_by(surface, lamps):
+    drawer = partial(draw, surface, lambert)
+    return lit_picture(drawer, look_at(np.array([2.0, 0.7, 0.4]))[0], lamps, Intrinsics.square(20))
+
+
+def radiance_on(surface, lamps):
+    rgba = lit_by(surface, lamps).rgba
+    return rgba[rgba[..., 3] == 1][:, :3]
+
+
+def test_lamps_keep_the_light_of_the_picture():
+    picture = np.random.default_rng(0).random((24, 50, 3)) ** 8
+    lamps = environment_lamps(picture)
+    assert len(lamps) == 64
+    weight = np.sin((np.arange(24) + 0.5) * np.pi / 24) * np.sinc(1 / 48)  # of a row: exact
+    irradiance = (picture * weight[:, None, None]).sum((0, 1)) * (np.pi / 24) * (2 * np.pi / 50) / np.pi
+    np.testing.assert_allclose(sum(np.array(lamp.color) for lamp in lamps), irradiance, rtol=1e-9)
+
+
+def test_regions_have_equal_light():
+    picture = np.ones((64, 128, 3))
+    energies = [sum(lamp.color) for lamp in environment_lamps(picture)]
+    assert np.std(energies) < 0.1 * np.mean(energies)
+
+
+@pytest.mark.parametrize(
+    ("pixel", "way"),
+    [
+        ((16, 32), (1, 0, 0)),
+        ((16, 16), (0, 1, 0)),
+        ((16, 48), (0, -1, 0)),
+        ((0, 5), (0, 0, 1)),
+        ((16, 0), (-1, 0, 0)),
+    ],
+)
+def test_pixels_lie_where_the_convention_says(pixel, way):
+    found = pixel_directions(32, 64)[pixel]
+    assert found @ way > 0.99
+    picture = np.zeros((32, 64, 3))
+    picture[pixel] = 1
+    (lamp,) = environment_lamps(picture)
+    np.testing.assert_allclose(lamp.direction, found)
+
+
+def test_the_studio_is_that_of_the_page():
+    key, fill, back = studio(azimuth=0, elevation=90)
+    np.testing.assert_allclose(key.position, (0, 0, 2.4), atol=1e-12)
+    np.testing.assert_allclose(key.color, 0.82 * 2.4**2 * np.array([1, 0.985, 0.96]))
+    assert fill.position[1] < 0 < back.position[1]
+
+
+def test_an_environment_is_read_from_disk(tmp_path):
+    mitsuba = pytest.importorskip("mitsuba")
+    picture = np.random.default_rng(0).random((8, 16, 3)).astype(np.float32) * 5
+    mitsuba.set_variant("scalar_rgb")
+    for name, digits in (("sky.exr", 11), ("sky.pfm", 23), ("sky.hdr", 8)):
+        mitsuba.Bitmap(picture).write(str(tmp_path / name))
+        most = picture.max(-1, keepdims=True)  # sets the step of the format with shared exponents
+        assert (np.abs(read_environment(tmp_path / name) - picture) / most).max() < 2.0 ** (1 - digits), name
+    write_png(tmp_path / "sky.png", np.full((4, 8, 3), 188, np.uint8))
+    np.testing.assert_allclose(read_environment(tmp_path / "sky.png"), 0.5029, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({}, "there is no light; give light, lights or environment"),
+        ({"lights": []}, "there is no light"),
+        ({"lights": "sun"}, "lights is 'sun', expected 'studio'"),
+        ({"lights": [[0, 0, 1]]}, "expected PointLight or DistantLight"),
+        ({"environment": np.zeros((4, 8, 3))}, "environment is black"),
+        ({"environment": -np.ones((4, 8, 3))}, "negative or not finite"),
+        ({"environment": np.ones((4, 8))}, r"environment has shape (4, 8), expected (H, W, 3)"),
+        ({"environment": "no.exr"}, "no.exr cannot be read"),
+    ],
+)
+def test_lights_are_checked(brick, given, message):
+    with pytest.raises(ObjectFolderError, match=re.escape(message)):
+        brick.view(CAMERA, resolution=8, **given)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: PointLight((0, 0, np.nan)), "expected three finite numbers"),
+        (lambda: PointLight((0, 0, 1e4)), "expected coordinates of at most 1000"),
+        (lambda: PointLight((0, 0, 1), (1, 1, -1)), "expected no negative number"),
+        (lambda: DistantLight((0, 0, 0)), "expected another length than 0"),
+    ],
+)
+def test_a_light_is_checked(make, message):
+    with pytest.raises(ObjectFolderError, match=message):
+        make()
