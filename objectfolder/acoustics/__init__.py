@@ -1,0 +1,1 @@
+"""Sound that a vibrating surface radiates into air."""
