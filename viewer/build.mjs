@@ -28,8 +28,18 @@ const inline = {
 };
 mkdirSync(out, { recursive: true });
 const script = await text("page/main.ts", { plugins: [inline] });
+
 // Within a page, </script would end the script.
-writeFileSync(`${out}/viewer.js`, `${script.replaceAll("</script", "<\\/script")}\n`);
-const style = await text("page/style.css");
-const page = readFileSync("page/page.html", "utf8").replace("/* style */", () => style);
-writeFileSync(`${out}/page.html`, page);
+const write = (name, content) =>
+  writeFileSync(`${out}/${name}`, `${content.replaceAll("</script", "<\\/script")}\n`);
+const writePage = async (name, source, style) => {
+  const styled = await text(style);
+  writeFileSync(
+    `${out}/${name}`,
+    readFileSync(source, "utf8").replace("/* style */", () => styled),
+  );
+};
+write("viewer.js", script);
+write("report.js", await text("report/main.ts"));
+await writePage("page.html", "page/page.html", "page/style.css");
+await writePage("report.html", "report/report.html", "report/report.css");

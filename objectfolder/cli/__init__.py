@@ -18,6 +18,7 @@ from objectfolder.cli import (
     objects,
     reconstruct,
     released,
+    report,
     sample,
     sensor,
     upkeep,
@@ -48,6 +49,7 @@ for command in (
     workspace.inspect,
     objectfile.info,
     view.view,
+    report.report,
     reconstruct.reconstruct,
     doctor.doctor,
 ):

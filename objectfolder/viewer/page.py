@@ -25,15 +25,23 @@ def viewer_page(objects: Mapping[str, bytes], title: str = "Object File") -> str
         Contents of Object Files by the names in the page's menu.
     title : str
     """
-    parts = {
+    return filled_page("page.html", page_parts(objects, title) | {"script": static_text("viewer.js")})
+
+
+def page_parts(objects: Mapping[str, bytes], title: str) -> dict[str, str]:
+    """Return what `filled_page` puts into page.html, but for the program."""
+    return {
         "title": escape(title),
         "settings": _settings(),
         "objects": "\n".join(_embedded(name, content) for name, content in objects.items()),
-        "script": static_text("viewer.js"),
     }
+
+
+def filled_page(name: str, parts: Mapping[str, str]) -> str:
+    """Return a page that `viewer/` builds with parts in place of their names in braces."""
     # One pass: what is put in may hold braces itself.
-    first, *rest = static_text("page.html").split("{{")
-    return first + "".join(parts[name] + text for name, _, text in (piece.partition("}}") for piece in rest))
+    first, *rest = static_text(name).split("{{")
+    return first + "".join(parts[part] + text for part, _, text in (piece.partition("}}") for piece in rest))
 
 
 def viewer_frame(objects: Mapping[str, bytes], height: int = 640) -> str:

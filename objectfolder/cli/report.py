@@ -1,0 +1,57 @@
+"""Command that reports on a dataset: report."""
+
+import webbrowser
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from objectfolder.cli.console import console
+from objectfolder.errors import ObjectFolderError
+
+
+def report(
+    files: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="[FILE]...", help="Object Files; default: all objects of the workspace."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the site; with --single-file the page. Default: site, report.html."),
+    ] = None,
+    single_file: Annotated[
+        bool, typer.Option("--single-file", help="Write one page that holds everything, to be mailed.")
+    ] = False,
+    open_page: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser.")] = True,
+) -> None:
+    """Report on objects in a browser: truth beside answer, scores, checks, and the live viewer.
+
+    Writes a static site that works from disk and offline; docs/viewer.md.
+
+    Examples: objectfolder report, objectfolder report mug.safetensors --single-file --out mug.html
+    """
+    from objectfolder.report.site import write_site
+    from objectfolder.workspace import params
+    from objectfolder.workspace.layout import Build
+
+    missing = {}
+    paths = list(files or ())
+    if not paths:
+        entries = params.read()["objects"]
+        paths = [Build(key).object_file for key in entries if Build(key).object_file.is_file()]
+        missing = {key: entry for key, entry in entries.items() if not Build(key).object_file.is_file()}
+        if not paths:
+            raise ObjectFolderError(
+                "no object of params.yaml is built; run `objectfolder build`, or name files"
+            )
+    with console.status("reading objects") as status:
+        page = write_site(
+            paths,
+            out or Path("report.html" if single_file else "site"),
+            missing,
+            single_file,
+            lambda key: status.update(f"{key} is done"),
+        )
+    console.print(f"{page}: {len(paths)} objects", highlight=False, soft_wrap=True)
+    if open_page and not webbrowser.open(page.resolve().as_uri()):
+        console.print("no browser found: open the page in one", highlight=False)

@@ -1,0 +1,140 @@
+"""Certificate of an object: physical checks, each with its figure and its limit."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from objectfolder.fem.modal import CERTAIN, MAX_RESIDUAL, MAX_RIGID_HZ
+from objectfolder.mesh.topology import signed_volume
+from objectfolder.objectfile.file import ObjectFile
+
+STRIKES = 8  # points at which sounds and touches are checked
+VOLUME = 0.05  # difference between the volume of the surface and that of the solid, relative
+DEVIATION = 2.0  # distance of the closed surface from the mesh, percent of the size
+LINEAR = 1e-5  # relative error of a sum of two strikes
+LOST_ENERGY = 0.05  # share of a sound's energy in modes that are not stored
+
+
+@dataclass(frozen=True)
+class PhysicalCheck:
+    """One check."""
+
+    name: str
+    figure: str  #: what was found
+    limit: str  #: what was expected
+    passed: bool
+
+    def row(self) -> dict[str, Any]:
+        """Return the check as JSON."""
+        return asdict(self)
+
+
+def file_checks(file: ObjectFile) -> list[PhysicalCheck]:
+    """Check what an Object File answers, without its mesh."""
+    return [*_solid_checks(file), *_sound_checks(file), *_touch_checks(file)]
+
+
+def build_checks(
+    normalize: dict[str, Any] | None, modal: dict[str, Any] | None, metrics: dict[str, Any] | None
+) -> list[PhysicalCheck]:
+    """Check what the stages of a build wrote.
+
+    Parameters
+    ----------
+    normalize, modal, metrics : dict, optional
+        Contents of ``normalize.json``, ``modal.json`` and ``metrics/KEY.json``.
+    """
+    checks = []
+    if normalize:
+        far = normalize["deviation_max_percent"]
+        checks.append(_most("Closed surface near the mesh", far, DEVIATION, " % of the size"))
+    if modal:
+        checks.append(_most("Residual of the modes", modal["residual_max"], MAX_RESIDUAL))
+        checks.append(_most("Rigid motions ring at 0 Hz", max(modal["rigid_hz"]), MAX_RIGID_HZ, " Hz"))
+    scores = metrics or {}
+    for sense, name, score, baseline in (
+        ("vision", "Looks better than an empty picture", "psnr", "baseline_white"),
+        ("audio", "Sounds better than silence", "psnr", "baseline_silence"),
+        ("touch", "Feels better than the mean image", "psnr", "baseline_mean_image"),
+    ):
+        found = scores.get(sense, {})
+        if score in found and baseline in found:
+            checks.append(_least(name, found[score], found[baseline], " dB"))
+    sound = scores.get("audio", {})
+    if "gain_error" in sound and "baseline_nearest" in sound:
+        checks.append(
+            _most(
+                "Gains nearer than the nearest point's",
+                sound["gain_error"] * 100,
+                sound["baseline_nearest"] * 100,
+                " %",
+            )
+        )
+    if "lost_energy" in sound:
+        checks.append(_most("Energy of modes left out", sound["lost_energy"] * 100, LOST_ENERGY * 100, " %"))
+    return checks
+
+
+def _most(name: str, value: float, limit: float, unit: str = "") -> PhysicalCheck:
+    return PhysicalCheck(name, f"{value:.3g}{unit}", f"at most {limit:.3g}{unit}", bool(value <= limit))
+
+
+def _least(name: str, value: float, limit: float, unit: str = "") -> PhysicalCheck:
+    return PhysicalCheck(name, f"{value:.3g}{unit}", f"at least {limit:.3g}{unit}", bool(value >= limit))
+
+
+def _solid_checks(file: ObjectFile) -> list[PhysicalCheck]:
+    solid = file.header.get("solid")
+    if solid is None or "geometry" not in file.header:
+        return []
+    volume = signed_volume(file.surface.vertices, file.surface.faces)
+    xx, yy, zz, xy, xz, yz = solid["inertia"]
+    least, middle, most = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    low, high = file.bounds / file.scale
+    inside = np.minimum(np.array(solid["centre"]) - low, high - np.array(solid["centre"])).min()
+    return [
+        _most("Volume of surface and solid differ", abs(volume / solid["volume"] - 1), VOLUME),
+        _least("Moments of inertia are those of a body", (least + middle) / most, 1.0),
+        _least("Centre of mass inside the box", float(inside), 0.0, " of the size"),
+    ]
+
+
+def _sound_checks(file: ObjectFile) -> list[PhysicalCheck]:
+    if "geometry" not in file.header or not len(file.frequencies):
+        return []
+    checks = []
+    if (error := file.header["audio"].get("frequency_uncertainty")) is not None:
+        checks.append(_most("Estimated error of frequencies", error * 100, CERTAIN * 100, " %"))
+    points = file.sample_surface(STRIKES, seed=0)
+    rng = np.random.default_rng(0)
+    first, second = rng.normal(size=(2, STRIKES, 3))
+    a, b, both = (
+        file.impact(points, f, duration=0.25).astype(float) for f in (first, second, first + second)
+    )
+    if both.any():
+        error = np.linalg.norm(a + b - both) / np.linalg.norm(both)
+        checks.append(_most("Sound is linear in the strike", float(error), LINEAR))
+    if file.has_modes:
+        longest = 1 / file.tuning().damping.double().numpy()
+        checks.append(_least("Every mode decays: shortest time", float(longest.min()) * 1e3, 0.0, " ms"))
+    return checks
+
+
+def _touch_checks(file: ObjectFile) -> list[PhysicalCheck]:
+    if "geometry" not in file.header or file.fixed_contact is not None:
+        return []
+    points = np.repeat(file.sample_surface(STRIKES, seed=0), 3, axis=0)
+    most = file.sensor_profile.max_indentation
+    depths = np.tile([0.2 * most, 0.4 * most, 0.6 * most], STRIKES)
+    touches = file.press(points, depths)
+    # Where another part of the object meets the sensor first, depth says nothing of the contact.
+    free = (touches.obstructed.reshape(STRIKES, 3) == 0).all(1)
+    area, force = (values.reshape(STRIKES, 3)[free] for values in (touches.area, touches.force))
+    if not free.any():
+        return []
+    checks = [_least("Deeper presses touch more", (np.diff(area, axis=1) >= 0).mean() * 100, 100, " %")]
+    if np.isfinite(force).all() and force.any():
+        grows = (np.diff(force, axis=1) > 0).mean() * 100
+        checks.append(_least("Deeper presses push harder", float(grows), 100, " %"))
+    return checks

@@ -1,0 +1,223 @@
+"""What a report says of one object: from its Object File, and from its build if that is there."""
+
+import base64
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from objectfolder.fem.modal import uncertainty_warning
+from objectfolder.io import file_digest, read_json, read_npz
+from objectfolder.metrics import psnr
+from objectfolder.objectfile.evaluation import Strikes, shown_views, strike_sounds, view_answers
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.objectfile.header import PARTS
+from objectfolder.report.certificate import build_checks, file_checks
+from objectfolder.report.pictures import beside, picture_uri, sound_uri, spectrograms
+from objectfolder.seeding import numpy_generator
+from objectfolder.workspace.layout import Build
+
+CAMERA = (1.9, -1.2, 1.1)
+CAMERAS = np.array([CAMERA, (-1.6, -1.6, 1.2), (0.6, 2.0, 1.5)])
+THUMBNAIL = 128  # pixels
+VIEW_SIZE = 224
+VIEWS, STRIKES, TOUCHES = 4, 2, 5
+DEPTH = 0.001  # metres, of touches without a truth
+#: Scores that a report compares between objects: path in the metrics, title, unit, whether more is better.
+SCORES = (
+    ("vision.psnr", "views", "dB", True),
+    ("vision.psnr_lit_foreground", "views, lit object", "dB", True),
+    ("audio.psnr", "sound", "dB", True),
+    ("audio.gain_error", "gains", "", False),
+    ("touch.psnr", "touch", "dB", True),
+    ("touch.force_error", "forces", "", False),
+    ("file_bytes", "size", "bytes", False),
+)
+
+
+@dataclass(frozen=True)
+class ObjectReport:
+    """Report of one object, as JSON."""
+
+    row: dict[str, Any]  #: of the overview
+    detail: dict[str, Any]  #: of the object's own page
+
+
+def missing_object(key: str, entry: dict[str, Any]) -> dict[str, Any]:
+    """Return the row of an object that is not built."""
+    return {
+        "key": key,
+        "material": str(entry.get("material", "")),
+        "size": entry.get("scale"),
+        "missing": True,
+        "failed": [],
+        "warnings": ["not built: run `objectfolder build " + key + "`"],
+        "scores": {},
+    }
+
+
+def object_report(path: Path) -> ObjectReport:
+    """Report on an Object File.
+
+    Parameters
+    ----------
+    path : Path
+        If it is ``build/KEY/ObjectFile.safetensors`` of a workspace, truth and scores are read from there.
+    """
+    file = ObjectFile.load(path)
+    build = _build_of(file, path)
+    normalize, modal, metrics = (
+        ((read_json(p) if p.is_file() else None) for p in (build.normalize, build.modal, build.metrics))
+        if build
+        else (None, None, None)
+    )
+    warnings = list((normalize or {}).get("warnings", []))
+    if modal and (text := uncertainty_warning(modal, allow=True, name=file.key)):
+        warnings.append(text)
+    if file.header.get("audio", {}).get("truncated"):
+        warnings.append(f"only the lowest {len(file.frequencies)} modes are stored")
+    checks = [check.row() for check in (*file_checks(file), *build_checks(normalize, modal, metrics))]
+    scores = _scores(metrics or {"file_bytes": path.stat().st_size})
+    row = {
+        "key": file.key,
+        "material": file.material,
+        "size": file.scale,
+        "modes": len(file.frequencies),
+        "lowest": _rounded(file.frequencies.min()) if len(file.frequencies) else None,
+        "bytes": path.stat().st_size,
+        "failed": [check["name"] for check in checks if not check["passed"]],
+        "warnings": warnings,
+        "scores": scores,
+        "thumbnail": picture_uri(file.view(CAMERA, resolution=THUMBNAIL, lights="studio")[0]),
+    }
+    detail = {
+        "key": file.key,
+        "checks": checks,
+        "modes": _modes(file, modal),
+        "views": _views(file, build, metrics),
+        "sounds": _sounds(file, build),
+        "touches": _touches(file, build),
+        "provenance": _provenance(file, path),
+        "file": base64.b64encode(path.read_bytes()).decode(),
+    }
+    return ObjectReport(row, detail)
+
+
+def _build_of(file: ObjectFile, path: Path) -> Build | None:
+    """Return the build that wrote a file, if it lies in one."""
+    parents = path.resolve().parents
+    if len(parents) < 3:
+        return None
+    build = Build(file.key, parents[2])
+    return build if build.object_file.resolve() == path.resolve() else None
+
+
+def _scores(metrics: dict[str, Any]) -> dict[str, float]:
+    found = {}
+    for name, *_ in SCORES:
+        value: Any = metrics
+        for part in name.split("."):
+            value = value.get(part, {}) if isinstance(value, dict) else {}
+        if isinstance(value, int | float) and math.isfinite(value):
+            found[name] = _rounded(value)
+    return found
+
+
+def _modes(file: ObjectFile, modal: dict[str, Any] | None) -> list[list[float | None]]:
+    """Return frequency, Hz, time to decay by 60 dB, s, quality factor and estimated error of each mode."""
+    if not file.has_modes:
+        return []
+    damping = file.tuning().damping.double().numpy()
+    errors = (modal or {}).get("discretisation_error") or []
+    decay = math.log(1000) / damping
+    quality = math.pi * file.frequencies / damping
+    return [
+        [_rounded(f), _rounded(t), _rounded(q), _rounded(errors[n]) if n < len(errors) else None]
+        for n, (f, t, q) in enumerate(zip(file.frequencies, decay, quality))
+    ]
+
+
+def _views(file: ObjectFile, build: Build | None, metrics: dict[str, Any] | None) -> list[dict[str, Any]]:
+    if "vision" not in file.header:
+        return []
+    if build is None or metrics is None or not build.views("test").is_file():
+        images = file.view(CAMERAS, resolution=VIEW_SIZE, lights="studio")
+        return [{"title": "studio light", "source": picture_uri(image)} for image in images]
+    data = read_npz(build.views("test"), "rgba", "camera_to_world", "light", "focal", "center")
+    titles = shown_views(metrics["vision"], VIEWS)
+    pairs = zip(*view_answers(file, data, list(titles)))
+    return [
+        {
+            "title": title,
+            "score": _rounded(psnr(np.square(answer - truth).mean())),
+            "source": picture_uri(beside(truth, answer)),
+        }
+        for title, (truth, answer) in zip(titles.values(), pairs)
+    ]
+
+
+def _sounds(file: ObjectFile, build: Build | None) -> list[dict[str, Any]]:
+    if "audio" not in file.header or "geometry" not in file.header:
+        return []
+    rng = numpy_generator(0, file.key, "report")
+    modes = None
+    if build is not None and build.modes.is_file():
+        modes = read_npz(build.modes, "points", "split", "shapes", "damped_frequency", "damping")
+    if modes is not None and (modes["split"] == 2).any():
+        strikes = Strikes.random(np.flatnonzero(modes["split"] == 2), STRIKES, rng)
+        truths, answers = strike_sounds(file, modes, strikes)
+        titles = strikes.titles(modes["points"] * file.scale)
+    else:
+        points = file.sample_surface(STRIKES, seed=0)
+        truths, answers = None, file.impact(points, rng.normal(size=(STRIKES, 3)))
+        titles = [f"at ({', '.join(f'{x:.1f}' for x in point * 1000)}) mm" for point in points]
+    sounds = []
+    for n, (title, answer) in enumerate(zip(titles, answers)):
+        truth = None if truths is None else truths[n]
+        peak = float(np.abs(answer if truth is None else truth).max())
+        sounds.append(
+            {
+                "title": title.replace("\n", " "),
+                "truth": None if truth is None else sound_uri(truth, peak),
+                "answer": sound_uri(answer, peak),
+                "source": picture_uri(spectrograms(truth, answer)),
+            }
+        )
+    return sounds
+
+
+def _touches(file: ObjectFile, build: Build | None) -> list[dict[str, Any]]:
+    if "touch" not in file.header or "geometry" not in file.header:
+        return []
+    if build is None or not build.touch("test").is_file():
+        if file.fixed_contact is not None:
+            return []
+        images = file.touch(file.sample_surface(TOUCHES, seed=0), DEPTH)
+        return [{"title": f"{DEPTH * 1e3:.2g} mm", "source": picture_uri(image)} for image in images]
+    data = read_npz(build.touch("test"), "images", "points", "depths", "angles", "obstructed")
+    rows = np.unique(np.linspace(0, len(data["images"]) - 1, TOUCHES).round().astype(int))
+    answers = file.touch(data["points"][rows], data["depths"][rows], data["angles"][rows]) / 255.0
+    return [
+        {
+            "title": f"{depth * 1e3:.2g} mm{', obstructed' if obstructed else ''}",
+            "score": _rounded(psnr(np.square(answer - truth).mean())),
+            "source": picture_uri(beside(truth, answer)),
+        }
+        for answer, truth, depth, obstructed in zip(
+            answers, data["images"][rows] / 255.0, data["depths"][rows], data["obstructed"][rows]
+        )
+    ]
+
+
+def _provenance(file: ObjectFile, path: Path) -> dict[str, str]:
+    header = file.header
+    found = {"Object File": file_digest(path), "format": header["format"]}
+    found |= {f"net of {part}": header[part]["kind"] for part in PARTS if part in header}
+    return found | {name: str(digest) for name, digest in header.get("provenance", {}).items()}
+
+
+def _rounded(value: Any) -> float:
+    """Return a number with four significant digits."""
+    return float(f"{float(value):.4g}")

@@ -1,0 +1,79 @@
+"""Physical checks of an object."""
+
+import copy
+
+import numpy as np
+import pytest
+
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.report.certificate import build_checks, file_checks
+
+NORMALIZE = {"deviation_max_percent": 0.4}
+MODAL = {"residual_max": 1e-11, "rigid_hz": [0.0, 0.01]}
+METRICS = {
+    "vision": {"psnr": 40.0, "baseline_white": 8.0},
+    "audio": {
+        **{"psnr": 100.0, "baseline_silence": 50.0},
+        **{"gain_error": 0.01, "baseline_nearest": 0.05, "lost_energy": 0.01},
+    },
+    "touch": {"psnr": 50.0, "baseline_mean_image": 30.0},
+}
+
+
+def failed(checks):
+    return [check.name for check in checks if not check.passed]
+
+
+def edited(file, **header):
+    return ObjectFile(copy.deepcopy(file.header) | header, file.tensors)
+
+
+def test_a_sound_object_passes(brick):
+    checks = file_checks(brick)
+    assert failed(checks) == []
+    assert len(checks) >= 7
+
+
+@pytest.mark.parametrize(
+    ("solid", "name"),
+    [
+        ({"volume": 0.3}, "Volume of surface and solid differ"),
+        ({"inertia": [1, 1, 3, 0, 0, 0]}, "Moments of inertia are those of a body"),
+        ({"centre": [0, 0.4, 0]}, "Centre of mass inside the box"),
+    ],
+)
+def test_an_impossible_solid_fails(brick, solid, name):
+    assert failed(file_checks(edited(brick, solid=brick.header["solid"] | solid))) == [name]
+
+
+def test_a_uniform_brick_has_the_figures_of_theory(brick):
+    rows = {check.name: check for check in file_checks(brick)}
+    a, b, c = np.sort(np.array([1.0, 0.6, 0.3]) ** 2)
+    assert rows["Moments of inertia are those of a body"].figure == f"{((a + b) + (a + c)) / (b + c):.3g}"
+    assert rows["Centre of mass inside the box"].figure.startswith("0.15 ")  # half of the shortest side
+
+
+def test_uncertain_frequencies_fail(brick):
+    audio = brick.header["audio"] | {"frequency_uncertainty": 0.2}
+    assert failed(file_checks(edited(brick, audio=audio))) == ["Estimated error of frequencies"]
+
+
+def test_a_good_build_passes():
+    checks = build_checks(NORMALIZE, MODAL, METRICS)
+    assert (failed(checks), len(checks)) == ([], 8)
+    assert build_checks(None, None, None) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        ({"vision": {"psnr": 7.0, "baseline_white": 8.0}}, "Looks better than an empty picture"),
+        ({"audio": METRICS["audio"] | {"gain_error": 0.1}}, "Gains nearer than the nearest point's"),
+        ({"audio": METRICS["audio"] | {"lost_energy": 0.2}}, "Energy of modes left out"),
+    ],
+)
+def test_scores_below_their_baseline_fail(change, name):
+    assert failed(build_checks(NORMALIZE, MODAL, METRICS | change)) == [name]
+    assert failed(build_checks(NORMALIZE, MODAL | {"residual_max": 1.0}, METRICS)) == [
+        "Residual of the modes"
+    ]

@@ -1,0 +1,188 @@
+"""The site of a report."""
+
+import base64
+import io
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+from PIL import Image
+
+from objectfolder.cli import app
+from objectfolder.errors import ObjectFolderError
+from objectfolder.io import write_json, write_npz
+from objectfolder.report.facts import object_report
+from objectfolder.report.site import write_site
+from objectfolder.vision.cameras import Intrinsics, look_at
+from objectfolder.workspace.layout import Build
+
+VIEWER = Path(__file__).parents[2] / "viewer"
+
+
+def script(page, name):
+    """JSON that a page holds."""
+    return json.loads(re.search(rf'<script type="application/json" {name}>(.*?)</script>', page)[1])
+
+
+def picture(uri):
+    return np.asarray(Image.open(io.BytesIO(base64.b64decode(uri.partition(",")[2]))).convert("RGB"))
+
+
+@pytest.fixture(scope="module")
+def workspace(brick, tmp_path_factory):
+    """A workspace whose truth is what the brick answers."""
+    build = Build("brick", tmp_path_factory.mktemp("workspace"))
+    brick.save(build.object_file)
+    cameras = look_at(np.array([[2.0, 1, 1], [-1.5, 1, 1.5]]))
+    light = np.array([[0.5, 0.5, 0.9], [-0.5, 0.5, 0.9]])
+    intrinsics = Intrinsics.square(32)
+    rgba = brick.render(cameras, light, intrinsics=intrinsics).rgba
+    write_npz(
+        build.views("test"),
+        **{"rgba": rgba, "camera_to_world": cameras, "light": light},
+        **{"focal": np.float64(intrinsics.focal), "center": np.full((2, 2), 16.0)},
+    )
+    points = brick.sample_surface(6, seed=3)
+    depths, angles = np.full(6, 1e-3), np.linspace(0, 1, 6)
+    images = brick.touch(points, depths, angles)
+    obstructed = np.array([0, 0, 0, 0, 0, 0.2])
+    write_npz(
+        build.touch("test"),
+        **{"images": images, "points": points, "depths": depths, "angles": angles, "obstructed": obstructed},
+    )
+    tuning = brick.tuning()
+    write_npz(
+        build.modes,
+        points=points / brick.scale,
+        split=np.array([0, 0, 0, 1, 2, 2]),
+        shapes=brick.mode_shapes(points),
+        damped_frequency=tuning.damped_frequency.double().numpy(),
+        damping=tuning.damping.double().numpy(),
+    )
+    vision = {"psnr": 40.0, "baseline_white": 9.0, "views": 2}
+    vision |= {"best_view": 0, "median_view": 1, "worst_view": 1}
+    write_json(build.metrics, {"vision": vision, "audio": {}, "touch": {}, "file_bytes": 1000})
+    return build
+
+
+@pytest.fixture(scope="module")
+def report(brick_path):
+    return object_report(brick_path)
+
+
+@pytest.fixture
+def quick(report, monkeypatch):
+    """Sites hold the report of the brick that is made once."""
+    monkeypatch.setattr("objectfolder.report.site.object_report", lambda path: report)
+
+
+def test_truth_that_the_file_answers_differs_by_nothing(workspace):
+    report = object_report(workspace.object_file)
+    assert report.row["scores"] == {"vision.psnr": 40.0, "file_bytes": 1000.0}
+    assert [view["title"] for view in report.detail["views"]] == ["worst: view 2", "best: view 1"]
+    for strip in (*report.detail["views"], *report.detail["touches"]):
+        assert strip["score"] > 60
+        truth, answer, difference = np.split(picture(strip["source"]).astype(int), 3, axis=1)
+        assert np.abs(truth - answer).mean() < 4  # lossy
+        assert difference.mean() > 250  # white
+    assert report.detail["touches"][-1]["title"] == "1 mm, obstructed"
+    for sound in report.detail["sounds"]:
+        truth, answer = (
+            soundfile.read(io.BytesIO(base64.b64decode(sound[name].partition(",")[2])))[0]
+            for name in ("truth", "answer")
+        )
+        assert np.abs(truth).max() == pytest.approx(0.9, abs=1e-3)
+        assert np.abs(truth - answer).max() < 1e-3
+
+
+def test_a_file_alone_is_reported_without_truth(brick, brick_path, report):
+    assert report.row["thumbnail"].startswith("data:image/webp")
+    assert report.row["failed"] == []
+    assert all("score" not in strip for strip in (*report.detail["views"], *report.detail["touches"]))
+    assert all(sound["truth"] is None for sound in report.detail["sounds"])
+    assert base64.b64decode(report.detail["file"]) == brick_path.read_bytes()
+    frequency, decay, quality, _ = np.array(report.detail["modes"], float).T
+    np.testing.assert_allclose(frequency, brick.frequencies, rtol=1e-3)
+    np.testing.assert_allclose(quality, np.pi * frequency * decay / np.log(1000), rtol=2e-3)
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_site_loads_nothing_but_its_own_scripts(brick_path, tmp_path):
+    page = write_site([brick_path], tmp_path / "site", {"spoon": {"material": "steel", "scale": 0.2}})
+    assert page == tmp_path / "site" / "index.html"
+    assert sorted(str(p.relative_to(page.parent)) for p in page.parent.rglob("*.*")) == [
+        *("index.html", "objects/brick.js", "viewer.js")
+    ]
+    text = page.read_text()
+    assert not re.search(
+        r"""(src|href)=["'](?!data:|#)""", re.sub(r"<script.*?</script>", "", text, flags=re.S)
+    )
+    spoon, brick = script(text, 'id="data"')["rows"]
+    assert (spoon["missing"], spoon["material"], brick["key"]) == (True, "steel", "brick")
+    detail = (page.parent / "objects" / "brick.js").read_text()
+    assert json.loads(detail[len("objectfolderReport(") : -3])["key"] == "brick"
+    assert "</script" not in detail
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_single_file_holds_everything(brick_path, tmp_path):
+    page = write_site([brick_path], tmp_path / "report.html", single_file=True)
+    assert list(tmp_path.iterdir()) == [page]
+    text = page.read_text()
+    assert base64.b64decode(script(text, 'data-report="brick"')["file"]) == brick_path.read_bytes()
+    assert len(script(text, 'id="viewer"')) > 50_000
+
+
+def test_the_same_object_gives_the_same_report(brick_path, report):
+    assert object_report(brick_path) == report
+
+
+@pytest.mark.usefixtures("quick")
+def test_two_files_of_one_object_are_refused(brick_path, tmp_path):
+    with pytest.raises(ObjectFolderError, match="another file holds an object of the key brick"):
+        write_site([brick_path, brick_path], tmp_path)
+
+
+def test_report_reports_on_a_workspace(workspace, tmp_path, monkeypatch, capsys):
+    root = tmp_path / "workspace"
+    shutil.copytree(workspace.root, root)
+    shutil.copy(Path(__file__).parents[2] / "params.yaml", root)
+    params = (root / "params.yaml").read_text()
+    (root / "params.yaml").write_text(params.replace("  mug: {mesh", "  brick: {mesh"))
+    monkeypatch.chdir(root)
+    app(["report", "--no-open"], standalone_mode=False)
+    rows = script((root / "site" / "index.html").read_text(), 'id="data"')["rows"]
+    assert {row["key"]: bool(row.get("missing")) for row in rows} == {
+        "die": True,
+        "bell": True,
+        "brick": False,
+    }
+    assert "1 objects" in capsys.readouterr().out
+
+
+def test_report_says_that_nothing_is_built(tmp_path, monkeypatch):
+    shutil.copy(Path(__file__).parents[2] / "params.yaml", tmp_path)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ObjectFolderError, match=r"no object of params\.yaml is built"):
+        app(["report", "--no-open"], standalone_mode=False)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    shutil.which("node") is None or not (VIEWER / "node_modules").exists(),
+    reason="needs node and `npm ci` in viewer/",
+)
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Chromium")
+@pytest.mark.parametrize("single_file", [False, True])
+def test_the_report_in_chromium(workspace, tmp_path, single_file):
+    missing = {"spoon": {"material": "steel", "scale": 0.2}}
+    page = write_site([workspace.object_file], tmp_path / "report.html", missing, single_file)
+    done = subprocess.run(
+        ["node", "tests/report.mjs", str(page), str(tmp_path)], cwd=VIEWER, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr

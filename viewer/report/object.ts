@@ -1,0 +1,163 @@
+/** The page of one object. */
+
+import { type Data, type Detail, data, type Row, type Strip, viewerScript } from "./data.ts";
+import { draw, length, make, short, table } from "./dom.ts";
+
+const THREE = ["ground truth", "Object File", "difference × 4"];
+
+function strip({ title, score, source }: Strip, kind: string, ...more: Node[]): HTMLElement {
+  const compared = score !== undefined || kind === "compared";
+  return make(
+    "figure",
+    { class: compared ? null : "single" },
+    make("figcaption", {}, score === undefined ? title : `${title}, ${short(score, "dB")}`),
+    make("img", { src: source, alt: compared ? `${title}: ${THREE.join(", ")}` : title, loading: "lazy" }),
+    ...(compared ? [make("div", { class: "columns" }, ...THREE.map((text) => make("span", {}, text)))] : []),
+    ...more,
+  );
+}
+
+function sound(given: Detail["sounds"][number]): HTMLElement {
+  const players: [string, string][] = given.truth
+    ? [
+        ["Ground truth", given.truth],
+        ["Object File", given.answer],
+      ]
+    : [["Object File", given.answer]];
+  const shown = strip(
+    given,
+    given.truth ? "compared" : "alone",
+    make(
+      "div",
+      { class: given.truth ? "players" : "players single" },
+      ...players.map(([name, source]) =>
+        make(
+          "label",
+          {},
+          name,
+          make("audio", { controls: true, src: source, preload: "none", "aria-label": name }),
+        ),
+      ),
+    ),
+  );
+  shown.classList.add("spectrogram");
+  return shown;
+}
+
+/** A score of the object among those of all. */
+function place(row: Row, [name, title, unit, more]: Data["scores"][number]): HTMLElement | null {
+  const own = row.scores[name];
+  if (own === undefined) return null;
+  const all = data.rows.map((other) => other.scores[name]).filter((value) => value !== undefined);
+  const [low, high] = [Math.min(...all), Math.max(...all)];
+  const x = (value: number) => (high > low ? 4 + (192 * (value - low)) / (high - low) : 100);
+  const better = all.filter((value) => (more ? value > own : value < own)).length;
+  return make(
+    "div",
+    { class: "score" },
+    make("h3", {}, `${title}: ${short(own, unit)}`),
+    draw(
+      "svg",
+      {
+        viewBox: "0 0 200 22",
+        preserveAspectRatio: "none",
+        role: "img",
+        "aria-label": `${title}: place ${better + 1} of ${all.length}`,
+      },
+      ...all.map((value) => draw("rect", { class: "dot", x: x(value) - 0.4, y: 5, width: 0.8, height: 12 })),
+      draw("rect", { class: "own", x: x(own) - 0.8, y: 1, width: 1.6, height: 20 }),
+    ),
+    make(
+      "div",
+      { class: "ends" },
+      make("span", {}, short(low)),
+      make("span", {}, `${better + 1} of ${all.length}`),
+      make("span", {}, short(high)),
+    ),
+  );
+}
+
+/** The live viewer of the object. */
+function live(detail: Detail): HTMLIFrameElement {
+  const script = viewerScript();
+  const parts: Record<string, string> = {
+    title: detail.key,
+    objects: `<script type="text/plain" data-object="${detail.key}">${detail.file}</script>`,
+    script: script ?? "",
+  };
+  let page = data.frame.replace(/\{\{(\w+)\}\}/g, (_, name: string) => parts[name]);
+  if (script === null)
+    page = page.replace(/<script><\/script>(?=\s*<\/body>)/, '<script src="viewer.js"></script>');
+  return make("iframe", { srcdoc: page, title: `Live viewer of ${detail.key}`, allow: "autoplay" });
+}
+
+function section(title: string, ...content: (Node | null)[]): HTMLElement | null {
+  const found = content.filter((node) => node !== null);
+  return found.length ? make("section", {}, make("h2", {}, title), ...found) : null;
+}
+
+const strips = (parts: Node[]) => (parts.length ? make("div", { class: "strips" }, ...parts) : null);
+
+export function objectPage(row: Row, detail: Detail): Node[] {
+  const stage = make("div", {}, make("button", { type: "button" }, "See, strike and touch it"));
+  stage.querySelector("button")!.addEventListener("click", () => stage.replaceChildren(live(detail)));
+  const passed = detail.checks.filter((check) => check.passed).length;
+  const scores = data.scores.map((score) => place(row, score)).filter((chart) => chart !== null);
+  const facts = [
+    row.material,
+    length(row.size),
+    short((row.bytes ?? 0) / 1000, "KB"),
+    `${row.modes ?? 0} modes`,
+    row.lowest ? `from ${short(row.lowest, "Hz")}` : "",
+  ];
+  const parts = [
+    make("h1", { tabindex: -1 }, row.key.replaceAll("_", " ")),
+    make("p", { class: "quiet" }, facts.filter(Boolean).join(" · ")),
+    ...row.warnings.map((text) => make("p", { class: "bad" }, text)),
+    stage,
+    section(
+      `Certificate: ${passed} of ${detail.checks.length} checks passed`,
+      table(
+        ["check", "", "found", "expected"],
+        detail.checks.map(({ name, figure, limit, passed: ok }) => [
+          name,
+          make("span", { class: ok ? "good" : "bad" }, ok ? "passed" : "failed"),
+          figure,
+          limit,
+        ]),
+        2,
+      ),
+    ),
+    section("Look", strips(detail.views.map((given) => strip(given, "")))),
+    section("Sound", strips(detail.sounds.map(sound))),
+    section("Touch", strips(detail.touches.map((given) => strip(given, "")))),
+    section(
+      "Among the other objects",
+      scores.length ? make("div", { class: "statistics" }, ...scores) : null,
+    ),
+    section(
+      "Modes",
+      detail.modes.length
+        ? table(
+            ["frequency, Hz", "decay by 60 dB, s", "quality", "estimated error, %"],
+            detail.modes.map(([f, t, q, error]) => [
+              short(f),
+              short(t),
+              short(q),
+              short(error === null ? null : error * 100),
+            ]),
+            4,
+          )
+        : null,
+    ),
+    section(
+      "Provenance",
+      table(
+        ["part", "SHA-256 of its input, or kind"],
+        Object.entries(detail.provenance).map(([name, text]) => [name, make("code", {}, text)]),
+        0,
+      ),
+    ),
+  ];
+  return parts.filter((part) => part !== null);
+}

@@ -1,0 +1,78 @@
+// Use a report as people do, in headless Chromium: node report.mjs INDEX [FOLDER for pictures]
+import assert from "node:assert/strict";
+import { createRequire } from "node:module";
+import { open } from "./browser.mjs";
+
+const [, , file, pictures] = process.argv;
+const axe = createRequire(import.meta.url).resolve("axe-core/axe.min.js");
+const WAIT = { timeout: 120_000 };
+const SIZES = { desktop: { width: 1280, height: 800 }, phone: { width: 390, height: 844, hasTouch: true } };
+
+async function look(page, name) {
+  await page.evaluate(() => Promise.all([...document.images].map((image) => image.decode().catch(() => {}))));
+  await page.addScriptTag({ path: axe });
+  const { violations } = await page.evaluate(() => window.axe.run({ exclude: ["iframe"] }));
+  const serious = violations.filter(({ impact }) => ["serious", "critical"].includes(impact));
+  assert.deepEqual(
+    serious.map(({ id, nodes }) => `${id}: ${nodes.map(({ target }) => target).join(", ")}`),
+    [],
+    name,
+  );
+  const wide = await page.evaluate(() => document.documentElement.scrollWidth - window.innerWidth);
+  assert.ok(wide <= 0, `${name}: ${wide} pixels too wide`);
+  const broken = await page.evaluate(() =>
+    [...document.images].filter((image) => image.complete && !image.naturalWidth).map(({ alt }) => alt),
+  );
+  assert.deepEqual(broken, [], "every picture is shown");
+  if (pictures) await page.screenshot({ path: `${pictures}/${name}.png`, fullPage: true });
+}
+
+async function filter(page) {
+  const keys = () => page.locator("#cards strong").allTextContents();
+  const all = await keys();
+  assert.ok(all.length > 0);
+  await page.locator("#search").fill(all[0]);
+  assert.ok((await keys()).includes(all[0]));
+  await page.locator("#search").fill("no such object");
+  assert.deepEqual(await keys(), []);
+  await page.locator("#search").fill("");
+  await page.locator("#order").selectOption("key");
+  assert.deepEqual(await keys(), [...all].sort());
+  await page.locator("#state").selectOption("failed");
+  assert.equal((await keys()).length, await page.locator("#cards .failed").count());
+  await page.locator("#state").selectOption("");
+  await page.locator("#order").selectOption("");
+}
+
+async function live(page) {
+  await page.locator("#body button").click();
+  const frame = await (await page.locator("iframe").elementHandle()).contentFrame();
+  await frame.waitForFunction(() => window.objectfolder?.times.coloured, null, WAIT);
+  await frame.locator("#view").press("Enter");
+  await frame.waitForFunction(
+    () => window.objectfolder.lastSound && window.objectfolder.lastTouch,
+    null,
+    WAIT,
+  );
+}
+
+for (const [name, size] of Object.entries(SIZES))
+  for (const colorScheme of ["light", "dark"]) {
+    const { browser, page, complaints } = await open(file, { ...size, colorScheme });
+    await page.locator("#cards li").first().waitFor();
+    const used = name === "desktop" && colorScheme === "light";
+    if (used) await filter(page);
+    await look(page, `overview-${name}-${colorScheme}`);
+    // By keyboard: the first card, then its page.
+    const card = page.locator("#cards a[href]").first();
+    await card.focus();
+    await page.keyboard.press("Enter");
+    await page.locator("#body h1").waitFor(WAIT);
+    assert.match(await page.locator("#body").textContent(), /Certificate: \d+ of \d+ checks passed/);
+    await look(page, `object-${name}-${colorScheme}`);
+    if (used) await live(page);
+    await page.locator("#back").click();
+    await page.locator("#cards li").first().waitFor();
+    assert.deepEqual(complaints, []);
+    await browser.close();
+  }
