@@ -1,4 +1,4 @@
-"""Commands on tactile sensors: list, fit."""
+"""Commands on tactile sensors: list, fit, export."""
 
 from pathlib import Path
 from typing import Annotated
@@ -13,7 +13,7 @@ from objectfolder.errors import ObjectFolderError
 sensor_app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="markdown",
-    help="Tactile sensors: `list` profiles, `fit` a profile to pictures.",
+    help="Tactile sensors: `list` profiles, `fit` a profile to pictures, `export` its colours.",
 )
 
 
@@ -37,7 +37,9 @@ def fit_sensor_profile(
     images: Annotated[
         list[Path],
         typer.Argument(
-            metavar="IMAGE...", help="Pictures of a ball pressed on the sensor in different places."
+            metavar="IMAGE...",
+            help="Pictures of a ball pressed on the sensor in different places, or one calibration pack of "
+            "Taxim (dataPack.npz).",
         ),
     ],
     radius: Annotated[float, typer.Option(help="Radius of the ball, metres.")],
@@ -53,8 +55,17 @@ def fit_sensor_profile(
             help="Circle of an imprint, pixels of the profile's images; one per image. Default: detected.",
         ),
     ] = None,
+    lights: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Fit so many lights' places and colours, too, and the coating; 6 suit most sensors."
+        ),
+    ] = None,
+    residual: Annotated[
+        bool, typer.Option("--residual", help="Then fit a polynomial to what the lights leave over.")
+    ] = False,
 ) -> None:
-    """Fit a sensor's light intensities and background to pictures of a ball pressed on it.
+    """Fit a sensor's lights and background to pictures of a ball pressed on it.
 
     Press a steel ball of 3 to 10 mm radius about 1 mm deep in at least three places away from the border, and
     take a picture of each, and one of the untouched sensor. The camera must be upright, without automatic
@@ -64,31 +75,76 @@ def fit_sensor_profile(
     `objectfolder sensor fit a.png b.png c.png --untouched rest.png --radius 0.004 --out mine.yaml`
 
     Writes mine.yaml, mine_background.png and mine_report.json. Lights of the same colour are fitted together.
+    With `--lights`, nothing but geometry and gel is taken from the profile:
+
+    `objectfolder sensor fit dataPack.npz --radius 0.002 --lights 6 --residual --sensor my.yaml --out n.yaml`
+
     In Python, load it with `load_profile("mine.yaml")`. For a build, copy it to objectfolder/touch/profiles/.
     """
-    from objectfolder.touch.calibration import fit_sensor, save_fit
+    from objectfolder.touch.calibration import fit_sensor, fit_sensor_lights, save_fit
     from objectfolder.touch.photographs import read_photograph
     from objectfolder.touch.profiles import load_profile
+    from objectfolder.touch.taxim import read_pack
 
     if out.suffix not in (".yaml", ".yml"):
         raise ObjectFolderError(f"--out is {out}, expected the name of a .yaml file")
     profile = load_profile(sensor)
-    pictures = np.stack([read_photograph(path, profile) for path in images])
     rest = read_photograph(untouched, profile) if untouched else None
     circles = [_circle(text) for text in circle] if circle else None
-    fit = fit_sensor(pictures, radius, profile, rest, circles, [str(path) for path in images])
-    table = Table(title=f"{out.stem}: lights of {profile.name}, fitted to {len(images)} images")
-    for title in ("color", "intensity, times", "standard error"):
-        table.add_column(title, justify="left" if title == "color" else "right")
-    for light in fit.lights:
-        color = " ".join(f"{c:g}" for c in light.color)
-        table.add_row(color, f"{light.factor:.3f}", f"{light.error:.3f}")
-    console.print(table)
-    source = f"{profile.source.strip()} Light intensities and background: fitted to {len(images)} images."
+    names = [str(path) for path in images]
+    if len(images) == 1 and images[0].suffix == ".npz":
+        pack = read_pack(images[0], profile)
+        pictures, circles = pack.pictures, circles or pack.circles
+        rest = pack.untouched if rest is None else rest
+        names = [f"{images[0]}, picture {i}" for i in range(1, len(pictures) + 1)]
+    else:
+        pictures = np.stack([read_photograph(path, profile) for path in images])
+    if lights is None:
+        if residual:
+            raise ObjectFolderError("--residual is what fitted lights leave over: give --lights, such as 6")
+        fit = fit_sensor(pictures, radius, profile, rest, circles, names)
+        table = Table(title=f"{out.stem}: lights of {profile.name}, fitted to {len(pictures)} images")
+        for title in ("color", "intensity, times", "standard error"):
+            table.add_column(title, justify="left" if title == "color" else "right")
+        for light in fit.lights:
+            color = " ".join(f"{c:g}" for c in light.color)
+            table.add_row(color, f"{light.factor:.3f}", f"{light.error:.3f}")
+        console.print(table)
+    else:
+        if rest is None:
+            raise ObjectFolderError("--lights needs a picture of the untouched sensor: give --untouched")
+        fit = fit_sensor_lights(pictures, radius, profile, rest, circles, names, lights, residual)
+    source = f"{profile.source.strip()} Lights and background: fitted to {len(pictures)} images."
     written = save_fit(fit, out, out.stem, source)
     console.print(
-        f"images: {fit.psnr_before:.1f} dB with the given intensities, {fit.psnr_after:.1f} dB with the "
+        f"images: {fit.psnr_before:.1f} dB with the given lights, {fit.psnr_after:.1f} dB with the "
         f"fitted; wrote {', '.join(map(str, written))}",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+@sensor_app.command("export")
+def export_sensor(
+    sensor: Annotated[str, typer.Argument(help="Profile: a name (`sensor list`) or a .yaml file.")],
+    taxim: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder for polycalib.npz, bg.jpg and real_bg.npy.")
+    ],
+) -> None:
+    """Write a sensor's colours as the simulator Taxim and NVIDIA's Isaac Lab read them.
+
+    `objectfolder sensor export digit_real --taxim digit_real/`
+
+    Prints what Isaac Lab's GelSightRenderCfg needs beside the files.
+    """
+    from objectfolder.touch.profiles import load_profile
+    from objectfolder.touch.taxim import BINS, export_taxim
+
+    profile = load_profile(sensor)
+    written = export_taxim(profile, taxim)
+    console.print(
+        f"wrote {', '.join(map(str, written))}\nimage_height={profile.height}, image_width={profile.width}, "
+        f"num_bins={BINS}, mm_per_pixel={1000 * profile.pixel_pitch:.4g}",
         highlight=False,
         soft_wrap=True,
     )

@@ -13,12 +13,23 @@ from objectfolder.io import atomic, file_digest, write_json, write_png
 from objectfolder.metrics import psnr
 from objectfolder.touch.ball import BallModel
 from objectfolder.touch.imprint import Imprint, check_background_seen, find_imprint, untouched_estimate
+from objectfolder.touch.lightfit import (
+    Photograph,
+    disc_of,
+    fit_lights,
+    fit_pose,
+    fit_residual,
+    squared_error,
+    starting_lights,
+)
 from objectfolder.touch.profiles import SensorProfile
 
 # Steps of finite differences: logarithm of an intensity, row and column in pixels, part of the depth.
 _STEPS = np.array([0.02, 0.2, 0.2, 0.02])
 
 _MAX_ROUNDS = 30
+
+_ALTERNATIONS = 4  # of lights and poses
 
 
 @dataclass(frozen=True)
@@ -38,8 +49,8 @@ class SensorFit:
     background: np.ndarray  #: (H, W, 3) uint8
     imprints: list[Imprint]
     lights: list[LightFit]
-    psnr_before: float  #: dB over all pictures, with the given intensities on the fitted background
-    psnr_after: float  #: dB, with the fitted intensities
+    psnr_before: float  #: dB over all pictures, with the given lights on the fitted background
+    psnr_after: float  #: dB, with the fitted lights
 
 
 def fit_sensor(
@@ -76,8 +87,7 @@ def fit_sensor(
         If a picture shows no imprint of a ball, or the pictures do not determine the background.
     """
     names = names or [f"picture {i}" for i in range(1, len(pictures) + 1)]
-    if not (np.isfinite(radius) and radius > 0):
-        raise ObjectFolderError(f"the ball's radius is {radius:g} m, expected a positive length in metres")
+    _check_radius(radius)
     needed = 1 if untouched is not None else 3 if circles is None else 2
     if len(pictures) < needed:
         raise ObjectFolderError(
@@ -99,6 +109,71 @@ def fit_sensor(
     for row, column, pixels in circles:
         start.append(np.array([row, column, model.depth_of(row, column, pixels)]))
     return _solve(model, observed, untouched, np.concatenate(start))
+
+
+def fit_sensor_lights(
+    pictures: np.ndarray,
+    radius: float,
+    profile: SensorProfile,
+    untouched: np.ndarray,
+    circles: Sequence[tuple[float, float, float]] | None = None,
+    names: Sequence[str] | None = None,
+    count: int = 6,
+    residual: bool = False,
+) -> SensorFit:
+    """Fit places, colours and strengths of lights, the coating and the camera's exponent.
+
+    Lights and the balls' poses are fitted in turn, to the pixels inside the circles of the imprints: outside
+    them, a photograph shows cast shadows, which the optics leave out. Only geometry and gel are taken from
+    the given profile. Decibels are those inside the circles.
+
+    Parameters
+    ----------
+    pictures, radius, profile, circles, names : as for `fit_sensor`
+    untouched : (H, W, 3) uint8 array
+        Picture of the untouched sensor.
+    count : int
+        Number of lights.
+    residual : bool
+        Fit the profile's `residual`, too; see `objectfolder.touch.residual`.
+
+    Raises
+    ------
+    ObjectFolderError
+        If a picture shows no imprint of a ball, or the ball's radius is not positive.
+    """
+    names = names or [f"picture {i}" for i in range(1, len(pictures) + 1)]
+    _check_radius(radius)
+    if circles is not None and len(circles) != len(pictures):
+        raise ObjectFolderError(f"{len(circles)} circles for {len(pictures)} pictures: expected one for each")
+    if count < 1:
+        raise ObjectFolderError(f"{count} lights to fit, expected at least 1")
+    observed, rest = np.asarray(pictures, np.float32), np.asarray(untouched, np.float32)
+    if circles is None:
+        circles = [find_imprint(picture - rest, name) for picture, name in zip(observed, names)]
+    model = BallModel(profile, radius)
+    photographs = [
+        Photograph(picture, disc_of(circle, rest.shape), np.array([*circle[:2], model.depth_of(*circle)]))
+        for picture, circle in zip(observed, circles)
+    ]
+    fitted = starting_lights(profile, count)
+    for _ in range(_ALTERNATIONS):
+        fitted = fit_lights(model, rest, photographs, fitted)
+        photographs = [fit_pose(model, fitted, rest, photograph) for photograph in photographs]
+    if residual:
+        fitted = fit_residual(model, fitted, rest, photographs)
+    before, after = (
+        float(psnr(squared_error(of, radius, rest, photographs), 255)) for of in (profile, fitted)
+    )
+    imprints = [Imprint(*map(float, photograph.pose)) for photograph in photographs]
+    background = np.asarray(untouched, np.uint8)
+    fitted = replace(fitted, background_image="", background_sha256="")
+    return SensorFit(fitted, background, imprints, [], before, after)
+
+
+def _check_radius(radius: float) -> None:
+    if not (np.isfinite(radius) and radius > 0):
+        raise ObjectFolderError(f"the ball's radius is {radius:g} m, expected a positive length in metres")
 
 
 def _solve(

@@ -107,6 +107,24 @@ class Optics:
         """Return the change in grey levels, (N, 3, H, W) float32, that displacements (N, H, W) cause."""
         return torch.as_tensor(self._change(self._array(displacement)))
 
+    def tilted(self, slope_y: np.ndarray, slope_z: np.ndarray) -> np.ndarray:
+        """Return the change in grey levels of a gel that is only tilted, everywhere; (3, N, H, W) float32.
+
+        Parameters
+        ----------
+        slope_y, slope_z : (N,) arrays
+            Derivatives of the displacement along y and z, metres per metre.
+        """
+        slopes = np.stack([slope_y, slope_z]).astype(np.float32)[..., None, None]
+        slopes = self._array(torch.from_numpy(slopes)) * self._maps[2]
+        change = self._display(self._maps, 0 * slopes[0], *slopes) - self._still
+        change *= 255 * self.profile.gain
+        if self.profile.residual:
+            change += residual_levels(
+                tilt(slopes, self._maps[2]), self._places[:, None], self.profile.residual
+            )
+        return np.asarray(torch.as_tensor(change).cpu())
+
     def surface(self, displacement: torch.Tensor) -> tuple[Vectors, Vectors, Array]:
         """Return points, unit normals and tilt of the deformed gel; see `shade` and `residual_levels`.
 

@@ -23,7 +23,11 @@ def read_photograph(path: str | Path, profile: SensorProfile) -> np.ndarray:
     where = f"picture {path} of sensor {profile.name!r}"
     if not Path(path).is_file():
         raise ObjectFolderError(f"{where} does not exist; expected a PNG or JPEG file")
-    picture = decoded(Path(path), where)
+    return scaled(decoded(Path(path), where), profile, where)
+
+
+def scaled(picture: Image.Image, profile: SensorProfile, where: str) -> np.ndarray:
+    """Scale a picture to the profile's image size; (H, W, 3) uint8, RGB. Errors begin with ``where``."""
     wanted = profile.width / profile.height
     if abs(picture.width / picture.height / wanted - 1) > _ASPECT_TOLERANCE:
         raise ObjectFolderError(

@@ -29,12 +29,19 @@ def shade(point: Vectors, normal: Vectors, profile: SensorProfile) -> Array:
     -------
     (3, ...) float32 array or tensor, 0 to 1
     """
+    light = radiance(point, normal, profile)
+    library = array_library(light)
+    return library.exp(library.log(light.clip(1e-30, 1)) / profile.gamma)  # twice as fast as a power
+
+
+def radiance(point: Vectors, normal: Vectors, profile: SensorProfile) -> Array:
+    """Return the radiance towards the camera; (3, ...) float32. Parameters are those of `shade`."""
     library = array_library(point[0])
     square, height = _dot(point, point), _dot(normal, point)
     length = library.sqrt(square)
     normal_view = -height / length  # the view direction is -point / length
     reflectance = ggx_reflectance(normal_view, profile)
-    radiance = zeros((3, *square.shape), square) + profile.ambient
+    total = zeros((3, *square.shape), square) + profile.ambient
     for light in profile.lights:  # one at a time, whose arrays fit into the caches
         position: Vectors = tuple(np.array(light.position, np.float32))
         point_light = _dot(point, position)
@@ -44,10 +51,10 @@ def shade(point: Vectors, normal: Vectors, profile: SensorProfile) -> Array:
         reflected = reflectance(normal_light, view_light)
         reflected *= normal_light.clip(*_COSINE)
         reflected /= distance * distance
-        for channel, weight in zip(radiance, light.color):
+        for channel, weight in zip(total, light.color):
             if weight:
                 channel += reflected * (weight * light.intensity)
-    return library.exp(library.log(radiance.clip(1e-30, 1)) / profile.gamma)  # twice as fast as a power
+    return total
 
 
 def ggx_reflectance(normal_view: Array, profile: SensorProfile) -> Callable[[Array, Array], Array]:

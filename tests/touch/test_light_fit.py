@@ -1,0 +1,233 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from typer.testing import CliRunner
+
+from objectfolder.cli import app
+from objectfolder.errors import ObjectFolderError
+from objectfolder.touch import lightfit
+from objectfolder.touch.ball import BallModel
+from objectfolder.touch.calibration import fit_sensor_lights
+from objectfolder.touch.optics import Optics
+from objectfolder.touch.profiles import RESIDUAL_TERMS, Light, load_profile
+from objectfolder.touch.taxim import BINS, color_table, export_taxim, read_pack
+
+RADIUS = 0.003  # m
+POSES = np.array([[30, 30, 5e-4], [28, 52, 6e-4], [52, 28, 4.5e-4], [50, 52, 5e-4]])
+CIRCLE = 13.0  # pixels
+
+
+@pytest.fixture(scope="module")
+def profile():
+    """A small sensor with a rigid gel, as it is known before the fit."""
+    small = replace(load_profile("gelsight_r15"), gel="rigid", image_smoothing=0.0, elastomer_thickness=4e-3)
+    return replace(
+        small, height=80, width=80, vertical_fov_deg=float(2 * np.degrees(np.arctan(40 * 0.12e-3 / 0.025)))
+    )
+
+
+@pytest.fixture(scope="module")
+def real(profile):
+    """The sensor as it is."""
+    lights = (
+        Light((0.014, 0.016, 0.003), (1.0, 0.2, 0.1), 0.0012),
+        Light((0.016, -0.012, 0.012), (0.1, 1.0, 0.3), 0.0008),
+        Light((0.013, -0.006, -0.018), (0.2, 0.1, 1.0), 0.0015),
+    )
+    return replace(profile, lights=lights, ambient=0.08, gamma=1.4, roughness=0.7)
+
+
+@pytest.fixture(scope="module")
+def pictures(real):
+    model = BallModel(real, RADIUS)
+    displacements = torch.cat([model.displacement(pose) for pose in POSES])
+    return Optics(real).render(displacements).numpy(), Optics(real).background.numpy()
+
+
+def circles(error=0.0):
+    off = np.random.default_rng(0).uniform(-error, error, (len(POSES), 2))
+    return [(row + r, column + c, CIRCLE) for (row, column, _), (r, c) in zip(POSES, off)]
+
+
+def test_derivatives_agree_with_differences(profile, real, pictures):
+    untouched = pictures[1].astype(np.float32)
+    photographs = [
+        lightfit.Photograph(
+            pictures[0][0].astype(np.float32), lightfit.disc_of(circles()[0], (80, 80)), POSES[0]
+        )
+    ]
+    surface = lightfit._Surface(BallModel(profile, RADIUS), untouched, photographs)
+    x = lightfit._parameters(real) + 0.01 * np.random.default_rng(0).uniform(0, 1, 21) * (
+        np.arange(21) % 6 > 2
+    )
+    jacobian = lightfit._light_jacobian(surface, real, x)
+    for j, exact in enumerate(jacobian.T):
+        step = np.zeros(len(x))
+        step[j] = 1e-4 if j % 6 < 3 and j < 18 else 2e-3
+        ahead, behind = (surface.error(lightfit._with_lights(real, x + s * step)).ravel() for s in (1, -1))
+        difference = (ahead - behind) / (2 * step[j])
+        assert np.linalg.norm(difference - exact) < 0.08 * np.linalg.norm(difference) + 1e-9, j
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("residual", [False, True])
+def test_lights_that_made_the_pictures_are_found(profile, pictures, residual):
+    fit = fit_sensor_lights(
+        pictures[0], RADIUS, profile, pictures[1], circles(1.0), count=3, residual=residual
+    )
+    assert fit.psnr_after > 40
+    assert fit.psnr_after > fit.psnr_before + 12
+    assert bool(fit.profile.residual) == residual
+    for imprint, (row, column, _) in zip(fit.imprints, POSES):
+        assert np.hypot(imprint.row - row, imprint.column - column) < 0.3
+
+
+def test_residual_explains_what_the_lights_cannot(profile, real, pictures):
+    coefficients = np.random.default_rng(0).normal(0, 20, (3, RESIDUAL_TERMS))
+    odd = replace(real, residual=tuple(map(tuple, coefficients)))
+    model = BallModel(profile, RADIUS)
+    untouched = pictures[1].astype(np.float32)
+    shown = Optics(odd).render(torch.cat([model.displacement(pose) for pose in POSES])).numpy()
+    photographs = [
+        lightfit.Photograph(picture.astype(np.float32), lightfit.disc_of(circle, (80, 80)), pose)
+        for picture, circle, pose in zip(shown, circles(), POSES)
+    ]
+    fitted = lightfit.fit_residual(model, real, untouched, photographs)
+    before, after = (lightfit.squared_error(of, RADIUS, untouched, photographs) for of in (real, fitted))
+    assert after < 1.0
+    assert before > 20
+
+
+def test_lights_need_circles_of_every_picture_and_a_ball(profile, pictures):
+    with pytest.raises(ObjectFolderError, match="1 circles for 4 pictures"):
+        fit_sensor_lights(pictures[0], RADIUS, profile, pictures[1], circles()[:1])
+    with pytest.raises(ObjectFolderError, match="radius is 0 m"):
+        fit_sensor_lights(pictures[0], 0.0, profile, pictures[1], circles())
+    with pytest.raises(ObjectFolderError, match="0 lights to fit"):
+        fit_sensor_lights(pictures[0], RADIUS, profile, pictures[1], circles(), count=0)
+
+
+def pack(path, pictures, **changes):
+    arrays = {
+        "f0": pictures[1],
+        "imgs": pictures[0],
+        "touch_center": POSES[:, 1::-1],
+        "touch_radius": np.full(len(POSES), 13),
+        "names": ["frame.jpg"] * 4,
+        "img_size": (80, 80, 3),
+    }
+    np.savez(path, **(arrays | changes))
+    return path
+
+
+def test_pack_gives_pictures_and_circles(tmp_path, profile, pictures):
+    found = read_pack(pack(tmp_path / "dataPack.npz", pictures), profile)
+    assert np.array_equal(found.pictures, pictures[0])
+    assert np.array_equal(found.untouched, pictures[1])
+    np.testing.assert_allclose(found.circles, circles())
+    half = replace(profile, height=40, width=40)
+    smaller = read_pack(tmp_path / "dataPack.npz", half)
+    assert smaller.pictures.shape == (4, 40, 40, 3)
+    assert smaller.circles[0] == pytest.approx((14.75, 14.75, 6.5))
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"imgs": np.zeros((4, 8, 8, 3), np.uint8)}, "do not fit"),
+        ({"touch_center": np.zeros((3, 2))}, "do not fit"),
+    ],
+)
+def test_pack_with_arrays_that_do_not_fit_is_refused(tmp_path, profile, pictures, changes, reason):
+    with pytest.raises(ObjectFolderError, match=reason):
+        read_pack(pack(tmp_path / "a.npz", pictures, **changes), profile)
+
+
+def test_other_files_are_no_packs(tmp_path, profile):
+    with pytest.raises(ObjectFolderError, match="does not exist"):
+        read_pack(tmp_path / "a.npz", profile)
+    np.savez(tmp_path / "b.npz", f0=np.zeros(3))
+    with pytest.raises(ObjectFolderError, match=r"not a calibration pack of Taxim.*imgs"):
+        read_pack(tmp_path / "b.npz", profile)
+
+
+def lookup(table, displacement, pitch):
+    """Colours of a height map as Taxim's renderer reads its tables; (3, H, W)."""
+    down, right = np.gradient(displacement, pitch)
+    step = np.pi / 2 / (BINS - 1)
+    at = (
+        (np.arctan(np.hypot(down, right)) / step).astype(int),
+        ((np.arctan2(down, right) + np.pi) / (4 * step)).astype(int),
+    )
+    y, x = np.indices(displacement.shape).astype(float)
+    terms = np.stack([x * x, y * y, x * y, x, y, np.ones_like(x)], axis=-1)
+    return np.stack([(terms * of[at]).sum(axis=-1) for of in table])
+
+
+def test_exported_table_shows_what_the_optics_show(tmp_path, real):
+    """A smooth, shallow bump, rendered with the exported files alone."""
+    smooth = replace(real, residual=((5.0,) * RESIDUAL_TERMS,) * 3, slope_smoothing=0.0)
+    y, x = np.indices((80, 80))
+    bump = 4e-4 * np.exp(-((x - 36) ** 2 + (y - 44) ** 2) / (2 * 7**2))
+    moved = torch.from_numpy(bump[None].astype(np.float32))
+    expected = Optics(smooth).change(moved)[0].numpy()
+    export_taxim(smooth, tmp_path)
+    with np.load(tmp_path / "polycalib.npz") as archive:
+        assert archive["bins"] == BINS
+        table = np.stack([archive[f"grad_{color}"] for color in "rgb"])
+    found = lookup(table, bump, smooth.pixel_pitch)
+    error = np.sqrt(np.mean((found - expected)[:, 20:-20, 20:-20] ** 2))
+    assert error < 0.06 * np.sqrt(np.mean(expected[:, 20:-20, 20:-20] ** 2))
+    background = np.load(tmp_path / "real_bg.npy")
+    assert np.array_equal(background, Optics(smooth).background.numpy())
+    jpeg = np.asarray(Image.open(tmp_path / "bg.jpg"), float)
+    assert np.abs(jpeg - background).max() < 8
+
+
+def test_flat_gel_keeps_its_colour_in_the_table(real):
+    assert not color_table(real, 8)[:, 0].any()
+
+
+def test_commands_fit_a_pack_and_export_it(tmp_path, pictures, profile):
+    from ruamel.yaml import YAML
+
+    start, out = tmp_path / "start.yaml", tmp_path / "mine.yaml"
+    values = profile.to_dict()
+    values["lights"] = [
+        {key: list(v) if isinstance(v, tuple) else v for key, v in light.items()}
+        for light in values["lights"]
+    ]
+    values = {key: list(v) if isinstance(v, tuple) else v for key, v in values.items()}
+    YAML().dump(values, start)
+    first = {"imgs": pictures[0][:1], "touch_center": POSES[:1, 1::-1], "touch_radius": [13]}
+    path = pack(tmp_path / "dataPack.npz", pictures, **first)
+    arguments = ["sensor", "fit", path, "--radius", RADIUS, "--sensor", start, "--lights", 1, "--residual"]
+    done = CliRunner().invoke(app, [str(a) for a in [*arguments, "--out", out]])
+    assert done.exception is None, done.exception
+    fitted = load_profile(out)
+    assert len(fitted.lights) == 1
+    assert fitted.residual
+    done = CliRunner().invoke(app, ["sensor", "export", str(out), "--taxim", str(tmp_path / "taxim")])
+    assert done.exception is None, done.exception
+    assert "image_height=80" in done.output
+    assert sorted(p.name for p in (tmp_path / "taxim").iterdir()) == [
+        "bg.jpg",
+        "polycalib.npz",
+        "real_bg.npy",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [(["--residual"], "give --lights"), (["--lights", "3"], "give --untouched")],
+)
+def test_options_that_lack_another_are_refused(tmp_path, pictures, options, reason):
+    picture = tmp_path / "a.png"
+    Image.fromarray(np.zeros((160, 120, 3), np.uint8)).save(picture)
+    arguments = ["sensor", "fit", picture, "--radius", 0.004, "--out", tmp_path / "b.yaml", *options]
+    done = CliRunner().invoke(app, [str(a) for a in arguments])
+    with pytest.raises(ObjectFolderError, match=reason):
+        raise done.exception
