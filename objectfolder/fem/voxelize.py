@@ -9,7 +9,6 @@ from annotated_types import Ge, Interval, MinLen
 from objectfolder.fem.elasticity import Solid
 from objectfolder.fem.elements import Element, discretize
 from objectfolder.mesh.featurecodec import Features
-from objectfolder.mesh.features import find_features
 from objectfolder.mesh.scanline import check_winding
 from objectfolder.mesh.sdf import FINEST, fitting_grid
 from objectfolder.mesh.topology import Mesh, signed_volume
@@ -65,7 +64,6 @@ def voxelize(surface: Mesh, solid: Mesh, config: VoxelizeConfig, name: str = "me
         name,
     )
     grid = fitting_grid(*surface, config.sdf_resolution, name)
-    features = find_features(grid.values, *surface)
     report = {
         "cells": {
             "winding": asdict(certificates[0]),
@@ -85,8 +83,9 @@ def voxelize(surface: Mesh, solid: Mesh, config: VoxelizeConfig, name: str = "me
             "resolution": len(grid.values),
             "band": grid.band,
             "samples_in_band": int(np.count_nonzero(np.abs(grid.values) < 127)),
-            "moved_crossings": len(features.edges),
-            "sharp_cells": len(features.cells),
+            "moved_crossings": len(grid.features.edges),
+            "sharp_cells": len(grid.features.cells),
+            "thin_wall_samples": len(grid.features.sheets),
         },
     }
-    return Voxelization(cells, grid.values, grid.band, features, report)
+    return Voxelization(cells, grid.values, grid.band, grid.features, report)

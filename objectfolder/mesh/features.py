@@ -1,9 +1,10 @@
-"""Sharp edges and corners that a distance grid cannot hold, stored beside it.
+"""Sharp edges, corners and thin walls that a distance grid cannot hold, stored beside it.
 
 Near a sharp edge, the distance of a sample is that to another face than the one which a grid edge crosses:
 interpolation misplaces the crossing by up to a third of a voxel. And marching cubes cuts off the edge itself.
 `find_features` therefore lists crossings that interpolation misplaces, and a point in each cell that an edge
-or a corner of the surface passes through; `objectfolder.mesh.sharpen` puts them into the mesh.
+or a corner of the surface passes through; `objectfolder.mesh.sharpen` puts them into the mesh. Walls that
+pass between samples are found by `objectfolder.mesh.sheets`.
 """
 
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from objectfolder.mesh.featurecodec import MARGIN, STEPS, Features
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.normals import area_vectors, unit_vectors
 from objectfolder.mesh.raycast import RayCaster
+from objectfolder.mesh.sheets import cells_around, find_sheets
 
 MISPLACED = 0.05  #: voxels; rounding to int8 misplaces most crossings by less
 ON_FACE = 2  #: stored value, of +-127, up to which a sample may lie on a face
@@ -37,7 +39,7 @@ class _Crossings:
 
 
 def find_features(values: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> Features:
-    """Find the misplaced crossings of a grid's edges, and points of sharp edges in its cells.
+    """Find the misplaced crossings of a grid's edges, points of sharp edges in its cells, and thin walls.
 
     Parameters
     ----------
@@ -49,13 +51,15 @@ def find_features(values: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -
     """
     count, spacing = len(values), 2 * BOUND / (len(values) - 1)
     scaled = (np.asarray(vertices, np.float64) + BOUND) / spacing
+    sheets, moved, offsets = find_sheets(values, scaled, faces)
     crossings = _crossings(values, scaled, faces)
     wrong = np.abs(crossings.place - crossings.interpolated) > MISPLACED
     edges = 3 * crossings.sample[wrong] + crossings.axis[wrong]
     order = np.argsort(edges)
     places = np.rint(STEPS * crossings.place[wrong][order]).astype(np.uint8)
     cells, points = _corners(crossings, count, scaled, faces)
-    return Features(edges[order], places, cells, points)
+    free = ~np.isin(cells, cells_around(sheets, count))
+    return Features(edges[order], places, cells[free], points[free], sheets, moved, offsets)
 
 
 def _crossings(values: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> _Crossings:

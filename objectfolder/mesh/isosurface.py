@@ -10,14 +10,11 @@ import torch
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.gridcodec import BOUND
-from objectfolder.mesh.levelset import zero_level
 from objectfolder.mesh.raycast import RayCaster
-from objectfolder.mesh.sharpen import sharp_normals, sharpened
+from objectfolder.mesh.sharpen import sharp_normals, stored_triangles
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
-
-BESIDE = -0.05  # stored distance instead of 0, so that each vertex lies on one edge of the grid only
 
 
 @dataclass(frozen=True)
@@ -46,18 +43,14 @@ class Isosurface:
 
     def __init__(self, grid: DistanceGrid):
         self.grid = grid
-        if not grid.values.min() < 0 < grid.values.max():
+        sheets = grid.features is not None and len(grid.features.sheets) > 0
+        if not (grid.values.min() < 0 or sheets) or not grid.values.max() > 0:
             raise ObjectFolderError("the distance grid holds no surface: all samples are on one side of it")
 
     @cached_property
     def _mesh(self) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        """Vertices, faces, and which faces have a stored point."""
-        features = self.grid.features
-        if features is None:
-            index, faces = zero_level(self.grid.values)
-            return index * self.grid.spacing - BOUND, faces, None
-        index, faces = zero_level(self.grid.values, BESIDE)
-        index, faces, touched = sharpened(index, faces, features, len(self.grid.values))
+        """Vertices, faces, and which faces have a stored point or vertex; see `stored_triangles`."""
+        index, faces, touched = stored_triangles(self.grid.values, self.grid.features)
         return index * self.grid.spacing - BOUND, faces, touched
 
     @property

@@ -7,9 +7,11 @@ import igl
 import numpy as np
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.featurecodec import Features
+from objectfolder.mesh.features import find_features
 from objectfolder.mesh.gridcodec import BOUND, band_width, quantise
-from objectfolder.mesh.levelset import zero_level
 from objectfolder.mesh.scanline import inside
+from objectfolder.mesh.sharpen import stored_triangles
 from objectfolder.mesh.thickness import wall_thickness
 from objectfolder.mesh.topology import Mesh, signed_volume
 
@@ -30,6 +32,7 @@ class FittedGrid:
 
     values: np.ndarray  #: (R, R, R) int8; see `objectfolder.mesh.grid.DistanceGrid`
     band: float
+    features: Features  #: sharp edges and thin walls
     wall: float  #: thickness of thin walls, unit frame; see `wall_thickness`
     kept: float  #: volume that the stored surface encloses, as a fraction of the true one
 
@@ -60,8 +63,11 @@ def fitting_grid(vertices: np.ndarray, faces: np.ndarray, resolution: int, name:
         kept = kept_volume(values, vertices, faces)
         if abs(kept - 1) <= VOLUME_ERROR:
             break
+    features = find_features(values, vertices, faces)
+    if len(features.sheets):
+        kept = kept_volume(values, vertices, faces, features)
     check_resolved(values, kept, name)
-    return FittedGrid(values, band, wall, kept)
+    return FittedGrid(values, band, features, wall, kept)
 
 
 def _resolutions(asked: int, wall: float) -> list[int]:
@@ -99,11 +105,13 @@ def distance_grid(vertices: np.ndarray, faces: np.ndarray, resolution: int) -> t
     return values, band
 
 
-def kept_volume(values: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> float:
+def kept_volume(
+    values: np.ndarray, vertices: np.ndarray, faces: np.ndarray, features: Features | None = None
+) -> float:
     """Return the volume that the surface of a distance grid encloses, as a fraction of the true one."""
-    if values.min() >= 0:
+    if values.min() >= 0 and not (features and len(features.sheets)):
         return 0.0
-    stored, triangles = zero_level(values)
+    stored, triangles, _ = stored_triangles(values, features)
     spacing = 2 * BOUND / (len(values) - 1)
     return signed_volume(stored * spacing, triangles) / signed_volume(vertices, faces)
 
@@ -111,7 +119,7 @@ def kept_volume(values: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> 
 def check_resolved(values: np.ndarray, kept: float, name: str) -> None:
     """Check that a distance grid resolves its surface.
 
-    Walls thinner than the spacing fall between samples and break into fragments.
+    Walls thinner than the spacing may lie in a cell without crossing its edges, as needles do, and are lost.
 
     Parameters
     ----------

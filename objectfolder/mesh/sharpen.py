@@ -1,13 +1,47 @@
-"""Sharp edges in the mesh of marching cubes: extended marching cubes (Kobbelt et al. 2001)."""
+"""Sharp edges and thin walls in the mesh of marching cubes.
+
+Sharp edges are those of extended marching cubes (Kobbelt et al. 2001).
+"""
+
+from dataclasses import dataclass
 
 import numpy as np
 
-from objectfolder.mesh.featurecodec import MARGIN, STEPS, Features
+from objectfolder.mesh.featurecodec import MARGIN, ORIGIN, REACH, STEPS, Features
+from objectfolder.mesh.levelset import zero_level
 from objectfolder.mesh.normals import area_vectors, creased, split_vertices, unit_vectors
 
+BESIDE = -0.05  # stored distance instead of 0, so that each vertex lies on one edge of the grid only
 ON_EDGE = 1e-4  # voxels off a grid edge by which a vertex is still on it; single precision has 3e-5
 MIXED = np.cos(np.deg2rad(3))  # of the angle to the faces' normal from which a normal of the grid is wrong
 FOLDED = 0.2  # least cosine between the normals of faces before and after an edge is flipped
+
+
+def stored_triangles(
+    values: np.ndarray, features: Features | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Extract the triangles that a distance grid and its features hold.
+
+    Parameters
+    ----------
+    values : (R, R, R) int8 array, negative inside
+    features : Features or None
+
+    Returns
+    -------
+    vertices : (V, 3) float64
+        In voxels.
+    faces : (F, 3) int64
+        Counter-clockwise seen from outside.
+    touched : (F,) bool, or None without features
+        Faces with a stored point or vertex.
+    """
+    if features is None:
+        return *zero_level(values), None
+    if len(features.sheets):
+        values = values.copy()
+        values.ravel()[features.sheets] = -127  # deep, so that they join across diagonals
+    return sharpened(*zero_level(values, BESIDE), features, len(values))
 
 
 def sharpened(
@@ -16,7 +50,7 @@ def sharpened(
     """Put stored features into a mesh of marching cubes.
 
     Crossings move to their stored places. In a cell with a stored point, the faces become a fan around it;
-    an edge between two such fans is flipped, so that it joins their points.
+    an edge between two such fans is flipped, so that it joins their points. Vertices of thin walls move last.
 
     Parameters
     ----------
@@ -32,23 +66,24 @@ def sharpened(
     vertices : (V', 3) float64
     faces : (F', 3) int64
     touched : (F',) bool
-        Faces of fans.
+        Faces of fans, and those with vertices of thin walls.
     """
-    vertices = _placed(vertices, features, count)
+    edges = _grid_edges(vertices, count)
+    placed = _placed(vertices, edges, features)
+    vertices, thin = _moved(placed, edges, features, count)
     if not len(features.cells):
-        return vertices, faces, np.zeros(len(faces), bool)
-    cell = np.floor(vertices[faces].mean(1)).astype(np.int64) @ [count**2, count, 1]
-    which = np.searchsorted(features.cells, cell)
-    chosen = features.cells[np.minimum(which, len(features.cells) - 1)] == cell
-    border, owner = _borders(faces[chosen], which[chosen], len(vertices))
+        return vertices, faces, thin[faces].any(1)
+    cell = np.floor(placed[faces].mean(1)).astype(np.int64) @ [count**2, count, 1]
+    chosen, which = _found(cell, features.cells)
+    border, owner = _borders(faces[chosen], which, len(vertices))
     low = np.stack(np.unravel_index(features.cells, (count,) * 3), 1)
     points = low + features.points / STEPS * (1 + 2 * MARGIN) - MARGIN
     fans = np.column_stack([border, len(vertices) + owner])
     vertices = np.concatenate([vertices, points])
     fans = _flipped(vertices, fans)
-    joined = np.concatenate([faces[~chosen], fans])
-    used, index = np.unique(joined, return_inverse=True)
-    touched = np.arange(len(joined)) >= len(joined) - len(fans)
+    plain = np.delete(faces, chosen, 0)
+    touched = np.concatenate([thin[plain].any(1), np.ones(len(fans), bool)])
+    used, index = np.unique(np.concatenate([plain, fans]), return_inverse=True)
     return vertices[used], index.reshape(-1, 3).astype(np.int64), touched
 
 
@@ -95,22 +130,60 @@ def sharp_normals(
     return np.concatenate([np.arange(len(vertices)), index[vertex[len(index) :]]]), renumbered, all_normals
 
 
-def _placed(vertices: np.ndarray, features: Features, count: int) -> np.ndarray:
-    """Move the vertices on listed grid edges to their places."""
-    if not len(features.edges):
-        return vertices
+@dataclass(frozen=True)
+class _GridEdges:
+    """Vertices that lie on one edge of the grid."""
+
+    vertex: np.ndarray  # (N,)
+    axis: np.ndarray  # (N,)
+    number: np.ndarray  # (N,) of the edge; see `Features`
+
+
+def _grid_edges(vertices: np.ndarray, count: int) -> _GridEdges:
     off = np.abs(vertices - np.rint(vertices)) > ON_EDGE
     single = np.flatnonzero(off.sum(1) == 1)
     axis = off[single].argmax(1)
     low = np.rint(vertices[single])
     low[np.arange(len(single)), axis] = np.floor(vertices[single, axis])
-    edge = 3 * (low.astype(np.int64) @ [count**2, count, 1]) + axis
-    which = np.minimum(np.searchsorted(features.edges, edge), len(features.edges) - 1)
-    listed = features.edges[which] == edge
+    return _GridEdges(single, axis, 3 * (low.astype(np.int64) @ [count**2, count, 1]) + axis)
+
+
+def _placed(vertices: np.ndarray, edges: _GridEdges, features: Features) -> np.ndarray:
+    """Move the vertices on listed grid edges to their places."""
+    rows, which = _found(edges.number, features.edges)
+    vertex, axis = edges.vertex[rows], edges.axis[rows]
     placed = vertices.copy()
-    place = low[np.arange(len(single)), axis] + features.places[which] / STEPS
-    placed[single[listed], axis[listed]] = place[listed]
+    placed[vertex, axis] = np.floor(vertices[vertex, axis]) + features.places[which] / STEPS
     return placed
+
+
+def _moved(
+    vertices: np.ndarray, edges: _GridEdges, features: Features, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Move the vertices of thin walls, off their edges; return which they are, too."""
+    rows, which = _found(edges.number, features.moved)
+    vertex = edges.vertex[rows]
+    middles = edge_middles(features.moved[which], count)
+    moved, thin = vertices.copy(), np.zeros(len(vertices), bool)
+    moved[vertex] = middles + REACH * (features.offsets[which] / float(ORIGIN) - 1)
+    thin[vertex] = True
+    return moved, thin
+
+
+def edge_middles(numbers: np.ndarray, count: int) -> np.ndarray:
+    """Return the middles of grid edges, voxels; (N, 3)."""
+    middles = np.stack(np.unravel_index(numbers // 3, (count,) * 3), 1).astype(np.float64)
+    middles[np.arange(len(numbers)), numbers % 3] += 0.5
+    return middles
+
+
+def _found(numbers: np.ndarray, listed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rows of numbers that are in an ascending list, and their places there."""
+    if not len(listed):
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    place = np.minimum(np.searchsorted(listed, numbers), len(listed) - 1)
+    rows = np.flatnonzero(listed[place] == numbers)
+    return rows, place[rows]
 
 
 def _borders(faces: np.ndarray, owner: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

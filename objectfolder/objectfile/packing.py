@@ -50,7 +50,7 @@ def pack_object_file(
     features = Features.from_arrays(sdf)
     if features is not None:
         tensors["geometry.features"] = pack_features(features)
-        geometry |= {"edges": len(features.edges), "cells": len(features.cells)}
+        geometry |= features.counts
     header: dict[str, Any] = {
         "format": format_name(),
         "key": key,

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.featurecodec import Features, unpack_features
+from objectfolder.mesh.featurecodec import COUNTED, Features, unpack_features
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.gridcodec import unpack_grid
 from objectfolder.mesh.isosurface import Isosurface
@@ -86,10 +86,10 @@ class StoredParts:
             return surface
 
     def _features(self, config: dict[str, Any]) -> Features | None:
-        counts = config.get("edges", 0), config.get("cells", 0)
-        if not any(counts):
+        counts = {name: config.get(name, 0) for name in COUNTED}
+        if not any(counts.values()):
             return None
-        return unpack_features(self._tensor("geometry.features"), *counts, int(config["resolution"]))
+        return unpack_features(self._tensor("geometry.features"), counts, int(config["resolution"]))
 
     @once
     def vision(self) -> VisionSense:

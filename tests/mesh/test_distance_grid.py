@@ -266,12 +266,20 @@ def test_an_edge_of_little_volume_asks_for_a_finer_grid():
     assert len(grid.values) > RESOLUTION
 
 
-def test_walls_too_thin_for_the_finest_grid_are_refused():
+def test_a_sheet_between_the_samples_of_the_finest_grid_is_kept():
     plate = box((1, 1, 0.006))  # centred: no sample of an even grid lies inside a thin one
-    with pytest.raises(ObjectFolderError, match="plate: walls are too thin for the 128\\^3 distance grid"):
-        fitting_grid(*plate, RESOLUTION, "plate")
+    grid = fitting_grid(*plate, RESOLUTION, "plate")
+    assert grid.values.min() > 0
+    assert grid.kept == pytest.approx(1, abs=0.01)
+    assert grid.kept == kept_volume(grid.values, *plate, grid.features)
     with pytest.raises(ObjectFolderError, match="holds no surface"):
-        Isosurface(DistanceGrid(*distance_grid(*plate, RESOLUTION)))
+        Isosurface(DistanceGrid(grid.values, grid.band))
+
+
+def test_a_needle_between_the_samples_of_the_finest_grid_is_refused():
+    needle = box((1, 0.003, 0.003))  # it crosses no edge of the grid
+    with pytest.raises(ObjectFolderError, match="needle: walls are too thin for the 128\\^3 distance grid"):
+        fitting_grid(*needle, RESOLUTION, "needle")
 
 
 @pytest.mark.parametrize("resolution", [192, 256, FINEST])

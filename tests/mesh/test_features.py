@@ -110,26 +110,33 @@ def test_the_encoding_is_exact_and_short():
     features = find_features(values, *solid)
     stream = pack_features(features)
     assert stream.nbytes < 0.6 * (5 * len(features.edges) + 7 * len(features.cells))
-    again = unpack_features(stream, len(features.edges), len(features.cells), RESOLUTION)
+    again = unpack_features(stream, features.counts, RESOLUTION)
     for name, value in vars(features).items():
         np.testing.assert_array_equal(getattr(again, name), value)
         assert getattr(again, name).dtype == value.dtype
 
 
+def features_of(**lists):
+    numbers, places, points = np.zeros(0, np.int64), np.zeros(0, np.uint8), np.zeros((0, 3), np.uint8)
+    empty = {"edges": numbers, "places": places, "cells": numbers, "points": points}
+    return Features(**empty | {"sheets": numbers, "moved": numbers, "offsets": points} | lists)
+
+
 def test_streams_of_another_length_or_order_are_refused():
-    cells = np.array([3, 9])
     points = np.zeros((2, 3), np.uint8)
-    none = np.zeros(0, np.int64), np.zeros(0, np.uint8)
-    stream = pack_features(Features(*none, cells, points))
+    stream = pack_features(features_of(cells=np.array([3, 9]), points=points))
     with pytest.raises(ValueError, match="expected 21"):
-        unpack_features(stream, 0, 3, 4)
+        unpack_features(stream, {"cells": 3}, 4)
     with pytest.raises(ValueError, match="expected 7"):
-        unpack_features(stream, 0, 1, 4)
+        unpack_features(stream, {"cells": 1}, 4)
     with pytest.raises(ValueError, match="outside the grid"):
-        unpack_features(stream, 0, 2, 2)
-    twice = pack_features(Features(*none, np.array([3, 3]), points))
+        unpack_features(stream, {"cells": 2}, 2)
+    twice = pack_features(features_of(cells=np.array([3, 3]), points=points))
     with pytest.raises(ValueError, match="out of order"):
-        unpack_features(twice, 0, 2, 4)
+        unpack_features(twice, {"cells": 2}, 4)
+    beyond = pack_features(features_of(sheets=np.array([3, 64])))
+    with pytest.raises(ValueError, match="outside the grid"):
+        unpack_features(beyond, {"sheets": 2}, 4)
 
 
 def test_features_of_no_surface_do_no_harm():
@@ -139,7 +146,10 @@ def test_features_of_no_surface_do_no_harm():
     cells = np.unique(rng.integers(0, RESOLUTION**3, 5000))
     edges = np.unique(rng.integers(0, 3 * RESOLUTION**3, 5000))
     points, places = rng.integers(0, 256, (len(cells), 3)), rng.integers(0, 256, len(edges))
-    features = Features(edges, places.astype(np.uint8), cells, points.astype(np.uint8))
+    moved = np.unique(rng.integers(0, 3 * RESOLUTION**3, 5000))
+    offsets = rng.integers(0, 256, (len(moved), 3)).astype(np.uint8)
+    lists = edges, places.astype(np.uint8), cells, points.astype(np.uint8), cells[:0], moved, offsets
+    features = Features(*lists)
     surface = Isosurface(DistanceGrid(values, band, features))
     assert is_closed(surface.faces)
     assert np.isfinite(surface.shading.normals).all()

@@ -18,7 +18,7 @@ from solids import box
 from objectfolder import ObjectFile
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_safetensors, write_safetensors
-from objectfolder.mesh.featurecodec import pack_features
+from objectfolder.mesh.featurecodec import COUNTED, pack_features
 from objectfolder.mesh.features import find_features
 from objectfolder.mesh.topology import signed_volume
 from objectfolder.objectfile.header import PARTS, format_name, schema
@@ -199,7 +199,7 @@ def test_the_schema_is_a_valid_one_that_describes_every_field_of_a_file(brick):
         rules = schema()["properties"][part]["allOf"]
         rules = {rule["if"]["properties"]["kind"]["const"]: rule["then"]["properties"] for rule in rules}
         rule = rules[brick.header[part]["kind"]]
-        optional = {"truncated", "edges", "cells"}
+        optional = {"truncated", *COUNTED}
         assert brick.header[part].keys() - {"kind"} == rule.keys() - optional
         if "net" in rule:
             assert brick.header[part]["net"].keys() == rule["net"]["properties"].keys()
@@ -257,7 +257,7 @@ def test_features_sharpen_the_stored_surface(edit, brick):
     stream = pack_features(features)
 
     def named(header, fewer=0):
-        header["geometry"] |= {"edges": len(features.edges), "cells": len(features.cells) - fewer}
+        header["geometry"] |= features.counts | {"cells": len(features.cells) - fewer}
 
     file = edit(named, **{"geometry.features": stream})
     sharp = file.surface

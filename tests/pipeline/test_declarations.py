@@ -118,7 +118,7 @@ def test_stages_of_robots_depend_on_the_hulls(stage):
 MAX_MODULES = {
     "generate": 44,
     "normalize": 36,
-    "voxelize": 38,
+    "voxelize": 40,
     "modal": 37,
     "render_views": 35,
     "render_touch": 32,
