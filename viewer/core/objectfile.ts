@@ -13,6 +13,8 @@ export interface GridConfig {
   predictor: "none" | "planes";
   edges?: number;
   cells?: number;
+  sheets?: number;
+  moved?: number;
 }
 
 export interface VisionConfig {

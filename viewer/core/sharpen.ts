@@ -53,9 +53,10 @@ export function joinFans(position: Float32Array, fans: Uint32Array): Uint32Array
 /**
  * Give vertices the normals of their faces where those of the grid are wrong, split at creases.
  *
- * Within a voxel of an edge, distances are those to several faces; their gradient belongs to none.
+ * Within a voxel of an edge, distances are those to several faces; their gradient belongs to none. The same
+ * holds at the vertices of thin walls.
  */
-export function sharpNormals(mesh: Mesh, firstFan: number): Mesh {
+export function sharpNormals(mesh: Mesh, firstFan: number, thin: number[] = []): Mesh {
   const { position, normal, index } = mesh;
   const vertices = position.length / 3;
   const areas = new Float64Array(index.length);
@@ -68,6 +69,9 @@ export function sharpNormals(mesh: Mesh, firstFan: number): Mesh {
   const own = new Uint8Array(vertices);
   for (let v = 0; v < vertices; v++) own[v] = cosine(mean, 3 * v, normal, 3 * v) < MIXED ? 1 : 0;
   for (let f = firstFan; f < index.length; f++) own[index[f]] = 1;
+  const walls = new Set(thin);
+  for (let f = 0; walls.size && f < index.length; f += 3)
+    if ([0, 1, 2].some((c) => walls.has(index[f + c]))) for (let c = 0; c < 3; c++) own[index[f + c]] = 1;
   const around = new Map<number, number[]>(); // faces at vertices with normals of their own
   for (let f = 0; f < index.length; f += 3)
     if (own[index[f]] || own[index[f + 1]] || own[index[f + 2]])

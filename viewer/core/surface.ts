@@ -36,12 +36,15 @@ class Growing<T extends Float32Array | Uint32Array> {
 
 /** Extract the zero level set, with shading normals. */
 export function surface(grid: Grid, features: Features | null = null): Mesh {
-  const { values, count, spacing } = grid;
+  const { count, spacing } = grid;
+  const values = features?.sheets.length ? grid.values.slice() : grid.values;
+  for (const sample of features?.sheets ?? []) values[sample] = -127; // deep: they join across diagonals
   const n = count * count;
   const zero = features ? BESIDE : 0;
   const position = new Growing(new Float32Array(1 << 19));
   const index = new Growing(new Uint32Array(1 << 20));
   const fans: number[] = []; // triples: a border edge and the point of its cell
+  const thin: number[] = []; // vertices of walls under a voxel
   const vertex = (x: number, y: number, z: number): number => {
     const at = position.add(3);
     position.data[at] = x * spacing - BOUND;
@@ -62,6 +65,12 @@ export function surface(grid: Grid, features: Features | null = null): Mesh {
     const slot = 3 * local + axis;
     if (layer[slot] >= 0) return layer[slot];
     const at = i * n + node + offset[c];
+    const moved = features?.moved.get(3 * at + axis);
+    if (moved) {
+      layer[slot] = vertex(moved[0], moved[1], moved[2]);
+      thin.push(layer[slot]);
+      return layer[slot];
+    }
     const low = values[at] || zero;
     const high = values[at + steps[axis]] || zero;
     const share = features?.crossings.get(3 * at + axis) ?? low / (low - high);
@@ -104,7 +113,7 @@ export function surface(grid: Grid, features: Features | null = null): Mesh {
     layers.reverse();
     layers[1].fill(-1);
   }
-  return shaded(grid, position.data.slice(0, position.size), index.data.slice(0, index.size), fans);
+  return shaded(grid, position.data.slice(0, position.size), index.data.slice(0, index.size), fans, thin);
 }
 
 /** Bits of the four corners of a cell whose z is that of its lowest sample: 1 inside. */
@@ -117,14 +126,14 @@ function below(values: Int8Array, at: number, n: number, count: number): number 
   );
 }
 
-function shaded(grid: Grid, position: Float32Array, flat: Uint32Array, fans: number[]): Mesh {
+function shaded(grid: Grid, position: Float32Array, flat: Uint32Array, fans: number[], thin: number[]): Mesh {
   const normal = new Float32Array(position.length);
   for (let p = 0; p < position.length; p += 3)
     grid.normal(position[p], position[p + 1], position[p + 2], normal, p);
-  if (!fans.length) return { position, normal, index: flat };
+  if (!fans.length && !thin.length) return { position, normal, index: flat };
   const sharp = joinFans(position, Uint32Array.from(fans));
   const index = new Uint32Array(flat.length + sharp.length);
   index.set(flat);
   index.set(sharp, flat.length);
-  return sharpNormals({ position, normal, index }, flat.length);
+  return sharpNormals({ position, normal, index }, flat.length, thin);
 }

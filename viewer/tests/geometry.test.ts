@@ -1,13 +1,24 @@
 import { describe, expect, it } from "vitest";
 import { ambiguousFaces, EDGES, outlines } from "../core/cubes.ts";
+import { BOUND } from "../core/grid.ts";
 import { type Mesh, surface } from "../core/surface.ts";
 import type { Vector } from "../core/vector.ts";
 import { ball, box, RADIUS } from "./shapes.ts";
 
-/** Volume, and the number of edges that do not join two triangles in opposite directions. */
-function measured({ position, index }: Mesh): { volume: number; open: number } {
+/**
+ * Volume, and the number of edges that do not join two triangles in opposite directions.
+ *
+ * @param split whether vertices have copies, one for each side of an edge
+ */
+function measured({ position, index }: Mesh, split = false): { volume: number; open: number } {
   const edges = new Map<string, number>();
   let volume = 0;
+  const first = new Map<string, number>();
+  const place = Array.from({ length: position.length / 3 }, (_, v) => {
+    const key = split ? position.subarray(3 * v, 3 * v + 3).join() : `${v}`;
+    if (!first.has(key)) first.set(key, v);
+    return first.get(key)!;
+  });
   for (let t = 0; t < index.length; t += 3) {
     const corners = [...index.subarray(t, t + 3)];
     const [a, b, c] = corners.map((v) => [...position.subarray(3 * v, 3 * v + 3)]);
@@ -17,9 +28,9 @@ function measured({ position, index }: Mesh): { volume: number; open: number } {
         a[2] * (b[0] * c[1] - b[1] * c[0])) /
       6;
     corners.forEach((v, n) => {
-      const w = corners[(n + 1) % 3];
-      const key = v < w ? `${v} ${w}` : `${w} ${v}`;
-      edges.set(key, (edges.get(key) ?? 0) + (v < w ? 1 : -1));
+      const [one, other] = [v, corners[(n + 1) % 3]].map((k) => place[k]);
+      const key = one < other ? `${one} ${other}` : `${other} ${one}`;
+      edges.set(key, (edges.get(key) ?? 0) + (one < other ? 1 : -1));
     });
   }
   return { volume, open: [...edges.values()].filter((sum) => sum !== 0).length };
@@ -89,10 +100,44 @@ describe("the surface", () => {
             place.map((p, axis) => p ?? [i, j, k][axis] + 0.5) as [number, number, number],
           );
         }
-    const sharp = measured(surface(grid, { crossings: new Map(), points }));
+    const sharp = measured(surface(grid, { crossings: new Map(), points, sheets: [], moved: new Map() }));
     const round = measured(surface(grid));
     const exact = 8 * half[0] * half[1] * half[2];
     expect(sharp.volume).toBeGreaterThan(round.volume);
     expect(Math.abs(sharp.volume - exact)).toBeLessThan(0.5 * Math.abs(round.volume - exact));
+  });
+
+  it("of a board between the samples is closed and has its volume", () => {
+    const count = 64;
+    const half: [number, number, number] = [0.3, 0.25, 0.003];
+    const grid = box(count, half);
+    expect(surface(grid).index.length).toBe(0);
+    const place = (n: number) => n * grid.spacing - BOUND;
+    const sheets: number[] = [];
+    const moved = new Map<number, [number, number, number]>();
+    const layer = count / 2; // half a voxel above the middle of the board
+    const within = (i: number, j: number) => Math.abs(place(i)) < half[0] && Math.abs(place(j)) < half[1];
+    const index = (x: number) => (x + BOUND) / grid.spacing;
+    for (let i = 1; i < count - 1; i++)
+      for (let j = 1; j < count - 1; j++) {
+        if (!within(i, j)) continue;
+        const sample = (i * count + j) * count + layer;
+        sheets.push(sample);
+        moved.set(3 * sample + 2, [i, j, index(half[2])]);
+        moved.set(3 * (sample - 1) + 2, [i, j, index(-half[2])]);
+        for (const way of [-1, 1]) {
+          const low = Math.min(way, 0);
+          if (!within(i + way, j))
+            moved.set(3 * (sample + low * count ** 2), [index(way * half[0]), j, index(0)]);
+          if (!within(i, j + way))
+            moved.set(3 * (sample + low * count) + 1, [i, index(way * half[1]), index(0)]);
+        }
+      }
+    const { volume, open } = measured(
+      surface(grid, { crossings: new Map(), points: new Map(), sheets, moved }),
+      true,
+    );
+    expect(open).toBe(0);
+    expect(volume / (8 * half[0] * half[1] * half[2])).toBeCloseTo(1, 1);
   });
 });
