@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from objectfolder.fem.accuracy import Candidate
+from objectfolder.fem.accuracy import Discretisation
 from objectfolder.fem.blocks import merge_full_blocks
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.eigen import FreeVibration
@@ -165,7 +165,7 @@ def errors(case: Case, resolution: int) -> np.ndarray:
     span = np.ptp(vertices, axis=0)
     vertices = (vertices - vertices.min(0) - span / 2) * 0.97 + SHIFT  # inside the unit cube
     cells = merge_full_blocks(cut_cells(vertices / max(1, span.max()), case.surface[1], resolution, 6))
-    found = Candidate(cells, STUFF, max(1, span.max()) / 0.97).lowest_frequencies(MODES)
+    found = Discretisation(cells, STUFF, max(1, span.max()) / 0.97).lowest_frequencies(MODES)
     return found / case.truth - 1
 
 

@@ -14,7 +14,7 @@ from objectfolder.inspection.scene import draw_scene
 from objectfolder.objectfile.file import ObjectFile
 
 # The same examples everywhere; `make fuzz` tries others. Tests that set a number of examples keep to it.
-settings.register_profile("same", derandomize=True, database=None)
+settings.register_profile("same", derandomize=True, database=None, deadline=None)
 settings.register_profile("fuzz", max_examples=2000)
 settings.load_profile("same")
 
