@@ -7,7 +7,6 @@ import numpy as np
 from objectfolder.checks import real_array
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
-from objectfolder.pictures import decoded
 from objectfolder.vision.lighting import DistantLight
 
 LIGHTS = 64  #: that stand for a picture
@@ -27,6 +26,8 @@ def read_environment(path: str | Path) -> np.ndarray:
     """
     path = Path(path)
     if path.suffix.lower() not in HDR_SUFFIXES:
+        from objectfolder.pictures import decoded  # loads PIL
+
         return srgb.decode(np.asarray(decoded(path, str(path))) / 255)
     try:
         import mitsuba
