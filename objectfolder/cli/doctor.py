@@ -140,7 +140,16 @@ def blender() -> Part:
     return Part("Blender", found, bool(found), brings, "Blender 4.2 or newer, on the PATH")
 
 
-CHECKS: tuple[Callable[[], Part], ...] = (embree, pardiso, cholmod, llvm, opengl, cuda, blender)
+def chromium() -> Part:
+    """Look for what tests the page of `objectfolder view`."""
+    node, browser = shutil.which("node"), shutil.which("chromium") or shutil.which("google-chrome")
+    found = ", ".join(path for path in (node, browser) if path)
+    brings = "make viewer and perf/viewer.py, which test the page of view; any browser shows it"
+    get = "apt-get install chromium nodejs npm"
+    return Part("node, Chromium", found, bool(node and browser), brings, get)
+
+
+CHECKS: tuple[Callable[[], Part], ...] = (embree, pardiso, cholmod, llvm, opengl, cuda, blender, chromium)
 
 
 def extra(name: str) -> Part:

@@ -73,6 +73,11 @@ def test_a_bare_machine_gets_what_to_install_for_each_part(machine):
             "NVIDIA driver, torch with CUDA",
         ),
         ("Blender", {"packages": {"blender": "/opt/blender"}}, "/opt/blender"),
+        (
+            "node, Chromium",
+            {"packages": {"node": "/bin/node", "google-chrome": "/bin/google-chrome"}},
+            "/bin/node, /bin/google-chrome",
+        ),
         ("extra build", {"packages": {"mitsuba": "3.9", "dvc": "3.67.1"}}, "installed"),
     ],
 )
@@ -89,6 +94,7 @@ def test_a_part_that_is_there_is_usable_and_alone(machine, name, here, found):
         ("LLVM 19", {"packages": {"mitsuba": "3.9"}, "llvm": "15.0.6, too old\n"}, "15.0.6, too old"),
         ("CUDA", {"libraries": ["libcuda.so.1"]}, "NVIDIA driver"),
         ("CUDA", {"torch": "libtorch_cuda.so"}, "torch with CUDA"),
+        ("node, Chromium", {"packages": {"node": "/bin/node"}}, "/bin/node"),
         ("extra build", {"packages": {"mitsuba": "3.9"}}, "without dvc"),
         ("extra build", {"packages": {"mitsuba": "3.9", "dvc": "3.60"}}, "without dvc"),
     ],
