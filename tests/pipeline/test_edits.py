@@ -4,6 +4,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+import pytest
 from ruamel.yaml import YAML
 
 from objectfolder.mesh.reading.load import load_mesh
@@ -22,6 +23,7 @@ atexit.register(wait, "reverted")
 """
 
 
+@pytest.mark.slow
 def test_size_that_is_edited_and_edited_back_while_an_object_is_generated_is_not_taken(workspace):
     script = workspace.root / "stages/generate.py"
     script.write_text(WAIT + script.read_text())

@@ -23,7 +23,7 @@ def starter():
     starter.close()
 
 
-@pytest.mark.parametrize("stage", ["normalize", "train_audio"])
+@pytest.mark.parametrize("stage", ["normalize", pytest.param("train_audio", marks=pytest.mark.slow)])
 def test_a_stage_writes_the_same_bytes_as_in_a_new_python(built, starter, stage, tmp_path):
     written = []
     for name, how in (("warm", {"start": starter.start}), ("cold", {})):

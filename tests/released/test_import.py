@@ -360,7 +360,7 @@ MUTANTS = st.sampled_from(
 
 
 @given(st.data())
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_any_other_structure_is_an_error_or_an_object_file(file, quick_gel, data):
     make = data.draw(st.sampled_from([released.released_1, released.released_2, released.released_kilo]))
     values = make(0, 4)

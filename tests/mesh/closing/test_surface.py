@@ -64,7 +64,7 @@ def test_vertices_split_at_seams_are_welded():
     assert surface.deviation_max == 0
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(SEEDS)
 def test_a_soup_of_randomly_oriented_faces_becomes_the_solid(seed):
     rng = np.random.default_rng(seed)
@@ -130,7 +130,7 @@ def test_a_visible_sheet_gets_the_wall_that_is_asked_for_else_two_percent_and_a_
     assert "set `wall`" in default.warnings[0]
 
 
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=1, deadline=None)
 @given(SEEDS)
 @pytest.mark.parametrize("share", [pytest.param(0.002, marks=pytest.mark.slow), 0.02])
 def test_deleted_faces_are_closed_again(mug, share, seed):
@@ -143,7 +143,7 @@ def test_deleted_faces_are_closed_again(mug, share, seed):
     assert surface.deviation_max < 0.03  # the mug's longest edges
 
 
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=2, deadline=None)
 @given(SEEDS)
 def test_flipped_faces_are_turned_back(mug, seed):
     vertices, faces = mug
