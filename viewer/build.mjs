@@ -41,5 +41,7 @@ const writePage = async (name, source, style) => {
 };
 write("viewer.js", script);
 write("report.js", await text("report/main.ts"));
+write("listening.js", await text("listening/main.ts"));
 await writePage("page.html", "page/page.html", "page/style.css");
 await writePage("report.html", "report/report.html", "report/report.css");
+await writePage("listening.html", "listening/listening.html", "listening/listening.css");

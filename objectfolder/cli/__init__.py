@@ -14,6 +14,7 @@ from objectfolder.cli import (
     doctor,
     export,
     fit,
+    listening,
     objectfile,
     objects,
     reconstruct,
@@ -64,6 +65,7 @@ bench.bench_app.command()(bench_robots.reach)
 app.add_typer(bench.bench_app, name="bench")
 app.add_typer(export.export_app, name="export")
 app.add_typer(fit.fit_app, name="fit")
+app.add_typer(listening.listening_app, name="listening")
 
 
 def main() -> None:

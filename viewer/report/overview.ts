@@ -22,8 +22,8 @@ function card(row: Row): HTMLElement {
       "a",
       { class: `card ${state}`, href: row.missing ? null : `#${row.key}` },
       row.thumbnail
-        ? make("img", { src: row.thumbnail, alt: "", loading: "lazy", decoding: "async" })
-        : make("div", { class: "none" }),
+        ? make("img", { class: "thumbnail", src: row.thumbnail, alt: "", loading: "lazy", decoding: "async" })
+        : make("div", { class: "thumbnail none" }),
       make("strong", {}, row.key.replaceAll("_", " ")),
       make("small", {}, facts),
       ...(score === undefined ? [] : [make("small", {}, `views ${short(score, "dB")}`)]),

@@ -1,0 +1,54 @@
+"""Commands of a listening study: make, score."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from objectfolder.cli.console import console
+
+listening_app = typer.Typer(
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+    help="Ask people which sounds are more real: `make` a page, `score` the answers.",
+)
+
+
+@listening_app.command()
+def make(
+    ours: Annotated[Path, typer.Argument(metavar="OURS", help="Folder of sounds named MATERIAL_anything.")],
+    other: Annotated[Path, typer.Argument(metavar="OTHER", help="Folder of sounds of the same names.")],
+    out: Annotated[Path, typer.Option(help="Page to write.")] = Path("listening.html"),
+    pairs: Annotated[int, typer.Option(min=1, help="Pairs that each listener hears.")] = 16,
+    seed: Annotated[int, typer.Option(help="Of the draw of pairs and of their orders.")] = 0,
+) -> None:
+    """Write a page that plays pairs of sounds, such as ours and recordings, and asks which is more real.
+
+    It works from disk and keeps the answers in the browser until they are saved as CSV. Levels are matched,
+    orders are random and balanced. By default as in the paper, which had 10 listeners.
+    """
+    from objectfolder.io import write_text
+    from objectfolder.report.listening import study_page
+
+    write_text(out, study_page(ours, other, pairs, seed))
+    console.print(f"{out}: {pairs} pairs; then `objectfolder listening score` the CSV files", soft_wrap=True)
+
+
+@listening_app.command()
+def score(
+    results: Annotated[list[Path], typer.Argument(metavar="CSV...", help="Answers that the page saved.")],
+) -> None:
+    """Show how often each method was preferred, by material, with Wilson's 95 % intervals."""
+    from objectfolder.report.listening import preferences
+
+    method, found, listeners = preferences(results)
+    table = Table(
+        title=f"{method} preferred by {listeners} listeners (chance: 50 %; the paper's study: 42 %)"
+    )
+    for name in ("material", "answers", "preferred", "95 % interval"):
+        table.add_column(name, justify="left" if name == "material" else "right")
+    for material, one in found.items():
+        low, high = one.interval
+        table.add_row(material, str(one.answers), f"{one.share:.0%}", f"{low:.0%} to {high:.0%}")
+    console.print(table)

@@ -1,0 +1,169 @@
+"""The listening study."""
+
+import base64
+import io
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+
+from objectfolder.cli import app
+from objectfolder.errors import ObjectFolderError
+from objectfolder.report.listening import COLUMNS, Preference, preferences, study_page
+
+VIEWER = Path(__file__).parents[2] / "viewer"
+MATERIALS = ("ceramic", "steel", "wood")
+
+
+def ring(rate, level, seed):
+    time = np.arange(rate) / rate
+    return level * np.exp(-8 * time) * np.sin(2 * np.pi * (400 + 40 * seed) * time)
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """Twelve pairs: four steel, four wood, four ceramic; levels and rates differ."""
+    root = tmp_path_factory.mktemp("sounds")
+    for folder, rate in (("ours", 16000), ("recorded", 44100)):
+        (root / folder).mkdir()
+        for n in range(12):
+            level = 0.01 if folder == "ours" else 0.1 * (1 + n)
+            path = root / folder / f"{MATERIALS[n % 3]}_{n}.wav"
+            soundfile.write(path, ring(rate, level, n).clip(-1, 1), rate, subtype="FLOAT")
+    return root / "ours", root / "recorded"
+
+
+def study(page):
+    return json.loads(re.search(r'<script type="application/json" id="study">(.*?)</script>', page)[1])
+
+
+def heard(uri):
+    return soundfile.read(io.BytesIO(base64.b64decode(uri.partition(",")[2])))
+
+
+def loudest(sound, rate):
+    """Root mean square of the loudest 0.4 s, by brute force."""
+    window = int(0.4 * rate)
+    return max(np.sqrt(np.square(sound[k : k + window]).mean()) for k in range(0, len(sound) - window, 50))
+
+
+def test_a_study_matches_levels_and_draws_materials_evenly(folders):
+    found = study(study_page(*folders, pairs=6))
+    assert found["methods"] == ["ours", "recorded"]
+    assert sorted(pair["material"] for pair in found["pairs"]) == sorted(2 * MATERIALS)
+    levels, peaks = [], []
+    for pair in found["pairs"]:
+        for uri in pair["sounds"]:
+            sound, rate = heard(uri)
+            levels.append(loudest(sound, rate))
+            peaks.append(np.abs(sound).max())
+    assert max(peaks) == pytest.approx(0.9, abs=1e-3)
+    assert max(levels) / min(levels) < 1.01
+
+
+def test_a_study_loads_nothing_and_is_repeatable(folders):
+    page = study_page(*folders, pairs=6, seed=3)
+    assert page == study_page(*folders, pairs=6, seed=3)
+    assert study(page)["id"] != study(study_page(*folders, pairs=6, seed=4))["id"]
+    assert not re.search(
+        r"""(src|href)=["'](?!data:)""", re.sub(r"<script.*?</script>", "", page, flags=re.S)
+    )
+
+
+def test_too_few_pairs_are_refused(folders):
+    with pytest.raises(ObjectFolderError, match=r"have 12 sounds of the same name, expected 16"):
+        study_page(*folders)
+
+
+def test_silence_is_refused(folders, tmp_path):
+    shutil.copytree(folders[0], tmp_path / "silent")
+    soundfile.write(tmp_path / "silent" / "wood_2.wav", np.zeros(1000), 16000)
+    with pytest.raises(ObjectFolderError, match=r"wood_2\.wav is silent"):
+        study_page(tmp_path / "silent", folders[1], pairs=12)
+
+
+def test_a_folder_twice_is_refused(folders):
+    with pytest.raises(ObjectFolderError, match="have the same name"):
+        study_page(folders[0], folders[0])
+
+
+@pytest.mark.parametrize(("chosen", "answers"), [(0, 10), (67, 160), (160, 160)])
+def test_the_interval_is_wilsons(chosen, answers):
+    """Its ends are the shares from which the found one is 1.96 of their own standard deviations away."""
+    one = Preference(chosen, answers)
+    for end in one.interval:
+        if 1e-9 < end < 1 - 1e-9:
+            deviation = np.sqrt(end * (1 - end) / answers)
+            assert abs(one.share - end) / deviation == pytest.approx(1.959964, rel=1e-5)
+    assert one.interval[0] <= one.share <= one.interval[1]
+
+
+def saved(path, rows, study="s"):
+    lines = [
+        [study, listener, pair, pair.partition("_")[0], *sides, chosen]
+        for listener, pair, sides, chosen in rows
+    ]
+    path.write_text("\n".join(",".join(line) for line in [COLUMNS, *lines]) + "\n")
+    return path
+
+
+def test_answers_are_counted_by_material_and_once(tmp_path, capsys):
+    sides = ("ours", "recorded")
+    rows = [
+        ("1", "wood_1", sides, "ours"),
+        ("1", "steel_1", sides[::-1], "recorded"),
+        ("2", "wood_1", sides[::-1], "ours"),
+        ("2", "steel_1", sides, "ours"),
+    ]
+    paths = [saved(tmp_path / "a.csv", rows[:3]), saved(tmp_path / "b.csv", rows)]
+    method, found, listeners = preferences(paths)
+    assert (method, listeners) == ("ours", 2)
+    assert found == {"steel": Preference(1, 2), "wood": Preference(2, 2), "all": Preference(3, 4)}
+    app(["listening", "score", *map(str, paths)], standalone_mode=False)
+    assert "75%" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("a,b\n1,2\n", "line 2 is no answer of a study"),
+        (",".join(COLUMNS) + "\n", "no answers"),
+        (",".join(COLUMNS) + "\ns,1,wood_1,wood,ours,recorded,third\n", "line 2 is no answer"),
+    ],
+)
+def test_other_files_are_refused(tmp_path, content, message):
+    path = tmp_path / "x.csv"
+    path.write_text(content)
+    with pytest.raises(ObjectFolderError, match=message):
+        preferences([path])
+
+
+def test_answers_of_different_studies_are_refused(tmp_path):
+    row = [("1", "wood_1", ("ours", "recorded"), "ours")]
+    paths = [saved(tmp_path / f"{name}.csv", row, name) for name in "st"]
+    with pytest.raises(ObjectFolderError, match="are of different studies"):
+        preferences(paths)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    shutil.which("node") is None or not (VIEWER / "node_modules").exists(),
+    reason="needs node and `npm ci` in viewer/",
+)
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Chromium")
+def test_two_listeners_in_chromium(folders, tmp_path):
+    page = tmp_path / "study.html"
+    app(["listening", "make", *map(str, folders), "--pairs", "6", "--out", str(page)], standalone_mode=False)
+    done = subprocess.run(
+        ["node", "tests/listen.mjs", str(page), str(tmp_path)], cwd=VIEWER, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    # The first listener always chose the first sound, the second the second: each method wins half.
+    method, found, listeners = preferences([tmp_path / "answers.csv"])
+    assert (method, listeners) == ("ours", 2)
+    assert found["all"] == Preference(6, 12)
