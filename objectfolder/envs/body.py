@@ -14,19 +14,8 @@ from objectfolder.envs.hulls import cached_hulls
 from objectfolder.envs.solid import close_holes
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
+from objectfolder.touch.friction import friction_of
 
-#: Dry sliding friction by material, against a table or a silicone elastomer. Assumed: handbooks give ranges
-#: of +-0.1 and more, and the friction of an elastomer depends on load and wear.
-FRICTION = {
-    "ceramic": 0.5,
-    "glass": 0.5,
-    "wood": 0.6,
-    "plastic": 0.5,
-    "iron": 0.45,
-    "polycarbonate": 0.5,
-    "steel": 0.45,
-}
-_OTHER_FRICTION = 0.5  # of custom materials
 TORSIONAL, ROLLING = 0.005, 0.0001  #: friction, m: MuJoCo's defaults
 
 
@@ -77,7 +66,7 @@ def rigid_body(file: ObjectFile, hulls: Sequence[trimesh.Trimesh]) -> RigidBody:
         mass=density(file) * volume,
         centre=centre,
         inertia=density(file) * inertia,
-        friction=FRICTION.get(file.material.lower(), _OTHER_FRICTION),
+        friction=friction_of(file.material),
         bounds=np.asarray(surface.bounds),
     )
 

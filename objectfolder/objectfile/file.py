@@ -31,10 +31,12 @@ from objectfolder.objectfile.header import checked_header
 from objectfolder.objectfile.parts import StoredParts
 from objectfolder.objectfile.samples import sample_path
 from objectfolder.objectfile.surface import TOLERANCE
-from objectfolder.objectfile.touch import ContactPoses, FixedContact, concatenate_touches
+from objectfolder.objectfile.touch import ContactPoses, FixedContact, concatenate_touches, sideways_motion
 from objectfolder.objectfile.vision import BaseColors, render_views, view_images
+from objectfolder.touch.friction import friction_of
+from objectfolder.touch.markers import Markers
 from objectfolder.touch.profiles import SensorProfile, load_profile
-from objectfolder.touch.simulate import Touches
+from objectfolder.touch.simulate import Touches, sheared
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.environment import environment_lamps
 from objectfolder.vision.lighting import Lamp, chosen_lamps
@@ -458,17 +460,48 @@ class ObjectFile:
         azimuth: Scalars = 0.0,
         tolerance: float = TOLERANCE,
         sensor: Sensor = None,
+        shear: Rows | None = None,
+        twist: Scalars = 0.0,
+        friction: Scalars | None = None,
+        markers: bool | Markers = False,
     ) -> Touches:
-        """Press a tactile sensor on the object; parameters as in `touch`.
+        """Press a tactile sensor on the object, then move the object sideways and turn it.
+
+        Parameters
+        ----------
+        points, depth, angle, tilt, azimuth, tolerance, sensor : as in `touch`
+        shear : (2,) or (N, 2) array, optional
+            Motion of the object against the sensor after the press, along image right and image up, metres.
+        twist : float or (N,) array
+            Turn of the object about the sensor's axis after the press, anticlockwise in the image, radians.
+        friction : float or (N,) array, optional
+            Coefficient of friction between object and gel. Default: that of the object's material
+            (`objectfolder.touch.friction`).
+        markers : bool or Markers
+            Draw dots on the gel into the images: a default grid, or another.
 
         Returns
         -------
         Touches
             Images, heights, normals, contact masks, displacements, pressures, forces, areas, penetrations and
-            obstruction.
+            obstruction. With shear, a twist or markers it is a `ShearedTouches`, which also has the gel's
+            sideways displacement, tractions, shear force, torque and the markers' flow.
+
+        Raises
+        ------
+        ObjectFolderError
+            As `touch`; also if the gel that is to be sheared is rigid, or a friction is negative.
         """
         contacts = self.touches(points, depth, angle, tilt, azimuth, tolerance, sensor)
-        return concatenate_touches(contacts, len(finite_rows("points", points, 3)))
+        count = len(finite_rows("points", points, 3))
+        motion = sideways_motion(
+            shear, twist, friction_of(self.material) if friction is None else friction, count
+        )
+        found = concatenate_touches(contacts, count)
+        if shear is None and not motion.twist.any() and not markers:
+            return found
+        dots = Markers() if markers is True else markers or None
+        return sheared(found, motion.shear, motion.twist, motion.friction, dots)
 
     def touches(
         self,

@@ -63,6 +63,35 @@ class ContactPoses:
 
 
 @dataclass(frozen=True)
+class SidewaysMotion:
+    """Motion of N pressed objects against the sensor."""
+
+    shear: np.ndarray  #: (N, 2) along image right and image up, metres
+    twist: np.ndarray  #: (N,) about the sensor's axis, anticlockwise in the image, radians
+    friction: np.ndarray  #: (N,) coefficients
+
+
+def sideways_motion(shear: Rows | None, twist: Scalars, friction: Scalars, count: int) -> SidewaysMotion:
+    """Check the arguments of a sheared press; one row or number serves all contacts.
+
+    Raises
+    ------
+    ObjectFolderError
+        If shapes do not fit, values are not finite, or a friction is negative.
+    """
+    rows = np.zeros((1, 2)) if shear is None else finite_rows("shear", np.atleast_2d(np.asarray(shear)), 2)
+    if len(rows) not in (1, count):
+        raise ObjectFolderError(f"shear has {len(rows)} rows, expected one or {count} of them")
+    coefficients = finite_scalars("friction", friction, count)
+    wrong = np.flatnonzero(coefficients < 0)
+    if len(wrong):
+        raise ObjectFolderError(f"friction: row {wrong[0]} is {coefficients[wrong[0]]:g}, expected 0 or more")
+    return SidewaysMotion(
+        np.broadcast_to(rows, (count, 2)), finite_scalars("twist", twist, count), coefficients
+    )
+
+
+@dataclass(frozen=True)
 class FixedContact:
     """The one press that a net of images answers, whatever the point."""
 

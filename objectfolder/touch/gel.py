@@ -9,8 +9,8 @@ import scipy  # scipy.fft loads at first use: views and sounds start without it
 from objectfolder.errors import ObjectFolderError
 from objectfolder.touch.profiles import SensorProfile
 
-# The Fourier transform makes the contact periodic; the copies are this many thicknesses apart.
-_SPACING = 2.5
+#: The Fourier transform makes the contact periodic; the copies are this many thicknesses apart.
+SPACING = 2.5
 
 # Tolerated gap under pressure and overlap without pressure, relative to the deepest overlap.
 _TOLERANCE = 8e-3
@@ -56,6 +56,11 @@ class Layer:
         return np.where(wavenumber > 0, waves, confined)
 
 
+def layer_of(profile: SensorProfile) -> Layer:
+    """Return the layer of a soft gel."""
+    return Layer(profile.elastomer_thickness, profile.young_modulus, profile.poisson_ratio)
+
+
 def deform(height: np.ndarray, profile: SensorProfile) -> tuple[np.ndarray, np.ndarray]:
     """Press a rigid object into the gel.
 
@@ -92,7 +97,7 @@ def deform(height: np.ndarray, profile: SensorProfile) -> tuple[np.ndarray, np.n
     height = np.asarray(height, np.float32)
     if profile.gel == "rigid":
         return height.clip(0), np.full_like(height, np.nan)
-    layer = Layer(profile.elastomer_thickness, profile.young_modulus, profile.poisson_ratio)
+    layer = layer_of(profile)
     displacement, pressure = np.zeros_like(height), np.zeros_like(height)
     for i, image in enumerate(height):  # one at a time: the same bits whatever else is in the batch
         if image.max(initial=0) > 0:
@@ -128,8 +133,8 @@ def _solve(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the pressure and the displacement under it."""
     if min(height.shape) >= 2 * _COARSEST:
-        pressure, _ = _solve(_halve(height), _halve(reachable) > 0, 2 * pitch, layer)
-        pressure = _double(pressure, height.shape) * reachable
+        pressure, _ = _solve(halve(height), halve(reachable) > 0, 2 * pitch, layer)
+        pressure = double(pressure, height.shape) * reachable
         displacement = _respond(pressure, pitch, layer)
     else:
         pressure = displacement = np.zeros_like(height)
@@ -159,7 +164,7 @@ def _solve(
 def _respond(pressure: np.ndarray, pitch: float, layer: Layer) -> np.ndarray:
     """Return the displacement under a pressure."""
     height, width = pressure.shape
-    rows, columns = _period(pressure.shape, round(_SPACING * layer.thickness / pitch))
+    rows, columns = period(pressure.shape, round(SPACING * layer.thickness / pitch))
     # Axis by axis, to skip transforms of zeros only and of results that are cut off.
     waves = scipy.fft.fft(scipy.fft.rfft(pressure, rows, axis=0), columns, axis=1, overwrite_x=True)
     parts = waves.view(np.float32)
@@ -190,7 +195,7 @@ def _sum_of_products(a: np.ndarray, b: np.ndarray) -> float:
 
 
 @lru_cache(maxsize=32)  # two for each sensor, as below
-def _period(shape: tuple[int, ...], margin: int) -> tuple[int, ...]:
+def period(shape: tuple[int, ...], margin: int) -> tuple[int, ...]:
     """Return the rows and columns of the transforms of an image and a margin."""
     return tuple(scipy.fft.next_fast_len(n + margin, real=True) for n in shape)
 
@@ -218,7 +223,7 @@ def _stencil(pitch: float, layer: Layer) -> tuple[np.float32, np.float32, np.flo
     return np.float32(centre), np.float32((long - diagonal) / 8), np.float32((centre - axis) / 4)
 
 
-def _halve(image: np.ndarray) -> np.ndarray:
+def halve(image: np.ndarray) -> np.ndarray:
     """Means of 2 x 2 pixels."""
     height, width = image.shape
     even = image.astype(np.float32)
@@ -228,7 +233,7 @@ def _halve(image: np.ndarray) -> np.ndarray:
     return (rows[:, ::2] + rows[:, 1::2]) / 4
 
 
-def _double(image: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+def double(image: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """Interpolate between the centres of 2 x 2 pixels."""
     for _ in range(2):
         fine = np.empty((2 * len(image), image.shape[1]), np.float32)

@@ -4,7 +4,7 @@ import pytest
 import trimesh
 from solids import box, join, sphere
 
-from objectfolder.envs.body import FRICTION, RigidBody, add_body, density, rigid_body
+from objectfolder.envs.body import RigidBody, add_body, density, rigid_body
 from objectfolder.envs.hulls import convex_hulls
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import MATERIALS
@@ -12,6 +12,7 @@ from objectfolder.mesh.gridcodec import pack_grid
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.header import format_name
+from objectfolder.touch.friction import FRICTION
 
 SCALE = 0.2
 

@@ -1,0 +1,262 @@
+"""Shear and twist of the gel: an elastic layer under friction, with partial slip."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import scipy
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.touch.camera import gel_depth, pixel_area, ray_directions
+from objectfolder.touch.gel import SPACING, Layer, double, halve, layer_of, period
+from objectfolder.touch.profiles import SensorProfile
+
+_TOLERANCE = 0.002  # of the motion: error of the surface's displacement where it sticks
+_MAX_STEPS = 400  # typically tens suffice
+_COARSEST = 80  # pixels along the shorter side of the finest grid that is solved without halving
+
+
+@dataclass(frozen=True)
+class Shears:
+    """What friction does to the gel in N contacts. Vectors are along image right and image up."""
+
+    displacement: np.ndarray  #: (N, H, W, 2) float32, m, of the gel's surface, by pressure and friction
+    traction: np.ndarray  #: (N, H, W, 2) float32, Pa, of the object on the gel
+    force: np.ndarray  #: (N, 2) float64, N, of the object on the gel
+    torque: np.ndarray  #: (N,) float64, N m, about the optical axis, anticlockwise in the image
+    slipping: np.ndarray  #: (N,) float64, part of the contact's area that slips; 0 without a contact
+
+
+def shear_compliance(layer: Layer, wavenumber: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the tangential displacement of the surface per unit of a sinusoidal shear traction, m/Pa.
+
+    The first is that of tractions along the wave vector q, (1 - ν) / (G q) for short waves; the second of
+    those across it, tanh(q h) / (G q). Both are h / G for long ones. Linear elasticity of a layer bonded to
+    a rigid base, its surface free of pressure.
+
+    Parameters
+    ----------
+    layer : Layer
+    wavenumber : array
+        q, rad/m, zero or positive.
+    """
+    nu, thickness = layer.poisson_ratio, layer.thickness
+    shear_modulus = layer.young_modulus / (2 * (1 + nu))
+    phase = np.where(wavenumber > 0, wavenumber * thickness, 1.0)
+    sinh, below, decay = _hyperbolic(phase, nu)
+    along = (1 - nu) / phase * ((3 - 4 * nu) * sinh + 2 * phase * decay) / below
+    across = np.tanh(phase) / phase
+    scale = thickness / shear_modulus
+    return scale * np.where(wavenumber > 0, along, 1), scale * np.where(wavenumber > 0, across, 1)
+
+
+def spreading(layer: Layer, wavenumber: np.ndarray) -> np.ndarray:
+    """Return the amplitude, m/Pa, of the tangential displacement by a sinusoidal pressure.
+
+    Under a pressure cos(q x) the surface moves by this times sin(q x) along x: away from where it is pressed,
+    if positive. [(q h)² - (1 - 2 ν) (3 - 4 ν) sinh²(q h)] / (G q D), with D the denominator of
+    `Layer.compliance`.
+    """
+    nu, thickness = layer.poisson_ratio, layer.thickness
+    shear_modulus = layer.young_modulus / (2 * (1 + nu))
+    phase = np.where(wavenumber > 0, wavenumber * thickness, 1.0)
+    _, below, decay = _hyperbolic(phase, nu)
+    square = (1 - decay) ** 2 / 4  # sinh² times the decay
+    above = phase**2 * decay - (1 - 2 * nu) * (3 - 4 * nu) * square
+    return np.where(wavenumber > 0, thickness / shear_modulus / phase * above / below, 0.0)
+
+
+def shear_contacts(
+    pressure: np.ndarray,
+    shear: np.ndarray,
+    twist: np.ndarray,
+    friction: np.ndarray,
+    profile: SensorProfile,
+) -> Shears:
+    """Move a pressed object sideways and turn it, from a press without friction, in one step.
+
+    Where it sticks, the gel's surface follows the object; where it slips, the traction is the friction times
+    the pressure. The traction minimises the elastic energy less the work on the object's motion within these
+    bounds (Kalker 1990), which is Coulomb's law for a motion in one step. Pressure and contact are those of
+    the press: the coupling of shear and pressure, zero on a half space of Poisson's ratio 0.5, is left out
+    (Goodman 1962). The press itself moves the surface sideways without friction. On images of 80 pixels and
+    more, the traction is constant over 2 x 2 pixels.
+
+    Parameters
+    ----------
+    pressure : (N, H, W) array
+        Pa, from `gel.deform`.
+    shear : (N, 2) array
+        Motion of the object against the sensor, along image right and image up, metres.
+    twist : (N,) array
+        Turn of the object about the optical axis, anticlockwise in the image, radians.
+    friction : (N,) array
+        Coefficients.
+    profile : SensorProfile
+        With a soft gel.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the gel is rigid, or a contact does not converge.
+    """
+    if profile.gel == "rigid":
+        raise ObjectFolderError(
+            f"the gel of sensor {profile.name!r} is rigid and cannot be sheared; set gel: soft"
+        )
+    layer, pitch = layer_of(profile), profile.pixel_pitch
+    count, height, width = pressure.shape
+    place = _places(profile)
+    displacement = np.zeros((count, height, width, 2), np.float32)
+    traction = np.zeros_like(displacement)
+    slipping = np.zeros(count)
+    coarse = min(height, width) >= _COARSEST
+    for i, image in enumerate(pressure):
+        if not image.any():
+            continue
+        if coarse:
+            image, step = halve(image), 2 * pitch
+        else:
+            step = pitch
+        grid = _grid(image.shape, step)
+        turned = np.array([np.cos(twist[i]) - 1, np.sin(twist[i])])
+        motion = np.stack(
+            [
+                shear[i, 0] + turned[0] * grid[0] - turned[1] * grid[1],
+                shear[i, 1] + turned[1] * grid[0] + turned[0] * grid[1],
+            ]
+        ).astype(np.float32)
+        found = slide(image, motion, friction[i], step, layer)
+        moved = _respond(found, image.shape, step, layer) + _spread(image, step, layer)
+        bound = friction[i] * image
+        slips = (image > 0) & (np.hypot(*found) >= 0.999 * bound) & (np.hypot(*motion).max() > 0)
+        slipping[i] = slips.sum() / (image > 0).sum()
+        for to, of in ((displacement[i], moved), (traction[i], found)):
+            for axis in (0, 1):
+                to[..., axis] = double(of[axis], (height, width)) if coarse else of[axis]
+    traction *= (pressure > 0)[..., None]
+    area = pixel_area(profile)
+    force = np.array([[(of[..., axis] * area).sum() for axis in (0, 1)] for of in traction]).reshape(-1, 2)
+    lever = traction[..., 1] * place[0] - traction[..., 0] * place[1]
+    torque = np.array([(of * area).sum() for of in lever])
+    return Shears(displacement, traction, force, torque, slipping)
+
+
+def slide(
+    pressure: np.ndarray, motion: np.ndarray, friction: float, pitch: float, layer: Layer
+) -> np.ndarray:
+    """Return the traction where a rigid object in frictional contact moves; (2, H, W) float32, Pa.
+
+    Projected gradients with the steps of Barzilai and Borwein (1988).
+
+    Parameters
+    ----------
+    pressure : (H, W) float32 array, Pa
+    motion : (2, H, W) float32 array
+        Of the object's points, metres, along image right and up.
+    friction : float
+    pitch : float
+        Metres between pixels.
+    layer : Layer
+    """
+    traction = np.zeros_like(motion)
+    rows, columns = (np.flatnonzero(pressure.any(axis=axis)) for axis in (1, 0))
+    goal = np.abs(motion).max() * _TOLERANCE
+    if not rows.size or goal == 0 or friction == 0:
+        return traction
+    window = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    bound = np.float32(friction) * pressure[window]
+    wanted = motion[:, *window] * (bound > 0)
+    found = np.zeros_like(wanted)
+    residual = -wanted  # gradient of the energy
+    work = float(np.vdot(wanted, _respond(wanted, pressure.shape, pitch, layer) * (bound > 0)))
+    step = np.vdot(wanted, wanted) / work
+    least = step / 50  # of the stiffest waves
+    for _ in range(_MAX_STEPS):
+        after = _bounded(found - np.float32(step) * residual, bound)
+        changed = after - found
+        if max(changed.max(), -changed.min()) <= goal * step:
+            traction[:, *window] = found
+            return traction
+        gradient = (_respond(after, pressure.shape, pitch, layer) - wanted) * (bound > 0)
+        curvature = np.vdot(changed, gradient - residual)
+        step = max(float(np.vdot(changed, changed) / curvature), least) if curvature > 0 else step
+        found, residual = after, gradient
+    raise ObjectFolderError(
+        f"the sheared contact did not converge in {_MAX_STEPS} steps on a gel of {layer}; "
+        "a smaller motion or friction converges faster"
+    )
+
+
+def _bounded(traction: np.ndarray, bound: np.ndarray) -> np.ndarray:
+    length = np.sqrt(traction[0] ** 2 + traction[1] ** 2)
+    return traction * (bound / np.maximum(length, np.maximum(bound, 1e-12)))
+
+
+def _respond(traction: np.ndarray, shape: tuple[int, ...], pitch: float, layer: Layer) -> np.ndarray:
+    """Return the tangential displacement under a traction, both (2, h, w), in a part of an image (H, W)."""
+    height, width = traction.shape[1:]
+    rows, columns = period(shape, round(SPACING * layer.thickness / pitch))
+    right, up, across, along = _waves(rows, columns, pitch, layer)
+    waves = scipy.fft.rfft2(traction, (rows, columns))
+    longitudinal = (right * waves[0] + up * waves[1]) * along
+    waves *= across
+    waves[0] += right * longitudinal
+    waves[1] += up * longitudinal
+    return scipy.fft.irfft2(waves, (rows, columns))[:, :height, :width]
+
+
+def _spread(pressure: np.ndarray, pitch: float, layer: Layer) -> np.ndarray:
+    """Return the tangential displacement under a pressure (H, W); (2, H, W)."""
+    height, width = pressure.shape
+    rows, columns = period((height, width), round(SPACING * layer.thickness / pitch))
+    right, up, _, _ = _waves(rows, columns, pitch, layer)
+    waves = scipy.fft.rfft2(pressure, (rows, columns)) * _spreading(rows, columns, pitch, layer)
+    return scipy.fft.irfft2(np.stack([right * waves, up * waves]), (rows, columns))[:, :height, :width]
+
+
+def _hyperbolic(phase: np.ndarray, nu: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return sinh(2 q h) and the common denominator, both times exp(-2 q h), and this factor."""
+    decay = np.exp(-2 * phase)
+    sinh, cosh = (1 - decay**2) / 2, (1 + decay**2) / 2
+    return sinh, (3 - 4 * nu) * cosh + (2 * phase**2 + 5 - 12 * nu + 8 * nu**2) * decay, decay
+
+
+def _wavenumbers(rows: int, columns: int, pitch: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the wave vectors' components along image right and up, rad/m."""
+    along_columns, along_rows = scipy.fft.rfftfreq(columns, pitch), scipy.fft.fftfreq(rows, pitch)
+    return 2 * np.pi * along_columns[None], -2 * np.pi * along_rows[:, None]
+
+
+@lru_cache(maxsize=64)
+def _waves(
+    rows: int, columns: int, pitch: float, layer: Layer
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return unit wave vectors, the compliance across them, and what that along them exceeds it by."""
+    right, up = _wavenumbers(rows, columns, pitch)
+    length = np.hypot(right, up)
+    along, across = shear_compliance(layer, length)
+    unit = np.where(length > 0, length, 1)
+    parts = right / unit, up / unit, across, along - across
+    first, second, third, fourth = (part.astype(np.float32) for part in parts)
+    return first, second, third, fourth
+
+
+@lru_cache(maxsize=32)
+def _spreading(rows: int, columns: int, pitch: float, layer: Layer) -> np.ndarray:
+    # The sine wave lags the cosine by a quarter period. A wave of the grid's highest frequency has no sine.
+    return (-1j * spreading(layer, np.hypot(*_wavenumbers(rows, columns, pitch)))).astype(np.complex64)
+
+
+def _grid(shape: tuple[int, ...], pitch: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the distances of pixels from the image's centre, right (1, W) and up (H, 1), metres."""
+    height, width = shape
+    right = (np.arange(width) - (width - 1) / 2) * pitch
+    return right[None], ((height - 1) / 2 - np.arange(height))[:, None] * pitch
+
+
+@lru_cache(maxsize=16)
+def _places(profile: SensorProfile) -> np.ndarray:
+    """Return the pixels' places on the undeformed gel, right and up of the optical axis, m; (2, H, W)."""
+    rays, gel = ray_directions(profile), gel_depth(profile)
+    return np.stack([-rays[..., 1] * gel, rays[..., 2] * gel])
