@@ -36,7 +36,8 @@ from objectfolder.objectfile.vision import BaseColors, render_views, view_images
 from objectfolder.touch.friction import friction_of
 from objectfolder.touch.markers import Markers
 from objectfolder.touch.profiles import SensorProfile, load_profile
-from objectfolder.touch.simulate import Touches, sheared
+from objectfolder.touch.sheared import sheared
+from objectfolder.touch.simulate import Touches
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.environment import environment_lamps
 from objectfolder.vision.lighting import Lamp, chosen_lamps

@@ -126,16 +126,16 @@ MAX_MODULES = {
     "train_audio": 25,
     "train_touch": 40,
     "pack": 11,
-    "evaluate": 82,
-    "observe": 82,
+    "evaluate": 86,
+    "observe": 86,
     "recognize": 23,
     "retrieve": 24,
-    "reconstruct": 97,
-    "decompose": 79,
-    "grasp_data": 96,
+    "reconstruct": 101,
+    "decompose": 83,
+    "grasp_data": 100,
     "grasp_stability": 25,
-    "grasp_policy": 110,
-    "reach": 102,
+    "grasp_policy": 114,
+    "reach": 106,
 }
 
 

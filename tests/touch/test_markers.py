@@ -8,7 +8,7 @@ from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.samples import available_samples, sample_path
 from objectfolder.touch.friction import FRICTION
 from objectfolder.touch.markers import Markers, draw_markers, marker_flow
-from objectfolder.touch.simulate import ShearedTouches
+from objectfolder.touch.sheared import ShearedTouches
 
 MARKERS = Markers()
 

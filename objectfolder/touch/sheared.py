@@ -1,0 +1,65 @@
+"""Touches of objects that move sideways and turn after the press."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from objectfolder.touch.markers import Markers, draw_markers, marker_flow
+from objectfolder.touch.simulate import Touches
+from objectfolder.touch.tangential import shear_contacts
+
+
+@dataclass(frozen=True)
+class ShearedTouches(Touches):
+    """What a sensor feels when the pressed object then moves sideways and turns.
+
+    Images show the press without the shear, but for markers. Vectors are along image right and image up,
+    flow along columns and rows.
+    """
+
+    sideways: np.ndarray  #: (N, H, W, 2) float32, m, displacement of the gel's surface
+    traction: np.ndarray  #: (N, H, W, 2) float32, Pa, of the object on the gel
+    shear_force: np.ndarray  #: (N, 2) float64, N, of the object on the gel
+    torque: np.ndarray  #: (N,) float64, N m, about the optical axis, anticlockwise in the image
+    slipping: np.ndarray  #: (N,) float64, part of the contact's area that slips
+    friction: np.ndarray  #: (N,) float64, coefficients
+    markers: np.ndarray  #: (M, 2) float64, columns and rows of the markers at rest, pixels
+    marker_flow: np.ndarray  #: (N, M, 2) float32, their motion, pixels
+
+
+def sheared(
+    touches: Touches, shear: np.ndarray, twist: np.ndarray, friction: np.ndarray, markers: Markers | None
+) -> ShearedTouches:
+    """Move pressed objects sideways and turn them; see `tangential.shear_contacts`.
+
+    Parameters
+    ----------
+    touches : Touches
+    shear : (N, 2) array
+        Motion of the object against the sensor, along image right and image up, metres.
+    twist : (N,) array
+        Turn about the optical axis, anticlockwise in the image, radians.
+    friction : (N,) array
+        Coefficients.
+    markers : Markers, optional
+        To draw into the images. Their flow is that of the default ones otherwise.
+    """
+    profile = touches.profile
+    found = shear_contacts(touches.pressure, shear, twist, friction, profile)
+    dots = markers or Markers()
+    places = dots.places(profile)
+    flow = marker_flow(places, found.displacement, touches.displacement, profile)
+    values = {field.name: getattr(touches, field.name) for field in fields(Touches)}
+    if markers:
+        values["images"] = draw_markers(touches.images, places, flow, dots, profile)
+    return ShearedTouches(
+        **values,
+        sideways=found.displacement,
+        traction=found.traction,
+        shear_force=found.force,
+        torque=found.torque,
+        slipping=found.slipping,
+        friction=friction,
+        markers=places,
+        marker_flow=flow,
+    )
