@@ -1,4 +1,4 @@
-"""pack: three nets, sdf.npz, normalize.json, modal.json -> ObjectFile.safetensors."""
+"""pack: three nets, radiation.safetensors, sdf.npz, normalize.json, modal.json -> ObjectFile.safetensors."""
 
 from objectfolder.io import file_digest, read_json, read_npz, read_safetensors, write_safetensors
 from objectfolder.objectfile.packing import pack_object_file
@@ -9,6 +9,7 @@ from stages import run
 def main(key: str) -> None:
     build = Build(key)
     inputs = {"sdf": build.sdf, "normalize": build.normalize, **{m: build.net(m) for m in MODALITIES}}
+    inputs["radiation"] = build.radiation
     header, tensors = pack_object_file(
         key,
         read_json(build.modal),
@@ -16,6 +17,7 @@ def main(key: str) -> None:
         read_npz(build.sdf, "values", "band"),
         {modality: read_safetensors(build.net(modality)) for modality in MODALITIES},
         {name: file_digest(path) for name, path in inputs.items()},
+        read_safetensors(build.radiation),
     )
     write_safetensors(build.object_file, tensors, header)
 

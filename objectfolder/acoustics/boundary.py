@@ -42,11 +42,16 @@ class Boundary:
     vertices : (V, 3) array
         Metres.
     faces : (N, 3) int array
+
+    Attributes
+    ----------
+    mean_edge : float
+        Edge of an equilateral triangle of mean area, metres.
     """
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray):
         self.triangles = Triangles.of(vertices, faces)
-        self._mean_edge = float(np.sqrt(self.triangles.area.mean() * 4 / np.sqrt(3)))
+        self.mean_edge = float(np.sqrt(self.triangles.area.mean() * 4 / np.sqrt(3)))
         places = self.triangles.centroid.astype(np.float32)
         normals = self.triangles.normal.astype(np.float32)
         self._single = places, normals, (places**2).sum(1), (places * normals).sum(1)
@@ -87,7 +92,7 @@ class Boundary:
         """
         k, mesh, near = wavenumber, self.triangles, self._near
         count = len(self)
-        coupling = min(1 / k, COUPLING * self._mean_edge)
+        coupling = min(1 / k, COUPLING * self.mean_edge)
         beta, k32 = np.float32(coupling), np.float32(k)
         matrix = np.empty((count, count), np.complex64, order="F")
         slopes = np.asarray(slopes, np.complex64)
@@ -169,7 +174,7 @@ class Boundary:
     def _near_pairs(self) -> _Near:
         mesh = self.triangles
         tree = cKDTree(mesh.centroid)
-        pairs = tree.query_pairs(NEAR * self._mean_edge, output_type="ndarray")
+        pairs = tree.query_pairs(NEAR * self.mean_edge, output_type="ndarray")
         rows, columns = np.concatenate([pairs, pairs[:, ::-1]]).T
         order = np.lexsort((columns, rows))
         rows, columns = rows[order], columns[order]

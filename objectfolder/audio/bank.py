@@ -22,6 +22,8 @@ class Bank:
         See `objectfolder.audio.synthesis.sinusoid_bank`.
     device : torch.device, optional
         Device that mixes the sounds.
+    phases : bool
+        Whether gains are complex.
 
     Attributes
     ----------
@@ -44,6 +46,7 @@ class Bank:
         response: str,
         contact_time: float,
         device: torch.device | str = "cpu",
+        phases: bool = False,
     ):
         self.sample_rate = sample_rate
         self.samples = count_samples(sample_rate, duration)
@@ -51,13 +54,19 @@ class Bank:
         self.device = torch.device(device)
         self._modes = tuning.damped_frequency[self.heard], tuning.damping[self.heard]
         self._strike = response, contact_time
-        kept = 4 * len(self.heard) * self.samples <= KEPT
+        self._phases = phases
+        kept = 4 * (1 + phases) * len(self.heard) * self.samples <= KEPT
         self._pieces = [self._piece(start) for start in range(0, self.samples, PIECE)] if kept else []
         if not kept:
             self._piece(self.samples - 1)  # validates the response and the contact time
 
     def mix(self, gains: torch.Tensor) -> np.ndarray:
-        """Return the sounds (N, samples), float32, for gains (N, H) of the modes in ``heard``."""
+        """Return the sounds (N, samples), float32, for gains (N, H) of the modes in ``heard``.
+
+        With phases, gains are complex64 and turn the modes ahead.
+        """
+        if self._phases:
+            gains = torch.cat([gains.real, gains.imag], dim=1)
         sounds = np.empty((len(gains), self.samples), np.float32)
         for first in range(0, len(gains), BLOCK):
             rows = gains[first : first + BLOCK]
@@ -71,4 +80,8 @@ class Bank:
 
     def _piece(self, start: int) -> torch.Tensor:
         span = range(start, min(start + PIECE, self.samples))
-        return responses(*self._modes, self.sample_rate, span, *self._strike).to(self.device)
+        parts = [
+            responses(*self._modes, self.sample_rate, span, *self._strike, ahead)
+            for ahead in (False, True)[: 1 + self._phases]
+        ]
+        return torch.cat(parts).to(self.device)

@@ -80,6 +80,7 @@ def responses(
     samples: range,
     response: str = "displacement",
     contact_time: float = 0.0,
+    ahead: bool = False,
 ) -> torch.Tensor:
     """Compute a range of samples of `sinusoid_bank`, including modes that alias; (M, len(samples)) float32.
 
@@ -87,6 +88,8 @@ def responses(
     ----------
     samples : range
         Consecutive sample numbers.
+    ahead : bool
+        Whether modes ring a quarter of a period ahead: cosines instead of sines.
 
     Raises
     ------
@@ -100,9 +103,10 @@ def responses(
     s = torch.complex(-damping.double(), damped_frequency.double())[:, None]
     time = torch.arange(samples.start, samples.stop, dtype=torch.float64, device=s.device) / sample_rate
     contact = time[time < contact_time]
+    turn = 1j if ahead else 1.0
     bank = torch.empty(len(s), len(samples), device=s.device)
     if len(contact):
-        bank[:, : len(contact)] = half_sine_response(s, contact, contact_time, order).float()
+        bank[:, : len(contact)] = half_sine_response(s, contact, contact_time, order, turn).float()
     state = (
         _state(s, torch.ones(1, dtype=torch.float64, device=s.device), contact_time)
         if contact_time
@@ -112,7 +116,7 @@ def responses(
     free = bank[:, len(contact) :]
     if free.numel():
         start = float(time[len(contact)]) - contact_time
-        free[:] = _ringing(state * s**order / s.imag, s, start, 1 / sample_rate, free.shape[1])
+        free[:] = _ringing(turn * state * s**order / s.imag, s, start, 1 / sample_rate, free.shape[1])
     return bank
 
 
@@ -131,7 +135,7 @@ def _ringing(state: torch.Tensor, s: torch.Tensor, start: float, step: float, co
 
 
 def half_sine_response(
-    s: torch.Tensor, time: torch.Tensor, contact_time: float, order: int = 0
+    s: torch.Tensor, time: torch.Tensor, contact_time: float, order: int = 0, turn: complex = 1.0
 ) -> torch.Tensor:
     """Compute in closed form the response of modes, initially at rest, during a half-sine force pulse.
 
@@ -148,12 +152,14 @@ def half_sine_response(
         T, seconds.
     order : int
         0 for the displacement y, 1 for its velocity, 2 for its acceleration.
+    turn : complex
+        Factor of the modes' phasors.
 
     Returns
     -------
     (M, samples) float64
     """
-    moved = (_state(s, time / contact_time, contact_time) * s**order).imag / s.imag
+    moved = (turn * _state(s, time / contact_time, contact_time) * s**order).imag / s.imag
     if order == 2:  # add the force itself; the other terms are elastic and viscous
         moved = moved + math.pi / (2 * contact_time) * torch.sin(math.pi * time / contact_time)
     return moved

@@ -11,16 +11,19 @@ import torch
 
 from objectfolder import materials
 from objectfolder.audio.bank import Bank
+from objectfolder.audio.click import SOUND_SPEED, recoil_pressure
 from objectfolder.audio.contact import STRIKERS, Striker, as_striker, contact_time
 from objectfolder.audio.synthesis import RESPONSES, count_samples, gains
 from objectfolder.audio.tuning import Tuning, retune, stored_modes
 from objectfolder.checks import finite_number, one_of, require_memory
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material
+from objectfolder.objectfile.radiation import Listening, Radiation
 from objectfolder.objectfile.reading import StoredNet, damaged_net, report_damage
 
 _BATCH = 1024  # strikes whose mode shapes are in memory at once
 _BYTES_PER_SAMPLE = 8  # of an answer, while it is made
+_ALIKE = 0.01  # relative change of a mode's wavenumber times the size at which its stored radiation holds
 _BANKS = 4  # sounds whose mode responses are kept
 log = logging.getLogger(__name__)
 
@@ -36,6 +39,7 @@ class SoundSettings:
     material: str | Material | None  #: None for the object's own
     scale: float | None  #: longest side, metres; None for the object's own
     striker: Striker = STRIKERS["steel"]
+    heard: bool = False  #: whether a listener hears the strikes
 
     @classmethod
     def checked(
@@ -48,6 +52,7 @@ class SoundSettings:
         scale: float | None,
         striker: str | Striker,
         strikes: int,
+        heard: bool = False,
     ) -> "SoundSettings":
         """Check the arguments of a query for the sounds of so many strikes.
 
@@ -58,6 +63,10 @@ class SoundSettings:
         """
         if not isinstance(material, Material | None):
             material = materials.material(material).name
+        if heard and response != "displacement":
+            raise ObjectFolderError(
+                f"response is {response!r}, but a listener hears pressure; leave response out"
+            )
         samples = count_samples(sample_rate, duration)
         rate, seconds = float(sample_rate), float(duration)
         require_memory(
@@ -73,6 +82,7 @@ class SoundSettings:
             material,
             None if scale is None else finite_number("scale", scale),
             as_striker(striker),
+            heard,
         )
 
 
@@ -100,6 +110,17 @@ class AudioSense(Protocol):
         self, points: np.ndarray, impulses: np.ndarray, settings: SoundSettings, tolerance: float
     ) -> np.ndarray:
         """Return sounds of impulses (N, 3), N s, at points (N, 3); (N, samples) float32."""
+
+    def heard(
+        self,
+        points: np.ndarray,
+        impulses: np.ndarray,
+        settings: SoundSettings,
+        tolerance: float,
+        radiation: Radiation,
+        listening: Listening,
+    ) -> np.ndarray:
+        """Return sound pressures of impulses at listeners, Pa; (N, samples) float32."""
 
 
 class ModalNet(Protocol):
@@ -222,6 +243,75 @@ class ModalSense:
         ObjectFolderError
             If a setting is not valid, a point is off the surface, or a sound exceeds single precision.
         """
+        return self._mixed(points, impulses, settings, tolerance)
+
+    def heard(
+        self,
+        points: np.ndarray,
+        impulses: np.ndarray,
+        settings: SoundSettings,
+        tolerance: float,
+        radiation: Radiation,
+        listening: Listening,
+    ) -> np.ndarray:
+        """Return sound pressures of impulses at listeners, Pa; (N, samples) float32.
+
+        Raises
+        ------
+        ObjectFolderError
+            As `impact`; if a listener is inside the object's ball, or the struck object's sound has other
+            wavelengths, relative to its size, than the stored one's.
+        """
+        tuning, bank = self._bank(settings)
+        stuff, size = self._struck(self._solved()[0], settings.material, settings.scale)
+        radiation.check_outside(listening.places, size)
+        self._check_wavelengths(radiation, tuning, size)
+        s = torch.complex(-tuning.damping, tuning.damped_frequency)[bank.heard].to(torch.complex128)
+        lag = radiation.lag(listening.places, size, SOUND_SPEED) * listening.delay
+        late = np.ceil(lag * bank.sample_rate).astype(np.int64)
+        rest = torch.from_numpy(late / bank.sample_rate - lag)[:, None]
+        pressure = radiation.pressure(
+            tuning.modes[bank.heard].numpy(), s.imag.numpy() / SOUND_SPEED, listening.places, size
+        )
+        phasors = torch.from_numpy(tuning.shape_factor * pressure.conj()) * s**2 * torch.exp(s * rest)
+        sounds = self._mixed(points, impulses, settings, tolerance, phasors.to(torch.complex64))
+        for sound, samples in zip(sounds, late):
+            if samples:
+                sound[samples:] = sound[:-samples].copy() if samples < len(sound) else 0
+                sound[:samples] = 0
+        return sounds + recoil_pressure(
+            radiation.recoil(stuff.density, size),
+            impulses,
+            listening.places,
+            bank.sample_rate,
+            bank.samples,
+            self._contact(settings),
+            listening.delay,
+        )
+
+    def _check_wavelengths(self, radiation: Radiation, tuning: Tuning, size: float) -> None:
+        key, own = self._stored.key, self.damped_frequency
+        if radiation.modes != len(own):
+            raise ObjectFolderError(
+                f"{key}: the file holds the radiation of {radiation.modes} modes of {len(own)}; rebuild it"
+            )
+        ratio = tuning.damped_frequency / own[tuning.modes] * (size / self._surface.scale)
+        if len(ratio) and float((ratio - 1).abs().max()) > _ALIKE:
+            raise ObjectFolderError(
+                f"{key}: in this material, its sound would have {float(1 / ratio.median()):.2f} times the "
+                "wavelength, and radiate otherwise than was solved; build the object in it to hear it at a "
+                "listener"
+            )
+
+    def _mixed(
+        self,
+        points: np.ndarray,
+        impulses: np.ndarray,
+        settings: SoundSettings,
+        tolerance: float,
+        phasors: torch.Tensor | None = None,
+    ) -> np.ndarray:
+        """Return the sounds of strikes, whose gains phasors (N, H) multiply, if there are any."""
         tuning, bank = self._bank(settings)
         for note in tuning.notes:
             log.warning("%s: %s", self._stored.key, note)
@@ -233,7 +323,10 @@ class ModalSense:
             part = slice(start, start + _BATCH)
             shapes = self.net.shapes(places[part])[..., tuning.modes[bank.heard]]
             force = torch.from_numpy(impulses[part] * tuning.shape_factor).float().to(shapes.device)
-            sounds[part] = bank.mix(gains(shapes, force))
+            strengths = gains(shapes, force)
+            if phasors is not None:
+                strengths = strengths * phasors[part].to(shapes.device)
+            sounds[part] = bank.mix(strengths)
         if not np.isfinite(sounds).all():
             raise ObjectFolderError(
                 f"impulses of up to {np.abs(impulses).max():g} N s give sounds beyond single precision; "
@@ -242,11 +335,14 @@ class ModalSense:
         return sounds
 
     def _new_bank(self, settings: SoundSettings) -> tuple[Tuning, Bank]:
-        tuning, contact = self.tuning(settings.material, settings.scale), settings.contact_time
-        if contact is None:
-            contact = self.contact_time(settings.striker, settings.material, settings.scale) or 0.0
-        played = settings.sample_rate, settings.duration, settings.response, contact
-        return tuning, Bank(tuning, *played, self._stored.device)
+        tuning = self.tuning(settings.material, settings.scale)
+        played = settings.sample_rate, settings.duration, settings.response, self._contact(settings)
+        return tuning, Bank(tuning, *played, self._stored.device, settings.heard)
+
+    def _contact(self, settings: SoundSettings) -> float:
+        if settings.contact_time is not None:
+            return settings.contact_time
+        return self.contact_time(settings.striker, settings.material, settings.scale) or 0.0
 
 
 class SpectrogramSense:
@@ -310,6 +406,18 @@ class SpectrogramSense:
         if not np.isfinite(sounds).all():
             raise damaged_net(self._key, "audio")
         return sounds
+
+    def heard(
+        self,
+        points: np.ndarray,
+        impulses: np.ndarray,
+        settings: SoundSettings,
+        tolerance: float,
+        radiation: Radiation,
+        listening: Listening,
+    ) -> np.ndarray:
+        """Refuse: the net knows no modes."""
+        raise self._no_modes()
 
     def _no_modes(self) -> ObjectFolderError:
         return ObjectFolderError(

@@ -29,6 +29,7 @@ from objectfolder.objectfile.arguments import (
 from objectfolder.objectfile.audio import SoundSettings
 from objectfolder.objectfile.header import checked_header
 from objectfolder.objectfile.parts import StoredParts
+from objectfolder.objectfile.radiation import Listening
 from objectfolder.objectfile.samples import sample_path
 from objectfolder.objectfile.surface import TOLERANCE
 from objectfolder.objectfile.touch import ContactPoses, FixedContact, concatenate_touches, sideways_motion
@@ -72,7 +73,7 @@ class ObjectFile:
     ----------
     header : dict
     tensors : mapping of arrays
-        Named ``geometry.*``, ``vision.*``, ``audio.*``, ``touch.*``.
+        Named ``geometry.*``, ``vision.*``, ``audio.*``, ``touch.*``, ``radiation.*``.
     path : path, optional
         Named in errors.
     device : str or torch.device, optional
@@ -324,6 +325,8 @@ class ObjectFile:
         material: str | Material | None = None,
         scale: float | None = None,
         striker: str | Striker = "steel",
+        listener: Rows | None = None,
+        delay: bool = False,
     ) -> Answer:
         """Strike the object, or one of its shape, with impulses; see docs/sound.md.
 
@@ -352,6 +355,12 @@ class ObjectFile:
             the band where modes are missing.
         striker : str or Striker
             What strikes the object; a name is one of `objectfolder.audio.contact.STRIKERS`.
+        listener : (N, 3) array, optional
+            Where the strikes are heard, object frame, metres; outside the ball about the origin that holds
+            the object. The answer is then the sound pressure there, in pascals, of the modes and of the
+            recoil of the object as a whole.
+        delay : bool
+            Whether sounds reach a listener after the time that they need, rather than with the strikes.
 
         Returns
         -------
@@ -360,16 +369,26 @@ class ObjectFile:
         Raises
         ------
         ObjectFolderError
-            If shapes do not fit, values are not finite or too large, a point is off the surface, or the
-            sounds do not fit into memory.
+            If shapes do not fit, values are not finite or too large, a point is off the surface, the sounds
+            do not fit into memory, or the file does not say how the struck object sounds at a listener.
         """
         strikes = broadcast_rows(
             "points", finite_rows("points", points, 3), "forces", finite_rows("forces", forces, 3)
         )
+        late, places = _flag("delay", delay), None
+        if listener is not None:
+            places = finite_rows("listener", listener, 3)
+            points_, places = broadcast_rows("points", strikes[0], "listener", places)
+            strikes = broadcast_rows("points", points_, "forces", strikes[1])
         settings = SoundSettings.checked(
-            sample_rate, duration, response, contact_time, material, scale, striker, len(strikes[0])
+            *(sample_rate, duration, response, contact_time, material, scale, striker, len(strikes[0])),
+            heard=places is not None,
         )
-        return like_first(self._parts.audio.impact(*strikes, settings, tolerance), points)
+        if places is None:
+            return like_first(self._parts.audio.impact(*strikes, settings, tolerance), points)
+        listening = Listening(places, late)
+        sounds = self._parts.audio.heard(*strikes, settings, tolerance, self._parts.radiation, listening)
+        return like_first(sounds, points)
 
     def contact_time(
         self,

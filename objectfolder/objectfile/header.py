@@ -14,9 +14,10 @@ from objectfolder.errors import ObjectFolderError, shortened
 if TYPE_CHECKING:
     from jsonschema import Draft202012Validator
 
-FORMAT = (1, 2)  #: major, minor; a reader accepts every file of its major version
+FORMAT = (1, 3)  #: major, minor; a reader accepts every file of its major version
 MODALITIES = ("vision", "audio", "touch")
 PARTS = ("geometry", *MODALITIES)
+RADIATION = "radiation"  #: part that only sound at a listener needs
 
 
 def format_name() -> str:
@@ -31,7 +32,7 @@ def schema() -> dict[str, Any]:
 
 
 def known_kinds(part: str) -> tuple[str, ...]:
-    """Return the kinds of a part (geometry, vision, audio, touch) that the schema describes."""
+    """Return the kinds of a part (geometry, vision, audio, touch, radiation) that the schema describes."""
     return tuple(_rules(part))
 
 
@@ -90,7 +91,7 @@ def checked_header(header: Any, path: object) -> dict[str, Any]:
             f"{path}: {place}: {shortened(problem.message, 300)}; see objectfile.schema.json for what is "
             "expected"
         )
-    for part in PARTS:
+    for part in (*PARTS, RADIATION):
         kinds = known_kinds(part)
         if version <= FORMAT and part in header and header[part]["kind"] not in kinds:
             expected = " or ".join(map(repr, kinds))

@@ -6,7 +6,7 @@ import numpy as np
 
 from objectfolder.mesh.featurecodec import Features, pack_features
 from objectfolder.mesh.gridcodec import pack_grid
-from objectfolder.objectfile.header import MODALITIES, checked_header, format_name
+from objectfolder.objectfile.header import MODALITIES, RADIATION, checked_header, format_name
 
 
 def pack_object_file(
@@ -16,6 +16,7 @@ def pack_object_file(
     sdf: dict[str, np.ndarray],
     nets: dict[str, tuple[dict[str, np.ndarray], dict[str, Any]]],
     provenance: dict[str, str],
+    radiation: tuple[dict[str, np.ndarray], dict[str, Any]] | None = None,
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Return the header and the tensors of an Object File.
 
@@ -33,6 +34,8 @@ def pack_object_file(
         Per modality its tensors and header, as the training stages wrote them.
     provenance : dict
         SHA-256 of each input, by name.
+    radiation : tuple of dict, optional
+        Tensors and header, as the stage ``radiation`` wrote them. Left out with an audio net without modes.
 
     Raises
     ------
@@ -66,6 +69,9 @@ def pack_object_file(
         net_tensors, net_header = nets[modality]
         tensors.update({f"{modality}.{name}": value for name, value in net_tensors.items()})
         header[modality] = net_header
+    if radiation is not None and header["audio"]["kind"] == "gains":
+        tensors.update({f"{RADIATION}.{name}": value for name, value in radiation[0].items()})
+        header[RADIATION] = radiation[1]
     if modal.get("frequency_uncertainty") is not None:
         header["audio"] = header["audio"] | {"frequency_uncertainty": modal["frequency_uncertainty"]}
     return checked_header(header, key), tensors

@@ -13,7 +13,8 @@ from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.gridcodec import unpack_grid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.audio import AudioSense, audio_sense
-from objectfolder.objectfile.header import PARTS, known_kinds
+from objectfolder.objectfile.header import PARTS, RADIATION, known_kinds
+from objectfolder.objectfile.radiation import Radiation
 from objectfolder.objectfile.reading import StoredNet, once, report_damage
 from objectfolder.objectfile.surface import ObjectSurface
 from objectfolder.objectfile.touch import TouchSense, touch_sense
@@ -48,6 +49,8 @@ class StoredParts:
         """
         for part in self.held():
             getattr(self, part)
+        if RADIATION in self.header:
+            _ = self.radiation
 
     def held(self) -> list[str]:
         """Return the names of the parts that the file holds."""
@@ -105,6 +108,16 @@ class StoredParts:
     def touch(self) -> TouchSense:
         """How the object feels."""
         return touch_sense(self._net("touch"))
+
+    @once
+    def radiation(self) -> Radiation:
+        """What of the object's sound reaches a listener."""
+        if RADIATION not in self.header:
+            raise ObjectFolderError(
+                f"{self.key}: the file does not say how its modes sound at a listener, as those from before "
+                "format 1.3 and imported ones; rebuild it with `objectfolder build`"
+            )
+        return Radiation(self._net(RADIATION))
 
     def _net(self, part: str) -> StoredNet:
         self.described(part)

@@ -32,6 +32,7 @@ class Build:
         self.voxelize = self.dir / "voxelize.json"
         self.modes = self.dir / "modes.npz"
         self.modal = self.dir / "modal.json"
+        self.radiation = self.dir / "radiation.safetensors"
         self.solved_modes = self.dir / ".solved_modes.npz"  #: undeclared: outlives modes.npz
         self.views_sheet = self.dir / "views.png"
         self.touch_sheet = self.dir / "touch.png"
@@ -62,7 +63,7 @@ class Build:
         """List every file that the pipeline writes for the object, existing or not, except its metrics."""
         single = [
             *(self.visual, self.surface, self.solid_surface, self.normalize),
-            *(self.solid, self.sdf, self.voxelize, self.modes, self.modal),
+            *(self.solid, self.sdf, self.voxelize, self.modes, self.modal, self.radiation),
             *(self.views_sheet, self.touch_sheet, self.vision_sheet, self.sound_sheet, self.object_file),
         ]
         data = [path for split in SPLITS for path in (self.views(split), self.touch(split))]

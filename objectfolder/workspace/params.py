@@ -36,6 +36,7 @@ SECTIONS = {
     "normalize": "objectfolder.mesh.normalize:NormalizeConfig",
     "voxelize": "objectfolder.fem.voxelize:VoxelizeConfig",
     "modal": "objectfolder.fem.modal:ModalConfig",
+    "radiation": "objectfolder.acoustics.radiation:RadiationConfig",
     "render_views": "objectfolder.vision.dataset:RenderViewsConfig",
     "render_touch": "objectfolder.touch.dataset:RenderTouchConfig",
     "train_vision": "objectfolder.nets.vision_config:VisionConfig",
@@ -55,7 +56,7 @@ SECTIONS = {
 }
 #: Stages of single objects that every build runs.
 OBJECT_STAGES = (
-    *("normalize", "voxelize", "modal", "render_views", "render_touch"),
+    *("normalize", "voxelize", "modal", "radiation", "render_views", "render_touch"),
     *("train_vision", "train_audio", "train_touch", "pack", "evaluate"),
 )
 #: Stages of single objects that run only for the tasks that need them, or if a target names them.

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from objectfolder.acoustics.farfield import unpack_far_field
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.elements import solid_from_arrays
 from objectfolder.io import read_json, read_npz, read_safetensors
@@ -17,6 +18,7 @@ from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.objectfile.evaluation import summary_row
 from objectfolder.objectfile.file import ObjectFile
+from objectfolder.objectfile.reading import report_damage
 from objectfolder.workspace.layout import MODALITIES, SPLITS, Build
 
 #: Array shapes; a letter stands for the same number throughout a file.
@@ -69,6 +71,7 @@ def readers(build: Build) -> dict[Path, Callable[[Path], Any]]:
         build.voxelize: partial(_json, names=("distance_grid",)),
         build.modes: partial(_arrays, shapes=MODES),
         build.modal: partial(_json, names=("modes", "mass_kg", "truncated")),
+        build.radiation: _radiation,
         build.object_file: lambda path: ObjectFile.load(path).check(),
         build.metrics: lambda path: summary_row(build.key, read_json(path)),
     }
@@ -113,6 +116,12 @@ def _net(path: Path) -> None:
     missing = [name for name in ("kind", "net") if name not in header]
     if missing:
         raise ObjectFolderError(f"{path} is not a net: it lacks {', '.join(missing)}; rebuild it")
+
+
+def _radiation(path: Path) -> None:
+    tensors, header = read_safetensors(path)
+    with report_damage(str(path), "radiation"):
+        unpack_far_field(tensors, header["radius"])
 
 
 def _curve(path: Path) -> None:

@@ -25,6 +25,7 @@ TINY = {
         "surface_points": 300,
         "allow_uncertain": True,
     },
+    "radiation": {"triangles": 200},
     "render_views": {
         "resolution": 32,
         "tile": 12,

@@ -120,6 +120,7 @@ MAX_MODULES = {
     "normalize": 36,
     "voxelize": 40,
     "modal": 37,
+    "radiation": 60,
     "render_views": 35,
     "render_touch": 32,
     "train_vision": 52,

@@ -4,6 +4,7 @@ import numpy as np
 import torch
 from solids import box
 
+from objectfolder.acoustics.radiation import radiate, stored_radiation
 from objectfolder.fem.band import solved_band
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.modal import modal_analysis
@@ -55,6 +56,8 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
         128,
         torch.Generator().manual_seed(0),
     )
+    surface = solid[0] * scale, solid[1]
+    sound_field = radiate(surface, points * scale, modes.shapes, modes.damped_frequency, 300)
     look_tensors, look_config = look.to_tensors()
     sound_tensors, sound_config = sound.to_tensors()
     profile = load_profile("digit")
@@ -80,5 +83,6 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
             ),
         },
         {"sdf": "0" * 64},
+        stored_radiation(sound_field, surface, scale, 56000),
     )
     return ObjectFile(header, tensors, "brick")

@@ -1,0 +1,84 @@
+"""Surface for boundary elements: triangles of one size, and the modes' motion on them."""
+
+import igl
+import numpy as np
+from scipy.spatial import cKDTree
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.closing.solids import arrays, manifold
+from objectfolder.mesh.topology import Mesh, face_areas
+
+_NEIGHBOURS = 12  # points from which a vertex's motion is interpolated
+_FINER = 0.7  # of the final length of edges, to which long ones are split first
+_RIDGE = 1e-3  # share of the neighbours' spread that keeps slopes across flat neighbourhoods at 0
+
+
+def even_surface(vertices: np.ndarray, faces: np.ndarray, triangles: int) -> Mesh:
+    """Remesh a closed surface with triangles of about one size.
+
+    Long edges are split, then the shortest are collapsed, and vertices return to the surface.
+
+    Parameters
+    ----------
+    vertices, faces : (V, 3) and (F, 3) arrays
+    triangles : int
+        Number to aim at. A surface with many pieces or holes may need more.
+
+    Raises
+    ------
+    ObjectFolderError
+        If nothing of the surface is left.
+    """
+    edge = np.sqrt(face_areas(vertices, faces).sum() / triangles * 4 / np.sqrt(3))
+    fine = arrays(manifold((vertices, faces)).refine_to_length(_FINER * edge))
+    points, kept, *_ = igl.decimate(
+        np.asfortranarray(fine[0], np.float64), np.asfortranarray(fine[1], np.int32), max_m=triangles
+    )
+    kept = np.asarray(kept, np.int64)
+    points = igl.point_mesh_squared_distance(np.ascontiguousarray(points), vertices, faces)[2]
+    area = face_areas(points, kept)
+    kept = kept[area > 1e-6 * area.max(initial=0)]
+    if not len(kept):
+        raise ObjectFolderError(
+            f"a surface of {len(faces)} triangles has none left at {triangles}; raise radiation.triangles"
+        )
+    return np.asarray(points), kept
+
+
+def interpolated(points: np.ndarray, values: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Interpolate values known at scattered points by moving least squares with linear functions.
+
+    Parameters
+    ----------
+    points : (P, 3) array
+    values : (P, K) array
+    places : (N, 3) array
+
+    Returns
+    -------
+    (N, K) array
+    """
+    distance, rows = cKDTree(points).query(places, k=min(_NEIGHBOURS, len(points)))
+    reach = distance[:, -1:] + 1e-12
+    weight = np.maximum(1 - (distance / reach) ** 2, 0) ** 2 + 1e-6
+    away = (points[rows] - places[:, None]) / reach[:, :, None]
+    basis = np.concatenate([np.ones((*away.shape[:2], 1)), away], axis=2)
+    normal = np.einsum("nk,nka,nkb->nab", weight, basis, basis)
+    normal[:, 1:, 1:] += _RIDGE * weight.sum(1)[:, None, None] * np.eye(3)
+    first = np.linalg.solve(normal, np.broadcast_to(np.eye(4)[:, :1], (len(places), 4, 1)))[:, :, 0]
+    share = weight * np.einsum("nka,na->nk", basis, first)
+    out = np.zeros((len(places), values.shape[1]))
+    for column in range(rows.shape[1]):
+        out += share[:, column, None] * values[rows[:, column]]
+    return out
+
+
+def outward_motion(vertices: np.ndarray, faces: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """Return the mean outward motion of triangles, (N, M), of their vertices' motions (V, 3, M).
+
+    Times the areas it sums to the change of the enclosed volume, exactly.
+    """
+    corners = vertices[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    return np.einsum("nd,ncdm->nm", normal, motion[faces]) / 3

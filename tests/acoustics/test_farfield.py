@@ -1,0 +1,116 @@
+import numpy as np
+import pytest
+import trimesh
+
+from objectfolder.acoustics.boundary import Boundary
+from objectfolder.acoustics.farfield import FarField, pack_far_field, unpack_far_field
+from objectfolder.acoustics.harmonics import degrees
+from objectfolder.acoustics.meshing import even_surface, interpolated, outward_motion
+from objectfolder.acoustics.radiation import of_motion, radiate
+from objectfolder.audio.click import AIR_DENSITY, SOUND_SPEED
+from objectfolder.mesh.topology import face_areas, is_closed, signed_volume
+
+RADIUS = 0.05
+
+
+@pytest.fixture(scope="module")
+def some_fields(rng_of=5):
+    rng = np.random.default_rng(rng_of)
+    orders = np.array([5, 9, 14, 20])
+    size = (21) ** 2
+    values = rng.normal(size=(4, size)) + 1j * rng.normal(size=(4, size))
+    values *= (degrees(20) <= orders[:, None]) * np.array([[1e-6], [1.0], [30.0], [0.0]])
+    return FarField(orders, values, RADIUS)
+
+
+def test_a_stored_field_is_nearly_the_field(some_fields):
+    found = unpack_far_field(pack_far_field(some_fields, 100_000), RADIUS)
+    np.testing.assert_array_equal(found.orders, some_fields.orders)
+    largest = abs(some_fields.coefficients).max(1, keepdims=True)
+    assert (abs(found.coefficients - some_fields.coefficients) <= largest / 127).all()
+    assert not found.coefficients[3].any()
+
+
+@pytest.mark.parametrize("limit", [3000, 1000, 400])
+def test_fewer_bytes_keep_the_power(some_fields, limit):
+    packed = pack_far_field(some_fields, limit)
+    assert sum(each.nbytes for each in packed.values()) <= limit
+    power = (abs(unpack_far_field(packed, RADIUS).coefficients) ** 2).sum(1)
+    np.testing.assert_allclose(power, (abs(some_fields.coefficients) ** 2).sum(1), rtol=0.15)
+
+
+@pytest.mark.parametrize("damage", ["orders", "steps", "coefficients"])
+def test_a_stream_of_another_length_is_refused(some_fields, damage):
+    packed = pack_far_field(some_fields, 100_000)
+    packed[damage] = packed[damage][:-1] if damage == "steps" else packed[damage].copy()
+    if damage == "orders":
+        packed[damage][0] += 1
+    if damage == "coefficients":
+        packed[damage] = pack_far_field(some_fields.truncated(7), 100_000)[damage]
+    with pytest.raises(ValueError, match=r"coefficients|shape"):
+        unpack_far_field(packed, RADIUS)
+
+
+def test_a_swaying_sphere_at_any_distance():
+    """p = -rho A cos(theta) a^3 / 2 r^2 of a slow one nearby; its exact wave otherwise."""
+    ball = trimesh.creation.icosphere(4, RADIUS)
+    axis = np.array([0.0, 0.6, 0.8])
+    shapes = np.broadcast_to(axis[:, None], (len(ball.vertices), 3, 1))
+    hertz = np.array([50.0])
+    field = radiate((ball.vertices, ball.faces), ball.vertices, shapes, 2 * np.pi * hertz, 700)
+    k = 2 * np.pi * hertz / SOUND_SPEED
+    places = np.outer([0.06, 0.3, 30.0], axis)
+    found = field.pressure(k, places)[:, 0]
+    r, a = np.array([0.06, 0.3, 30.0]), RADIUS
+    exact = AIR_DENSITY * a**3 * (1 - 1j * k * r) / r**2 / (2 - 2j * k * a - (k * a) ** 2)
+    np.testing.assert_allclose(abs(found), abs(exact), rtol=0.03)
+    assert abs(np.angle(found / exact)).max() < 0.02  # waves leave the ball at once in both
+
+
+def test_modes_share_a_matrix_only_if_alike_and_fields_beyond_a_mesh_keep_their_power():
+    ball = trimesh.creation.icosphere(2, RADIUS)
+    boundary = Boundary(ball.vertices, ball.faces)
+    motion = np.ones((len(boundary), 3))
+    w = np.array([4.0, 60.0, 60.01]) / RADIUS * SOUND_SPEED
+    field = of_motion(boundary, motion, w)
+    power = (abs(field.coefficients) ** 2).sum(1)
+    k = w / SOUND_SPEED
+    exact = 4 * np.pi * AIR_DENSITY**2 * RADIUS**4 / (1 + (k * RADIUS) ** 2)
+    np.testing.assert_allclose(power, exact, rtol=0.05)
+
+
+@pytest.mark.parametrize("shape", ["box", "cup"])
+def test_an_even_surface_is_closed_and_keeps_its_size(shape):
+    box = trimesh.creation.box((0.2, 0.1, 0.05))
+    cup = trimesh.creation.annulus(0.04, 0.05, 0.1)
+    mesh = {"box": box, "cup": cup}[shape]
+    vertices, faces = even_surface(mesh.vertices, mesh.faces, 800)
+    assert is_closed(faces)
+    assert 700 < len(faces) <= 800
+    assert signed_volume(vertices, faces) == pytest.approx(mesh.volume, rel=0.1)
+    area = face_areas(vertices, faces)
+    assert area.max() < 8 * np.median(area)
+
+
+def test_interpolation_is_exact_for_rigid_motions_and_on_the_flat(rng):
+    points = rng.uniform(-1, 1, (500, 3))
+    points[:250, 2] = 0
+    turn = np.cross(points, [0.3, -0.2, 0.5]) + np.array([1.0, 2.0, 3.0])
+    places = rng.uniform(-0.5, 0.5, (40, 3)) * [1, 1, 0]
+    found = interpolated(points, turn, places)
+    np.testing.assert_allclose(
+        found, np.cross(places, [0.3, -0.2, 0.5]) + np.array([1.0, 2.0, 3.0]), atol=0.02
+    )
+
+
+def test_outward_motion_is_the_change_of_volume(rng):
+    ball = trimesh.creation.icosphere(2)
+    motion = rng.normal(size=(len(ball.vertices), 3, 2))
+    grown = outward_motion(ball.vertices, ball.faces, motion)
+    step = 1e-6
+    for mode in range(2):
+        volumes = [
+            signed_volume(ball.vertices + sign * step * motion[..., mode], ball.faces) for sign in (1, -1)
+        ]
+        change = (volumes[0] - volumes[1]) / (2 * step)
+        assert ball.area_faces @ grown[:, mode] == pytest.approx(change, rel=1e-6)

@@ -1,0 +1,115 @@
+"""Sound pressure at a listener."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from objectfolder import ObjectFile
+from objectfolder.audio.click import recoil_pressure
+from objectfolder.errors import ObjectFolderError
+from objectfolder.materials import Material, material
+
+UP = [[0.0, 0.0, 1.0]]
+
+
+@pytest.fixture
+def struck(brick):
+    return brick.sample_surface(3, seed=4)
+
+
+def test_rows_are_independent_and_linear(brick, struck):
+    forces = np.array([[0, 0, 1.0], [1.0, 0, 0], [0, 2.0, 1.0]])
+    places = np.array([[0, 0, 1.0], [0.5, 0.2, 0], [0, -3.0, 1.0]])
+    sounds = brick.impact(struck, forces, duration=0.2, listener=places)
+    assert sounds.shape == (3, 3200)
+    one = brick.impact(struck[1], forces[1], duration=0.2, listener=places[1])
+    np.testing.assert_array_equal(one[0], sounds[1])
+    twice = brick.impact(struck, 2 * forces, duration=0.2, listener=places)
+    np.testing.assert_allclose(twice, 2 * sounds, rtol=1e-5, atol=1e-6 * np.abs(sounds).max())
+    around = brick.impact(struck[:1], UP, duration=0.2, listener=places)
+    assert around.shape == (3, 3200)
+
+
+def test_far_away_it_falls_as_one_over_the_distance(brick, struck):
+    near, far = (brick.impact(struck, UP, duration=0.2, listener=[[0, r, r]])[:, 400:] for r in (10.0, 40.0))
+    np.testing.assert_allclose(near, 4 * far, atol=0.02 * np.abs(near).max())
+
+
+def test_the_ringing_is_that_of_the_modes(brick, struck):
+    """After the click: an amplitude of gain, acceleration and the far field for each mode."""
+    place, rate = np.array([[0.3, 0.4, 1.2]]), 96000
+    sound = brick.impact(struck[:1], UP, rate, 0.5, contact_time=0.0, listener=place)[0, 200:]
+    tuning = brick.tuning()
+    s = -tuning.damping.numpy() + 1j * tuning.damped_frequency.numpy()
+    gain = brick.mode_shapes(struck[:1])[0, 2]
+    pressure = brick._parts.radiation.field.pressure(s.imag / 343.2, place)[0]
+    time = np.arange(200, 48000)[:, None] / rate
+    exact = (pressure.conj() * s**2 / s.imag * gain * np.exp(s * time)).imag.sum(1)
+    np.testing.assert_allclose(sound, exact, atol=1e-3 * np.abs(exact).max())
+
+
+def test_a_delay_is_the_time_that_sound_takes(brick, struck):
+    distance, rate = 5.0, 96000
+    options = {"sample_rate": rate, "duration": 0.1, "listener": [[0, 0, distance]]}
+    now, later = (brick.impact(struck, UP, **options, delay=delay) for delay in (False, True))
+    lag = (distance - brick._parts.radiation.field.radius) / 343.2 * rate
+    assert not later[:, : int(lag)].any()
+    ringing = np.arange(int(lag) + 300, 9600)
+    then = CubicSpline(np.arange(9600), now, axis=1)(ringing - lag)
+    np.testing.assert_allclose(later[:, ringing], then, atol=5e-3 * np.abs(then).max())
+
+
+def test_a_stiff_body_sounds_of_its_recoil_alone(brick, struck):
+    """Below all modes only the click is heard."""
+    place = np.array([[0.1, 0.2, 0.6]])
+    sound = brick.impact(struck[:1], UP, 2000, 0.1, listener=place)
+    body = brick._parts.radiation.recoil(material("plastic").density, brick.scale)
+    click = recoil_pressure(body, np.array(UP), place, 2000, 200, brick.contact_time())
+    np.testing.assert_array_equal(sound, click)
+    assert np.abs(sound).max() > 0
+
+
+def test_another_size_sounds_the_same_at_proportional_places(brick, struck):
+    """Pressure per impulse falls with the third power of the size, as one over the mass."""
+    options = {"contact_time": 0.0, "material": Material("own", **_without_damping(brick))}
+    small = brick.impact(struck, UP, 96000, 0.1, listener=[[0.0, 0.3, 0.4]], **options)
+    large = brick.impact(
+        2 * struck, UP, 48000, 0.2, listener=[[0.0, 0.6, 0.8]], scale=2 * brick.scale, **options
+    )
+    np.testing.assert_allclose(8 * large, small, atol=2e-3 * np.abs(small).max())
+
+
+def _without_damping(brick):
+    kept = {k: v for k, v in brick.header["material_properties"].items() if k != "loss_factor"}
+    return kept | {"alpha": 0.0, "beta": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("changed", "match"),
+    [
+        ({"listener": [[0, 0, 0.01]]}, "expected one outside the ball"),
+        ({"listener": [[0, 0, 1e9]]}, "expected one outside the ball"),
+        ({"listener": [[0, 0, np.nan]]}, "listener: row 0"),
+        ({"listener": [[0, 0]]}, "listener has shape"),
+        ({"response": "velocity"}, "leave response out"),
+        ({"material": "steel"}, "build the object in it"),
+        ({"delay": 1}, "delay is of type int"),
+    ],
+)
+def test_what_cannot_be_heard_is_refused(brick, struck, changed, match):
+    with pytest.raises(ObjectFolderError, match=match):
+        brick.impact(struck, UP, **({"listener": [[0, 0, 1.0]]} | changed))
+
+
+def test_older_files_say_what_they_lack(brick, struck):
+    header = {name: value for name, value in brick.header.items() if name != "radiation"}
+    old = ObjectFile(header | {"format": "1.2"}, brick.tensors)
+    assert old.impact(struck, UP, duration=0.1).shape == (3, 1600)
+    with pytest.raises(ObjectFolderError, match="rebuild it"):
+        old.impact(struck, UP, listener=[[0, 0, 1]])
+
+
+def test_damage_is_named(brick, struck):
+    tensors = dict(brick.tensors) | {"radiation.orders": brick.tensors["radiation.orders"] + np.uint8(1)}
+    with pytest.raises(ObjectFolderError, match="radiation is damaged"):
+        ObjectFile(brick.header, tensors).impact(struck, UP, listener=[[0, 0, 1]])
