@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-import trimesh
 from scipy.special import elliprd
 
 from objectfolder.audio.synthesis import response_at
@@ -34,6 +33,8 @@ class Recoil:
     @classmethod
     def of(cls, vertices: np.ndarray, mass: float) -> "Recoil":
         """Return the recoil of a body of some mass, given by points (V, 3) whose convex hull it fills."""
+        import trimesh  # queries do without
+
         hull = trimesh.convex.convex_hull(vertices)
         volume, inertia = hull.volume, hull.moment_inertia
         spread, axes = np.linalg.eigh(np.eye(3) * np.trace(inertia) / 2 - inertia)  # second moments

@@ -281,6 +281,7 @@ def test_every_missing_tensor_is_an_error_of_its_question(edit, brick):
         "geometry": lambda f: f.sample_surface(1),
         "vision": lambda f: f.view(CAMERA, LIGHT, 8),
         "audio": lambda f: f.impact(f.sample_surface(1), [[0, 0, 1]], duration=0.01),
+        "radiation": lambda f: f.impact(f.sample_surface(1), [[0, 0, 1]], duration=0.01, listener=[0, 0, 1]),
     }
     for name in brick.tensors:
         group = name.split(".")[0]

@@ -29,7 +29,7 @@ from objectfolder.workspace.layout import Benchmarks, Build
 from objectfolder.workspace.params import ROBOT_STAGES
 
 pytestmark = pytest.mark.xdist_group("pipeline")
-LANES = ("normalize", "voxelize", "modal", "render_views", "render_touch")
+LANES = ("normalize", "voxelize", "modal", "radiation", "render_views", "render_touch")
 NETS = ("train_vision", "train_audio", "train_touch", "pack", "evaluate")
 OBSERVED = {"observe@bell", "observe@cube"}
 
@@ -95,7 +95,7 @@ def test_changed_material_reruns_the_audio_lane_of_that_object_only(built):
     with built.edit() as values:
         values["objects"]["cube"]["material"] = "plastic"
     assert built.build("pack@cube", "pack@bell") == {
-        f"{stage}@cube" for stage in ("modal", "train_audio", "pack")
+        f"{stage}@cube" for stage in ("modal", "radiation", "train_audio", "pack")
     }
     with built.edit() as values:
         values["objects"]["cube"]["material"] = "wood"
