@@ -10,11 +10,14 @@ import torch
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.gridcodec import BOUND
+from objectfolder.mesh.normals import unit_vectors
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.sharpen import sharp_normals, stored_triangles
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
+
+_SEEN = 2.5  # voxels, length of rays that look for the nearest triangle
 
 
 @dataclass(frozen=True)
@@ -105,7 +108,8 @@ class Isosurface:
         """Project points to the surface.
 
         Takes Newton steps along the gradient of the distance, from the point itself inside the band and from
-        the nearest vertex outside.
+        the nearest vertex outside. Near walls under a voxel, whose distance the grid does not hold, rays find
+        the nearest triangle.
 
         Parameters
         ----------
@@ -131,4 +135,44 @@ class Isosurface:
                 distance, normals = self.grid.distance_and_normals(position)
             position = position - (distance[:, None] * normals).to(torch.float64)
         projected = position.numpy()
+        thin = self._beside_sheets(points)
+        if thin.any():
+            projected[thin] = self._nearest_seen(points[thin], projected[thin])
         return projected, np.linalg.norm(projected - points, axis=1)
+
+    def _beside_sheets(self, points: np.ndarray) -> np.ndarray:
+        """Return which points are at most two samples from one that stands for a wall under a voxel; (N,)."""
+        features, count = self.grid.features, len(self.grid.values)
+        if features is None or not len(features.sheets):
+            return np.zeros(len(points), bool)
+        place = np.rint((points + BOUND) / self.grid.spacing).clip(0, count - 1).astype(np.int64)
+        strides = np.array([count**2, count, 1])
+        around = (place @ strides)[:, None] + (np.indices((5, 5, 5)).reshape(3, -1).T - 2) @ strides
+        return np.any(np.isin(around, features.sheets), axis=1)
+
+    def _nearest_seen(self, points: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
+        """Return the point (N, 3) of the nearest triangle that rays around each point meet, if any does."""
+        ways = np.indices((3, 3, 3)).reshape(3, -1).T - 1.0
+        ways = unit_vectors(np.delete(ways, len(ways) // 2, 0))
+        start, along = np.repeat(points, len(ways), 0), np.tile(ways, (len(points), 1))
+        length = np.full(len(start), _SEEN * self.grid.spacing)
+        reached, face = (out.reshape(len(points), -1) for out in self.caster.first_hit(start, along, length))
+        best = reached.argmin(1)
+        each = np.arange(len(points))
+        distance, corners = (
+            reached[each, best].astype(np.float64),
+            self.vertices[self.faces[face[each, best]]],
+        )
+        found = np.isfinite(distance)
+        seen = np.where(
+            found[:, None], points + np.where(found, distance, 0)[:, None] * ways[best], otherwise
+        )
+        # The foot of the perpendicular on that triangle, if it lies within.
+        a, b, c = corners.swapaxes(0, 1)
+        area = np.cross(b - a, c - a)
+        square = np.maximum((area**2).sum(1), 1e-300)
+        foot = points - (((points - a) * area).sum(1) / square)[:, None] * area
+        within = found.copy()
+        for one, other in ((a, b), (b, c), (c, a)):
+            within &= (np.cross(other - one, foot - one) * area).sum(1) >= 0
+        return np.where(within[:, None], foot, seen)

@@ -88,6 +88,21 @@ def test_sheets_face_outwards():
         assert np.quantile(shown, 0.02) > 0.95
 
 
+@pytest.mark.parametrize("name", CASES)
+def test_points_on_walls_under_a_voxel_stay_where_they_are(name):
+    """The distance that the grid interpolates there is off by up to half a voxel."""
+    solid = CASES[name]
+    surface = sharp_isosurface(solid, RESOLUTION)
+    points = sample_surface(*solid, 2000, np.random.default_rng(0))
+    nearest, distance = surface.nearest(points)
+    on = apart(points, (surface.vertices, surface.faces)) < 0.02  # where the wall is kept whole
+    assert on.mean() > 0.9
+    np.testing.assert_allclose(distance, np.linalg.norm(nearest - points, axis=1))
+    near = on if name != "blade" else on & (points @ TURN[:, 0] > 0.2)  # the thick end has ordinary edges
+    assert np.quantile(distance[near], 0.99) < 0.03 * VOXEL
+    assert apart(nearest[on], (surface.vertices, surface.faces)).max() < 0.1
+
+
 def test_a_gap_under_a_voxel_between_thick_boards_is_no_wall():
     boards = join(
         box((0.3, 0.4, 0.6), centre=(-0.15 - 0.2 * VOXEL, 0, 0)),
