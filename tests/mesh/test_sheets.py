@@ -100,7 +100,7 @@ def test_points_on_walls_under_a_voxel_stay_where_they_are(name):
     np.testing.assert_allclose(distance, np.linalg.norm(nearest - points, axis=1))
     near = on if name != "blade" else on & (points @ TURN[:, 0] > 0.2)  # the thick end has ordinary edges
     assert np.quantile(distance[near], 0.99) < 0.03 * VOXEL
-    assert apart(nearest[on], (surface.vertices, surface.faces)).max() < 0.1
+    assert apart(nearest[near], (surface.vertices, surface.faces)).max() < 0.1
 
 
 def test_a_gap_under_a_voxel_between_thick_boards_is_no_wall():
