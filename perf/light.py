@@ -18,7 +18,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from harness import exit_with_verdict, write_record
+from PIL import Image
 from rich.console import Console
 from rich.table import Table
 
@@ -28,6 +30,7 @@ from objectfolder.touch.ball import BallModel
 from objectfolder.touch.calibration import SensorFit, fit_sensor_lights, save_fit
 from objectfolder.touch.imprint import find_imprint
 from objectfolder.touch.lightfit import Photograph, disc_of, fit_pose, squared_error
+from objectfolder.touch.optics import Optics
 from objectfolder.touch.photographs import read_photograph
 from objectfolder.touch.profiles import SensorProfile, load_profile
 from objectfolder.touch.taxim import Pack, read_pack
@@ -137,8 +140,24 @@ def taxim_error(folder: Path, sensor: Sensor, shown: list[Photograph]) -> float:
     return decibels(np.concatenate(errors))
 
 
-def measure(sensor: Sensor, seed: int) -> tuple[dict, SensorFit]:
-    """Scores of one split, dB."""
+def compared(sensor: Sensor, fit: SensorFit, photographs: list[Photograph]) -> np.ndarray:
+    """Photographs above images of the same balls, cropped and enlarged; (480, 240 K, 3) uint8."""
+    model, optics = BallModel(fit.profile, sensor.radius), Optics(fit.profile)
+    optics.background = torch.from_numpy(fit.background)
+    columns = []
+    for photograph in photographs:
+        image = optics.render(model.displacement(photograph.pose))[0].numpy()
+        places = zip(photograph.pose[:2], image.shape[:2])
+        row, column = (int(np.clip(at - 30, 0, size - 60)) for at, size in places)
+        pair = np.concatenate(
+            [of[row : row + 60, column : column + 60] for of in (photograph.picture.astype(np.uint8), image)]
+        )
+        columns.append(np.asarray(Image.fromarray(pair).resize((240, 480), Image.Resampling.BICUBIC)))
+    return np.concatenate(columns, axis=1)
+
+
+def measure(sensor: Sensor, seed: int) -> tuple[dict, SensorFit, list[Photograph]]:
+    """Scores of one split, dB; the fit with residual; the held-out photographs, poses found."""
     pack, radius = sensor.pack, sensor.radius
     order = np.random.default_rng(seed).permutation(len(pack.pictures))
     chosen, held = np.sort(order[:FITTED]), np.sort(order[FITTED:])
@@ -178,7 +197,7 @@ def measure(sensor: Sensor, seed: int) -> tuple[dict, SensorFit]:
         row[f"{name}, fitted ones"] = fit.psnr_after
         for where, shown in (("circles", [marked[i] for i in held]), ("poses found", found)):
             row[f"{name}, {where}"] = float(psnr(squared_error(fit.profile, radius, rest, shown), 255))
-    return row | {"cpu_s": took, "photographs": (chosen + 1).tolist()}, fits["with residual"]
+    return row | {"cpu_s": took, "photographs": (chosen + 1).tolist()}, fits["with residual"], found
 
 
 def main() -> None:
@@ -188,6 +207,7 @@ def main() -> None:
     parser.add_argument("--taxim", type=Path, metavar="DIR", help="with dataPack.npz and polycalib.npz")
     parser.add_argument("--digit", type=Path, metavar="DIR", help="a checkout of FOTS")
     parser.add_argument("--json", type=Path, help="file for the figures")
+    parser.add_argument("--picture", type=Path, help="file for a picture of the first seed")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the profiles of the first seed")
     given = parser.parse_args()
     console = Console(width=max(Console().width, 150))
@@ -198,7 +218,7 @@ def main() -> None:
             continue
         sensor = read(folder)
         for seed in SEEDS:
-            row, fit = measure(sensor, seed)
+            row, fit, found = measure(sensor, seed)
             if sensor.name == "gelsight_real":
                 rest = sensor.pack.untouched.shape
                 shown = [
@@ -209,6 +229,9 @@ def main() -> None:
                 if seed == SEEDS[0]:
                     short = {name: goal for name, goal in TARGETS.items() if row[name] < goal}
                     missed += [f"{name}: {row[name]:.1f} dB, target {goal:g}" for name, goal in short.items()]
+            if given.picture and sensor.name == "gelsight_real" and seed == SEEDS[0]:
+                page = Image.fromarray(compared(sensor, fit, found[::10]))
+                page.save(given.picture, optimize=True)
             if given.out and seed == SEEDS[0]:
                 given.out.mkdir(parents=True, exist_ok=True)
                 save_fit(fit, given.out / f"{sensor.name}.yaml", sensor.name, sensor.source)

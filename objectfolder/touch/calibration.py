@@ -16,6 +16,7 @@ from objectfolder.touch.imprint import Imprint, check_background_seen, find_impr
 from objectfolder.touch.lightfit import (
     Photograph,
     disc_of,
+    exposed,
     fit_lights,
     fit_pose,
     fit_residual,
@@ -160,6 +161,7 @@ def fit_sensor_lights(
     for _ in range(_ALTERNATIONS):
         fitted = fit_lights(model, rest, photographs, fitted)
         photographs = [fit_pose(model, fitted, rest, photograph) for photograph in photographs]
+    fitted = exposed(fitted, photographs, model)
     if residual:
         fitted = fit_residual(model, fitted, rest, photographs)
     before, after = (

@@ -31,6 +31,9 @@ _STEPS = np.array([0.2, 0.2, 0.02])  # of a ball's: pixels, pixels, part of its 
 _REACH = 6.0  # pixels that a ball may move
 _LIGHT_ROUNDS, _POSE_ROUNDS = 40, 8
 
+_BRIGHTEST = 0.9  # radiance
+
+_RESIDUAL_ROUNDS = 30
 _RIDGE = 0.01  # of the residual, relative to the mean square of its scaled terms
 
 
@@ -75,7 +78,7 @@ class _Surface:
         """Return what a profile shows, grey levels before saturation; (3, M)."""
         change = _display(radiance(*self.moved, profile), profile.gamma)
         change -= _display(radiance(*self.still, profile), profile.gamma)
-        levels = self.untouched + _PEAK * change
+        levels = self.untouched + _PEAK * profile.gain * change
         if profile.residual:
             levels += residual_levels(self.tilt, self.place, profile.residual)
         return levels
@@ -173,12 +176,30 @@ def fit_pose(
     return replace(photograph, pose=found.x * scale)
 
 
+def exposed(profile: SensorProfile, photographs: list[Photograph], model: BallModel) -> SensorProfile:
+    """Return the same change of colours by dimmer lights and a larger gain.
+
+    Optics cut radiance off at 1, the fit does not. Here no pixel of the gel, at rest or under the ball, is
+    brighter than `_BRIGHTEST`.
+    """
+    optics = Optics(model.profile)
+    gels = torch.cat(
+        [torch.zeros_like(model.displacement(photographs[0].pose))]
+        + [model.displacement(photograph.pose) for photograph in photographs]
+    )
+    points, normals, _ = optics.surface(gels)
+    factor = _BRIGHTEST / float(radiance(points, normals, profile).max())
+    lights = tuple(replace(light, intensity=light.intensity * factor) for light in profile.lights)
+    gain = profile.gain * factor ** (-1 / profile.gamma)
+    return replace(profile, lights=lights, ambient=profile.ambient * factor, gain=gain)
+
+
 def fit_residual(
     model: BallModel, profile: SensorProfile, untouched: np.ndarray, photographs: list[Photograph]
 ) -> SensorProfile:
     """Return the profile with the polynomial that explains best what its lights leave over.
 
-    Ridge regression. Where photograph and image are both saturated, nothing is left over.
+    Ridge regression, with pixel values cut off at 0 and 255 as a camera does.
     """
     surface = _Surface(model, untouched, photographs)
     lights = replace(profile, residual=())
@@ -186,12 +207,19 @@ def fit_residual(
     terms = np.stack(residual_terms(surface.tilt, surface.place), axis=1).astype(float)
     scale = np.sqrt(np.mean(terms**2, axis=0)) + 1e-12
     terms /= scale
+    ridge = np.sqrt(_RIDGE * len(terms)) * np.eye(terms.shape[1])
     rows = []
     for level, seen in zip(levels, surface.picture):
-        free = ~((seen >= _PEAK) & (level >= _PEAK)) & ~((seen <= 0) & (level <= 0))
-        given = terms[free]
-        normal = given.T @ given + _RIDGE * len(given) * np.eye(given.shape[1])
-        rows.append(np.linalg.solve(normal, given.T @ (seen - level)[free]) / scale)
+
+        def errors(row: np.ndarray, level: np.ndarray = level, seen: np.ndarray = seen) -> np.ndarray:
+            return np.concatenate([(level + terms @ row).clip(0, _PEAK) - seen, ridge @ row])
+
+        def jacobian(row: np.ndarray, level: np.ndarray = level) -> np.ndarray:
+            shown = level + terms @ row
+            return np.concatenate([terms * ((shown > 0) & (shown < _PEAK))[:, None], ridge])
+
+        found = least_squares(errors, np.zeros(terms.shape[1]), jacobian, max_nfev=_RESIDUAL_ROUNDS)
+        rows.append(found.x / scale)
     return replace(profile, residual=tuple(tuple(map(float, row)) for row in rows))
 
 
@@ -228,7 +256,7 @@ def _vector(values: np.ndarray) -> Vector:
 
 
 def _display(light: np.ndarray, gamma: float) -> np.ndarray:
-    return light.astype(float).clip(1e-30, 1) ** (1 / gamma)
+    return light.astype(float).clip(1e-30) ** (1 / gamma)
 
 
 def _coating_bounds() -> np.ndarray:
@@ -266,7 +294,7 @@ def _light_jacobian(surface: _Surface, start: SensorProfile, x: np.ndarray) -> n
         fields = [_field(at, profile, light.position) for light in profile.lights]
         colors = np.exp(x[: 6 * count].reshape(count, 6)[:, 3:])
         light = radiance(*at, profile).astype(float)
-        slope = np.where(light < 1, light.clip(1e-12) ** (1 / profile.gamma - 1), 0) / profile.gamma
+        slope = light.clip(1e-12) ** (1 / profile.gamma - 1) / profile.gamma
         for k, (field, color) in enumerate(zip(fields, colors)):
             for axis in range(3):
                 position = np.array(profile.lights[k].position)
@@ -277,11 +305,11 @@ def _light_jacobian(surface: _Surface, start: SensorProfile, x: np.ndarray) -> n
                 columns[6 * k + 3 + channel, channel] += sign * slope[channel] * field * color[channel]
         columns[-3] += sign * slope * profile.ambient
         shown = _display(light, profile.gamma)
-        columns[-2] -= sign * shown * np.log(light.clip(1e-30, 1)) / profile.gamma
+        columns[-2] -= sign * shown * np.log(light.clip(1e-30)) / profile.gamma
         rougher = replace(profile, roughness=profile.roughness - 0.01)
         columns[-1] += sign * slope * (light - radiance(*at, rougher)) / 0.01
     levels = surface.levels(profile)
-    columns *= _PEAK * ((levels > 0) & (levels < _PEAK))
+    columns *= _PEAK * profile.gain * ((levels > 0) & (levels < _PEAK))
     return columns.reshape(len(x), -1).T
 
 

@@ -81,6 +81,7 @@ def test_lights_that_made_the_pictures_are_found(profile, pictures, residual):
     assert fit.psnr_after > 40
     assert fit.psnr_after > fit.psnr_before + 12
     assert bool(fit.profile.residual) == residual
+    assert Optics(fit.profile).untouched.max() < 0.96
     for imprint, (row, column, _) in zip(fit.imprints, POSES):
         assert np.hypot(imprint.row - row, imprint.column - column) < 0.3
 
