@@ -55,11 +55,12 @@ def radiate(
     vertices, faces = even_surface(*surface, triangles)
     motion = interpolated(points, shapes.reshape(len(points), -1), vertices)
     motion = outward_motion(vertices, faces, motion.reshape(len(vertices), 3, -1))
-    return of_motion(Boundary(vertices, faces), motion, frequencies)
+    radius = float(np.linalg.norm(surface[0], axis=1).max(initial=0))
+    return of_motion(Boundary(vertices, faces), motion, frequencies, radius)
 
 
-def of_motion(boundary: Boundary, motion: np.ndarray, frequencies: np.ndarray) -> FarField:
-    """Compute the far field of motions (N, M) of the triangles of a boundary; see `radiate`.
+def of_motion(boundary: Boundary, motion: np.ndarray, frequencies: np.ndarray, radius: float) -> FarField:
+    """Compute the far field of motions (N, M) of a boundary's triangles in a ball of some radius.
 
     Notes
     -----
@@ -67,7 +68,6 @@ def of_motion(boundary: Boundary, motion: np.ndarray, frequencies: np.ndarray) -
     impedance of air times the velocity. Fields with more detail than `MAX_ORDER` keep their power.
     """
     slopes, k = -AIR_DENSITY * motion, np.asarray(frequencies) / SOUND_SPEED
-    radius = float(np.linalg.norm(boundary.triangles.corners, axis=2).max(initial=0))
     orders = np.minimum(np.ceil(k * radius).astype(int) + _BEYOND, MAX_ORDER)
     radiator = Radiator(boundary.triangles, int(orders.max(initial=0)))
     coefficients = np.zeros((len(k), (radiator.order + 1) ** 2), np.complex128)

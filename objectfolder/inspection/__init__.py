@@ -15,6 +15,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.inspection.geometry import export_vtu, inspect_normalize, inspect_voxelize
 from objectfolder.inspection.images import inspect_render_touch, inspect_render_views
 from objectfolder.inspection.nets import inspect_evaluate, inspect_net, inspect_pack
+from objectfolder.inspection.radiation import inspect_radiation
 from objectfolder.inspection.record import Inspection
 from objectfolder.inspection.sound import inspect_modal
 from objectfolder.workspace.layout import Build
@@ -27,6 +28,7 @@ STAGES: dict[str, Callable[[Build], Inspection]] = {
     "normalize": inspect_normalize,
     "voxelize": inspect_voxelize,
     "modal": inspect_modal,
+    "radiation": inspect_radiation,
     "render_views": inspect_render_views,
     "render_touch": inspect_render_touch,
     "train_vision": lambda build: inspect_net(build, "vision"),

@@ -72,7 +72,7 @@ def test_modes_share_a_matrix_only_if_alike_and_fields_beyond_a_mesh_keep_their_
     boundary = Boundary(ball.vertices, ball.faces)
     motion = np.ones((len(boundary), 3))
     w = np.array([4.0, 60.0, 60.01]) / RADIUS * SOUND_SPEED
-    field = of_motion(boundary, motion, w)
+    field = of_motion(boundary, motion, w, RADIUS)
     power = (abs(field.coefficients) ** 2).sum(1)
     k = w / SOUND_SPEED
     exact = 4 * np.pi * AIR_DENSITY**2 * RADIUS**4 / (1 + (k * RADIUS) ** 2)

@@ -14,6 +14,7 @@ import trimesh
 from PIL import Image
 from rich.console import Console
 
+from objectfolder.acoustics.radiation import radiate, stored_radiation
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.elements import solid_arrays, solid_from_arrays
@@ -98,6 +99,9 @@ def _solid_and_modes(build, vertices, faces, rng):
     data = modal_analysis(cells, points, material("ceramic"), SCALE, 20000.0, 8)
     write_npz(build.modes, points=points, split=split_rows(len(points), rng), **data.arrays())
     write_json(build.modal, data.report)
+    surface = vertices * SCALE, faces
+    field = radiate(surface, points * SCALE, data.shapes, data.damped_frequency, 200)
+    write_safetensors(build.radiation, *stored_radiation(field, surface, SCALE, 50_000))
 
 
 def _datasets(build, vertices, faces, rng):
@@ -185,6 +189,12 @@ def test_pictures_show_something_and_nothing_declared_changes(root, stage):
         assert min(pixels.shape[:2]) > 400
     assert {path: path.read_bytes() for path in before} == before
     assert not list(root.rglob(".*.tmp*"))
+
+
+def test_radiation_rows_are_those_of_the_ball_about_the_box(root):
+    rows = _rows(root, "radiation")
+    assert float(rows["ball that holds the surface"].split()[0]) == pytest.approx(0.573, abs=0.01)
+    assert rows["modes"] == "8"
 
 
 def test_normalize_rows_are_the_box(root):
