@@ -3,16 +3,18 @@
 import { type Data, type Detail, data, type Row, type Strip, viewerScript } from "./data.ts";
 import { draw, length, make, short, table } from "./dom.ts";
 
-const THREE = ["ground truth", "Object File", "difference × 4"];
+const THREE = ["ground truth", "Object File", "difference"];
+const ENLARGED = " × 4"; // differences of pictures
 
 function strip({ title, score, source }: Strip, kind: string, ...more: Node[]): HTMLElement {
   const compared = score !== undefined || kind === "compared";
+  const names = THREE.map((name, n) => (n === 2 && score !== undefined ? name + ENLARGED : name));
   return make(
     "figure",
     { class: compared ? null : "single" },
     make("figcaption", {}, score === undefined ? title : `${title}, ${short(score, "dB")}`),
-    make("img", { src: source, alt: compared ? `${title}: ${THREE.join(", ")}` : title, loading: "lazy" }),
-    ...(compared ? [make("div", { class: "columns" }, ...THREE.map((text) => make("span", {}, text)))] : []),
+    make("img", { src: source, alt: compared ? `${title}: ${names.join(", ")}` : title, loading: "lazy" }),
+    ...(compared ? [make("div", { class: "columns" }, ...names.map((text) => make("span", {}, text)))] : []),
     ...more,
   );
 }

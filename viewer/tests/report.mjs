@@ -9,7 +9,11 @@ const WAIT = { timeout: 120_000 };
 const SIZES = { desktop: { width: 1280, height: 800 }, phone: { width: 390, height: 844, hasTouch: true } };
 
 async function look(page, name) {
-  await page.evaluate(() => Promise.all([...document.images].map((image) => image.decode().catch(() => {}))));
+  // Pictures below the fold load when they are scrolled to.
+  await page.evaluate(() => {
+    for (const image of document.images) image.loading = "eager";
+  });
+  await page.waitForFunction(() => [...document.images].every((image) => image.complete), null, WAIT);
   await page.addScriptTag({ path: axe });
   const { violations } = await page.evaluate(() => window.axe.run({ exclude: ["iframe"] }));
   const serious = violations.filter(({ impact }) => ["serious", "critical"].includes(impact));
