@@ -51,9 +51,10 @@ lint: .venv/.dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# The site: build/site/index.html. Warnings are errors.
+# The site: build/site/index.html. Warnings are errors, and so are links and pictures that are missing.
 docs: .venv/.dev
 	$(BIN)/sphinx-build --fresh-env --write-all --fail-on-warning --keep-going --quiet docs build/site
+	$(BIN)/python docs/links.py build/site
 
 # The Object Files that come with the package.
 samples: demo

@@ -136,7 +136,7 @@ def fit_sensor_lights(
     count : int
         Number of lights.
     residual : bool
-        Fit the profile's `residual`, too; see `objectfolder.touch.residual`.
+        Fit the profile's ``residual``, too; see `objectfolder.touch.residual`.
 
     Raises
     ------

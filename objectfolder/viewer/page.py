@@ -38,7 +38,7 @@ def page_parts(objects: Mapping[str, bytes], title: str) -> dict[str, str]:
 
 
 def filled_page(name: str, parts: Mapping[str, str]) -> str:
-    """Return a page that `viewer/` builds with parts in place of their names in braces."""
+    """Return a page that ``viewer/`` builds with parts in place of their names in braces."""
     # One pass: what is put in may hold braces itself.
     first, *rest = static_text(name).split("{{")
     return first + "".join(parts[part] + text for part, _, text in (piece.partition("}}") for piece in rest))
@@ -52,7 +52,7 @@ def viewer_frame(objects: Mapping[str, bytes], height: int = 640) -> str:
 
 @cache
 def static_text(name: str) -> str:
-    """Return a file that `viewer/` builds (docs/viewer.md)."""
+    """Return a file that ``viewer/`` builds (docs/viewer.md)."""
     return (files("objectfolder.viewer") / "static" / name).read_text(encoding="utf-8")
 
 
