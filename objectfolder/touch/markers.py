@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import map_coordinates
+import scipy  # scipy.ndimage loads at first use
 
 from objectfolder.checks import finite_number
 from objectfolder.errors import ObjectFolderError
@@ -58,13 +58,13 @@ def marker_flow(
     """
     at = places.T[::-1]
     focal = profile.camera_to_gel / profile.pixel_pitch  # pixels per unit slope of a ray
-    depth = map_coordinates(gel_depth(profile), at, order=1, mode="nearest")
+    depth = scipy.ndimage.map_coordinates(gel_depth(profile), at, order=1, mode="nearest")
     centre = np.array([(profile.width - 1) / 2, (profile.height - 1) / 2])
     from_axis = places - centre
     flow = np.empty((len(sideways), len(places), 2), np.float32)
     for out, shift, towards in zip(flow, sideways, displacement):
         right, up, nearer = (
-            map_coordinates(image, at, order=1, mode="nearest")
+            scipy.ndimage.map_coordinates(image, at, order=1, mode="nearest")
             for image in (shift[..., 0], shift[..., 1], towards)
         )
         moved = from_axis * depth[:, None] + focal * np.stack([right, -up], axis=1)
