@@ -141,7 +141,7 @@ def taxim_error(folder: Path, sensor: Sensor, shown: list[Photograph]) -> float:
 
 
 def compared(sensor: Sensor, fit: SensorFit, photographs: list[Photograph]) -> np.ndarray:
-    """Photographs above images of the same balls, cropped and enlarged; (480, 240 K, 3) uint8."""
+    """Photographs above images of the same balls, cropped and enlarged; (240, 120 K, 3) uint8."""
     model, optics = BallModel(fit.profile, sensor.radius), Optics(fit.profile)
     optics.background = torch.from_numpy(fit.background)
     columns = []
@@ -152,7 +152,7 @@ def compared(sensor: Sensor, fit: SensorFit, photographs: list[Photograph]) -> n
         pair = np.concatenate(
             [of[row : row + 60, column : column + 60] for of in (photograph.picture.astype(np.uint8), image)]
         )
-        columns.append(np.asarray(Image.fromarray(pair).resize((240, 480), Image.Resampling.BICUBIC)))
+        columns.append(np.asarray(Image.fromarray(pair).resize((120, 240), Image.Resampling.BICUBIC)))
     return np.concatenate(columns, axis=1)
 
 
