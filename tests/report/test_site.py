@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -142,6 +143,22 @@ def test_the_same_object_gives_the_same_report(brick_path, report):
     assert object_report(brick_path) == report
 
 
+@pytest.fixture
+def hundred(report, monkeypatch, tmp_path):
+    """Site of a hundred objects, which are the brick under other names."""
+
+    def renamed(path):
+        return replace(report, row=report.row | {"key": path.name}, detail=report.detail | {"key": path.name})
+
+    monkeypatch.setattr("objectfolder.report.site.object_report", renamed)
+    return write_site([Path(f"brick_{n}") for n in range(100)], tmp_path / "site")
+
+
+def test_the_overview_of_a_hundred_objects_holds_none_of_their_files(hundred):
+    assert hundred.stat().st_size < 1e6
+    assert len(list((hundred.parent / "objects").iterdir())) == 100
+
+
 @pytest.mark.usefixtures("quick")
 def test_two_files_of_one_object_are_refused(brick_path, tmp_path):
     with pytest.raises(ObjectFolderError, match="another file holds an object of the key brick"):
@@ -186,3 +203,22 @@ def test_the_report_in_chromium(workspace, tmp_path, single_file):
         ["node", "tests/report.mjs", str(page), str(tmp_path)], cwd=VIEWER, capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    shutil.which("node") is None or not (VIEWER / "node_modules").exists(),
+    reason="needs node and `npm ci` in viewer/",
+)
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Chromium")
+def test_the_overview_of_a_hundred_objects_is_smooth(hundred):
+    done = subprocess.run(
+        ["node", "tests/overview.mjs", str(hundred)], cwd=VIEWER, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    print(found)
+    # Of the page's own work, with room for a busy machine.
+    assert found["cards"] == 100
+    assert found["shown"] < 2000
+    assert found["filtered"] < 200
