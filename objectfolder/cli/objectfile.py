@@ -107,6 +107,10 @@ def audio(
         str,
         typer.Option(help="What strikes, by which the contact time follows: steel, wood, rubber, finger."),
     ] = "steel",
+    listener: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(help="X Y Z in metres: write the sound pressure there, in pascals."),
+    ] = None,
     normalize: Annotated[bool, typer.Option(help="Scale all sounds by their common peak.")] = False,
 ) -> None:
     """Synthesize impact sounds as float WAV files.
@@ -139,6 +143,7 @@ def audio(
         material=material,
         scale=scale,
         striker=striker,
+        listener=listener,
     )
     own = material is None and scale is None
     frequencies = obj.frequencies if own else obj.tuning(material, scale).frequencies.numpy()

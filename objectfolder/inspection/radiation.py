@@ -37,9 +37,11 @@ def inspect_radiation(build: Build) -> Inspection:
     ]
     figure = page(15, 9, f"radiation@{build.key}: levels over directions, dB below the loudest")
     upper, lower = page_rows(figure, 2, 1)
-    chosen = np.unique(np.linspace(0, len(hertz) - 1, DRAWN).astype(int)) if len(hertz) else []
+    chosen: list[int] = np.unique(np.linspace(0, max(len(hertz) - 1, 0), DRAWN).astype(int))[
+        : len(hertz)
+    ].tolist()
     for axes, mode in zip(upper.subplots(2, DRAWN // 2).flat, chosen):
-        show_directivity(axes, field, int(mode), f"{hertz[mode]:.0f} Hz")
+        show_directivity(axes, field, mode, f"{hertz[mode]:.0f} Hz")
     axes = lower.subplots()
     axes.scatter(hertz / 1000, power, s=18)
     axes.set(xlabel="frequency [kHz]", ylabel="dB re 1 Pa at 1 m", title="per unit of modal acceleration")

@@ -63,6 +63,7 @@ class SoundSettings:
         """
         if not isinstance(material, Material | None):
             material = materials.material(material).name
+        response = one_of("response", response, RESPONSES)
         if heard and response != "displacement":
             raise ObjectFolderError(
                 f"response is {response!r}, but a listener hears pressure; leave response out"
@@ -77,7 +78,7 @@ class SoundSettings:
         return cls(
             rate,
             seconds,
-            one_of("response", response, RESPONSES),
+            response,
             None if contact_time is None else finite_number("contact time", contact_time),
             material,
             None if scale is None else finite_number("scale", scale),
@@ -279,7 +280,7 @@ class ModalSense:
             if samples:
                 sound[samples:] = sound[:-samples].copy() if samples < len(sound) else 0
                 sound[:samples] = 0
-        return sounds + recoil_pressure(
+        sounds += recoil_pressure(
             radiation.recoil(stuff.density, size),
             impulses,
             listening.places,
@@ -288,6 +289,7 @@ class ModalSense:
             self._contact(settings),
             listening.delay,
         )
+        return self._finite(sounds, impulses)
 
     def _check_wavelengths(self, radiation: Radiation, tuning: Tuning, size: float) -> None:
         key, own = self._stored.key, self.damped_frequency
@@ -327,6 +329,10 @@ class ModalSense:
             if phasors is not None:
                 strengths = strengths * phasors[part].to(shapes.device)
             sounds[part] = bank.mix(strengths)
+        return self._finite(sounds, impulses)
+
+    @staticmethod
+    def _finite(sounds: np.ndarray, impulses: np.ndarray) -> np.ndarray:
         if not np.isfinite(sounds).all():
             raise ObjectFolderError(
                 f"impulses of up to {np.abs(impulses).max():g} N s give sounds beyond single precision; "

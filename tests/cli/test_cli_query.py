@@ -75,6 +75,12 @@ def test_material_scale_and_contact_time(brick, strike, caplog):
     assert "approximate" in caplog.text
 
 
+def test_a_listener_hears_pascals(brick, strike):
+    _, sounds = strike("--listener", 0.3, 0.1, 0.5, "--duration", 0.1)
+    expected = brick.impact(brick.sample_surface(3), np.eye(3), duration=0.1, listener=[0.3, 0.1, 0.5])
+    np.testing.assert_array_equal([sound for sound, _ in sounds], expected)
+
+
 def test_a_silent_object_says_so(brick, strike):
     output, sounds = strike("--sample-rate", int(brick.frequencies[0]), "--duration", 0.1, "--normalize")
     assert "peak 0: silent; 12 modes, 12 left out" in output

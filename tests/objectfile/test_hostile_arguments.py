@@ -18,8 +18,9 @@ from objectfolder.vision.cameras import Intrinsics, look_at
 CAMERA, LIGHT, TOP, UP = [2.0, 1.0, 1.0], [0.5, 0.5, 0.9], [[0.0, 0.0, 0.015]], [[0.0, 0.0, 1.0]]
 VIEW = {"camera": CAMERA, "light": LIGHT, "resolution": 4, "intrinsics": None, "supersample": True}
 TOUCH = {"points": TOP, "depth": 0.001, "angle": 0.0, "tilt": 0.0, "azimuth": 0.0, "tolerance": 0.02}
-STRIKE = {"points": TOP, "forces": UP, "sample_rate": 1000, "duration": 0.001, "response": "velocity"}
+STRIKE = {"points": TOP, "forces": UP, "sample_rate": 1000, "duration": 0.001, "response": "displacement"}
 STRIKE |= {"tolerance": 0.02, "contact_time": 0.0, "material": None, "scale": None, "striker": "wood"}
+STRIKE |= {"listener": [[0.0, 0.0, 1.0]], "delay": False}
 #: Questions to a file, and arguments that are all valid.
 QUESTIONS = {
     "view": VIEW,
