@@ -13,7 +13,7 @@ from objectfolder.touch.profiles import SensorProfile
 
 _TOLERANCE = 0.002  # of the motion: error of the surface's displacement where it sticks
 _MAX_STEPS = 400  # typically tens suffice
-_COARSEST = 80  # pixels along the shorter side of the finest grid that is solved without halving
+_FINEST = 80  # pixels; grids with a longer shorter side are halved
 
 
 @dataclass(frozen=True)
@@ -79,8 +79,8 @@ def shear_contacts(
     the pressure. The traction minimises the elastic energy less the work on the object's motion within these
     bounds (Kalker 1990), which is Coulomb's law for a motion in one step. Pressure and contact are those of
     the press: the coupling of shear and pressure, zero on a half space of Poisson's ratio 0.5, is left out
-    (Goodman 1962). The press itself moves the surface sideways without friction. On images of 80 pixels and
-    more, the traction is constant over 2 x 2 pixels.
+    (Goodman 1962). The press itself moves the surface sideways without friction. Images are halved until
+    their shorter side has less than 80 pixels.
 
     Parameters
     ----------
@@ -110,14 +110,13 @@ def shear_contacts(
     displacement = np.zeros((count, height, width, 2), np.float32)
     traction = np.zeros_like(displacement)
     slipping = np.zeros(count)
-    coarse = min(height, width) >= _COARSEST
     for i, image in enumerate(pressure):
         if not image.any():
             continue
-        if coarse:
-            image, step = halve(image), 2 * pitch
-        else:
-            step = pitch
+        shapes, step = [], pitch
+        while min(image.shape) >= _FINEST:
+            shapes.append(image.shape)
+            image, step = halve(image), 2 * step
         grid = _grid(image.shape, step)
         turned = np.array([np.cos(twist[i]) - 1, np.sin(twist[i])])
         motion = np.stack(
@@ -133,7 +132,10 @@ def shear_contacts(
         slipping[i] = slips.sum() / (image > 0).sum()
         for to, of in ((displacement[i], moved), (traction[i], found)):
             for axis in (0, 1):
-                to[..., axis] = double(of[axis], (height, width)) if coarse else of[axis]
+                fine = of[axis]
+                for shape in reversed(shapes):
+                    fine = double(fine, shape)
+                to[..., axis] = fine
     traction *= (pressure > 0)[..., None]
     area = pixel_area(profile)
     force = np.array([[(of[..., axis] * area).sum() for axis in (0, 1)] for of in traction]).reshape(-1, 2)
