@@ -20,14 +20,11 @@ def real_harmonics(directions: np.ndarray, order: int) -> np.ndarray:
     """Return real spherical harmonics up to an order; (N, 3) unit vectors -> (N, (order + 1)^2)."""
     x, y, z = np.asarray(directions, np.float64).T
     complex_ones = sph_harm_y_all(order, order, np.arccos(z.clip(-1, 1)), np.arctan2(y, x))
-    out = np.empty((len(x), (order + 1) ** 2))
-    for degree in range(order + 1):
-        positive = complex_ones[degree, 1 : degree + 1].T * (np.sqrt(2) * (-1.0) ** np.arange(1, degree + 1))
-        middle = degree * (degree + 1)
-        out[:, middle] = complex_ones[degree, 0].real
-        out[:, middle + 1 : middle + degree + 1] = positive.real
-        out[:, middle - degree : middle] = positive.imag[:, ::-1]
-    return out
+    of_degree, m = degrees(order), np.arange((order + 1) ** 2)
+    m = m - of_degree * (of_degree + 1)
+    found = complex_ones[of_degree, abs(m)]
+    factor = np.where(m == 0, 1.0, np.sqrt(2) * (-1.0) ** abs(m))
+    return (np.where(m[:, None] < 0, found.imag, found.real) * factor[:, None]).T
 
 
 def degrees(order: int) -> np.ndarray:

@@ -2,8 +2,10 @@
 
 import igl
 import numpy as np
+from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
+from objectfolder.acoustics.triangles import Triangles
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.closing.solids import arrays, manifold
 from objectfolder.mesh.topology import Mesh, face_areas
@@ -30,7 +32,7 @@ def even_surface(vertices: np.ndarray, faces: np.ndarray, triangles: int) -> Mes
         If nothing of the surface is left.
     """
     edge = np.sqrt(face_areas(vertices, faces).sum() / triangles * 4 / np.sqrt(3))
-    fine = arrays(manifold((vertices, faces)).refine_to_length(_FINER * edge))
+    fine = finer_surface(vertices, faces, _FINER * edge)
     points, kept, *_ = igl.decimate(
         np.asfortranarray(fine[0], np.float64), np.asfortranarray(fine[1], np.int32), max_m=triangles
     )
@@ -43,6 +45,11 @@ def even_surface(vertices: np.ndarray, faces: np.ndarray, triangles: int) -> Mes
             f"a surface of {len(faces)} triangles has none left at {triangles}; raise radiation.triangles"
         )
     return np.asarray(points), kept
+
+
+def finer_surface(vertices: np.ndarray, faces: np.ndarray, edge: float) -> Mesh:
+    """Return a closed surface whose long edges are split to at most a length."""
+    return arrays(manifold((vertices, faces)).refine_to_length(edge))
 
 
 def interpolated(points: np.ndarray, values: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -81,4 +88,17 @@ def outward_motion(vertices: np.ndarray, faces: np.ndarray, motion: np.ndarray) 
     corners = vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.linalg.norm(normal, axis=1)[:, None]
-    return np.einsum("nd,ncdm->nm", normal, motion[faces]) / 3
+    return sum(np.einsum("nd,ndm->nm", normal, motion[corner]) for corner in faces.T) / 3
+
+
+def carried(fine: Triangles, flow: np.ndarray, coarse: Triangles) -> np.ndarray:
+    """Sum what flows out of fine triangles, (N, M), over the coarse ones (K, M) that stand for them.
+
+    A fine triangle belongs to the coarse one with the nearest place and direction, so that the two sides of a
+    wall stay apart. All of the flow is kept.
+    """
+    edge = np.sqrt(coarse.area.mean() * 4 / np.sqrt(3))
+    places = [np.concatenate([each.centroid / edge, each.normal], axis=1) for each in (coarse, fine)]
+    owner = cKDTree(places[0]).query(places[1])[1]
+    count = len(owner)
+    return csr_array((np.ones(count), (owner, np.arange(count))), (len(coarse.area), count)) @ flow

@@ -9,10 +9,19 @@ from annotated_types import Ge
 from objectfolder.acoustics.boundary import Boundary
 from objectfolder.acoustics.farfield import MAX_ORDER, FarField, pack_far_field
 from objectfolder.acoustics.harmonics import Radiator, degrees
-from objectfolder.acoustics.meshing import even_surface, interpolated, outward_motion
+from objectfolder.acoustics.meshing import (
+    carried,
+    even_surface,
+    finer_surface,
+    interpolated,
+    outward_motion,
+)
+from objectfolder.acoustics.triangles import Triangles
 from objectfolder.audio.click import AIR_DENSITY, SOUND_SPEED, Recoil
+from objectfolder.mesh.topology import face_areas
 
 EDGES_PER_WAVE = 2.0  #: of sound; with fewer, a surface radiates as plane waves do
+_FINER = 0.5  # of a triangle's edge, on which modes' motions are read from the exact surface
 _BEYOND = 4  # orders of harmonics beyond the wavenumber times the radius
 _ALIKE = 0.04  # difference of wavenumbers, times the radius, within which modes share a matrix
 
@@ -53,10 +62,15 @@ def radiate(
         Per unit of modal acceleration: pressure times distance, Pa m / (m kg^1/2 / s^2).
     """
     vertices, faces = even_surface(*surface, triangles)
-    motion = interpolated(points, shapes.reshape(len(points), -1), vertices)
-    motion = outward_motion(vertices, faces, motion.reshape(len(vertices), 3, -1))
+    boundary = Boundary(vertices, faces)
+    fine, parts = finer_surface(*surface, _FINER * boundary.mean_edge)
+    parts = parts[face_areas(fine, parts) > 0]
+    motion = interpolated(points, shapes.reshape(len(points), -1), fine).reshape(len(fine), 3, -1)
+    source = Triangles.of(fine, parts)
+    flow = outward_motion(fine, parts, motion) * source.area[:, None]
+    motion = carried(source, flow, boundary.triangles) / boundary.triangles.area[:, None]
     radius = float(np.linalg.norm(surface[0], axis=1).max(initial=0))
-    return of_motion(Boundary(vertices, faces), motion, frequencies, radius)
+    return of_motion(boundary, motion, frequencies, radius)
 
 
 def of_motion(boundary: Boundary, motion: np.ndarray, frequencies: np.ndarray, radius: float) -> FarField:

@@ -111,6 +111,6 @@ def recoil_pressure(
     sounds = np.zeros((len(along), samples), np.float32)
     for sound, gains, late, reach in zip(sounds, torch.from_numpy(strength), lag, distance / SOUND_SPEED):
         since = time - torch.from_numpy(late)[:, None]
-        moved, moving = (response_at(s, since, contact_time, order) for order in (0, 1))
-        sound[: len(time)] = (gains @ (moved + reach * moving)).numpy()
+        moved = response_at(s, since, contact_time, weight=1 + reach * s)
+        sound[: len(time)] = (gains @ moved).numpy()
     return sounds

@@ -165,7 +165,13 @@ def half_sine_response(
     return moved
 
 
-def response_at(s: torch.Tensor, time: torch.Tensor, contact_time: float, order: int = 0) -> torch.Tensor:
+def response_at(
+    s: torch.Tensor,
+    time: torch.Tensor,
+    contact_time: float,
+    order: int = 0,
+    weight: torch.Tensor | complex = 1.0,
+) -> torch.Tensor:
     """Compute the response of modes at any times, as `responses` does at samples; 0 before the strike.
 
     Parameters
@@ -178,6 +184,8 @@ def response_at(s: torch.Tensor, time: torch.Tensor, contact_time: float, order:
         Seconds; 0 is an ideal impulse.
     order : int
         0 for the displacement, 1 for its velocity.
+    weight : (M, 1) complex tensor
+        Factor of the modes' phasors: 1 + b s adds b times the velocity to the displacement.
 
     Returns
     -------
@@ -186,7 +194,7 @@ def response_at(s: torch.Tensor, time: torch.Tensor, contact_time: float, order:
     free = (time - contact_time).clip(min=0)
     share = (time / contact_time).clip(0, 1) if contact_time else torch.ones_like(time)
     state = _state(s, share, contact_time) if contact_time else torch.ones_like(s * share)
-    return (state * torch.exp(s * free) * s**order).imag / s.imag * (time >= 0)
+    return (state * torch.exp(s * free) * (weight * s**order)).imag / s.imag * (time >= 0)
 
 
 def _state(s: torch.Tensor, share: torch.Tensor, contact_time: float) -> torch.Tensor:

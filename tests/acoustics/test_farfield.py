@@ -5,8 +5,9 @@ import trimesh
 from objectfolder.acoustics.boundary import Boundary
 from objectfolder.acoustics.farfield import FarField, pack_far_field, unpack_far_field
 from objectfolder.acoustics.harmonics import degrees
-from objectfolder.acoustics.meshing import even_surface, interpolated, outward_motion
+from objectfolder.acoustics.meshing import carried, even_surface, finer_surface, interpolated, outward_motion
 from objectfolder.acoustics.radiation import of_motion, radiate
+from objectfolder.acoustics.triangles import Triangles
 from objectfolder.audio.click import AIR_DENSITY, SOUND_SPEED
 from objectfolder.mesh.topology import face_areas, is_closed, signed_volume
 
@@ -101,6 +102,17 @@ def test_interpolation_is_exact_for_rigid_motions_and_on_the_flat(rng):
     np.testing.assert_allclose(
         found, np.cross(places, [0.3, -0.2, 0.5]) + np.array([1.0, 2.0, 3.0]), atol=0.02
     )
+
+
+def test_a_coarse_surface_carries_all_of_the_flow_on_its_own_side(rng):
+    plate = trimesh.creation.box((1.0, 0.8, 0.02))
+    fine = Triangles.of(*finer_surface(plate.vertices, plate.faces, 0.05))
+    coarse = Triangles.of(*finer_surface(plate.vertices, plate.faces, 0.2))
+    flow = fine.normal[:, 2:] * fine.area[:, None] * [1.0, -2.0]
+    found = carried(fine, flow, coarse)
+    np.testing.assert_allclose(found.sum(0), flow.sum(0), atol=1e-12)
+    top = coarse.normal[:, 2] > 0.5
+    np.testing.assert_allclose(found[top].sum(0), [0.8, -1.6], rtol=1e-9)
 
 
 def test_outward_motion_is_the_change_of_volume(rng):
