@@ -53,6 +53,7 @@ lint: .venv/.dev
 
 # The site: build/site/index.html. Warnings are errors, and so are links and pictures that are missing.
 docs: .venv/.dev
+	rm -rf build/site
 	$(BIN)/sphinx-build --fresh-env --write-all --fail-on-warning --keep-going --quiet docs build/site
 	$(BIN)/python docs/links.py build/site
 

@@ -180,7 +180,7 @@ def exposed(profile: SensorProfile, photographs: list[Photograph], model: BallMo
     """Return the same change of colours by dimmer lights and a larger gain.
 
     Optics cut radiance off at 1, the fit does not. Here no pixel of the gel, at rest or under the ball, is
-    brighter than `_BRIGHTEST`.
+    brighter than ``_BRIGHTEST``.
     """
     optics = Optics(model.profile)
     gels = torch.cat(
