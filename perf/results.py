@@ -26,6 +26,10 @@ ROOT = Path(__file__).parents[1]
 RECORDS = ROOT / "docs" / "results"
 PAGE = ROOT / "docs" / "results.md"
 PRESETS = ("quick", "standard", "paper")
+EXEMPT = {
+    "render_views": "renderer",
+    "modal": "allow_uncertain",
+}  #: what traces the same paths, what is refused
 COMMANDS = {"recognize": "recognition", "retrieve": "retrieval", "reconstruct": "reconstruction"}
 #: Tasks on single objects: command, table, section of the parameters, policy trained with every seed.
 SINGLE_OBJECT = {
@@ -76,8 +80,12 @@ def collect() -> None:
     metrics = {path.stem: read_json(path) for path in sorted((ROOT / "metrics").glob("*.json"))}
     if metrics:
         values = read_yaml("params.yaml")
-        record = {"machine": machine("cpu"), "preset": preset_of(values), "seed": values["seed"]}
-        write_record(RECORDS / "scores.json", record | {"objects": metrics})
+        preset = preset_of(values)
+        path = RECORDS / ("scores.json" if preset == "quick" else f"scores_{preset}.json")
+        if path.is_file() and preset != "quick":  # hours in all: a few objects at a time
+            metrics = read_json(path)["objects"] | metrics
+        record = {"machine": machine("cpu"), "preset": preset, "seed": values["seed"]}
+        write_record(path, record | {"objects": dict(sorted(metrics.items()))})
     keys: dict[str, None] = {}
     found = {"benchmarks": list(shared_tables(keys)), "robots": list(robot_tables())}
     for name, new in found.items():
@@ -153,11 +161,17 @@ def seeds_option(score: dict, section: dict) -> str:
 
 
 def preset_of(values: dict) -> str:
-    """Return the preset whose sections all agree with the parameters."""
+    """Return the preset whose sections all agree with the parameters, but for `EXEMPT`."""
     for name in PRESETS:
-        if all(values.get(key) == section for key, section in read_yaml(f"params/{name}.yaml").items()):
+        sections = read_yaml(f"params/{name}.yaml")
+        if all(scored(key, values.get(key)) == scored(key, sections[key]) for key in sections):
             return name
     return "custom"
+
+
+def scored(key: str, section: Any) -> Any:
+    """Return what changes scores of a section of the parameters."""
+    return {k: v for k, v in section.items() if k != EXEMPT[key]} if key in EXEMPT and section else section
 
 
 def read_yaml(path: str) -> dict:

@@ -108,8 +108,8 @@ class Isosurface:
         """Project points to the surface.
 
         Takes Newton steps along the gradient of the distance, from the point itself inside the band and from
-        the nearest vertex outside. Near walls under a voxel, whose distance the grid does not hold, rays find
-        the nearest triangle.
+        the nearest vertex outside. Near edges and thin walls, which the grid does not hold, rays find the
+        nearest triangle.
 
         Parameters
         ----------
@@ -135,20 +135,26 @@ class Isosurface:
                 distance, normals = self.grid.distance_and_normals(position)
             position = position - (distance[:, None] * normals).to(torch.float64)
         projected = position.numpy()
-        thin = self._beside_sheets(points)
-        if thin.any():
-            projected[thin] = self._nearest_seen(points[thin], projected[thin])
+        stored = self._beside_features(points)
+        if stored.any():
+            projected[stored] = self._nearest_seen(points[stored], projected[stored])
         return projected, np.linalg.norm(projected - points, axis=1)
 
-    def _beside_sheets(self, points: np.ndarray) -> np.ndarray:
-        """Return which points are at most two samples from one that stands for a wall under a voxel; (N,)."""
+    @cached_property
+    def _refined(self) -> np.ndarray:
+        """Numbers, ascending, of the samples around those whose surface is stored beside the grid."""
         features, count = self.grid.features, len(self.grid.values)
-        if features is None or not len(features.sheets):
-            return np.zeros(len(points), bool)
+        if features is None:
+            return np.zeros(0, np.int64)
+        around = (np.indices((3, 3, 3)).reshape(3, -1).T - 1) @ [count**2, count, 1]
+        listed = np.unique(np.concatenate([features.edges // 3, features.sheets]))
+        return np.unique(listed[:, None] + around)
+
+    def _beside_features(self, points: np.ndarray) -> np.ndarray:
+        """Return which points lie where the surface is stored beside the grid; (N,)."""
+        count = len(self.grid.values)
         place = np.rint((points + BOUND) / self.grid.spacing).clip(0, count - 1).astype(np.int64)
-        strides = np.array([count**2, count, 1])
-        around = (place @ strides)[:, None] + (np.indices((5, 5, 5)).reshape(3, -1).T - 2) @ strides
-        return np.any(np.isin(around, features.sheets), axis=1)
+        return np.isin(place @ [count**2, count, 1], self._refined)
 
     def _nearest_seen(self, points: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
         """Return the point (N, 3) of the nearest triangle that rays around each point meet, if any does."""
