@@ -123,7 +123,7 @@ def regressions(sensor: Sensor, shown: list[Photograph], chosen: np.ndarray, hel
 
 def taxim_error(folder: Path, sensor: Sensor, shown: list[Photograph]) -> float:
     """Taxim's own table on all photographs, from which it was made: dB."""
-    with np.load(folder / "polycalib.npz") as archive:
+    with np.load(folder / "polycalib.npz", allow_pickle=False) as archive:
         bins, tables = int(archive["bins"]), [archive[f"grad_{color}"] for color in "rgb"]
     errors = []
     for photograph, (row, column, _) in zip(shown, sensor.pack.circles):

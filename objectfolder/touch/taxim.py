@@ -45,7 +45,7 @@ def read_pack(path: str | Path, profile: SensorProfile) -> Pack:
     if not Path(path).is_file():
         raise ObjectFolderError(f"calibration pack {path} does not exist; expected Taxim's dataPack.npz")
     try:
-        with np.load(path) as archive:
+        with np.load(path, allow_pickle=False) as archive:
             untouched, pictures, centres, radii = (archive[name] for name in _ARRAYS)
     except (KeyError, ValueError, OSError) as error:
         raise ObjectFolderError(

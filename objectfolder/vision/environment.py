@@ -1,5 +1,7 @@
 """Equirectangular pictures of surroundings, as a few distant lights."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -36,12 +38,26 @@ def read_environment(path: str | Path) -> np.ndarray:
             f"{path} needs mitsuba, which the extra objectfolder[build] brings; or pass an array (H, W, 3)"
         ) from error
     try:
-        bitmap = mitsuba.Bitmap(str(path)).convert(
-            mitsuba.Bitmap.PixelFormat.RGB, mitsuba.Struct.Type.Float32, srgb_gamma=False
-        )
+        with _workers():
+            bitmap = mitsuba.Bitmap(str(path)).convert(
+                mitsuba.Bitmap.PixelFormat.RGB, mitsuba.Struct.Type.Float32, srgb_gamma=False
+            )
     except Exception as error:  # the readers raise anything
         raise ObjectFolderError(f"{path} cannot be read as a picture ({shortened(error, 200)})") from error
     return np.array(bitmap, np.float64)
+
+
+@contextmanager
+def _workers() -> Iterator[None]:
+    """Give Dr.Jit two threads: with one, as renderers set it, mitsuba waits forever for an EXR file."""
+    import drjit
+
+    before = drjit.thread_count()
+    drjit.set_thread_count(max(before, 2))
+    try:
+        yield
+    finally:
+        drjit.set_thread_count(before)
 
 
 def environment_lamps(picture: str | Path | np.ndarray, count: int = LIGHTS) -> list[DistantLight]:

@@ -176,13 +176,13 @@ def test_exported_table_shows_what_the_optics_show(tmp_path, real):
     moved = torch.from_numpy(bump[None].astype(np.float32))
     expected = Optics(smooth).change(moved)[0].numpy()
     export_taxim(smooth, tmp_path)
-    with np.load(tmp_path / "polycalib.npz") as archive:
+    with np.load(tmp_path / "polycalib.npz", allow_pickle=False) as archive:
         assert archive["bins"] == BINS
         table = np.stack([archive[f"grad_{color}"] for color in "rgb"])
     found = lookup(table, bump, smooth.pixel_pitch)
     error = np.sqrt(np.mean((found - expected)[:, 20:-20, 20:-20] ** 2))
     assert error < 0.06 * np.sqrt(np.mean(expected[:, 20:-20, 20:-20] ** 2))
-    background = np.load(tmp_path / "real_bg.npy")
+    background = np.load(tmp_path / "real_bg.npy", allow_pickle=False)
     assert np.array_equal(background, Optics(smooth).background.numpy())
     jpeg = np.asarray(Image.open(tmp_path / "bg.jpg"), float)
     assert np.abs(jpeg - background).max() < 8

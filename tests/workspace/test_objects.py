@@ -63,14 +63,14 @@ def test_names_that_are_reserved_are_refused(workspace, tmp_path, name):
 
 def test_what_voxelize_refuses_is_refused_before_it_is_added(workspace, tmp_path):
     """A closed solid, but thinner than any grid resolves."""
-    sheet = tmp_path / "sheet.obj"
-    mesh = trimesh.creation.box([0.3, 0.3, 0.0006])
+    needle = tmp_path / "needle.obj"
+    mesh = trimesh.creation.box([0.3, 0.0016, 0.0016])
     mesh.apply_transform(trimesh.transformations.rotation_matrix(0.5, [1, 2, 3]))
-    mesh.export(sheet)
+    mesh.export(needle)
     values = params.read()
     values["voxelize"]["sdf_resolution"] = 64
-    with pytest.raises(ObjectFolderError, match=r"sheet: .*thin"):
-        examine(Candidate("sheet", sheet, "steel"), values, None, None)
+    with pytest.raises(ObjectFolderError, match=r"needle: .*thin"):
+        examine(Candidate("needle", needle, "steel"), values, None, None)
 
 
 def test_a_reference_never_overwrites_the_mesh(workspace, tmp_path):
