@@ -1,6 +1,7 @@
 import { describe, expect, it } from "vitest";
 import { ambiguousFaces, EDGES, outlines } from "../core/cubes.ts";
 import { BOUND } from "../core/grid.ts";
+import { Nearest } from "../core/nearest.ts";
 import { type Mesh, surface } from "../core/surface.ts";
 import type { Vector } from "../core/vector.ts";
 import { ball, box, RADIUS } from "./shapes.ts";
@@ -133,11 +134,17 @@ describe("the surface", () => {
             moved.set(3 * (sample + low * count) + 1, [i, index(way * half[1]), index(0)]);
         }
       }
-    const { volume, open } = measured(
-      surface(grid, { crossings: new Map(), points: new Map(), sheets, moved }),
-      true,
-    );
+    const features = { crossings: new Map(), points: new Map(), sheets, moved };
+    const { volume, open } = measured(surface(grid, features), true);
     expect(open).toBe(0);
     expect(volume / (8 * half[0] * half[1] * half[2])).toBeCloseTo(1, 1);
+    const nearest = new Nearest(grid, surface(grid, features), features);
+    for (const point of [
+      [0.1, -0.2, half[2]],
+      [-0.25, 0.07, -half[2]],
+    ] as Vector[]) {
+      expect(Math.hypot(...nearest.to(point).map((c, axis) => c - point[axis]))).toBeLessThan(1e-6);
+      expect(Math.abs(grid.nearest(point)[2] - point[2])).toBeGreaterThan(1e-4);
+    }
   });
 });

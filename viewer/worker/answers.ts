@@ -5,6 +5,7 @@ import { Gains } from "../core/gains.ts";
 import { Grid } from "../core/grid.ts";
 import { Indirect, type PointLight, type Slice } from "../core/indirect.ts";
 import { Look } from "../core/look.ts";
+import { Nearest } from "../core/nearest.ts";
 import { type Gaps, gaps, ObjectFile } from "../core/objectfile.ts";
 import type { Profile } from "../core/sensor.ts";
 import { type Mesh, surface } from "../core/surface.ts";
@@ -24,6 +25,7 @@ export class Answers {
   readonly gaps: Gaps;
   readonly grid: Grid;
   readonly mesh: Mesh;
+  private readonly nearest: Nearest;
   private readonly gains: Gains | null;
   private look: Look | null = null;
   private color: Float32Array | null = null;
@@ -36,7 +38,9 @@ export class Answers {
     const found = gaps(this.file.header);
     if (found.shape) throw new Error(found.shape);
     this.grid = Grid.read(this.file);
-    this.mesh = surface(this.grid, readFeatures(this.file));
+    const features = readFeatures(this.file);
+    this.mesh = surface(this.grid, features);
+    this.nearest = new Nearest(this.grid, this.mesh, features);
     if (!this.mesh.index.length) throw new Error("The geometry of this file holds no surface.");
     this.gains = found.sound === null ? new Gains(this.file) : null;
     if (this.gains?.count === 0)
@@ -46,9 +50,9 @@ export class Answers {
 
   /** Return the point that is meant, on the surface. */
   at(place: Place): Vector | null {
-    if ("point" in place) return this.grid.nearest(place.point);
+    if ("point" in place) return this.nearest.to(place.point);
     const far = this.grid.cast(place.origin, place.direction);
-    return Number.isFinite(far) ? this.grid.nearest(along(place.origin, far, place.direction)) : null;
+    return Number.isFinite(far) ? this.nearest.to(along(place.origin, far, place.direction)) : null;
   }
 
   normalAt(point: Vector): Vector {
