@@ -23,6 +23,7 @@ from objectfolder.cli import (
     sample,
     sensor,
     upkeep,
+    video,
     view,
     workspace,
 )
@@ -51,6 +52,7 @@ for command in (
     objectfile.info,
     view.view,
     report.report,
+    video.video,
     reconstruct.reconstruct,
     doctor.doctor,
 ):

@@ -149,7 +149,23 @@ def chromium() -> Part:
     return Part("node, Chromium", found, bool(node and browser), brings, get)
 
 
-CHECKS: tuple[Callable[[], Part], ...] = (embree, pardiso, cholmod, llvm, opengl, cuda, blender, chromium)
+def ffmpeg() -> Part:
+    """Look for the encoder of videos."""
+    found = shutil.which("ffmpeg") or ""
+    return Part("ffmpeg", found, bool(found), "objectfolder video", "apt-get install ffmpeg")
+
+
+CHECKS: tuple[Callable[[], Part], ...] = (
+    embree,
+    pardiso,
+    cholmod,
+    llvm,
+    opengl,
+    cuda,
+    blender,
+    chromium,
+    ffmpeg,
+)
 
 
 def extra(name: str) -> Part:

@@ -78,6 +78,7 @@ def test_a_bare_machine_gets_what_to_install_for_each_part(machine):
             {"packages": {"node": "/bin/node", "google-chrome": "/bin/google-chrome"}},
             "/bin/node, /bin/google-chrome",
         ),
+        ("ffmpeg", {"packages": {"ffmpeg": "/bin/ffmpeg"}}, "/bin/ffmpeg"),
         ("extra build", {"packages": {"mitsuba": "3.9", "dvc": "3.67.1"}}, "installed"),
     ],
 )

@@ -1,0 +1,137 @@
+"""An object on a turntable: pictures, and the sound of the strikes that happen in them."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at
+from objectfolder.vision.lighting import studio
+
+DISTANCE, HEIGHT = 2.0, 1.0  # of the camera, unit frame
+IMPULSE = 0.1  #: of a strike, N s, along the surface normal
+SHOWN = 0.9  #: seconds for which the tactile image of a contact is shown
+FLASH = 0.3  #: seconds for which its place is
+FACING = 0.6  #: least cosine between the way to the camera and the normal of a contact
+RINGS = 3.0  #: seconds of a sound, at most
+LOUDEST = 0.7  #: peak of the sound track
+
+
+@dataclass(frozen=True)
+class Turntable:
+    """One turn of an object, with the light going round the other way, strikes and touches.
+
+    Raises
+    ------
+    ObjectFolderError
+        If a number is not positive.
+    """
+
+    seconds: float = 8.0  #: of the turn
+    size: int = 384  #: of a picture, pixels
+    rate: int = 25  #: pictures per second
+    contacts: int = 4  #: strikes and touches
+    seed: int = 0  #: of their places
+    sample_rate: int = 48000  #: of the sound, Hz
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if name != "seed" and not value > 0:
+                raise ObjectFolderError(f"{name} of a turntable is {value!r}, expected more than 0")
+
+    def __len__(self) -> int:
+        return max(round(self.seconds * self.rate), 1)
+
+    def camera(self, second: float) -> np.ndarray:
+        """Return the camera's position, unit frame; (3,)."""
+        turn = 2 * np.pi * second / self.seconds - 0.6
+        return np.array([DISTANCE * np.cos(turn), DISTANCE * np.sin(turn), HEIGHT])
+
+    def light(self, second: float) -> float:
+        """Return the azimuth of the main light, degrees."""
+        return 35 - 360 * second / self.seconds
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A strike and a touch at one place."""
+
+    second: float
+    pixel: np.ndarray  #: (2,) column and row where it is seen, 0 to 1
+    point: np.ndarray  #: (3,) object frame, metres
+    normal: np.ndarray  #: (3,) outward
+
+
+def contacts(file: ObjectFile, turntable: Turntable) -> list[Contact]:
+    """Choose places that face the camera at equal intervals of time."""
+    rng = np.random.default_rng(turntable.seed)
+    seconds = (np.arange(turntable.contacts) + 0.4) * turntable.seconds / turntable.contacts
+    intrinsics, found = Intrinsics.square(128), []
+    for second in seconds:
+        camera = turntable.camera(second)
+        seen = file.render(camera, resolution=128, lights=studio(turntable.light(second)), supersample=False)
+        toward = camera / np.linalg.norm(camera)
+        facing = np.argwhere((seen.alpha[0] > 0) & (seen.normals[0] @ toward > FACING))
+        if not len(facing):
+            continue
+        row, column = facing[rng.integers(len(facing))]
+        pose = look_at(camera[None])[0]
+        centre = np.array([[column + 0.5, row + 0.5]])
+        start, along = camera_rays(pose, intrinsics, centre)
+        depth = seen.depth[0, row, column] / (along[0] @ -pose[:3, 2])
+        point = start[0].astype(np.float64) * file.scale + depth * along[0]
+        on, _ = file.nearest(point[None])
+        found.append(Contact(float(second), centre[0] / 128, on[0], seen.normals[0, row, column]))
+    return found
+
+
+def pictures(file: ObjectFile, turntable: Turntable, found: list[Contact]) -> Iterator[np.ndarray]:
+    """Yield the pictures, (size, size, 3) uint8: the object, its contacts, and what a sensor feels there."""
+    felt = [Image.fromarray(file.touch(contact.point[None])[0]) for contact in found]
+    size = turntable.size
+    for number in range(len(turntable)):
+        second = number / turntable.rate
+        lights = studio(turntable.light(second))
+        view = file.view(turntable.camera(second), resolution=size, lights=lights)[0]
+        picture = Image.fromarray((255 * view).round().astype(np.uint8))
+        draw = ImageDraw.Draw(picture)
+        draw.text((size // 40, size // 40), f"{file.key}, {file.material}", (90, 90, 90))
+        for contact, image in zip(found, felt):
+            since = second - contact.second
+            if 0 <= since < FLASH:
+                column, row = contact.pixel * size
+                radius = size / 60 * (1 + 3 * since / FLASH)
+                box = (column - radius, row - radius, column + radius, row + radius)
+                draw.ellipse(box, outline=(220, 40, 40), width=max(size // 130, 1))
+            if 0 <= since < SHOWN:
+                height = size // 4
+                small = image.resize((round(height * image.width / image.height), height))
+                picture.paste(small, (size - small.width - size // 40, size - height - size // 40))
+        yield np.asarray(picture)
+
+
+def sound(file: ObjectFile, turntable: Turntable, found: list[Contact]) -> np.ndarray:
+    """Return the sound of the strikes, (samples,) float32, its peak at `LOUDEST`; zeros if none is heard.
+
+    At the camera, if the file knows how its modes radiate; otherwise their accelerations.
+    """
+    track = np.zeros(round(len(turntable) / turntable.rate * turntable.sample_rate), np.float32)
+    for contact in found:
+        start = round(contact.second * turntable.sample_rate)
+        lasts = min(RINGS, (len(track) - start) / turntable.sample_rate)
+        strike = contact.point[None], -IMPULSE * contact.normal[None]
+        at_camera = turntable.camera(contact.second)[None] * file.scale
+        heard = file.impact(
+            contact.point[None],
+            -IMPULSE * contact.normal[None],
+            turntable.sample_rate,
+            min(RINGS, (len(track) - start) / turntable.sample_rate),
+            response="displacement" if "radiation" in file.header else "acceleration",
+            listener=at_camera if "radiation" in file.header else None,
+        )[0]
+        track[start : start + len(heard)] += heard[: len(track) - start]
+    peak = np.abs(track).max(initial=0)
+    return track * (LOUDEST / peak) if peak > 0 else track

@@ -1,0 +1,98 @@
+"""An object on a turntable."""
+
+import json
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from scipy.signal import correlate
+
+from objectfolder.cli import app
+from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile.turntable import FACING, LOUDEST, Turntable, contacts, pictures, sound
+
+SHORT = Turntable(seconds=0.4, size=64, rate=10, contacts=2)
+
+
+@pytest.fixture(scope="module")
+def found(brick):
+    return contacts(brick, SHORT)
+
+
+def test_contacts_lie_on_the_surface_and_face_the_camera(brick, found):
+    assert len(found) == SHORT.contacts
+    for contact in found:
+        point = contact.point / brick.scale
+        assert brick.nearest(contact.point[None])[1][0] < 1e-6
+        toward = SHORT.camera(contact.second) - point
+        assert contact.normal @ toward / np.linalg.norm(toward) > FACING - 0.1
+    assert contacts(brick, SHORT)[0].point.tolist() == found[0].point.tolist()
+
+
+def test_pictures_show_the_object_and_what_is_felt(brick, found):
+    shots = list(pictures(brick, SHORT, found))
+    assert len(shots) == len(SHORT) == 4
+    assert {(shot.shape, str(shot.dtype)) for shot in shots} == {((64, 64, 3), "uint8")}
+    corner = np.array([shot[48:63, 55:62].mean() for shot in shots])
+    assert corner[0] == 255  # before the first contact
+    assert corner[-1] < 250
+
+
+def test_strikes_are_heard_when_they_are_seen(brick, found):
+    heard = sound(brick, SHORT, found)
+    assert len(heard) == round(0.4 * SHORT.sample_rate)
+    assert np.abs(heard).max() == pytest.approx(LOUDEST)
+    first = round(found[0].second * SHORT.sample_rate)
+    assert not heard[:first].any()
+    assert heard[first : first + 2000].any()
+    assert not sound(brick, SHORT, []).any()
+
+
+@pytest.mark.parametrize("name", ["seconds", "size", "rate", "contacts"])
+def test_a_turntable_refuses_numbers_that_are_not_positive(name):
+    with pytest.raises(ObjectFolderError, match=f"{name} of a turntable is 0, expected more than 0"):
+        Turntable(**{name: 0})
+
+
+def film(*arguments):
+    app(["video", *map(str, arguments)], standalone_mode=False)
+
+
+def test_video_says_what_it_needs(brick_path, tmp_path, monkeypatch):
+    with pytest.raises(ObjectFolderError, match=r"a name that ends in \.mp4"):
+        film(brick_path, "--out", tmp_path / "a.gif")
+    with pytest.raises(ObjectFolderError, match="size is 63, expected an even number"):
+        film(brick_path, "--out", tmp_path / "a.mp4", "--size", 63)
+    monkeypatch.setattr("shutil.which", lambda program: None)
+    with pytest.raises(ObjectFolderError, match="apt-get install ffmpeg"):
+        film(brick_path, "--out", tmp_path / "a.mp4")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(shutil.which("ffprobe") is None, reason="needs the program ffmpeg")
+def test_a_video_has_all_pictures_and_the_sound(brick, brick_path, tmp_path, found):
+    out = tmp_path / "a.mp4"
+    film(brick_path, "--out", out, "--seconds", 0.4, "--size", 64, "--rate", 10, "--contacts", 2)
+    probe = ["ffprobe", "-v", "error", "-show_streams", "-of", "json", str(out)]
+    streams = json.loads(subprocess.check_output(probe))["streams"]
+    picture, track = sorted(streams, key=lambda stream: stream["codec_type"], reverse=True)
+    assert (picture["codec_name"], picture["width"], picture["nb_frames"]) == ("h264", 64, "4")
+    assert track["codec_name"] == "aac"
+    decode = ["ffmpeg", "-v", "error", "-i", str(out), "-f", "f32le", "-ac", "1", "-"]
+    heard, made = np.frombuffer(subprocess.check_output(decode), np.float32), sound(brick, SHORT, found)
+    likeness = correlate(heard, made).max() / np.linalg.norm(heard) / np.linalg.norm(made)
+    assert likeness > 0.9
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mp4"]
+
+
+@pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="needs the program ffmpeg")
+def test_an_encoder_that_fails_leaves_nothing(brick_path, tmp_path, monkeypatch):
+    program = tmp_path / "bin" / "ffmpeg"
+    program.parent.mkdir()
+    program.write_text("#!/bin/sh\necho no such encoder >&2\nexit 3\n")
+    program.chmod(0o755)
+    monkeypatch.setattr("shutil.which", lambda name: str(program))
+    with pytest.raises(ObjectFolderError, match="ffmpeg failed: no such encoder"):
+        film(brick_path, "--out", tmp_path / "a.mp4", "--seconds", 0.4, "--size", 64, "--rate", 10)
+    assert [path.name for path in tmp_path.iterdir()] == ["bin"]
