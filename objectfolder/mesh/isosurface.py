@@ -135,8 +135,8 @@ class Isosurface:
                 distance, normals = self.grid.distance_and_normals(position)
             position = position - (distance[:, None] * normals).to(torch.float64)
         projected = position.numpy()
-        stored = self._beside_features(points)
-        if stored.any():
+        if self.grid.features is not None:
+            stored = self._beside_features(points)
             projected[stored] = self._nearest_seen(points[stored], projected[stored])
         return projected, np.linalg.norm(projected - points, axis=1)
 
