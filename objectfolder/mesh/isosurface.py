@@ -136,8 +136,9 @@ class Isosurface:
             position = position - (distance[:, None] * normals).to(torch.float64)
         projected = position.numpy()
         if self.grid.features is not None:
-            stored = self._beside_features(points)
-            projected[stored] = self._nearest_seen(points[stored], projected[stored])
+            stored = np.flatnonzero(self._beside_features(points))
+            if len(stored):
+                projected[stored] = self._nearest_seen(points[stored], projected[stored])
         return projected, np.linalg.norm(projected - points, axis=1)
 
     @cached_property
