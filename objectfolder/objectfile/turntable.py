@@ -121,8 +121,6 @@ def sound(file: ObjectFile, turntable: Turntable, found: list[Contact]) -> np.nd
     track = np.zeros(round(len(turntable) / turntable.rate * turntable.sample_rate), np.float32)
     for contact in found:
         start = round(contact.second * turntable.sample_rate)
-        lasts = min(RINGS, (len(track) - start) / turntable.sample_rate)
-        strike = contact.point[None], -IMPULSE * contact.normal[None]
         at_camera = turntable.camera(contact.second)[None] * file.scale
         heard = file.impact(
             contact.point[None],
