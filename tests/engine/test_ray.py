@@ -26,6 +26,7 @@ from .processes import PATH, alive, started, wait_for
 from .test_edits import Editing, check_reverted_edit_of_a_file, check_reverted_edit_of_params, copying  # noqa: F401
 
 pytest.importorskip("ray", reason="needs the extra [ray]")
+pytestmark = pytest.mark.slow  # a cluster of two nodes on one machine
 
 ROOT = Path(__file__).parents[2]
 #: Node deaths are noticed within seconds, and nothing is sent anywhere.
