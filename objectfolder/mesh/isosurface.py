@@ -155,7 +155,9 @@ class Isosurface:
         """Return which points lie where the surface is stored beside the grid; (N,)."""
         count = len(self.grid.values)
         place = np.rint((points + BOUND) / self.grid.spacing).clip(0, count - 1).astype(np.int64)
-        return np.isin(place @ [count**2, count, 1], self._refined)
+        number, refined = place @ [count**2, count, 1], self._refined
+        found = np.searchsorted(refined, number).clip(max=len(refined) - 1)
+        return np.asarray(refined[found] == number)
 
     def _nearest_seen(self, points: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
         """Return the point (N, 3) of the nearest triangle that rays around each point meet, if any does."""
