@@ -8,7 +8,6 @@ with the spherical Hankel functions h of outgoing waves; g is 1 far away.
 """
 
 import numpy as np
-from scipy.special import sph_harm_y_all
 
 from objectfolder.acoustics.triangles import Triangles
 
@@ -18,6 +17,8 @@ _EXTRA = 20  # orders beyond the largest argument at which the recurrence of Bes
 
 def real_harmonics(directions: np.ndarray, order: int) -> np.ndarray:
     """Return real spherical harmonics up to an order; (N, 3) unit vectors -> (N, (order + 1)^2)."""
+    from scipy.special import sph_harm_y_all  # loading it takes a fifth of a second
+
     x, y, z = np.asarray(directions, np.float64).T
     complex_ones = sph_harm_y_all(order, order, np.arccos(z.clip(-1, 1)), np.arctan2(y, x))
     of_degree, m = degrees(order), np.arange((order + 1) ** 2)

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.special import elliprd
 
 from objectfolder.audio.synthesis import response_at
 
@@ -56,6 +55,8 @@ def added_mass(half: np.ndarray) -> np.ndarray:
     -----
     Lamb, Hydrodynamics, section 114; 1/2 for a sphere.
     """
+    from scipy.special import elliprd  # loading it takes a fifth of a second, which queries need not wait
+
     a, b, c = half**2
     share = half.prod() * 2 / 3 * elliprd([b, c, a], [c, a, b], [a, b, c])
     return share / (2 - share)
