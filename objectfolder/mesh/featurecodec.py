@@ -107,6 +107,9 @@ def unpack_features(stream: np.ndarray, counts: Mapping[str, int], samples: int)
     ):
         if len(numbers) and ((np.diff(numbers) <= 0).any() or numbers[-1] >= end):
             raise ValueError("features are out of order, or outside the grid")
+    place = np.stack(np.unravel_index(found.sheets, (samples,) * 3))
+    if ((place == 0) | (place == samples - 1)).any():
+        raise ValueError("walls under a voxel leave the grid")
     return found
 
 

@@ -137,6 +137,12 @@ def test_streams_of_another_length_or_order_are_refused():
     beyond = pack_features(features_of(sheets=np.array([3, 64])))
     with pytest.raises(ValueError, match="outside the grid"):
         unpack_features(beyond, {"sheets": 2}, 4)
+    for on_border in (23, 20, 5, 29, 53):
+        stream = pack_features(features_of(sheets=np.array([on_border])))
+        with pytest.raises(ValueError, match="leave the grid"):
+            unpack_features(stream, {"sheets": 1}, 4)
+    within = pack_features(features_of(sheets=np.array([21, 42])))
+    np.testing.assert_array_equal(unpack_features(within, {"sheets": 2}, 4).sheets, [21, 42])
 
 
 def test_features_of_no_surface_do_no_harm():
@@ -148,7 +154,8 @@ def test_features_of_no_surface_do_no_harm():
     points, places = rng.integers(0, 256, (len(cells), 3)), rng.integers(0, 256, len(edges))
     moved = np.unique(rng.integers(0, 3 * RESOLUTION**3, 5000))
     offsets = rng.integers(0, 256, (len(moved), 3)).astype(np.uint8)
-    lists = edges, places.astype(np.uint8), cells, points.astype(np.uint8), cells[:0], moved, offsets
+    sheets = np.unique(rng.integers(1, RESOLUTION - 1, (300, 3)) @ [RESOLUTION**2, RESOLUTION, 1])
+    lists = edges, places.astype(np.uint8), cells, points.astype(np.uint8), sheets, moved, offsets
     features = Features(*lists)
     surface = Isosurface(DistanceGrid(values, band, features))
     assert is_closed(surface.faces)
