@@ -5,7 +5,7 @@ material is connected: a cell may hold several parts, such as two walls with a n
 """
 
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -149,7 +149,7 @@ class _Intervals:
         inner = (np.minimum(a, b) > 0) & (np.maximum(a, b) < self.across - 1)
         return self.select(~(full[cell] & inner))
 
-    @property
+    @cached_property
     def indices(self) -> tuple[np.ndarray, ...]:
         """Cells i, j, k of the intervals and columns a, b inside them; (I,) each."""
         column = np.divmod(self.column, self.resolution * self.across)
@@ -157,7 +157,7 @@ class _Intervals:
         k = np.minimum(((self.lower + self.upper) / 2).astype(np.int64), self.resolution - 1)
         return i, j, k, a, b
 
-    @property
+    @cached_property
     def cell(self) -> np.ndarray:
         """(I,) flat index of the cell of each interval."""
         i, j, k, _, _ = self.indices
