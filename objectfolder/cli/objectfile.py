@@ -1,6 +1,7 @@
 """Commands on an Object File: info, query."""
 
 import io
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,7 +21,8 @@ if TYPE_CHECKING:
 query_app = typer.Typer(no_args_is_help=True, help="Query an Object File: `vision`, `audio` or `touch`.")
 
 TOUCH_ARRAYS = ("height", "displacement", "pressure", "normals")
-TOUCH_OUTPUTS = ("image", "mask", *TOUCH_ARRAYS)
+SHEAR_ARRAYS = ("sideways", "traction", "marker_flow")  #: of contacts that are sheared
+TOUCH_OUTPUTS = ("image", "mask", *TOUCH_ARRAYS, *SHEAR_ARRAYS)
 #: Columns of contacts.csv by attribute of the touches.
 TOUCH_COLUMNS = {
     "force": "force_N",
@@ -29,6 +31,8 @@ TOUCH_COLUMNS = {
     "mean_penetration": "mean_penetration_m",
     "obstructed": "obstructed",
 }
+SHEAR_COLUMNS = {"torque": "torque_Nm", "slipping": "slipping"}
+_BATCH = 64  # sheared contacts at once
 
 # A WAV file counts its bytes, and those of a second, in 32 bits; a sample has 4.
 _MAX_RATE = 2**30 - 1
@@ -174,12 +178,23 @@ def touch(
     outputs: Annotated[
         str, typer.Option(metavar="NAME,...", help=f"Outputs: {', '.join(TOUCH_OUTPUTS)}.")
     ] = "image",
+    shear: Annotated[
+        tuple[float, float] | None,
+        typer.Option(help="RIGHT UP in metres: motion of the object in the image after the press."),
+    ] = None,
+    twist: Annotated[float, typer.Option(help="Turn of the object after the press, radians.")] = 0.0,
+    friction: Annotated[
+        float | None, typer.Option(help="Coefficient of friction; default: the material's.")
+    ] = None,
+    markers: Annotated[bool, typer.Option("--markers", help="Draw the gel's dots into the images.")] = False,
 ) -> None:
-    """Press a tactile sensor on the object.
+    """Press a tactile sensor on the object, and move the object sideways if asked.
 
     Writes 1.png ... (image), 1_mask.png ... (mask: the contact area of gel and object), 1.npz ... (height and
     displacement in metres, pressure in Pa, normals of the gel), and contacts.csv with the force, area,
-    penetration and obstruction of each contact. docs/touch.md defines them.
+    penetration and obstruction of each contact. With --shear, --twist or --markers also the gel's motion
+    sideways (metres), traction (Pa), marker_flow and the markers at rest (pixels), shear force and torque.
+    docs/touch.md defines them.
     """
     from objectfolder.io import write_png, write_table
     from objectfolder.objectfile.file import ObjectFile
@@ -188,24 +203,45 @@ def touch(
     unknown = [name for name in names if name not in TOUCH_OUTPUTS]
     if unknown:
         raise ObjectFolderError(f"--outputs {unknown[0]!r} is not one of {', '.join(TOUCH_OUTPUTS)}")
+    moved = shear is not None or twist != 0 or markers
+    if not moved and (of_motion := [name for name in names if name in SHEAR_ARRAYS]):
+        raise ObjectFolderError(f"--outputs {of_motion[0]}: give --shear, --twist or --markers, too")
     points = read_rows(vertices, 3)
     tilt, azimuth, depths = read_rows(gelinfo, 3).T if gelinfo else (0.0, 0.0, depth)
     obj = ObjectFile.load(file)
     query: dict[str, Any] = {"depth": depths, "tilt": tilt, "azimuth": azimuth, "sensor": sensor}
-    if obj.fixed_contact is not None and names == ["image"]:
+    if obj.fixed_contact is not None and names == ["image"] and not moved:
         images = obj.touch(points, **query)
         for i, image in enumerate(images, 1):
             write_png(out / f"{i}.png", image)
         console.print(f"{len(images)} tactile images in {out}/")
         return
+    if moved:
+        motion: dict[str, Any] = {"shear": shear, "twist": twist, "friction": friction, "markers": markers}
+        parts = (slice(start, start + _BATCH) for start in range(0, len(points), _BATCH))
+        batches: Iterator[Any] = (
+            obj.press(
+                points[part], **{name: _rows_of(value, part) for name, value in query.items()}, **motion
+            )
+            for part in parts
+        )
+        columns, forces = TOUCH_COLUMNS | SHEAR_COLUMNS, ["shear_right_N", "shear_up_N"]
+    else:
+        batches, columns, forces = obj.touches(points, **query), TOUCH_COLUMNS, []
     rows: list[list[float]] = []
-    for batch in obj.touches(points, **query):
+    for batch in batches:
         for i in range(len(batch.images)):
             number = len(rows) + 1
             _write_touch(out, number, batch, i, names)
-            rows.append([number, *(float(getattr(batch, column)[i]) for column in TOUCH_COLUMNS)])
-    write_table(out / "contacts.csv", ["contact", *TOUCH_COLUMNS.values()], rows)
+            sideways = batch.shear_force[i].tolist() if moved else []
+            rows.append([number, *(float(getattr(batch, column)[i]) for column in columns), *sideways])
+    write_table(out / "contacts.csv", ["contact", *columns.values(), *forces], rows)
     _print_line(f"{len(rows)} contacts in {out}/{_contact_summary(np.array(rows))}")
+
+
+def _rows_of(value: Any, part: slice) -> Any:
+    """Return the rows of a value per contact, or the value of all contacts."""
+    return value[part] if isinstance(value, np.ndarray) else value
 
 
 def _write_touch(out: Path, number: int, batch: Any, row: int, names: list[str]) -> None:
@@ -216,7 +252,9 @@ def _write_touch(out: Path, number: int, batch: Any, row: int, names: list[str])
         write_png(out / f"{number}.png", batch.images[row])
     if "mask" in names:
         write_png(out / f"{number}_mask.png", batch.mask[row].astype(np.uint8) * 255)
-    arrays = {name: getattr(batch, name)[row] for name in TOUCH_ARRAYS if name in names}
+    arrays = {name: getattr(batch, name)[row] for name in (*TOUCH_ARRAYS, *SHEAR_ARRAYS) if name in names}
+    if "marker_flow" in arrays:
+        arrays["markers"] = batch.markers
     if arrays:
         write_npz(out / f"{number}.npz", **arrays)
 
@@ -235,7 +273,7 @@ def _sound_summary(peak: float, frequencies: np.ndarray, sample_rate: int) -> st
 def _contact_summary(rows: np.ndarray) -> str:
     if not len(rows):
         return ""
-    columns = dict(zip(TOUCH_COLUMNS, rows.T[1:]))
+    columns = dict(zip(TOUCH_COLUMNS, rows.T[1:], strict=False))
     force, area = columns["force"], columns["area"] * 1e6
     text = "" if np.isnan(force).any() else f"; force {force.min():.3g} to {force.max():.3g} N"
     text += f", area {area.min():.3g} to {area.max():.3g} mm2"

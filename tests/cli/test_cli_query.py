@@ -174,6 +174,34 @@ def test_shapes_of_touches_by_another_sensor(brick, feel):
                 np.testing.assert_array_equal(arrays[name], getattr(expected, name)[i])
 
 
+def test_touches_are_sheared(brick, feel):
+    names = "image,sideways,traction,marker_flow"
+    output, out = feel(
+        "--shear", 2e-4, -1e-4, "--twist", 0.05, "--friction", 0.4, "--markers", "--outputs", names
+    )
+    points = brick.sample_surface(3)
+    expected = brick.press(points, shear=[2e-4, -1e-4], twist=0.05, friction=0.4, markers=True)
+    table = np.genfromtxt(out / "contacts.csv", delimiter=",", names=True)
+    np.testing.assert_allclose(table["shear_right_N"], expected.shear_force[:, 0], rtol=1e-6)
+    np.testing.assert_allclose(table["shear_up_N"], expected.shear_force[:, 1], rtol=1e-6)
+    np.testing.assert_allclose(table["torque_Nm"], expected.torque, rtol=1e-6)
+    assert np.abs(expected.shear_force).min() > 0
+    assert f"force {expected.force.min():.3g} to" in output
+    for i in range(3):
+        with Image.open(out / f"{i + 1}.png") as stored:
+            np.testing.assert_array_equal(stored, expected.images[i])
+        with np.load(out / f"{i + 1}.npz", allow_pickle=False) as arrays:
+            assert set(arrays.files) == {"sideways", "traction", "marker_flow", "markers"}
+            np.testing.assert_array_equal(arrays["markers"], expected.markers)
+            for name in ("sideways", "traction", "marker_flow"):
+                np.testing.assert_array_equal(arrays[name], getattr(expected, name)[i])
+
+
+def test_flow_needs_a_motion(feel):
+    with pytest.raises(ObjectFolderError, match="marker_flow: give --shear, --twist or --markers"):
+        feel("--outputs", "marker_flow")
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
