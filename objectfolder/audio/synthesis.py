@@ -108,7 +108,7 @@ def responses(
     if len(contact):
         bank[:, : len(contact)] = half_sine_response(s, contact, contact_time, order, turn).float()
     state = (
-        _state(s, torch.ones(1, dtype=torch.float64, device=s.device), contact_time)
+        pulse_phasor(s, torch.ones(1, dtype=torch.float64, device=s.device), contact_time)
         if contact_time
         else torch.ones_like(s)
     )
@@ -159,7 +159,7 @@ def half_sine_response(
     -------
     (M, samples) float64
     """
-    moved = (turn * _state(s, time / contact_time, contact_time) * s**order).imag / s.imag
+    moved = (turn * pulse_phasor(s, time / contact_time, contact_time) * s**order).imag / s.imag
     if order == 2:  # add the force itself; the other terms are elastic and viscous
         moved = moved + math.pi / (2 * contact_time) * torch.sin(math.pi * time / contact_time)
     return moved
@@ -193,12 +193,27 @@ def response_at(
     """
     free = (time - contact_time).clip(min=0)
     share = (time / contact_time).clip(0, 1) if contact_time else torch.ones_like(time)
-    state = _state(s, share, contact_time) if contact_time else torch.ones_like(s * share)
+    state = pulse_phasor(s, share, contact_time) if contact_time else torch.ones_like(s * share)
     return (state * torch.exp(s * free) * (weight * s**order)).imag / s.imag * (time >= 0)
 
 
-def _state(s: torch.Tensor, share: torch.Tensor, contact_time: float) -> torch.Tensor:
-    """Convolve exp(s t) with the half sine of unit impulse, at fractions of the contact; (M, samples)."""
+def pulse_phasor(s: torch.Tensor, share: torch.Tensor, contact_time: float) -> torch.Tensor:
+    """Convolve exp(s t) with the half sine of unit impulse, at fractions of the contact.
+
+    Parameters
+    ----------
+    s : (M, 1) complex tensor
+        -c + i w, 1/s.
+    share : (samples,) or (M, samples) tensor
+        Time since the start of contact over the contact time, 0 to 1.
+    contact_time : float
+        Seconds, positive.
+
+    Returns
+    -------
+    (M, samples) complex tensor
+        At the end of the contact, the phasor with which modes ring on.
+    """
     motion = s * (share * contact_time)
     turn = 1j * math.pi * share
     difference = _divided_difference(turn, motion) - _divided_difference(-turn, motion)

@@ -58,7 +58,7 @@ def retune(
     band_hz : tuple of float
         Band of natural frequencies in which every mode is stored.
     stored, wanted : tuple of Material and float
-        Material and longest side in metres.
+        Material and longest side in metres. Those of the wanted object may be tensors with gradients.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def retune(
     c = new.damping(eigenvalues)
     low, high = ((2 * math.pi * hertz) ** 2 for hertz in HEARING_HZ)
     kept = torch.nonzero((eigenvalues > c * c) & (eigenvalues > low) & (eigenvalues < high))[:, 0]
-    complete = (band_hz[0] * math.sqrt(factor), band_hz[1] * math.sqrt(factor))
+    complete = (band_hz[0] * factor**0.5, band_hz[1] * factor**0.5)
     bounds = _poisson_bounds(old.poisson_ratio, new.poisson_ratio)
     return Tuning(
         kept,

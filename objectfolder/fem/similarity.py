@@ -4,8 +4,6 @@ The stiffness matrix is E L, and the mass matrix rho L^3, times a matrix that de
 Poisson ratio only, so one solve serves all materials and sizes.
 """
 
-import math
-
 from objectfolder.materials import Material
 
 
@@ -15,7 +13,7 @@ def similarity(old: tuple[Material, float], new: tuple[Material, float]) -> tupl
     Parameters
     ----------
     old, new : tuple of Material and float
-        Material and longest side in metres.
+        Material and longest side in metres; their numbers may be tensors.
 
     Returns
     -------
@@ -25,4 +23,4 @@ def similarity(old: tuple[Material, float], new: tuple[Material, float]) -> tupl
     (old_material, old_scale), (material, scale) = old, new
     size, density = scale / old_scale, material.density / old_material.density
     stiffness = material.youngs_modulus / old_material.youngs_modulus
-    return stiffness / density / size**2, 1 / math.sqrt(density * size**3)
+    return stiffness / density / size**2, 1 / (density * size**3) ** 0.5

@@ -59,7 +59,7 @@ def touched(x: torch.Tensor, resolution: int) -> torch.Tensor:
 def _nodes(x: torch.Tensor, resolution: int) -> tuple[torch.Tensor, torch.Tensor]:
     position = (x.double() + 0.5).clamp(0, 1) * resolution
     cell = position.floor().long().clamp(max=resolution - 1)
-    t = (position - cell).float()
+    t = (position - cell).to(x.dtype)
     # (N, 3 axes, 3 nodes)
     weights = torch.stack([(1 - t) ** 2 / 2, 0.5 + t - t * t, t * t / 2], -1)
     along = cell[:, :, None] + _OFFSETS.to(x.device)

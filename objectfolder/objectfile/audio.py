@@ -207,6 +207,17 @@ class ModalSense:
         return material or own, self._surface.scale if scale is None else scale
 
     @property
+    def own_material(self) -> Material:
+        """Material for which the stored modes were solved.
+
+        Raises
+        ------
+        ObjectFolderError
+            If the file does not say.
+        """
+        return self._solved()[0]
+
+    @property
     def _described(self) -> bool:
         """Whether the file says what its modes are of."""
         header = self._stored.header

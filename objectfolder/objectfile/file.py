@@ -5,6 +5,7 @@ docs/objectfile.md describes the format. Reading it needs no mesh, no pickle and
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -47,10 +48,13 @@ from objectfolder.vision.picture import Views
 if TYPE_CHECKING:
     import trimesh
 
+    from objectfolder.objectfile.gradients.answers import Answers
+
 #: Name of a sensor profile that comes with the package, a ``.yaml`` file, or a profile; None: the stored one.
 Sensor = str | Path | SensorProfile | None
 #: "studio", or lights.
 Lights = str | Sequence[Lamp] | None
+Device = str | torch.device  #: of nets
 #: Equirectangular picture of linear radiance, (H, W, 3), or its path.
 Environment = str | Path | np.ndarray | None
 
@@ -108,7 +112,7 @@ class ObjectFile:
         header: dict[str, Any],
         tensors: Mapping[str, np.ndarray],
         path: str | Path = "Object File",
-        device: str | torch.device = "cpu",
+        device: Device = "cpu",
     ):
         self.header = checked_header(header, path)
         self.tensors = tensors
@@ -117,7 +121,7 @@ class ObjectFile:
         self._parts = StoredParts(self.header, tensors, self.device)
 
     @classmethod
-    def load(cls, path: str | Path, device: str | torch.device = "cpu") -> "ObjectFile":
+    def load(cls, path: str | Path, device: Device = "cpu") -> "ObjectFile":
         """Read an Object File and check its header. Its parts are unpacked when a query first needs them.
 
         Parameters
@@ -602,6 +606,23 @@ class ObjectFile:
             surface.vertices * self.scale, surface.faces, vertex_normals=surface.normals, process=False
         )
 
+    def torch(self, dtype: "torch.dtype | None" = None) -> "Answers":
+        """Return modules whose answers carry gradients; see docs/gradients.md.
+
+        Parameters
+        ----------
+        dtype : torch.dtype, optional
+            float32, the default, or float64.
+
+        Raises
+        ------
+        ObjectFolderError
+            If the type is another.
+        """
+        # Not an import statement: stages use ObjectFile, none asks for gradients, so none depends on them.
+        answers = import_module("objectfolder.objectfile.gradients.answers")
+        return answers.Answers(self._parts, dtype)
+
     @property
     def _touch_config(self) -> dict[str, Any]:
         return self._parts.described("touch")["net"]
@@ -632,7 +653,7 @@ def _flag(name: str, value: object) -> bool:
     return bool(value)
 
 
-def _usable(device: str | torch.device) -> torch.device:
+def _usable(device: Device) -> torch.device:
     """Return a device on which a tensor has been, and come back."""
     try:
         found = torch.device(device)

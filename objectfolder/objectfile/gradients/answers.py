@@ -1,0 +1,40 @@
+"""The modules of an Object File, made when first asked for."""
+
+from functools import cached_property
+
+import torch
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile.gradients.sound import Sound
+from objectfolder.objectfile.parts import StoredParts
+
+DTYPES = (torch.float32, torch.float64)
+
+
+class Answers:
+    """How an object sounds, as torch modules whose answers carry gradients.
+
+    They compute on the CPU; their weights are copies, and need no gradients.
+
+    Parameters
+    ----------
+    parts : StoredParts
+    dtype : torch.dtype, optional
+        float32, or float64 for checks of gradients.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the type is another.
+    """
+
+    def __init__(self, parts: StoredParts, dtype: torch.dtype | None = None):
+        dtype = torch.float32 if dtype is None else dtype
+        if dtype not in DTYPES:
+            raise ObjectFolderError(f"dtype is {dtype}, expected torch.float32 or torch.float64")
+        self._parts, self._dtype = parts, dtype
+
+    @cached_property
+    def sound(self) -> Sound:
+        """Strikes in, sounds out."""
+        return Sound(self._parts.audio, self._parts.surface, self._dtype)
