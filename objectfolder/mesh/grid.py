@@ -1,6 +1,7 @@
 """Stored geometry: a band-limited signed distance on a cubic grid, quantised to int8."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
@@ -49,17 +50,22 @@ class DistanceGrid:
         grid = ((points.to(torch.float32) - self._centre) / self._half).view(1, -1, 1, 1, 3)
         return F.grid_sample(self._volume, grid, align_corners=True, padding_mode="border").view(-1)
 
-    def smooth_distance(self, points: np.ndarray) -> np.ndarray:
+    def smooth_distance(self, points: Any) -> Any:
         """Interpolate the signed distance at (N, 3) points by cubic convolution (Keys 1981); (N,) float64.
 
-        Uses 64 samples per point, `distance` 8: slower, and more accurate where the surface bends.
+        Uses 64 samples per point, `distance` 8: slower, and more accurate where the surface bends. Of a
+        tensor it returns a tensor, through which gradients flow.
         """
-        place = (np.asarray(points, np.float64).reshape(-1, 3) + BOUND) / self.spacing
-        first = np.floor(place)
-        weights = _keys(place - first)  # (N, 3, 4)
+        tensor = isinstance(points, torch.Tensor)
+        place: Any = points.double() if tensor else np.asarray(points, np.float64)
+        place = (place.reshape(-1, 3) + BOUND) / self.spacing
+        first = np.floor(place.detach().numpy() if tensor else place)
         taps = first.astype(np.int64)[..., None] + np.arange(-1, 3)
         x, y, z = np.moveaxis(taps.clip(0, len(self.values) - 1), 1, 0)
-        samples = self.values[x[:, :, None, None], y[:, None, :, None], z[:, None, None, :]]
+        samples: Any = self.values[x[:, :, None, None], y[:, None, :, None], z[:, None, None, :]]
+        if tensor:
+            first, samples = torch.from_numpy(first), torch.from_numpy(samples)
+        weights = _keys(place - first)  # (N, 3, 4)
         # Axis by axis, in a fixed order of summation.
         total = (samples * weights[:, 2, None, None, :]).sum(3)
         total = (total * weights[:, 1, None, :]).sum(2)
@@ -91,11 +97,11 @@ def _box(values: np.ndarray) -> list[slice]:
     return sides
 
 
-def _keys(t: np.ndarray) -> np.ndarray:
+def _keys(t: Any) -> Any:
     """Return the cubic convolution weights (..., 4) of samples at -1, 0, 1, 2 for t in [0, 1]."""
     near = (t * (t * (2 - t) - 1), t**2 * (3 * t - 5) + 2)
     far = (t * (t * (4 - 3 * t) + 1), t**2 * (t - 1))
-    return np.stack([*near, *far], axis=-1) / 2
+    return (torch if isinstance(t, torch.Tensor) else np).stack([*near, *far], -1) / 2
 
 
 def ascent(field: Callable[[torch.Tensor], torch.Tensor], points: torch.Tensor, step: float) -> torch.Tensor:

@@ -75,6 +75,11 @@ class GeometricTouch:
         require_renderer(profile, renderer)
         self.smooth(smoothing)
 
+    @property
+    def background(self) -> torch.Tensor:
+        """Image of the untouched sensor; (H, W, 3) uint8."""
+        return self._optics.background
+
     def smooth(self, rounds: int) -> None:
         """Set ``smoothing`` and recompute the normals."""
         self.smoothing = rounds

@@ -11,12 +11,13 @@ from objectfolder.checks import require_memory
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.arguments import Rows, Scalars, finite_rows, finite_scalars
 from objectfolder.objectfile.reading import StoredNet, report_damage
-from objectfolder.touch.contact import sensor_frames
+from objectfolder.touch.contact import leaned_normals
 from objectfolder.touch.profiles import SensorProfile
 from objectfolder.touch.simulate import Touches
 
 if TYPE_CHECKING:
     from objectfolder.nets.released.touch import ReleasedDepth
+    from objectfolder.nets.touch_geometric import GeometricTouch
 
 #: Voxels. The stored surface is no more accurate than this: contact points nearer to it stay where they are.
 UNMOVED = 0.25
@@ -55,11 +56,8 @@ class ContactPoses:
         """Return the sensor's outward axes (N, 3) at points with these contact normals (N, 3)."""
         if not self.tilt.any():
             return normals
-        frames = sensor_frames(normals, self.angle)
-        direction = (
-            np.cos(self.azimuth)[:, None] * frames[:, :, 2] - np.sin(self.azimuth)[:, None] * frames[:, :, 1]
-        )
-        return np.cos(self.tilt)[:, None] * normals + np.sin(self.tilt)[:, None] * direction
+        leaned: np.ndarray = leaned_normals(normals, self.angle, self.tilt, self.azimuth)
+        return leaned
 
 
 @dataclass(frozen=True)
@@ -174,6 +172,17 @@ class GeometricSense:
     ) -> Iterator[Touches]:
         """Return everything about the contacts, a few at a time."""
         net = self.net if profile is None else self.net.with_sensor(profile)
+        points = self.feet(contacts, tolerance, net)
+        return net.touches(points, contacts.leaned(net.normals(points)), contacts.angle, contacts.depth)
+
+    def feet(self, contacts: ContactPoses, tolerance: float, net: "GeometricTouch") -> np.ndarray:
+        """Return the points of contacts on the surface (N, 3), object frame, metres.
+
+        Raises
+        ------
+        ObjectFolderError
+            If a point is off the surface, or a depth is not one of the net's sensor.
+        """
         depth, limit = contacts.depth, net.profile.max_indentation
         wrong = np.flatnonzero((depth < 0) | (depth > limit))
         if len(wrong):
@@ -181,8 +190,7 @@ class GeometricSense:
                 f"depth: row {wrong[0]} is {depth[wrong[0]]:g} m; the sensor {net.profile.name!r} takes "
                 f"0 to {limit:g} m"
             )
-        points = self._surface.snap(contacts.points, tolerance, UNMOVED)
-        return net.touches(points, contacts.leaned(net.normals(points)), contacts.angle, depth)
+        return self._surface.snap(contacts.points, tolerance, UNMOVED)
 
     def depth_maps(self, contacts: ContactPoses, tolerance: float) -> np.ndarray:
         """Refuse: there is no released sensor."""

@@ -15,6 +15,5 @@ def array_library(of: Array) -> ModuleType:
 
 
 def zeros(shape: tuple[int, ...], like: Array) -> Array:
-    """Return float32 zeros of the same library and on the same device as an array."""
-    library = array_library(like)
-    return library.zeros(shape, dtype=library.float32, device=like.device)
+    """Return zeros of the library, the type and the device of an array."""
+    return array_library(like).zeros(shape, dtype=like.dtype, device=like.device)

@@ -4,9 +4,11 @@ from collections.abc import Callable
 from functools import cache, lru_cache
 
 import numpy as np
+import torch
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.raycast import RayCaster
+from objectfolder.touch.arrays import Array, array_library
 from objectfolder.touch.camera import gel_depth, ray_directions
 from objectfolder.touch.profiles import SensorProfile
 
@@ -52,9 +54,7 @@ def probe_directions(count: int = 64) -> np.ndarray:
     return np.concatenate([u, -u])
 
 
-def contact_normals(
-    distance: Callable[[np.ndarray], np.ndarray], points: np.ndarray, radius: float
-) -> np.ndarray:
+def contact_normals(distance: Callable[[Array], Array], points: Array, radius: float) -> Array:
     """Return the outward contact normal from the signed distance around each point.
 
     n ∝ Σ_k d(p + r u_k) u_k over the fixed directions of `probe_directions`: the gradient of the distance,
@@ -67,28 +67,32 @@ def contact_normals(
     ----------
     distance : callable
         (M, 3) points -> (M,) signed distance, negative inside.
-    points : (N, 3) array
-        On the surface, in the frame and units of ``distance``.
+    points : (N, 3) array or float64 tensor
+        On the surface, in the frame and units of ``distance``. Gradients flow through tensors.
     radius : float
         Radius of the sphere, in the same units: the smallest feature that affects the normal.
 
     Returns
     -------
-    (N, 3) float64 array of unit vectors.
+    (N, 3) float64 array or tensor of unit vectors.
 
     Raises
     ------
     ObjectFolderError
         If the distance has no gradient around a point.
     """
-    points = np.asarray(points, np.float64).reshape(-1, 3)
-    u = probe_directions()
+    u: Array = probe_directions()
+    if isinstance(points, torch.Tensor):
+        u = torch.from_numpy(u)
+    else:
+        points = np.asarray(points, np.float64)
+    points = points.reshape(-1, 3)
     samples = points[:, None] + radius * u
-    d = np.asarray(distance(samples.reshape(-1, 3)), np.float64).reshape(len(points), len(u))
+    d = distance(samples.reshape(-1, 3)).reshape(len(points), len(u))
     # Sum in a fixed order; that of a matrix product depends on the number of points.
     gradient = (d[..., None] * u).sum(axis=1)
-    length = np.linalg.norm(gradient, axis=1)
-    lost = np.flatnonzero(~(length > 1e-9 * radius))
+    length = array_library(gradient).sqrt((gradient * gradient).sum(axis=1))
+    lost = np.flatnonzero(~np.asarray(length > 1e-9 * radius))
     if lost.size:
         raise ObjectFolderError(
             f"no contact normal at {points[lost[0]]} ({lost.size} of {len(points)} points): the distance is "
@@ -97,7 +101,7 @@ def contact_normals(
     return gradient / length[:, None]
 
 
-def sensor_frames(normals: np.ndarray, angles: np.ndarray) -> np.ndarray:
+def sensor_frames(normals: Array, angles: Array) -> Array:
     """Return the axes of the sensor in the object frame.
 
     x = -n points into the object; z, up in the image, is the fixed direction `UP` projected onto the tangent
@@ -106,23 +110,54 @@ def sensor_frames(normals: np.ndarray, angles: np.ndarray) -> np.ndarray:
 
     Parameters
     ----------
-    normals : (N, 3) array of unit outward normals, object frame
-    angles : (N,) array, radians
+    normals : (N, 3) array or tensor of unit outward normals, object frame
+    angles : (N,) array or tensor, radians
+        Tensors if the normals are; gradients flow through them.
 
     Returns
     -------
-    (N, 3, 3) float64 array whose columns are x, y, z.
+    (N, 3, 3) float64 array or tensor whose columns are x, y, z.
     """
-    n = np.asarray(normals, np.float64).reshape(-1, 3)
-    angles = np.broadcast_to(np.asarray(angles, np.float64), len(n))
-    z = UP - (n * UP).sum(axis=1, keepdims=True) * n
+    library = array_library(normals)
+    as_array = torch.as_tensor if library is torch else np.asarray
+    n: Array
+    n, angles, up, side = (
+        as_array(v, dtype=library.float64) for v in (normals, angles, UP, np.array([0.0, 1.0, 0.0]))
+    )
+    n = n.reshape(-1, 3)
+    angles = library.broadcast_to(angles, (len(n),))
+    z = up - (n * up).sum(axis=1, keepdims=True) * n
     # Where the projection vanishes, any fixed direction that is not parallel will do.
-    other = np.array([0.0, 1.0, 0.0]) - n[:, 1:2] * n
-    z = np.where(np.linalg.norm(z, axis=1, keepdims=True) > 1e-9, z, other)
-    z /= np.linalg.norm(z, axis=1, keepdims=True)
-    y = np.cross(n, z)
-    cos, sin = np.cos(angles)[:, None], np.sin(angles)[:, None]
-    return np.stack([-n, cos * y - sin * z, cos * z + sin * y], axis=2)
+    other = side - n[:, 1:2] * n
+    z = library.where(_length(z) > 1e-9, z, other)
+    z = z / _length(z)
+    y = library.linalg.cross(n, z)
+    cos, sin = library.cos(angles)[:, None], library.sin(angles)[:, None]
+    return library.stack([-n, cos * y - sin * z, cos * z + sin * y], 2)
+
+
+def leaned_normals(normals: Array, angles: Array, tilt: Array, azimuth: Array) -> Array:
+    """Return the outward axes of sensors that lean from the contact normals; (N, 3).
+
+    Parameters
+    ----------
+    normals : (N, 3) float64 array or tensor of unit outward normals, object frame
+    angles : (N,) array or tensor
+        Radians; see `sensor_frames`.
+    tilt : (N,) array or tensor
+        Lean from the normal, radians.
+    azimuth : (N,) array or tensor
+        Direction of the lean, from image up towards image right, radians.
+    """
+    library, frames = array_library(normals), sensor_frames(normals, angles)
+    direction = (
+        library.cos(azimuth)[:, None] * frames[:, :, 2] - library.sin(azimuth)[:, None] * frames[:, :, 1]
+    )
+    return library.cos(tilt)[:, None] * normals + library.sin(tilt)[:, None] * direction
+
+
+def _length(vectors: Array) -> Array:
+    return array_library(vectors).sqrt((vectors * vectors).sum(axis=1, keepdims=True))
 
 
 def heightmaps(
@@ -170,6 +205,22 @@ def heightmaps(
     ObjectFolderError
         If a value is not finite, or a depth is negative or exceeds the profile's maximal indentation.
     """
+    return seated_heightmaps(caster, points, normals, angles, depths, profile, scale)[:2]
+
+
+def seated_heightmaps(
+    caster: RayCaster,
+    points: np.ndarray,
+    normals: np.ndarray,
+    angles: np.ndarray,
+    depths: np.ndarray,
+    profile: SensorProfile,
+    scale: float = 1.0,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return `heightmaps`, and how far each sensor stops short of the pose asked for; (N,) float64, metres.
+
+    Parameters and errors are those of `heightmaps`.
+    """
     points = np.asarray(points, np.float64).reshape(-1, 3)
     normals = np.asarray(normals, np.float64).reshape(-1, 3)
     angles = np.broadcast_to(np.asarray(angles, np.float64), len(points))
@@ -183,7 +234,7 @@ def heightmaps(
     enclosed = _enclosed(caster, cameras)
 
     height = np.empty((len(points), profile.height, profile.width), np.float32)
-    obstructed = np.empty(len(points))
+    obstructed, retreat = np.empty(len(points)), np.zeros(len(points))
     for i, (frame, camera) in enumerate(zip(frames, cameras)):  # one image at a time bounds the memory
         directions = rays @ frame.T.astype(np.float32)
         distance, blocked, overlap = _first_surface(
@@ -191,13 +242,14 @@ def heightmaps(
         )
         obstructed[i] = blocked / len(rays)
         if 0 < overlap < profile.camera_to_gel:
+            retreat[i] = overlap
             camera = camera + (normals[i] * (overlap / scale)).astype(np.float32)
             inside = bool(_enclosed(caster, camera[None])[0])
             distance, _, overlap = _first_surface(caster, camera, directions, base, limit, inside)
         if overlap > _FREED * profile.elastomer_thickness:
             distance = limit
         (gel - distance).clip(-gap, profile.max_indentation, out=height[i].reshape(-1))
-    return height, obstructed
+    return height, obstructed, retreat
 
 
 def _first_surface(

@@ -135,7 +135,7 @@ def _solve(
     if min(height.shape) >= 2 * _COARSEST:
         pressure, _ = _solve(halve(height), halve(reachable) > 0, 2 * pitch, layer)
         pressure = double(pressure, height.shape) * reachable
-        displacement = _respond(pressure, pitch, layer)
+        displacement = respond(pressure, pitch, layer)
     else:
         pressure = displacement = np.zeros_like(height)
     tolerance = _TOLERANCE * max(height.max(), 0)  # on a coarse grid, small peaks may not touch
@@ -146,10 +146,10 @@ def _solve(
         residual = gap * touching
         if max(residual.max(), -residual.min()) <= tolerance:
             return pressure, displacement
-        descent = _precondition(residual, pitch, layer) * touching
+        descent = precondition(residual, pitch, layer) * touching
         before, pressure = pressure, np.maximum(pressure - np.float32(step) * descent, 0)
         changed, moved = pressure - before, displacement
-        displacement = _respond(pressure, pitch, layer)
+        displacement = respond(pressure, pitch, layer)
         moved = displacement - moved
         # The optimal step if the preconditioner is right up to a factor.
         work = _sum_of_products(changed, moved)
@@ -161,20 +161,33 @@ def _solve(
     )
 
 
-def _respond(pressure: np.ndarray, pitch: float, layer: Layer) -> np.ndarray:
-    """Return the displacement under a pressure."""
+def respond(pressure: np.ndarray, pitch: float, layer: Layer) -> np.ndarray:
+    """Return the displacement of the surface, metres, under a pressure (H, W), Pa; float32 or float64.
+
+    The response is symmetric and positive definite.
+
+    Parameters
+    ----------
+    pressure : (H, W) array, Pa
+    pitch : float
+        Metres between pixels.
+    layer : Layer
+    """
     height, width = pressure.shape
     rows, columns = period(pressure.shape, round(SPACING * layer.thickness / pitch))
     # Axis by axis, to skip transforms of zeros only and of results that are cut off.
     waves = scipy.fft.fft(scipy.fft.rfft(pressure, rows, axis=0), columns, axis=1, overwrite_x=True)
-    parts = waves.view(np.float32)
+    parts = waves.view(waves.real.dtype)
     parts *= _compliance(rows, columns, pitch, layer)
     waves = scipy.fft.ifft(waves, axis=1, overwrite_x=True)[:, :width]
     return scipy.fft.irfft(waves, rows, axis=0)[:height]
 
 
-def _precondition(residual: np.ndarray, pitch: float, layer: Layer) -> np.ndarray:
-    """Return the approximate pressure that causes a displacement."""
+def precondition(residual: np.ndarray, pitch: float, layer: Layer) -> np.ndarray:
+    """Return the approximate pressure (H, W), Pa, that causes a displacement (H, W), metres; float32.
+
+    Parameters are those of `respond`.
+    """
     centre, side, corner = _stencil(pitch, layer)
     padded = np.zeros((residual.shape[0] + 2, residual.shape[1] + 2), np.float32)
     padded[1:-1, 1:-1] = residual
@@ -202,7 +215,7 @@ def period(shape: tuple[int, ...], margin: int) -> tuple[int, ...]:
 
 @lru_cache(maxsize=32)
 def _compliance(rows: int, columns: int, pitch: float, layer: Layer) -> np.ndarray:
-    """Compliance of the waves of `_respond`, repeated for their real and imaginary parts."""
+    """Compliance of the waves of `respond`, repeated for their real and imaginary parts."""
     along_rows, along_columns = scipy.fft.rfftfreq(rows, pitch), scipy.fft.fftfreq(columns, pitch)
     wavenumber = 2 * np.pi * np.hypot(along_rows[:, None], along_columns)
     return layer.compliance(wavenumber).astype(np.float32).repeat(2, axis=1)

@@ -152,8 +152,9 @@ class Optics:
         rows, columns = self._window(displacement)
         moved = displacement[:, rows, columns]
         slopes = self._slopes(moved)
-        display = self._display(self._maps[:, rows, columns], moved, *slopes)
-        display -= self._still[:, :, rows, columns]
+        display = (
+            self._display(self._maps[:, rows, columns], moved, *slopes) - self._still[:, :, rows, columns]
+        )
         display *= 255 * self.profile.gain
         if self.profile.residual:
             leaning = tilt(slopes, self._maps[2, rows, columns])
@@ -189,7 +190,7 @@ class Optics:
         count, height, width = displacement.shape
         padded = zeros((3, count, height + 2 * around, width + 2 * around), displacement)
         sums = padded[:, :, around : around + height, around : around + width]
-        for total, pitch, axis in zip(sums, self._pitch, (-1, -2)):
+        for i, (pitch, axis) in enumerate(zip(self._pitch, (-1, -2))):
             here, ahead = neighbours(displacement, axis)
             difference = here - ahead
             counts = abs(difference) < step
@@ -197,11 +198,12 @@ class Optics:
                 counts &= among
             difference *= counts
             # Each difference belongs to the pixels on both sides; a pixel with two takes their mean.
-            weight = zeros(displacement.shape, displacement)
-            for to, of in zip(neighbours(total, axis), neighbours(weight, axis)):
+            total, weight = (zeros(displacement.shape, displacement) for _ in range(2))
+            for side in range(2):  # torch's views are stale after their base has changed
+                to, of = (neighbours(image, axis)[side] for image in (total, weight))
                 to += difference
                 of += counts
-            total /= weight.clip(1, 2) * pitch
+            sums[i] = total / (weight.clip(1, 2) * pitch)
         sums[2] = inside
         smooth = convolve(padded, weights)
         return smooth[:2] / smooth[2].clip(1e-12, 1)

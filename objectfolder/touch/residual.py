@@ -57,6 +57,6 @@ def residual_levels(leaning: Array, place: Array, coefficients: tuple[tuple[floa
     """
     levels = zeros((3, *leaning.shape[1:]), leaning)
     for term, of_term in zip(residual_terms(leaning, place), zip(*coefficients)):
-        for channel, coefficient in zip(levels, of_term):
-            channel += term * coefficient
+        for channel, coefficient in enumerate(of_term):
+            levels[channel] += term * coefficient
     return levels

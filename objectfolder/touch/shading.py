@@ -51,9 +51,9 @@ def radiance(point: Vectors, normal: Vectors, profile: SensorProfile) -> Array:
         reflected = reflectance(normal_light, view_light)
         reflected *= normal_light.clip(*_COSINE)
         reflected /= distance * distance
-        for channel, weight in zip(total, light.color):
+        for channel, weight in enumerate(light.color):
             if weight:
-                channel += reflected * (weight * light.intensity)
+                total[channel] += reflected * (weight * light.intensity)
     return total
 
 
@@ -85,7 +85,7 @@ def ggx_reflectance(normal_view: Array, profile: SensorProfile) -> Callable[[Arr
     k = (profile.roughness + 1) ** 2 / 8
     cos_view = abs(normal_view).clip(*_COSINE)
     shadowed = cos_view / (cos_view * (1 - k) + k) * (alpha2 / math.pi)
-    cos_view *= 4
+    four_cos_view = 4 * cos_view
 
     def reflectance(normal_light: Array, view_light: Array) -> Array:
         cos_light = normal_light.clip(*_COSINE)
@@ -96,15 +96,13 @@ def ggx_reflectance(normal_view: Array, profile: SensorProfile) -> Callable[[Arr
         spread *= (alpha2 - 1) / 2
         spread += 1
         spread = spread.clip(alpha2, 1)
-        one_plus_view_light *= 0.5
-        grazing = array_library(view_light).sqrt(one_plus_view_light)  # v·h
-        grazing -= 1
-        fresnel = grazing * grazing
-        fresnel *= fresnel
+        grazing = array_library(view_light).sqrt(one_plus_view_light * 0.5) - 1  # v·h - 1
+        square = grazing * grazing
+        fresnel = square * square
         fresnel *= grazing
         fresnel *= f0 - 1
         fresnel += f0
-        denominator = cos_light * cos_view
+        denominator = cos_light * four_cos_view
         denominator += 0.001
         denominator *= spread
         denominator *= spread

@@ -6,13 +6,14 @@ import torch
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.gradients.sound import Sound
+from objectfolder.objectfile.gradients.touch import Touch
 from objectfolder.objectfile.parts import StoredParts
 
 DTYPES = (torch.float32, torch.float64)
 
 
 class Answers:
-    """How an object sounds, as torch modules whose answers carry gradients.
+    """How an object sounds and feels, as torch modules whose answers carry gradients.
 
     They compute on the CPU; their weights are copies, and need no gradients.
 
@@ -38,3 +39,8 @@ class Answers:
     def sound(self) -> Sound:
         """Strikes in, sounds out."""
         return Sound(self._parts.audio, self._parts.surface, self._dtype)
+
+    @cached_property
+    def touch(self) -> Touch:
+        """Poses of a tactile sensor in, images and contacts out."""
+        return Touch(self._parts.touch, self._dtype)

@@ -1,0 +1,207 @@
+"""Touch that carries gradients to the sensor's pose and depth."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.nets.touch_geometric import GeometricTouch
+from objectfolder.objectfile.gradients.foot import on_surface
+from objectfolder.objectfile.gradients.gel import SoftGel
+from objectfolder.objectfile.surface import TOLERANCE
+from objectfolder.objectfile.touch import ContactPoses, GeometricSense
+from objectfolder.touch.camera import gel_depth, pixel_area, ray_directions
+from objectfolder.touch.contact import (
+    GAP,
+    NORMAL_RADIUS,
+    contact_normals,
+    leaned_normals,
+    seated_heightmaps,
+    sensor_frames,
+)
+from objectfolder.touch.optics import Optics
+from objectfolder.touch.profiles import SensorProfile
+
+_BEFORE = 1e-5  # m before a known hit, where rays start that look for its triangle
+
+
+@dataclass(frozen=True)
+class Felt:
+    """What a sensor feels in N contacts, with gradients."""
+
+    images: torch.Tensor  #: (N, H, W, 3) RGB, grey levels 0 to 255, not rounded
+    height: torch.Tensor  #: (N, H, W) m, of the object past the undeformed gel; negative is a gap
+    displacement: torch.Tensor  #: (N, H, W) m, of the gel towards the camera; negative bulges
+    pressure: torch.Tensor  #: (N, H, W) Pa; NaN for a rigid gel
+    force: torch.Tensor  #: (N,) N, along the optical axis; NaN for a rigid gel
+
+
+class Touch(nn.Module):
+    """Press of a tactile sensor, as `ObjectFile.press`, with gradients.
+
+    Gradients reach points, depth, angle, tilt and azimuth. The contact normal turns as the point moves. A
+    pixel's ray meets a triangle of the stored surface, and by the implicit function theorem its hit moves as
+    the triangle's plane does: exact for a rigid gel. A soft gel is differentiated on the pixels that touch;
+    see `SoftGel`.
+
+    No gradients come from what jumps: pixels that pass from one wall to another or reach the limits of the
+    gel, the rim of a rigid imprint, how far an obstructed sensor stops short, and points that are projected
+    to another wall.
+
+    Parameters
+    ----------
+    sense : GeometricSense
+    dtype : torch.dtype
+        Of the answers; in double precision, a soft gel is solved to rounding.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the net is of another kind than ``geometric``, or its renderer another than ``gel``.
+    """
+
+    def __init__(self, sense: Any, dtype: torch.dtype):
+        super().__init__()
+        if not isinstance(sense, GeometricSense) or sense.net.renderer != "gel":
+            raise ObjectFolderError("gradients of touch need a touch net of kind geometric and renderer gel")
+        self._sense, self._dtype = sense, dtype
+        self._optics: dict[SensorProfile, TensorOptics] = {}
+
+    def forward(
+        self,
+        points: torch.Tensor,
+        depth: Any = 0.001,
+        angle: Any = 0.0,
+        tilt: Any = 0.0,
+        azimuth: Any = 0.0,
+        tolerance: float = TOLERANCE,
+        sensor: SensorProfile | None = None,
+    ) -> Felt:
+        """Press the sensor on the object; parameters and errors as of `ObjectFile.press`.
+
+        Parameters
+        ----------
+        points : (N, 3) tensor, object frame, metres
+        depth, angle, tilt, azimuth : float or (N,) tensor
+        tolerance : float
+        sensor : SensorProfile, optional
+        """
+        values = ContactPoses.checked(points, depth, angle, tilt, azimuth)
+        net = self._sense.net if sensor is None else self._sense.net.with_sensor(sensor)
+        feet = self._sense.feet(values, tolerance, net)
+        count, scale = len(feet), net.scale
+        given = torch.as_tensor(points).double().expand(feet.shape) / scale
+        turned, leaning, towards, pressed = (
+            torch.as_tensor(v, dtype=torch.float64).expand(count) for v in (angle, tilt, azimuth, depth)
+        )
+        places = on_surface(given, feet / scale, net.surface)
+        outward = contact_normals(net.surface.grid.smooth_distance, places, NORMAL_RADIUS)
+        axis = leaned_normals(outward, turned, leaning, towards)
+        pressed = (pressed + net.depth_offset).clamp(0, net.profile.max_indentation)
+        height = heights_of(places * scale, axis, turned, pressed, net).to(self._dtype)
+        if net.profile.gel == "rigid":
+            displacement, pressure = height.clamp(min=0), torch.full_like(height, torch.nan)
+        else:
+            displacement, pressure = SoftGel.apply(height, net.profile)
+        area = torch.from_numpy(pixel_area(net.profile).copy()).to(self._dtype)
+        force = (pressure * area).sum((1, 2))
+        return Felt(self._optics_of(net).images(displacement), height, displacement, pressure, force)
+
+    def _optics_of(self, net: GeometricTouch) -> "TensorOptics":
+        if net.profile not in self._optics:
+            optics = TensorOptics(net.profile, self._dtype)
+            optics.background = net.background.cpu()
+            self._optics[net.profile] = optics
+        return self._optics[net.profile]
+
+
+def heights_of(
+    points: torch.Tensor, axes: torch.Tensor, angles: torch.Tensor, depths: torch.Tensor, net: GeometricTouch
+) -> torch.Tensor:
+    """Return the heights of `objectfolder.touch.contact.heightmaps`, with gradients; (N, H, W) float64.
+
+    Parameters
+    ----------
+    points, axes : (N, 3) tensors
+        Contact points, metres, and the sensors' unit outward axes; object frame, float64.
+    angles, depths : (N,) tensors
+        Radians and metres.
+    net : GeometricTouch
+        Surface and sensor.
+    """
+    profile, surface = net.profile, net.surface
+    where, axis, turned, pressed = (v.detach().numpy() for v in (points, axes, angles, depths))
+    height, _, retreat = seated_heightmaps(surface.caster, where, axis, turned, pressed, profile, net.scale)
+    frames, gel = sensor_frames(axes, angles), torch.from_numpy(gel_depth(profile)).ravel()
+    rays = torch.from_numpy(ray_directions(profile)).reshape(-1, 3)
+    cameras = points + axes * (profile.camera_to_gel - depths + torch.from_numpy(retreat))[:, None]
+    found = []
+    for flat, camera, frame in zip(torch.from_numpy(height).flatten(1).double(), cameras, frames):
+        inside = ((flat > -GAP * profile.elastomer_thickness) & (flat < profile.max_indentation)).nonzero()[
+            :, 0
+        ]
+        ways = rays[inside] @ frame.T
+        planes = met_planes(surface, net.scale, camera.detach(), ways.detach(), (gel - flat)[inside])
+        corner, normal, met = planes
+        # Of the point camera + t ways on the plane; its gradient is that of the implicit function.
+        t = ((corner - camera) * normal).sum(1) / torch.where(met, (ways * normal).sum(1), 1)
+        seen = torch.where(met, gel[inside] - t, flat[inside])
+        found.append(flat.index_copy(0, inside, seen))
+    return torch.stack(found).view(height.shape) if found else torch.from_numpy(height).double()
+
+
+def met_planes(
+    surface: Isosurface, scale: float, camera: torch.Tensor, ways: torch.Tensor, depth: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return a corner, metres, and the normal of the triangles that rays meet, and whether they were found.
+
+    Parameters
+    ----------
+    surface : Isosurface
+    scale : float
+        Metres per unit of the surface.
+    camera : (3,) tensor, metres
+    ways : (M, 3) tensor
+        Directions of the rays.
+    depth : (M,) tensor
+        Where the rays meet the surface, in multiples of the directions.
+
+    Returns
+    -------
+    corner, normal : (M, 3) float64 tensors
+    met : (M,) bool tensor
+    """
+    start = (camera + (depth - _BEFORE)[:, None] * ways) / scale
+    reach = np.full(len(ways), 2 * _BEFORE, np.float32)
+    _, face = surface.caster.first_hit(start.numpy(), (ways / scale).numpy(), reach)
+    a, b, c = (torch.from_numpy(v) * scale for v in surface.vertices[surface.faces[face]].swapaxes(0, 1))
+    normal = torch.linalg.cross(b - a, c - a)
+    return a, normal, torch.from_numpy(face >= 0) & ((ways * normal).sum(1) != 0)
+
+
+class TensorOptics(Optics):
+    """Optics of the gel that compute with tensors, through which gradients flow.
+
+    Parameters
+    ----------
+    profile : SensorProfile
+    dtype : torch.dtype
+    """
+
+    def __init__(self, profile: SensorProfile, dtype: torch.dtype):
+        self._dtype = dtype
+        super().__init__(profile)
+
+    def images(self, displacement: torch.Tensor) -> torch.Tensor:
+        """Return images of displacements (N, H, W), metres; (N, H, W, 3), grey levels, not rounded."""
+        return (self._change(displacement) + self._planes).clamp(0, 255).permute(0, 2, 3, 1)
+
+    def _array(self, values: torch.Tensor) -> torch.Tensor:
+        return values.to(self._dtype)
+
+    def _window(self, displacement: torch.Tensor) -> tuple[slice, slice]:
+        return slice(0, displacement.shape[1]), slice(0, displacement.shape[2])

@@ -1,0 +1,89 @@
+"""Contact of an elastic layer where it is known which pixels touch: a linear problem."""
+
+import numpy as np
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.touch.gel import Layer, precondition, respond
+
+_ACCURACY = 1e-10  # of the displacement, relative to the greatest
+_MOST = 1000  # iterations; typically a hundred
+_ROUNDS = 100  # changes of the active set; typically ten
+
+
+def supporting_pressure(
+    displacement: np.ndarray, active: np.ndarray, pitch: float, layer: Layer
+) -> np.ndarray:
+    """Return the pressure on some pixels that moves them by given displacements, Pa; (H, W) float64.
+
+    Conjugate gradients with the preconditioner of `objectfolder.touch.gel`.
+
+    Parameters
+    ----------
+    displacement : (H, W) array, metres
+        Outside of the active pixels it does not count.
+    active : (H, W) bool array
+    pitch : float
+        Metres between pixels.
+    layer : Layer
+
+    Raises
+    ------
+    ObjectFolderError
+        If the iteration does not converge.
+    """
+    residual = np.where(active, displacement, 0.0).astype(np.float64)
+    pressure, limit = np.zeros_like(residual), _ACCURACY * np.abs(residual).max(initial=0)
+    unit = np.abs(residual).max(initial=0) or 1.0  # the preconditioner has single precision
+    way, before = np.zeros_like(residual), 1.0
+    for _ in range(_MOST):
+        if np.abs(residual).max(initial=0) <= limit:
+            return pressure
+        steepest = unit * precondition((residual / unit).astype(np.float32), pitch, layer) * active
+        now = np.vdot(residual, steepest)
+        way = steepest + now / before * way if way.any() else steepest
+        moved = np.where(active, respond(way, pitch, layer), 0)
+        step = now / np.vdot(way, moved)
+        pressure += step * way
+        residual -= step * moved
+        before = now
+    raise ObjectFolderError(f"the pressure on a gel of {layer} did not converge in {_MOST} iterations")
+
+
+def settle(
+    height: np.ndarray, pressure: np.ndarray, pitch: float, layer: Layer
+) -> tuple[np.ndarray, np.ndarray]:
+    """Solve a contact to rounding, from an approximate pressure, by a primal-dual active set method.
+
+    Hintermüller, Ito and Kunisch, SIAM Journal on Optimization 13, 2002.
+
+    Parameters
+    ----------
+    height : (H, W) array, metres
+        As of `objectfolder.touch.gel.indent`.
+    pressure : (H, W) array, Pa
+        Its support is the first guess of the pixels that touch.
+    pitch : float
+        Metres between pixels.
+    layer : Layer
+
+    Returns
+    -------
+    displacement : (H, W) float64, metres
+    pressure : (H, W) float64, Pa
+
+    Raises
+    ------
+    ObjectFolderError
+        If the set of touching pixels does not settle.
+    """
+    reachable = height > min(height.min(), 0)
+    active = pressure > 0
+    slack = _ACCURACY * max(height.max(), 0)
+    for _ in range(_ROUNDS):
+        found = supporting_pressure(height, active, pitch, layer)
+        displacement = np.where(active, height, respond(found, pitch, layer))
+        changed = (active & (found > 0)) | (reachable & ~active & (height - displacement > 100 * slack))
+        if (changed == active).all():
+            return displacement, found
+        active = changed
+    raise ObjectFolderError(f"the contact on a gel of {layer} did not settle in {_ROUNDS} rounds")
