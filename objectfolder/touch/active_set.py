@@ -5,13 +5,13 @@ import numpy as np
 from objectfolder.errors import ObjectFolderError
 from objectfolder.touch.gel import Layer, precondition, respond
 
-_ACCURACY = 1e-10  # of the displacement, relative to the greatest
+ACCURACY = 1e-10  #: of a displacement, relative to the greatest
 _MOST = 1000  # iterations; typically a hundred
 _ROUNDS = 100  # changes of the active set; typically ten
 
 
 def supporting_pressure(
-    displacement: np.ndarray, active: np.ndarray, pitch: float, layer: Layer
+    displacement: np.ndarray, active: np.ndarray, pitch: float, layer: Layer, accuracy: float = ACCURACY
 ) -> np.ndarray:
     """Return the pressure on some pixels that moves them by given displacements, Pa; (H, W) float64.
 
@@ -25,6 +25,8 @@ def supporting_pressure(
     pitch : float
         Metres between pixels.
     layer : Layer
+    accuracy : float
+        Greatest error of the displacement, relative to its greatest value.
 
     Raises
     ------
@@ -32,7 +34,7 @@ def supporting_pressure(
         If the iteration does not converge.
     """
     residual = np.where(active, displacement, 0.0).astype(np.float64)
-    pressure, limit = np.zeros_like(residual), _ACCURACY * np.abs(residual).max(initial=0)
+    pressure, limit = np.zeros_like(residual), accuracy * np.abs(residual).max(initial=0)
     unit = np.abs(residual).max(initial=0) or 1.0  # the preconditioner has single precision
     way, before = np.zeros_like(residual), 1.0
     for _ in range(_MOST):
@@ -78,7 +80,7 @@ def settle(
     """
     reachable = height > min(height.min(), 0)
     active = pressure > 0
-    slack = _ACCURACY * max(height.max(), 0)
+    slack = ACCURACY * max(height.max(), 0)
     for _ in range(_ROUNDS):
         found = supporting_pressure(height, active, pitch, layer)
         displacement = np.where(active, height, respond(found, pitch, layer))

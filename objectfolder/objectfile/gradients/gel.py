@@ -5,9 +5,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from objectfolder.touch.active_set import settle, supporting_pressure
+from objectfolder.touch.active_set import ACCURACY, settle, supporting_pressure
 from objectfolder.touch.gel import deform, layer_of, respond
 from objectfolder.touch.profiles import SensorProfile
+
+_SINGLE = 1e-5  # accuracy of gradients in single precision
 
 
 class SoftGel(torch.autograd.Function):
@@ -47,8 +49,9 @@ class SoftGel(torch.autograd.Function):
         """Return the gradients of heights (N, H, W)."""
         of_moved, of_pressure = (g.numpy().astype(np.float64) for g in gradients)
         pitch, layer = ctx.profile.pixel_pitch, layer_of(ctx.profile)
+        accuracy = ACCURACY if gradients[0].dtype == torch.float64 else _SINGLE
         result = np.where(ctx.touching, of_moved, 0)
         for i in np.flatnonzero(ctx.touching.any((1, 2))):
             free = respond(np.where(ctx.touching[i], 0, of_moved[i]), pitch, layer)
-            result[i] += supporting_pressure(free + of_pressure[i], ctx.touching[i], pitch, layer)
+            result[i] += supporting_pressure(free + of_pressure[i], ctx.touching[i], pitch, layer, accuracy)
         return torch.from_numpy(result).to(gradients[0].dtype), None
