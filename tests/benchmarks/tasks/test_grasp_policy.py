@@ -12,7 +12,7 @@ from objectfolder.benchmarks.tasks.robots import RobotJob
 from objectfolder.envs.body import rigid_body
 from objectfolder.envs.episodes import Episodes
 from objectfolder.envs.features import TouchFeatures
-from objectfolder.envs.grasp_task import GraspTask
+from objectfolder.envs.grasp_task import ACTION_SCALE, GraspTask
 from objectfolder.envs.hulls import convex_hulls
 
 PARAMS = GraspPolicyConfig(
@@ -95,12 +95,17 @@ def test_an_interrupted_training_goes_on_to_the_same(brick, whole, tmp_path):
 
 
 def test_rollouts_count_what_is_held(task):
-    """A policy that cannot move the hand off a centred object always succeeds; one that leaves never does."""
+    """A policy that centres the hand on the object always succeeds; one that leaves never does."""
     episodes = Episodes(task, "blind", None)
 
-    def leave(seen):
-        return np.tile([0, 1.0, 1.0, 0], (len(seen), 1))
+    def centre(seen):
+        turn = np.zeros((len(seen), 4))
+        turn[:, [0, 1, 3]] = episodes.objects - episodes.hands[:, [0, 1, 3]]
+        return turn / ACTION_SCALE
 
-    stay = rollout_successes(episodes, lambda seen: np.zeros((len(seen), 4)), 12, np.random.default_rng(0))
-    away = rollout_successes(episodes, leave, 12, np.random.default_rng(0))
-    assert stay.mean() > away.mean()
+    def leave(seen):
+        return np.insert(-np.sign(episodes.objects - episodes.hands[:, [0, 1, 3]]), 2, 1.0, 1)
+
+    held, lost = (rollout_successes(episodes, p, 12, np.random.default_rng(0)) for p in (centre, leave))
+    assert held.all()
+    assert not lost.any()

@@ -124,12 +124,12 @@ def test_nothing_is_learnt_of_shuffled_labels(tmp_path):
     scores, _ = _run(table, tmp_path, split, seeds=1, epochs=2)
     # 40 answers at chance 1/4: deviation 0.068
     for name in COMBINATIONS:
-        assert abs(scores[name]["accuracy"] - 0.25) < 0.25, name
+        assert abs(scores[name]["accuracy"] - 0.25) < 0.2, name
 
 
 def test_every_combination_uses_its_modalities_and_no_other(tmp_path):
     """What a modality does not show cannot be told by it: pairs of objects look alike, others sound alike."""
-    table = Table(50)
+    table = Table(200)
     table.arrays["vision"] = Table._picture(
         np.random.default_rng(0), np.array([[200, 60, 60], [60, 60, 200]])[table.labels // 2], 10, 20
     )
@@ -139,8 +139,9 @@ def test_every_combination_uses_its_modalities_and_no_other(tmp_path):
     table.arrays["audio"] = np.sin(2 * np.pi * pitch * time + phase, dtype=np.float32)
     table.arrays["touch"] = np.random.default_rng(2).integers(256, size=(len(pitch), 8, 8, 3), dtype=np.uint8)
     scores, _ = _run(table, tmp_path, seeds=1)
+    # 80 answers of which half are a guess: deviation 0.056
     for name, expected in {"V": 0.5, "A": 0.5, "T": 0.25, "VT": 0.5, "AT": 0.5, "VA": 1, "VAT": 1}.items():
-        assert scores[name]["accuracy"] == pytest.approx(expected, abs=0.25), name
+        assert scores[name]["accuracy"] == pytest.approx(expected, abs=0.17), name
     assert min(scores["VA"]["accuracy"], scores["VAT"]["accuracy"]) > 0.8
 
 
