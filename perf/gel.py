@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from harness import exit_with_verdict, write_record
+from harness import exit_with_verdict, parsed, write_record
 from PIL import Image
 from rich.console import Console
 from rich.progress import track
@@ -198,7 +198,7 @@ def main() -> None:
     )
     parser.add_argument("folder", type=Path, metavar="DIR", help="with sphere_0.5_real.png and so on")
     parser.add_argument("--json", type=Path, help="file for the figures")
-    given = parser.parse_args()
+    given = parsed(parser)
     seen = {press: amplitude(given.folder, press) for press in PRESSES}
     slopes = simulate()
     digit = load_profile("digit")
@@ -257,12 +257,13 @@ def main() -> None:
             highlight=False,
         )
     gels = [[*chosen.gel, *chosen.colours, chosen.error] for chosen in [*fitted.values(), whole]]
-    write_record(given.json, {"radii": rows, "errors": errors, "prism": prism, "fits": gels})
     missed = [
         f"{n}: {e:.2f} pixels, target {MAX_ERROR:g}"
         for n, e in errors.items()
         if n.startswith("from") and e > MAX_ERROR
     ]
+    record = {"radii": rows, "errors": errors, "prism": prism, "fits": gels}
+    write_record(given.json, record, f"{MAX_ERROR:g} pixels in the mean, for fitted gels", missed)
     exit_with_verdict(missed, console)
 
 

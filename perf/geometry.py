@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from harness import exit_with_verdict, fresh, run_job, write_record
+from harness import exit_with_verdict, fresh, parsed, run_job, write_record
 from rich.console import Console
 from rich.table import Table
 
@@ -180,7 +180,7 @@ def main() -> None:
     parser.add_argument("--catalogue", type=Path, help="catalogue of procedural objects to measure, too")
     parser.add_argument("--every", type=int, default=1, help="measure every n-th object of the catalogue")
     parser.add_argument("--json", type=Path, help="file for the figures")
-    arguments = parser.parse_args()
+    arguments = parsed(parser)
     found = meshes(arguments.objects)
     if not found:
         sys.exit(f"{arguments.objects}: no subfolder holds a mesh.obj, .gltf, .glb, .ply or .stl")
@@ -191,8 +191,10 @@ def main() -> None:
     largest = max(faces, key=faces.__getitem__, default=None)
     peer = fresh(__file__, "compare", *found[largest]) if largest else None
     show(rows, peer, console)
-    write_record(arguments.json, {"objects": rows, "distance_grid": peer})
-    exit_with_verdict([f"{row['object']}: {reason}" for row in rows for reason in misses(row)], console)
+    missed = [f"{row['object']}: {reason}" for row in rows for reason in misses(row)]
+    targets = f"{MAX_SECONDS:g} s, {MAX_MEGABYTES:g} MB, grid error {MAX_GRID_ERROR:.0%}"
+    write_record(arguments.json, {"objects": rows, "distance_grid": peer}, targets, missed)
+    exit_with_verdict(missed, console)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,13 @@
 """Helpers of the measuring scripts: jobs in fresh single-threaded processes, JSON records, verdicts."""
 
+import argparse
 import json
 import os
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +16,7 @@ from rich.console import Console
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import write_text
 
+ROOT = Path(__file__).parents[1]
 LIBRARIES = ("OMP", "OPENBLAS", "MKL", "IGL")
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in LIBRARIES}
 
@@ -51,10 +55,68 @@ def run_job(jobs: Mapping[str, Callable[..., dict]]) -> None:
         sys.exit()
 
 
-def write_record(path: Path | None, record: Mapping[str, Any] | list) -> None:
-    """Write figures for docs/results.md, one row per line, if a path is given."""
+def parsed(parser: argparse.ArgumentParser) -> argparse.Namespace:
+    """Parse the command line; without arguments, print the usage and exit with 2, as nothing was measured."""
+    if len(sys.argv) == 1:
+        parser.print_help(sys.stderr)
+        sys.exit(2)
+    return parser.parse_args()
+
+
+def write_record(
+    path: Path | None, record: Mapping[str, Any] | list, targets: str = "", missed: Sequence[str] = ()
+) -> None:
+    """Write figures for docs/results.md, with the run that measured them, if a path is given.
+
+    Parameters
+    ----------
+    path : Path, optional
+    record : mapping or list
+        Rows of a list get the name ``rows``.
+    targets : str
+        In words; empty if there are none.
+    missed : sequence of str
+        What missed its target, and by how much.
+    """
     if path:
-        write_text(path, encoded(record) + "\n")
+        rows = record if isinstance(record, Mapping) else {"rows": record}
+        rewrite(path, {"run": this_run(), "targets": targets, "missed": list(missed)} | dict(rows))
+
+
+def rewrite(path: Path, record: Mapping[str, Any]) -> None:
+    """Write a record as it is, one row per line."""
+    write_text(path, encoded(record) + "\n")
+
+
+def this_run() -> dict[str, str]:
+    """Return the command line, commit, machine and date (UTC) of this process.
+
+    A ``+`` after the commit stands for changes that are not committed. Folders outside the repository are
+    given by their names.
+    """
+    from objectfolder.benchmarks.tasks.running import machine  # imports torch, which jobs may not need
+
+    def git(*arguments: str) -> str:
+        found = subprocess.run(["git", "-C", ROOT, *arguments], capture_output=True, text=True)
+        return found.stdout.strip() if found.returncode == 0 else ""
+
+    words = [str(Path(sys.argv[0]).resolve()), *sys.argv[1:]]
+    places = (Path(word) for word in words)
+    shown = [
+        word
+        if not place.is_absolute()
+        else str(place.relative_to(ROOT))
+        if place.is_relative_to(ROOT)
+        else place.name
+        for word, place in zip(words, places, strict=True)
+    ]
+    changed = "+" if git("status", "--porcelain", "--untracked-files=no") else ""
+    return {
+        "command": shlex.join(["python", *shown]),
+        "commit": (git("rev-parse", "--short=7", "HEAD") or "unknown") + changed,
+        "machine": machine("cpu"),
+        "date": datetime.now(UTC).date().isoformat(),
+    }
 
 
 def encoded(value: Any, indent: str = "") -> str:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import torch
 import trimesh
-from harness import write_record
+from harness import parsed, write_record
 from manifold3d import Manifold, Mesh64, OpType
 from rich.console import Console
 from rich.table import Table
@@ -87,7 +87,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE")
     parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
+    arguments = parsed(parser)
     torch.set_num_threads(1)
     found = {}
     for path in arguments.files:

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from harness import exit_with_verdict, write_record
+from harness import exit_with_verdict, parsed, write_record
 from PIL import Image
 from rich.console import Console
 from rich.table import Table
@@ -38,6 +38,7 @@ from objectfolder.touch.taxim import Pack, read_pack
 FITTED = 7  # photographs
 SEEDS = 0, 1, 2
 LIGHTS = 6
+WANTED = "GelSight, seed 0: 25 dB of lights, 28 dB with the residual, poses found"
 TARGETS = {"physical, poses found": 25.0, "with residual, poses found": 28.0}  # dB, GelSight, seed 0
 
 
@@ -209,7 +210,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="file for the figures")
     parser.add_argument("--picture", type=Path, help="file for a picture of the first seed")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the profiles of the first seed")
-    given = parser.parse_args()
+    given = parsed(parser)
     console = Console(width=max(Console().width, 150))
     rows: list[dict[str, Any]] = []
     missed = []
@@ -241,7 +242,7 @@ def main() -> None:
                 if isinstance(value, float):
                     table.add_row(name, f"{value:.1f}")
             console.print(table)
-            write_record(given.json, {"light": rows})
+            write_record(given.json, {"light": rows}, WANTED, missed)
     exit_with_verdict(missed, console)
 
 

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from harness import write_record
+from harness import parsed, write_record
 from PIL import Image, ImageDraw
 from rich.console import Console
 from rich.table import Table
@@ -72,7 +72,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path, metavar="DIR", help="with 0.csv and 1.csv")
     parser.add_argument("--json", type=Path, help="file for the figures")
     parser.add_argument("--picture", type=Path, help="file for a drawing")
-    given = parser.parse_args()
+    given = parsed(parser)
     profile = sensor()
     rows, drawn = [], []
     for name, title in PRESSES.items():

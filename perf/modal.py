@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse.linalg as sla
 import torch
-from harness import exit_with_verdict, fresh, run_job, write_record
+from harness import exit_with_verdict, fresh, parsed, run_job, write_record
 from rich.console import Console
 from rich.table import Table
 
@@ -200,7 +200,7 @@ def main() -> None:
     parser.add_argument("keys", nargs="*", help="objects (default: all of params.yaml)")
     parser.add_argument("--workspace", type=Path, default=ROOT, help="holds params.yaml and build/")
     parser.add_argument("--json", type=Path, help="file for the figures")
-    arguments = parser.parse_args()
+    arguments = parsed(parser)
     keys = arguments.keys or list(params.read(arguments.workspace / "params.yaml")["objects"])
     console = Console(width=max(Console().width, 120))
     rows = [{"object": key} | fresh(__file__, "measure", arguments.workspace, key) for key in keys]
@@ -213,8 +213,12 @@ def main() -> None:
     ]
     peers = [{"object": key} | fresh(__file__, "compare", arguments.workspace, key) for key in small]
     show(rows, peers, console)
-    write_record(arguments.json, {"objects": rows, "peers": peers})
-    exit_with_verdict(misses(rows, peers), console)
+    missed = misses(rows, peers)
+    faster = ", ".join(f"{times:g} times ({name.replace('_', ' ')})" for name, times in MIN_FASTER.items())
+    write_record(
+        arguments.json, {"objects": rows, "peers": peers}, f"{MAX_SECONDS:g} s; faster by {faster}", missed
+    )
+    exit_with_verdict(missed, console)
 
 
 if __name__ == "__main__":

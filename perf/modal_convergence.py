@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import scipy.linalg
-from harness import write_record
+from harness import parsed, write_record
 from modal_accuracy import STUFF, box, pipe_modes, tube
 from numpy.polynomial import legendre
 from rich.console import Console
@@ -195,7 +195,7 @@ def main() -> None:
     parser.add_argument("--tetrahedra", action="store_true", help="solve the tetrahedra again")
     parser.add_argument("--picture", type=Path)
     parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
+    arguments = parsed(parser)
     rows = []
     for case in cases(arguments.tetrahedra):
         worst = np.array([np.abs(errors(case, resolution)).max() for resolution in RESOLUTIONS])

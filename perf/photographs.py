@@ -8,7 +8,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from harness import write_record
+from harness import parsed, write_record
 from rich.console import Console
 from rich.table import Table
 
@@ -56,7 +56,7 @@ def main() -> None:
     parser.add_argument("--root", type=Path, default=Path(), help="workspace whose build/ has the views")
     parser.add_argument("--observations", type=Path, required=True, help="folder with a folder per object")
     parser.add_argument("--json", type=Path, help="file for the figures")
-    given = parser.parse_args()
+    given = parsed(parser)
     rows = scores(given.model, given.root, given.observations)
     conditions = list(next(iter(rows.values())))
     table = Table("object", *conditions, title="IoU of IMAGE2MESH")

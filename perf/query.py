@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 from statistics import median
 
-from harness import exit_with_verdict, fresh, require, run_job, write_record
+from harness import exit_with_verdict, fresh, parsed, require, run_job, write_record
 from rich.console import Console
 from rich.table import Table
 
@@ -163,7 +163,7 @@ def main() -> None:
     parser.add_argument("files", nargs="*", help="Object Files")
     parser.add_argument("--mixed", type=int, help="number of mixed queries of the first file")
     parser.add_argument("--json", type=Path, help="file for the figures")
-    arguments = parser.parse_args()
+    arguments = parsed(parser)
     rows = []
     for path in arguments.files:
         row = require(fresh(__file__, "speed", path))
@@ -174,8 +174,9 @@ def main() -> None:
         rows[0] |= require(fresh(__file__, "mixed", arguments.files[0], arguments.mixed))
     console = Console(width=max(Console().width, 130))
     show(rows, console)
-    write_record(arguments.json, {"objects": rows})
-    exit_with_verdict(misses(rows), console)
+    missed = misses(rows)
+    write_record(arguments.json, {"objects": rows}, f"in the table; median file {MEDIAN_KB:g} KB", missed)
+    exit_with_verdict(missed, console)
 
 
 if __name__ == "__main__":

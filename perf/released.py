@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from harness import write_record
+from harness import parsed, write_record
 
 from objectfolder.nets.released.gains import ReleasedGains
 from objectfolder.nets.released.kilo import ReleasedKilo
@@ -77,7 +77,7 @@ def milliseconds(ask, repeats=3):
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=Path, help="file for the figures")
-    arguments = parser.parse_args()
+    arguments = parsed(parser)
     torch.set_num_threads(1)
     torch.manual_seed(0)
     pose, light = look_at(np.array([1.5, -1.6, 1.2]))[0], np.array([0, 0.6, 0.8])
@@ -115,7 +115,7 @@ def main():
     }
     for name, value in rows.items():
         print(f"{name:45}{value:12,.1f} ms")
-    write_record(arguments.json, rows)
+    write_record(arguments.json, {"queries": rows})
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from pathlib import Path
 import igl
 import numpy as np
 import torch
-from harness import exit_with_verdict, fresh, run_job, write_record
+from harness import exit_with_verdict, fresh, parsed, run_job, write_record
 from rich.console import Console
 from rich.table import Table
 
@@ -421,6 +421,16 @@ def show(rows: list[dict], title: str, form: dict[str, tuple[str, str]], console
         console.print(f"left out: {reason}", markup=False, soft_wrap=True)
 
 
+def described_targets(command: str) -> str:
+    """Return the targets of a command in words."""
+    if command in LIMITS:
+        return ", ".join(f"{name} {limit:g} dB" for name, limit in LIMITS[command].items())
+    if command == "dataset":
+        return f"{MAX_DATASET_S:g} s, {MAX_MB:g} MB"
+    limits = ", ".join(f"{name} {limit:g} ms" for name, limit in MAX_MS.items())
+    return limits + (f"; {MIN_FASTER:g} times as fast as TACTO's renderer" if command == "speed" else "")
+
+
 def misses(command: str, rows: list[dict]) -> list[str]:
     """Targets that are missed; what has no reference misses none."""
     missed = [f"{row['object']}: {row['failed']}" for row in rows if "failed" in row]
@@ -475,7 +485,7 @@ def main() -> None:
             "--resolution", type=int, nargs="+", default=[192], help="of the stored grids (net)"
         )
         command.add_argument("--steps", type=int, default=1000, help="of training (image)")
-    arguments = parser.parse_args()
+    arguments = parsed(parser)
     console = Console(width=max(Console().width, 160))
     rows = []
     for key, (source, scale) in sources(arguments).items():
@@ -502,8 +512,9 @@ def main() -> None:
         "image": ("TouchNet image, PSNR in dB beside the mean image's", IMAGES),
     }
     show(rows, *titles[arguments.command], console)
-    write_record(arguments.json, {arguments.command: rows})
-    exit_with_verdict(misses(arguments.command, rows), console)
+    missed = misses(arguments.command, rows)
+    write_record(arguments.json, {arguments.command: rows}, described_targets(arguments.command), missed)
+    exit_with_verdict(missed, console)
 
 
 if __name__ == "__main__":

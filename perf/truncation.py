@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from harness import write_record
+from harness import parsed, write_record
 from rich.console import Console
 from rich.table import Table
 
@@ -34,7 +34,7 @@ def main() -> None:
     parser.add_argument("object", help="key of an object whose stage modal has run")
     parser.add_argument("--keep", type=int, nargs="+", default=[64, 128, 256], metavar="N")
     parser.add_argument("--json", type=Path, help="file for the figures")
-    given = parser.parse_args()
+    given = parsed(parser)
     build = Build(given.object)
     report = read_json(build.modal)
     points = read_npz(build.modes, "points")["points"]

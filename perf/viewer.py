@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from harness import exit_with_verdict, write_record
+from harness import exit_with_verdict, parsed, write_record
 from rich.console import Console
 from rich.table import Table
 
@@ -196,7 +196,7 @@ def main() -> None:
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE")
     parser.add_argument("--contacts", type=int, default=200)
     parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
+    options = parsed(parser)
     rows = [measure(path, options.contacts) for path in options.files]
     script, page = (len(text.encode()) / 1000 for text in (static_text("viewer.js"), viewer_page({})))
     table = Table("object", *TITLES.values())

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from harness import exit_with_verdict, fresh, run_job, write_record
+from harness import exit_with_verdict, fresh, parsed, run_job, write_record
 from rich.console import Console
 from rich.table import Table
 
@@ -58,6 +58,14 @@ MAX_TRAINING_SECONDS = 60.0
 MAX_TRAINING_MB = 3072.0
 MIN_DB = {"psnr": 41.0, "psnr_worst": 34.0, "psnr_lit_foreground": 32.0}  # of test views
 MAX_QUERY_MS = {"ms_single": 25.0, "ms_adaptive": 40.0}  # of a view at 256 x 256
+TARGETS = {
+    "renderers": f"mitsuba: {MAX_GROUND_TRUTH_SECONDS:g} s for {TRAIN_VIEWS} views; "
+    f"all: {MAX_RENDERING_MB:g} MB",
+    "training": f"{MAX_TRAINING_SECONDS:g} s, {MAX_TRAINING_MB:g} MB, "
+    + ", ".join(f"{name} {limit:g} dB" for name, limit in MIN_DB.items()),
+    "query": ", ".join(f"{name} {limit:g}" for name, limit in MAX_QUERY_MS.items()),
+    "primary": "",
+}
 OSF_SAMPLES = (64, 128)  # the paper's (supplementary E), as is the shape
 OSF_SHAPE = {"width": 256, "depth": 8, "branch_width": 128, "branch_depth": 4}
 OSF_OCTAVES = {"point_octaves": 10, "direction_octaves": 4}
@@ -473,7 +481,7 @@ def main() -> None:
         command.add_argument("--json", type=Path, help="file for the figures")
         if name != "training":
             command.add_argument("--views", type=int, default=12, help="drawn by each")
-    arguments = parser.parse_args()
+    arguments = parsed(parser)
     workspace, command = arguments.workspace, arguments.command
     keys = arguments.keys or list(params.read(workspace / "params.yaml")["objects"])
     console = Console(width=max(Console().width, 180))
@@ -494,7 +502,7 @@ def main() -> None:
         rows.append({"object": "any", "net": "osf"} | fresh(__file__, "query_osf"))
         missed = misses_query(rows)
         show_query(rows, console)
-    write_record(arguments.json, {command: rows})
+    write_record(arguments.json, {command: rows}, TARGETS[command], missed)
     exit_with_verdict(missed, console)
 
 

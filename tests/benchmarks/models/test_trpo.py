@@ -40,9 +40,9 @@ class Follow(gymnasium.vector.VectorEnv):
         self.single_action_space = spaces.Box(-1, 1, (1,), np.float32)
 
     def _seen(self):
-        return np.stack([(self.target - self.place) * self.shown, np.full(self.num_envs, self.step_)], 1).astype(
-            np.float32
-        )
+        return np.stack(
+            [(self.target - self.place) * self.shown, np.full(self.num_envs, self.step_)], 1
+        ).astype(np.float32)
 
     def _begin(self):
         self.target, self.place = self.rng.uniform(-1, 1, self.num_envs), np.zeros(self.num_envs)
