@@ -118,3 +118,9 @@ def test_an_object_may_have_a_material_of_its_own():
 def test_a_material_of_its_own_that_is_none_is_refused(described, message):
     with pytest.raises(ObjectFolderError, match=message):
         own_material(described)
+
+
+def test_rayleigh_damping_is_half_of_alpha_and_beta_times_the_eigenvalue():
+    """Steel of Table 1 at 1 kHz: (5 + 3e-8 (2 pi 1000)^2) / 2 = 3.0922 per second."""
+    assert material("steel").damping(np.array([(2 * np.pi * 1000) ** 2])) == pytest.approx(3.09218, rel=1e-5)
+    assert material("wood").damping(np.zeros(1)) == pytest.approx(30)

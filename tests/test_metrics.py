@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from objectfolder.metrics import gain_errors, psnr, ssim
+from objectfolder.metrics import SpectrogramErrors, gain_errors, psnr, ssim
 
 
 def test_psnr_of_known_errors():
@@ -70,3 +71,25 @@ def test_gain_errors_of_known_predictions(rng):
     wrong[:, :, 0] += 9
     assert gain_errors(wrong, truth, np.array([0, 1, 1, 1]), weights)["gain_error"] == 0
     assert gain_errors(truth, 0 * truth, weights, weights)["gain_error"] == 0
+
+
+def test_modes_weigh_by_energy_and_by_the_square_of_their_gain():
+    """Two modes of equal shapes, the second off by a tenth: its share of the weight times 0.1 squared."""
+    truth = np.ones((5, 3, 2))
+    wrong = truth * [1, 1.1]
+    errors = gain_errors(wrong, truth, np.array([3.0, 1.0]), np.array([1.0, 2.0]))
+    assert errors["gain_error"] == pytest.approx(0.1 * np.sqrt(1 / 4))
+    assert errors["gain_error_frobenius"] == pytest.approx(0.1 * np.sqrt(4 / 5))
+
+
+def test_spectrograms_are_scored_in_the_range_of_the_truth():
+    """Real and imaginary parts from -2 to 6, off by 0.8 and silent in turn: a tenth of the range is 20 dB."""
+    truth = torch.tensor([[[-2 + 6j, 2 + 2j]], [[0j, 1 + 1j]]])
+    errors = SpectrogramErrors()
+    errors.add(truth[:1] + (0.8 + 0.8j), truth[:1])
+    errors.add(truth[1:] + (0.8 + 0.8j), truth[1:])
+    scores = errors.scores()
+    assert scores["psnr"] == pytest.approx(20, abs=1e-4)
+    assert scores["psnr_mean"] == pytest.approx(20, abs=1e-4)
+    power = (4 + 36 + 4 + 4 + 1 + 1) / 8
+    assert scores["baseline_silence"] == pytest.approx(10 * np.log10(64 / power))

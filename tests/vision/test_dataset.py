@@ -153,3 +153,13 @@ def test_a_tile_that_is_larger_than_the_object_begins_where_it_may_begin():
 
 def test_whole_views_say_their_principal_point():
     np.testing.assert_array_equal(split(Noisy(), 4, halves=False)["center"], np.full((4, 2), 16.0))
+
+
+def test_cameras_are_on_the_sphere_of_radius_two_and_a_half_and_lights_on_that_of_one():
+    shots = Shots.views(100, SMALL, np.random.default_rng(0))
+    places, axes = shots.camera_to_world[:, :3, 3], shots.camera_to_world[:, :3, :3]
+    np.testing.assert_allclose(np.linalg.norm(places, axis=1), 2.5)
+    np.testing.assert_allclose(np.linalg.norm(shots.light, axis=1), 1)
+    np.testing.assert_allclose(2.5 * axes[..., 2], places, atol=1e-9)  # they look at the origin
+    for drawn, radius in ((places, 2.5), (shots.light, 1)):  # all around: deviation of a mean 0.06
+        assert (np.abs(drawn.mean(0)) < 0.2 * radius).all()

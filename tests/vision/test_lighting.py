@@ -226,3 +226,9 @@ def test_lights_are_checked(brick, given, message):
 def test_a_light_is_checked(make, message):
     with pytest.raises(ObjectFolderError, match=message):
         make()
+
+
+def test_the_way_to_a_light_is_from_the_point_to_the_light():
+    points = torch.tensor([[0.0, 0, 0], [1, 2, 3]])
+    np.testing.assert_allclose(toward(torch.tensor([1.0, 0, 0]), points), [[1, 0, 0], [0, -2, -3]])
+    np.testing.assert_allclose(toward(torch.tensor([0.0, 0, 1, 0]), points), [[0, 0, 1], [0, 0, 1]])
