@@ -215,29 +215,55 @@ class SurfaceNet(nn.Module):
 
         @torch.inference_mode()
         def shade(samples: SurfaceSamples, light: torch.Tensor, pixel: np.ndarray) -> torch.Tensor:
-            one, group, few, share = (
-                torch.from_numpy(index).to(device) for index in _shared(pixel, samples.lit, samples.normals)
-            )
-            samples, light = samples.to(device), light.to(device)
-            base_color, normals = baked.look_of(samples)
-            direct = net.direct(samples, light, base_color, normals)
-            each, looks = samples, [base_color, normals, direct]
-            several = len(one) < len(pixel)  # samples in some pixels
-            if several:
-                each, looks = samples.select(one), [take_rows(v, one) for v in looks]
-            gathered = baked.radiosity.gathered(each, light)
-            radiances = gathered, net.mirrored(baked, each, light, *looks[:2])
-            corrections = []
-            for part in few.split(CHUNK):
-                some = each.select(part)
-                values = (take_rows(v, part) for v in (*looks[1:], *radiances))
-                inputs = net.bounce_inputs(some, light, *values)
-                corrections.append(net.corrections(inputs, column_major(some.interpolated(baked.transport))))
-            shared = take_rows(light_terms(concatenate(corrections)), share)
-            diffuse, glossy = (v if not several else take_rows(v, group) for v in gained(shared, *radiances))
-            return (direct + base_color * diffuse + glossy).cpu()
+            return net.radiance(baked, samples, light, pixel, device).cpu()
 
         return shade
+
+    def radiance(
+        self,
+        baked: "Baked",
+        samples: SurfaceSamples,
+        light: torch.Tensor,
+        pixel: np.ndarray,
+        device: torch.device | str = "cpu",
+    ) -> torch.Tensor:
+        """Return the linear radiance of samples, (S, 3), on a device; see `shader`.
+
+        Gradients flow from points, weights, normals and directions of the samples, and from the light. What
+        mirrored rays see, and which patch is nearest, is constant.
+
+        Parameters
+        ----------
+        baked : Baked
+            Of the surface, on the device, as the net.
+        samples : SurfaceSamples
+        light : (3,) or (4,) tensor
+        pixel : (S,) int array
+            See `objectfolder.vision.view.Shader`.
+        device : torch.device or str
+        """
+        one, group, few, share = (
+            torch.from_numpy(index).to(device)
+            for index in _shared(pixel, samples.lit, samples.normals.detach())
+        )
+        samples, light = samples.to(device), light.to(device)
+        base_color, normals = baked.look_of(samples)
+        direct = self.direct(samples, light, base_color, normals)
+        each, looks = samples, [base_color, normals, direct]
+        several = len(one) < len(pixel)  # samples in some pixels
+        if several:
+            each, looks = samples.select(one), [take_rows(v, one) for v in looks]
+        gathered = baked.radiosity.gathered(each, light)
+        radiances = gathered, self.mirrored(baked, each, light, *looks[:2])
+        corrections = []
+        for part in few.split(CHUNK):
+            some = each.select(part)
+            values = (take_rows(v, part) for v in (*looks[1:], *radiances))
+            inputs = self.bounce_inputs(some, light, *values)
+            corrections.append(self.corrections(inputs, column_major(some.interpolated(baked.transport))))
+        shared = take_rows(light_terms(concatenate(corrections)), share)
+        diffuse, glossy = (v if not several else take_rows(v, group) for v in gained(shared, *radiances))
+        return direct + base_color * diffuse + glossy
 
     @torch.no_grad()
     def bake(self, surface: Isosurface) -> "Baked":

@@ -11,6 +11,7 @@ import torch
 
 from objectfolder.checks import real_array, require_memory
 from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.arguments import Rows, broadcast_rows, finite_rows
 from objectfolder.objectfile.reading import StoredNet, damaged_net, once, report_damage
 from objectfolder.vision.cameras import FARTHEST, Intrinsics, look_at, require_rigid
@@ -60,15 +61,20 @@ class SurfaceSense:
         self._stored = stored
         self._lock = threading.RLock()
 
+    @property
+    def surface(self) -> Isosurface:
+        """The stored surface, unit frame."""
+        return self._stored.surface.read()
+
     @once
     def _shader(self) -> Shader:
-        surface = self._stored.surface.read()
+        surface = self.surface
         with report_damage(self._stored.key, "vision net"):
             return self.net.shader(surface, self._stored.device)
 
     def drawer(self, supersample: bool) -> Drawer:
         """Return the function that draws views."""
-        picture = partial(draw, self._stored.surface.read(), self._shader, supersample=supersample)
+        picture = partial(draw, self.surface, self._shader, supersample=supersample)
         return _checked(picture, self._stored.key)
 
     @torch.no_grad()
@@ -157,7 +163,7 @@ def view_images(
     ObjectFolderError
         If shapes do not fit, values are not finite, or there is no light.
     """
-    poses, lights = _poses_and_lights(camera, light, lamps)
+    poses, lights = poses_and_lights(camera, light, lamps)
     _require_room(len(poses), intrinsics, bytes_per_pixel=12)
     images = np.empty((len(poses), intrinsics.height, intrinsics.width, 3), np.float32)
     for image, pose, lit_by in zip(images, poses, lights):
@@ -183,7 +189,7 @@ def render_views(
     scale : float
         Longest side, metres.
     """
-    poses, lights = _poses_and_lights(camera, light, lamps)
+    poses, lights = poses_and_lights(camera, light, lamps)
     _require_room(len(poses), intrinsics, bytes_per_pixel=44)
     size = len(poses), intrinsics.height, intrinsics.width
     views = Views(*(np.empty((*size, *last), np.float32) for last in ((3,), (4,), (), (3,))))
@@ -204,10 +210,17 @@ def _require_room(count: int, intrinsics: Intrinsics, bytes_per_pixel: int) -> N
     )
 
 
-def _poses_and_lights(
+def poses_and_lights(
     camera: Rows, light: Rows | None, lamps: Sequence[Lamp]
 ) -> tuple[np.ndarray, list[list[Lamp]]]:
-    """Camera-to-world matrices (N, 4, 4) and the lights of each."""
+    """Check cameras and lights; parameters and errors are those of `view_images`.
+
+    Returns
+    -------
+    poses : (N, 4, 4) float64 array, camera to world
+    lamps : list of lists of Lamp
+        Of each camera.
+    """
     places = real_array("camera", camera)
     if places.ndim in (2, 3) and places.shape[-2:] == (4, 4):
         poses = places.reshape(-1, 4, 4)

@@ -147,13 +147,16 @@ def look_at(
     if not np.isfinite(positions).all() or (distance <= 1e-9).any():
         raise ObjectFolderError("camera positions must be finite and away from the point they look at")
     backward = backward / distance
-    polar = np.abs(backward[:, 2:]) >= 0.98
-    up = np.where(polar, [0.0, 1.0, 0.0], [0.0, 0.0, 1.0])
-    right = np.cross(up, backward)
+    right = np.cross(up_directions(backward), backward)
     right /= np.linalg.norm(right, axis=1, keepdims=True)
     pose = np.tile(np.eye(4), (len(positions), 1, 1))
     pose[:, :3, :] = np.stack([right, np.cross(backward, right), backward, positions], 2)
     return pose
+
+
+def up_directions(backward: np.ndarray) -> np.ndarray:
+    """Return the directions that are up for cameras of `look_at` with these unit backward axes; (N, 3)."""
+    return np.where(np.abs(backward[:, 2:]) >= 0.98, [0.0, 1.0, 0.0], [0.0, 0.0, 1.0])
 
 
 def require_rigid(poses: np.ndarray) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -88,7 +88,7 @@ class Radiosity:
         -------
         (S, 3) float32 tensor, radiance, on the light's device
         """
-        gathered, _ = self._solution(tuple(light.tolist()))
+        gathered, _ = self._under(light)
         return self._at(gathered, samples.nearest_corner.cpu()).to(light.device)
 
     def mirrored(
@@ -113,10 +113,11 @@ class Radiosity:
         radiance : (K, 3) float32 tensor
             What these see; both on the device of the samples.
         """
-        _, outgoing = self._solution(tuple(light.tolist()))
+        _, outgoing = self._under(light)
         some = self._sees.index_select(0, samples.nearest_corner.cpu()).nonzero()[:, 0]
         points, outward, mirror, view = (
-            take_rows(v.cpu(), some) for v in (samples.points, samples.normals, normals, samples.directions)
+            take_rows(v.detach().cpu(), some)
+            for v in (samples.points, samples.normals, normals, samples.directions)
         )
         starts = points + START * self._surface.grid.spacing * outward
         away = view - 2 * dot(mirror, view) * mirror
@@ -125,25 +126,27 @@ class Radiosity:
         shown = self._at(outgoing, nearest_corners(corners, torch.from_numpy(weights)))
         return some[torch.from_numpy(ray)].to(normals.device), shown.to(normals.device)
 
-    def _solve(self, light: tuple[float, ...]) -> tuple[torch.Tensor, torch.Tensor]:
+    def _under(self, light: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return light gathered by each patch, as if it were white, and its radiosity; (P, 3) each."""
-        where = torch.tensor(light)
-        lit = is_lit(self._surface, self._points, self._normals, where).nonzero()[:, 0]
+        if light.requires_grad or light.dtype == torch.float64:
+            return self._solve(light)
+        return self._solution(tuple(light.tolist()))
+
+    def _solve(self, light: torch.Tensor | tuple[float, ...]) -> tuple[torch.Tensor, torch.Tensor]:
+        where = light if isinstance(light, torch.Tensor) else torch.tensor(light)
+        lit = is_lit(self._surface, self._points, self._normals, where.detach().float()).nonzero()[:, 0]
         to_light = toward(where, take_rows(self._points, lit))
         cosine = (to_light * take_rows(self._normals, lit)).sum(1).clamp(min=0)
-        received = np.zeros(PATCHES, np.float32)
-        received[self._involved[lit.numpy()]] = (cosine / to_light.square().sum(1) ** 1.5).numpy()
-        # One colour at a time: a sparse product of three takes twice as long.
-        gathered = np.zeros((3, PATCHES), np.float32)
-        for _ in range(BOUNCES):
-            gathered = np.stack([self._seen @ c for c in self._reflectance * (received + gathered)])
-        given_off = self._reflectance * (received + gathered)
-        return torch.from_numpy(gathered.T.copy()), torch.from_numpy(given_off.T.copy())
+        place = torch.from_numpy(self._involved).index_select(0, lit)
+        falling = cosine / to_light.square().sum(1) ** 1.5
+        received = falling.new_zeros(PATCHES).index_copy(0, place, falling)
+        found: tuple[torch.Tensor, torch.Tensor] = Bounced.apply(received, self._seen, self._reflectance)
+        return found
 
     def _at(self, values: torch.Tensor, vertex: torch.Tensor) -> torch.Tensor:
         """Interpolate values (P, C) of patches at vertices (S,); (S, C)."""
-        rows = (table.index_select(0, vertex) for table in (self._patches, self._weights))
-        return column_major(weighted_rows(values, *rows))
+        rows, weights = (table.index_select(0, vertex) for table in (self._patches, self._weights))
+        return column_major(weighted_rows(values, rows, weights.to(values.dtype)))
 
     def _form_factors(
         self, tree: "cKDTree", points: np.ndarray, normals: np.ndarray, directions: np.ndarray
@@ -162,6 +165,44 @@ class Radiosity:
         patch = tree.query(_oriented(hits, met.numpy()))[1]
         share = np.full(len(ray), 1 / SIDE**2, np.float32)
         return sp.csr_matrix((share, (ray // SIDE**2, patch)), shape=(PATCHES, PATCHES))
+
+
+class Bounced(torch.autograd.Function):
+    """Light that patches gather and give off, linear in the light that they receive from outside."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, received: torch.Tensor, seen: "sp.csr_matrix", reflectance: np.ndarray
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return what patches gather, as if they were white, and give off; (P, 3) each.
+
+        Parameters
+        ----------
+        received : (P,) tensor
+        seen : (P, P) sparse matrix
+            Form factors.
+        reflectance : (3, P) array
+        """
+        ctx.patches = seen, reflectance
+        direct = received.numpy()
+        # One colour at a time: a sparse product of three takes twice as long.
+        gathered = np.zeros((3, len(direct)), direct.dtype)
+        for _ in range(BOUNCES):
+            gathered = np.stack([seen @ c for c in reflectance * (direct + gathered)])
+        given_off = reflectance * (direct + gathered)
+        return torch.from_numpy(gathered.T.copy()), torch.from_numpy(given_off.T.copy())
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Any) -> tuple[torch.Tensor, None, None]:
+        """Return the gradient of the received light, by the transposed bounces in reverse order."""
+        seen, reflectance = ctx.patches
+        of_gathered, of_given = (g.numpy().T for g in gradients)
+        of_direct = reflectance * of_given
+        of_gathered = of_gathered + of_direct
+        for _ in range(BOUNCES):
+            of_gathered = reflectance * np.stack([seen.T @ c for c in of_gathered])
+            of_direct = of_direct + of_gathered
+        return torch.from_numpy(of_direct.sum(0)).to(gradients[0].dtype), None, None
 
 
 def _blockwise(points: np.ndarray) -> np.ndarray:

@@ -7,13 +7,14 @@ import torch
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.gradients.sound import Sound
 from objectfolder.objectfile.gradients.touch import Touch
+from objectfolder.objectfile.gradients.view import View
 from objectfolder.objectfile.parts import StoredParts
 
 DTYPES = (torch.float32, torch.float64)
 
 
 class Answers:
-    """How an object sounds and feels, as torch modules whose answers carry gradients.
+    """How an object looks, sounds and feels, as torch modules whose answers carry gradients.
 
     They compute on the CPU; their weights are copies, and need no gradients.
 
@@ -44,3 +45,8 @@ class Answers:
     def touch(self) -> Touch:
         """Poses of a tactile sensor in, images and contacts out."""
         return Touch(self._parts.touch, self._dtype)
+
+    @cached_property
+    def view(self) -> View:
+        """Cameras and lights in, images out."""
+        return View(self._parts.vision, self._dtype)
