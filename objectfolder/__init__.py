@@ -8,9 +8,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from objectfolder.objectfile.dataset import Dataset
     from objectfolder.objectfile.file import ObjectFile
 
-__all__ = ["ObjectFile"]
+__all__ = ["Dataset", "ObjectFile"]
 
 
 def __getattr__(name: str) -> Any:
@@ -18,4 +19,6 @@ def __getattr__(name: str) -> Any:
     # and does not depend on the query code.
     if name == "ObjectFile":
         return import_module("objectfolder.objectfile.file").ObjectFile
+    if name == "Dataset":
+        return import_module("objectfolder.objectfile.dataset").Dataset
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

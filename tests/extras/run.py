@@ -57,6 +57,13 @@ EXTRAS = (
     Extra("mitsuba-llvm", (), "mitsuba", "llvm", (RENDERERS,)),
     Extra("s3", ("[s3]", "moto[s3,server]"), "dvc-s3", "s3 or outage", ("tests/engine/test_remotes.py",)),
     Extra(
+        "croissant",
+        ("mlcroissant",),
+        "mlcroissant",
+        "croissant",
+        ("tests/release/test_release.py",),
+    ),
+    Extra(
         "metaworld",
         ("[metaworld]",),
         "metaworld",

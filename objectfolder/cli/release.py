@@ -1,0 +1,90 @@
+"""Command that packs objects for others: release."""
+
+import datetime
+import re
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from objectfolder.cli.console import console
+from objectfolder.errors import ObjectFolderError, quoted
+
+
+def release(
+    out: Annotated[Path, typer.Argument(metavar="DIR", help="Folder to create.")],
+    objects: Annotated[
+        list[str] | None, typer.Argument(metavar="[OBJECT]...", help="Objects; default: all that are built.")
+    ] = None,
+    licence: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[OBJECT=]LICENCE",
+            help="Licence of an object, or of all whose mesh has no SOURCE.txt, such as CC0-1.0. Repeatable.",
+        ),
+    ] = None,
+    category: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[OBJECT=]CATEGORY",
+            help="Category of an object, or of all others. Procedural ones have one. Repeatable.",
+        ),
+    ] = None,
+    name: Annotated[str, typer.Option(help="Name of the dataset.")] = "Object Files",
+    creator: Annotated[str, typer.Option(help="Who publishes it.")] = "unnamed",
+    version: Annotated[str, typer.Option(help="Version of the dataset.")] = "1.0.0",
+    date: Annotated[str | None, typer.Option(help="Date of publication, YYYY-MM-DD; default: today.")] = None,
+    url: Annotated[str, typer.Option(help="Where it will be published.")] = "https://example.org",
+    site: Annotated[bool, typer.Option("--site/--no-site", help="Add the report on its objects.")] = True,
+) -> None:
+    """Pack built objects into a folder that can be published and loaded by others; docs/dataset.md.
+
+    It holds the Object Files, an index, a dataset card, a datasheet, Croissant metadata, licences, checksums
+    and the report. In Python, `objectfolder.Dataset("DIR")` reads it.
+
+    Example: objectfolder release dataset --name "Kitchen" --creator "A. Smith" --licence CC0-1.0
+    """
+    from objectfolder.release.entries import entry_of, released_keys
+    from objectfolder.release.words import described
+    from objectfolder.release.write import write_release
+    from objectfolder.workspace import params
+
+    if not re.fullmatch(r"\d+\.\d+\.\d+", version):
+        raise ObjectFolderError(f"--version {quoted(version)}, expected three numbers such as 1.0.0")
+    if out.exists():
+        raise ObjectFolderError(f"{out} exists already: choose another name, or delete it")
+    values = params.read()
+    keys = released_keys(objects or (), values)
+    licences, categories = (_by_key(texts or (), values["objects"]) for texts in (licence, category))
+    with console.status("reading objects") as status:
+        entries = [entry_of(key, values, licences, categories) for key in keys]
+        words = described(entries, name=name, creator=creator, version=version, date=_day(date), url=url)
+        write_release(out, entries, words, site, on_object=lambda key: status.update(f"{key} is done"))
+    size = sum(entry.bytes for entry in entries) / 1e6
+    console.print(f"{out}: {len(entries)} objects, {size:.1f} MB of Object Files", highlight=False)
+    unnamed = [entry.key for entry in entries if not entry.source]
+    if unnamed:
+        console.print(
+            f"note: no source is stated of {', '.join(unnamed)}: it is read from SOURCE.txt beside a mesh",
+            highlight=False,
+        )
+
+
+def _day(date: str | None) -> str:
+    try:
+        return (datetime.date.fromisoformat(date) if date else datetime.date.today()).isoformat()
+    except ValueError as error:
+        raise ObjectFolderError(f"--date {quoted(date)}, expected a day such as 2026-11-24") from error
+
+
+def _by_key(texts: list[str] | tuple[str, ...], known: dict[str, object]) -> dict[str, str]:
+    """Split OBJECT=TEXT; a text without an object has the key ""."""
+    found = {}
+    for text in texts:
+        key, equals, value = text.partition("=")
+        if not equals:
+            key, value = "", text
+        elif key not in known:
+            raise ObjectFolderError(f"{quoted(text)}: no object {quoted(key)} in params.yaml")
+        found[key] = value.strip()
+    return found

@@ -1,0 +1,206 @@
+"""A released dataset: a folder of Object Files with an index."""
+
+import csv
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, get_args
+
+from objectfolder.errors import ObjectFolderError, quoted, shortened
+from objectfolder.io import file_digest
+from objectfolder.objectfile.file import Device, ObjectFile
+
+INDEX = "objects.csv"  #: in a release's folder
+OBJECTS = "objects"  #: folder of the Object Files
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """What the index says of one object; a column per field. Unknown figures are None."""
+
+    key: str
+    path: str  #: of the Object File, from the release's folder
+    category: str  #: such as kitchen or tools; empty if unknown
+    material: str
+    size: float  #: longest side, metres
+    split: str  #: train, val or test, of benchmarks on unseen objects
+    modes: int
+    lowest_hz: float | None
+    vision_psnr: float | None  #: dB, on held-out views
+    gain_error: float | None  #: relative, on held-out points
+    touch_psnr: float | None  #: dB, on held-out contacts
+    bytes: int
+    sha256: str
+    licence: str  #: of the mesh that the object was made from, and so of the Object File
+    source: str  #: of the mesh
+
+
+#: Type of each column of the index, in order: str, int or float.
+COLUMNS: dict[str, type] = {field.name: (get_args(field.type) or (field.type,))[0] for field in fields(Entry)}
+
+
+class Dataset(Sequence[ObjectFile]):
+    """Object Files of a release, which `objectfolder release` writes; each is read when it is asked for.
+
+    A map-style dataset of torch, that processes of a ``DataLoader`` share without copying files. Items are
+    Object Files, which do not stack: give ``batch_size=None`` or a ``collate_fn`` that queries them. Nothing
+    is kept: keep an Object File yourself while you query it.
+
+    Parameters
+    ----------
+    folder : path
+        Of the release.
+    device : str or torch.device, optional
+        Where nets are evaluated.
+
+    Attributes
+    ----------
+    entries : tuple of Entry
+        What the index says, in its order.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the folder is no release, or its index is damaged.
+
+    Examples
+    --------
+    >>> dataset = Dataset("release")
+    >>> steel = dataset.filter(material="steel", split="train")
+    >>> bell = dataset["bell"]
+    """
+
+    def __init__(self, folder: str | Path, device: Device = "cpu"):
+        self.folder, self.device = Path(folder), device
+        self.entries = read_index(self.folder / INDEX)
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Keys of the objects."""
+        return tuple(entry.key for entry in self.entries)
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    def __getitem__(self, which: Any) -> Any:
+        """Read an object by number or key; a slice gives a dataset."""
+        if isinstance(which, slice):
+            return self._with(self.entries[which])
+        return ObjectFile.load(self.path(which), self.device)
+
+    def __iter__(self) -> Iterator[ObjectFile]:
+        return (self[number] for number in range(len(self)))
+
+    def __contains__(self, key: object) -> bool:
+        return key in self.keys
+
+    def __repr__(self) -> str:
+        return f"Dataset({str(self.folder)!r}): {len(self)} objects"
+
+    def entry(self, which: int | str) -> Entry:
+        """Return what the index says of an object, by number or key."""
+        if isinstance(which, str):
+            found = [entry for entry in self.entries if entry.key == which]
+            if not found:
+                raise ObjectFolderError(
+                    f"{self.folder}: no object {quoted(which)}; it has {shortened(', '.join(self.keys), 200)}"
+                )
+            return found[0]
+        return self.entries[which]
+
+    def path(self, which: int | str) -> Path:
+        """Return the path of an Object File, by number or key."""
+        return self.folder / self.entry(which).path
+
+    def filter(
+        self,
+        category: str | Collection[str] | None = None,
+        material: str | Collection[str] | None = None,
+        split: str | Collection[str] | None = None,
+    ) -> "Dataset":
+        """Return the objects of some categories, materials and splits; None: of all.
+
+        Raises
+        ------
+        ObjectFolderError
+            If no object of this dataset has one of the values: it is probably misspelt.
+        """
+        kept = self.entries
+        for name, values in (("category", category), ("material", material), ("split", split)):
+            if values is None:
+                continue
+            wanted = {values} if isinstance(values, str) else set(values)
+            known = {getattr(entry, name) for entry in self.entries}
+            if unknown := sorted(wanted - known):
+                raise ObjectFolderError(
+                    f"{self.folder}: no object of {name} {quoted(unknown[0])}, expected one of "
+                    f"{', '.join(sorted(filter(None, known)))}"
+                )
+            kept = tuple(entry for entry in kept if getattr(entry, name) in wanted)
+        return self._with(kept)
+
+    def verify(self) -> None:
+        """Compare every Object File with its digest in the index.
+
+        Raises
+        ------
+        ObjectFolderError
+            If one is missing or differs; the message names all of them.
+        """
+        wrong = [
+            entry.key
+            for entry in self.entries
+            if not (path := self.folder / entry.path).is_file() or file_digest(path) != entry.sha256
+        ]
+        if wrong:
+            raise ObjectFolderError(
+                f"{self.folder}: missing, or not as released: {', '.join(wrong)}; download them again"
+            )
+
+    def _with(self, entries: tuple[Entry, ...]) -> "Dataset":
+        part = object.__new__(type(self))
+        part.folder, part.device, part.entries = self.folder, self.device, entries
+        return part
+
+
+def read_index(path: Path) -> tuple[Entry, ...]:
+    """Read the index of a release.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it is missing or damaged, or names a file outside the release.
+    """
+    try:
+        with path.open(newline="") as stream:
+            rows = list(csv.DictReader(stream, strict=True))
+    except OSError as error:
+        raise ObjectFolderError(
+            f"{path.parent} is no release: cannot read {path}: {error.strerror}; "
+            "`objectfolder release DIR` writes one"
+        ) from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ObjectFolderError(f"{path} is damaged: {error}") from error
+    entries = tuple(_entry(row, f"{path}, object {number}") for number, row in enumerate(rows, 1))
+    keys = [entry.key for entry in entries]
+    if len(set(keys)) < len(keys):
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise ObjectFolderError(f"{path} is damaged: {twice} is listed twice")
+    return entries
+
+
+def _entry(row: dict[str, Any], place: str) -> Entry:
+    # Columns of newer versions are left alone.
+    if missing := [name for name in COLUMNS if row.get(name) is None]:
+        raise ObjectFolderError(f"{place}: lacks {', '.join(missing)}")
+    values: dict[str, Any] = {}
+    for name, kind in COLUMNS.items():
+        text = row[name]
+        try:
+            values[name] = text if kind is str else kind(text) if text else None
+        except ValueError as error:
+            raise ObjectFolderError(f"{place}: {name} is {quoted(text)}, expected a number") from error
+    path = Path(values["path"])
+    if path.is_absolute() or ".." in path.parts:
+        raise ObjectFolderError(f"{place}: path is {quoted(values['path'])}, expected one in the release")
+    return Entry(**values)

@@ -1,0 +1,1 @@
+"""Releases: folders of Object Files for others, with index, licences, checksums and descriptions."""

@@ -1,0 +1,129 @@
+"""README.md, a dataset card of the Hugging Face Hub, and DATASHEET.md of a release."""
+
+from collections.abc import Sequence
+
+from objectfolder.objectfile.dataset import INDEX, OBJECTS, Entry
+from objectfolder.release.words import Words, counted, spread
+
+# Identifiers of the Hub for licences as people write them; others are "other".
+_HUB_LICENCES = (
+    "apache-2.0",
+    "cc-by-4.0",
+    "cc-by-nc-4.0",
+    "cc-by-nc-sa-4.0",
+    "cc-by-sa-4.0",
+    "cc0-1.0",
+    "mit",
+)
+_SITE = "\n\n[site/index.html](site/index.html) shows every object: see, strike and touch it in a browser."
+
+
+def card(entries: Sequence[Entry], words: Words, site: bool) -> str:
+    """Return README.md: what the release is and how to load it, with the Hub's metadata."""
+    licences = sorted({entry.licence for entry in entries})
+    return f"""---
+pretty_name: {_yaml(words.name)}
+license: {_hub_licence(licences)}
+tags: [multisensory, robotics, 3d, audio, tactile, safetensors]
+size_categories: [{_size_category(len(entries))}]
+configs:
+- config_name: default
+  data_files:
+  - split: objects
+    path: {INDEX}
+---
+
+# {words.name}
+
+{words.summary}{_SITE if site else ""}
+
+Version {words.version}, {words.date}, by {words.creator}.
+Licences: {counted(entry.licence for entry in entries)}; {INDEX} gives that of each object.
+
+## Load it
+
+```python
+from objectfolder import Dataset  # pip install objectfolder
+
+dataset = Dataset(".")  # this folder
+for entry in dataset.filter(material="{entries[0].material}").entries:
+    print(entry.key, entry.size, "m")
+item = dataset["{entries[0].key}"]
+image = item.view([2.0, 1.0, 1.2], lights="studio")
+sound = item.impact(item.sample_surface(1), [0, 0, 1.0])
+touch = item.touch(item.sample_surface(1), depth=0.001)
+```
+
+`datasets.load_dataset(FOLDER)` of Hugging Face gives the index. `sha256sum -c SHA256SUMS` checks the files.
+
+## What is in it
+
+| | |
+|---|---|
+| `{OBJECTS}/` | an Object File per object, {sum(entry.bytes for entry in entries) / 1e6:.1f} MB in all |
+| `{INDEX}` | a row per object: category, material, size, split, scores, digest, licence, source |
+| `croissant.json` | metadata of Croissant 1.1 |
+| `DATASHEET.md` | how it was made, what it is for, what it is not for |
+
+| objects | median (least to most) |
+|---|---|
+| longest side, m | {spread([entry.size for entry in entries])} |
+| modes | {spread([entry.modes for entry in entries])} |
+| lowest mode, Hz | {spread([entry.lowest_hz for entry in entries])} |
+| PSNR of held-out views, dB | {spread([entry.vision_psnr for entry in entries])} |
+| error of gains at held-out points | {spread([entry.gain_error for entry in entries])} |
+| PSNR of held-out touches, dB | {spread([entry.touch_psnr for entry in entries])} |
+
+Categories: {counted(entry.category for entry in entries)}.
+Materials: {counted(entry.material for entry in entries)}.
+Split by object, for tests on unseen objects: {counted(entry.split for entry in entries)}.
+
+## Cite
+
+{words.citation}
+"""
+
+
+def datasheet(entries: Sequence[Entry], words: Words) -> str:
+    """Return DATASHEET.md, after Gebru et al., Datasheets for Datasets, 2021."""
+    sources = counted(entry.source or "not stated" for entry in entries)
+    answers = (
+        ("Motivation", words.uses),
+        (
+            "Composition",
+            words.summary + " An instance is one object; none is missing a label: the material is given.",
+        ),
+        ("Collection", f"{words.making} Meshes: {sources}."),
+        (
+            "Preprocessing",
+            "Meshes were scaled to their size and closed to solids; gaps were filled where an entry says so.",
+        ),
+        (
+            "Splits",
+            f"By object: {counted(entry.split for entry in entries)}. Scores are of held-out data.",
+        ),
+        ("Limits", words.limits),
+        ("Biases", words.biases),
+        ("Personal data", words.personal),
+        ("Social impact", words.impact),
+        (
+            "Distribution",
+            f"Licences: {counted(entry.licence for entry in entries)}. Each object has that of its mesh.",
+        ),
+        ("Maintenance", f"{words.maintenance} By {words.creator}."),
+    )
+    sections = "\n".join(f"## {title}\n\n{text}\n" for title, text in answers)
+    return f"# Datasheet of {words.name}, version {words.version}\n\n{sections}"
+
+
+def _yaml(text: str) -> str:
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def _hub_licence(licences: Sequence[str]) -> str:
+    known = licences[0].split("(")[0].strip().lower().replace(" ", "-")
+    return known if len(licences) == 1 and known in _HUB_LICENCES else "other"
+
+
+def _size_category(count: int) -> str:
+    return "n<1K" if count < 1000 else "1K<n<10K" if count < 10_000 else "n>10K"

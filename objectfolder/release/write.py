@@ -1,0 +1,68 @@
+"""Write a release."""
+
+import shutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from objectfolder.disk import new_folder
+from objectfolder.io import file_digest, write_json, write_text
+from objectfolder.objectfile.dataset import INDEX, OBJECTS, Entry
+from objectfolder.release.croissant import croissant
+from objectfolder.release.entries import index_text
+from objectfolder.release.pages import card, datasheet
+from objectfolder.release.words import Words
+from objectfolder.report.site import write_site
+from objectfolder.workspace.layout import Build
+
+SITE = "site"
+
+
+def write_release(
+    out: Path,
+    entries: Sequence[Entry],
+    words: Words,
+    site: bool = True,
+    root: Path = Path(),
+    on_object: Callable[[str], None] = lambda key: None,
+) -> None:
+    """Write a release: complete, or not at all. The same objects and words give the same bytes.
+
+    Parameters
+    ----------
+    out : Path
+        Folder to create.
+    entries : sequence of Entry
+        Of built objects.
+    words : Words
+    site : bool
+        Whether to add the report on its objects.
+    root : Path
+        Workspace.
+    on_object : callable
+        Called with the key of each object that is done.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the folder exists, or the disk is full.
+    """
+    size = sum(entry.bytes for entry in entries)
+    with new_folder("a release", out, (3 if site else 1) * size, ", or release fewer objects") as folder:
+        (folder / OBJECTS).mkdir()
+        for entry in entries:
+            shutil.copyfile(Build(entry.key, root).object_file, folder / entry.path)
+            if not site:
+                on_object(entry.key)
+        write_text(folder / INDEX, index_text(entries))
+        write_json(folder / "croissant.json", croissant(entries, words, file_digest(folder / INDEX)))
+        write_text(folder / "README.md", card(entries, words, site))
+        write_text(folder / "DATASHEET.md", datasheet(entries, words))
+        if site:
+            write_site(
+                [Build(entry.key, root).object_file for entry in entries],
+                folder / SITE,
+                on_object=on_object,
+            )
+        files = sorted(path for path in folder.rglob("*") if path.is_file())
+        sums = [f"{file_digest(path)}  {path.relative_to(folder)}" for path in files]
+        write_text(folder / "SHA256SUMS", "\n".join(sums) + "\n")
