@@ -40,7 +40,7 @@ COLUMNS: dict[str, type] = {field.name: (get_args(field.type) or (field.type,))[
 
 
 class Dataset(Sequence[ObjectFile]):
-    """Object Files of a release, which `objectfolder release` writes; each is read when it is asked for.
+    """Object Files of a release, which ``objectfolder release`` writes; each is read when it is asked for.
 
     A map-style dataset of torch, that processes of a ``DataLoader`` share without copying files. Items are
     Object Files, which do not stack: give ``batch_size=None`` or a ``collate_fn`` that queries them. Nothing
