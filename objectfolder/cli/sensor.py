@@ -128,20 +128,27 @@ def fit_sensor_profile(
 def export_sensor(
     sensor: Annotated[str, typer.Argument(help="Profile: a name (`sensor list`) or a .yaml file.")],
     taxim: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder for polycalib.npz, bg.jpg and real_bg.npy.")
-    ],
+        Path | None, typer.Option(metavar="DIR", help="Folder for polycalib.npz, bg.jpg and real_bg.npy.")
+    ] = None,
+    isaac_lab: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="The same, with the slopes that Isaac Lab looks up.")
+    ] = None,
 ) -> None:
-    """Write a sensor's colours as the simulator Taxim and NVIDIA's Isaac Lab read them.
+    """Write a sensor's colours as the simulator Taxim or NVIDIA's Isaac Lab reads them.
 
-    `objectfolder sensor export digit_real --taxim digit_real/`
+    `objectfolder sensor export digit_real --isaac-lab digit_real/`
 
     Prints what Isaac Lab's GelSightRenderCfg needs beside the files.
     """
     from objectfolder.touch.profiles import load_profile
     from objectfolder.touch.taxim import BINS, export_taxim
 
+    if (taxim is None) == (isaac_lab is None):
+        raise ObjectFolderError("give one folder: --taxim DIR or --isaac-lab DIR")
     profile = load_profile(sensor)
-    written = export_taxim(profile, taxim)
+    folder = taxim or isaac_lab
+    assert folder is not None
+    written = export_taxim(profile, folder, isaac=isaac_lab is not None)
     console.print(
         f"wrote {', '.join(map(str, written))}\nimage_height={profile.height}, image_width={profile.width}, "
         f"num_bins={BINS}, mm_per_pixel={1000 * profile.pixel_pitch:.4g}",

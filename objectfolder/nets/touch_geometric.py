@@ -120,10 +120,14 @@ class GeometricTouch:
             contact = points[part], normals[part], angles[part], pressed[part]
             contacts = press(self.surface.caster, *contact, self.profile, self.scale)
             if self._rays is None:
-                images = self._optics.render(torch.from_numpy(contacts.displacement)).cpu().numpy()
+                images = self.shown(contacts.displacement)
             else:
                 images, _ = self._rays.render(*contact)
             yield Touches(**vars(contacts), images=images, profile=self.profile)
+
+    def shown(self, displacement: np.ndarray) -> np.ndarray:
+        """Return images (N, H, W, 3) of a gel displaced by (N, H, W) metres."""
+        return self._optics.render(torch.from_numpy(displacement)).cpu().numpy()
 
     def images(
         self, points: np.ndarray, normals: np.ndarray, angles: np.ndarray, depths: np.ndarray

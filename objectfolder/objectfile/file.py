@@ -508,8 +508,9 @@ class ObjectFile:
         -------
         Touches
             Images, heights, normals, contact masks, displacements, pressures, forces, areas, penetrations and
-            obstruction. With shear, a twist or markers it is a `ShearedTouches`, which also has the gel's
-            sideways displacement, tractions, shear force, torque and the markers' flow.
+            obstruction. With shear, a twist or markers it is a `ShearedTouches`, whose images and
+            displacements are those after the motion, and which also has the gel's sideways displacement,
+            tractions, shear force, torque and the markers' flow.
 
         Raises
         ------
@@ -525,7 +526,14 @@ class ObjectFile:
         if shear is None and not motion.twist.any() and not markers:
             return found
         dots = Markers() if markers is True else markers or None
-        return sheared(found, motion.shear, motion.twist, motion.friction, dots)
+        return sheared(
+            found,
+            motion.shear,
+            motion.twist,
+            motion.friction,
+            dots,
+            lambda displacement: self._parts.touch.shown(displacement, found.profile),
+        )
 
     def touches(
         self,

@@ -132,6 +132,9 @@ class TouchSense(Protocol):
             At once, if a contact is not possible or a point is off the surface.
         """
 
+    def shown(self, displacement: np.ndarray, profile: SensorProfile) -> np.ndarray:
+        """Return images (N, H, W, 3) of a gel displaced by (N, H, W) metres; of a profile of `touches`."""
+
     def depth_maps(self, contacts: ContactPoses, tolerance: float) -> np.ndarray:
         """Return depth maps of the released sensor, metres; (N, 120, 160) float32."""
 
@@ -192,6 +195,11 @@ class GeometricSense:
             )
         return self._surface.snap(contacts.points, tolerance, UNMOVED)
 
+    def shown(self, displacement: np.ndarray, profile: SensorProfile) -> np.ndarray:
+        """Return images of a displaced gel."""
+        net = self.net if profile == self.net.profile else self.net.with_sensor(profile)
+        return net.shown(displacement)
+
     def depth_maps(self, contacts: ContactPoses, tolerance: float) -> np.ndarray:
         """Refuse: there is no released sensor."""
         raise _no_depth_maps(self._key)
@@ -227,6 +235,10 @@ class ImageSense:
         """Refuse: the net stores images alone."""
         raise self._images_only()
 
+    def shown(self, displacement: np.ndarray, profile: SensorProfile) -> np.ndarray:
+        """Refuse: the net stores images alone."""
+        raise self._images_only()
+
     def depth_maps(self, contacts: ContactPoses, tolerance: float) -> np.ndarray:
         """Refuse: the net stores images alone."""
         raise _no_depth_maps(self._key)
@@ -259,6 +271,10 @@ class DepthMapSense:
                 "no rotation"
             )
         return self.net.touches(*self._pressed(contacts, tolerance), profile)
+
+    def shown(self, displacement: np.ndarray, profile: SensorProfile) -> np.ndarray:
+        """Return images of a displaced gel."""
+        return self.net.shown(displacement, profile)
 
     def depth_maps(self, contacts: ContactPoses, tolerance: float) -> np.ndarray:
         """Return depth maps of the released sensor, metres; (N, 120, 160) float32."""

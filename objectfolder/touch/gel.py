@@ -61,7 +61,9 @@ def layer_of(profile: SensorProfile) -> Layer:
     return Layer(profile.elastomer_thickness, profile.young_modulus, profile.poisson_ratio)
 
 
-def deform(height: np.ndarray, profile: SensorProfile) -> tuple[np.ndarray, np.ndarray]:
+def deform(
+    height: np.ndarray, profile: SensorProfile, start: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Press a rigid object into the gel.
 
     A rigid gel takes the exact imprint. A soft one is an elastic layer on a rigid base in unilateral contact
@@ -81,6 +83,8 @@ def deform(height: np.ndarray, profile: SensorProfile) -> tuple[np.ndarray, np.n
     height : (N, H, W) array
         Height of the object past the undeformed surface, metres; negative is a gap. See `heightmaps`.
     profile : SensorProfile
+    start : (N, H, W) array, optional
+        Pressure of a similar contact, Pa, from which the solution is sought. Default: that of a coarser grid.
 
     Returns
     -------
@@ -101,11 +105,14 @@ def deform(height: np.ndarray, profile: SensorProfile) -> tuple[np.ndarray, np.n
     displacement, pressure = np.zeros_like(height), np.zeros_like(height)
     for i, image in enumerate(height):  # one at a time: the same bits whatever else is in the batch
         if image.max(initial=0) > 0:
-            displacement[i], pressure[i] = indent(image, profile.pixel_pitch, layer)
+            similar = None if start is None else start[i]
+            displacement[i], pressure[i] = indent(image, profile.pixel_pitch, layer, similar)
     return displacement, pressure
 
 
-def indent(height: np.ndarray, pitch: float, layer: Layer) -> tuple[np.ndarray, np.ndarray]:
+def indent(
+    height: np.ndarray, pitch: float, layer: Layer, start: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Solve one contact with an elastic layer; see `deform`.
 
     Parameters
@@ -115,6 +122,8 @@ def indent(height: np.ndarray, pitch: float, layer: Layer) -> tuple[np.ndarray, 
     pitch : float
         Metres between pixels.
     layer : Layer
+    start : (H, W) array, optional
+        Pressure of a similar contact, Pa.
 
     Returns
     -------
@@ -122,17 +131,20 @@ def indent(height: np.ndarray, pitch: float, layer: Layer) -> tuple[np.ndarray, 
     pressure : (H, W) float32, Pa
     """
     reachable = height > min(height.min(), 0)
-    pressure, displacement = _solve(height, reachable, pitch, layer)
+    pressure, displacement = _solve(height, reachable, pitch, layer, start)
     # Remove the gaps and overlaps that the tolerance leaves.
     touching = ((pressure > 0) | (displacement < height)) & reachable
     return np.where(touching, height, displacement), pressure
 
 
 def _solve(
-    height: np.ndarray, reachable: np.ndarray, pitch: float, layer: Layer
+    height: np.ndarray, reachable: np.ndarray, pitch: float, layer: Layer, start: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the pressure and the displacement under it."""
-    if min(height.shape) >= 2 * _COARSEST:
+    if start is not None:
+        pressure = start * reachable
+        displacement = respond(pressure, pitch, layer)
+    elif min(height.shape) >= 2 * _COARSEST:
         pressure, _ = _solve(halve(height), halve(reachable) > 0, 2 * pitch, layer)
         pressure = double(pressure, height.shape) * reachable
         displacement = respond(pressure, pitch, layer)

@@ -1,9 +1,11 @@
 """Touches of objects that move sideways and turn after the press."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 import numpy as np
 
+from objectfolder.touch.dragged import dragged_displacement
 from objectfolder.touch.markers import Markers, draw_markers, marker_flow
 from objectfolder.touch.simulate import Touches
 from objectfolder.touch.tangential import shear_contacts
@@ -13,8 +15,9 @@ from objectfolder.touch.tangential import shear_contacts
 class ShearedTouches(Touches):
     """What a sensor feels when the pressed object then moves sideways and turns.
 
-    Images show the press without the shear, but for markers. Vectors are along image right and image up,
-    flow along columns and rows.
+    ``images``, ``displacement`` and ``normals`` are those that the camera sees after the motion. All other
+    images belong to the points of the gel that are at their pixels before it, as do force and area: the
+    pressure is that of the press. Vectors are along image right and image up, flow along columns and rows.
     """
 
     sideways: np.ndarray  #: (N, H, W, 2) float32, m, displacement of the gel's surface
@@ -28,9 +31,16 @@ class ShearedTouches(Touches):
 
 
 def sheared(
-    touches: Touches, shear: np.ndarray, twist: np.ndarray, friction: np.ndarray, markers: Markers | None
+    touches: Touches,
+    shear: np.ndarray,
+    twist: np.ndarray,
+    friction: np.ndarray,
+    markers: Markers | None,
+    render: Callable[[np.ndarray], np.ndarray],
 ) -> ShearedTouches:
-    """Move pressed objects sideways and turn them; see `tangential.shear_contacts`.
+    """Move pressed objects sideways and turn them.
+
+    See `tangential.shear_contacts` and `dragged.dragged_displacement`.
 
     Parameters
     ----------
@@ -43,6 +53,8 @@ def sheared(
         Coefficients.
     markers : Markers, optional
         To draw into the images. Their flow is that of the default ones otherwise.
+    render : callable
+        From displacements of the gel, (K, H, W) metres, to images (K, H, W, 3).
     """
     profile = touches.profile
     found = shear_contacts(touches.pressure, shear, twist, friction, profile)
@@ -50,8 +62,20 @@ def sheared(
     places = dots.places(profile)
     flow = marker_flow(places, found.displacement, touches.displacement, profile)
     values = {field.name: getattr(touches, field.name) for field in fields(Touches)}
+    moving = np.flatnonzero(touches.mask.any(axis=(1, 2)) & (shear.any(axis=1) | (twist != 0)))
+    if len(moving):
+        seen = dragged_displacement(
+            touches.height[moving],
+            touches.pressure[moving],
+            found.dragged[moving],
+            shear[moving],
+            twist[moving],
+            profile,
+        )
+        values["displacement"], values["images"] = touches.displacement.copy(), touches.images.copy()
+        values["displacement"][moving], values["images"][moving] = seen, render(seen)
     if markers:
-        values["images"] = draw_markers(touches.images, places, flow, dots, profile)
+        values["images"] = draw_markers(values["images"], places, flow, dots, profile)
     return ShearedTouches(
         **values,
         sideways=found.displacement,

@@ -13,7 +13,7 @@ from objectfolder.touch.profiles import SensorProfile
 
 _TOLERANCE = 0.002  # of the motion: error of the surface's displacement where it sticks
 _MAX_STEPS = 400  # typically tens suffice
-_FINEST = 80  # pixels; grids with a longer shorter side are halved
+FINEST = 80  #: pixels; grids with a longer shorter side are halved
 
 
 @dataclass(frozen=True)
@@ -21,6 +21,7 @@ class Shears:
     """What friction does to the gel in N contacts. Vectors are along image right and image up."""
 
     displacement: np.ndarray  #: (N, H, W, 2) float32, m, of the gel's surface, by pressure and friction
+    dragged: np.ndarray  #: (N, H, W, 2) float32, m, the part of it that is by friction
     traction: np.ndarray  #: (N, H, W, 2) float32, Pa, of the object on the gel
     force: np.ndarray  #: (N, 2) float64, N, of the object on the gel
     torque: np.ndarray  #: (N,) float64, N m, about the optical axis, anticlockwise in the image
@@ -108,13 +109,13 @@ def shear_contacts(
     count, height, width = pressure.shape
     place = _places(profile)
     displacement = np.zeros((count, height, width, 2), np.float32)
-    traction = np.zeros_like(displacement)
+    dragged, traction = np.zeros_like(displacement), np.zeros_like(displacement)
     slipping = np.zeros(count)
     for i, image in enumerate(pressure):
         if not image.any():
             continue
         shapes, step = [], pitch
-        while min(image.shape) >= _FINEST:
+        while min(image.shape) >= FINEST:
             shapes.append(image.shape)
             image, step = halve(image), 2 * step
         grid = _grid(image.shape, step)
@@ -126,11 +127,12 @@ def shear_contacts(
             ]
         ).astype(np.float32)
         found = slide(image, motion, friction[i], step, layer)
-        moved = _respond(found, image.shape, step, layer) + _spread(image, step, layer)
+        followed = _respond(found, image.shape, step, layer)
+        moved = followed + _spread(image, step, layer)
         bound = friction[i] * image
         slips = (image > 0) & (np.hypot(*found) >= 0.999 * bound) & (np.hypot(*motion).max() > 0)
         slipping[i] = slips.sum() / (image > 0).sum()
-        for to, of in ((displacement[i], moved), (traction[i], found)):
+        for to, of in ((displacement[i], moved), (dragged[i], followed), (traction[i], found)):
             for axis in (0, 1):
                 fine = of[axis]
                 for shape in reversed(shapes):
@@ -141,7 +143,7 @@ def shear_contacts(
     force = np.array([[(of[..., axis] * area).sum() for axis in (0, 1)] for of in traction]).reshape(-1, 2)
     lever = traction[..., 1] * place[0] - traction[..., 0] * place[1]
     torque = np.array([(of * area).sum() for of in lever])
-    return Shears(displacement, traction, force, torque, slipping)
+    return Shears(displacement, dragged, traction, force, torque, slipping)
 
 
 def slide(

@@ -69,7 +69,7 @@ def read_pack(path: str | Path, profile: SensorProfile) -> Pack:
     return Pack(np.stack(resized), rest, circles)
 
 
-def color_table(profile: SensorProfile, bins: int = BINS) -> np.ndarray:
+def color_table(profile: SensorProfile, bins: int = BINS, sign: float = 1.0) -> np.ndarray:
     """Return Taxim's table of a profile: colour changes over the gel's slope; (3, bins, bins, 6) float64.
 
     The bins of the first axis are those of the slope's angle, 0 to π/2 in bins - 1 steps; those of the second
@@ -77,6 +77,13 @@ def color_table(profile: SensorProfile, bins: int = BINS) -> np.ndarray:
     camera. The last axis has the coefficients of x², y², x y, x, y, 1, with x the column and y the row of
     the profile's images, and yields grey levels. The first bin of the angle is an untouched gel. What such a
     table cannot hold is left out: optical blur, and that a displaced gel is nearer to the lights.
+
+    Parameters
+    ----------
+    profile : SensorProfile
+    bins : int
+    sign : float
+        -1 for a reader whose h grows away from the camera.
     """
     coarse = _coarse(profile)
     optics = Optics(coarse)
@@ -90,15 +97,27 @@ def color_table(profile: SensorProfile, bins: int = BINS) -> np.ndarray:
     y, x = (axis.ravel() for axis in np.meshgrid(rows, columns, indexing="ij"))
     solve = np.linalg.pinv(np.stack([x * x, y * y, x * y, x, y, np.ones_like(x)], axis=1))
     table = np.empty((3, bins, bins, 6))
-    for i, slope in enumerate(np.tan(angle)):
+    for i, slope in enumerate(sign * np.tan(angle)):
         # Columns run against y of the camera's frame, rows against z.
         change = optics.tilted(-slope * np.cos(direction), -slope * np.sin(direction))
         table[:, i] = change.reshape(3, bins, -1).astype(float) @ solve.T
     return table
 
 
-def export_taxim(profile: SensorProfile, folder: str | Path) -> list[Path]:
-    """Write ``polycalib.npz``, ``bg.jpg`` and ``real_bg.npy`` as Taxim and Isaac Lab's tactile sensor read.
+def export_taxim(profile: SensorProfile, folder: str | Path, isaac: bool = False) -> list[Path]:
+    """Write ``polycalib.npz``, ``bg.jpg`` and ``real_bg.npy`` as Taxim or Isaac Lab's tactile sensor read.
+
+    Both look a colour up by the slope of a height map in pixels. Taxim (``simulator.simulating`` in
+    ``OpticalSimulation/simOptical.py``) has heights that grow towards the camera. Isaac Lab's sensor hands
+    its renderer such heights, too, but ``GelsightRender.render`` in ``visuotactile_render.py`` turns their
+    sign before it looks up.
+
+    Parameters
+    ----------
+    profile : SensorProfile
+    folder : str or Path
+    isaac : bool
+        Write a table for Isaac Lab, not for Taxim: its directions are turned by half a circle.
 
     Returns
     -------
@@ -108,7 +127,7 @@ def export_taxim(profile: SensorProfile, folder: str | Path) -> list[Path]:
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     background = Optics(profile).background.numpy()
-    red, green, blue = color_table(profile)
+    red, green, blue = color_table(profile, sign=-1.0 if isaac else 1.0)
     table, picture, rest = (folder / name for name in ("polycalib.npz", "bg.jpg", "real_bg.npy"))
     _write(table, lambda stream: np.savez(stream, bins=BINS, grad_r=red, grad_g=green, grad_b=blue))
     _write(
@@ -119,10 +138,18 @@ def export_taxim(profile: SensorProfile, folder: str | Path) -> list[Path]:
 
 
 def _coarse(profile: SensorProfile) -> SensorProfile:
-    """Return the profile with the same view in few pixels."""
+    """Return the profile with the same view in few pixels, without its background."""
     factor = _SAMPLES / min(profile.height, profile.width)
     height, width = (max(2, round(n * factor)) for n in (profile.height, profile.width))
-    return replace(profile, height=height, width=width, slope_smoothing=0.0, image_smoothing=0.0)
+    return replace(
+        profile,
+        height=height,
+        width=width,
+        slope_smoothing=0.0,
+        image_smoothing=0.0,
+        background_image="",  # of another aspect ratio than these few pixels
+        background_sha256="",
+    )
 
 
 def _write(path: Path, save: Callable[[BinaryIO], object]) -> None:

@@ -168,18 +168,19 @@ def lookup(table, displacement, pitch):
     return np.stack([(terms * of[at]).sum(axis=-1) for of in table])
 
 
-def test_exported_table_shows_what_the_optics_show(tmp_path, real):
-    """A smooth, shallow bump, rendered with the exported files alone."""
+@pytest.mark.parametrize(("isaac", "sign"), [(False, 1), (True, -1)])
+def test_exported_table_shows_what_the_optics_show(tmp_path, real, isaac, sign):
+    """A smooth, shallow bump, rendered with the exported files alone; Isaac Lab turns the heights' sign."""
     smooth = replace(real, residual=((5.0,) * RESIDUAL_TERMS,) * 3, slope_smoothing=0.0)
     y, x = np.indices((80, 80))
     bump = 4e-4 * np.exp(-((x - 36) ** 2 + (y - 44) ** 2) / (2 * 7**2))
     moved = torch.from_numpy(bump[None].astype(np.float32))
     expected = Optics(smooth).change(moved)[0].numpy()
-    export_taxim(smooth, tmp_path)
+    export_taxim(smooth, tmp_path, isaac)
     with np.load(tmp_path / "polycalib.npz", allow_pickle=False) as archive:
         assert archive["bins"] == BINS
         table = np.stack([archive[f"grad_{color}"] for color in "rgb"])
-    found = lookup(table, bump, smooth.pixel_pitch)
+    found = lookup(table, sign * bump, smooth.pixel_pitch)
     error = np.sqrt(np.mean((found - expected)[:, 20:-20, 20:-20] ** 2))
     assert error < 0.06 * np.sqrt(np.mean(expected[:, 20:-20, 20:-20] ** 2))
     background = np.load(tmp_path / "real_bg.npy", allow_pickle=False)
@@ -188,8 +189,48 @@ def test_exported_table_shows_what_the_optics_show(tmp_path, real):
     assert np.abs(jpeg - background).max() < 8
 
 
+def test_exported_files_are_what_taxim_and_isaac_lab_read(tmp_path):
+    """Of a real sensor, whose background is a photograph.
+
+    Taxim reads ``bins``, ``grad_r``, ``grad_g`` and ``grad_b`` in ``Basics/CalibData.py`` and indexes them in
+    ``simulator.simulating`` (``OpticalSimulation/simOptical.py``) by floor(angle / (π/2 / (bins - 1))), floor
+    (direction / (2 π / (bins - 1))) and the six terms of the place. Isaac Lab does the same in
+    ``GelsightRender`` (``isaaclab_contrib/sensors/tacsl_sensor/visuotactile_render.py``), which adds
+    ``bg.jpg`` to image_height x image_width x 3 grey levels from 0 to 255.
+    """
+    sensor = load_profile("gelsight_real")
+    export_taxim(sensor, tmp_path)
+    with np.load(tmp_path / "polycalib.npz", allow_pickle=False) as archive:
+        assert {"bins", "grad_r", "grad_g", "grad_b"} == set(archive.files)
+        assert archive["bins"].shape == ()
+        assert np.issubdtype(archive["bins"].dtype, np.integer)
+        tables = [archive[f"grad_{color}"] for color in "rgb"]
+    steepest, most = (int(angle / (angle / (BINS - 1))) for angle in (np.pi / 2, 2 * np.pi))
+    for table in tables:
+        assert table.dtype == np.float64
+        assert table.ndim == 3
+        assert table.shape[2] == 6
+        assert table[steepest, most].shape == (6,)
+        assert np.isfinite(table).all()
+        middle = np.array([80.0**2, 60.0**2, 80.0 * 60.0, 80.0, 60.0, 1.0])  # grey levels there
+        assert 20 < np.abs(table[:60] @ middle).max() < 512
+    rest = np.load(tmp_path / "real_bg.npy", allow_pickle=False)
+    assert rest.shape == (sensor.height, sensor.width, 3)
+    assert rest.dtype == np.float64
+    assert 50 < rest.mean() < 255
+    with Image.open(tmp_path / "bg.jpg") as picture:
+        assert (picture.size, picture.mode, picture.format) == ((sensor.width, sensor.height), "RGB", "JPEG")
+
+
 def test_flat_gel_keeps_its_colour_in_the_table(real):
     assert not color_table(real, 8)[:, 0].any()
+
+
+@pytest.mark.parametrize("options", [[], ["--taxim", "a", "--isaac-lab", "b"]])
+def test_exports_are_for_one_simulator(options):
+    done = CliRunner().invoke(app, ["sensor", "export", "digit", *options])
+    with pytest.raises(ObjectFolderError, match="one folder"):
+        raise done.exception
 
 
 def test_commands_fit_a_pack_and_export_it(tmp_path, pictures, profile):

@@ -100,7 +100,11 @@ def test_pressed_object_can_be_sheared_and_twisted(file, points):
     assert found.marker_flow.shape == (2, len(found.markers), 2)
     assert (found.images != plain.images).any()
     without = file.press(points, depth=5e-4, shear=[2e-4, 0.0])
-    assert np.array_equal(without.images, plain.images)
+    assert (without.images != plain.images).any()
+    assert (without.images != found.images).any()
+    still = file.press(points, depth=5e-4, shear=[0.0, 0.0])
+    assert np.array_equal(still.images, plain.images)
+    assert np.array_equal(still.displacement, plain.displacement)
     rows = np.array([[2e-4, 0.0], [2e-4, 0.0]])
     assert np.array_equal(file.press(points, 5e-4, shear=rows).shear_force, without.shear_force)
 

@@ -188,15 +188,19 @@ class ReleasedDepth:
             Default: the stored one.
         """
         profile = profile or self.profile
-        if profile not in self._optics:
-            self._optics[profile] = Optics(profile)
         empty = len(points) == 0
         for row in [slice(0, 0)] if empty else [slice(i, i + 1) for i in range(len(points))]:
             maps = self.depth_maps(points[row], depths[row], tilts[row], azimuths[row])
             height = self.heights(maps, depths[row], profile)
             found = contacts_of(height, np.zeros(len(height)), profile)
-            images = self._optics[profile].render(torch.from_numpy(found.displacement)).numpy()
+            images = self.shown(found.displacement, profile)
             yield Touches(**vars(found), images=images, profile=profile)
+
+    def shown(self, displacement: np.ndarray, profile: SensorProfile) -> np.ndarray:
+        """Return a sensor's images (N, H, W, 3) of a gel displaced by (N, H, W) metres."""
+        if profile not in self._optics:
+            self._optics[profile] = Optics(profile)
+        return self._optics[profile].render(torch.from_numpy(displacement)).numpy()
 
     def heights(self, maps: np.ndarray, depths: np.ndarray, profile: SensorProfile) -> np.ndarray:
         """Compute heightmaps relative to a profile's undeformed gel; (N, H, W) float32.

@@ -1,0 +1,128 @@
+"""Surface of the gel under an object that has moved sideways and turned."""
+
+from functools import lru_cache
+
+import numpy as np
+import scipy  # scipy.ndimage loads at first use
+
+from objectfolder.touch.camera import gel_depth
+from objectfolder.touch.gel import deform, double, halve
+from objectfolder.touch.profiles import SensorProfile
+from objectfolder.touch.tangential import FINEST
+
+_ROUNDS = 4  # of the fixed point below; friction stretches the surface by a few tenths at most
+
+
+def dragged_displacement(
+    height: np.ndarray,
+    pressure: np.ndarray,
+    dragged: np.ndarray,
+    shear: np.ndarray,
+    twist: np.ndarray,
+    profile: SensorProfile,
+) -> np.ndarray:
+    """Return the displacement that the camera sees after the object has moved.
+
+    A point of the gel's surface keeps its depth when friction drags it sideways, unless the object, moved as
+    a rigid body, is elsewhere there now. So the gel is pressed once more, by the moved object's height at the
+    place to which each of its points was dragged, and its surface is then carried along. Where it sticks, the
+    imprint moves with the object, unchanged; without friction, the object slides under a gel that stays.
+    Motions are on a grid of the apex's pixel pitch, as in `gel.deform`: without perspective. What the object
+    has beyond the image is unknown; the height at the border goes on there.
+
+    Parameters
+    ----------
+    height : (N, H, W) array
+        Of the object before it moves, metres; see `heightmaps`.
+    pressure : (N, H, W) array
+        Before the object moves, Pa.
+    dragged : (N, H, W, 2) array
+        Displacement of the gel's points by friction, along image right and image up, metres.
+    shear : (N, 2) array
+        Motion of the object, along image right and image up, metres.
+    twist : (N,) array
+        Turn of the object about the optical axis, anticlockwise in the image, radians.
+    profile : SensorProfile
+        With a soft gel.
+
+    Returns
+    -------
+    (N, H, W) float32, metres towards the camera along the pixel rays. Bits of a row do not depend on others.
+    """
+    sag, axes = _rest(profile)
+    seen = np.empty(height.shape, np.float32)
+    for i, object_height in enumerate(height):
+        shift = _pixels(dragged[i], profile)
+        there = _centred(_turned_back(axes + shift - _pixels(shear[i], profile), twist[i]))
+        met = _at(object_height - sag, there) + sag
+        # The lowest height stands for any wider gap; see `gel.indent`.
+        lowest = min(object_height.min(), 0)
+        met[(_nearest(object_height, there) <= lowest) | (met < lowest)] = lowest
+        pressed = deform(met[None], profile, pressure[i : i + 1])[0][0]
+        seen[i] = _at(pressed - sag, _centred(axes - _carried(shift))) + sag
+    return seen
+
+
+def _carried(shift: np.ndarray) -> np.ndarray:
+    """Return by how much the points that are at the pixels now were shifted; (2, H, W) pixels.
+
+    Solved on a coarse grid, as the friction is, for a point's place before from that after: a fixed point.
+    """
+    shapes, coarse = [], list(shift)
+    while min(coarse[0].shape) >= FINEST:
+        shapes.append(coarse[0].shape)
+        coarse = [halve(part) for part in coarse]
+    step = np.float32(2 ** len(shapes))
+    axes = _grid(*coarse[0].shape)
+    carried = list(coarse)
+    for _ in range(_ROUNDS):
+        origin = _centred(axes - np.stack(carried) / step)
+        carried = [_at(part, origin) for part in coarse]
+    for shape in reversed(shapes):
+        carried = [double(part, shape) for part in carried]
+    return np.stack(carried)
+
+
+@lru_cache(maxsize=16)
+def _rest(profile: SensorProfile) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far the undeformed gel recedes from its apex, (H, W), and the pixels' `_grid`."""
+    sag = gel_depth(profile) - profile.camera_to_gel
+    return sag.astype(np.float32), _grid(profile.height, profile.width)
+
+
+def _grid(height: int, width: int) -> np.ndarray:
+    """Return rows and columns of pixels from the image's centre; (2, H, W) float32."""
+    rows, columns = np.indices((height, width), np.float32)
+    return np.stack([rows - (height - 1) / 2, columns - (width - 1) / 2]).astype(np.float32)
+
+
+def _pixels(motion: np.ndarray, profile: SensorProfile) -> np.ndarray:
+    """Return a motion, right and up in metres, along rows and columns; (2, H, W), or (2, 1, 1) of a (2,)."""
+    steps = np.array([-motion[..., 1], motion[..., 0]], np.float32) / np.float32(profile.pixel_pitch)
+    return steps.reshape(2, *(motion.shape[:-1] or (1, 1)))
+
+
+def _turned_back(places: np.ndarray, twist: float) -> np.ndarray:
+    """Turn rows and columns from the centre clockwise in the image."""
+    cos, sin = np.float32(np.cos(twist)), np.float32(np.sin(twist))
+    rows, columns = places
+    return np.stack([cos * rows + sin * columns, cos * columns - sin * rows])
+
+
+def _centred(places: np.ndarray) -> np.ndarray:
+    """Return pixel coordinates of places (2, H, W) from the centre."""
+    height, width = places.shape[1:]
+    return places + np.array([(height - 1) / 2, (width - 1) / 2], np.float32)[:, None, None]
+
+
+def _at(image: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Interpolate an image (H, W) at pixel coordinates (2, H, W)."""
+    found: np.ndarray = scipy.ndimage.map_coordinates(
+        image, places, np.float32, order=1, mode="nearest", prefilter=False
+    )
+    return found
+
+
+def _nearest(image: np.ndarray, places: np.ndarray) -> np.ndarray:
+    rows, columns = (np.rint(axis).astype(int).clip(0, size - 1) for axis, size in zip(places, image.shape))
+    return image[rows, columns]
