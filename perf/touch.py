@@ -156,11 +156,33 @@ def speed(source: str, scale: str, count: str) -> dict:
     return row
 
 
+def decibel_of(images: np.ndarray, truth: np.ndarray) -> float:
+    return float(psnr(np.mean((images / 255 - truth / 255) ** 2)))
+
+
+def faceted_images(
+    touched: Touched, profile: SensorProfile, heights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """TACTO's images of an object with the normals of its faces, by rays and from heightmaps."""
+    corners = touched.vertices[touched.faces].reshape(-1, 3)
+    first, second, third = corners[::3], corners[1::3], corners[2::3]
+    normals = np.cross(second - first, third - first)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    rays = TactoRays(
+        corners, np.arange(len(corners)).reshape(-1, 3), profile, touched.scale, normals.repeat(3, axis=0)
+    )
+    drawn, _ = rays.render(*touched.contacts)
+    optics = Optics(replace(profile, slope_smoothing=0.0))
+    return drawn, optics.render(torch.from_numpy(deform(heights, profile)[0])).numpy()
+
+
 def accuracy(source: str, scale: str, count: str, picture: str) -> dict:
     """Score images against the reference in this process; writes a picture of the first contacts.
 
     Means are over all pixels of an object's contacts; contact pixels are where the reference has the object
-    before the gel. Heightmaps are scored where nothing blocks the sensor.
+    before the gel. Heightmaps are scored where nothing blocks the sensor, against the reference, which shades
+    the object with its vertices' normals, and, without smoothing of slopes, against rays that see the normals
+    of its faces, which is its shape.
     """
     torch.set_num_threads(1)
     profile = load_profile(RIGID)
@@ -177,7 +199,7 @@ def accuracy(source: str, scale: str, count: str, picture: str) -> dict:
     row |= {"unobstructed": int(free.sum()), "contact_pixels": float(contact.mean())}
 
     def decibel(images: np.ndarray, of: np.ndarray) -> float:
-        return float(psnr(np.mean((images[of] / 255 - truth[of] / 255) ** 2)))
+        return decibel_of(images[of], truth[of])
 
     everywhere = np.ones_like(contact)
     row |= {"tacto": decibel(drawn, everywhere), "tacto_contact": decibel(drawn, contact)}
@@ -185,6 +207,9 @@ def accuracy(source: str, scale: str, count: str, picture: str) -> dict:
     if free.any():
         row["heightmap"] = decibel(flat, everywhere & free[:, None, None])
         row["heightmap_contact"] = decibel(flat, contact & free[:, None, None])
+        faceted = [image[free] for image in faceted_images(touched, profile, heights)]
+        row["faces"] = decibel_of(faceted[0], truth[free])
+        row["heightmap_faces"] = decibel_of(faceted[1], faceted[0])
     shown = np.concatenate([images[:SHOWN] for images in (truth, drawn, flat)])
     write_png(picture, tile(shown, columns=min(SHOWN, int(count))))
     return row
@@ -380,6 +405,8 @@ ACCURACY = {
     "unobstructed": ("unobstructed", ""),
     "heightmap": ("heightmap", ".1f"),
     "heightmap_contact": ("its contact", ".1f"),
+    "faces": ("faces' normals", ".1f"),
+    "heightmap_faces": ("heightmap, these", ".1f"),
     "heightmap_all": ("of all", ".1f"),
     "heightmap_all_contact": ("its contact", ".1f"),
 }

@@ -12,7 +12,13 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.io import atomic, file_digest, write_json, write_png
 from objectfolder.metrics import psnr
 from objectfolder.touch.ball import BallModel
-from objectfolder.touch.imprint import Imprint, check_background_seen, find_imprint, untouched_estimate
+from objectfolder.touch.imprint import (
+    Imprint,
+    check_background_seen,
+    find_imprint,
+    overflowed,
+    untouched_estimate,
+)
 from objectfolder.touch.lightfit import (
     Photograph,
     disc_of,
@@ -125,8 +131,8 @@ def fit_sensor_lights(
     """Fit places, colours and strengths of lights, the coating and the camera's exponent.
 
     Lights and the balls' poses are fitted in turn, to the pixels inside the circles of the imprints: outside
-    them, a photograph shows cast shadows, which the optics leave out. Only geometry and gel are taken from
-    the given profile. Decibels are those inside the circles.
+    them, a photograph shows cast shadows, which the optics leave out. Pixels that overflowed are left out,
+    too. Only geometry and gel are taken from the given profile. Decibels are those of the fitted pixels.
 
     Parameters
     ----------
@@ -154,7 +160,11 @@ def fit_sensor_lights(
         circles = [find_imprint(picture - rest, name) for picture, name in zip(observed, names)]
     model = BallModel(profile, radius)
     photographs = [
-        Photograph(picture, disc_of(circle, rest.shape), np.array([*circle[:2], model.depth_of(*circle)]))
+        Photograph(
+            picture,
+            disc_of(circle, rest.shape) & ~overflowed(picture),
+            np.array([*circle[:2], model.depth_of(*circle)]),
+        )
         for picture, circle in zip(observed, circles)
     ]
     fitted = starting_lights(profile, count)

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from skimage.filters import threshold_otsu
 from skimage.measure import label, regionprops
+from skimage.morphology import reconstruction
 
 from objectfolder.errors import ObjectFolderError
 
@@ -14,6 +15,9 @@ _MIN_RADIUS = 4.0  # pixels
 _MIN_CONTRAST = 4.0  # brightness of an imprint over the noise
 _MIN_FILL = 0.5  # area of an imprint over that of its convex hull
 _MAX_ELONGATION = 1.6  # length over width
+
+# A channel that overflowed is dark inside an area where it is as bright as this, by at least this much.
+_BRIGHT, _DIP = 240.0, 16.0  # grey levels
 
 # Without a picture of the untouched sensor, this part of each imprint must be free in another picture.
 _MIN_FREE = 0.5
@@ -72,6 +76,22 @@ def find_imprint(change: np.ndarray, name: str = "picture") -> tuple[float, floa
             f"{spot.solidity:.0%} of its hull); {remedy}"
         )
     return (top + bottom - 1) / 2, (left + right - 1) / 2, (height + width) / 4
+
+
+def overflowed(picture: np.ndarray) -> np.ndarray:
+    """Return where a channel of a picture (H, W, 3) overflowed; (H, W) bool.
+
+    Some cameras, or programs behind them, go on from 255 to 0. What is left of that in a picture that was
+    made smaller is a dark hole in one channel, enclosed by pixels that are white in it.
+    """
+    found = np.zeros(picture.shape[:2], bool)
+    for channel in np.moveaxis(np.asarray(picture, np.float64), -1, 0):
+        seed = np.full_like(channel, channel.max())
+        for border in np.s_[[0, -1], :], np.s_[:, [0, -1]]:
+            seed[border] = channel[border]
+        filled = reconstruction(seed, channel, method="erosion")  # without its holes
+        found |= (filled >= _BRIGHT) & (filled - channel >= _DIP)
+    return found
 
 
 def untouched_estimate(observed: np.ndarray, untouched: np.ndarray | None) -> np.ndarray:

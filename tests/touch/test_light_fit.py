@@ -11,6 +11,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.touch import lightfit
 from objectfolder.touch.ball import BallModel
 from objectfolder.touch.calibration import fit_sensor_lights
+from objectfolder.touch.imprint import overflowed
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import RESIDUAL_TERMS, Light, load_profile
 from objectfolder.touch.taxim import BINS, color_table, export_taxim, read_pack
@@ -109,6 +110,29 @@ def test_lights_need_circles_of_every_picture_and_a_ball(profile, pictures):
         fit_sensor_lights(pictures[0], 0.0, profile, pictures[1], circles())
     with pytest.raises(ObjectFolderError, match="0 lights to fit"):
         fit_sensor_lights(pictures[0], RADIUS, profile, pictures[1], circles(), count=0)
+
+
+def test_holes_in_white_have_overflowed():
+    """Red goes on from 255 to 0; dark spots that are open to the border, or in grey, are none."""
+    picture = np.full((40, 40, 3), 120, np.uint8)
+    picture[5:30, 5:30, 0] = 255
+    picture[10:14, 12:20, 0] = 60
+    picture[20:22, 25:40, 0] = 60  # open
+    picture[34:36, 10:14, 1] = 20  # in grey
+    expected = np.zeros((40, 40), bool)
+    expected[10:14, 12:20] = True
+    assert np.array_equal(overflowed(picture), expected)
+
+
+def test_pixels_that_overflowed_do_not_count(profile, pictures):
+    """Of a fit whose photographs are spoilt in a part of their discs."""
+    spoilt = pictures[0].astype(int)
+    spoilt[:, 26:34, 28:34, 0] = 255
+    spoilt[:, 28:32, 30:32, 0] = 3
+    fit = fit_sensor_lights(spoilt[:1], RADIUS, profile, pictures[1], circles()[:1], count=1)
+    worse = np.where(spoilt == 3, 200, spoilt)  # whatever their value, if it is a hole
+    again = fit_sensor_lights(worse[:1], RADIUS, profile, pictures[1], circles()[:1], count=1)
+    assert fit.profile == again.profile
 
 
 def pack(path, pictures, **changes):
