@@ -10,7 +10,8 @@ inside the circles, without those that overflowed; "all pixels" counts these, to
 held-out photograph is taken from its circle ("circles", shifted by the mean that the seven show), or found
 there by the physical lights from all of those pixels ("poses found") or from every other square of 5 x 5,
 and scored on the other squares ("halves": no pixel is scored by a pose that it helped to find). "Beside" is
-the ring from one to two radii of the circle. Writes the profiles of seed 0 to `--out`. Exits with 1 if a
+the ring from one to two radii of the circle. A polynomial fitted to the held-out photographs themselves shows
+what any model could reach there. Writes the profiles of seed 0 to `--out`. Exits with 1 if a
 target is missed.
 """
 
@@ -129,6 +130,21 @@ def regressions(sensor: Sensor, shown: list[Photograph], chosen: np.ndarray, hel
             errors.append((still + parts[i] @ weights).clip(0, 255) - still - targets[i])
         found[name] = decibels(np.concatenate(errors))
     return found
+
+
+def ceiling(
+    sensor: Sensor, photographs: list[Photograph], circles: list[tuple[float, float, float]]
+) -> float:
+    """Polynomial of degree 7 of the place in the disc, fitted to the photographs that it is scored on: dB.
+
+    What is lost because circles are off, whatever the model.
+    """
+    rest = sensor.pack.untouched.astype(float)
+    still = np.concatenate([rest[photograph.disc] for photograph in photographs])
+    seen = np.concatenate([photograph.picture[photograph.disc] for photograph in photographs])
+    terms = np.concatenate([features(each, circle, 7) for each, circle in zip(photographs, circles)])
+    shown = still + terms @ np.linalg.lstsq(terms, seen - still, rcond=None)[0]
+    return decibels(shown.clip(0, 255) - seen)
 
 
 def taxim_error(folder: Path, sensor: Sensor, shown: list[Photograph]) -> float:
@@ -258,6 +274,10 @@ def measure(sensor: Sensor, seed: int) -> tuple[dict, SensorFit, list[Photograph
         row[f"{name}, fitted ones"] = fit.psnr_after
         for where, photographs in shown.items():
             row[f"{name}, {where}"] = float(psnr(squared_error(fit.profile, radius, rest, photographs), 255))
+    circles = [pack.circles[i] for i in held]
+    row["degree 7, fitted to these, circles"] = ceiling(sensor, shown["circles"], circles)
+    moved = [(*found.pose[:2], circle[2]) for found, circle in zip(shown["poses found"], circles)]
+    row["degree 7, fitted to these, poses found"] = ceiling(sensor, shown["poses found"], moved)
     row |= errors_of_places
     found = shown["poses found"]
     return row | {"cpu_s": took, "photographs": (chosen + 1).tolist()}, fits["with residual"], found
