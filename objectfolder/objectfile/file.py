@@ -508,9 +508,9 @@ class ObjectFile:
         -------
         Touches
             Images, heights, normals, contact masks, displacements, pressures, forces, areas, penetrations and
-            obstruction. With shear, a twist or markers it is a `ShearedTouches`, whose images and
-            displacements are those after the motion, and which also has the gel's sideways displacement,
-            tractions, shear force, torque and the markers' flow.
+            obstruction. With shear, a twist or markers it is a `ShearedTouches`, whose images, of every kind,
+            are those after the motion, and which also has the gel's sideways displacement, tractions, shear
+            force, torque and the markers' flow.
 
         Raises
         ------

@@ -13,15 +13,15 @@ from objectfolder.touch.tangential import FINEST
 _ROUNDS = 4  # of the fixed point below; friction stretches the surface by a few tenths at most
 
 
-def dragged_displacement(
+def dragged_contacts(
     height: np.ndarray,
     pressure: np.ndarray,
     dragged: np.ndarray,
     shear: np.ndarray,
     twist: np.ndarray,
     profile: SensorProfile,
-) -> np.ndarray:
-    """Return the displacement that the camera sees after the object has moved.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return object and gel as the camera sees them after the object has moved.
 
     A point of the gel's surface keeps its depth when friction drags it sideways, unless the object, moved as
     a rigid body, is elsewhere there now. So the gel is pressed once more, by the moved object's height at the
@@ -47,20 +47,41 @@ def dragged_displacement(
 
     Returns
     -------
-    (N, H, W) float32, metres towards the camera along the pixel rays. Bits of a row do not depend on others.
+    height : (N, H, W) float32
+        Of the object, metres.
+    displacement : (N, H, W) float32
+        Of the gel, metres towards the camera along the pixel rays.
+    pressure : (N, H, W) float32
+        Pa. Bits of a row do not depend on others.
     """
     sag, axes = _rest(profile)
-    seen = np.empty(height.shape, np.float32)
-    for i, object_height in enumerate(height):
-        shift = _pixels(dragged[i], profile)
-        there = _centred(_turned_back(axes + shift - _pixels(shear[i], profile), twist[i]))
-        met = _at(object_height - sag, there) + sag
-        # The lowest height stands for any wider gap; see `gel.indent`.
-        lowest = min(object_height.min(), 0)
-        met[(_nearest(object_height, there) <= lowest) | (met < lowest)] = lowest
-        pressed = deform(met[None], profile, pressure[i : i + 1])[0][0]
-        seen[i] = _at(pressed - sag, _centred(axes - _carried(shift))) + sag
-    return seen
+    moved, seen, pressed = (np.empty(height.shape, np.float32) for _ in range(3))
+    for i, before in enumerate(height):
+        shift, step = _pixels(dragged[i], profile), _pixels(shear[i], profile)
+        moved[i] = _met(before, sag, _centred(_turned_back(axes - step, twist[i])))
+        there = _centred(_turned_back(axes + shift - step, twist[i]))
+        at_points = deform(_met(before, sag, there)[None], profile, pressure[i : i + 1])
+        source = _centred(axes - _carried(shift))
+        seen[i] = _at(at_points[0][0] - sag, source) + sag
+        pressed[i] = _nearest(at_points[1][0], source)
+    return moved, seen, pressed
+
+
+def _met(height: np.ndarray, sag: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Return the object's height over the gel's points when they meet what was at other places.
+
+    Parameters
+    ----------
+    height, sag : (H, W) arrays, metres
+        Of the object at the pixels; of the undeformed gel.
+    places : (2, H, W) array
+        Pixel coordinates.
+    """
+    met = _at(height - sag, places) + sag
+    # The lowest height stands for any wider gap; see `gel.indent`.
+    lowest = min(height.min(), 0)
+    met[(_nearest(height, places) <= lowest) | (met < lowest)] = lowest
+    return met
 
 
 def _carried(shift: np.ndarray) -> np.ndarray:

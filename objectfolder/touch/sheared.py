@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from objectfolder.touch.dragged import dragged_displacement
+from objectfolder.touch.dragged import dragged_contacts
 from objectfolder.touch.markers import Markers, draw_markers, marker_flow
 from objectfolder.touch.simulate import Touches
 from objectfolder.touch.tangential import shear_contacts
@@ -15,9 +15,10 @@ from objectfolder.touch.tangential import shear_contacts
 class ShearedTouches(Touches):
     """What a sensor feels when the pressed object then moves sideways and turns.
 
-    ``images``, ``displacement`` and ``normals`` are those that the camera sees after the motion. All other
-    images belong to the points of the gel that are at their pixels before it, as do force and area: the
-    pressure is that of the press. Vectors are along image right and image up, flow along columns and rows.
+    ``images``, ``height``, ``displacement``, ``normals``, ``pressure`` and ``mask`` are what the camera sees
+    after the motion. ``sideways`` and ``traction`` belong to the points of the gel that are at their pixels
+    before it, and all numbers to the press. Vectors are along image right and image up, flow along columns
+    and rows.
     """
 
     sideways: np.ndarray  #: (N, H, W, 2) float32, m, displacement of the gel's surface
@@ -40,7 +41,7 @@ def sheared(
 ) -> ShearedTouches:
     """Move pressed objects sideways and turn them.
 
-    See `tangential.shear_contacts` and `dragged.dragged_displacement`.
+    See `tangential.shear_contacts` and `dragged.dragged_contacts`.
 
     Parameters
     ----------
@@ -64,7 +65,7 @@ def sheared(
     values = {field.name: getattr(touches, field.name) for field in fields(Touches)}
     moving = np.flatnonzero(touches.mask.any(axis=(1, 2)) & (shear.any(axis=1) | (twist != 0)))
     if len(moving):
-        seen = dragged_displacement(
+        height, displacement, pressure = dragged_contacts(
             touches.height[moving],
             touches.pressure[moving],
             found.dragged[moving],
@@ -72,8 +73,10 @@ def sheared(
             twist[moving],
             profile,
         )
-        values["displacement"], values["images"] = touches.displacement.copy(), touches.images.copy()
-        values["displacement"][moving], values["images"][moving] = seen, render(seen)
+        after = {"height": height, "displacement": displacement, "pressure": pressure, "mask": pressure > 0}
+        for name, images in (after | {"images": render(displacement)}).items():
+            values[name] = values[name].copy()
+            values[name][moving] = images
     if markers:
         values["images"] = draw_markers(values["images"], places, flow, dots, profile)
     return ShearedTouches(
