@@ -15,8 +15,10 @@ ABOVE_FLOOR = 4.0  # amplitude of a peak over the floor of the spectrum around i
 FLOOR_WIDTH = 400.0  # Hz, over which that floor is the median
 ABOVE_NOISE = 4.0  # amplitude of a ring over the noise after it
 SMALLEST = 0.1  # singular value of a mode, over the largest of its band; below are differences between taps
-SLOWEST = 0.5  # decay rate, 1/s
+SLOWEST = 0.2  # decay rate, 1/s; slower is hum
 MIN_SAMPLES = 40  # of a decimated tap
+EXPLAINED = 0.95  # of a band's energy that few modes hold, if it rings to the end of the recording
+FEW = 8  # modes
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,7 @@ def _band(taps: Sequence[np.ndarray], rate: float, centre: float) -> np.ndarray:
     for tap in taps:
         shifted = tap * np.exp(-2j * np.pi * centre / rate * np.arange(len(tap)))
         parts.append(signal.fftconvolve(shifted, window, "valid")[::step])
-    parts = _ringing(parts)
+    parts, sunk = _ringing(parts)
     if not parts:
         return np.zeros((0, 3))
     lag = len(parts[0]) * 3 // 5
@@ -122,21 +124,28 @@ def _band(taps: Sequence[np.ndarray], rate: float, centre: float) -> np.ndarray:
     s = np.log(poles) * rate / step
     frequency, damping = centre + s.imag / (2 * np.pi), -s.real
     powers = poles ** np.arange(len(parts[0]))[:, None]
-    amplitude = np.abs(np.linalg.lstsq(powers, np.stack(parts, 1), rcond=None)[0])
+    fitted = np.linalg.lstsq(powers, np.stack(parts, 1), rcond=None)[0]
+    if not sunk:
+        left = np.square(np.abs(powers @ fitted - np.stack(parts, 1))).sum()
+        if len(poles) > FEW or left > (1 - EXPLAINED) * np.square(np.abs(parts)).sum():
+            return np.zeros((0, 3))  # noise, not a ring
+    amplitude = np.abs(fitted)
     passed = (len(window) // 2) / rate  # s of each tap before the first decimated sample
     level = 2 * np.sqrt(np.mean(amplitude**2, 1)) * np.exp(damping * (passed + START))
     kept = (np.abs(frequency - centre) < BAND / 2) & (damping > SLOWEST)
     return np.stack([frequency, damping, level], 1)[kept]
 
 
-def _ringing(parts: list[np.ndarray]) -> list[np.ndarray]:
-    """Cut decimated taps where the ring sinks into noise; drop those that are too short or too quiet."""
-    parts = [part for part in parts if len(part) >= 4 * MIN_SAMPLES]
+def _ringing(parts: list[np.ndarray]) -> tuple[list[np.ndarray], bool]:
+    """Cut decimated taps where the ring sinks into noise, and tell whether it does; drop those too short."""
+    parts = [part for part in parts if len(part) >= 2 * MIN_SAMPLES]
     if not parts:
-        return []
+        return [], False
     parts = [part[: min(map(len, parts))] for part in parts]
     power = np.mean([np.abs(part) ** 2 for part in parts], 0)
     noise = np.median(power[-MIN_SAMPLES:])
+    if power[:4].mean() <= 4 * ABOVE_NOISE**2 * noise:
+        return parts, False
     quiet = np.flatnonzero(ndimage.uniform_filter1d(power, 9) < ABOVE_NOISE**2 * noise)
     count = max(MIN_SAMPLES, int(quiet[0]) if len(quiet) else len(power))
-    return [part[:count] for part in parts] if power[:4].mean() > 4 * ABOVE_NOISE**2 * noise else []
+    return [part[:count] for part in parts], True

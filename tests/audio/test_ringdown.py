@@ -34,6 +34,15 @@ def test_more_noise_costs_modes_but_makes_none():
         assert (np.abs(found.frequency[:, None] / hertz - 1).min(1) < 1e-3).all()
 
 
+def test_a_ring_that_outlasts_its_recording_is_heard():
+    modes = [(1300.0, 5.0), (4100.0, 2.0), (9000.0, 0.3)]
+    (sound,) = taps(modes, 1, seconds=0.4)
+    hum = 0.01 * np.sin(2 * np.pi * 700 * np.arange(len(sound)) / RATE)
+    found = heard([sound + hum])
+    np.testing.assert_allclose(found.frequency, [hertz for hertz, _ in modes], rtol=1e-4)  # and no hum
+    np.testing.assert_allclose(found.decay_time, [t60 for _, t60 in modes], rtol=0.1)
+
+
 def test_noise_alone_rings_not():
     noise = 0.01 * np.random.default_rng(0).standard_normal(2 * RATE)
     assert strikes(noise, RATE) == []
