@@ -1,9 +1,9 @@
 """Sound at a listener: `python perf/radiation.py [--workspace DIR] [--objects KEY ...] [--bands KEY ...]`.
 
 Run `objectfolder build radiation` first. For some modes of each object, levels in 500 directions are compared
-with those of a mesh of more triangles (`--fine`). For the objects of `--bands`, a table tells by how much
-radiation changes the share of each octave in the energy of a strike's sound, against summed displacements.
-Exits with 1 if a target is missed.
+with those of a mesh of more triangles (`--fine`), the same for all wavelengths. For the objects of `--bands`, a
+table tells by how much radiation changes the share of each octave in the energy of a strike's sound, against
+summed displacements. Exits with 1 if a target is missed.
 """
 
 import argparse
@@ -38,7 +38,7 @@ def main() -> None:
     parser.add_argument("--workspace", type=Path, default=Path())
     parser.add_argument("--objects", nargs="*", default=["mug", "bell"], metavar="KEY")
     parser.add_argument("--bands", nargs="*", default=["mug", "bell"], metavar="KEY")
-    parser.add_argument("--fine", type=int, default=4000, help="triangles of the reference")
+    parser.add_argument("--fine", type=int, default=10000, help="triangles of the reference")
     parser.add_argument("--json", type=Path, help="file for the figures")
     given = parser.parse_args()
     console, values = Console(), params.read(given.workspace / "params.yaml")
@@ -88,7 +88,7 @@ def compared(build: Build, scale: float, triangles: int, fine: int) -> list[dict
         start = time.process_time()
         ours = radiate((vertices * scale, faces), *task, triangles)
         seconds = time.process_time() - start
-        reference = radiate((vertices * scale, faces), *task, fine)
+        reference = radiate((vertices * scale, faces), *task, fine, fewest=fine)
         levels = [
             20 * np.log10(abs(harmonics[:, : one.coefficients.shape[1]] @ one.coefficients[0]))
             for one in (ours, reference)

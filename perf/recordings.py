@@ -6,8 +6,9 @@ this project's own analysis with 32 cells; then its stiffness and damping are fi
 
 WAV is `src/114x25.4x3.12mm Hot Rolled Mild Steel Bar.wav` of github.com/jjderooy/pyRFDA (MIT), commit
 44d3c96, whose `src/main.py` gives size and mass: one tap on a bar on two wires, 0.37 s. Its modes are
-computed as given, and with three unknowns fitted to the frequencies: Young's modulus, Poisson's ratio and the ratio of
-thickness to width at equal mass. Its decay is computed too: by boundary elements, what it radiates.
+computed as given, and with three unknowns fitted to the frequencies: Young's modulus, Poisson's ratio and
+the ratio of thickness to width at equal mass. Its decay is computed too: by boundary elements, what it
+radiates.
 """
 
 import argparse

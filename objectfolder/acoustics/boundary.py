@@ -1,14 +1,18 @@
 """Boundary element method for sound outside a closed surface.
 
-Flat triangles of constant pressure, collocated at their centroids, with the combination of Burton and Miller
-(Proceedings of the Royal Society A 323, 1971), which has no spurious resonances and holds for thin walls.
-Fields are phasors of exp(-i w t); waves of wavenumber k go out as exp(i k r) / r.
+Flat triangles, with the combination of Burton and Miller (Proceedings of the Royal Society A 323, 1971),
+which has no spurious resonances and holds for thin walls. The pressure is continuous and linear on each
+triangle: its unknowns are those of the vertices, half as many as triangles. Kernels are those of constant
+elements collocated at the centroids, where the linear functions have their means, and the equations are
+weighted by the same functions. Fields are phasors of exp(-i w t); waves of wavenumber k go out as
+exp(i k r) / r.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import lu_factor, lu_solve
+from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from objectfolder.acoustics.triangles import Triangles, static_integrals
@@ -57,6 +61,9 @@ class Boundary:
         self._single = places, normals, (places**2).sum(1), (places * normals).sum(1)
         self._near = self._near_pairs()
         self._own = _own_edges(self.triangles)
+        self._mean = _vertex_means(faces)
+        self._weights = csr_array(self._mean.T) * (self.triangles.area / self.triangles.area.mean())
+        self._weights = csr_array(self._weights, dtype=np.float32)
         self._closure = self._closed()
 
     def __len__(self) -> int:
@@ -76,13 +83,14 @@ class Boundary:
         Returns
         -------
         (N, M) complex64
-            Pa.
+            Means over the triangles, Pa.
         """
         matrix, right = self.system(wavenumber, slopes)
-        return lu_solve(lu_factor(matrix, overwrite_a=True, check_finite=False), right, check_finite=False)
+        factors = lu_factor(matrix, overwrite_a=True, check_finite=False)
+        return self._mean @ lu_solve(factors, right, check_finite=False)
 
     def system(self, wavenumber: float, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return matrix (N, N) and right-hand sides (N, M) for the pressures, complex64.
+        """Return matrix (V, V) and right-hand sides (V, M) for the pressures of the vertices, complex64.
 
         Notes
         -----
@@ -94,7 +102,8 @@ class Boundary:
         count = len(self)
         coupling = min(1 / k, COUPLING * self.mean_edge)
         beta, k32 = np.float32(coupling), np.float32(k)
-        matrix = np.empty((count, count), np.complex64, order="F")
+        spread = csr_array(self._mean.T)
+        matrix = np.empty((count, spread.shape[0]), np.complex64)
         slopes = np.asarray(slopes, np.complex64)
         right = np.empty((count, slopes.shape[1]), np.complex64)
         singles, doubles, adjoints, hypers = self._near_integrals(k)
@@ -119,14 +128,14 @@ class Boundary:
             place = near.rows[pairs] - start, near.columns[pairs]
             block[place] = near_left[pairs]
             block[inner, inner + start] = 0.5 - 1j * coupling * (own_hyper[rows] + self._closure[1, rows])
-            matrix[rows] = block
+            matrix[rows] = (spread @ np.ascontiguousarray(block.T)).T
             across, along = 1 + beta * k32 * towards, beta * inverse * towards
             block.real = real * across - imaginary * along
             block.imag = real * along + imaginary * across
             block[place] = near_right[pairs]
             block[inner, inner + start] = own_single[rows] + 1j * coupling * (0.5 + self._closure[0, rows])
             right[rows] = -block @ slopes
-        return matrix, right
+        return self._weights @ matrix, self._weights @ right
 
     def _seen(self, rows: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Geometry of some collocation points and all centroids, (R, N) float32 each.
@@ -220,6 +229,14 @@ class Boundary:
         wave = np.exp(1j * k * radius)
         single = ((wave - 1) / (1j * k) * angle).sum(1) / (4 * np.pi)
         return single, 0.5j * k - (wave / radius * angle).sum(1) / (4 * np.pi)
+
+
+def _vertex_means(faces: np.ndarray) -> csr_array:
+    """Matrix (N, V) of the means of triangles over the values of the vertices in use, float32."""
+    used, corners = np.unique(faces, return_inverse=True)
+    rows = np.repeat(np.arange(len(faces)), 3)
+    share = np.full(len(rows), 1 / 3, np.float32)
+    return csr_array((share, (rows, corners.ravel())), (len(faces), len(used)))
 
 
 def _own_edges(mesh: Triangles) -> tuple[np.ndarray, np.ndarray]:

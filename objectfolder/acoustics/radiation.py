@@ -21,6 +21,8 @@ from objectfolder.audio.click import AIR_DENSITY, SOUND_SPEED, Recoil
 from objectfolder.mesh.topology import face_areas
 
 EDGES_PER_WAVE = 2.0  #: of sound; with fewer, a surface radiates as plane waves do
+RESOLVED = 4.2  #: edges per wave that a mode's surface has, if it may have so many triangles
+FEWEST = 1000  #: triangles of a surface, however long the waves are
 _FINER = 0.5  # of a triangle's edge, on which modes' motions are read from the exact surface
 _BEYOND = 4  # orders of harmonics beyond the wavenumber times the radius
 _ALIKE = 0.04  # difference of wavenumbers, times the radius, within which modes share a matrix
@@ -30,7 +32,7 @@ _ALIKE = 0.04  # difference of wavenumbers, times the radius, within which modes
 class RadiationConfig:
     """Section ``radiation`` of ``params.yaml``."""
 
-    triangles: Annotated[int, Ge(100)]  #: of the surface on which the sound is solved
+    triangles: Annotated[int, Ge(100)]  #: at most, of the surface on which the sound is solved
     kilobytes: Annotated[int, Ge(1)]  #: that the Object File may grow by
 
 
@@ -40,6 +42,7 @@ def radiate(
     shapes: np.ndarray,
     frequencies: np.ndarray,
     triangles: int,
+    fewest: int = FEWEST,
 ) -> FarField:
     """Compute the far field of each mode.
 
@@ -54,23 +57,52 @@ def radiate(
     frequencies : (M,) array
         Angular, rad/s.
     triangles : int
-        See `even_surface`.
+        At most, of the surfaces on which modes are solved; see `even_surface`.
+    fewest : int
+        Triangles under which modes of long waves, which take a half or a quarter of them, do not go.
 
     Returns
     -------
     FarField
         Per unit of modal acceleration: pressure times distance, Pa m / (m kg^1/2 / s^2).
     """
-    vertices, faces = even_surface(*surface, triangles)
-    boundary = Boundary(vertices, faces)
-    fine, parts = finer_surface(*surface, _FINER * boundary.mean_edge)
-    parts = parts[face_areas(fine, parts) > 0]
-    motion = interpolated(points, shapes.reshape(len(points), -1), fine).reshape(len(fine), 3, -1)
-    source = Triangles.of(fine, parts)
-    flow = outward_motion(fine, parts, motion) * source.area[:, None]
-    motion = carried(source, flow, boundary.triangles) / boundary.triangles.area[:, None]
     radius = float(np.linalg.norm(surface[0], axis=1).max(initial=0))
-    return of_motion(boundary, motion, frequencies, radius)
+    area = float(face_areas(*surface).sum())
+    edge = 2 * np.pi * SOUND_SPEED / (RESOLVED * np.asarray(frequencies))
+    needed = area / (edge**2 * np.sqrt(3) / 4)
+    counts = [triangles]
+    while counts[-1] // 2 >= fewest:
+        counts.append(counts[-1] // 2)
+    levels = np.array([max(range(len(counts)), key=lambda n: (counts[n] >= each) * n) for each in needed])
+    source, flow = _outward_flow(surface, points, shapes, np.sqrt(area / triangles * 4 / np.sqrt(3)))
+    parts = []
+    for level in np.unique(levels):
+        modes = np.flatnonzero(levels == level)
+        boundary = Boundary(*even_surface(*surface, counts[level]))
+        motion = carried(source, flow[:, modes], boundary.triangles) / boundary.triangles.area[:, None]
+        parts.append((modes, of_motion(boundary, motion, np.asarray(frequencies)[modes], radius)))
+    return _joined(parts, len(needed), radius)
+
+
+def _outward_flow(
+    surface: tuple[np.ndarray, np.ndarray], points: np.ndarray, shapes: np.ndarray, edge: float
+) -> tuple[Triangles, np.ndarray]:
+    """Return fine triangles of a surface, and the outward motion of each mode times their areas."""
+    fine, faces = finer_surface(*surface, _FINER * edge)
+    faces = faces[face_areas(fine, faces) > 0]
+    motion = interpolated(points, shapes.reshape(len(points), -1), fine).reshape(len(fine), 3, -1)
+    source = Triangles.of(fine, faces)
+    return source, outward_motion(fine, faces, motion) * source.area[:, None]
+
+
+def _joined(parts: list[tuple[np.ndarray, FarField]], count: int, radius: float) -> FarField:
+    """Join the far fields of some modes each to one of all."""
+    widest = max((field.coefficients.shape[1] for _, field in parts), default=1)
+    orders, coefficients = np.zeros(count, int), np.zeros((count, widest), np.complex128)
+    for modes, field in parts:
+        orders[modes] = field.orders
+        coefficients[modes, : field.coefficients.shape[1]] = field.coefficients
+    return FarField(orders, coefficients, radius)
 
 
 def of_motion(boundary: Boundary, motion: np.ndarray, frequencies: np.ndarray, radius: float) -> FarField:
