@@ -1,7 +1,7 @@
 """Sound at a listener: `python perf/radiation.py [--workspace DIR] [--objects KEY ...] [--bands KEY ...]`.
 
 Run `objectfolder build radiation` first. For some modes of each object, levels in 500 directions are compared
-with those of a mesh of more triangles (`--fine`), the same for all wavelengths. For the objects of `--bands`, a
+with those of a mesh of more triangles (`--fine`), the same for all wavelengths. For those of `--bands`, a
 table tells by how much radiation changes the share of each octave in the energy of a strike's sound, against
 summed displacements. Exits with 1 if a target is missed.
 """
