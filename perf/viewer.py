@@ -54,8 +54,14 @@ def questions(file: ObjectFile, contacts: int) -> dict[str, Any]:
     steel = material("steel", "loss_factor" if "loss_factor" in own else "rayleigh")
     tuned = {"name": "steel", **steel.properties()}
     strikes = []
+    places = sphere_points(STRIKES, 2.5, rng)
     for i in range(STRIKES):
-        for silence, metal in ((0, None), (1e-5, None), (0, tuned)):
+        for silence, metal, heard in (
+            (0, None, False),
+            (1e-5, None, False),
+            (0, tuned, False),
+            (0, None, True),
+        ):
             settings = {
                 "impulse": impulses[i].tolist(),
                 "contact": 3e-4 if i % 2 else 0,
@@ -65,6 +71,7 @@ def questions(file: ObjectFile, contacts: int) -> dict[str, Any]:
                 "duration": DURATION,
                 "response": "acceleration" if i % 2 else "displacement",
                 "silence": silence,
+                "listener": places[i].tolist() if heard else None,
             }
             strikes.append({"point": (points[i] / file.scale).tolist(), "settings": settings})
     most = file.sensor_profile.max_indentation
@@ -132,16 +139,17 @@ def sounds(file: ObjectFile, asked: list[dict[str, Any]], answers: np.ndarray) -
     for question, answer in zip(asked, answers.reshape(len(asked), -1)):
         settings = question["settings"]
         tuned = settings["material"] is not None
-        scale = file.scale * settings["size"]
+        scale, listener = file.scale * settings["size"], settings["listener"]
         truth = file.impact(
             [np.array(question["point"]) * scale],
             [settings["impulse"]],
             RATE,
             DURATION,
-            settings["response"],
+            "displacement" if listener else settings["response"],
             contact_time=settings["contact"],
             material="steel" if tuned else None,
             scale=scale if tuned else None,
+            listener=[np.array(listener) * scale] if listener else None,
         )
         cut = settings["silence"] > 0
         errors[cut] = max(errors[cut], relative(answer, truth[0]))

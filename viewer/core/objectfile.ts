@@ -1,6 +1,7 @@
 /** The Object File: its header, and what this page can answer from it. docs/objectfile.md has the format. */
 
 import type { Material } from "./materials.ts";
+import type { RadiationConfig } from "./radiation.ts";
 import { type Container, FormatError, parse, type Tensor } from "./safetensors.ts";
 import type { Profile } from "./sensor.ts";
 
@@ -56,6 +57,8 @@ export interface Header {
     frequency_uncertainty?: number;
   };
   touch?: { kind: string; net: TouchConfig };
+  radiation?: RadiationConfig;
+  solid?: { volume: number };
 }
 
 /** Why a question cannot be answered; null if it can. */

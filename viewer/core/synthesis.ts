@@ -53,47 +53,64 @@ interface Ringing {
   mode: number;
   s: Complex;
   start: Complex;
-  gain: number;
+  gain: Complex;
+}
+
+/** Modes with complex gains: a gain turns its mode ahead. */
+export interface Gained {
+  frequency: Float64Array; // rad/s
+  damping: Float64Array; // 1/s
+  real: ArrayLike<number>;
+  imaginary: ArrayLike<number> | null; // null: 0
+  /** How many of the last ones fade too fast to alias and are never left out. */
+  certain: number;
+}
+
+/** Return modes with real gains. */
+export function plain(modes: Modes, gains: ArrayLike<number>): Gained {
+  return { frequency: modes.frequency, damping: modes.damping, real: gains, imaginary: null, certain: 0 };
 }
 
 /** Return how modes below half the sample rate ring. */
-function ringing(modes: Modes, gains: ArrayLike<number>, { rate, response, contact }: Strike): Ringing[] {
+function ringing(modes: Gained, { rate, response, contact }: Strike): Ringing[] {
   const found: Ringing[] = [];
   for (let mode = 0; mode < modes.frequency.length; mode++) {
     const frequency = modes.frequency[mode];
-    const gain = gains[mode];
-    if (frequency >= Math.PI * rate || gain === 0) continue;
+    const gain: Complex = [modes.real[mode], modes.imaginary?.[mode] ?? 0];
+    const aliases = frequency >= Math.PI * rate && mode < modes.frequency.length - modes.certain;
+    if (aliases || (gain[0] === 0 && gain[1] === 0)) continue;
     const s: Complex = [-modes.damping[mode], frequency];
     let start: Complex = contact ? stateAt(s, 1, contact) : [1, 0];
     for (let o = 0; o < ORDER[response]; o++) start = times(start, s);
-    found.push({ mode, s, start: [(start[0] * gain) / frequency, (start[1] * gain) / frequency], gain });
+    const [re, im] = times(gain, start);
+    found.push({ mode, s, start: [re / frequency, im / frequency], gain });
   }
   return found;
 }
 
 /** Amplitudes of the modes at the end of contact; 0 at or above half the sample rate. */
-export function amplitudes(modes: Modes, gains: ArrayLike<number>, strike: Strike): Float64Array {
+export function amplitudes(modes: Gained, strike: Strike): Float64Array {
   const found = new Float64Array(modes.frequency.length);
-  for (const { mode, start } of ringing(modes, gains, strike)) found[mode] = Math.hypot(...start);
+  for (const { mode, start } of ringing(modes, strike)) found[mode] = Math.hypot(...start);
   return found;
 }
 
-/** Return the sound of modal gains. Modes at or above half the sample rate are left out. */
-export function synthesise(modes: Modes, gains: ArrayLike<number>, strike: Strike): Float32Array {
+/** Return the sound of modes. Those at or above half the sample rate are left out. */
+export function synthesise(modes: Gained, strike: Strike): Float32Array {
   const { rate, duration, contact, silence = 0 } = strike;
   const order = ORDER[strike.response];
   const out = new Float64Array(Math.round(rate * duration));
   const pressed = Math.min(Math.ceil(contact * rate - 1e-12), out.length);
-  const heard = ringing(modes, gains, strike);
+  const heard = ringing(modes, strike);
   const loudest = heard.reduce((most, { start }) => Math.max(most, Math.hypot(...start)), 0);
   for (const { s, start, gain } of heard) {
     const [decay, frequency] = [-s[0], s[1]];
     for (let k = 0; k < pressed; k++) {
       const t = k / rate;
-      let state = stateAt(s, t / contact, contact);
+      let state = times(gain, stateAt(s, t / contact, contact));
       for (let o = 0; o < order; o++) state = times(state, s);
       const force = order === 2 ? (Math.PI / (2 * contact)) * Math.sin((Math.PI * t) / contact) : 0;
-      out[k] += gain * (state[1] / frequency + force);
+      out[k] += state[1] / frequency + gain[0] * force;
     }
     const late = pressed / rate - contact;
     const [re, im] = times(start, exp([s[0] * late, s[1] * late]));

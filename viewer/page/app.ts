@@ -262,6 +262,7 @@ export class App {
       duration: DURATION,
       response: "acceleration",
       silence: SILENCE,
+      listener: this.orbit.eye,
     };
   }
 

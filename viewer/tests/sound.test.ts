@@ -2,7 +2,7 @@ import { describe, expect, it } from "vitest";
 import type { Gains } from "../core/gains.ts";
 import { damping, type Material } from "../core/materials.ts";
 import type { Header } from "../core/objectfile.ts";
-import { synthesise } from "../core/synthesis.ts";
+import { plain as gained, synthesise } from "../core/synthesis.ts";
 import { type Modes, tuned } from "../core/tuning.ts";
 
 const STEEL: Material = {
@@ -45,7 +45,7 @@ describe("synthesis", () => {
   const plain = { rate: 44100, duration: 0.5, contact: 0, silence: 0 };
 
   it("of an impulse is a damped sinusoid", () => {
-    const sound = synthesise(modes([440]), [2], { ...plain, response: "displacement" });
+    const sound = synthesise(gained(modes([440]), [2]), { ...plain, response: "displacement" });
     const w = 2 * Math.PI * 440;
     sound.forEach((value, n) => {
       const t = n / 44100;
@@ -55,7 +55,7 @@ describe("synthesis", () => {
 
   it("of a strike of finite duration is the convolution with its force", () => {
     const contact = 2e-3;
-    const sound = synthesise(modes([440]), [1], { ...plain, contact, response: "displacement" });
+    const sound = synthesise(gained(modes([440]), [1]), { ...plain, contact, response: "displacement" });
     const w = 2 * Math.PI * 440;
     for (const n of [20, 60, 200, 5000]) {
       const t = n / 44100;
@@ -73,13 +73,13 @@ describe("synthesis", () => {
 
   it("leaves out modes that would alias", () => {
     const strike = { ...plain, response: "acceleration" as const };
-    expect(synthesise(modes([23000]), [1], strike).every((value) => value === 0)).toBe(true);
+    expect(synthesise(gained(modes([23000]), [1]), strike).every((value) => value === 0)).toBe(true);
   });
 
   it("is hardly changed by the end of quiet modes", () => {
     const strike = { ...plain, response: "acceleration" as const };
-    const whole = synthesise(modes([440, 3000], 60), [1, 0.01], strike);
-    const cut = synthesise(modes([440, 3000], 60), [1, 0.01], { ...strike, silence: 1e-5 });
+    const whole = synthesise(gained(modes([440, 3000], 60), [1, 0.01]), strike);
+    const cut = synthesise(gained(modes([440, 3000], 60), [1, 0.01]), { ...strike, silence: 1e-5 });
     const norm = (a: Float32Array) => Math.hypot(...a);
     expect(norm(whole.map((value, n) => value - cut[n])) / norm(whole)).toBeLessThan(1e-4);
   });

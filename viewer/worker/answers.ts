@@ -7,11 +7,12 @@ import { Indirect, type PointLight, type Slice } from "../core/indirect.ts";
 import { Look } from "../core/look.ts";
 import { Nearest } from "../core/nearest.ts";
 import { type Gaps, gaps, ObjectFile } from "../core/objectfile.ts";
+import { Radiation } from "../core/radiation.ts";
 import type { Profile } from "../core/sensor.ts";
 import { type Mesh, surface } from "../core/surface.ts";
-import { amplitudes, modalGains, synthesise } from "../core/synthesis.ts";
+import { amplitudes, type Gained, modalGains, plain, synthesise } from "../core/synthesis.ts";
 import { Touch } from "../core/touch.ts";
-import { type Modes, tuned } from "../core/tuning.ts";
+import { type Modes, ownMaterial, tuned } from "../core/tuning.ts";
 import { along, scaled, type Vector } from "../core/vector.ts";
 import type { Place, Reply, StrikeSettings, Tone, TouchSettings } from "./protocol.ts";
 
@@ -19,6 +20,8 @@ const SPOTS = 48; // vertices among which the loudest is sought
 const PEAK = 0.1; // seconds within which a sound has its peak
 const QUIETEST = -60; // dB of tones that are shown
 const SHOWN = 120; // tones
+const ELSEWHERE =
+  "Accelerations, not sound pressure: in this material the sound has other wavelengths, whose radiation is not stored.";
 
 export class Answers {
   readonly file: ObjectFile;
@@ -27,6 +30,7 @@ export class Answers {
   readonly mesh: Mesh;
   private readonly nearest: Nearest;
   private readonly gains: Gains | null;
+  private readonly radiation: Radiation | null;
   private look: Look | null = null;
   private color: Float32Array | null = null;
   private indirect: Indirect | null = null;
@@ -43,6 +47,7 @@ export class Answers {
     this.nearest = new Nearest(this.grid, this.mesh, features);
     if (!this.mesh.index.length) throw new Error("The geometry of this file holds no surface.");
     this.gains = found.sound === null ? new Gains(this.file) : null;
+    this.radiation = this.gains && Radiation.read(this.file, this.gains.frequency);
     if (this.gains?.count === 0)
       found.sound = "The object has no modes between 20 Hz and 20 kHz: it is silent.";
     this.gaps = found;
@@ -94,40 +99,59 @@ export class Answers {
       typeof settings.impulse === "number"
         ? scaled(-settings.impulse, this.normalAt(point))
         : settings.impulse;
-    const mixed = modalGains(modes, gains.shapes(point), impulse);
-    const samples = synthesise(modes, mixed, settings);
+    const { sound, strike, note } = this.heard(modes, point, impulse, settings);
+    const samples = synthesise(sound, strike);
     const milliseconds = performance.now() - start;
     return {
       kind: "sound",
       samples,
       rate: settings.rate,
       reference: this.loudest(modes, settings),
-      tones: tones(modes, amplitudes(modes, mixed, settings)),
+      tones: tones(modes, amplitudes(sound, strike).subarray(0, modes.which.length)),
       modes: modes.which.length,
-      notes: modes.notes,
+      notes: note ? [...modes.notes, note] : modes.notes,
       milliseconds,
     };
   }
 
+  /** What is heard of an impulse, N s: sound pressure at the listener, or else the response that is asked for. */
+  private heard(
+    modes: Modes,
+    point: Vector,
+    impulse: ArrayLike<number>,
+    settings: StrikeSettings,
+  ): { sound: Gained; strike: StrikeSettings; note: string | null } {
+    const { listener, size } = settings;
+    const gains = modalGains(modes, this.gains!.shapes(point), impulse);
+    const own = { sound: plain(modes, gains), strike: settings, note: null };
+    const material = settings.material ?? ownMaterial(this.file.header);
+    if (!listener || !this.radiation || !material) return own;
+    if (!this.radiation.holds(modes, size)) return { ...own, note: ELSEWHERE };
+    const sound = this.radiation.heard(modes, gains, listener, impulse, size, material.density);
+    return { sound, strike: { ...settings, response: "displacement" }, note: null };
+  }
+
   /** Peak of the loudest of some spots, for an impulse of 1 N s along the normal. */
   private loudest(modes: Modes, settings: StrikeSettings): number {
-    const { material, size, contact, rate, response } = settings;
-    const key = JSON.stringify([material, size, contact, rate, response]);
+    const { material, size, contact, rate, response, listener } = settings;
+    const key = JSON.stringify([material, size, contact, rate, response, listener]);
     if (this.reference?.key === key) return this.reference.peak;
     const { position } = this.mesh;
-    let best: Float64Array | null = null;
+    let best: Vector | null = null;
     let most = 0;
     for (let n = 0; n < SPOTS; n++) {
       const vertex = Math.floor(((n + 0.5) / SPOTS) * (position.length / 3));
       const point = [...position.subarray(3 * vertex, 3 * vertex + 3)] as Vector;
       const mixed = modalGains(modes, this.gains!.shapes(point), this.normalAt(point));
       const energy = mixed.reduce((sum, gain) => sum + gain * gain, 0);
-      if (energy > most) [best, most] = [mixed, energy];
+      if (energy > most) [best, most] = [point, energy];
     }
     let peak = 0;
-    if (best)
-      for (const value of synthesise(modes, best, { rate, duration: PEAK, response, contact, silence: 1e-3 }))
+    if (best) {
+      const { sound, strike } = this.heard(modes, best, this.normalAt(best), settings);
+      for (const value of synthesise(sound, { ...strike, duration: PEAK, silence: 1e-3 }))
         peak = Math.max(peak, Math.abs(value));
+    }
     this.reference = { key, peak };
     return peak;
   }

@@ -19,8 +19,10 @@ export interface StrikeSettings {
   size: number; // of the object's own
   rate: number; // Hz
   duration: number; // s
-  response: Response;
+  response: Response; // of a sound without a listener
   silence: number;
+  /** Where the strike is heard, in units of the longest side; null: nowhere, displacements are summed. */
+  listener: Vector | null;
 }
 
 export interface TouchSettings {
