@@ -17,7 +17,7 @@ from objectfolder.audio.synthesis import responses
 
 FILE = Path(__file__).parents[2] / "viewer" / "tests" / "heard.json"
 SCALE, SIZE, DENSITY, VOLUME, RADIUS = 0.2, 1.5, 2400.0, 0.11, 0.6
-RATE, SAMPLES = 44100.0, 400
+RATE, SAMPLES, FACTOR = 44100.0, 400, SIZE**-1.5  # of the mode shapes
 FREQUENCY = 2 * np.pi * np.array([900.0, 2600.0, 7300.0])
 DAMPING, GAINS = np.array([15.0, 40.0, 160.0]), np.array([0.7, -1.3, 2.0])
 LISTENER, IMPULSE = np.array([1.1, -0.7, 0.9]), np.array([0.3, -0.2, 1.0])
@@ -35,7 +35,7 @@ def heard() -> dict:
     side, place = SCALE * SIZE, (LISTENER * SCALE * SIZE)[None]
     w = FREQUENCY / SIZE  # of the larger body
     pressure = SIZE * field.pressure(FREQUENCY / SOUND_SPEED, place / SIZE)[0]
-    gains = GAINS * pressure.conj() * (-DAMPING + 1j * w) ** 2
+    gains = FACTOR * GAINS * pressure.conj() * (-DAMPING + 1j * w) ** 2
     body = Recoil(
         DENSITY * VOLUME * side**3, np.array(recoil["centre"]) * side, turn, np.array(recoil["radii"]) * side
     )
@@ -59,6 +59,7 @@ def heard() -> dict:
         "own": FREQUENCY.tolist(),
         "frequency": w.tolist(),
         "damping": DAMPING.tolist(),
+        "factor": FACTOR,
         "gains": GAINS.tolist(),
         "listener": LISTENER.tolist(),
         "impulse": IMPULSE.tolist(),

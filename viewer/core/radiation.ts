@@ -101,11 +101,13 @@ export class Radiation {
         directions,
         side,
       );
-      // Phasors of the fields turn the other way; the pressure is that of the acceleration, s^2 times the motion.
+      // Phasors of the fields turn the other way; the pressure is that of the acceleration, s^2 times the motion,
+      // and the fields are those of the stored mode shapes.
       const [c, w] = [-modes.damping[n], modes.frequency[n]];
       const [a, b] = [c * c - w * w, 2 * c * w];
-      found.real[n] = gains[n] * (re * a + im * b);
-      found.imaginary[n] = gains[n] * (re * b - im * a);
+      const gain = modes.shapeFactor * gains[n];
+      found.real[n] = gain * (re * a + im * b);
+      found.imaginary[n] = gain * (re * b - im * a);
     }
     const { centre, axes, radii } = this.config.recoil;
     const away = place.map((value, axis) => value - side * centre[axis]) as Vector;

@@ -22,7 +22,7 @@ const modes: Modes = {
   frequency: Float64Array.from(truth.frequency),
   damping: Float64Array.from(truth.damping),
   which: Int32Array.from([0, 1, 2]),
-  shapeFactor: 1,
+  shapeFactor: truth.factor,
   notes: [],
 };
 const radiation = Radiation.read(file, Float64Array.from(truth.own))!;
