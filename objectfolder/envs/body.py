@@ -1,7 +1,7 @@
 """Objects as rigid bodies: mass and inertia of the solid, and convex hulls for collisions."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
@@ -81,6 +81,26 @@ def as_rigid_body(
     if hulls is None:
         hulls = cached_hulls(file, user_cache_path("objectfolder") / "hulls")
     return rigid_body(file, hulls)
+
+
+def resized(body: RigidBody, ratio: float, density: float = 1.0) -> RigidBody:
+    """Return the body of another size and density.
+
+    Parameters
+    ----------
+    body : RigidBody
+    ratio, density : float
+        Of the new body's lengths and densities to the old one's.
+    """
+    hulls = tuple(trimesh.Trimesh(hull.vertices * ratio, hull.faces, process=False) for hull in body.hulls)
+    return replace(
+        body,
+        hulls=hulls,
+        mass=body.mass * density * ratio**3,
+        centre=body.centre * ratio,
+        inertia=body.inertia * density * ratio**5,
+        bounds=body.bounds * ratio,
+    )
 
 
 def density(file: ObjectFile) -> float:

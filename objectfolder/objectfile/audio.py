@@ -206,6 +206,16 @@ class ModalSense:
             material = materials.material(material, own.law)
         return material or own, self._surface.scale if scale is None else scale
 
+    def struck(self, material: str | Material | None, scale: float | None) -> tuple[Material, float]:
+        """Return material and longest side (m) of this shape in another material or size.
+
+        Raises
+        ------
+        ObjectFolderError
+            If the file does not say what its modes are of.
+        """
+        return self._struck(self._solved()[0], material, scale)
+
     @property
     def own_material(self) -> Material:
         """Material for which the stored modes were solved.

@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     import trimesh
 
     from objectfolder.objectfile.gradients.answers import Answers
+    from objectfolder.objectfile.voice import Voice
 
 #: Name of a sensor profile that comes with the package, a ``.yaml`` file, or a profile; None: the stored one.
 Sensor = str | Path | SensorProfile | None
@@ -414,6 +415,27 @@ class ObjectFile:
         """
         settings = SoundSettings.checked(16000, 1.0, "displacement", None, material, scale, striker, 0)
         return self._parts.audio.contact_time(settings.striker, settings.material, settings.scale) or 0.0
+
+    def voice(
+        self, sample_rate: float = 48000, material: str | Material | None = None, scale: float | None = None
+    ) -> "Voice":
+        """Return the modes of the object, or of one of its shape, for sounds that go on; see docs/senses.md.
+
+        Parameters
+        ----------
+        sample_rate : float
+            Hz. Modes at or above half of it are left out.
+        material, scale
+            As in `impact`.
+
+        Raises
+        ------
+        ObjectFolderError
+            If the file knows no modes or not what they are of, or all are above half the sample rate.
+        """
+        settings = SoundSettings.checked(sample_rate, 1.0, "displacement", None, material, scale, "steel", 0)
+        voice = import_module("objectfolder.objectfile.voice")  # as in `torch`
+        return voice.Voice(self._parts, settings.sample_rate, settings.material, settings.scale)
 
     def mode_shapes(self, points: Rows, tolerance: float = TOLERANCE) -> np.ndarray:
         """Return mass-normalised mode shapes: the modal gains of unit impulses along x, y and z.

@@ -39,6 +39,9 @@ class StoredParts:
         self.surface = ObjectSurface(lambda: self.geometry, float(header["scale"]), "geometry" in header)
         self._lock = threading.RLock()
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.header, self.tensors, self.device)  # parts are read again
+
     def check(self) -> None:
         """Read all parts that the file holds.
 

@@ -1,0 +1,74 @@
+"""Noise of bodies that slide or roll: the force that the roughness of a contact makes as it passes.
+
+The load presses the bodies into each other by Hertz's indentation d over a circle of radius a. A height h of
+roughness changes the load by 3 h / (2 d) of it, at most by all of it. A feature shorter than the circle is
+averaged out, so that at a speed v, frequencies above v / (2 pi a) fade by 6 dB per octave (after van den
+Doel, Kry and Pai, FoleyAutomatic, SIGGRAPH 2001). Where bodies roll, both surfaces pass together; the force
+is then taken to be a tenth of that.
+"""
+
+import math
+
+import numpy as np
+from scipy.signal import lfilter
+
+#: Roughness of surfaces, root mean square within a contact, m. Assumed, of finished or glazed ones.
+ROUGHNESS = {
+    "ceramic": 1e-6,
+    "glass": 3e-7,
+    "wood": 5e-6,
+    "plastic": 1e-6,
+    "iron": 2e-6,
+    "polycarbonate": 5e-7,
+    "steel": 8e-7,
+}
+ROLLING = 0.1  #: force of a rolling contact over that of a sliding one; assumed
+_OTHER = 1e-6  # of custom materials
+
+
+def roughness_of(one: str, other: str) -> float:
+    """Return the combined roughness of two materials' names, m; an assumed one for those not in the table."""
+    return math.hypot(*(ROUGHNESS.get(name.lower(), _OTHER) for name in (one, other)))
+
+
+def scrape_force(
+    load: float, slip: float, rolling: float, rough: float, radius: float, modulus: float
+) -> tuple[float, float]:
+    """Return the force of a contact's roughness, N root mean square, and the frequency where it fades, Hz.
+
+    Parameters
+    ----------
+    load : float
+        N.
+    slip, rolling : float
+        Speeds at which surfaces slide, and at which the contact moves over them as they roll, m/s; one is
+        positive.
+    rough : float
+        Combined roughness, m.
+    radius, modulus : float
+        Of the contact, m and Pa.
+    """
+    depth = (9 * load**2 / (16 * radius * modulus**2)) ** (1 / 3)  # Hertz's indentation by a static load
+    speed = slip + rolling
+    share = (slip + ROLLING * rolling) / speed
+    return share * load * min(1.5 * rough / depth, 1.0), speed / (2 * math.pi * math.sqrt(radius * depth))
+
+
+class Scrape:
+    """Noise of one contact, whose filter goes on from block to block.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Draws the noise.
+    """
+
+    def __init__(self, rng: np.random.Generator):
+        self._rng, self._state = rng, np.zeros(1)
+
+    def play(self, samples: int, cutoff: float) -> np.ndarray:
+        """Return noise (samples,) of variance 1 that fades above a frequency, in cycles per sample."""
+        keep = math.exp(-2 * math.pi * cutoff)
+        drawn = math.sqrt((1 + keep) / (1 - keep)) * self._rng.standard_normal(samples)
+        noise, self._state = lfilter([1 - keep], [1, -keep], drawn, zi=self._state)
+        return noise

@@ -1,0 +1,311 @@
+"""Sound of a running MuJoCo simulation: contacts in, pascals at a listener out."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+
+from objectfolder.audio.contact import effective_modulus, hertz_time
+from objectfolder.audio.scrape import Scrape, roughness_of, scrape_force
+from objectfolder.audio.stream import ModalStream, Pulse, pulse_gain
+from objectfolder.checks import finite_number, real_array, whole_number
+from objectfolder.envs.impacts import ContactReader, Impact, Load
+from objectfolder.envs.sounding import Objects, body_number, check_body, named_objects
+from objectfolder.errors import ObjectFolderError, quoted
+from objectfolder.materials import Material, material
+from objectfolder.objectfile.voice import Voice
+
+LONGEST_STEP = 0.01  #: of a simulation that can be heard, s; bounces are missed beyond
+ROUNDING = 0.05  #: radius of an object's surface where it touches, of its longest side; assumed
+TURNED, NEARER = (
+    math.radians(3),
+    0.03,
+)  #: motion of the listener that changes what it hears
+OFTEN = 0.004  #: time between two computations, at least, s
+SLOW = 1e-3  #: m/s; slower contacts make no noise
+_LOST = 1e-9  # s, that the clock of a long simulation rounds off
+
+
+@dataclass(frozen=True)
+class Strike:
+    """An impact on an object, as it was heard; object frame, metres."""
+
+    body: str
+    start: int  #: sample at which its sound begins
+    point: np.ndarray  #: (3,)
+    impulse: np.ndarray  #: (3,) N s
+    contact_time: float  #: s
+    speed: float  #: of approach, m/s
+    energy: float  #: that its modes took, J
+    lost: float  #: energy that the impact took from the motion of both bodies, J
+
+
+@dataclass
+class _Body:
+    """A sounding body and what of it goes on."""
+
+    name: str
+    number: int
+    voice: Voice
+    stream: ModalStream
+    weights: np.ndarray | None = None
+    place: np.ndarray = field(default_factory=lambda: np.zeros(3))  #: of the listener, for which they hold
+    since: int = 0  #: sample at which they were computed
+
+
+class Hearing:
+    """What a listener hears of the objects in a MuJoCo simulation, in pascals.
+
+    Call `hear` after each ``mj_step``. The sound lags one step behind the simulation, so that impacts start
+    at the sample at which bodies met. See docs/senses.md for what is modelled.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        Any scene with bodies that `objectfolder.envs.body.add_body` or `objectfolder export mjcf` made.
+    objects : mapping from str to ObjectFile or Sounding, or iterable of ObjectFile
+        Objects by the names of their bodies; without names, these are their keys.
+    listener : str or (3,) array
+        Name of a site, or a place, world frame, m.
+    sample_rate : float
+        Hz.
+    surroundings : str or Material
+        Material of everything else that collides, which makes no sound.
+    seed : int
+        Of the noise of contacts that slide or roll.
+
+    Attributes
+    ----------
+    sample_rate : float
+    strikes : tuple of Strike
+        Of the last step.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the scene lacks an object, or has it in another size or material; if there is not one listener; if
+        the time step is longer than the contacts or `LONGEST_STEP`; if a body's modes are all above half the
+        sample rate. `hear` raises it if the simulation was reset or jumped, or its state is not finite.
+
+    Examples
+    --------
+    >>> hearing = Hearing(model, [ObjectFile.sample("bell")], listener=[0.5, 0, 0.3])
+    >>> sound = hearing.simulate(data, 500)
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        objects: Objects,
+        listener: "str | Sequence[float] | np.ndarray",
+        sample_rate: float = 48000,
+        surroundings: str | Material = "wood",
+        seed: int = 0,
+    ):
+        self.sample_rate = finite_number("sample rate", sample_rate)
+        if self.sample_rate <= 0:
+            raise ObjectFolderError(f"sample rate is {sample_rate!r} Hz, expected a positive number")
+        self._model, self._seed = model, whole_number("seed", seed)
+        self._step = float(model.opt.timestep)
+        _check_step(model)
+        self._listener = _listener(model, listener)
+        stuff = surroundings if isinstance(surroundings, Material) else material(surroundings)
+        self._surroundings = stuff
+        longest = math.ceil(self.sample_rate * self._step) + 1
+        self._bodies: dict[int, _Body] = {}
+        for name, one in named_objects(objects).items():
+            number = body_number(model, name)
+            voice = one.file.voice(self.sample_rate, one.material, one.scale)
+            check_body(model, name, one, voice)
+            stream = ModalStream(voice.poles, self.sample_rate, longest)
+            self._bodies[number] = _Body(name, number, voice, stream)
+        self._reader = ContactReader(model, [*self._bodies])
+        self.reset()
+
+    def reset(self, data: mujoco.MjData | None = None) -> None:
+        """Begin anew, at the time of a simulation or at 0: silence, and no contact."""
+        self._rng = np.random.default_rng(self._seed)
+        self._reader.reset()
+        self._time = 0.0 if data is None else float(data.time)
+        self._steps = self._clock = 0
+        self._scrapes: dict[tuple[int, int], Scrape] = {}
+        self.strikes: tuple[Strike, ...] = ()
+        for body in self._bodies.values():
+            body.stream.reset()
+            body.weights = None
+
+    def simulate(self, data: mujoco.MjData, steps: int = 1) -> np.ndarray:
+        """Make steps and return what is heard meanwhile, Pa: one call of many steps as many calls of one."""
+        heard = []
+        for _ in range(whole_number("steps", steps)):
+            mujoco.mj_step(self._model, data)
+            heard.append(self.hear(data))
+        return np.concatenate(heard) if heard else np.zeros(0, np.float32)
+
+    def hear(self, data: mujoco.MjData) -> np.ndarray:
+        """Return what is heard of the step that ``mj_step`` has just made, Pa; (samples,) float32.
+
+        The number of samples is that of the step, rounded so that none is lost in the long run.
+        """
+        self._check(data)
+        samples = round(self.sample_rate * self._step * (self._steps + 1)) - self._clock
+        impacts, loads = self._reader.read(data)
+        self.strikes = tuple(strike for impact in impacts for strike in self._struck(data, impact, samples))
+        for load in loads:
+            self._scrape(data, load, samples)
+        lasting = {load.bodies for load in loads}
+        self._scrapes = {pair: made for pair, made in self._scrapes.items() if pair in lasting}
+        ear = self._listener if isinstance(self._listener, np.ndarray) else data.site_xpos[self._listener]
+        out = np.zeros(samples)
+        for body in self._bodies.values():
+            out += body.stream.play(samples, self._weights(data, body, ear)) if body.stream.sounds else 0.0
+            body.stream.clock = self._clock + samples
+        self._steps += 1
+        self._clock += samples
+        self._time = float(data.time)
+        return out.astype(np.float32)
+
+    def energy(self) -> dict[str, float]:
+        """Return the energy of each object's vibrations, J, without pulses that still go on."""
+        return {b.name: float(b.stream.energy[: b.voice.modes].sum()) for b in self._bodies.values()}
+
+    def _check(self, data: mujoco.MjData) -> None:
+        for body in self._bodies.values():
+            if (
+                not np.isfinite(data.xpos[body.number]).all()
+                or not np.isfinite(data.xquat[body.number]).all()
+            ):
+                raise ObjectFolderError(
+                    f"body {body.name!r}: its pose is not finite at {data.time:g} s: the simulation has "
+                    "diverged; use a shorter time step or softer contacts"
+                )
+        if not np.isfinite(data.qpos).all() or not np.isfinite(data.qvel).all():
+            raise ObjectFolderError(f"the state of the simulation is not finite at {data.time:g} s; reset it")
+        expected = self._time + self._step
+        if abs(data.time - expected) > _LOST + 1e-3 * self._step or self._step != self._model.opt.timestep:
+            raise ObjectFolderError(
+                f"the simulation is at {data.time:g} s, expected {expected:g} s, one step after what was "
+                "heard last: call hear() after every mj_step, and reset(data) when the simulation is reset"
+            )
+
+    def _struck(self, data: mujoco.MjData, impact: Impact, samples: int) -> list[Strike]:
+        """Apply an impact to the objects that it hits."""
+        both = [self._bodies.get(number) for number in impact.bodies]
+        duration = self._contact_time(both, impact)
+        start = self._clock + round((1 - impact.late / self._step) * (samples - 1))
+        hit, energy = [], 0.0
+        for sign, body in zip((-1, 1), both):
+            if body is None:
+                continue
+            turn, at = data.xmat[body.number].reshape(3, 3), data.xpos[body.number]
+            point, impulse = turn.T @ (impact.point - at), turn.T @ (sign * impact.impulse)
+            gains = body.voice.gains(point[None], impulse[None])[0]
+            left = abs(gains * pulse_gain(body.voice.poles, duration))[: body.voice.modes]
+            hit.append((body, point, impulse, gains, float((left**2).sum() / 2)))
+            energy += hit[-1][-1]
+        # Hertz's law has no vibrations. Where they would take more energy than the impact lost, as of thin
+        # shells, the blow is as much weaker.
+        share = math.sqrt(min(impact.lost / energy, 1.0)) if energy > 0 else 1.0
+        out = []
+        for body, point, impulse, gains, taken in hit:
+            body.stream.strike(Pulse(start, duration * self.sample_rate, share * gains))
+            out.append(
+                Strike(
+                    body.name,
+                    start,
+                    point,
+                    share * impulse,
+                    duration,
+                    impact.speed,
+                    share**2 * taken,
+                    impact.lost,
+                )
+            )
+        return out
+
+    def _contact_time(self, both: "list[_Body | None]", impact: Impact) -> float:
+        return hertz_time(*self._contact(both), impact.mass, impact.speed)
+
+    def _contact(self, both: "list[_Body | None]") -> tuple[float, float]:
+        """Return the modulus of a contact, Pa, and its radius, m."""
+        stuff = [self._material(body) for body in both]
+        modulus = effective_modulus(*((m.youngs_modulus, m.poisson_ratio) for m in stuff))
+        return modulus, 1 / sum(1 / (ROUNDING * body.voice.scale) for body in both if body is not None)
+
+    def _material(self, body: "_Body | None") -> Material:
+        return self._surroundings if body is None else body.voice.material
+
+    def _scrape(self, data: mujoco.MjData, load: Load, samples: int) -> None:
+        """Shake the objects of a contact that slides or rolls by the roughness of their surfaces."""
+        both = [self._bodies.get(number) for number in load.bodies]
+        arms = [load.point - data.xipos[body.number] for body in both if body is not None]
+        arm = math.sqrt(max(arm @ arm for arm in arms))
+        slip, rolling = math.sqrt(load.slip @ load.slip), arm * math.sqrt(load.rolling @ load.rolling)
+        if max(slip, rolling) < SLOW:
+            return
+        modulus, radius = self._contact(both)
+        rough = roughness_of(*(self._material(body).name for body in both))
+        size, cutoff = scrape_force(load.force, slip, rolling, rough, radius, modulus)
+        scrape = self._scrapes.setdefault(load.bodies, Scrape(self._rng))
+        forces = size * scrape.play(samples, cutoff / self.sample_rate)
+        along = load.normal - load.friction / max(slip, SLOW) * load.slip
+        for sign, body in zip((-1, 1), both):
+            if body is not None:
+                turn, at = data.xmat[body.number].reshape(3, 3), data.xpos[body.number]
+                gains = body.voice.rough_gains((load.point - at) @ turn, sign * along[None] @ turn)[0]
+                body.stream.shake(forces, gains)
+
+    def _weights(self, data: mujoco.MjData, body: _Body, ear: np.ndarray) -> np.ndarray:
+        """Return how a body is heard, computed anew if it or the listener has moved."""
+        place = data.xmat[body.number].reshape(3, 3).T @ (ear - data.xpos[body.number])
+        if body.weights is not None:
+            if self._clock - body.since < OFTEN * self.sample_rate:
+                return body.weights
+            far, was = float(np.linalg.norm(place)), float(np.linalg.norm(body.place))
+            turned = place @ body.place < math.cos(TURNED) * far * was
+            if not turned and abs(far - was) < NEARER * was:
+                return body.weights
+        body.weights, body.place, body.since = body.voice.weights(place), place, self._clock
+        return body.weights
+
+
+def _listener(model: mujoco.MjModel, listener: object) -> "int | np.ndarray":
+    """Return the number of a site, or a place (3,)."""
+    advice = "give the name of one site, or one place; two ears need a Hearing each"
+    if isinstance(listener, str):
+        number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, listener)
+        if number < 0:
+            names = [model.site(i).name for i in range(model.nsite)]
+            raise ObjectFolderError(f"listener: the scene has no site {listener!r}, but {quoted(names)}")
+        return number
+    if isinstance(listener, list | tuple) and any(isinstance(one, str) for one in listener):
+        raise ObjectFolderError(f"listener is {quoted(listener)}, expected one; {advice}")
+    place = real_array("listener", listener)
+    if place.shape != (3,) or not np.isfinite(place).all():
+        raise ObjectFolderError(
+            f"listener is {quoted(listener)}, expected one place of three finite numbers, m; {advice}"
+        )
+    return place
+
+
+def _check_step(model: mujoco.MjModel) -> None:
+    """Raise ObjectFolderError if a step is longer than contacts last."""
+    step = float(model.opt.timestep)
+    if step > LONGEST_STEP:
+        raise ObjectFolderError(
+            f"the time step of the scene is {step:g} s, expected at most {LONGEST_STEP:g} s: bounces "
+            "within it would not be heard"
+        )
+    collides = (model.geom_contype > 0) | (model.geom_conaffinity > 0)
+    constants = model.geom_solref[collides, 0]
+    times = np.where(constants > 0, constants, 1 / np.sqrt(np.maximum(-constants, 1e-12)))
+    short = np.flatnonzero(times < 2 * step)
+    if len(short):
+        geom = np.flatnonzero(collides)[short[0]]
+        raise ObjectFolderError(
+            f"geom {model.geom(geom).name or geom!r}: its contacts have a time constant of "
+            f"{times[short[0]]:g} s, expected at least two time steps, {2 * step:g} s: MuJoCo would "
+            "soften them silently; use a shorter time step or a longer solref"
+        )

@@ -1,0 +1,120 @@
+"""Objects of a MuJoCo model that can be heard: which bodies they are, checked against their files."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from objectfolder.envs.poses import rotation
+from objectfolder.errors import ObjectFolderError, quoted
+from objectfolder.materials import Material
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.objectfile.voice import Voice
+
+_MASS, _SIZE = 0.1, 0.15  # relative differences of mass and size at which a body is another one
+
+
+@dataclass(frozen=True)
+class Sounding:
+    """An Object File whose body in the scene has another material or size."""
+
+    file: ObjectFile
+    material: str | Material | None = None  #: default: the object's own
+    scale: float | None = None  #: longest side, m; default: the object's own
+
+
+Objects = Mapping[str, ObjectFile | Sounding] | Iterable[ObjectFile]
+
+
+def named_objects(objects: Objects) -> dict[str, Sounding]:
+    """Return objects by the names of their bodies; without names, these are their keys.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there are none, or one is neither an ObjectFile nor a Sounding, or two have one key.
+    """
+    if isinstance(objects, ObjectFile):
+        objects = [objects]
+    items = [*objects.items()] if isinstance(objects, Mapping) else [
+        (getattr(one, "key", str(one)), one) for one in objects
+    ]  # fmt: skip
+    if not items:
+        raise ObjectFolderError("objects is empty: expected the Object Files of bodies of the scene")
+    found: dict[str, Sounding] = {}
+    for name, one in items:
+        if name in found:
+            raise ObjectFolderError(
+                f"objects: two have the key {name!r}; give a mapping from the names of their bodies"
+            )
+        if not isinstance(one, ObjectFile | Sounding):
+            raise ObjectFolderError(
+                f"objects: {quoted(name)} is of type {type(one).__name__}, expected an ObjectFile or "
+                "a Sounding"
+            )
+        found[name] = one if isinstance(one, Sounding) else Sounding(one)
+    return found
+
+
+def body_number(model: mujoco.MjModel, name: str) -> int:
+    """Return the number of the body of an object.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the scene has none of this name.
+    """
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+    if number < 1:
+        names = [model.body(i).name for i in range(1, model.nbody)]
+        raise ObjectFolderError(
+            f"the scene has no body {name!r}, but {quoted(names)}; name the object's body by its key, as "
+            "`objectfolder export mjcf` does, or give a mapping from names of bodies to Object Files"
+        )
+    return number
+
+
+def check_body(model: mujoco.MjModel, name: str, one: Sounding, voice: Voice) -> None:
+    """Raise ObjectFolderError if a body is not of the mass and size that its object says."""
+    body = body_number(model, name)
+    advice = (
+        "give Sounding(file, material=..., scale=...) with what the body is, or add the object again with "
+        "`objectfolder.envs.body.add_body`"
+    )
+    mass = float(model.body_mass[body])
+    if abs(mass / voice.mass - 1) > _MASS:
+        raise ObjectFolderError(
+            f"body {name!r} weighs {mass:.4g} kg in the scene, but {one.file.key} of {voice.material.name} "
+            f"and {voice.scale:.4g} m weighs {voice.mass:.4g} kg; {advice}"
+        )
+    reach = _extent(model, body)
+    if reach is None:
+        return
+    expected = one.file.bounds * (voice.scale / one.file.scale)
+    if abs(reach - expected).max() > _SIZE * voice.scale:
+        raise ObjectFolderError(
+            f"the geoms of body {name!r} reach from {reach[0].round(4).tolist()} to "
+            f"{reach[1].round(4).tolist()} m, but {one.file.key} of {voice.scale:.4g} m from "
+            f"{expected[0].round(4).tolist()} to {expected[1].round(4).tolist()}; {advice}"
+        )
+
+
+def _extent(model: mujoco.MjModel, body: int) -> np.ndarray | None:
+    """Return lowest and highest coordinates (2, 3) of a body's geoms that collide; body frame."""
+    corners = []
+    signs = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
+    start = model.body_geomadr[body]
+    for geom in range(start, start + model.body_geomnum[body]):
+        if not (model.geom_contype[geom] or model.geom_conaffinity[geom]):
+            continue
+        mesh, box = model.geom_dataid[geom], model.geom_aabb[geom]
+        points = box[:3] + signs * box[3:]
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:  # turned to its principal axes
+            first = model.mesh_vertadr[mesh]
+            points = model.mesh_vert[first : first + model.mesh_vertnum[mesh]]
+        corners.append(points @ rotation(model.geom_quat[geom]).T + model.geom_pos[geom])
+    if not corners:
+        return None
+    points = np.concatenate(corners)
+    return np.array([points.min(0), points.max(0)])

@@ -1,0 +1,181 @@
+"""The voice of an object: its modes, what excites them, and how they are heard, for sounds that go on."""
+
+import logging
+from typing import Any
+
+import numpy as np
+import torch
+
+from objectfolder.audio.click import AIR_DENSITY, SOUND_SPEED, Recoil
+from objectfolder.audio.contact import effective_modulus
+from objectfolder.audio.synthesis import audible, gains
+from objectfolder.errors import ObjectFolderError
+from objectfolder.materials import Material
+from objectfolder.objectfile.audio import ModalSense
+from objectfolder.objectfile.header import RADIATION
+from objectfolder.objectfile.parts import StoredParts
+
+TAPS = 2000  #: points of the surface whose mode shapes are kept for rough answers
+_ALIKE = 0.01  # relative change of wavelengths, over the size, that is not worth a warning
+log = logging.getLogger(__name__)
+
+
+class Voice:
+    """Modes of an object of some material and size, and the recoil of the object as three more.
+
+    Parameters
+    ----------
+    parts : StoredParts
+        Of an Object File.
+    sample_rate : float
+        Hz. Modes at or above half of it are left out.
+    material : str or Material, optional
+        Default: the object's own.
+    scale : float, optional
+        Longest side, m; default: the object's own.
+
+    Attributes
+    ----------
+    poles : (M + 3,) complex array
+        -c + i w, 1/s.
+    modes : int
+        M, the number of modes; the other poles are the recoil's.
+    material : Material
+    scale : float
+        m
+    mass : float
+        kg
+
+    Raises
+    ------
+    ObjectFolderError
+        If the file knows no modes or not what they are of, or none of them is below half the sample rate.
+    """
+
+    def __init__(
+        self,
+        parts: StoredParts,
+        sample_rate: float,
+        material: str | Material | None = None,
+        scale: float | None = None,
+    ):
+        self._arguments = parts, sample_rate, material, scale
+        sense, self.key = parts.audio, parts.key
+        if not isinstance(sense, ModalSense):
+            raise ObjectFolderError(
+                f"{self.key}: its audio net stores spectrograms, no modes; train_audio.net: gains stores them"
+            )
+        self._sense, self._surface = sense, parts.surface
+        self.material, self.scale = sense.struck(material, scale)
+        self._resized = self.scale / self._surface.scale
+        tuning = sense.tuning(material, scale)
+        heard = audible(tuning.damped_frequency, sample_rate)
+        self._rows, self._factor = tuning.modes[heard].numpy(), tuning.shape_factor
+        modal = torch.complex(-tuning.damping.double(), tuning.damped_frequency.double())[heard].numpy()
+        if len(tuning.modes) and not len(modal):
+            raise ObjectFolderError(
+                f"{self.key}: its lowest mode is at {float(tuning.frequencies.min()):.0f} Hz, above half the "
+                f"sample rate of {sample_rate:g} Hz: it would be silent; raise the sample rate"
+            )
+        self.modes = len(modal)
+        self._own = sense.damped_frequency.double().numpy()[self._rows] / SOUND_SPEED
+        self._radiation = parts.radiation if RADIATION in parts.header else None
+        if self._radiation is None:
+            surface = self._surface.read()
+            corners = surface.vertices[surface.faces] * self.scale
+            volume = (
+                np.linalg.det(corners).sum() / 6
+            )  # of the tetrahedra that the triangles make with the origin
+            self.recoil = Recoil.of(corners.reshape(-1, 3), self.material.density * volume)
+            self.radius = float(np.linalg.norm(corners, axis=2).max())
+        else:
+            self.recoil = self._radiation.recoil(self.material.density, self.scale)
+            self.radius = self._radiation.field.radius * self._resized
+            ratio = modal.imag / SOUND_SPEED * self._resized / self._own
+            if len(ratio) and abs(ratio - 1).max() > _ALIKE:
+                log.info(
+                    "%s: of %s it radiates as was solved for its own material, at %.2f times the frequency",
+                    self.key,
+                    self.material.name,
+                    float(np.median(ratio)),
+                )
+        self.mass = self.recoil.mass
+        self._recoil_rate = SOUND_SPEED / self.recoil.radii
+        self.poles = np.concatenate([modal, self._recoil_rate * (-1 + 1j)])
+        self._taps: tuple[np.ndarray, np.ndarray] | None = None
+        self._area = 0.0
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), self._arguments
+
+    def gains(self, points: np.ndarray, impulses: np.ndarray) -> np.ndarray:
+        """Return gains of impulses (N, 3), N s, at the surface points nearest to points (N, 3); (N, M + 3).
+
+        Object frame, metres of this object.
+        """
+        nearest = self._surface.nearest(np.asarray(points, np.float64) / self._resized)[0]
+        return self._gains(self._shapes(nearest), impulses)
+
+    def rough_gains(self, point: np.ndarray, impulses: np.ndarray) -> np.ndarray:
+        """Return gains (N, M + 3) of impulses (N, 3), with shapes of the nearest of `TAPS` points."""
+        if self._taps is None:
+            points = self._surface.sample(TAPS, np.random.default_rng(0))
+            shapes = self._factor * self._shapes(points).astype(np.float64)
+            recoil = np.broadcast_to(self.recoil.axes.T, (TAPS, 3, 3))
+            self._taps = points * self._resized, np.concatenate([shapes, recoil], 2)
+        points, shapes = self._taps
+        row = np.square(points - point).sum(1).argmin()
+        return impulses @ shapes[row]
+
+    def weights(self, place: np.ndarray) -> np.ndarray:
+        """Return the complex weights (M + 3,) with which phasors are heard at a place (3,), in pascals.
+
+        Object frame, metres. Places in the ball about the origin that holds the object count as on it.
+        """
+        distance = float(np.linalg.norm(place))
+        if distance < self.radius:
+            place = np.array([0, 0, self.radius]) if distance == 0 else place * (self.radius / distance)
+        modal, away = self.poles[: self.modes], place - self.recoil.centre
+        if self._radiation is None:
+            reach = self._plane_waves() / max(distance, self.radius)
+            heard = reach * modal / modal.imag
+        else:
+            pressure = self._radiation.pressure(
+                self._rows, self._own / self._resized, place[None], self.scale
+            )
+            heard = self._factor * pressure[0].conj() * modal**2 / modal.imag
+        r = np.linalg.norm(away)
+        s, rate = self.poles[self.modes :], self._recoil_rate
+        along = self.recoil.axes @ (away / r)
+        strength = AIR_DENSITY * self.recoil.radii**3 * rate**2 / self.mass * along / r**2
+        return np.concatenate([heard, strength * (1 + r / SOUND_SPEED * s) / s.imag])
+
+    def modulus(self, other: Material) -> float:
+        """Return the modulus of contacts with a material, Pa."""
+        return effective_modulus(*((m.youngs_modulus, m.poisson_ratio) for m in (self.material, other)))
+
+    def _shapes(self, points: np.ndarray) -> np.ndarray:
+        """Return mode shapes (N, 3, M) at points of the surface, metres of the stored object."""
+        return self._sense.mode_shapes(points, 0.02)[..., self._rows]
+
+    def _gains(self, shapes: np.ndarray, impulses: np.ndarray) -> np.ndarray:
+        force = torch.from_numpy(np.asarray(impulses, np.float64) * self._factor).float()
+        modal = gains(torch.from_numpy(shapes), force).double().numpy()
+        return np.concatenate([modal, np.asarray(impulses) @ self.recoil.axes.T], 1)
+
+    def _plane_waves(self) -> np.ndarray:
+        """Return pressure at distance 1 m per modal velocity, as if the surface sent out plane waves; (M,).
+
+        An upper estimate, for files that do not store how their modes radiate.
+        """
+        if not self._area:
+            surface = self._surface.read()
+            edges = surface.vertices[surface.faces] * self.scale
+            self._area = float(
+                np.linalg.norm(np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0]), axis=1).sum()
+                / 2
+            )
+            points = self._surface.sample(TAPS, np.random.default_rng(0))
+            moved = self._factor * self._shapes(points)
+            self._moving = np.sqrt(np.square(moved, dtype=np.float64).mean(0).sum(0) / 3)
+        return AIR_DENSITY * SOUND_SPEED * np.sqrt(self._area / (4 * np.pi)) * self._moving

@@ -1,0 +1,123 @@
+import numpy as np
+import pytest
+import torch
+
+from objectfolder.audio.scrape import Scrape, roughness_of, scrape_force
+from objectfolder.audio.stream import ModalStream, Pulse, pulse_gain
+from objectfolder.audio.synthesis import pulse_phasor, responses
+
+RATE = 48000
+ANGULAR = 2 * np.pi * np.array([440.0, 1900.0, 5120.0, 19000.0])
+DAMPING = np.array([3.0, 8.0, 40.0, 300.0])
+POLES = -DAMPING + 1j * ANGULAR
+GAINS = np.array([1.0, -0.7, 0.4, 0.3])
+
+
+def _played(stream, weights, sizes):
+    return np.concatenate([stream.play(size, weights) for size in sizes])
+
+
+def _strike(duration, start, sizes):
+    stream = ModalStream(POLES, RATE, max(sizes))
+    stream.strike(Pulse(start, duration * RATE, GAINS))
+    return _played(stream, (1 / ANGULAR).astype(complex), sizes)
+
+
+@pytest.mark.parametrize("duration", [1e-5, 2.6e-4, 4e-3])
+def test_a_pulse_sounds_as_the_offline_synthesis_says(duration):
+    """Shorter than a sample, and longer than a block."""
+    sizes = [96] * 20
+    heard = _strike(duration, 130, sizes)
+    expected = GAINS @ responses(
+        torch.from_numpy(ANGULAR), torch.from_numpy(DAMPING), RATE, range(1790), "displacement", duration
+    ).double().numpy()  # fmt: skip
+    assert not heard[:130].any()
+    assert abs(heard[130:] - expected).max() < 1e-6 * abs(expected).max()
+
+
+def test_a_pulse_in_resonance_with_a_mode_is_accurate():
+    duration = np.pi / ANGULAR[2]
+    expected = GAINS @ responses(
+        torch.from_numpy(ANGULAR), torch.from_numpy(DAMPING), RATE, range(960), "displacement", duration
+    ).double().numpy()  # fmt: skip
+    assert abs(_strike(duration, 0, [96] * 10) - expected).max() < 1e-6 * abs(expected).max()
+
+
+def test_blocks_do_not_matter():
+    whole, parts = _strike(3e-4, 50, [960]), _strike(3e-4, 50, [1, 49, 2, 300, 8, 600])
+    assert abs(whole - parts).max() < 1e-10 * abs(whole).max()
+
+
+def test_a_constant_force_bends_a_mode_by_its_stiffness():
+    """The displacement under a force F is F g / w0^2."""
+    poles = np.array([-4000 + 2j * np.pi * 3000])
+    stream = ModalStream(poles, RATE, 480)
+    weights = 1 / poles.imag.astype(complex)
+    for _ in range(4):
+        stream.shake(np.full(480, 2.0), np.array([0.5]))
+        heard = stream.play(480, weights)
+    assert heard[-1] == pytest.approx(2.0 * 0.5 / abs(poles[0]) ** 2, rel=0.02)
+
+
+def test_a_strike_leaves_the_energy_of_its_phasors():
+    stream = ModalStream(POLES.real * 0 - 1e-6 + 1j * ANGULAR, RATE, 480)
+    stream.strike(Pulse(0, 2e-4 * RATE, GAINS))
+    stream.play(480, np.ones(4, complex))
+    expected = abs(GAINS * pulse_gain(1j * ANGULAR - 1e-6, 2e-4)) ** 2 / 2
+    assert stream.energy == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_gain_of_a_pulse_is_that_of_the_synthesis():
+    expected = pulse_phasor(torch.from_numpy(POLES)[:, None], torch.ones(1, dtype=torch.float64), 3e-4)[:, 0]
+    assert pulse_gain(POLES, 3e-4) == pytest.approx(expected.numpy(), rel=1e-12)
+
+
+def test_weights_change_linearly_over_a_block():
+    def rung(before, after):
+        stream = ModalStream(POLES, RATE, 96)
+        stream.strike(Pulse(0, 5.0, GAINS))
+        stream.play(96, before)
+        return stream.play(96, after)
+
+    one, two = np.full(4, 1.0 + 0j), np.full(4, -2.0 + 1j)
+    share = np.arange(1, 97) / 96
+    first, last = rung(one, one), rung(two, two)
+    assert rung(one, two) == pytest.approx(first + share * (last - first), abs=1e-12)
+
+
+def test_what_is_not_heard_any_more_stops():
+    stream = ModalStream(np.array([-2000 + 2j * np.pi * 1000]), RATE, 4800)
+    stream.strike(Pulse(0, 5.0, np.array([1e-3])))
+    stream.play(4800, np.ones(1, complex))
+    assert not stream.sounds
+    assert not stream.play(100, np.ones(1, complex)).any()
+
+
+@pytest.mark.parametrize("cutoff", [0.001, 0.02, 0.4])
+def test_noise_has_unit_variance_and_fades_above_the_cutoff(cutoff, rng):
+    noise = _noise(cutoff, rng)
+    assert noise.std() == pytest.approx(1, rel=0.15)
+    power = abs(np.fft.rfft(noise)) ** 2
+    share = power[: int(2 * cutoff * len(power))].sum() / power.sum()
+    assert share > 0.4
+
+
+def _noise(cutoff, rng):
+    scrape = Scrape(rng)
+    return np.concatenate([scrape.play(500, cutoff) for _ in range(400)])
+
+
+def test_noise_does_not_depend_on_blocks():
+    one, many = Scrape(np.random.default_rng(1)), Scrape(np.random.default_rng(1))
+    assert one.play(400, 0.01) == pytest.approx(np.concatenate([many.play(100, 0.01) for _ in range(4)]))
+
+
+def test_faster_slides_are_brighter_and_rolling_is_quieter():
+    slow, fast, rolls = (
+        scrape_force(2.0, slip, roll, 1e-6, 0.005, 1e10) for slip, roll in ((0.1, 0), (1.0, 0), (0, 1.0))
+    )
+    assert fast[1] == pytest.approx(10 * slow[1])
+    assert fast[0] == slow[0]
+    assert rolls[0] == pytest.approx(0.1 * fast[0])
+    assert scrape_force(2.0, 1.0, 0, 1.0, 0.005, 1e10)[0] == 2.0  # never more than the load
+    assert roughness_of("wood", "steel") == pytest.approx(np.hypot(5e-6, 8e-7))
