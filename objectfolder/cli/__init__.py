@@ -23,6 +23,7 @@ from objectfolder.cli import (
     report,
     sample,
     sensor,
+    simulate,
     upkeep,
     video,
     view,
@@ -55,6 +56,7 @@ for command in (
     report.report,
     release.release,
     video.video,
+    simulate.simulate,
     reconstruct.reconstruct,
     doctor.doctor,
 ):

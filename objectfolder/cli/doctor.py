@@ -152,7 +152,7 @@ def chromium() -> Part:
 def ffmpeg() -> Part:
     """Look for the encoder of videos."""
     found = shutil.which("ffmpeg") or ""
-    return Part("ffmpeg", found, bool(found), "objectfolder video", "apt-get install ffmpeg")
+    return Part("ffmpeg", found, bool(found), "objectfolder video, simulate", "apt-get install ffmpeg")
 
 
 CHECKS: tuple[Callable[[], Part], ...] = (

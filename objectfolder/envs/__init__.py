@@ -14,3 +14,4 @@ with suppress(ModuleNotFoundError):  # rigid bodies and hulls do without it
         vector_entry_point="objectfolder.envs.grasp:GraspVectorEnv",
     )
     gymnasium.register(id="ObjectFolder/Reach-v0", entry_point="objectfolder.envs.reach:ReachEnv")
+    gymnasium.register(id="ObjectFolder/Drop-v0", entry_point="objectfolder.envs.drop:DropEnv")

@@ -58,7 +58,9 @@ def named_objects(objects: Objects) -> dict[str, Sounding]:
 
 
 def body_number(model: mujoco.MjModel, name: str) -> int:
-    """Return the number of the body of an object.
+    """Return the number of the body of an object: of this name, or the only one of a name that ends in /name.
+
+    Models that MuJoCo attaches have such names, if the prefix ends with a slash.
 
     Raises
     ------
@@ -68,6 +70,9 @@ def body_number(model: mujoco.MjModel, name: str) -> int:
     number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
     if number < 1:
         names = [model.body(i).name for i in range(1, model.nbody)]
+        attached = [i for i, other in enumerate(names, 1) if other.endswith(f"/{name}")]
+        if len(attached) == 1:
+            return attached[0]
         raise ObjectFolderError(
             f"the scene has no body {name!r}, but {quoted(names)}; name the object's body by its key, as "
             "`objectfolder export mjcf` does, or give a mapping from names of bodies to Object Files"

@@ -1,0 +1,87 @@
+"""Videos with sound, by the program ffmpeg."""
+
+import shutil
+import subprocess
+from collections.abc import Iterable
+from pathlib import Path
+from tempfile import TemporaryDirectory, TemporaryFile
+
+import numpy as np
+
+from objectfolder.cli.console import console, tracked
+from objectfolder.errors import ObjectFolderError, shortened
+
+
+def encoder(command: str, out: Path, *sides: int) -> str:
+    """Return the path of ffmpeg, for a command that writes a video of these width and height.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it is not installed, the video has another name than .mp4, or a side is odd.
+    """
+    program = shutil.which("ffmpeg")
+    if program is None:
+        raise ObjectFolderError(
+            f"{command} needs the program ffmpeg, which is not on the PATH: apt-get install ffmpeg"
+        )
+    if out.suffix.lower() != ".mp4":
+        raise ObjectFolderError(f"{out}: expected a name that ends in .mp4")
+    for side in sides:
+        if side < 2 or side % 2:
+            raise ObjectFolderError(f"size is {side}, expected an even number: the codec halves the colours")
+    return program
+
+
+def write_video(
+    program: str,
+    out: Path,
+    pictures: Iterable[np.ndarray],
+    count: int,
+    rate: float,
+    size: tuple[int, int],
+    sound: np.ndarray,
+    sample_rate: int,
+) -> None:
+    """Encode pictures and sound, and say so.
+
+    Parameters
+    ----------
+    program : str
+        See `encoder`.
+    out : Path
+    pictures : iterable of (H, W, 3) uint8 arrays
+    count : int
+        How many pictures there are.
+    rate : float
+        Pictures per second.
+    size : (int, int)
+        Width and height, pixels.
+    sound : (samples,) array
+        In [-1, 1].
+    sample_rate : int
+        Hz.
+    """
+    import soundfile
+
+    from objectfolder.io import atomic
+
+    with atomic(out) as path, TemporaryDirectory() as folder, TemporaryFile() as log:
+        track = Path(folder, "sound.wav")
+        soundfile.write(track, sound, sample_rate)
+        shape = "x".join(map(str, size))
+        frames = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", shape, "-r", str(rate), "-i", "-"]
+        codecs = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-c:a", "aac", "-b:a", "160k"]
+        command = [program, "-y", "-loglevel", "error", *frames, "-i", str(track), *codecs]
+        with subprocess.Popen([*command, str(path)], stdin=subprocess.PIPE, stderr=log) as running:
+            assert running.stdin is not None
+            try:
+                for picture in tracked(pictures, "pictures", count):
+                    running.stdin.write(picture.tobytes())
+            except BrokenPipeError:
+                pass  # it says why
+        if running.returncode:
+            log.seek(0)
+            said = log.read().decode(errors="replace").strip()
+            raise ObjectFolderError(f"{out}: ffmpeg failed: {shortened(said, 300)}")
+    console.print(f"{out} ({out.stat().st_size / 1e6:.1f} MB)", highlight=False, soft_wrap=True)

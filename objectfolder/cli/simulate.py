@@ -1,0 +1,73 @@
+"""Command that films a MuJoCo scene with its sound: simulate."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from objectfolder.cli.encoding import encoder, write_video
+
+
+def simulate(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE.xml", help="MuJoCo model.")],
+    files: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="[FILE...]", help="Object Files of its bodies, which bear the objects' keys."),
+    ] = None,
+    seconds: Annotated[float, typer.Option(help="Length of the clip.")] = 5.0,
+    out: Annotated[Path, typer.Option(help="Video to write, .mp4.")] = Path("clip.mp4"),
+    listener: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(help="Place of the ear, metres, world frame.", show_default="the camera's"),
+    ] = None,
+    size: Annotated[tuple[int, int], typer.Option(help="Width and height, pixels; even.")] = (480, 360),
+    rate: Annotated[int, typer.Option(help="Pictures per second.")] = 25,
+    seed: Annotated[int, typer.Option(help="Seed of the noise of contacts.")] = 0,
+) -> None:
+    """Film a MuJoCo scene whose objects sound: those of Object Files, exported by `objectfolder export mjcf`.
+
+    Without files, bodies named mug, die or bell are the samples. The first keyframe is the start, if there is
+    one, and the first camera the view. Needs the program ffmpeg. The loudest sample of the track is 1; its
+    pressure is printed. See docs/senses.md.
+
+    Example: objectfolder simulate scene.xml --seconds 3 --out clip.mp4
+    """
+    import mujoco
+
+    from objectfolder.cli.console import console
+    from objectfolder.envs.clip import SceneCamera, default_view
+    from objectfolder.envs.clip import simulate as run
+    from objectfolder.envs.hearing import Hearing
+    from objectfolder.errors import ObjectFolderError, shortened
+    from objectfolder.objectfile.file import ObjectFile
+    from objectfolder.objectfile.samples import available_samples
+
+    program = encoder("simulate", out, *size)
+    try:
+        model = mujoco.MjModel.from_xml_path(str(scene))
+    except ValueError as error:
+        raise ObjectFolderError(f"{scene}: MuJoCo cannot read it: {shortened(error, 300)}") from error
+    names = {model.body(k).name.rpartition("/")[2] for k in range(model.nbody)}
+    found = [ObjectFile.load(path) for path in files or []] or [
+        ObjectFile.sample(name) for name in available_samples() if name in names
+    ]
+    if not found:
+        raise ObjectFolderError(
+            f"{scene}: no body is named {' or '.join(available_samples())}; give the Object Files of "
+            "its bodies"
+        )
+    objects = {file.key: file for file in found}
+    data = mujoco.MjData(model)
+    if model.nkey:
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    view = default_view(model, data, objects)
+    hearing = Hearing(model, objects, view.eye if listener is None else listener, seed=seed)
+    hearing.reset(data)
+    take = run(model, data, hearing, seconds, rate)
+    loudest = float(abs(take.sound).max())
+    console.print(f"loudest: {loudest:.3g} Pa", highlight=False)
+    width, height = size
+    pictures = SceneCamera(model, objects, view, height, width).pictures(take)
+    track = take.sound / loudest if loudest else take.sound
+    write_video(program, out, pictures, len(take.states), rate, size, track, round(hearing.sample_rate))

@@ -1,0 +1,279 @@
+"""Touch in a running MuJoCo simulation: sites on fingers become tactile sensors."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+import torch
+
+from objectfolder.envs.fingers import COARSE, LEAST_DEPTH, sensor_angles
+from objectfolder.envs.poses import rotation
+from objectfolder.envs.sounding import Objects, body_number, named_objects
+from objectfolder.errors import ObjectFolderError, quoted
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.touch.camera import gel_sag
+from objectfolder.touch.friction import friction_of
+from objectfolder.touch.markers import Markers
+from objectfolder.touch.optics import Optics
+from objectfolder.touch.profiles import SensorProfile, load_profile
+from objectfolder.touch.sheared import sheared
+from objectfolder.touch.simulate import Touches, press
+from objectfolder.touch.tangential import shear_contacts
+
+LEVELS = 5  #: depths, and shears, at which the gel's force is solved for
+SHEARS = (2e-5, 1e-3)  #: range of shears, m
+REACH = 0.02  #: m that a pad may be from the stored surface when the simulation has it in contact
+WIDE = 1.5  #: contacts up to so many half images from the optical axis are the gel's
+BEHIND = 0.004  #: m behind the gel's apex from which the surface is sought
+RAYS = (13, 17)  #: of that search, across and up the gel
+
+
+@dataclass(frozen=True)
+class Felt:
+    """What P pads feel in E environments; without the first axis for a single one.
+
+    Vectors are in the sensor's image: pressure towards the camera, then along image right and image up.
+    """
+
+    images: np.ndarray  #: (E, P, H, W, 3) uint8, RGB
+    touched: np.ndarray  #: (E, P) int, number of the body that a pad touches, 0 for none
+    force: np.ndarray  #: (E, P, 3) N, of the object on the gel, as the simulation has it
+    borne: np.ndarray  #: (E, P, 3) N, the same as the pressed and sheared gel has it
+    depth: np.ndarray  #: (E, P) m, how far the gel is pressed in; 0 without contact
+    shear: np.ndarray  #: (E, P, 2) m, motion of the object against the sensor since they met
+    area: np.ndarray  #: (E, P) m², in contact
+    marker_flow: np.ndarray  #: (E, P, M, 2) pixels, columns and rows
+
+
+class Feeling:
+    """What tactile sensors on sites of a MuJoCo model feel of its objects.
+
+    A site is where the gel's apex is untouched: its x axis points out of the sensor, its z axis up in the
+    image, its y axis to the image's left. The contacts of the site's body within the gel are the sensor's.
+    The gel is pressed in until it bears their force, and sheared until it bears their friction.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+    pads : str or sequence of str
+        Names of the sites.
+    objects : mapping from str to ObjectFile, or iterable of ObjectFile
+        Objects by the names of their bodies; without names, these are their keys.
+    sensor : str, Path or SensorProfile
+        With a soft gel; see docs/sensors.md.
+
+    Attributes
+    ----------
+    profile : SensorProfile
+    markers : (M, 2) array
+        Places of the markers at rest, columns and rows, pixels.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the scene lacks a site or a body, an object has another size there, or the gel is rigid. `feel`
+        raises it if a pose is not finite.
+
+    Examples
+    --------
+    >>> feeling = Feeling(model, ["left_pad", "right_pad"], [ObjectFile.sample("mug")])
+    >>> feeling.feel(data).images.shape
+    (2, 160, 120, 3)
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        pads: str | Sequence[str],
+        objects: Objects,
+        sensor: "str | SensorProfile" = "digit",
+    ):
+        self.profile = sensor if isinstance(sensor, SensorProfile) else load_profile(sensor)
+        if self.profile.gel == "rigid":
+            raise ObjectFolderError(
+                f"the gel of sensor {self.profile.name!r} is rigid and bears no force; take one "
+                "with gel: soft"
+            )
+        self._model, self._optics = model, Optics(self.profile)
+        self._sites = [_site(model, name) for name in ([pads] if isinstance(pads, str) else pads)]
+        if not self._sites:
+            raise ObjectFolderError("pads is empty: expected the names of sites on fingers")
+        self._files: dict[int, ObjectFile] = {}
+        for name, one in named_objects(objects).items():
+            if one.scale not in (None, one.file.scale):
+                raise ObjectFolderError(
+                    f"body {name!r}: touch needs the object's own size, {one.file.scale:g} m, but it has "
+                    f"{one.scale:g} m; build the object with that scale"
+                )
+            self._files[body_number(model, name)] = one.file
+        profile = self.profile
+        self._coarse = replace(profile, height=profile.height // COARSE, width=profile.width // COARSE)
+        self.markers = Markers().places(profile)
+        half = profile.camera_to_gel * np.array(profile.half_extent)  # up, across
+        across, up = np.meshgrid(*(s * np.linspace(-1, 1, n) for s, n in zip(half[::-1], RAYS)))
+        self._face = np.stack([np.zeros(across.size), across.ravel(), up.ravel()], 1)
+        self._sag = gel_sag(profile, np.hypot(across, up).ravel())
+        self._half = half
+
+    def feel(self, data: "mujoco.MjData | Sequence[mujoco.MjData]") -> Felt:
+        """Return what all pads feel now, in one environment or in many of the same model."""
+        single = isinstance(data, mujoco.MjData)
+        many = [data] if isinstance(data, mujoco.MjData) else [*data]
+        contacts = [self._touching(one, site) for one in many for site in self._sites]
+        rows, shape = len(contacts), (len(many), len(self._sites))
+        size = self.profile.height, self.profile.width
+        felt = {
+            "images": np.tile(self._optics.background.numpy(), (rows, 1, 1, 1)).reshape(rows, *size, 3),
+            "touched": np.array([body for body, _, _, _ in contacts]).reshape(rows),
+            "force": np.array([force for _, force, _, _ in contacts]).reshape(rows, 3),
+            "borne": np.zeros((rows, 3)),
+            "depth": np.zeros(rows),
+            "shear": np.zeros((rows, 2)),
+            "area": np.zeros(rows),
+            "marker_flow": np.zeros((rows, len(self.markers), 2), np.float32),
+        }
+        for body, file in self._files.items():
+            chosen = [k for k in range(rows) if contacts[k][0] == body]
+            if chosen:
+                self._press(file, body, chosen, contacts, felt)
+        skipped = 1 if single else 0
+        return Felt(**{name: of.reshape(shape[skipped:] + of.shape[1:]) for name, of in felt.items()})
+
+    def _touching(self, data: mujoco.MjData, site: int) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
+        """Return the body that a pad touches most, the force, and the site's place and axes in its frame."""
+        at, axes = data.site_xpos[site], data.site_xmat[site].reshape(3, 3)
+        finger, model = model_body(self._model, site), self._model
+        if not (np.isfinite(at).all() and np.isfinite(axes).all()):
+            raise ObjectFolderError(
+                f"pad {model.site(site).name!r}: its pose is not finite at {data.time:g} s: the simulation "
+                "has diverged; use a shorter time step or softer contacts"
+            )
+        forces: dict[int, np.ndarray] = {}
+        wrench = np.zeros(6)
+        for k in range(data.ncon):
+            contact = data.contact[k]
+            if contact.efc_address < 0 or min(contact.geom) < 0:
+                continue
+            pair = model.geom_bodyid[contact.geom].tolist()
+            if finger not in pair or not self._files.keys() & {*pair}:
+                continue
+            side = pair.index(finger)
+            place = (contact.pos - at) @ axes
+            if (abs(place) > [REACH, WIDE * self._half[1], WIDE * self._half[0]]).any():
+                continue
+            mujoco.mj_contactForce(model, data, k, wrench)
+            on_second = wrench[:3] @ contact.frame.reshape(3, 3)
+            force = (on_second if side == 1 else -on_second) @ axes
+            body = pair[1 - side]
+            forces[body] = forces.get(body, np.zeros(3)) + force
+        found = {body: force for body, force in forces.items() if force[0] < 0}
+        if not found:
+            return 0, np.zeros(3), at, axes
+        body = min(found, key=lambda each: found[each][0])
+        turn, force = rotation(data.xquat[body]), found[body]
+        return body, force * [-1, -1, 1], (at - data.xpos[body]) @ turn, turn.T @ axes
+
+    def _press(
+        self,
+        file: ObjectFile,
+        body: int,
+        chosen: list[int],
+        contacts: list[tuple[int, np.ndarray, np.ndarray, np.ndarray]],
+        felt: dict[str, np.ndarray],
+    ) -> None:
+        """Press the gels that touch one object; fill in the rows of what they feel."""
+        places, axes = np.stack([contacts[k][2] for k in chosen]), np.stack([contacts[k][3] for k in chosen])
+        met = self._met(file, places, axes)
+        near = np.flatnonzero(met < REACH)
+        felt["touched"][np.delete(chosen, near)] = 0
+        felt["force"][np.delete(chosen, near)] = 0
+        if not len(near):
+            return
+        rows, outward = np.array(chosen)[near], -axes[near, :, 0]
+        angle, _, _ = sensor_angles(outward, outward, axes[near, :, 2])
+        points = places[near] - met[near, None] * outward
+        force = felt["force"][rows]
+        poses = points, outward, angle
+        depth = self._depths(file, poses, force[:, 0])
+        pressed = press(file.surface.caster, *poses, depth, self.profile, file.scale)
+        images = self._optics.render(torch.from_numpy(pressed.displacement)).numpy()
+        friction = np.full(len(rows), friction_of(file.material))
+        shear = self._shears(file, poses, depth, force[:, 1:], friction)
+        moved = sheared(
+            Touches(**vars(pressed), images=images, profile=self.profile),
+            shear,
+            np.zeros(len(rows)),
+            friction,
+            None,
+        )
+        felt["images"][rows], felt["depth"][rows], felt["shear"][rows] = images, depth, shear
+        felt["borne"][rows] = np.c_[pressed.force, moved.shear_force]
+        felt["area"][rows], felt["marker_flow"][rows] = pressed.area, moved.marker_flow
+
+    def _met(self, file: ObjectFile, places: np.ndarray, axes: np.ndarray) -> np.ndarray:
+        """Return how far the gels (N,) are from the surface along their axes, m; negative: in it."""
+        forward = axes[:, :, 0]
+        origins = places[:, None] + self._face @ axes.transpose(0, 2, 1) - BEHIND * forward[:, None]
+        directions = np.broadcast_to(forward[:, None], origins.shape).reshape(-1, 3)
+        found, _ = file.surface.caster.first_hit(origins.reshape(-1, 3) / file.scale, directions)
+        gap = found.reshape(len(places), -1).astype(np.float64) * file.scale - BEHIND + self._sag
+        return gap.min(1)
+
+    def _depths(
+        self, file: ObjectFile, poses: tuple[np.ndarray, np.ndarray, np.ndarray], forces: np.ndarray
+    ) -> np.ndarray:
+        """Return the depths at which the gels bear forces (N,), interpolated on logarithmic scales."""
+        levels = np.geomspace(LEAST_DEPTH, self.profile.max_indentation, LEVELS)
+        points, outward, angle = (np.repeat(of, LEVELS, 0) for of in poses)
+        depths = np.tile(levels, len(forces))
+        found = press(file.surface.caster, points, outward, angle, depths, self._coarse, file.scale)
+        return _interpolated(forces, found.force.reshape(-1, LEVELS), levels)
+
+    def _shears(
+        self,
+        file: ObjectFile,
+        poses: tuple[np.ndarray, np.ndarray, np.ndarray],
+        depth: np.ndarray,
+        forces: np.ndarray,
+        friction: np.ndarray,
+    ) -> np.ndarray:
+        """Return the shears (N, 2) at which the gels bear sideways forces (N, 2), as far as they can."""
+        size = np.linalg.norm(forces, axis=1)
+        along = forces / np.maximum(size, 1e-12)[:, None]
+        pressed = press(file.surface.caster, *poses, depth, self._coarse, file.scale)
+        levels = np.geomspace(*SHEARS, LEVELS)
+        borne = np.empty((len(size), LEVELS))
+        for k, level in enumerate(levels):
+            sideways = shear_contacts(pressed.pressure, level * along, 0 * size, friction, self._coarse).force
+            borne[:, k] = (sideways * along).sum(1)
+        return np.where(size > 1e-6, _interpolated(size, borne, levels), 0.0)[:, None] * along
+
+
+def model_body(model: mujoco.MjModel, site: int) -> int:
+    """Return the number of the body that carries a site."""
+    return int(model.site_bodyid[site])
+
+
+def _site(model: mujoco.MjModel, name: str) -> int:
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
+    if number < 0:
+        names = [model.site(i).name for i in range(model.nsite)]
+        raise ObjectFolderError(f"pads: the scene has no site {name!r}, but {quoted(names)}")
+    return number
+
+
+def _interpolated(wanted: np.ndarray, found: np.ndarray, levels: np.ndarray) -> np.ndarray:
+    """Return where rising values (N, L) at levels (L,) are the wanted ones (N,), on logarithmic scales.
+
+    Below the first level, values count as proportional to it; above the last one, the last one is returned.
+    """
+    least = 1e-9
+    rising = np.maximum.accumulate(np.maximum(found, least), 1)
+    out = np.empty(len(wanted))
+    for k, (one, row) in enumerate(zip(np.maximum(wanted, least), rising)):
+        if one < row[0]:
+            out[k] = levels[0] * one / row[0]
+        else:
+            out[k] = np.exp(np.interp(np.log(one), np.log(row), np.log(levels)))
+    return out

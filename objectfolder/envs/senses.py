@@ -1,0 +1,148 @@
+"""Gymnasium wrapper that adds what is heard and felt to the observations of a MuJoCo environment."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import gymnasium
+import mujoco
+import numpy as np
+from gymnasium import spaces
+
+from objectfolder.checks import finite_number
+from objectfolder.envs.feeling import Feeling
+from objectfolder.envs.hearing import Hearing
+from objectfolder.envs.sounding import Objects
+from objectfolder.errors import ObjectFolderError
+
+LOUDEST = 1000.0  #: greatest sound pressure that is observed, Pa
+
+
+class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any]):
+    """Adds ``audio`` and ``touch`` to the observations of an environment.
+
+    The observation is a dict: the environment's own entries, or its observation as ``observation``;
+    ``audio``, the last ``seconds`` of sound, (samples,) float32, Pa; ``touch``, images of the pads,
+    (P, H, W, 3) uint8.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        With the attributes ``model`` and ``data``, as those of gymnasium and of this package, that calls
+        ``mujoco.mj_step``. Meanwhile, that function is replaced, so that each step is heard: environments of
+        one process must not step in several threads.
+    objects : mapping or iterable
+        See `objectfolder.envs.hearing.Hearing`.
+    listener : str or (3,) array, optional
+        Site or place of the ear; None for no ``audio``.
+    pads : sequence of str
+        Sites of tactile sensors; none for no ``touch``.
+    seconds : float
+        Of sound in an observation.
+    sample_rate : float
+        Hz.
+    sensor : str or SensorProfile
+        Of the pads.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the environment has no model and data, there is neither a listener nor a pad, or an argument is
+        wrong.
+
+    Examples
+    --------
+    >>> env = gymnasium.make("objectfolder.envs:ObjectFolder/Reach-v0", file="mug.safetensors")
+    >>> env = Senses(env, {"object": ObjectFile.load("mug.safetensors")}, listener=[0, 0.4, 0.4])
+    >>> env.reset(seed=0)[0]["audio"].shape
+    (4800,)
+    """
+
+    def __init__(
+        self,
+        env: gymnasium.Env[Any, Any],
+        objects: Objects,
+        listener: "str | Sequence[float] | np.ndarray | None" = None,
+        pads: Sequence[str] = (),
+        seconds: float = 0.1,
+        sample_rate: float = 48000,
+        sensor: str = "digit",
+    ):
+        super().__init__(env)
+        inner = env.unwrapped
+        if not isinstance(getattr(inner, "model", None), mujoco.MjModel) or not hasattr(inner, "data"):
+            raise ObjectFolderError(
+                f"{type(inner).__name__} has no model and data of MuJoCo; expected an environment that has, "
+                "as those of gymnasium's MuJoCo and of objectfolder.envs"
+            )
+        if listener is None and not len(pads):
+            raise ObjectFolderError(
+                "there is neither a listener nor a pad: give the name of a site to either"
+            )
+        model = inner.model  # type: ignore[attr-defined]
+        self._hearing = None if listener is None else Hearing(model, objects, listener, sample_rate)
+        self._feeling = Feeling(model, pads, objects, sensor) if len(pads) else None
+        samples = round(finite_number("seconds", seconds) * sample_rate)
+        if samples < 1:
+            raise ObjectFolderError(f"seconds is {seconds!r}, expected at least one sample of sound")
+        self._sound = np.zeros(samples, np.float32)
+        added: dict[str, spaces.Space[Any]] = {}
+        if self._hearing:
+            added["audio"] = spaces.Box(-LOUDEST, LOUDEST, (samples,), np.float32)
+        if self._feeling:
+            profile = self._feeling.profile
+            added["touch"] = spaces.Box(0, 255, (len(pads), profile.height, profile.width, 3), np.uint8)
+        own = env.observation_space
+        known = own.spaces if isinstance(own, spaces.Dict) else {"observation": own}
+        self.observation_space = spaces.Dict({**known, **added})
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Reset the environment, in silence."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._sound = np.zeros_like(self._sound)
+        if self._hearing:
+            self._hearing.reset(self._data)
+        return self._sensed(observation), info
+
+    def step(self, action: Any) -> tuple[dict[str, Any], Any, bool, bool, dict[str, Any]]:
+        """Step the environment, and hear each step of its simulation."""
+        with self._listening():
+            observation, *rest = self.env.step(action)
+        return self._sensed(observation), *rest  # type: ignore[return-value]
+
+    @property
+    def _data(self) -> mujoco.MjData:
+        return self.env.unwrapped.data  # type: ignore[attr-defined]
+
+    def _sensed(self, observation: Any) -> dict[str, Any]:
+        seen = dict(observation) if isinstance(observation, dict) else {"observation": observation}
+        if self._hearing:
+            seen["audio"] = self._sound.clip(-LOUDEST, LOUDEST)
+        if self._feeling:
+            seen["touch"] = self._feeling.feel(self._data).images
+        return seen
+
+    @contextmanager
+    def _listening(self) -> Iterator[None]:
+        """Hear each ``mj_step`` that the environment makes of its simulation."""
+        made, hearing = mujoco.mj_step, self._hearing
+        if hearing is None:
+            yield
+            return
+
+        def heard(model: mujoco.MjModel, data: mujoco.MjData, nstep: int = 1) -> None:
+            if data is not self._data:
+                return made(model, data, nstep)
+            for _ in range(nstep):
+                made(model, data)
+                sound = hearing.hear(data)
+                self._sound = np.concatenate([self._sound, sound])[-len(self._sound) :]
+            return None
+
+        mujoco.mj_step = heard
+        try:
+            yield
+        finally:
+            mujoco.mj_step = made

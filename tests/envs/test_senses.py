@@ -1,0 +1,115 @@
+import gymnasium
+import mujoco
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from objectfolder.envs.body import rigid_body
+from objectfolder.envs.hearing import Hearing
+from objectfolder.envs.reach import SUBSTEPS, ReachEnv
+from objectfolder.envs.senses import Senses
+from objectfolder.errors import ObjectFolderError
+
+EAR = [0.0, 0.4, 0.4]
+
+
+@pytest.fixture(scope="module")
+def body(brick):
+    return rigid_body(brick, [brick.to_mesh().convex_hull])
+
+
+def lifted(env):
+    """Let the object of a reach environment fall from 10 cm."""
+    inner = env.unwrapped
+    inner.data.qpos[inner._object + 2] += 0.1
+    mujoco.mj_forward(inner.model, inner.data)
+
+
+def test_the_checker_passes(body, brick):
+    env = Senses(ReachEnv(body, horizon=5), {"object": brick}, EAR, seconds=0.05)
+    with pytest.warns(UserWarning, match="different from the unwrapped version"):  # it is a wrapper
+        check_env(env, skip_render_check=True)
+    observation, _ = env.reset(seed=0)
+    assert env.observation_space.contains(observation)
+    assert env.observation_space.contains(env.step(env.action_space.sample())[0])
+    assert observation["audio"].shape == (2400,)
+
+
+def test_every_step_of_the_simulation_is_heard(body, brick):
+    env = Senses(ReachEnv(body), {"object": brick}, EAR, seconds=0.5)
+    env.reset(seed=1)
+    lifted(env)
+    inner = env.unwrapped
+    other, hearing = mujoco.MjData(inner.model), Hearing(inner.model, {"object": brick}, EAR)
+    kind = mujoco.mjtState.mjSTATE_INTEGRATION
+    state = np.empty(mujoco.mj_stateSize(inner.model, kind))
+    mujoco.mj_getState(inner.model, inner.data, state, kind)
+    mujoco.mj_setState(inner.model, other, state, kind)
+    hearing.reset(other)
+    step = mujoco.mj_step
+    for _ in range(40):
+        observation, *_ = env.step(np.zeros(4, np.float32))
+    other.ctrl[:] = inner.data.ctrl
+    heard = hearing.simulate(other, 40 * SUBSTEPS)
+    assert mujoco.mj_step is step
+    assert np.abs(heard).max() > 1e-3
+    assert observation["audio"].tobytes() == heard[-24000:].tobytes()
+    assert not env.reset(seed=1)[0]["audio"].any()
+
+
+def test_environments_side_by_side_hear_what_each_does_alone(body, brick):
+    def made():
+        return Senses(ReachEnv(body, horizon=20), {"object": brick}, EAR)
+
+    many = gymnasium.vector.SyncVectorEnv([made, made])
+    together, _ = many.reset(seed=[3, 4])
+    for env in many.envs:
+        lifted(env)
+    for _ in range(12):
+        together, *_ = many.step(np.zeros((2, 4), np.float32))
+    alone = made()
+    alone.reset(seed=4)
+    lifted(alone)
+    for _ in range(12):
+        observation, *_ = alone.step(np.zeros(4, np.float32))
+    assert together["audio"][1].any()
+    assert together["audio"][1].tobytes() == observation["audio"].tobytes()
+
+
+def test_pads_add_touch(brick):
+    class Still(gymnasium.Env):
+        observation_space = gymnasium.spaces.Dict({"x": gymnasium.spaces.Box(-1, 1, (1,), np.float32)})
+        action_space = gymnasium.spaces.Discrete(1)
+
+        def __init__(self):
+            from test_feeling import fingers
+
+            self.model = fingers(brick)
+            self.data = mujoco.MjData(self.model)
+
+        def reset(self, *, seed=None, options=None):
+            super().reset(seed=seed)
+            mujoco.mj_resetData(self.model, self.data)
+            self.data.ctrl[:] = 2
+            return {"x": np.zeros(1, np.float32)}, {}
+
+        def step(self, action):
+            mujoco.mj_step(self.model, self.data, nstep=200)
+            return {"x": np.zeros(1, np.float32)}, 0.0, False, False, {}
+
+    env = Senses(Still(), [brick], pads=["left_pad", "right_pad"])
+    first, _ = env.reset(seed=0)
+    after, *_ = env.step(0)
+    assert {*after} == {"x", "touch"}
+    assert env.observation_space.contains(after)
+    assert first["touch"][0].tobytes() == first["touch"][1].tobytes()
+    assert (abs(after["touch"].astype(int) - first["touch"]).max((1, 2, 3)) > 5).all()
+
+
+def test_what_has_no_senses_is_refused(body, brick):
+    with pytest.raises(ObjectFolderError, match="CartPoleEnv has no model and data of MuJoCo"):
+        Senses(gymnasium.make("CartPole-v1"), [brick], EAR)
+    with pytest.raises(ObjectFolderError, match="neither a listener nor a pad"):
+        Senses(ReachEnv(body), {"object": brick})
+    with pytest.raises(ObjectFolderError, match="seconds is 0"):
+        Senses(ReachEnv(body), {"object": brick}, EAR, seconds=0)
