@@ -21,7 +21,7 @@ from objectfolder.touch.sheared import sheared
 from objectfolder.touch.simulate import Touches, press
 from objectfolder.touch.tangential import shear_contacts
 
-LEVELS = 5  #: depths, and shears, at which the gel's force is solved for
+DEPTHS, SHEARINGS = 5, 4  #: numbers of depths and of shears at which the gel's force is solved for
 SHEARS = (2e-5, 1e-3)  #: range of shears, m
 REACH = 0.02  #: m that a pad may be from the stored surface when the simulation has it in contact
 WIDE = 1.5  #: contacts up to so many half images from the optical axis are the gel's
@@ -197,19 +197,20 @@ class Feeling:
         poses = points, outward, angle
         depth = self._depths(file, poses, force[:, 0])
         pressed = press(file.surface.caster, *poses, depth, self.profile, file.scale)
-        images = self._optics.render(torch.from_numpy(pressed.displacement)).numpy()
         friction = np.full(len(rows), friction_of(file.material))
         shear = self._shears(file, poses, depth, force[:, 1:], friction)
-        moved = sheared(
-            Touches(**vars(pressed), images=images, profile=self.profile),
-            shear,
-            np.zeros(len(rows)),
-            friction,
-            None,
-        )
-        felt["images"][rows], felt["depth"][rows], felt["shear"][rows] = images, depth, shear
+        still = np.flatnonzero(~shear.any(1))
+        images = np.zeros((len(rows), *felt["images"].shape[1:]), np.uint8)
+        images[still] = self._rendered(pressed.displacement[still])  # `sheared` renders the others
+        found = Touches(**vars(pressed), images=images, profile=self.profile)
+        moved = sheared(found, shear, np.zeros(len(rows)), friction, None, self._rendered)
+        felt["images"][rows], felt["depth"][rows], felt["shear"][rows] = moved.images, depth, shear
         felt["borne"][rows] = np.c_[pressed.force, moved.shear_force]
         felt["area"][rows], felt["marker_flow"][rows] = pressed.area, moved.marker_flow
+
+    def _rendered(self, displacement: np.ndarray) -> np.ndarray:
+        """Return images (N, H, W, 3) of gels that are displaced by (N, H, W) metres."""
+        return self._optics.render(torch.from_numpy(displacement)).numpy()
 
     def _met(self, file: ObjectFile, places: np.ndarray, axes: np.ndarray) -> np.ndarray:
         """Return how far the gels (N,) are from the surface along their axes, m; negative: in it."""
@@ -224,11 +225,11 @@ class Feeling:
         self, file: ObjectFile, poses: tuple[np.ndarray, np.ndarray, np.ndarray], forces: np.ndarray
     ) -> np.ndarray:
         """Return the depths at which the gels bear forces (N,), interpolated on logarithmic scales."""
-        levels = np.geomspace(LEAST_DEPTH, self.profile.max_indentation, LEVELS)
-        points, outward, angle = (np.repeat(of, LEVELS, 0) for of in poses)
+        levels = np.geomspace(LEAST_DEPTH, self.profile.max_indentation, DEPTHS)
+        points, outward, angle = (np.repeat(of, DEPTHS, 0) for of in poses)
         depths = np.tile(levels, len(forces))
         found = press(file.surface.caster, points, outward, angle, depths, self._coarse, file.scale)
-        return _interpolated(forces, found.force.reshape(-1, LEVELS), levels)
+        return _interpolated(forces, found.force.reshape(-1, DEPTHS), levels)
 
     def _shears(
         self,
@@ -242,8 +243,8 @@ class Feeling:
         size = np.linalg.norm(forces, axis=1)
         along = forces / np.maximum(size, 1e-12)[:, None]
         pressed = press(file.surface.caster, *poses, depth, self._coarse, file.scale)
-        levels = np.geomspace(*SHEARS, LEVELS)
-        borne = np.empty((len(size), LEVELS))
+        levels = np.geomspace(*SHEARS, SHEARINGS)
+        borne = np.empty((len(size), SHEARINGS))
         for k, level in enumerate(levels):
             sideways = shear_contacts(pressed.pressure, level * along, 0 * size, friction, self._coarse).force
             borne[:, k] = (sideways * along).sum(1)

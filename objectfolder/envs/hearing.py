@@ -152,7 +152,7 @@ class Hearing:
         self._check(data)
         samples = round(self.sample_rate * self._step * (self._steps + 1)) - self._clock
         impacts, loads = self._reader.read(data)
-        self.strikes = tuple(strike for impact in impacts for strike in self._struck(data, impact, samples))
+        self.strikes = tuple(self._struck(data, impacts, samples)) if impacts else ()
         for load in loads:
             self._scrape(data, load, samples)
         lasting = {load.bodies for load in loads}
@@ -190,39 +190,35 @@ class Hearing:
                 "heard last: call hear() after every mj_step, and reset(data) when the simulation is reset"
             )
 
-    def _struck(self, data: mujoco.MjData, impact: Impact, samples: int) -> list[Strike]:
-        """Apply an impact to the objects that it hits."""
-        both = [self._bodies.get(number) for number in impact.bodies]
-        duration = self._contact_time(both, impact)
-        start = self._clock + round((1 - impact.late / self._step) * (samples - 1))
-        hit, energy = [], 0.0
-        for sign, body in zip((-1, 1), both):
-            if body is None:
-                continue
-            turn, at = data.xmat[body.number].reshape(3, 3), data.xpos[body.number]
-            point, impulse = turn.T @ (impact.point - at), turn.T @ (sign * impact.impulse)
-            gains = body.voice.gains(point[None], impulse[None])[0]
-            left = abs(gains * pulse_gain(body.voice.poles, duration))[: body.voice.modes]
-            hit.append((body, point, impulse, gains, float((left**2).sum() / 2)))
-            energy += hit[-1][-1]
-        # Hertz's law has no vibrations. Where they would take more energy than the impact lost, as of thin
-        # shells, the blow is as much weaker.
-        share = math.sqrt(min(impact.lost / energy, 1.0)) if energy > 0 else 1.0
+    def _struck(self, data: mujoco.MjData, impacts: list[Impact], samples: int) -> list[Strike]:
+        """Apply the impacts of a step to the objects that they hit."""
+        blows: dict[int, list[tuple[int, np.ndarray, np.ndarray]]] = {}  # by body: impact, point and impulse
+        for k, impact in enumerate(impacts):
+            for sign, number in zip((-1, 1), impact.bodies):
+                if number in self._bodies:
+                    turn = data.xmat[number].reshape(3, 3)
+                    point = (impact.point - data.xpos[number]) @ turn
+                    blows.setdefault(number, []).append((k, point, sign * impact.impulse @ turn))
+        durations = [self._contact_time([self._bodies.get(n) for n in one.bodies], one) for one in impacts]
+        hits, taken = [], np.zeros(len(impacts))
+        for number, found in blows.items():
+            body = self._bodies[number]
+            gains = body.voice.gains(*(np.stack([one[part] for one in found]) for part in (1, 2)))
+            for (k, point, impulse), gain in zip(found, gains):
+                left = abs(gain * pulse_gain(body.voice.poles, durations[k]))[: body.voice.modes]
+                energy = float(left @ left) / 2
+                taken[k] += energy
+                hits.append((k, body, point, impulse, gain, energy))
         out = []
-        for body, point, impulse, gains, taken in hit:
-            body.stream.strike(Pulse(start, duration * self.sample_rate, share * gains))
-            out.append(
-                Strike(
-                    body.name,
-                    start,
-                    point,
-                    share * impulse,
-                    duration,
-                    impact.speed,
-                    share**2 * taken,
-                    impact.lost,
-                )
-            )
+        for k, body, point, impulse, gain, energy in hits:
+            impact, duration = impacts[k], durations[k]
+            # Hertz's law has no vibrations. Where they would take more energy than the impact lost, as of
+            # thin shells, the blow is as much weaker.
+            share = math.sqrt(min(impact.lost / taken[k], 1.0)) if taken[k] > 0 else 1.0
+            start = self._clock + round((1 - impact.late / self._step) * (samples - 1))
+            body.stream.strike(Pulse(start, duration * self.sample_rate, share * gain))
+            energies = share**2 * energy, impact.lost
+            out.append(Strike(body.name, start, point, share * impulse, duration, impact.speed, *energies))
         return out
 
     def _contact_time(self, both: "list[_Body | None]", impact: Impact) -> float:
@@ -254,7 +250,7 @@ class Hearing:
         for sign, body in zip((-1, 1), both):
             if body is not None:
                 turn, at = data.xmat[body.number].reshape(3, 3), data.xpos[body.number]
-                gains = body.voice.rough_gains((load.point - at) @ turn, sign * along[None] @ turn)[0]
+                gains = body.voice.rough_gains((load.point - at) @ turn, sign * along @ turn)
                 body.stream.shake(forces, gains)
 
     def _weights(self, data: mujoco.MjData, body: _Body, ear: np.ndarray) -> np.ndarray:

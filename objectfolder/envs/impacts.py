@@ -136,8 +136,10 @@ class ContactReader:
     def _loads(self, data: mujoco.MjData, found: "_Rows", lasting: np.ndarray) -> list[Load]:
         """Sum the contacts that last, by pairs of bodies."""
         out = []
-        for pair in dict.fromkeys(found.bodies[k] for k in lasting):
-            rows = [k for k in lasting if found.bodies[k] == pair]
+        pairs: dict[tuple[int, int], list[int]] = {}
+        for k in lasting.tolist():
+            pairs.setdefault(found.bodies[k], []).append(k)
+        for pair, rows in pairs.items():
             force = found.force[rows]
             total = float(force.sum())
             if total <= 0:

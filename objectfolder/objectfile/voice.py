@@ -14,6 +14,7 @@ from objectfolder.materials import Material
 from objectfolder.objectfile.audio import ModalSense
 from objectfolder.objectfile.header import RADIATION
 from objectfolder.objectfile.parts import StoredParts
+from objectfolder.objectfile.reading import damaged_net
 
 TAPS = 2000  #: points of the surface whose mode shapes are kept for rough answers
 _ALIKE = 0.01  # relative change of wavelengths, over the size, that is not worth a warning
@@ -102,8 +103,15 @@ class Voice:
         self.mass = self.recoil.mass
         self._recoil_rate = SOUND_SPEED / self.recoil.radii
         self.poles = np.concatenate([modal, self._recoil_rate * (-1 + 1j)])
-        self._taps: tuple[np.ndarray, np.ndarray] | None = None
+        taps = self._surface.sample(TAPS, np.random.default_rng(0))
+        shapes = self._factor * self._shapes(taps).astype(np.float64)
+        recoil = np.broadcast_to(self.recoil.axes.T, (TAPS, 3, 3))
+        self._taps, self._tapped = taps * self._resized, np.concatenate([shapes, recoil], 2)
+        self._lengths = np.square(self._taps).sum(1)
         self._area = 0.0
+        if self._surface.stored:  # build what finds the nearest points, else the first strike would wait
+            self._surface.nearest(1.1 * taps[:100])
+            self._surface.read().caster.first_hit(np.zeros((1, 3)), np.eye(3)[:1])
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), self._arguments
@@ -116,16 +124,11 @@ class Voice:
         nearest = self._surface.nearest(np.asarray(points, np.float64) / self._resized)[0]
         return self._gains(self._shapes(nearest), impulses)
 
-    def rough_gains(self, point: np.ndarray, impulses: np.ndarray) -> np.ndarray:
-        """Return gains (N, M + 3) of impulses (N, 3), with shapes of the nearest of `TAPS` points."""
-        if self._taps is None:
-            points = self._surface.sample(TAPS, np.random.default_rng(0))
-            shapes = self._factor * self._shapes(points).astype(np.float64)
-            recoil = np.broadcast_to(self.recoil.axes.T, (TAPS, 3, 3))
-            self._taps = points * self._resized, np.concatenate([shapes, recoil], 2)
-        points, shapes = self._taps
-        row = np.square(points - point).sum(1).argmin()
-        return impulses @ shapes[row]
+    def rough_gains(self, point: np.ndarray, impulse: np.ndarray) -> np.ndarray:
+        """Return gains (M + 3,) of an impulse (3,), with the shapes of the nearest of `TAPS` points."""
+        row = (self._lengths - 2 * self._taps @ point).argmin()  # squares of distances, but for a constant
+        found: np.ndarray = impulse @ self._tapped[row]
+        return found
 
     def weights(self, place: np.ndarray) -> np.ndarray:
         """Return the complex weights (M + 3,) with which phasors are heard at a place (3,), in pascals.
@@ -156,7 +159,10 @@ class Voice:
 
     def _shapes(self, points: np.ndarray) -> np.ndarray:
         """Return mode shapes (N, 3, M) at points of the surface, metres of the stored object."""
-        return self._sense.mode_shapes(points, 0.02)[..., self._rows]
+        shapes = self._sense.net.shapes(torch.from_numpy(self._surface.to_unit(points))).cpu().numpy()
+        if not np.isfinite(shapes).all():
+            raise damaged_net(self.key, "audio")
+        return shapes[..., self._rows]
 
     def _gains(self, shapes: np.ndarray, impulses: np.ndarray) -> np.ndarray:
         force = torch.from_numpy(np.asarray(impulses, np.float64) * self._factor).float()
@@ -175,7 +181,6 @@ class Voice:
                 np.linalg.norm(np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0]), axis=1).sum()
                 / 2
             )
-            points = self._surface.sample(TAPS, np.random.default_rng(0))
-            moved = self._factor * self._shapes(points)
-            self._moving = np.sqrt(np.square(moved, dtype=np.float64).mean(0).sum(0) / 3)
+            moved = self._tapped[..., : self.modes]
+            self._moving = np.sqrt(np.square(moved).mean(0).sum(0) / 3)
         return AIR_DENSITY * SOUND_SPEED * np.sqrt(self._area / (4 * np.pi)) * self._moving
