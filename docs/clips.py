@@ -1,5 +1,6 @@
-"""Draw docs/drop.webp, docs/push.webp and docs/clips.png: scenes, and what is heard."""
+"""Draw docs/drop.webp, docs/push.webp and what is heard: `python docs/clips.py [drop] [push]`."""
 
+import sys
 from pathlib import Path
 
 import matplotlib as mpl
@@ -18,16 +19,16 @@ from matplotlib import pyplot
 
 SECONDS, RATE, SIZE = 1.6, 15, (210, 280)
 HERE = Path(__file__).parent
-VIEW = View(np.array([0.45, -0.75, 0.42]), np.array([0.0, 0.0, 0.07]), 32.0)
+VIEW = View(np.array([0.45, -0.75, 0.42]), np.array([0.0, 0.0, 0.11]), 36.0)
 
 #: Scenes: place (m), axis and angle (degrees), velocity (m/s) of each object.
 SCENES: dict[str, dict[str, tuple[list[float], list[float], list[float]]]] = {
     "drop": {
         "mug": ([-0.11, 0.0, 0.25], [0.3, 1, 0, 25], [0.1, 0, 0]),
-        "bell": ([0.12, 0.02, 0.38], [1, 0.2, 0, 30], [-0.1, 0, 0]),
+        "bell": ([0.12, 0.02, 0.32], [1, 0.2, 0, 30], [-0.1, 0, 0]),
     },
     "push": {
-        "mug": ([-0.27, 0.0, 0.0565], [0, 0, 1, 150], [1.1, 0, 0]),
+        "mug": ([-0.18, 0.0, 0.0565], [0, 0, 1, 150], [1.8, 0, 0]),
         "bell": ([0.05, 0.0, 0.04], [0, 0, 1, 0], [0, 0, 0]),
     },
 }
@@ -56,21 +57,31 @@ def taken(name: str) -> tuple[Take, SceneCamera]:
     return take, SceneCamera(model, files, VIEW, *SIZE)
 
 
-def main() -> None:
-    figure, axes = pyplot.subplots(1, len(SCENES), figsize=(8, 2.6), layout="constrained")
-    for axis, name in zip(axes, SCENES):
-        take, camera = taken(name)
-        frames = [Image.fromarray(picture) for picture in camera.pictures(take)]
-        with atomic(HERE / f"{name}.webp") as path:
-            frames[0].save(
-                path, "WEBP", save_all=True, append_images=frames[1:], duration=round(1000 / RATE), loop=0,
-                quality=60,
-            )  # fmt: skip
-        quiet = 1e-6 * np.random.default_rng(0).standard_normal(len(take.sound))  # no logarithm of 0
-        axis.specgram(take.sound + quiet, NFFT=1024, Fs=48000, noverlap=768, vmin=-150, vmax=-50)
-        axis.set(title=name, xlabel="s", ylabel="Hz", ylim=(0, 20000))
-    with atomic(HERE / "clips.png") as path:
+def draw(name: str) -> None:
+    """Draw the clip of a scene, and its sound."""
+    take, camera = taken(name)
+    frames = [Image.fromarray(picture) for picture in camera.pictures(take)]
+    with atomic(HERE / f"{name}.webp") as path:
+        frames[0].save(
+            path,
+            "WEBP",
+            save_all=True,
+            append_images=frames[1:],
+            duration=round(1000 / RATE),
+            loop=0,
+            quality=60,
+        )
+    figure, axis = pyplot.subplots(figsize=(4, 2.6), layout="constrained")
+    quiet = 1e-6 * np.random.default_rng(0).standard_normal(len(take.sound))  # no logarithm of 0
+    axis.specgram(take.sound + quiet, NFFT=1024, Fs=48000, noverlap=768, vmin=-150, vmax=-50)
+    axis.set(xlabel="s", ylabel="Hz", ylim=(0, 20000))
+    with atomic(HERE / f"{name}_sound.png") as path:
         figure.savefig(path, format="png", dpi=100)
+
+
+def main() -> None:
+    for name in sys.argv[1:] or SCENES:
+        draw(name)
 
 
 if __name__ == "__main__":

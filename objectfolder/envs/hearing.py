@@ -64,7 +64,7 @@ class Hearing:
     Parameters
     ----------
     model : mujoco.MjModel
-        Any scene with bodies that `objectfolder.envs.body.add_body` or `objectfolder export mjcf` made.
+        Any scene with bodies that `objectfolder.envs.body.add_body` or ``objectfolder export mjcf`` made.
     objects : mapping from str to ObjectFile or Sounding, or iterable of ObjectFile
         Objects by the names of their bodies; without names, these are their keys.
     listener : str or (3,) array
