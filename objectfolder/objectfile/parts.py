@@ -16,9 +16,11 @@ from objectfolder.objectfile.audio import AudioSense, audio_sense
 from objectfolder.objectfile.header import PARTS, RADIATION, known_kinds
 from objectfolder.objectfile.radiation import Radiation
 from objectfolder.objectfile.reading import StoredNet, once, report_damage
-from objectfolder.objectfile.surface import ObjectSurface
+from objectfolder.objectfile.surface import TOLERANCE, ObjectSurface
 from objectfolder.objectfile.touch import TouchSense, touch_sense
 from objectfolder.objectfile.vision import VisionSense, vision_sense
+
+TAPS = 2000  #: points of the surface whose mode shapes are kept for rough answers
 
 
 class StoredParts:
@@ -106,6 +108,12 @@ class StoredParts:
     def audio(self) -> AudioSense:
         """How the object sounds."""
         return audio_sense(self._net("audio"))
+
+    @once
+    def taps(self) -> tuple[np.ndarray, np.ndarray]:
+        """`TAPS` fixed points of the surface, (T, 3) metres, and the mode shapes there, (T, 3, M) kg^-1/2."""
+        points = self.surface.sample(TAPS, np.random.default_rng(0))
+        return points, self.audio.mode_shapes(points, TOLERANCE)
 
     @once
     def touch(self) -> TouchSense:

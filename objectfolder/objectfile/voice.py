@@ -13,10 +13,9 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material
 from objectfolder.objectfile.audio import ModalSense
 from objectfolder.objectfile.header import RADIATION
-from objectfolder.objectfile.parts import StoredParts
+from objectfolder.objectfile.parts import TAPS, StoredParts
 from objectfolder.objectfile.reading import damaged_net
 
-TAPS = 2000  #: points of the surface whose mode shapes are kept for rough answers
 _ALIKE = 0.01  # relative change of wavelengths, over the size, that is not worth a warning
 log = logging.getLogger(__name__)
 
@@ -103,8 +102,8 @@ class Voice:
         self.mass = self.recoil.mass
         self._recoil_rate = SOUND_SPEED / self.recoil.radii
         self.poles = np.concatenate([modal, self._recoil_rate * (-1 + 1j)])
-        taps = self._surface.sample(TAPS, np.random.default_rng(0))
-        shapes = self._factor * self._shapes(taps).astype(np.float64)
+        taps, all_shapes = parts.taps
+        shapes = self._factor * all_shapes[..., self._rows].astype(np.float64)
         recoil = np.broadcast_to(self.recoil.axes.T, (TAPS, 3, 3))
         self._taps, self._tapped = taps * self._resized, np.concatenate([shapes, recoil], 2)
         self._lengths = np.square(self._taps).sum(1)
