@@ -10,7 +10,7 @@ from PIL import Image
 
 from objectfolder import ObjectFile
 from objectfolder.envs.body import add_body, rigid_body
-from objectfolder.envs.clip import SceneCamera, Take, View, simulate
+from objectfolder.envs.clip import SceneCamera, SceneView, Take, simulate
 from objectfolder.envs.hearing import Hearing
 from objectfolder.io import atomic
 
@@ -19,7 +19,7 @@ from matplotlib import pyplot
 
 SECONDS, RATE, SIZE = 1.6, 15, (210, 280)
 HERE = Path(__file__).parent
-VIEW = View(np.array([0.45, -0.75, 0.42]), np.array([0.0, 0.0, 0.11]), 36.0)
+VIEW = SceneView(np.array([0.45, -0.75, 0.42]), np.array([0.0, 0.0, 0.11]), 36.0)
 
 #: Scenes: place (m), axis and angle (degrees), velocity (m/s) of each object.
 SCENES: dict[str, dict[str, tuple[list[float], list[float], list[float]]]] = {

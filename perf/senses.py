@@ -132,7 +132,7 @@ def ear(folder: str, train: str) -> dict:
     from objectfolder.envs.ears import Ear
 
     torch.set_num_threads(1)
-    parts = [np.load(path) for path in sorted(Path(folder).glob("*.npz"))]
+    parts = [np.load(path, allow_pickle=False) for path in sorted(Path(folder).glob("*.npz"))]
     heard, answers = (np.concatenate([part[name] for part in parts]) for name in ("heard", "answers"))
     env, known = DropEnv(), int(train)
     kinds = len(env.files), len(env.materials)

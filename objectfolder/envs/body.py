@@ -83,7 +83,7 @@ def as_rigid_body(
     return rigid_body(file, hulls)
 
 
-def resized(body: RigidBody, ratio: float, density: float = 1.0) -> RigidBody:
+def scaled_body(body: RigidBody, ratio: float, density: float = 1.0) -> RigidBody:
     """Return the body of another size and density.
 
     Parameters

@@ -22,7 +22,7 @@ _AWAY = 1e-3  # m from a surface at which a shadow ray begins
 
 
 @dataclass(frozen=True)
-class View:
+class SceneView:
     """A camera, world frame."""
 
     eye: np.ndarray  #: (3,) m
@@ -38,7 +38,7 @@ class Take:
     states: list[np.ndarray]  #: of the simulation at each picture
 
 
-def default_view(model: mujoco.MjModel, data: mujoco.MjData, objects: dict[str, ObjectFile]) -> View:
+def default_view(model: mujoco.MjModel, data: mujoco.MjData, objects: dict[str, ObjectFile]) -> SceneView:
     """Return the scene's first camera, or one that sees the objects, their fall included.
 
     Parameters
@@ -51,13 +51,13 @@ def default_view(model: mujoco.MjModel, data: mujoco.MjData, objects: dict[str, 
     """
     if model.ncam:
         ahead = -data.cam_xmat[0].reshape(3, 3)[:, 2]
-        return View(data.cam_xpos[0].copy(), data.cam_xpos[0] + ahead, float(model.cam_fovy[0]))
+        return SceneView(data.cam_xpos[0].copy(), data.cam_xpos[0] + ahead, float(model.cam_fovy[0]))
     places = np.array([data.xpos[body_number(model, name)] for name in objects])
     sizes = max(file.scale for file in objects.values())
     low, high = places.min(0) - sizes, places.max(0) + sizes
     low[2] = min(low[2], 0.0)
     target, spread = (low + high) / 2, float(np.linalg.norm(high - low))
-    return View(target + spread * np.array([0.75, -1.1, 0.55]), target, FOV)
+    return SceneView(target + spread * np.array([0.75, -1.1, 0.55]), target, FOV)
 
 
 def simulate(model: mujoco.MjModel, data: mujoco.MjData, hearing: Hearing, seconds: float, rate: int) -> Take:
@@ -104,13 +104,13 @@ class SceneCamera:
     model : mujoco.MjModel
     objects : dict
         Object Files by the names of their bodies.
-    view : View
+    view : SceneView
     height, width : int
         Pixels.
     """
 
     def __init__(
-        self, model: mujoco.MjModel, objects: dict[str, ObjectFile], view: View, height: int, width: int
+        self, model: mujoco.MjModel, objects: dict[str, ObjectFile], view: SceneView, height: int, width: int
     ):
         self._objects = {body_number(model, name): file for name, file in objects.items()}
         self._view, self._shape = view, (height, width)

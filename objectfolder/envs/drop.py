@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from gymnasium import spaces
 
-from objectfolder.envs.body import add_body, density, resized, rigid_body
+from objectfolder.envs.body import add_body, density, rigid_body, scaled_body
 from objectfolder.envs.calls import no_options, started
 from objectfolder.envs.hearing import Hearing
 from objectfolder.envs.poses import rotation
@@ -106,7 +106,9 @@ class DropEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def _heard(self, ratio: float, height: float, turn: np.ndarray, spin: np.ndarray) -> np.ndarray:
         """Simulate a fall and return its sound from the first contact on."""
         file, stuff = self.files[self._fallen["object"]], self.materials[self._fallen["material"]]
-        body = resized(self._bodies[self._fallen["object"]], ratio, material(stuff).density / density(file))
+        body = scaled_body(
+            self._bodies[self._fallen["object"]], ratio, material(stuff).density / density(file)
+        )
         spec = mujoco.MjSpec()
         spec.worldbody.add_geom(
             type=mujoco.mjtGeom.mjGEOM_PLANE, size=[5, 5, 0.1], friction=[friction_of(stuff), 0.005, 0.0001]

@@ -30,7 +30,7 @@ RAYS = (13, 17)  #: of that search, across and up the gel
 
 
 @dataclass(frozen=True)
-class Felt:
+class PadTouches:
     """What P pads feel in E environments; without the first axis for a single one.
 
     Vectors are in the sensor's image: pressure towards the camera, then along image right and image up.
@@ -116,7 +116,7 @@ class Feeling:
         self._sag = gel_sag(profile, np.hypot(across, up).ravel())
         self._half = half
 
-    def feel(self, data: "mujoco.MjData | Sequence[mujoco.MjData]") -> Felt:
+    def feel(self, data: "mujoco.MjData | Sequence[mujoco.MjData]") -> PadTouches:
         """Return what all pads feel now, in one environment or in many of the same model."""
         single = isinstance(data, mujoco.MjData)
         many = [data] if isinstance(data, mujoco.MjData) else [*data]
@@ -138,7 +138,7 @@ class Feeling:
             if chosen:
                 self._press(file, body, chosen, contacts, felt)
         skipped = 1 if single else 0
-        return Felt(**{name: of.reshape(shape[skipped:] + of.shape[1:]) for name, of in felt.items()})
+        return PadTouches(**{name: of.reshape(shape[skipped:] + of.shape[1:]) for name, of in felt.items()})
 
     def _touching(self, data: mujoco.MjData, site: int) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
         """Return the body that a pad touches most, the force, and the site's place and axes in its frame."""

@@ -8,12 +8,12 @@ import pytest
 from test_hearing import scene
 
 from objectfolder.cli import app
-from objectfolder.envs.clip import SceneCamera, View, default_view, simulate
+from objectfolder.envs.clip import SceneCamera, SceneView, default_view, simulate
 from objectfolder.envs.export import write_mjcf
 from objectfolder.envs.hearing import Hearing
 from objectfolder.errors import ObjectFolderError
 
-ABOVE = View(np.array([0.0, -0.001, 0.6]), np.array([0.0, 0.0, 0.0]), 30.0)
+ABOVE = SceneView(np.array([0.0, -0.001, 0.6]), np.array([0.0, 0.0, 0.0]), 30.0)
 
 
 def test_a_take_has_all_pictures_and_all_sound(brick):
