@@ -235,21 +235,18 @@ def measure(sensor: Sensor, seed: int) -> tuple[dict, SensorFit, list[Photograph
     order = np.random.default_rng(seed).permutation(len(pack.pictures))
     chosen, held = np.sort(order[:FITTED]), np.sort(order[FITTED:])
     begun = time.process_time()
-    fits = {
-        name: fit_sensor_lights(
-            pack.pictures[chosen],
-            radius,
-            sensor.profile,
-            pack.untouched,
-            [pack.circles[i] for i in chosen],
-            count=LIGHTS,
-            residual=residual,
-        )
-        for name, residual in (("physical", False), ("with residual", True))
-    }
-    took = (time.process_time() - begun) / 2
-    physical = fits["physical"]
-    poses = np.array([[each.row, each.column, each.depth] for each in physical.imprints])
+    fit = fit_sensor_lights(
+        pack.pictures[chosen],
+        radius,
+        sensor.profile,
+        pack.untouched,
+        [pack.circles[i] for i in chosen],
+        count=LIGHTS,
+        residual=True,
+    )
+    took = time.process_time() - begun
+    lights = replace(fit.profile, residual=())
+    poses = np.array([[each.row, each.column, each.depth] for each in fit.imprints])
     shift = (poses[:, :2] - [pack.circles[i][:2] for i in chosen]).mean(axis=0)
     rest = pack.untouched.astype(np.float32)
     marked = [
@@ -260,7 +257,7 @@ def measure(sensor: Sensor, seed: int) -> tuple[dict, SensorFit, list[Photograph
         )
         for picture, circle in zip(pack.pictures, pack.circles)
     ]
-    shown, errors_of_places = located(sensor, physical.profile, marked, held)
+    shown, errors_of_places = located(sensor, lights, marked, held)
     row: dict[str, Any] = {"sensor": sensor.name, "seed": seed, "fitted": FITTED, "held out": len(held)}
     whole, used = (
         sum(int(each.disc.sum()) for each in shown[of]) for of in ("circles, all pixels", "circles")
@@ -270,17 +267,17 @@ def measure(sensor: Sensor, seed: int) -> tuple[dict, SensorFit, list[Photograph
         errors = [(photograph.picture - rest)[photograph.disc] for photograph in shown[of]]
         row[name] = decibels(np.concatenate(errors))
     row |= regressions(sensor, marked, chosen, held)
-    for name, fit in fits.items():
-        row[f"{name}, fitted ones"] = fit.psnr_after
-        for where, photographs in shown.items():
-            row[f"{name}, {where}"] = float(psnr(squared_error(fit.profile, radius, rest, photographs), 255))
+    fitted = [replace(marked[i], pose=pose) for i, pose in zip(chosen, poses)]
+    for name, profile in (("physical", lights), ("with residual", fit.profile)):
+        for where, photographs in ({"fitted ones": fitted} | shown).items():
+            row[f"{name}, {where}"] = float(psnr(squared_error(profile, radius, rest, photographs), 255))
     circles = [pack.circles[i] for i in held]
     row["degree 7, fitted to these, circles"] = ceiling(sensor, shown["circles"], circles)
     moved = [(*found.pose[:2], circle[2]) for found, circle in zip(shown["poses found"], circles)]
     row["degree 7, fitted to these, poses found"] = ceiling(sensor, shown["poses found"], moved)
     row |= errors_of_places
     found = shown["poses found"]
-    return row | {"cpu_s": took, "photographs": (chosen + 1).tolist()}, fits["with residual"], found
+    return row | {"cpu_s": took, "photographs": (chosen + 1).tolist()}, fit, found
 
 
 def main() -> None:

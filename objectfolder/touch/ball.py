@@ -1,6 +1,7 @@
 """Model of the pictures of a ball pressed on a sensor."""
 
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -10,6 +11,7 @@ from objectfolder.touch.contact import GAP
 from objectfolder.touch.gel import deform
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile
+from objectfolder.touch.shading import Vectors
 
 
 class BallModel:
@@ -30,6 +32,17 @@ class BallModel:
         self._rays, self._gel = ray_directions(profile), gel_depth(profile)
         self._optics: dict[bytes, Optics] = {}
         self._displacements: dict[bytes, torch.Tensor] = {}
+
+    @cached_property
+    def optics(self) -> Optics:
+        """Optics of the profile as given."""
+        return Optics(self.profile)
+
+    @cached_property
+    def still(self) -> tuple[Vectors, Vectors]:
+        """Points and normals of the gel at rest; see `Optics.surface`."""
+        points, normals, _ = self.optics.surface(torch.zeros(1, self.profile.height, self.profile.width))
+        return points, normals
 
     def lit(self, logarithms: np.ndarray) -> SensorProfile:
         """Return the profile with the lights of each colour scaled by exp of the (C,) logarithms."""

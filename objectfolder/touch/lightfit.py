@@ -7,7 +7,6 @@ import torch
 from scipy.optimize import least_squares
 
 from objectfolder.touch.ball import BallModel
-from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import Light, SensorProfile, Vector
 from objectfolder.touch.residual import places, residual_levels, residual_terms
 from objectfolder.touch.shading import Vectors, radiance
@@ -57,14 +56,12 @@ class _Surface:
     """Points of the gel inside the discs of some photographs, deformed and at rest, and what they show."""
 
     def __init__(self, model: BallModel, untouched: np.ndarray, photographs: list[Photograph]):
-        optics = Optics(model.profile)
-        place = places(model.profile)
-        rest = optics.surface(torch.zeros(1, *untouched.shape[:2]))
+        place, rest = places(model.profile), model.still
         parts = []
         for photograph in photographs:
             disc = photograph.disc
-            moved = optics.surface(model.displacement(photograph.pose))
-            columns = [_inside(axis, disc) for vectors in (*moved[:2], *rest[:2]) for axis in vectors]
+            moved = model.optics.surface(model.displacement(photograph.pose))
+            columns = [_inside(axis, disc) for vectors in (*moved[:2], *rest) for axis in vectors]
             columns += [moved[2][i][0][disc] for i in (0, 1)] + [axis[disc] for axis in place]
             parts.append(np.stack(columns).astype(np.float32))
         values = np.concatenate(parts, axis=1)
@@ -182,12 +179,11 @@ def exposed(profile: SensorProfile, photographs: list[Photograph], model: BallMo
     Optics cut radiance off at 1, the fit does not. Here no pixel of the gel, at rest or under the ball, is
     brighter than ``_BRIGHTEST``.
     """
-    optics = Optics(model.profile)
     gels = torch.cat(
         [torch.zeros_like(model.displacement(photographs[0].pose))]
         + [model.displacement(photograph.pose) for photograph in photographs]
     )
-    points, normals, _ = optics.surface(gels)
+    points, normals, _ = model.optics.surface(gels)
     factor = _BRIGHTEST / float(radiance(points, normals, profile).max())
     lights = tuple(replace(light, intensity=light.intensity * factor) for light in profile.lights)
     gain = profile.gain * factor ** (-1 / profile.gamma)
