@@ -21,8 +21,8 @@ from objectfolder.audio.click import AIR_DENSITY, SOUND_SPEED, Recoil
 from objectfolder.mesh.topology import face_areas
 
 EDGES_PER_WAVE = 2.0  #: of sound; with fewer, a surface radiates as plane waves do
-RESOLVED = 4.2  #: edges per wave that a mode's surface has, if it may have so many triangles
-FEWEST = 1000  #: triangles of a surface, however long the waves are
+RESOLVED = 5.0  #: edges per wave that a mode's surface has, if it may have so many triangles
+FEWEST = 2000  #: triangles of a surface, however long the waves are
 _FINER = 0.5  # of a triangle's edge, on which modes' motions are read from the exact surface
 _BEYOND = 4  # orders of harmonics beyond the wavenumber times the radius
 _ALIKE = 0.04  # difference of wavenumbers, times the radius, within which modes share a matrix
