@@ -20,6 +20,7 @@ from objectfolder.settings import Count, Positive
 _SAMPLES = 100_000  # surface points, to find the cells that the surface touches
 _UNKNOWNS = 12  # lower bound per element: one corner and three edge nodes of its own
 _GROWTH = 1.8  # unknowns grow at least with this power of the resolution (thin sheets with free edges)
+_CHEAP, _SURE = 1 / 5, 1 / 3  # grids of this share of the size limit refine to this share of the error
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +78,8 @@ def refined(
     """Cut a solid on finer grids until the estimated error of its lowest frequencies is accepted.
 
     Each step goes to the coarsest grid that should suffice if the error falls with the power ``ORDER`` of
-    the cells' size, or to the finest one within the size limit.
+    the cells' size, or to the finest one within the size limit. An estimate may be a third of the error; so
+    where it is accepted, grids go on to a third of it while they stay small.
 
     Parameters
     ----------
@@ -97,19 +99,21 @@ def refined(
         return candidate
     least = _least_unknowns(*surface)
 
-    def possible(resolution: int, grid: CutCells) -> bool:
+    def possible(resolution: int, grid: CutCells, limit: float) -> bool:
         growth = (resolution / grid.resolution) ** _GROWTH
-        size = max(growth * grid.degrees_of_freedom, least(resolution))
-        return growth > 1 and size <= fine.max_degrees_of_freedom
+        return growth > 1 and max(growth * grid.degrees_of_freedom, least(resolution)) <= limit
 
-    rungs, wanted = sorted(fine.resolutions), None
-    while rungs := [rung for rung in rungs if possible(rung, solid)]:
+    rungs, wanted, limit = sorted(fine.resolutions), None, float(fine.max_degrees_of_freedom)
+    while rungs := [rung for rung in rungs if possible(rung, solid, limit)]:
         if wanted is None:
             error = candidate.errors(candidate.lowest_frequencies())
-            worst = max(error) if error else 0.0
-            if worst <= fine.max_error:
+            worst, accepted = max(error) if error else 0.0, fine.max_error
+            if worst <= accepted:
+                accepted, limit = _SURE * accepted, _CHEAP * fine.max_degrees_of_freedom
+            if worst <= accepted:
                 break
-            wanted = solid.resolution * (worst / fine.max_error) ** (1 / ORDER)
+            wanted = solid.resolution * (worst / accepted) ** (1 / ORDER)
+            continue  # fewer rungs may be left
         rung = next((rung for rung in rungs if rung >= wanted), rungs[-1])
         finer = merge_full_blocks(cut_cells(*surface, rung, fine.subdivisions, name))
         if finer.degrees_of_freedom <= fine.max_degrees_of_freedom:

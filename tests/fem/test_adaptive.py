@@ -18,6 +18,11 @@ SHEET = box((1, 1, 0.03))  # 0.24 cells of eight
 THICK = box((1, 1, 0.06))
 
 
+@pytest.fixture(autouse=True)
+def no_grid_is_small(monkeypatch):
+    monkeypatch.setattr(adaptive, "_CHEAP", 0)
+
+
 def fine(size, max_error):
     return replace(FINE, max_degrees_of_freedom=size, max_error=max_error)
 
@@ -89,6 +94,16 @@ def test_a_step_leads_to_the_coarsest_grid_that_should_suffice(monkeypatch):
     asked = estimating(monkeypatch, {8: 0.02 * 1.5**1.5 * 1.01})
     assert refine(THICK).resolution == 16
     assert asked == [8]  # nothing is finer than 16
+
+
+def test_small_grids_are_refined_until_a_third_of_the_error_is_accepted(monkeypatch):
+    monkeypatch.setattr(adaptive, "_CHEAP", 1)
+    asked = estimating(monkeypatch, {8: 0.01, 12: 0.006})
+    assert refine(THICK).resolution == 12
+    assert asked == [8, 12]
+    monkeypatch.setattr(adaptive, "_CHEAP", 1e-4)
+    estimating(monkeypatch, {8: 0.01})
+    assert refine(THICK).resolution == 8
 
 
 def test_steps_are_repeated_until_the_error_is_accepted(monkeypatch):
