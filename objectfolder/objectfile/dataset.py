@@ -15,7 +15,7 @@ OBJECTS = "objects"  #: folder of the Object Files
 
 
 @dataclass(frozen=True, kw_only=True)
-class Entry:
+class IndexEntry:
     """What the index says of one object; a column per field. Unknown figures are None."""
 
     key: str
@@ -36,7 +36,9 @@ class Entry:
 
 
 #: Type of each column of the index, in order: str, int or float.
-COLUMNS: dict[str, type] = {field.name: (get_args(field.type) or (field.type,))[0] for field in fields(Entry)}
+COLUMNS: dict[str, type] = {
+    field.name: (get_args(field.type) or (field.type,))[0] for field in fields(IndexEntry)
+}
 
 
 class Dataset(Sequence[ObjectFile]):
@@ -55,7 +57,7 @@ class Dataset(Sequence[ObjectFile]):
 
     Attributes
     ----------
-    entries : tuple of Entry
+    entries : tuple of IndexEntry
         What the index says, in its order.
 
     Raises
@@ -97,7 +99,7 @@ class Dataset(Sequence[ObjectFile]):
     def __repr__(self) -> str:
         return f"Dataset({str(self.folder)!r}): {len(self)} objects"
 
-    def entry(self, which: int | str) -> Entry:
+    def entry(self, which: int | str) -> IndexEntry:
         """Return what the index says of an object, by number or key."""
         if isinstance(which, str):
             found = [entry for entry in self.entries if entry.key == which]
@@ -157,13 +159,13 @@ class Dataset(Sequence[ObjectFile]):
                 f"{self.folder}: missing, or not as released: {', '.join(wrong)}; download them again"
             )
 
-    def _with(self, entries: tuple[Entry, ...]) -> "Dataset":
+    def _with(self, entries: tuple[IndexEntry, ...]) -> "Dataset":
         part = object.__new__(type(self))
         part.folder, part.device, part.entries = self.folder, self.device, entries
         return part
 
 
-def read_index(path: Path) -> tuple[Entry, ...]:
+def read_index(path: Path) -> tuple[IndexEntry, ...]:
     """Read the index of a release.
 
     Raises
@@ -189,7 +191,7 @@ def read_index(path: Path) -> tuple[Entry, ...]:
     return entries
 
 
-def _entry(row: dict[str, Any], place: str) -> Entry:
+def _entry(row: dict[str, Any], place: str) -> IndexEntry:
     # Columns of newer versions are left alone.
     if missing := [name for name in COLUMNS if row.get(name) is None]:
         raise ObjectFolderError(f"{place}: lacks {', '.join(missing)}")
@@ -203,4 +205,4 @@ def _entry(row: dict[str, Any], place: str) -> Entry:
     path = Path(values["path"])
     if path.is_absolute() or ".." in path.parts:
         raise ObjectFolderError(f"{place}: path is {quoted(values['path'])}, expected one in the release")
-    return Entry(**values)
+    return IndexEntry(**values)

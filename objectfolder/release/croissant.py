@@ -6,7 +6,7 @@ The format is MLCommons' (https://docs.mlcommons.org/croissant/); mlcroissant va
 from collections.abc import Sequence
 from typing import Any
 
-from objectfolder.objectfile.dataset import COLUMNS, INDEX, OBJECTS, Entry
+from objectfolder.objectfile.dataset import COLUMNS, INDEX, OBJECTS, IndexEntry
 from objectfolder.release.words import Words
 
 CONFORMS_TO = ["http://mlcommons.org/croissant/1.1", "http://mlcommons.org/croissant/RAI/1.0"]
@@ -51,12 +51,12 @@ _MEANINGS = {
 }
 
 
-def croissant(entries: Sequence[Entry], words: Words, index_digest: str) -> dict[str, Any]:
+def croissant(entries: Sequence[IndexEntry], words: Words, index_digest: str) -> dict[str, Any]:
     """Return the metadata as JSON-LD.
 
     Parameters
     ----------
-    entries : sequence of Entry
+    entries : sequence of IndexEntry
     words : Words
         What people read.
     index_digest : str

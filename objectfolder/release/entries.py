@@ -11,7 +11,7 @@ from typing import Any
 from objectfolder.benchmarks.datasets.splits import label_order, object_split
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.io import file_digest, read_json
-from objectfolder.objectfile.dataset import COLUMNS, OBJECTS, Entry
+from objectfolder.objectfile.dataset import COLUMNS, OBJECTS, IndexEntry
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace.layout import Build
 
@@ -33,7 +33,7 @@ def entry_of(
     licences: Mapping[str, str],
     categories: Mapping[str, str],
     root: Path = Path(),
-) -> Entry:
+) -> IndexEntry:
     """Describe a built object.
 
     Parameters
@@ -59,7 +59,7 @@ def entry_of(
     scores = read_json(build.metrics) if build.metrics.is_file() else {}
     licence, source = _origin(key, values, licences, root)
     frequencies = file.frequencies
-    return Entry(
+    return IndexEntry(
         key=key,
         path=f"{OBJECTS}/{key}.safetensors",
         category=categories.get(key) or _of_generator(values, key) or categories.get("", ""),
@@ -95,7 +95,7 @@ def released_keys(chosen: Iterable[str], values: Mapping[str, Any], root: Path =
     return list(label_order(keys))
 
 
-def index_text(entries: Iterable[Entry]) -> str:
+def index_text(entries: Iterable[IndexEntry]) -> str:
     """Return the index as CSV."""
     text = io.StringIO()
     writer = csv.DictWriter(text, list(COLUMNS), lineterminator="\n")

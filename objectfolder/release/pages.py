@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from objectfolder.objectfile.dataset import INDEX, OBJECTS, Entry
+from objectfolder.objectfile.dataset import INDEX, OBJECTS, IndexEntry
 from objectfolder.release.words import Words, counted, spread
 
 # Identifiers of the Hub for licences as people write them; others are "other".
@@ -18,7 +18,7 @@ _HUB_LICENCES = (
 _SITE = "\n\n[site/index.html](site/index.html) shows every object: see, strike and touch it in a browser."
 
 
-def card(entries: Sequence[Entry], words: Words, site: bool) -> str:
+def card(entries: Sequence[IndexEntry], words: Words, site: bool) -> str:
     """Return README.md: what the release is and how to load it, with the Hub's metadata."""
     licences = sorted({entry.licence for entry in entries})
     return f"""---
@@ -84,7 +84,7 @@ Split by object, for tests on unseen objects: {counted(entry.split for entry in 
 """
 
 
-def datasheet(entries: Sequence[Entry], words: Words) -> str:
+def datasheet(entries: Sequence[IndexEntry], words: Words) -> str:
     """Return DATASHEET.md, after Gebru et al., Datasheets for Datasets, 2021."""
     sources = counted(entry.source or "not stated" for entry in entries)
     answers = (

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from statistics import median
 
-from objectfolder.objectfile.dataset import Entry
+from objectfolder.objectfile.dataset import IndexEntry
 
 _PAPER = (
     "R. Gao, Y.-Y. Chang, S. Mall, L. Fei-Fei, J. Wu. ObjectFolder: A Dataset of Objects with Implicit "
@@ -56,7 +56,7 @@ class Words:
 
 
 def described(
-    entries: Sequence[Entry], *, name: str, creator: str, version: str, date: str, url: str
+    entries: Sequence[IndexEntry], *, name: str, creator: str, version: str, date: str, url: str
 ) -> Words:
     """Describe a release."""
     sizes = sorted(entry.size for entry in entries)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from objectfolder.disk import new_folder
 from objectfolder.io import file_digest, write_json, write_text
-from objectfolder.objectfile.dataset import INDEX, OBJECTS, Entry
+from objectfolder.objectfile.dataset import INDEX, OBJECTS, IndexEntry
 from objectfolder.release.croissant import croissant
 from objectfolder.release.entries import index_text
 from objectfolder.release.pages import card, datasheet
@@ -19,7 +19,7 @@ SITE = "site"
 
 def write_release(
     out: Path,
-    entries: Sequence[Entry],
+    entries: Sequence[IndexEntry],
     words: Words,
     site: bool = True,
     root: Path = Path(),
@@ -31,7 +31,7 @@ def write_release(
     ----------
     out : Path
         Folder to create.
-    entries : sequence of Entry
+    entries : sequence of IndexEntry
         Of built objects.
     words : Words
     site : bool
