@@ -71,7 +71,7 @@ export class Grid {
     const p = a - b - c + d;
     const q = -a - b + c + d;
     const r = -a + b - c + d;
-    const size = Math.hypot(p, q, r) || 1;
+    const size = Math.sqrt(p * p + q * q + r * r) || 1;
     out[at] = p / size;
     out[at + 1] = q / size;
     out[at + 2] = r / size;

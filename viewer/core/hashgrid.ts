@@ -55,20 +55,21 @@ export class HashGrid {
       const j = Math.min(b | 0, resolution - 1);
       const k = Math.min(c | 0, resolution - 1);
       const hashed = this.hashed[level];
+      const offset = this.offsets[level];
+      const u = a - i;
+      const v = b - j;
+      const w = c - k;
       const first = at + level * features;
       for (let f = 0; f < features; f++) out[first + f] = 0;
       for (let corner = 0; corner < 8; corner++) {
         const p = i + (corner & 1);
         const q = j + ((corner >> 1) & 1);
         const r = k + (corner >> 2);
-        const weight =
-          (corner & 1 ? a - i : 1 - a + i) *
-          (corner & 2 ? b - j : 1 - b + j) *
-          (corner & 4 ? c - k : 1 - c + k);
+        const weight = (corner & 1 ? u : 1 - u) * (corner & 2 ? v : 1 - v) * (corner & 4 ? w : 1 - w);
         const row = hashed
           ? (p ^ Math.imul(q, 2654435761) ^ Math.imul(r, 805459861)) & mask
           : p + side * (q + side * r);
-        const entry = (this.offsets[level] + row) * features;
+        const entry = (offset + row) * features;
         for (let f = 0; f < features; f++) out[first + f] += weight * codes[entry + f];
       }
       for (let f = 0; f < features; f++) out[first + f] *= this.factors[level];

@@ -35,12 +35,15 @@ export class Look {
       this.grid.lookup(position[at], position[at + 1], position[at + 2], inputs);
       for (let axis = 0; axis < 3; axis++) inputs[width + axis] = position[at + axis];
       const found = this.network.run(inputs);
-      const bent = [3, 4, 5].map((k) => normal[at + k - 3] + found[k]);
-      const size = Math.hypot(bent[0], bent[1], bent[2]) || 1;
-      for (let axis = 0; axis < 3; axis++) {
+      const x = normal[at] + found[3];
+      const y = normal[at + 1] + found[4];
+      const z = normal[at + 2] + found[5];
+      const size = Math.sqrt(x * x + y * y + z * z) || 1;
+      into.normal[at] = x / size;
+      into.normal[at + 1] = y / size;
+      into.normal[at + 2] = z / size;
+      for (let axis = 0; axis < 3; axis++)
         into.color[at + axis] = toLinear(Math.min(Math.max(found[axis] + 0.5, 0), 1));
-        into.normal[at + axis] = bent[axis] / size;
-      }
     }
   }
 }

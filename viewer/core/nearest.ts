@@ -3,9 +3,18 @@
 import type { Features } from "./features.ts";
 import { BOUND, type Grid } from "./grid.ts";
 import type { Mesh } from "./surface.ts";
-import { along, dot, type Vector } from "./vector.ts";
+import { along, cross, dot, unit, type Vector } from "./vector.ts";
 
-const SEEN = 2.5; // voxels, greatest distance of a triangle
+const SEEN = 2.5; // voxels, length of rays that look for the nearest triangle
+/** To the neighbours of a sample. */
+const WAYS = Array.from(
+  { length: 27 },
+  (_, n): Vector => [Math.floor(n / 9) - 1, (Math.floor(n / 3) % 3) - 1, (n % 3) - 1],
+)
+  .filter((_, n) => n !== 13)
+  .map(unit);
+
+type Triangle = [Vector, Vector, Vector];
 
 /** Projects points of the unit frame to the surface, as objectfolder/mesh/isosurface.py. */
 export class Nearest {
@@ -32,46 +41,58 @@ export class Nearest {
     const { count, spacing } = this.grid;
     const [i, j, k] = point.map((c) => Math.min(Math.max(Math.round((c + BOUND) / spacing), 0), count - 1));
     const by = this.grid.nearest(point);
-    return this.refined.has((i * count + j) * count + k) ? (this.onTriangles(point) ?? by) : by;
+    return this.refined.has((i * count + j) * count + k) ? (this.seen(point) ?? by) : by;
   }
 
-  private onTriangles(point: Vector): Vector | null {
+  /** Return the point of the nearest triangle that rays around a point meet, if any does. */
+  private seen(point: Vector): Vector | null {
     const { position, index } = this.mesh;
-    let best: Vector | null = null;
-    let least = (SEEN * this.grid.spacing) ** 2;
-    const reach = 4 * this.grid.spacing; // of a triangle's first corner
-    const corner = (v: number): Vector => [position[3 * v], position[3 * v + 1], position[3 * v + 2]];
+    const [x, y, z] = point;
+    let least = SEEN * this.grid.spacing;
+    const reach = least + 2 * this.grid.spacing; // of a triangle's first corner
+    const near: Triangle[] = [];
     for (let f = 0; f < index.length; f += 3) {
       const v = 3 * index[f];
-      if (Math.abs(position[v] - point[0]) > reach || Math.abs(position[v + 1] - point[1]) > reach) continue;
-      if (Math.abs(position[v + 2] - point[2]) > reach) continue;
-      const found = closest(point, corner(index[f]), corner(index[f + 1]), corner(index[f + 2]));
-      const apart = along(found, -1, point);
-      if (dot(apart, apart) >= least) continue;
-      least = dot(apart, apart);
-      best = found;
+      if (Math.abs(position[v] - x) > reach || Math.abs(position[v + 1] - y) > reach) continue;
+      if (Math.abs(position[v + 2] - z) > reach) continue;
+      near.push([0, 1, 2].map((c) => [0, 1, 2].map((k) => position[3 * index[f + c] + k])) as Triangle);
     }
-    return best;
+    let best: { way: Vector; triangle: Triangle } | null = null;
+    for (const way of WAYS)
+      for (const triangle of near) {
+        const distance = met(point, way, triangle);
+        if (distance >= least) continue;
+        least = distance;
+        best = { way, triangle };
+      }
+    return best && (foot(point, best.triangle) ?? along(point, least, best.way));
   }
 }
 
-/** Return the point of a triangle that is nearest to a point (Ericson 2005, section 5.1.5). */
-function closest(p: Vector, a: Vector, b: Vector, c: Vector): Vector {
+/** Return how far a ray goes until it meets a triangle, from either side; Infinity if it does not. */
+function met(origin: Vector, direction: Vector, [a, b, c]: Triangle): number {
   const [ab, ac] = [along(b, -1, a), along(c, -1, a)];
-  const at = (q: Vector): [number, number] => {
-    const from = along(p, -1, q);
-    return [dot(ab, from), dot(ac, from)];
-  };
-  const [[d1, d2], [d3, d4], [d5, d6]] = [at(a), at(b), at(c)];
-  if (d1 <= 0 && d2 <= 0) return a;
-  if (d3 >= 0 && d4 <= d3) return b;
-  if (d6 >= 0 && d5 <= d6) return c;
-  const vc = d1 * d4 - d3 * d2;
-  if (vc <= 0 && d1 >= 0 && d3 <= 0) return along(a, d1 / (d1 - d3), ab);
-  const vb = d5 * d2 - d1 * d6;
-  if (vb <= 0 && d2 >= 0 && d6 <= 0) return along(a, d2 / (d2 - d6), ac);
-  const va = d3 * d6 - d5 * d4;
-  if (va <= 0 && d4 >= d3 && d5 >= d6) return along(b, (d4 - d3) / (d4 - d3 + d5 - d6), along(c, -1, b));
-  const sum = va + vb + vc;
-  return along(along(a, vb / sum, ab), vc / sum, ac);
+  const across = cross(direction, ac);
+  const volume = dot(ab, across);
+  const from = along(origin, -1, a);
+  const turned = cross(from, ab);
+  const [u, v] = [dot(from, across) / volume, dot(direction, turned) / volume];
+  const distance = dot(ac, turned) / volume;
+  return u >= 0 && v >= 0 && u + v <= 1 && distance >= 0 ? distance : Number.POSITIVE_INFINITY;
+}
+
+/** Return the foot of the perpendicular from a point on a triangle, if it lies within. */
+function foot(point: Vector, [a, b, c]: Triangle): Vector | null {
+  const area = cross(along(b, -1, a), along(c, -1, a));
+  const off = dot(along(point, -1, a), area) / Math.max(dot(area, area), 1e-300);
+  const found = along(point, -off, area);
+  const sides: [Vector, Vector][] = [
+    [a, b],
+    [b, c],
+    [c, a],
+  ];
+  const within = sides.every(
+    ([from, to]) => dot(cross(along(to, -1, from), along(found, -1, from)), area) >= 0,
+  );
+  return within ? found : null;
 }

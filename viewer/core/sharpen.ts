@@ -8,9 +8,15 @@ const CREASE = Math.cos((40 * Math.PI) / 180);
 
 /** Write the normal of a face, as long as twice its area. */
 function areaVector(p: Float32Array, a: number, b: number, c: number, out: Float64Array, at = 0): void {
-  const [i, j, k] = [3 * a, 3 * b, 3 * c];
-  const [ux, uy, uz] = [p[j] - p[i], p[j + 1] - p[i + 1], p[j + 2] - p[i + 2]];
-  const [vx, vy, vz] = [p[k] - p[i], p[k + 1] - p[i + 1], p[k + 2] - p[i + 2]];
+  const i = 3 * a;
+  const j = 3 * b;
+  const k = 3 * c;
+  const ux = p[j] - p[i];
+  const uy = p[j + 1] - p[i + 1];
+  const uz = p[j + 2] - p[i + 2];
+  const vx = p[k] - p[i];
+  const vy = p[k + 1] - p[i + 1];
+  const vz = p[k + 2] - p[i + 2];
   out[at] = uy * vz - uz * vy;
   out[at + 1] = uz * vx - ux * vz;
   out[at + 2] = ux * vy - uy * vx;
@@ -18,8 +24,10 @@ function areaVector(p: Float32Array, a: number, b: number, c: number, out: Float
 
 function cosine(a: ArrayLike<number>, i: number, b: ArrayLike<number>, j: number): number {
   const product = a[i] * b[j] + a[i + 1] * b[j + 1] + a[i + 2] * b[j + 2];
-  const sizes = Math.hypot(a[i], a[i + 1], a[i + 2]) * Math.hypot(b[j], b[j + 1], b[j + 2]);
-  return sizes > 0 ? product / sizes : 0;
+  const sizes =
+    (a[i] * a[i] + a[i + 1] * a[i + 1] + a[i + 2] * a[i + 2]) *
+    (b[j] * b[j] + b[j + 1] * b[j + 1] + b[j + 2] * b[j + 2]);
+  return sizes > 0 ? product / Math.sqrt(sizes) : 0;
 }
 
 /** Flip the edges that two fans share, so that they join their points, unless the new faces would fold. */

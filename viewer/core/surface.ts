@@ -1,6 +1,6 @@
 /** The surface of a distance grid as triangles: marching cubes, refined by stored features. */
 
-import { ambiguousFaces, EDGES, joined, outlines } from "./cubes.ts";
+import { ambiguousFaces, EDGES, joined, outlines, triangles } from "./cubes.ts";
 import type { Features } from "./features.ts";
 import { BOUND, type Grid } from "./grid.ts";
 import { joinFans, sharpNormals } from "./sharpen.ts";
@@ -14,6 +14,7 @@ export interface Mesh {
   index: Uint32Array;
 }
 
+const DIVIDED = Array.from({ length: 256 }, (_, code) => triangles(code));
 const PLAIN = Array.from({ length: 256 }, (_, code) =>
   ambiguousFaces(code).length ? null : outlines(code, () => false),
 );
@@ -88,13 +89,19 @@ export function surface(grid: Grid, features: Features | null = null): Mesh {
         const cell = code | (above << 4);
         code = above;
         if (cell === 0 || cell === 255) continue;
+        const node = j * count + k;
+        const point = features?.points.get(at);
+        const divided = point ? null : DIVIDED[cell];
+        if (divided) {
+          const to = index.add(divided.length);
+          for (let e = 0; e < divided.length; e++) index.data[to + e] = crossing(i, node, divided[e]);
+          continue;
+        }
         let loops = PLAIN[cell];
         if (!loops) {
           for (let c = 0; c < 8; c++) corner[c] = values[at + offset[c]] || zero;
           loops = outlines(cell, (face) => joined(face, corner));
         }
-        const node = j * count + k;
-        const point = features?.points.get(at);
         const centre = point ? vertex(point[0], point[1], point[2]) : -1;
         for (const loop of loops) {
           for (let e = 0; e < loop.length; e++) found[e] = crossing(i, node, loop[e]);

@@ -20,7 +20,7 @@ export const along = (a: Vector, factor: number, b: Vector): Vector => [
 
 export const scaled = (factor: number, a: Vector): Vector => [factor * a[0], factor * a[1], factor * a[2]];
 
-export const length = (a: Vector): number => Math.hypot(a[0], a[1], a[2]);
+export const length = (a: Vector): number => Math.sqrt(dot(a, a));
 
 /** The vector with length 1; zero stays zero. */
 export function unit(a: Vector): Vector {

@@ -26,8 +26,8 @@ in vec3 vPosition, vNormal, vColor, vShading, vIndirect;
 uniform vec3 eye, lights[${LIGHTS}], intensities[${LIGHTS}], accent;
 uniform mat4 lightMatrices[${LIGHTS}];
 uniform sampler2DArrayShadow shadows;
-uniform float roughness, metallic, texel, lift, raw;
-uniform int count;
+uniform float roughness, metallic, texel, lift;
+uniform int count, mode;
 uniform vec4 mark;
 out vec4 result;
 const float PI = 3.14159265;
@@ -77,14 +77,18 @@ vec3 encoded(vec3 c) {
 void main() {
   vec3 geometric = normalize(vNormal), normal = normalize(vShading), view = normalize(vPosition - eye);
   vec3 radiance = vIndirect;
+  float shone = 0.0;
   for (int k = 0; k < ${LIGHTS}; k++) {
     if (k >= count) break;
     vec3 to = lights[k] - vPosition;
     vec3 direct = principled(normal, view, normalize(to), vColor) / max(dot(to, to), 1e-6);
-    if (direct.r + direct.g + direct.b > 0.0) radiance += intensities[k] * direct * lit(k, geometric);
+    if (direct.r + direct.g + direct.b <= 0.0) continue;
+    float share = lit(k, geometric);
+    radiance += intensities[k] * direct * share;
+    shone += step(0.5, share) * float(k + 1);
   }
-  if (raw > 0.0) {
-    result = vec4(radiance, 1.0);
+  if (mode > 0) {
+    result = mode == 1 ? vec4(radiance, 1.0) : vec4(geometric, 10.0 * (1.0 + shone));
     return;
   }
   vec3 shown = encoded(radiance);

@@ -1,6 +1,5 @@
 /** The object in WebGL 2. */
 
-import { BOUND } from "../core/grid.ts";
 import type { PointLight } from "../core/indirect.ts";
 import type { Mesh } from "../core/surface.ts";
 import { length, type Vector } from "../core/vector.ts";
@@ -9,8 +8,14 @@ import type { Orbit } from "./orbit.ts";
 import { DEPTH_FRAGMENT, DEPTH_VERTEX, FRAGMENT, LIGHTS, VERTEX } from "./shaders.ts";
 
 const SHADOW_SIZE = 2048;
-const RADIUS = BOUND * Math.sqrt(3); // of a ball around the object
+const LIFT = 0.05; // voxels along the normal where shadows are looked up
 const GREY = 0.42;
+const FINE = 9; // samples along each side of a pixel that is measured
+const CREASE = 0.35; // difference of neighbouring normals
+// Modes of the shader.
+const SHOWN = 0;
+const RADIANCE = 1;
+const FACING = 2;
 const ATTRIBUTES = ["position", "normal", "color", "shading", "indirect"] as const;
 type Attribute = (typeof ATTRIBUTES)[number];
 
@@ -29,8 +34,10 @@ export class View {
   private lightMatrices: Matrix[] = [];
   private mark: [number, number, number, number] = [0, 0, 0, 0];
   private surface = { roughness: 0.6, metallic: 0 };
-  private lift = 0.003;
+  private lift = 0;
+  private radius = 1; // of a ball around the object
   private stale = true;
+  private unshadowed = true;
 
   constructor(
     readonly canvas: HTMLCanvasElement,
@@ -85,7 +92,8 @@ export class View {
     const { gl } = this;
     this.vertices = mesh.position.length;
     this.corners = mesh.index.length;
-    this.lift = 0.5 * spacing;
+    this.lift = LIFT * spacing;
+    this.radius = farthest(mesh.position);
     this.surface = { roughness: 0.6, metallic: 0 };
     this.mark = [0, 0, 0, 0];
     this.fill("position", mesh.position);
@@ -96,7 +104,7 @@ export class View {
     gl.bindVertexArray(this.object);
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.triangles);
     gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, mesh.index, gl.STATIC_DRAW);
-    this.light(this.lights);
+    this.unshadowed = true;
   }
 
   /** Give the vertices base colours and shading normals. */
@@ -118,31 +126,38 @@ export class View {
     this.stale = true;
   }
 
-  /** Set the lights and draw their shadow maps. */
   light(lights: PointLight[]): void {
-    const { gl } = this;
     this.lights = lights.slice(0, LIGHTS);
+    this.stale = this.unshadowed = true;
+  }
+
+  /** Draw the shadow maps, if lights or object changed. */
+  private shade(): void {
+    const { gl, radius } = this;
+    if (!this.unshadowed || !this.corners) return;
+    this.unshadowed = false;
     this.lightMatrices = this.lights.map(({ position }) => {
       const far = length(position);
-      const tangent = far > RADIUS * 1.02 ? Math.tan(Math.asin(RADIUS / far)) : 4;
-      const near = Math.max(far - RADIUS, 0.02);
-      return product(perspective(tangent, 1, near, far + RADIUS), lookAt(position, [0, 0, 0]));
+      const tangent = far > radius * 1.02 ? Math.tan(Math.asin(radius / far)) : 4;
+      return product(
+        perspective(tangent, 1, Math.max(far - radius, 0.02), far + radius),
+        lookAt(position, [0, 0, 0]),
+      );
     });
-    this.stale = true;
-    if (!this.corners) return;
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
     gl.viewport(0, 0, SHADOW_SIZE, SHADOW_SIZE);
     gl.useProgram(this.cast);
     gl.bindVertexArray(this.object);
-    gl.enable(gl.POLYGON_OFFSET_FILL);
-    gl.polygonOffset(1, 1);
+    // The object's far side casts the shadows: what is lit cannot shade itself by inexact depths.
+    gl.enable(gl.CULL_FACE);
+    gl.cullFace(gl.FRONT);
     this.lightMatrices.forEach((matrix, k) => {
       gl.framebufferTextureLayer(gl.FRAMEBUFFER, gl.DEPTH_ATTACHMENT, this.shadows, 0, k);
       gl.clear(gl.DEPTH_BUFFER_BIT);
       gl.uniformMatrix4fv(gl.getUniformLocation(this.cast, "camera"), false, matrix);
       gl.drawElements(gl.TRIANGLES, this.corners, gl.UNSIGNED_INT, 0);
     });
-    gl.disable(gl.POLYGON_OFFSET_FILL);
+    gl.disable(gl.CULL_FACE);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
   }
 
@@ -154,11 +169,12 @@ export class View {
   draw(): boolean {
     if (!this.stale) return false;
     this.stale = false;
-    this.paintInto(this.canvas.width, this.canvas.height, false);
+    this.shade();
+    this.paintInto(this.canvas.width, this.canvas.height, SHOWN);
     return true;
   }
 
-  private paintInto(width: number, height: number, raw: boolean): void {
+  private paintInto(width: number, height: number, mode: number): void {
     const { gl, paint, orbit } = this;
     gl.viewport(0, 0, width, height);
     gl.clearColor(0, 0, 0, 0);
@@ -166,8 +182,8 @@ export class View {
     if (!this.corners) return;
     const { eye } = orbit;
     const [, high] = orbit.extent(width / height);
-    const far = length(eye) + RADIUS;
-    const projection = perspective(high, width / height, Math.max(length(eye) - RADIUS, 0.01), far);
+    const far = length(eye) + this.radius;
+    const projection = perspective(high, width / height, Math.max(length(eye) - this.radius, 0.01), far);
     gl.useProgram(paint);
     const at = (name: string) => gl.getUniformLocation(paint, name);
     gl.uniformMatrix4fv(at("camera"), false, product(projection, lookAt(eye, [0, 0, 0])));
@@ -178,7 +194,7 @@ export class View {
     gl.uniform1f(at("metallic"), this.surface.metallic);
     gl.uniform1f(at("texel"), 1 / SHADOW_SIZE);
     gl.uniform1f(at("lift"), this.lift);
-    gl.uniform1f(at("raw"), raw ? 1 : 0);
+    gl.uniform1i(at("mode"), mode);
     gl.uniform4fv(at("mark"), this.mark);
     this.lights.forEach(({ position, color }, k) => {
       gl.uniform3fv(at(`lights[${k}]`), position);
@@ -205,51 +221,93 @@ export class View {
   }
 
   /**
-   * Return linear radiance and coverage, (size, size, 4), premultiplied.
+   * Return linear radiance and coverage, (size, size, 4), premultiplied, sampled as in the library.
    *
-   * Coverage is the share of `side` x `side` samples of a pixel, an odd number. As in the library, the colour of
-   * a covered pixel is that at its centre, and that of others the mean of the samples that meet the object.
+   * The colour of a pixel is that at its centre. Where a silhouette, a crease or the edge of a shadow crosses it,
+   * it is the mean of the 3 x 3 samples that meet the object, and coverage is the share of `FINE` x `FINE`.
    */
-  capture(size: number, side: number): Float32Array {
-    const wide = size * side;
-    const fine = this.samples(wide);
+  capture(size: number): Float32Array {
+    this.shade();
+    const wide = size * FINE;
+    const fine = this.samples(wide, RADIANCE);
+    const crossed = edges(this.samples(size, FACING), size);
     const out = new Float32Array(4 * size * size);
-    const middle = (side - 1) / 2;
+    const [first, middle] = [(FINE / 3 - 1) / 2, (FINE - 1) / 2];
     for (let y = 0; y < size; y++)
       for (let x = 0; x < size; x++) {
         const to = 4 * (y * size + x);
-        const at = (i: number, j: number) => 4 * ((wide - 1 - (y * side + i)) * wide + x * side + j);
-        for (let i = 0; i < side; i++)
-          for (let j = 0; j < side; j++)
-            for (let c = 0; c < 4; c++) out[to + c] += fine[at(i, j) + c] / side ** 2;
-        if (out[to + 3] > 1 - 0.5 / side ** 2)
-          for (let c = 0; c < 4; c++) out[to + c] = fine[at(middle, middle) + c];
+        const at = (i: number, j: number) => 4 * ((wide - 1 - (y * FINE + i)) * wide + x * FINE + j);
+        let covered = 0;
+        for (let i = 0; i < FINE; i++) for (let j = 0; j < FINE; j++) covered += fine[at(i, j) + 3];
+        if (!covered) continue;
+        const alpha = covered / FINE ** 2;
+        const sum = [0, 0, 0, 0];
+        const add = (from: number) => {
+          for (let c = 0; c < 4; c++) sum[c] += fine[from + c];
+        };
+        if (alpha < 1 || crossed[(size - 1 - y) * size + x])
+          for (let n = 0; n < 9; n++)
+            add(at(first + (FINE / 3) * Math.floor(n / 3), first + (FINE / 3) * (n % 3)));
+        else add(at(middle, middle));
+        if (!sum[3]) continue;
+        for (let c = 0; c < 3; c++) out[to + c] = (alpha * sum[c]) / sum[3];
+        out[to + 3] = alpha;
       }
     return out;
   }
 
-  /** Draw linear radiance and coverage into a square of samples, lowest row first. */
-  private samples(wide: number): Float32Array {
+  /** Draw what a shader's mode shows into a square of samples, lowest row first. */
+  private samples(wide: number, mode: number): Float32Array {
     const { gl } = this;
     if (!gl.getExtension("EXT_color_buffer_float")) throw new Error("no pictures of floating-point numbers");
     const frame = gl.createFramebuffer();
     gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
-    for (const [place, format] of [
+    const stores = [
       [gl.COLOR_ATTACHMENT0, gl.RGBA32F],
       [gl.DEPTH_ATTACHMENT, gl.DEPTH_COMPONENT24],
-    ]) {
+    ].map(([place, format]) => {
       const store = gl.createRenderbuffer();
       gl.bindRenderbuffer(gl.RENDERBUFFER, store);
       gl.renderbufferStorage(gl.RENDERBUFFER, format, wide, wide);
       gl.framebufferRenderbuffer(gl.FRAMEBUFFER, place, gl.RENDERBUFFER, store);
-    }
-    this.paintInto(wide, wide, true);
+      return store;
+    });
+    this.paintInto(wide, wide, mode);
     const fine = new Float32Array(4 * wide * wide);
     gl.readPixels(0, 0, wide, wide, gl.RGBA, gl.FLOAT, fine);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.deleteFramebuffer(frame);
+    for (const store of stores) gl.deleteRenderbuffer(store);
     return fine;
   }
+}
+
+/** Return the largest distance of positions from the centre. */
+function farthest(position: Float32Array): number {
+  let most = 0;
+  for (let k = 0; k < position.length; k += 3)
+    most = Math.max(most, position[k] ** 2 + position[k + 1] ** 2 + position[k + 2] ** 2);
+  return Math.sqrt(most);
+}
+
+/** Return which pixels differ from one of their neighbours in what they face or in whether they are lit. */
+function edges(facing: Float32Array, size: number): Uint8Array {
+  const crossed = new Uint8Array(size * size);
+  for (let y = 0; y < size; y++)
+    for (let x = 0; x < size; x++)
+      for (const [down, right] of [
+        [0, 1],
+        [1, 0],
+        [1, 1],
+        [1, -1],
+      ]) {
+        if (y + down >= size || x + right < 0 || x + right >= size) continue;
+        const [one, other] = [y * size + x, (y + down) * size + x + right];
+        for (let c = 0; c < 4; c++)
+          if (Math.abs(facing[4 * one + c] - facing[4 * other + c]) > CREASE)
+            crossed[one] = crossed[other] = 1;
+      }
+  return crossed;
 }
 
 function program(gl: WebGL2RenderingContext, vertex: string, fragment: string): WebGLProgram {

@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { ambiguousFaces, EDGES, outlines } from "../core/cubes.ts";
+import { ambiguousFaces, EDGES, outlines, triangles } from "../core/cubes.ts";
 import { BOUND } from "../core/grid.ts";
 import { Nearest } from "../core/nearest.ts";
 import { type Mesh, surface } from "../core/surface.ts";
@@ -47,6 +47,29 @@ describe("outlines of cells", () => {
         );
         expect([...crossed].sort((a, b) => a - b)).toEqual(expected);
       }
+  });
+});
+
+describe("triangles of cells", () => {
+  it("are bounded by the outlines", () => {
+    let known = 0;
+    for (let code = 1; code < 255; code++) {
+      const divided = triangles(code);
+      if (!divided) continue;
+      known++;
+      const sides = new Map<string, number>();
+      divided.forEach((from, n) => {
+        const to = divided[n % 3 === 2 ? n - 2 : n + 1];
+        const back = `${to} ${from}`;
+        if (sides.get(back)) sides.delete(back);
+        else sides.set(`${from} ${to}`, 1);
+      });
+      const border = outlines(code, () => false).flatMap((loop) =>
+        loop.map((edge, n) => `${edge} ${loop[(n + 1) % loop.length]}`),
+      );
+      expect([...sides.keys()].sort()).toEqual(border.sort());
+    }
+    expect(known).toBe(130);
   });
 });
 

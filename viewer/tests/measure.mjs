@@ -46,7 +46,7 @@ const took = {
     const app = window.objectfolder;
     const start = performance.now();
     await app.settle(camera, [{ position: light, color: [1, 1, 1] }]);
-    return [window.encoded(app.view.capture(size, 7)), performance.now() - start];
+    return [window.encoded(app.view.capture(size)), performance.now() - start];
   }),
 };
 writeFileSync(`${out}/times.json`, JSON.stringify({ times, took, complaints }));
