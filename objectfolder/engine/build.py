@@ -11,6 +11,7 @@ from queue import Empty, SimpleQueue
 
 from objectfolder import disk
 from objectfolder.engine.bytecode import compare_by_content
+from objectfolder.engine.costs import forget_cost, record_cost
 from objectfolder.engine.dvc import remote, steps
 from objectfolder.engine.dvc.graph import StageGraph, stage_graph
 from objectfolder.engine.dvc.inputs import Stamps, hold_params
@@ -258,6 +259,7 @@ class _Build:
         try:
             if not self.options.force and steps.restore_run(stage):
                 self.lockfiles.add(stage)
+                forget_cost(self.logs, address)
                 self._succeed(StageResult(address, StageOutcome.RESTORED, time.monotonic() - start))
                 return
             shell = steps.prepare_run(stage)
@@ -312,6 +314,7 @@ class _Build:
                 stage = self.stages[address]
                 steps.save_run(stage)
                 self.lockfiles.add(stage)
+                record_cost(self.logs, address, outcome)
             except (ObjectFolderError, OSError) as problem:
                 error = self._explain(problem, address)
         result = StageResult(

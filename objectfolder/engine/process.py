@@ -44,7 +44,7 @@ class Command:
 
 @dataclass(frozen=True)
 class CommandResult:
-    """Exit code, wall time and peak memory of a command.
+    """Exit code, times and peak memory of a command.
 
     Parameters
     ----------
@@ -57,12 +57,15 @@ class CommandResult:
         process has in common with others.
     timed_out : bool
         Whether the command was killed at its time limit.
+    cpu_seconds : float
+        Processor time of the command and the processes that it waited for, s.
     """
 
     code: int
     seconds: float
     peak_mb: float
     timed_out: bool = False
+    cpu_seconds: float = 0.0
 
 
 class NotStarted(RuntimeError):

@@ -28,7 +28,7 @@ def start_shell(command: str) -> int:
 
 
 def main(parent: int, report: int, commands: list[str], start: Callable[[str], int] = start_shell) -> None:
-    """Report the process group; run commands until one fails; report exit code, wall seconds, peak MB."""
+    """Report the process group; run commands until one fails; report exit code, seconds and peak MB."""
     os.set_inheritable(report, False)
     signal.signal(signal.SIGTERM, lambda *_: os.killpg(0, signal.SIGKILL))
     die_with(parent)
@@ -39,7 +39,7 @@ def main(parent: int, report: int, commands: list[str], start: Callable[[str], i
         return
     die_with(first)
     begin = time.monotonic()
-    code, peak_kb = 0, 0
+    code, cpu, peak_kb = 0, 0.0, 0
     for command in commands:
         try:  # noqa: SIM105 (contextlib would cost every stage milliseconds)
             print(f"$ {command}", flush=True)
@@ -47,10 +47,11 @@ def main(parent: int, report: int, commands: list[str], start: Callable[[str], i
             pass  # the disk of the log is full, but the command may not need it
         _, status, usage = os.wait4(start(command), 0)
         code, peak_kb = os.waitstatus_to_exitcode(status), max(peak_kb, usage.ru_maxrss)
+        cpu += usage.ru_utime + usage.ru_stime
         if code:
             break
-    result = {"code": code, "seconds": time.monotonic() - begin, "peak_mb": peak_kb / 1024}
-    os.write(report, json.dumps(result).encode())
+    result = {"code": code, "seconds": time.monotonic() - begin, "cpu_seconds": cpu}
+    os.write(report, json.dumps({**result, "peak_mb": peak_kb / 1024}).encode())
 
 
 def die_with(parent: int) -> None:

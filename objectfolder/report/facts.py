@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from objectfolder.engine.costs import recall_costs
 from objectfolder.fem.modal import uncertainty_warning
 from objectfolder.io import file_digest, read_json, read_npz
 from objectfolder.metrics import psnr
@@ -18,6 +19,7 @@ from objectfolder.report.certificate import build_checks, file_checks
 from objectfolder.report.pictures import beside, picture_uri, sound_uri, spectrograms
 from objectfolder.seeding import numpy_generator
 from objectfolder.workspace.layout import Build
+from objectfolder.workspace.params import OBJECT_STAGES
 
 CAMERA = (1.9, -1.2, 1.1)
 CAMERAS = np.array([CAMERA, (-1.6, -1.6, 1.2), (0.6, 2.0, 1.5)])
@@ -100,6 +102,7 @@ def object_report(path: Path) -> ObjectReport:
         "sounds": _sounds(file, build),
         "touches": _touches(file, build),
         "provenance": _provenance(file, path),
+        "costs": _costs(build),
         "file": base64.b64encode(path.read_bytes()).decode(),
     }
     return ObjectReport(row, detail)
@@ -216,6 +219,18 @@ def _provenance(file: ObjectFile, path: Path) -> dict[str, str]:
     found = {"Object File": file_digest(path), "format": header["format"]}
     found |= {f"net of {part}": header[part]["kind"] for part in PARTS if part in header}
     return found | {name: str(digest) for name, digest in header.get("provenance", {}).items()}
+
+
+def _costs(build: Build | None) -> list[list[Any]]:
+    """Return stage, processor and wall seconds, and peak MB of the recorded runs, in the order of a build."""
+    if build is None:
+        return []
+    costs = recall_costs(build.root, build.key)
+    return [
+        [stage, _rounded(cost.cpu_seconds), _rounded(cost.seconds), _rounded(cost.peak_mb)]
+        for stage in OBJECT_STAGES
+        if (cost := costs.get(stage))
+    ]
 
 
 def _rounded(value: Any) -> float:

@@ -3,6 +3,7 @@ import shutil
 import pytest
 
 from objectfolder.engine.build import BuildOptions, build
+from objectfolder.engine.costs import recall_costs
 from objectfolder.engine.summary import Finished, Planned, StageOutcome, Started
 from objectfolder.errors import ObjectFolderError
 
@@ -27,6 +28,9 @@ def test_builds_once_and_leaves_dvc_content(workspace):
     assert 1 < result.peak_mb < 60
     assert result.log == workspace.root / "build/.logs/solve@mug.log"
     assert "hello from solve mug" in result.log.read_text()
+    cost = recall_costs(workspace.root, "mug")["solve"]
+    assert cost.seconds == pytest.approx(result.seconds, abs=0.01)
+    assert 0 < cost.cpu_seconds < 60
 
     assert "up to date" in workspace.dvc("status")
     lock = (workspace.root / "dvc.lock").read_bytes()
@@ -107,6 +111,7 @@ def test_outputs_come_back_from_the_run_cache(workspace):
     shutil.rmtree(workspace.root / "build/mug")
     (workspace.root / "metrics/mug.json").unlink()
     summary = build(root=workspace.root)
+    assert recall_costs(workspace.root, "mug") == {}  # another run wrote what there is now
     assert [result.address for result in summary.with_status(StageOutcome.RESTORED)] == [
         "prepare@mug",
         "solve@mug",

@@ -22,6 +22,13 @@ def test_measures_time_and_memory(tmp_path):
     assert large.peak_mb > 95
 
 
+def test_counts_the_processor_time_of_a_command_and_its_children(tmp_path):
+    busy = "import time\nwhile time.process_time() < 0.3: pass"
+    run = Children().run(command(tmp_path, f"python -S -c '{busy}'; sleep 0.2", "sleep 0.1"))
+    assert run.code == 0
+    assert 0.3 <= run.cpu_seconds < run.seconds - 0.25
+
+
 def test_log_holds_both_streams_and_tail_its_end(tmp_path):
     run = command(tmp_path, "for i in $(seq 30); do echo line $i; done; echo oops >&2; exit 5", "echo never")
     assert Children().run(run).code == 5

@@ -92,6 +92,7 @@ def test_everything_of_a_removed_object_goes_and_nothing_else(workspace):
         "build/bell/pack.txt",
         "metrics/bell.json",
         *(f"build/.logs/{stage}@bell.log" for stage in ("prepare", "solve", "pack")),
+        "build/.logs/prepare@bell.cost",  # the others were restored
     }
     assert not (workspace.root / "build/bell/solve").exists()
     assert [path.read_text() for path in (foreign, other, source)] == ["mine", "{}", "v 0 0 0"]

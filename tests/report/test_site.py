@@ -15,6 +15,9 @@ import soundfile
 from PIL import Image
 
 from objectfolder.cli import app
+from objectfolder.engine.costs import record_cost
+from objectfolder.engine.failures import LOGS
+from objectfolder.engine.process import CommandResult
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import write_json, write_npz
 from objectfolder.report.facts import object_report
@@ -68,6 +71,10 @@ def workspace(brick, tmp_path_factory):
     vision = {"psnr": 40.0, "baseline_white": 9.0, "views": 2}
     vision |= {"best_view": 0, "median_view": 1, "worst_view": 1}
     write_json(build.metrics, {"vision": vision, "audio": {}, "touch": {}, "file_bytes": 1000})
+    logs = build.root / LOGS
+    record_cost(logs, "evaluate@brick", CommandResult(0, 3.0, 300.0, cpu_seconds=2.0))
+    record_cost(logs, "modal@brick", CommandResult(0, 12.3456, 456.0, cpu_seconds=23.456))
+    record_cost(logs, "modal@bricks", CommandResult(0, 1.0, 1.0, cpu_seconds=1.0))
     return build
 
 
@@ -92,6 +99,7 @@ def test_truth_that_the_file_answers_differs_by_nothing(workspace):
         assert np.abs(truth - answer).mean() < 4  # lossy
         assert difference.mean() > 250  # white
     assert report.detail["touches"][-1]["title"] == "1 mm, obstructed"
+    assert report.detail["costs"] == [["modal", 23.46, 12.35, 456.0], ["evaluate", 2.0, 3.0, 300.0]]
     for sound in report.detail["sounds"]:
         truth, answer = (
             soundfile.read(io.BytesIO(base64.b64decode(sound[name].partition(",")[2])))[0]
@@ -106,6 +114,7 @@ def test_a_file_alone_is_reported_without_truth(brick, brick_path, report):
     assert report.row["failed"] == []
     assert all("score" not in strip for strip in (*report.detail["views"], *report.detail["touches"]))
     assert all(sound["truth"] is None for sound in report.detail["sounds"])
+    assert report.detail["costs"] == []
     assert base64.b64decode(report.detail["file"]) == brick_path.read_bytes()
     frequency, decay, quality, _ = np.array(report.detail["modes"], float).T
     np.testing.assert_allclose(frequency, brick.frequencies, rtol=1e-3)

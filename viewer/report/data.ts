@@ -31,6 +31,8 @@ export interface Detail {
   sounds: (Strip & { truth: string | null; answer: string })[];
   touches: Strip[];
   provenance: Record<string, string>;
+  /** Stage, processor seconds, wall seconds, peak MB. */
+  costs: [string, number, number, number][];
   file: string;
 }
 

@@ -98,6 +98,19 @@ function section(title: string, ...content: (Node | null)[]): HTMLElement | null
   return found.length ? make("section", {}, make("h2", {}, title), ...found) : null;
 }
 
+/** What the stages took where the object was built. */
+function costs(rows: Detail["costs"]): HTMLElement {
+  const total = rows.reduce((sum, [, cpu]) => sum + cpu, 0);
+  return table(
+    ["stage", "processor, s", "wall, s", "peak memory, MB"],
+    [
+      ...rows.map(([stage, ...values]) => [stage, ...values.map((value) => short(value))]),
+      ["all", short(total), "", ""],
+    ],
+    3,
+  );
+}
+
 const strips = (parts: Node[]) => (parts.length ? make("div", { class: "strips" }, ...parts) : null);
 
 export function objectPage(row: Row, detail: Detail): Node[] {
@@ -159,6 +172,7 @@ export function objectPage(row: Row, detail: Detail): Node[] {
         Object.entries(detail.provenance).map(([name, text]) => [name, make("code", {}, text)]),
         0,
       ),
+      detail.costs.length ? costs(detail.costs) : null,
     ),
   ];
   return parts.filter((part) => part !== null);
