@@ -3,7 +3,7 @@
 import io
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import typer
@@ -17,6 +17,7 @@ from objectfolder.objectfile.header import PARTS, known_kinds
 
 if TYPE_CHECKING:
     from objectfolder.objectfile.file import ObjectFile
+    from objectfolder.vision.lighting import PointLight
 
 query_app = typer.Typer(no_args_is_help=True, help="Query an Object File: `vision`, `audio` or `touch`.")
 
@@ -60,25 +61,54 @@ def info(file: FileArgument) -> None:
 @query_app.command()
 def vision(
     file: FileArgument,
-    queries: Annotated[Path, typer.Argument(metavar="QUERIES.npy", help="(N, 6): camera xyz, light xyz.")],
+    queries: Annotated[
+        Path,
+        typer.Argument(
+            metavar="QUERIES.npy",
+            help="(N, 6): camera xyz, light xyz; with --lights or --environment (N, 3): camera xyz.",
+        ),
+    ],
     out: ImagesArgument,
     resolution: Annotated[int, typer.Option(min=1, help="Side of the square images, pixels.")] = 256,
     buffers: Annotated[
         bool, typer.Option("--buffers", help="Also write 1.npz ...: linear rgba, depth (metres), normals.")
     ] = False,
     supersample: Annotated[bool, typer.Option(help="Antialias edges; faster without.")] = True,
+    lights: Annotated[
+        str | None,
+        typer.Option(help="Lights of all views: studio, or a .npy file (L, 6): position xyz, linear RGB."),
+    ] = None,
+    environment: Annotated[
+        Path | None, typer.Option(help="Equirectangular HDR or EXR picture of the surroundings' light.")
+    ] = None,
 ) -> None:
     """Render views. Positions are in the unit frame, in which the object's longest side is 1."""
     from objectfolder.io import write_npz, write_png
     from objectfolder.objectfile.file import ObjectFile
 
-    obj, rows = ObjectFile.load(file), read_rows(queries, 6)
+    given = lights is not None or environment is not None
+    hint = ", cameras, beside --lights or --environment" if given else ", or give --lights"
+    obj, rows = ObjectFile.load(file), read_rows(queries, 3 if given else 6, hint)
+    lamps = _lamps(lights)
     for i, row in enumerate(rows, 1):
-        views = obj.render(row[:3], row[3:], resolution, supersample=supersample)
+        light = None if given else row[3:]
+        views = obj.render(
+            row[:3], light, resolution, supersample=supersample, lights=lamps, environment=environment
+        )
         write_png(out / f"{i}.png", (views.rgb[0] * 255).round().astype(np.uint8))
         if buffers:
             write_npz(out / f"{i}.npz", rgba=views.rgba[0], depth=views.depth[0], normals=views.normals[0])
     console.print(f"{len(rows)} views in {out}/")
+
+
+def _lamps(lights: str | None) -> "Literal['studio'] | list[PointLight] | None":
+    """Return the lights that an option names."""
+    if lights is None or lights == "studio":
+        return lights
+    from objectfolder.vision.lighting import PointLight
+
+    rows = read_rows(lights, 6, ", position xyz and linear RGB; or give --lights studio")
+    return [PointLight(row[:3], row[3:]) for row in rows]
 
 
 @query_app.command()

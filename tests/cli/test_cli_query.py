@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
+from objectfolder.vision.lighting import PointLight
 
 
 @pytest.fixture
@@ -46,6 +47,25 @@ def test_views_and_their_buffers(brick, brick_path, tmp_path, supersample):
         with np.load(tmp_path / "out" / f"{i + 1}.npz", allow_pickle=False) as arrays:
             for name in ("rgba", "depth", "normals"):
                 np.testing.assert_array_equal(arrays[name], getattr(expected, name)[i])
+
+
+def test_views_under_several_lights(brick, brick_path, tmp_path):
+    cameras, lights = (
+        np.array([[2.0, 1, 1], [0, -2.0, 1]]),
+        np.array([[0.5, 0.5, 1, 1, 0.2, 0], [1, 0, 0, 0, 0, 1]]),
+    )
+    np.save(tmp_path / "cameras.npy", cameras)
+    np.save(tmp_path / "lights.npy", lights)
+    arguments = ["query", "vision", str(brick_path), str(tmp_path / "cameras.npy"), str(tmp_path / "out")]
+    lamps = [PointLight(row[:3], row[3:]) for row in lights]
+    for option, expected in ((str(tmp_path / "lights.npy"), lamps), ("studio", "studio")):
+        done = CliRunner().invoke(app, [*arguments, "--resolution", "24", "--lights", option])
+        assert done.exit_code == 0
+        for i, image in enumerate(brick.view(cameras, resolution=24, lights=expected), 1):
+            with Image.open(tmp_path / "out" / f"{i}.png") as written:
+                np.testing.assert_allclose(np.asarray(written) / 255, image, atol=0.5 / 255 + 1e-6)
+    with pytest.raises(ObjectFolderError, match=r"expected \(N, 6\), or give --lights"):
+        app(arguments, standalone_mode=False)
 
 
 def test_sounds_are_the_objects_at_absolute_amplitude(brick, strike):
