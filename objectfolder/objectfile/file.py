@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from objectfolder.audio.contact import Striker
+from objectfolder.audio.notebook import players
 from objectfolder.audio.tuning import Tuning
 from objectfolder.checks import require_memory, whole_number
 from objectfolder.errors import ObjectFolderError, shortened
@@ -394,6 +395,32 @@ class ObjectFile:
         listening = Listening(places, late)
         sounds = self._parts.audio.heard(*strikes, settings, tolerance, self._parts.radiation, listening)
         return like_first(sounds, points)
+
+    def listen(
+        self,
+        points: Rows,
+        forces: Rows,
+        sample_rate: float = 44100,
+        duration: float = 2.0,
+        response: str = "acceleration",
+        **strike: Any,
+    ) -> list[Any]:
+        """Strike the object in a notebook, and return a player of each sound.
+
+        Parameters
+        ----------
+        points, forces, sample_rate, duration, response
+            As of `impact`; the defaults are those of the viewer.
+        **strike
+            Others of `impact`.
+
+        Returns
+        -------
+        list of IPython.display.Audio
+            The loudest sound has 0.9 of full scale.
+        """
+        sounds = self.impact(points, forces, sample_rate, duration, response, **strike)
+        return players(sounds, sample_rate)
 
     def contact_time(
         self,

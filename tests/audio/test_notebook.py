@@ -1,0 +1,42 @@
+"""Sounds as players in a notebook."""
+
+import sys
+from types import ModuleType, SimpleNamespace
+
+import numpy as np
+import pytest
+
+from objectfolder.audio.notebook import players
+from objectfolder.errors import ObjectFolderError
+
+
+@pytest.fixture
+def notebook(monkeypatch):
+    """A module IPython.display whose players are what they were given."""
+    display = ModuleType("IPython.display")
+    display.Audio = SimpleNamespace
+    monkeypatch.setitem(sys.modules, "IPython", ModuleType("IPython"))
+    monkeypatch.setitem(sys.modules, "IPython.display", display)
+
+
+@pytest.mark.usefixtures("notebook")
+def test_players_keep_relative_levels_within_full_scale():
+    loud, soft = players(np.array([[0.0, 2e-6, -4e-6], [0.0, 1e-6, 0.0]]), 44100)
+    np.testing.assert_allclose(loud.data, [0, 0.45, -0.9])
+    np.testing.assert_allclose(soft.data, [0, 0.225, 0])
+    assert (loud.rate, loud.normalize) == (44100, False)
+    assert players(np.zeros(3), 16000)[0].data.tolist() == [0, 0, 0]
+
+
+@pytest.mark.usefixtures("notebook")
+def test_an_object_is_heard_in_a_notebook(brick):
+    points, forces = brick.sample_surface(2), [[0, 0, 1.0], [0.1, 0, 0]]
+    heard = brick.listen(points, forces, duration=0.1, striker="wood")
+    expected = brick.impact(points, forces, 44100, 0.1, "acceleration", striker="wood")
+    np.testing.assert_allclose([player.data for player in heard], 0.9 / np.abs(expected).max() * expected)
+
+
+def test_without_ipython_it_says_so(monkeypatch):
+    monkeypatch.setitem(sys.modules, "IPython", None)
+    with pytest.raises(ObjectFolderError, match="need IPython"):
+        players(np.zeros(3), 16000)
