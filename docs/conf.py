@@ -58,6 +58,8 @@ warnings.filterwarnings("ignore", r"potentially wrong underline length(.|\n)*sit
 viewcode_follow_imported_members = False
 
 html_theme = "furo"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_title = f"objectfolder {release}"
 html_copy_source = False
 html_show_copyright = False

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "docs"))
-from links import broken_references, main
+from links import LONGEST, broken_references, main, wide_lines
 
 
 @pytest.fixture
@@ -24,6 +24,17 @@ def site(tmp_path):
 
 def test_a_whole_site_has_no_broken_references(site):
     assert broken_references(site) == []
+
+
+def test_lines_of_code_that_are_too_long_are_found(site, capsys):
+    page, fits, wide = site / "deep" / "page.html", "x" * LONGEST, "<b>y</b>" * (LONGEST + 1)
+    page.write_text(f"{page.read_text()}{wide}<pre>{fits}\n{fits}</pre>{wide}")
+    assert wide_lines(site) == []
+    page.write_text(f"{page.read_text()}<pre>{fits}\n{wide}\n</pre>")
+    assert wide_lines(site) == [f"deep/page.html: {'y' * (LONGEST + 1)}"]
+    with pytest.raises(SystemExit, match="True"):
+        main(site)
+    assert "1 lines of code" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
