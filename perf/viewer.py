@@ -27,7 +27,7 @@ from objectfolder.vision.cameras import sphere_points
 
 VIEWER = Path(__file__).parents[1] / "viewer"
 RATE, DURATION = 44100, 2.0
-STRIKES, VIEWS, SIZE = 12, 4, 256
+STRIKES, VIEWS, SIZE = 12, 8, 256
 #: Largest or least value; by object where the issue gives one, else by default.
 MOST = {"sound": 1e-5, "sound_cut": 1e-4, "strike_ms": 20, "touch_ms": 60, "usable_s": 1.0, "coloured_s": 2.5}
 LEAST = {"touch_db": 55.0}
@@ -85,6 +85,7 @@ def questions(file: ObjectFile, contacts: int) -> dict[str, Any]:
         )
         for gel in ("stored", "rigid")
     ]
+    rng = np.random.default_rng(0)  # the same views for any number of contacts
     cameras, lights = sphere_points(VIEWS, 2.5, rng), sphere_points(VIEWS, 1.0, rng)
     views = [
         {"camera": c.tolist(), "light": light.tolist(), "size": SIZE} for c, light in zip(cameras, lights)

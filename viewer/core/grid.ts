@@ -159,7 +159,9 @@ export class Grid {
     let [low, high] = [outside, inside];
     for (let step = 0; step < 12; step++) {
       const t = (low + high) / 2;
-      const [x, y, z] = [0, 1, 2].map((axis) => origin[axis] + t * direction[axis]);
+      const x = origin[0] + t * direction[0];
+      const y = origin[1] + t * direction[1];
+      const z = origin[2] + t * direction[2];
       if (this.distance(x, y, z) > 0) low = t;
       else high = t;
     }

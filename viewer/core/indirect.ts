@@ -1,8 +1,8 @@
 /**
  * Vision net `surface`: indirect light, as objectfolder/nets/vision_surface.py.
  *
- * The Python library evaluates the net in squares of pixels; here it is evaluated at the patches that may face
- * the camera, and interpolated at the vertices. It is smooth.
+ * What vertices gather and mirror is found as in the Python library. The corrections of the net, which are
+ * smooth, are evaluated at the patches that may face the camera; the library does so in squares of pixels.
  */
 
 import { fresnel, principled } from "./bsdf.ts";
@@ -13,7 +13,7 @@ import { Network } from "./network.ts";
 import type { ObjectFile } from "./objectfile.ts";
 import { Interpolation, Radiosity, type Solution } from "./radiosity.ts";
 import type { Mesh } from "./surface.ts";
-import { dot, unit, type Vector } from "./vector.ts";
+import { along, dot, unit, type Vector } from "./vector.ts";
 
 const TRANSPORT = { levels: 2, features: 4, table_bits: 13, coarsest: 8, finest: 14 };
 const INPUTS = 52;
@@ -22,8 +22,7 @@ const NEAREST = 1e-3;
 const BIAS = [-4, -5, 0.5, 0]; // more diffuse, more glossy, factors of gathered and of mirrored light
 const SCALE = [0.5, 0.1, 1, 1];
 const BEHIND = -0.3; // cosine to the camera from which patches are left out
-const START = 0.3;
-const TERMS = 6; // diffuse light for a white surface, then glossy light
+const TERMS = 12; // of a patch, as `BIAS` by colour
 
 /** A point light that gives a white surface at distance 1 a radiance of its colour. */
 export interface PointLight {
@@ -34,6 +33,17 @@ export interface PointLight {
 /** Do part of a job, from one number up to another, without blocking for long. */
 export type Slice = (count: number, work: (from: number, to: number) => void) => Promise<void>;
 
+/** What a mirror at points shows to a camera. */
+interface Mirror {
+  between: Interpolation;
+  /** Fresnel reflectance by colour; 0 where nothing is met. */
+  share: Float32Array;
+  /** Whether points may face the camera. */
+  front: Uint8Array;
+}
+
+type Points = Pick<Mesh, "position" | "normal">;
+
 export class Indirect {
   private readonly network: Network;
   private readonly transport: HashGrid;
@@ -43,18 +53,22 @@ export class Indirect {
   private readonly features: Float32Array;
   private readonly reflectance: Float32Array;
   private readonly solutions = new Map<string, Solution>();
+  private sees: Uint8Array = new Uint8Array(0);
+  private mirrors: { camera: string; vertices: Mirror; patches: Mirror } | null = null;
 
   private constructor(
     file: ObjectFile,
     private readonly look: Look,
     grid: Grid,
-    mesh: Mesh,
+    private readonly mesh: Mesh,
+    /** Of the vertices. */
+    private readonly baked: Appearance,
   ) {
     this.network = new Network(file, "vision.bounced");
     this.transport = new HashGrid(file, "transport", TRANSPORT);
     this.radiosity = new Radiosity(grid, mesh);
     const { count, patches } = this.radiosity;
-    this.between = new Interpolation(patches, mesh);
+    this.between = new Interpolation(patches, mesh.position.length / 3);
     this.own = { color: new Float32Array(3 * count), normal: new Float32Array(3 * count) };
     this.features = new Float32Array(this.transport.width * count);
     this.look.bake(patches, 0, count, this.own);
@@ -70,32 +84,92 @@ export class Indirect {
     this.reflectance = this.own.color.map((c) => c * (1 - this.look.config.metallic));
   }
 
-  static async make(file: ObjectFile, look: Look, grid: Grid, mesh: Mesh, slice: Slice): Promise<Indirect> {
-    const made = new Indirect(file, look, grid, mesh);
+  static async make(
+    file: ObjectFile,
+    look: Look,
+    grid: Grid,
+    mesh: Mesh,
+    baked: Appearance,
+    slice: Slice,
+  ): Promise<Indirect> {
+    const made = new Indirect(file, look, grid, mesh, baked);
     await slice(made.radiosity.count, (from, to) => made.radiosity.connect(from, to));
-    await slice(made.between.count, (from, to) => made.between.connect(from, to));
+    await slice(made.between.count, (from, to) => {
+      for (let v = from; v < to; v++) made.between.connect(v, mesh.position, mesh.normal, 3 * v);
+    });
+    made.sees = made.radiosity.sees();
     return made;
   }
 
   /** Return indirect radiance at the vertices, (V, 3), for a camera and lights of the unit frame. */
-  async at(color: Float32Array, camera: Vector, lights: PointLight[], slice: Slice): Promise<Float32Array> {
-    const out = new Float32Array(color.length);
+  async at(camera: Vector, lights: PointLight[], slice: Slice): Promise<Float32Array> {
+    const { between, baked } = this;
+    const { vertices, patches } = await this.mirrorsFor(camera, slice);
+    const out = new Float32Array(3 * between.count);
     for (const light of lights) {
       const solution = this.solution(light.position);
       const terms = new Float32Array(TERMS * this.radiosity.count);
       await slice(this.radiosity.count, (from, to) => {
-        for (let n = from; n < to; n++) this.evaluate(n, camera, light.position, solution, terms);
+        for (let n = from; n < to; n++)
+          if (patches.front[n]) this.evaluate(n, camera, light.position, solution, patches, terms);
       });
-      await slice(this.between.count, (from, to) => {
-        for (let v = from; v < to; v++)
+      await slice(between.count, (from, to) => {
+        for (let v = from; v < to; v++) {
+          if (!vertices.front[v]) continue;
           for (let c = 0; c < 3; c++) {
-            const diffuse = this.between.at(v, terms, TERMS, c);
-            const glossy = this.between.at(v, terms, TERMS, 3 + c);
-            out[3 * v + c] += light.color[c] * (color[3 * v + c] * diffuse + glossy);
+            const k = 3 * v + c;
+            const gathered = between.at(v, solution.gathered, 3, c);
+            const diffuse = gathered * between.at(v, terms, TERMS, 6 + c) + between.at(v, terms, TERMS, c);
+            let glossy = between.at(v, terms, TERMS, 3 + c);
+            if (vertices.share[k])
+              glossy += mirrored(vertices, v, solution, c) * between.at(v, terms, TERMS, 9 + c);
+            out[k] += light.color[c] * (baked.color[k] * diffuse + glossy);
           }
+        }
       });
     }
     return out;
+  }
+
+  /** Return what mirrors at the vertices and at the patches show to a camera. */
+  private async mirrorsFor(camera: Vector, slice: Slice): Promise<{ vertices: Mirror; patches: Mirror }> {
+    const key = camera.join();
+    if (this.mirrors?.camera === key) return this.mirrors;
+    const { patches } = this.radiosity;
+    const sees = (v: number) => this.between.any(v, this.sees);
+    const vertices = await this.mirror(this.mesh, this.baked, camera, sees, slice);
+    const own = await this.mirror(patches, this.own, camera, (n) => this.sees[n] > 0, slice);
+    this.mirrors = { camera: key, vertices, patches: own };
+    return this.mirrors;
+  }
+
+  /** Cast the rays that a camera sees mirrored at points; none from where nothing is seen. */
+  private async mirror(
+    { position, normal }: Points,
+    look: Appearance,
+    camera: Vector,
+    sees: (n: number) => boolean,
+    slice: Slice,
+  ): Promise<Mirror> {
+    const count = position.length / 3;
+    const { metallic } = this.look.config;
+    const between = new Interpolation(this.radiosity.patches, count);
+    const made = { between, share: new Float32Array(3 * count), front: new Uint8Array(count) };
+    await slice(count, (from, to) => {
+      for (let n = from; n < to; n++) {
+        const point = three(position, n);
+        const bent = three(look.normal, n);
+        const view = unit(along(point, -1, camera));
+        const facing = -dot(bent, view);
+        if (facing < BEHIND) continue;
+        made.front[n] = 1;
+        if (!sees(n)) continue;
+        const away = along(view, 2 * facing, bent);
+        if (this.radiosity.reflect(n, between, point, three(normal, n), away))
+          made.share.set(fresnel(facing, three(look.color, n), metallic), 3 * n);
+      }
+    });
+    return made;
   }
 
   private solution(light: Vector): Solution {
@@ -110,31 +184,34 @@ export class Indirect {
   }
 
   /** Write what the net answers at a patch. */
-  private evaluate(n: number, camera: Vector, light: Vector, solution: Solution, terms: Float32Array): void {
+  private evaluate(
+    n: number,
+    camera: Vector,
+    light: Vector,
+    solution: Solution,
+    mirror: Mirror,
+    terms: Float32Array,
+  ): void {
     const { patches } = this.radiosity;
-    const three = (values: Float32Array) => [values[3 * n], values[3 * n + 1], values[3 * n + 2]] as Vector;
-    const point = three(patches.position);
-    const outward = three(patches.normal);
-    const normal = three(this.own.normal);
-    const color = three(this.own.color);
-    const view = unit([point[0] - camera[0], point[1] - camera[1], point[2] - camera[2]]);
+    const point = three(patches.position, n);
+    const outward = three(patches.normal, n);
+    const normal = three(this.own.normal, n);
+    const color = three(this.own.color, n);
+    const view = unit(along(point, -1, camera));
     const facing = -dot(normal, view);
-    if (facing < BEHIND) return;
     const { metallic, roughness } = this.look.config;
-    const toLight = [light[0] - point[0], light[1] - point[1], light[2] - point[2]] as Vector;
+    const toLight = along(light, -1, point);
     const exact = dot(toLight, toLight);
     const squared = Math.max(exact, FAMILIAR ** 2);
     const direction = unit(toLight);
     const lit = solution.lit[n];
     const reflected = lit ? principled(normal, view, direction, color, roughness, metallic) : [0, 0, 0];
     const direct = reflected.map((value) => value / Math.max(exact, NEAREST ** 2));
-    const gathered = three(solution.gathered);
-    const away = [0, 1, 2].map((i) => view[i] + 2 * facing * normal[i]) as Vector;
-    const met = this.radiosity.hit(this.radiosity.lifted(n, START), away);
-    const share = met < 0 ? [0, 0, 0] : fresnel(facing, color, metallic);
-    const mirrored = share.map((value, c) => (met < 0 ? 0 : value * solution.outgoing[3 * met + c]));
+    const gathered = three(solution.gathered, n);
+    const away = along(view, 2 * facing, normal);
+    const shown = [0, 1, 2].map((c) => mirrored(mirror, n, solution, c));
     const nl = dot(normal, direction);
-    const half = unit([direction[0] - view[0], direction[1] - view[1], direction[2] - view[2]]);
+    const half = unit(along(direction, -1, view));
     const nh8 = Math.min(Math.max(dot(normal, half), 0), 1) ** 8;
     const received = Math.max(nl, 0) / squared;
     const sine = point.map((p) => Math.sin(4 * p));
@@ -163,18 +240,29 @@ export class Indirect {
       Math.log(squared),
       ...direct.map((value) => Math.log1p(4 * value)),
       ...gathered.map((value) => Math.log1p(4 * value)),
-      ...mirrored.map((value) => Math.log1p(16 * value)),
+      ...shown.map((value) => Math.log1p(16 * value)),
       ...this.features.subarray(n * this.transport.width, (n + 1) * this.transport.width),
     );
     if (inputs.length !== INPUTS + this.transport.width)
       throw new Error("inputs of the net of indirect light");
     const found = this.network.run(inputs);
-    const term = (group: number, c: number) => softplus(found[3 * group + c] + BIAS[group]) * SCALE[group];
-    for (let c = 0; c < 3; c++) {
-      terms[TERMS * n + c] = gathered[c] * term(2, c) + term(0, c);
-      terms[TERMS * n + 3 + c] = mirrored[c] * term(3, c) + term(1, c);
+    for (let k = 0; k < TERMS; k++) {
+      const group = Math.floor(k / 3);
+      terms[TERMS * n + k] = softplus(found[k] + BIAS[group]) * SCALE[group];
     }
   }
+}
+
+const three = (values: Float32Array, n: number): Vector => [
+  values[3 * n],
+  values[3 * n + 1],
+  values[3 * n + 2],
+];
+
+/** Return the light of one colour that the mirror at a point shows. */
+function mirrored({ between, share }: Mirror, n: number, { outgoing }: Solution, color: number): number {
+  const part = share[3 * n + color];
+  return part ? part * between.at(n, outgoing, 3, color) : 0;
 }
 
 function softplus(value: number): number {

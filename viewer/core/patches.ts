@@ -1,6 +1,6 @@
 /** Random points of a surface, which stand for the surface around them, and the search for near ones. */
 
-import type { Grid } from "./grid.ts";
+import { BOUND, type Grid } from "./grid.ts";
 import type { Mesh } from "./surface.ts";
 
 const TURN = 0.1; // distance in the unit frame that one radian between normals counts as
@@ -20,7 +20,10 @@ export class Patches {
   readonly position: Float32Array;
   readonly normal: Float32Array;
   private readonly cell: number;
-  private readonly members = new Map<number, number[]>();
+  private readonly side: number; // cells along each axis
+  /** Where the members of each cell begin in their list. */
+  private readonly first: Int32Array;
+  private readonly members: Int32Array;
 
   /** Draw points uniformly by area. */
   constructor(
@@ -56,22 +59,24 @@ export class Patches {
       grid.normal(x, y, z, this.normal, 3 * n);
     }
     this.cell = 2 * Math.sqrt(total / count);
-    for (let n = 0; n < count; n++) {
-      const key = this.key(this.position[3 * n], this.position[3 * n + 1], this.position[3 * n + 2]);
-      const found = this.members.get(key);
-      if (found) found.push(n);
-      else this.members.set(key, [n]);
-    }
+    this.side = Math.ceil((2 * BOUND) / this.cell) + 1;
+    this.first = new Int32Array(this.side ** 3 + 1);
+    this.members = new Int32Array(count);
+    const cells = Int32Array.from({ length: count }, (_, n) => {
+      const [i, j, k] = [0, 1, 2].map((axis) => this.place(this.position[3 * n + axis]));
+      return (i * this.side + j) * this.side + k;
+    });
+    for (const cell of cells) this.first[cell + 1]++;
+    for (let cell = 0; cell < this.side ** 3; cell++) this.first[cell + 1] += this.first[cell];
+    const next = this.first.slice();
+    cells.forEach((cell, n) => {
+      this.members[next[cell]++] = n;
+    });
   }
 
-  private key(x: number, y: number, z: number): number {
-    const { cell } = this;
-    return (
-      (Math.floor(x / cell) + 512) * 2 ** 20 +
-      (Math.floor(y / cell) + 512) * 2 ** 10 +
-      Math.floor(z / cell) +
-      512
-    );
+  /** Return the number of a coordinate's cell along an axis. */
+  private place(coordinate: number): number {
+    return Math.min(Math.max(Math.floor((coordinate + BOUND) / this.cell), 0), this.side - 1);
   }
 
   /**
@@ -92,22 +97,27 @@ export class Patches {
   ): void {
     place.fill(-1);
     apart.fill(Number.POSITIVE_INFINITY);
-    const { cell, position, normal } = this;
+    const { side, position, normal, first, members } = this;
     const last = place.length - 1;
+    const [ci, cj, ck] = [this.place(x), this.place(y), this.place(z)];
     for (let reach = 1; reach < 8 && place[last] < 0; reach++)
-      for (let i = -reach; i <= reach; i++)
-        for (let j = -reach; j <= reach; j++)
-          for (let k = -reach; k <= reach; k++) {
-            if (reach > 1 && Math.max(Math.abs(i), Math.abs(j), Math.abs(k)) < reach) continue;
-            const members = this.members.get(this.key(x + i * cell, y + j * cell, z + k * cell));
-            if (!members) continue;
-            for (const n of members) {
+      for (let i = Math.max(ci - reach, 0); i <= Math.min(ci + reach, side - 1); i++)
+        for (let j = Math.max(cj - reach, 0); j <= Math.min(cj + reach, side - 1); j++)
+          for (let k = Math.max(ck - reach, 0); k <= Math.min(ck + reach, side - 1); k++) {
+            const inner =
+              Math.abs(i - ci) < reach && Math.abs(j - cj) < reach && Math.abs(k - ck) < reach && reach > 1;
+            if (inner) continue;
+            const cell = (i * side + j) * side + k;
+            for (let m = first[cell]; m < first[cell + 1]; m++) {
+              const n = members[m];
               const p = 3 * n;
-              const square =
-                (position[p] - x) ** 2 +
-                (position[p + 1] - y) ** 2 +
-                (position[p + 2] - z) ** 2 +
-                TURN ** 2 * ((normal[p] - nx) ** 2 + (normal[p + 1] - ny) ** 2 + (normal[p + 2] - nz) ** 2);
+              const dx = position[p] - x;
+              const dy = position[p + 1] - y;
+              const dz = position[p + 2] - z;
+              const tx = normal[p] - nx;
+              const ty = normal[p + 1] - ny;
+              const tz = normal[p + 2] - nz;
+              const square = dx * dx + dy * dy + dz * dz + TURN ** 2 * (tx * tx + ty * ty + tz * tz);
               if (square >= apart[last]) continue;
               let at = last;
               for (; at > 0 && apart[at - 1] > square; at--) {

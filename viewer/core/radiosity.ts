@@ -3,7 +3,7 @@
 import type { Grid } from "./grid.ts";
 import { Patches, randoms } from "./patches.ts";
 import type { Mesh } from "./surface.ts";
-import type { Vector } from "./vector.ts";
+import { along, type Vector } from "./vector.ts";
 
 const PATCHES = 8192;
 const SIDE = 9; // each patch casts SIDE x SIDE rays over its hemisphere
@@ -62,19 +62,43 @@ export class Radiosity {
     }
   }
 
+  /** Return which patches see others. */
+  sees(): Uint8Array {
+    const found = new Uint8Array(PATCHES);
+    this.met.forEach((other, ray) => {
+      if (other >= 0) found[Math.floor(ray / SIDE ** 2)] = 1;
+    });
+    return found;
+  }
+
   /** Return the patch that a ray meets, or -1. */
-  hit(start: Vector, direction: Vector): number {
-    const distance = this.grid.cast(start, direction);
-    if (distance === Number.POSITIVE_INFINITY) return -1;
-    const [x, y, z] = [0, 1, 2].map((axis) => start[axis] + distance * direction[axis]);
-    this.grid.normal(x, y, z, this.facing);
+  private hit(start: Vector, direction: Vector): number {
+    const at = this.seen(start, direction);
+    if (!at) return -1;
+    const [x, y, z] = at;
     const [nx, ny, nz] = this.facing;
     this.patches.nearest(x, y, z, nx, ny, nz, this.place, this.apart);
     return this.place[0];
   }
 
+  /** Return the point that a ray meets, if any; its normal is in `facing`. */
+  private seen(start: Vector, direction: Vector): Vector | null {
+    const distance = this.grid.cast(start, direction);
+    if (distance === Number.POSITIVE_INFINITY) return null;
+    const at = along(start, distance, direction);
+    this.grid.normal(at[0], at[1], at[2], this.facing);
+    return at;
+  }
+
+  /** Find what a mirrored ray meets, and connect it to patches; return whether it meets anything. */
+  reflect(n: number, to: Interpolation, point: Vector, outward: Vector, direction: Vector): boolean {
+    const at = this.seen(along(point, START * this.grid.spacing, outward), direction);
+    if (at) to.connect(n, at, this.facing, 0);
+    return at !== null;
+  }
+
   /** Return a patch's place, some voxels along its normal. */
-  lifted(n: number, voxels: number): Vector {
+  private lifted(n: number, voxels: number): Vector {
     const { position, normal } = this.patches;
     const h = voxels * this.grid.spacing;
     return [0, 1, 2].map((axis) => position[3 * n + axis] + h * normal[3 * n + axis]) as Vector;
@@ -125,56 +149,55 @@ export class Radiosity {
   }
 }
 
-/** Weights by which values at patches are interpolated at vertices. */
+/** Weights by which values at patches are interpolated at points. */
 export class Interpolation {
   private readonly patch: Int32Array;
   private readonly weight: Float32Array;
+  private readonly apart = new Float64Array(NEIGHBOURS);
 
   constructor(
     private readonly patches: Patches,
-    private readonly mesh: Mesh,
+    readonly count: number,
   ) {
-    this.patch = new Int32Array((NEIGHBOURS * mesh.position.length) / 3);
-    this.weight = new Float32Array(this.patch.length);
+    this.patch = new Int32Array(NEIGHBOURS * count);
+    this.weight = new Float32Array(NEIGHBOURS * count);
   }
 
-  get count(): number {
-    return this.mesh.position.length / 3;
-  }
-
-  /** Find the patches of the vertices from one number up to another. */
-  connect(from: number, to: number): void {
-    const { position, normal } = this.mesh;
-    const apart = new Float64Array(NEIGHBOURS);
-    for (let v = from; v < to; v++) {
-      const k = 3 * v;
-      const place = this.patch.subarray(NEIGHBOURS * v, NEIGHBOURS * (v + 1));
-      this.patches.nearest(
-        position[k],
-        position[k + 1],
-        position[k + 2],
-        normal[k],
-        normal[k + 1],
-        normal[k + 2],
-        place,
-        apart,
-      );
-      let sum = 0;
-      for (let n = 0; n < NEIGHBOURS; n++) {
-        const weight = place[n] < 0 ? 0 : 1 / (apart[n] + 1e-6);
-        this.weight[NEIGHBOURS * v + n] = weight;
-        sum += weight;
-        place[n] = Math.max(place[n], 0);
-      }
-      for (let n = 0; n < NEIGHBOURS; n++) this.weight[NEIGHBOURS * v + n] /= sum;
-    }
-  }
-
-  /** Interpolate one value of a patch at a vertex. */
-  at(vertex: number, values: Float32Array, width: number, column: number): number {
+  /** Find the patches of a point; arrays hold points and normals of many, and this one at a place. */
+  connect(n: number, position: ArrayLike<number>, normal: ArrayLike<number>, k: number): void {
+    const place = this.patch.subarray(NEIGHBOURS * n, NEIGHBOURS * (n + 1));
+    const { apart } = this;
+    this.patches.nearest(
+      position[k],
+      position[k + 1],
+      position[k + 2],
+      normal[k],
+      normal[k + 1],
+      normal[k + 2],
+      place,
+      apart,
+    );
     let sum = 0;
-    for (let n = NEIGHBOURS * vertex; n < NEIGHBOURS * (vertex + 1); n++)
-      sum += this.weight[n] * values[width * this.patch[n] + column];
+    for (let m = 0; m < NEIGHBOURS; m++) {
+      const weight = place[m] < 0 ? 0 : 1 / (apart[m] + 1e-6);
+      this.weight[NEIGHBOURS * n + m] = weight;
+      sum += weight;
+      place[m] = Math.max(place[m], 0);
+    }
+    for (let m = 0; m < NEIGHBOURS; m++) this.weight[NEIGHBOURS * n + m] /= sum;
+  }
+
+  /** Return whether any of the patches of a point is marked. */
+  any(n: number, marks: Uint8Array): boolean {
+    for (let m = NEIGHBOURS * n; m < NEIGHBOURS * (n + 1); m++) if (marks[this.patch[m]]) return true;
+    return false;
+  }
+
+  /** Interpolate one value of a patch at a point. */
+  at(n: number, values: Float32Array, width: number, column: number): number {
+    let sum = 0;
+    for (let m = NEIGHBOURS * n; m < NEIGHBOURS * (n + 1); m++)
+      sum += this.weight[m] * values[width * this.patch[m] + column];
     return sum;
   }
 }

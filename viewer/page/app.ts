@@ -55,13 +55,26 @@ export class App {
   private readonly answered: (() => void)[] = [];
 
   constructor(private readonly settings: Settings) {
+    this.worker = new Worker(URL.createObjectURL(new Blob([source], { type: "text/javascript" })));
+    this.worker.onmessage = (event: MessageEvent<Reply>) => this.receive(event.data);
+    this.worker.onerror = (event) => this.problem(event.message);
+    // The worker reads the first object while this thread sets the picture up.
+    const objects = embedded();
+    element("chooser").hidden = objects.length < 2;
+    options(
+      "object",
+      objects.map(({ name }) => [name, name]),
+    );
+    const show = (n: number) => {
+      this.open(objects[n].read());
+    };
+    select("object").addEventListener("change", () => show(select("object").selectedIndex));
+    if (objects.length) show(0);
+    else this.problem("Open an Object File, or drop one on this page.", "No object");
     const accent = matchMedia("(prefers-color-scheme: dark)").matches
       ? [0.98, 0.6, 0.33]
       : [0.78, 0.25, 0.02];
     this.view = new View(canvas("view"), this.orbit, accent as Vector);
-    this.worker = new Worker(URL.createObjectURL(new Blob([source], { type: "text/javascript" })));
-    this.worker.onmessage = (event: MessageEvent<Reply>) => this.receive(event.data);
-    this.worker.onerror = (event) => this.problem(event.message);
     new Gestures(this.view, {
       poke: (place, strike) => this.poke(place, strike),
       turned: () => this.relight(false),
@@ -75,18 +88,6 @@ export class App {
       requestAnimationFrame(frame);
     };
     frame();
-    const objects = embedded();
-    element("chooser").hidden = objects.length < 2;
-    options(
-      "object",
-      objects.map(({ name }) => [name, name]),
-    );
-    const show = (n: number) => {
-      this.open(objects[n].read());
-    };
-    select("object").addEventListener("change", () => show(select("object").selectedIndex));
-    if (objects.length) show(0);
-    else this.problem("Open an Object File, or drop one on this page.", "No object");
   }
 
   /** Open an Object File. */

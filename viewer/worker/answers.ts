@@ -4,7 +4,7 @@ import { readFeatures } from "../core/features.ts";
 import { Gains } from "../core/gains.ts";
 import { Grid } from "../core/grid.ts";
 import { Indirect, type PointLight, type Slice } from "../core/indirect.ts";
-import { Look } from "../core/look.ts";
+import { type Appearance, Look } from "../core/look.ts";
 import { Nearest } from "../core/nearest.ts";
 import { type Gaps, gaps, ObjectFile } from "../core/objectfile.ts";
 import { Radiation } from "../core/radiation.ts";
@@ -32,7 +32,7 @@ export class Answers {
   private readonly gains: Gains | null;
   private readonly radiation: Radiation | null;
   private look: Look | null = null;
-  private color: Float32Array | null = null;
+  private baked: Appearance | null = null;
   private indirect: Indirect | null = null;
   private touch: { key: string; press: Touch } | null = null;
   private reference: { key: string; peak: number } | null = null;
@@ -74,20 +74,19 @@ export class Answers {
     const found = { color: new Float32Array(size), normal: new Float32Array(size) };
     await slice(size / 3, (from, to) => look.bake(this.mesh, from, to, found));
     this.look = look;
-    this.color = found.color.slice();
+    this.baked = { color: found.color.slice(), normal: found.normal.slice() };
     return { kind: "look", ...found, roughness: look.config.roughness, metallic: look.config.metallic };
   }
 
   /** Prepare indirect light. */
   async prepareBounces(slice: Slice): Promise<boolean> {
-    if (!this.look) return false;
-    this.indirect = await Indirect.make(this.file, this.look, this.grid, this.mesh, slice);
+    if (!this.look || !this.baked) return false;
+    this.indirect = await Indirect.make(this.file, this.look, this.grid, this.mesh, this.baked, slice);
     return true;
   }
 
   async bounces(camera: Vector, lights: PointLight[], slice: Slice): Promise<Float32Array | null> {
-    if (!this.indirect || !this.color) return null;
-    return this.indirect.at(this.color, camera, lights, slice);
+    return this.indirect ? this.indirect.at(camera, lights, slice) : null;
   }
 
   strike(point: Vector, settings: StrikeSettings): Extract<Reply, { kind: "sound" }> | null {
