@@ -11,6 +11,7 @@ const UP: Vector = scaled(1 / Math.sqrt(21), [1, 2, 4]); // of the image at angl
 const FREED = 0.05; // thicknesses that material may reach past the base of a sensor that is free
 const NEAR = 1e-4; // metres in front of the camera; triangles that reach behind it are not drawn
 const OVERLAP = -1e-5; // no cracks between triangles
+const BEHIND = 16;
 
 let probes: Vector[] | null = null;
 
@@ -129,7 +130,7 @@ function seen(mesh: Mesh, grid: Grid, camera: Camera, pose: Pose, eye: Vector, s
   const { profile, gel } = camera;
   const { width, height: rows } = profile;
   const count = width * rows;
-  const { column, row, inverse } = projected(mesh, camera, pose, eye, scale);
+  const { column, row, inverse, side } = projected(mesh, camera, pose, eye, scale);
   // Inverse depths of the nearest front and back face beyond the base, and of the last face before it.
   const front = new Float32Array(count);
   const back = new Float32Array(count);
@@ -137,10 +138,19 @@ function seen(mesh: Mesh, grid: Grid, camera: Camera, pose: Pose, eye: Vector, s
   const base = Float32Array.from(gel, (depth) => 1 / (depth - profile.elastomer_thickness));
   const { index } = mesh;
   for (let t = 0; t < index.length; t += 3) {
-    const [a, b, c] = [index[t], index[t + 1], index[t + 2]];
-    const [ia, ib, ic] = [inverse[a], inverse[b], inverse[c]];
-    if (ia === 0 || ib === 0 || ic === 0) continue;
-    const [ax, ay, bx, by, cx, cy] = [column[a], row[a], column[b], row[b], column[c], row[c]];
+    const a = index[t];
+    const b = index[t + 1];
+    const c = index[t + 2];
+    if (side[a] & side[b] & side[c] || (side[a] | side[b] | side[c]) & BEHIND) continue;
+    const ia = inverse[a];
+    const ib = inverse[b];
+    const ic = inverse[c];
+    const ax = column[a];
+    const ay = row[a];
+    const bx = column[b];
+    const by = row[b];
+    const cx = column[c];
+    const cy = row[c];
     const left = Math.max(0, Math.ceil(Math.min(ax, bx, cx)));
     const right = Math.min(width - 1, Math.floor(Math.max(ax, bx, cx)));
     if (left > right) continue;
@@ -180,8 +190,10 @@ function seen(mesh: Mesh, grid: Grid, camera: Camera, pose: Pose, eye: Vector, s
 interface Projected {
   column: Float32Array;
   row: Float32Array;
-  /** 1 / depth in metres; 0 for vertices that are not in front of the camera. */
+  /** 1 / depth in metres. */
   inverse: Float32Array;
+  /** Bits of the sides of the picture beyond which vertices lie; `BEHIND` if not in front of the camera. */
+  side: Uint8Array;
 }
 
 /** Project the vertices into the camera. */
@@ -190,19 +202,27 @@ function projected(mesh: Mesh, camera: Camera, pose: Pose, eye: Vector, scale: n
   const { width, height } = camera.profile;
   const [vertical, horizontal] = camera.half;
   const [fx, fy, fz] = pose.frame;
+  const [ex, ey, ez] = eye;
   const count = position.length / 3;
   const column = new Float32Array(count);
   const row = new Float32Array(count);
   const inverse = new Float32Array(count);
+  const side = new Uint8Array(count);
   for (let v = 0, k = 0; v < count; v++, k += 3) {
-    const a = position[k] - eye[0];
-    const b = position[k + 1] - eye[1];
-    const c = position[k + 2] - eye[2];
+    const a = position[k] - ex;
+    const b = position[k + 1] - ey;
+    const c = position[k + 2] - ez;
     const depth = a * fx[0] + b * fx[1] + c * fx[2];
-    if (depth < NEAR / scale) continue;
+    if (depth < NEAR / scale) {
+      side[v] = BEHIND;
+      continue;
+    }
     inverse[v] = 1 / depth / scale;
-    column[v] = (1 - (a * fy[0] + b * fy[1] + c * fy[2]) / depth / horizontal) * 0.5 * width - 0.5;
-    row[v] = (1 - (a * fz[0] + b * fz[1] + c * fz[2]) / depth / vertical) * 0.5 * height - 0.5;
+    const x = (1 - (a * fy[0] + b * fy[1] + c * fy[2]) / depth / horizontal) * 0.5 * width - 0.5;
+    const y = (1 - (a * fz[0] + b * fz[1] + c * fz[2]) / depth / vertical) * 0.5 * height - 0.5;
+    column[v] = x;
+    row[v] = y;
+    side[v] = (x < 0 ? 1 : 0) | (x > width - 1 ? 2 : 0) | (y < 0 ? 4 : 0) | (y > height - 1 ? 8 : 0);
   }
-  return { column, row, inverse };
+  return { column, row, inverse, side };
 }
