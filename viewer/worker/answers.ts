@@ -13,7 +13,7 @@ import { type Mesh, surface } from "../core/surface.ts";
 import { amplitudes, type Gained, modalGains, plain, synthesise } from "../core/synthesis.ts";
 import { Touch } from "../core/touch.ts";
 import { type Modes, ownMaterial, tuned } from "../core/tuning.ts";
-import { along, scaled, type Vector } from "../core/vector.ts";
+import { along, length, scaled, type Vector } from "../core/vector.ts";
 import type { Place, Reply, StrikeSettings, Tone, TouchSettings } from "./protocol.ts";
 
 const SPOTS = 48; // vertices among which the loudest is sought
@@ -22,6 +22,7 @@ const QUIETEST = -60; // dB of tones that are shown
 const SHOWN = 120; // tones
 const ELSEWHERE =
   "Accelerations, not sound pressure: in this material the sound has other wavelengths, whose radiation is not stored.";
+const UNMOVED = 0.25; // voxels; contacts nearer to the surface stay where they are, as in the library
 
 export class Answers {
   readonly file: ObjectFile;
@@ -53,11 +54,14 @@ export class Answers {
     this.gaps = found;
   }
 
-  /** Return the point that is meant, on the surface. */
-  at(place: Place): Vector | null {
-    if ("point" in place) return this.nearest.to(place.point);
-    const far = this.grid.cast(place.origin, place.direction);
-    return Number.isFinite(far) ? this.nearest.to(along(place.origin, far, place.direction)) : null;
+  /** Return the point that is meant, on the surface, and where a sensor touches it. */
+  at(place: Place): { point: Vector; contact: Vector } | null {
+    const far = "point" in place ? 0 : this.grid.cast(place.origin, place.direction);
+    if (!Number.isFinite(far)) return null;
+    const given = "point" in place ? place.point : along(place.origin, far, place.direction);
+    const point = this.nearest.to(given);
+    const moved = length(along(point, -1, given));
+    return { point, contact: moved < UNMOVED * this.grid.spacing ? given : point };
   }
 
   normalAt(point: Vector): Vector {

@@ -77,12 +77,13 @@ async function answer(request: Request): Promise<void> {
     if (values) post({ kind: "indirect", values, request: request.request }, [values.buffer]);
     return;
   }
-  const point = answers.at(request.place);
-  if (!point) return post({ kind: "missed" });
+  const place = answers.at(request.place);
+  if (!place) return post({ kind: "missed" });
+  const { point, contact } = place;
   post({ kind: "point", point, normal: answers.normalAt(point) });
   const sound = request.strike && answers.strike(point, request.strike);
   if (sound) post(sound, [sound.samples.buffer]);
-  const touch = request.touch && answers.press(point, request.touch);
+  const touch = request.touch && answers.press(contact, request.touch);
   if (touch) post(touch, [touch.image.buffer, touch.height.buffer]);
 }
 
