@@ -3,7 +3,7 @@
 import io
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -101,8 +101,8 @@ def vision(
     console.print(f"{len(rows)} views in {out}/")
 
 
-def _lamps(lights: str | None) -> "Literal['studio'] | list[PointLight] | None":
-    """Return the lights that an option names."""
+def _lamps(lights: str | None) -> "str | list[PointLight] | None":
+    """Return the lights that an option names: "studio", or those of a file."""
     if lights is None or lights == "studio":
         return lights
     from objectfolder.vision.lighting import PointLight

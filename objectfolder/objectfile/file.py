@@ -419,7 +419,7 @@ class ObjectFile:
         list of IPython.display.Audio
             The loudest sound has 0.9 of full scale.
         """
-        sounds = self.impact(points, forces, sample_rate, duration, response, **strike)
+        sounds = self.impact(np.asarray(points), forces, sample_rate, duration, response, **strike)
         return players(sounds, sample_rate)
 
     def contact_time(

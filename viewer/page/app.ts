@@ -236,7 +236,7 @@ export class App {
     const tacto = own?.renderer === "tacto" ? " (images as this library's gel, not TACTO)" : "";
     options("sensor", [
       ["", `${own?.sensor.name ?? "none"}, as stored${tacto}`],
-      ["rigid", "the same with a rigid gel"],
+      ["rigid", "the same, rigid gel"],
       ...sensors.filter((name) => name !== own?.sensor.name).map((name) => [name, name] as [string, string]),
     ]);
     this.labels();

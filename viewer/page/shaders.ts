@@ -76,6 +76,8 @@ vec3 encoded(vec3 c) {
 }
 void main() {
   vec3 geometric = normalize(vNormal), normal = normalize(vShading), view = normalize(vPosition - eye);
+  vec3 face = cross(dFdx(vPosition), dFdy(vPosition));
+  if (dot(face, view) > 0.0) face = -face;
   vec3 radiance = vIndirect;
   float shone = 0.0;
   for (int k = 0; k < ${LIGHTS}; k++) {
@@ -83,7 +85,7 @@ void main() {
     vec3 to = lights[k] - vPosition;
     vec3 direct = principled(normal, view, normalize(to), vColor) / max(dot(to, to), 1e-6);
     if (direct.r + direct.g + direct.b <= 0.0) continue;
-    float share = lit(k, geometric);
+    float share = dot(face, to) > 0.0 ? lit(k, geometric) : 0.0; // a face shades itself
     radiance += intensities[k] * direct * share;
     shone += step(0.5, share) * float(k + 1);
   }
