@@ -194,7 +194,7 @@ def test_commands(workspace, monkeypatch):
     before = files(workspace)
     shown = run("prune", "--dry-run")
     assert shown.exit_code == 0
-    assert re.search(r"bell\s+7\s", shown.stdout)
+    assert re.search(r"bell\s+8\s", shown.stdout)
     assert "would be removed" in shown.stdout
     assert "--yes" in str(run("prune").exception)
     assert files(workspace) == before

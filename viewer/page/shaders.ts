@@ -31,6 +31,7 @@ uniform int count, mode;
 uniform vec4 mark;
 out vec4 result;
 const float PI = 3.14159265;
+const float HORIZON = 0.1; // sine of the angle at which light passes a face of a voxel that turns away
 
 float schlick(float c) {
   float r = clamp(1.0 - c, 0.0, 1.0);
@@ -76,16 +77,17 @@ vec3 encoded(vec3 c) {
 }
 void main() {
   vec3 geometric = normalize(vNormal), normal = normalize(vShading), view = normalize(vPosition - eye);
-  vec3 face = cross(dFdx(vPosition), dFdy(vPosition));
+  vec3 face = normalize(cross(dFdx(vPosition), dFdy(vPosition)));
   if (dot(face, view) > 0.0) face = -face;
   vec3 radiance = vIndirect;
   float shone = 0.0;
   for (int k = 0; k < ${LIGHTS}; k++) {
     if (k >= count) break;
     vec3 to = lights[k] - vPosition;
-    vec3 direct = principled(normal, view, normalize(to), vColor) / max(dot(to, to), 1e-6);
+    vec3 way = normalize(to);
+    vec3 direct = principled(normal, view, way, vColor) / max(dot(to, to), 1e-6);
     if (direct.r + direct.g + direct.b <= 0.0) continue;
-    float share = dot(face, to) > 0.0 ? lit(k, geometric) : 0.0; // a face shades itself
+    float share = dot(face, way) > -HORIZON ? lit(k, geometric) : 0.0; // a face shades itself
     radiance += intensities[k] * direct * share;
     shone += step(0.5, share) * float(k + 1);
   }
