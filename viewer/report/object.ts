@@ -5,6 +5,7 @@ import { draw, length, make, short, table } from "./dom.ts";
 
 const THREE = ["ground truth", "Object File", "difference"];
 const ENLARGED = " × 4"; // differences of pictures
+const EQUAL = 150; // dB from which pictures are equal
 
 function strip({ title, score, source }: Strip, kind: string, ...more: Node[]): HTMLElement {
   const compared = score !== undefined || kind === "compared";
@@ -12,7 +13,11 @@ function strip({ title, score, source }: Strip, kind: string, ...more: Node[]): 
   return make(
     "figure",
     { class: compared ? null : "single" },
-    make("figcaption", {}, score === undefined ? title : `${title}, ${short(score, "dB")}`),
+    make(
+      "figcaption",
+      {},
+      score === undefined ? title : `${title}, ${score < EQUAL ? short(score, "dB") : "equal"}`,
+    ),
     make("img", { src: source, alt: compared ? `${title}: ${names.join(", ")}` : title, loading: "lazy" }),
     ...(compared ? [make("div", { class: "columns" }, ...names.map((text) => make("span", {}, text)))] : []),
     ...more,
