@@ -11,6 +11,7 @@ from rich.progress import track
 from threadpoolctl import threadpool_limits
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.workspace.installed import check_installed
 
 _console = Console(stderr=True)
 
@@ -27,6 +28,7 @@ def run(
     key = parser.parse_args().key
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     try:
+        check_installed()
         with threadpool_limits(1):
             if "torch" in sys.modules:
                 sys.modules["torch"].set_num_threads(1)

@@ -1,21 +1,29 @@
 """hash_code: source files -> for each stage, the digests of the modules that it imports.
 
 Each other stage depends on its list instead of some fifty modules: editing a module reruns exactly the stages
-that import it, and dvc.lock stays small.
+that import it, and dvc.lock stays small. In a workspace without the package, stages depend on digests of the
+package's other files as well.
 """
 
+import sys
 from pathlib import Path
 
+from objectfolder.errors import ObjectFolderError
 from objectfolder.io import write_text
-from objectfolder.workspace.code_digests import digests
+from objectfolder.workspace.code_digests import code_text, data_names
+from objectfolder.workspace.installed import check_installed, is_recorded
 from objectfolder.workspace.layout import code_list
 
 
 def main() -> None:
-    for script in sorted(Path("stages").glob("*.py")):
-        if script.name not in ("__init__.py", "hash_code.py"):
-            write_text(code_list(script.stem), digests(script))
+    check_installed()
+    stages = {script.stem for script in Path("stages").glob("*.py")} - {"__init__", "hash_code"}
+    for name in [*sorted(stages), *(data_names() if is_recorded() else ())]:
+        write_text(code_list(name), code_text(name) or "")
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except ObjectFolderError as error:
+        sys.exit(f"hash_code: {error}")

@@ -6,6 +6,7 @@ from objectfolder.mesh.ply import read_surface
 from objectfolder.seeding import numpy_generator
 from objectfolder.touch.dataset import RenderTouchConfig, contact_points, render_contacts
 from objectfolder.touch.profiles import load_profile
+from objectfolder.workspace.installed import sensor_file
 from objectfolder.workspace.layout import SPLITS, Build
 from objectfolder.workspace.params import stage_params
 from stages import progress, run
@@ -15,7 +16,7 @@ def main(key: str) -> None:
     params = stage_params(RenderTouchConfig, key)
     build, settings = Build(key), params.settings
     vertices, faces = read_surface(build.surface)
-    profile = load_profile(params.sensor)
+    profile = load_profile(sensor_file(params.sensor))
     counts = [getattr(settings, split) for split in SPLITS]
     rng = numpy_generator(params.seed, key, "render_touch")
     points = contact_points(vertices, faces, settings.locations, counts, rng)

@@ -12,6 +12,7 @@ from objectfolder.nets.touch_image import ImageTouch
 from objectfolder.nets.touch_image_training import train_image
 from objectfolder.seeding import torch_generator
 from objectfolder.touch.profiles import load_profile
+from objectfolder.workspace.installed import sensor_file
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.params import stage_params
 from stages import log_point, run
@@ -22,7 +23,7 @@ ROWS = ("images", "points", "angles", "depths")
 def main(key: str) -> None:
     params = stage_params(TouchConfig, key)
     build, settings, scale = Build(key), params.settings, params.entry.scale
-    profile = load_profile(params.sensor)
+    profile = load_profile(sensor_file(params.sensor))
     train, val = (read_npz(build.touch(split), *ROWS, "renderer") for split in ("train", "val"))
     net: GeometricTouch | ImageTouch
     if settings.net == "geometric":

@@ -11,6 +11,7 @@ from rich.markup import escape
 from objectfolder.cli import (
     bench,
     bench_robots,
+    creation,
     doctor,
     export,
     fit,
@@ -39,14 +40,17 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
     help="Build and query **Object Files**, implicit representations of how objects look, sound and feel.\n\n"
-    "In a workspace (a folder with dvc.yaml): `objectfolder add MESH ...`, then `objectfolder build`.\n\n"
+    "In a workspace (a folder with dvc.yaml; `objectfolder init` makes one): `objectfolder add MESH ...`, "
+    "then `objectfolder build`.\n\n"
     "Anywhere: `objectfolder info FILE`, `objectfolder query vision|audio|touch FILE QUERIES.npy OUT/`.",
 )
 for command in (
+    creation.init,
     workspace.build,
     upkeep.status,
     upkeep.verify,
     upkeep.prune,
+    creation.upgrade,
     objects.add,
     objects.fetch,
     workspace.preset,

@@ -79,7 +79,8 @@ def fit_sensor_profile(
 
     `objectfolder sensor fit dataPack.npz --radius 0.002 --lights 6 --residual --sensor my.yaml --out n.yaml`
 
-    In Python, load it with `load_profile("mine.yaml")`. For a build, copy it to objectfolder/touch/profiles/.
+    In Python, load it with `load_profile("mine.yaml")`. For a build, copy it to objectfolder/touch/profiles/,
+    or to sensors/ of a workspace that `objectfolder init` made.
     """
     from objectfolder.touch.calibration import fit_sensor, fit_sensor_lights, save_fit
     from objectfolder.touch.photographs import read_photograph

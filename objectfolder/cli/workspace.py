@@ -82,12 +82,13 @@ def build(
     from objectfolder.touch.profiles import load_profile, require_renderer
     from objectfolder.workspace import params
     from objectfolder.workspace.check import check_all
+    from objectfolder.workspace.installed import sensor_file
 
     if address is not None and engine is Engine.LOCAL:
         raise ObjectFolderError(f"--address {address} requires --engine ray")
     values = params.read()
     check_all(values)
-    require_renderer(load_profile(values["sensor"]), values["render_touch"]["renderer"])
+    require_renderer(load_profile(sensor_file(values["sensor"])), values["render_touch"]["renderer"])
     if dry_run:
         from objectfolder.cli.statusview import print_outlook
         from objectfolder.engine.status import status

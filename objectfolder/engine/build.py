@@ -39,6 +39,7 @@ from objectfolder.engine.summary import (
 )
 from objectfolder.engine.workers import FinishedQueue, LocalWorkers, WorkerLost, Workers
 from objectfolder.errors import ObjectFolderError
+from objectfolder.workspace.installed import check_installed
 
 #: Objects in progress at a time, per core.
 OBJECTS_PER_CORE = 2
@@ -120,10 +121,12 @@ def build(
     Raises
     ------
     ObjectFolderError
-        If the workspace is busy or cannot be read. Failed stages are reported in the summary.
+        If the workspace is busy or cannot be read, or is of another version of the package. Failed stages are
+        reported in the summary.
     """
     start = time.monotonic()
     with open_repository(root, options.wait) as repository:
+        check_installed(repository.root)
         repository.remove_partial_files()
         graph = stage_graph(repository, targets)
         remove_partial_outputs(graph.stages.values())

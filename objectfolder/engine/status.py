@@ -13,6 +13,7 @@ from objectfolder.engine.dvc.repository import open_repository
 from objectfolder.engine.dvc.steps import has_command, input_state
 from objectfolder.engine.failures import LOGS, recall_failure
 from objectfolder.engine.summary import Addressed
+from objectfolder.workspace.installed import check_installed
 
 
 class State(StrEnum):
@@ -76,9 +77,11 @@ def status(targets: Sequence[str] = (), root: str | Path = ".") -> list[StageSta
     Raises
     ------
     ObjectFolderError
-        If the workspace is busy or cannot be read, or a target is unknown.
+        If the workspace is busy or cannot be read, or is of another version of the package, or a target is
+        unknown.
     """
     with open_repository(root) as repository:
+        check_installed(repository.root)
         graph = stage_graph(repository, targets)
         tracker = ChangeTracker(graph, repository.root)
         return [

@@ -29,6 +29,7 @@ from typing import NoReturn
 from objectfolder.engine import supervisor
 from objectfolder.engine.process import Command
 from objectfolder.workspace.code_digests import PACKAGES
+from objectfolder.workspace.installed import located
 
 #: Commands that can start warm: nothing in them is for a shell.
 STAGE = re.compile(r"python -m (stages\.\w+)(?: [\w./-]+)*")
@@ -133,8 +134,9 @@ def _libraries(script: str, root: Path) -> list[str]:
         for name in filter(lambda name: name not in names, _imports(file)):
             names[name] = None
             if name.partition(".")[0] in local:
-                place = root.joinpath(*name.split("."))
-                todo += filter(Path.is_file, (place.with_suffix(".py"), place / "__init__.py"))
+                place = name.replace(".", "/")
+                files = (located(f"{place}{end}", root) for end in (".py", "/__init__.py"))
+                todo += filter(Path.is_file, files)
     return [name for name in names if name.partition(".")[0] not in local]
 
 

@@ -5,8 +5,15 @@ from functools import cache
 from pathlib import Path
 
 from objectfolder.io import file_digest
+from objectfolder.workspace.installed import PACKAGE, PROFILES, SENSORS, located, runs_installed
 
-PACKAGES = ("objectfolder", "stages")  #: packages of the project
+PACKAGES = (PACKAGE, "stages")  #: packages of the project
+#: Files and folders of the package that stages read; a workspace without the package depends on digests.
+DATA = (
+    f"{PACKAGE}/benchmarks/data",
+    f"{PACKAGE}/objectfile/objectfile.schema.json",
+    PROFILES,
+)
 
 
 def imported_files(script: str | Path, root: str | Path = ".") -> list[str]:
@@ -17,29 +24,71 @@ def imported_files(script: str | Path, root: str | Path = ".") -> list[str]:
     script : Path
         The script, relative to ``root``.
     root : Path
-        Directory that contains `PACKAGES`.
+        Workspace. It contains ``stages``; a package that it does not contain is the installed one.
 
     Returns
     -------
     list of str
-        Sorted, relative to ``root``, with the script itself; empty files (``__init__.py``) are left out.
+        Sorted, relative to ``root`` or to the directory that contains the package, with the script itself;
+        empty files (``__init__.py``) are left out.
     """
-    root = Path(root)
-    todo, found = [root / script], set()
+    todo, found = [Path(script).as_posix()], set()
     while todo:
-        path = todo.pop()
-        name = path.relative_to(root).as_posix()
+        name = todo.pop()
         if name in found:
             continue
         found.add(name)
-        for module in _imports(path.read_text()):
-            todo += [file for file in _files(module, root) if file.stat().st_size > 0]
+        for module in _imports(located(name, root).read_text()):
+            todo += [file for file in _files(module, root) if located(file, root).stat().st_size > 0]
     return sorted(found)
 
 
 def digests(script: str | Path, root: str | Path = ".") -> str:
     """Return the SHA-256 of every file that a script runs, one per line, in the format of ``sha256sum``."""
-    return "".join(f"{file_digest(Path(root) / name)}  {name}\n" for name in imported_files(script, root))
+    return _digests(imported_files(script, root), root)
+
+
+def code_text(name: str, root: str | Path = ".") -> str | None:
+    """Return the digests of what a stage imports, or of files of the package that stages read.
+
+    Parameters
+    ----------
+    name : str
+        A stage, or a file or folder in `DATA`.
+    root : Path
+        Workspace.
+
+    Returns
+    -------
+    str or None
+        In the format of ``sha256sum``; None if there is no such stage or file.
+    """
+    if "/" not in name:
+        script = f"stages/{name}.py"
+        return digests(script, root) if located(script, root).is_file() else None
+    path = located(name, root)
+    if not path.exists():
+        return None
+    return _digests([name] if path.is_file() else _names_below(name, root), root)
+
+
+def data_names(root: str | Path = ".") -> list[str]:
+    """List `DATA` and the files in its folders."""
+    return sorted({*DATA, *(inner for name in DATA for inner in _names_below(name, root))})
+
+
+def _digests(names: list[str], root: str | Path) -> str:
+    return "".join(f"{file_digest(located(name, root))}  {name}\n" for name in names)
+
+
+def _names_below(name: str, root: str | Path) -> list[str]:
+    """List the files in a folder of `DATA`."""
+    folder = located(name, root)
+    files = {path.relative_to(folder) for path in folder.rglob("*") if path.is_file()}
+    own = Path(root, SENSORS)
+    if name == PROFILES and runs_installed(root):
+        files |= {path.relative_to(own) for path in own.glob("[!.]*") if path.is_file()}
+    return sorted(f"{name}/{file.as_posix()}" for file in files if "__pycache__" not in file.parts)
 
 
 @cache  # many stages share most modules
@@ -59,9 +108,8 @@ def _imports(source: str) -> frozenset[str]:
     return frozenset(module for module in modules if module.split(".")[0] in PACKAGES)
 
 
-def _files(module: str, root: Path) -> list[Path]:
+def _files(module: str, root: str | Path = ".") -> list[str]:
     """Return the module's file and the ``__init__.py`` of every package above it."""
     parts = module.split(".")
-    candidates = [root.joinpath(*parts[:i], "__init__.py") for i in range(1, len(parts) + 1)]
-    candidates.append(root.joinpath(*parts).with_suffix(".py"))
-    return [path for path in candidates if path.is_file()]
+    names = ["/".join((*parts[:i], "__init__.py")) for i in range(1, len(parts) + 1)]
+    return [name for name in (*names, "/".join(parts) + ".py") if located(name, root).is_file()]

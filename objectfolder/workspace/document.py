@@ -13,7 +13,11 @@ from objectfolder.yamlfile import checked_yaml
 def editable(path: Path) -> tuple[Any, dict[str, Any]]:
     """Read ``params.yaml`` twice: as a document that keeps comments and order, and as plain values."""
     values = read(path)
-    return YAML().load(checked_yaml(path)), values
+    document = YAML().load(checked_yaml(path))
+    for group in ("objects", "procedural"):
+        if not values[group]:
+            document[group].fa.set_block_style()  # else all that is added would be on one line
+    return document, values
 
 
 def write_params(path: Path, document: Any) -> None:

@@ -122,6 +122,14 @@ class Benchmarks:
         return self.dir / ".progress" / f"{task}_{split}_{digest[:16]}"
 
 
-def code_list(stage: str) -> Path:
-    """Return the file with the digests of the modules that a stage imports."""
-    return Path("build/.code") / f"{stage}.sha256"
+#: Folder of `code_list`.
+CODE = Path("build/.code")
+
+
+def code_list(name: str) -> Path:
+    """Return the file with the digests of the modules that a stage imports.
+
+    In a workspace without the package, also that with the digests of a file or folder of the package that
+    stages read.
+    """
+    return CODE / f"{name}.sha256"

@@ -225,8 +225,8 @@ def make(root: Path) -> None:
     shutil.copy(ROOT / ".dvcignore", root)
     shutil.copy(ROOT / ".gitignore", root)
     texts = {**Sources().code(), "stages/__init__.py": COMMON, "objectfolder/io.py": IO}
-    for name in ("objectfolder/workspace/code_digests.py", "objectfolder/workspace/layout.py"):
-        texts[name] = (ROOT / name).read_text()
+    for name in ("errors", "workspace/code_digests", "workspace/installed", "workspace/layout"):
+        texts[f"objectfolder/{name}.py"] = (ROOT / "objectfolder" / f"{name}.py").read_text()
     texts["stages/hash_code.py"] = (ROOT / "stages/hash_code.py").read_text()
     texts |= {"objectfolder/__init__.py": "", "objectfolder/workspace/__init__.py": ""}
     texts["params.yaml"] = Sources().params()

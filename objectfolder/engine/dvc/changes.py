@@ -18,8 +18,8 @@ from objectfolder.engine.dvc.graph import StageGraph
 from objectfolder.engine.dvc.runcache import is_there
 from objectfolder.engine.dvc.savedruns import saved_run
 from objectfolder.errors import shortened
-from objectfolder.workspace.code_digests import digests
-from objectfolder.workspace.layout import code_list
+from objectfolder.workspace.code_digests import code_text
+from objectfolder.workspace.layout import CODE
 
 #: Future content of an output: metadata and hash by path inside it; a file has the empty path.
 Content = dict[tuple[str, ...], tuple[Meta, HashInfo]]
@@ -77,7 +77,7 @@ class ChangeTracker:
         self.root = root
         # By stale stage and path of an output; None if only a run can tell.
         self.future: dict[str, dict[str, Content | None]] = {}
-        self.modules: dict[Path, str | None] = {}  # by script: digests of the modules that it imports
+        self.code: dict[str, str | None] = {}  # digests of the modules of a stage, by its name
 
     def changes(self, address: str) -> Changes:
         """Compare a stage with its record; stages upstream must have been compared before."""
@@ -141,31 +141,31 @@ class ChangeTracker:
                     return producer, None  # a directory that holds the output and other files
                 if path != out and not path.startswith(out + os.sep):
                     continue
-                if Path(out) == self.root / code_list("").parent:
+                if Path(out) == self.root / CODE:
                     return producer, self._code(path)
                 inside = Path(path).relative_to(out).parts
                 return producer, (content or {}).get(inside)
         return "", None
 
     def _code(self, path: str) -> tuple[Meta, HashInfo] | None:
-        """Return the future content of a stage's list of modules, predicted from the sources."""
-        text = self._modules(path)
+        """Return the future content of a list of modules, predicted from the sources."""
+        text = self._digests(path)
         if text is None:
             return None
         digest = hashlib.md5(text.encode(), usedforsecurity=False).hexdigest()
         return Meta(size=len(text)), HashInfo("md5", digest)
 
-    def _modules(self, path: str) -> str | None:
-        script = Path("stages", f"{Path(path).stem}.py")
-        if script not in self.modules:
-            self.modules[script] = digests(script, self.root) if (self.root / script).is_file() else None
-        return self.modules[script]
+    def _digests(self, path: str) -> str | None:
+        name = Path(path).relative_to(self.root / CODE).with_suffix("").as_posix()
+        if name not in self.code:
+            self.code[name] = code_text(name, self.root)
+        return self.code[name]
 
     def _code_change(self, dep: Any) -> str:
         """Name the changed modules if the dependency is a list of modules; otherwise return nothing."""
-        if Path(dep.fs_path).parent != self.root / code_list("").parent or not dep.hash_info:
+        if not (Path(dep.fs_path).is_relative_to(self.root / CODE) and dep.hash_info):
             return ""
-        new = self._modules(dep.fs_path)
+        new = self._digests(dep.fs_path)
         try:
             old = Path(dep.repo.cache.local.oid_to_path(dep.hash_info.value)).read_text()
         except OSError:

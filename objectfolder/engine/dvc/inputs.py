@@ -16,7 +16,8 @@ from dvc.stage import Stage
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import atomic, file_digest
-from objectfolder.workspace.layout import code_list
+from objectfolder.workspace.installed import INSTALLED, located
+from objectfolder.workspace.layout import CODE
 from objectfolder.workspace.params import HELD_PARAMS, PARAMS_FILE
 
 #: Identity of every file that a stage reads; None if it does not exist.
@@ -108,7 +109,7 @@ def check_code(stage: Stage, found: Stamps) -> None:
         If one was edited since.
     """
     edited = [
-        path.relative_to(stage.wdir).as_posix()
+        _name(path, Path(stage.wdir))
         for dep in stage.deps
         for path, digest in _modules(dep).items()
         if _digest(path, found.get(path)) != digest
@@ -131,13 +132,17 @@ def _files(dep: Any) -> list[Path]:
 def _modules(dep: Any) -> dict[Path, str]:
     """Return digests by file if a dependency is a list of modules, as `code_digests.digests` writes it."""
     path, home = Path(dep.fs_path), Path(dep.stage.wdir)
-    return _listed(path, home, _stamp(path)) if path == home / code_list(path.stem) else {}
+    return _listed(path, home, _stamp(path)) if path.is_relative_to(home / CODE) else {}
 
 
 @cache  # all objects share it
 def _listed(path: Path, home: Path, stamp: tuple[int, ...] | None) -> dict[Path, str]:
     lines = [] if stamp is None else path.read_text().splitlines()
-    return {home / name: digest for digest, _, name in (line.partition("  ") for line in lines)}
+    return {located(name, home): digest for digest, _, name in (line.partition("  ") for line in lines)}
+
+
+def _name(path: Path, home: Path) -> str:
+    return path.relative_to(INSTALLED if path.is_relative_to(INSTALLED) else home).as_posix()
 
 
 def _stamp(path: Path) -> tuple[int, ...] | None:

@@ -137,7 +137,7 @@ def open_repository(root: str | Path = ".", wait: bool = False) -> Iterator[Open
         raise ObjectFolderError(f"{root} is not a directory; expected the one that holds dvc.yaml")
     if (root / PARAMS).exists():  # before DVC reads it, which has no limits
         checked_yaml(root / PARAMS)
-    with _quiet(), chdir(root):
+    with quiet(), chdir(root):
         try:
             repo = Repo()
         except NotDvcRepoError as error:
@@ -185,7 +185,8 @@ def read_params(root: Path) -> dict[str, Any]:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def quiet() -> Iterator[None]:
+    """Silence DVC's log, in the block."""
     # Above ERROR, DVC disables its progress bars too.
     levels = {name: logging.getLogger(name).level for name in LOGGERS}
     for name in LOGGERS:

@@ -1,0 +1,66 @@
+"""Commands that make a workspace and move it to another version: init, upgrade."""
+
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.text import Text
+
+from objectfolder.cli.console import console
+from objectfolder.errors import ObjectFolderError
+
+SHOWN = 5  # names in a line
+
+
+def init(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder to make, or an empty one.")],
+) -> None:
+    """Make a workspace for a dataset of your own: a Git and DVC repository without objects.
+
+    It holds the graph of stages (dvc.yaml), a thin script per stage, parameters and presets, a README with
+    the dataset's card and an example of continuous integration. The code is the installed package, whose
+    digests the workspace records. Next: `objectfolder add`, `objectfolder build` there.
+    """
+    if find_spec("dvc") is None:
+        raise ObjectFolderError("DVC is not installed; a workspace needs: pip install 'objectfolder[build]'")
+    from objectfolder.engine.dvc.start import start_repository
+    from objectfolder.workspace.creation import create_workspace
+    from objectfolder.workspace.template import installed_version
+
+    create_workspace(folder, start_repository)
+    console.print(
+        f"made a workspace of objectfolder {installed_version()} in {folder}; next: cd {folder}, "
+        "objectfolder add MESH --name NAME --material MATERIAL --scale METRES, objectfolder build",
+        soft_wrap=True,
+        highlight=False,
+    )
+
+
+def upgrade() -> None:
+    """Move a workspace of `objectfolder init` to the installed version, and show what a build would run.
+
+    First install the version: `pip install -U objectfolder`. Scripts, graph and presets that you have not
+    edited are replaced; of those that you have, a new text is written to NAME.new. Own settings are kept, new
+    ones added. `git diff` shows everything, `git checkout .` takes it back.
+    """
+    from objectfolder.cli.statusview import print_outlook
+    from objectfolder.engine.status import status
+    from objectfolder.workspace.creation import NEW, upgrade_workspace
+    from objectfolder.workspace.template import installed_version
+
+    done = upgrade_workspace(Path())
+    lines = {
+        "changed in the package": done.changed,
+        "replaced or added": done.written,
+        "removed": done.removed,
+        f"edited here: merge the new text, NAME{NEW}, by hand": done.conflicts,
+        "added to params.yaml": done.params,
+    }
+    console.print(f"this workspace is of objectfolder {installed_version()} now", highlight=False)
+    for title, names in lines.items():
+        if names:
+            more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+            console.print(Text(f"{title}: {', '.join(names[:SHOWN])}{more}"), soft_wrap=True)
+    console.print("a build would:")
+    print_outlook(status(), console)

@@ -1,0 +1,198 @@
+"""Make a workspace that runs the installed package, and move it to another version."""
+
+import hashlib
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from objectfolder.errors import ObjectFolderError
+from objectfolder.io import write_text
+from objectfolder.workspace import template
+from objectfolder.workspace.check import check_all
+from objectfolder.workspace.document import editable, write_params
+from objectfolder.workspace.installed import (
+    PACKAGE,
+    RECORD,
+    SENSORS,
+    changed_files,
+    is_recorded,
+    package_digests,
+    pipeline_files,
+    read_record,
+)
+from objectfolder.workspace.params import PARAMS_FILE, ObjectEntry
+from objectfolder.yamlfile import read_yaml
+
+#: What a folder may hold before: what a new repository on a server begins with.
+ALLOWED = {".git", "LICENSE", "README.md"}
+#: End of the name of a new text that an edited file is not replaced by.
+NEW = ".new"
+#: Entries of ``params.yaml`` that are the dataset's own.
+GROUPS = ("objects", "procedural")
+
+
+@dataclass(frozen=True)
+class Upgrade:
+    """What an upgrade changed in a workspace.
+
+    Parameters
+    ----------
+    changed : tuple of str
+        Files of the package that differ from those that the workspace was of.
+    written : tuple of str
+        Files of the workspace that were replaced or added.
+    removed : tuple of str
+        Files of the workspace that the version no longer has.
+    conflicts : tuple of str
+        Files that were edited here and are new in this version: the new text lies beside them.
+    params : tuple of str
+        Settings that were added to ``params.yaml``, with the values of the preset quick.
+    """
+
+    changed: tuple[str, ...]
+    written: tuple[str, ...]
+    removed: tuple[str, ...]
+    conflicts: tuple[str, ...]
+    params: tuple[str, ...]
+
+
+def create_workspace(root: Path, start: Callable[[Path], None]) -> None:
+    """Make a workspace without objects.
+
+    Parameters
+    ----------
+    root : Path
+        Folder to make, or an empty one.
+    start : callable
+        Makes a folder a Git and DVC repository, or raises.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the folder holds files or lies in a workspace, or it cannot be written; nothing is left there then.
+    """
+    _check_place(root)
+    made = not root.exists()
+    before = set() if made else set(root.iterdir())
+    texts = template.tool_files() | {
+        PARAMS_FILE: template.first_params(),
+        template.REQUIREMENTS: template.requirements(),
+    }
+    if not (root / template.CARD).exists():
+        texts[template.CARD] = template.first_card(root.resolve().name)
+    try:
+        for folder in ("data/objects", SENSORS):
+            write_text(root / folder / ".gitkeep", "")  # Git keeps no empty folder
+        start(root)
+        for name, text in texts.items():
+            write_text(root / name, text)
+        _write_record(root)
+    except BaseException as error:
+        for path in set(root.iterdir()) - before if root.is_dir() else ():
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        if made and root.is_dir():
+            root.rmdir()
+        if isinstance(error, OSError):
+            raise ObjectFolderError(
+                f"cannot make a workspace in {root}: {error}; choose another folder"
+            ) from error
+        raise
+
+
+def _check_place(root: Path) -> None:
+    if root.exists() and not root.is_dir():
+        raise ObjectFolderError(f"{root} is a file, expected a folder to make; choose another name")
+    held = sorted(path.name for path in root.iterdir() if path.name not in ALLOWED) if root.is_dir() else []
+    if held:
+        raise ObjectFolderError(
+            f"{root} is not empty: it holds {', '.join(held[:4])}; choose a folder that is empty or does not "
+            "exist"
+        )
+    for above in root.resolve().parents:
+        for name in ("dvc.yaml", ".dvc/config"):
+            if (above / name).is_file():
+                raise ObjectFolderError(
+                    f"{root} lies in the workspace {above} ({name}); choose a folder outside of it"
+                )
+
+
+def upgrade_workspace(root: Path) -> Upgrade:
+    """Move a workspace to the installed version of the package.
+
+    Files that were edited are kept; of one that is new in this version, the new text is written beside it.
+    Own settings are kept, and those that are new get the values of the preset quick.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the workspace does not run the installed package, or its settings are not valid in this version;
+        nothing is changed then.
+    """
+    if not is_recorded(root):
+        raise ObjectFolderError(
+            f"{root.resolve()} holds no {RECORD}: it is no workspace of `objectfolder init`, or a clone, "
+            "which git updates"
+        )
+    old, texts, changed = read_record(root), template.tool_files(), changed_files(root)
+    document, values = editable(root / PARAMS_FILE)
+    defaults = read_yaml(pipeline_files()[PARAMS_FILE])
+    _add_settings(values, defaults)
+    check_all(values, root / PARAMS_FILE)
+    written, conflicts = [], []
+    for name, text in texts.items():
+        present = (root / name).read_text() if (root / name).is_file() else None
+        edited = present is not None and _digest(present) != old.get(name)
+        if present == text or (edited and _digest(text) == old.get(name)):
+            continue  # the second: edited here, and the same in both versions
+        write_text(root / (name + NEW * edited), text)
+        (conflicts if edited else written).append(name)
+    removed = [name for name in old.keys() - texts.keys() if not name.startswith(f"{PACKAGE}/")]
+    removed = [name for name in sorted(removed) if _is_unedited(root / name, old[name])]
+    for name in removed:
+        (root / name).unlink()
+    added = _add_settings(document, defaults)
+    if added:
+        write_params(root / PARAMS_FILE, document)
+    pins = root / template.REQUIREMENTS
+    if not pins.is_file() or pins.read_text() != template.requirements():
+        write_text(pins, template.requirements())
+        written.append(template.REQUIREMENTS)
+    _write_record(root)
+    return Upgrade(tuple(changed), tuple(written), tuple(removed), tuple(conflicts), tuple(added))
+
+
+def _add_settings(values: Any, defaults: dict[str, Any]) -> list[str]:
+    """Add what the settings and the objects lack; return the names."""
+    added = _add_missing(values, {name: defaults[name] for name in defaults if name not in GROUPS})
+    entry = ObjectEntry.model_construct()
+    fields = {name: getattr(entry, name) for name in ObjectEntry.model_fields if hasattr(entry, name)}
+    for key, present in values["objects"].items():
+        added += _add_missing(present, fields, f"objects.{key}.")
+    return added
+
+
+def _add_missing(values: Any, defaults: dict[str, Any], prefix: str = "") -> list[str]:
+    added = []
+    for name, default in defaults.items():
+        if name not in values:
+            values[name] = default
+            added.append(prefix + name)
+        elif isinstance(default, dict) and isinstance(values[name], dict):
+            added += _add_missing(values[name], default, f"{prefix}{name}.")
+    return added
+
+
+def _write_record(root: Path) -> None:
+    written = {name: _digest(text) for name, text in template.tool_files().items()}
+    lines = (f"{digest}  {name}\n" for name, digest in {**package_digests(), **written}.items())
+    write_text(root / RECORD, "".join(lines))
+
+
+def _is_unedited(path: Path, digest: str) -> bool:
+    return path.is_file() and _digest(path.read_text()) == digest
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -1,0 +1,219 @@
+"""Workspaces that hold no package."""
+
+import hashlib
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from ruamel.yaml import YAML
+
+from objectfolder.engine.dvc.start import start_repository
+from objectfolder.engine.status import Outlook, status
+from objectfolder.errors import ObjectFolderError
+from objectfolder.workspace.check import check_all
+from objectfolder.workspace.code_digests import DATA, code_text, digests
+from objectfolder.workspace.creation import create_workspace, upgrade_workspace
+from objectfolder.workspace.installed import RECORD, changed_files, check_installed, sensor_file
+from objectfolder.workspace.layout import code_list
+from objectfolder.workspace.objects import add_catalogue
+from objectfolder.workspace.params import read
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory):
+    root = tmp_path_factory.mktemp("made") / "cups"
+    create_workspace(root, start_repository)
+    return root
+
+
+@pytest.fixture
+def made(first, tmp_path):
+    return shutil.copytree(first, tmp_path / "cups")
+
+
+def graph(root):
+    return YAML(typ="safe").load((root / "dvc.yaml").read_text())["stages"]
+
+
+def files(root):
+    return {path.relative_to(root).as_posix() for path in root.rglob("*") if path.is_file()}
+
+
+def test_it_holds_the_pipeline_and_no_package(made):
+    found = files(made)
+    assert {"README.md", ".gitignore", "requirements.txt", ".github/workflows/objects.yml"} <= found
+    assert (made / "README.md").read_text().startswith("# cups\n")
+    for folder in ("stages", "params", "catalogs"):
+        own = {path.name: path.read_text() for path in (made / folder).iterdir()}
+        assert own == {path.name: path.read_text() for path in (ROOT / folder).iterdir() if path.name in own}
+    assert {path.stem for path in (made / "stages").glob("*.py")} == {*graph(ROOT), "__init__"}
+    assert not (made / "objectfolder").exists()
+    values = read(made / "params.yaml")
+    check_all(values)
+    assert values["objects"] == values["procedural"] == {}
+    wanted = read(ROOT / "params.yaml")
+    assert {**values, "objects": 0, "procedural": 0} == {**wanted, "objects": 0, "procedural": 0}
+
+
+def test_git_takes_everything_but_what_is_built(made):
+    (made / "build/mug").mkdir(parents=True)
+    (made / "build/mug/visual.glb").touch()
+    (made / "data/objects/mug").mkdir()
+    (made / "data/objects/mug/mesh.obj").touch()
+    (made / "data/objects/mug.dvc").touch()
+    subprocess.run(["git", "add", "."], cwd=made, check=True)
+    listed = subprocess.check_output(["git", "ls-files"], cwd=made, text=True).split()
+    assert {RECORD, "dvc.yaml", "data/objects/mug.dvc", "data/objects/.gitkeep", ".dvc/config"} <= {*listed}
+    assert not [name for name in listed if name.startswith(("build/", "data/objects/mug/", ".dvc/tmp"))]
+
+
+def test_each_dependency_on_the_package_is_one_on_its_digest(made):
+    ours, theirs = graph(made), graph(ROOT)
+    assert ours.pop("hash_code")["deps"] == [RECORD, "sensors", "stages"]
+    theirs.pop("hash_code")
+    of_package = 0
+    for name, stage in theirs.items():
+        deps = [
+            code_list(dep).as_posix() if dep.startswith("objectfolder/") else dep
+            for dep in stage["do"]["deps"]
+        ]
+        of_package += deps != stage["do"]["deps"]
+        assert ours[name] == {**stage, "do": {**stage["do"], "deps": deps}}
+    assert of_package > 5
+
+
+def test_digests_are_those_of_the_same_code_in_a_clone(made):
+    for stage in ("modal", "train_touch"):
+        assert code_text(stage, made) == digests(f"stages/{stage}.py", ROOT)
+    for name in DATA:
+        assert code_text(name, made) == code_text(name, ROOT) != ""
+
+
+def test_a_sensor_of_its_own_comes_before_the_packages(made):
+    name = "objectfolder/touch/profiles/digit.yaml"
+    before, all_before = code_text(name, made), code_text(DATA[2], made)
+    text = sensor_file("digit", made).read_text()
+    (made / "sensors/mine.yaml").write_text(text.replace("name: digit", "name: mine"))
+    assert code_text(name, made) == before
+    assert code_text(DATA[2], made).count("\n") == all_before.count("\n") + 1
+    (made / "sensors/digit.yaml").write_text(text + "\n")
+    assert sensor_file("digit", made) == made / "sensors/digit.yaml"
+    assert code_text(name, made) != before
+
+
+@pytest.mark.parametrize("held", ["notes.txt", ".hidden", "data"])
+def test_a_folder_that_holds_files_is_refused(tmp_path, held):
+    (tmp_path / "x" / held).mkdir(parents=True)
+    with pytest.raises(ObjectFolderError, match=rf"x is not empty: it holds {held}"):
+        create_workspace(tmp_path / "x", start_repository)
+    assert [path.name for path in (tmp_path / "x").iterdir()] == [held]
+
+
+def test_an_empty_repository_is_taken(tmp_path):
+    subprocess.run(["git", "init", "-q", tmp_path / "x"], check=True)
+    (tmp_path / "x" / "README.md").write_text("mine\n")
+    create_workspace(tmp_path / "x", start_repository)
+    assert (tmp_path / "x" / "README.md").read_text() == "mine\n"
+    check_installed(tmp_path / "x")
+
+
+def test_a_workspace_in_another_is_refused(made):
+    with pytest.raises(ObjectFolderError, match=r"inner lies in the workspace .*cups \(dvc.yaml\)"):
+        create_workspace(made / "data" / "inner", start_repository)
+    with pytest.raises(ObjectFolderError, match=r"params\.yaml is a file"):
+        create_workspace(made / "params.yaml", start_repository)
+
+
+def test_without_git_nothing_is_left(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(ObjectFolderError, match="git is not installed"):
+        create_workspace(tmp_path / "x", start_repository)
+    (tmp_path / "y").mkdir()
+    with pytest.raises(ObjectFolderError, match="git is not installed"):
+        create_workspace(tmp_path / "y", start_repository)
+    assert [path.name for path in tmp_path.iterdir()] == ["y"]
+    assert not files(tmp_path)
+
+
+def test_another_version_is_refused_until_an_upgrade(made):
+    """The record is that of an older package: another modal.py, no errors.py, a module that is gone."""
+    check_installed(made)
+    lines = (made / RECORD).read_text().splitlines(keepends=True)
+    old = [line for line in lines if not line.endswith("  objectfolder/errors.py\n")]
+    old = ["0" * 64 + line[64:] if line.endswith("/fem/modal.py\n") else line for line in old]
+    (made / RECORD).write_text("".join([*old, "1" * 64 + "  objectfolder/gone.py\n"]))
+    expected = ["objectfolder/errors.py", "objectfolder/fem/modal.py", "objectfolder/gone.py"]
+    assert changed_files(made) == expected
+    with pytest.raises(ObjectFolderError, match=r"another version.*3 files differ .*objectfolder upgrade"):
+        check_installed(made)
+    with pytest.raises(ObjectFolderError, match="another version"):
+        status(root=made)
+    done = upgrade_workspace(made)
+    assert done.changed == tuple(expected)
+    assert (done.written, done.removed, done.conflicts, done.params) == ((), (), (), ())
+    assert (made / RECORD).read_text() == "".join(lines)
+    assert [(one.address, one.outlook) for one in status(root=made)] == [("hash_code", Outlook.RUN)]
+
+
+def record_as(made, name, text):
+    """Let a file be what an older version wrote."""
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    lines = [line for line in (made / RECORD).read_text().splitlines() if not line.endswith(f"  {name}")]
+    (made / RECORD).write_text("\n".join([*lines, f"{digest}  {name}"]) + "\n")
+
+
+def test_upgrade_replaces_what_nobody_edited(made):
+    script, edited, own, gone = (made / f"stages/{name}.py" for name in ("modal", "pack", "evaluate", "old"))
+    new = {path: path.read_text() for path in (script, edited)}
+    script.write_text("# of an older version\n")
+    record_as(made, "stages/modal.py", "# of an older version\n")
+    gone.write_text("# removed since\n")
+    record_as(made, "stages/old.py", "# removed since\n")
+    edited.write_text("# edited here\n")
+    record_as(made, "stages/pack.py", "# of an older version\n")
+    own.write_text(own.read_text() + "# edited here, and the same in both versions\n")
+    done = upgrade_workspace(made)
+    assert (done.written, done.removed, done.conflicts) == (
+        ("stages/modal.py",),
+        ("stages/old.py",),
+        ("stages/pack.py",),
+    )
+    assert script.read_text() == new[script]
+    assert not gone.exists()
+    assert edited.read_text() == "# edited here\n"
+    assert Path(f"{edited}.new").read_text() == new[edited]
+    assert own.read_text().endswith("both versions\n")
+    again = upgrade_workspace(made)
+    assert (again.written, again.removed, again.conflicts, again.changed) == ((), (), (), ())
+
+
+def test_upgrade_adds_settings_and_keeps_those_that_are_there(made):
+    add_catalogue(ROOT / "catalogs" / "starter.yaml", made)
+    path = made / "params.yaml"
+    text = path.read_text().replace("max_modes: 256", "max_modes: 8").replace("  damping: loss_factor\n", "")
+    text = text.replace("radiation:\n  triangles: 2000\n  kilobytes: 56\n", "").replace(", bridge: all", "")
+    path.write_text(text)
+    done = upgrade_workspace(made)
+    keys = read(ROOT / "catalogs" / "starter.yaml")["objects"]
+    assert {*done.params} == {"modal.damping", "radiation", *(f"objects.{key}.bridge" for key in keys)}
+    values, wanted = read(path), read(ROOT / "params.yaml")
+    assert values["modal"] == {**wanted["modal"], "max_modes": 8}
+    assert values["radiation"] == wanted["radiation"]
+    assert "# mesh: path under data/objects" in path.read_text()
+
+
+def test_upgrade_changes_nothing_if_settings_are_not_of_this_version(made):
+    path = made / "params.yaml"
+    path.write_text(path.read_text() + "smell: {nose: big}\n")
+    before = {name: (made / name).read_bytes() for name in files(made)}
+    with pytest.raises(ObjectFolderError, match="'smell' is no section"):
+        upgrade_workspace(made)
+    assert {name: (made / name).read_bytes() for name in files(made)} == before
+
+
+def test_a_clone_is_not_upgraded(workspace):
+    with pytest.raises(ObjectFolderError, match="no workspace of `objectfolder init`"):
+        upgrade_workspace(workspace)
