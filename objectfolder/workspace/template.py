@@ -49,7 +49,7 @@ def graph_of_installed(text: str) -> str:
             return f"{match[1]}{RECORD}\n{match[1]}{SENSORS}"
         if not any(name == known or name.startswith(f"{known}/") for known in DATA):
             raise ObjectFolderError(
-                f"dvc.yaml: a stage depends on {name}, which DATA in {PACKAGE}/workspace/code_digests.py lacks"
+                f"dvc.yaml: a stage depends on {name}, which DATA of workspace/code_digests.py lacks"
             )
         return f"{match[1]}{code_list(name).as_posix()}"
 
