@@ -13,11 +13,11 @@ ROOT = Path(__file__).parent
 MODULE = ROOT / "objectfolder" / "workspace" / "installed.py"
 
 
-def constants() -> dict[str, object]:
-    """Constants of a module that a build does not import, as its dependencies are not there."""
-    found = {}
+def constants() -> dict[str, tuple[str, ...]]:
+    """Tuples of a module that a build does not import, as its dependencies are not there."""
+    found: dict[str, tuple[str, ...]] = {}
     for node in ast.parse(MODULE.read_text()).body:
-        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant | ast.Tuple):
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Tuple):
             found[ast.unparse(node.targets[0])] = ast.literal_eval(node.value)
     return found
 

@@ -21,6 +21,7 @@ EXTRAS = {
     "bench": "retrieval baseline and grasp scores (scikit-learn); 0.06 GB",
     "rl": "robot environments, export mjcf and urdf (MuJoCo); 0.1 GB",
     "hub": "export of training sets; 0.3 GB",
+    "usd": "export usd (OpenUSD); 0.1 GB",
     "ray": "build --engine ray, on a cluster; 0.25 GB",
     "s3": "remotes on S3; 0.03 GB",
     "tet": "voxelize.element tet10, a check of the modes; 0.01 GB",

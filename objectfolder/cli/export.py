@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 export_app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="markdown",
-    help="Write observations as a `webdataset` or for Hugging Face `datasets`, and objects for physics "
-    "engines: MuJoCo (`mjcf`), PyBullet and others (`urdf`), and for game engines and browsers (`glb`).",
+    help="Write observations as a `webdataset` or for Hugging Face `datasets`, views for `nerfstudio`, "
+    "contacts for `lerobot`, and objects for physics engines: MuJoCo (`mjcf`), PyBullet and others (`urdf`), "
+    "OpenUSD (`usd`), and for game engines and browsers (`glb`).",
 )
 
 OutArgument = Annotated[Path, typer.Argument(metavar="OUT", help="Folder to create.")]
@@ -111,20 +112,96 @@ def glb(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None
     _export_objects(out, files, hulls, write_glb)
 
 
-def _export_objects(
-    out: Path, files: list[Path], hulls: int, write: "Callable[[ObjectFile, Path, int], Path]"
+@export_app.command()
+def usd(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None:
+    """Write OUT/KEY/KEY.usda per object: OpenUSD with its look, mass, inertia, friction and hulls.
+
+    Then, in Python: `pxr.Usd.Stage.Open("OUT/KEY/KEY.usda")`. Half a minute per object.
+    """
+    _require("usd", "pxr")
+    _require("rl", "mujoco", "coacd", "manifold3d")
+    from objectfolder.envs.usd import write_usd
+
+    _export_objects(out, files, hulls, write_usd)
+
+
+@export_app.command()
+def nerfstudio(
+    out: OutArgument,
+    files: FilesArgument,
+    views: Annotated[int, typer.Option("-n", "--views", min=1, help="Images per object.")] = 100,
+    resolution: Annotated[int, typer.Option(min=1, help="Pixels along a side.")] = 256,
+    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same views.")] = 0,
+    fixed_light: Annotated[
+        bool, typer.Option("--fixed-light", help="One light for all views, for nets that know no light.")
+    ] = False,
 ) -> None:
+    """Write OUT/KEY/transforms.json and images/ per object: answered views with cameras and lights.
+
+    Then: `ns-train nerfacto --data OUT/KEY`. The images have an alpha channel.
+    """
+    from objectfolder.benchmarks.datasets.nerfstudio import write_nerfstudio
+
+    for file in _loaded(out, files):
+        with console.status("") as status:
+
+            def report(done: int, total: int, key: str = file.key) -> None:
+                status.update(f"{key}: {done} of {total} views")
+
+            path = write_nerfstudio(file, out, views, resolution, seed, fixed_light, report)
+        console.print(str(path), highlight=False, soft_wrap=True)
+
+
+@export_app.command()
+def lerobot(
+    out: OutArgument,
+    files: FilesArgument,
+    episodes: Annotated[int, typer.Option("-n", "--episodes", min=1, help="Contacts per object.")] = 10,
+    seconds: Annotated[float, typer.Option(help="Length of an episode.")] = 1.0,
+    fps: Annotated[int, typer.Option(min=1, help="Frames per second; divides the sample rate.")] = 25,
+    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same contacts.")] = 0,
+) -> None:
+    """Write one dataset of LeRobot (format v3.0): windows of sound and tactile images of presses.
+
+    Then, in Python: `LeRobotDataset("objectfolder/touch", root="OUT")`.
+    """
+    _require("hub", "datasets")
+    from objectfolder.benchmarks.datasets.lerobot import write_lerobot
     from objectfolder.objectfile.file import ObjectFile
 
     objects = [ObjectFile.load(file) for file in files]
-    # Checked before hulls are computed, which takes long.
+    with console.status("") as status:
+        write_lerobot(
+            objects,
+            out,
+            episodes,
+            seconds,
+            fps,
+            seed=seed,
+            report=lambda done, total: status.update(f"{done} of {total} episodes"),
+        )
+    console.print(f"{len(objects)} objects in {out}/: {episodes} episodes of each", highlight=False)
+
+
+def _export_objects(
+    out: Path, files: list[Path], hulls: int, write: "Callable[[ObjectFile, Path, int], Path]"
+) -> None:
+    objects = _loaded(out, files)
+    for found in tracked(objects, "exporting objects", len(objects)):
+        console.print(str(write(found, out, hulls)), highlight=False, soft_wrap=True)
+
+
+def _loaded(out: Path, files: list[Path]) -> "list[ObjectFile]":
+    """Load objects, each of which gets a new folder; checked before anything that takes long."""
+    from objectfolder.objectfile.file import ObjectFile
+
+    objects = [ObjectFile.load(file) for file in files]
     for i, (file, found) in enumerate(zip(files, objects)):
         if (out / found.key).exists():
             raise ObjectFolderError(f"{out / found.key} exists already: choose another folder, or delete it")
         if found.key in (other.key for other in objects[:i]):
             raise ObjectFolderError(f"{file}: a second object {found.key}; export it to another folder")
-    for found in tracked(objects, "exporting objects", len(objects)):
-        console.print(str(write(found, out, hulls)), highlight=False, soft_wrap=True)
+    return objects
 
 
 def _require(extra: str, *libraries: str) -> None:

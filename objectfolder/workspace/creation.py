@@ -140,7 +140,8 @@ def upgrade_workspace(root: Path) -> Upgrade:
     defaults = read_yaml(pipeline_files()[PARAMS_FILE])
     _add_settings(values, defaults)
     check_all(values, root / PARAMS_FILE)
-    written, conflicts = [], []
+    written: list[str] = []
+    conflicts: list[str] = []
     for name, text in texts.items():
         present = (root / name).read_text() if (root / name).is_file() else None
         edited = present is not None and _digest(present) != old.get(name)

@@ -1,0 +1,218 @@
+"""Export presses and strikes of objects as a dataset of LeRobot, format v3.0: arrays per frame of episodes.
+
+An episode is one contact at a random point: the object is struck there as the sensor arrives, and the sensor
+is pressed in and drawn back. Each frame has a window of the sound, which begins with it, and a tactile image.
+"""
+
+import io
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from objectfolder.checks import finite_number, whole_number
+from objectfolder.disk import new_folder
+from objectfolder.errors import ObjectFolderError
+from objectfolder.io import write_json
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.objectfile.query_files import sample_strikes
+from objectfolder.seeding import numpy_generator
+
+VERSION = "v3.0"  #: of the format
+TOUCH, AUDIO, STATE, ACTION = "observation.images.touch", "observation.audio", "observation.state", "action"
+#: Entries of the state, in metres and newtons; the action is the depth of the next frame.
+STATES = ("point_x", "point_y", "point_z", "normal_x", "normal_y", "normal_z", "depth", "force")
+IMPULSE = 0.01  #: N s
+_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+_EPISODES = "meta/episodes/chunk-000/file-000.parquet"
+
+Report = Callable[[int, int], None]
+
+
+def write_lerobot(
+    files: Sequence[ObjectFile],
+    out: str | Path,
+    episodes: int = 10,
+    seconds: float = 1.0,
+    fps: int = 25,
+    sample_rate: int = 16000,
+    seed: int = 0,
+    report: Report = lambda done, total: None,
+) -> None:
+    """Write a folder for ``LeRobotDataset("objectfolder/touch", root=OUT)``.
+
+    Frames are in Parquet, tactile images as PNG in it; ``meta`` holds features, tasks, episodes and
+    statistics. Sounds are displacement responses at absolute scale, as `ObjectFile.impact` gives them.
+
+    Parameters
+    ----------
+    files : sequence of ObjectFile
+        With sensors of one image size; each is a task.
+    out : path
+        Folder to create.
+    episodes : int
+        Per object.
+    seconds : float
+        Length of an episode.
+    fps : int
+        Frames per second; it must divide the sample rate.
+    sample_rate : int
+        Of the sound, Hz.
+    seed : int
+    report : callable
+        Called with the numbers of written and of all episodes.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the folder exists, a number is not valid, or sensors differ in size.
+    """
+    import pandas as pd
+
+    episodes, fps = whole_number("episodes", episodes, 1), whole_number("fps", fps, 1)
+    rate = whole_number("sample rate", sample_rate, 1)
+    frames = round(finite_number("seconds", seconds) * fps)
+    if rate % fps:
+        raise ObjectFolderError(
+            f"fps is {fps}, expected a divisor of the sample rate, {rate} Hz, for equal windows, such as "
+            f"{next(n for n in range(fps, rate + 1) if rate % n == 0)}"
+        )
+    if frames < 2:
+        raise ObjectFolderError(f"seconds is {seconds:g}, expected at least 2 frames, {2 / fps:g}")
+    sizes = {(file.sensor_profile.height, file.sensor_profile.width) for file in files}
+    if len(sizes) != 1:
+        raise ObjectFolderError(f"expected objects with sensors of one image size, got {sorted(sizes)}")
+    features = _features(*sizes.pop(), rate // fps, fps)
+    total = episodes * len(files)
+    rows: list[dict[str, Any]] = []
+    lengths: list[tuple[int, int, int]] = []
+    with new_folder("export", Path(out), total * frames * 4 * rate // fps, ", or export fewer") as folder:
+        for task, file in enumerate(files):
+            rng = numpy_generator(seed, file.key, "lerobot")
+            for episode in _episodes(file, episodes, frames, fps, rate, rng):
+                number = len(lengths)
+                for k, frame in enumerate(episode):
+                    frame |= {"timestamp": k / fps, "frame_index": k, "episode_index": number}
+                    rows.append(frame | {"index": len(rows), "task_index": task})
+                lengths.append((number, task, frames))
+                report(number + 1, total)
+        _write_frames(folder / _PATH.format(chunk_index=0, file_index=0), rows, features)
+        tasks = [f"press and hear {file.key}" for file in files]
+        (folder / "meta/episodes/chunk-000").mkdir(parents=True)
+        index = pd.Index(tasks, name="task")
+        pd.DataFrame({"task_index": range(len(tasks))}, index=index).to_parquet(folder / "meta/tasks.parquet")
+        pd.DataFrame([_episode_row(*one, tasks) for one in lengths]).to_parquet(folder / _EPISODES)
+        write_json(folder / "meta/stats.json", _statistics(rows))
+        write_json(folder / "meta/info.json", _info(features, len(files), len(lengths), len(rows), fps))
+
+
+def _episodes(
+    file: ObjectFile, count: int, frames: int, fps: int, rate: int, rng: np.random.Generator
+) -> Iterator[list[dict[str, Any]]]:
+    """Yield the frames of each episode, without their numbers."""
+    strikes = sample_strikes(file, count, int(rng.integers(2**31)), IMPULSE)
+    points, normals = strikes[:, :3], -strikes[:, 3:] / IMPULSE
+    low, high = file.sensor_profile.press_depth
+    deepest = rng.uniform(low, high, count)
+    ramp = np.sin(np.pi * np.arange(frames) / (frames - 1)) ** 2
+    window = rate // fps
+    sounds = file.impact(points, strikes[:, 3:], rate, frames / fps).astype(np.float32)
+    for point, normal, depth, sound in zip(points, normals, deepest, sounds):
+        depths = depth * ramp
+        felt = file.press(np.repeat(point[None], frames, 0), depths)
+        state = np.column_stack(
+            [np.tile([*point, *normal], (frames, 1)), depths, np.nan_to_num(felt.force)]
+        ).astype(np.float32)
+        yield [
+            {
+                TOUCH: {"bytes": _png(felt.images[k]), "path": None},
+                AUDIO: sound[k * window : (k + 1) * window],
+                STATE: state[k],
+                ACTION: np.float32([depths[min(k + 1, frames - 1)]]),
+            }
+            for k in range(frames)
+        ]
+
+
+def _features(height: int, width: int, window: int, fps: int) -> dict[str, Any]:
+    """Return the entry ``features`` of ``info.json``."""
+    scalars = {"timestamp": "float32", "frame_index": "int64", "episode_index": "int64"}
+    scalars |= {"index": "int64", "task_index": "int64"}
+    return {
+        TOUCH: {"dtype": "image", "shape": [height, width, 3], "names": ["height", "width", "channels"]},
+        AUDIO: {"dtype": "float32", "shape": [window], "names": None},
+        STATE: {"dtype": "float32", "shape": [len(STATES)], "names": list(STATES)},
+        ACTION: {"dtype": "float32", "shape": [1], "names": ["depth"]},
+    } | {name: {"dtype": kind, "shape": [1], "names": None} for name, kind in scalars.items()}
+
+
+def _write_frames(path: Path, rows: list[dict[str, Any]], features: dict[str, Any]) -> None:
+    import datasets
+    import pyarrow as pa
+    from pyarrow.parquet import write_table
+
+    columns: dict[str, Any] = {}
+    for name, feature in features.items():
+        value = datasets.Value(feature["dtype"]) if feature["dtype"] != "image" else datasets.Image()
+        scalar = feature["shape"] == [1] or feature["dtype"] == "image"
+        columns[name] = value if scalar else datasets.List(value, length=feature["shape"][0])
+    columns[ACTION] = datasets.List(datasets.Value("float32"), length=1)
+    schema = datasets.Features(columns).arrow_schema
+    path.parent.mkdir(parents=True)
+    write_table(pa.Table.from_pylist(rows, schema=schema), path)
+
+
+def _episode_row(number: int, task: int, frames: int, tasks: list[str]) -> dict[str, Any]:
+    return {
+        "episode_index": number,
+        "tasks": [tasks[task]],
+        "length": frames,
+        "data/chunk_index": 0,
+        "data/file_index": 0,
+        "dataset_from_index": number * frames,
+        "dataset_to_index": (number + 1) * frames,
+        "meta/episodes/chunk_index": 0,
+        "meta/episodes/file_index": 0,
+    }
+
+
+def _statistics(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return minimum, maximum, mean and deviation of each feature; of images by colour, in [0, 1]."""
+    found = {}
+    for name in rows[0]:
+        if name == TOUCH:
+            pixels = [np.asarray(Image.open(io.BytesIO(row[name]["bytes"]))) / 255 for row in rows]
+            values = np.stack(pixels).reshape(-1, 3)
+        else:
+            values = np.stack([np.atleast_1d(row[name]) for row in rows]).astype(np.float64)
+        moments = {"min": values.min(0), "max": values.max(0), "mean": values.mean(0), "std": values.std(0)}
+        shape = (3, 1, 1) if name == TOUCH else (-1,)
+        found[name] = {key: value.reshape(shape).tolist() for key, value in moments.items()}
+        found[name]["count"] = [len(rows)]
+    return found
+
+
+def _info(features: dict[str, Any], tasks: int, episodes: int, frames: int, fps: int) -> dict[str, Any]:
+    return {
+        "codebase_version": VERSION,
+        "robot_type": None,
+        "total_episodes": episodes,
+        "total_frames": frames,
+        "total_tasks": tasks,
+        "chunks_size": 1000,
+        "data_files_size_in_mb": 100,
+        "video_files_size_in_mb": 200,
+        "fps": fps,
+        "splits": {"train": f"0:{episodes}"},
+        "data_path": _PATH,
+        "video_path": None,
+        "features": features,
+    }
+
+
+def _png(image: np.ndarray) -> bytes:
+    stream = io.BytesIO()
+    Image.fromarray(image).save(stream, "PNG")
+    return stream.getvalue()

@@ -1,0 +1,144 @@
+"""Taxels on a sensor's gel for MuJoCo's own tactile sensor.
+
+MuJoCo's sensor ``tactile`` reads, at every vertex of a mesh, how deep the geoms in contact with the mesh's
+body reach past it, and how fast they slide. It knows no gel; `ObjectFile.touch` gives images of one.
+"""
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+import trimesh
+
+from objectfolder.checks import whole_number
+from objectfolder.errors import ObjectFolderError
+from objectfolder.touch.camera import gel_depth
+from objectfolder.touch.profiles import SensorProfile
+
+ROWS, COLUMNS = 16, 12  #: default taxels of a pad: 192
+CHANNELS = 3  #: depth, and speed of sliding along the two tangents of the gel
+_MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
+
+
+def taxel_mesh(profile: SensorProfile, rows: int = ROWS, columns: int = COLUMNS) -> trimesh.Trimesh:
+    """Return the undeformed gel of a sensor with a vertex at the centre of each taxel.
+
+    Parameters
+    ----------
+    profile : SensorProfile
+    rows, columns : int
+        Taxels along the height and the width of the sensor's image; at least 2.
+
+    Returns
+    -------
+    trimesh.Trimesh
+        ``rows * columns`` vertices in the order of the image: row 0 is its top, column 0 its left. Pad frame,
+        metres: origin at the gel's apex, +x out of the gel, +y left and +z up in the image.
+
+    Raises
+    ------
+    ObjectFolderError
+        If a number of taxels is less than 2.
+    """
+    rows, columns = whole_number("taxels: rows", rows, 2), whole_number("taxels: columns", columns, 2)
+    vertical, horizontal = profile.half_extent
+    z = (1 - (np.arange(rows) + 0.5) * 2 / rows) * vertical
+    y = (1 - (np.arange(columns) + 0.5) * 2 / columns) * horizontal
+    rays = np.stack([np.ones((rows, columns)), *np.broadcast_arrays(y, z[:, None])], axis=-1)
+    points = rays * gel_depth(profile, rays)[..., None]
+    points[..., 0] -= profile.camera_to_gel
+    number = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
+    faces = np.stack([np.stack([a, b, c], -1), np.stack([b, d, c], -1)]).reshape(-1, 3)
+    mesh = trimesh.Trimesh(points.reshape(-1, 3), faces, process=False)
+    if mesh.face_normals[:, 0].mean() < 0:
+        mesh.invert()
+    return mesh
+
+
+def add_taxels(
+    spec: mujoco.MjSpec,
+    body: str,
+    profile: SensorProfile,
+    rows: int = ROWS,
+    columns: int = COLUMNS,
+    pos: Sequence[float] = (0.0, 0.0, 0.0),
+    quat: Sequence[float] = (1.0, 0.0, 0.0, 0.0),
+    name: str = "taxels",
+) -> None:
+    """Add taxels to a body of a model, with a sensor that reads them.
+
+    The taxels collide with nothing: what touches them has to touch another geom of the body, such as a box or
+    a dome behind them. Meshes that collide get the distance field that the sensor needs; a file of MJCF
+    cannot say so, hence ``spec`` has to be compiled, or saved with ``mujoco.mj_saveModel``.
+
+    Parameters
+    ----------
+    spec : mujoco.MjSpec
+        With all objects that the taxels may touch, such as those of `objectfolder.envs.body.add_body`.
+    body : str
+        Of the finger.
+    profile : SensorProfile
+        Gives the shape of the gel.
+    rows, columns : int
+        As in `taxel_mesh`.
+    pos : (3,) sequence of float
+        Of the gel's apex, in the frame of the body, metres.
+    quat : (4,) sequence of float
+        From the pad frame of `taxel_mesh` to that of the body; w first.
+    name : str
+        Of mesh, geom and sensor.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there is no such body, or the name is taken.
+    """
+    found = spec.body(body)
+    if found is None:
+        known = ", ".join(each.name for each in spec.bodies if each.name)
+        raise ObjectFolderError(f"taxels: the model has no body {body!r}; expected one of {known}")
+    if any(each.name == name for each in (*spec.meshes, *spec.geoms, *spec.sensors)):
+        raise ObjectFolderError(f"taxels: the model has a {name!r} already; give another name")
+    mesh = taxel_mesh(profile, rows, columns)
+    outward = np.asarray(mesh.vertex_normals)
+    right = np.cross(outward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    # Without two tangents after each normal, the sensor reads no speeds.
+    frames = np.stack([outward, right, np.cross(right, outward)], axis=1)
+    spec.add_mesh(
+        name=name,
+        uservert=mesh.vertices.ravel(),
+        userface=mesh.faces.ravel(),
+        usernormal=frames.ravel(),
+        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+    )
+    alone = {"contype": 0, "conaffinity": 0, "density": 0}
+    found.add_geom(
+        name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=pos, quat=quat, group=3, **alone
+    )
+    spec.add_sensor(
+        name=name,
+        type=mujoco.mjtSensor.mjSENS_TACTILE,
+        objtype=mujoco.mjtObj.mjOBJ_MESH,
+        objname=name,
+        reftype=mujoco.mjtObj.mjOBJ_GEOM,
+        refname=name,
+    )
+    touched = {
+        each.meshname for each in spec.geoms if each.type == _MESH and (each.contype or each.conaffinity)
+    }
+    for each in spec.meshes:
+        each.needsdf = int(each.needsdf or each.name in touched)
+
+
+def read_taxels(
+    model: mujoco.MjModel, data: mujoco.MjData, columns: int = COLUMNS, name: str = "taxels"
+) -> np.ndarray:
+    """Return what the taxels of `add_taxels` read; (3, rows, columns) float64.
+
+    Depth past each taxel, metres, zero without a contact; and the speeds of sliding along the gel, towards
+    image right and up, without sign, m/s.
+    """
+    values: np.ndarray = data.sensor(name).data
+    return values.reshape(CHANNELS, -1, columns).copy()

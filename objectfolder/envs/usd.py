@@ -1,0 +1,164 @@
+"""Export to OpenUSD: look and rigid body of an object, by the schemas UsdGeom, UsdShade and UsdPhysics."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from objectfolder.disk import new_folder
+from objectfolder.envs.body import RigidBody, density, rigid_body
+from objectfolder.envs.hulls import MAX_HULLS, convex_hulls
+from objectfolder.envs.visual import PLAIN, visual_mesh
+from objectfolder.mesh.srgb import decode
+from objectfolder.objectfile.file import ObjectFile
+
+if TYPE_CHECKING:
+    from pxr import Usd, UsdGeom, Vt
+
+TEXTURE = "visual.png"
+_NEEDED = 8 * 2**20  # approximate size of a folder with mesh and texture, bytes
+_ROUGHNESS = 0.5
+
+
+def write_usd(
+    file: ObjectFile,
+    out: str | Path,
+    max_hulls: int = MAX_HULLS,
+    hulls: Sequence[trimesh.Trimesh] | None = None,
+) -> Path:
+    """Write ``OUT/<key>/<key>.usda`` with its texture: metres, kilograms, z up.
+
+    The default prim, named after the object, is a rigid body with mass, centre and principal moments of
+    `rigid_body`. Below it are the textured surface ``look`` and the convex hulls, which collide and are drawn
+    as guides alone. Friction and density belong to a physics material.
+
+    Parameters
+    ----------
+    file : ObjectFile
+    out : path
+        Parent of the new folder, which is named after the object.
+    max_hulls : int
+    hulls : sequence of trimesh.Trimesh, optional
+        Default: computed, which takes up to half a minute.
+
+    Returns
+    -------
+    Path
+        Of the file.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the folder exists already, the file holds no geometry, or an extra is not installed.
+    """
+    from pxr import Usd, UsdGeom, UsdPhysics
+
+    folder = Path(out) / file.key
+    with new_folder(f"{file.key}: export", folder, _NEEDED, "") as new:
+        body = rigid_body(file, convex_hulls(file.to_mesh(), max_hulls) if hulls is None else hulls)
+        look = visual_mesh(file)
+        image = getattr(getattr(look.visual, "material", None), "image", None)
+        if image is not None:
+            image.save(new / TEXTURE)
+        stage = Usd.Stage.CreateInMemory()
+        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+        UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+        UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+        _add_body(stage, body)
+        _add_look(stage, body.key, look, image is not None)
+        _add_hulls(stage, body, density(file))
+        stage.GetRootLayer().Export(str(new / f"{file.key}.usda"), comment="")
+    return folder / f"{file.key}.usda"
+
+
+def _add_body(stage: "Usd.Stage", body: RigidBody) -> None:
+    """Add the rigid body as the default prim."""
+    from pxr import Gf, UsdGeom, UsdPhysics
+
+    prim = UsdGeom.Xform.Define(stage, f"/{body.key}").GetPrim()
+    stage.SetDefaultPrim(prim)
+    UsdPhysics.RigidBodyAPI.Apply(prim)
+    moments, axes = np.linalg.eigh(body.inertia)
+    axes[:, 0] *= np.sign(np.linalg.det(axes))
+    x, y, z, w = map(float, Rotation.from_matrix(axes).as_quat())
+    mass = UsdPhysics.MassAPI.Apply(prim)
+    mass.CreateMassAttr(float(body.mass))
+    mass.CreateCenterOfMassAttr(Gf.Vec3f(*map(float, body.centre)))
+    mass.CreateDiagonalInertiaAttr(Gf.Vec3f(*map(float, moments)))
+    mass.CreatePrincipalAxesAttr(Gf.Quatf(w, x, y, z))
+
+
+def _add_look(stage: "Usd.Stage", key: str, look: trimesh.Trimesh, textured: bool) -> None:
+    """Add the surface with its material."""
+    from pxr import Gf, Sdf, UsdGeom, UsdShade, Vt
+
+    mesh = _add_mesh(stage, f"/{key}/look", look)
+    mesh.CreateNormalsAttr(_vectors(look.vertex_normals))
+    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    material = UsdShade.Material.Define(stage, f"/{key}/materials/look")
+    shader = UsdShade.Shader.Define(stage, f"/{key}/materials/look/surface")
+    shader.CreateIdAttr("UsdPreviewSurface")
+    shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(_ROUGHNESS)
+    shader.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.0)
+    color = shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
+    if textured:
+        place = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
+            "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex
+        )
+        place.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(look.visual.uv, np.float32)))
+        reader = UsdShade.Shader.Define(stage, f"/{key}/materials/look/st")
+        reader.CreateIdAttr("UsdPrimvarReader_float2")
+        reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
+        texture = UsdShade.Shader.Define(stage, f"/{key}/materials/look/texture")
+        texture.CreateIdAttr("UsdUVTexture")
+        texture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(Sdf.AssetPath(f"./{TEXTURE}"))
+        texture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB")
+        output = reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+        texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(output)
+        color.ConnectToSource(texture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3))
+    else:
+        color.Set(Gf.Vec3f(*[float(decode(np.float64(PLAIN)))] * 3))
+    material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+
+
+def _add_hulls(stage: "Usd.Stage", body: RigidBody, filled: float) -> None:
+    """Add the colliders with their physics material; ``filled`` is the density, kg/m^3."""
+    from pxr import UsdGeom, UsdPhysics, UsdShade
+
+    material = UsdShade.Material.Define(stage, f"/{body.key}/materials/contact")
+    contact = UsdPhysics.MaterialAPI.Apply(material.GetPrim())
+    contact.CreateStaticFrictionAttr(float(body.friction))
+    contact.CreateDynamicFrictionAttr(float(body.friction))
+    contact.CreateDensityAttr(float(filled))
+    for k, hull in enumerate(body.hulls):
+        mesh = _add_mesh(stage, f"/{body.key}/hull{k:02d}", hull)
+        mesh.CreatePurposeAttr(UsdGeom.Tokens.guide)
+        prim = mesh.GetPrim()
+        UsdPhysics.CollisionAPI.Apply(prim)
+        shape = UsdPhysics.MeshCollisionAPI.Apply(prim)
+        shape.CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
+        UsdShade.MaterialBindingAPI.Apply(prim).Bind(material, materialPurpose="physics")
+
+
+def _add_mesh(stage: "Usd.Stage", path: str, mesh: trimesh.Trimesh) -> "UsdGeom.Mesh":
+    from pxr import UsdGeom, Vt
+
+    added = UsdGeom.Mesh.Define(stage, path)
+    added.CreatePointsAttr(_vectors(mesh.vertices))
+    added.CreateFaceVertexCountsAttr(Vt.IntArray([3] * len(mesh.faces)))
+    added.CreateFaceVertexIndicesAttr(
+        Vt.IntArray.FromNumpy(np.ascontiguousarray(mesh.faces.reshape(-1), np.int32))
+    )
+    added.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    added.CreateExtentAttr(_vectors(mesh.bounds))
+    return added
+
+
+def _vectors(values: np.ndarray) -> "Vt.Vec3fArray":
+    from pxr import Vt
+
+    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values, np.float32))
