@@ -48,6 +48,8 @@ class Extra:
 
 ELEMENTS = ("tests/fem/test_elements.py", "tests/fem/test_accuracy.py")
 RENDERERS = "tests/vision/test_renderers.py"
+#: What LeRobot wants older than constraints.txt does.
+LEROBOT_PINS = ("torch", "datasets", "numpy", "packaging", "fsspec", "pyarrow", "gymnasium", "setuptools")
 EXTRAS = (
     Extra(
         "tet", ("[tet]",), "pytetwild", "tet", ("tests/fem/test_elements.py", "tests/fem/test_accuracy.py")
@@ -56,6 +58,25 @@ EXTRAS = (
     Extra("cycles", ("[cycles]",), "bpy", "cycles", (RENDERERS,)),
     Extra("mitsuba-llvm", (), "mitsuba", "llvm", (RENDERERS,)),
     Extra("s3", ("[s3]", "moto[s3,server]"), "dvc-s3", "s3 or outage", ("tests/engine/test_remotes.py",)),
+    Extra("usd", ("[usd]",), "usd-core", "usd", ("tests/envs/test_usd_export.py",)),
+    Extra(
+        "lerobot",
+        ("[hub]", "lerobot"),
+        "lerobot",
+        "lerobot",
+        ("tests/benchmarks/datasets/test_lerobot.py",),
+        environment="lerobot",
+        unpinned=LEROBOT_PINS,
+    ),
+    Extra(
+        "nerfstudio",
+        ("nerfstudio",),
+        "nerfstudio",
+        "nerfstudio",
+        ("tests/benchmarks/datasets/test_nerfstudio.py",),
+        environment="nerfstudio",
+        unpinned=("numpy", "torch", "packaging", "protobuf", "rich"),
+    ),
     Extra(
         "croissant",
         ("mlcroissant",),

@@ -130,7 +130,7 @@ def _episodes(
                 TOUCH: {"bytes": _png(felt.images[k]), "path": None},
                 AUDIO: sound[k * window : (k + 1) * window],
                 STATE: state[k],
-                ACTION: np.float32([depths[min(k + 1, frames - 1)]]),
+                ACTION: float(depths[min(k + 1, frames - 1)]),
             }
             for k in range(frames)
         ]
@@ -156,9 +156,8 @@ def _write_frames(path: Path, rows: list[dict[str, Any]], features: dict[str, An
     columns: dict[str, Any] = {}
     for name, feature in features.items():
         value = datasets.Value(feature["dtype"]) if feature["dtype"] != "image" else datasets.Image()
-        scalar = feature["shape"] == [1] or feature["dtype"] == "image"
+        scalar = feature["shape"] == [1] or feature["dtype"] == "image"  # of a single number, no list
         columns[name] = value if scalar else datasets.List(value, length=feature["shape"][0])
-    columns[ACTION] = datasets.List(datasets.Value("float32"), length=1)
     schema = datasets.Features(columns).arrow_schema
     path.parent.mkdir(parents=True)
     write_table(pa.Table.from_pylist(rows, schema=schema), path)

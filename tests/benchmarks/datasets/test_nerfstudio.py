@@ -65,3 +65,21 @@ def test_the_command_writes_a_folder_per_object_and_keeps_what_is_there(brick_pa
     again = CliRunner().invoke(app, words)
     assert isinstance(again.exception, ObjectFolderError)
     assert "exists already" in str(again.exception)
+
+
+@pytest.mark.slow
+def test_nerfstudio_reads_cameras_and_pictures(path):
+    name = "nerfstudio.data.dataparsers.nerfstudio_dataparser"
+    module = pytest.importorskip(name, reason="nerfstudio is not installed")
+    as_written = {"orientation_method": "none", "center_method": "none", "auto_scale_poses": False}
+    config = module.NerfstudioDataParserConfig(
+        data=path.parent, downscale_factor=1, eval_mode="all", **as_written
+    )
+    found = config.setup().get_dataparser_outputs("train")
+    frames = sorted(json.loads(path.read_text())["frames"], key=lambda frame: frame["file_path"])
+    assert [str(file) for file in found.image_filenames] == [
+        str(path.parent / frame["file_path"]) for frame in frames
+    ]
+    truth = np.array([frame["transform_matrix"] for frame in frames])[:, :3]
+    np.testing.assert_allclose(found.cameras.camera_to_worlds, truth, atol=1e-6)
+    assert float(found.cameras.cx[0]) == 24
