@@ -78,7 +78,7 @@ def create_workspace(root: Path, start: Callable[[Path], None]) -> None:
     before = set() if made else set(root.iterdir())
     texts = template.tool_files() | {
         PARAMS_FILE: template.first_params(),
-        template.REQUIREMENTS: template.requirements(),
+        template.REQUIREMENTS: template.first_requirements(),
     }
     if not (root / template.CARD).exists():
         texts[template.CARD] = template.first_card(root.resolve().name)
@@ -157,8 +157,9 @@ def upgrade_workspace(root: Path) -> Upgrade:
     if added:
         write_params(root / PARAMS_FILE, document)
     pins = root / template.REQUIREMENTS
-    if not pins.is_file() or pins.read_text() != template.requirements():
-        write_text(pins, template.requirements())
+    text = pins.read_text() if pins.is_file() else template.first_requirements()
+    if not pins.is_file() or template.next_requirements(text) != text:
+        write_text(pins, template.next_requirements(text))
         written.append(template.REQUIREMENTS)
     _write_record(root)
     return Upgrade(tuple(changed), tuple(written), tuple(removed), tuple(conflicts), tuple(added))

@@ -18,6 +18,8 @@ CARD = "README.md"
 _TEMPLATE = Path(__file__).with_suffix("")
 _DEPENDENCY = re.compile(rf"^(\s+- )({PACKAGE}(?:/\S+)?)$", re.MULTILINE)
 
+#: What `_requirement` writes.
+_PIN = re.compile(rf"^{PACKAGE}\[build\](?:==\S+| @ \w+\+\S+)$", re.MULTILINE)
 _OBJECTS = re.compile(r"^(procedural|objects):\n(?:  .*\n)*", re.MULTILINE)
 
 
@@ -74,15 +76,25 @@ def installed_version() -> str:
         return "unknown"
 
 
-def requirements() -> str:
-    """Return the requirement that installs this version: by the commit if it was installed from git."""
-    name = f"{PACKAGE}[build]"
+def first_requirements() -> str:
+    """Return the requirements of a new workspace."""
+    note = "# Not from a package index? Then write where its wheel is: `objectfolder[build] @ URL`.\n"
+    line = _requirement()
+    return line + "\n" if " @ " in line else f"{note}{line}\n"
+
+
+def next_requirements(text: str) -> str:
+    """Return requirements with this version instead of another; a URL of a wheel is the user's to change."""
+    return _PIN.sub(lambda match: _requirement(), text)
+
+
+def _requirement() -> str:
+    """Return what installs this version: by the commit if it was installed from a repository."""
     try:
         source = json.loads(distribution(PACKAGE).read_text("direct_url.json") or "{}")
     except PackageNotFoundError:
         source = {}
-    if "vcs_info" in source:
-        info = source["vcs_info"]
-        return f"{name} @ {info['vcs']}+{source['url']}@{info['commit_id']}\n"
-    note = "# Not from a package index? Then write where its wheel is: `objectfolder[build] @ URL`.\n"
-    return note + f"{name}=={installed_version()}\n"
+    if "vcs_info" not in source:
+        return f"{PACKAGE}[build]=={installed_version()}"
+    info = source["vcs_info"]
+    return f"{PACKAGE}[build] @ {info['vcs']}+{source['url']}@{info['commit_id']}"

@@ -190,6 +190,26 @@ def test_upgrade_replaces_what_nobody_edited(made):
     assert (again.written, again.removed, again.conflicts, again.changed) == ((), (), (), ())
 
 
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("# mine\nobjectfolder[build]==0.0.1\nscipy\n", "# mine\n{now}\nscipy\n"),
+        ("objectfolder[build] @ git+https://example.org/x@abc\n", "{now}\n"),
+        (
+            "objectfolder[build] @ https://example.org/x.whl\n",
+            "objectfolder[build] @ https://example.org/x.whl\n",
+        ),
+    ],
+)
+def test_upgrade_moves_the_pin_and_keeps_other_requirements(made, before, after):
+    now = (made / "requirements.txt").read_text().splitlines()[-1]
+    assert now.startswith("objectfolder[build]")
+    (made / "requirements.txt").write_text(before)
+    done = upgrade_workspace(made)
+    assert (made / "requirements.txt").read_text() == after.format(now=now)
+    assert done.written == (() if before == after else ("requirements.txt",))
+
+
 def test_upgrade_adds_settings_and_keeps_those_that_are_there(made):
     add_catalogue(ROOT / "catalogs" / "starter.yaml", made)
     path = made / "params.yaml"
