@@ -10,7 +10,8 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.io import file_digest
 
 PACKAGE = "objectfolder"
-RECORD = "objectfolder.sha256"  #: in a workspace: digests of the installed package and of what `init` wrote
+#: In a workspace: digests of the installed package, and of the files that ``objectfolder init`` wrote.
+RECORD = "objectfolder.sha256"
 INSTALLED = Path(__file__).resolve().parents[2]  #: directory that contains the package that runs now
 #: Folder of a workspace with sensor profiles of its own, beside those of the package.
 SENSORS = "sensors"

@@ -36,8 +36,8 @@ def tool_files() -> dict[str, str]:
 def graph_of_installed(text: str) -> str:
     """Return ``dvc.yaml`` for a workspace without the package.
 
-    A dependency on the package becomes one on `RECORD` and `SENSORS`, and one on a file in it one on its
-    digest, which ``hash_code`` writes.
+    A dependency on the package becomes one on `objectfolder.workspace.installed.RECORD` and on the folder of
+    sensors, and one on a file in it becomes one on its digest, which ``hash_code`` writes.
 
     Raises
     ------
