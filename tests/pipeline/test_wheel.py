@@ -51,24 +51,23 @@ def test_a_wheel_holds_the_package_and_the_pipeline(wheel):
 def test_an_installed_wheel_makes_builds_and_upgrades_a_workspace(wheel, tmp_path):
     """The environment has this one's libraries, and no objectfolder but that of the wheel."""
     home = tmp_path / "venv"
-    subprocess.run([sys.executable, "-m", "venv", "--without-pip", home], check=True)
-    python = home / "bin" / "python"
-    where = "import site; print(site.getsitepackages()[0])"
-    site = Path(subprocess.check_output([python, "-c", where], text=True).strip())
-    pip = [sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--no-deps", "--no-index"]
-    subprocess.run([*pip, wheel], check=True)
-    (site / "libraries.pth").write_text(sysconfig.get_path("purelib") + "\n")
     variables = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
 
-    def run(*command, cwd, ok=True):
+    def run(*command, cwd=tmp_path, ok=True):
         done = subprocess.run(command, cwd=cwd, env=variables, capture_output=True, text=True)
         assert not ok or done.returncode == 0, done.stdout + done.stderr
         return done.stdout + done.stderr
 
+    run(sys.executable, "-m", "venv", "--without-pip", home)
+    python = home / "bin" / "python"
+    site = Path(run(python, "-c", "import site; print(site.getsitepackages()[0])").strip())
+    pip = (sys.executable, "-m", "pip", "--python", python, "install", "--no-deps", "--no-index")
+    run(*pip, wheel)
+    (site / "libraries.pth").write_text(sysconfig.get_path("purelib") + "\n")
     tool = str(home / "bin" / "objectfolder")
-    found = run(python, "-c", "import objectfolder; print(objectfolder.__file__)", cwd=tmp_path)
+    found = run(python, "-c", "import objectfolder; print(objectfolder.__file__)")
     assert found.strip() == str(site / "objectfolder" / "__init__.py")
-    run(tool, "init", "cups", cwd=tmp_path)
+    run(tool, "init", "cups")
     root = tmp_path / "cups"
     generate("mug", texture_size=64).write_glb(tmp_path / "mug.glb")
     path = root / "params.yaml"
