@@ -127,16 +127,16 @@ MAX_MODULES = {
     "train_audio": 26,
     "train_touch": 41,
     "pack": 12,
-    "evaluate": 93,
-    "observe": 93,
+    "evaluate": 94,
+    "observe": 94,
     "recognize": 24,
     "retrieve": 25,
-    "reconstruct": 108,
-    "decompose": 90,
-    "grasp_data": 107,
+    "reconstruct": 109,
+    "decompose": 91,
+    "grasp_data": 108,
     "grasp_stability": 26,
-    "grasp_policy": 121,
-    "reach": 113,
+    "grasp_policy": 122,
+    "reach": 114,
 }
 
 
