@@ -108,7 +108,8 @@ def _add_look(stage: "Usd.Stage", key: str, look: trimesh.Trimesh, textured: boo
         place = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
             "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex
         )
-        place.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(look.visual.uv, np.float32)))
+        uv = getattr(look.visual, "uv", None)  # a textured mesh has them
+        place.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(uv, np.float32)))
         reader = UsdShade.Shader.Define(stage, f"/{key}/materials/look/st")
         reader.CreateIdAttr("UsdPrimvarReader_float2")
         reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
