@@ -4,7 +4,7 @@ A section of ``params.yaml`` is a frozen dataclass beside the code that uses it.
 `objectfolder.workspace.params` reads the file and checks them.
 """
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Interval
 
@@ -13,4 +13,6 @@ Positive = Annotated[float, Gt(0)]
 NonNegative = Annotated[float, Ge(0)]
 Batch = Annotated[int, Ge(2)]
 Octaves = Annotated[int, Interval(ge=0, le=16)]  #: of a positional encoding
+Share = Annotated[float, Interval(ge=0, le=1)]
+Precision = Literal["float32", "bfloat16"]  #: of matrix products in training
 Discount = Annotated[float, Interval(gt=0, le=1)]

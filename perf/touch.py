@@ -75,7 +75,15 @@ MIN_NET = {
 LIMITS: dict[str, dict[str, float]] = {"accuracy": MIN_DB, "net": MIN_NET, "image": {}}
 OFFSET_SPAN, ROUNDS, FITTED = 2e-4, 4, 48  # of the depth offset's search: preset quick
 IMAGE = ImageConfig(
-    width=256, depth=8, point_octaves=10, pixel_octaves=10, steps=0, batch=4096, learning_rate=5e-4
+    width=256,
+    depth=8,
+    point_octaves=10,
+    pixel_octaves=10,
+    steps=0,
+    batch=4096,
+    learning_rate=5e-4,
+    final_rate=0.01,
+    precision="float32",
 )
 IMAGE_PRESS = 0.001  # m; the angle is 0
 

@@ -4,7 +4,7 @@ from objectfolder.figures import tile
 from objectfolder.io import write_npz, write_png
 from objectfolder.mesh.ply import read_surface
 from objectfolder.seeding import numpy_generator
-from objectfolder.touch.dataset import RenderTouchConfig, contact_points, render_contacts
+from objectfolder.touch.dataset import RenderTouchConfig, contact_places, render_contacts
 from objectfolder.touch.profiles import load_profile
 from objectfolder.workspace.installed import sensor_file
 from objectfolder.workspace.layout import SPLITS, Build
@@ -17,21 +17,21 @@ def main(key: str) -> None:
     build, settings = Build(key), params.settings
     vertices, faces = read_surface(build.surface)
     profile = load_profile(sensor_file(params.sensor))
-    counts = [getattr(settings, split) for split in SPLITS]
     rng = numpy_generator(params.seed, key, "render_touch")
-    points = contact_points(vertices, faces, settings.locations, counts, rng)
-    for split, split_points in zip(SPLITS, points):
+    places = contact_places(vertices, faces, settings, rng)
+    for split, (points, normals) in zip(SPLITS, places):
         contacts = render_contacts(
             vertices,
             faces,
             params.entry.scale,
-            split_points,
+            points,
             profile,
             numpy_generator(params.seed, key, "render_touch", split),
             settings.renderer,
             settings.depth,
             settings.angle,
             progress(f"{key}: {split} touches"),
+            normals,
         )
         write_npz(build.touch(split), **contacts, renderer=settings.renderer)
     write_png(build.touch_sheet, tile(contacts["images"][:36], columns=12))

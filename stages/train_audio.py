@@ -9,8 +9,9 @@ from objectfolder.nets.audio_gains import GainsNet
 from objectfolder.nets.audio_gains_training import train_gains
 from objectfolder.nets.audio_spectrogram import SpectrogramNet
 from objectfolder.nets.audio_spectrogram_training import train_spectrogram
+from objectfolder.nets.checkpoint import Checkpoint, identity
 from objectfolder.seeding import torch_generator
-from objectfolder.workspace.layout import Build
+from objectfolder.workspace.layout import Build, code_list
 from objectfolder.workspace.params import stage_params
 from stages import log_point, run
 
@@ -38,7 +39,10 @@ def main(key: str) -> None:
     else:
         # The paper's net takes core-days; where there is a GPU, it trains there.
         device = "cuda" if torch.cuda.is_available() else "cpu"
-        net, curve = train_spectrogram(*data, settings.spectrogram, generator, log_point, device)
+        inputs = (build.modes, code_list("train_audio"))
+        task = identity(settings.spectrogram, params.seed, inputs)
+        checkpoint = Checkpoint(build.checkpoint("audio"), task, generator)
+        net, curve = train_spectrogram(*data, settings.spectrogram, generator, log_point, device, checkpoint)
     tensors, header = net.to_tensors()
     write_safetensors(
         build.net("audio"),
@@ -51,6 +55,7 @@ def main(key: str) -> None:
         },
     )
     write_curve(build.curve("audio"), curve)
+    build.checkpoint("audio").unlink(missing_ok=True)
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ import torch
 from objectfolder.io import read_npz, write_curve, write_safetensors
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.nets.checkpoint import Checkpoint, identity
 from objectfolder.nets.touch_config import TouchConfig
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.touch_geometric_training import fit_contacts
@@ -13,7 +14,7 @@ from objectfolder.nets.touch_image_training import train_image
 from objectfolder.seeding import torch_generator
 from objectfolder.touch.profiles import load_profile
 from objectfolder.workspace.installed import sensor_file
-from objectfolder.workspace.layout import Build
+from objectfolder.workspace.layout import Build, code_list
 from objectfolder.workspace.params import stage_params
 from stages import log_point, run
 
@@ -33,14 +34,18 @@ def main(key: str) -> None:
         curve = fit_contacts(net, some[0], some[1], settings.offset_span, settings.rounds, log_point)
     else:
         # The paper's net takes core-days; where there is a GPU, it trains there.
-        device = "cuda" if torch.cuda.is_available() else "cpu"
         generator = torch_generator(params.seed, key, "train_touch")
+        device = "cuda" if torch.cuda.is_available() else "cpu"
+        inputs = (build.touch("train"), build.touch("val"), code_list("train_touch"))
+        task = identity(settings.image, params.seed, inputs)
+        checkpoint = Checkpoint(build.checkpoint("touch"), task, generator)
         net, curve = train_image(
-            train, val, scale, profile.name, settings.image, generator, log_point, device
+            train, val, scale, profile.name, settings.image, generator, log_point, device, checkpoint
         )
     tensors, header = net.to_tensors()
     write_safetensors(build.net("touch"), tensors, {"kind": settings.net, "net": header})
     write_curve(build.curve("touch"), curve)
+    build.checkpoint("touch").unlink(missing_ok=True)
 
 
 if __name__ == "__main__":

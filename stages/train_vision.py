@@ -6,6 +6,7 @@ from objectfolder.io import read_npz, write_curve, write_safetensors
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.reading.load import load_mesh
+from objectfolder.nets.checkpoint import Checkpoint, identity
 from objectfolder.nets.vision_config import VisionConfig
 from objectfolder.nets.vision_osf import OsfNet
 from objectfolder.nets.vision_osf_training import train_osf
@@ -13,7 +14,7 @@ from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.nets.vision_surface_training import train_surface
 from objectfolder.seeding import torch_generator
 from objectfolder.vision.scene import Scene
-from objectfolder.workspace.layout import Build
+from objectfolder.workspace.layout import Build, code_list
 from objectfolder.workspace.params import stage_params
 from stages import log_point, run
 
@@ -34,10 +35,14 @@ def main(key: str) -> None:
     else:
         # The paper's net takes core-months; where there is a GPU, it trains there.
         device = "cuda" if torch.cuda.is_available() else "cpu"
-        net, curve = train_osf(train, val, settings.osf, generator, log_point, device)
+        inputs = (build.views("train"), build.views("val"), code_list("train_vision"))
+        task = identity(settings.osf, params.seed, inputs)
+        checkpoint = Checkpoint(build.checkpoint("vision"), task, generator)
+        net, curve = train_osf(train, val, settings.osf, generator, log_point, device, checkpoint)
     tensors, header = net.to_tensors()
     write_safetensors(build.net("vision"), tensors, {"kind": settings.net, "net": header})
     write_curve(build.curve("vision"), curve)
+    build.checkpoint("vision").unlink(missing_ok=True)
 
 
 if __name__ == "__main__":

@@ -114,7 +114,11 @@ def build(
     raise typer.Exit(not summary.ok)
 
 
-def preset(name: Annotated[str, typer.Argument(help="quick, standard or paper (files in params/).")]) -> None:
+def preset(
+    name: Annotated[
+        str, typer.Argument(help="quick, standard, faithful or faithful-small (files in params/).")
+    ],
+) -> None:
     """Merge a preset into params.yaml: number of views, FEM resolution, training length and more."""
     from objectfolder.workspace.presets import apply_preset
 

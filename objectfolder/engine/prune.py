@@ -14,7 +14,7 @@ from objectfolder.engine.dvc.repository import OpenRepository, open_repository, 
 from objectfolder.engine.dvc.savedruns import remove_saved_run, saved_outputs, saved_runs
 from objectfolder.engine.failures import LOGS
 from objectfolder.errors import ObjectFolderError
-from objectfolder.workspace.layout import Benchmarks, Build
+from objectfolder.workspace.layout import MODALITIES, Benchmarks, Build
 
 LOCK = "dvc.lock"
 _OID = re.compile(r"\b[0-9a-f]{32}(?:\.dir)?\b")
@@ -156,8 +156,8 @@ def _survey(repository: OpenRepository) -> Waste:
 def _files(root: Path, key: str, dead: list[dict[str, Any]]) -> tuple[Path, ...]:
     """List the existing artifacts, inspection pictures, metrics and logs of an object."""
     build = Build(key, root)
-    found = {*build.artifacts(), build.solved_modes, build.metrics, *(root / LOGS).glob(f"*@{key}.*")}
-    found |= set(build.inspections.rglob("*"))
+    found = {*build.artifacts(), build.solved_modes, *map(build.checkpoint, MODALITIES), build.metrics}
+    found |= {*(root / LOGS).glob(f"*@{key}.*"), *build.inspections.rglob("*")}
     homes = (build.dir, _observations(key, root))
     for out in (root / out["path"] for entry in dead for out in entry.get("outs", [])):
         if any(out.is_relative_to(home) for home in homes):

@@ -3,7 +3,10 @@
 from typing import Any
 
 import torch
+from torch import nn
 from torch.optim.adam import adam
+
+_KEPT = ("mean", "square", "count")
 
 
 class Adam:
@@ -21,6 +24,18 @@ class Adam:
     def __init__(self, groups: list[dict[str, Any]], betas: tuple[float, float], eps: float):
         self.param_groups, self.betas, self.eps = groups, betas, eps
         self.state: dict[torch.Tensor, tuple[torch.Tensor, torch.Tensor, torch.Tensor]] = {}
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """Return the running means, by the number of the parameter."""
+        kept = [self.state.get(p, ()) for group in self.param_groups for p in group["params"]]
+        return {f"{i}.{name}": t for i, of in enumerate(kept) for name, t in zip(_KEPT, of)}
+
+    def restore(self, tensors: dict[str, torch.Tensor]) -> None:
+        """Continue with the running means that `tensors` returned."""
+        for i, p in enumerate(p for group in self.param_groups for p in group["params"]):
+            if f"{i}.{_KEPT[0]}" in tensors:
+                mean, square, count = (tensors[f"{i}.{name}"].to(p.device) for name in _KEPT)
+                self.state[p] = mean, square, count
 
     @torch.no_grad()
     def step(self) -> None:
@@ -49,3 +64,8 @@ class Adam:
                 eps=self.eps,
                 maximize=False,
             )
+
+
+def papers_adam(net: nn.Module) -> Adam:
+    """Return Adam for a net of the paper, with the constants that supplementary E states."""
+    return Adam([{"params": list(net.parameters())}], (0.9, 0.999), 1e-7)

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Interval, MinLen
 
-from objectfolder.settings import Count, Octaves, Positive
+from objectfolder.settings import Count, Octaves, Positive, Precision, Share
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +34,9 @@ class SpectrogramConfig:
     steps: Count
     batch: Count  #: spectrogram bins, each for all three force axes
     learning_rate: Positive
+    final_rate: Share  #: of the learning rate, at the end of a cosine; 1: constant, as the paper's
+    loud: Share  #: of a batch drawn by loudness, weighted to the same mean; the paper's is 0
+    precision: Precision  #: of the hidden layers in training
 
 
 @dataclass(frozen=True, kw_only=True)

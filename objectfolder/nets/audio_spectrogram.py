@@ -22,8 +22,8 @@ class SpectrogramNet(nn.Module):
     ----------
     damped_frequency : (M,) tensor, rad/s
         Modes of the training sounds, for information.
-    low, high : float
-        Values represented by outputs 0 and 1, m kg^1/2 per N s.
+    value_range : (2,) or (3, 2) tensor
+        Values represented by outputs 0 and 1, m kg^1/2 per N s: of all axes, or of each.
     width, depth, point_octaves, bin_octaves
         See `PointwiseNetwork`; the paper's branches have eight layers of 256 channels.
     """
@@ -34,8 +34,7 @@ class SpectrogramNet(nn.Module):
     def __init__(
         self,
         damped_frequency: torch.Tensor,
-        low: float,
-        high: float,
+        value_range: torch.Tensor,
         width: int,
         depth: int,
         point_octaves: int,
@@ -49,17 +48,27 @@ class SpectrogramNet(nn.Module):
             "bin_octaves": bin_octaves,
         }
         self.register_buffer("damped_frequency", damped_frequency.double())
-        self.register_buffer("range", torch.tensor([low, high], dtype=torch.float64))
+        self.register_buffer("range", value_range.double())
         branches = [PointwiseNetwork(width, depth, point_octaves, bin_octaves, outputs=2) for _ in range(3)]
-        for branch in branches:
+        for branch, low, span in zip(branches, *self._scaling()):
             nn.init.zeros_(branch.output.weight)
-            nn.init.constant_(branch.output.bias, -low / (high - low))
+            nn.init.constant_(branch.output.bias, -float(low) / float(span))
         self.branches = nn.ModuleList(branches)
 
     def forward(self, points: torch.Tensor, bins: torch.Tensor) -> torch.Tensor:
         """Evaluate at (N, 3) points of the unit frame and (N,) flat bins; (N, 3 axes, 2), 0 to 1."""
         x = torch.cat([2 * points, _coordinates(points.device)[bins]], 1)
         return torch.stack([branch(x) for branch in self.branches], 1)
+
+    def _scaling(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the value of output 0, and the difference to that of output 1; (3,) float64 each."""
+        low, high = self.range.expand(3, 2).unbind(1)
+        return low, high - low
+
+    def scaled(self, values: torch.Tensor) -> torch.Tensor:
+        """Map spectrograms (N, 3 axes, 2) to the range of the outputs, 0 to 1."""
+        low, span = self._scaling()
+        return ((values - low[:, None]) / span[:, None]).to(values.dtype)
 
     @torch.no_grad()
     def spectrograms(self, points: torch.Tensor) -> torch.Tensor:
@@ -69,10 +78,10 @@ class SpectrogramNet(nn.Module):
         """
         device = self.range.device
         bins = torch.arange(math.prod(SHAPE), device=device)
-        low, high = self.range.tolist()
+        low, span = (x.float()[:, None] for x in self._scaling())
         out = torch.empty(len(points), 3, *SHAPE, dtype=torch.complex64, device=device)
         for image, point in zip(out, points.to(device, torch.float32)):
-            values = self(point.expand(len(bins), 3), bins) * (high - low) + low
+            values = self(point.expand(len(bins), 3), bins) * span + low
             image[:] = torch.view_as_complex(values.transpose(0, 1).contiguous()).view(3, *SHAPE)
         return out
 
@@ -84,7 +93,7 @@ class SpectrogramNet(nn.Module):
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "SpectrogramNet":
         """Invert `to_tensors`."""
         state = {name: torch.from_numpy(np.array(value)) for name, value in tensors.items()}
-        net = cls(state["damped_frequency"], *state["range"].tolist(), **config)
+        net = cls(state["damped_frequency"], state["range"], **config)
         net.load_state_dict(state)
         return net.eval()
 

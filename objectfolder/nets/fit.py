@@ -3,13 +3,16 @@
 import math
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Any, Protocol
 
 import torch
 from torch import nn
 
 from objectfolder.nets.adam import Adam
+from objectfolder.nets.checkpoint import Checkpoint
+
+WARM_UP = 50  #: steps over which the learning rate rises, unless it is constant
 
 
 @dataclass(frozen=True)
@@ -41,8 +44,11 @@ def fit(
     final_rate: float = 0.01,
     report: Callable[[CurvePoint], None] = lambda point: None,
     optimizer: Optimizer | None = None,
+    checkpoint: Checkpoint | None = None,
 ) -> list[CurvePoint]:
-    """Minimise a loss with warm-up and cosine decay; keep the weights of the lowest validation loss.
+    """Minimise a loss; keep the weights of the lowest validation loss.
+
+    The learning rate rises over `WARM_UP` steps, then falls as a cosine.
 
     Parameters
     ----------
@@ -56,12 +62,15 @@ def fit(
     learning_rate : float
         Peak learning rate.
     final_rate : float
-        Final learning rate, relative to the peak.
+        Final learning rate, relative to the peak; 1: constant from the first step on.
     report : callable
         Called with each point of the training curve.
     optimizer : Optimizer, optional
         Optimizer of the net's parameters; default: Adam. The learning rate set here is multiplied by each
         group's ``relative_rate``.
+    checkpoint : Checkpoint, optional
+        For trainings with `Adam`. Where the state is written from time to time, and from which an earlier run
+        is continued. All that ``batch_loss`` draws must come from its generator.
 
     Returns
     -------
@@ -71,15 +80,28 @@ def fit(
     # A larger epsilon would freeze hash-table entries with tiny gradients.
     if optimizer is None:
         optimizer = Adam([{"params": list(net.parameters())}], (0.9, 0.99), 1e-12)
+    kept = optimizer if isinstance(optimizer, Adam) else None
+    if checkpoint and kept is None:
+        raise TypeError(f"{type(optimizer).__name__} has no checkpoints; expected Adam")
     best, best_state = math.inf, None
     curve: list[CurvePoint] = []
+    warm_up = WARM_UP if final_rate < 1 else 1
     marks = {round((i + 1) * steps / evaluations) for i in range(evaluations)}
-    start, running, count = time.perf_counter(), 0.0, 0
-    for step in range(1, steps + 1):
+    start, running, count, done = time.perf_counter(), 0.0, 0, 0
+    found = checkpoint.load() if checkpoint else None
+    if found and kept:
+        tensors, numbers = found
+        net.load_state_dict(_under("net.", tensors))
+        kept.restore(_under("optimizer.", tensors))
+        best_state = _under("best.", tensors) or None
+        best, running, count, done = (numbers[name] for name in ("best", "running", "count", "step"))
+        start -= numbers["seconds"]
+        curve = [CurvePoint(*point) for point in numbers["curve"]]
+    for step in range(done + 1, steps + 1):
         progress = step / steps
         decay = 0.5 * (1 + math.cos(math.pi * progress)) * (1 - final_rate) + final_rate
         for group in optimizer.param_groups:
-            group["lr"] = learning_rate * group.get("relative_rate", 1) * min(1, step / 50) * decay
+            group["lr"] = learning_rate * group.get("relative_rate", 1) * min(1, step / warm_up) * decay
         net.zero_grad(set_to_none=True)
         loss = batch_loss()
         loss.backward()
@@ -94,9 +116,52 @@ def fit(
             if point.val_loss < best:
                 best = point.val_loss
                 best_state = {name: value.clone() for name, value in net.state_dict().items()}
+        if checkpoint and kept and checkpoint.due():
+            states = {"net": net.state_dict(), "optimizer": kept.tensors(), "best": best_state or {}}
+            checkpoint.save(
+                {f"{part}.{name}": value for part, state in states.items() for name, value in state.items()},
+                {
+                    "step": step,
+                    "best": best,
+                    "running": running,
+                    "count": count,
+                    "seconds": time.perf_counter() - start,
+                    "curve": [astuple(point) for point in curve],
+                },
+            )
     if best_state is not None:
         net.load_state_dict(best_state)
     return curve
+
+
+def _under(prefix: str, tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
+
+
+def in_parts(
+    loss: Callable[..., torch.Tensor], size: int, first: torch.Tensor, *others: torch.Tensor
+) -> torch.Tensor:
+    """Return the mean loss of a batch, a part at a time: activations of a part stay in the cache.
+
+    Gradients of all parts but the last are added to the parameters at once; those of the last follow from
+    the result.
+
+    Parameters
+    ----------
+    loss : callable
+        Mean loss of rows.
+    size : int
+        Rows of a part.
+    first, *others : (N, ...) tensors
+        The batch, arguments of ``loss``.
+    """
+    total = torch.zeros(())
+    parts = list(zip(first.split(size), *(other.split(size) for other in others)))
+    for part in parts[:-1]:
+        share = loss(*part) * (len(part[0]) / len(first))
+        share.backward()
+        total = total + share.detach().cpu()
+    return loss(*parts[-1]) * (len(parts[-1][0]) / len(first)) + total.to(first.device)
 
 
 def minibatches(count: int, size: int, generator: torch.Generator) -> Iterable[torch.Tensor]:

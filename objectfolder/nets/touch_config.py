@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from objectfolder.settings import Count, Octaves, Positive
+from objectfolder.settings import Count, Octaves, Positive, Precision, Share
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,6 +17,8 @@ class ImageConfig:
     steps: Count
     batch: Count  #: pixels
     learning_rate: Positive
+    final_rate: Share  #: of the learning rate, at the end of a cosine; 1: constant, as the paper's
+    precision: Precision  #: of the hidden layers in training
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,11 +6,15 @@ import numpy as np
 import torch
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.nets.fit import CurvePoint, fit
+from objectfolder.nets.adam import papers_adam
+from objectfolder.nets.checkpoint import Checkpoint
+from objectfolder.nets.fit import CurvePoint, fit, in_parts
+from objectfolder.nets.positional import train_in
 from objectfolder.nets.touch_config import ImageConfig
 from objectfolder.nets.touch_image import ImageTouch
 
 VAL_SAMPLES = 1 << 14
+_PART = 1 << 12  # pixels whose activations are kept for a gradient
 # Largest difference of depths (metres) or angles (radians) that is attributed to rounding.
 _ALIKE = 1e-9
 
@@ -24,6 +28,7 @@ def train_image(
     generator: torch.Generator,
     report: Callable[[CurvePoint], None] = lambda point: None,
     device: str | torch.device = "cpu",
+    checkpoint: Checkpoint | None = None,
 ) -> tuple[ImageTouch, list[CurvePoint]]:
     """Fit an `ImageTouch` to contacts.
 
@@ -42,6 +47,8 @@ def train_image(
         Called with each `CurvePoint`; losses are mean squared errors of images in [0, 1].
     device : str or torch.device
         Training device; the net is returned on the CPU. The paper's size needs a GPU.
+    checkpoint : Checkpoint, optional
+        With the same generator.
 
     Raises
     ------
@@ -66,6 +73,7 @@ def train_image(
         mean = images.double().mean((0, 1, 2)) / 127.5 - 1
         net.network.output.bias.data = mean.float()
     net = net.to(device)
+    train_in(net, config.precision)
 
     def gather(contacts: dict[str, np.ndarray]) -> tuple[torch.Tensor, torch.Tensor]:
         points = torch.from_numpy((contacts["points"] / scale).astype(np.float32))
@@ -75,21 +83,26 @@ def train_image(
         rows, pixels = (torch.randint(size, (count,), generator=generator).to(device) for size in shape[:2])
         return rows, pixels
 
-    def loss(
-        points: torch.Tensor, grey: torch.Tensor, rows: torch.Tensor, pixels: torch.Tensor
-    ) -> torch.Tensor:
-        error = net(points[rows], pixels) - (grey[rows, pixels].float() / 127.5 - 1)
-        return error.square().mean() / 4
+    def loss_of(points: torch.Tensor, grey: torch.Tensor) -> Callable[..., torch.Tensor]:
+        def loss(rows: torch.Tensor, pixels: torch.Tensor) -> torch.Tensor:
+            error = net(points[rows], pixels) - (grey[rows, pixels].float() / 127.5 - 1)
+            return error.square().mean() / 4
+
+        return loss
 
     known, held_out = gather(train), gather(val)
+    loss, val_loss = loss_of(*known), loss_of(*held_out)
     checked = draw(held_out[1].shape, VAL_SAMPLES)
     curve = fit(
         net,
-        batch_loss=lambda: loss(*known, *draw(known[1].shape, config.batch)),
-        val_loss=lambda: loss(*held_out, *checked).item(),
+        batch_loss=lambda: in_parts(loss, _PART, *draw(known[1].shape, config.batch)),
+        val_loss=lambda: val_loss(*checked).item(),
         steps=config.steps,
         learning_rate=config.learning_rate,
+        final_rate=config.final_rate,
+        optimizer=papers_adam(net),
         report=report,
+        checkpoint=checkpoint,
     )
     return net.cpu().eval(), curve
 

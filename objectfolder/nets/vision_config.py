@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Interval
 
-from objectfolder.settings import Count, Octaves, Positive
+from objectfolder.settings import Count, Octaves, Positive, Precision, Share
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +42,8 @@ class OsfConfig:
     steps: Count
     batch: Count  #: rays
     learning_rate: Positive
+    final_rate: Share  #: of the learning rate, at the end of a cosine; 1: constant, as the paper's
+    precision: Precision  #: of the hidden layers in training
 
 
 @dataclass(frozen=True, kw_only=True)

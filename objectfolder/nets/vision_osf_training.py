@@ -8,8 +8,10 @@ import torch
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.gridcodec import BOUND
-from objectfolder.nets.adam import Adam
-from objectfolder.nets.fit import CurvePoint, fit, minibatches
+from objectfolder.nets.adam import papers_adam
+from objectfolder.nets.checkpoint import Checkpoint
+from objectfolder.nets.fit import CurvePoint, fit, in_parts
+from objectfolder.nets.positional import train_in
 from objectfolder.nets.vision_config import OsfConfig
 from objectfolder.nets.vision_osf import OsfNet, pixel_centres
 from objectfolder.vision.cameras import Intrinsics, camera_rays
@@ -17,6 +19,7 @@ from objectfolder.vision.color import on_white, shown_error
 from objectfolder.vision.volume import Rays
 
 VAL_RAYS = 1 << 12  #: rays in the validation loss
+_PART = 64  # rays whose activations are kept for a gradient; they hardly leave the cache
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,7 @@ def train_osf(
     generator: torch.Generator,
     report: Callable[[CurvePoint], None] = lambda point: None,
     device: str | torch.device = "cpu",
+    checkpoint: Checkpoint | None = None,
 ) -> tuple[OsfNet, list[CurvePoint]]:
     """Fit an `OsfNet` to views.
 
@@ -63,6 +67,8 @@ def train_osf(
         cube: the sum for both nets in training; in validation the fine net's, on `VAL_RAYS` rays.
     device : str or torch.device
         Training device; the net is returned on the CPU. The paper's size needs a GPU.
+    checkpoint : Checkpoint, optional
+        With the same generator.
 
     Raises
     ------
@@ -71,7 +77,7 @@ def train_osf(
 
     Notes
     -----
-    Adam has the paper's betas and epsilon; the learning rate follows the schedule of `fit`.
+    Rays of a batch are drawn with replacement.
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(torch.randint(2**31, (1,), generator=generator)))
@@ -86,21 +92,27 @@ def train_osf(
             direction_octaves=config.direction_octaves,
         ).to(device)
     pixels, held_out = _gather(train, device), _gather(val, device)
-    batches = iter(minibatches(len(pixels.target), config.batch, generator))
+    train_in(net, config.precision)
     checked = torch.randperm(len(held_out.target), generator=generator)[:VAL_RAYS]
 
+    def batch_loss() -> torch.Tensor:
+        drawn = torch.randint(len(pixels.target), (config.batch,), generator=generator)
+        return in_parts(lambda part: pixels.loss(net, part, generator).sum(), _PART, drawn)
+
     def val_loss() -> float:
-        sums = [held_out.loss(net, part)[1].item() * len(part) for part in checked.split(config.batch)]
+        sums = [held_out.loss(net, part)[1].item() * len(part) for part in checked.split(_PART)]
         return sum(sums) / len(checked)
 
     curve = fit(
         net,
-        batch_loss=lambda: pixels.loss(net, next(batches), generator).sum(),
+        batch_loss=batch_loss,
         val_loss=val_loss,
         steps=config.steps,
         learning_rate=config.learning_rate,
-        optimizer=Adam([{"params": list(net.parameters())}], (0.9, 0.999), 1e-7),
+        final_rate=config.final_rate,
+        optimizer=papers_adam(net),
         report=report,
+        checkpoint=checkpoint,
     )
     return net.cpu().eval(), curve
 

@@ -25,39 +25,59 @@ _MEASURED = ("obstructed", "max_penetration", "area", "force")
 class RenderTouchConfig:
     """Section ``render_touch`` of ``params.yaml``."""
 
-    locations: Literal["surface", "vertices"]  #: random points by area, or every vertex (as the paper)
-    train: Count  #: contacts; with ``vertices``, every vertex is used, split 80/10/10
-    val: Count
-    test: Count
+    locations: Literal["surface", "vertices"]  #: random points by area, or vertices (as the paper)
+    normals: Literal[
+        "contact", "vertex"
+    ]  #: of the pressed surface (`contact_normals`), or the mesh's (the paper)
+    train: Count | None  #: contacts; with ``vertices`` at most, and null: every vertex of the split
+    val: Count | None
+    test: Count | None
     renderer: Literal["gel", "tacto"]  #: the deformed gel, or TACTO's rendering (sensor: tacto_digit)
     depth: NonNegative | None  #: of every contact, metres; null: random up to the sensor's press_depth
     angle: float | None  #: of every contact, radians; null: random
 
+    def __post_init__(self) -> None:
+        """Refuse what random points do not have."""
+        missing = [name for name in ("train", "val", "test") if getattr(self, name) is None]
+        if missing and self.locations == "surface":
+            raise ValueError(
+                f"{missing[0]} is null, expected a number of contacts; null is for locations: vertices"
+            )
+        if self.normals == "vertex" and self.locations == "surface":
+            raise ValueError("normals is vertex, which needs locations: vertices; expected contact")
 
-def contact_points(
-    vertices: np.ndarray, faces: np.ndarray, locations: str, counts: list[int], rng: np.random.Generator
-) -> list[np.ndarray]:
-    """Choose the contact points of each split.
+
+def contact_places(
+    vertices: np.ndarray, faces: np.ndarray, config: RenderTouchConfig, rng: np.random.Generator
+) -> list[tuple[np.ndarray, np.ndarray | None]]:
+    """Choose the contact points of the three splits, and their normals if those are the mesh's.
+
+    Vertices are split 80/10/10.
 
     Parameters
     ----------
     vertices : (V, 3) array, unit frame
     faces : (F, 3) int array
-    locations : {"surface", "vertices"}
-        Random points by area, or every vertex, split 80/10/10 (the paper touches vertices).
-    counts : list of int
-        Points of each split; ignored for vertices.
+    config : RenderTouchConfig
     rng : numpy.random.Generator
 
     Returns
     -------
-    list of (N, 3) arrays, unit frame
+    list of (N, 3) arrays, unit frame, each with (N, 3) unit vectors or None
     """
-    if locations == "vertices":
+    counts = (config.train, config.val, config.test)
+    if config.locations == "vertices":
         split = split_rows(len(vertices), rng)
-        return [vertices[split == index] for index in range(len(counts))]
-    points = sample_surface(vertices, faces, sum(counts), rng)
-    return np.split(points, np.cumsum(counts)[:-1])
+        rows = [rng.permutation(np.flatnonzero(split == index))[:count] for index, count in enumerate(counts)]
+        if config.normals == "contact":
+            return [(vertices[chosen], None) for chosen in rows]
+        weights = igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_AREA
+        mesh = np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int64)
+        normals = np.asarray(igl.per_vertex_normals(*mesh, weights), np.float64)
+        return [(vertices[chosen], normals[chosen]) for chosen in rows]
+    sizes = [count or 0 for count in counts]
+    points = sample_surface(vertices, faces, sum(sizes), rng)
+    return [(part, None) for part in np.split(points, np.cumsum(sizes)[:-1])]
 
 
 def render_contacts(
@@ -71,6 +91,7 @@ def render_contacts(
     depth: float | None = None,
     angle: float | None = None,
     progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+    normals: np.ndarray | None = None,
 ) -> dict[str, np.ndarray]:
     """Press the sensor at points of a closed surface.
 
@@ -91,6 +112,8 @@ def render_contacts(
         and over the full circle.
     progress : callable
         Wraps the iteration over batches.
+    normals : (N, 3) array, optional
+        Unit vectors along which the sensor comes; default: `contact_normals`.
 
     Returns
     -------
@@ -108,7 +131,8 @@ def render_contacts(
         return igl.signed_distance(np.ascontiguousarray(p), vertices, faces, side)[0]
 
     require_renderer(profile, renderer)
-    normals = contact_normals(distance, points, NORMAL_RADIUS)
+    if normals is None:
+        normals = contact_normals(distance, points, NORMAL_RADIUS)
     low, high = profile.press_depth
     depths, angles = rng.uniform(low, high, len(points)), rng.uniform(0, 2 * np.pi, len(points))
     if depth is not None:

@@ -59,6 +59,10 @@ class Build:
         """Training curve of one net (CSV)."""
         return self.dir / f"{modality}_curve.csv"
 
+    def checkpoint(self, modality: str) -> Path:
+        """State of an unfinished training; undeclared: it outlives a killed stage."""
+        return self.dir / f".{modality}_checkpoint.safetensors"
+
     def artifacts(self) -> list[Path]:
         """List every file that the pipeline writes for the object, existing or not, except its metrics."""
         single = [

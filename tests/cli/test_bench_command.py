@@ -184,7 +184,9 @@ def test_what_is_wrong_is_said_before_any_work(files, workspace, tmp_path):
     assert "no Object Files in build" in refused("recognition")
     assert "give each object once" in refused("recognition", one, other, other)
     assert "expected seen or unseen" in refused("retrieval", files, "--split", "sen")
-    assert "expected one of paper, quick, standard" in refused("recognition", files, "--preset", "fast")
+    assert "expected one of faithful, faithful-small, quick, standard" in refused(
+        "recognition", files, "--preset", "fast"
+    )
     assert "nothing.pth does not exist" in refused("recognition", files, "--weights", "nothing.pth")
     torch.save({"layer9.weight": torch.zeros(3)}, "other.pth")
     assert "layer9.weight" in refused("recognition", files, "--preset", "quick", "--weights", "other.pth")

@@ -152,14 +152,16 @@ def test_catalogue_adds_what_is_missing_and_refuses_what_differs(workspace):
 
 def test_preset_changes_sections_only(workspace):
     before = params.read()
-    assert "render_views" in apply_preset("paper")
+    assert "render_views" in apply_preset("faithful")
     after = params.read()
     assert after["render_views"]["train"] == 500
     assert after["objects"] == before["objects"]
-    assert apply_preset("paper") == []
+    assert apply_preset("faithful") == []
     apply_preset("quick")
     assert params.read() == before
-    with pytest.raises(ObjectFolderError, match=r"no preset 'fast'.*paper, quick, standard"):
+    with pytest.raises(
+        ObjectFolderError, match=r"no preset 'fast'.*faithful, faithful-small, quick, standard"
+    ):
         apply_preset("fast")
 
 

@@ -30,7 +30,7 @@ from objectfolder.vision.cameras import Intrinsics, look_at
 POSE = look_at(np.array([2.0, -1.0, 0.7]))[0]
 LIGHT = np.array([2.0, 0.0, 1.0])
 FRAME = Frame((0.01, -0.02, 0.03), 0.2)
-TRAINING = {"steps": 3, "batch": 32, "learning_rate": 0.01}
+TRAINING = {"steps": 3, "batch": 32, "learning_rate": 0.01, "final_rate": 0.01, "precision": "float32"}
 POINTS = np.random.default_rng(0).uniform(-0.1, 0.1, (3, 3)).astype(np.float32)
 
 
@@ -163,7 +163,7 @@ def train_a_view(device):
 
 def train_a_sound(device):
     points, shapes = POINTS[:, :3], np.random.default_rng(2).standard_normal((3, 3, 2))
-    config = SpectrogramConfig(width=16, depth=2, point_octaves=1, bin_octaves=3, **TRAINING)
+    config = SpectrogramConfig(width=16, depth=2, point_octaves=1, bin_octaves=3, loud=0.5, **TRAINING)
     rows = np.arange(2), np.arange(2, 3)
     frequency, damping = 2 * np.pi * np.array([400.0, 900.0]), np.array([3.0, 4.0])
     return train_spectrogram(

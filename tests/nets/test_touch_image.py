@@ -10,7 +10,15 @@ from objectfolder.nets.touch_image import ImageTouch
 from objectfolder.nets.touch_image_training import train_image
 
 CONFIG = ImageConfig(
-    width=48, depth=3, point_octaves=4, pixel_octaves=3, steps=500, batch=512, learning_rate=0.004
+    width=48,
+    depth=3,
+    point_octaves=4,
+    pixel_octaves=3,
+    steps=500,
+    batch=512,
+    learning_rate=0.004,
+    final_rate=0.01,
+    precision="float32",
 )
 SCALE = 0.1
 

@@ -29,6 +29,8 @@ CONFIG = OsfConfig(
     steps=400,
     batch=256,
     learning_rate=0.01,
+    final_rate=0.01,
+    precision="float32",
 )
 SHAPE = {
     "width": 24,

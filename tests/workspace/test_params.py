@@ -312,7 +312,10 @@ def test_an_unknown_section_is_refused_with_the_nearest_name(values, name, hint)
         check_all({**values, name: {}})
 
 
-def test_only_the_preset_of_the_paper_damps_as_the_paper():
-    files = ["params.yaml", *(f"params/{name}.yaml" for name in ("quick", "standard", "paper"))]
+def test_only_the_presets_of_the_paper_damp_as_the_paper():
+    files = [
+        "params.yaml",
+        *(f"params/{name}.yaml" for name in ("quick", "standard", "faithful", "faithful-small")),
+    ]
     laws = [YAML(typ="safe").load(REPOSITORY / name)["modal"]["damping"] for name in files]
-    assert laws == ["loss_factor"] * 3 + ["rayleigh"]
+    assert laws == ["loss_factor"] * 3 + ["rayleigh"] * 2
