@@ -15,7 +15,7 @@ from objectfolder.envs.grasp_task import STEPS, GraspTask
 from objectfolder.envs.gripper import STROKE
 from objectfolder.errors import ObjectFolderError
 
-OBSERVATIONS = ("features", "images", "width", "blind")
+OBSERVATIONS = ("features", "tactile", "images", "width", "blind")
 STATE = 3  #: size of the state that is observed beside touches: step, height, opening
 
 
@@ -35,7 +35,7 @@ class Episodes:
             raise ObjectFolderError(
                 f"observation {self.observation!r} is unknown, expected one of {', '.join(OBSERVATIONS)}"
             )
-        if self.features is None and self.observation in ("features", "images"):
+        if self.features is None and self.observation in ("features", "tactile", "images"):
             self.features = TouchFeatures(self.task.file)
 
     def space(self) -> spaces.Space[Any]:
@@ -45,8 +45,9 @@ class Episodes:
             profile = self.task.file.sensor_profile
             shape = (2, profile.height, profile.width, 3)
             return spaces.Dict({"touch": spaces.Box(0, 255, shape, np.uint8), "state": state})
-        if self.observation == "features":
-            return spaces.Box(-CONTRAST, CONTRAST, (2 * TouchFeatures.size + STATE,), np.float32)
+        if self.observation in ("features", "tactile"):
+            size = 2 * TouchFeatures.size + STATE * (self.observation == "features")
+            return spaces.Box(-CONTRAST, CONTRAST, (size,), np.float32)
         return state
 
     def begin(self, count: int, rng: np.random.Generator) -> Any:
@@ -89,7 +90,8 @@ class Episodes:
         pressed = touch.presses.take(rows)
         if self.observation == "images":
             return {"touch": self._images(rows, pressed), "state": state}
-        return np.concatenate([self._features(rows, pressed), state], 1)
+        features = self._features(rows, pressed)
+        return features if self.observation == "tactile" else np.concatenate([features, state], 1)
 
     def picture(self, row: int, resolution: int = 256) -> np.ndarray:
         """Draw an episode as seen by the external camera; (resolution, resolution, 3) uint8."""

@@ -33,9 +33,9 @@ class GraspEnv(gymnasium.Env[Any, np.ndarray]):
     Parameters
     ----------
     file : ObjectFile or path
-    observation : {"features", "images", "width", "blind"}
-        images: a dict with the tactile images themselves; width: the state alone; blind: the same without the
-        opening of the jaws.
+    observation : {"features", "tactile", "images", "width", "blind"}
+        tactile: features of both images alone; images: a dict with the images themselves, and the state;
+        width: the state alone; blind: the same without the opening of the jaws.
     hulls : path
         Folder in which convex hulls are cached.
     render_mode : {None, "rgb_array"}

@@ -44,7 +44,7 @@ def test_stable_baselines_checker_passes(brick_path, hulls):
     check_env_for_sb3(made(brick_path, hulls, "width"))
 
 
-@pytest.mark.parametrize("observation", ["images", "blind"])
+@pytest.mark.parametrize("observation", ["images", "tactile", "blind"])
 def test_observations_are_in_their_space(brick_path, hulls, observation):
     env = made(brick_path, hulls, observation)
     seen, _ = env.reset(seed=0)

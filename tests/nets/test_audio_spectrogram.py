@@ -81,6 +81,25 @@ def test_storing_keeps_the_answer(tmp_path, bar, trained):
     assert back.damped_frequency.tolist() == FREQUENCY.tolist()
 
 
+def test_each_axis_has_its_own_range(bar, trained):
+    """The outputs 0 and 1 are the least and the largest values along it, about a fifth along x and y."""
+    low, high = trained[0].range.unbind(1)
+    for axis in (0, 1):
+        assert float((high - low)[axis] / (high - low)[2]) == pytest.approx(0.2, rel=1e-5)
+    values = torch.stack([low, high], 1)[None].expand(1, 3, 2)
+    torch.testing.assert_close(
+        trained[0].scaled(values)[0], torch.tensor([[0.0, 1]] * 3, dtype=torch.float64)
+    )
+
+
+def test_files_with_one_range_for_all_axes_answer_as_before(bar, trained):
+    tensors, config = trained[0].to_tensors()
+    one = SpectrogramNet.from_tensors({**tensors, "range": np.array([-1.0, 3.0])}, config)
+    each = SpectrogramNet.from_tensors({**tensors, "range": np.array([[-1.0, 3.0]] * 3)}, config)
+    points = torch.from_numpy(bar[0][:1])
+    assert torch.equal(one.spectrograms(points), each.spectrograms(points))
+
+
 def test_rows_do_not_depend_on_their_batch(bar, trained):
     points = torch.from_numpy(bar[0][:3])
     whole = trained[0].spectrograms(points)

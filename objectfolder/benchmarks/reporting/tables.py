@@ -24,8 +24,9 @@ PAPER_RECONSTRUCTION = {
 }
 #: Rows of grasping, in their order, and the paper's success in %.
 GRASP_POLICIES = {
-    "touch": ("touch", "75.5"),
+    "touch": ("touch", "-"),
     "touch_exact": ("touch, exact", "-"),
+    "tactile": ("tactile images alone", "75.5"),
     "width": ("width alone", "-"),
     "blind": ("blind", "-"),
     "random": ("random actions", "53.0"),

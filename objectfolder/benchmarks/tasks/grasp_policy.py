@@ -21,8 +21,9 @@ from objectfolder.envs.grasp_task import FORCE, STEPS, GraspTask
 from objectfolder.seeding import numpy_generator
 
 CURVE_COLUMNS = ("policy", "seed", "episodes", "train_success", "val_success")  #: of the training curves
-#: Observations of trained policies: everything; all but tactile images; only what is known without touch.
-OBSERVED = {"touch": "features", "width": "width", "blind": "blind"}
+#: Observations of trained policies: everything; tactile images alone, as the paper's; all but those; only what
+#: is known without touch.
+OBSERVED = {"touch": "features", "tactile": "tactile", "width": "width", "blind": "blind"}
 FRAME, PIXELS = 0.1, 160  #: seconds between frames of an animation, and their side in pixels
 
 Policy = Callable[[Any], np.ndarray]  #: from observations of N episodes to (N, 4) actions
@@ -31,7 +32,8 @@ Policy = Callable[[Any], np.ndarray]  #: from observations of N episodes to (N, 
 def grasp_policy(job: RobotJob[GraspPolicyConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train policies that observe touch, only the jaw opening, or neither; score them.
 
-    Test episodes start at other poses than training and validation. Touch features come from a `TouchBank`
+    Test episodes start at other poses than training and validation, and those of each training seed at others;
+    all policies of a seed start alike. Touch features come from a `TouchBank`
     during training; the test also computes them exactly with the Object File.
 
     Parameters
@@ -59,8 +61,10 @@ def grasp_policy(job: RobotJob[GraspPolicyConfig]) -> tuple[dict[str, Any], list
     task = GraspTask(job.file, job.body, job.threads)
     bank = _bank(task, params.presses, seed, progress / "bank.npz", job.report)
 
-    def rollouts(observation: str, features: FeatureFunction | None, policy: Policy, part: str) -> np.ndarray:
-        rng = numpy_generator(seed, "grasp_policy", key, part)
+    def rollouts(
+        observation: str, features: FeatureFunction | None, policy: Policy, *part: str
+    ) -> np.ndarray:
+        rng = numpy_generator(seed, "grasp_policy", key, *part)
         return rollout_successes(Episodes(task, observation, features), policy, params.rollouts, rng)
 
     curve, seconds, actors = [], 0.0, {}
@@ -105,7 +109,10 @@ def grasp_policy(job: RobotJob[GraspPolicyConfig]) -> tuple[dict[str, Any], list
     policies["nothing"] = ("blind", None, [nothing])
     scores: dict[str, Any] = {}
     for name, (observation, features, runs) in policies.items():
-        success = np.stack([rollouts(observation, features, policy, "test") for policy in runs])
+        # Other starts for each training seed: their rollouts are independent, as Wilson's interval asks.
+        success = np.stack(
+            [rollouts(observation, features, policy, "test", str(run)) for run, policy in enumerate(runs)]
+        )
         scores[name] = share_95(success) | {"seeds": [float(rate) for rate in success.mean(1)]}
     best = actors["touch", 0]
     best.save(progress / "model.safetensors", f"Grasp-v0 {key}")
