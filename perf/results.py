@@ -1,8 +1,9 @@
-"""Render docs/results.md: `python perf/results.py [--collect]`.
+"""Render docs/results.md and docs/faithful.md: `python perf/results.py [--collect]`.
 
-The page is perf/results.md.j2 filled with the records in docs/results/. Most records are the `--json`
-output of another script in perf/. With `--collect`, the scores that `objectfolder build` and `objectfolder
-bench` left in metrics/ and benchmarks/ update the records scores, benchmarks and robots first.
+The pages are perf/results.md.j2 and perf/faithful.md.j2, filled with the records in docs/results/. Most
+records are the `--json` output of another script in perf/. With `--collect`, the scores that `objectfolder
+build` and `objectfolder bench` left in metrics/ and benchmarks/ update the records scores, benchmarks and
+robots first.
 """
 
 import argparse
@@ -25,8 +26,8 @@ from objectfolder.workspace.layout import Benchmarks
 
 ROOT = Path(__file__).parents[1]
 RECORDS = ROOT / "docs" / "results"
-PAGE = ROOT / "docs" / "results.md"
-PRESETS = ("quick", "standard", "paper")
+PAGES = {name: ROOT / "docs" / f"{name}.md" for name in ("results", "faithful")}
+PRESETS = ("quick", "standard", "faithful", "faithful-small")
 EXEMPT = {
     "render_views": "renderer",
     "modal": "allow_uncertain",
@@ -51,8 +52,8 @@ SINGLE_OBJECT = {
 }
 
 
-def render(records: Path = RECORDS) -> str:
-    """Return the page."""
+def render(page: str, records: Path = RECORDS) -> str:
+    """Return a page, one of `PAGES`."""
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         undefined=StrictUndefined,
@@ -70,9 +71,9 @@ def render(records: Path = RECORDS) -> str:
         "significant": significant,
     }
     values = {path.stem: read_json(path) for path in records.glob("*.json")}
-    template = environment.get_template("results.md.j2")
-    page = template.render(**values, query_figures=FIGURES, fitted=FITTED)
-    return re.sub(r"\n{3,}", "\n\n", page)
+    template = environment.get_template(f"{page}.md.j2")
+    text = template.render(**values, query_figures=FIGURES, fitted=FITTED)
+    return re.sub(r"\n{3,}", "\n\n", text)
 
 
 def over_objects(
@@ -213,7 +214,8 @@ def main() -> None:
     parser.add_argument("--collect", action="store_true", help="read metrics/ and benchmarks/ first")
     if parser.parse_args().collect:
         collect()
-    write_text(PAGE, render())
+    for name, path in PAGES.items():
+        write_text(path, render(name))
 
 
 if __name__ == "__main__":

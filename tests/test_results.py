@@ -41,8 +41,9 @@ def repository(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_the_page_is_up_to_date():
-    assert results.PAGE.read_text() == results.render(), "run `python perf/results.py`"
+@pytest.mark.parametrize("name", results.PAGES)
+def test_the_pages_are_up_to_date(name):
+    assert results.PAGES[name].read_text() == results.render(name), "run `python perf/results.py`"
 
 
 def test_records_are_encoded_as_they_are_written():
@@ -61,7 +62,7 @@ def test_a_failed_object_is_printed_with_its_reason_in_every_table(repository):
                 rows.append({"object": f"crashed_{path.stem}_{name}", "failed": "a reason"})
                 tables += 1
         rewrite(path, record)
-    page = results.render(results.RECORDS)
+    page = results.render("results", results.RECORDS)
     assert tables > 10
     assert len(set(re.findall(r"crashed_\w+", page))) == tables
 
@@ -69,7 +70,7 @@ def test_a_failed_object_is_printed_with_its_reason_in_every_table(repository):
 def test_what_missed_its_target_is_printed(repository):
     record = read_json(results.RECORDS / "audio.json")
     rewrite(results.RECORDS / "audio.json", record | {"targets": "1 %", "missed": ["mug: 2 %", "die: 3 %"]})
-    assert "Targets: 1 %. **Missed**: mug: 2 %; die: 3 %." in results.render(results.RECORDS)
+    assert "Targets: 1 %. **Missed**: mug: 2 %; die: 3 %." in results.render("results", results.RECORDS)
 
 
 def test_every_record_with_targets_says_what_missed_them():
@@ -91,7 +92,7 @@ def test_a_run_is_recorded_and_printed(repository, monkeypatch):
     assert re.fullmatch(r"\d{4}-\d\d-\d\d", run["date"])
     assert (
         f"Run: `{run['command']}`; commit {run['commit']}; {run['machine']}; {run['date']}."
-        in results.render(results.RECORDS)
+        in results.render("results", results.RECORDS)
     )
 
 
@@ -127,7 +128,7 @@ def test_unknown_optional_figures_are_dashes(repository):
     record = read_json(path)
     del record["peers"][0]["deepmodal_s"], record["objects"][0]["synthesis_ms_per_sound"]
     rewrite(path, record)
-    page = results.render(results.RECORDS)
+    page = results.render("results", results.RECORDS)
     assert "| gso_salad_plate | 32,697 | 71 | 5.6 | fails | - | 31.4 | 5.6 |" in page
     assert "| gso_salad_plate | 32^3 | 32,697 | 71 | 8.6 | 770 | - | - | - |" in page
 
@@ -149,7 +150,7 @@ def test_scores_and_benchmarks_are_collected(repository):
     write_json(folder.machine("grasp_policy", "cup"), RUN)
     folder.curve("grasp_policy", "cup").write_text("")
     results.collect()
-    page = results.render(results.RECORDS)
+    page = results.render("results", results.RECORDS)
     vision = scores["mug"]["vision"]
     assert f"| cup | {vision['psnr']:.2f} | {vision['noise_floor']:.2f} |" in page
     assert (

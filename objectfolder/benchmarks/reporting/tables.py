@@ -193,6 +193,7 @@ def _reconstruction(split: str, scores: Mapping[str, Any]) -> Table:
     for variant, paper in PAPER_RECONSTRUCTION.items():
         score = scores[variant]
         ours = [_figure(score[name]) for name in ("iou", "chamfer_l1", "normal_consistency")]
+        ours[0] += _interval(score, 1, ".4f") if "interval_95" in score else ""
         papers = " / ".join(f"{value:.4f}" for value in paper) if split == "seen" else "-"
         rows.append((NAMES[variant], *ours, papers))
     return Table(

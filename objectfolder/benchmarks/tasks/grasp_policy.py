@@ -21,8 +21,8 @@ from objectfolder.envs.grasp_task import FORCE, STEPS, GraspTask
 from objectfolder.seeding import numpy_generator
 
 CURVE_COLUMNS = ("policy", "seed", "episodes", "train_success", "val_success")  #: of the training curves
-#: Observations of trained policies: everything; tactile images alone, as the paper's; all but those; only what
-#: is known without touch.
+#: Observations of trained policies: everything; tactile images alone, as the paper's; all but those; what is
+#: known without touch.
 OBSERVED = {"touch": "features", "tactile": "tactile", "width": "width", "blind": "blind"}
 FRAME, PIXELS = 0.1, 160  #: seconds between frames of an animation, and their side in pixels
 
@@ -32,9 +32,9 @@ Policy = Callable[[Any], np.ndarray]  #: from observations of N episodes to (N, 
 def grasp_policy(job: RobotJob[GraspPolicyConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train policies that observe touch, only the jaw opening, or neither; score them.
 
-    Test episodes start at other poses than training and validation, and those of each training seed at others;
-    all policies of a seed start alike. Touch features come from a `TouchBank`
-    during training; the test also computes them exactly with the Object File.
+    Test episodes start at other poses than training and validation, and those of each training seed at
+    others; all policies of a seed start alike. Touch features come from a `TouchBank` during training; the
+    test also computes them exactly with the Object File.
 
     Parameters
     ----------

@@ -30,6 +30,7 @@ from objectfolder.benchmarks.models.shape_model import (
 )
 from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, TrainingConfig, shuffled
 from objectfolder.benchmarks.reporting.shape_pictures import sheet
+from objectfolder.benchmarks.scoring.scores import interval_95
 from objectfolder.benchmarks.scoring.truth import THRESHOLDS, Truth, best_level
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.running import Task
@@ -43,7 +44,7 @@ from objectfolder.settings import Count, NonNegative
 SHOWN = 8  #: test rows in the picture
 #: Inputs of each variant. VA comes last: it starts from the encoders of the others.
 VARIANTS: dict[str, tuple[str, ...]] = {"V": ("vision",), "A": ("audio",), "VA": ("vision", "audio")}
-CURVE_COLUMNS = ("variant", "epoch", "train_loss", "val_iou")  #: of the training curves
+CURVE_COLUMNS = ("variant", "seed", "epoch", "train_loss", "val_iou")  #: of the training curves
 #: Steps per encoded batch, each on other points; all but the first train fusion and decoder only. Encoders
 #: take most of the time, while shapes need many more steps than features.
 POINT_SETS = 4
@@ -56,6 +57,7 @@ Batch = tuple[dict[str, torch.Tensor] | None, torch.Tensor, torch.Tensor, torch.
 class ReconstructConfig(TrainingConfig):
     """Section ``reconstruct`` of ``params.yaml``."""
 
+    seeds: Count  #: trainings of each variant
     naming: NonNegative  #: weight of the loss for naming the object from its features; the paper's is 0
     points: Count  #: per observation and step, whose occupancy is learned
     width: Count  #: of the occupancy network
@@ -71,15 +73,16 @@ def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[
 
     Test rows are evaluated once, after all choices were made on validation rows. Every variant trains at most
     ``epochs`` epochs; VA half as many, as it starts from the encoders of V and A, and from the fusion and the
-    decoder of the one that validates better. The model of views is written to the progress folder as
-    ``model.safetensors``, and a figure of some meshes as ``sheet.png``.
+    decoder of the one that validates better, of the same seed. The first seed's model of views is written to
+    the progress folder as ``model.safetensors``, and a figure of some of its meshes as ``sheet.png``.
 
     Returns
     -------
     dict
         By variant, and ``average_shape`` (the mean occupancy of the training objects): the scores of
         `Truth.scores` over the first ``views`` test rows of each object; ``threshold``; of variants also
-        ``epochs`` and ``val_iou``. Beside them ``perfect``, the surface scores of the truth against itself,
+        ``epochs`` and ``val_iou``, all as means over the seeds, the IoU of each of the ``seeds`` and its
+        ``interval_95``. Beside them ``perfect``, the surface scores of the truth against itself,
         the counts of `Job.without_duplicates`, and ``seconds``.
     list
         Rows of the training curves: `CURVE_COLUMNS`.
@@ -91,7 +94,10 @@ def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[
     """
     job, rows = job.without_duplicates(("vision", "audio"))
     truth = _truth(job)
-    finished = {variant: _finished(job, truth, variant) for variant in VARIANTS}
+    finished = {
+        variant: [_finished(job, truth, variant, run) for run in range(job.params.seeds)]
+        for variant in VARIANTS
+    }
     labels, split = job.observations.labels, job.split
     trained_labels, val, test = (
         np.unique(labels[split.train]),
@@ -99,15 +105,32 @@ def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[
         labels[_test(job)],
     )
     scores = {
-        **{variant: done["scores"] for variant, done in finished.items()},
+        **{variant: over_seeds([done["scores"] for done in runs]) for variant, runs in finished.items()},
         "average_shape": truth.average_shape(trained_labels, val, test),
         "perfect": truth.floor(np.unique(test)),
         **rows,
-        "seconds": sum(done["seconds"] for done in finished.values()),
+        "seconds": sum(done["seconds"] for runs in finished.values() for done in runs),
     }
-    copyfile(_model_path(job, "V"), job.progress / "model.safetensors")
+    copyfile(_model_path(job, "V", 0), job.progress / "model.safetensors")
     write_png(job.progress / "sheet.png", _sheet(job, truth))
-    return scores, [[variant, *row] for variant, done in finished.items() for row in done["curve"]]
+    return scores, [
+        [variant, run, *row]
+        for variant, runs in finished.items()
+        for run, done in enumerate(runs)
+        for row in done["curve"]
+    ]
+
+
+def over_seeds(runs: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the means of scores over seeds, None where a seed has none, with the IoU of each seed."""
+
+    def middle(values: list[Any]) -> Any:
+        if isinstance(values[0], dict):
+            return {name: middle([value[name] for value in values]) for name in values[0]}
+        return None if None in values else float(np.mean(values))
+
+    each = [float(run["iou"]) for run in runs]
+    return middle(runs) | {"seeds": each, "interval_95": interval_95(each)}
 
 
 def first_rows(rows: np.ndarray, labels: np.ndarray, count: int) -> np.ndarray:
@@ -148,19 +171,19 @@ def _surface(path: Path, key: str) -> Isosurface:
     return file.surface
 
 
-def _model_path(job: Job[ReconstructConfig], variant: str) -> Path:
+def _model_path(job: Job[ReconstructConfig], variant: str, run: int) -> Path:
     """Return the path of a trained model until all are finished."""
-    return job.progress / f"{variant}.safetensors"
+    return job.progress / f"{variant}_{run}.safetensors"
 
 
-def _finished(job: Job[ReconstructConfig], truth: Truth, variant: str) -> dict[str, Any]:
-    """Return scores and curve of a variant, trained unless finished earlier."""
-    checkpoint = job.progress / f"{variant}.pt"
+def _finished(job: Job[ReconstructConfig], truth: Truth, variant: str, run: int) -> dict[str, Any]:
+    """Return scores and curve of a variant and seed, trained unless finished earlier."""
+    checkpoint = job.progress / f"{variant}_{run}.pt"
 
     def make() -> dict[str, Any]:
-        model, curve = _trained(job, truth, variant, checkpoint)
+        model, curve = _trained(job, truth, variant, run, checkpoint)
         start = time.perf_counter()
-        save_model(_model_path(job, variant), model)
+        save_model(_model_path(job, variant, run), model)
         scores = _scores(job, truth, variant, model) | {
             "threshold": model.setup.threshold,
             "epochs": len(curve),
@@ -169,13 +192,13 @@ def _finished(job: Job[ReconstructConfig], truth: Truth, variant: str) -> dict[s
         seconds = sum(point.seconds for point in curve) + time.perf_counter() - start
         return {"scores": scores, "curve": [astuple(point)[:3] for point in curve], "seconds": seconds}
 
-    result = job.finished(variant, make)
+    result = job.finished(f"{variant}_{run}", make)
     checkpoint.unlink(missing_ok=True)
     return result
 
 
 def _trained(
-    job: Job[ReconstructConfig], truth: Truth, variant: str, checkpoint: Path
+    job: Job[ReconstructConfig], truth: Truth, variant: str, run: int, checkpoint: Path
 ) -> tuple[ShapeModel, list[EpochPoint]]:
     """Train one variant, or resume from its checkpoint."""
     observations, occupancy, params, split = job.observations, truth.occupancy, job.params, job.split
@@ -192,11 +215,11 @@ def _trained(
         params.resolution,
         tuple(observations.keys[label] for label in trained_labels),
     )
-    purpose = ("reconstruct", split.name, variant)
+    purpose = ("reconstruct", split.name, variant, str(run))
     with seeded(job.seed, *purpose):
         net = new_net(setup, job.weights)
         naming = nn.Linear(net.fusion.get_parameter("0.weight").shape[1], len(trained_labels))
-    epochs = params.epochs if len(modalities) == 1 else _start_from_parts(job, truth, net)
+    epochs = params.epochs if len(modalities) == 1 else _start_from_parts(job, truth, net, run)
 
     def epoch_batches(epoch: int) -> Iterator[Batch]:
         rng = numpy_generator(job.seed, *purpose, f"epoch {epoch}")
@@ -232,7 +255,7 @@ def _trained(
         return best_level(logits, inside, np.log(THRESHOLDS / (1 - THRESHOLDS)))
 
     curve = job.train(
-        f"reconstruct {split.name}, {variant}",
+        f"reconstruct {split.name}, {variant}, seed {run + 1} of {params.seeds}",
         nn.ModuleDict({"net": net, "naming": naming}),
         epoch_batches,
         batch_loss,
@@ -246,10 +269,10 @@ def _trained(
     return ShapeModel(replace(setup, threshold=threshold), net), curve
 
 
-def _start_from_parts(job: Job[ReconstructConfig], truth: Truth, net: Reconstructor) -> int:
+def _start_from_parts(job: Job[ReconstructConfig], truth: Truth, net: Reconstructor, run: int) -> int:
     """Initialize a net of several modalities from nets of one each; return its number of epochs."""
-    parts = {variant: load_model(_model_path(job, variant)).net for variant in ("V", "A")}
-    scores = {variant: _finished(job, truth, variant)["scores"]["val_iou"] for variant in parts}
+    parts = {variant: load_model(_model_path(job, variant, run)).net for variant in ("V", "A")}
+    scores = {variant: _finished(job, truth, variant, run)["scores"]["val_iou"] for variant in parts}
     _start_from(net, list(parts.values()), parts[max(scores, key=lambda variant: scores[variant])])
     return -(-job.params.epochs // 2)
 
@@ -291,7 +314,7 @@ def _sheet(job: Job[ReconstructConfig], truth: Truth) -> np.ndarray:
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, SHOWN).round().astype(int))]
     shapes = []
     for variant, modalities in VARIANTS.items():
-        model = load_model(_model_path(job, variant))
+        model = load_model(_model_path(job, variant, 0))
         embedding = model.embed({name: job.observations.read(name, rows) for name in modalities})
         shapes.append([model.mesh(one) for one in embedding])
     surfaces = [truth.surface(int(label)) for label in job.observations.labels[rows]]

@@ -23,6 +23,7 @@ from objectfolder.benchmarks.tasks.reconstruction import (
     CURVE_COLUMNS,
     VARIANTS,
     first_rows,
+    over_seeds,
     reconstruct,
     validation_rows,
 )
@@ -42,6 +43,7 @@ SOLIDS = {
 COUNT = 20
 SURFACES = {key: Isosurface(DistanceGrid(*distance_grid(*solid, 40))) for key, solid in SOLIDS.items()}
 PARAMS = SimpleNamespace(
+    seeds=1,
     epochs=8,
     batch=8,
     points=128,
@@ -145,32 +147,48 @@ def test_every_variant_beats_the_average_shape_and_an_interrupted_call_goes_on(
         assert scores["samples"] == 2 * len(SOLIDS)
         assert scores["iou"] == pytest.approx(np.mean(list(scores["per_object"].values())))
         rows = [row for row in curves if row[0] == variant]
-        assert [row[1] for row in rows] == list(range(1, len(rows) + 1))
-        assert max(row[3] for row in rows) == scores["val_iou"]
+        assert {row[1] for row in rows} == {0}
+        assert [row[2] for row in rows] == list(range(1, len(rows) + 1))
+        assert max(row[4] for row in rows) == scores["val_iou"]
         assert all(len(row) == len(CURVE_COLUMNS) for row in rows)
     first = {variant: next(row for row in curves if row[0] == variant) for variant in VARIANTS}
     assert len([row for row in curves if row[0] == "VA"]) == PARAMS.epochs / 2
-    assert first["VA"][2] < 0.9 * first["V"][2]  # it starts from what the others learnt
+    assert first["VA"][3] < 0.9 * first["V"][3]  # it starts from what the others learnt
     model, picture = (tmp_path / "a" / name for name in ("model.safetensors", "sheet.png"))
     assert load_model(model).setup.modalities == ("vision",)
     with Image.open(picture) as page:
         assert page.size[0] > page.size[1] / 2 > 200
 
     def interrupt(line):
-        if "A, epoch 2" in line:
+        if "A, seed 1 of 1, epoch 2" in line:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         run(tmp_path / "b", interrupt)
     went_on = []
     assert run(tmp_path / "b", went_on.append) == (seen, curves)
-    assert "seen, A, epoch 3" in went_on[0]  # V is not trained again, nor the first two epochs of A
+    assert (
+        "seen, A, seed 1 of 1, epoch 3" in went_on[0]
+    )  # V is not trained again, nor the first two epochs of A
     for name in ("model.safetensors", "sheet.png"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
     assert not list((tmp_path / "b").glob("*.pt"))
     # What is finished is read.
     monkeypatch.setattr(job, "train", lambda *a, **k: pytest.fail("trained"))
     assert run(tmp_path / "b") == (seen, curves)
+
+
+def test_scores_over_seeds_are_means_with_an_interval():
+    runs = [
+        {"iou": iou, "chamfer_l1": chamfer, "per_object": {"ball": iou}}
+        for iou, chamfer in ((0.4, 0.1), (0.6, None), (0.8, 0.2))
+    ]
+    seen = over_seeds(runs)
+    assert seen["iou"] == seen["per_object"]["ball"] == pytest.approx(0.6)
+    assert seen["chamfer_l1"] is None  # an empty mesh has none
+    assert seen["seeds"] == [0.4, 0.6, 0.8]
+    assert seen["interval_95"] == pytest.approx(4.303 * 0.2 / 3**0.5, rel=1e-3)  # Student's, two degrees
+    assert over_seeds(runs[:1])["interval_95"] is None
 
 
 def test_selection_is_the_first_rows_of_each_object():
