@@ -28,5 +28,5 @@ class TouchConfig:
     net: Literal["geometric", "image"]
     offset_span: Positive  #: the depth offset is searched up to this, either way, metres
     rounds: Count  #: bisection steps of the search
-    contacts: Count  #: maximum number of training contacts, and of validation contacts
+    contacts: Count  #: maximum number of contacts that ``geometric`` is fitted to, and of validation contacts
     image: ImageConfig

@@ -68,6 +68,7 @@ def contact_places(
     counts = (config.train, config.val, config.test)
     if config.locations == "vertices":
         split = split_rows(len(vertices), rng)
+        # In random order, so that the first few are anywhere.
         rows = [rng.permutation(np.flatnonzero(split == index))[:count] for index, count in enumerate(counts)]
         if config.normals == "contact":
             return [(vertices[chosen], None) for chosen in rows]
