@@ -1,0 +1,58 @@
+"""Tables of perf/faithful.py and perf/holdout.py: means over objects, beside trivial answers."""
+
+import faithful
+import holdout
+import pytest
+
+
+def scored(decibel):
+    """Return scores as `evaluate` writes them."""
+    return {
+        "vision": {"psnr": decibel, "psnr_lit_foreground": 20.0, "baseline_white": 9.0},
+        "audio": {
+            "psnr": decibel + 20,
+            "gain_error": 0.01,
+            "baseline_silence": 52.0,
+            "baseline_nearest": 0.2,
+        },
+        "touch": {"psnr": decibel + 1, "baseline_mean_image": 27.0},
+    }
+
+
+def built(decibel, seconds):
+    return {"scores": scored(decibel), "hours": dict.fromkeys(faithful.MODALITIES, seconds / 3600)}
+
+
+def test_a_mean_over_objects_ends_each_sense_and_stands_beside_the_papers():
+    objects = {
+        "paper": {"mug": built(20.0, 600), "die": built(30.0, 1200), "bell": built(1.0, 1)},
+        "default": {"mug": built(40.0, 6), "die": built(42.0, 6)},  # the bell failed: in no mean
+    }
+    rows = faithful.rows_of(objects, {"vision": 5000, "audio": 50_000, "touch": 500_000})
+    assert [row["object"] for row in rows] == ["mug", "die", "mean"] * 3
+    vision, audio, touch = (row for row in rows if row["object"] == "mean")
+    assert (vision["paper_net"], vision["default_net"], vision["trivial"]) == (25, 41, 9)
+    assert vision["hours"] == pytest.approx(0.25)
+    assert [row["of_papers_steps"] for row in (vision, audio, touch)] == [0.01, 0.1, 1]
+    assert [row["paper"] for row in (vision, audio, touch)] == [39.8, 53.6, 29.4]
+
+
+def test_families_differ_by_their_nets_alone():
+    assert faithful.family_nets("paper") == {
+        "train_vision.net": "osf",
+        "train_audio.net": "spectrogram",
+        "train_touch.net": "image",
+    }
+    assert set(faithful.family_nets("default").values()) == {"surface", "gains", "geometric"}
+
+
+def test_objects_never_seen_have_means_and_silent_ones_no_sound():
+    silent = scored(44.0)
+    silent["audio"] = {"modes": 3, "modes_heard": 0}
+    found = {row["score"]: row for row in holdout.means({"a": scored(40.0), "b": silent})}
+    assert found["vision psnr"]["mean"] == 42
+    assert found["vision psnr"]["baseline"] == 9
+    assert found["audio psnr"]["mean"] == 60
+    assert [found[f"{sense} psnr"]["objects"] for sense in faithful.MODALITIES] == [2, 1, 2]
+    assert "baseline" not in found["vision psnr_lit_foreground"]
+    assert holdout.means({}) == []
