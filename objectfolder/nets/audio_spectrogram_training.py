@@ -11,7 +11,7 @@ from objectfolder.nets.adam import papers_adam
 from objectfolder.nets.audio_config import SpectrogramConfig
 from objectfolder.nets.audio_spectrogram import SpectrogramNet
 from objectfolder.nets.checkpoint import Checkpoint
-from objectfolder.nets.fit import CurvePoint, fit, in_parts
+from objectfolder.nets.fit import CurvePoint, fit, in_parts, part_size
 from objectfolder.nets.positional import train_in
 
 RANGE_POINTS = 256  # training points that define the range of values
@@ -95,9 +95,10 @@ def train_spectrogram(
 
     cumulative = chance.cumsum(0)
     held_out = draw(torch.from_numpy(val), VAL_SAMPLES)
+    part = part_size(_PART, config.batch, device)
     curve = fit(
         net,
-        batch_loss=lambda: in_parts(loss, _PART, *draw(rows, config.batch)),
+        batch_loss=lambda: in_parts(loss, part, *draw(rows, config.batch)),
         val_loss=lambda: loss(*held_out).item(),
         steps=config.steps,
         learning_rate=config.learning_rate,

@@ -138,6 +138,11 @@ def _under(prefix: str, tensors: dict[str, torch.Tensor]) -> dict[str, torch.Ten
     return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
 
 
+def part_size(size: int, batch: int, device: str | torch.device) -> int:
+    """Return ``size``, for a CPU's cache, or on another device the whole batch."""
+    return size if torch.device(device).type == "cpu" else batch
+
+
 def in_parts(
     loss: Callable[..., torch.Tensor], size: int, first: torch.Tensor, *others: torch.Tensor
 ) -> torch.Tensor:

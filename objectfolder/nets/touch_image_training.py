@@ -8,7 +8,7 @@ import torch
 from objectfolder.errors import ObjectFolderError
 from objectfolder.nets.adam import papers_adam
 from objectfolder.nets.checkpoint import Checkpoint
-from objectfolder.nets.fit import CurvePoint, fit, in_parts
+from objectfolder.nets.fit import CurvePoint, fit, in_parts, part_size
 from objectfolder.nets.positional import train_in
 from objectfolder.nets.touch_config import ImageConfig
 from objectfolder.nets.touch_image import ImageTouch
@@ -93,9 +93,10 @@ def train_image(
     known, held_out = gather(train), gather(val)
     loss, val_loss = loss_of(*known), loss_of(*held_out)
     checked = draw(held_out[1].shape, VAL_SAMPLES)
+    part = part_size(_PART, config.batch, device)
     curve = fit(
         net,
-        batch_loss=lambda: in_parts(loss, _PART, *draw(known[1].shape, config.batch)),
+        batch_loss=lambda: in_parts(loss, part, *draw(known[1].shape, config.batch)),
         val_loss=lambda: val_loss(*checked).item(),
         steps=config.steps,
         learning_rate=config.learning_rate,

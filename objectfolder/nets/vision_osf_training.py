@@ -10,7 +10,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.nets.adam import papers_adam
 from objectfolder.nets.checkpoint import Checkpoint
-from objectfolder.nets.fit import CurvePoint, fit, in_parts
+from objectfolder.nets.fit import CurvePoint, fit, in_parts, part_size
 from objectfolder.nets.positional import train_in
 from objectfolder.nets.vision_config import OsfConfig
 from objectfolder.nets.vision_osf import OsfNet, pixel_centres
@@ -95,12 +95,14 @@ def train_osf(
     train_in(net, config.precision)
     checked = torch.randperm(len(held_out.target), generator=generator)[:VAL_RAYS]
 
+    part = part_size(_PART, config.batch, device)
+
     def batch_loss() -> torch.Tensor:
         drawn = torch.randint(len(pixels.target), (config.batch,), generator=generator)
-        return in_parts(lambda part: pixels.loss(net, part, generator).sum(), _PART, drawn)
+        return in_parts(lambda rows: pixels.loss(net, rows, generator).sum(), part, drawn)
 
     def val_loss() -> float:
-        sums = [held_out.loss(net, part)[1].item() * len(part) for part in checked.split(_PART)]
+        sums = [held_out.loss(net, rows)[1].item() * len(rows) for rows in checked.split(part)]
         return sum(sums) / len(checked)
 
     curve = fit(
