@@ -157,7 +157,7 @@ def in_parts(
         Mean loss of rows.
     size : int
         Rows of a part.
-    first, *others : (N, ...) tensors
+    first, others : (N, ...) tensors
         The batch, arguments of ``loss``.
     """
     total = torch.zeros(())

@@ -30,14 +30,9 @@ class SkipNetwork(nn.Module):
     ----------
     inputs, width, depth : int
         The paper's networks have eight layers of 256 channels.
-
-    Attributes
-    ----------
-    precision : torch.dtype
-        Type of the hidden layers in training (`train_in`); answers are float32.
     """
 
-    precision: torch.dtype = torch.float32
+    precision: torch.dtype = torch.float32  #: of the hidden layers in training (`train_in`), not in answers
 
     def __init__(self, inputs: int, width: int, depth: int):
         super().__init__()
