@@ -27,7 +27,7 @@ TINY = {
     "recognize": {"seeds": 2, "epochs": 2, "fusion_epochs": 1, "batch": 8},
     "retrieve": {"seeds": 1, "epochs": 2, "batch": 8, "embedding": 4},
     "reconstruct": {
-        **{"epochs": 1, "batch": 8, "points": 32, "width": 8, "blocks": 1},
+        **{"seeds": 1, "epochs": 1, "batch": 8, "points": 32, "width": 8, "blocks": 1},
         **{"resolution": 16, "score_points": 200, "views": 1},
     },
 }

@@ -102,6 +102,7 @@ TINY = {
     "recognize": {"seeds": 1, "epochs": 1, "fusion_epochs": 1, "batch": 8},
     "retrieve": {"seeds": 1, "epochs": 2, "batch": 8, "embedding": 16},
     "reconstruct": {
+        "seeds": 1,
         "epochs": 1,
         "batch": 8,
         "points": 64,
