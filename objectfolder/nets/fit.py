@@ -157,8 +157,10 @@ def in_parts(
         Mean loss of rows.
     size : int
         Rows of a part.
-    first, others : (N, ...) tensors
-        The batch, arguments of ``loss``.
+    first : (N, ...) tensor
+        Rows of the batch, the first argument of ``loss``.
+    *others : (N, ...) tensors
+        Its other arguments.
     """
     total = torch.zeros(())
     parts = list(zip(first.split(size), *(other.split(size) for other in others)))
