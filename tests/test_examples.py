@@ -16,7 +16,10 @@ from markdown_it import MarkdownIt
 from typer.main import get_command
 
 from objectfolder.cli import app
+from objectfolder.io import file_digest
 from objectfolder.mesh.raycast import RayCaster
+from objectfolder.objectfile.dataset import INDEX, IndexEntry
+from objectfolder.release.entries import index_text
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -68,9 +71,18 @@ def run(source, names):
 
 @pytest.fixture
 def workspace(brick_path, tmp_path, monkeypatch):
-    """A folder where build/mug/ObjectFile.safetensors is there: the brick."""
+    """A folder where build/mug/ObjectFile.safetensors and the bell of a release are there: the brick."""
     (tmp_path / "build" / "mug").mkdir(parents=True)
     (tmp_path / "build" / "mug" / "ObjectFile.safetensors").symlink_to(brick_path)
+    bell = IndexEntry(
+        **{"key": "bell", "path": "objects/bell.safetensors", "category": "household", "material": "steel"},
+        **{"size": 0.1, "split": "train", "modes": 12, "lowest_hz": None, "vision_psnr": None},
+        **{"gain_error": None, "touch_psnr": None, "bytes": brick_path.stat().st_size},
+        **{"sha256": file_digest(brick_path), "licence": "CC0-1.0", "source": ""},
+    )
+    (tmp_path / "kitchen" / "objects").mkdir(parents=True)
+    (tmp_path / "kitchen" / bell.path).symlink_to(brick_path)
+    (tmp_path / "kitchen" / INDEX).write_text(index_text([bell]))
     monkeypatch.chdir(tmp_path)
 
 
@@ -132,7 +144,7 @@ def command_lines():
     """In fences, to be parsed whole; in running text and help, of which only the options count."""
     for page in PAGES:
         for line, source in blocks(page, "bash", ""):
-            for row in source.splitlines():
+            for row in source.replace("\\\n", " ").splitlines():
                 if row.startswith("objectfolder "):
                     yield pytest.param(row, True, id=f"{page.name}:{line}: {row.split('  ')[0]}")
     for page in [*PAGES, *sorted((ROOT / "objectfolder" / "cli").glob("*.py"))]:

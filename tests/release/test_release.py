@@ -17,7 +17,6 @@ from objectfolder.objectfile.samples import sample_path
 from objectfolder.workspace import params
 from objectfolder.workspace.layout import Build
 
-pytest_plugins = ["own_workspace"]
 SCORES = {"vision": {"psnr": 41.23456789}, "audio": {"gain_error": 0.0025}, "touch": {"psnr": 57.0}}
 OPTIONS = ("--licence", "CC0-1.0", "--name", "Three things", "--creator", "A. Smith", "--date", "2026-11-24")
 

@@ -1,0 +1,1 @@
+from own_workspace import workspace  # noqa: F401
