@@ -65,7 +65,9 @@ NETS = {
         lambda net: net.images(POINTS),
     ),
     "spectrogram": (
-        lambda tmp: _vivid(SpectrogramNet(torch.tensor([400.0, 900.0]), -1.0, 1.0, 16, 2, 1, 3)),
+        lambda tmp: _vivid(
+            SpectrogramNet(torch.tensor([400.0, 900.0]), torch.tensor([[-1.0, 1.0]] * 3), 16, 2, 1, 3)
+        ),
         lambda net: net.spectrograms(torch.from_numpy(POINTS[:1])),
     ),
     "released_nerf": (

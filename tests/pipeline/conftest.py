@@ -57,6 +57,8 @@ TINY = {
             "steps": 150,
             "batch": 128,
             "learning_rate": 0.01,
+            "final_rate": 0.01,
+            "precision": "float32",
         },
     },
     "train_audio": {
@@ -81,6 +83,9 @@ TINY = {
             "steps": 40,
             "batch": 256,
             "learning_rate": 0.001,
+            "final_rate": 0.01,
+            "loud": 0.5,
+            "precision": "float32",
         },
     },
     "train_touch": {
@@ -94,6 +99,8 @@ TINY = {
             "steps": 60,
             "batch": 512,
             "learning_rate": 0.005,
+            "final_rate": 0.01,
+            "precision": "float32",
         },
     },
     "evaluate": {"impacts": 4},
