@@ -18,7 +18,9 @@ def file(brick, tmp_path_factory):
     """The brick with a net that answers something."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        net = SpectrogramNet(brick._parts.audio.damped_frequency, -1e-4, 2e-4, 16, 2, 2, 3)
+        net = SpectrogramNet(
+            brick._parts.audio.damped_frequency, torch.tensor([[-1e-4, 2e-4]] * 3), 16, 2, 2, 3
+        )
         for branch in net.branches:
             torch.nn.init.normal_(branch.output.weight, std=1.0)
     tensors, config = net.to_tensors()
