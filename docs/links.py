@@ -48,7 +48,7 @@ class References(HTMLParser):
 
 
 def wide_lines(folder: Path) -> list[str]:
-    """Return lines of code that are too long for their column, as "page: line"; modules' sources may scroll."""
+    """Return lines of code that are too long for their column, as "page: line"; sources of modules may be."""
     return [
         f"{path.relative_to(folder)}: {line}"
         for path in sorted(folder.rglob("*.html"))
