@@ -20,6 +20,8 @@ LISTENER = [[0.6, -0.6, 0.5]]
 
 
 def main(folder: Path | None) -> None:
+    if folder:
+        folder.mkdir(parents=True, exist_ok=True)
     figure = page(13, 8.5, "Radiation: two directivities (dB below the loudest), one strike before and after")
     upper, lower = page_rows(figure, 1, 1)
     for axes, (key, mode) in zip(upper.subplots(1, 2), MODES.items()):

@@ -49,6 +49,8 @@ def decibels(sound: np.ndarray) -> np.ndarray:
 
 
 def main(folder: Path | None) -> None:
+    if folder:
+        folder.mkdir(parents=True, exist_ok=True)
     figure = page(9.5, 6.6, "One strike: no air, a listener, and the click (70 dB below each peak)")
     rows = figure.subplots(3, 3, sharex=True, sharey=True)
     for axes, key in zip(rows, ("mug", "bell", "die")):

@@ -124,7 +124,7 @@ def measure(path: Path, contacts: int) -> dict[str, Any]:
     return {
         "object": file.key,
         **sounds(file, asked["strikes"], found["strikes"]),
-        "touch_db": touches(file, asked["touches"], found["touches"]),
+        **touches(file, asked["touches"], found["touches"]),
         "view_db": views(file, asked["views"], found["views"]),
         "strike_ms": median(took["strikes"][3:]),
         "touch_ms": median(took["touches"][2::2]),
@@ -157,19 +157,19 @@ def sounds(file: ObjectFile, asked: list[dict[str, Any]], answers: np.ndarray) -
     return {"sound": errors[False], "sound_cut": errors[True]}
 
 
-def touches(file: ObjectFile, asked: list[dict[str, Any]], answers: np.ndarray) -> float:
-    """Return the PSNR of the worst tactile image."""
+def touches(file: ObjectFile, asked: list[dict[str, Any]], answers: np.ndarray) -> dict[str, float]:
+    """Return the PSNR of the worst tactile image, and how many miss the target."""
     profile = file.sensor_profile
     rigid = replace(profile, gel="rigid")
     shape = profile.height, profile.width, 4
-    worst = np.inf
+    found = []
     for question, answer in zip(asked, answers.reshape(len(asked), *shape)):
         settings = question["settings"]
         sensor = rigid if settings["gel"] == "rigid" else None
         point = np.array([question["point"]]) * file.scale
         truth = file.touch(point, settings["depth"], settings["angle"], sensor=sensor)
-        worst = min(worst, psnr((answer[..., :3] - truth[0]) / 255))
-    return worst
+        found.append(psnr((answer[..., :3] - truth[0]) / 255))
+    return {"touch_db": min(found), "touches_below": sum(db < LEAST["touch_db"] for db in found)}
 
 
 def views(file: ObjectFile, asked: list[dict[str, Any]], answers: np.ndarray) -> float:
@@ -217,9 +217,9 @@ def main() -> None:
     failed = [text for row in rows for text in missed(row)]
     failed += [f"viewer.js {script:.1f} > {SCRIPT_KB} KB"] * (script > SCRIPT_KB)
     failed += [f"page {page:.1f} > {PAGE_KB} KB"] * (page > PAGE_KB)
-    write_record(
-        options.json, {"script_kb": script, "page_kb": page, "contacts": options.contacts, "rows": rows}
-    )
+    sizes = {"script_kb": script, "page_kb": page, "contacts": options.contacts}
+    targets = ", ".join(f"{TITLES[name]} {limit:g}" for name, limit in (MOST | LEAST).items())
+    write_record(options.json, sizes | {"rows": rows}, targets, failed)
     exit_with_verdict(failed, console)
 
 
