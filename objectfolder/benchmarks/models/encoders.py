@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from runpy import run_path
 from typing import Annotated
@@ -14,6 +15,7 @@ from torch import nn
 from objectfolder.audio.spectrogram import spectrogram
 from objectfolder.benchmarks.models.resnet import ResNet18
 from objectfolder.errors import ObjectFolderError
+from objectfolder.settings import Precision
 
 CHANNELS = {"vision": 3, "audio": 1, "touch": 3}  #: of `encoder_inputs`
 FLOOR = 80.0  #: range of spectrograms below their maximum, dB
@@ -32,6 +34,9 @@ class EncodeConfig:
     image: Annotated[int, Ge(8)]  #: side of the crop of a view, pixels
     spectrogram: tuple[int, int]  #: bins and frames; the paper's: 257, 201
     touch: tuple[int, int]  #: height and width, pixels; the paper's: 160, 120
+    subtract: bool  #: the median touch from touches, before recognition and retrieval (`Ground`)
+    shift: Annotated[int, Ge(0)]  #: pixels by which these touches are moved at most in training
+    precision: Precision  #: of training on a CPU; `objectfolder.benchmarks.models.training.train`
 
 
 def register_encoder(name: str) -> Callable[[Factory], Factory]:
@@ -49,6 +54,8 @@ def register_encoder(name: str) -> Callable[[Factory], Factory]:
 
 
 register_encoder("resnet18")(ResNet18)
+register_encoder("resnet18_half")(partial(ResNet18, width=1 / 2))
+register_encoder("resnet18_quarter")(partial(ResNet18, width=1 / 4))
 
 
 def own_file(name: str) -> Path | None:
@@ -267,3 +274,34 @@ def _pooled(x: torch.Tensor, size: tuple[int, int], name: str) -> torch.Tensor:
             f"{name} of {height} x {width} is smaller than the encoder's {size[0]} x {size[1]}"
         )
     return nn.functional.adaptive_avg_pool2d(x, size)
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What touches have in common: the sensor's picture without an object, and how far they are from it."""
+
+    median: torch.Tensor  #: (C, H, W), of each pixel
+    deviation: torch.Tensor  #: root mean square of the differences, a number; 1 if there is none
+
+    @classmethod
+    def of(cls, inputs: torch.Tensor) -> "Ground":
+        """Find the ground of encoder inputs of touches, (N, C, H, W).
+
+        In most touches a pixel sees no slope or one of either sign, so that its median is that of flat gel.
+        """
+        median = inputs.median(0).values
+        deviation = (inputs - median).square().mean().sqrt()
+        return cls(median, torch.where(deviation > 0, deviation, 1.0))
+
+    def subtracted(self, inputs: torch.Tensor) -> torch.Tensor:
+        """Return encoder inputs (B, C, H, W) as differences from the median, in deviations."""
+        return (inputs - self.median) / self.deviation
+
+
+def shifted(inputs: torch.Tensor, most: int, rng: np.random.Generator) -> torch.Tensor:
+    """Move each picture of (B, C, H, W) by up to so many pixels in each direction; its border is repeated."""
+    height, width = inputs.shape[2:]
+    padded = nn.functional.pad(inputs, (most,) * 4, mode="replicate")
+    windows = padded.unfold(2, height, 1).unfold(3, width, 1)
+    corner = torch.from_numpy(rng.integers(2 * most + 1, size=(2, len(inputs))))
+    return windows[torch.arange(len(inputs)), :, corner[0], corner[1]]

@@ -3,7 +3,7 @@
 import torch
 from torch import nn
 
-FEATURES = 512  #: numbers of a feature vector
+FEATURES = 512  #: numbers of a feature vector, at full width
 
 
 class Block(nn.Module):
@@ -38,25 +38,27 @@ class ResNet18(nn.Module):
     ----------
     channels : int
         Of the input.
+    width : float
+        Factor of the number of channels of every layer, and hence of ``features``.
     """
 
-    features = FEATURES
-
-    def __init__(self, channels: int = 3):
+    def __init__(self, channels: int = 3, width: float = 1.0):
         super().__init__()
-        self.conv1 = nn.Conv2d(channels, 64, 7, 2, 3, bias=False)
-        self.bn1 = nn.BatchNorm2d(64)
+        self.features = round(FEATURES * width)
+        a, b, c, d = (self.features // part for part in (8, 4, 2, 1))
+        self.conv1 = nn.Conv2d(channels, a, 7, 2, 3, bias=False)
+        self.bn1 = nn.BatchNorm2d(a)
         self.maxpool = nn.MaxPool2d(3, 2, 1)
-        self.layer1 = nn.Sequential(Block(64, 64, 1), Block(64, 64, 1))
-        self.layer2 = nn.Sequential(Block(64, 128, 2), Block(128, 128, 1))
-        self.layer3 = nn.Sequential(Block(128, 256, 2), Block(256, 256, 1))
-        self.layer4 = nn.Sequential(Block(256, 512, 2), Block(512, 512, 1))
+        self.layer1 = nn.Sequential(Block(a, a, 1), Block(a, a, 1))
+        self.layer2 = nn.Sequential(Block(a, b, 2), Block(b, b, 1))
+        self.layer3 = nn.Sequential(Block(b, c, 2), Block(c, c, 1))
+        self.layer4 = nn.Sequential(Block(c, d, 2), Block(d, d, 1))
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """(B, channels, H, W) -> (B, 512) features."""
+        """(B, channels, H, W) -> (B, features)."""
         x = self.maxpool(torch.relu(self.bn1(self.conv1(x))))
         x = self.layer4(self.layer3(self.layer2(self.layer1(x))))
         return x.mean((2, 3))

@@ -15,9 +15,10 @@ from torch import nn
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import atomic
-from objectfolder.settings import Count, NonNegative, Positive
+from objectfolder.settings import Count, NonNegative, Positive, Precision
 
 WARM_UP = 20  #: steps of linear learning rate warm-up
+RISE = 0.2  #: share of a cycle in which the learning rate rises
 STATISTICS = 8  #: batches to recompute batch normalization statistics from after each epoch
 FORMAT = "objectfolder benchmark training 1"  #: of a checkpoint
 REMOVE = "delete it to restart this training"
@@ -57,12 +58,14 @@ def train(
     learning_rate: float,
     weight_decay: float = 0.0,
     patience: int,
+    cycle: int | None = None,
+    precision: Precision = "float32",
     statistics: int = STATISTICS,
     checkpoint: Path | None = None,
     device: str | torch.device = "cpu",
     report: Callable[[EpochPoint], None] = lambda point: None,
 ) -> list[EpochPoint]:
-    """Train a net with AdamW, warm-up and cosine decay; restore its best epoch, in evaluation mode.
+    """Train a net with AdamW; restore its best epoch, in evaluation mode.
 
     The same arguments give the same net, whether or not the call was interrupted. To that end, all randomness
     must follow from the epoch number, not from a generator that persists over epochs.
@@ -74,7 +77,7 @@ def train(
     epoch_batches : callable
         Returns the batches of an epoch, counted from 1.
     batch_loss : callable
-        Returns the loss of a batch; under bfloat16 autocast on CUDA, in float32 elsewhere.
+        Returns the loss of a batch.
     val_score : callable
         Returns the validation score after each epoch, in evaluation mode and without gradients; higher is
         better.
@@ -84,6 +87,14 @@ def train(
         Peak rate.
     patience : int
         Epochs without a better score after which training stops.
+    cycle : int, optional
+        Steps of all epochs together. The rate then rises over the first fifth of them and falls as half a
+        cosine (Smith and Topin 2019); biases and parameters of normalizations do not decay. By default, the
+        rate rises over `WARM_UP` steps and falls as a cosine from epoch to epoch, and all parameters decay.
+    precision : {"float32", "bfloat16"}
+        "bfloat16": under autocast if the processor has instructions for it (`has_bfloat16`), with channels
+        last. Weights, optimizer, statistics of batch normalization and scores stay in float32. On CUDA,
+        training is always under this autocast.
     statistics : int
         Batches to recompute batch normalization statistics from after each epoch.
     checkpoint : Path, optional
@@ -102,12 +113,19 @@ def train(
     """
     device = torch.device(device)
     net.to(device)
-    optimizer = torch.optim.AdamW(net.parameters(), lr=learning_rate, weight_decay=weight_decay, fused=True)
+    if precision == "bfloat16":
+        net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    lower = device.type == "cuda" or (precision == "bfloat16" and has_bfloat16())
+    optimizer = torch.optim.AdamW(
+        _groups(net, weight_decay, spare=cycle is not None), lr=learning_rate, fused=True
+    )
     settings = {
         "epochs": epochs,
         "learning_rate": learning_rate,
         "weight_decay": weight_decay,
         "patience": patience,
+        "cycle": cycle,
+        "precision": precision,
     }
     norms = [module for module in net.modules() if isinstance(module, Norm)]
     curve: list[EpochPoint] = []
@@ -116,15 +134,18 @@ def train(
         curve, best, step = _resume(checkpoint, net, optimizer, settings)
     while len(curve) < epochs and len(curve) - _best_epoch(curve) < patience:
         epoch, start = len(curve) + 1, time.perf_counter()
-        decay = 0.5 * (1 + math.cos(math.pi * (epoch - 1) / epochs))
         net.train()
         losses = []
         for batch in epoch_batches(epoch):
             step += 1
+            if cycle is None:
+                rate = min(1, step / WARM_UP) * _fall((epoch - 1) / epochs)
+            else:
+                rate = one_cycle(step / cycle)
             for group in optimizer.param_groups:
-                group["lr"] = learning_rate * min(1, step / WARM_UP) * decay
+                group["lr"] = learning_rate * rate
             optimizer.zero_grad(set_to_none=True)
-            with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
+            with torch.autocast(device.type, torch.bfloat16, enabled=lower):
                 loss = batch_loss(batch)
             loss.backward()
             optimizer.step()
@@ -158,6 +179,34 @@ def train(
     net.load_state_dict(best)
     net.eval()
     return curve
+
+
+def one_cycle(done: float) -> float:
+    """Return the learning rate after a share of all steps, of its peak."""
+    return done / RISE if done < RISE else _fall((done - RISE) / (1 - RISE))
+
+
+def _fall(done: float) -> float:
+    return 0.5 * (1 + math.cos(math.pi * done))
+
+
+def has_bfloat16() -> bool:
+    """Return whether the processor multiplies matrices of bfloat16 by instructions of its own.
+
+    Others emulate it, more slowly than they compute in float32.
+    """
+    known = torch.cpu.get_capabilities()
+    return any(available for name, available in known.items() if name.endswith("bf16"))
+
+
+def _groups(net: nn.Module, weight_decay: float, spare: bool) -> list[dict[str, Any]]:
+    """Group the parameters of a net for the optimizer; ``spare`` vectors the weight decay."""
+    if not spare:
+        return [{"params": list(net.parameters()), "weight_decay": weight_decay}]
+    return [
+        {"params": [p for p in net.parameters() if p.ndim > 1], "weight_decay": weight_decay},
+        {"params": [p for p in net.parameters() if p.ndim <= 1], "weight_decay": 0.0},
+    ]
 
 
 def read_checkpoint(path: Path, form: str, settings: dict[str, Any]) -> dict[str, Any]:
@@ -211,10 +260,13 @@ def shuffled(rows: np.ndarray, batch: int, rng: np.random.Generator) -> Iterator
     A last batch of one row is merged into the one before, because batch normalization needs two.
     """
     order = rng.permutation(rows)
-    ends = list(range(batch, len(order), batch))
-    if ends and len(order) - ends[-1] == 1:
-        ends.pop()
-    yield from np.split(order, ends)
+    yield from np.split(order, [batch * i for i in range(1, batch_count(len(order), batch))])
+
+
+def batch_count(rows: int, batch: int) -> int:
+    """Return the number of batches of `shuffled` rows."""
+    whole, rest = divmod(rows, batch)
+    return max(1, whole + (rest > 1))
 
 
 def _best_epoch(curve: list[EpochPoint]) -> int:

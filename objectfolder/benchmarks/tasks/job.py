@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -11,10 +12,20 @@ from torch import nn
 
 from objectfolder.benchmarks.datasets.samples import Samples
 from objectfolder.benchmarks.datasets.splits import Split, without_duplicates
-from objectfolder.benchmarks.models.encoders import InputSizes, Weights, encoder_inputs, make_encoder
+from objectfolder.benchmarks.models.encoders import (
+    Ground,
+    InputSizes,
+    Weights,
+    encoder_inputs,
+    make_encoder,
+    shifted,
+)
 from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, TrainingConfig, train
 from objectfolder.io import read_json, write_json
+from objectfolder.settings import Precision
 from objectfolder.workspace.layout import SPLITS
+
+GROUND = 1000  #: training touches at most to find their `Ground` of
 
 _Params = TypeVar("_Params", bound=TrainingConfig)
 _Batch = TypeVar("_Batch")
@@ -36,6 +47,9 @@ class Job(Generic[_Params]):
     weights: Weights | None = None  #: initial weights of encoders; default: random
     device: str | torch.device = "cpu"
     report: Callable[[str], None] = lambda line: None
+    subtract: bool = False  #: the `ground` from touches
+    shift: int = 0  #: pixels by which touches are moved at most in training
+    precision: Precision = "float32"  #: of training
 
     def without_duplicates(self, modalities: Sequence[str]) -> tuple["Job[_Params]", dict[str, Any]]:
         """Drop validation and test rows that duplicate training rows.
@@ -59,8 +73,25 @@ class Job(Generic[_Params]):
         return make_encoder(self.encoder, modality, self.weights)
 
     def inputs(self, modality: str, rows: np.ndarray, rng: np.random.Generator | None = None) -> torch.Tensor:
-        """Return the encoder inputs of rows; see `objectfolder.benchmarks.models.encoders.encoder_inputs`."""
-        return encoder_inputs(modality, self.observations.read(modality, rows), self.sizes, rng, self.device)
+        """Return the encoder inputs of rows; see `objectfolder.benchmarks.models.encoders.encoder_inputs`.
+
+        With a generator they are those of training: cropped, and touches moved, at random.
+        """
+        raw = self.observations.read(modality, rows)
+        inputs = encoder_inputs(modality, raw, self.sizes, rng, self.device)
+        if modality == "touch" and self.subtract:
+            inputs = self.ground.subtracted(inputs)
+        if modality == "touch" and self.shift and rng is not None:
+            inputs = shifted(inputs, self.shift, rng)
+        return inputs
+
+    @cached_property
+    def ground(self) -> Ground:
+        """What touches have in common, from training rows alone."""
+        train = self.split.train
+        rows = train[:: -(-len(train) // GROUND)]
+        raw = self.observations.read("touch", rows)
+        return Ground.of(encoder_inputs("touch", raw, self.sizes, device=self.device))
 
     def labels(self, rows: np.ndarray) -> torch.Tensor:
         """Return the objects of rows as a tensor."""
@@ -77,6 +108,7 @@ class Job(Generic[_Params]):
         checkpoint: Path,
         epochs: int | None = None,
         rate: float = 1.0,
+        cycle: int | None = None,
         statistics: int = STATISTICS,
     ) -> list[EpochPoint]:
         """Train a net with the task's settings, and report each epoch.
@@ -85,7 +117,7 @@ class Job(Generic[_Params]):
         ----------
         title, score : str
             Names of the training and of its validation score, for reports.
-        net, epoch_batches, batch_loss, val_score, checkpoint, statistics
+        net, epoch_batches, batch_loss, val_score, checkpoint, cycle, statistics
             See `objectfolder.benchmarks.models.training.train`.
         epochs : int, optional
             Default: those of the settings.
@@ -110,6 +142,8 @@ class Job(Generic[_Params]):
             learning_rate=params.learning_rate * rate,
             weight_decay=params.weight_decay,
             patience=params.patience,
+            cycle=cycle,
+            precision=self.precision,
             statistics=statistics,
             checkpoint=checkpoint,
             device=self.device,

@@ -6,14 +6,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 import torch
+from annotated_types import Interval
 from torch import nn
 
 from objectfolder.benchmarks.datasets.observations import Observations
-from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig, shuffled
+from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig, batch_count, shuffled
 from objectfolder.benchmarks.scoring.scores import accuracy, interval_95
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.running import Task
@@ -36,6 +37,8 @@ class RecognizeConfig(TrainingConfig):
 
     seeds: Count  #: runs whose mean is the result
     fusion_epochs: Count  #: of several modalities together, after each was trained alone
+    schedule: Literal["cosine", "one_cycle"]  #: `objectfolder.benchmarks.models.training.train`
+    label_smoothing: Annotated[float, Interval(ge=0, lt=1)]
 
 
 class Classifier(nn.Module):
@@ -170,8 +173,9 @@ def _trained(job: Job[RecognizeConfig], run: int, name: str) -> tuple[Classifier
 
     def batch_loss(batch: tuple[Inputs, torch.Tensor]) -> torch.Tensor:
         inputs, expected = batch
-        return nn.functional.cross_entropy(net(inputs), expected)
+        return nn.functional.cross_entropy(net(inputs), expected, label_smoothing=params.label_smoothing)
 
+    steps = epochs * batch_count(len(split.train), params.batch)
     curve = job.train(
         f"recognize {name}, seed {run + 1} of {params.seeds}",
         net,
@@ -182,6 +186,7 @@ def _trained(job: Job[RecognizeConfig], run: int, name: str) -> tuple[Classifier
         _checkpoint(job, run, name),
         epochs,
         rate,
+        steps if params.schedule == "one_cycle" else None,
     )
     return net, curve
 

@@ -102,6 +102,9 @@ class SplitRun:
             self.weights,
             self.device or ("cuda" if torch.cuda.is_available() else "cpu"),
             report,
+            encode.subtract,
+            encode.shift,
+            encode.precision,
         )
 
     def description(self) -> dict[str, Any]:

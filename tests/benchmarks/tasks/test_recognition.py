@@ -20,7 +20,15 @@ from objectfolder.errors import ObjectFolderError
 
 SIZES = InputSizes(image=8, spectrogram=(16, 8), touch=(8, 8))
 PARAMS = SimpleNamespace(
-    seeds=2, epochs=3, fusion_epochs=1, batch=16, learning_rate=0.02, weight_decay=0.01, patience=3
+    seeds=2,
+    epochs=3,
+    fusion_epochs=1,
+    batch=16,
+    learning_rate=0.02,
+    weight_decay=0.01,
+    patience=3,
+    schedule="cosine",
+    label_smoothing=0.0,
 )
 
 
