@@ -27,7 +27,7 @@ from objectfolder.workspace.layout import Benchmarks
 ROOT = Path(__file__).parents[1]
 RECORDS = ROOT / "docs" / "results"
 PAGES = {name: ROOT / "docs" / f"{name}.md" for name in ("results", "faithful")}
-PRESETS = ("quick", "standard", "faithful", "faithful-small")
+PRESETS = ("quick", "laptop", "standard", "faithful", "faithful-small")
 EXEMPT = {
     "render_views": "renderer",
     "modal": "allow_uncertain",

@@ -32,7 +32,7 @@ PresetOption = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
-        help="quick, standard or paper: number of samples and length of training (params/NAME.yaml). "
+        help="quick, laptop, standard or faithful: samples and training (params/NAME.yaml). "
         "Default: the settings in params.yaml.",
     ),
 ]
@@ -54,8 +54,8 @@ EncoderOption = Annotated[
     str | None,
     typer.Option(
         metavar="NAME|FILE.py:NAME",
-        help="Encoder of views, spectrograms and touches: resnet18, or one registered by FILE.py "
-        "(docs/benchmarks.md).",
+        help="Encoder of views, spectrograms and touches: resnet18, resnet18_half, resnet18_quarter, or one "
+        "registered by FILE.py (docs/benchmarks.md).",
     ),
 ]
 WeightsOption = Annotated[

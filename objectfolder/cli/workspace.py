@@ -116,7 +116,7 @@ def build(
 
 def preset(
     name: Annotated[
-        str, typer.Argument(help="quick, standard, faithful or faithful-small (files in params/).")
+        str, typer.Argument(help="quick, laptop, standard, faithful or faithful-small (files in params/).")
     ],
 ) -> None:
     """Merge a preset into params.yaml: number of views, FEM resolution, training length and more."""

@@ -11,7 +11,15 @@ from objectfolder.workspace.check import check_all
 from objectfolder.workspace.params import TASKS, check_key, read, section_config, settings
 
 ROOT = Path(__file__).parents[2]
-ENCODE = {"encoder": "resnet18", "image": 56, "spectrogram": [64, 50], "touch": [64, 48]}
+ENCODE = {
+    "encoder": "resnet18",
+    "image": 56,
+    "spectrogram": [64, 50],
+    "touch": [64, 48],
+    "subtract": False,
+    "shift": 0,
+    "precision": "float32",
+}
 STABILITY = {
     "seeds": 1,
     "sizes": [100, 1000],
@@ -52,6 +60,8 @@ def test_a_task_gets_its_section_what_encoders_see_and_the_seed(values):
         ({"recognize": {"seeds": 0}}, "recognize: seeds"),
         ({"encode": {"image": 4}}, "encode: image"),
         ({"encode": {"touch": [40]}}, "encode: touch"),
+        ({"encode": {"precision": "float16"}}, "encode: precision"),
+        ({"recognize": {"label_smoothing": 1.0}}, "recognize: label_smoothing"),
         ({"reconstruct": {"wide": 3}}, "reconstruct: wide"),
         ({"benchmarks": {"retrieve": ["sen"]}}, "benchmarks: retrieve.0"),
         ({"benchmarks": {"recognize": ["unseen"]}}, "benchmarks: recognize.0"),

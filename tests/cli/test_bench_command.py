@@ -184,7 +184,7 @@ def test_what_is_wrong_is_said_before_any_work(files, workspace, tmp_path):
     assert "no Object Files in build" in refused("recognition")
     assert "give each object once" in refused("recognition", one, other, other)
     assert "expected seen or unseen" in refused("retrieval", files, "--split", "sen")
-    assert "expected one of faithful, faithful-small, quick, standard" in refused(
+    assert "expected one of faithful, faithful-small, laptop, quick, standard" in refused(
         "recognition", files, "--preset", "fast"
     )
     assert "nothing.pth does not exist" in refused("recognition", files, "--weights", "nothing.pth")

@@ -160,7 +160,7 @@ def test_preset_changes_sections_only(workspace):
     apply_preset("quick")
     assert params.read() == before
     with pytest.raises(
-        ObjectFolderError, match=r"no preset 'fast'.*faithful, faithful-small, quick, standard"
+        ObjectFolderError, match=r"no preset 'fast'.*faithful, faithful-small, laptop, quick, standard"
     ):
         apply_preset("fast")
 

@@ -190,7 +190,7 @@ def test_outputs_are_disjoint_and_inside_the_workspace():
     assert all(out.startswith(homes) for out in outs)
 
 
-@pytest.mark.parametrize("preset", ["quick", "standard", "faithful", "faithful-small"])
+@pytest.mark.parametrize("preset", ["quick", "laptop", "standard", "faithful", "faithful-small"])
 def test_presets_are_complete_and_valid(preset):
     values = params.read(ROOT / "params.yaml")
     sections = YAML(typ="safe").load((ROOT / "params" / f"{preset}.yaml").read_text())

@@ -171,6 +171,35 @@ def test_touches_are_normalised_and_averaged(rng):
     np.testing.assert_allclose(x, expected.transpose(0, 3, 1, 2), atol=1e-5)
 
 
+def test_the_ground_of_touches_is_the_sensors_picture_without_an_object(rng):
+    """Each of 41 touches covers a third of the picture, with slopes of either sign."""
+    background = torch.from_numpy(rng.standard_normal((3, 8, 9))).float()
+    touches = background.repeat(41, 1, 1, 1)
+    for i, touch in enumerate(touches):
+        touch[:, :, 3 * (i % 3) : 3 * (i % 3) + 3] += 2.0 * (-1) ** (i // 3)
+    ground = encoders.Ground.of(touches)
+    torch.testing.assert_close(ground.median, background)
+    assert ground.deviation.item() == pytest.approx((4 / 3) ** 0.5, rel=1e-5)
+    shown = ground.subtracted(touches)
+    assert shown[0, :, :, 3:].abs().max() < 1e-5
+    torch.testing.assert_close(shown[0, :, :, :3], torch.full((3, 8, 3), 3**0.5))
+    # Touches that are all alike stay finite.
+    assert not encoders.Ground.of(touches[:1].repeat(3, 1, 1, 1)).subtracted(touches[:1]).any()
+
+
+def test_shifted_pictures_move_by_whole_pixels_and_repeat_their_border():
+    row, column = torch.meshgrid(torch.arange(6.0), torch.arange(5.0), indexing="ij")
+    x = torch.stack([row, column]).repeat(300, 1, 1, 1)
+    moved = encoders.shifted(x, 2, np.random.default_rng(0))
+    steps = {tuple(int(n) for n in picture[:, 2, 2]) for picture in moved}
+    assert steps == {(2 + dy, 2 + dx) for dy in range(-2, 3) for dx in range(-2, 3)}
+    for picture in moved[:20]:
+        dy, dx = picture[:, 2, 2] - 2
+        torch.testing.assert_close(picture[0], (row + dy).clamp(0, 5))
+        torch.testing.assert_close(picture[1], (column + dx).clamp(0, 4))
+    assert torch.equal(moved, encoders.shifted(x, 2, np.random.default_rng(0)))
+
+
 @pytest.mark.parametrize("modality", ["vision", "audio", "touch"])
 def test_rows_do_not_depend_on_each_other(rng, modality):
     raw = {

@@ -38,6 +38,16 @@ def test_names_and_shapes_are_those_of_torchvision(channels):
     assert sum(p.numel() for p in net.parameters()) == count
 
 
+@pytest.mark.parametrize("width", [1 / 2, 1 / 4])
+def test_a_narrow_net_has_a_share_of_all_channels(width):
+    net, full = ResNet18(3, width), _table_1_of_he_et_al(3)
+    shapes = {name: tuple(value.shape) for name, value in net.state_dict().items()}
+    # All numbers of channels but the input's three are 64 or more; kernels are at most seven pixels wide.
+    expected = {name: tuple(int(n * width) if n >= 64 else n for n in shape) for name, shape in full.items()}
+    assert shapes == expected
+    assert net(torch.zeros(2, 3, 64, 48)).shape == (2, net.features) == (2, 512 * width)
+
+
 def test_each_stage_halves_the_picture():
     net, sizes = ResNet18(3), []
     for module in (net.conv1, net.maxpool, net.layer1, net.layer2, net.layer3, net.layer4):

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import nn
 
-from objectfolder.benchmarks.models.training import shuffled, train
+from objectfolder.benchmarks.models.training import batch_count, has_bfloat16, shuffled, train
 from objectfolder.errors import ObjectFolderError
 from objectfolder.seeding import numpy_generator, seeded
 
@@ -95,7 +95,9 @@ def test_best_epoch_is_kept_and_patience_ends_the_training(tmp_path):
     assert _state(net) == states[1]  # the first of equals
 
 
-def test_rate_warms_up_and_then_falls_as_a_cosine(monkeypatch):
+@pytest.fixture
+def rates(monkeypatch):
+    """Learning rates of the steps that are made."""
     rates = []
 
     class Recorder(torch.optim.AdamW):
@@ -104,12 +106,96 @@ def test_rate_warms_up_and_then_falls_as_a_cosine(monkeypatch):
             return super().step(closure)
 
     monkeypatch.setattr(torch.optim, "AdamW", Recorder)
+    return rates
+
+
+def test_rate_warms_up_and_then_falls_as_a_cosine(rates):
     net, functions, settings = _problem()
     train(net, *functions, **{**settings, "epochs": 10, "patience": 10})
     rates = np.reshape(rates, (10, 4))
     decay = [0.5 + 0.5 * math.cos(math.pi * epoch / 10) for epoch in range(10)]
     expected = 0.02 * np.outer(decay, np.ones(4)) * np.minimum(1, np.arange(1, 41) / 20).reshape(10, 4)
     np.testing.assert_allclose(rates, expected, rtol=1e-12)
+
+
+def test_one_cycle_rises_over_a_fifth_and_falls_to_nothing(rates):
+    net, functions, settings = _problem()
+    train(net, *functions, **{**settings, "epochs": 10, "patience": 10}, cycle=40)
+    assert len(rates) == 40
+    expected = [i / 8 if i < 8 else 0.5 + 0.5 * math.cos(math.pi * (i - 8) / 32) for i in range(1, 41)]
+    np.testing.assert_allclose(rates, 0.02 * np.array(expected), atol=1e-12)
+
+
+def test_only_weights_of_layers_decay_in_one_cycle():
+    """Without a gradient, the optimizer's only step is the decay."""
+    decayed = {}
+    for cycle in (None, 4):
+        net, (batches, _, score), settings = _problem()
+        before = {name: p.detach().clone() for name, p in net.named_parameters()}
+
+        def loss(rows, net=net):
+            return 0 * sum(p.sum() for p in net.parameters())
+
+        train(net, batches, loss, score, **{**settings, "epochs": 1}, weight_decay=0.5, cycle=cycle)
+        after = dict(net.named_parameters())
+        decayed[cycle] = {name for name, p in before.items() if not torch.equal(p, after[name])}
+    assert decayed == {
+        None: {"0.weight", "0.bias", "1.weight", "3.weight", "3.bias"},
+        4: {"0.weight", "3.weight"},
+    }
+
+
+@pytest.mark.parametrize("available", [True, False])
+def test_training_in_bfloat16_agrees_with_float32(monkeypatch, available):
+    """Where the processor lacks it, training is in float32, and equal but for channels last."""
+    monkeypatch.setattr("objectfolder.benchmarks.models.training.has_bfloat16", lambda: available)
+    rng = np.random.default_rng(0)
+    labels = torch.arange(96) % 3
+    x = 0.3 * torch.from_numpy(rng.standard_normal((96, 3, 12, 12))).float()
+    x[torch.arange(96), labels] += 1
+    nets, losses, kinds = {}, {}, {}
+    for precision in ("float32", "bfloat16"):
+        with seeded(0, "test"):
+            net = nn.Sequential(
+                *(nn.Conv2d(3, 8, 3, 2), nn.BatchNorm2d(8), nn.ReLU()),
+                *(nn.AdaptiveAvgPool2d(1), nn.Flatten(), nn.Linear(8, 3)),
+            )
+
+        def loss(rows, net=net, precision=precision):
+            answer = net(x[rows])
+            kinds.setdefault(precision, answer.dtype)
+            return nn.functional.cross_entropy(answer, labels[rows])
+
+        def batches(epoch):
+            return shuffled(np.arange(64), 16, numpy_generator(0, "test", str(epoch)))
+
+        def score(net=net):
+            answer = net(x[64:])
+            assert answer.dtype == torch.float32
+            return (answer.argmax(1) == labels[64:]).double().mean().item()
+
+        settings = {"epochs": 4, "learning_rate": 0.01, "patience": 4, "precision": precision}
+        curve = train(net, batches, loss, score, **settings)
+        assert all(value.dtype != torch.bfloat16 for value in net.state_dict().values())
+        nets[precision], losses[precision] = net, [point.train_loss for point in curve]
+        assert curve[-1].val_score > 0.9
+    assert kinds == {"float32": torch.float32, "bfloat16": torch.bfloat16 if available else torch.float32}
+    assert nets["bfloat16"][0].weight.is_contiguous(memory_format=torch.channels_last)
+    np.testing.assert_allclose(losses["bfloat16"], losses["float32"], rtol=0.02 if available else 1e-4)
+
+
+def test_processors_of_this_kind_are_recognised(monkeypatch):
+    for name in ("avx512_bf16", "amx_bf16"):
+        monkeypatch.setattr(torch.cpu, "get_capabilities", lambda name=name: {"avx2": True, name: True})
+        assert has_bfloat16()
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx2": True, "avx512_bf16": False})
+    assert not has_bfloat16()
+
+
+@pytest.mark.parametrize(("rows", "expected"), [(1, 1), (2, 1), (8, 1), (9, 1), (10, 2), (16, 2), (17, 2)])
+def test_batches_are_counted_as_they_are_made(rows, expected):
+    made = list(shuffled(np.arange(rows), 8, np.random.default_rng(0)))
+    assert len(made) == batch_count(rows, 8) == expected
 
 
 def test_statistics_of_batch_normalisation_forget_what_they_held_before():

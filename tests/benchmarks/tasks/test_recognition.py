@@ -120,6 +120,34 @@ def test_a_seeds_spread_gives_the_interval(tmp_path):
         assert scores[name]["interval_95"] == pytest.approx(12.7062 * abs(first - second) / 2, rel=1e-4)
 
 
+def test_touches_are_told_apart_by_what_differs_from_their_median(tmp_path):
+    """Objects differ by one grey level in 40, on a background that varies over the picture."""
+    table = Table(30)
+    background = np.random.default_rng(0).integers(40, 200, size=(8, 8, 3))
+    signs = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])[table.labels]
+    pictures = np.tile(background, (len(signs), 1, 1, 1))
+    pictures[:, :4, :, 0] += signs[:, :1, None]
+    pictures[:, 4:, :, 0] += signs[:, 1:, None]
+    pictures[..., 2] += np.random.default_rng(1).integers(3, size=(len(signs), 8, 8))  # no two are alike
+    table.arrays["touch"] = pictures.astype(np.uint8)
+    split = per_sample(table.keys, table.count)
+    changes = {"seeds": 1, "schedule": "one_cycle", "label_smoothing": 0.1, "epochs": 6, "patience": 6}
+    params = SimpleNamespace(**{**vars(PARAMS), **changes})
+    job = Job(table, split, params, "small", SIZES, 1, tmp_path, subtract=True, shift=1)
+    scores, curve = recognize(job)
+    assert scores["T"]["accuracy"] > 0.7
+    # Smoothed targets bound the loss: -0.925 log 0.925 - 3 * 0.025 log 0.025
+    assert min(row[3] for row in curve) > 0.348
+    other = Table(30)
+    other.arrays["touch"] = table.arrays["touch"].copy()
+    held = np.concatenate([split.val, split.test])
+    other.arrays["touch"][held] = 0
+    again = Job(other, split, params, "small", SIZES, 1, tmp_path, subtract=True)
+    torch.testing.assert_close(
+        again.ground.median, job.ground.median, rtol=0, atol=0
+    )  # of training rows only
+
+
 def test_nothing_is_learnt_of_shuffled_labels(tmp_path):
     """Rows that a net can remember one by one, but that say nothing about others."""
     table = Table(100)
