@@ -2,8 +2,8 @@
 
 A headless Chromium opens the page of each file from disk and answers strikes, touches and views. Sounds are
 compared with `ObjectFile.impact`, tactile images with `ObjectFile.touch`, and views with `ObjectFile.view`
-on the object's pixels. Times are those of the page's clock: run it on an idle machine. Needs node, Chromium
-and `npm ci` in viewer/. Exits with 1 if a target is missed.
+on the object's pixels. Times are those of the page's clock: run `--times` on an idle machine, which compares
+nothing and takes seconds. Needs node, Chromium and `npm ci` in viewer/. Exits with 1 if a target is missed.
 """
 
 import argparse
@@ -112,20 +112,23 @@ def psnr(difference: np.ndarray) -> float:
     return float(-10 * np.log10(max(np.mean(np.square(difference)), 1e-12)))
 
 
-def measure(path: Path, contacts: int) -> dict[str, Any]:
-    """Compare the page of one file with the library."""
+def measure(path: Path, contacts: int, compared: bool) -> dict[str, Any]:
+    """Time the page of one file and, if asked for, compare its answers with the library's."""
     file = ObjectFile.load(path)
     asked = questions(file, contacts)
+    if not compared:
+        asked["views"] = []
     with TemporaryDirectory() as folder:
         page = Path(folder) / "page.html"
         page.write_text(viewer_page({file.key: path.read_bytes()}))
         found = ask(page, asked, Path(folder))
     took, times = found["took"], found["times"]
-    return {
-        "object": file.key,
-        **sounds(file, asked["strikes"], found["strikes"]),
-        **touches(file, asked["touches"], found["touches"]),
-        "view_db": views(file, asked["views"], found["views"]),
+    row: dict[str, Any] = {"object": file.key}
+    if compared:
+        row |= sounds(file, asked["strikes"], found["strikes"])
+        row |= touches(file, asked["touches"], found["touches"])
+        row["view_db"] = views(file, asked["views"], found["views"])
+    return row | {
         "strike_ms": median(took["strikes"][3:]),
         "touch_ms": median(took["touches"][2::2]),
         "usable_s": times["shape"] / 1000,
@@ -191,8 +194,14 @@ def srgb(linear: np.ndarray) -> np.ndarray:
 def missed(row: dict[str, Any]) -> list[str]:
     """Return what misses its target, and by how much."""
     least = LEAST | {"view_db": LEAST_VIEW.get(row["object"], 36.0)}
-    found = [f"{TITLES[name]} {row[name]:.3g} > {most:g}" for name, most in MOST.items() if row[name] > most]
-    found += [f"{TITLES[name]} {row[name]:.1f} < {low:g}" for name, low in least.items() if row[name] < low]
+    found = [
+        f"{TITLES[name]} {row[name]:.3g} > {most:g}"
+        for name, most in MOST.items()
+        if row.get(name, most) > most
+    ]
+    found += [
+        f"{TITLES[name]} {row[name]:.1f} < {low:g}" for name, low in least.items() if row.get(name, low) < low
+    ]
     if row["complaints"]:
         found.append(f"{row['complaints']} errors or network requests")
     return [f"{row['object']}: {text}" for text in found]
@@ -204,13 +213,14 @@ def main() -> None:
     )
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE")
     parser.add_argument("--contacts", type=int, default=200)
+    parser.add_argument("--times", action="store_true", help="compare nothing")
     parser.add_argument("--json", type=Path)
     options = parsed(parser)
-    rows = [measure(path, options.contacts) for path in options.files]
+    rows = [measure(path, options.contacts, not options.times) for path in options.files]
     script, page = (len(text.encode()) / 1000 for text in (static_text("viewer.js"), viewer_page({})))
     table = Table("object", *TITLES.values())
     for row in rows:
-        table.add_row(row["object"], *(f"{row[name]:.3g}" for name in TITLES))
+        table.add_row(row["object"], *(f"{row[name]:.3g}" if name in row else "-" for name in TITLES))
     console = Console()
     console.print(table)
     console.print(f"viewer.js {script:.1f} KB; page without objects {page:.1f} KB")
