@@ -54,14 +54,27 @@ class SkipNetwork(nn.Module):
         return hidden.float() if lower else hidden
 
 
+class HiddenLinear(nn.Linear):
+    """A linear layer between hidden layers, which is trained in their precision (`train_in`)."""
+
+    precision: torch.dtype = torch.float32
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Evaluate the layer; (N, inputs) to (N, outputs)."""
+        if not self.training or self.precision == torch.float32:
+            return super().forward(x)
+        with torch.autocast(x.device.type, self.precision):
+            return super().forward(x).float()
+
+
 def train_in(net: nn.Module, precision: Precision) -> None:
-    """Set the precision in which the hidden layers of a net's `SkipNetwork` are trained.
+    """Set the precision in which a net's `SkipNetwork` and `HiddenLinear` layers are trained.
 
     Weights, gradients, the optimizer and the output layers stay float32. A processor with AVX-512 BF16
     multiplies matrices of bfloat16 four times as fast; one without takes longer than with float32.
     """
     for part in net.modules():
-        if isinstance(part, SkipNetwork):
+        if isinstance(part, SkipNetwork | HiddenLinear):
             part.precision = getattr(torch, precision)
 
 

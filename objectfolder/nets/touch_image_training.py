@@ -70,8 +70,8 @@ def train_image(
             config.pixel_octaves,
         )
         # Start from the mean colour, which is closer than grey.
-        mean = images.double().mean((0, 1, 2)) / 127.5 - 1
-        net.network.output.bias.data = mean.float()
+        mean = train["images"].mean((0, 1, 2), dtype=np.float64) / 127.5 - 1
+        net.network.output.bias.data = torch.from_numpy(mean).float()
     net = net.to(device)
     train_in(net, config.precision)
 

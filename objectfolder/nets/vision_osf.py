@@ -13,7 +13,7 @@ from torch import nn
 
 from objectfolder.mesh.grid import ascent
 from objectfolder.mesh.gridcodec import BOUND
-from objectfolder.nets.positional import SkipNetwork, encoded, with_half_weights
+from objectfolder.nets.positional import HiddenLinear, SkipNetwork, encoded, with_half_weights
 from objectfolder.vision.cameras import Intrinsics, camera_rays
 from objectfolder.vision.picture import Picture
 from objectfolder.vision.volume import Rays, resampled, stratified, visibility
@@ -49,7 +49,7 @@ class ScatteringFunction(nn.Module):
         self.octaves = (point_octaves, direction_octaves)
         self.trunk = SkipNetwork(3 * (1 + 2 * point_octaves), width, depth)
         self.density = nn.Linear(width, 1)
-        self.bottleneck = nn.Linear(width, width)
+        self.bottleneck = HiddenLinear(width, width)
         self.branch = SkipNetwork(width + 6 * (1 + 2 * direction_octaves), branch_width, branch_depth)
         self.fraction = nn.Linear(branch_width, 3)
         # Start dense everywhere: where the density is zero, its ReLU passes no gradient.
