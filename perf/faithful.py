@@ -36,6 +36,7 @@ NETS = {
 }
 PAPER = {"vision": 39.8, "audio": 53.6, "touch": 29.4}  #: dB (Table 2)
 PAPER_STEPS = 500_000  #: of preset faithful; the supplementary states none
+PAPER_BATCH = {"vision": 1024, "audio": 16384, "touch": 16384}  #: rays, bins and pixels of faithful's steps
 FAMILIES = ("paper", "default")
 ROWS = 2048  #: of a pass that is timed
 
@@ -46,7 +47,7 @@ def family_nets(family: str) -> dict[str, str]:
 
 
 def hours(folder: Path, sense: str, key: str) -> float:
-    """Return the hours that the last training of a net took on one thread, from its log."""
+    """Return the CPU hours that the training of a net took, from its log."""
     log = (folder / "build" / ".logs" / f"train_{sense}@{key}.log").read_text()
     return float(re.findall(r"([\d.]+) s$", log, re.MULTILINE)[-1]) / 3600
 
@@ -78,7 +79,9 @@ def curve(path: Path) -> list[list[float]]:
         return [[float(value) for value in row] for row in list(csv.reader(stream))[1:]]
 
 
-def rows_of(objects: dict[str, dict[str, Any]], steps: dict[str, int]) -> list[dict[str, Any]]:
+def rows_of(
+    objects: dict[str, dict[str, Any]], steps: dict[str, int], batch: dict[str, int]
+) -> list[dict[str, Any]]:
     """Return the table: a row for each sense and object, and for the mean over the objects that both have."""
     keys = [key for key in objects["paper"] if key in objects["default"]]
     rows = []
@@ -96,6 +99,8 @@ def rows_of(objects: dict[str, dict[str, Any]], steps: dict[str, int]) -> list[d
                     "trivial": paper["scores"][sense][trivial],
                     "steps": steps[sense],
                     "of_papers_steps": steps[sense] / PAPER_STEPS,
+                    "drawn": steps[sense] * batch[sense],
+                    "of_papers_drawn": steps[sense] * batch[sense] / (PAPER_STEPS * PAPER_BATCH[sense]),
                     "hours": paper["hours"][sense],
                     "default_hours": default["hours"][sense],
                 }
@@ -136,7 +141,10 @@ def draw(objects: dict[str, dict[str, Any]], path: Path) -> None:
         for key, found in objects.items():
             axes.plot(*zip(*[(row[0], row[2]) for row in found["curves"][sense]]), label=key)
         axes.set(
-            title=NETS[sense][0], xlabel="step", yscale="log", ylabel="validation loss" if place == 1 else ""
+            title=f"{sense}: {NETS[sense][0]}",
+            xlabel="step",
+            yscale="log",
+            ylabel="validation loss" if place == 1 else "",
         )
         axes.legend()
     save_page(sheet, path)
@@ -188,8 +196,11 @@ def main() -> None:
         workspace.edit(family_nets(family))
         objects[family] = trained(workspace, family, arguments.keys, arguments.jobs)
     values = workspace.params()
-    steps = {sense: values[f"train_{sense}"][NETS[sense][0]]["steps"] for sense in MODALITIES}
-    rows = rows_of(objects, steps)
+    steps, batch = (
+        {sense: values[f"train_{sense}"][NETS[sense][0]][name] for sense in MODALITIES}
+        for name in ("steps", "batch")
+    )
+    rows = rows_of(objects, steps, batch)
     show(rows, Console())
     if arguments.picture:
         draw(objects["paper"], arguments.picture)

@@ -28,12 +28,15 @@ def test_a_mean_over_objects_ends_each_sense_and_stands_beside_the_papers():
         "paper": {"mug": built(20.0, 600), "die": built(30.0, 1200), "bell": built(1.0, 1)},
         "default": {"mug": built(40.0, 6), "die": built(42.0, 6)},  # the bell failed: in no mean
     }
-    rows = faithful.rows_of(objects, {"vision": 5000, "audio": 50_000, "touch": 500_000})
+    steps = {"vision": 5000, "audio": 50_000, "touch": 500_000}
+    rows = faithful.rows_of(objects, steps, {"vision": 128, "audio": 2048, "touch": 16_384})
     assert [row["object"] for row in rows] == ["mug", "die", "mean"] * 3
     vision, audio, touch = (row for row in rows if row["object"] == "mean")
     assert (vision["paper_net"], vision["default_net"], vision["trivial"]) == (25, 41, 9)
     assert vision["hours"] == pytest.approx(0.25)
     assert [row["of_papers_steps"] for row in (vision, audio, touch)] == [0.01, 0.1, 1]
+    assert [row["of_papers_drawn"] for row in (vision, audio, touch)] == [0.01 / 8, 0.1 / 8, 1]
+    assert vision["drawn"] == 640_000
     assert [row["paper"] for row in (vision, audio, touch)] == [39.8, 53.6, 29.4]
 
 

@@ -22,7 +22,7 @@ class CurvePoint:
     step: int
     train_loss: float
     val_loss: float
-    seconds: float
+    seconds: float  #: of this process on the CPU, and of those that a checkpoint continues
 
 
 class Optimizer(Protocol):
@@ -87,7 +87,7 @@ def fit(
     curve: list[CurvePoint] = []
     warm_up = WARM_UP if final_rate < 1 else 1
     marks = {round((i + 1) * steps / evaluations) for i in range(evaluations)}
-    start, running, count, done = time.perf_counter(), 0.0, 0, 0
+    start, running, count, done = time.process_time(), 0.0, 0, 0
     found = checkpoint.load() if checkpoint else None
     if found and kept:
         tensors, numbers = found
@@ -109,7 +109,7 @@ def fit(
         running, count = running + loss.item(), count + 1
         if step in marks:
             with torch.no_grad():
-                point = CurvePoint(step, running / count, float(val_loss()), time.perf_counter() - start)
+                point = CurvePoint(step, running / count, float(val_loss()), time.process_time() - start)
             running, count = 0.0, 0
             curve.append(point)
             report(point)
@@ -125,7 +125,7 @@ def fit(
                     "best": best,
                     "running": running,
                     "count": count,
-                    "seconds": time.perf_counter() - start,
+                    "seconds": time.process_time() - start,
                     "curve": [astuple(point) for point in curve],
                 },
             )

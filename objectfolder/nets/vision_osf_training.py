@@ -18,7 +18,7 @@ from objectfolder.vision.cameras import Intrinsics, camera_rays
 from objectfolder.vision.color import on_white, shown_error
 from objectfolder.vision.volume import Rays
 
-VAL_RAYS = 1 << 11  #: rays in the validation loss
+VAL_RAYS = 1 << 10  #: rays in the validation loss
 _PART = 64  # rays whose activations are kept for a gradient; they hardly leave the cache
 
 

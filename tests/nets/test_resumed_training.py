@@ -13,7 +13,7 @@ from objectfolder.nets.audio_config import SpectrogramConfig
 from objectfolder.nets.audio_spectrogram_training import train_spectrogram
 from objectfolder.nets.checkpoint import Checkpoint, identity
 from objectfolder.nets.fit import fit, in_parts
-from objectfolder.nets.positional import PointwiseNetwork, train_in
+from objectfolder.nets.positional import HiddenLinear, PointwiseNetwork, train_in
 from objectfolder.nets.touch_config import ImageConfig
 from objectfolder.nets.touch_image_training import train_image
 from objectfolder.nets.vision_config import OsfConfig
@@ -150,6 +150,17 @@ def test_a_constant_rate_is_constant_from_the_first_step():
 
     fit(net, loss, lambda: 0.0, steps=60, learning_rate=5e-4, final_rate=1.0, optimizer=adam)
     assert rates == [5e-4] * 60
+
+
+def test_a_layer_between_hidden_layers_is_trained_in_their_precision_and_answers_in_float32():
+    torch.manual_seed(0)
+    layer, x = HiddenLinear(64, 32), torch.randn(200, 64)
+    exact = layer(x)
+    train_in(layer, "bfloat16")
+    trained = layer.train()(x)
+    assert trained.dtype == torch.float32
+    assert 1e-4 < (trained - exact).norm() / exact.norm() < 0.01
+    assert torch.equal(layer.eval()(x), exact)
 
 
 def test_bfloat16_gives_nearly_the_gradients_of_float32_and_the_same_answers():
