@@ -15,3 +15,5 @@ with suppress(ModuleNotFoundError):  # rigid bodies and hulls do without it
     )
     gymnasium.register(id="ObjectFolder/Reach-v0", entry_point="objectfolder.envs.reach:ReachEnv")
     gymnasium.register(id="ObjectFolder/Drop-v0", entry_point="objectfolder.envs.drop:DropEnv")
+    gymnasium.register(id="ObjectFolder/Tap-v0", entry_point="objectfolder.envs.tap:TapEnv")
+    gymnasium.register(id="ObjectFolder/Explore-v0", entry_point="objectfolder.envs.explore:ExploreEnv")

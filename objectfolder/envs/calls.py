@@ -29,6 +29,20 @@ def finite_actions(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
     return values
 
 
+def discrete_action(action: Any, count: int) -> int:
+    """Return the number of an action.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it is no whole number below ``count``.
+    """
+    values = np.asarray(action)
+    if values.shape != () or values.dtype.kind not in "iu" or not 0 <= values < count:
+        raise ObjectFolderError(f"action is {quoted(action)}, expected a whole number from 0 to {count - 1}")
+    return int(values)
+
+
 def no_options(options: dict[str, Any] | None) -> None:
     """Raise ObjectFolderError if a reset has options, of which the environments have none."""
     if options:

@@ -1,27 +1,91 @@
-"""A small net that names what fell by its sound: the trained baseline of ``ObjectFolder/Drop-v0``."""
+"""A small net that names what fell by its sound: the trained baseline of ``ObjectFolder/Drop-v0``.
+
+What tells a material from another, whatever the object's size, is the loss factor: how fast modes decay for
+their frequency. So the net hears how loud each band is, and the loss factors with which it fades.
+"""
 
 import numpy as np
 import torch
 
-WINDOW, HOP = 1024, 512  #: samples
+from objectfolder.errors import ObjectFolderError
+
+WINDOW, HOP = 1024, 256  #: samples
 BANDS = 48  #: of equal width on a logarithmic axis
 LOWEST = 200.0  #: Hz
-QUIETEST = 1e-7  #: sound power below which all is silence, Pa²
+QUIETEST = 4e-10  #: sound power below which all is silence, the threshold of hearing, Pa²
+LAG = 4  #: frames over which a band fades
+FADING = 100.0  #: times the threshold of hearing, from which a band is heard to fade
+LOSSES = (10**-4.5, 1.0)  #: range of loss factors in histograms
+BINS, GROUPS = 40, 8  #: of loss factors, on a logarithmic axis; and of bands, each with a histogram
+QUARTILES = (0.25, 0.5, 0.75)
+UNKNOWN = -2.5  #: decimal logarithm of the loss factor of bands that are not heard to fade
+EXTREME = 5.0  #: standard deviations, at which features are clipped
 WIDTH = 192  #: of the hidden layers
 
 
 def features(sounds: np.ndarray, sample_rate: float) -> np.ndarray:
-    """Return logarithms of the power in bands over time; sounds (N, S), Pa -> (N, T, BANDS) float32."""
+    """Return what an ear notices of sounds (N, S), Pa; (N, F) float32.
+
+    For each of the `BANDS`: mean and maximum over time of its power, Pa², as decimal logarithm; the centre of
+    its power, relative to the band's; whether it is heard to fade, and the quartiles of its loss factors,
+    as decimal logarithms. Then histograms of loss factors, in each of the `GROUPS` of bands and in all.
+
+    A band of frequency f whose power falls from P to Q in a time t has the loss factor
+    ln(P / Q) / (2 pi f t).
+
+    Raises
+    ------
+    ObjectFolderError
+        If sounds are shorter than the fading of one band.
+    """
     wave = torch.from_numpy(np.atleast_2d(sounds)).float()
+    least = WINDOW + LAG * HOP
+    if wave.shape[1] < least:
+        raise ObjectFolderError(f"sounds have {wave.shape[1]} samples, expected at least {least}")
     window = torch.hann_window(WINDOW)
-    power = torch.stft(wave, WINDOW, HOP, window=window, center=False, return_complex=True).abs() ** 2
+    spectra = torch.stft(wave, WINDOW, HOP, window=window, center=False, return_complex=True)
+    inside, hertz = _bands(sample_rate)
+    power = spectra.abs() ** 2 / (WINDOW**2 / 4)
+    bands = inside @ power  # (N, BANDS, T)
+    total = bands.sum(2)
+    own = (inside * hertz).sum(1) / inside.sum(1)
+    centre = torch.where(total > 0, ((inside * hertz) @ power).sum(2) / total.clip(1e-30), own)
+    before, after = bands[..., :-LAG], bands[..., LAG:]
+    fades = (before > FADING * QUIETEST) & (after > 0.1 * FADING * QUIETEST) & (after < before)
+    rate = torch.log(before.clip(1e-30) / after.clip(1e-30)) * (sample_rate / (LAG * HOP))
+    loss = torch.log10((rate / (2 * np.pi * centre[..., None])).clip(*LOSSES))
+    quartiles = torch.where(fades, loss, torch.nan).nanquantile(torch.tensor(QUARTILES), 2).movedim(0, 2)
+    known = fades.any(2)
+    level = torch.log10(bands + QUIETEST)
+    parts = [
+        level.mean(2),
+        level.amax(2),
+        centre / own,
+        known.float(),
+        torch.where(known[..., None], quartiles, UNKNOWN).flatten(1),
+        _histograms(loss, torch.where(fades, torch.log10(before / (0.1 * FADING * QUIETEST)), 0.0)),
+    ]
+    return torch.cat(parts, 1).numpy()
+
+
+def _bands(sample_rate: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return which frequencies are in which band (BANDS, F), 0 or 1, and the frequencies (F,), Hz."""
     edges = np.geomspace(LOWEST, sample_rate / 2, BANDS + 1)
     hertz = np.arange(WINDOW // 2 + 1) * sample_rate / WINDOW
     inside = (hertz >= edges[:-1, None]) & (hertz < edges[1:, None])
     nearest = abs(hertz - np.sqrt(edges[1:] * edges[:-1])[:, None]).argmin(1)
     inside[np.arange(BANDS), nearest] = True  # the lowest bands are narrower than a bin
-    bands = torch.from_numpy(inside.astype(np.float32)) @ power / (WINDOW**2 / 4)
-    return torch.log10(bands + QUIETEST).transpose(1, 2).numpy()
+    return torch.from_numpy(inside.astype(np.float32)), torch.from_numpy(hertz).float()
+
+
+def _histograms(loss: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
+    """Return shares (N, (GROUPS + 1) BINS) of weights (N, BANDS, T) at logarithms of loss factors."""
+    low, high = np.log10(LOSSES)
+    places = ((loss - low) / (high - low) * BINS).long().clip(0, BINS - 1)
+    found = torch.zeros(*loss.shape[:2], BINS).scatter_add_(2, places, weight)
+    groups = found.reshape(len(found), GROUPS, BANDS // GROUPS, BINS).sum(2)
+    groups = torch.cat([groups, groups.sum(1, keepdim=True)], 1)
+    return (groups / (groups.sum(2, keepdim=True) + 5)).flatten(1)
 
 
 class Ear:
@@ -29,7 +93,7 @@ class Ear:
 
     Parameters
     ----------
-    heard : (N, T, BANDS) array
+    heard : (N, F) array
         See `features`.
     answers : (N, 2) int array
         Numbers of objects and materials.
@@ -41,9 +105,9 @@ class Ear:
     """
 
     def __init__(
-        self, heard: np.ndarray, answers: np.ndarray, kinds: tuple[int, int], epochs: int = 60, seed: int = 0
+        self, heard: np.ndarray, answers: np.ndarray, kinds: tuple[int, int], epochs: int = 50, seed: int = 0
     ):
-        self._kinds, self._mean, self._std = kinds, heard.mean((0, 1)), heard.std((0, 1)) + 1e-6
+        self._kinds, self._mean, self._std = kinds, heard.mean(0), heard.std(0) + 1e-4
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             x, y = self._scaled(heard), torch.from_numpy(np.asarray(answers)).long()
@@ -72,4 +136,4 @@ class Ear:
         )
 
     def _scaled(self, heard: np.ndarray) -> torch.Tensor:
-        return torch.from_numpy((heard - self._mean) / self._std).float().flatten(1)
+        return torch.from_numpy(((heard - self._mean) / self._std).clip(-EXTREME, EXTREME)).float()
