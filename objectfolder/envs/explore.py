@@ -26,7 +26,7 @@ PRICE = 0.05  #: of a touch
 
 
 @dataclass(frozen=True)
-class Felt:
+class Probed:
     """What touches of one object give, before the noise of the hand."""
 
     images: np.ndarray  #: (N, H, W, 3) uint8; untouched ones where the gel meets nothing
@@ -139,7 +139,7 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
             self._standing = {}
         return observation, -PRICE, False, cut, info
 
-    def feel(self, kind: int, scale: float, yaw: float, places: "Sequence[int] | np.ndarray") -> Felt:
+    def feel(self, kind: int, scale: float, yaw: float, places: "Sequence[int] | np.ndarray") -> Probed:
         """Touch an object of a size (m) and yaw (radians) at places (N,), the numbers of actions."""
         file, rows = self.files[kind], np.asarray(places)
         azimuth, height = self._direction(rows)
@@ -161,7 +161,7 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
             caster, profile = file.surface.caster, self._profile
             pressed = press(caster, points, outward[near], angle, depth, profile, scale)
             images[near] = self._optics.render(torch.from_numpy(pressed.displacement)).numpy()
-        return Felt(images, np.where(touched, self._reach - distance, 0.0), touched)
+        return Probed(images, np.where(touched, self._reach - distance, 0.0), touched)
 
     def _direction(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the directions (N, 3) from which the gel comes, world frame, and its heights (N,), m."""
