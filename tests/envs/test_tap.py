@@ -111,7 +111,7 @@ def test_an_ear_learns_to_tell_the_odd_one(rng):
     stuff[np.arange(140), odd] = 1
     heard = rng.normal(size=(140, 3, 4, 5)).astype(np.float32)
     heard[..., 2] += 3 * stuff[:, :, None]
-    ear = OddEar(heard[:100], odd[:100], stuff[:100], epochs=15)
+    ear = OddEar(heard[:100], odd[:100], stuff[:100], epochs=10)
     right, sure = [], []
     for taps in (1, 4):
         found = np.stack([ear([of[:taps] for of in row]) for row in heard[100:]])
