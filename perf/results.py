@@ -43,7 +43,10 @@ BETTER = {
 }
 #: Objects by which `slope_smoothing` of tacto_digit was chosen (docs/sensors.md), left out of its means.
 FITTED = ("ycb_mug", "ycb_power_drill", "polyhaven_teapot", "ycb_wood_block")
-COMMANDS = {"recognize": "recognition", "retrieve": "retrieval", "reconstruct": "reconstruction"}
+COMMANDS = {
+    **{"recognize": "recognition", "materials": "recognition --label material"},
+    **{"retrieve": "retrieval", "reconstruct": "reconstruction"},
+}
 #: Tasks on single objects: command, table, section of the parameters, policy trained with every seed.
 SINGLE_OBJECT = {
     "grasp_policy": ("grasping", tables.grasping_table, "grasp_policy", "touch"),

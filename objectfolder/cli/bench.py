@@ -1,5 +1,6 @@
 """Commands that run the benchmark tasks on Object Files, without the pipeline: bench."""
 
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,6 +21,14 @@ bench_app = typer.Typer(
     "Random views, impacts and touches of each Object File are sampled first and kept in OUT/observations, "
     "grasps in OUT/grasps; later tasks reuse them. Interrupted commands resume when repeated.",
 )
+
+
+class Label(StrEnum):
+    """What `recognition` recognizes."""
+
+    object = "object"
+    material = "material"
+
 
 FilesArgument = Annotated[
     list[Path] | None,
@@ -81,34 +90,42 @@ DeviceOption = Annotated[
 @bench_app.command()
 def recognition(
     files: FilesArgument = None,
+    label: Annotated[
+        Label, typer.Option(help="What is recognized: the object, or its material, also of unseen objects.")
+    ] = Label.object,
     preset: PresetOption = None,
     out: OutOption = None,
+    split: SplitOption = None,
     seeds: SeedsOption = None,
     encoder: EncoderOption = None,
     weights: WeightsOption = None,
     threads: ThreadsOption = None,
     device: DeviceOption = None,
 ) -> None:
-    """Recognize an object from a view, an impact sound, a touch, or any combination.
+    """Recognize an object, or its material, from a view, an impact sound, a touch, or any combination.
 
-    Accuracy on held-out observations with its 95 % interval over seeds, next to chance and the paper's.
+    Accuracy on held-out observations with its 95 % interval over seeds, next to chance and published figures;
+    also of several touches together. The figure OUT/recognize_seen.png shows what is taken for what.
 
     `objectfolder bench recognition --preset quick`
+
+    `objectfolder bench recognition --preset laptop --label material --split unseen`
     """
     from objectfolder.benchmarks.run import BenchmarkOptions
-    from objectfolder.benchmarks.tasks.recognition import RECOGNIZE
+    from objectfolder.benchmarks.tasks.recognition import MATERIALS, RECOGNIZE
 
     options = BenchmarkOptions(
         files=files,
         preset=preset,
         out=out,
+        splits=split,
         seeds=seeds,
         encoder=encoder,
         weights=weights,
         threads=threads,
         device=device,
     )
-    run_on_splits(RECOGNIZE, options)
+    run_on_splits(MATERIALS if label is Label.material else RECOGNIZE, options)
 
 
 @bench_app.command()

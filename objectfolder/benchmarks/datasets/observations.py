@@ -1,8 +1,8 @@
 """Observations of several objects as one memory-mapped table.
 
 `objectfolder.benchmarks.datasets.sampling` writes one folder per object: ``vision.npy``, ``audio.npy``,
-``touch.npy``, ``queries.npz``, the Object File, and finally ``observations.json``, which marks the folder as
-complete.
+``touch.npy``, ``queries.npz``, ``relief.npy``, the Object File, and finally ``observations.json``, which
+marks the folder as complete.
 """
 
 from collections.abc import Iterable, Mapping
@@ -11,7 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.benchmarks.datasets.samples import Samples, array_path, check_equal_shapes, map_array
+from objectfolder.benchmarks.datasets.samples import (
+    Samples,
+    array_path,
+    check_equal_shapes,
+    gather_rows,
+    map_array,
+)
 from objectfolder.benchmarks.datasets.splits import label_order
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_json, read_npz
@@ -20,6 +26,7 @@ from objectfolder.workspace.layout import MODALITIES
 VERSION = 1  #: of the sampling procedure and the format; other versions are refused
 RECORD = "observations.json"
 QUERIES = "queries.npz"
+RELIEF = "relief.npy"  #: of the surface under each touch
 SOURCE = "ObjectFile.safetensors"  #: the observed Object File; reconstruction reads its surface
 
 
@@ -88,6 +95,22 @@ class Observations(Samples):
     def queries(self, key: str) -> dict[str, np.ndarray]:
         """Return an object's queries; see `objectfolder.benchmarks.datasets.sampling.draw_queries`."""
         return read_npz(self._folders[key] / QUERIES)
+
+    def relief(self, rows: np.ndarray) -> np.ndarray:
+        """Return the relief under the touches of rows, metres; (B,) float64.
+
+        See `objectfolder.benchmarks.datasets.relief.surface_relief`.
+
+        Raises
+        ------
+        ObjectFolderError
+            If it is missing, as in observations of earlier versions.
+        """
+        whole = [
+            map_array(key, folder / RELIEF, "sample the object again")
+            for key, folder in self._folders.items()
+        ]
+        return gather_rows(whole, rows)
 
     def object_file(self, key: str) -> Path:
         """Return the path of the observed Object File."""

@@ -12,7 +12,8 @@ import numpy as np
 from annotated_types import Ge, MultipleOf
 
 from objectfolder.audio.spectrogram import DURATION, SAMPLE_RATE
-from objectfolder.benchmarks.datasets.observations import QUERIES, RECORD, SOURCE, VERSION
+from objectfolder.benchmarks.datasets.observations import QUERIES, RECORD, RELIEF, SOURCE, VERSION
+from objectfolder.benchmarks.datasets.relief import surface_relief
 from objectfolder.benchmarks.datasets.samples import array_path, object_digest
 from objectfolder.benchmarks.datasets.splits import TEN, check_count
 from objectfolder.disk import enough_space
@@ -68,8 +69,8 @@ def sample_observations(
     seed : int
     folder : path
         Of this object alone. Receives ``vision.npy``, ``audio.npy`` and ``touch.npy``, each with a ``.json``
-        that identifies it; ``queries.npz``, see `draw_queries`; the Object File; and finally
-        ``observations.json``.
+        that identifies it; ``queries.npz``, see `draw_queries`; ``relief.npy``, the `surface_relief` under
+        each touch; the Object File; and finally ``observations.json``.
     report : callable
         Called with a modality and the number of its observations written so far.
 
@@ -101,6 +102,8 @@ def sample_observations(
     hint = ", or sample fewer or smaller observations; complete modalities are kept"
     with enough_space(f"{file.key}: observations", folder, needed, hint):
         write_npz(folder / QUERIES, **queries)
+        with atomic(folder / RELIEF) as temporary, temporary.open("wb") as stream:
+            np.save(stream, surface_relief(file.surface, queries["touch_point"], file.scale))
         file.save(folder / SOURCE)
         for modality in missing:
             array = _write(file, queries, modality, shapes[modality], folder, report)
@@ -127,7 +130,7 @@ def observation_request(file: ObjectFile, count: int, resolution: int, seed: int
 
 def is_sampled(request: dict[str, Any], folder: Path) -> bool:
     """Return whether a folder holds all observations of an `observation_request`."""
-    if not all((folder / name).is_file() for name in (QUERIES, SOURCE)):
+    if not all((folder / name).is_file() for name in (QUERIES, RELIEF, SOURCE)):
         return False
     arrays = {modality: _written(folder, modality, request) for modality in MODALITIES}
     return all(arrays.values()) and _stored(folder / RECORD) == request | {"arrays": arrays}

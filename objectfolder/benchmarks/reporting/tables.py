@@ -6,6 +6,8 @@ from typing import Any
 
 #: Accuracy over 100 objects, %.
 PAPER_RECOGNITION = {"V": 94.8, "A": 98.3, "T": 72.4, "VA": 99.5, "VT": 97.2, "AT": 99.0, "VAT": 99.8}
+#: Accuracy over 1,000 objects, %, of the ObjectFolder Benchmark (Gao et al., CVPR 2023).
+PAPER_MATERIALS = {"V": 92.3, "A": 95.8, "T": 75.9, "VAT": 96.6}
 #: Mean average precision, theirs and that of their CCA; seen objects.
 PAPER_RETRIEVAL = {
     "V->A": (0.90, 0.57),
@@ -87,13 +89,14 @@ def score_table(task: str, split: str, scores: Mapping[str, Any]) -> Table:
     Parameters
     ----------
     task : str
-        One of `objectfolder.workspace.params.TASKS`.
+        One of `objectfolder.workspace.params.TASKS`, or ``materials``.
     split : str
     scores : mapping
         Contents of the task's result file.
     """
     layouts: dict[str, Callable[[str, Mapping[str, Any]], Table]] = {
         "recognize": _recognition,
+        "materials": _materials,
         "retrieve": _retrieval,
         "reconstruct": _reconstruction,
         "grasp_stability": _stability,
@@ -158,18 +161,62 @@ def _rate(share: Mapping[str, Any]) -> str:
 
 
 def _recognition(split: str, scores: Mapping[str, Any]) -> Table:
-    rows = []
-    for modalities, paper in PAPER_RECOGNITION.items():
-        if modalities in scores:
-            score = scores[modalities]
-            seeds = " ".join(f"{100 * value:.1f}" for value in score["seeds"])
-            rows.append((modalities, _percent(score), seeds, f"{paper:.1f}"))
-    rows.append(("chance", f"{100 * scores['chance']['majority']:.1f}", "", "1.0"))
+    rows = _modalities(scores, PAPER_RECOGNITION)
     return Table(
         f"Instance recognition, {scores['objects']} objects: accuracy in %",
-        ("modalities", "accuracy", "each seed", "paper, 100 objects"),
+        ("modalities", "accuracy", "bound", "each seed", "paper, 100 objects"),
+        [*rows, ("chance", f"{100 * scores['chance']['majority']:.1f}", "", "", "1.0")],
+        _note(scores) + _touches_note(scores),
+    )
+
+
+def _materials(split: str, scores: Mapping[str, Any]) -> Table:
+    rows = _modalities(scores, PAPER_MATERIALS)
+    chance = {"commonest material": "majority", "chance": "uniform"}
+    rows += [(name, f"{100 * scores['chance'][kind]:.1f}", "", "", "-") for name, kind in chance.items()]
+    absent = ", ".join(scores["left_out"])
+    return Table(
+        f"Classification of {len(scores['materials'])} materials, {scores['objects']} objects, {split}: "
+        "accuracy in %",
+        ("modalities", "accuracy", "bound", "each seed", "ObjectFolder Benchmark, 1,000 objects"),
         rows,
-        _note(scores),
+        _note(scores)
+        + _touches_note(scores)
+        + (f" Left out, since no object for training is of it: {absent}." if absent else ""),
+    )
+
+
+def _modalities(scores: Mapping[str, Any], published: Mapping[str, float]) -> list[tuple[str, ...]]:
+    """Rows of combinations of modalities, and of several touches together."""
+    rows: list[tuple[str, ...]] = []
+    for modalities in PAPER_RECOGNITION:
+        if modalities in scores:
+            figure = f"{published[modalities]:.1f}" if modalities in published else "-"
+            rows.append((modalities, *_seeds(scores[modalities]), figure))
+    for kind, name in (("touches", "T"), ("touches_not_flat", "T, not flat")):
+        for size, score in scores.get(kind, {}).items():
+            together = name if size == "1" else f"{name}, {size} together"
+            if together == "T":
+                of_one = rows.index(next(row for row in rows if row[0] == "T"))
+                rows[of_one] = ("T", *_seeds(scores["T"] | {"bound": score["bound"]}), rows[of_one][-1])
+            else:
+                rows.append((together, *_seeds(score), "-"))
+    return rows
+
+
+def _seeds(score: Mapping[str, Any]) -> tuple[str, ...]:
+    """Cells of an accuracy, its bound, and the accuracy of each seed."""
+    bound = f"{100 * score['bound']:.1f}" if "bound" in score else ""
+    return _percent(score), bound, " ".join(f"{100 * value:.1f}" for value in score["seeds"])
+
+
+def _touches_note(scores: Mapping[str, Any]) -> str:
+    if "flat" not in scores:
+        return ""
+    return (
+        f" Of the test touches {100 * scores['flat']:.0f} % are on flat ground, which tells nothing; bound: "
+        "all others are answered correctly. Together: by the mean log probability of random test "
+        "touches of an object."
     )
 
 

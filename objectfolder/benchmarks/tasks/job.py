@@ -93,10 +93,6 @@ class Job(Generic[_Params]):
         raw = self.observations.read("touch", rows)
         return Ground.of(encoder_inputs("touch", raw, self.sizes, device=self.device))
 
-    def labels(self, rows: np.ndarray) -> torch.Tensor:
-        """Return the objects of rows as a tensor."""
-        return torch.from_numpy(self.observations.labels[rows]).to(self.device)
-
     def train(
         self,
         title: str,

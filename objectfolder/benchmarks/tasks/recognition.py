@@ -1,9 +1,12 @@
-"""Instance recognition from a view, a sound, a touch, and all of their combinations (supplementary I.1)."""
+"""Recognition of objects and materials from a view, a sound, a touch, and all of their combinations.
+
+Objects: supplementary I.1. Materials: another label of the same observations.
+"""
 
 import copy
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
@@ -15,7 +18,9 @@ from torch import nn
 
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig, batch_count, shuffled
+from objectfolder.benchmarks.reporting.confusion import draw_confusion
 from objectfolder.benchmarks.scoring.scores import accuracy, interval_95
+from objectfolder.benchmarks.scoring.together import accuracy_together, bound_together
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.running import Task
 from objectfolder.errors import ObjectFolderError
@@ -26,6 +31,9 @@ LETTERS = {"V": "vision", "A": "audio", "T": "touch"}
 #: V, A, T, VA, VT, AT, VAT: input modalities; the rows of the main paper's Table 2.
 COMBINATIONS = tuple("".join(letters) for size in (1, 2, 3) for letters in combinations(LETTERS, size))
 CURVE_COLUMNS = ("seed", "modalities", "epoch", "train_loss", "val_accuracy")  #: of the training curves
+TOUCHES = (1, 2, 4, 8)  #: numbers of touches of one object that answer together
+FLAT = 20e-6  #: relief in metres below which a touch is on flat ground, and tells nothing
+PANELS = ("V", "A", "T", "VAT")  #: of the figure of confusion
 FUSION_RATE = 0.1  #: learning rate of trained encoders relative to new ones
 
 Inputs = dict[str, torch.Tensor]  #: by letter
@@ -81,20 +89,32 @@ def join_classifiers(parts: Sequence[Classifier]) -> Classifier:
     return net
 
 
+@dataclass(frozen=True)
+class Target:
+    """What is recognized."""
+
+    names: tuple[str, ...]  #: of the classes
+    labels: np.ndarray  #: (rows,) int64, the class of each row
+
+
 def recognize(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train and score the recognition of instances (main paper, Table 2).
 
     Each modality alone is an encoder with a linear classifier. A combination starts from the nets of its
     modalities with the same seed (`join_classifiers`) and is trained jointly. The best epoch is chosen on the
-    validation rows; the test rows are evaluated once, with that epoch.
+    validation rows; the test rows are evaluated once, with that epoch. Several test touches of an object
+    answer together by the mean of their log probabilities.
 
     Returns
     -------
     dict
         By combination (``V`` to ``VAT``) the ``accuracy``, its ``interval_95`` (half width over the training
-        seeds, None for one), and the accuracies of the ``seeds``; ``confusion`` of VAT (K, K), by object and
-        answer, summed over the seeds; ``chance`` (``uniform``: 1/K, ``majority``: the share of the commonest
-        object in the test rows); the counts of `Job.without_duplicates`, and ``seconds`` of training.
+        seeds, None for one), and the accuracies of the ``seeds``; ``touches`` and ``touches_not_flat``: the
+        same by number of touches, of all and of those with a relief of `FLAT` or more, with their ``bound``
+        (`bound_together`); ``flat``, the share of flat test touches; ``confusion`` of VAT (K, K), by object
+        and answer, summed over the seeds; ``chance`` (``uniform``: 1/K, ``majority``: the share of the
+        commonest object in the test rows); the counts of `Job.without_duplicates`, and ``seconds`` of
+        training.
     list
         Rows of the training curves: `CURVE_COLUMNS`.
 
@@ -104,49 +124,140 @@ def recognize(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[list[Any]
         If a test object is absent from training, a part of the split is empty, training diverges, or the
         encoder is unknown.
     """
-    keys, split, params = job.observations.keys, job.split, job.params
-    unknown = np.setdiff1d(job.observations.labels[split.test], job.observations.labels[split.train])
+    target = Target(job.observations.keys, job.observations.labels)
+    unknown = np.setdiff1d(target.labels[job.split.test], target.labels[job.split.train])
     if unknown.size:
         raise ObjectFolderError(
-            f"split {split.name}: test class {keys[unknown[0]]} is absent from training; use --split seen"
+            f"split {job.split.name}: test class {target.names[unknown[0]]} is absent from training; use "
+            "--split seen"
         )
+    return _classified(job, target)
+
+
+def classify_materials(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
+    """Train and score the classification of materials; otherwise as `recognize`.
+
+    Validation and test rows of materials that no training object has are left out.
+
+    Returns
+    -------
+    dict
+        As of `recognize`, by material; also the ``materials`` and those ``left_out``.
+    list
+        Rows of the training curves: `CURVE_COLUMNS`.
+
+    Raises
+    ------
+    ObjectFolderError
+        If all objects for training are of one material, or none for the test is of a material of theirs.
+    """
+    observations, split = job.observations, job.split
+    of_objects = [str(observations.records[key]["material"]) for key in observations.keys]
+    names, classes = np.unique(of_objects, return_inverse=True)
+    labels = classes.astype(np.int64)[observations.labels]
+    known = np.unique(labels[split.train])
+    if len(known) < 2:
+        raise ObjectFolderError(
+            f"split {split.name}: all objects for training are of {names[known[0]]}; add objects of another "
+            "material"
+        )
+    val, test = (rows[np.isin(labels[rows], known)] for rows in (split.val, split.test))
+    for part, rows in (("validation", val), ("test", test)):
+        if not len(rows):
+            raise ObjectFolderError(
+                f"split {split.name}: no {part} object is of a material of the objects for training "
+                f"({', '.join(names[known])}); add objects"
+            )
+    left_out = np.setdiff1d(labels[np.concatenate([split.val, split.test])], known)
+    target = Target(tuple(names.tolist()), labels)
+    scores, curve = _classified(replace(job, split=replace(split, val=val, test=test)), target)
+    return scores | {"materials": names.tolist(), "left_out": names[left_out].tolist()}, curve
+
+
+def _classified(job: Job[RecognizeConfig], target: Target) -> tuple[dict[str, Any], list[list[Any]]]:
+    """Train and score all combinations; see `recognize`."""
+    params = job.params
     job, rows = job.without_duplicates(tuple(LETTERS.values()))
     finished = {
-        (run, name): _finished(job, run, name) for run in range(params.seeds) for name in COMBINATIONS
+        (run, name): _finished(job, target, run, name) for run in range(params.seeds) for name in COMBINATIONS
     }
-    labels, classes = job.observations.labels[job.split.test], len(keys)
+    labels, classes = target.labels[job.split.test], len(target.names)
     scores: dict[str, Any] = {}
+    confusion = {name: np.zeros((classes, classes), np.int64) for name in COMBINATIONS}
     for name in COMBINATIONS:
         predicted = [np.array(finished[run, name]["predicted"]) for run in range(params.seeds)]
-        accuracies = [accuracy(p, labels) for p in predicted]
-        scores[name] = {
-            "accuracy": float(np.mean(accuracies)),
-            "interval_95": interval_95(accuracies),
-            "seeds": accuracies,
-        }
-    confusion = np.zeros((classes, classes), np.int64)
-    for answer in predicted:  # of VAT, the last
-        np.add.at(confusion, (labels, answer), 1)
+        scores[name] = _over_seeds([accuracy(p, labels) for p in predicted])
+        for answer in predicted:
+            np.add.at(confusion[name], (labels, answer), 1)
+    title = f"Answers of split {job.split.name}, share of each class"
+    draw_confusion(title, {k: confusion[k] for k in PANELS}, target.names, job.progress / "sheet.png")
     curve = [[run, name, *row] for (run, name), unit in finished.items() for row in unit["curve"]]
     return {
         **scores,
-        "confusion": confusion.tolist(),
+        **_touches(job, target, [finished[run, "T"]["together"] for run in range(params.seeds)]),
+        "confusion": confusion["VAT"].tolist(),
         "chance": {"uniform": 1 / classes, "majority": float(np.bincount(labels).max() / len(labels))},
         **rows,
         "seconds": sum(unit["seconds"] for unit in finished.values()),
     }, curve
 
 
-def _finished(job: Job[RecognizeConfig], run: int, name: str) -> dict[str, Any]:
+def _over_seeds(accuracies: list[float]) -> dict[str, Any]:
+    mean = float(np.mean(accuracies))
+    return {"accuracy": mean, "interval_95": interval_95(accuracies), "seeds": accuracies}
+
+
+def _touches(job: Job[RecognizeConfig], target: Target, runs: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the scores by number of touches over the seeds, with bounds."""
+    test = job.split.test
+    flat, labels, objects = _flat(job, test), target.labels[test], job.observations.labels[test]
+    scores: dict[str, Any] = {"flat": float(flat.mean())}
+    for kind, used in _kinds(flat).items():
+        scores[kind] = {
+            size: _over_seeds([run[kind][size] for run in runs])
+            | {"bound": bound_together(flat[used], labels[used], objects[used], int(size))}
+            for size in runs[0][kind]
+        }
+    return scores
+
+
+def _kinds(flat: np.ndarray) -> dict[str, np.ndarray]:
+    """Return which of the test touches are used, by the name of their scores."""
+    return {"touches": np.ones_like(flat), "touches_not_flat": ~flat}
+
+
+def _flat(job: Job[RecognizeConfig], rows: np.ndarray) -> np.ndarray:
+    """Return whether the touches of rows are on flat ground; (n,) bool."""
+    return cast(Observations, job.observations).relief(rows) < FLAT
+
+
+def _together(job: Job[RecognizeConfig], target: Target, logits: torch.Tensor) -> dict[str, dict[str, float]]:
+    """Score test touches by number, as far as an object has so many; by kind and number."""
+    test = job.split.test
+    log_probabilities = logits.double().log_softmax(1).numpy()
+    labels, objects = target.labels[test], job.observations.labels[test]
+    scores: dict[str, dict[str, float]] = {}
+    for kind, used in _kinds(_flat(job, test)).items():
+        scores[kind] = {}
+        for size in TOUCHES:
+            rng = numpy_generator(job.seed, "recognize", kind, str(size))
+            score = accuracy_together(log_probabilities[used], labels[used], objects[used], size, rng)
+            if score is not None:
+                scores[kind][str(size)] = score
+    return scores
+
+
+def _finished(job: Job[RecognizeConfig], target: Target, run: int, name: str) -> dict[str, Any]:
     """Return the results of one combination with one seed, trained unless finished earlier."""
 
     def make() -> dict[str, Any]:
-        net, curve = _trained(job, run, name)
+        net, curve = _trained(job, target, run, name)
         start = time.perf_counter()
-        predicted = _predicted(job, net, name, job.split.test)
+        logits = _logits(job, net, name, job.split.test)
         seconds = sum(point.seconds for point in curve) + time.perf_counter() - start
         rows = [astuple(point)[:3] for point in curve]
-        return {"predicted": predicted.tolist(), "curve": rows, "seconds": seconds}
+        result = {"predicted": logits.argmax(1).tolist(), "curve": rows, "seconds": seconds}
+        return result | ({"together": _together(job, target, logits)} if name == "T" else {})
 
     result = job.finished(f"{run}_{name}", make)
     # Fusion needs the nets of single modalities, so they are kept until a seed is finished.
@@ -155,21 +266,23 @@ def _finished(job: Job[RecognizeConfig], run: int, name: str) -> dict[str, Any]:
     return result
 
 
-def _trained(job: Job[RecognizeConfig], run: int, name: str) -> tuple[Classifier, list[EpochPoint]]:
+def _trained(
+    job: Job[RecognizeConfig], target: Target, run: int, name: str
+) -> tuple[Classifier, list[EpochPoint]]:
     """Train one combination, or read its finished checkpoint."""
-    params, split, labels = job.params, job.split, job.observations.labels
+    params, split, labels = job.params, job.split, target.labels
     if len(name) > 1:
-        net = join_classifiers([_trained(job, run, letter)[0] for letter in name])
+        net = join_classifiers([_trained(job, target, run, letter)[0] for letter in name])
         epochs, rate = params.fusion_epochs, FUSION_RATE
     else:
         with seeded(job.seed, "recognize", str(run), name):
-            net = Classifier({name: job.make_encoder(LETTERS[name])}, len(job.observations.keys))
+            net = Classifier({name: job.make_encoder(LETTERS[name])}, len(target.names))
         epochs, rate = params.epochs, 1.0
 
     def epoch_batches(epoch: int) -> Iterator[tuple[Inputs, torch.Tensor]]:
         rng = numpy_generator(job.seed, "recognize", str(run), name, str(epoch))
         for rows in shuffled(split.train, params.batch, rng):
-            yield _inputs(job, name, rows, rng), job.labels(rows)
+            yield _inputs(job, name, rows, rng), torch.from_numpy(labels[rows]).to(job.device)
 
     def batch_loss(batch: tuple[Inputs, torch.Tensor]) -> torch.Tensor:
         inputs, expected = batch
@@ -181,7 +294,7 @@ def _trained(job: Job[RecognizeConfig], run: int, name: str) -> tuple[Classifier
         net,
         epoch_batches,
         batch_loss,
-        lambda: accuracy(_predicted(job, net, name, split.val), labels[split.val]),
+        lambda: accuracy(_logits(job, net, name, split.val).argmax(1).numpy(), labels[split.val]),
         "accuracy",
         _checkpoint(job, run, name),
         epochs,
@@ -203,11 +316,11 @@ def _inputs(
 
 
 @torch.no_grad()
-def _predicted(job: Job[RecognizeConfig], net: Classifier, name: str, rows: np.ndarray) -> np.ndarray:
-    """Return the predictions of a net for rows; (n,) int64."""
+def _logits(job: Job[RecognizeConfig], net: Classifier, name: str, rows: np.ndarray) -> torch.Tensor:
+    """Return the logits of a net for rows; (n, K), on the CPU."""
     parts = np.split(rows, range(job.params.batch, len(rows), job.params.batch))
-    answers = [net(_inputs(job, name, part)).argmax(1) for part in parts]
-    return torch.cat(answers).cpu().numpy()
+    return torch.cat([net(_inputs(job, name, part)) for part in parts]).cpu()
 
 
 RECOGNIZE = Task("recognize", RecognizeConfig, recognize, CURVE_COLUMNS, Observations)
+MATERIALS = Task("materials", RecognizeConfig, classify_materials, CURVE_COLUMNS, Observations)

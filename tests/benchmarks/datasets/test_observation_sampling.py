@@ -243,7 +243,7 @@ def test_disk_that_fills_up_says_so_and_keeps_what_is_complete(brick, sampled, t
         with pytest.raises(ObjectFolderError, match=f"brick: observations: no space in {tmp_path}: "):
             sample_observations(brick, COUNT, SIDE, 7, tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == [
-        *("ObjectFile.safetensors", "queries.npz", "vision.json", "vision.npy")
+        *("ObjectFile.safetensors", "queries.npz", "relief.npy", "vision.json", "vision.npy")
     ]
     sample_observations(brick, COUNT, SIDE, 7, tmp_path)
     assert content(tmp_path) == content(sampled)

@@ -20,16 +20,56 @@ def test_recognition_in_percent_with_its_interval_beside_chance_and_the_paper():
     }
     shown = score_table("recognize", "seen", scores)
     assert cells(shown) == {
-        "V": ("75.0 ± 12.5", "50.0 100.0", "94.8"),
-        "VAT": ("100.0", "100.0", "99.8"),
-        "chance": ("62.5", "", "1.0"),
+        "V": ("75.0 ± 12.5", "", "50.0 100.0", "94.8"),
+        "VAT": ("100.0", "", "100.0", "99.8"),
+        "chance": ("62.5", "", "", "1.0"),
     }
     assert "16 rows to train with, 2 for validation, 2 for the test" in shown.note
     assert "dropped: 3 of touch." in shown.note
     head, rule, first, *_ = shown.markdown().splitlines()
-    assert head == "| modalities | accuracy | each seed | paper, 100 objects |"
-    assert rule == "| --- | --- | --- | --- |"
+    assert head == "| modalities | accuracy | bound | each seed | paper, 100 objects |"
+    assert rule == "| --- | --- | --- | --- | --- |"
     assert first.startswith("| V | 75.0 ± 12.5 |")
+
+
+def test_several_touches_stand_below_the_modalities_with_their_bound():
+    one = {"accuracy": 0.5, "interval_95": None, "seeds": [0.5]}
+    scores = {
+        **{"T": one, "V": one, "flat": 0.25},
+        "touches": {"1": one | {"bound": 0.75}, "4": one | {"accuracy": 0.625, "bound": 0.875}},
+        "touches_not_flat": {"1": one | {"accuracy": 0.75, "bound": 1.0}},
+        "chance": {"uniform": 0.5, "majority": 0.625},
+        **ROWS,
+    }
+    shown = score_table("recognize", "seen", scores)
+    assert [(row[0], *row[1:3], row[-1]) for row in shown.rows] == [
+        ("V", "50.0", "", "94.8"),
+        ("T", "50.0", "75.0", "72.4"),
+        ("T, 4 together", "62.5", "87.5", "-"),
+        ("T, not flat", "75.0", "100.0", "-"),
+        ("chance", "62.5", "", "1.0"),
+    ]
+    assert "Of the test touches 25 % are on flat ground" in shown.note
+
+
+def test_materials_stand_beside_the_commonest_and_the_published():
+    one = {"accuracy": 0.5, "interval_95": None, "seeds": [0.5]}
+    scores = {
+        **dict.fromkeys(("V", "VA", "VAT"), one),
+        **{"materials": ["wood", "steel", "gold"], "left_out": ["gold"]},
+        "chance": {"uniform": 0.25, "majority": 0.625},
+        **ROWS,
+    }
+    shown = score_table("materials", "unseen", scores)
+    assert shown.title.startswith("Classification of 3 materials, 2 objects, unseen")
+    assert cells(shown) == {
+        "V": ("50.0", "", "50.0", "92.3"),
+        "VA": ("50.0", "", "50.0", "-"),
+        "VAT": ("50.0", "", "50.0", "96.6"),
+        "commonest material": ("62.5", "", "", "-"),
+        "chance": ("25.0", "", "", "-"),
+    }
+    assert shown.note.endswith("Left out, since no object for training is of it: gold.")
 
 
 def test_the_paper_has_no_figures_for_unseen_objects():

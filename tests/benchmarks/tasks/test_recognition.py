@@ -5,14 +5,16 @@ import pytest
 import torch
 from torch import nn
 
-from objectfolder.benchmarks.datasets.splits import per_object, per_sample
+from objectfolder.benchmarks.datasets.splits import Split, per_object, per_sample
 from objectfolder.benchmarks.models import encoders
 from objectfolder.benchmarks.models.encoders import InputSizes, register_encoder
+from objectfolder.benchmarks.tasks import recognition
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.recognition import (
     COMBINATIONS,
     CURVE_COLUMNS,
     Classifier,
+    classify_materials,
     join_classifiers,
     recognize,
 )
@@ -53,6 +55,8 @@ class Table:
             ),
             "touch": self._picture(rng, colours[self.labels] // 2, 8, noise),
         }
+        self.reliefs = np.full(rows, 1e-3)
+        self.records = dict(zip(self.keys, ({"material": m} for m in ("wood", "steel", "wood", "steel"))))
         self.reads = {modality: [] for modality in self.arrays}
 
     @staticmethod
@@ -60,13 +64,17 @@ class Table:
         pixels = colours[:, None, None] + noise * rng.standard_normal((len(colours), side, side, 3))
         return pixels.clip(0, 255).astype(np.uint8)
 
+    def relief(self, rows):
+        return self.reliefs[rows]
+
     def read(self, modality, rows):
         self.reads[modality].append(np.array(rows))
         return self.arrays[modality][rows]
 
 
 @pytest.fixture(autouse=True)
-def _small_encoder(monkeypatch):
+def _small_encoder_and_no_figure(monkeypatch):
+    monkeypatch.setattr(recognition, "draw_confusion", lambda title, counts, names, path: path.touch())
     monkeypatch.setattr(encoders, "_FACTORIES", dict(encoders._FACTORIES))
 
     @register_encoder("small")
@@ -179,6 +187,57 @@ def test_every_combination_uses_its_modalities_and_no_other(tmp_path):
     for name, expected in {"V": 0.5, "A": 0.5, "T": 0.25, "VT": 0.5, "AT": 0.5, "VA": 1, "VAT": 1}.items():
         assert scores[name]["accuracy"] == pytest.approx(expected, abs=0.17), name
     assert min(scores["VA"]["accuracy"], scores["VAT"]["accuracy"]) > 0.8
+
+
+def test_touches_together_and_on_flat_ground(tmp_path):
+    """Of the first two objects, half of the test touches are flat: all of these look alike."""
+    table = Table(100, noise=5)
+    split = per_sample(table.keys, table.count)
+    flat = np.zeros(len(table.labels), bool)
+    flat[np.flatnonzero(table.labels < 2)[::2]] = True
+    flat[split.test] = np.arange(len(split.test)) % 2 * (table.labels[split.test] < 2) > 0
+    table.reliefs[flat] = 1e-6
+    rng = np.random.default_rng(0)
+    table.arrays["touch"][flat] = 200 + rng.integers(50, size=(flat.sum(), 8, 8, 3))
+    scores, _ = _run(table, tmp_path, split, seeds=1, epochs=6, patience=6)
+    assert scores["flat"] == 0.25
+    found = {kind: scores[kind] for kind in ("touches", "touches_not_flat")}
+    # Of the ten test touches of each object five are flat, of two objects. Pairs: 10 of 45; fours: 5 of 210.
+    bounds = {size: score["bound"] for size, score in found["touches"].items()}
+    assert bounds == pytest.approx({"1": 0.875, "2": 1 - 10 / 45 / 4, "4": 1 - 5 / 210 / 4, "8": 1.0})
+    assert found["touches"]["1"]["accuracy"] == scores["T"]["accuracy"] == pytest.approx(0.875, abs=0.05)
+    assert found["touches"]["4"]["accuracy"] > 0.95
+    assert {score["bound"] for score in found["touches_not_flat"].values()} == {1.0}
+    assert found["touches_not_flat"]["1"]["accuracy"] > 0.95
+    assert (tmp_path / "sheet.png").is_file()
+
+
+def test_materials_are_classes_of_their_own_and_those_never_learnt_are_left_out(tmp_path):
+    table = Table(30)
+    rows = np.arange(len(table.labels)).reshape(4, 30)
+    # The cube, of steel, is only tested; in look, sound and touch it is the die, of steel, too.
+    for array in table.arrays.values():
+        array[rows[1]] = array[rows[3]][::-1]
+        array[rows[1], :1] = 0  # no row twice
+    train, val, test = rows[[0, 2, 3], :25].ravel(), rows[[0, 3], 25:27].ravel(), rows[1]
+    split = Split("unseen", train, val, test)
+    params = SimpleNamespace(**{**vars(PARAMS), "seeds": 1, "epochs": 6, "patience": 6})
+    scores, _ = classify_materials(Job(table, split, params, "small", SIZES, 1, tmp_path / "steel"))
+    assert (scores["materials"], scores["left_out"], scores["objects"]) == (["steel", "wood"], [], 4)
+    assert np.shape(scores["confusion"]) == (2, 2)
+    assert np.sum(scores["confusion"], 1).tolist() == [30, 0]
+    assert scores["A"]["accuracy"] == scores["VAT"]["accuracy"] == 1
+    assert scores["chance"] == {"uniform": 0.5, "majority": 1.0}
+
+    table.records["cube"] = {"material": "gold"}
+    half = Split("unseen", train, val, np.concatenate([rows[0, 27:], test]))
+    scores, _ = classify_materials(Job(table, half, params, "small", SIZES, 1, tmp_path / "gold"))
+    assert (scores["left_out"], scores["rows"]["test"]) == (["gold"], 3)
+    with pytest.raises(ObjectFolderError, match=r"no test object is of a material of .*\(steel, wood\)"):
+        classify_materials(Job(table, split, params, "small", SIZES, 1, tmp_path))
+    alike = Split("unseen", rows[[0, 2], :25].ravel(), val, test)
+    with pytest.raises(ObjectFolderError, match="all objects for training are of wood; add objects"):
+        classify_materials(Job(table, alike, params, "small", SIZES, 1, tmp_path))
 
 
 def test_rows_that_were_learnt_are_not_tested(tmp_path):
