@@ -190,12 +190,17 @@ def test_what_is_wrong_is_said_before_any_work(files, workspace, tmp_path):
     assert "nothing.pth does not exist" in refused("recognition", files, "--weights", "nothing.pth")
     torch.save({"layer9.weight": torch.zeros(3)}, "other.pth")
     assert "layer9.weight" in refused("recognition", files, "--preset", "quick", "--weights", "other.pth")
+    assert "--split 'unseen' is unknown here, expected seen" in refused(
+        "recognition", files, "--split", "unseen"
+    )
     assert "nowhere.py does not exist" in refused("recognition", files, "--encoder", "nowhere.py:net")
 
 
 def test_a_split_with_nothing_to_tell_apart_is_refused(files, workspace):
     with pytest.raises(ObjectFolderError, match=r"split unseen trains on brick_\d+ alone"):
         bench("retrieval", files, "--out", "first", "--split", "unseen")
+    with pytest.raises(ObjectFolderError, match=r"split seen: all objects for training are of \w+; add"):
+        bench("recognition", files, "--label", "material", "--out", "first", "--split", "seen")
 
 
 def test_an_object_file_that_lacks_a_part_is_named(brick, files, workspace):

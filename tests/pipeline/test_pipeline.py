@@ -376,7 +376,7 @@ def test_benchmarks_are_stages_over_all_objects(built):
     assert scores["objects"] == 2
     assert scores["VAT"]["accuracy"] <= 1
     before = {path: path.read_bytes() for path in folder.dir.glob("*_seen*")}
-    assert len(before) == 2
+    assert len(before) == 3  # scores, curves and a figure
     assert built.build() == set()
     shown = built.run("-m", "dvc", "metrics", "show", "benchmarks/recognize_seen.json").stdout
     assert "VAT.accuracy" in shown

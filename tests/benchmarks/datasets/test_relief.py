@@ -37,7 +37,7 @@ def test_a_ball_has_the_relief_of_its_curvature(ball):
 
 
 def test_a_face_has_none_and_its_edge_the_fall_beside_it(cube):
-    points = np.array([[0.0, 0.04, 0.0], [0.02, -0.01, 0.04], [0.04 - SPAN / 5, 0.0, 0.04]])
+    points = np.array([[0.0, 0.04, 0.0], [0.02, -0.01, 0.04], [0.04 - SPAN / 3, 0.0, 0.04]])
     face, elsewhere, edge = surface_relief(cube, points, SCALE)
     assert max(face, elsewhere) < 1e-6
-    assert edge == pytest.approx(_residual(lambda x, y: np.where(x > SPAN / 5, -BELOW, 0)), rel=0.02)
+    assert edge == pytest.approx(_residual(lambda x, y: np.where(x > SPAN / 3, -BELOW, 0)), rel=0.02)
