@@ -23,6 +23,7 @@ from rich.console import Console
 from rich.table import Table
 from workspaces import OwnWorkspace
 
+from objectfolder.engine.costs import recall_costs
 from objectfolder.io import read_json, write_json
 from objectfolder.nets.positional import PointwiseNetwork, train_in
 from objectfolder.workspace.layout import MODALITIES, Build
@@ -46,9 +47,16 @@ def family_nets(family: str) -> dict[str, str]:
     return {f"train_{sense}.net": NETS[sense][family == "default"] for sense in MODALITIES}
 
 
-def hours(folder: Path, sense: str, key: str) -> float:
-    """Return the CPU hours that the training of a net took, from its log."""
-    log = (folder / "build" / ".logs" / f"train_{sense}@{key}.log").read_text()
+def hours(folder: Path, sense: str, key: str, family: str) -> float:
+    """Return the CPU hours of a training, from its log.
+
+    That of a default net has phases that its log does not time: theirs are those of the whole stage.
+    """
+    stage = f"train_{sense}"
+    cost = recall_costs(folder, key).get(stage)
+    if family == "default" and cost:
+        return cost.cpu_seconds / 3600
+    log = (folder / "build" / ".logs" / f"{stage}@{key}.log").read_text()
     return float(re.findall(r"([\d.]+) s$", log, re.MULTILINE)[-1]) / 3600
 
 
@@ -66,7 +74,7 @@ def trained(workspace: OwnWorkspace, family: str, keys: list[str], jobs: int) ->
             build = Build(key, workspace.folder)
             found["objects"][key] = {
                 "scores": scores[key],
-                "hours": {sense: hours(workspace.folder, sense, key) for sense in MODALITIES},
+                "hours": {sense: hours(workspace.folder, sense, key, family) for sense in MODALITIES},
                 "curves": {sense: curve(build.curve(sense)) for sense in MODALITIES},
             }
             write_json(kept, found)
