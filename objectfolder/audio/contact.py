@@ -1,6 +1,7 @@
 """Contact time of a strike: Hertz's elastic collision of a rounded tip with the object."""
 
 import math
+import sys
 from dataclasses import dataclass, fields
 
 from objectfolder.checks import finite_number, one_of
@@ -85,7 +86,8 @@ def contact_time(striker: Striker, material: Material, mass: float) -> float:
 
 def effective_modulus(one: tuple[float, float], other: tuple[float, float]) -> float:
     """Return the modulus of a contact, Pa, of two materials given by Young's modulus and Poisson's ratio."""
-    return 1 / sum((1 - poisson**2) / youngs for youngs, poisson in (one, other))
+    compliance = sum((1 - poisson**2) / youngs for youngs, poisson in (one, other))
+    return max(1 / compliance, sys.float_info.min)  # the least modulus has no finite inverse
 
 
 def hertz_time(modulus: float, radius: float, mass: float, speed: float) -> float:
