@@ -51,9 +51,7 @@ RENDERERS = "tests/vision/test_renderers.py"
 #: What LeRobot wants older than constraints.txt does.
 LEROBOT_PINS = ("torch", "datasets", "numpy", "packaging", "fsspec", "pyarrow", "gymnasium", "setuptools")
 EXTRAS = (
-    Extra(
-        "tet", ("[tet]",), "pytetwild", "tet", ("tests/fem/test_elements.py", "tests/fem/test_accuracy.py")
-    ),
+    Extra("tet", ("[tet]", "[inspect]"), "pytetwild", "tet", ELEMENTS),
     Extra("raster", ("[raster]",), "pyrender", "raster or tacto", (RENDERERS, "tests/touch/test_tacto.py")),
     Extra("cycles", ("[cycles]",), "bpy", "cycles", (RENDERERS,)),
     Extra("mitsuba-llvm", (), "mitsuba", "llvm", (RENDERERS,)),
@@ -79,7 +77,7 @@ EXTRAS = (
     ),
     Extra(
         "croissant",
-        ("mlcroissant",),
+        ("[hub]", "mlcroissant"),
         "mlcroissant",
         "croissant",
         ("tests/release/test_release.py",),

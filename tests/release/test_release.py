@@ -109,6 +109,7 @@ def test_the_hub_and_croissant_read_its_index(dataset, tmp_path):
     assert [field["name"] for field in described["recordSet"][0]["field"]] == list(COLUMNS)
 
 
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # rdflib warns of its own code
 def test_croissant_is_valid(dataset):
     mlcroissant = pytest.importorskip("mlcroissant", reason="mlcroissant is not installed: make test-extras")
     found = mlcroissant.Dataset(jsonld="out/croissant.json")
