@@ -1,11 +1,26 @@
-"""Checks of the calls that an environment gets, as an agent may make any."""
+"""Checks of what an environment gets: its objects, and calls, of which an agent may make any."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from objectfolder.checks import real_array
 from objectfolder.errors import ObjectFolderError, quoted
+from objectfolder.objectfile.file import ObjectFile
+
+
+def object_files(objects: "Sequence[str | ObjectFile]") -> list[ObjectFile]:
+    """Return the Object Files of an environment, given as they are or by the names of samples.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there are none, or the package has no sample of a name.
+    """
+    if not objects:
+        raise ObjectFolderError("expected at least one object")
+    return [one if isinstance(one, ObjectFile) else ObjectFile.sample(one) for one in objects]
 
 
 def finite_actions(actions: Any, shape: tuple[int, ...]) -> np.ndarray:

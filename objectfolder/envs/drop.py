@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 
 from objectfolder.envs.body import add_body, density, rigid_body, scaled_body
-from objectfolder.envs.calls import no_options, started
+from objectfolder.envs.calls import no_options, object_files, started
 from objectfolder.envs.hearing import Hearing
 from objectfolder.envs.poses import rotation
 from objectfolder.envs.sounding import Sounding
@@ -62,11 +62,11 @@ class DropEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         seconds: float = 0.5,
         sample_rate: float = 48000,
     ):
-        self.files = [one if isinstance(one, ObjectFile) else ObjectFile.sample(one) for one in objects]
+        self.files = object_files(objects)
         self.materials = [material(name).name for name in materials]
         self._arguments = (self.files, self.materials, seconds, sample_rate)
-        if not self.files or not self.materials:
-            raise ObjectFolderError("expected at least one object and one material")
+        if not self.materials:
+            raise ObjectFolderError("expected at least one material")
         self._bodies = [rigid_body(file, [file.to_mesh().convex_hull]) for file in self.files]
         self._rate, self._samples = sample_rate, round(seconds * sample_rate)
         self.observation_space = spaces.Box(-LOUDEST, LOUDEST, (self._samples,), np.float32)

@@ -10,7 +10,7 @@ from gymnasium import spaces
 from objectfolder.audio.contact import STRIKERS, contact_time
 from objectfolder.audio.stream import ModalStream, Pulse
 from objectfolder.checks import finite_number, whole_number
-from objectfolder.envs.calls import discrete_action, no_options, started
+from objectfolder.envs.calls import discrete_action, no_options, object_files, started
 from objectfolder.envs.drop import LOUDEST, MATERIALS, SIZES
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import material
@@ -75,13 +75,10 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
         sample_rate: float = 48000,
         limit: int = 20,
     ):
-        self.files = [one if isinstance(one, ObjectFile) else ObjectFile.sample(one) for one in objects]
+        self.files = object_files(objects)
         self.materials = [material(name).name for name in materials]
-        if not self.files or len(set(self.materials)) < max(2, len(self.materials)):
-            raise ObjectFolderError(
-                f"expected at least one object and two different materials, got {len(self.files)} and "
-                f"{self.materials}"
-            )
+        if len(set(self.materials)) < max(2, len(self.materials)):
+            raise ObjectFolderError(f"expected at least two different materials, got {self.materials}")
         self.count, self.limit = whole_number("count", count), whole_number("limit", limit)
         if self.count < 3 or self.limit < 1:
             raise ObjectFolderError(
