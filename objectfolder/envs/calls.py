@@ -10,7 +10,7 @@ from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.objectfile.file import ObjectFile
 
 
-def object_files(objects: "Sequence[str | ObjectFile]") -> list[ObjectFile]:
+def opened(objects: "Sequence[str | ObjectFile]") -> list[ObjectFile]:
     """Return the Object Files of an environment, given as they are or by the names of samples.
 
     Raises

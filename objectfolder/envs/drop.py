@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 
 from objectfolder.envs.body import add_body, density, rigid_body, scaled_body
-from objectfolder.envs.calls import no_options, object_files, started
+from objectfolder.envs.calls import no_options, opened, started
 from objectfolder.envs.hearing import Hearing
 from objectfolder.envs.poses import rotation
 from objectfolder.envs.sounding import Sounding
@@ -62,7 +62,7 @@ class DropEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         seconds: float = 0.5,
         sample_rate: float = 48000,
     ):
-        self.files = object_files(objects)
+        self.files = opened(objects)
         self.materials = [material(name).name for name in materials]
         self._arguments = (self.files, self.materials, seconds, sample_rate)
         if not self.materials:

@@ -10,7 +10,7 @@ import torch
 from gymnasium import spaces
 
 from objectfolder.checks import finite_number, whole_number
-from objectfolder.envs.calls import discrete_action, no_options, object_files, started
+from objectfolder.envs.calls import discrete_action, no_options, opened, started
 from objectfolder.envs.drop import SIZES
 from objectfolder.envs.fingers import sensor_angles
 from objectfolder.errors import ObjectFolderError
@@ -74,7 +74,7 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
         limit: int = 30,
         sensor: "str | SensorProfile" = "digit",
     ):
-        self.files = object_files(objects)
+        self.files = opened(objects)
         self.noise, self.limit = finite_number("noise", noise), whole_number("limit", limit, 1)
         if self.noise < 0:
             raise ObjectFolderError(f"noise is {noise!r} m, expected a number of at least 0")

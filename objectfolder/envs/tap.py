@@ -10,7 +10,7 @@ from gymnasium import spaces
 from objectfolder.audio.contact import STRIKERS, contact_time
 from objectfolder.audio.stream import ModalStream, Pulse
 from objectfolder.checks import finite_number, whole_number
-from objectfolder.envs.calls import discrete_action, no_options, object_files, started
+from objectfolder.envs.calls import discrete_action, no_options, opened, started
 from objectfolder.envs.drop import LOUDEST, MATERIALS, SIZES
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import material
@@ -75,7 +75,7 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
         sample_rate: float = 48000,
         limit: int = 20,
     ):
-        self.files = object_files(objects)
+        self.files = opened(objects)
         self.materials = [material(name).name for name in materials]
         if len(set(self.materials)) < max(2, len(self.materials)):
             raise ObjectFolderError(f"expected at least two different materials, got {self.materials}")
