@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import manifold3d
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
 from objectfolder.errors import ObjectFolderError
@@ -31,6 +32,14 @@ def rectangle(length: float, width: float, corner: float = 0.0, steps: int = 5) 
 def regular(sides: int, radius: float, turn: float = 0.0) -> np.ndarray:
     """Return the outline (sides, 2) of a regular polygon about the origin, first corner at ``turn``, rad."""
     return arc((0.0, 0.0), radius, turn, turn + 2 * np.pi, sides)[:-1]
+
+
+def rounded(corners: ArrayLike, radius: float) -> np.ndarray:
+    """Round the corners of an outline (N, 2), counter-clockwise, with arcs of ``radius``, m."""
+    shape = manifold3d.CrossSection([np.asarray(corners, np.float64)])
+    round_ = manifold3d.JoinType.Round
+    shape = shape.offset(-radius, round_, circular_segments=32).offset(radius, round_, circular_segments=32)
+    return np.asarray(shape.simplify(1e-3 * radius).to_polygons()[0])
 
 
 def area(outline: np.ndarray) -> float:
@@ -118,6 +127,18 @@ def prism(
     top = np.where(cap < count, cap + top_layer, cap - count + extra + len(inner))
     lids = [np.column_stack([inner, np.full(len(inner), z)]) for z in (0.0, height)]
     return solid(np.concatenate([vertices, *lids]), np.concatenate([sides, bottom[:, ::-1], top]))
+
+
+def across(
+    outlines: Sequence[np.ndarray],
+    width: float,
+    spacing: float,
+    bevel: float = 0.0,
+    steps: int = ROUND_STEPS,
+) -> manifold3d.Manifold:
+    """Extrude outlines in x and z along y, from -width / 2 to width / 2, m; parameters of `prism`."""
+    plate = prism(outlines, width, spacing, bevel, steps)
+    return plate.transform(np.array([[1.0, 0, 0, 0], [0, 0, -1.0, width / 2], [0, 1.0, 0, 0]]))
 
 
 def solid(vertices: np.ndarray, faces: np.ndarray) -> manifold3d.Manifold:

@@ -8,7 +8,7 @@ from skimage.measure import marching_cubes
 
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, union
 from objectfolder.mesh.procedural.boards import board
-from objectfolder.mesh.procedural.extrusion import prism, regular, solid
+from objectfolder.mesh.procedural.extrusion import across, prism, regular, rounded, solid
 from objectfolder.mesh.procedural.finish import Paint
 from objectfolder.mesh.procedural.parameters import (
     require_between,
@@ -83,20 +83,6 @@ def toy(
     return assemble(union(parts), parts, look, texture_size)
 
 
-def _profile(corners: list[tuple[float, float]], radius: float) -> np.ndarray:
-    """Round the corners of an outline in x and z."""
-    shape = manifold3d.CrossSection([np.array(corners)])
-    round_ = manifold3d.JoinType.Round
-    shape = shape.offset(-radius, round_, circular_segments=32).offset(radius, round_, circular_segments=32)
-    return np.asarray(shape.simplify(1e-3 * radius).to_polygons()[0])
-
-
-def _across(outline: np.ndarray, width: float, spacing: float, bevel: float) -> manifold3d.Manifold:
-    """Extrude an outline in x and z along y, from -width / 2 to width / 2."""
-    plate = prism([outline], width, spacing, bevel, 3)
-    return plate.transform(np.array([[1.0, 0, 0, 0], [0, 0, -1.0, width / 2], [0, 1.0, 0, 0]]))
-
-
 def _wheels(
     look: Look, places: list[float], radius: float, width: float, spacing: float
 ) -> list[PaintedPart]:
@@ -107,8 +93,8 @@ def _wheels(
     parts = []
     for x in places:
         for sign in (-1, 1):
-            disc = _across(regular(40, radius), thick, spacing, 0.18 * radius)
-            boss = _across(regular(24, hub), thick, spacing, 0.12 * radius)
+            disc = across([regular(40, radius)], thick, spacing, 0.18 * radius)
+            boss = across([regular(24, hub)], thick, spacing, 0.12 * radius)
             y = sign * (width - thick) / 2
             parts.append(PaintedPart.of(disc.translate((x, y, radius)), tyre))
             parts.append(PaintedPart.of(boss.translate((x, y + sign * 0.14 * radius, radius)), cap))
@@ -152,7 +138,7 @@ def _glazed(body: Paint, sides: np.ndarray, width: float, border: float, pillar:
 def _car(look: Look, size: float, plump: float) -> list[PaintedPart]:
     s, width = size, 0.46 * size * plump
     spacing, r = size / 36, 0.125 * size
-    hull = _profile(
+    hull = rounded(
         [
             (-0.5 * s, 0.09 * s),
             (0.5 * s, 0.09 * s),
@@ -165,13 +151,13 @@ def _car(look: Look, size: float, plump: float) -> list[PaintedPart]:
     )
     cabin_corners = [(-0.36 * s, 0.2 * s), (0.29 * s, 0.2 * s), (0.13 * s, 0.44 * s), (-0.27 * s, 0.44 * s)]
     cabin_width = 0.86 * width
-    cabin = _across(_profile(cabin_corners, 0.045 * s), cabin_width, spacing, 0.03 * s)
+    cabin = across([rounded(cabin_corners, 0.045 * s)], cabin_width, spacing, 0.03 * s)
     body = look.dyed(look.color).paint((1, 0, 0))
     windows = np.array(
         [(-0.33 * s, 0.27 * s), (0.245 * s, 0.27 * s), (0.13 * s, 0.44 * s), (-0.27 * s, 0.44 * s)]
     )
     return [
-        PaintedPart.of(_across(hull, width, spacing, 0.032 * s), body),
+        PaintedPart.of(across([hull], width, spacing, 0.032 * s), body),
         PaintedPart.of(cabin, _glazed(body, windows, cabin_width, 0.032 * s, -0.06 * s)),
         *_wheels(look, [-0.29 * s, 0.29 * s], r, 1.04 * width, spacing),
         *_lamps(look, 0.5 * s, width, 0.19 * s, 0.032 * s, "f6e9a8", spacing),
@@ -182,7 +168,7 @@ def _car(look: Look, size: float, plump: float) -> list[PaintedPart]:
 def _truck(look: Look, size: float, plump: float) -> list[PaintedPart]:
     s, width = size, 0.40 * size * plump
     spacing, r = size / 36, 0.085 * size
-    frame = _profile(
+    frame = rounded(
         [(-0.5 * s, 0.08 * s), (0.5 * s, 0.08 * s), (0.5 * s, 0.16 * s), (-0.5 * s, 0.16 * s)], 0.02 * s
     )
     cab_corners = [
@@ -206,12 +192,12 @@ def _truck(look: Look, size: float, plump: float) -> list[PaintedPart]:
         ((x[1] - t, 0.5 * t - y, z[0]), (x[1], y - 0.5 * t, z[1] - 0.1 * t)),
     ]
     tray = [board(load, 10 + k, low, high, spacing, 0.2 * t) for k, (low, high) in enumerate(boards)]
-    under = _across(frame, 0.8 * width, spacing, 0.012 * s)
+    under = across([frame], 0.8 * width, spacing, 0.012 * s)
     return [
         *tray,
         PaintedPart.of(under, look.dyed("6b6e73").paint((1, 0, 0), 4)),
         PaintedPart.of(
-            _across(_profile(cab_corners, 0.035 * s), 0.96 * width, spacing, 0.025 * s),
+            across([rounded(cab_corners, 0.035 * s)], 0.96 * width, spacing, 0.025 * s),
             _glazed(body, windows, 0.96 * width, 0.03 * s, None),
         ),
         *_wheels(look, [-0.38 * s, -0.16 * s, 0.33 * s], r, 1.06 * width, spacing),
