@@ -18,6 +18,7 @@ from objectfolder.workspace.layout import Build
 #: Category of a procedural object by its generator.
 CATEGORIES = {
     "kitchen": ("bowl", "cup", "mug", "pan", "plate", "spoon", "teapot"),
+    "appliances": ("appliance", "electronics"),
     "furniture": ("boards", "shelf", "stool", "table"),
     "toys": ("airplane", "block", "die", "toy"),
     "tools": ("hammer", "wrench"),

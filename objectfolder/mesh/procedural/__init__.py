@@ -6,12 +6,14 @@ from typing import Any
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.procedural.airplane import airplane
+from objectfolder.mesh.procedural.appliance import appliance
 from objectfolder.mesh.procedural.bell import bell
 from objectfolder.mesh.procedural.block import block
 from objectfolder.mesh.procedural.bottle import bottle
 from objectfolder.mesh.procedural.bowl import bowl
 from objectfolder.mesh.procedural.cup import cup
 from objectfolder.mesh.procedural.die import die
+from objectfolder.mesh.procedural.electronics import electronics
 from objectfolder.mesh.procedural.hammer import hammer
 from objectfolder.mesh.procedural.mug import mug
 from objectfolder.mesh.procedural.pan import pan
@@ -31,12 +33,14 @@ __all__ = ["GENERATORS", "generate"]
 #: Generators by name; all parameters have defaults, lengths are in metres.
 GENERATORS: dict[str, Callable[..., TexturedMesh]] = {
     "airplane": airplane,
+    "appliance": appliance,
     "bell": bell,
     "block": block,
     "bottle": bottle,
     "bowl": bowl,
     "cup": cup,
     "die": die,
+    "electronics": electronics,
     "hammer": hammer,
     "mug": mug,
     "pan": pan,
