@@ -68,6 +68,15 @@ TOOLS: dict[str, tuple[str, dict[str, Any]]] = {
     "brick": ("block", {"relief": "studs", "rounding": 0.001, "finish": "plastic"}),
     **{kind: ("toy", {"kind": kind}) for kind in ("car", "truck", "duck", "rings")},
 }
+APPLIANCES: dict[str, tuple[str, dict[str, Any]]] = {
+    "television": ("electronics", {"kind": "television", "finish": "brushed"}),
+    "radio": ("electronics", {"kind": "radio", "finish": "wood"}),
+    "clock": ("electronics", {"kind": "clock"}),
+    "toaster": ("appliance", {"kind": "toaster", "finish": "brushed"}),
+    "lantern": ("appliance", {"kind": "lantern", "finish": "cast"}),
+    "clothes iron": ("appliance", {"kind": "iron"}),
+    "hair dryer": ("appliance", {"kind": "dryer"}),
+}
 STARTERS = ("mug", "die", "bell")
 VESSELS = ("bowl", "cup", "plate", "bottle", "vase", "pan", "teapot")
 CASES = {
@@ -75,6 +84,7 @@ CASES = {
     **{name: (name, {"seed": 3}) for name in VESSELS},
     **FURNITURE,
     **TOOLS,
+    **APPLIANCES,
 }
 
 

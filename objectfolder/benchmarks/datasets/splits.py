@@ -4,6 +4,7 @@
 consecutive objects 7 are for training, 1 for validation and 2 for the test. ``data/samples.txt`` has a
 letter (t, v, e) for every observation of an object: of every ten 8, 1 and 1, the paper's shares
 (supplementary I.1). Both were drawn once, at random, and never change, so that scores stay comparable.
+An object that replaces another in a catalogue takes its split, and a label of its own.
 """
 
 import csv

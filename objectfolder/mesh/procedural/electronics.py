@@ -110,17 +110,19 @@ def _television(look: Look, plump: float) -> Kit:
     bezel = across([inset(glass, -0.035)], 0.03, SPACING, 0.01).translate((at, front, middle))
     panel = across([rectangle(0.24, 0.50, 0.04)], 0.03, SPACING, 0.006).translate((0.345, front, middle))
 
-    cavity = across([rectangle(1 - 2 * wall, 0.60 - 2 * wall, 0.05)], deep - 0.09 - wall, SPACING)
+    cavity = across([rectangle(1 - 2 * wall, 0.60 - 2 * wall, 0.05)], deep - 0.09 - wall, 1.5 * SPACING)
     cavity = cavity.translate((0, (0.09 - wall) / 2, middle))
-    deeper = across([rectangle(0.70 - 2 * wall, 0.46 - 2 * wall, 0.04)], tail, SPACING)
-    deeper = _tapered(deeper.translate((0, tail / 2 - wall, middle)), tail, 0.8, middle)
+    deeper = across([rectangle(0.70 - 2 * wall, 0.46 - 2 * wall, 0.04)], tail + wall, 1.5 * SPACING)
+    deeper = _tapered(deeper.translate((0, tail / 2 - 1.5 * wall, middle)), tail, 0.8, middle).translate(
+        (0, rear, 0)
+    )
     vents = bars([0.36] * 5, 0.026, 0.054, 4 * wall).translate((0, rear + tail, middle))
     # The recess flares towards the viewer.
     recess = across([glass], 0.10, SPACING)
     recess = _tapered(recess, 0.05, 0.95, 0.0).translate((at, front, middle))
     grille = bars([0.15] * 5, 0.018, 0.036, 0.06).translate((0.345, front - 0.015, 0.235))
 
-    screen = across([inset(glass, -0.012)], 0.03, SPACING * 0.8)
+    screen = across([inset(glass, -0.012)], 0.03, SPACING)
 
     def bulge(points: np.ndarray) -> np.ndarray:
         share = np.clip(1 - (points[:, [0, 2]] / half) ** 2, 0, 1)

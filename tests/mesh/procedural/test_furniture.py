@@ -11,7 +11,16 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.procedural import GENERATORS
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, frame, union
-from objectfolder.mesh.procedural.extrusion import area, inset, prism, rectangle, regular, triangulate
+from objectfolder.mesh.procedural.extrusion import (
+    across,
+    area,
+    inset,
+    prism,
+    rectangle,
+    regular,
+    rounded,
+    triangulate,
+)
 from objectfolder.mesh.procedural.shelf import shelf, shelf_levels
 from objectfolder.mesh.procedural.stool import stool
 from objectfolder.mesh.procedural.sweep import bar
@@ -45,6 +54,19 @@ def test_a_board_of_another_seed_is_another_piece_of_wood():
     one, other = (stool(seed=seed, texture_size=SMALL) for seed in (0, 1))
     assert np.array_equal(one.vertices, other.vertices)
     assert np.mean(one.texture != other.texture) > 0.5
+
+
+def test_rounded_square_lacks_the_area_outside_its_arcs():
+    side, radius = 0.2, 0.05
+    outline = rounded(rectangle(side, side), radius)
+    assert area(outline) == pytest.approx(side**2 - (4 - np.pi) * radius**2, rel=1e-3)
+    np.testing.assert_allclose(np.abs(outline).max(0), side / 2, atol=1e-9)
+
+
+def test_plate_across_stands_upright_between_its_faces():
+    low, high = np.reshape(across([rectangle(0.3, 0.2)], 0.05, 0.1).bounding_box(), (2, 3))
+    np.testing.assert_allclose(high, [0.15, 0.025, 0.1], atol=1e-12)
+    np.testing.assert_allclose(low, -high, atol=1e-12)
 
 
 @pytest.mark.parametrize("steps", [1, 3])

@@ -1,5 +1,7 @@
 """Catalogues of procedural objects: 100 distributed as the paper's Fig. 2, and thin ones; each one solid."""
 
+import hashlib
+import json
 from collections import Counter
 from pathlib import Path
 
@@ -11,6 +13,7 @@ from objectfolder.fem.voxelize import VoxelizeConfig, voxelize
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.procedural import GENERATORS, generate
 from objectfolder.mesh.textured import TexturedMesh
+from objectfolder.release.entries import CATEGORIES
 from objectfolder.workspace import objects as catalog
 from objectfolder.workspace import params
 
@@ -50,6 +53,17 @@ def test_every_object_is_generated_and_every_family_appears():
         for key, entry in values["objects"].items():
             assert entry["mesh"] == f"data/objects/{key}/mesh.glb"
     assert set(FIRST) | {entry["generator"] for entry in SLIGHT["procedural"].values()} == set(GENERATORS)
+
+
+def test_version_1_never_changes():
+    text = json.dumps({part: VALUES[part] for part in ("procedural", "objects")}, sort_keys=True)
+    digest = "2aef9d965824a95238e9ca430ffff45da9f657a917d7ea524d1db6c9c5c3b706"
+    message = "version 1 is frozen: put other objects into a new version of the catalogue"
+    assert hashlib.sha256(text.encode()).hexdigest() == digest, message
+
+
+def test_every_family_has_a_category_in_a_release():
+    assert set(GENERATORS) <= {generator for family in CATEGORIES.values() for generator in family}
 
 
 def test_no_two_objects_are_alike():
