@@ -56,10 +56,11 @@ def test_a_board_of_another_seed_is_another_piece_of_wood():
     assert np.mean(one.texture != other.texture) > 0.5
 
 
-def test_rounded_square_lacks_the_area_outside_its_arcs():
+def test_rounded_square_has_arcs_in_its_corners():
     side, radius = 0.2, 0.05
     outline = rounded(rectangle(side, side), radius)
-    assert area(outline) == pytest.approx(side**2 - (4 - np.pi) * radius**2, rel=1e-3)
+    circle = area(regular(32, radius))
+    assert area(outline) == pytest.approx(side**2 - (2 * radius) ** 2 + circle, rel=1e-5)
     np.testing.assert_allclose(np.abs(outline).max(0), side / 2, atol=1e-9)
 
 
