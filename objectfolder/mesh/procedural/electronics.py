@@ -181,9 +181,9 @@ def _radio(look: Look, plump: float) -> Kit:
     handle = loop(arch, 0.11, 0.09, 0.05, 2.8)
 
     cavity = across([rectangle(1 - 2 * wall, tall - 2 * wall, 0.09)], deep - 2 * wall, SPACING)
-    rise = 0.054 * np.arange(-3, 4)
-    grille = bars(list(2 * np.sqrt(0.19**2 - rise**2)), 0.027, 0.054, 0.14)
-    vents = bars([0.30, 0.42, 0.42, 0.30], 0.027, 0.054, 0.14)
+    rise = 0.062 * (np.arange(6) - 2.5)
+    grille = bars(list(2 * np.sqrt(0.185**2 - rise**2)), 0.025, 0.062, 0.14)
+    vents = bars([0.30, 0.42, 0.42, 0.30], 0.025, 0.062, 0.14)
     basin = across([regular(64, 0.195)], 0.04, SPACING).translate((speaker[0], front - 0.018, speaker[1]))
     cover = across([rectangle(0.62, 0.32, 0.06)], 0.03, SPACING, 0.01).translate((0, -front, middle))
     face = across([regular(64, 0.12)], 0.04, SPACING).translate((dial[0], front - 0.018, dial[1]))
