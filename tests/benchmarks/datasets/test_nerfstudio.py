@@ -4,6 +4,8 @@ import json
 
 import numpy as np
 import pytest
+import torch
+import trimesh
 from PIL import Image
 from typer.testing import CliRunner
 
@@ -67,19 +69,93 @@ def test_the_command_writes_a_folder_per_object_and_keeps_what_is_there(brick_pa
     assert "exists already" in str(again.exception)
 
 
-@pytest.mark.slow
-def test_nerfstudio_reads_cameras_and_pictures(path):
+#: Options of Nerfstudio's parser with which poses stay as they are written.
+AS_WRITTEN = {"orientation_method": "none", "center_method": "none", "auto_scale_poses": False}
+
+
+@pytest.fixture
+def parsed(path):
+    """Return a function: what Nerfstudio's parser finds, given its options and a split."""
     name = "nerfstudio.data.dataparsers.nerfstudio_dataparser"
     module = pytest.importorskip(name, reason="nerfstudio is not installed")
-    as_written = {"orientation_method": "none", "center_method": "none", "auto_scale_poses": False}
-    config = module.NerfstudioDataParserConfig(
-        data=path.parent, downscale_factor=1, eval_mode="all", **as_written
-    )
-    found = config.setup().get_dataparser_outputs("train")
-    frames = sorted(json.loads(path.read_text())["frames"], key=lambda frame: frame["file_path"])
-    assert [str(file) for file in found.image_filenames] == [
-        str(path.parent / frame["file_path"]) for frame in frames
-    ]
+
+    def parse(split="train", **options):
+        config = module.NerfstudioDataParserConfig(data=path.parent, downscale_factor=1, **options)
+        return config.setup().get_dataparser_outputs(split)
+
+    return parse
+
+
+@pytest.mark.slow
+def test_nerfstudio_reads_cameras_and_pictures(path, parsed):
+    from nerfstudio.cameras.cameras import CameraType
+    from nerfstudio.data.datasets.base_dataset import InputDataset
+
+    found = parsed(eval_mode="all", **AS_WRITTEN)
+    described = json.loads(path.read_text())
+    frames = sorted(described["frames"], key=lambda frame: frame["file_path"])
+    assert found.image_filenames == [path.parent / frame["file_path"] for frame in frames]
+    assert found.mask_filenames is None
     truth = np.array([frame["transform_matrix"] for frame in frames])[:, :3]
     np.testing.assert_allclose(found.cameras.camera_to_worlds, truth, atol=1e-6)
-    assert float(found.cameras.cx[0]) == 24
+    for field, name in {
+        "fx": "fl_x",
+        "fy": "fl_y",
+        "cx": "cx",
+        "cy": "cy",
+        "width": "w",
+        "height": "h",
+    }.items():
+        np.testing.assert_allclose(getattr(found.cameras, field), described[name], rtol=1e-6)
+    assert (found.cameras.camera_type == CameraType.PERSPECTIVE.value).all()
+    assert not found.cameras.distortion_params.any()
+    read = InputDataset(found)
+    assert len(read) == len(frames)
+    for k, frame in enumerate(frames):
+        with Image.open(path.parent / frame["file_path"]) as image:
+            np.testing.assert_allclose(read[k]["image"], np.asarray(image) / 255, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_nerfstudios_rays_meet_the_object_where_it_is_drawn(brick, path, parsed):
+    """By rays of its own cameras: those of opaque pixels hit the surface, the others miss it."""
+    found = parsed(eval_mode="all", **AS_WRITTEN)
+    surface = trimesh.Trimesh(brick.surface.vertices, brick.surface.faces, process=False)
+    for k, file in enumerate(found.image_filenames):
+        rays = found.cameras.generate_rays(camera_indices=k)
+        origins, directions = rays.origins.reshape(-1, 3).numpy(), rays.directions.reshape(-1, 3).numpy()
+        hit = surface.ray.intersects_any(origins, directions)
+        with Image.open(file) as image:
+            alpha = np.asarray(image)[..., 3].ravel()
+        assert 50 < hit.sum() < hit.size - 50
+        assert (alpha[hit] > 0).all()
+        assert (alpha[~hit] < 255).all()
+
+
+@pytest.mark.slow
+def test_nerfstudio_projects_known_points_where_the_format_does(brick, path, parsed):
+    found = parsed(eval_mode="all", **AS_WRITTEN)
+    described = json.loads(path.read_text())
+    points = brick.surface.vertices[:: len(brick.surface.vertices) // 50]
+    frames = sorted(described["frames"], key=lambda frame: frame["file_path"])
+    for k, frame in enumerate(frames):
+        world_to_camera = np.linalg.inv(frame["transform_matrix"])
+        x, y, z = (points @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]).T
+        column = described["fl_x"] * x / -z + described["cx"]
+        row = described["fl_y"] * -y / -z + described["cy"]
+        coords = torch.from_numpy(np.float32(np.stack([row, column], 1)))
+        rays = found.cameras.generate_rays(camera_indices=k, coords=coords)
+        away = points - rays.origins.numpy()
+        along = (away * rays.directions.numpy()).sum(1)
+        assert (along > 0).all()
+        np.testing.assert_allclose(along, np.linalg.norm(away, axis=1), rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_nerfstudios_defaults_part_and_place_the_views(path, parsed):
+    """As ns-train reads them: every view is of one split, and the cameras fill a cube of side 2."""
+    train, val = parsed("train"), parsed("val")
+    names = [file.name for file in train.image_filenames + val.image_filenames]
+    assert sorted(names) == sorted(file.name for file in (path.parent / "images").iterdir())
+    centres = np.concatenate([found.cameras.camera_to_worlds[:, :, 3] for found in (train, val)])
+    assert np.abs(centres).max() == pytest.approx(1, abs=1e-5)
