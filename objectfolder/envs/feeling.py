@@ -9,7 +9,7 @@ import torch
 
 from objectfolder.envs.fingers import COARSE, LEAST_DEPTH, sensor_angles
 from objectfolder.envs.poses import rotation
-from objectfolder.envs.sounding import Objects, body_number, named_objects
+from objectfolder.envs.sounding import DIVERGED, Objects, body_number, check_poses, check_size, named_objects
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.camera import gel_sag
@@ -106,6 +106,8 @@ class Feeling:
                     f"body {name!r}: touch needs the object's own size, {one.file.scale:g} m, but it has "
                     f"{one.scale:g} m; build the object with that scale"
                 )
+            advice = "touch needs the object's own size: build the object with that of the scene"
+            check_size(model, name, one.file, one.file.scale, advice)
             self._files[body_number(model, name)] = one.file
         profile = self.profile
         self._coarse = replace(profile, height=profile.height // COARSE, width=profile.width // COARSE)
@@ -120,6 +122,8 @@ class Feeling:
         """Return what all pads feel now, in one environment or in many of the same model."""
         single = isinstance(data, mujoco.MjData)
         many = [data] if isinstance(data, mujoco.MjData) else [*data]
+        for one in many:
+            check_poses(self._model, one, self._files)
         contacts = [self._touching(one, site) for one in many for site in self._sites]
         rows, shape = len(contacts), (len(many), len(self._sites))
         size = self.profile.height, self.profile.width
@@ -146,8 +150,7 @@ class Feeling:
         finger, model = model_body(self._model, site), self._model
         if not (np.isfinite(at).all() and np.isfinite(axes).all()):
             raise ObjectFolderError(
-                f"pad {model.site(site).name!r}: its pose is not finite at {data.time:g} s: the simulation "
-                "has diverged; use a shorter time step or softer contacts"
+                f"pad {model.site(site).name!r}: its pose is not finite at {data.time:g} s: {DIVERGED}"
             )
         forces: dict[int, np.ndarray] = {}
         wrench = np.zeros(6)

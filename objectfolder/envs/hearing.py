@@ -12,7 +12,7 @@ from objectfolder.audio.scrape import Scrape, roughness_of, scrape_force
 from objectfolder.audio.stream import ModalStream, Pulse, pulse_gain
 from objectfolder.checks import finite_number, real_array, whole_number
 from objectfolder.envs.impacts import ContactReader, Impact, Load
-from objectfolder.envs.sounding import Objects, body_number, check_body, named_objects
+from objectfolder.envs.sounding import Objects, body_number, check_body, check_poses, named_objects
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.materials import Material, material
 from objectfolder.objectfile.voice import Voice
@@ -172,15 +172,7 @@ class Hearing:
         return {b.name: float(b.stream.energy[: b.voice.modes].sum()) for b in self._bodies.values()}
 
     def _check(self, data: mujoco.MjData) -> None:
-        for body in self._bodies.values():
-            if (
-                not np.isfinite(data.xpos[body.number]).all()
-                or not np.isfinite(data.xquat[body.number]).all()
-            ):
-                raise ObjectFolderError(
-                    f"body {body.name!r}: its pose is not finite at {data.time:g} s: the simulation has "
-                    "diverged; use a shorter time step or softer contacts"
-                )
+        check_poses(self._model, data, self._bodies)
         if not np.isfinite(data.qpos).all() or not np.isfinite(data.qvel).all():
             raise ObjectFolderError(f"the state of the simulation is not finite at {data.time:g} s; reset it")
         expected = self._time + self._step

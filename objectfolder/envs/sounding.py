@@ -1,4 +1,4 @@
-"""Objects of a MuJoCo model that can be heard: which bodies they are, checked against their files."""
+"""Objects of a MuJoCo model that can be heard or felt: which bodies they are, checked against their files."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -12,6 +12,8 @@ from objectfolder.materials import Material
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.voice import Voice
 
+#: Why a pose is not finite, and what to do.
+DIVERGED = "the simulation has diverged; use a shorter time step or softer contacts"
 _MASS, _SIZE = 0.1, 0.15  # relative differences of mass and size at which a body is another one
 
 
@@ -93,16 +95,30 @@ def check_body(model: mujoco.MjModel, name: str, one: Sounding, voice: Voice) ->
             f"body {name!r} weighs {mass:.4g} kg in the scene, but {one.file.key} of {voice.material.name} "
             f"and {voice.scale:.4g} m weighs {voice.mass:.4g} kg; {advice}"
         )
-    reach = _extent(model, body)
+    check_size(model, name, one.file, voice.scale, advice)
+
+
+def check_size(model: mujoco.MjModel, name: str, file: ObjectFile, scale: float, advice: str) -> None:
+    """Raise ObjectFolderError, with advice, if a body is not of the size of an object of this scale, m."""
+    reach = _extent(model, body_number(model, name))
     if reach is None:
         return
-    expected = one.file.bounds * (voice.scale / one.file.scale)
-    if abs(reach - expected).max() > _SIZE * voice.scale:
+    expected = file.bounds * (scale / file.scale)
+    if abs(reach - expected).max() > _SIZE * scale:
         raise ObjectFolderError(
             f"the geoms of body {name!r} reach from {reach[0].round(4).tolist()} to "
-            f"{reach[1].round(4).tolist()} m, but {one.file.key} of {voice.scale:.4g} m from "
+            f"{reach[1].round(4).tolist()} m, but {file.key} of {scale:.4g} m from "
             f"{expected[0].round(4).tolist()} to {expected[1].round(4).tolist()}; {advice}"
         )
+
+
+def check_poses(model: mujoco.MjModel, data: mujoco.MjData, bodies: Iterable[int]) -> None:
+    """Raise ObjectFolderError if the pose of a body is not finite."""
+    for body in bodies:
+        if not (np.isfinite(data.xpos[body]).all() and np.isfinite(data.xquat[body]).all()):
+            raise ObjectFolderError(
+                f"body {model.body(body).name!r}: its pose is not finite at {data.time:g} s: {DIVERGED}"
+            )
 
 
 def _extent(model: mujoco.MjModel, body: int) -> np.ndarray | None:

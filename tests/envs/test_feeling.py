@@ -1,3 +1,5 @@
+import copy
+
 import mujoco
 import numpy as np
 import pytest
@@ -108,7 +110,19 @@ def test_wrong_arguments_are_refused(model, brick, feeling):
         Feeling(model, PADS, {"brick": Sounding(brick, scale=0.2)})
     with pytest.raises(ObjectFolderError, match="no body 'cup'"):
         Feeling(model, PADS, {"cup": brick})
-    data = mujoco.MjData(model)
-    data.site_xpos[0] = np.nan
-    with pytest.raises(ObjectFolderError, match=r"pad 'left_pad': its pose is not finite at 0 s"):
-        feeling.feel(data)
+    larger = copy.deepcopy(model)
+    larger.mesh_vert[:] *= 2
+    with pytest.raises(
+        ObjectFolderError, match=r"geoms of body 'brick' reach from .* touch needs the object's"
+    ):
+        Feeling(larger, PADS, [brick])
+
+
+def test_a_simulation_that_diverges_is_refused(model, feeling):
+    """Also where the pads are fixed, and would touch nothing."""
+    for name, message in {"site_xpos": "pad 'left_pad'", "xquat": "body 'brick'"}.items():
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        getattr(data, name)[int(name == "xquat")] = np.nan
+        with pytest.raises(ObjectFolderError, match=f"{message}: its pose is not finite at 0 s"):
+            feeling.feel([mujoco.MjData(model), data])
