@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import trimesh
 from platformdirs import user_cache_path
+from scipy.spatial.transform import Rotation
 
 from objectfolder import materials
 from objectfolder.envs.hulls import cached_hulls
@@ -35,6 +36,24 @@ class RigidBody:
     def points(self) -> np.ndarray:
         """Vertices of all hulls; (P, 3)."""
         return np.concatenate([hull.vertices for hull in self.hulls])
+
+    def principal(self, turn: np.ndarray | None = None) -> tuple[np.ndarray, Rotation]:
+        """Return the principal moments of inertia, ascending, and the rotation to their axes.
+
+        Parameters
+        ----------
+        turn : (3, 3) array, optional
+            Rotation to the axes in which they are wanted; default: the object's.
+
+        Returns
+        -------
+        (3,) float64, kg m^2
+        Rotation
+        """
+        turn = np.eye(3) if turn is None else turn
+        moments, axes = np.linalg.eigh(turn @ self.inertia @ turn.T)
+        axes[:, 0] *= np.sign(np.linalg.det(axes))
+        return moments, Rotation.from_matrix(axes)
 
 
 def rigid_body(file: ObjectFile, hulls: Sequence[trimesh.Trimesh]) -> RigidBody:

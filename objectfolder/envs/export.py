@@ -9,14 +9,13 @@ import numpy as np
 import trimesh
 from trimesh.exchange.obj import export_obj
 
-from objectfolder.disk import new_folder
-from objectfolder.envs.body import ROLLING, TORSIONAL, RigidBody, add_body, density, rigid_body
-from objectfolder.envs.hulls import MAX_HULLS, convex_hulls
+from objectfolder.envs.body import ROLLING, TORSIONAL, RigidBody, add_body, density
+from objectfolder.envs.export_folder import export_folder
+from objectfolder.envs.hulls import MAX_HULLS
 from objectfolder.envs.visual import PLAIN, visual_mesh
 from objectfolder.io import write_text
 from objectfolder.objectfile.file import ObjectFile
 
-_NEEDED = 8 * 2**20  # approximate size of a folder with mesh and texture, bytes
 _VISUAL, _COLLISION = 2, 3  # groups of geoms; MuJoCo's viewer shows only the first
 
 
@@ -50,12 +49,10 @@ def write_mjcf(
     ObjectFolderError
         If the folder exists already, the file holds no geometry, or an extra is not installed.
     """
-    folder = Path(out) / file.key
-    with new_folder(f"{file.key}: export", folder, _NEEDED, "") as new:
-        body = rigid_body(file, convex_hulls(file.to_mesh(), max_hulls) if hulls is None else hulls)
+    with export_folder(file, out, max_hulls, hulls) as (new, body):
         textured = _write_meshes(new, file, body)
         write_text(new / f"{file.key}.xml", _mjcf(new, body, density(file), textured))
-    return folder / f"{file.key}.xml"
+    return Path(out) / file.key / f"{file.key}.xml"
 
 
 def write_urdf(
@@ -75,12 +72,10 @@ def write_urdf(
     Path
         Of the URDF file.
     """
-    folder = Path(out) / file.key
-    with new_folder(f"{file.key}: export", folder, _NEEDED, "") as new:
-        body = rigid_body(file, convex_hulls(file.to_mesh(), max_hulls) if hulls is None else hulls)
+    with export_folder(file, out, max_hulls, hulls) as (new, body):
         _write_meshes(new, file, body)
         write_text(new / f"{file.key}.urdf", _urdf(body))
-    return folder / f"{file.key}.urdf"
+    return Path(out) / file.key / f"{file.key}.urdf"
 
 
 def _write_meshes(folder: Path, file: ObjectFile, body: RigidBody) -> bool:

@@ -10,21 +10,18 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from scipy.spatial.transform import Rotation
 
-from objectfolder.disk import new_folder
-from objectfolder.envs.body import RigidBody, rigid_body
+from objectfolder.envs.body import RigidBody
+from objectfolder.envs.export_folder import export_folder
 from objectfolder.envs.glb import append, packed, unpacked
-from objectfolder.envs.hulls import MAX_HULLS, convex_hulls
-from objectfolder.envs.visual import visual_mesh
+from objectfolder.envs.hulls import MAX_HULLS
+from objectfolder.envs.visual import ROUGHNESS, texture_of, visual_mesh
 from objectfolder.mesh.textured import complete_document, y_up
 from objectfolder.nets.audio_gains import energy_weights
 from objectfolder.objectfile.file import ObjectFile
 
 PHYSICS, AUDIO = "KHR_physics_rigid_bodies", "KHR_audio_rigid_bodies"
 SAMPLES = 1000  #: most points at which mode shapes are stored
-_NEEDED = 16 * 2**20  # approximate size of a file, bytes
-_ROUGHNESS = 0.5
 _GROWTH = 1.15  # of the cells of the sample surface, until it has few enough points
 
 
@@ -58,9 +55,7 @@ def write_glb(
     ObjectFolderError
         If the folder exists already, the file holds no geometry, or an extra is not installed.
     """
-    folder = Path(out) / file.key
-    with new_folder(f"{file.key}: export", folder, _NEEDED, "") as new:
-        body = rigid_body(file, convex_hulls(file.to_mesh(), max_hulls) if hulls is None else hulls)
+    with export_folder(file, out, max_hulls, hulls) as (new, body):
         document, buffer = unpacked(_meshes(file, body))
         node = _add_body(document, body)
         if "audio" in file.header and file.has_modes and len(file.frequencies):
@@ -68,15 +63,14 @@ def write_glb(
             document["extensionsUsed"].append(AUDIO)
             document["extensions"][AUDIO] = _modal_model(document, buffer, file, body)
         (new / f"{file.key}.glb").write_bytes(packed(document, buffer))
-    return folder / f"{file.key}.glb"
+    return Path(out) / file.key / f"{file.key}.glb"
 
 
 def _meshes(file: ObjectFile, body: RigidBody) -> bytes:
     """Return a binary glTF with the visual mesh and the hulls."""
     look = visual_mesh(file)
-    image = getattr(getattr(look.visual, "material", None), "image", None)
     surface = trimesh.visual.material.PBRMaterial(
-        baseColorTexture=image, roughnessFactor=_ROUGHNESS, metallicFactor=0.0
+        baseColorTexture=texture_of(look), roughnessFactor=ROUGHNESS, metallicFactor=0.0
     )
     drawn = trimesh.Trimesh(
         y_up(look.vertices),
@@ -125,14 +119,12 @@ def _add_body(document: dict[str, Any], body: RigidBody) -> dict[str, Any]:
 
 def motion_of(body: RigidBody) -> dict[str, Any]:
     """Return mass, centre of mass and inertia as both extensions describe them, y up."""
-    turn = y_up(np.eye(3)).T  # from z up to y up
-    moments, axes = np.linalg.eigh(turn @ body.inertia @ turn.T)
-    axes[:, 0] *= np.sign(np.linalg.det(axes))
+    moments, axes = body.principal(y_up(np.eye(3)).T)  # turned from z up to y up
     return {
         "mass": body.mass,
         "centerOfMass": y_up(body.centre[None])[0].tolist(),
         "inertiaDiagonal": moments.tolist(),
-        "inertiaOrientation": Rotation.from_matrix(axes).as_quat().tolist(),
+        "inertiaOrientation": axes.as_quat().tolist(),
     }
 
 

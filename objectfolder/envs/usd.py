@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import trimesh
-from scipy.spatial.transform import Rotation
 
-from objectfolder.disk import new_folder
-from objectfolder.envs.body import RigidBody, density, rigid_body
-from objectfolder.envs.hulls import MAX_HULLS, convex_hulls
-from objectfolder.envs.visual import PLAIN, visual_mesh
+from objectfolder.envs.body import RigidBody, density
+from objectfolder.envs.export_folder import export_folder
+from objectfolder.envs.hulls import MAX_HULLS
+from objectfolder.envs.visual import PLAIN, ROUGHNESS, texture_of, visual_mesh
 from objectfolder.mesh.srgb import decode
 from objectfolder.objectfile.file import ObjectFile
 
@@ -19,8 +18,6 @@ if TYPE_CHECKING:
     from pxr import Usd, UsdGeom, Vt
 
 TEXTURE = "visual.png"
-_NEEDED = 8 * 2**20  # approximate size of a folder with mesh and texture, bytes
-_ROUGHNESS = 0.5
 
 
 def write_usd(
@@ -56,11 +53,9 @@ def write_usd(
     """
     from pxr import Usd, UsdGeom, UsdPhysics
 
-    folder = Path(out) / file.key
-    with new_folder(f"{file.key}: export", folder, _NEEDED, "") as new:
-        body = rigid_body(file, convex_hulls(file.to_mesh(), max_hulls) if hulls is None else hulls)
+    with export_folder(file, out, max_hulls, hulls) as (new, body):
         look = visual_mesh(file)
-        image = getattr(getattr(look.visual, "material", None), "image", None)
+        image = texture_of(look)
         if image is not None:
             image.save(new / TEXTURE)
         stage = Usd.Stage.CreateInMemory()
@@ -71,7 +66,7 @@ def write_usd(
         _add_look(stage, body.key, look, image is not None)
         _add_hulls(stage, body, density(file))
         stage.GetRootLayer().Export(str(new / f"{file.key}.usda"), comment="")
-    return folder / f"{file.key}.usda"
+    return Path(out) / file.key / f"{file.key}.usda"
 
 
 def _add_body(stage: "Usd.Stage", body: RigidBody) -> None:
@@ -81,9 +76,8 @@ def _add_body(stage: "Usd.Stage", body: RigidBody) -> None:
     prim = UsdGeom.Xform.Define(stage, f"/{body.key}").GetPrim()
     stage.SetDefaultPrim(prim)
     UsdPhysics.RigidBodyAPI.Apply(prim)
-    moments, axes = np.linalg.eigh(body.inertia)
-    axes[:, 0] *= np.sign(np.linalg.det(axes))
-    x, y, z, w = map(float, Rotation.from_matrix(axes).as_quat())
+    moments, axes = body.principal()
+    x, y, z, w = map(float, axes.as_quat())
     mass = UsdPhysics.MassAPI.Apply(prim)
     mass.CreateMassAttr(float(body.mass))
     mass.CreateCenterOfMassAttr(Gf.Vec3f(*map(float, body.centre)))
@@ -101,7 +95,7 @@ def _add_look(stage: "Usd.Stage", key: str, look: trimesh.Trimesh, textured: boo
     material = UsdShade.Material.Define(stage, f"/{key}/materials/look")
     shader = UsdShade.Shader.Define(stage, f"/{key}/materials/look/surface")
     shader.CreateIdAttr("UsdPreviewSurface")
-    shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(_ROUGHNESS)
+    shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(ROUGHNESS)
     shader.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.0)
     color = shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
     if textured:

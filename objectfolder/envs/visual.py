@@ -10,6 +10,7 @@ from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.vision import BaseColors
 
 PLAIN = 0.7  #: grey of objects without base colours, sRGB
+ROUGHNESS = 0.5  #: of what is drawn, in exports whose format has it
 TEXELS = 1024  #: side of the texture
 _DETAIL = 0.001  # tolerance of the simplification, fraction of the longest side
 _MARGIN = 1  # texels around a face, so that bilinear filtering does not reach a neighbour
@@ -49,6 +50,11 @@ def visual_mesh(file: ObjectFile) -> trimesh.Trimesh:
         ),
         process=False,
     )
+
+
+def texture_of(mesh: trimesh.Trimesh) -> Image.Image | None:
+    """Return the image on a mesh of `visual_mesh`, if it has one."""
+    return getattr(getattr(mesh.visual, "material", None), "image", None)
 
 
 def _texture(base_colors: BaseColors, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
