@@ -60,7 +60,12 @@ EXTRAS = (
     Extra("usd", ("[usd]",), "usd-core", "usd", ("tests/envs/test_usd_export.py",)),
     Extra(
         "lerobot",
-        ("[hub]", "lerobot==0.4.4"),  # the last for Python 3.11
+        # The last for Python 3.11, and the last.
+        (
+            "[hub]",
+            "lerobot==0.4.4; python_version < '3.12'",
+            "lerobot[dataset]==0.6.1; python_version >= '3.12'",
+        ),
         "lerobot",
         "lerobot",
         ("tests/benchmarks/datasets/test_lerobot.py",),
