@@ -73,7 +73,11 @@ def share_95(success: np.ndarray) -> dict[str, Any]:
 
 
 def mean_average_precision(
-    queries: np.ndarray, query_labels: np.ndarray, gallery: np.ndarray, gallery_labels: np.ndarray
+    queries: np.ndarray,
+    query_labels: np.ndarray,
+    gallery: np.ndarray,
+    gallery_labels: np.ndarray,
+    own: bool = False,
 ) -> float:
     """Compute the mean average precision of ranking a gallery by cosine similarity (main paper, Table 3).
 
@@ -88,6 +92,8 @@ def mean_average_precision(
     query_labels : (Q,) int array
     gallery : (G, D) array
     gallery_labels : (G,) int array
+    own : bool
+        The queries are the first rows of the gallery; none finds itself.
 
     Returns
     -------
@@ -100,18 +106,19 @@ def mean_average_precision(
     """
     unit = [_unit(name, value) for name, value in (("query", queries), ("gallery", gallery))]
     query_labels, gallery_labels = np.asarray(query_labels), np.asarray(gallery_labels)
-    _relevant_counts(gallery_labels, query_labels)
-    precisions = [
-        _average_precisions(
-            np.round(unit[0][start : start + BLOCK] @ unit[1].T, DECIMALS),
-            query_labels[start : start + BLOCK, None] == gallery_labels,
-        )
-        for start in range(0, len(query_labels), BLOCK)
-    ]
+    _relevant_counts(gallery_labels, query_labels, own)
+    precisions = []
+    for start in range(0, len(query_labels), BLOCK):
+        similarity = np.round(unit[0][start : start + BLOCK] @ unit[1].T, DECIMALS)
+        relevant = query_labels[start : start + BLOCK, None] == gallery_labels
+        if own:  # ranked last, and not relevant
+            rows = np.arange(len(similarity))
+            similarity[rows, start + rows], relevant[rows, start + rows] = -np.inf, False
+        precisions.append(_average_precisions(similarity, relevant))
     return float(np.mean(np.concatenate(precisions)))
 
 
-def chance_map(gallery_labels: np.ndarray, query_labels: np.ndarray) -> float:
+def chance_map(gallery_labels: np.ndarray, query_labels: np.ndarray, own: bool = False) -> float:
     """Compute the expected mean average precision of a random ranking of the gallery.
 
     If R of N rows are relevant, rank k holds a relevant row with probability R/N, preceded by
@@ -122,6 +129,8 @@ def chance_map(gallery_labels: np.ndarray, query_labels: np.ndarray) -> float:
     ----------
     gallery_labels : (G,) int array
     query_labels : (Q,) int array
+    own : bool
+        As for `mean_average_precision`.
 
     Raises
     ------
@@ -129,8 +138,8 @@ def chance_map(gallery_labels: np.ndarray, query_labels: np.ndarray) -> float:
         If there is no query, or a query has no relevant row.
     """
     gallery_labels = np.asarray(gallery_labels)
-    relevant = _relevant_counts(gallery_labels, np.asarray(query_labels))
-    count = len(gallery_labels)
+    relevant = _relevant_counts(gallery_labels, np.asarray(query_labels), own)
+    count = len(gallery_labels) - own
     harmonic = np.sum(1 / np.arange(1, count + 1))
     share = (relevant - 1) / max(count - 1, 1)
     return float(np.mean((harmonic + share * (count - harmonic)) / count))
@@ -149,11 +158,13 @@ def _unit(name: str, embeddings: np.ndarray) -> np.ndarray:
     return embeddings / np.where(length > 0, length, 1)
 
 
-def _relevant_counts(gallery_labels: np.ndarray, query_labels: np.ndarray) -> np.ndarray:
-    """Count the gallery rows relevant to each query, (Q,)."""
+def _relevant_counts(gallery_labels: np.ndarray, query_labels: np.ndarray, own: bool) -> np.ndarray:
+    """Count the gallery rows relevant to each query, (Q,), without its own."""
     if not query_labels.size:
         raise ObjectFolderError("no query to rank the gallery for; expected at least one")
     known, counts = np.unique(gallery_labels, return_counts=True)
+    if own:
+        known, counts = known[counts > 1], counts[counts > 1] - 1
     missing = np.setdiff1d(query_labels, known)
     if missing.size:
         raise ObjectFolderError(

@@ -4,18 +4,20 @@ from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass
 from itertools import combinations, product
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
+from annotated_types import Ge
 from torch import nn
 from torch.nn import functional as F
 
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.models import cca
-from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig
+from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig, batch_count, shuffled
 from objectfolder.benchmarks.scoring.scores import chance_map, interval_95, mean_average_precision
 from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.benchmarks.tasks.recognition import Classifier
 from objectfolder.benchmarks.tasks.running import Task
 from objectfolder.errors import ObjectFolderError
 from objectfolder.seeding import numpy_generator, seeded
@@ -31,6 +33,7 @@ FEATURE_SIZES = {"vision": (16, 16), "audio": (64, 8), "touch": (16, 12)}  #: in
 DIMENSIONS = (1, 2, 4, 8, 16, 32, 64, 128)  #: candidate numbers of principal components and variates of CCA
 CHUNK = 64  #: most rows embedded at once
 SAMPLE = 256  #: training rows in the gallery of validation
+FINE_RATE = 0.25  #: learning rate with pre-trained encoders, relative to that of the settings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +43,8 @@ class RetrieveConfig(TrainingConfig):
     seeds: Count  #: runs whose mean is the result
     margin: Positive  #: of the triplet losses, cosine distance
     embedding: Count  #: size of the compared embeddings
+    pretrain_epochs: Annotated[int, Ge(0)]  #: in which each encoder learns to name the training objects first
+    schedule: Literal["cosine", "one_cycle"]  #: `objectfolder.benchmarks.models.training.train`
 
 
 class TwoStream(nn.Module):
@@ -157,18 +162,20 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
     """Train and score the retrieval of each pair of modalities (main paper, Table 3).
 
     Queries are the test rows of one modality, the gallery those of the other; observations of
-    the same object are relevant. The epoch is chosen on the validation rows, ranked among some training rows.
+    the same object are relevant. With queries and gallery of the same modality, no row finds itself; the
+    scores are means over the two pairs that hold it. The epoch is chosen on the validation rows, ranked
+    among some training rows. With ``pretrain_epochs``, encoders first learn to name the training objects.
     The baseline CCA is fitted on the same training rows, and its dimensions are chosen in the same way. Test
     rows are evaluated once, after training.
 
     Returns
     -------
     dict
-        ``directions``, such as ``V->A`` (sounds from views): ``map`` (mean over the seeds), its
+        ``directions``, such as ``V->A`` (sounds from views) or ``V->V``: ``map`` (mean over the seeds), its
         ``interval_95``, ``seeds`` (one value each), ``cca`` and ``chance``. Then what was chosen for ``cca``,
         the counts of `Job.without_duplicates`, and ``seconds`` of training.
     list
-        Rows of the training curves, see `CURVE_COLUMNS`.
+        Rows of the training curves, see `CURVE_COLUMNS`; ``second`` is empty in pre-training.
 
     Raises
     ------
@@ -183,27 +190,62 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
         )
     job, rows = job.without_duplicates(MODALITIES)
     labels = job.observations.labels[job.split.test]
-    chance = chance_map(labels, labels)
     features = {modality: _features(job, modality) for modality in MODALITIES}
-    directions: dict[str, Any] = {}
+    baselines: list[Maps] = []
     chosen: dict[str, Any] = {}
-    curves: list[list[Any]] = []
-    seconds = 0.0
+    finished: dict[Pair, list[dict[str, Any]]] = {}
+    alone = list(product(MODALITIES, range(job.params.seeds))) if job.params.pretrain_epochs else []
+    named = {one: _pretrained(job, *one) for one in alone}
     for pair in PAIRS:
         baseline, chosen["-".join(pair)] = _correlated(job, pair, features)
-        runs = [_finished(job, pair, run) for run in range(job.params.seeds)]
-        for direction in baseline:
-            values = [run["map"][direction] for run in runs]
-            directions[direction] = {
-                "map": float(np.mean(values)),
-                "interval_95": interval_95(values),
-                "seeds": values,
-                "cca": baseline[direction],
-                "chance": chance,
-            }
-        curves += [[*pair, i, *point] for i, run in enumerate(runs) for point in run["curve"]]
-        seconds += sum(run["seconds"] for run in runs)
+        baselines.append(baseline)
+        finished[pair] = [_finished(job, pair, run) for run in range(job.params.seeds)]
+    for checkpoint in job.progress.glob("encoder_*.pt"):
+        checkpoint.unlink()
+    directions: dict[str, Any] = {}
+    for direction in sorted({name for baseline in baselines for name in baseline}):
+        values = [
+            float(
+                np.mean(
+                    [
+                        runs[run]["map"][direction]
+                        for runs in finished.values()
+                        if direction in runs[run]["map"]
+                    ]
+                )
+            )
+            for run in range(job.params.seeds)
+        ]
+        directions[direction] = {
+            "map": float(np.mean(values)),
+            "interval_95": interval_95(values),
+            "seeds": values,
+            "cca": float(np.mean([baseline[direction] for baseline in baselines if direction in baseline])),
+            "chance": chance_map(labels, labels, own=direction[0] == direction[-1]),
+        }
+    curves = [
+        [modality, "", run, *point] for (modality, run), unit in named.items() for point in unit["curve"]
+    ]
+    curves += [
+        [*pair, i, *point]
+        for pair, runs in finished.items()
+        for i, run in enumerate(runs)
+        for point in run["curve"]
+    ]
+    units = [*named.values(), *(run for runs in finished.values() for run in runs)]
+    seconds = sum(unit["seconds"] for unit in units)
     return {"directions": directions, "cca": chosen, **rows, "seconds": seconds}, curves
+
+
+def _pretrained(job: Job[RetrieveConfig], modality: str, run: int) -> dict[str, Any]:
+    """Return the curve of an encoder's pre-training, which leaves its checkpoint behind."""
+
+    def make() -> dict[str, Any]:
+        curve = _namer(job, modality, run)[1]
+        rows = [astuple(point)[:3] for point in curve]
+        return {"curve": rows, "seconds": sum(point.seconds for point in curve)}
+
+    return job.finished(f"encoder_{modality}_{run}", make)
 
 
 def _finished(job: Job[RetrieveConfig], pair: Pair, run: int) -> dict[str, Any]:
@@ -234,6 +276,9 @@ def _trained(
     purpose = ("retrieve", job.split.name, *pair, str(run))
     with seeded(job.seed, *purpose):
         net = TwoStream([job.make_encoder(modality) for modality in pair], params.embedding, len(classes))
+    if params.pretrain_epochs:
+        for encoder, modality in zip(net.encoders, pair):
+            encoder.load_state_dict(_namer(job, modality, run)[0].state_dict())
 
     def epoch_batches(epoch: int) -> Iterator[Batch]:
         rng = numpy_generator(job.seed, *purpose, f"epoch {epoch}")
@@ -250,9 +295,9 @@ def _trained(
 
     def val_score() -> float:
         rows = _validation(job)
-        scores = _maps(job, pair, _embeddings(job, net, pair, rows), rows, len(job.split.val))
-        return sum(scores.values()) / 2
+        return _crossed(_maps(job, pair, _embeddings(job, net, pair, rows), rows, len(job.split.val)))
 
+    steps = params.epochs * -(-len(rows) // params.batch)
     curve = job.train(
         f"retrieve {job.split.name}, {pair[0]} and {pair[1]}, seed {run + 1} of {params.seeds}",
         net,
@@ -261,8 +306,54 @@ def _trained(
         val_score,
         "mAP",
         checkpoint,
+        rate=FINE_RATE if params.pretrain_epochs else 1.0,
+        cycle=steps if params.schedule == "one_cycle" else None,
     )
     return net, curve
+
+
+def _namer(job: Job[RetrieveConfig], modality: str, run: int) -> tuple[nn.Module, list[EpochPoint]]:
+    """Train an encoder to name the training objects, or read its finished checkpoint.
+
+    The epoch is the one whose features retrieve the validation rows best, within the modality.
+    """
+    params, rows, labels = job.params, job.split.train, job.observations.labels
+    classes = np.unique(labels[rows])
+    purpose = ("retrieve", job.split.name, modality, str(run))
+    with seeded(job.seed, *purpose):
+        net = Classifier({modality: job.make_encoder(modality)}, len(classes))
+
+    def epoch_batches(epoch: int) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
+        rng = numpy_generator(job.seed, *purpose, f"epoch {epoch}")
+        for some in shuffled(rows, params.batch, rng):
+            targets = torch.from_numpy(np.searchsorted(classes, labels[some]))
+            yield job.inputs(modality, some, rng), targets.to(job.device)
+
+    def batch_loss(batch: tuple[torch.Tensor, torch.Tensor]) -> torch.Tensor:
+        inputs, targets = batch
+        return F.cross_entropy(net({modality: inputs}), targets)
+
+    def val_score() -> float:
+        gallery, queries = _validation(job), len(job.split.val)
+        features = (
+            torch.cat([net.encoders[modality](x) for x in _chunks(job, modality, gallery)]).cpu().numpy()
+        )
+        of = labels[gallery]
+        return mean_average_precision(features[:queries], of[:queries], features, of, own=True)
+
+    steps = params.pretrain_epochs * batch_count(len(rows), params.batch)
+    curve = job.train(
+        f"retrieve {job.split.name}, {modality} alone, seed {run + 1} of {params.seeds}",
+        net,
+        epoch_batches,
+        batch_loss,
+        val_score,
+        "mAP",
+        job.progress / f"encoder_{modality}_{run}.pt",
+        params.pretrain_epochs,
+        cycle=steps if params.schedule == "one_cycle" else None,
+    )
+    return net.encoders[modality], curve
 
 
 def _validation(job: Job[RetrieveConfig]) -> np.ndarray:
@@ -280,11 +371,17 @@ def _maps(
     """Score embeddings of rows in two modalities: the first rows are queries, all of them the gallery."""
     labels = job.observations.labels[rows]
     return {
-        f"{pair[query][0].upper()}->{pair[1 - query][0].upper()}": mean_average_precision(
-            embeddings[query][:queries], labels[:queries], embeddings[1 - query], labels
+        f"{pair[query][0].upper()}->{pair[answer][0].upper()}": mean_average_precision(
+            embeddings[query][:queries], labels[:queries], embeddings[answer], labels, own=query == answer
         )
         for query in (0, 1)
+        for answer in (0, 1)
     }
+
+
+def _crossed(maps: Maps) -> float:
+    """Return the mean over the directions from one modality to another."""
+    return float(np.mean([value for direction, value in maps.items() if direction[0] != direction[-1]]))
 
 
 def _chunks(job: Job[RetrieveConfig], modality: str, rows: np.ndarray) -> Iterator[torch.Tensor]:
@@ -335,9 +432,7 @@ def _correlated(
 
     validation, test = _validation(job), job.split.test
     tried = {
-        chosen: sum(
-            _maps(job, pair, variates("validation", *chosen), validation, len(job.split.val)).values()
-        )
+        chosen: _crossed(_maps(job, pair, variates("validation", *chosen), validation, len(job.split.val)))
         for chosen in product(DIMENSIONS, DIMENSIONS)
         if chosen[1] <= found[chosen[0]][0].shape[1]
     }

@@ -92,6 +92,23 @@ def test_agrees_with_scikit_learn_without_ties(seed):
     assert value == pytest.approx(np.mean(expected), rel=1e-12)
 
 
+def test_no_query_finds_itself():
+    rng = np.random.default_rng(6)
+    rows = rng.normal(size=(20, 3))
+    labels = np.append(rng.integers(0, 4, 12), np.tile(np.arange(4), 2))
+    others = [np.arange(20) != i for i in range(7)]
+    expected = [
+        mean_average_precision(rows[i : i + 1], labels[i : i + 1], rows[other], labels[other])
+        for i, other in enumerate(others)
+    ]
+    value = mean_average_precision(rows[:7], labels[:7], rows, labels, own=True)
+    assert value == pytest.approx(np.mean(expected), rel=1e-12)
+    chances = [chance_map(labels[other], labels[i : i + 1]) for i, other in enumerate(others)]
+    assert chance_map(labels, labels[:7], own=True) == pytest.approx(np.mean(chances), rel=1e-12)
+    with pytest.raises(ObjectFolderError, match="label 9"):
+        mean_average_precision(rows[:1], [9], rows[:3], [9, 1, 1], own=True)
+
+
 def test_ties_score_the_mean_over_all_their_orders():
     # Directions 10 (twice), 40 (four times) and 90 degrees; the first of a run differ in length only.
     degrees = np.array([10, 10, 40, 40, 40, 40, 90])

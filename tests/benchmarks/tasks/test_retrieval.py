@@ -90,6 +90,8 @@ def params(**changed):
         "patience": 8,
         "margin": 0.5,
         "embedding": 8,
+        "pretrain_epochs": 0,
+        "schedule": "cosine",
     }
     return SimpleNamespace(**(values | changed))
 
@@ -236,7 +238,7 @@ def learnt(tmp_path_factory):
 
 def test_learns_what_the_senses_share(learnt):
     _, results, _ = learnt
-    assert set(results["directions"]) == DIRECTIONS
+    assert set(results["directions"]) == DIRECTIONS | {"V->V", "A->A", "T->T"}
     for score in results["directions"].values():
         assert score["map"] == pytest.approx(np.mean(score["seeds"]))
         assert len(score["seeds"]) == 2
@@ -244,6 +246,28 @@ def test_learns_what_the_senses_share(learnt):
         assert score["map"] > 0.8
         assert score["cca"] > 0.8
         assert 1 / 6 < score["chance"] < 0.4
+
+
+def test_pairs_start_from_encoders_that_name_the_objects(tmp_path, monkeypatch):
+    table = Table()
+    settings = params(pretrain_epochs=4, schedule="one_cycle", epochs=1)
+    split = per_sample(table.keys, table.count)
+    job = Job(table, split, settings, "test_linear", SIZES, seed=3, progress=tmp_path)
+    results, curves = retrieve(job)
+    alone = [row for row in curves if row[1] == ""]
+    assert {row[0] for row in alone} == {"vision", "audio", "touch"}
+    assert {row[3] for row in alone} == {1, 2, 3, 4}
+    assert all(row[5] > 0.9 for row in alone if row[3] == 4)
+    assert {path.suffix for path in tmp_path.iterdir()} == {".json"}
+
+    namers = [retrieval._namer(job, modality, 0)[0] for modality in ("vision", "touch")]
+    monkeypatch.setattr(Job, "train", lambda *_, **__: [])
+    monkeypatch.setattr(retrieval, "_namer", lambda _, modality, __: (namers[modality == "touch"], []))
+    net, _ = retrieval._trained(job, ("vision", "touch"), 0, tmp_path / "none.pt")
+    for encoder, namer in zip(net.encoders, namers):
+        assert all(
+            torch.equal(value, namer.state_dict()[name]) for name, value in encoder.state_dict().items()
+        )
 
 
 def test_says_what_it_is_of(learnt):
