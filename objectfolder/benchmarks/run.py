@@ -173,6 +173,59 @@ def run_on_objects(task: Task, options: BenchmarkOptions, report: Report, jobs: 
     return {key: read_json(folder.result(task.name, key)) for key in sources}
 
 
+def run_on_contacts(options: BenchmarkOptions, report: Report, jobs: int = 1) -> Scores:
+    """Localize contacts on each object (`objectfolder.benchmarks.tasks.localization.localize`).
+
+    Parameters
+    ----------
+    options : BenchmarkOptions
+    report : callable
+        A module-level function, called with lines of text, also in other processes.
+    jobs : int
+        Objects in parallel, which share the threads.
+
+    Returns
+    -------
+    Scores by object key.
+
+    Raises
+    ------
+    ObjectFolderError
+        If an option is wrong, before any work; or if the task fails.
+    """
+    from objectfolder.benchmarks.tasks.localization import LOCALIZE, contact_split
+
+    values, path = options.values()
+    params = task_params(LOCALIZE.config, values, path)
+    encode = params.encode if options.encoder is None else replace(params.encode, encoder=options.encoder)
+    params = replace(params, settings=options.with_seeds(params.settings), encode=encode)
+    make_encoder(registered(encode.encoder), "touch")  # these two fail before any work
+    contact_split(params.settings.contacts)
+    sources, folder = load_object_files(options.files), options.folder
+    threads = max(1, options.cores // jobs)
+    shared = (params, folder, threads, options.device, report)
+    _call_all(_localize, [(source.path, *shared) for source in sources.values()], jobs)
+    return {key: read_json(folder.result(LOCALIZE.name, key)) for key in sources}
+
+
+def _localize(
+    path: Path,
+    params: TaskParams[Any],
+    folder: Benchmarks,
+    threads: int,
+    device: str | None,
+    report: Report,
+) -> None:
+    from objectfolder.benchmarks.tasks.localization import ContactRun
+    from objectfolder.objectfile.file import ObjectFile
+
+    torch.set_num_threads(threads)
+    try:
+        _run_timed(ContactRun(ObjectFile.load(path), params, folder, device), report, threads, device)
+    except ObjectFolderError as error:
+        raise ObjectFolderError(f"{path}: {error}") from error
+
+
 def _run_object(
     task: Task,
     path: Path,

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 bench_app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="markdown",
-    help="Run the paper's benchmark tasks on Object Files: `recognition`, `retrieval`, `reconstruction`, and,"
-    " with a robot, `stability`, `grasping`, `reach`.\n\n"
+    help="Run the paper's benchmark tasks on Object Files: `recognition`, `retrieval`, `reconstruction`,"
+    " `localization`, and, with a robot, `stability`, `grasping`, `reach`.\n\n"
     "Random views, impacts and touches of each Object File are sampled first and kept in OUT/observations, "
     "grasps in OUT/grasps; later tasks reuse them. Interrupted commands resume when repeated.",
 )
@@ -195,6 +195,39 @@ def reconstruction(
         device=device,
     )
     run_on_splits(RECONSTRUCT, options)
+
+
+@bench_app.command()
+def localization(
+    files: FilesArgument = None,
+    preset: PresetOption = None,
+    out: OutOption = None,
+    seeds: SeedsOption = None,
+    encoder: EncoderOption = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Objects in parallel, which share the threads.")] = 1,
+    threads: Annotated[
+        int | None,
+        typer.Option(min=1, help="Default: all cores. Results are reproducible for a given number."),
+    ] = None,
+    device: DeviceOption = None,
+) -> None:
+    """Find where a known object was touched or struck: by one touch, one sound, both, or eight in a row.
+
+    Mean errors in percent of the object's longest side, next to the most similar contact of the training, the
+    best constant answer and a random one.
+
+    `objectfolder bench localization --preset quick build/mug`
+    """
+    from objectfolder.benchmarks.reporting.tables import localization_table
+    from objectfolder.benchmarks.run import BenchmarkOptions, run_on_contacts
+
+    options = BenchmarkOptions(
+        files=files, preset=preset, out=out, seeds=seeds, encoder=encoder, threads=threads, device=device
+    )
+    scores = run_on_contacts(options, say, jobs)
+    print_scores(localization_table(scores))
+    for key in scores:
+        say(f"{options.folder.result('localize', key)}  curves: {options.folder.curve('localize', key)}")
 
 
 def run_on_splits(task: "Task", options: "BenchmarkOptions") -> None:

@@ -48,6 +48,7 @@ SECTIONS = {
     "recognize": "objectfolder.benchmarks.tasks.recognition:RecognizeConfig",
     "retrieve": "objectfolder.benchmarks.tasks.retrieval:RetrieveConfig",
     "reconstruct": "objectfolder.benchmarks.tasks.reconstruction:ReconstructConfig",
+    "localize": "objectfolder.benchmarks.tasks.localization_config:LocalizeConfig",
     "decompose": "objectfolder.envs.hulls:DecomposeConfig",
     "grasp_data": "objectfolder.benchmarks.datasets.grasp_config:GraspDataConfig",
     "grasp_stability": "objectfolder.benchmarks.tasks.grasp_stability_config:GraspStabilityConfig",

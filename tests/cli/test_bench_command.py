@@ -26,6 +26,7 @@ TINY = {
     "encode": {"encoder": "mine.py:tiny", "image": 8, "spectrogram": [8, 8], "touch": [8, 8]},
     "recognize": {"seeds": 2, "epochs": 2, "fusion_epochs": 1, "batch": 8},
     "retrieve": {"seeds": 1, "epochs": 2, "batch": 8, "embedding": 4},
+    "localize": {"seeds": 1, "contacts": 80, "epochs": 1, "batch": 16},
     "reconstruct": {
         **{"seeds": 1, "epochs": 1, "batch": 8, "points": 32, "width": 8, "blocks": 1},
         **{"resolution": 16, "score_points": 200, "views": 1},
@@ -122,6 +123,17 @@ def test_a_task_prints_its_table_and_gives_the_same_bytes_again(files, workspace
     if command == "reconstruction":  # a model names no file whose code would run when it is read
         assert open_safetensors(f"first/{name}.safetensors")[1]["encoder"] == "tiny"
     bench(command, files, "--out", "second", *split)
+    assert results(Path("first")) == results(Path("second"))
+
+
+def test_contacts_are_localized_on_each_object(files, workspace):
+    output = bench("localization", files, "--out", "first")
+    assert "touch + sound" in output
+    assert "mean over objects" in output
+    assert "64 contacts to train with, 8 for validation, 8 for the test" in output
+    written = sorted(path.name for path in Path("first").glob("localize_*.json"))
+    assert len([name for name in written if "_machine" not in name]) == 2
+    bench("localization", files, "--out", "second", "--jobs", "2", "--threads", "2")
     assert results(Path("first")) == results(Path("second"))
 
 

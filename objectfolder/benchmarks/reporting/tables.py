@@ -1,6 +1,6 @@
 """Tables of scores beside chance, baselines and the paper's figures (Gao et al., CoRL 2021, Tables 2-4)."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,6 +67,7 @@ PREDICTED_FROM = {
     "geometry": "width, offset",
     "geometry_force": "width, offset, force",
 }
+SENSES = {"T": "touch", "A": "sound", "TA": "touch + sound"}  #: that contacts are localized by
 NAMES = {"V": "image", "A": "audio", "VA": "image + audio", "average_shape": "average shape"}
 
 
@@ -160,6 +161,45 @@ def grasping_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
         "brackets the 95 % interval (Wilson) over all rollouts. While policies learn, and in row touch, "
         f"features are those of the nearest of {first['presses']} presses; exact: the Object File is asked.",
     )
+
+
+def localization_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
+    """Lay out the scores of `objectfolder.benchmarks.tasks.localization.localize` by object."""
+    rows: list[tuple[str, ...]] = []
+    for senses, name in SENSES.items():
+        found = [score[senses] for score in scores.values()]
+        for key, one in zip(scores, found):
+            net, nearest = one["net"], one["nearest"]
+            rows.append(
+                (
+                    *(name, key),
+                    f"{100 * net['mean']:.1f}" + _interval(net, 100, ".1f"),
+                    *(f"{100 * value:.1f}" for value in (net["median"], net["together"])),
+                    *(f"{100 * nearest[kind]:.1f}" for kind in ("mean", "together")),
+                    *(f"{100 * scores[key][kind]:.1f}" for kind in ("constant", "random")),
+                )
+            )
+        if len(found) > 1:
+            means = [
+                *(_mean(one["net"][kind] for one in found) for kind in ("mean", "median", "together")),
+                *(_mean(one["nearest"][kind] for one in found) for kind in ("mean", "together")),
+                *(_mean(score[kind] for score in scores.values()) for kind in ("constant", "random")),
+            ]
+            rows.append((name, "mean over objects", *(f"{100 * value:.1f}" for value in means)))
+    contacts = next(iter(scores.values()))["contacts"]
+    return Table(
+        "Localization of contacts: mean error in % of the longest side",
+        ("from", "object", "net", "median", "eight", "nearest", "eight nearest", "constant", "random"),
+        rows,
+        f"{contacts['train']} contacts to train with, {contacts['val']} for validation, "
+        f"{contacts['test']} for the test. Eight: after eight contacts with known moves between them. "
+        "Nearest: the training contact with the most similar input. Constant: the best single answer.",
+    )
+
+
+def _mean(values: Iterable[float]) -> float:
+    found = list(values)
+    return sum(found) / len(found)
 
 
 def _thousands(steps: Sequence[int]) -> str:

@@ -3,9 +3,8 @@
 Objects: supplementary I.1. Materials: another label of the same observations.
 """
 
-import copy
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import astuple, dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -17,6 +16,7 @@ from annotated_types import Interval
 from torch import nn
 
 from objectfolder.benchmarks.datasets.observations import Observations
+from objectfolder.benchmarks.models.classifier import Classifier, Inputs, join_classifiers
 from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig, batch_count, shuffled
 from objectfolder.benchmarks.reporting.confusion import draw_confusion
 from objectfolder.benchmarks.scoring.scores import accuracy, interval_95
@@ -36,8 +36,6 @@ FLAT = 20e-6  #: relief in metres below which a touch is on flat ground, and tel
 PANELS = ("V", "A", "T", "VAT")  #: of the figure of confusion
 FUSION_RATE = 0.1  #: learning rate of trained encoders relative to new ones
 
-Inputs = dict[str, torch.Tensor]  #: by letter
-
 
 @dataclass(frozen=True, kw_only=True)
 class RecognizeConfig(TrainingConfig):
@@ -47,46 +45,6 @@ class RecognizeConfig(TrainingConfig):
     fusion_epochs: Count  #: of several modalities together, after each was trained alone
     schedule: Literal["cosine", "one_cycle"]  #: `objectfolder.benchmarks.models.training.train`
     label_smoothing: Annotated[float, Interval(ge=0, lt=1)]
-
-
-class Classifier(nn.Module):
-    """Encoders, one per modality, and a linear layer from their features to classes.
-
-    Parameters
-    ----------
-    encoders : dict
-        By letter; each with an attribute ``features``.
-    classes : int
-    """
-
-    def __init__(self, encoders: dict[str, nn.Module], classes: int):
-        super().__init__()
-        self.encoders = nn.ModuleDict(encoders)
-        width = sum(cast(int, encoder.features) for encoder in encoders.values())
-        self.head = nn.Linear(width, classes)
-
-    def forward(self, inputs: Inputs) -> torch.Tensor:
-        """Inputs (B, C, H, W) of each encoder -> (B, classes) logits."""
-        features = [encoder(inputs[letter]) for letter, encoder in self.encoders.items()]
-        return self.head(torch.cat(features, 1))
-
-
-def join_classifiers(parts: Sequence[Classifier]) -> Classifier:
-    """Join trained classifiers of different modalities.
-
-    The joint classifier initially outputs the sum of their logits, the product of their probabilities, which
-    is exact for observations that are conditionally independent given the object.
-    """
-    encoders = {name: copy.deepcopy(net) for part in parts for name, net in part.encoders.items()}
-    with seeded(0, "fused"):  # the layer is filled below
-        net = Classifier(encoders, parts[0].head.out_features)
-    net.head.load_state_dict(
-        {
-            "weight": torch.cat([part.head.weight.detach() for part in parts], 1),
-            "bias": sum(part.head.bias.detach() for part in parts),
-        }
-    )
-    return net
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,10 @@ from torch.nn import functional as F
 
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.models import cca
+from objectfolder.benchmarks.models.classifier import Classifier
 from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig, batch_count, shuffled
 from objectfolder.benchmarks.scoring.scores import chance_map, interval_95, mean_average_precision
 from objectfolder.benchmarks.tasks.job import Job
-from objectfolder.benchmarks.tasks.recognition import Classifier
 from objectfolder.benchmarks.tasks.running import Task
 from objectfolder.errors import ObjectFolderError
 from objectfolder.seeding import numpy_generator, seeded

@@ -7,15 +7,14 @@ from torch import nn
 
 from objectfolder.benchmarks.datasets.splits import Split, per_object, per_sample
 from objectfolder.benchmarks.models import encoders
+from objectfolder.benchmarks.models.classifier import Classifier, join_classifiers
 from objectfolder.benchmarks.models.encoders import InputSizes, register_encoder
 from objectfolder.benchmarks.tasks import recognition
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.recognition import (
     COMBINATIONS,
     CURVE_COLUMNS,
-    Classifier,
     classify_materials,
-    join_classifiers,
     recognize,
 )
 from objectfolder.errors import ObjectFolderError

@@ -253,7 +253,7 @@ def test_pairs_start_from_encoders_that_name_the_objects(tmp_path, monkeypatch):
     settings = params(pretrain_epochs=4, schedule="one_cycle", epochs=1)
     split = per_sample(table.keys, table.count)
     job = Job(table, split, settings, "test_linear", SIZES, seed=3, progress=tmp_path)
-    results, curves = retrieve(job)
+    _, curves = retrieve(job)
     alone = [row for row in curves if row[1] == ""]
     assert {row[0] for row in alone} == {"vision", "audio", "touch"}
     assert {row[3] for row in alone} == {1, 2, 3, 4}

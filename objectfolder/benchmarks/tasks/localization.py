@@ -1,0 +1,419 @@
+"""Localize a contact on a known object by touch, by sound, or by both (ObjectFolder Benchmark, CVPR 2023).
+
+A net turns what was felt and heard into a belief over places on the object's surface. Beliefs of several
+contacts of a robot that knows how it moved between them add up.
+"""
+
+from collections.abc import Iterator
+from dataclasses import astuple, dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import nn
+from torch.nn import functional as F
+
+from objectfolder.audio.spectrogram import DURATION, SAMPLE_RATE
+from objectfolder.benchmarks.datasets.samples import Samples, object_digest
+from objectfolder.benchmarks.datasets.splits import TEN, Split
+from objectfolder.benchmarks.models.encoders import InputSizes, own_file, registered, shifted
+from objectfolder.benchmarks.models.training import EpochPoint, batch_count, shuffled
+from objectfolder.benchmarks.params import TaskParams
+from objectfolder.benchmarks.scoring.scores import interval_95
+from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.benchmarks.tasks.localization_config import LocalizeConfig
+from objectfolder.benchmarks.tasks.running import Report, Task, code_digest
+from objectfolder.errors import ObjectFolderError
+from objectfolder.io import file_digest
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.objectfile.query_files import sample_presses, sample_strikes
+from objectfolder.seeding import numpy_generator, seeded
+from objectfolder.workspace.layout import Benchmarks
+
+LETTERS = {"T": "touch", "A": "audio"}
+COMBINATIONS = ("T", "A", "TA")
+CURVE_COLUMNS = ("seed", "senses", "epoch", "train_loss", "val_score")  #: minus the mean error, sides
+PLACES = 1000  #: on the surface, among which the answer is
+SOFTNESS = 0.03  #: deviation of the belief that nets learn, longest sides
+TOGETHER = 8  #: contacts of one sequence
+WIDTH = 128  #: of the features that are compared
+OCTAVES = 5  #: of sines and cosines of the places
+POOLED = {"touch": (16, 12), "audio": (64, 8)}  #: sizes of inputs that the nearest contact is sought by
+CHUNK = 64  #: rows asked or embedded at once
+
+Batch = tuple[dict[str, torch.Tensor], torch.Tensor]  #: inputs by letter, and beliefs
+
+
+def sample_contacts(file: ObjectFile, count: int, seed: int) -> Samples:
+    """Touch and strike an object at the same random points of its surface.
+
+    Parameters
+    ----------
+    file : ObjectFile
+    count, seed : int
+
+    Returns
+    -------
+    Samples
+        Of one object: ``touch`` (count, H, W, 3) uint8, at random press depths with the sensor upright;
+        ``audio`` (count, samples) float32, of strikes along the inward normal; ``point`` (count, 3), unit
+        frame.
+    """
+    strikes = sample_strikes(file, count, seed)
+    points, impulses = strikes[:, :3], strikes[:, 3:]
+    depths = sample_presses(file, count, seed)[:, 2]
+    parts = np.array_split(np.arange(count), -(-count // CHUNK))
+    arrays = {
+        "touch": np.concatenate([file.touch(points[rows], depths[rows]) for rows in parts]),
+        "audio": np.concatenate(
+            [
+                file.impact(
+                    points[rows], impulses[rows], SAMPLE_RATE, DURATION, "displacement", contact_time=0.0
+                )
+                for rows in parts
+            ]
+        ),
+        "point": points / file.scale,
+    }
+    record = {"count": count, "seed": seed, "object": object_digest(file)}
+    return Samples({file.key: record}, {name: [array] for name, array in arrays.items()})
+
+
+class Localizer(nn.Module):
+    """Encoders of what is felt and heard, and a net of the places; their product is the belief.
+
+    Parameters
+    ----------
+    encoders : dict
+        By letter; each with an attribute ``features``.
+    places : (P, 3) array
+        Unit frame.
+    """
+
+    def __init__(self, encoders: dict[str, nn.Module], places: np.ndarray):
+        super().__init__()
+        self.encoders = nn.ModuleDict(encoders)
+        self.query = nn.Linear(sum(cast(int, encoder.features) for encoder in encoders.values()), WIDTH)
+        angles = np.pi * places[:, None] * 2.0 ** np.arange(OCTAVES)[:, None]
+        waves = [places, np.sin(angles).reshape(len(places), -1), np.cos(angles).reshape(len(places), -1)]
+        self.register_buffer("waves", torch.from_numpy(np.concatenate(waves, 1)).float())
+        self.keys = nn.Sequential(
+            nn.Linear(3 + 6 * OCTAVES, WIDTH),
+            nn.ReLU(),
+            nn.Linear(WIDTH, WIDTH),
+            nn.ReLU(),
+            nn.Linear(WIDTH, WIDTH),
+        )
+
+    def forward(self, inputs: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Inputs (B, C, H, W) of each encoder -> (B, P) logarithms of the belief."""
+        features = [encoder(inputs[letter]) for letter, encoder in self.encoders.items()]
+        found = self.query(torch.cat(features, 1)) @ self.keys(self.waves).T
+        return (found / WIDTH**0.5).float().log_softmax(1)
+
+
+def likeliest(belief: np.ndarray, distances: np.ndarray) -> np.ndarray:
+    """Return the places with the least expected distance.
+
+    Parameters
+    ----------
+    belief : (N, P) array
+        Logarithms of probabilities, up to a constant in each row.
+    distances : (P, P) array
+        Between the places.
+
+    Returns
+    -------
+    (N,) int array
+    """
+    share = np.exp(belief - belief.max(1, keepdims=True))
+    return np.argmin(share / share.sum(1, keepdims=True) @ distances, axis=1)
+
+
+def belief_together(
+    beliefs: np.ndarray, moves: np.ndarray, places: np.ndarray, softness: float = SOFTNESS
+) -> np.ndarray:
+    """Add up the beliefs of contacts between which the moves are known.
+
+    If the last contact is at a place p, contact i was at p + move i. Its belief there is that of the
+    nearest place, less the squared distance to it over twice the squared softness: points off the surface
+    are unlikely.
+
+    Parameters
+    ----------
+    beliefs : (n, P) array
+        Logarithms, by contact.
+    moves : (n, 3) array
+        From the last contact to each one.
+    places : (P, 3) array
+
+    Returns
+    -------
+    (P,) array, the logarithm of the belief about the last contact, up to a constant.
+    """
+    off, nearest = cKDTree(places).query(places + moves[:, None])
+    rows = np.arange(len(beliefs))[:, None]
+    return np.sum(beliefs[rows, nearest] - off**2 / (2 * softness**2), axis=0)
+
+
+def localize(job: Job[LocalizeConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
+    """Train and score the localization of contacts on one object.
+
+    Nets learn a belief with a deviation of `SOFTNESS` around the true place. The answer is the place with
+    the least expected distance. The best epoch is chosen on the validation contacts. ``together`` are the
+    answers after `TOGETHER` contacts with known moves between them.
+
+    Returns
+    -------
+    dict
+        Errors as shares of the longest side. By senses (``T``, ``A``, ``TA``): ``net`` and ``nearest``
+        (the training contact with the most similar input), each with ``mean``, ``median`` and ``together``,
+        and ``interval_95`` and ``seeds`` of the net's mean. ``random``: a random place; ``constant``: the
+        place with the least mean distance to the training contacts. ``contacts`` by part, and ``seconds``.
+    list
+        Rows of the training curves: `CURVE_COLUMNS`.
+    """
+    points = job.observations.read("point", np.arange(len(job.observations)))
+    setting = _Setting.of(job, points)
+    finished = {
+        (run, name): _finished(job, setting, run, name)
+        for run in range(job.params.seeds)
+        for name in COMBINATIONS
+    }
+    scores: dict[str, Any] = {}
+    for name in COMBINATIONS:
+        runs = [finished[run, name] for run in range(job.params.seeds)]
+        means = [run["scores"]["mean"] for run in runs]
+        net: dict[str, Any] = {
+            kind: float(np.mean([run["scores"][kind] for run in runs])) for kind in runs[0]["scores"]
+        }
+        net |= {"interval_95": interval_95(means), "seeds": means}
+        scores[name] = {"net": net, "nearest": setting.scores(_nearest(job, setting, name))}
+    train, test = points[job.split.train], points[job.split.test]
+    spread = _between(setting.places, test)
+    constant = np.argmin(_between(setting.places, train).mean(1))
+    curve = [[run, name, *row] for (run, name), unit in finished.items() for row in unit["curve"]]
+    return {
+        **scores,
+        "random": float(spread.mean()),
+        "constant": float(spread[constant].mean()),
+        "contacts": {part: len(getattr(job.split, part)) for part in ("train", "val", "test")},
+        "seconds": sum(unit["seconds"] for unit in finished.values()),
+    }, curve
+
+
+@dataclass(frozen=True)
+class _Setting:
+    """What all nets of an object share."""
+
+    places: np.ndarray  #: (P, 3), unit frame
+    distances: np.ndarray  #: (P, P), between them
+    targets: torch.Tensor  #: (N, P), the belief that each contact shall give
+    inputs: dict[str, torch.Tensor]  #: of all contacts, by letter
+    tests: np.ndarray  #: (n, 3), points of the test contacts
+    groups: np.ndarray  #: (n, TOGETHER) test contacts of each sequence, the last of which is asked for
+
+    @classmethod
+    def of(cls, job: Job[LocalizeConfig], points: np.ndarray) -> "_Setting":
+        rng = numpy_generator(job.seed, "localize", "places")
+        train, test = points[job.split.train], points[job.split.test]
+        places = train[rng.permutation(len(train))[:PLACES]]
+        rows = np.array_split(np.arange(len(points)), -(-len(points) // CHUNK))
+        groups = [
+            [*rng.choice(np.delete(np.arange(len(test)), k), TOGETHER - 1, replace=False), k]
+            for k in range(len(test))
+        ]
+        squares = torch.from_numpy(_between(points, places) ** 2)
+        return cls(
+            places,
+            _between(places, places),
+            torch.softmax(-squares / (2 * SOFTNESS**2), 1).float(),
+            {
+                letter: torch.cat([job.inputs(name, some) for some in rows])
+                for letter, name in LETTERS.items()
+            },
+            test,
+            np.array(groups),
+        )
+
+    def errors(self, belief: np.ndarray, truth: np.ndarray) -> np.ndarray:
+        """Return the errors (N,) of beliefs (N, P) about contacts at points (N, 3)."""
+        return np.linalg.norm(self.places[likeliest(belief, self.distances)] - truth, axis=1)
+
+    def scores(self, belief: np.ndarray) -> dict[str, float]:
+        """Score the beliefs (n, P) of the test contacts."""
+        single = self.errors(belief, self.tests)
+        joint = [
+            belief_together(belief[group], self.tests[group] - self.tests[group[-1]], self.places)
+            for group in self.groups
+        ]
+        together = self.errors(np.array(joint), self.tests)
+        return {
+            "mean": float(single.mean()),
+            "median": float(np.median(single)),
+            "together": float(together.mean()),
+        }
+
+
+def _between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the distances between points, (N, 3) and (M, 3) -> (N, M)."""
+    return np.linalg.norm(first[:, None] - second, axis=2)
+
+
+def _nearest(job: Job[LocalizeConfig], setting: _Setting, name: str) -> np.ndarray:
+    """Return beliefs (n, P) of the test contacts by how similar their inputs are to those of the training.
+
+    The belief falls with the squared distance of the inputs, averaged to a few pixels, over twice the
+    median squared distance of a training contact to its nearest.
+    """
+    parts = []
+    for letter in name:
+        pooled = (
+            F.adaptive_avg_pool2d(setting.inputs[letter], POOLED[LETTERS[letter]]).flatten(1).cpu().numpy()
+        )
+        centred = pooled - pooled[job.split.train].mean(0)
+        size = np.sqrt(np.mean(np.sum(centred[job.split.train] ** 2, axis=1)))
+        parts.append(centred / (size if size > 0 else 1))  # 0 if all sounds are silent
+    features = np.concatenate(parts, 1).astype(np.float64)
+    train, test = features[job.split.train], features[job.split.test]
+    own = cKDTree(train).query(train, 2)[0][:, 1]
+    distance = cKDTree(train).query(test, len(train))
+    squares = np.empty((len(test), len(train)))
+    np.put_along_axis(squares, distance[1], distance[0] ** 2, 1)
+    points = job.observations.read("point", job.split.train)
+    of_place = cKDTree(points).query(setting.places)[1]
+    return -squares[:, of_place] / (2 * max(float(np.median(own**2)), 1e-12))
+
+
+def _finished(job: Job[LocalizeConfig], setting: _Setting, run: int, name: str) -> dict[str, Any]:
+    """Return the scores of one net, trained unless finished earlier."""
+    checkpoint = job.progress / f"{run}_{name}.pt"
+
+    def make() -> dict[str, Any]:
+        net, curve = _trained(job, setting, run, name, checkpoint)
+        return {
+            "scores": setting.scores(_belief(job, setting, net, job.split.test)),
+            "curve": [astuple(point)[:3] for point in curve],
+            "seconds": sum(point.seconds for point in curve),
+        }
+
+    result = job.finished(f"{run}_{name}", make)
+    checkpoint.unlink(missing_ok=True)
+    return result
+
+
+def _trained(
+    job: Job[LocalizeConfig], setting: _Setting, run: int, name: str, checkpoint: Path
+) -> tuple[Localizer, list[EpochPoint]]:
+    params, train = job.params, job.split.train
+    purpose = ("localize", job.observations.keys[0], str(run), name)
+    with seeded(job.seed, *purpose):
+        net = Localizer({letter: job.make_encoder(LETTERS[letter]) for letter in name}, setting.places)
+
+    def epoch_batches(epoch: int) -> Iterator[Batch]:
+        rng = numpy_generator(job.seed, *purpose, f"epoch {epoch}")
+        for rows in shuffled(train, params.batch, rng):
+            inputs = {letter: setting.inputs[letter][rows] for letter in name}
+            if "T" in inputs and job.shift:
+                inputs["T"] = shifted(inputs["T"], job.shift, rng)
+            yield inputs, setting.targets[rows].to(job.device)
+
+    def batch_loss(batch: Batch) -> torch.Tensor:
+        inputs, targets = batch
+        # The loss of a net that gives exactly these beliefs is 0.
+        return F.kl_div(net(inputs), targets, reduction="batchmean")
+
+    truth = job.observations.read("point", job.split.val)
+    steps = params.epochs * batch_count(len(train), params.batch)
+    curve = job.train(
+        f"localize {name}, seed {run + 1} of {params.seeds}",
+        net,
+        epoch_batches,
+        batch_loss,
+        lambda: -float(setting.errors(_belief(job, setting, net, job.split.val), truth).mean()),
+        "minus error",
+        checkpoint,
+        cycle=steps,
+    )
+    return net, curve
+
+
+@torch.no_grad()
+def _belief(job: Job[LocalizeConfig], setting: _Setting, net: Localizer, rows: np.ndarray) -> np.ndarray:
+    """Return the beliefs of a net about contacts, (n, P)."""
+    parts = np.array_split(rows, -(-len(rows) // CHUNK))
+    found = [net({letter: setting.inputs[letter][some] for letter in net.encoders}) for some in parts]
+    return torch.cat(found).double().cpu().numpy()
+
+
+LOCALIZE = Task("localize", LocalizeConfig, localize, CURVE_COLUMNS)
+
+
+@dataclass(frozen=True)
+class ContactRun:
+    """Run of the task with one object; see `objectfolder.benchmarks.tasks.running.run_benchmark`."""
+
+    file: ObjectFile
+    params: TaskParams[LocalizeConfig]
+    folder: Benchmarks
+    device: str | None = None  #: to train on; default: a GPU if there is one
+    task: Task = LOCALIZE
+
+    @property
+    def part(self) -> str:
+        """Object key, which names the result files."""
+        return self.file.key
+
+    def identity(self) -> tuple[Any, ...]:
+        """Return everything that the results depend on."""
+        own = own_file(self.params.encode.encoder)
+        given = None if own is None else file_digest(own)
+        return object_digest(self.file), self.params, code_digest(self.task.run), given
+
+    def job(self, progress: Path, report: Report) -> Job[LocalizeConfig]:
+        """Return the argument of the task.
+
+        Raises
+        ------
+        ObjectFolderError
+            If the object cannot be touched or heard, or there are too few contacts.
+        """
+        encode, settings, seed = self.params.encode, self.params.settings, self.params.seed
+        return Job(
+            sample_contacts(self.file, settings.contacts, seed),
+            contact_split(settings.contacts),
+            settings,
+            registered(encode.encoder),
+            InputSizes(encode.image, encode.spectrogram, encode.touch),
+            seed,
+            progress,
+            None,
+            self.device or ("cuda" if torch.cuda.is_available() else "cpu"),
+            report,
+            encode.subtract,
+            encode.shift,
+            encode.precision,
+        )
+
+    def description(self) -> dict[str, Any]:
+        """Return entries to add to the scores."""
+        return {"scale": self.file.scale}
+
+
+def contact_split(count: int) -> Split:
+    """Split contacts: of every ten, 8 for training, 1 for validation, 1 for the test.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there are fewer test contacts than a sequence holds.
+    """
+    if count % TEN or count < TEN * TOGETHER:
+        raise ObjectFolderError(
+            f"localize.contacts is {count}: expected a multiple of {TEN}, {TEN * TOGETHER} or more, since "
+            f"sequences hold {TOGETHER} test contacts"
+        )
+    place = np.arange(count) % TEN
+    return Split("contacts", *(np.flatnonzero(part) for part in (place < 8, place == 8, place == 9)))

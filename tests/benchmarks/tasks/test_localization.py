@@ -1,0 +1,168 @@
+import json
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from objectfolder.benchmarks.datasets.samples import Samples
+from objectfolder.benchmarks.models.encoders import InputSizes, register_encoder
+from objectfolder.benchmarks.tasks import localization
+from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.benchmarks.tasks.localization import (
+    CURVE_COLUMNS,
+    belief_together,
+    contact_split,
+    likeliest,
+    localize,
+    sample_contacts,
+)
+from objectfolder.benchmarks.tasks.localization_config import LocalizeConfig
+from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile.file import ObjectFile
+
+SIZES = InputSizes(8, (16, 8), (8, 6))
+COUNT = 400
+
+
+@register_encoder("test_localizer")
+class Linear(nn.Module):
+    """One layer on an input of 8 x 4 pixels: trained in a moment."""
+
+    features = 32
+
+    def __init__(self, channels):
+        super().__init__()
+        self.layer = nn.Sequential(nn.Linear(32 * channels, 32), nn.ReLU())
+
+    def forward(self, x):
+        return self.layer(nn.functional.adaptive_avg_pool2d(x, (8, 4)).flatten(1))
+
+
+def square(seed=0, sounds=True):
+    """Return contacts on a unit square: touches show x as a brightness, sounds tell y by their pitch."""
+    rng = np.random.default_rng(seed)
+    points = np.column_stack([rng.uniform(-0.5, 0.5, (COUNT, 2)), np.zeros(COUNT)])
+    level = 128 + 200 * points[:, 0, None, None, None]
+    touch = np.clip(level + rng.normal(0, 3, (COUNT, 8, 6, 3)), 0, 255).astype(np.uint8)
+    time = np.arange(1600) / 16000
+    audio = np.sin(2 * np.pi * (2500 + 4000 * points[:, 1:2]) * time) * np.exp(-20 * time) * sounds
+    arrays = {"touch": [touch], "audio": [audio.astype(np.float32)], "point": [points]}
+    return Samples({"square": {"count": COUNT}}, arrays)
+
+
+def job(progress, samples=None, **changed):
+    values = {"seeds": 1, "contacts": COUNT, "epochs": 25, "batch": 32, "learning_rate": 0.01}
+    settings = LocalizeConfig(**(values | {"weight_decay": 0.0, "patience": 25} | changed))
+    samples = square() if samples is None else samples
+    return Job(samples, contact_split(COUNT), settings, "test_localizer", SIZES, seed=1, progress=progress)
+
+
+def test_the_answer_has_the_least_expected_distance():
+    line = np.array([[0.0, 0, 0], [1, 0, 0], [3, 0, 0]])
+    distances = np.linalg.norm(line[:, None] - line, axis=2)
+    shares = np.array([[0.3, 0.3, 0.4], [0.1, 0.2, 0.7], [1, 0, 0]])
+    beliefs = np.log(np.maximum(shares, 1e-300)) + np.array([[5.0], [-900.0], [0]])  # constants do not matter
+    # The first row's median is the middle place, although the third is the likeliest.
+    np.testing.assert_array_equal(likeliest(beliefs, distances), [1, 2, 0])
+    np.testing.assert_array_equal(np.argmin(shares @ distances, 1), [1, 2, 0])
+
+
+def test_moves_between_contacts_resolve_what_each_leaves_open():
+    # Places on a line. The last contact was at 0.3 or 0.7, the one before at 0.5 or 0.9, and 0.2 beyond it:
+    # 0.3 -> 0.5 and 0.7 -> 0.9 agree with both. A third at 0.9, 0.6 beyond the last, leaves 0.3 alone.
+    places = np.column_stack([np.arange(11) / 10, np.zeros((11, 2))])
+
+    def belief(*at):
+        found = np.full(11, -20.0)
+        found[np.round(np.array(at) * 10).astype(int)] = 0
+        return found
+
+    two = belief_together(
+        np.stack([belief(0.5, 0.9), belief(0.3, 0.7)]), np.array([[0.2, 0, 0], [0, 0, 0]]), places
+    )
+    assert set(np.flatnonzero(two > two.max() - 1)) == {3, 7}
+    three = belief_together(
+        np.stack([belief(0.9), belief(0.5, 0.9), belief(0.3, 0.7)]),
+        np.array([[0.6, 0, 0], [0.2, 0, 0], [0, 0, 0]]),
+        places,
+    )
+    assert np.argmax(three) == 3
+    # From 0.7 the first contact would have been 0.3 beyond the last place.
+    assert three[7] == pytest.approx(belief(0.9)[10] - 0.3**2 / (2 * localization.SOFTNESS**2))
+
+
+@pytest.fixture(scope="module")
+def learnt(tmp_path_factory):
+    return localize(job(tmp_path_factory.mktemp("progress")))
+
+
+def test_two_senses_find_what_one_leaves_open(learnt):
+    scores, curve = learnt
+    # One coordinate known, the other uniform: the best answer is a quarter off. Both unknown: 0.38.
+    assert scores["constant"] == pytest.approx(0.38, abs=0.04)
+    assert scores["random"] == pytest.approx(0.52, abs=0.04)
+    for one in ("T", "A"):
+        assert 0.2 < scores[one]["net"]["mean"] < 0.3
+        assert 0.2 < scores[one]["nearest"]["mean"] < 0.4
+    assert scores["TA"]["net"]["mean"] < 0.08
+    assert scores["TA"]["net"]["median"] < 0.06
+    assert scores["TA"]["nearest"]["mean"] < 0.15
+    # Eight contacts on a line of equal x still leave y open but for the square's ends.
+    assert scores["T"]["net"]["together"] < 0.7 * scores["T"]["net"]["mean"]
+    assert {len(row) for row in curve} == {len(CURVE_COLUMNS)}
+    assert scores["contacts"] == {"train": 320, "val": 40, "test": 40}
+    json.dumps(scores, allow_nan=False)
+
+
+def test_silence_tells_nothing(tmp_path):
+    scores, _ = localize(job(tmp_path, square(sounds=False), epochs=4))
+    assert scores["A"]["net"]["mean"] == pytest.approx(scores["constant"], rel=0.1)
+    assert scores["A"]["nearest"]["mean"] > 0.9 * scores["constant"]
+
+
+def test_same_numbers_again_and_after_an_interruption(tmp_path):
+    class Interrupted(Exception):
+        pass
+
+    def stop(line):
+        if line.startswith("localize A") and "epoch 2" in line:
+            raise Interrupted
+
+    whole = localize(job(tmp_path / "whole", epochs=3))
+    cut = job(tmp_path / "cut", epochs=3)
+    with pytest.raises(Interrupted):
+        localize(Job(**(vars(cut) | {"report": stop})))
+    resumed = localize(cut)
+    for scores, _ in (whole, resumed):
+        scores.pop("seconds")
+    assert resumed == whole
+
+
+def test_contacts_are_touched_and_struck_at_the_same_points():
+    file = ObjectFile.sample("bell")
+    contacts = sample_contacts(file, 20, seed=2)
+    points = contacts.read("point", np.arange(20))
+    assert np.abs(file.surface.grid.distance(torch.from_numpy(points).float()).numpy()).max() < 2e-3
+    again = sample_contacts(file, 20, seed=2)
+    for name in ("touch", "audio"):
+        np.testing.assert_array_equal(contacts.read(name, np.arange(20)), again.read(name, np.arange(20)))
+    sound = contacts.read("audio", np.array([3]))[0]
+    direction = -file.surface.grid.normals(torch.from_numpy(points[3:4]).float()).numpy()[0]
+    expected = file.impact(
+        points[3:4] * file.scale, direction[None], 16000, 2.0, "displacement", contact_time=0
+    )
+    assert np.linalg.norm(sound - expected[0]) < 1e-3 * np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize("count", [70, 85, 0])
+def test_too_few_contacts_for_a_sequence(count):
+    with pytest.raises(ObjectFolderError, match=f"localize.contacts is {count}"):
+        contact_split(count)
+
+
+def test_every_contact_is_in_one_part():
+    split = contact_split(200)
+    rows = np.concatenate([split.train, split.val, split.test])
+    np.testing.assert_array_equal(np.sort(rows), np.arange(200))
+    assert [len(split.train), len(split.val), len(split.test)] == [160, 20, 20]
