@@ -7,7 +7,17 @@ import numpy as np
 
 from objectfolder.mesh.procedural.assembly import Look
 from objectfolder.mesh.procedural.extrusion import across, inset, prism, rectangle, rounded
-from objectfolder.mesh.procedural.fittings import SPACING, Kit, bars, disc, knob, loop, painted, torus, turned
+from objectfolder.mesh.procedural.fittings import (
+    SPACING,
+    Kit,
+    bars,
+    knob,
+    loop,
+    painted,
+    rounded_disc,
+    torus,
+    turned,
+)
 from objectfolder.mesh.procedural.parameters import (
     require_between,
     require_choice,
@@ -99,7 +109,7 @@ def _toaster(look: Look, plump: float) -> Kit:
     hollow = _lengthwise(across([inset(outline, 0.04)], 0.78, 2 * SPACING)).translate((shift - 0.02, 0, 0))
     base = prism([rectangle(0.93, 2.1 * half, 0.11)], 0.055, SPACING, 0.015).translate((shift, 0, 0.03))
     feet = [
-        disc(0.05, 0.06, 0.008, 28).translate((shift + x * 0.36, y * 0.66 * half, 0))
+        rounded_disc(0.05, 0.06, 0.008, 28).translate((shift + x * 0.36, y * 0.66 * half, 0))
         for x, y in product((-1, 1), repeat=2)
     ]
     sides = [0.42 * half, -0.42 * half]
@@ -229,9 +239,9 @@ def _iron(look: Look, plump: float) -> Kit:
         for k, y in enumerate([0.0, 0.035, 0.065, 0.09, 0.105, 0.115])
         for s in ((-1, 1) if y > 0 else (1,))
     ]
-    dial = disc(0.075, 0.06, 0.014, 40).translate((-0.08, 0, 0.235))
+    dial = rounded_disc(0.075, 0.06, 0.014, 40).translate((-0.08, 0, 0.235))
     mark = prism([rectangle(0.06, 0.018, 0.006, 2)], 0.02, SPACING).translate((-0.055, 0, 0.285))
-    button = disc(0.035, 0.06, 0.012, 28).translate((0.06, 0, 0.42))
+    button = rounded_disc(0.035, 0.06, 0.012, 28).translate((0.06, 0, 0.42))
     nozzle = manifold3d.Manifold.sphere(0.032, 28).translate((0.285, 0, 0.165))
     cord = bar((-0.28, 0, 0.385), (-0.52, 0, 0.412), (0.060, 0.042), SPACING, 20).trim_by_plane(
         (1.0, 0, 0), -0.5

@@ -125,7 +125,7 @@ def knob(radius: float, height: float, flutes: int = 10, turn: float = 0.0) -> m
     return (base + ridge).translate((0.0, -0.4 * height, 0.0))
 
 
-def disc(radius: float, height: float, bevel: float, segments: int = SEGMENTS) -> manifold3d.Manifold:
+def rounded_disc(radius: float, height: float, bevel: float, segments: int = SEGMENTS) -> manifold3d.Manifold:
     """Build a disc from z = 0 to ``height`` with rounded edges."""
     angle = 2 * np.pi * np.arange(segments) / segments
     return prism([radius * np.stack([np.cos(angle), np.sin(angle)], 1)], height, SPACING, bevel)
