@@ -9,7 +9,14 @@ import torch
 
 from objectfolder.envs.fingers import COARSE, LEAST_DEPTH, sensor_angles
 from objectfolder.envs.poses import rotation
-from objectfolder.envs.sounding import DIVERGED, Objects, body_number, check_poses, check_size, named_objects
+from objectfolder.envs.sounding import (
+    DIVERGED,
+    Objects,
+    body_number,
+    check_extent,
+    check_poses,
+    named_objects,
+)
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.camera import gel_sag
@@ -107,7 +114,7 @@ class Feeling:
                     f"{one.scale:g} m; build the object with that scale"
                 )
             advice = "touch needs the object's own size: build the object with that of the scene"
-            check_size(model, name, one.file, one.file.scale, advice)
+            check_extent(model, name, one.file, one.file.scale, advice)
             self._files[body_number(model, name)] = one.file
         profile = self.profile
         self._coarse = replace(profile, height=profile.height // COARSE, width=profile.width // COARSE)

@@ -95,10 +95,10 @@ def check_body(model: mujoco.MjModel, name: str, one: Sounding, voice: Voice) ->
             f"body {name!r} weighs {mass:.4g} kg in the scene, but {one.file.key} of {voice.material.name} "
             f"and {voice.scale:.4g} m weighs {voice.mass:.4g} kg; {advice}"
         )
-    check_size(model, name, one.file, voice.scale, advice)
+    check_extent(model, name, one.file, voice.scale, advice)
 
 
-def check_size(model: mujoco.MjModel, name: str, file: ObjectFile, scale: float, advice: str) -> None:
+def check_extent(model: mujoco.MjModel, name: str, file: ObjectFile, scale: float, advice: str) -> None:
     """Raise ObjectFolderError, with advice, if a body is not of the size of an object of this scale, m."""
     reach = _extent(model, body_number(model, name))
     if reach is None:
