@@ -6,7 +6,7 @@ the reference itself is converged. References take minutes each and are kept und
 of the grids and of the lowest modes; the stages' own is in perf/modal.py.
 
 Needs objectfolder[tet] and, for thin walls and scans, `pip install tetgen pymeshfix` (AGPL, GPL: never
-installed by this project).
+installed by this project). Rows of other objects in the file of `--json` are kept.
 `--objects DIR` adds real meshes, one `mesh.*` in each subfolder. Exits with 1 if a target is missed.
 """
 
@@ -30,7 +30,7 @@ from objectfolder.fem.eigen import FreeVibration
 from objectfolder.fem.elements import discretize
 from objectfolder.fem.modal import ModalConfig, refined_analysis
 from objectfolder.fem.tetrahedra import Tetrahedra, quadratic
-from objectfolder.io import read_npz, write_npz
+from objectfolder.io import read_json, read_npz, write_npz
 from objectfolder.materials import material
 from objectfolder.mesh.closing.piercing import self_intersections
 from objectfolder.mesh.normalize import normalize
@@ -333,6 +333,9 @@ def main() -> None:
         rows.append({"object": name} | row)
     console = Console(width=max(Console().width, 130))
     show(rows, console)
+    if arguments.json and arguments.json.exists():
+        rows += [row for row in read_json(arguments.json)["rows"] if row["object"] not in names]
+        rows.sort(key=lambda row: row["object"])
     missed = misses(rows)
     targets = (
         f"difference at most {GOOD:.0%} for 18 of 22 objects and {BAD:.0%} for all; "

@@ -8,6 +8,7 @@ from objectfolder.fem.blocks import halved
 from objectfolder.fem.cutcell import CutCells
 from objectfolder.fem.eigen import FreeVibration
 from objectfolder.fem.elasticity import Solid
+from objectfolder.fem.levels import MixedCells
 from objectfolder.materials import Material
 
 ESTIMATED = 10  # number of lowest modes whose error is estimated
@@ -39,8 +40,8 @@ class Discretisation:
     @cached_property
     def coarser(self) -> list[np.ndarray]:
         """Lowest frequencies on the grids of half and quarter resolution, as far as they exist; Hz."""
-        half = halved(self.solid) if isinstance(self.solid, CutCells) else None
-        quarter = halved(half) if half is not None else None
+        half = coarser(self.solid)
+        quarter = coarser(half) if half is not None else None
         return [self._on(solid).lowest_frequencies() for solid in (half, quarter) if solid is not None]
 
     def _on(self, solid: Solid) -> "Discretisation":
@@ -48,8 +49,18 @@ class Discretisation:
 
     def lowest_frequencies(self, count: int = ESTIMATED) -> np.ndarray:
         """Compute the lowest elastic frequencies to `TOLERANCE`, uncertified; Hz (count,)."""
-        values = self.vibration.lowest(lambda found: count, TOLERANCE)[0]
-        return np.sqrt(values[:count]) / (2 * np.pi)
+        return np.sqrt(self.lowest_modes(count)[0]) / (2 * np.pi)
+
+    def lowest_modes(self, count: int = ESTIMATED) -> tuple[np.ndarray, np.ndarray]:
+        """Compute the lowest elastic modes to `TOLERANCE`, uncertified.
+
+        Returns
+        -------
+        eigenvalues : (count,) array, rad^2/s^2
+        shapes : (3N, count) array, mass-normalised
+        """
+        values, shapes = self.vibration.lowest(lambda found: count, TOLERANCE)
+        return values[:count], shapes[:, :count]
 
     def errors(self, frequencies: np.ndarray) -> list[float] | None:
         """Estimate the relative errors of the lowest frequencies of this grid, Hz (M,).
@@ -60,6 +71,13 @@ class Discretisation:
             One per frequency (see `discretisation_error`); None for elements without a coarser grid.
         """
         return discretisation_error(frequencies, *self.coarser) if len(frequencies) and self.coarser else None
+
+
+def coarser(solid: Solid) -> CutCells | None:
+    """Return a solid in elements twice as large; None for elements other than cut cells."""
+    if isinstance(solid, MixedCells):
+        return solid.coarser
+    return halved(solid) if isinstance(solid, CutCells) else None
 
 
 def discretisation_error(
@@ -103,7 +121,8 @@ def resolved_frequency(solid: Solid, material: Material, scale: float, wall: flo
     wall : float
         Wall thickness, unit frame.
     """
-    length = NODES_PER_WAVE * scale / solid.resolution / solid.order
+    largest = solid.width[~solid.is_full].max(initial=1) if isinstance(solid, CutCells) else 1
+    length = NODES_PER_WAVE * scale * largest / solid.resolution / solid.order
     e, rho, nu = material.youngs_modulus, material.density, material.poisson_ratio
     shear = np.sqrt(e / (2 * (1 + nu)) / rho) / length
     bending = np.pi / np.sqrt(3) * wall * scale * np.sqrt(e / (rho * (1 - nu**2))) / length**2

@@ -11,15 +11,20 @@ from objectfolder.fem.accuracy import ORDER, Discretisation
 from objectfolder.fem.blocks import merge_full_blocks
 from objectfolder.fem.cutcell import MAX_VOLUME_ERROR, CutCells, cut_cells
 from objectfolder.fem.elasticity import Solid
+from objectfolder.fem.local import locally_refined
 from objectfolder.fem.occupancy import MARGIN
 from objectfolder.materials import Material
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.topology import Mesh, signed_volume
 from objectfolder.settings import Count, Positive
 
-_SAMPLES = 100_000  # surface points, to find the cells that the surface touches
+_SAMPLES, _MORE_SAMPLES = 100_000, 400_000  # surface points, to find the cells that the surface touches
 _UNKNOWNS = 12  # lower bound per element: one corner and three edge nodes of its own
 _GROWTH = 1.8  # unknowns grow at least with this power of the resolution (thin sheets with free edges)
+_REACH = 1.5  # where uniform grids within the limit are coarser than wanted by this factor, sizes are mixed
+_FINEST = 192, 160, 128, 96  # cells along the longest side where sizes are mixed
+_SUBDIVISIONS = 4  # of its cells: eight columns through each suffice, and cutting costs less than half
+_CELLS = 60_000  # at the surface, and eight times as many inside, that may be cut for it
 _CHEAP, _SURE = 1 / 5, 1 / 3  # grids of this share of the size limit refine to this share of the error
 
 
@@ -78,8 +83,9 @@ def refined(
     """Cut a solid on finer grids until the estimated error of its lowest frequencies is accepted.
 
     Each step goes to the coarsest grid that should suffice if the error falls with the power ``ORDER`` of
-    the cells' size, or to the finest one within the size limit. An estimate may be a third of the error; so
-    where it is accepted, grids go on to a third of it while they stay small.
+    the cells' size, or to the finest one within the size limit. Where that is too coarse by more than
+    ``_REACH``, cells get several sizes (`objectfolder.fem.local`). An estimate may be a third of the error;
+    so where it is accepted, grids go on to a third of it while they stay small.
 
     Parameters
     ----------
@@ -113,6 +119,10 @@ def refined(
             if worst <= accepted:
                 break
             wanted = solid.resolution * (worst / accepted) ** (1 / ORDER)
+            if worst > fine.max_error and wanted > _REACH * rungs[-1]:
+                mixed = _mixed(surface, fine, material, scale, name)
+                if mixed is not None:
+                    return mixed
             continue  # fewer rungs may be left
         rung = next((rung for rung in rungs if rung >= wanted), rungs[-1])
         finer = merge_full_blocks(cut_cells(*surface, rung, fine.subdivisions, name))
@@ -123,14 +133,33 @@ def refined(
     return candidate
 
 
+def _mixed(
+    surface: Mesh, fine: FineGrids, material: Material, scale: float, name: str
+) -> Discretisation | None:
+    """Cut a solid in cells of several sizes, the smallest as small as `_CELLS` allows."""
+    touched, volume = _touched(*surface, _MORE_SAMPLES), signed_volume(*surface)
+    finest = next((rung for rung in _FINEST if touched(rung) + volume * rung**3 / 8 <= _CELLS), _FINEST[-1])
+    cells = cut_cells(*surface, finest, _SUBDIVISIONS, name)
+    return locally_refined(cells, fine.max_degrees_of_freedom, material, scale)
+
+
 def _least_unknowns(vertices: np.ndarray, faces: np.ndarray) -> Callable[[int], int]:
     """Return a lower bound of the unknowns as a function of the resolution, without cutting."""
     volume = (1 - MAX_VOLUME_ERROR) * signed_volume(vertices, faces)
-    points = sample_surface(vertices, faces, _SAMPLES, np.random.default_rng(0))
+    touched = _touched(vertices, faces, _SAMPLES)
 
     def least(resolution: int) -> int:
-        touched = np.unique(np.floor((points + 0.5) * resolution).astype(np.int64), axis=0)
         full = volume * (resolution / 2) ** 3 * (1 - 3 * MARGIN)  # eight full cells are one element
-        return int(_UNKNOWNS * max(full, len(touched)))
+        return int(_UNKNOWNS * max(full, touched(resolution)))
 
     return least
+
+
+def _touched(vertices: np.ndarray, faces: np.ndarray, samples: int) -> Callable[[int], int]:
+    """Return a lower bound of the cells that a surface touches as a function of the resolution."""
+    points = sample_surface(vertices, faces, samples, np.random.default_rng(0))
+
+    def touched(resolution: int) -> int:
+        return len(np.unique(np.floor((points + 0.5) * resolution).astype(np.int64), axis=0))
+
+    return touched

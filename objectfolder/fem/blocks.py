@@ -16,7 +16,6 @@ from objectfolder.fem.hex20 import NODES
 from objectfolder.fem.occupancy import DEGREE, Occupancy
 from objectfolder.mesh.topology import components
 
-FULL = 1 - 1e-5  # fill of a cell that counts as full
 _CHILDREN = np.indices((2, 2, 2)).reshape(3, 8).T  # (8, 3) positions of a block's cells
 _CHILD = (NODES > 0) @ np.array([4, 2, 1])  # cell of the block at each node of the large element
 _CORNER = np.nonzero((NODES[:8] == np.where(NODES < 0, -1, 1)[:, None]).all(-1))[1]  # and its corner there
@@ -24,7 +23,7 @@ _CORNER = np.nonzero((NODES[:8] == np.where(NODES < 0, -1, 1)[:, None]).all(-1))
 
 def merge_full_blocks(cells: CutCells) -> CutCells:
     """Merge every block of 2 x 2 x 2 full cells at even grid positions into one element."""
-    full = np.flatnonzero(cells.fill > FULL)
+    full = np.flatnonzero(cells.is_full)
     shape = (cells.resolution // 2 + 1,) * 3
     parent = np.ravel_multi_index((cells.index[full] // 2).T, shape)
     child = (cells.index[full] % 2) @ np.array([4, 2, 1])
@@ -59,6 +58,12 @@ def halved(cells: CutCells) -> CutCells | None:
 
     None if the resolution is odd or the coarse elements are not connected.
     """
+    found = halved_from(cells)
+    return None if found is None else found[0]
+
+
+def halved_from(cells: CutCells) -> tuple[CutCells, np.ndarray] | None:
+    """Return the solid as `halved`, and the coarse element of each fine one: (E,), -1 if it was dropped."""
     if cells.resolution % 2:
         return None
     count, resolution = len(cells.index), cells.resolution // 2
@@ -89,13 +94,16 @@ def halved(cells: CutCells) -> CutCells | None:
     kept, connectivity, pieces = glue(Occupancy(place, moments, links, *none))
     if pieces.max() > 0:
         return None
-    return CutCells(
+    element = np.full(len(parts), -1)
+    element[kept] = np.arange(len(kept))
+    coarse = CutCells(
         index=place[kept],
         occupancy=moments[kept].astype(np.float32),
         connectivity=connectivity,
         resolution=resolution,
         volume_error=cells.volume_error,
     )
+    return coarse, element[part]
 
 
 def _halving() -> np.ndarray:

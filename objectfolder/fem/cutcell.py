@@ -34,6 +34,7 @@ from objectfolder.fem.pieces import main_piece
 from objectfolder.materials import Material
 from objectfolder.mesh.topology import components, signed_volume
 
+FULL = 1 - 1e-5  # fill of a cell that counts as full
 EMPTY_FILL = 1e-3  # parts with a smaller fill are dropped
 FICTITIOUS = 1e-6  # stiffness and mass of the void in a cut cell, relative to the material
 MAX_VOLUME_ERROR = 0.05  #: accepted relative volume error of the cells, before its correction
@@ -99,6 +100,18 @@ class CutCells:
         return self.occupancy[:, 0, 0, 0].astype(np.float64) / 8
 
     @property
+    def is_full(self) -> np.ndarray:
+        """(E,) whether each element is full of material."""
+        return self.fill > FULL
+
+    @property
+    def places(self) -> tuple[np.ndarray, np.ndarray]:
+        """(C, 3) cells of the grid that the elements span, and (C,) the element of each."""
+        places = np.repeat(self.index, self.width**3, axis=0)
+        places += np.concatenate([np.indices((width,) * 3).reshape(3, -1).T for width in self.width])
+        return places, np.repeat(np.arange(len(self.index)), self.width**3)
+
+    @property
     def correction(self) -> float:
         """Factor on mass and stiffness that gives the solid the surface's exact volume.
 
@@ -125,15 +138,20 @@ class CutCells:
         count = int(self.connectivity.max()) + 1
         free = np.ones(count, bool)
         free[self.hanging] = False
-        column = np.cumsum(free) - 1
         own, width = self.hanging_element, self.width[self.hanging_element, None]
         local = 2 * (self._places()[self.hanging] - self.index[own]) / width - 1
         weight = shape_functions(local)
         rows = np.concatenate([np.flatnonzero(free), np.repeat(self.hanging, 20)])
-        columns = np.concatenate([np.arange(free.sum()), column[self.connectivity[own]].ravel()])
+        columns = np.concatenate([np.flatnonzero(free), self.connectivity[own].ravel()])
         values = np.concatenate([np.ones(free.sum()), weight.ravel()])
         used = np.abs(values) > 1e-12
-        return sp.csr_array((values[used], (rows[used], columns[used])), shape=(count, free.sum()))
+        step = sp.csr_array((values[used], (rows[used], columns[used])), shape=(count, count))
+        whole = step
+        while not free[whole.indices].all():  # a large element's nodes may hang on a larger one
+            whole = sp.csr_array(whole @ step)
+            whole.data[np.abs(whole.data) < 1e-12] = 0
+            whole.eliminate_zeros()
+        return sp.csr_array(whole[:, np.flatnonzero(free)])
 
     def _places(self) -> np.ndarray:
         """(N, 3) positions of the nodes, in cells."""
@@ -144,16 +162,49 @@ class CutCells:
     def assemble(self, material: Material, scale: float) -> FiniteElements:
         """Assemble stiffness and mass; ``scale`` is the longest side in metres."""
         size = self.cell_size * scale
-        moments = self.occupancy.reshape(-1, DEGREE**3).astype(np.float64)
-        full = np.eye(1, DEGREE**3) * 8
-        moments = (moments + FICTITIOUS * (full - moments)) * (self.correction * (size / 2) ** 3)
         stiffness_basis, mass_basis = _reference_matrices(material, size)
-        width = self.width[:, None]
+        moments, width = self._moments(size), self.width[:, None]
         return FiniteElements.of(
             self._joined((moments * width) @ stiffness_basis, 3),
             self._joined((moments * width**3) @ mass_basis, 1),
             np.delete(self.nodes, self.hanging, axis=0) * scale,
         )
+
+    def strain_energies(self, material: Material, scale: float, shapes: np.ndarray) -> np.ndarray:
+        """Integrate twice the strain energy of displacements over each element.
+
+        Parameters
+        ----------
+        material : Material
+        scale : float
+            Longest side, metres.
+        shapes : (3 free, M) array
+            Displacements of the free nodes, metres.
+
+        Returns
+        -------
+        (E, M) array, joules
+        """
+        size, count = self.cell_size * scale, shapes.shape[1]
+        basis = _reference_matrices(material, size)[0]
+        moments = self._moments(size) * self.width[:, None]
+        nodal = (self.continuity @ shapes.reshape(-1, 3 * count)).reshape(-1, 3, count)
+        own, other = np.triu_indices(len(NODES))
+        out = np.empty((self.elements, count))
+        for start in range(0, self.elements, 2048):
+            part = slice(start, start + 2048)
+            moved = nodal[self.connectivity[part]]  # (e, 20, 3, M)
+            blocks = (moments[part] @ basis).reshape(len(moved), len(own), 3, 3)
+            blocks[:, own != other] *= 2  # those below the diagonal
+            pushed = blocks @ moved[:, other]
+            out[part] = np.einsum("epim,epim->em", moved[:, own], pushed)
+        return out
+
+    def _moments(self, size: float) -> np.ndarray:
+        """(E, 125) corrected moments of material and void, for cells of a size in metres."""
+        moments = self.occupancy.reshape(-1, DEGREE**3).astype(np.float64)
+        full = np.eye(1, DEGREE**3) * 8
+        return (moments + FICTITIOUS * (full - moments)) * (self.correction * (size / 2) ** 3)
 
     def _joined(self, blocks: np.ndarray, size: int) -> sp.csr_matrix:
         """Sum element matrices, given by their `upper_blocks`, over the free nodes."""
@@ -293,20 +344,20 @@ def _element_at(cells: CutCells, position: np.ndarray) -> np.ndarray:
     """Find the element of each position, in cells: nearest material in its cell, else nearest; (P,)."""
     shape = (cells.resolution,) * 3
     own = np.floor(position).astype(np.int64).clip(0, cells.resolution - 1)
-    places = np.repeat(cells.index, cells.width**3, axis=0)  # of all cells of the elements
-    places += np.concatenate([np.indices((width,) * 3).reshape(3, -1).T for width in cells.width])
-    owner = np.repeat(np.arange(len(cells.index)), cells.width**3)
+    places, owner = cells.places
     lookup = np.full(shape, -1)
     lookup[tuple(places.T)] = owner
     outside = np.flatnonzero(lookup[tuple(own.T)] < 0)
     if len(outside):
         own[outside] = places[cKDTree(places + 0.5).query(position[outside])[1]]
     element = lookup[tuple(own.T)]
-    sampled = np.ravel_multi_index(cells.index[cells.sample_element].T, shape)
+    lowest, width = cells.index[cells.sample_element], cells.width[cells.sample_element, None]
+    held = np.floor(cells.samples).astype(np.int64).clip(lowest, lowest + width - 1)
+    sampled = np.ravel_multi_index(held.T, shape)
     several = np.flatnonzero(np.isin(np.ravel_multi_index(own.T, shape), sampled))
     if len(several):
         # Cells are kept far apart, so that only the point's own cell is searched.
-        tree = cKDTree(np.concatenate([cells.samples, 10 * cells.index[cells.sample_element]], 1))
+        tree = cKDTree(np.concatenate([cells.samples, 10 * held], 1))
         near = tree.query(np.concatenate([position[several], 10 * own[several]], 1))[1]
         element[several] = cells.sample_element[near]
     return element

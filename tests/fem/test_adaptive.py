@@ -19,8 +19,9 @@ THICK = box((1, 1, 0.06))
 
 
 @pytest.fixture(autouse=True)
-def no_grid_is_small(monkeypatch):
+def no_grid_is_small_and_none_too_coarse(monkeypatch):
     monkeypatch.setattr(adaptive, "_CHEAP", 0)
+    monkeypatch.setattr(adaptive, "_REACH", np.inf)
 
 
 def fine(size, max_error):

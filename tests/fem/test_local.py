@@ -1,0 +1,63 @@
+import numpy as np
+import pytest
+from solids import box, join
+
+from objectfolder.fem import adaptive
+from objectfolder.fem.accuracy import Discretisation, coarser
+from objectfolder.fem.adaptive import FineGrids, refined
+from objectfolder.fem.cutcell import cut_cells
+from objectfolder.fem.local import locally_refined
+from objectfolder.materials import Material
+
+STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
+LIMIT = 6_000
+#: two blocks that a bar of 1.3 cells joins
+DUMBBELL = join(
+    box((0.25, 0.3, 0.4), (0, 0, 0.3)), box((0.25, 0.3, 0.4), (0, 0, -0.3)), box((0.04, 0.04, 0.3))
+)
+
+
+@pytest.fixture(scope="module")
+def finest():
+    return cut_cells(*DUMBBELL, 32, 4)
+
+
+@pytest.fixture(scope="module")
+def mixed(finest):
+    return locally_refined(finest, LIMIT, STUFF, 1.0)
+
+
+@pytest.fixture(scope="module")
+def truth(finest):
+    return Discretisation(finest, STUFF, 1.0).lowest_frequencies()
+
+
+def test_small_elements_lie_where_the_solid_bends(mixed):
+    solid = mixed.solid
+    middle = (solid.index + solid.width[:, None] / 2) * solid.cell_size + solid.lower
+    bar = np.abs(middle[:, 2]) < 0.09
+    assert (solid.width[bar] == 1).all()
+    assert solid.width[~bar].max() >= 4
+
+
+def test_few_unknowns_suffice_and_the_estimate_holds(finest, mixed, truth):
+    found, half = (
+        cells.lowest_frequencies() for cells in (mixed, Discretisation(coarser(finest), STUFF, 1.0))
+    )
+    assert mixed.solid.degrees_of_freedom <= LIMIT < coarser(finest).degrees_of_freedom
+    error = np.abs(found / truth - 1).max()
+    assert error < 0.02
+    assert error < 0.1 * np.abs(half / truth - 1).max()
+    assert max(mixed.errors(found)) > error
+
+
+def test_a_grid_that_cannot_be_halved_twice_is_left():
+    assert locally_refined(cut_cells(*DUMBBELL, 30, 4), LIMIT, STUFF, 1.0) is None
+
+
+def test_sizes_are_mixed_where_uniform_grids_do_not_reach(monkeypatch):
+    monkeypatch.setattr(adaptive, "_FINEST", (32,))
+    fine = FineGrids(resolutions=(10, 12), subdivisions=4, max_degrees_of_freedom=LIMIT, max_error=0.02)
+    found = refined(cut_cells(*DUMBBELL, 8, 4), DUMBBELL, fine, STUFF, 1.0).solid
+    assert found.resolution == 32
+    assert (found.width.min(), found.width.max()) == (1, 4)
