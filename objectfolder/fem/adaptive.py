@@ -22,6 +22,7 @@ _SAMPLES, _MORE_SAMPLES = 100_000, 400_000  # surface points, to find the cells 
 _UNKNOWNS = 12  # lower bound per element: one corner and three edge nodes of its own
 _GROWTH = 1.8  # unknowns grow at least with this power of the resolution (thin sheets with free edges)
 _REACH = 1.5  # where uniform grids within the limit are coarser than wanted by this factor, sizes are mixed
+_BULK = 2 / 3  # share of the volume in full elements; thin shells need all their cells alike
 _FINEST = 192, 160, 128, 96  # cells along the longest side where sizes are mixed
 _SUBDIVISIONS = 4  # of its cells: eight columns through each suffice, and cutting costs less than half
 _CELLS = 60_000  # at the surface, and eight times as many inside, that may be cut for it
@@ -84,7 +85,7 @@ def refined(
 
     Each step goes to the coarsest grid that should suffice if the error falls with the power ``ORDER`` of
     the cells' size, or to the finest one within the size limit. Where that is too coarse by more than
-    ``_REACH``, cells get several sizes (`objectfolder.fem.local`). An estimate may be a third of the error;
+    ``_REACH`` and most of the solid is bulk, cells get several sizes (`objectfolder.fem.local`). An estimate may be a third of the error;
     so where it is accepted, grids go on to a third of it while they stay small.
 
     Parameters
@@ -119,7 +120,8 @@ def refined(
             if worst <= accepted:
                 break
             wanted = solid.resolution * (worst / accepted) ** (1 / ORDER)
-            if worst > fine.max_error and wanted > _REACH * rungs[-1]:
+            beyond = worst > fine.max_error and wanted > _REACH * rungs[-1]
+            if beyond and _bulk(solid) > _BULK:
                 mixed = _mixed(surface, fine, material, scale, name)
                 if mixed is not None:
                     return mixed
@@ -141,6 +143,12 @@ def _mixed(
     finest = next((rung for rung in _FINEST if touched(rung) + volume * rung**3 / 8 <= _CELLS), _FINEST[-1])
     cells = cut_cells(*surface, finest, _SUBDIVISIONS, name)
     return locally_refined(cells, fine.max_degrees_of_freedom, material, scale)
+
+
+def _bulk(cells: CutCells) -> float:
+    """Return the share of the volume in full elements."""
+    volume = cells.fill * cells.width**3
+    return float(volume[cells.is_full].sum() / volume.sum())
 
 
 def _least_unknowns(vertices: np.ndarray, faces: np.ndarray) -> Callable[[int], int]:

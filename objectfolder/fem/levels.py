@@ -106,7 +106,8 @@ class Levels:
 
         Both are -1 for a divided element, which is in several.
         """
-        levels, places = [], []
+        levels: list[np.ndarray] = []
+        places: list[np.ndarray] = []
         for k in reversed(range(len(self.grids))):
             level, place = np.where(divided[k], -1, k), np.arange(len(divided[k]))
             if levels:
