@@ -85,8 +85,9 @@ def refined(
 
     Each step goes to the coarsest grid that should suffice if the error falls with the power ``ORDER`` of
     the cells' size, or to the finest one within the size limit. Where that is too coarse by more than
-    ``_REACH`` and most of the solid is bulk, cells get several sizes (`objectfolder.fem.local`). An estimate may be a third of the error;
-    so where it is accepted, grids go on to a third of it while they stay small.
+    ``_REACH`` and most of the solid is bulk, cells get several sizes (`objectfolder.fem.local`). An
+    estimate may be a third of the error; so where it is accepted, grids go on to a third of it while they
+    stay small.
 
     Parameters
     ----------
