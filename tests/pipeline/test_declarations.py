@@ -118,8 +118,8 @@ def test_stages_of_robots_depend_on_the_hulls(stage):
 MAX_MODULES = {
     "generate": 48,
     "normalize": 37,
-    "voxelize": 41,
-    "modal": 38,
+    "voxelize": 43,
+    "modal": 40,
     "radiation": 28,
     "render_views": 36,
     "render_touch": 33,
