@@ -46,7 +46,7 @@ NEEDS = {
     "generate": Needs(2, memory_mb=500),
     "normalize": Needs(1, memory_mb=2000),
     "voxelize": Needs(7, memory_mb=2500),
-    "modal": Needs(45, memory_mb=5000, timeout=3 * HOUR),
+    "modal": Needs(45, memory_mb=5500, timeout=3 * HOUR),
     "radiation": Needs(25, memory_mb=1500),
     "render_views": Needs(50, memory_mb=1000, timeout=12 * HOUR),
     "render_views/mitsuba-cuda": Needs(30, gpus=0.5, memory_mb=2000, timeout=3 * HOUR),
