@@ -203,6 +203,8 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
     for checkpoint in job.progress.glob("encoder_*.pt"):
         checkpoint.unlink()
     directions: dict[str, Any] = {}
+    chance, repeated = chance_map(labels, labels), _repeated(labels, len(labels))
+    chance_within = chance_map(labels, labels[repeated], own=True) if len(repeated) else None
     for direction in sorted({name for baseline in baselines for name in baseline}):
         values = [
             float(
@@ -221,7 +223,7 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
             "interval_95": interval_95(values),
             "seeds": values,
             "cca": float(np.mean([baseline[direction] for baseline in baselines if direction in baseline])),
-            "chance": chance_map(labels, labels, own=direction[0] == direction[-1]),
+            "chance": chance if direction[0] != direction[-1] else chance_within,
         }
     curves = [
         [modality, "", run, *point] for (modality, run), unit in named.items() for point in unit["curve"]
@@ -338,8 +340,7 @@ def _namer(job: Job[RetrieveConfig], modality: str, run: int) -> tuple[nn.Module
         features = (
             torch.cat([net.encoders[modality](x) for x in _chunks(job, modality, gallery)]).cpu().numpy()
         )
-        of = labels[gallery]
-        return mean_average_precision(features[:queries], of[:queries], features, of, own=True)
+        return _within(features, labels[gallery], queries)
 
     steps = params.pretrain_epochs * batch_count(len(rows), params.batch)
     curve = job.train(
@@ -370,13 +371,30 @@ def _maps(
 ) -> Maps:
     """Score embeddings of rows in two modalities: the first rows are queries, all of them the gallery."""
     labels = job.observations.labels[rows]
-    return {
-        f"{pair[query][0].upper()}->{pair[answer][0].upper()}": mean_average_precision(
-            embeddings[query][:queries], labels[:queries], embeddings[answer], labels, own=query == answer
+    names = [modality[0].upper() for modality in pair]
+    maps = {
+        f"{names[query]}->{names[1 - query]}": mean_average_precision(
+            embeddings[query][:queries], labels[:queries], embeddings[1 - query], labels
         )
         for query in (0, 1)
-        for answer in (0, 1)
     }
+    if len(_repeated(labels, queries)):
+        maps |= {f"{name}->{name}": _within(x, labels, queries) for name, x in zip(names, embeddings)}
+    return maps
+
+
+def _repeated(labels: np.ndarray, queries: int) -> np.ndarray:
+    """Return which of the queries, the first rows, have another row of their object."""
+    _, inverse, counts = np.unique(labels, return_inverse=True, return_counts=True)
+    return np.flatnonzero(counts[inverse[:queries]] > 1)
+
+
+def _within(embeddings: np.ndarray, labels: np.ndarray, queries: int) -> float:
+    """Score the `_repeated` queries among all other rows of the same modality."""
+    asked = _repeated(labels, queries)
+    order = np.concatenate([asked, np.setdiff1d(np.arange(len(labels)), asked)])
+    of = labels[order]
+    return mean_average_precision(embeddings[asked], labels[asked], embeddings[order], of, own=True)
 
 
 def _crossed(maps: Maps) -> float:
