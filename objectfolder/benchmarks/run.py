@@ -67,6 +67,12 @@ class BenchmarkOptions:
         """Return a task's section with the chosen number of seeds."""
         return settings if self.seeds is None else replace(settings, seeds=self.seeds)
 
+    def task_params(self, task: Task, values: dict[str, Any], path: Path) -> TaskParams[Any]:
+        """Return the parameters of a task, with the chosen encoder and number of seeds."""
+        params = task_params(task.config, values, path)
+        encode = params.encode if self.encoder is None else replace(params.encode, encoder=self.encoder)
+        return replace(params, settings=self.with_seeds(params.settings), encode=encode)
+
 
 def run_on_splits(task: Task, options: BenchmarkOptions, report: Report, track: Tracker) -> Scores:
     """Collect the samples of all objects and run a task on each split; splits run in parallel on a CPU.
@@ -95,11 +101,9 @@ def run_on_splits(task: Task, options: BenchmarkOptions, report: Report, track: 
         if split not in known:
             raise ObjectFolderError(f"--split {split!r} is unknown here, expected {' or '.join(known)}")
     values, path = options.values()
-    params = task_params(task.config, values, path)
-    encode = params.encode if options.encoder is None else replace(params.encode, encoder=options.encoder)
-    params = replace(params, settings=options.with_seeds(params.settings), encode=encode)
+    params = options.task_params(task, values, path)
     weights = None if options.weights is None else read_weights(options.weights)
-    make_encoder(registered(encode.encoder), "vision", weights)  # fails before any work
+    make_encoder(registered(params.encode.encoder), "vision", weights)  # fails before any work
     sources, folder, cores = load_object_files(options.files), options.folder, options.cores
 
     def announce(count: int, samples: str) -> None:
@@ -196,10 +200,8 @@ def run_on_contacts(options: BenchmarkOptions, report: Report, jobs: int = 1) ->
     from objectfolder.benchmarks.tasks.localization import LOCALIZE, contact_split
 
     values, path = options.values()
-    params = task_params(LOCALIZE.config, values, path)
-    encode = params.encode if options.encoder is None else replace(params.encode, encoder=options.encoder)
-    params = replace(params, settings=options.with_seeds(params.settings), encode=encode)
-    make_encoder(registered(encode.encoder), "touch")  # these two fail before any work
+    params = options.task_params(LOCALIZE, values, path)
+    make_encoder(registered(params.encode.encoder), "touch")  # these two fail before any work
     contact_split(params.settings.contacts)
     sources, folder = load_object_files(options.files), options.folder
     threads = max(1, options.cores // jobs)

@@ -206,17 +206,10 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
     chance, repeated = chance_map(labels, labels), _repeated(labels, len(labels))
     chance_within = chance_map(labels, labels[repeated], own=True) if len(repeated) else None
     for direction in sorted({name for baseline in baselines for name in baseline}):
+        # A direction within a sense belongs to two pairs.
+        nets = [runs for runs in finished.values() if direction in runs[0]["map"]]
         values = [
-            float(
-                np.mean(
-                    [
-                        runs[run]["map"][direction]
-                        for runs in finished.values()
-                        if direction in runs[run]["map"]
-                    ]
-                )
-            )
-            for run in range(job.params.seeds)
+            float(np.mean([runs[run]["map"][direction] for runs in nets])) for run in range(job.params.seeds)
         ]
         directions[direction] = {
             "map": float(np.mean(values)),
