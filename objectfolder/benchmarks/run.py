@@ -197,7 +197,8 @@ def run_on_contacts(options: BenchmarkOptions, report: Report, jobs: int = 1) ->
     ObjectFolderError
         If an option is wrong, before any work; or if the task fails.
     """
-    from objectfolder.benchmarks.tasks.localization import LOCALIZE, contact_split
+    from objectfolder.benchmarks.datasets.contacts import contact_split
+    from objectfolder.benchmarks.tasks.localization import LOCALIZE
 
     values, path = options.values()
     params = options.task_params(LOCALIZE, values, path)

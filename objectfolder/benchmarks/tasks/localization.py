@@ -7,28 +7,25 @@ contacts of a robot that knows how it moved between them add up.
 from collections.abc import Iterator
 from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
-from torch import nn
 from torch.nn import functional as F
 
-from objectfolder.audio.spectrogram import DURATION, SAMPLE_RATE
-from objectfolder.benchmarks.datasets.samples import Samples, object_digest
-from objectfolder.benchmarks.datasets.splits import TEN, Split
+from objectfolder.benchmarks.datasets.contacts import TOGETHER, contact_split, sample_contacts
+from objectfolder.benchmarks.datasets.samples import object_digest
 from objectfolder.benchmarks.models.encoders import InputSizes, own_file, registered, shifted
+from objectfolder.benchmarks.models.localizer import SOFTNESS, Localizer, belief_together, likeliest
 from objectfolder.benchmarks.models.training import EpochPoint, batch_count, shuffled
 from objectfolder.benchmarks.params import TaskParams
 from objectfolder.benchmarks.scoring.scores import interval_95
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.localization_config import LocalizeConfig
 from objectfolder.benchmarks.tasks.running import Report, Task, code_digest
-from objectfolder.errors import ObjectFolderError
 from objectfolder.io import file_digest
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.objectfile.query_files import sample_presses, sample_strikes
 from objectfolder.seeding import numpy_generator, seeded
 from objectfolder.workspace.layout import Benchmarks
 
@@ -36,126 +33,10 @@ LETTERS = {"T": "touch", "A": "audio"}
 COMBINATIONS = ("T", "A", "TA")
 CURVE_COLUMNS = ("seed", "senses", "epoch", "train_loss", "val_score")  #: minus the mean error, sides
 PLACES = 1000  #: on the surface, among which the answer is
-SOFTNESS = 0.03  #: deviation of the belief that nets learn, longest sides
-TOGETHER = 8  #: contacts of one sequence
-WIDTH = 128  #: of the features that are compared
-OCTAVES = 5  #: of sines and cosines of the places
 POOLED = {"touch": (16, 12), "audio": (64, 8)}  #: sizes of inputs that the nearest contact is sought by
 CHUNK = 64  #: rows asked or embedded at once
 
 Batch = tuple[dict[str, torch.Tensor], torch.Tensor]  #: inputs by letter, and beliefs
-
-
-def sample_contacts(file: ObjectFile, count: int, seed: int) -> Samples:
-    """Touch and strike an object at the same random points of its surface.
-
-    Parameters
-    ----------
-    file : ObjectFile
-    count, seed : int
-
-    Returns
-    -------
-    Samples
-        Of one object: ``touch`` (count, H, W, 3) uint8, at random press depths with the sensor upright;
-        ``audio`` (count, samples) float32, of strikes along the inward normal; ``point`` (count, 3), unit
-        frame.
-    """
-    strikes = sample_strikes(file, count, seed)
-    points, impulses = strikes[:, :3], strikes[:, 3:]
-    depths = sample_presses(file, count, seed)[:, 2]
-    parts = np.array_split(np.arange(count), -(-count // CHUNK))
-    arrays = {
-        "touch": np.concatenate([file.touch(points[rows], depths[rows]) for rows in parts]),
-        "audio": np.concatenate(
-            [
-                file.impact(
-                    points[rows], impulses[rows], SAMPLE_RATE, DURATION, "displacement", contact_time=0.0
-                )
-                for rows in parts
-            ]
-        ),
-        "point": points / file.scale,
-    }
-    record = {"count": count, "seed": seed, "object": object_digest(file)}
-    return Samples({file.key: record}, {name: [array] for name, array in arrays.items()})
-
-
-class Localizer(nn.Module):
-    """Encoders of what is felt and heard, and a net of the places; their product is the belief.
-
-    Parameters
-    ----------
-    encoders : dict
-        By letter; each with an attribute ``features``.
-    places : (P, 3) array
-        Unit frame.
-    """
-
-    def __init__(self, encoders: dict[str, nn.Module], places: np.ndarray):
-        super().__init__()
-        self.encoders = nn.ModuleDict(encoders)
-        self.query = nn.Linear(sum(cast(int, encoder.features) for encoder in encoders.values()), WIDTH)
-        angles = np.pi * places[:, None] * 2.0 ** np.arange(OCTAVES)[:, None]
-        waves = [places, np.sin(angles).reshape(len(places), -1), np.cos(angles).reshape(len(places), -1)]
-        self.register_buffer("waves", torch.from_numpy(np.concatenate(waves, 1)).float())
-        self.keys = nn.Sequential(
-            nn.Linear(3 + 6 * OCTAVES, WIDTH),
-            nn.ReLU(),
-            nn.Linear(WIDTH, WIDTH),
-            nn.ReLU(),
-            nn.Linear(WIDTH, WIDTH),
-        )
-
-    def forward(self, inputs: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Inputs (B, C, H, W) of each encoder -> (B, P) logarithms of the belief."""
-        features = [encoder(inputs[letter]) for letter, encoder in self.encoders.items()]
-        found = self.query(torch.cat(features, 1)) @ self.keys(self.waves).T
-        return (found / WIDTH**0.5).float().log_softmax(1)
-
-
-def likeliest(belief: np.ndarray, distances: np.ndarray) -> np.ndarray:
-    """Return the places with the least expected distance.
-
-    Parameters
-    ----------
-    belief : (N, P) array
-        Logarithms of probabilities, up to a constant in each row.
-    distances : (P, P) array
-        Between the places.
-
-    Returns
-    -------
-    (N,) int array
-    """
-    share = np.exp(belief - belief.max(1, keepdims=True))
-    return np.argmin(share / share.sum(1, keepdims=True) @ distances, axis=1)
-
-
-def belief_together(
-    beliefs: np.ndarray, moves: np.ndarray, places: np.ndarray, softness: float = SOFTNESS
-) -> np.ndarray:
-    """Add up the beliefs of contacts between which the moves are known.
-
-    If the last contact is at a place p, contact i was at p + move i. Its belief there is that of the
-    nearest place, less the squared distance to it over twice the squared softness: points off the surface
-    are unlikely.
-
-    Parameters
-    ----------
-    beliefs : (n, P) array
-        Logarithms, by contact.
-    moves : (n, 3) array
-        From the last contact to each one.
-    places : (P, 3) array
-
-    Returns
-    -------
-    (P,) array, the logarithm of the belief about the last contact, up to a constant.
-    """
-    off, nearest = cKDTree(places).query(places + moves[:, None])
-    rows = np.arange(len(beliefs))[:, None]
-    return np.sum(beliefs[rows, nearest] - off**2 / (2 * softness**2), axis=0)
 
 
 def localize(job: Job[LocalizeConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
@@ -400,20 +281,3 @@ class ContactRun:
     def description(self) -> dict[str, Any]:
         """Return entries to add to the scores."""
         return {"scale": self.file.scale}
-
-
-def contact_split(count: int) -> Split:
-    """Split contacts: of every ten, 8 for training, 1 for validation, 1 for the test.
-
-    Raises
-    ------
-    ObjectFolderError
-        If there are fewer test contacts than a sequence holds.
-    """
-    if count % TEN or count < TEN * TOGETHER:
-        raise ObjectFolderError(
-            f"localize.contacts is {count}: expected a multiple of {TEN}, {TEN * TOGETHER} or more, since "
-            f"sequences hold {TOGETHER} test contacts"
-        )
-    place = np.arange(count) % TEN
-    return Split("contacts", *(np.flatnonzero(part) for part in (place < 8, place == 8, place == 9)))

@@ -5,18 +5,12 @@ import pytest
 import torch
 from torch import nn
 
+from objectfolder.benchmarks.datasets.contacts import contact_split, sample_contacts
 from objectfolder.benchmarks.datasets.samples import Samples
 from objectfolder.benchmarks.models.encoders import InputSizes, register_encoder
-from objectfolder.benchmarks.tasks import localization
+from objectfolder.benchmarks.models.localizer import SOFTNESS, belief_together, likeliest
 from objectfolder.benchmarks.tasks.job import Job
-from objectfolder.benchmarks.tasks.localization import (
-    CURVE_COLUMNS,
-    belief_together,
-    contact_split,
-    likeliest,
-    localize,
-    sample_contacts,
-)
+from objectfolder.benchmarks.tasks.localization import CURVE_COLUMNS, localize
 from objectfolder.benchmarks.tasks.localization_config import LocalizeConfig
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
@@ -89,7 +83,7 @@ def test_moves_between_contacts_resolve_what_each_leaves_open():
     )
     assert np.argmax(three) == 3
     # From 0.7 the first contact would have been 0.3 beyond the last place.
-    assert three[7] == pytest.approx(belief(0.9)[10] - 0.3**2 / (2 * localization.SOFTNESS**2))
+    assert three[7] == pytest.approx(belief(0.9)[10] - 0.3**2 / (2 * SOFTNESS**2))
 
 
 @pytest.fixture(scope="module")

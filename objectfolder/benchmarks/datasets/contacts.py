@@ -1,0 +1,65 @@
+"""Contacts with one object: touches and strikes at the same random points."""
+
+import numpy as np
+
+from objectfolder.audio.spectrogram import DURATION, SAMPLE_RATE
+from objectfolder.benchmarks.datasets.samples import Samples, object_digest
+from objectfolder.benchmarks.datasets.splits import TEN, Split
+from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.objectfile.query_files import sample_presses, sample_strikes
+
+TOGETHER = 8  #: contacts of one sequence
+CHUNK = 64  #: contacts asked at once
+
+
+def sample_contacts(file: ObjectFile, count: int, seed: int) -> Samples:
+    """Touch and strike an object at the same random points of its surface.
+
+    Parameters
+    ----------
+    file : ObjectFile
+    count, seed : int
+
+    Returns
+    -------
+    Samples
+        Of one object: ``touch`` (count, H, W, 3) uint8, at random press depths with the sensor upright;
+        ``audio`` (count, samples) float32, of strikes along the inward normal; ``point`` (count, 3), unit
+        frame.
+    """
+    strikes = sample_strikes(file, count, seed)
+    points, impulses = strikes[:, :3], strikes[:, 3:]
+    depths = sample_presses(file, count, seed)[:, 2]
+    parts = np.array_split(np.arange(count), -(-count // CHUNK))
+    arrays = {
+        "touch": np.concatenate([file.touch(points[rows], depths[rows]) for rows in parts]),
+        "audio": np.concatenate(
+            [
+                file.impact(
+                    points[rows], impulses[rows], SAMPLE_RATE, DURATION, "displacement", contact_time=0.0
+                )
+                for rows in parts
+            ]
+        ),
+        "point": points / file.scale,
+    }
+    record = {"count": count, "seed": seed, "object": object_digest(file)}
+    return Samples({file.key: record}, {name: [array] for name, array in arrays.items()})
+
+
+def contact_split(count: int) -> Split:
+    """Split contacts: of every ten, 8 for training, 1 for validation, 1 for the test.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there are fewer test contacts than a sequence holds.
+    """
+    if count % TEN or count < TEN * TOGETHER:
+        raise ObjectFolderError(
+            f"localize.contacts is {count}: expected a multiple of {TEN}, {TEN * TOGETHER} or more, since "
+            f"sequences hold {TOGETHER} test contacts"
+        )
+    place = np.arange(count) % TEN
+    return Split("contacts", *(np.flatnonzero(part) for part in (place < 8, place == 8, place == 9)))

@@ -1,0 +1,91 @@
+"""Beliefs over places on an object: the net that gives them, what to answer, and how several add up."""
+
+from typing import cast
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import nn
+
+from objectfolder.benchmarks.models.classifier import Inputs
+
+SOFTNESS = 0.03  #: deviation of the belief that nets learn, longest sides
+WIDTH = 128  #: of the features that are compared
+OCTAVES = 5  #: of sines and cosines of the places
+
+
+class Localizer(nn.Module):
+    """Encoders of what is felt and heard, and a net of the places; their product is the belief.
+
+    Parameters
+    ----------
+    encoders : dict
+        By letter; each with an attribute ``features``.
+    places : (P, 3) array
+        Unit frame.
+    """
+
+    def __init__(self, encoders: dict[str, nn.Module], places: np.ndarray):
+        super().__init__()
+        self.encoders = nn.ModuleDict(encoders)
+        self.query = nn.Linear(sum(cast(int, encoder.features) for encoder in encoders.values()), WIDTH)
+        angles = np.pi * places[:, None] * 2.0 ** np.arange(OCTAVES)[:, None]
+        waves = [places, np.sin(angles).reshape(len(places), -1), np.cos(angles).reshape(len(places), -1)]
+        self.register_buffer("waves", torch.from_numpy(np.concatenate(waves, 1)).float())
+        self.keys = nn.Sequential(
+            nn.Linear(3 + 6 * OCTAVES, WIDTH),
+            nn.ReLU(),
+            nn.Linear(WIDTH, WIDTH),
+            nn.ReLU(),
+            nn.Linear(WIDTH, WIDTH),
+        )
+
+    def forward(self, inputs: Inputs) -> torch.Tensor:
+        """Inputs (B, C, H, W) of each encoder -> (B, P) logarithms of the belief."""
+        features = [encoder(inputs[letter]) for letter, encoder in self.encoders.items()]
+        found = self.query(torch.cat(features, 1)) @ self.keys(self.waves).T
+        return (found / WIDTH**0.5).float().log_softmax(1)
+
+
+def likeliest(belief: np.ndarray, distances: np.ndarray) -> np.ndarray:
+    """Return the places with the least expected distance.
+
+    Parameters
+    ----------
+    belief : (N, P) array
+        Logarithms of probabilities, up to a constant in each row.
+    distances : (P, P) array
+        Between the places.
+
+    Returns
+    -------
+    (N,) int array
+    """
+    share = np.exp(belief - belief.max(1, keepdims=True))
+    return np.argmin(share / share.sum(1, keepdims=True) @ distances, axis=1)
+
+
+def belief_together(
+    beliefs: np.ndarray, moves: np.ndarray, places: np.ndarray, softness: float = SOFTNESS
+) -> np.ndarray:
+    """Add up the beliefs of contacts between which the moves are known.
+
+    If the last contact is at a place p, contact i was at p + move i. Its belief there is that of the
+    nearest place, less the squared distance to it over twice the squared softness: points off the surface
+    are unlikely.
+
+    Parameters
+    ----------
+    beliefs : (n, P) array
+        Logarithms, by contact.
+    moves : (n, 3) array
+        From the last contact to each one.
+    places : (P, 3) array
+
+    Returns
+    -------
+    (P,) array, the logarithm of the belief about the last contact, up to a constant.
+    """
+    off, nearest = cKDTree(places).query(places + moves[:, None])
+    rows = np.arange(len(beliefs))[:, None]
+    return np.sum(beliefs[rows, nearest] - off**2 / (2 * softness**2), axis=0)
