@@ -130,7 +130,7 @@ MAX_MODULES = {
     "evaluate": 94,
     "observe": 96,
     "recognize": 29,
-    "retrieve": 26,
+    "retrieve": 27,
     "reconstruct": 110,
     "decompose": 91,
     "grasp_data": 108,

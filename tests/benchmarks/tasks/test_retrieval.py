@@ -9,16 +9,15 @@ from torch import nn
 
 from objectfolder.benchmarks.datasets.splits import Split, per_sample
 from objectfolder.benchmarks.models.encoders import InputSizes, register_encoder
-from objectfolder.benchmarks.tasks import retrieval
-from objectfolder.benchmarks.tasks.job import Job
-from objectfolder.benchmarks.tasks.retrieval import (
-    CURVE_COLUMNS,
+from objectfolder.benchmarks.models.two_stream import (
     TwoStream,
     cross_sensory_loss,
     paired_batches,
-    retrieve,
     triplet_loss,
 )
+from objectfolder.benchmarks.tasks import retrieval
+from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.benchmarks.tasks.retrieval import CURVE_COLUMNS, retrieve
 from objectfolder.errors import ObjectFolderError
 from objectfolder.seeding import numpy_generator
 
