@@ -1,9 +1,8 @@
-"""Render docs/results.md and docs/faithful.md: `python perf/results.py [--collect]`.
+"""Render docs/results.md, docs/faithful.md and docs/catalogue.md: `python perf/results.py [--collect]`.
 
-The pages are perf/results.md.j2 and perf/faithful.md.j2, filled with the records in docs/results/. Most
-records are the `--json` output of another script in perf/. With `--collect`, the scores that `objectfolder
-build` and `objectfolder bench` left in metrics/ and benchmarks/ update the records scores, benchmarks and
-robots first.
+The pages are perf/*.md.j2, filled with the records in docs/results/. Most records are the `--json` output of
+another script in perf/. With `--collect`, the scores that `objectfolder build` and `objectfolder bench` left
+in metrics/ and benchmarks/ update the records scores, benchmarks and robots first.
 """
 
 import argparse
@@ -26,7 +25,7 @@ from objectfolder.workspace.layout import Benchmarks
 
 ROOT = Path(__file__).parents[1]
 RECORDS = ROOT / "docs" / "results"
-PAGES = {name: ROOT / "docs" / f"{name}.md" for name in ("results", "faithful")}
+PAGES = {name: ROOT / "docs" / f"{name}.md" for name in ("results", "faithful", "catalogue")}
 PRESETS = ("quick", "laptop", "standard", "faithful", "faithful-small")
 EXEMPT = {
     "render_views": "renderer",
@@ -65,6 +64,7 @@ def render(page: str, records: Path = RECORDS) -> str:
         keep_trailing_newline=True,
     )
     environment.filters |= {
+        "column": column,
         "measured": lambda rows: [row for row in rows if "failed" not in row],
         "number": number,
         "over_objects": over_objects,
@@ -93,6 +93,13 @@ def spread(rows: list[dict[str, Any]], name: str) -> dict[str, float]:
     """Return mean, median and least of a figure over rows."""
     found = [row[name] for row in rows]
     return {"mean": mean(found), "median": median(found), "worst": min(found)}
+
+
+def column(rows: list[dict[str, Any]], name: str, statistic: str) -> float:
+    """Return mean, median or worst of a figure over the rows that have it; of scores, the least is worst."""
+    found = [row[name] for row in rows if row[name] is not None]
+    worst = min if name.startswith(("vision", "touch")) else max
+    return {"mean": mean, "median": median, "worst": worst}[statistic](found)
 
 
 def number(value: Any, spec: str, missing: str = "-") -> str:

@@ -1,5 +1,6 @@
 """Sound that each vibration mode of an object sends out."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -26,6 +27,10 @@ FEWEST = 2000  #: triangles of a surface, however long the waves are
 _FINER = 0.5  # of a triangle's edge, on which modes' motions are read from the exact surface
 _BEYOND = 4  # orders of harmonics beyond the wavenumber times the radius
 _ALIKE = 0.04  # difference of wavenumbers, times the radius, within which modes share a matrix
+_STEP = 0.5  # between wavenumbers, times the radius, among which the fields of dense modes are interpolated
+_NODES = np.arange(-1, 3)  # of these wavenumbers, those around a mode: cubic polynomials
+_WORTH = 1.5  # times as many matrices, at least, that interpolation must save
+_DOUBT = 0.0075  # least difference of cubic and quadratic interpolation, relative, for which a mode is solved
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,6 +115,7 @@ def of_motion(boundary: Boundary, motion: np.ndarray, frequencies: np.ndarray, r
 
     Notes
     -----
+    Where modes are dense, a mode's field is interpolated between fields at equally spaced wavenumbers.
     Waves shorter than two edges are not solved for: the pressure is then that of a plane wave, the specific
     impedance of air times the velocity. Fields with more detail than `MAX_ORDER` keep their power.
     """
@@ -117,19 +123,35 @@ def of_motion(boundary: Boundary, motion: np.ndarray, frequencies: np.ndarray, r
     orders = np.minimum(np.ceil(k * radius).astype(int) + _BEYOND, MAX_ORDER)
     radiator = Radiator(boundary.triangles, int(orders.max(initial=0)))
     coefficients = np.zeros((len(k), (radiator.order + 1) ** 2), np.complex128)
-    area, of_degree = boundary.triangles.area, degrees(radiator.order)
-    for modes in _alike(k, _ALIKE / radius):
-        wavenumber = k[modes].mean()
-        if wavenumber * boundary.mean_edge > 2 * np.pi / EDGES_PER_WAVE:
-            pressure = -1j * slopes[:, modes] / wavenumber
-        else:
-            pressure = boundary.pressure(wavenumber, slopes[:, modes])
+    of_degree = degrees(radiator.order)
+    power = np.zeros(len(k))
+
+    def add(wavenumber: float, pressure: np.ndarray, modes: np.ndarray, weights: np.ndarray) -> np.ndarray:
         found = radiator.coefficients(wavenumber, pressure, slopes[:, modes])
-        found[of_degree > orders[modes, None]] = 0
-        power = -area @ (pressure * slopes[:, modes]).imag / wavenumber
-        kept = (abs(found) ** 2).sum(1)
-        capped = (orders[modes] == MAX_ORDER) & (kept > 0)
-        coefficients[modes] = found * np.where(capped, np.sqrt(power.clip(0) / kept), 1)[:, None]
+        coefficients[modes] += weights[:, None] * found
+        sent = -boundary.triangles.area @ (pressure * slopes[:, modes]).imag / wavenumber
+        power[modes] += weights * sent
+        return found
+
+    short = k * boundary.mean_edge > 2 * np.pi / EDGES_PER_WAVE
+    for modes in _alike(k, _ALIKE / radius, short):
+        wavenumber = float(k[modes].mean())
+        add(wavenumber, -1j * slopes[:, modes] / wavenumber, modes, np.ones(len(modes)))
+    dense = _dense(k, radius, ~short)
+    differences = np.zeros_like(coefficients)
+    for wavenumber, modes, weights, rough in _nodes(k, _STEP / radius, dense):
+        found = add(wavenumber, boundary.pressure(wavenumber, slopes[:, modes]), modes, weights)
+        differences[modes] += (weights - rough)[:, None] * found
+    # Cavities resonate in narrow bands, which nodes do not resolve.
+    doubtful = dense & ((abs(differences) ** 2).sum(1) > _DOUBT**2 * (abs(coefficients) ** 2).sum(1))
+    coefficients[doubtful], power[doubtful] = 0, 0
+    for modes in _alike(k, _ALIKE / radius, ~short & ~dense | doubtful):
+        wavenumber = float(k[modes].mean())
+        add(wavenumber, boundary.pressure(wavenumber, slopes[:, modes]), modes, np.ones(len(modes)))
+    coefficients[of_degree > orders[:, None]] = 0
+    kept = (abs(coefficients) ** 2).sum(1)
+    capped = (orders == MAX_ORDER) & (kept > 0)
+    coefficients[capped] *= np.sqrt(power[capped].clip(0) / kept[capped])[:, None]
     return FarField(orders, coefficients, radius)
 
 
@@ -161,12 +183,58 @@ def stored_radiation(
     return pack_far_field(field, limit), header
 
 
-def _alike(k: np.ndarray, span: float) -> list[np.ndarray]:
-    """Group numbers that differ by at most a span; arrays of indices."""
+def _alike(k: np.ndarray, span: float, chosen: np.ndarray) -> list[np.ndarray]:
+    """Group the chosen numbers so that those of a group differ by at most a span; arrays of indices."""
     order = np.argsort(k, kind="stable")
     groups: list[list[int]] = []
-    for index in order:
+    for index in order[chosen[order]]:
         if not groups or k[index] - k[groups[-1][0]] > span:
             groups.append([])
         groups[-1].append(int(index))
     return [np.array(group) for group in groups]
+
+
+def _dense(k: np.ndarray, radius: float, chosen: np.ndarray) -> np.ndarray:
+    """Return which of the chosen wavenumbers lie so densely that `_nodes` are far fewer; (M,) bool.
+
+    The field of a motion changes smoothly with the wavenumber. The lowest modes are few.
+    """
+    apart, step = _alike(k, _ALIKE / radius, chosen), _STEP / radius
+    if not apart:
+        return chosen
+    lowest = np.array([k[group].min() for group in apart])
+    nodes = np.ceil((k[chosen].max() - lowest) / step) + len(_NODES) - 1
+    saved = np.arange(len(apart), 0, -1) - _WORTH * nodes
+    saved[lowest <= step] = 0  # a node would be at a negative wavenumber
+    return chosen & (k >= lowest[saved.argmax()]) if saved.max() > 0 else np.zeros_like(chosen)
+
+
+def _nodes(
+    k: np.ndarray, step: float, chosen: np.ndarray
+) -> Iterator[tuple[float, np.ndarray, np.ndarray, np.ndarray]]:
+    """Yield equally spaced wavenumbers, modes near each, and the weights of their fields there.
+
+    The second weights are those of the quadratic polynomial through the three nearest nodes.
+    """
+    modes = np.flatnonzero(chosen)
+    if not len(modes):
+        return
+    lowest = k[modes].min()
+    place = (k[modes] - lowest) / step
+    below = np.floor(place).astype(int)
+    weights = lagrange(_NODES, place - below)
+    left = lagrange(_NODES[:3], place - below)
+    right = lagrange(_NODES[1:], place - below)
+    nearer = (place - below < 0.5)[:, None]
+    rough = np.where(nearer, np.pad(left, ((0, 0), (0, 1))), np.pad(right, ((0, 0), (1, 0))))
+    for node in range(below.min() + _NODES[0], below.max() + _NODES[-1] + 1):
+        near, which = np.nonzero(below[:, None] + _NODES == node)
+        if len(near):
+            yield float(lowest + node * step), modes[near], weights[near, which], rough[near, which]
+
+
+def lagrange(nodes: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Return the weights (P, N) of values at N nodes for the values of their polynomial at P places."""
+    others = [np.delete(nodes, i) for i in range(len(nodes))]
+    factors = [(places[:, None] - rest) / (node - rest) for node, rest in zip(nodes, others, strict=True)]
+    return np.stack([np.prod(factor, axis=1) for factor in factors], axis=1)

@@ -6,7 +6,7 @@ from objectfolder.acoustics.boundary import Boundary
 from objectfolder.acoustics.farfield import FarField, pack_far_field, unpack_far_field
 from objectfolder.acoustics.harmonics import degrees
 from objectfolder.acoustics.meshing import carried, even_surface, finer_surface, interpolated, outward_motion
-from objectfolder.acoustics.radiation import of_motion, radiate
+from objectfolder.acoustics.radiation import lagrange, of_motion, radiate
 from objectfolder.acoustics.triangles import Triangles
 from objectfolder.audio.click import AIR_DENSITY, SOUND_SPEED
 from objectfolder.mesh.topology import face_areas, is_closed, signed_volume
@@ -78,6 +78,57 @@ def test_modes_share_a_matrix_only_if_alike_and_fields_beyond_a_mesh_keep_their_
     k = w / SOUND_SPEED
     exact = 4 * np.pi * AIR_DENSITY**2 * RADIUS**4 / (1 + (k * RADIUS) ** 2)
     np.testing.assert_allclose(power, exact, rtol=0.05)
+
+
+@pytest.fixture
+def solved(monkeypatch):
+    """Wavenumbers at which pressures were solved for."""
+    found = []
+    pressure = Boundary.pressure
+
+    def counted(boundary, wavenumber, slopes):
+        found.append(wavenumber)
+        return pressure(boundary, wavenumber, slopes)
+
+    monkeypatch.setattr(Boundary, "pressure", counted)
+    return found
+
+
+def hollow_ball():
+    """A ball with a round cavity behind a narrow mouth."""
+    ball = trimesh.creation.icosphere(3, RADIUS)
+    cavity = trimesh.creation.icosphere(3, 0.8 * RADIUS)
+    mouth = trimesh.creation.cylinder(0.15 * RADIUS, segment=[[0, 0, 0], [0, 0, 2 * RADIUS]])
+    hollow = trimesh.boolean.difference([ball, cavity, mouth], engine="manifold")
+    return even_surface(hollow.vertices, hollow.faces, 600)
+
+
+@pytest.mark.parametrize(("hollow", "fewest", "most"), [(False, 0.0, 0.5), (True, 0.6, 1.5)])
+def test_dense_modes_are_interpolated_and_those_near_a_resonance_solved(rng, solved, hollow, fewest, most):
+    if hollow:
+        boundary = Boundary(*hollow_ball())
+    else:
+        ball = trimesh.creation.icosphere(2, RADIUS)
+        boundary = Boundary(ball.vertices, ball.faces)
+    motion = rng.normal(size=(len(boundary), 60))
+    w = np.sort(rng.uniform(1.0, 5.0, 60)) / RADIUS * SOUND_SPEED
+    field = of_motion(boundary, motion, w, RADIUS)
+    matrices = len(solved)
+    alone = [of_motion(boundary, motion[:, m : m + 1], w[m : m + 1], RADIUS) for m in range(60)]
+    errors = []
+    for found, one in zip(field.coefficients, alone, strict=True):
+        exact = np.pad(one.coefficients[0], (0, len(found) - one.coefficients.shape[1]))
+        errors.append(np.linalg.norm(found - exact) / np.linalg.norm(exact))
+    assert np.median(errors) < 0.01
+    assert np.quantile(errors, 0.9) < 0.05  # beside a resonance, even modes that share a matrix differ
+    assert fewest <= matrices / 60 <= most
+
+
+@pytest.mark.parametrize("count", [3, 4])
+def test_interpolation_is_exact_for_polynomials(rng, count):
+    nodes, places = np.arange(-1, count - 1), rng.uniform(0, 1, 50)
+    values = np.polynomial.Polynomial(rng.normal(size=count))
+    np.testing.assert_allclose(lagrange(nodes, places) @ values(nodes), values(places), atol=1e-12)
 
 
 @pytest.mark.parametrize("shape", ["box", "cup"])
