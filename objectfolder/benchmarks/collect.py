@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import torch
 
 from objectfolder.benchmarks.datasets import grasps, observations
+from objectfolder.benchmarks.datasets.glances import glance_request, is_glanced, sample_glances
 from objectfolder.benchmarks.datasets.sampling import (
     ObserveConfig,
     is_sampled,
@@ -96,6 +97,34 @@ def collect_observations(
 def _observe(path: Path, count: int, resolution: int, seed: int, folder: Path) -> None:
     torch.set_num_threads(1)
     sample_observations(ObjectFile.load(path), count, resolution, seed, folder)
+
+
+def collect_glances(
+    sources: Mapping[str, LoadedFile],
+    count: int,
+    size: tuple[int, int],
+    seed: int,
+    folder: Benchmarks,
+    jobs: int,
+    track: Tracker,
+) -> dict[str, Path]:
+    """See and press each object from close by, unless its folder is complete; return the folders by key."""
+    folders = {key: folder.glances(key) for key in sources}
+    requests = {key: glance_request(source.file, count, size, seed) for key, source in sources.items()}
+    new = [
+        (source.path, count, size, seed, folders[key])
+        for key, source in sources.items()
+        if not is_glanced(requests[key], folders[key])
+    ]
+    if new:
+        for _ in track(in_processes(_glance, new, jobs), "looking and touching", len(new)):
+            pass
+    return folders
+
+
+def _glance(path: Path, count: int, size: tuple[int, int], seed: int, folder: Path) -> None:
+    torch.set_num_threads(1)
+    sample_glances(ObjectFile.load(path), count, size, seed, folder)
 
 
 def collect_all_grasps(

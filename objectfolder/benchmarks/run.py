@@ -12,9 +12,11 @@ import torch
 from objectfolder.benchmarks.collect import (
     Tracker,
     collect_all_grasps,
+    collect_glances,
     collect_observations,
     load_object_files,
 )
+from objectfolder.benchmarks.datasets.glances import Glances
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.datasets.sampling import ObserveConfig
 from objectfolder.benchmarks.datasets.splits import label_order, named_split
@@ -115,6 +117,10 @@ def run_on_splits(task: Task, options: BenchmarkOptions, report: Report, track: 
         observe = workspace.settings(ObserveConfig, values, path)
         announce(observe.observations, "observations")
         folders = collect_observations(sources, observe, params.seed, folder, cores, track)
+    elif task.samples is Glances:
+        count, size = params.settings.contacts, params.encode.touch
+        announce(count, "close views and touches")
+        folders = collect_glances(sources, count, size, params.seed, folder, cores, track)
     else:
         wanted = workspace.settings(workspace.section_config("grasp_data"), values, path)
         announce(wanted.grasps, "grasps")

@@ -17,7 +17,7 @@ bench_app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="markdown",
     help="Run the paper's benchmark tasks on Object Files: `recognition`, `retrieval`, `reconstruction`,"
-    " `localization`, and, with a robot, `stability`, `grasping`, `reach`.\n\n"
+    " `localization`, `vision-to-touch`, and, with a robot, `stability`, `grasping`, `reach`.\n\n"
     "Random views, impacts and touches of each Object File are sampled first and kept in OUT/observations, "
     "grasps in OUT/grasps; later tasks reuse them. Interrupted commands resume when repeated.",
 )
@@ -228,6 +228,32 @@ def localization(
     print_scores(localization_table(scores))
     for key in scores:
         say(f"{options.folder.result('localize', key)}  curves: {options.folder.curve('localize', key)}")
+
+
+@bench_app.command("vision-to-touch")
+def vision_to_touch(
+    files: FilesArgument = None,
+    preset: PresetOption = None,
+    out: OutOption = None,
+    split: SplitOption = None,
+    seeds: SeedsOption = None,
+    threads: ThreadsOption = None,
+    device: DeviceOption = None,
+) -> None:
+    """Draw the tactile image of a contact from a close view of it.
+
+    PSNR and SSIM on held-out contacts of the training objects or of new ones, next to the touch of the most
+    similar view and to the mean touch. The figure OUT/vision_to_touch_SPLIT.png shows view, answer and truth.
+
+    `objectfolder bench vision-to-touch --preset quick --split unseen`
+    """
+    from objectfolder.benchmarks.run import BenchmarkOptions
+    from objectfolder.benchmarks.tasks.vision_to_touch import VISION_TO_TOUCH
+
+    options = BenchmarkOptions(
+        files=files, preset=preset, out=out, splits=split, seeds=seeds, threads=threads, device=device
+    )
+    run_on_splits(VISION_TO_TOUCH, options)
 
 
 def run_on_splits(task: "Task", options: "BenchmarkOptions") -> None:

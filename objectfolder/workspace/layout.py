@@ -96,6 +96,10 @@ class Benchmarks:
         """Return the folder of an object's grasps."""
         return self.dir / "grasps" / key
 
+    def glances(self, key: str) -> Path:
+        """Return the folder of an object's close views and touches."""
+        return self.dir / "glances" / key
+
     def result(self, task: str, split: str) -> Path:
         """Return the path of the scores (JSON)."""
         return self.dir / f"{task}_{split}.json"

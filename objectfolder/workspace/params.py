@@ -49,6 +49,7 @@ SECTIONS = {
     "retrieve": "objectfolder.benchmarks.tasks.retrieval:RetrieveConfig",
     "reconstruct": "objectfolder.benchmarks.tasks.reconstruction:ReconstructConfig",
     "localize": "objectfolder.benchmarks.tasks.localization_config:LocalizeConfig",
+    "vision_to_touch": "objectfolder.benchmarks.tasks.vision_to_touch_config:VisionToTouchConfig",
     "decompose": "objectfolder.envs.hulls:DecomposeConfig",
     "grasp_data": "objectfolder.benchmarks.datasets.grasp_config:GraspDataConfig",
     "grasp_stability": "objectfolder.benchmarks.tasks.grasp_stability_config:GraspStabilityConfig",

@@ -23,10 +23,11 @@ from objectfolder.workspace.params import read
 ROOT = Path(__file__).parents[2]
 TINY = {
     "observe": {"observations": 10, "resolution": 12},
-    "encode": {"encoder": "mine.py:tiny", "image": 8, "spectrogram": [8, 8], "touch": [8, 8]},
+    "encode": {"encoder": "mine.py:tiny", "image": 8, "spectrogram": [8, 8], "touch": [12, 12]},
     "recognize": {"seeds": 2, "epochs": 2, "fusion_epochs": 1, "batch": 8},
     "retrieve": {"seeds": 1, "epochs": 2, "batch": 8, "embedding": 4},
     "localize": {"seeds": 1, "contacts": 80, "epochs": 1, "batch": 16},
+    "vision_to_touch": {"seeds": 1, "contacts": 10, "epochs": 1, "batch": 8, "width": 2},
     "reconstruct": {
         **{"seeds": 1, "epochs": 1, "batch": 8, "points": 32, "width": 8, "blocks": 1},
         **{"resolution": 16, "score_points": 200, "views": 1},
@@ -135,6 +136,19 @@ def test_contacts_are_localized_on_each_object(files, workspace):
     assert len([name for name in written if "_machine" not in name]) == 2
     bench("localization", files, "--out", "second", "--jobs", "2", "--threads", "2")
     assert results(Path("first")) == results(Path("second"))
+
+
+def test_touches_are_drawn_from_close_views(files, workspace):
+    output = bench("vision-to-touch", files, "--out", "first", "--split", "seen", "--seeds", "2")
+    assert "touch of the most similar view" in output
+    assert "2 objects; 16 contacts to train with" in output
+    assert Path("first/vision_to_touch_seen.png").is_file()
+    times = {path: path.stat().st_mtime_ns for path in Path("first/glances").rglob("*")}
+    bench("vision-to-touch", files, "--out", "first", "--split", "seen")
+    assert times == {path: path.stat().st_mtime_ns for path in times}  # made once
+    bench("vision-to-touch", files, "--out", "second", "--split", "seen")
+    for name in ("vision_to_touch_seen.json", "vision_to_touch_seen.csv", "vision_to_touch_seen.png"):
+        assert Path("first", name).read_bytes() == Path("second", name).read_bytes()
 
 
 @pytest.mark.slow  # each task has it without the command

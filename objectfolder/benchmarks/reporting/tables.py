@@ -101,7 +101,7 @@ def score_table(task: str, split: str, scores: Mapping[str, Any]) -> Table:
     Parameters
     ----------
     task : str
-        One of `objectfolder.workspace.params.TASKS`, or ``materials``.
+        One of `objectfolder.workspace.params.TASKS`, ``materials`` or ``vision_to_touch``.
     split : str
     scores : mapping
         Contents of the task's result file.
@@ -112,6 +112,7 @@ def score_table(task: str, split: str, scores: Mapping[str, Any]) -> Table:
         "retrieve": _retrieval,
         "reconstruct": _reconstruction,
         "grasp_stability": _stability,
+        "vision_to_touch": _vision_to_touch,
     }
     return layouts[task](split, scores)
 
@@ -160,6 +161,24 @@ def grasping_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
         f"{first['rollouts']} fresh rollouts per seed, at most {first['episodes']} episodes of training; in "
         "brackets the 95 % interval (Wilson) over all rollouts. While policies learn, and in row touch, "
         f"features are those of the nearest of {first['presses']} presses; exact: the Object File is asked.",
+    )
+
+
+def _vision_to_touch(split: str, scores: Mapping[str, Any]) -> Table:
+    names = {"net": "net", "nearest": "touch of the most similar view", "mean": "mean touch"}
+    rows = []
+    for kind, name in names.items():
+        score = scores[kind]
+        figures = (f"{score['psnr_pooled']:.1f}", f"{score['ssim']:.3f}")
+        spread = _interval(score, 1, ".1f") if kind == "net" else ""
+        rows.append((name, f"{score['psnr']:.1f}" + spread, *figures))
+    counts = scores["rows"]
+    return Table(
+        f"Touch from a close view, {split} objects",
+        ("", "PSNR, dB", "PSNR, pooled", "SSIM"),
+        rows,
+        f"{scores['objects']} objects; {counts['train']:,} contacts to train with, {counts['val']:,} for "
+        f"validation, {counts['test']:,} for the test. All presses are 1 mm deep.",
     )
 
 

@@ -1,0 +1,198 @@
+"""Close views of points on objects, each beside the touch at the same point.
+
+One folder per object holds ``view.npy``, ``touch.npy`` and finally ``record.json``, which marks it as
+complete.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch.nn import functional as F
+
+from objectfolder.benchmarks.datasets.samples import (
+    Samples,
+    array_path,
+    check_equal_shapes,
+    map_array,
+    object_digest,
+)
+from objectfolder.benchmarks.datasets.splits import label_order
+from objectfolder.errors import ObjectFolderError
+from objectfolder.io import atomic, read_json, write_json
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.touch.contact import sensor_frames
+from objectfolder.vision.cameras import Intrinsics
+from objectfolder.vision.lighting import DistantLight
+
+FORMAT = "objectfolder glances 1"  #: of the procedure and the files; others are made again
+RECORD = "record.json"
+ARRAYS = ("view", "touch")
+AGAIN = "delete the folder, and run the command again"
+DEPTH = 0.001  #: of all presses, metres
+FARTHEST, NEAREST = 0.1, 0.01  #: of the camera from the point, metres
+CLEAR = 0.9  #: of the way along the normal to the next surface, at most
+SLANT = (0.7, 0.5)  #: of the light, up and to the left in the view, relative to the normal
+LIFT = 1e-3  #: unit frame, above the surface, where free ways are measured from
+CHUNK = 50  #: contacts pressed at once
+SMALLEST = 11  #: side of an image, pixels: the window of SSIM
+
+
+class Glances(Samples):
+    """Close views and touches of several objects; (B, H, W, 3) uint8 each. See `Samples`.
+
+    Row r shows and presses one random point of the surface. The view is of what the gel covers: its camera
+    stands on the outward normal, its up is that of the sensor, and both images have the same pixels.
+
+    Parameters
+    ----------
+    folders : mapping
+        From keys to folders that `sample_glances` wrote.
+
+    Raises
+    ------
+    ObjectFolderError
+        If a folder is incomplete or damaged, or objects differ in the number or shape of images.
+    """
+
+    def __init__(self, folders: Mapping[str, Path]):
+        paths = {key: Path(folders[key]) for key in label_order(folders)}
+        records = {key: read_json(path / RECORD) for key, path in paths.items()}
+        arrays = {
+            name: {key: map_array(key, array_path(path, name), AGAIN) for key, path in paths.items()}
+            for name in ARRAYS
+        }
+        for name, found in arrays.items():
+            check_equal_shapes(name, {key: array.shape for key, array in found.items()}, AGAIN)
+        super().__init__(records, {name: list(found.values()) for name, found in arrays.items()})
+
+
+def glance_request(file: ObjectFile, count: int, size: tuple[int, int], seed: int) -> dict[str, Any]:
+    """Return what `sample_glances` depends on.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the object cannot be seen and touched at any point and depth, or images are too small or larger
+        than the sensor's.
+    """
+    lacking = [part for part in ("geometry", "vision", "touch") if part not in file.header]
+    if lacking or file.fixed_contact is not None:
+        reason = f"holds no {' and no '.join(lacking)}" if lacking else "knows touches of one depth only"
+        raise ObjectFolderError(f"{file.key}: the Object File {reason}; leave the object out, or rebuild it")
+    largest = (file.sensor_profile.height, file.sensor_profile.width)
+    if min(size) < SMALLEST or any(side > limit for side, limit in zip(size, largest, strict=True)):
+        raise ObjectFolderError(
+            f"{file.key}: encode.touch is {list(size)}, expected at least {SMALLEST} pixels a side, the "
+            f"window of SSIM, and at most those of the sensor, {list(largest)}"
+        )
+    return {
+        "format": FORMAT,
+        "key": file.key,
+        "object_sha256": object_digest(file),
+        "count": count,
+        "size": list(size),
+        "seed": seed,
+    }
+
+
+def is_glanced(request: dict[str, Any], folder: Path) -> bool:
+    """Return whether a folder holds all images of a `glance_request`."""
+    try:
+        return bool(read_json(folder / RECORD) == request)
+    except ObjectFolderError:  # missing or damaged: sampled again
+        return False
+
+
+def sample_glances(file: ObjectFile, count: int, size: tuple[int, int], seed: int, folder: Path) -> None:
+    """See and press an object at random points of its surface, where a camera has room.
+
+    Parameters
+    ----------
+    file : ObjectFile
+    count : int
+    size : (int, int)
+        Height and width of the images, at most the sensor's.
+    seed : int
+    folder : Path
+        Created.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the surface hides nearly everywhere, or as `glance_request`.
+    """
+    request = glance_request(file, count, size, seed)
+    points, distances = open_points(file, count, seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / RECORD).unlink(missing_ok=True)
+    parts = np.array_split(points, -(-count // CHUNK))
+    images = {
+        "view": close_views(file, points, distances, size),
+        "touch": np.concatenate([_resized(file.touch(part, DEPTH), size) for part in parts]),
+    }
+    for name, array in images.items():
+        with atomic(array_path(folder, name)) as temporary, temporary.open("wb") as stream:
+            np.save(stream, array)
+    write_json(folder / RECORD, request)
+
+
+def open_points(file: ObjectFile, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Draw points of the surface with room for a camera, and its distances: (N, 3) and (N,), metres."""
+    drawn = file.sample_surface(4 * count, seed)
+    place = (drawn / file.scale).astype(np.float32)
+    normals = file.surface.grid.normals(torch.from_numpy(place)).numpy()
+    free, _ = file.surface.caster.first_hit(place + LIFT * normals, normals)
+    distances = np.minimum(CLEAR * file.scale * free.astype(np.float64), FARTHEST)
+    chosen = np.flatnonzero(distances >= NEAREST)[:count]
+    if len(chosen) < count:
+        raise ObjectFolderError(
+            f"{file.key}: {len(chosen)} of {len(drawn)} random points leave {100 * NEAREST:g} cm for a "
+            f"camera, expected {count}: leave the object out"
+        )
+    return drawn[chosen], distances[chosen]
+
+
+def close_views(
+    file: ObjectFile, points: np.ndarray, distances: np.ndarray, size: tuple[int, int]
+) -> np.ndarray:
+    """Look at points along their inward normals at what the sensor covers; (N, H, W, 3) uint8.
+
+    Parameters
+    ----------
+    points : (N, 3) array
+        Metres.
+    distances : (N,) array
+        Of the camera, metres.
+    size : (int, int)
+        Height and width.
+    """
+    profile = file.sensor_profile
+    place = (points / file.scale).astype(np.float32)
+    normals = file.surface.grid.normals(torch.from_numpy(place)).numpy().astype(np.float64)
+    frames = sensor_frames(normals, np.zeros(len(points)))
+    inward, left, up = np.moveaxis(frames, 2, 0)
+    poses = np.tile(np.eye(4), (len(points), 1, 1))
+    poses[:, :3, :3] = np.stack([-left, up, -inward], 2)
+    poses[:, :3, 3] = place - (distances / file.scale)[:, None] * inward
+    lights = -inward + SLANT[0] * up + SLANT[1] * left
+    covered = profile.half_extent[0] * profile.camera_to_gel  # half the height, metres
+    views = [
+        file.view(
+            pose,
+            intrinsics=Intrinsics(size[1], size[0], size[0] / 2 * distance / covered),
+            supersample=False,
+            lights=[DistantLight(light)],
+        )[0]
+        for pose, light, distance in zip(poses, lights, distances, strict=True)
+    ]
+    return np.round(np.stack(views) * 255).astype(np.uint8)
+
+
+def _resized(images: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Average images (N, H, W, 3) uint8 to a smaller size."""
+    channels = torch.from_numpy(images).permute(0, 3, 1, 2).float()
+    small = F.adaptive_avg_pool2d(channels, size).permute(0, 2, 3, 1)
+    return small.round().byte().numpy()

@@ -1,0 +1,65 @@
+import pytest
+
+from objectfolder.benchmarks.datasets import glances
+from objectfolder.benchmarks.datasets.glances import (
+    Glances,
+    close_views,
+    glance_request,
+    is_glanced,
+    open_points,
+    sample_glances,
+)
+from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile.file import ObjectFile
+
+SIZE = (16, 12)
+
+
+@pytest.fixture(scope="module")
+def bell():
+    return ObjectFile.sample("bell")
+
+
+def test_the_same_folder_again_and_not_for_another_request(bell, tmp_path):
+    for name in ("one", "two"):
+        sample_glances(bell, 20, SIZE, 3, tmp_path / name)
+    for path in (tmp_path / "one").iterdir():
+        assert path.read_bytes() == (tmp_path / "two" / path.name).read_bytes()
+    assert is_glanced(glance_request(bell, 20, SIZE, 3), tmp_path / "one")
+    assert not is_glanced(glance_request(bell, 20, SIZE, 4), tmp_path / "one")
+    assert not is_glanced(glance_request(bell, 20, SIZE, 3), tmp_path / "three")
+    table = Glances({"bell": tmp_path / "one"})
+    assert table.shape("view") == table.shape("touch") == (*SIZE, 3)
+    assert len(table) == 20
+
+
+def test_a_view_shows_where_the_gel_is_pressed(bell):
+    """A pixel is background where no surface lies under the gel: the gel is not pressed in there."""
+    points, distances = open_points(bell, 60, seed=0)
+    views = close_views(bell, points, distances, (40, 30))
+    pressed = bell.press(points, 0.001).mask.reshape(60, 40, 4, 30, 4).mean((2, 4)) > 0.5
+    empty = (views == 255).all(3)
+    some = empty.any((1, 2)) & pressed.any((1, 2))
+    assert some.sum() >= 5
+    assert (empty & pressed)[some].sum() < 0.02 * pressed[some].sum()
+    for wrong in (empty[:, ::-1], empty[:, :, ::-1]):  # upside down, mirrored
+        assert (wrong & pressed)[some].sum() > 0.04 * pressed[some].sum()
+
+
+def test_cameras_stand_in_the_open(bell):
+    _, distances = open_points(bell, 60, seed=0)
+    assert distances.min() >= glances.NEAREST
+    assert distances.max() <= glances.FARTHEST
+    assert distances.min() < 0.6 * glances.FARTHEST  # inside the bell
+
+
+def test_an_object_without_room_is_refused(bell, monkeypatch):
+    monkeypatch.setattr(glances, "NEAREST", 0.2)
+    with pytest.raises(ObjectFolderError, match="bell: 0 of 40 random points leave 20 cm for a camera"):
+        open_points(bell, 10, seed=0)
+
+
+@pytest.mark.parametrize("size", [(10, 12), (12, 10), (161, 120)])
+def test_sizes_that_cannot_be_scored_or_felt_are_refused(bell, size):
+    with pytest.raises(ObjectFolderError, match=rf"bell: encode.touch is \[{size[0]}, {size[1]}\], expected"):
+        glance_request(bell, 10, size, 0)

@@ -1,0 +1,86 @@
+import json
+
+import numpy as np
+import pytest
+
+from objectfolder.benchmarks.datasets.samples import Samples
+from objectfolder.benchmarks.datasets.splits import per_sample
+from objectfolder.benchmarks.models.encoders import InputSizes
+from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.benchmarks.tasks.vision_to_touch import CURVE_COLUMNS, compared, vision_to_touch
+from objectfolder.benchmarks.tasks.vision_to_touch_config import VisionToTouchConfig
+
+SIZE = (16, 12)
+
+
+def pairs(count=60, seed=0):
+    """Views of a bright bar on dark ground; touches show the same bar in red on grey."""
+    rng = np.random.default_rng(seed)
+    arrays = {"view": [], "touch": []}
+    for _ in range(2):
+        bar = np.zeros((count, *SIZE, 1), bool)
+        for row, start in zip(bar, rng.integers(0, SIZE[0] - 3, count), strict=True):
+            row[start : start + 3] = True
+        view = np.where(bar, 220, 40) + rng.integers(-9, 10, (count, *SIZE, 3))
+        arrays["view"].append(view.astype(np.uint8))
+        arrays["touch"].append(np.where(bar, (200, 100, 100), (100, 100, 100)).astype(np.uint8))
+    return Samples({key: {"count": count} for key in ("a", "b")}, arrays)
+
+
+def job(progress, samples=None, **changed):
+    values = {"seeds": 1, "contacts": 60, "width": 4, "epochs": 30, "batch": 16}
+    values |= {"learning_rate": 0.02, "weight_decay": 0.0, "patience": 30}
+    samples = pairs() if samples is None else samples
+    split, sizes = per_sample(samples.keys, samples.count), InputSizes(8, (8, 8), SIZE)
+    settings = VisionToTouchConfig(**(values | changed))
+    return Job(samples, split, settings, "resnet18", sizes, seed=1, progress=progress)
+
+
+def test_the_net_draws_what_the_view_shows(tmp_path):
+    scores, curve = vision_to_touch(job(tmp_path))
+    blank = scores["mean"]["psnr"]
+    assert scores["net"]["psnr"] > blank + 8
+    assert scores["net"]["ssim"] > scores["mean"]["ssim"]
+    # The bar of the nearest view lies where that of the test view does, or one row beside it.
+    assert scores["nearest"]["psnr_pooled"] > blank + 3
+    assert scores["rows"] == {"train": 96, "val": 12, "test": 12}
+    assert {len(row) for row in curve} == {len(CURVE_COLUMNS)}
+    assert (tmp_path / "sheet.png").is_file()
+    json.dumps(scores, allow_nan=False)
+
+
+def test_views_that_say_nothing_give_the_mean_touch(tmp_path):
+    samples = pairs()
+    noise = np.random.default_rng(1).integers(0, 255, (2, 60, *SIZE, 3), np.uint8)
+    blind = Samples(samples.records, {"view": list(noise), "touch": samples._arrays["touch"]})
+    scores, _ = vision_to_touch(job(tmp_path, blind, epochs=4, patience=4))
+    assert scores["net"]["psnr"] == pytest.approx(scores["mean"]["psnr"], abs=1.0)
+    assert scores["nearest"]["psnr"] < scores["mean"]["psnr"]
+
+
+def test_same_numbers_again_and_after_an_interruption(tmp_path):
+    class Interrupted(Exception):
+        pass
+
+    def stop(line):
+        if "epoch 2" in line:
+            raise Interrupted
+
+    whole = vision_to_touch(job(tmp_path / "whole", epochs=3))
+    cut = job(tmp_path / "cut", epochs=3)
+    with pytest.raises(Interrupted):
+        vision_to_touch(Job(**(vars(cut) | {"report": stop})))
+    resumed = vision_to_touch(cut)
+    for scores, _ in (whole, resumed):
+        scores.pop("seconds")
+    assert resumed == whole
+
+
+def test_scores_of_images():
+    truth = np.full((2, 16, 12, 3), 100, np.uint8)
+    off = truth.copy()
+    off[0] += 51  # a fifth of the range: 14 dB
+    scores = compared(off, truth)
+    assert scores["psnr"] == pytest.approx((13.979 + 200) / 2, abs=0.01)
+    assert scores["psnr_pooled"] == pytest.approx(13.979 + 3.010, abs=0.01)
+    assert compared(truth, truth)["ssim"] == pytest.approx(1)
