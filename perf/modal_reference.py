@@ -2,8 +2,8 @@
 
 The tetrahedra keep the facets of the solid (TetGen) or stay close (fTetWild). Where the surface of a scan
 crosses itself, both solvers get the solid that MeshFix makes of it. Two meshes of each object show how far
-the reference itself is converged. References take minutes each and are kept under --cache. CPU s is the time
-of the grids and of the lowest modes; the stages' own is in perf/modal.py.
+the reference itself is converged; the finer one is the reference. References take minutes each and are kept
+under --cache. CPU s is the time of the grids and of the lowest modes; the stages' own is in perf/modal.py.
 
 Needs objectfolder[tet] and, for thin walls and scans, `pip install tetgen pymeshfix` (AGPL, GPL: never
 installed by this project). Rows of other objects in the file of `--json` are kept.
@@ -84,6 +84,10 @@ PROCEDURAL: dict[str, tuple[str, float, str, dict[str, Any]]] = {
 #: Largest volume of a tetrahedron of the coarse and the fine mesh, in cubes of the wall. A bound on their
 #: quality alone leaves flat plates to tetrahedra 17 walls long, 4 % too stiff.
 SIZES = {"coarse": 4.0, "fine": 1.0}
+FACETS = 0.8  #: share of the fine mesh's unknowns above which the coarse one differs too little from it,
+#: because facets are small; a third mesh then has tetrahedra of at most this share of the fine one's mean.
+FINER = 0.4
+UNKNOWNS = 4  #: of a quadratic tetrahedron's own, about
 QUALITY = 10  #: largest ratio of radius and edge
 TETRAHEDRA, FEWEST = 40_000, 5_000  #: of the volume: more than the first are not asked for, nor fewer
 MAX_VOLUME = 1e-4  #: of a tetrahedron, unit frame: edges of about a tenth
@@ -125,15 +129,22 @@ def versions(surface: Mesh) -> Iterator[Mesh]:
     yield mended((vertices, faces))
 
 
-def filled(surface: Mesh, size: str) -> tuple[Tetrahedra, Mesh]:
+def largest_volume(surface: Mesh, name: str, size: str, cache: str) -> float:
+    """Return the largest volume of a tetrahedron of a mesh, unit frame."""
+    volume, wall = signed_volume(*surface), wall_thickness(*surface)
+    if size == "finer":
+        unknowns = int(read_npz(Path(cache) / f"{name}_fine.npz", "unknowns")["unknowns"])
+        return FINER * volume / (unknowns / UNKNOWNS)
+    return SIZES[size] * min(MAX_VOLUME, max(wall**3, volume / TETRAHEDRA), volume / FEWEST)
+
+
+def filled(surface: Mesh, largest: float) -> tuple[Tetrahedra, Mesh]:
     """Fill a surface with tetrahedra that keep its facets or, if TetGen refuses it, stay near them.
 
     Returns the surface that was filled, too.
     """
     import tetgen
 
-    volume, wall = signed_volume(*surface), wall_thickness(*surface)
-    largest = SIZES[size] * min(MAX_VOLUME, max(wall**3, volume / TETRAHEDRA), volume / FEWEST)
     for vertices, faces in versions(surface):
         for tolerance in ("", "T1e-10"):  # of coplanar facets
             try:
@@ -163,7 +174,7 @@ def reference(name: str, size: str, objects: str, cache: str) -> dict:
     """Solve an object on tetrahedra; write solid, frequencies and shapes to the cache."""
     surface = surface_of(name, objects)
     stuff, scale = body(name)
-    solid, surface = filled(surface, size)
+    solid, surface = filled(surface, largest_volume(surface, name, size, cache))
     points = sample_surface(*surface, POINTS, np.random.default_rng(1))
     fem = solid.assemble(material(stuff), scale)
     values, vectors = FreeVibration(fem).lowest(lambda found: MODES + SPARES, TOLERANCE)
@@ -213,23 +224,35 @@ def paired(own: np.ndarray, other: np.ndarray, count: int) -> np.ndarray:
     count : int
     """
     own, other = (shapes / np.linalg.norm(shapes, axis=0) for shapes in (own, other))
-    alike = (own.T @ other) ** 2
-    row, column = linear_sum_assignment(-alike)
-    partner = np.where(alike[row, column] > ALIKE, column, -1)
+    shared = (own.T @ other) ** 2
+    row, column = linear_sum_assignment(-shared)
+    partner = np.where(shared[row, column] > ALIKE, column, -1)
     return partner[np.argsort(row)][:count]
 
 
-def apart_meshes(name: str, cache: str) -> float | None:
-    """Return the largest difference of the two references' modes; None without a coarse one."""
-    if not (Path(cache) / f"{name}_coarse.npz").exists():
+def meshes(name: str, cache: str) -> list[dict[str, np.ndarray]]:
+    """Return the references of an object, coarsest first; the last two differ in size."""
+    paths = [Path(cache) / f"{name}_{size}.npz" for size in (*SIZES, "finer")]
+    return [read_npz(path, "hz", "unknowns") for path in paths if path.exists()]
+
+
+def alike(found: list[dict[str, np.ndarray]]) -> bool:
+    """Return whether two references are of nearly the same size."""
+    return len(found) == 2 and bool(found[0]["unknowns"] > FACETS * found[1]["unknowns"])
+
+
+def apart_meshes(found: list[dict[str, np.ndarray]]) -> float | None:
+    """Return the largest difference of the modes of the last two references; None of one."""
+    if len(found) < 2 or alike(found):
         return None
-    coarse, fine = (read_npz(Path(cache) / f"{name}_{size}.npz", "hz")["hz"][:MODES] for size in SIZES)
+    coarse, fine = (reference["hz"][:MODES] for reference in found[-2:])
     return float(np.abs(coarse / fine - 1).max())
 
 
 def compare(name: str, cache: str) -> dict:
     """Compare the modes of `voxelize` and `modal`, preset quick, with the reference."""
-    kept = read_npz(Path(cache) / f"{name}_fine.npz", "hz")
+    found = meshes(name, cache)
+    kept = found[-1]
     surface = kept["vertices"], kept["faces"]
     stuff, scale = body(name)
     values = params.read(ROOT / "params.yaml")
@@ -265,7 +288,7 @@ def compare(name: str, cache: str) -> dict:
         "difference": apart.round(5).tolist(),
         "estimate": estimate.round(5).tolist(),
         "reference_unknowns": int(kept["unknowns"]),
-        "reference_apart": apart_meshes(name, cache),
+        "reference_apart": apart_meshes(found),
         "reference_hz": truth[:count].round(3).tolist(),
     }
 
@@ -328,6 +351,8 @@ def main() -> None:
         for size in ("fine",) if arguments.single else SIZES:
             if "failed" not in row and not (arguments.cache / f"{name}_{size}.npz").exists():
                 row = fresh(__file__, "reference", name, size, arguments.objects, arguments.cache)
+        if "failed" not in row and alike(meshes(name, arguments.cache)):
+            row = fresh(__file__, "reference", name, "finer", arguments.objects, arguments.cache)
         if "failed" not in row:
             row = fresh(__file__, "compare", name, arguments.cache)
         rows.append({"object": name} | row)

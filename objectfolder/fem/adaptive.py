@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Annotated
 
 import numpy as np
@@ -168,7 +169,9 @@ def _touched(vertices: np.ndarray, faces: np.ndarray, samples: int) -> Callable[
     """Return a lower bound of the cells that a surface touches as a function of the resolution."""
     points = sample_surface(vertices, faces, samples, np.random.default_rng(0))
 
+    @cache
     def touched(resolution: int) -> int:
-        return len(np.unique(np.floor((points + 0.5) * resolution).astype(np.int64), axis=0))
+        cell = np.floor((points + 0.5) * resolution).astype(np.int64) + 1  # the cube's rim may be rounded
+        return len(np.unique(cell @ np.array([1, resolution + 3, (resolution + 3) ** 2])))
 
     return touched

@@ -1,0 +1,188 @@
+"""Scores, sizes and times of all objects of a built workspace: `python perf/catalogue.py DIR`.
+
+Reads what `objectfolder build` left in the workspace DIR: held-out scores, modes, processor time of each
+stage. With `--pictures DOCS`, draws three sheets of all Object Files into that folder: a view, the touch with
+the most relief, and a strike's spectrogram. Exits with 1 if a target is missed.
+"""
+
+import argparse
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+import torch
+from harness import exit_with_verdict, parsed, write_record
+from PIL import Image, ImageDraw, ImageFont
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from objectfolder import ObjectFile
+from objectfolder.audio.spectrogram import spectrogram
+from objectfolder.engine.costs import recall_costs
+from objectfolder.figures import tile
+from objectfolder.io import atomic, read_json
+from objectfolder.workspace import params
+from objectfolder.workspace.layout import Build
+
+#: Targets of the medians over all objects: at least, or at most.
+LEAST = {"vision": 42.0, "touch": 45.0}
+MOST_GAIN_ERROR = 0.01
+MOST_BYTES = 60e6  #: of all Object Files
+#: An object beyond these is named on the page.
+POOR = {"vision": 40.0, "touch": 43.0, "gain_error": 0.02}
+COLUMNS, SIDE, CAPTION = (
+    10,
+    112,
+    16,
+)  #: of the sheets: pictures in a row, their size and that of the name, pixels
+CAMERA = [[1.3, -2.2, 1.35]]
+TOUCHES = 60  #: of which the one with the most contrast is shown
+SECONDS, RANGE = 0.5, 80  #: of a spectrogram; decibels
+
+
+def measured(key: str, root: Path, entry: dict[str, Any], generator: str) -> dict[str, Any]:
+    """Return the row of one object."""
+    build = Build(key, root)
+    if not build.metrics.is_file():
+        return {"object": key, "failed": "not built"}
+    scores, modal = read_json(build.metrics), read_json(build.modal)
+    costs = recall_costs(root, key)
+    vision, audio, touch = scores["vision"], scores["audio"], scores["touch"]
+    return {
+        "object": key,
+        "generator": generator,
+        "material": entry["material"],
+        "scale": entry["scale"],
+        "vision": vision["psnr"],
+        "vision_lit": vision.get("psnr_lit_foreground"),
+        "white": vision["baseline_white"],
+        "touch": touch["psnr"],
+        "mean_touch": touch["baseline_mean_image"],
+        "gain_error": audio["gain_error"],
+        "nearest_gain_error": audio["baseline_nearest"],
+        "modes": modal["modes"],
+        "lowest_hz": min(modal["lowest_hz"], default=None),
+        "frequency_uncertainty": modal["frequency_uncertainty"],
+        "bytes": scores["file_bytes"],
+        "cpu_seconds": sum(cost.cpu_seconds for cost in costs.values()),
+        "slowest": max(costs, key=lambda stage: costs[stage].cpu_seconds, default=None),
+    }
+
+
+def missed(rows: list[dict[str, Any]]) -> list[str]:
+    """Return which targets are missed, and by how much."""
+    found = [f"{row['object']}: {row['failed']}" for row in rows if "failed" in row]
+    rows = [row for row in rows if "failed" not in row]
+    middles = {name: median(row[name] for row in rows) for name in (*LEAST, "gain_error")}
+    found += [
+        f"median {name} {middles[name]:.1f} dB, target {least:g} dB"
+        for name, least in LEAST.items()
+        if middles[name] < least
+    ]
+    if middles["gain_error"] > MOST_GAIN_ERROR:
+        found.append(f"median gain error {middles['gain_error']:.2%}, target {MOST_GAIN_ERROR:.0%}")
+    if (size := sum(row["bytes"] for row in rows)) > MOST_BYTES:
+        found.append(f"{size / 1e6:.0f} MB of Object Files, target {MOST_BYTES / 1e6:.0f} MB")
+    return found
+
+
+def sheets(paths: list[Path], folder: Path) -> None:
+    """Draw all Object Files into catalogue_views, catalogue_touches and catalogue_sounds."""
+    names = ("views", "touches", "sounds")
+    pictures: dict[str, list[np.ndarray]] = {name: [] for name in names}
+    for path in track(paths, "drawing"):
+        file = ObjectFile.load(path)
+        for name, picture in zip(names, (seen(file), felt(file), heard(file))):
+            pictures[name].append(captioned(picture, file.key))
+    for name, found in pictures.items():
+        with atomic(folder / f"catalogue_{name}.webp") as temporary:
+            page = Image.fromarray(tile(np.stack(found), COLUMNS))
+            page.save(temporary, "webp", quality=80, method=6)
+
+
+def seen(file: ObjectFile) -> np.ndarray:
+    """Return a view under a studio's light, (H, W, 3) uint8."""
+    return (file.view(CAMERA, resolution=SIDE, lights="studio")[0] * 255).round().astype(np.uint8)
+
+
+def felt(file: ObjectFile) -> np.ndarray:
+    """Return the tactile image with the most contrast of some at random, (H, W, 3) uint8."""
+    images = file.touch(file.sample_surface(TOUCHES, seed=0), depth=0.001)
+    return images[images.astype(np.float32).std((1, 2)).sum(1).argmax()]
+
+
+def heard(file: ObjectFile) -> np.ndarray:
+    """Return the spectrogram of one strike to 8 kHz, low frequencies below; (H, W, 3) uint8."""
+    from matplotlib import colormaps
+
+    point = file.sample_surface(1, seed=1)
+    sound = file.impact(point, -0.01 * point / np.linalg.norm(point), duration=SECONDS)
+    level = 20 * np.log10(spectrogram(torch.from_numpy(sound))[0].abs().numpy() + 1e-20)
+    share = np.clip((level - level.max() + RANGE) / RANGE, 0, 1)
+    return (colormaps["magma"](share[::-1])[..., :3] * 255).round().astype(np.uint8)
+
+
+def captioned(picture: np.ndarray, key: str) -> np.ndarray:
+    """Fit a picture into a square above the object's name; (SIDE + CAPTION, SIDE, 3) uint8."""
+    image = Image.new("RGB", (SIDE, SIDE + CAPTION), "white")
+    shown = Image.fromarray(picture)
+    if picture.shape[0] > SIDE:  # touches are upright, spectrograms of any shape
+        height, width = picture.shape[:2]
+        shown = shown.resize((round(SIDE * width / height) if width < height else SIDE, SIDE))
+    elif picture.shape[1] != SIDE:
+        shown = shown.resize((SIDE, SIDE))
+    image.paste(shown, ((SIDE - shown.width) // 2, 0))
+    font = ImageFont.load_default(10)
+    ImageDraw.Draw(image).text((SIDE / 2, SIDE + 2), key, fill="#404040", font=font, anchor="mt")
+    return np.asarray(image)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("workspace", type=Path)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--pictures", type=Path, metavar="DOCS", help="folder for the three sheets")
+    parser.add_argument("--minutes", type=float, help="wall time of the build, as it printed it")
+    arguments = parsed(parser)
+    root = arguments.workspace
+    values = params.read(root / params.PARAMS_FILE)
+    generators = {key: entry["generator"] for key, entry in values["procedural"].items()}
+    rows = [
+        measured(key, root, entry, generators.get(key, "mesh")) for key, entry in values["objects"].items()
+    ]
+    table = Table(title=f"{len(rows)} objects")
+    for name in ("object", "vision", "touch", "gain error", "modes", "KB", "CPU s", "slowest"):
+        table.add_column(name, justify="left" if name == "object" else "right")
+    for row in rows:
+        if "failed" in row:
+            table.add_row(row["object"], row["failed"])
+            continue
+        shown = (f"{row['vision']:.1f}", f"{row['touch']:.1f}", f"{row['gain_error']:.2%}", str(row["modes"]))
+        cost = (f"{row['bytes'] / 1000:.0f}", f"{row['cpu_seconds']:.0f}", row["slowest"] or "-")
+        table.add_row(row["object"], *shown, *cost)
+    console = Console()
+    console.print(table)
+    if arguments.pictures:
+        built = [Build(row["object"], root).object_file for row in rows if "failed" not in row]
+        sheets(built, arguments.pictures)
+    targets = (
+        f"medians: vision at least {LEAST['vision']:g} dB, touch at least {LEAST['touch']:g} dB, gain error "
+        f"at most {MOST_GAIN_ERROR:.0%}; {MOST_BYTES / 1e6:.0f} MB in all"
+    )
+    settings = values["render_views"]
+    record = {
+        "renderer": settings["renderer"],
+        "test_views": settings["test"],
+        "minutes": arguments.minutes,
+        "poor": POOR,
+        "rows": rows,
+    }
+    found = missed(rows)
+    write_record(arguments.json, record, targets, found)
+    exit_with_verdict(found, console)
+
+
+if __name__ == "__main__":
+    main()
