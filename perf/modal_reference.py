@@ -85,8 +85,9 @@ PROCEDURAL: dict[str, tuple[str, float, str, dict[str, Any]]] = {
 #: quality alone leaves flat plates to tetrahedra 17 walls long, 4 % too stiff.
 SIZES = {"coarse": 4.0, "fine": 1.0}
 FACETS = 0.8  #: share of the fine mesh's unknowns above which the coarse one differs too little from it,
-#: because facets are small; a third mesh then has tetrahedra of at most this share of the fine one's mean.
-FINER = 0.4
+#: because facets are small. A third mesh then has tetrahedra of at most this many times the fine one's mean
+#: volume, which gives a third to a half more: those inside are larger than those at the surface.
+FINER = 2.0
 UNKNOWNS = 4  #: of a quadratic tetrahedron's own, about
 QUALITY = 10  #: largest ratio of radius and edge
 TETRAHEDRA, FEWEST = 40_000, 5_000  #: of the volume: more than the first are not asked for, nor fewer
