@@ -341,7 +341,7 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help="objects (default: all)")
     parser.add_argument("--objects", type=Path, help="folder of real meshes")
     parser.add_argument("--cache", type=Path, default=ROOT / "build/perf/modal_reference")
-    parser.add_argument("--single", action="store_true", help="no coarse reference")
+    parser.add_argument("--single", action="store_true", help="one reference, without a coarser or finer one")
     parser.add_argument("--json", type=Path, help="file for the figures")
     arguments = parsed(parser)
     names = arguments.names or [*(REAL if arguments.objects else ()), *PROCEDURAL]
@@ -352,7 +352,7 @@ def main() -> None:
         for size in ("fine",) if arguments.single else SIZES:
             if "failed" not in row and not (arguments.cache / f"{name}_{size}.npz").exists():
                 row = fresh(__file__, "reference", name, size, arguments.objects, arguments.cache)
-        if "failed" not in row and alike(meshes(name, arguments.cache)):
+        if "failed" not in row and not arguments.single and alike(meshes(name, arguments.cache)):
             row = fresh(__file__, "reference", name, "finer", arguments.objects, arguments.cache)
         if "failed" not in row:
             row = fresh(__file__, "compare", name, arguments.cache)
