@@ -139,16 +139,13 @@ def test_contacts_are_localized_on_each_object(files, workspace):
 
 
 def test_touches_are_drawn_from_close_views(files, workspace):
-    output = bench("vision-to-touch", files, "--out", "first", "--split", "seen", "--seeds", "2")
+    output = bench("vision-to-touch", files, "--out", "first", "--split", "seen")
     assert "touch of the most similar view" in output
     assert "2 objects; 16 contacts to train with" in output
     assert Path("first/vision_to_touch_seen.png").is_file()
     times = {path: path.stat().st_mtime_ns for path in Path("first/glances").rglob("*")}
-    bench("vision-to-touch", files, "--out", "first", "--split", "seen")
+    bench("vision-to-touch", files, "--out", "first", "--split", "seen", "--seeds", "2")
     assert times == {path: path.stat().st_mtime_ns for path in times}  # made once
-    bench("vision-to-touch", files, "--out", "second", "--split", "seen")
-    for name in ("vision_to_touch_seen.json", "vision_to_touch_seen.csv", "vision_to_touch_seen.png"):
-        assert Path("first", name).read_bytes() == Path("second", name).read_bytes()
 
 
 @pytest.mark.slow  # each task has it without the command

@@ -28,8 +28,8 @@ def pairs(count=60, seed=0):
 
 
 def job(progress, samples=None, **changed):
-    values = {"seeds": 1, "contacts": 60, "width": 4, "epochs": 30, "batch": 16}
-    values |= {"learning_rate": 0.02, "weight_decay": 0.0, "patience": 30}
+    values = {"seeds": 1, "contacts": 60, "width": 4, "epochs": 15, "batch": 16}
+    values |= {"learning_rate": 0.02, "weight_decay": 0.0, "patience": 15}
     samples = pairs() if samples is None else samples
     split, sizes = per_sample(samples.keys, samples.count), InputSizes(8, (8, 8), SIZE)
     settings = VisionToTouchConfig(**(values | changed))
