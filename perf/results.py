@@ -64,7 +64,6 @@ def render(page: str, records: Path = RECORDS) -> str:
         keep_trailing_newline=True,
     )
     environment.filters |= {
-        "column": column,
         "measured": lambda rows: [row for row in rows if "failed" not in row],
         "number": number,
         "over_objects": over_objects,
@@ -89,17 +88,11 @@ def over_objects(
     return {"mean": mean(found), "median": median(found), "worst": BETTER[column](found, key=float)}
 
 
-def spread(rows: list[dict[str, Any]], name: str) -> dict[str, float]:
-    """Return mean, median and least of a figure over rows."""
-    found = [row[name] for row in rows]
-    return {"mean": mean(found), "median": median(found), "worst": min(found)}
-
-
-def column(rows: list[dict[str, Any]], name: str, statistic: str) -> float:
-    """Return mean, median or worst of a figure over the rows that have it; of scores, the least is worst."""
+def spread(rows: list[dict[str, Any]], name: str, better: str = "more") -> dict[str, float]:
+    """Return mean, median and worst of a figure over the rows that have it; ``better`` is more or less."""
     found = [row[name] for row in rows if row[name] is not None]
-    worst = min if name.startswith(("vision", "touch")) else max
-    return {"mean": mean, "median": median, "worst": worst}[statistic](found)
+    worst = min if better == "more" else max
+    return {"mean": mean(found), "median": median(found), "worst": worst(found)}
 
 
 def number(value: Any, spec: str, missing: str = "-") -> str:

@@ -106,6 +106,7 @@ def test_means_are_over_the_objects_that_have_a_score(repository):
     assert results.over_objects(errors, "audio", "modes") is None
     accuracy = [{"x": 3.0}, {"x": 1.0}, {"x": 8.0}]
     assert results.spread(accuracy, "x") == {"mean": 4.0, "median": 3.0, "worst": 1.0}
+    assert results.spread([*accuracy, {"x": None}], "x", "less") == {"mean": 4.0, "median": 3.0, "worst": 8.0}
 
 
 @pytest.mark.parametrize(

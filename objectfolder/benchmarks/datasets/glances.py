@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch.nn import functional as F
 
 from objectfolder.benchmarks.datasets.samples import (
     Samples,
     array_path,
+    averaged_images,
     check_equal_shapes,
     map_array,
     object_digest,
@@ -131,7 +131,7 @@ def sample_glances(file: ObjectFile, count: int, size: tuple[int, int], seed: in
     parts = np.array_split(points, -(-count // CHUNK))
     images = {
         "view": close_views(file, points, distances, size),
-        "touch": np.concatenate([_resized(file.touch(part, DEPTH), size) for part in parts]),
+        "touch": np.concatenate([averaged_images(file.touch(part, DEPTH), size) for part in parts]),
     }
     for name, array in images.items():
         with atomic(array_path(folder, name)) as temporary, temporary.open("wb") as stream:
@@ -189,10 +189,3 @@ def close_views(
         for pose, light, distance in zip(poses, lights, distances, strict=True)
     ]
     return np.round(np.stack(views) * 255).astype(np.uint8)
-
-
-def _resized(images: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Average images (N, H, W, 3) uint8 to a smaller size."""
-    channels = torch.from_numpy(images).permute(0, 3, 1, 2).float()
-    small = F.adaptive_avg_pool2d(channels, size).permute(0, 2, 3, 1)
-    return small.round().byte().numpy()

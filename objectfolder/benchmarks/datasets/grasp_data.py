@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from objectfolder.benchmarks.datasets.grasp_config import GraspDataConfig
 from objectfolder.benchmarks.datasets.grasps import ARRAYS, FORMAT, OPTIONAL, RECORD
-from objectfolder.benchmarks.datasets.samples import array_path, object_digest
+from objectfolder.benchmarks.datasets.samples import array_path, averaged_images, object_digest
 from objectfolder.disk import enough_space
 from objectfolder.envs.body import RigidBody
 from objectfolder.envs.camera import ExternalCamera
@@ -270,9 +269,7 @@ def _images(
     size: tuple[int, int],
 ) -> np.ndarray:
     """Compute tactile images of both fingers at the stored size; (N, 2, h, w, 3) uint8."""
-    images = torch.from_numpy(ask(source, pressed, depths)).permute(0, 3, 1, 2).float()
-    small = torch.nn.functional.adaptive_avg_pool2d(images, size).round().to(torch.uint8)
-    return small.permute(0, 2, 3, 1).reshape(-1, 2, *size, 3).numpy()
+    return averaged_images(ask(source, pressed, depths), size).reshape(-1, 2, *size, 3)
 
 
 def _write(folder: Path, paths: list[Path], count: int) -> str:

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import torch
+from torch.nn import functional as F
 
 from objectfolder.errors import ObjectFolderError
 
@@ -120,6 +122,12 @@ def map_array(key: str, path: Path, remedy: str) -> np.ndarray:
         return np.load(path, mmap_mode="r", allow_pickle=False)
     except (OSError, ValueError, EOFError) as error:
         raise ObjectFolderError(f"{key}: {path} is damaged ({error}); {remedy}") from error
+
+
+def averaged_images(images: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Average images (N, H, W, 3) uint8 to a smaller size, (N, h, w, 3) uint8."""
+    channels = torch.from_numpy(images).permute(0, 3, 1, 2).float()
+    return F.adaptive_avg_pool2d(channels, size).round().byte().permute(0, 2, 3, 1).numpy()
 
 
 def check_equal_shapes(name: str, shapes: Mapping[str, Any], remedy: str) -> None:
