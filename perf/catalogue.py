@@ -37,9 +37,10 @@ COLUMNS, SIDE, CAPTION = (
     112,
     16,
 )  #: of the sheets: pictures in a row, their size and that of the name, pixels
-CAMERA = [[1.3, -2.2, 1.35]]
+DIRECTION = np.array([1.3, -2.2, 1.35])  #: to the camera
+DISTANCE = 3.2  #: of the camera, in radii of the object
 TOUCHES = 60  #: of which the one with the most contrast is shown
-SECONDS, RANGE = 0.5, 80  #: of a spectrogram; decibels
+SECONDS, RATE, RANGE = 0.25, 40000, 80  #: of a spectrogram; Hz; decibels
 
 
 def measured(key: str, root: Path, entry: dict[str, Any], generator: str) -> dict[str, Any]:
@@ -104,35 +105,38 @@ def sheets(paths: list[Path], folder: Path) -> None:
 
 def seen(file: ObjectFile) -> np.ndarray:
     """Return a view under a studio's light, (H, W, 3) uint8."""
-    return (file.view(CAMERA, resolution=SIDE, lights="studio")[0] * 255).round().astype(np.uint8)
+    radius = np.linalg.norm(file.sample_surface(1000, seed=0), axis=1).max() / file.scale
+    camera = DIRECTION / np.linalg.norm(DIRECTION) * DISTANCE * radius
+    return (file.view(camera[None], resolution=SIDE, lights="studio")[0] * 255).round().astype(np.uint8)
 
 
 def felt(file: ObjectFile) -> np.ndarray:
-    """Return the tactile image with the most contrast of some at random, (H, W, 3) uint8."""
+    """Return the tactile image of some at random that differs most from the usual one, (H, W, 3) uint8."""
     images = file.touch(file.sample_surface(TOUCHES, seed=0), depth=0.001)
-    return images[images.astype(np.float32).std((1, 2)).sum(1).argmax()]
+    apart = images.astype(np.float32) - np.median(images, axis=0)
+    return images[np.square(apart).mean((1, 2, 3)).argmax()]
 
 
 def heard(file: ObjectFile) -> np.ndarray:
-    """Return the spectrogram of one strike to 8 kHz, low frequencies below; (H, W, 3) uint8."""
+    """Return the spectrogram of one strike to 20 kHz, low frequencies below; (H, W, 3) uint8."""
     from matplotlib import colormaps
 
     point = file.sample_surface(1, seed=1)
-    sound = file.impact(point, -0.01 * point / np.linalg.norm(point), duration=SECONDS)
+    force = -0.01 * point / np.linalg.norm(point)
+    sound = file.impact(point, force, RATE, SECONDS, contact_time=0.0)
     level = 20 * np.log10(spectrogram(torch.from_numpy(sound))[0].abs().numpy() + 1e-20)
     share = np.clip((level - level.max() + RANGE) / RANGE, 0, 1)
-    return (colormaps["magma"](share[::-1])[..., :3] * 255).round().astype(np.uint8)
+    shown = Image.fromarray((colormaps["magma"](share[::-1])[..., :3] * 255).round().astype(np.uint8))
+    return np.asarray(shown.resize((SIDE, SIDE)))
 
 
 def captioned(picture: np.ndarray, key: str) -> np.ndarray:
     """Fit a picture into a square above the object's name; (SIDE + CAPTION, SIDE, 3) uint8."""
     image = Image.new("RGB", (SIDE, SIDE + CAPTION), "white")
     shown = Image.fromarray(picture)
-    if picture.shape[0] > SIDE:  # touches are upright, spectrograms of any shape
-        height, width = picture.shape[:2]
-        shown = shown.resize((round(SIDE * width / height) if width < height else SIDE, SIDE))
-    elif picture.shape[1] != SIDE:
-        shown = shown.resize((SIDE, SIDE))
+    height, width = picture.shape[:2]
+    if height > SIDE:
+        shown = shown.resize((round(SIDE * min(width / height, 1)), SIDE))
     image.paste(shown, ((SIDE - shown.width) // 2, 0))
     font = ImageFont.load_default(10)
     ImageDraw.Draw(image).text((SIDE / 2, SIDE + 2), key, fill="#404040", font=font, anchor="mt")
@@ -144,7 +148,13 @@ def main() -> None:
     parser.add_argument("workspace", type=Path)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--pictures", type=Path, metavar="DOCS", help="folder for the three sheets")
-    parser.add_argument("--minutes", type=float, help="wall time of the build, as it printed it")
+    parser.add_argument(
+        "--wall",
+        type=float,
+        nargs=2,
+        metavar=("MINUTES", "OBJECTS"),
+        help="wall time of one run of the build, as it printed it, and how many objects it built",
+    )
     arguments = parsed(parser)
     root = arguments.workspace
     values = params.read(root / params.PARAMS_FILE)
@@ -154,7 +164,7 @@ def main() -> None:
     ]
     table = Table(title=f"{len(rows)} objects")
     for name in ("object", "vision", "touch", "gain error", "modes", "KB", "CPU s", "slowest"):
-        table.add_column(name, justify="left" if name == "object" else "right")
+        table.add_column(name, justify="left" if name == "object" else "right", no_wrap=True)
     for row in rows:
         if "failed" in row:
             table.add_row(row["object"], row["failed"])
@@ -175,7 +185,7 @@ def main() -> None:
     record = {
         "renderer": settings["renderer"],
         "test_views": settings["test"],
-        "minutes": arguments.minutes,
+        "wall": arguments.wall,
         "poor": POOR,
         "rows": rows,
     }

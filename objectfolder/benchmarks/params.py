@@ -1,8 +1,8 @@
 """Parameters of the benchmark tasks, from ``params.yaml``."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar, cast
 
 from objectfolder.benchmarks.models.encoders import EncodeConfig
 from objectfolder.workspace.params import PARAMS_FILE, read, settings, shared
@@ -18,6 +18,10 @@ class TaskParams(Generic[Config]):
     encode: EncodeConfig
     seed: int
 
+    def one_seed(self) -> "TaskParams[Config]":
+        """Return them for one training: what each of the seeds depends on."""
+        return replace(self, settings=replace(cast(Any, self.settings), seeds=1))
+
 
 @dataclass(frozen=True)
 class RobotParams(Generic[Config]):
@@ -25,6 +29,10 @@ class RobotParams(Generic[Config]):
 
     settings: Config  #: the task's section
     seed: int
+
+    def one_seed(self) -> "RobotParams[Config]":
+        """Return them for one training: what each of the seeds depends on."""
+        return replace(self, settings=replace(cast(Any, self.settings), seeds=1))
 
 
 def splits_of(task: str) -> tuple[str, ...]:

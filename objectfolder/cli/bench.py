@@ -19,7 +19,8 @@ bench_app = typer.Typer(
     help="Run the paper's benchmark tasks on Object Files: `recognition`, `retrieval`, `reconstruction`,"
     " `localization`, `vision-to-touch`, and, with a robot, `stability`, `grasping`, `reach`.\n\n"
     "Random views, impacts and touches of each Object File are sampled first and kept in OUT/observations, "
-    "grasps in OUT/grasps; later tasks reuse them. Interrupted commands resume when repeated.",
+    "grasps in OUT/grasps; later tasks reuse them. Interrupted commands resume when repeated, "
+    "and more --seeds train only those that lack.",
 )
 
 

@@ -1,6 +1,7 @@
 """Paths of the artifacts of a workspace: the only module that names a file under ``build/``."""
 
 import hashlib
+import re
 from pathlib import Path
 from typing import Any
 
@@ -128,6 +129,11 @@ class Benchmarks:
         """Return the folder that a run with the same inputs resumes from; undeclared."""
         digest = hashlib.sha256(repr(identity).encode()).hexdigest()
         return self.dir / ".progress" / f"{task}_{split}_{digest[:16]}"
+
+    def outdated_progress(self, task: str, split: str, current: Path) -> list[Path]:
+        """Return the other folders that `progress` named for the same task and split."""
+        named = re.compile(rf"{re.escape(task)}_{re.escape(split)}_[0-9a-f]{{16}}")
+        return [path for path in current.parent.iterdir() if path != current and named.fullmatch(path.name)]
 
 
 #: Folder of `code_list`.

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import cast
 
@@ -74,7 +74,7 @@ def train_ppo(
     ObjectFolderError
         If the checkpoint is damaged, or of another training.
     """
-    settings = {"params": asdict(params), "seed": seed, "purpose": "/".join(purpose)}
+    settings = {"params": asdict(replace(params, seeds=1)), "seed": seed, "purpose": "/".join(purpose)}
     envs = VecNormalize(
         DummyVecEnv([make] * params.environments),
         clip_obs=CLIP,

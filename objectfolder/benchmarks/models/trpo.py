@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -120,7 +120,7 @@ def train_trpo(
     ObjectFolderError
         If the checkpoint is damaged, or of another training.
     """
-    settings = {"params": asdict(params), "seed": seed, "purpose": "/".join(purpose)}
+    settings = {"params": asdict(replace(params, seeds=1)), "seed": seed, "purpose": "/".join(purpose)}
     envs = StableVector(env)
     model = TRPO(
         "MlpPolicy",

@@ -248,10 +248,10 @@ class ContactRun:
         return self.file.key
 
     def identity(self) -> tuple[Any, ...]:
-        """Return everything that the results depend on."""
+        """Return everything that the result of each seed depends on."""
         own = own_file(self.params.encode.encoder)
         given = None if own is None else file_digest(own)
-        return object_digest(self.file), self.params, code_digest(self.task.run), given
+        return object_digest(self.file), self.params.one_seed(), code_digest(self.task.run), given
 
     def job(self, progress: Path, report: Report) -> Job[LocalizeConfig]:
         """Return the argument of the task.

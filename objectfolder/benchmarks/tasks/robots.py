@@ -52,8 +52,9 @@ class ObjectRun:
         return self.file.key
 
     def identity(self) -> tuple[Any, ...]:
-        """Return everything that the results depend on."""
-        return object_digest(self.file), hulls_digest(self.hulls), self.params, code_digest(self.task.run)
+        """Return everything that the result of each seed depends on."""
+        params, hulls = self.params.one_seed(), hulls_digest(self.hulls)
+        return object_digest(self.file), hulls, params, code_digest(self.task.run)
 
     def job(self, progress: Path, report: Report) -> RobotJob[Any]:
         """Return the argument of the task."""

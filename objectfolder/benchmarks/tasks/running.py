@@ -61,7 +61,7 @@ class Run(Protocol):
         """Folder of results."""
 
     def identity(self) -> tuple[Any, ...]:
-        """Return everything that the results depend on."""
+        """Return everything that the result of each seed depends on."""
 
     def job(self, progress: Path, report: Report) -> Any:
         """Return the argument of the task."""
@@ -83,10 +83,10 @@ class SplitRun:
     device: str | None = None  #: to train on; default: a GPU if there is one
 
     def identity(self) -> tuple[Any, ...]:
-        """Return everything that the results depend on."""
+        """Return everything that the result of each seed depends on."""
         files = [None if self.weights is None else self.weights.path, own_file(self.params.encode.encoder)]
         given = [file_digest(path) for path in files if path is not None]
-        return self.samples.digest, self.params, code_digest(self.task.run), given
+        return self.samples.digest, self.params.one_seed(), code_digest(self.task.run), given
 
     def job(self, progress: Path, report: Report) -> Job[Any]:
         """Return the argument of the task."""
@@ -115,7 +115,8 @@ class SplitRun:
 def run_benchmark(spec: Run, report: Report) -> float:
     """Run a task and write its scores, training curves and the files in `KEPT`.
 
-    An interrupted run is resumed, unless its inputs, parameters or code have changed.
+    An interrupted run is resumed, unless its inputs, parameters or code have changed. What was finished is
+    kept for the next run, which may have more seeds.
 
     Parameters
     ----------
@@ -136,7 +137,8 @@ def run_benchmark(spec: Run, report: Report) -> float:
     progress = folder.progress(task.name, part, spec.identity())
     scores, curve = task.run(spec.job(progress, report))
     write_results(task, part, folder, progress, scores | spec.description(), curve)
-    rmtree(progress, ignore_errors=True)
+    for other in folder.outdated_progress(task.name, part, progress):
+        rmtree(other, ignore_errors=True)
     seconds: float = scores["seconds"]
     return seconds
 

@@ -300,7 +300,6 @@ def test_a_run_leaves_its_files_and_goes_on_where_it_was(brick, hulls, tmp_path)
     assert read_json(whole.result("reach", "brick"))["task"] == "reach"
     with Image.open(whole.film("reach", "brick")) as picture:
         assert picture.n_frames >= 2
-    assert not any((whole.dir / ".progress").iterdir())
 
     def stop(line):
         raise KeyboardInterrupt
@@ -315,6 +314,21 @@ def test_a_run_leaves_its_files_and_goes_on_where_it_was(brick, hulls, tmp_path)
     for name in files:
         assert (part.dir / name).read_bytes() == (whole.dir / name).read_bytes()
     shutil.rmtree(part.dir)
+
+
+def test_more_seeds_go_on_where_fewer_ended(brick, hulls, tmp_path):
+    one, two = (RobotParams(settings=replace(TINY, seeds=seeds), seed=0) for seeds in (1, 2))
+    grown, whole = Benchmarks(tmp_path / "grown"), Benchmarks(tmp_path / "whole")
+    lines: dict[str, list[str]] = {"one": [], "two": [], "whole": []}
+    run_benchmark(ObjectRun(REACH, brick, hulls, one, grown), lines["one"].append)
+    run_benchmark(ObjectRun(REACH, brick, hulls, two, grown), lines["two"].append)
+    run_benchmark(ObjectRun(REACH, brick, hulls, two, whole), lines["whole"].append)
+    assert len(lines["one"]) + len(lines["two"]) == len(lines["whole"])
+    for path in (grown.result("reach", "brick"), grown.curve("reach", "brick")):
+        assert path.read_bytes() == (whole.dir / path.name).read_bytes()
+    other = RobotParams(settings=replace(TINY, discount=0.8), seed=0)
+    run_benchmark(ObjectRun(REACH, brick, hulls, other, grown), lines["one"].append)
+    assert len(list((grown.dir / ".progress").iterdir())) == 1  # what is of no more use is gone
 
 
 def test_params_are_read_and_checked(tmp_path):
