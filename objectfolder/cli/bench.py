@@ -175,7 +175,7 @@ def reconstruction(
     threads: ThreadsOption = None,
     device: DeviceOption = None,
 ) -> None:
-    """Reconstruct an object's shape from a view, an impact sound, or both.
+    """Reconstruct an object's shape from a view, an impact sound, both, or several touches.
 
     IoU, Chamfer-L1 and normal consistency, next to the average shape and the paper's Table 4. The model for
     views is kept: `objectfolder reconstruct PHOTO.jpg MESH.ply --model OUT/reconstruct_seen.safetensors`.

@@ -30,7 +30,7 @@ TINY = {
     "vision_to_touch": {"seeds": 1, "contacts": 10, "epochs": 1, "batch": 8, "width": 2},
     "reconstruct": {
         **{"seeds": 1, "epochs": 1, "batch": 8, "points": 32, "width": 8, "blocks": 1},
-        **{"resolution": 16, "score_points": 200, "views": 1},
+        **{"resolution": 16, "score_points": 200, "views": 1, "touches": 2},
     },
 }
 ENCODER = """

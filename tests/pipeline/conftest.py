@@ -120,6 +120,7 @@ TINY = {
         "resolution": 16,
         "score_points": 500,
         "views": 1,
+        "touches": 2,
     },
     "decompose": {"hulls": 2},
     "grasp_data": {"grasps": 10, "perturbations": 0, "image": 16, "touch": [16, 12]},

@@ -1,4 +1,4 @@
-"""Occupancy Networks (Mescheder et al. 2019) conditioned on images and sounds (supplementary I.3)."""
+"""Occupancy Networks (Mescheder et al. 2019) conditioned on what was sensed (supplementary I.3)."""
 
 import math
 from collections.abc import Mapping
@@ -93,7 +93,7 @@ class OccupancyDecoder(nn.Module):
 
 
 class Reconstructor(nn.Module):
-    """IMAGE2MESH, AUDIO2MESH or IMAGE+AUDIO2MESH: encoders, two fully-connected layers, an occupancy decoder.
+    """IMAGE2MESH and its like: encoders, two fully-connected layers, an occupancy decoder.
 
     Parameters
     ----------
@@ -115,11 +115,11 @@ class Reconstructor(nn.Module):
         self.decoder = OccupancyDecoder(width, blocks, frequencies)
 
     def features(self, inputs: Mapping[str, torch.Tensor]) -> torch.Tensor:
-        """Encode a batch of images, sounds, or both, of the same objects; (B, 512) or (B, 1024)."""
+        """Encode a batch of inputs of the same objects; (B, features)."""
         return torch.cat([encoder(inputs[modality]) for modality, encoder in self.encoders.items()], 1)
 
     def embed(self, inputs: Mapping[str, torch.Tensor]) -> torch.Tensor:
-        """Embed the shapes of a batch of images, sounds, or both, of the same objects; (B, 256)."""
+        """Embed the shapes of a batch of inputs of the same objects; (B, 256)."""
         return self.fusion(self.features(inputs))
 
     def forward(self, inputs: Mapping[str, torch.Tensor], points: torch.Tensor) -> torch.Tensor:

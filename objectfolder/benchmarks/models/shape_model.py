@@ -14,6 +14,7 @@ from objectfolder.benchmarks.datasets.occupancy import extract_mesh, grid_points
 from objectfolder.benchmarks.models.encoders import InputSizes, Weights, encoder_inputs, make_encoder
 from objectfolder.benchmarks.models.framing import framed_views
 from objectfolder.benchmarks.models.occupancy_net import Reconstructor, occupancy_logits
+from objectfolder.benchmarks.models.several_touches import SeveralTouches
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_safetensors, write_safetensors
 
@@ -25,7 +26,7 @@ ROWS = 64  # observations encoded at once
 class Setup:
     """Configuration of a reconstructor; the header of its file."""
 
-    modalities: tuple[str, ...]  #: inputs, in this order: "vision", "audio", or both
+    modalities: tuple[str, ...]  #: inputs, in this order: "vision", "audio", both, or "touch"
     encoder: str  #: a name of `objectfolder.benchmarks.models.encoders`
     sizes: InputSizes
     view: int  #: side of the views before cropping, pixels
@@ -62,7 +63,7 @@ class ShapeModel:
         Parameters
         ----------
         observations : mapping of str to array
-            By modality, B rows each, from `Observations.read`.
+            By modality, B rows each, from `Observations.read`; of touches (B, K, h, w, 3), K of each object.
 
         Returns
         -------
@@ -110,13 +111,18 @@ def shape_inputs(
     rng: np.random.Generator | None = None,
     device: str | torch.device = "cpu",
 ) -> torch.Tensor:
-    """Make a reconstructor's inputs: as `encoder_inputs`, with views framed."""
+    """Make a reconstructor's inputs: as `encoder_inputs`, with views framed, and several touches a row."""
+    if modality == "touch":
+        inputs = encoder_inputs(modality, raw.reshape(-1, *raw.shape[2:]), sizes, rng, device)
+        return inputs.unflatten(0, raw.shape[:2])
     return encoder_inputs(modality, framed_views(raw) if modality == "vision" else raw, sizes, rng, device)
 
 
 def new_net(setup: Setup, weights: Weights | None = None) -> Reconstructor:
     """Make an untrained net, initialized from torch's global generator or, for encoders, given weights."""
     encoders = {name: make_encoder(setup.encoder, name, weights) for name in setup.modalities}
+    if "touch" in encoders:
+        encoders["touch"] = SeveralTouches(encoders["touch"], setup.sizes.touch)
     return Reconstructor(encoders, setup.width, setup.blocks, setup.frequencies)
 
 

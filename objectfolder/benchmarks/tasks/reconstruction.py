@@ -1,13 +1,15 @@
-"""Audio-visual 3D reconstruction (main paper, section 4.3 and Table 4; supplementary I.3).
+"""3D reconstruction from sight, sound and touch (main paper, section 4.3 and Table 4; supplementary I.3).
 
-From an image, a sound, or both to the object's shape in its own frame, by an occupancy network behind the
-encoders of the other benchmarks. IMAGE2MESH is "V", AUDIO2MESH "A", IMAGE+AUDIO2MESH "VA".
+From an image, a sound, both, or several touches to the object's shape in its own frame, by an occupancy
+network behind the encoders of the other benchmarks. IMAGE2MESH is "V", AUDIO2MESH "A", IMAGE+AUDIO2MESH
+"VA". Touches, "T", are not in the paper.
 """
 
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass, replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from shutil import copyfile
 from typing import Annotated, Any, cast
@@ -18,8 +20,10 @@ import torch.nn.functional as F
 from annotated_types import Ge, Interval
 from torch import nn
 
+from objectfolder.benchmarks.datasets.companions import Companions
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.models.occupancy_net import EMBEDDING, Reconstructor
+from objectfolder.benchmarks.models.several_touches import SeveralTouches
 from objectfolder.benchmarks.models.shape_model import (
     Setup,
     ShapeModel,
@@ -43,11 +47,17 @@ from objectfolder.settings import Count, NonNegative
 
 SHOWN = 8  #: test rows in the picture
 #: Inputs of each variant. VA comes last: it starts from the encoders of the others.
-VARIANTS: dict[str, tuple[str, ...]] = {"V": ("vision",), "A": ("audio",), "VA": ("vision", "audio")}
+VARIANTS: dict[str, tuple[str, ...]] = {
+    "V": ("vision",),
+    "A": ("audio",),
+    "T": ("touch",),
+    "VA": ("vision", "audio"),
+}
 CURVE_COLUMNS = ("variant", "seed", "epoch", "train_loss", "val_iou")  #: of the training curves
 #: Steps per encoded batch, each on other points; all but the first train fusion and decoder only. Encoders
-#: take most of the time, while shapes need many more steps than features.
-POINT_SETS = 4
+#: take most of the time, while shapes need many more steps than features. A row of several touches is so
+#: much to encode that an epoch takes fewer rows, with more steps each.
+POINT_SETS, TOUCH_POINT_SETS = 4, 16
 #: Inputs of the encoders, or None for those of the batch before; numbers of the objects; points;
 #: whether they are inside.
 Batch = tuple[dict[str, torch.Tensor] | None, torch.Tensor, torch.Tensor, torch.Tensor]
@@ -66,6 +76,7 @@ class ReconstructConfig(TrainingConfig):
     resolution: Annotated[int, Ge(8)]  #: of marching cubes
     score_points: Count  #: for IoU, and on either surface for the distances
     views: Count  #: test observations per object that are meshed
+    touches: Count  #: of the object that a shape is reconstructed from
 
 
 def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
@@ -83,7 +94,7 @@ def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[
         `Truth.scores` over the first ``views`` test rows of each object; ``threshold``; of variants also
         ``epochs`` and ``val_iou``, all as means over the seeds, the IoU of each of the ``seeds`` and its
         ``interval_95``. Beside them ``perfect``, the surface scores of the truth against itself,
-        the counts of `Job.without_duplicates`, and ``seconds``.
+        the number of ``touches``, the counts of `Job.without_duplicates`, and ``seconds``.
     list
         Rows of the training curves: `CURVE_COLUMNS`.
 
@@ -108,6 +119,7 @@ def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[
         **{variant: over_seeds([done["scores"] for done in runs]) for variant, runs in finished.items()},
         "average_shape": truth.average_shape(trained_labels, val, test),
         "perfect": truth.floor(np.unique(test)),
+        "touches": job.params.touches,
         **rows,
         "seconds": sum(done["seconds"] for runs in finished.values() for done in runs),
     }
@@ -154,6 +166,24 @@ def validation_rows(job: Job[ReconstructConfig]) -> np.ndarray:
     rest = split.train[~np.isin(labels[split.train], labels[split.val])]
     parts = [first_rows(rows, labels, job.params.views) for rows in (split.val, rest) if len(rows)]
     return np.concatenate(parts)
+
+
+def _read(
+    job: Job[ReconstructConfig], modality: str, rows: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """Read observations; of touches several for each row, of its object and part of the split."""
+    if modality != "touch":
+        return job.observations.read(modality, rows)
+    chosen = Companions(job.split, job.observations.labels).draw(rows, job.params.touches, rng)
+    return job.observations.read(modality, chosen.ravel()).reshape(
+        *chosen.shape, *job.observations.shape(modality)
+    )
+
+
+def _seen(job: Job[ReconstructConfig], variant: str, rows: np.ndarray) -> dict[str, np.ndarray]:
+    """Read what a variant is validated or scored on."""
+    rng = numpy_generator(job.seed, "reconstruct", job.split.name, "seen")
+    return {modality: _read(job, modality, rows, rng) for modality in VARIANTS[variant]}
 
 
 def _truth(job: Job[ReconstructConfig]) -> Truth:
@@ -219,16 +249,19 @@ def _trained(
     with seeded(job.seed, *purpose):
         net = new_net(setup, job.weights)
         naming = nn.Linear(net.fusion.get_parameter("0.weight").shape[1], len(trained_labels))
+    if job.subtract and "touch" in modalities:
+        cast(SeveralTouches, net.encoders["touch"]).set_ground(job.ground)
+    sets = TOUCH_POINT_SETS if "touch" in modalities else POINT_SETS
     epochs = params.epochs if len(modalities) == 1 else _start_from_parts(job, truth, net, run)
 
     def epoch_batches(epoch: int) -> Iterator[Batch]:
         rng = numpy_generator(job.seed, *purpose, f"epoch {epoch}")
-        for rows in shuffled(split.train, params.batch, rng):
+        for rows in islice(shuffled(split.train, params.batch, rng), None, None, sets // POINT_SETS):
             inputs = {
-                m: shape_inputs(m, observations.read(m, rows), job.sizes, rng, device) for m in modalities
+                m: shape_inputs(m, _read(job, m, rows, rng), job.sizes, rng, device) for m in modalities
             }
             names = torch.from_numpy(np.searchsorted(trained_labels, labels[rows])).to(device)
-            for given in (inputs, *[None] * (POINT_SETS - 1)):
+            for given in (inputs, *[None] * (sets - 1)):
                 points, inside = occupancy.draw(labels[rows], params.points, rng)
                 yield given, names, torch.from_numpy(points).to(device), torch.from_numpy(inside).to(device)
 
@@ -247,7 +280,7 @@ def _trained(
 
     model = ShapeModel(setup, net)
     val = validation_rows(job)
-    seen = {modality: observations.read(modality, val) for modality in modalities}
+    seen = _seen(job, variant, val)
     inside = occupancy.val_inside[labels[val]]
 
     def validated() -> tuple[float, float]:
@@ -263,7 +296,7 @@ def _trained(
         "IoU",
         checkpoint,
         epochs,
-        statistics=STATISTICS * POINT_SETS,  # of which one in POINT_SETS is encoded
+        statistics=STATISTICS * sets,  # of which one in so many is encoded
     )
     threshold = round(float(torch.tensor(validated()[0]).sigmoid()), 4)
     return ShapeModel(replace(setup, threshold=threshold), net), curve
@@ -298,7 +331,7 @@ def _start_from(net: Reconstructor, parts: Sequence[Reconstructor], best: Recons
 def _scores(job: Job[ReconstructConfig], truth: Truth, variant: str, model: ShapeModel) -> dict[str, Any]:
     """Score a trained model on test rows."""
     rows = _test(job)
-    embedding = model.embed({m: job.observations.read(m, rows) for m in model.setup.modalities})
+    embedding = model.embed(_seen(job, variant, rows))
     points = truth.occupancy.score_points
     return truth.scores(
         f"{job.split.name} {variant}",
@@ -309,13 +342,13 @@ def _scores(job: Job[ReconstructConfig], truth: Truth, variant: str, model: Shap
 
 
 def _sheet(job: Job[ReconstructConfig], truth: Truth) -> np.ndarray:
-    """Draw some test rows: the view, the reconstructions by V, A and VA, and the truth."""
+    """Draw some test rows: the view, the reconstructions by each variant, and the truth."""
     rows = _test(job)
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, SHOWN).round().astype(int))]
     shapes = []
-    for variant, modalities in VARIANTS.items():
+    for variant in VARIANTS:
         model = load_model(_model_path(job, variant, 0))
-        embedding = model.embed({name: job.observations.read(name, rows) for name in modalities})
+        embedding = model.embed(_seen(job, variant, rows))
         shapes.append([model.mesh(one) for one in embedding])
     surfaces = [truth.surface(int(label)) for label in job.observations.labels[rows]]
     shapes.append([(surface.vertices, surface.faces) for surface in surfaces])

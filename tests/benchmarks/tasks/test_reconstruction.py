@@ -57,6 +57,7 @@ PARAMS = SimpleNamespace(
     resolution=12,
     score_points=1500,
     views=2,
+    touches=4,
 )
 SIZES = InputSizes(12, (16, 10), (8, 6))
 
@@ -78,7 +79,7 @@ class Observed:
     def read(self, modality, rows):
         noise = np.stack([np.random.default_rng(row).normal(size=(16, 16, 3)) for row in rows])
         label = np.asarray(rows) // COUNT
-        if modality == "vision":
+        if modality in ("vision", "touch"):
             colour = 200 * np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])[label]
             return (colour[:, None, None] + 5 * noise).clip(0, 255).astype(np.uint8)
         time = np.arange(32000) / 16000
@@ -137,7 +138,10 @@ def test_every_variant_beats_the_average_shape_and_an_interrupted_call_goes_on(
     occupancy, tmp_path, monkeypatch
 ):
     seen, curves = run(tmp_path / "a")
-    assert set(seen) == {*VARIANTS, "average_shape", "perfect", "objects", "rows", "duplicates"}
+    assert set(seen) == {
+        *(*VARIANTS, "average_shape", "perfect"),
+        *("touches", "objects", "rows", "duplicates"),
+    }
     assert seen["rows"] == {"train": 64, "val": 8, "test": 8}
     for variant in VARIANTS:
         scores = seen[variant]
