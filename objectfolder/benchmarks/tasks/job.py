@@ -26,6 +26,7 @@ from objectfolder.settings import Precision
 from objectfolder.workspace.layout import SPLITS
 
 GROUND = 1000  #: training touches at most to find their `Ground` of
+SPECTRA_BYTES = 2**30  #: of all spectrograms, up to which they are kept: they take longer than the encoder
 
 _Params = TypeVar("_Params", bound=TrainingConfig)
 _Batch = TypeVar("_Batch")
@@ -77,6 +78,8 @@ class Job(Generic[_Params]):
 
         With a generator they are those of training: cropped, and touches moved, at random.
         """
+        if modality == "audio" and self._spectra is not None:
+            return self._kept_spectra(self._spectra, rows).to(self.device)
         raw = self.observations.read(modality, rows)
         inputs = encoder_inputs(modality, raw, self.sizes, rng, self.device)
         if modality == "touch" and self.subtract:
@@ -84,6 +87,20 @@ class Job(Generic[_Params]):
         if modality == "touch" and self.shift and rng is not None:
             inputs = shifted(inputs, self.shift, rng)
         return inputs
+
+    @cached_property
+    def _spectra(self) -> tuple[torch.Tensor, np.ndarray] | None:
+        """Encoder inputs of all sounds, filled in as they are needed, and which are; None if too large."""
+        shape = (len(self.observations.labels), 1, *self.sizes.spectrogram)
+        return (torch.empty(shape), np.zeros(shape[0], bool)) if 4 * np.prod(shape) <= SPECTRA_BYTES else None
+
+    def _kept_spectra(self, spectra: tuple[torch.Tensor, np.ndarray], rows: np.ndarray) -> torch.Tensor:
+        kept, known = spectra
+        missing = np.unique(rows[~known[rows]])
+        if len(missing):
+            kept[missing] = encoder_inputs("audio", self.observations.read("audio", missing), self.sizes)
+            known[missing] = True
+        return kept[rows]
 
     @cached_property
     def ground(self) -> Ground:

@@ -180,6 +180,15 @@ def _read(
     )
 
 
+def _inputs(
+    job: Job[ReconstructConfig], modality: str, rows: np.ndarray, rng: np.random.Generator
+) -> torch.Tensor:
+    """Return the inputs of training."""
+    if modality == "audio":
+        return job.inputs(modality, rows)
+    return shape_inputs(modality, _read(job, modality, rows, rng), job.sizes, rng, job.device)
+
+
 def _seen(job: Job[ReconstructConfig], variant: str, rows: np.ndarray) -> dict[str, np.ndarray]:
     """Read what a variant is validated or scored on."""
     rng = numpy_generator(job.seed, "reconstruct", job.split.name, "seen")
@@ -257,9 +266,7 @@ def _trained(
     def epoch_batches(epoch: int) -> Iterator[Batch]:
         rng = numpy_generator(job.seed, *purpose, f"epoch {epoch}")
         for rows in islice(shuffled(split.train, params.batch, rng), None, None, sets // POINT_SETS):
-            inputs = {
-                m: shape_inputs(m, _read(job, m, rows, rng), job.sizes, rng, device) for m in modalities
-            }
+            inputs = {modality: _inputs(job, modality, rows, rng) for modality in modalities}
             names = torch.from_numpy(np.searchsorted(trained_labels, labels[rows])).to(device)
             for given in (inputs, *[None] * (sets - 1)):
                 points, inside = occupancy.draw(labels[rows], params.points, rng)

@@ -1,0 +1,35 @@
+import numpy as np
+import torch
+
+from objectfolder.benchmarks.models.encoders import InputSizes, encoder_inputs
+from objectfolder.benchmarks.tasks import job
+from objectfolder.benchmarks.tasks.job import Job
+
+SIZES = InputSizes(12, (16, 10), (8, 6))
+
+
+class Sounds:
+    """Noise of an object's twenty observations, which remembers what is read."""
+
+    labels = np.zeros(20, np.int64)
+
+    def __init__(self):
+        self.asked: list[int] = []
+
+    def read(self, modality, rows):
+        assert modality == "audio"
+        self.asked += rows.tolist()
+        noise = [np.random.default_rng(row).normal(size=32000) for row in rows]
+        return np.stack(noise).astype(np.float32)
+
+
+def test_each_spectrogram_is_computed_once(tmp_path, monkeypatch):
+    rows = [np.array([3, 1, 3, 7]), np.array([7, 0, 1]), np.array([3])]
+    expected = [encoder_inputs("audio", Sounds().read("audio", some), SIZES) for some in rows]
+    for most, asked in ((2**20, [1, 3, 7, 0]), (100, [3, 1, 3, 7, 7, 0, 1, 3])):
+        monkeypatch.setattr(job, "SPECTRA_BYTES", most)
+        sounds = Sounds()
+        task = Job(sounds, None, None, "tiny", SIZES, seed=0, progress=tmp_path)
+        for some, inputs in zip(rows, expected):
+            assert torch.equal(task.inputs("audio", some), inputs)
+        assert sounds.asked == asked
