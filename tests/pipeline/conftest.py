@@ -105,7 +105,14 @@ TINY = {
     },
     "evaluate": {"impacts": 4},
     "observe": {"observations": 10, "resolution": 32},
-    "encode": {"image": 28, "spectrogram": [33, 26], "touch": [40, 30], "subtract": True, "shift": 1},
+    "encode": {
+        "image": 28,
+        "spectrogram": [33, 26],
+        "touch": [40, 30],
+        "subtract": True,
+        "shift": 1,
+        "flip": True,
+    },
     "recognize": {"seeds": 1, "epochs": 1, "fusion_epochs": 1, "batch": 8, "schedule": "one_cycle"},
     "retrieve": {"seeds": 1, "epochs": 2, "batch": 8, "embedding": 16},
     "reconstruct": {

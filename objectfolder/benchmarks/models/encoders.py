@@ -36,6 +36,7 @@ class EncodeConfig:
     touch: tuple[int, int]  #: height and width, pixels; the paper's: 160, 120
     subtract: bool  #: the median touch from touches, before recognition and retrieval (`Ground`)
     shift: Annotated[int, Ge(0)]  #: pixels by which these touches are moved at most in training
+    flip: bool  #: half of the views in training, left to right, before recognition and retrieval
     precision: Precision  #: of training on a CPU; `objectfolder.benchmarks.models.training.train`
 
 
@@ -296,6 +297,15 @@ class Ground:
     def subtracted(self, inputs: torch.Tensor) -> torch.Tensor:
         """Return encoder inputs (B, C, H, W) as differences from the median, in deviations."""
         return (inputs - self.median) / self.deviation
+
+
+def flipped(inputs: torch.Tensor, rng: np.random.Generator) -> torch.Tensor:
+    """Mirror half of the pictures of (B, C, H, W), at random, left to right.
+
+    A mirrored picture is that of the mirrored object, in the mirrored light.
+    """
+    chosen = torch.from_numpy(rng.integers(2, size=len(inputs)).astype(bool)).to(inputs.device)
+    return torch.where(chosen[:, None, None, None], inputs.flip(3), inputs)
 
 
 def shifted(inputs: torch.Tensor, most: int, rng: np.random.Generator) -> torch.Tensor:

@@ -17,6 +17,7 @@ from objectfolder.benchmarks.models.encoders import (
     InputSizes,
     Weights,
     encoder_inputs,
+    flipped,
     make_encoder,
     shifted,
 )
@@ -51,6 +52,7 @@ class Job(Generic[_Params]):
     subtract: bool = False  #: the `ground` from touches
     shift: int = 0  #: pixels by which touches are moved at most in training
     precision: Precision = "float32"  #: of training
+    flip: bool = False  #: half of the views in training
 
     def without_duplicates(self, modalities: Sequence[str]) -> tuple["Job[_Params]", dict[str, Any]]:
         """Drop validation and test rows that duplicate training rows.
@@ -76,12 +78,14 @@ class Job(Generic[_Params]):
     def inputs(self, modality: str, rows: np.ndarray, rng: np.random.Generator | None = None) -> torch.Tensor:
         """Return the encoder inputs of rows; see `objectfolder.benchmarks.models.encoders.encoder_inputs`.
 
-        With a generator they are those of training: cropped, and touches moved, at random.
+        With a generator they are those of training: views cropped and flipped, touches moved, at random.
         """
         if modality == "audio" and self._spectra is not None:
             return self._kept_spectra(self._spectra, rows).to(self.device)
         raw = self.observations.read(modality, rows)
         inputs = encoder_inputs(modality, raw, self.sizes, rng, self.device)
+        if modality == "vision" and self.flip and rng is not None:
+            inputs = flipped(inputs, rng)
         if modality == "touch" and self.subtract:
             inputs = self.ground.subtracted(inputs)
         if modality == "touch" and self.shift and rng is not None:

@@ -105,6 +105,7 @@ class SplitRun:
             encode.subtract,
             encode.shift,
             encode.precision,
+            encode.flip,
         )
 
     def description(self) -> dict[str, Any]:

@@ -200,6 +200,15 @@ def test_shifted_pictures_move_by_whole_pixels_and_repeat_their_border():
     assert torch.equal(moved, encoders.shifted(x, 2, np.random.default_rng(0)))
 
 
+def test_half_of_the_pictures_are_mirrored_left_to_right():
+    x = torch.arange(24.0).reshape(1, 2, 3, 4).repeat(400, 1, 1, 1)
+    seen = encoders.flipped(x, np.random.default_rng(0))
+    mirrored = (seen != x).flatten(1).any(1)
+    assert 160 < mirrored.sum() < 240
+    assert torch.equal(seen[mirrored], x[mirrored][..., [3, 2, 1, 0]])
+    assert torch.equal(seen, encoders.flipped(x, np.random.default_rng(0)))
+
+
 @pytest.mark.parametrize("modality", ["vision", "audio", "touch"])
 def test_rows_do_not_depend_on_each_other(rng, modality):
     raw = {
