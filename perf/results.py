@@ -44,7 +44,7 @@ BETTER = {
 FITTED = ("ycb_mug", "ycb_power_drill", "polyhaven_teapot", "ycb_wood_block")
 COMMANDS = {
     **{"recognize": "recognition", "materials": "recognition --label material"},
-    **{"retrieve": "retrieval", "reconstruct": "reconstruction"},
+    **{"retrieve": "retrieval", "reconstruct": "reconstruction", "vision_to_touch": "vision-to-touch"},
 }
 #: Tasks on single objects: command, table, section of the parameters, policy trained with every seed.
 SINGLE_OBJECT = {
@@ -120,7 +120,9 @@ def collect() -> None:
         record = {"machine": machine("cpu"), "preset": preset, "seed": values["seed"]}
         rewrite(path, record | {"objects": dict(sorted(metrics.items()))})
     keys: dict[str, None] = {}
-    found = {"benchmarks": list(shared_tables(keys)), "robots": list(robot_tables())}
+    folders = {preset: Benchmarks(ROOT / "benchmarks" / preset) for preset in PRESETS}
+    shared = [table for preset, folder in folders.items() for table in shared_tables(folder, preset, keys)]
+    found = {"benchmarks": shared, "robots": list(robot_tables())}
     for name, new in found.items():
         record = read_json(RECORDS / f"{name}.json")
         by_command = {table["command"]: table for table in record["tables"] + new}
@@ -133,19 +135,19 @@ def collect() -> None:
         rewrite(RECORDS / f"{name}.json", record)
 
 
-def shared_tables(keys: dict[str, None]) -> Iterator[dict]:
+def shared_tables(
+    folder: Benchmarks, preset: str, keys: dict[str, None], options: str = ""
+) -> Iterator[dict]:
     """Yield the tables of tasks over many objects, and add these objects to `keys`."""
-    for preset in PRESETS:
-        folder = Benchmarks(ROOT / "benchmarks" / preset)
-        for task, command in COMMANDS.items():
-            for split in splits_of(task):
-                if folder.result(task, split).is_file():
-                    scores = read_json(folder.result(task, split))
-                    keys |= dict.fromkeys(scores["keys"])
-                    option = f" --split {split}" if len(splits_of(task)) > 1 else ""
-                    runs = [read_json(folder.machine(task, split))]
-                    shown = tables.score_table(task, split, scores)
-                    yield table_record(shown, f"{command} --preset {preset}{option}", runs)
+    for task, command in COMMANDS.items():
+        for split in splits_of(task):
+            if folder.result(task, split).is_file():
+                scores = read_json(folder.result(task, split))
+                keys |= dict.fromkeys(scores["keys"])
+                option = f" --split {split}" if len(splits_of(task)) > 1 else ""
+                runs = [read_json(folder.machine(task, split))]
+                shown = tables.score_table(task, split, scores)
+                yield table_record(shown, f"{command} --preset {preset}{option}{options}", runs)
 
 
 def robot_tables() -> Iterator[dict]:
@@ -174,12 +176,14 @@ def robot_tables() -> Iterator[dict]:
 
 def table_record(shown: tables.Table, command: str, runs: list[dict]) -> dict:
     """Return a table with the command that prints it and the duration of its runs."""
+    # Processor time is that of the last call; of a run that was interrupted, only seconds are all.
+    cpu = [max(run["cpu_seconds"], run["seconds"] if run["threads"] == 1 else 0) for run in runs]
     return {
         "title": shown.title,
         "command": f"objectfolder bench {command}",
         "minutes": [round(run["seconds"] / 60) for run in runs],
         "threads": runs[0]["threads"],
-        "cpu_minutes": round(sum(run["cpu_seconds"] for run in runs) / 60),
+        "cpu_minutes": round(sum(cpu) / 60),
         "machine": runs[0]["machine"],
         "columns": list(shown.columns),
         "rows": [list(row) for row in shown.rows],

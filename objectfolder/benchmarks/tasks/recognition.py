@@ -31,7 +31,7 @@ LETTERS = {"V": "vision", "A": "audio", "T": "touch"}
 #: V, A, T, VA, VT, AT, VAT: input modalities; the rows of the main paper's Table 2.
 COMBINATIONS = tuple("".join(letters) for size in (1, 2, 3) for letters in combinations(LETTERS, size))
 CURVE_COLUMNS = ("seed", "modalities", "epoch", "train_loss", "val_accuracy")  #: of the training curves
-TOUCHES = (1, 2, 4, 8)  #: numbers of touches of one object that answer together
+TOUCHES = (1, 2, 4, 8, 16)  #: numbers of touches of one object that answer together
 FLAT = 20e-6  #: relief in metres below which a touch is on flat ground, and tells nothing
 PANELS = ("V", "A", "T", "VAT")  #: of the figure of confusion
 FUSION_RATE = 0.1  #: learning rate of trained encoders relative to new ones
