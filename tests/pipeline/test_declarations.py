@@ -131,7 +131,7 @@ MAX_MODULES = {
     "observe": 96,
     "recognize": 29,
     "retrieve": 27,
-    "reconstruct": 110,
+    "reconstruct": 112,
     "decompose": 91,
     "grasp_data": 108,
     "grasp_stability": 26,
