@@ -24,7 +24,8 @@ FOUR_TOUCHES = 0.75
 #: Least mean average precision of sight and sound; with touch, the paper's.
 RETRIEVED = {"V->A": 0.95, "A->V": 0.95}
 UNSEEN_CHANCES = 3  #: of V->A: how many times chance
-FIGURE = 1400  #: side of the confusion figure, pixels
+FIGURES = {"recognize": "catalogue_confusion", "reconstruct": "catalogue_shapes"}  #: pictures by task
+SIDE = 1400  #: of a picture at most, pixels
 RECONSTRUCTED = {"V": 0.75, "A": 0.85, "VA": 0.88}  #: least IoU
 WORDS = {
     "recognize_seen": "V 95, A 99, T 45, four touches 75 % recognized, senses together as the paper's",
@@ -81,7 +82,12 @@ def main() -> None:
     parser.add_argument("--preset", default="laptop", help="of the benchmarks")
     parser.add_argument("--options", default="", help="other options that they were called with")
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--pictures", type=Path, metavar="DOCS", help="folder for the confusion figure")
+    parser.add_argument(
+        "--pictures",
+        type=Path,
+        metavar="DOCS",
+        help="folder for the figures of recognition and reconstruction",
+    )
     arguments = parsed(parser)
     folder, keys, console = Benchmarks(arguments.out), {}, Console()
     options = f" {arguments.options}" if arguments.options else ""
@@ -93,11 +99,12 @@ def main() -> None:
         for row in record["rows"]:
             table.add_row(*row)
         console.print(table)
-    figure = folder.sheet("recognize", "seen")
-    if arguments.pictures and figure.is_file():
-        with Image.open(figure) as page, atomic(arguments.pictures / "catalogue_confusion.webp") as temporary:
-            page.thumbnail((FIGURE, FIGURE))
-            page.convert("RGB").save(temporary, "webp", quality=80, method=6)
+    for task, name in FIGURES.items():
+        figure = folder.sheet(task, "seen")
+        if arguments.pictures and figure.is_file():
+            with Image.open(figure) as page, atomic(arguments.pictures / f"{name}.webp") as temporary:
+                page.thumbnail((SIDE, SIDE))
+                page.convert("RGB").save(temporary, "webp", quality=80, method=6)
     below = list(missed(folder))
     words = "; ".join(text for name, text in WORDS.items() if (arguments.out / f"{name}.json").is_file())
     write_record(arguments.json, {"objects": len(keys), "tables": found}, words, below)
