@@ -22,7 +22,7 @@ from objectfolder import ObjectFile
 from objectfolder.audio.spectrogram import spectrogram
 from objectfolder.engine.costs import recall_costs
 from objectfolder.figures import tile
-from objectfolder.io import atomic, read_json
+from objectfolder.io import atomic, read_json, read_npz
 from objectfolder.workspace import params
 from objectfolder.workspace.layout import Build
 
@@ -39,6 +39,7 @@ COLUMNS, SIDE, CAPTION = (
 )  #: of the sheets: pictures in a row, their size and that of the name, pixels
 DIRECTION = np.array([1.3, -2.2, 1.35])  #: to the camera
 DISTANCE = 3.2  #: of the camera, in radii of the object
+WORST = 5  #: touches of a poor object whose share of the error is measured
 TOUCHES = 60  #: of which the one with the most contrast is shown
 SECONDS, RATE, RANGE = 0.25, 40000, 80  #: of a spectrogram; Hz; decibels
 
@@ -60,6 +61,8 @@ def measured(key: str, root: Path, entry: dict[str, Any], generator: str) -> dic
         "vision_lit": vision.get("psnr_lit_foreground"),
         "white": vision["baseline_white"],
         "touch": touch["psnr"],
+        "touch_median": touch["psnr_median"],
+        "worst_touches": worst_share(build) if touch["psnr"] < POOR["touch"] else None,
         "mean_touch": touch["baseline_mean_image"],
         "gain_error": audio["gain_error"],
         "nearest_gain_error": audio["baseline_nearest"],
@@ -70,6 +73,14 @@ def measured(key: str, root: Path, entry: dict[str, Any], generator: str) -> dic
         "cpu_seconds": sum(cost.cpu_seconds for cost in costs.values()),
         "slowest": max(costs, key=lambda stage: costs[stage].cpu_seconds, default=None),
     }
+
+
+def worst_share(build: Build) -> float:
+    """Return the share of the squared error of held-out touches that the worst of them hold."""
+    truth = read_npz(build.touch("test"), "images", "points", "depths", "angles")
+    answers = ObjectFile.load(build.object_file).touch(truth["points"], truth["depths"], truth["angles"])
+    errors = np.square(answers.astype(np.float64) - truth["images"]).sum((1, 2, 3))
+    return float(np.sort(errors)[-WORST:].sum() / errors.sum())
 
 
 def missed(rows: list[dict[str, Any]]) -> list[str]:
