@@ -123,6 +123,7 @@ TINY = {
         "width": 16,
         "blocks": 1,
         "frequencies": 1,
+        "pretrain_epochs": 1,
         "naming": 1.0,
         "resolution": 16,
         "score_points": 500,

@@ -22,6 +22,8 @@ from torch import nn
 
 from objectfolder.benchmarks.datasets.companions import Companions
 from objectfolder.benchmarks.datasets.observations import Observations
+from objectfolder.benchmarks.models.classifier import Classifier
+from objectfolder.benchmarks.models.encoders import flipped
 from objectfolder.benchmarks.models.occupancy_net import EMBEDDING, Reconstructor
 from objectfolder.benchmarks.models.several_touches import SeveralTouches
 from objectfolder.benchmarks.models.shape_model import (
@@ -37,13 +39,14 @@ from objectfolder.benchmarks.reporting.shape_pictures import sheet
 from objectfolder.benchmarks.scoring.scores import interval_95
 from objectfolder.benchmarks.scoring.truth import THRESHOLDS, Truth, best_level
 from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.benchmarks.tasks.naming import namer_checkpoint, train_namer
 from objectfolder.benchmarks.tasks.running import Task
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import write_png
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator, seeded
-from objectfolder.settings import Count, NonNegative
+from objectfolder.settings import Count, NonNegative, Positive
 
 SHOWN = 8  #: test rows in the picture
 #: Inputs of each variant. VA comes last: it starts from the encoders of the others.
@@ -68,6 +71,8 @@ class ReconstructConfig(TrainingConfig):
     """Section ``reconstruct`` of ``params.yaml``."""
 
     seeds: Count  #: trainings of each variant
+    pretrain_epochs: Annotated[int, Ge(0)]  #: in which each encoder learns to name the training objects first
+    pretrain_rate: Positive  #: peak learning rate of these epochs, as one cycle
     naming: NonNegative  #: weight of the loss for naming the object from its features; the paper's is 0
     points: Count  #: per observation and step, whose occupancy is learned
     width: Count  #: of the occupancy network
@@ -82,7 +87,8 @@ class ReconstructConfig(TrainingConfig):
 def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train and score all variants (main paper, Table 4).
 
-    Test rows are evaluated once, after all choices were made on validation rows. Every variant trains at most
+    Test rows are evaluated once, after all choices were made on validation rows. With ``pretrain_epochs``,
+    each encoder first learns to name the training objects, alone. Then every variant trains at most
     ``epochs`` epochs; VA half as many, as it starts from the encoders of V and A, and from the fusion and the
     decoder of the one that validates better, of the same seed. The first seed's model of views is written to
     the progress folder as ``model.safetensors``, and a figure of some of its meshes as ``sheet.png``.
@@ -220,7 +226,8 @@ def _finished(job: Job[ReconstructConfig], truth: Truth, variant: str, run: int)
     checkpoint = job.progress / f"{variant}_{run}.pt"
 
     def make() -> dict[str, Any]:
-        model, curve = _trained(job, truth, variant, run, checkpoint)
+        namer, named = _named(job, variant, run)
+        model, curve = _trained(job, truth, variant, run, namer, checkpoint)
         start = time.perf_counter()
         save_model(_model_path(job, variant, run), model)
         scores = _scores(job, truth, variant, model) | {
@@ -228,16 +235,40 @@ def _finished(job: Job[ReconstructConfig], truth: Truth, variant: str, run: int)
             "epochs": len(curve),
             "val_iou": max(point.val_score for point in curve),
         }
-        seconds = sum(point.seconds for point in curve) + time.perf_counter() - start
+        seconds = sum(point.seconds for point in named + curve) + time.perf_counter() - start
         return {"scores": scores, "curve": [astuple(point)[:3] for point in curve], "seconds": seconds}
 
     result = job.finished(f"{variant}_{run}", make)
-    checkpoint.unlink(missing_ok=True)
+    for path in (checkpoint, *(namer_checkpoint(job, modality, run) for modality in VARIANTS[variant])):
+        path.unlink(missing_ok=True)
     return result
 
 
+def _named(job: Job[ReconstructConfig], variant: str, run: int) -> tuple[Classifier | None, list[EpochPoint]]:
+    """Return the namer that a variant starts from, with its curve; None if it does not start from one."""
+    params, (modality, *others) = job.params, VARIANTS[variant]
+    if others or not params.pretrain_epochs:
+        return None, []
+
+    def inputs(rows: np.ndarray, rng: np.random.Generator | None) -> torch.Tensor:
+        if modality != "vision":
+            return job.inputs(modality, rows, rng)
+        views = shape_inputs(modality, job.observations.read(modality, rows), job.sizes, rng, job.device)
+        return flipped(views, rng) if job.flip and rng is not None else views
+
+    rate = params.pretrain_rate / params.learning_rate
+    return train_namer(
+        job, "reconstruct", modality, run, inputs, params.pretrain_epochs, one_cycle=True, rate=rate
+    )
+
+
 def _trained(
-    job: Job[ReconstructConfig], truth: Truth, variant: str, run: int, checkpoint: Path
+    job: Job[ReconstructConfig],
+    truth: Truth,
+    variant: str,
+    run: int,
+    namer: Classifier | None,
+    checkpoint: Path,
 ) -> tuple[ShapeModel, list[EpochPoint]]:
     """Train one variant, or resume from its checkpoint."""
     observations, occupancy, params, split = job.observations, truth.occupancy, job.params, job.split
@@ -262,6 +293,8 @@ def _trained(
         cast(SeveralTouches, net.encoders["touch"]).set_ground(job.ground)
     sets = TOUCH_POINT_SETS if "touch" in modalities else POINT_SETS
     epochs = params.epochs if len(modalities) == 1 else _start_from_parts(job, truth, net, run)
+    if namer is not None:
+        _start_from_namer(net, naming, namer, modalities[0])
 
     def epoch_batches(epoch: int) -> Iterator[Batch]:
         rng = numpy_generator(job.seed, *purpose, f"epoch {epoch}")
@@ -307,6 +340,14 @@ def _trained(
     )
     threshold = round(float(torch.tensor(validated()[0]).sigmoid()), 4)
     return ShapeModel(replace(setup, threshold=threshold), net), curve
+
+
+def _start_from_namer(net: Reconstructor, naming: nn.Linear, namer: Classifier, modality: str) -> None:
+    """Copy the encoder of one observation, and the layer that names objects from its features."""
+    encoder = net.encoders[modality]
+    plain = encoder.encoder if isinstance(encoder, SeveralTouches) else encoder
+    plain.load_state_dict(namer.encoders[modality].state_dict())
+    naming.load_state_dict(namer.head.state_dict())
 
 
 def _start_from_parts(job: Job[ReconstructConfig], truth: Truth, net: Reconstructor, run: int) -> int:

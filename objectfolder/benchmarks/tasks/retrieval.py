@@ -14,11 +14,17 @@ from torch.nn import functional as F
 
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.models import cca
-from objectfolder.benchmarks.models.classifier import Classifier
-from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig, batch_count, shuffled
+from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig
 from objectfolder.benchmarks.models.two_stream import TwoStream, cross_sensory_loss, paired_batches
 from objectfolder.benchmarks.scoring.scores import chance_map, interval_95, mean_average_precision
 from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.benchmarks.tasks.naming import (
+    CHUNK,
+    repeated_objects,
+    retrieved_within,
+    train_namer,
+    validation_gallery,
+)
 from objectfolder.benchmarks.tasks.running import Task
 from objectfolder.errors import ObjectFolderError
 from objectfolder.seeding import numpy_generator, seeded
@@ -32,8 +38,6 @@ PAIRS: tuple[Pair, ...] = tuple(combinations(MODALITIES, 2))
 CURVE_COLUMNS = ("first", "second", "seed", "epoch", "train_loss", "val_map")  #: of the training curves
 FEATURE_SIZES = {"vision": (16, 16), "audio": (64, 8), "touch": (16, 12)}  #: input sizes of CCA, pixels
 DIMENSIONS = (1, 2, 4, 8, 16, 32, 64, 128)  #: candidate numbers of principal components and variates of CCA
-CHUNK = 64  #: most rows embedded at once
-SAMPLE = 256  #: training rows in the gallery of validation
 FINE_RATE = 0.25  #: learning rate with pre-trained encoders, relative to that of the settings
 
 
@@ -93,7 +97,7 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
     for checkpoint in job.progress.glob("encoder_*.pt"):
         checkpoint.unlink()
     directions: dict[str, Any] = {}
-    chance, repeated = chance_map(labels, labels), _repeated(labels, len(labels))
+    chance, repeated = chance_map(labels, labels), repeated_objects(labels, len(labels))
     chance_within = chance_map(labels, labels[repeated], own=True) if len(repeated) else None
     for direction in sorted({name for baseline in baselines for name in baseline}):
         # A direction within a sense belongs to two pairs.
@@ -179,7 +183,7 @@ def _trained(
         return cross_sensory_loss(first, second, targets, params.margin) + classification
 
     def val_score() -> float:
-        rows = _validation(job)
+        rows = validation_gallery(job, "retrieve")
         return _crossed(_maps(job, pair, _embeddings(job, net, pair, rows), rows, len(job.split.val)))
 
     steps = params.epochs * -(-len(rows) // params.batch)
@@ -198,55 +202,17 @@ def _trained(
 
 
 def _namer(job: Job[RetrieveConfig], modality: str, run: int) -> tuple[nn.Module, list[EpochPoint]]:
-    """Train an encoder to name the training objects, or read its finished checkpoint.
+    """Train an encoder to name the training objects, or read its finished checkpoint."""
 
-    The epoch is the one whose features retrieve the validation rows best, within the modality.
-    """
-    params, rows, labels = job.params, job.split.train, job.observations.labels
-    classes = np.unique(labels[rows])
-    purpose = ("retrieve", job.split.name, modality, str(run))
-    with seeded(job.seed, *purpose):
-        net = Classifier({modality: job.make_encoder(modality)}, len(classes))
+    def inputs(rows: np.ndarray, rng: np.random.Generator | None) -> torch.Tensor:
+        return job.inputs(modality, rows, rng)
 
-    def epoch_batches(epoch: int) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
-        rng = numpy_generator(job.seed, *purpose, f"epoch {epoch}")
-        for some in shuffled(rows, params.batch, rng):
-            targets = torch.from_numpy(np.searchsorted(classes, labels[some]))
-            yield job.inputs(modality, some, rng), targets.to(job.device)
-
-    def batch_loss(batch: tuple[torch.Tensor, torch.Tensor]) -> torch.Tensor:
-        inputs, targets = batch
-        return F.cross_entropy(net({modality: inputs}), targets)
-
-    def val_score() -> float:
-        gallery, queries = _validation(job), len(job.split.val)
-        features = (
-            torch.cat([net.encoders[modality](x) for x in _chunks(job, modality, gallery)]).cpu().numpy()
-        )
-        return _within(features, labels[gallery], queries)
-
-    steps = params.pretrain_epochs * batch_count(len(rows), params.batch)
-    curve = job.train(
-        f"retrieve {job.split.name}, {modality} alone, seed {run + 1} of {params.seeds}",
-        net,
-        epoch_batches,
-        batch_loss,
-        val_score,
-        "mAP",
-        job.progress / f"encoder_{modality}_{run}.pt",
-        params.pretrain_epochs,
-        cycle=steps if params.schedule == "one_cycle" else None,
+    params = job.params
+    one_cycle = params.schedule == "one_cycle"
+    net, curve = train_namer(
+        job, "retrieve", modality, run, inputs, params.pretrain_epochs, one_cycle=one_cycle
     )
     return net.encoders[modality], curve
-
-
-def _validation(job: Job[RetrieveConfig]) -> np.ndarray:
-    """Return the validation gallery: the validation rows, which are the queries, then some training rows.
-
-    The few validation objects of the split ``unseen`` alone would be too easy to rank.
-    """
-    rng = numpy_generator(job.seed, "retrieve", job.split.name, "sample")
-    return np.concatenate([job.split.val, rng.permutation(job.split.train)[:SAMPLE]])
 
 
 def _maps(
@@ -261,23 +227,11 @@ def _maps(
         )
         for query in (0, 1)
     }
-    if len(_repeated(labels, queries)):
-        maps |= {f"{name}->{name}": _within(x, labels, queries) for name, x in zip(names, embeddings)}
+    if len(repeated_objects(labels, queries)):
+        maps |= {
+            f"{name}->{name}": retrieved_within(x, labels, queries) for name, x in zip(names, embeddings)
+        }
     return maps
-
-
-def _repeated(labels: np.ndarray, queries: int) -> np.ndarray:
-    """Return which of the queries, the first rows, have another row of their object."""
-    _, inverse, counts = np.unique(labels, return_inverse=True, return_counts=True)
-    return np.flatnonzero(counts[inverse[:queries]] > 1)
-
-
-def _within(embeddings: np.ndarray, labels: np.ndarray, queries: int) -> float:
-    """Score the `_repeated` queries among all other rows of the same modality."""
-    asked = _repeated(labels, queries)
-    order = np.concatenate([asked, np.setdiff1d(np.arange(len(labels)), asked)])
-    of = labels[order]
-    return mean_average_precision(embeddings[asked], labels[asked], embeddings[order], of, own=True)
 
 
 def _crossed(maps: Maps) -> float:
@@ -312,7 +266,7 @@ def _features(job: Job[RetrieveConfig], modality: str) -> dict[str, np.ndarray]:
     whiten = cca.whitening(train, max(DIMENSIONS))
     return {
         "train": whiten(train),
-        "validation": whiten(pixels(_validation(job))),
+        "validation": whiten(pixels(validation_gallery(job, "retrieve"))),
         "test": whiten(pixels(job.split.test)),
     }
 
@@ -331,7 +285,7 @@ def _correlated(
             for side, matrix in zip((first, second), found[dimensions])
         ]
 
-    validation, test = _validation(job), job.split.test
+    validation, test = validation_gallery(job, "retrieve"), job.split.test
     tried = {
         chosen: _crossed(_maps(job, pair, variates("validation", *chosen), validation, len(job.split.val)))
         for chosen in product(DIMENSIONS, DIMENSIONS)

@@ -50,6 +50,8 @@ PARAMS = SimpleNamespace(
     width=24,
     blocks=1,
     frequencies=1,
+    pretrain_epochs=2,
+    pretrain_rate=4e-3,
     naming=1.0,
     learning_rate=2e-3,
     weight_decay=1e-4,
@@ -180,6 +182,30 @@ def test_every_variant_beats_the_average_shape_and_an_interrupted_call_goes_on(
     # What is finished is read.
     monkeypatch.setattr(job, "train", lambda *a, **k: pytest.fail("trained"))
     assert run(tmp_path / "b") == (seen, curves)
+
+
+@pytest.mark.parametrize("variant", ["V", "A", "T"])
+def test_every_encoder_starts_from_one_that_names_the_objects(occupancy, tmp_path, monkeypatch, variant):
+    split = per_sample(Observed.keys, COUNT)
+    job = Job(Observed(), split, PARAMS, "tiny_shapes", SIZES, seed=0, progress=tmp_path)
+    namer, curve = reconstruction._named(job, variant, 0)
+    assert [point.epoch for point in curve] == [1, 2]
+    assert curve[-1].val_score > 0.9
+    assert reconstruction._named(job, "VA", 0) == (None, [])
+
+    def train(self, title, net, *_, **__):
+        assert torch.equal(net["naming"].weight, namer.head.weight)
+        net.eval()
+        return []
+
+    monkeypatch.setattr(Job, "train", train)
+    model, _ = reconstruction._trained(
+        job, reconstruction._truth(job), variant, 0, namer, tmp_path / "none.pt"
+    )
+    (encoder,) = model.net.encoders.values()
+    plain = encoder.encoder if variant == "T" else encoder
+    (named,) = namer.encoders.values()
+    assert all(torch.equal(value, named.state_dict()[name]) for name, value in plain.state_dict().items())
 
 
 def test_scores_over_seeds_are_means_with_an_interval():

@@ -17,6 +17,7 @@ from objectfolder.benchmarks.models.two_stream import (
 )
 from objectfolder.benchmarks.tasks import retrieval
 from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.benchmarks.tasks.naming import repeated_objects, retrieved_within
 from objectfolder.benchmarks.tasks.retrieval import CURVE_COLUMNS, retrieve
 from objectfolder.errors import ObjectFolderError
 from objectfolder.seeding import numpy_generator
@@ -272,9 +273,9 @@ def test_pairs_start_from_encoders_that_name_the_objects(tmp_path, monkeypatch):
 def test_rows_without_another_of_their_object_are_no_queries_within_a_sense():
     labels = np.array([5, 1, 1, 2, 5])
     rows = np.array([[1.0, 0], [0, 1], [0.1, 1], [1, 1], [-1, 0.2]])
-    assert retrieval._repeated(labels, 4).tolist() == [0, 1, 2]
+    assert repeated_objects(labels, 4).tolist() == [0, 1, 2]
     # Row 0 finds its like last of four; rows 1 and 2 find each other first.
-    assert retrieval._within(rows, labels, 4) == pytest.approx((1 / 4 + 1 + 1) / 3)
+    assert retrieved_within(rows, labels, 4) == pytest.approx((1 / 4 + 1 + 1) / 3)
 
 
 def test_says_what_it_is_of(learnt):
