@@ -9,7 +9,8 @@ from scipy import stats
 from objectfolder.errors import ObjectFolderError
 
 BLOCK = 256  #: queries ranked at a time, which bounds memory for large galleries
-DECIMALS = 9  #: cosines equal to this many decimals are tied; far finer than float32 embeddings resolve
+SCALE = 10**9  #: cosines are ranked as multiples of 1 / SCALE; far finer than float32 embeddings resolve
+NEVER = -2 * SCALE  #: similarity of what must not be found
 
 
 def accuracy(predicted: np.ndarray, labels: np.ndarray) -> float:
@@ -109,11 +110,11 @@ def mean_average_precision(
     _relevant_counts(gallery_labels, query_labels, own)
     precisions = []
     for start in range(0, len(query_labels), BLOCK):
-        similarity = np.round(unit[0][start : start + BLOCK] @ unit[1].T, DECIMALS)
+        similarity = np.rint(unit[0][start : start + BLOCK] @ unit[1].T * SCALE).astype(np.int64)
         relevant = query_labels[start : start + BLOCK, None] == gallery_labels
         if own:  # ranked last, and not relevant
             rows = np.arange(len(similarity))
-            similarity[rows, start + rows], relevant[rows, start + rows] = -np.inf, False
+            similarity[rows, start + rows], relevant[rows, start + rows] = NEVER, False
         precisions.append(_average_precisions(similarity, relevant))
     return float(np.mean(np.concatenate(precisions)))
 
@@ -174,21 +175,25 @@ def _relevant_counts(gallery_labels: np.ndarray, query_labels: np.ndarray, own: 
 
 
 def _average_precisions(similarity: np.ndarray, relevant: np.ndarray) -> np.ndarray:
-    """Compute the average precision of each row of (B, G) similarities, over all orders of ties; (B,)."""
-    order = np.argsort(-similarity, axis=1, kind="stable")
-    similarity = np.take_along_axis(similarity, order, 1)
-    seen = np.cumsum(np.take_along_axis(relevant, order, 1), axis=1)
-    rank = np.arange(1, similarity.shape[1] + 1)
-    # For the run of ties around each rank: the number of ranks before it, and its last rank.
-    new = np.ones(similarity.shape, bool)
-    new[:, 1:] = similarity[:, 1:] != similarity[:, :-1]
-    before = np.maximum.accumulate(np.where(new, rank - 1, 0), axis=1)
-    ends = np.concatenate([new[:, 1:], np.ones((len(new), 1), bool)], axis=1)
-    last = np.minimum.accumulate(np.where(ends, rank, rank[-1])[:, ::-1], axis=1)[:, ::-1]
-    padded = np.pad(seen, ((0, 0), (1, 0)))
-    found = np.take_along_axis(padded, before, 1)
-    own = np.take_along_axis(padded, last, 1) - found
-    size = last - before
-    # As in `chance_map`, but within the run.
-    earlier = found + (rank - 1 - before) * (own - 1) / np.maximum(size - 1, 1)
-    return np.sum(own / size * (1 + earlier) / rank, axis=1) / seen[:, -1]
+    """Compute the average precision of each row of (B, G) similarities, over all orders of ties; (B,).
+
+    Similarities are integers of at most `SCALE`, or `NEVER` for entries ranked last.
+    """
+    rows, width = similarity.shape
+    # One sorted list for all rows: each has an interval of its own, the most similar first.
+    keys = 4 * SCALE * np.arange(rows)[:, None] - similarity
+    ranked = np.sort(keys, axis=1).ravel()
+    # Only runs of ties that hold relevant entries count.
+    runs, own = np.unique(keys[relevant], return_counts=True)
+    first, end = (np.searchsorted(ranked, runs, side) for side in ("left", "right"))
+    row = first // width
+    before, last, size = first - row * width, end - row * width, end - first
+    seen = np.cumsum(own) - own
+    starts = np.searchsorted(row, np.arange(rows))
+    found = seen - seen[starts][row]
+    # As in `chance_map`, but within the run: rank k follows found + (k - 1 - before) slope relevant ones.
+    harmonic = np.concatenate([[0], np.cumsum(1 / np.arange(1, width + 1))])
+    slope = (own - 1) / np.maximum(size - 1, 1)
+    inverse = np.where(size > 1, harmonic[last] - harmonic[before], 1 / last)
+    terms = own / size * ((1 + found - (1 + before) * slope) * inverse + slope * size)
+    return np.add.reduceat(terms, starts) / np.add.reduceat(own, starts)

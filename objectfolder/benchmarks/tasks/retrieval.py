@@ -144,9 +144,8 @@ def _finished(job: Job[RetrieveConfig], pair: Pair, run: int) -> dict[str, Any]:
 
     def make() -> dict[str, Any]:
         net, curve = _trained(job, pair, run, checkpoint)
-        rows = job.split.test
         return {
-            "map": _maps(job, pair, _embeddings(job, net, pair, rows), rows, len(rows)),
+            "map": _maps(job, pair, _embeddings(job, net, pair, job.split.test)),
             "curve": [astuple(point)[:3] for point in curve],
             "seconds": sum(point.seconds for point in curve),
         }
@@ -183,8 +182,7 @@ def _trained(
         return cross_sensory_loss(first, second, targets, params.margin) + classification
 
     def val_score() -> float:
-        rows = validation_gallery(job, "retrieve")
-        return _crossed(_maps(job, pair, _embeddings(job, net, pair, rows), rows, len(job.split.val)))
+        return _val_score(job, _embeddings(job, net, pair, validation_gallery(job, "retrieve")))
 
     steps = params.epochs * -(-len(rows) // params.batch)
     curve = job.train(
@@ -215,28 +213,31 @@ def _namer(job: Job[RetrieveConfig], modality: str, run: int) -> tuple[nn.Module
     return net.encoders[modality], curve
 
 
-def _maps(
-    job: Job[RetrieveConfig], pair: Pair, embeddings: Sequence[np.ndarray], rows: np.ndarray, queries: int
-) -> Maps:
-    """Score embeddings of rows in two modalities: the first rows are queries, all of them the gallery."""
-    labels = job.observations.labels[rows]
+def _maps(job: Job[RetrieveConfig], pair: Pair, embeddings: Sequence[np.ndarray]) -> Maps:
+    """Score embeddings of the test rows in two modalities, between them and within each."""
+    labels = job.observations.labels[job.split.test]
     names = [modality[0].upper() for modality in pair]
-    maps = {
-        f"{names[query]}->{names[1 - query]}": mean_average_precision(
-            embeddings[query][:queries], labels[:queries], embeddings[1 - query], labels
-        )
-        for query in (0, 1)
-    }
-    if len(repeated_objects(labels, queries)):
+    crossed = _crossed(embeddings, labels, len(labels))
+    maps = {f"{names[i]}->{names[1 - i]}": score for i, score in enumerate(crossed)}
+    if len(repeated_objects(labels, len(labels))):
         maps |= {
-            f"{name}->{name}": retrieved_within(x, labels, queries) for name, x in zip(names, embeddings)
+            f"{name}->{name}": retrieved_within(x, labels, len(labels)) for name, x in zip(names, embeddings)
         }
     return maps
 
 
-def _crossed(maps: Maps) -> float:
-    """Return the mean over the directions from one modality to another."""
-    return float(np.mean([value for direction, value in maps.items() if direction[0] != direction[-1]]))
+def _val_score(job: Job[RetrieveConfig], embeddings: Sequence[np.ndarray]) -> float:
+    """Score embeddings of the `validation_gallery` in two modalities: the mean over both directions."""
+    labels = job.observations.labels[validation_gallery(job, "retrieve")]
+    return float(np.mean(_crossed(embeddings, labels, len(job.split.val))))
+
+
+def _crossed(embeddings: Sequence[np.ndarray], labels: np.ndarray, queries: int) -> list[float]:
+    """Score the first rows of one modality as queries for all rows of the other, and the reverse."""
+    return [
+        mean_average_precision(embeddings[query][:queries], labels[:queries], embeddings[1 - query], labels)
+        for query in (0, 1)
+    ]
 
 
 def _chunks(job: Job[RetrieveConfig], modality: str, rows: np.ndarray) -> Iterator[torch.Tensor]:
@@ -285,14 +286,13 @@ def _correlated(
             for side, matrix in zip((first, second), found[dimensions])
         ]
 
-    validation, test = validation_gallery(job, "retrieve"), job.split.test
     tried = {
-        chosen: _crossed(_maps(job, pair, variates("validation", *chosen), validation, len(job.split.val)))
+        chosen: _val_score(job, variates("validation", *chosen))
         for chosen in product(DIMENSIONS, DIMENSIONS)
         if chosen[1] <= found[chosen[0]][0].shape[1]
     }
     chosen = max(tried, key=tried.__getitem__)
-    scores = _maps(job, pair, variates("test", *chosen), test, len(test))
+    scores = _maps(job, pair, variates("test", *chosen))
     return scores, dict(zip(("dimensions", "components"), chosen))
 
 
