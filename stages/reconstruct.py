@@ -2,7 +2,8 @@
 
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.params import object_keys, task_params
-from objectfolder.benchmarks.tasks.reconstruction import RECONSTRUCT, ReconstructConfig
+from objectfolder.benchmarks.tasks.reconstruction import RECONSTRUCT
+from objectfolder.benchmarks.tasks.reconstruction_config import ReconstructConfig
 from objectfolder.benchmarks.tasks.running import SplitRun, run_benchmark
 from objectfolder.workspace.layout import Benchmarks
 from stages import run

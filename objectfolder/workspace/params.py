@@ -47,7 +47,7 @@ SECTIONS = {
     "encode": "objectfolder.benchmarks.models.encoders:EncodeConfig",
     "recognize": "objectfolder.benchmarks.tasks.recognition:RecognizeConfig",
     "retrieve": "objectfolder.benchmarks.tasks.retrieval:RetrieveConfig",
-    "reconstruct": "objectfolder.benchmarks.tasks.reconstruction:ReconstructConfig",
+    "reconstruct": "objectfolder.benchmarks.tasks.reconstruction_config:ReconstructConfig",
     "localize": "objectfolder.benchmarks.tasks.localization_config:LocalizeConfig",
     "vision_to_touch": "objectfolder.benchmarks.tasks.vision_to_touch_config:VisionToTouchConfig",
     "decompose": "objectfolder.envs.hulls:DecomposeConfig",

@@ -14,17 +14,26 @@ from objectfolder.benchmarks.datasets.occupancy import HALF_SIDE, sample_occupan
 from objectfolder.benchmarks.datasets.splits import Split, per_sample
 from objectfolder.benchmarks.models import encoders
 from objectfolder.benchmarks.models.encoders import InputSizes, register_encoder
-from objectfolder.benchmarks.models.shape_model import Setup, ShapeModel, load_model, new_net, save_model
+from objectfolder.benchmarks.models.shape_model import (
+    Setup,
+    ShapeModel,
+    load_model,
+    new_net,
+    save_model,
+    shape_inputs,
+)
 from objectfolder.benchmarks.scoring import truth
 from objectfolder.benchmarks.scoring.truth import Truth, best_level
 from objectfolder.benchmarks.tasks import job, reconstruction
 from objectfolder.benchmarks.tasks.job import Job
-from objectfolder.benchmarks.tasks.reconstruction import (
-    CURVE_COLUMNS,
+from objectfolder.benchmarks.tasks.naming import namer_checkpoint
+from objectfolder.benchmarks.tasks.reconstruction import CURVE_COLUMNS, over_seeds, reconstruct
+from objectfolder.benchmarks.tasks.shape_training import (
     VARIANTS,
+    ShapeTraining,
     first_rows,
-    over_seeds,
-    reconstruct,
+    read,
+    sensed,
     validation_rows,
 )
 from objectfolder.errors import ObjectFolderError
@@ -62,6 +71,7 @@ PARAMS = SimpleNamespace(
     touches=4,
 )
 SIZES = InputSizes(12, (16, 10), (8, 6))
+SPLIT = per_sample(tuple(SOLIDS), COUNT)
 
 
 class Observed:
@@ -117,11 +127,10 @@ def occupancy(monkeypatch):
     return sampled
 
 
-def run(progress, report=lambda line: None):
+def run(progress, report=lambda line: None, params=PARAMS):
     """Scores but for the time they took, and curves."""
-    split = per_sample(Observed.keys, COUNT)
     scores, curves = reconstruct(
-        Job(Observed(), split, PARAMS, "tiny_shapes", SIZES, seed=0, progress=progress, report=report)
+        Job(Observed(), SPLIT, params, "tiny_shapes", SIZES, seed=0, progress=progress, report=report)
     )
     assert scores.pop("seconds") > 0
     return json.loads(json.dumps(scores, allow_nan=False)), curves
@@ -136,10 +145,12 @@ def _one_thread():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("pretrain_epochs", [0, 2])
 def test_every_variant_beats_the_average_shape_and_an_interrupted_call_goes_on(
-    occupancy, tmp_path, monkeypatch
+    occupancy, tmp_path, monkeypatch, pretrain_epochs
 ):
-    seen, curves = run(tmp_path / "a")
+    params = SimpleNamespace(**vars(PARAMS) | {"pretrain_epochs": pretrain_epochs})
+    seen, curves = run(tmp_path / "a", params=params)
     assert set(seen) == {
         *(*VARIANTS, "average_shape", "perfect"),
         *("touches", "objects", "rows", "duplicates"),
@@ -170,9 +181,9 @@ def test_every_variant_beats_the_average_shape_and_an_interrupted_call_goes_on(
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run(tmp_path / "b", interrupt)
+        run(tmp_path / "b", interrupt, params)
     went_on = []
-    assert run(tmp_path / "b", went_on.append) == (seen, curves)
+    assert run(tmp_path / "b", went_on.append, params) == (seen, curves)
     assert (
         "seen, A, seed 1 of 1, epoch 3" in went_on[0]
     )  # V is not trained again, nor the first two epochs of A
@@ -181,31 +192,39 @@ def test_every_variant_beats_the_average_shape_and_an_interrupted_call_goes_on(
     assert not list((tmp_path / "b").glob("*.pt"))
     # What is finished is read.
     monkeypatch.setattr(job, "train", lambda *a, **k: pytest.fail("trained"))
-    assert run(tmp_path / "b") == (seen, curves)
+    assert run(tmp_path / "b", params=params) == (seen, curves)
 
 
 @pytest.mark.parametrize("variant", ["V", "A", "T"])
-def test_every_encoder_starts_from_one_that_names_the_objects(occupancy, tmp_path, monkeypatch, variant):
-    split = per_sample(Observed.keys, COUNT)
-    job = Job(Observed(), split, PARAMS, "tiny_shapes", SIZES, seed=0, progress=tmp_path)
-    namer, curve = reconstruction._named(job, variant, 0)
-    assert [point.epoch for point in curve] == [1, 2]
-    assert curve[-1].val_score > 0.9
-    assert reconstruction._named(job, "VA", 0) == (None, [])
-
-    def train(self, title, net, *_, **__):
-        assert torch.equal(net["naming"].weight, namer.head.weight)
-        net.eval()
-        return []
-
-    monkeypatch.setattr(Job, "train", train)
-    model, _ = reconstruction._trained(
-        job, reconstruction._truth(job), variant, 0, namer, tmp_path / "none.pt"
-    )
-    (encoder,) = model.net.encoders.values()
+def test_encoders_that_name_the_objects_stay_as_they_are(occupancy, tmp_path, variant):
+    job = Job(Observed(), SPLIT, PARAMS, "tiny_shapes", SIZES, seed=0, progress=tmp_path)
+    model, curve, before = ShapeTraining(job, occupancy, variant, 0, tmp_path / "last.pt").trained([], 0)
+    assert before > 0
+    assert curve[-1].train_loss < 0.9 * curve[0].train_loss
+    (modality,), (encoder,) = VARIANTS[variant], model.net.encoders.values()
+    stored = torch.load(namer_checkpoint(job, modality, 0), weights_only=True)["best"]
     plain = encoder.encoder if variant == "T" else encoder
-    (named,) = namer.encoders.values()
-    assert all(torch.equal(value, named.state_dict()[name]) for name, value in plain.state_dict().items())
+    for name, value in plain.state_dict().items():
+        assert torch.equal(value, stored[f"encoders.{modality}.{name}"])
+
+
+def test_touches_of_a_row_are_of_its_object_and_encoded_as_one_by_one(occupancy, tmp_path):
+    job = Job(Observed(), SPLIT, PARAMS, "tiny_shapes", SIZES, seed=0, progress=tmp_path)
+    training = ShapeTraining(job, occupancy, "T", 0, tmp_path / "last.pt")
+    rows = SPLIT.val[[0, 7]]
+    touches = sensed(job, ("touch",), rows)["touch"]
+    assert touches.shape == (2, PARAMS.touches, 16, 16, 3)
+    np.testing.assert_array_equal(touches[:, 0], Observed().read("touch", rows))
+    colours = touches.mean((2, 3)).round(-2)
+    assert (colours == colours[:, :1]).all()
+    net = new_net(training.trained([], 0)[0].setup)
+    encoder, rng = net.eval().encoders["touch"], np.random.default_rng(0)
+    one_by_one = training._encoded(encoder, "touch", rng)
+    few = SPLIT.train[:3]
+    with torch.no_grad():
+        together = encoder(shape_inputs("touch", read(job, "touch", few[None]), SIZES))
+    torch.testing.assert_close(one_by_one[few].mean(0, keepdim=True), together)
+    assert not one_by_one[SPLIT.test].any()
 
 
 def test_scores_over_seeds_are_means_with_an_interval():
