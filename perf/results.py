@@ -139,12 +139,16 @@ def shared_tables(
     folder: Benchmarks, preset: str, keys: dict[str, None], options: str = ""
 ) -> Iterator[dict]:
     """Yield the tables of tasks over many objects, and add these objects to `keys`."""
+    sections = read_yaml(f"params/{preset}.yaml")
     for task, command in COMMANDS.items():
         for split in splits_of(task):
             if folder.result(task, split).is_file():
                 scores = read_json(folder.result(task, split))
                 keys |= dict.fromkeys(scores["keys"])
                 option = f" --split {split}" if len(splits_of(task)) > 1 else ""
+                several = (scores.get("directions") or scores).values()
+                trained = next(score for score in several if isinstance(score, dict) and "seeds" in score)
+                option += seeds_option(trained, sections[task])
                 runs = [read_json(folder.machine(task, split))]
                 shown = tables.score_table(task, split, scores)
                 yield table_record(shown, f"{command} --preset {preset}{option}{options}", runs)

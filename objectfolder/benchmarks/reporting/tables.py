@@ -265,7 +265,7 @@ def _modalities(scores: Mapping[str, Any], published: Mapping[str, float]) -> li
             figure = f"{published[modalities]:.1f}" if modalities in published else "-"
             rows.append((modalities, *_seeds(scores[modalities]), figure))
     for kind, name in (("touches", "T"), ("touches_not_flat", "T, not flat")):
-        for size, score in scores.get(kind, {}).items():
+        for size, score in sorted(scores.get(kind, {}).items(), key=lambda item: int(item[0])):
             together = name if size == "1" else f"{name}, {size} together"
             if together == "T":
                 of_one = rows.index(next(row for row in rows if row[0] == "T"))

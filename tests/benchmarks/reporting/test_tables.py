@@ -36,7 +36,11 @@ def test_several_touches_stand_below_the_modalities_with_their_bound():
     one = {"accuracy": 0.5, "interval_95": None, "seeds": [0.5]}
     scores = {
         **{"T": one, "V": one, "flat": 0.25},
-        "touches": {"1": one | {"bound": 0.75}, "4": one | {"accuracy": 0.625, "bound": 0.875}},
+        "touches": {  # in the order of a sorted JSON file
+            "1": one | {"bound": 0.75},
+            "16": one | {"accuracy": 0.75, "bound": 1.0},
+            "4": one | {"accuracy": 0.625, "bound": 0.875},
+        },
         "touches_not_flat": {"1": one | {"accuracy": 0.75, "bound": 1.0}},
         "chance": {"uniform": 0.5, "majority": 0.625},
         **ROWS,
@@ -46,6 +50,7 @@ def test_several_touches_stand_below_the_modalities_with_their_bound():
         ("V", "50.0", "", "94.8"),
         ("T", "50.0", "75.0", "72.4"),
         ("T, 4 together", "62.5", "87.5", "-"),
+        ("T, 16 together", "75.0", "100.0", "-"),
         ("T, not flat", "75.0", "100.0", "-"),
         ("chance", "62.5", "", "1.0"),
     ]
