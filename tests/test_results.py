@@ -162,7 +162,7 @@ def test_scores_and_benchmarks_are_collected(repository):
     assert "Preset `quick`, seed 0." in page
     assert "1 objects of catalogs/procedural.yaml: blue_vase.\n1 scanned objects: scan." in page
     took = "2 min of training with 2 thread(s), 3 CPU min in all"
-    assert f"`objectfolder bench recognition --preset quick`: {took}" in page
+    assert f"`objectfolder bench recognition --preset quick --seeds 2`: {took}" in page
     assert "| V | 50.0 ± 10.0 |  | 40.0 60.0 | 94.8 |" in page
     assert "`objectfolder bench grasping --preset quick --seeds 1 build/cup`: 2 min" in page
     assert "`objectfolder bench grasping --preset quick build/tonic_bottle`: 85 min" in page  # kept
