@@ -256,7 +256,7 @@ class ShapeTraining:
         job = self.job
         if modality == "audio":
             return job.inputs(modality, rows)
-        return shape_inputs(modality, read_rows(job, modality, rows), job.sizes, rng, job.device)
+        return shape_inputs(modality, read_sensed(job, modality, rows), job.sizes, rng, job.device)
 
     def _points(self, rows: np.ndarray, rng: np.random.Generator) -> Points:
         points, inside = self.occupancy.draw(self._labels[rows], self.job.params.points, rng)
@@ -291,7 +291,7 @@ def validation_rows(job: Job[ReconstructConfig]) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def read_rows(job: Job[ReconstructConfig], modality: str, rows: np.ndarray) -> np.ndarray:
+def read_sensed(job: Job[ReconstructConfig], modality: str, rows: np.ndarray) -> np.ndarray:
     """Read the observations of rows of any shape."""
     return job.observations.read(modality, rows.ravel()).reshape(
         *rows.shape, *job.observations.shape(modality)
@@ -303,7 +303,7 @@ def sensed(job: Job[ReconstructConfig], modalities: Sequence[str], rows: np.ndar
     rng = numpy_generator(job.seed, "reconstruct", job.split.name, "seen")
     touched = Companions(job.split, job.observations.labels).draw(rows, job.params.touches, rng)
     return {
-        modality: read_rows(job, modality, touched if modality == "touch" else rows)
+        modality: read_sensed(job, modality, touched if modality == "touch" else rows)
         for modality in modalities
     }
 

@@ -32,7 +32,7 @@ from objectfolder.benchmarks.tasks.shape_training import (
     VARIANTS,
     ShapeTraining,
     first_rows,
-    read_rows,
+    read_sensed,
     sensed,
     validation_rows,
 )
@@ -222,7 +222,7 @@ def test_touches_of_a_row_are_of_its_object_and_encoded_as_one_by_one(occupancy,
     one_by_one = training._encoded(encoder, "touch", rng)
     few = SPLIT.train[:3]
     with torch.no_grad():
-        together = encoder(shape_inputs("touch", read_rows(job, "touch", few[None]), SIZES))
+        together = encoder(shape_inputs("touch", read_sensed(job, "touch", few[None]), SIZES))
     torch.testing.assert_close(one_by_one[few].mean(0, keepdim=True), together)
     assert not one_by_one[SPLIT.test].any()
 
