@@ -1,9 +1,9 @@
 """Thin, boxy and scanned objects at preset standard: `python perf/standard.py DIR [--scans FOLDER]`.
 
-Adds the ten objects of catalogs/thin.yaml and the real meshes of FOLDER (one `mesh.*` in each subfolder, those
-of perf/modal_reference.py) to a workspace of its own in DIR, builds them and prints their scores. An object
-takes about ten CPU minutes. Run again, it continues. Rows of other objects in the file of `--json` are kept.
-Exits with 1 if a target is missed.
+Adds the ten objects of catalogs/thin.yaml and the real meshes of FOLDER (one `mesh.*` in each subfolder,
+those of perf/modal_reference.py) to a workspace of its own in DIR, builds them and prints their scores. An
+object takes about ten CPU minutes. Run again, it continues. Rows of other objects in the file of `--json` are
+kept. Exits with 1 if a target is missed.
 """
 
 import argparse
@@ -66,8 +66,8 @@ def main() -> None:
     for name in names:
         if name not in workspace.params()["objects"]:
             material, scale = REAL[name]
-            folder = arguments.scans.resolve() / name
-            workspace.run("add", folder, "--name", name, "--material", material, "--scale", scale)
+            mesh = next((arguments.scans.resolve() / name).glob("mesh.*"))
+            workspace.run("add", mesh, "--name", name, "--material", material, "--scale", scale)
     scores = workspace.build(names, arguments.jobs)
     failed = [name for name in names if name not in scores]
     show_scores(scores, failed, console)
