@@ -71,6 +71,7 @@ def main() -> None:
     scores = workspace.build(names, arguments.jobs)
     failed = [name for name in names if name not in scores]
     show_scores(scores, failed, console)
+    scores = {name: row | {"commit": workspace.commit()} for name, row in scores.items()}
     if arguments.json and arguments.json.exists():
         scores = read_json(arguments.json)["objects"] | scores
     missed = [f"{name} failed" for name in failed] + misses(scores)

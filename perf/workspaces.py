@@ -39,6 +39,11 @@ class OwnWorkspace:
         command = [sys.executable, "-c", _COMMAND, *map(str, arguments)]
         return subprocess.run(command, cwd=self.folder, env=environment, check=check).returncode
 
+    def commit(self) -> str:
+        """Return the commit of the clone's code."""
+        command = ["git", "-C", str(self.folder), "rev-parse", "--short=7", "HEAD"]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
     def params(self) -> dict[str, Any]:
         """Return the content of params.yaml."""
         content: dict[str, Any] = YAML(typ="safe").load(self.folder / "params.yaml")

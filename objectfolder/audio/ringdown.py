@@ -9,6 +9,7 @@ from scipy import ndimage, signal
 LN_1000 = np.log(1000.0)  # an amplitude falls by 60 dB in T60 = ln(1000) / decay rate
 RISE = 10.0  # of the power at a strike
 START = 0.004  # s after the strike: its noise and the overdamped modes are gone
+APART = 0.1  # s between strikes, and the shortest tap
 LONGEST = 1.5  # s of a ring that are analysed
 BAND = 150.0  # Hz, width of the bands that are analysed one by one
 ABOVE_FLOOR = 4.0  # amplitude of a peak over the floor of the spectrum around it
@@ -39,7 +40,8 @@ def strikes(sound: np.ndarray, rate: float) -> list[np.ndarray]:
     """Cut a recording into taps, each from shortly after its strike to the next or the end.
 
     A strike is where the power of a millisecond, above 200 Hz, exceeds ten times that of each of the 20
-    before it, and a thousandth of the largest. Before the recording is what is at its end.
+    before it, and a thousandth of the largest. Before the recording is what is at its end. A tap shorter than
+    `APART`, such as the click of a recorder that is switched off, is left out.
 
     Parameters
     ----------
@@ -47,16 +49,19 @@ def strikes(sound: np.ndarray, rate: float) -> list[np.ndarray]:
     rate : float
         Hz.
     """
+    shortest, longest, skipped = (round(seconds * rate) for seconds in (APART, LONGEST, START))
+    if len(sound) < shortest:
+        return []
     block = max(1, round(rate / 1000))
     clear = signal.sosfiltfilt(signal.butter(4, 200.0, "high", fs=rate, output="sos"), sound)
     power = np.square(clear[: len(clear) // block * block]).reshape(-1, block).mean(1)
     before = np.concatenate([np.full(20, np.median(power[-len(power) // 10 :])), power[:-1]])
     before = np.lib.stride_tricks.sliding_window_view(before, 20).max(1)
     rises = np.flatnonzero((power > RISE * before) & (power > 1e-3 * power.max()))
-    starts = rises[np.diff(rises, prepend=-1000) > 100] * block
+    starts = rises[np.diff(rises, prepend=-1000) > 1000 * APART] * block
     ends = [*starts[1:], len(sound)]
-    skipped = round(START * rate)
-    return [clear[a + skipped : min(b, a + skipped + round(LONGEST * rate))] for a, b in zip(starts, ends)]
+    taps = [clear[a + skipped : min(b, a + skipped + longest)] for a, b in zip(starts, ends)]
+    return [tap for tap in taps if len(tap) + skipped >= shortest]
 
 
 def ringdown(

@@ -102,7 +102,7 @@ class ModalStream:
         end, left = self.clock + samples, []
         for pulse in self._pulses:
             phasors += self._pulsed(pulse, ears, heard)
-            if pulse.start + pulse.duration >= end:
+            if math.ceil(pulse.start + pulse.duration) >= end:  # its last edge is on a later sample
                 left.append(pulse)
         self._pulses, self._shaking, self.clock = left, [], end
         self.phasors, self._weights = phasors, weights

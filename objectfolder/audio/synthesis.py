@@ -73,6 +73,14 @@ def count_samples(sample_rate: float, duration: float) -> int:
     return samples
 
 
+def checked_contact_time(seconds: float) -> float:
+    """Return a contact time, or raise ObjectFolderError if it is negative or no finite number."""
+    value = finite_number("contact time", seconds)
+    if value < 0:
+        raise ObjectFolderError(f"contact time is {value} s, expected a finite duration or 0")
+    return value
+
+
 def responses(
     damped_frequency: torch.Tensor,
     damping: torch.Tensor,
@@ -97,8 +105,7 @@ def responses(
         For an unknown response or a negative contact time.
     """
     one_of("response", response, RESPONSES)
-    if finite_number("contact time", contact_time) < 0:
-        raise ObjectFolderError(f"contact time is {contact_time} s, expected a finite duration or 0")
+    checked_contact_time(contact_time)
     order = RESPONSES.index(response)
     s = torch.complex(-damping.double(), damped_frequency.double())[:, None]
     time = torch.arange(samples.start, samples.stop, dtype=torch.float64, device=s.device) / sample_rate

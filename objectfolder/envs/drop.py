@@ -8,8 +8,9 @@ import mujoco
 import numpy as np
 from gymnasium import spaces
 
+from objectfolder.checks import finite_number
 from objectfolder.envs.body import add_body, density, rigid_body, scaled_body
-from objectfolder.envs.calls import no_options, opened, started
+from objectfolder.envs.calls import KEPT, no_options, opened, samples_of, started
 from objectfolder.envs.hearing import Hearing
 from objectfolder.envs.poses import rotation
 from objectfolder.envs.sounding import Sounding
@@ -67,8 +68,9 @@ class DropEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self._arguments = (self.files, self.materials, seconds, sample_rate)
         if not self.materials:
             raise ObjectFolderError("expected at least one material")
+        self._rate = finite_number("sample rate", sample_rate)
+        self._samples = samples_of(seconds, self._rate)
         self._bodies = [rigid_body(file, [file.to_mesh().convex_hull]) for file in self.files]
-        self._rate, self._samples = sample_rate, round(seconds * sample_rate)
         self.observation_space = spaces.Box(-LOUDEST, LOUDEST, (self._samples,), np.float32)
         self.action_space = spaces.MultiDiscrete([len(self.files), len(self.materials)])
         self._fallen: dict[str, Any] = {}
@@ -121,7 +123,10 @@ class DropEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         data.qvel[3:] = spin
         objects = {"object": Sounding(file, stuff, ratio * file.scale)}
         hearing = Hearing(model, objects, _EAR, self._rate)
-        skipped = int(np.sqrt(2 * height / 9.81) / model.opt.timestep) - 5  # all silent
+        # Silent until the lowest point that its spin may turn down has fallen to the floor.
+        centre = height - low + (rotation(turn) @ body.centre)[2]
+        fall = max(centre - np.linalg.norm(body.points - body.centre, axis=1).max(), 0.0)
+        skipped = int(np.sqrt(2 * fall / 9.81) / model.opt.timestep) - 5
         mujoco.mj_step(model, data, max(skipped, 0))
         hearing.reset(data)
         sound = np.zeros(0, np.float32)
@@ -134,4 +139,4 @@ class DropEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         return sound[start : start + self._samples].clip(-LOUDEST, LOUDEST)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), self._arguments, {"_fallen": self._fallen, "_np_random": self._np_random}
+        return type(self), self._arguments, {name: getattr(self, name) for name in ("_fallen", *KEPT)}

@@ -10,7 +10,7 @@ import torch
 from gymnasium import spaces
 
 from objectfolder.checks import finite_number, whole_number
-from objectfolder.envs.calls import discrete_action, no_options, opened, started
+from objectfolder.envs.calls import KEPT, discrete_action, no_options, opened, started
 from objectfolder.envs.drop import SIZES
 from objectfolder.envs.fingers import sensor_angles
 from objectfolder.errors import ObjectFolderError
@@ -79,7 +79,7 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
         if self.noise < 0:
             raise ObjectFolderError(f"noise is {noise!r} m, expected a number of at least 0")
         self._arguments = (self.files, noise, limit, sensor)
-        full = sensor if isinstance(sensor, SensorProfile) else load_profile(sensor)
+        full = load_profile(sensor)
         self._profile = replace(full, height=full.height // SMALLER, width=full.width // SMALLER)
         self._optics = Optics(self._profile)
         bounds = np.stack([file.bounds for file in self.files])
@@ -176,5 +176,5 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
         }
 
     def __reduce__(self) -> tuple[Any, ...]:
-        state = {"_standing": self._standing, "_touches": self._touches, "_np_random": self._np_random}
+        state = {name: getattr(self, name) for name in ("_standing", "_touches", *KEPT)}
         return type(self), self._arguments, state

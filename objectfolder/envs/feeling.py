@@ -96,7 +96,7 @@ class Feeling:
         objects: Objects,
         sensor: "str | SensorProfile" = "digit",
     ):
-        self.profile = sensor if isinstance(sensor, SensorProfile) else load_profile(sensor)
+        self.profile = load_profile(sensor)
         if self.profile.gel == "rigid":
             raise ObjectFolderError(
                 f"the gel of sensor {self.profile.name!r} is rigid and bears no force; take one "
@@ -107,6 +107,7 @@ class Feeling:
         if not self._sites:
             raise ObjectFolderError("pads is empty: expected the names of sites on fingers")
         self._files: dict[int, ObjectFile] = {}
+        self._friction: dict[int, float] = {}
         for name, one in named_objects(objects).items():
             if one.scale not in (None, one.file.scale):
                 raise ObjectFolderError(
@@ -115,7 +116,8 @@ class Feeling:
                 )
             advice = "touch needs the object's own size: build the object with that of the scene"
             check_extent(model, name, one.file, one.file.scale, advice)
-            self._files[body_number(model, name)] = one.file
+            body = body_number(model, name)
+            self._files[body], self._friction[body] = one.file, friction_of(one.made_of)
         profile = self.profile
         self._coarse = replace(profile, height=profile.height // COARSE, width=profile.width // COARSE)
         self.markers = Markers().places(profile)
@@ -207,7 +209,7 @@ class Feeling:
         poses = points, outward, angle
         depth = self._depths(file, poses, force[:, 0])
         pressed = press(file.surface.caster, *poses, depth, self.profile, file.scale)
-        friction = np.full(len(rows), friction_of(file.material))
+        friction = np.full(len(rows), self._friction[body])
         shear = self._shears(file, poses, depth, force[:, 1:], friction)
         still = np.flatnonzero(~shear.any(1))
         images = np.zeros((len(rows), *felt["images"].shape[1:]), np.uint8)

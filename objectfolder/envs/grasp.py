@@ -12,7 +12,7 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from objectfolder.envs.calls import finite_actions, no_options, started
+from objectfolder.envs.calls import KEPT, finite_actions, no_options, started
 from objectfolder.envs.episodes import Episodes
 from objectfolder.envs.features import FeatureFunction
 from objectfolder.envs.grasp_task import STEPS, GraspTask, make_task
@@ -90,12 +90,13 @@ class GraspEnv(gymnasium.Env[Any, np.ndarray]):
         return self._episodes.picture(0)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        kept = (self._np_random, self._np_random_seed, self.spec)
+        kept = {name: getattr(self, name) for name in KEPT}
         return type(self), self._arguments, (self._episodes.state(), kept)
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         """Restore the episode and the random generator of a pickle."""
-        episode, (self._np_random, self._np_random_seed, self.spec) = state
+        episode, kept = state
+        self.__dict__ |= kept
         self._episodes.restore(episode)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from objectfolder.envs.body import RigidBody, as_rigid_body
-from objectfolder.envs.calls import finite_actions, no_options, started
+from objectfolder.envs.calls import KEPT, finite_actions, no_options, started
 from objectfolder.envs.drawing import draw_model, view_rays
 from objectfolder.envs.reach_scene import (
     GOAL_HIGH,
@@ -42,7 +42,7 @@ SIGMOID = np.sqrt(1 / 0.1 - 1)  #: makes the reward's long tail 0.1 at the margi
 #: Camera of `ReachEnv.render`: position and target, m; vertical field of view, degrees.
 EYE, TARGET, FOV = np.array([1.1, 0.05, 0.6]), np.array([0.0, 0.74, 0.12]), 26.0
 #: Attributes of an environment that change, beside its simulation.
-CHANGING = ("goal", "_margin", "_steps", "_previous", "_np_random", "_np_random_seed", "spec")
+CHANGING = ("goal", "_margin", "_steps", "_previous", *KEPT)
 
 _REACH_HIGH = np.array([0.525, 1.025, 0.7])
 _REACH_LOW = np.array([-0.525, 0.348, -0.0525])

@@ -25,6 +25,12 @@ class Sounding:
     material: str | Material | None = None  #: default: the object's own
     scale: float | None = None  #: longest side, m; default: the object's own
 
+    @property
+    def made_of(self) -> str:
+        """Name of the body's material."""
+        given = self.material.name if isinstance(self.material, Material) else self.material
+        return given or self.file.material
+
 
 Objects = Mapping[str, ObjectFile | Sounding] | Iterable[ObjectFile]
 

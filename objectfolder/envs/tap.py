@@ -10,7 +10,7 @@ from gymnasium import spaces
 from objectfolder.audio.contact import STRIKERS, contact_time
 from objectfolder.audio.stream import ModalStream, Pulse
 from objectfolder.checks import finite_number, whole_number
-from objectfolder.envs.calls import discrete_action, no_options, opened, started
+from objectfolder.envs.calls import KEPT, discrete_action, no_options, opened, samples_of, started
 from objectfolder.envs.drop import LOUDEST, MATERIALS, SIZES
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import material
@@ -86,9 +86,7 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
                 "odd one, and at least 1 tap"
             )
         self.sample_rate = finite_number("sample rate", sample_rate)
-        self._samples = round(finite_number("seconds", seconds) * self.sample_rate)
-        if self._samples < 1:
-            raise ObjectFolderError(f"seconds is {seconds!r}, expected at least one sample of sound")
+        self._samples = samples_of(seconds, self.sample_rate)
         self._arguments = (self.files, self.materials, self.count, seconds, sample_rate, self.limit)
         self.observation_space = spaces.Dict(
             {
@@ -162,8 +160,4 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
         return self._voices[number]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return (
-            type(self),
-            self._arguments,
-            {"_row": self._row, "_taps": self._taps, "_np_random": self._np_random},
-        )
+        return type(self), self._arguments, {name: getattr(self, name) for name in ("_row", "_taps", *KEPT)}

@@ -13,7 +13,7 @@ from objectfolder import materials
 from objectfolder.audio.bank import Bank
 from objectfolder.audio.click import SOUND_SPEED, recoil_pressure
 from objectfolder.audio.contact import STRIKERS, Striker, as_striker, contact_time
-from objectfolder.audio.synthesis import RESPONSES, count_samples, gains
+from objectfolder.audio.synthesis import RESPONSES, checked_contact_time, count_samples, gains
 from objectfolder.audio.tuning import Tuning, retune, stored_modes
 from objectfolder.checks import finite_number, one_of, require_memory
 from objectfolder.errors import ObjectFolderError
@@ -79,7 +79,7 @@ class SoundSettings:
             rate,
             seconds,
             response,
-            None if contact_time is None else finite_number("contact time", contact_time),
+            None if contact_time is None else checked_contact_time(contact_time),
             material,
             None if scale is None else finite_number("scale", scale),
             as_striker(striker),

@@ -14,7 +14,7 @@ import torch
 
 from objectfolder.audio.contact import Striker
 from objectfolder.audio.tuning import Tuning
-from objectfolder.checks import require_memory, whole_number
+from objectfolder.checks import real_array, require_memory, whole_number
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.io import open_safetensors, safetensors_bytes, write_safetensors
 from objectfolder.materials import Material
@@ -294,7 +294,7 @@ class ObjectFile:
             there is no light, or the images do not fit into memory.
         """
         drawer = self._parts.vision.drawer(_flag("supersample", supersample))
-        lamps, seen_by = _lamps(lights, environment), _intrinsics(intrinsics, resolution)
+        lamps, seen_by = _lamps(lights, environment), Intrinsics.given(intrinsics, resolution)
         return like_first(view_images(drawer, camera, light, seen_by, lamps), camera)
 
     def render(
@@ -315,7 +315,7 @@ class ObjectFile:
             Of numpy arrays.
         """
         drawer = self._parts.vision.drawer(_flag("supersample", supersample))
-        lamps, seen_by = _lamps(lights, environment), _intrinsics(intrinsics, resolution)
+        lamps, seen_by = _lamps(lights, environment), Intrinsics.given(intrinsics, resolution)
         return render_views(drawer, self.scale, camera, light, seen_by, lamps)
 
     def impact(
@@ -418,7 +418,7 @@ class ObjectFile:
         list of IPython.display.Audio
             The loudest sound has 0.9 of full scale.
         """
-        sounds = self.impact(np.asarray(points), forces, sample_rate, duration, response, **strike)
+        sounds = self.impact(real_array("points", points), forces, sample_rate, duration, response, **strike)
         # As for gradients: no stage asks for players.
         players: list[Any] = import_module("objectfolder.audio.notebook").players(sounds, sample_rate)
         return players
@@ -573,9 +573,9 @@ class ObjectFile:
             shear, twist, friction_of(self.material) if friction is None else friction, count
         )
         found = concatenate_touches(contacts, count)
-        if shear is None and not motion.twist.any() and not markers:
+        dots = markers if isinstance(markers, Markers) else Markers() if _flag("markers", markers) else None
+        if shear is None and not motion.twist.any() and dots is None:
             return found
-        dots = Markers() if markers is True else markers or None
         return sheared(
             found,
             motion.shear,
@@ -687,22 +687,12 @@ class ObjectFile:
 
 
 def _profile(sensor: Sensor) -> SensorProfile | None:
-    return sensor if isinstance(sensor, SensorProfile | None) else load_profile(sensor)
+    return None if sensor is None else load_profile(sensor)
 
 
 def _lamps(lights: Lights, environment: Environment) -> list[Lamp]:
     around = [] if environment is None else environment_lamps(environment)
     return [*chosen_lamps(lights), *around]
-
-
-def _intrinsics(given: Intrinsics | None, resolution: int) -> Intrinsics:
-    if given is None:
-        return Intrinsics.square(resolution)
-    if not isinstance(given, Intrinsics):
-        raise ObjectFolderError(
-            f"intrinsics is of type {type(given).__name__}, expected Intrinsics, as from_matrix gives"
-        )
-    return given
 
 
 def _flag(name: str, value: object) -> bool:

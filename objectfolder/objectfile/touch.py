@@ -77,7 +77,7 @@ def sideways_motion(shear: Rows | None, twist: Scalars, friction: Scalars, count
     ObjectFolderError
         If shapes do not fit, values are not finite, or a friction is negative.
     """
-    rows = np.zeros((1, 2)) if shear is None else finite_rows("shear", np.atleast_2d(np.asarray(shear)), 2)
+    rows = np.zeros((1, 2)) if shear is None else finite_rows("shear", shear, 2)
     if len(rows) not in (1, count):
         raise ObjectFolderError(f"shear has {len(rows)} rows, expected one or {count} of them")
     coefficients = finite_scalars("friction", friction, count)

@@ -121,6 +121,8 @@ def sound(file: ObjectFile, turntable: Turntable, found: list[Contact]) -> np.nd
     track = np.zeros(round(len(turntable) / turntable.rate * turntable.sample_rate), np.float32)
     for contact in found:
         start = round(contact.second * turntable.sample_rate)
+        if start >= len(track):  # of few pictures, which end before the turn does
+            continue
         at_camera = turntable.camera(contact.second)[None] * file.scale
         heard = file.impact(
             contact.point[None],

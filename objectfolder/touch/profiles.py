@@ -180,26 +180,28 @@ def available_profiles() -> list[str]:
     return sorted(path.stem for path in _PROFILES.glob("*.yaml"))
 
 
-def load_profile(name_or_path: str | Path) -> SensorProfile:
+def load_profile(sensor: str | Path | SensorProfile) -> SensorProfile:
     """Read a profile from YAML.
 
     Parameters
     ----------
-    name_or_path : str or Path
-        Name of a profile in the package, or path of a ``.yaml`` file.
+    sensor : str, Path or SensorProfile
+        Name of a profile in the package, or path of a ``.yaml`` file; a profile is returned as it is.
 
     Raises
     ------
     ObjectFolderError
         If there is no such profile, or it is not valid.
     """
-    if not isinstance(name_or_path, str | Path):
+    if isinstance(sensor, SensorProfile):
+        return sensor
+    if not isinstance(sensor, str | Path):
         raise ObjectFolderError(
-            f"sensor is of type {type(name_or_path).__name__}, expected a name, a path or a profile"
+            f"sensor is of type {type(sensor).__name__}, expected a name, a path or a profile"
         )
-    path = Path(name_or_path)
+    path = Path(sensor)
     if path.suffix not in (".yaml", ".yml"):
-        path = _PROFILES / f"{name_or_path}.yaml"
+        path = _PROFILES / f"{sensor}.yaml"
     try:
         known = path.is_file()
     except OSError:  # too long for a name
@@ -207,8 +209,7 @@ def load_profile(name_or_path: str | Path) -> SensorProfile:
     if not known:
         available = ", ".join(available_profiles())
         raise ObjectFolderError(
-            f"unknown sensor profile {shortened(name_or_path)!r}: "
-            f"expected one of {available}, or a .yaml file"
+            f"unknown sensor profile {shortened(sensor)!r}: expected one of {available}, or a .yaml file"
         )
     values = read_yaml(path)
     try:

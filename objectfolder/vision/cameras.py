@@ -75,6 +75,24 @@ class Intrinsics:
         return cls(side, side, 355.56 * side / 256)
 
     @classmethod
+    def given(cls, intrinsics: "Intrinsics | None", resolution: int) -> "Intrinsics":
+        """Return intrinsics, or `square` for None.
+
+        Raises
+        ------
+        ObjectFolderError
+            If they are of another type.
+        """
+        if intrinsics is None:
+            return cls.square(resolution)
+        if not isinstance(intrinsics, cls):
+            kind = type(intrinsics).__name__
+            raise ObjectFolderError(
+                f"intrinsics is of type {kind}, expected Intrinsics, as from_matrix gives"
+            )
+        return intrinsics
+
+    @classmethod
     def from_matrix(cls, matrix: np.ndarray, width: int, height: int) -> "Intrinsics":
         """Return the intrinsics of a calibration matrix K.
 

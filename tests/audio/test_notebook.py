@@ -5,6 +5,7 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 
 from objectfolder.audio.notebook import players
 from objectfolder.errors import ObjectFolderError
@@ -31,7 +32,8 @@ def test_players_keep_relative_levels_within_full_scale():
 @pytest.mark.usefixtures("notebook")
 def test_an_object_is_heard_in_a_notebook(brick):
     points, forces = brick.sample_surface(2), [[0, 0, 1.0], [0.1, 0, 0]]
-    heard = brick.listen(points, forces, duration=0.1, striker="wood")
+    tensor = torch.tensor(points, requires_grad=True)
+    heard = brick.listen(tensor, forces, duration=0.1, striker="wood")
     expected = brick.impact(points, forces, 44100, 0.1, "acceleration", striker="wood")
     np.testing.assert_allclose([player.data for player in heard], 0.9 / np.abs(expected).max() * expected)
 

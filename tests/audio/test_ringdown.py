@@ -48,6 +48,18 @@ def test_noise_alone_rings_not():
     assert strikes(noise, RATE) == []
 
 
+def test_the_click_that_ends_a_recording_costs_nothing():
+    (sound,) = taps(MODES, 1)
+    before = heard([sound])
+    sound[-100:-60] += 0.3 * np.random.default_rng(0).standard_normal(40)
+    assert len(before.frequency) == len(MODES)
+    np.testing.assert_allclose(heard([sound]).frequency, before.frequency, rtol=1e-3)
+
+
+def test_a_recording_too_short_to_ring_has_no_taps():
+    assert strikes(np.ones(10), RATE) == []
+
+
 def test_each_tap_of_a_recording_is_cut_out():
     parts = taps(MODES, 3, pause=0.5)
     cut = strikes(np.concatenate(parts), RATE)

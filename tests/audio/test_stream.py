@@ -48,6 +48,13 @@ def test_blocks_do_not_matter():
     assert abs(whole - parts).max() < 1e-10 * abs(whole).max()
 
 
+@pytest.mark.parametrize("end", [95.0, 95.3, 95.999, 96.0, 96.2])
+def test_a_pulse_ends_where_it_ends_between_the_samples_of_two_blocks(end):
+    duration = (end - 50) / RATE
+    whole, parts = _strike(duration, 50, [960]), _strike(duration, 50, [96] * 10)
+    assert abs(whole - parts).max() < 1e-10 * abs(whole).max()
+
+
 def test_a_constant_force_bends_a_mode_by_its_stiffness():
     """The displacement under a force F is F g / w0^2."""
     poles = np.array([-4000 + 2j * np.pi * 3000])

@@ -7,6 +7,7 @@ from gymnasium.utils.env_checker import check_env
 
 from objectfolder.envs.drop import DropEnv
 from objectfolder.envs.ears import BANDS, BINS, QUIETEST, Ear, features
+from objectfolder.envs.hearing import Hearing
 from objectfolder.errors import ObjectFolderError
 
 
@@ -48,6 +49,7 @@ def test_environments_side_by_side_and_copies_agree(env, brick):
     assert together[1].tobytes() == env.reset(seed=4)[0].tobytes()
     env.reset(seed=6)
     copied = pickle.loads(pickle.dumps(env))
+    assert copied.np_random_seed == 6
     assert copied.reset()[0].tobytes() == env.reset()[0].tobytes()
 
 
@@ -64,6 +66,28 @@ def test_wrong_calls_are_refused(brick):
         DropEnv([brick], ["cheese"])
     with pytest.raises(ObjectFolderError, match="at least one object"):
         DropEnv([])
+    for given, message in (
+        ({"seconds": 0}, "at least one sample"),
+        ({"seconds": float("nan")}, "seconds is nan, expected a finite number"),
+        ({"sample_rate": "x"}, "sample rate is 'x', expected a finite number"),
+    ):
+        with pytest.raises(ObjectFolderError, match=message):
+            DropEnv([brick], **given)
+
+
+def test_hearing_begins_before_any_contact(env, monkeypatch):
+    """Even where the object's spin turns another point down than the one that was lowest."""
+    begun = []
+
+    def reset(self, data=None):
+        begun.extend([] if data is None else [data.ncon])
+        return Hearing.reset(self, data)
+
+    monkeypatch.setattr("objectfolder.envs.drop.Hearing", type("Watched", (Hearing,), {"reset": reset}))
+    env.reset(seed=0)
+    for speed in (3.0, 6.0, 12.0):
+        env._heard(1.0, 0.2, np.array([1.0, 0, 0, 0]), np.array([speed, speed, 0]))
+    assert begun == [0] * 4
 
 
 def test_features_are_levels_and_loss_factors_of_bands():

@@ -8,6 +8,7 @@ from objectfolder.envs.body import add_body, rigid_body
 from objectfolder.envs.feeling import Feeling
 from objectfolder.envs.sounding import Sounding
 from objectfolder.errors import ObjectFolderError
+from objectfolder.touch.friction import friction_of
 
 PADS = ["left_pad", "right_pad"]
 FORCE = 2.0  #: N of each finger
@@ -62,6 +63,12 @@ def test_the_gel_bears_the_force_of_the_fingers(model, feeling):
     assert abs(felt.force[:, 1:]).max() < 0.05 * FORCE
     assert (felt.depth > 1e-4).all()
     assert (felt.area > 1e-5).all()
+
+
+def test_the_gel_slides_on_what_the_body_is_made_of(model, brick):
+    wooden = Feeling(model, PADS, {brick.key: Sounding(brick, "wood")})
+    assert set(wooden._friction.values()) == {friction_of("wood")}
+    assert friction_of(brick.material) != friction_of("wood")
 
 
 def test_what_pulls_at_the_object_shears_the_gel(model, feeling):

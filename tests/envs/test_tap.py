@@ -78,6 +78,7 @@ def test_environments_side_by_side_and_copies_agree(env, brick):
     env.reset(seed=4)
     assert together[1].tobytes() == env.step(2)[0]["sound"].tobytes()
     copied = pickle.loads(pickle.dumps(env))
+    assert copied.np_random_seed == 4
     assert copied.step(0)[0]["sound"].tobytes() == env.step(0)[0]["sound"].tobytes()
     assert copied.reset()[1]["odd"] == env.reset()[1]["odd"]
 

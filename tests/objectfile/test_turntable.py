@@ -47,6 +47,8 @@ def test_strikes_are_heard_when_they_are_seen(brick, found):
     assert not heard[:first].any()
     assert heard[first : first + 2000].any()
     assert not sound(brick, SHORT, []).any()
+    few = Turntable(seconds=1.4, size=32, rate=1, contacts=4)  # one picture: the track ends after a second
+    assert len(sound(brick, few, contacts(brick, few))) == few.sample_rate
 
 
 @pytest.mark.parametrize("name", ["seconds", "size", "rate", "contacts"])

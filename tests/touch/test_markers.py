@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
@@ -107,6 +108,8 @@ def test_pressed_object_can_be_sheared_and_twisted(file, points):
     assert np.array_equal(still.displacement, plain.displacement)
     rows = np.array([[2e-4, 0.0], [2e-4, 0.0]])
     assert np.array_equal(file.press(points, 5e-4, shear=rows).shear_force, without.shear_force)
+    tensor = torch.tensor([2e-4, 0.0], dtype=torch.float64, requires_grad=True)
+    assert np.array_equal(file.press(points, 5e-4, shear=tensor).shear_force, without.shear_force)
 
 
 def test_impossible_motions_are_refused(file, points):
@@ -116,6 +119,10 @@ def test_impossible_motions_are_refused(file, points):
         file.press(points, shear=np.zeros((3, 2)))
     with pytest.raises(ObjectFolderError, match="shear"):
         file.press(points, shear=[1e-4, float("nan")])
+    with pytest.raises(ObjectFolderError, match="shear"):
+        file.press(points, shear=[[1e-4, 0], [1e-4]])
+    with pytest.raises(ObjectFolderError, match="markers is of type int, expected True or False"):
+        file.press(points, markers=1)
     with pytest.raises(ObjectFolderError, match="rigid and cannot be sheared"):
         file.press(points, 5e-4, twist=0.1, sensor="tacto_digit")
     assert replace(Markers(), spacing=2e-3).spacing == 2e-3

@@ -106,6 +106,7 @@ def sample_observations(
             np.save(stream, surface_relief(file.surface, queries["touch_point"], file.scale))
         file.save(folder / SOURCE)
         for modality in missing:
+            (folder / f"{modality}.json").unlink(missing_ok=True)  # else it vouches for the new array, too
             array = _write(file, queries, modality, shapes[modality], folder, report)
             write_json(folder / f"{modality}.json", {"request": request, "array": array})
             arrays[modality] = array

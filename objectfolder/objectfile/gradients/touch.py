@@ -1,6 +1,7 @@
 """Touch that carries gradients to the sensor's pose and depth."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from objectfolder.touch.contact import (
     sensor_frames,
 )
 from objectfolder.touch.optics import Optics
-from objectfolder.touch.profiles import SensorProfile
+from objectfolder.touch.profiles import SensorProfile, load_profile
 
 _BEFORE = 1e-5  # m before a known hit, where rays start that look for its triangle
 
@@ -79,7 +80,7 @@ class Touch(nn.Module):
         tilt: Any = 0.0,
         azimuth: Any = 0.0,
         tolerance: float = TOLERANCE,
-        sensor: SensorProfile | None = None,
+        sensor: str | Path | SensorProfile | None = None,
     ) -> Felt:
         """Press the sensor on the object; parameters and errors as of `ObjectFile.press`.
 
@@ -88,10 +89,10 @@ class Touch(nn.Module):
         points : (N, 3) tensor, object frame, metres
         depth, angle, tilt, azimuth : float or (N,) tensor
         tolerance : float
-        sensor : SensorProfile, optional
+        sensor : str, Path or SensorProfile, optional
         """
         values = ContactPoses.checked(points, depth, angle, tilt, azimuth)
-        net = self._sense.net if sensor is None else self._sense.net.with_sensor(sensor)
+        net = self._sense.net if sensor is None else self._sense.net.with_sensor(load_profile(sensor))
         feet = self._sense.feet(values, tolerance, net)
         count, scale = len(feet), net.scale
         given = torch.as_tensor(points).double().expand(feet.shape) / scale

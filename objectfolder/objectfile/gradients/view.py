@@ -75,7 +75,7 @@ class View(nn.Module):
         intrinsics : Intrinsics, optional
         """
         poses, lamps = poses_and_lights(camera, light, ())
-        seen_by = Intrinsics.square(resolution) if intrinsics is None else intrinsics
+        seen_by = Intrinsics.given(intrinsics, resolution)
         places = torch.as_tensor(camera).double()
         frames = (
             places.reshape(-1, 4, 4) if places.shape[-2:] == (4, 4) else looking_at(places.reshape(-1, 3))

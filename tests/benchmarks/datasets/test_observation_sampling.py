@@ -46,6 +46,23 @@ def lacking(file, part):
     return ObjectFile(header, dict(file.tensors))
 
 
+def test_a_record_never_vouches_for_the_array_of_another_request(brick, tmp_path, monkeypatch):
+    sample_observations(brick, COUNT, SIDE, 0, tmp_path)
+    before, write = content(tmp_path), sampling.write_json
+
+    def killed(path, value):
+        if path.name == "vision.json":
+            raise KeyboardInterrupt
+        write(path, value)
+
+    monkeypatch.setattr(sampling, "write_json", killed)
+    with pytest.raises(KeyboardInterrupt):
+        sample_observations(brick, COUNT, SIDE, 1, tmp_path)
+    monkeypatch.undo()
+    sample_observations(brick, COUNT, SIDE, 0, tmp_path)
+    assert content(tmp_path) == before
+
+
 def test_observations_are_what_the_object_file_answers(brick, sampled):
     queries = dict(np.load(sampled / "queries.npz", allow_pickle=False))
     vision, audio, touch = (

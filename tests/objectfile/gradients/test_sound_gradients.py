@@ -106,6 +106,8 @@ def test_what_is_not_physical_is_refused(sound, strike, mug):
         replace(sound.material, youngs_modulus=torch.tensor(-1.0))
     with pytest.raises(ObjectFolderError, match="off the surface"):
         sound(strike[0] + 1, strike[1])
+    with pytest.raises(ObjectFolderError, match=r"contact time is -0\.001 s, expected a finite duration"):
+        sound(*strike, contact_time=-0.001)
     with pytest.raises(ObjectFolderError, match="expected torch"):
         mug.torch(torch.float16)
 

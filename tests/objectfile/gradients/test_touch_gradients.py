@@ -88,6 +88,15 @@ def test_slopes_of_a_rigid_imprint_within_its_rim(mug, name):
     assert disagreement(total(name), given[name], STEPS[name]) < 0.02
 
 
+def test_a_sensor_has_a_name_or_is_a_profile(mug):
+    touch = mug.torch().touch
+    point = torch.from_numpy(mug.sample_surface(1))
+    named, profile = (touch(point, sensor=one).images for one in ("digit", load_profile("digit")))
+    assert torch.equal(named, profile)
+    with pytest.raises(ObjectFolderError, match="unknown sensor profile 'thumb'"):
+        touch(point, sensor="thumb")
+
+
 def test_other_nets_are_refused(mug):
     tacto = mug.torch().touch._sense
     net = tacto.net
