@@ -20,7 +20,7 @@ bench_app = typer.Typer(
     " `localization`, `vision-to-touch`, and, with a robot, `stability`, `grasping`, `reach`.\n\n"
     "Random views, impacts and touches of each Object File are sampled first and kept in OUT/observations, "
     "grasps in OUT/grasps; later tasks reuse them. Interrupted commands resume when repeated, "
-    "and more --seeds train only those that lack.",
+    "and more --seeds train only the missing ones.",
 )
 
 

@@ -18,7 +18,7 @@ from objectfolder.cli.console import console, print_wide
 EXTRAS = {
     "build": "add, build and all stages; 1.4 GB",
     "inspect": "inspect of meshes, solids and views (VTK); 0.6 GB",
-    "bench": "retrieval baseline and grasp scores (scikit-learn); 0.06 GB",
+    "bench": "grasp stability: scores and baselines (scikit-learn); 0.06 GB",
     "rl": "robot environments, export mjcf and urdf (MuJoCo); 0.1 GB",
     "hub": "export of training sets; 0.3 GB",
     "usd": "export usd (OpenUSD); 0.1 GB",
