@@ -133,6 +133,11 @@ def test_contacts_are_localized_on_each_object(files, workspace):
     assert "64 contacts to train with, 8 for validation, 8 for the test" in output
     written = sorted(path.name for path in Path("first").glob("localize_*.json"))
     assert len([name for name in written if "_machine" not in name]) == 2
+
+
+@pytest.mark.slow
+def test_two_objects_at_a_time_are_localized_as_one_after_another(files, workspace):
+    bench("localization", files, "--out", "first")
     bench("localization", files, "--out", "second", "--jobs", "2", "--threads", "2")
     assert results(Path("first")) == results(Path("second"))
 

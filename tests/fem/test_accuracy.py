@@ -63,6 +63,7 @@ def test_slender_free_beam():
     assert perf.beam().value <= 0.01
 
 
+@pytest.mark.slow
 def test_volume_of_thin_aligned_boards():
     assert perf.aligned_volume().value <= 0.003
 

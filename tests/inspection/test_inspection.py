@@ -378,6 +378,7 @@ def test_bad_key_and_vtu_of_another_stage(tmp_path):
         inspect_stage("modal", "brick", tmp_path, vtu=True)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     not sys.platform.startswith("linux") or ctypes.util.find_library("OSMesa") is not None,
     reason="needs VTK's off-screen window to be unusable",

@@ -35,7 +35,7 @@ REAL = {
     "ycb_medium_clamp": "obj",
     "ycb_mug": "obj",
 }
-SLOW = ("polyhaven_wooden_table", "ycb_medium_clamp")  # beside a plate, a bell and a mug
+SLOW = ("polyhaven_wooden_table", "ycb_medium_clamp", "ycb_mug")  # beside a plate and a bell
 
 
 @pytest.fixture(scope="module")

@@ -404,6 +404,7 @@ def test_an_object_out_of_sight_covers_nothing():
     assert (right - left) * (bottom - top) == 0
 
 
+@pytest.mark.slow
 def test_rendering_takes_less_than_a_gigabyte(tmp_path):
     """A scan's mesh and texture at the size and samples of the test views."""
     script = (

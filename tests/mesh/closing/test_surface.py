@@ -19,6 +19,7 @@ from objectfolder.mesh.reading.load import default_up, load_mesh
 from objectfolder.mesh.topology import is_closed, signed_volume
 
 OBJECTS = Path(__file__).parents[4] / "shared" / "objects"
+QUICK = ("gso_bunny_racer", "gso_salad_plate", "polyhaven_wooden_table", "ycb_bowl", "ycb_skillet_lid")
 SEEDS = st.integers(0, 2**31)
 
 
@@ -246,7 +247,10 @@ def test_two_million_faces():
 
 @pytest.mark.parametrize(
     "folder",
-    sorted(OBJECTS.glob("*_*"))
+    [
+        pytest.param(folder, marks=[] if folder.name in QUICK else [pytest.mark.slow])
+        for folder in sorted(OBJECTS.glob("*_*"))
+    ]
     or [pytest.param(None, marks=pytest.mark.skip(reason="needs the shared objects"))],
     ids=lambda folder: getattr(folder, "name", "none"),
 )
