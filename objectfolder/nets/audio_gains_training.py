@@ -19,6 +19,7 @@ from objectfolder.nets.spline import touched
 
 ENERGY_SHARE = 0.8  # share of the energy-weighted error in the loss; the rest is weighted by gain
 DROPPED = 0.012  #: share (root mean square) of the weighted shapes dropped in training, for speed
+SPANNED = 0.02  #: share (root mean square) that features may leave, as too few to span the shapes
 RIDGE = 1e-6  # regularisation of the output layer's least squares, relative to the mean feature power
 
 
@@ -78,8 +79,9 @@ def train_gains(
     -----
     The loss is a weighted mean of the two relative squared errors of `gain_errors`, of energy and of gain;
     weighting by energy alone leaves weak modes 50 % wrong. It is computed on the principal components of the
-    weighted shapes, without the weakest; see `DROPPED`. At the end the linear output layer is solved by
-    least squares, which is optimal for every mode whatever its weight.
+    weighted shapes, without the weakest; see `DROPPED`. The net has as many features as there are components
+    that matter, see `SPANNED`, within the limits of ``config``. At the end the linear output layer is solved
+    by least squares, which is optimal for every mode whatever its weight.
     """
     x = torch.from_numpy(np.asarray(points, np.float32))
     shape = torch.from_numpy(np.asarray(shapes, np.float32))
@@ -89,7 +91,8 @@ def train_gains(
     energy = amplitude.square() * torch.from_numpy(energy_weights(damped_frequency, damping)).float()
     gain = (amplitude / torch.from_numpy(damped_frequency).float()).square()
     weight = ENERGY_SHARE * energy / energy.sum() + (1 - ENERGY_SHARE) * gain / gain.sum()
-    components = _principal_components(target * weight.sqrt().repeat(3), rows)
+    components, power = _principal_components(target * weight.sqrt().repeat(3), rows)
+    features = feature_count(power, config)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(torch.randint(2**31, (1,), generator=generator)))
         net = GainsNet(
@@ -100,11 +103,11 @@ def train_gains(
             config.resolution,
             config.channels,
             config.width,
-            config.features,
+            features,
             config.frequency,
         )
-        head = nn.Linear(config.features, components.shape[1])
-        bound = sine_bound(config.features, config.frequency)
+        head = nn.Linear(features, components.shape[1])
+        bound = sine_bound(features, config.frequency)
         nn.init.uniform_(head.weight, -bound, bound)
     if len(damping) == 0:
         return net.eval(), []
@@ -135,13 +138,25 @@ def train_gains(
     return net.eval(), curve
 
 
-def _principal_components(weighted: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
-    """Project (P, 3M) columns on the strongest principal components of some rows, scaled to mean power 1."""
+def feature_count(power: torch.Tensor, config: GainsConfig) -> int:
+    """Return how many features a net needs for shapes whose principal components have a power, ascending."""
+    needed = int((power.cumsum(0) > SPANNED**2 * power.sum()).sum())
+    return max(config.features, min(needed, config.most_features))
+
+
+def _principal_components(weighted: torch.Tensor, rows: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Project (P, 3M) columns on their principal components in some rows, but the weakest.
+
+    Returns
+    -------
+    components : (P, K) tensor, scaled to a mean power of 1
+    power : (3M,) tensor of all components, ascending
+    """
     if weighted.shape[1] == 0:
-        return weighted
+        return weighted, weighted.new_zeros(0)
     power, axes = torch.linalg.eigh((weighted[rows].T @ weighted[rows]).double() / len(rows))
     kept = power.cumsum(0) > DROPPED**2 * power.sum()
-    return weighted @ axes[:, kept].flip(1).float() / float(power.mean()) ** 0.5
+    return weighted @ axes[:, kept].flip(1).float() / float(power.mean()) ** 0.5, power
 
 
 @torch.no_grad()

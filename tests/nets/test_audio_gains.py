@@ -9,7 +9,7 @@ from objectfolder.metrics import gain_errors
 from objectfolder.nets import int8
 from objectfolder.nets.audio_config import GainsConfig
 from objectfolder.nets.audio_gains import INT8, GainsNet, energy_weights
-from objectfolder.nets.audio_gains_training import WeightedRows, train_gains
+from objectfolder.nets.audio_gains_training import WeightedRows, feature_count, train_gains
 
 CONFIG = GainsConfig(
     modes=3,
@@ -17,6 +17,7 @@ CONFIG = GainsConfig(
     channels=6,
     width=32,
     features=48,
+    most_features=48,
     frequency=3.0,
     steps=300,
     learning_rate=5e-3,
@@ -49,6 +50,13 @@ def train(field, seed=0):
 @pytest.fixture(scope="module")
 def trained(field):
     return train(field)
+
+
+def test_shapes_that_have_little_in_common_get_more_features():
+    config = replace(CONFIG, features=2, most_features=6)
+    few, many = torch.tensor([1e-6, 1e-6, 1e-6, 1.0]), torch.ones(5)
+    counts = [feature_count(power, config) for power in (few, many, torch.ones(9), torch.zeros(0))]
+    assert counts == [2, 5, 6, 2]
 
 
 def test_held_out_gains_are_close(field, trained):

@@ -69,6 +69,7 @@ TINY = {
                 "channels": 4,
                 "width": 32,
                 "features": 32,
+                "most_features": 32,
                 "frequency": 6.0,
                 "steps": 60,
                 "learning_rate": 0.005,

@@ -48,6 +48,7 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
             channels=4,
             width=24,
             features=24,
+            most_features=24,
             frequency=3.0,
             steps=steps,
             learning_rate=3e-3,
