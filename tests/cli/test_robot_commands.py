@@ -20,7 +20,10 @@ TINY = {
     "objects": {},
     "procedural": {},
     "decompose": {"hulls": 2},
-    "encode": {"encoder": "resnet18", "image": 16, "spectrogram": [8, 8], "touch": [8, 8]},
+    "encode": {
+        **{"encoder": "resnet18", "image": 16, "spectrogram": [8, 8], "touch": [8, 8]},
+        **{"subtract": False, "shift": 0, "flip": False, "precision": "float32"},
+    },
     "grasp_data": {"grasps": 10, "perturbations": 0, "image": 16, "touch": [8, 8], "timestep": 0.002},
     "grasp_stability": {
         "seeds": 1,
