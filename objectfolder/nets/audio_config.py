@@ -16,9 +16,8 @@ class GainsConfig:
     resolution: Annotated[int, Interval(ge=1, le=128)]  #: cells of the grid along each axis
     channels: Count  #: features of a grid node
     width: Count  #: of the first sine layer
-    features: (
-        Count  #: of the second sine layer, at least; the output is linear in them, so they bound its rank
-    )
+    #: Width of the second sine layer, at least. The output is linear in it, so it bounds the rank.
+    features: Count
     most_features: Count  #: for mode shapes that have little in common, such as those of many boards
     frequency: Positive  #: factor inside the sines
     steps: Count
