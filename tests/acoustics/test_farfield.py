@@ -103,7 +103,9 @@ def hollow_ball():
     return even_surface(hollow.vertices, hollow.faces, 600)
 
 
-@pytest.mark.parametrize(("hollow", "fewest", "most"), [(False, 0.0, 0.5), (True, 0.6, 1.5)])
+@pytest.mark.parametrize(
+    ("hollow", "fewest", "most"), [(False, 0.0, 0.5), pytest.param(True, 0.6, 1.5, marks=pytest.mark.slow)]
+)
 def test_dense_modes_are_interpolated_and_those_near_a_resonance_solved(rng, solved, hollow, fewest, most):
     if hollow:
         boundary = Boundary(*hollow_ball())

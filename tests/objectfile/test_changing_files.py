@@ -116,6 +116,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 def test_workers_of_a_data_loader_answer_the_same(path, tmp_path):
     (tmp_path / "workers.py").write_text(WORKERS)
     done = subprocess.run(
