@@ -89,6 +89,7 @@ print(len([section_config(name) for name in SECTIONS]))
 """
 
 
+@pytest.mark.slow
 def test_parameters_are_checked_without_the_extras_that_a_build_does_not_need():
     """`make demo` installs the extra ``build`` alone."""
     missing = ["coacd", "gymnasium", "mujoco", "ray", "sb3_contrib", "sklearn", "stable_baselines3", "vtk"]

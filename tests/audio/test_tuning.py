@@ -93,6 +93,7 @@ def test_modes_below_hearing_are_said_to_be_lacking_when_they_come_into_it():
     assert len(softer.notes) == 1
 
 
+@pytest.mark.slow
 def test_a_solve_that_drops_modes_below_hearing_says_so(solve):
     assert solve(GLASS, 200.0, 60.0, 500)[1] == [20.0, 60.0]
     assert solve(GLASS, 0.2, 20000.0)[1][0] == 0

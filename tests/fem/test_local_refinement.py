@@ -40,6 +40,7 @@ def test_small_elements_lie_where_the_solid_bends(mixed):
     assert solid.width[~bar].max() >= 4
 
 
+@pytest.mark.slow
 def test_few_unknowns_suffice_and_the_estimate_holds(finest, mixed, truth):
     found, half = (
         cells.lowest_frequencies() for cells in (mixed, Discretisation(coarser(finest), STUFF, 1.0))

@@ -20,6 +20,7 @@ def bell():
     return ObjectFile.sample("bell")
 
 
+@pytest.mark.slow
 def test_the_same_folder_again_and_not_for_another_request(bell, tmp_path):
     for name in ("one", "two"):
         sample_glances(bell, 20, SIZE, 3, tmp_path / name)
