@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.checks import finite_number, real_array
+from objectfolder.checks import real_array
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.objectfile.file import ObjectFile
 
@@ -23,22 +23,6 @@ def opened(objects: "Sequence[str | ObjectFile]") -> list[ObjectFile]:
     if not objects:
         raise ObjectFolderError("expected at least one object")
     return [one if isinstance(one, ObjectFile) else ObjectFile.sample(one) for one in objects]
-
-
-def samples_of(seconds: float, sample_rate: float) -> int:
-    """Return the number of samples in a time.
-
-    Raises
-    ------
-    ObjectFolderError
-        If ``seconds`` is no finite number, or there is not one sample.
-    """
-    samples = round(finite_number("seconds", seconds) * sample_rate)
-    if samples < 1:
-        raise ObjectFolderError(
-            f"seconds is {seconds!r} at {sample_rate:g} Hz, expected at least one sample of sound"
-        )
-    return samples
 
 
 def finite_actions(actions: Any, shape: tuple[int, ...]) -> np.ndarray:

@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 from gymnasium import spaces
 
-from objectfolder.checks import finite_number
+from objectfolder.audio.synthesis import count_samples
 from objectfolder.envs.body import add_body, density, rigid_body, scaled_body
-from objectfolder.envs.calls import KEPT, no_options, opened, samples_of, started
+from objectfolder.envs.calls import KEPT, no_options, opened, started
 from objectfolder.envs.hearing import Hearing
 from objectfolder.envs.poses import rotation
 from objectfolder.envs.sounding import Sounding
@@ -68,8 +68,7 @@ class DropEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self._arguments = (self.files, self.materials, seconds, sample_rate)
         if not self.materials:
             raise ObjectFolderError("expected at least one material")
-        self._rate = finite_number("sample rate", sample_rate)
-        self._samples = samples_of(seconds, self._rate)
+        self._rate, self._samples = sample_rate, count_samples(sample_rate, seconds)
         self._bodies = [rigid_body(file, [file.to_mesh().convex_hull]) for file in self.files]
         self.observation_space = spaces.Box(-LOUDEST, LOUDEST, (self._samples,), np.float32)
         self.action_space = spaces.MultiDiscrete([len(self.files), len(self.materials)])

@@ -9,8 +9,9 @@ from gymnasium import spaces
 
 from objectfolder.audio.contact import STRIKERS, contact_time
 from objectfolder.audio.stream import ModalStream, Pulse
-from objectfolder.checks import finite_number, whole_number
-from objectfolder.envs.calls import KEPT, discrete_action, no_options, opened, samples_of, started
+from objectfolder.audio.synthesis import count_samples
+from objectfolder.checks import whole_number
+from objectfolder.envs.calls import KEPT, discrete_action, no_options, opened, started
 from objectfolder.envs.drop import LOUDEST, MATERIALS, SIZES
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import material
@@ -85,8 +86,7 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
                 f"count is {count} and limit {limit}: expected at least 3 objects, as of two either is the "
                 "odd one, and at least 1 tap"
             )
-        self.sample_rate = finite_number("sample rate", sample_rate)
-        self._samples = samples_of(seconds, self.sample_rate)
+        self.sample_rate, self._samples = sample_rate, count_samples(sample_rate, seconds)
         self._arguments = (self.files, self.materials, self.count, seconds, sample_rate, self.limit)
         self.observation_space = spaces.Dict(
             {

@@ -67,8 +67,8 @@ def test_wrong_calls_are_refused(brick):
     with pytest.raises(ObjectFolderError, match="at least one object"):
         DropEnv([])
     for given, message in (
-        ({"seconds": 0}, "at least one sample"),
-        ({"seconds": float("nan")}, "seconds is nan, expected a finite number"),
+        ({"seconds": 0}, "give no samples"),
+        ({"seconds": float("nan")}, "duration is nan, expected a finite number"),
         ({"sample_rate": "x"}, "sample rate is 'x', expected a finite number"),
     ):
         with pytest.raises(ObjectFolderError, match=message):
