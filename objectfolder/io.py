@@ -5,6 +5,7 @@ file in errors.
 """
 
 import ast
+import fcntl
 import hashlib
 import json
 import os
@@ -69,6 +70,18 @@ def atomic(path: str | Path) -> Iterator[Path]:
 def temporary_path(path: Path) -> Path:
     """Return the name under which `atomic` writes a file."""
     return path.with_name(f".{path.stem}.tmp{path.suffix}")
+
+
+@contextmanager
+def exclusive(folder: Path) -> Iterator[None]:
+    """Make a folder, and keep other processes out of this block for the same folder: they wait."""
+    folder.mkdir(parents=True, exist_ok=True)
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
 
 
 def check_writable(directory: Path) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 
 from objectfolder.audio.figures import show_sounds
 from objectfolder.figures import page, save_page, show_views
-from objectfolder.io import read_json, read_npz, write_json
+from objectfolder.io import file_digest, read_json, read_npz, write_json
 from objectfolder.objectfile.evaluation import (
     EvaluateConfig,
     Strikes,
@@ -49,6 +49,7 @@ def main(key: str) -> None:
         | evaluate_truncation(modes, read_json(build.modal)),
         "touch": evaluate_touch(file, contacts, mean_image),
         "file_bytes": build.object_file.stat().st_size,
+        "file_sha256": file_digest(build.object_file),
     }
     write_json(build.metrics, metrics)
     titles = shown_views(vision, SHOWN_VIEWS)

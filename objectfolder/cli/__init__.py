@@ -1,6 +1,5 @@
 """The `objectfolder` command."""
 
-import errno
 import os
 import sys
 
@@ -30,6 +29,7 @@ from objectfolder.cli import (
     view,
     workspace,
 )
+from objectfolder.disk import is_shortage
 from objectfolder.errors import ObjectFolderError
 
 __all__ = ["app", "main"]
@@ -92,10 +92,12 @@ def main() -> None:
         )
         sys.exit(1)
     except OSError as error:
-        if error.errno != errno.ENOSPC:
+        full = is_shortage(error)
+        if error.filename is None and not full:
             raise
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what Python writes at its end
-        sys.exit(f"error: {error.filename or 'the output'}: {error.strerror}; make space, or write elsewhere")
+        advice = "make space, or write elsewhere" if full else "check the path and its permissions"
+        sys.exit(f"error: {error.filename or 'the output'}: {error.strerror}; {advice}")
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] == "objectfolder":
             raise

@@ -54,8 +54,20 @@ def add(
     from objectfolder.workspace.objects import add_catalogue, add_mesh
 
     if mesh.suffix in (".yaml", ".yml"):
-        if dry_run:
-            raise ObjectFolderError(f"{mesh} is a catalogue; --dry-run is for meshes")
+        for_meshes = {
+            "--name": name,
+            "--material": material,
+            "--scale": scale,
+            "--up": up,
+            "--unit": None if unit == "m" else unit,
+            "--wall": wall,
+            "--bridge": None if bridge == "all" else bridge,
+            "--dry-run": dry_run or None,
+        }
+        if given := [option for option, value in for_meshes.items() if value is not None]:
+            raise ObjectFolderError(
+                f"{mesh} is a catalogue, whose entries say that themselves; {', '.join(given)} is for meshes"
+            )
         added = add_catalogue(mesh)
         console.print(f"added {', '.join(added) or 'nothing new'}; next: objectfolder build")
         return

@@ -9,6 +9,7 @@ from rich.text import Text
 
 from objectfolder.cli.console import print_wide
 from objectfolder.engine.status import Outlook, StageStatus, State
+from objectfolder.workspace.params import TASKS
 
 MARKS = {
     State.FRESH: (".", "dim"),
@@ -50,7 +51,8 @@ def print_table(found: Sequence[StageStatus], console: Console) -> None:
     causes = Counter(reason for one in found for reason in one.reasons)
     for reason, count in causes.most_common(CAUSES):
         console.print(Text(f"{count:5d} x {reason}"), soft_wrap=True)
-    fresh = len({one.key for one in found if one.key} - set(lines))
+    keys = {one.key for one in found if one.key and one.stage not in TASKS}  # theirs are splits
+    fresh = len(keys - set(lines))
     console.print(f"{_counts(one.state for one in found)}; {fresh} objects all fresh", highlight=False)
     if lines:
         hint = (

@@ -15,8 +15,11 @@ from objectfolder.engine.dvc.savedruns import remove_saved_run, saved_outputs, s
 from objectfolder.engine.failures import LOGS
 from objectfolder.errors import ObjectFolderError
 from objectfolder.workspace.layout import MODALITIES, Benchmarks, Build
+from objectfolder.workspace.params import TASKS
 
 LOCK = "dvc.lock"
+BENCHMARKS = "benchmarks"
+ROBOT_TASKS = ("grasp_policy", "reach")  #: whose results are of one object
 _OID = re.compile(r"\b[0-9a-f]{32}(?:\.dir)?\b")
 
 
@@ -89,8 +92,8 @@ def prune(waste: Waste, root: str | Path = ".") -> None:
         for entry in waste.runs:
             remove_saved_run(entry)
         for key in waste.keys:
-            _remove_empty(Build(key, repository.root).dir)
-            _remove_empty(_observations(key, repository.root))
+            for folder in (Build(key, repository.root).dir, *_samples(key, repository.root)):
+                _remove_empty(folder)
         for address in waste.addresses:
             repository.lockfiles.remove(repository.root / LOCK, address)
         repository.lockfiles.flush()
@@ -103,11 +106,9 @@ def _survey(repository: OpenRepository) -> Waste:
     living = {str(key) for group in ("objects", "procedural") for key in params.get(group) or {}}
     living |= {address.partition("@")[2] for address in addresses}  # splits of benchmarks
     stages = repository.lockfiles.stages(root / LOCK)
-    dead = {
-        a: e for a, e in stages.items() if a not in addresses and a.partition("@")[2] not in {"", *living}
-    }
-    keys = {address.partition("@")[2] for address in dead}
-    keys |= {path.stem.partition("@")[2] for path in (root / LOGS).glob("*@*.log")} - living
+    dead = {a: e for a, e in stages.items() if a not in addresses and _key(a) not in {"", *living}}
+    keys = {_key(address) for address in dead}
+    keys |= {_key(path.stem) for path in (root / LOGS).glob("*@*.log")} - {"", *living}
     alive = {address: entry for address, entry in stages.items() if address not in dead}
 
     runs, saved = [], []
@@ -122,10 +123,7 @@ def _survey(repository: OpenRepository) -> Waste:
         else:
             texts.append(text)
     kept = set(_with_members(repository, (oid for text in texts for oid in _OID.findall(text))))
-    outs = [
-        (address.partition("@")[2], emit.dumps({"outs": entry.get("outs", [])}))
-        for address, entry in dead.items()
-    ]
+    outs = [(_key(address), emit.dumps({"outs": entry.get("outs", [])})) for address, entry in dead.items()]
     cached: dict[str, set[Path]] = {key: set() for key in keys}
     taken = set(kept)
     left = []
@@ -139,9 +137,7 @@ def _survey(repository: OpenRepository) -> Waste:
     elif keys:
         left.append(f"the cache {repository.cache_dir}: other workspaces may use it (`dvc gc` cleans it)")
         runs = []
-    files = {
-        key: _files(root, key, [e for a, e in dead.items() if a.partition("@")[2] == key]) for key in keys
-    }
+    files = {key: _files(root, key, [e for a, e in dead.items() if _key(a) == key]) for key in keys}
     left += [note for key in sorted(keys) for note in _left(root, key, files[key])]
     return Waste(
         keys=tuple(sorted(keys)),
@@ -153,20 +149,29 @@ def _survey(repository: OpenRepository) -> Waste:
     )
 
 
+def _key(address: str) -> str:
+    """Return the object of a stage; empty for one of all objects, whose address may name a split."""
+    stage, _, key = address.partition("@")
+    return "" if stage in TASKS else key
+
+
 def _files(root: Path, key: str, dead: list[dict[str, Any]]) -> tuple[Path, ...]:
     """List the existing artifacts, inspection pictures, metrics and logs of an object."""
-    build = Build(key, root)
+    build, benchmarks = Build(key, root), Benchmarks(root / BENCHMARKS)
     found = {*build.artifacts(), build.solved_modes, *map(build.checkpoint, MODALITIES), build.metrics}
     found |= {*(root / LOGS).glob(f"*@{key}.*"), *build.inspections.rglob("*")}
-    homes = (build.dir, _observations(key, root))
+    found |= {path for task in ROBOT_TASKS for path in benchmarks.results(task, key)}
+    homes = (build.dir, *_samples(key, root))
     for out in (root / out["path"] for entry in dead for out in entry.get("outs", [])):
         if any(out.is_relative_to(home) for home in homes):
             found |= {out, *out.rglob("*")}
     return tuple(sorted(path for path in found if path.is_file() or path.is_symlink()))
 
 
-def _observations(key: str, root: Path) -> Path:
-    return Benchmarks(root / "benchmarks").observations(key)
+def _samples(key: str, root: Path) -> tuple[Path, ...]:
+    """Return the folders of an object's samples that stages write."""
+    benchmarks = Benchmarks(root / BENCHMARKS)
+    return benchmarks.observations(key), benchmarks.grasps(key)
 
 
 def _left(root: Path, key: str, files: tuple[Path, ...]) -> Iterator[str]:
@@ -189,8 +194,11 @@ def _other_files(repository: OpenRepository) -> list[Path]:
 def _of_keys(keys: set[str]) -> re.Pattern[str]:
     """Return a pattern for the outputs of objects in an entry of the run cache."""
     names = "|".join(map(re.escape, sorted(keys))) or "(?!)"
-    folders = "build|data/objects|benchmarks/observations"
-    return re.compile(rf"^- path: (?:(?:{folders})/({names})(?:/|$)|metrics/({names})\.json$)", re.MULTILINE)
+    folders = f"build|data/objects|{BENCHMARKS}/observations|{BENCHMARKS}/grasps"
+    results = rf"{BENCHMARKS}/(?:{'|'.join(ROBOT_TASKS)})_({names})\.\w+$"
+    return re.compile(
+        rf"^- path: (?:(?:{folders})/({names})(?:/|$)|metrics/({names})\.json$|{results})", re.MULTILINE
+    )
 
 
 def _with_members(repository: OpenRepository, oids: Iterable[str]) -> Iterator[str]:

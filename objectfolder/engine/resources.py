@@ -11,6 +11,7 @@ import psutil
 HOUR = 3600.0
 #: Share of the available memory for stages; the rest is for the engine and the system.
 MEMORY_SHARE = 0.9
+_DEVICES = Path("/dev")
 
 
 @dataclass(frozen=True)
@@ -94,12 +95,15 @@ def cores() -> int:
 
 
 def machine_gpus() -> list[str]:
-    """Return the visible NVIDIA GPUs of this machine, as names for ``CUDA_VISIBLE_DEVICES``."""
+    """Return the visible NVIDIA GPUs of this machine, as names for ``CUDA_VISIBLE_DEVICES``.
+
+    CUDA counts those that it sees from 0. In a container, device files keep the numbers of the host.
+    """
     visible = os.environ.get("CUDA_VISIBLE_DEVICES")
     if visible is not None:
         return [name.strip() for name in visible.split(",") if name.strip() not in ("", "-1")]
-    devices = (path.name.removeprefix("nvidia") for path in Path("/dev").glob("nvidia[0-9]*"))
-    return sorted((name for name in devices if name.isdigit()), key=int)
+    devices = [path for path in _DEVICES.glob("nvidia*") if path.name.removeprefix("nvidia").isdigit()]
+    return [str(number) for number in range(len(devices))]
 
 
 class Machine:

@@ -84,8 +84,10 @@ def rescaled(solved: dict[str, np.ndarray], problem: str, wanted: Request) -> Mo
     Report entries named ``*_hz`` scale like frequencies.
     """
     record = json.loads(str(solved["solution"]))
+    if record["problem"] != problem:  # compared first: another version's request may have other fields
+        return None
     old = Request.from_dict(record["request"])
-    if record["problem"] != problem or old == wanted:
+    if old == wanted:
         return None
     low, high = solved["band_hz"]
     factor, shape_factor = similarity((old.material, old.scale), (wanted.material, wanted.scale))

@@ -1,5 +1,6 @@
 """Fetch objects of a catalogue: download, verify, extract, and add each as ``objectfolder add`` does."""
 
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -96,6 +97,8 @@ def fetch_object(
     lock = root / checksums.PATH
     recorded = checksums.read_checksums(lock).get(key, {})
     check_writable(root / CACHE)
+    for left in (root / CACHE).glob(f"{key}.*/"):  # by a fetch that was killed
+        shutil.rmtree(left, ignore_errors=True)
     with TemporaryDirectory(dir=root / CACHE, prefix=f"{key}.") as folder:
         scratch = Path(folder)
         obtained = _obtain(key, catalogue, directory, scratch, root / CACHE, progress)

@@ -51,13 +51,18 @@ def entry_of(
     Raises
     ------
     ObjectFolderError
-        If the object is not built, or its licence is not known.
+        If the object is not built, its scores are of another build, or its licence is not known.
     """
     build = Build(key, root)
     if not build.object_file.is_file():
         raise ObjectFolderError(f"{key} is not built: run `objectfolder build {key}`, or leave it out")
-    file = ObjectFile.load(build.object_file)
+    file, digest = ObjectFile.load(build.object_file), file_digest(build.object_file)
     scores = read_json(build.metrics) if build.metrics.is_file() else {}
+    if scores and scores.get("file_sha256") != digest:
+        raise ObjectFolderError(
+            f"{key}: {build.metrics} has the scores of another Object File than {build.object_file}; run "
+            f"`objectfolder build {key}`"
+        )
     licence, source = _origin(key, values, licences, root)
     frequencies = file.frequencies
     return IndexEntry(
@@ -73,7 +78,7 @@ def entry_of(
         gain_error=_score(scores, "audio", "gain_error"),
         touch_psnr=_score(scores, "touch", "psnr"),
         bytes=build.object_file.stat().st_size,
-        sha256=file_digest(build.object_file),
+        sha256=digest,
         licence=licence,
         source=source,
     )

@@ -15,6 +15,7 @@ from objectfolder.workspace.params import (
     PARAMS_FILE,
     ROBOT_STAGES,
     SECTIONS,
+    TASKS,
     ObjectEntry,
     ProceduralEntry,
     Record,
@@ -103,6 +104,12 @@ def _check_selection(values: dict[str, Any], path: str | Path) -> None:
         raise ObjectFolderError(
             f"{path}: benchmarks.grasp_stability needs the grasps of at least two objects; list them in "
             "benchmarks.grasp_data"
+        )
+    encoder = values["encode"]["encoder"]
+    if ":" in encoder and any(getattr(selection, task) for task in TASKS):
+        raise ObjectFolderError(
+            f"{path}: encode.encoder is {quoted(encoder)}, whose changes a build would not see; "
+            "run `objectfolder bench --encoder`, or select no benchmarks"
         )
 
 

@@ -4,6 +4,7 @@ import ast
 from functools import cache
 from pathlib import Path
 
+from objectfolder.errors import ObjectFolderError
 from objectfolder.io import file_digest
 from objectfolder.workspace.installed import PACKAGE, PROFILES, SENSORS, located, runs_installed
 
@@ -31,6 +32,12 @@ def imported_files(script: str | Path, root: str | Path = ".") -> list[str]:
     list of str
         Sorted, relative to ``root`` or to the directory that contains the package, with the script itself;
         empty files (``__init__.py``) are left out.
+
+    Raises
+    ------
+    ObjectFolderError
+        If a file is not Python, or imports a module of the workspace beside its packages, where the pipeline
+        would not see changes.
     """
     todo, found = [Path(script).as_posix()], set()
     while todo:
@@ -38,7 +45,7 @@ def imported_files(script: str | Path, root: str | Path = ".") -> list[str]:
         if name in found:
             continue
         found.add(name)
-        for module in _imports(located(name, root).read_text()):
+        for module in _modules(name, root):
             todo += [file for file in _files(module, root) if located(file, root).stat().st_size > 0]
     return sorted(found)
 
@@ -91,8 +98,26 @@ def _names_below(name: str, root: str | Path) -> list[str]:
     return sorted(f"{name}/{file.as_posix()}" for file in files if "__pycache__" not in file.parts)
 
 
+def _modules(name: str, root: str | Path) -> set[str]:
+    """Return the modules of the project that a file imports."""
+    try:
+        modules = _imports(located(name, root).read_text(), ".".join(Path(name).parts[:-1]))
+    except (SyntaxError, UnicodeDecodeError) as error:
+        line = f", line {error.lineno}: {error.msg}" if isinstance(error, SyntaxError) else f": {error}"
+        raise ObjectFolderError(f"{name}{line}; correct it") from error
+    tops = {module.partition(".")[0] for module in modules} - {*PACKAGES}
+    for top in sorted(tops):
+        if Path(root, f"{top}.py").is_file() or Path(root, top, "__init__.py").is_file():
+            raise ObjectFolderError(
+                f"{name} imports {top} of the workspace, whose changes the pipeline would not see: "
+                f"move it to stages/, and import stages.{top}"
+            )
+    return {module for module in modules if module.partition(".")[0] in PACKAGES}
+
+
 @cache  # many stages share most modules
-def _imports(source: str) -> frozenset[str]:
+def _imports(source: str, package: str) -> frozenset[str]:
+    """Return all modules that a source in a package imports, and names in them, which may be modules."""
     modules = set()
     todo: list[ast.AST] = [ast.parse(source)]
     while todo:
@@ -102,10 +127,11 @@ def _imports(source: str) -> frozenset[str]:
         todo += ast.iter_child_nodes(node)
         if isinstance(node, ast.Import):
             modules |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
-            modules.add(node.module)
-            modules |= {f"{node.module}.{alias.name}" for alias in node.names}
-    return frozenset(module for module in modules if module.split(".")[0] in PACKAGES)
+        elif isinstance(node, ast.ImportFrom):
+            above = package.split(".")[: 1 - node.level or None] if node.level else []
+            module = ".".join([*above, *([node.module] if node.module else [])])
+            modules |= {module, *(f"{module}.{alias.name}" for alias in node.names)}
+    return frozenset(modules)
 
 
 def _files(module: str, root: str | Path = ".") -> list[str]:

@@ -97,15 +97,15 @@ def discover(folder: Path, material: str | None = None) -> list[Candidate]:
     candidates, named = [], set()
     for name, inside in found:
         key, mesh = slug(name), inside[0]
-        names = {name, key, mesh.name}
-        named |= names
+        names = (name, mesh.name, mesh.stem, key) if mesh.parent == folder else (name, mesh.name, key)
+        named |= {*names}
         refusal = None
         if len(inside) > 1:
             kept = ", ".join(str(path.relative_to(folder)) for path in inside[:4])
             refusal = f"{folder / name} holds {len(inside)} meshes ({kept}); keep one, or add one by its path"
         elif keys[key] > 1:
             refusal = f"{keys[key]} objects in {folder} would be named {key!r}; rename {name}"
-        own = next((listed[n] for n in (name, mesh.name, key) if n in listed), material)
+        own = next((listed[n] for n in names if n in listed), material)
         candidates.append(Candidate(key, mesh, own, refusal))
     unknown = sorted(set(listed) - named)
     if unknown:
@@ -133,7 +133,7 @@ def _materials(folder: Path) -> dict[str, str]:
     expected = "lines `name,material`" if path.suffix == ".csv" else "lines `name: material`"
     try:
         if path.suffix == ".csv":
-            rows = [row for row in csv.reader(path.read_text().splitlines()) if row]
+            rows = [row for row in csv.reader(path.read_text(encoding="utf-8-sig").splitlines()) if row]
             values: Any = {name.strip(): value.strip() for name, value in rows}
             values = {name: value for name, value in values.items() if (name, value) != ("name", "material")}
         else:

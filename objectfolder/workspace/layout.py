@@ -125,6 +125,13 @@ class Benchmarks:
         """Return the path of an animation."""
         return self.dir / f"{task}_{split}.gif"
 
+    def results(self, task: str, split: str) -> list[Path]:
+        """List every file that a task may write, existing or not."""
+        return [
+            path(task, split)
+            for path in (self.result, self.curve, self.machine, self.model, self.sheet, self.film)
+        ]
+
     def progress(self, task: str, split: str, identity: Any) -> Path:
         """Return the folder that a run with the same inputs resumes from; undeclared."""
         digest = hashlib.sha256(repr(identity).encode()).hexdigest()

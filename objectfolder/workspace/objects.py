@@ -65,8 +65,7 @@ def add_mesh(
         another; nothing is changed then.
     """
     params_path = root / params.PARAMS_FILE
-    document, values = editable(params_path)
-    home = check_new(key, values, root)
+    home = check_new(key, params.read(params_path), root)
     up = up or default_up(mesh)
     lower, upper = load_mesh(mesh, up).bounds
     size = float(f"{(upper - lower).max():.6g}") if scale is None else scale
@@ -87,18 +86,22 @@ def add_mesh(
     sources = object_files(mesh, attachments)
     staging = home.with_name(f".{key}.tmp")
     shutil.rmtree(staging, ignore_errors=True)
+    placed = False
     try:
         for target, source in sources.items():
             copy = staging / target
             copy.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source, copy)
         staging.rename(home)
+        placed = True
         track(home, root)
+        document, _ = editable(params_path)  # read now: others may have edited it in the meantime
         document["objects"][key] = _one_line(entry)
         write_params(params_path, document)
     except BaseException as error:
-        shutil.rmtree(home, ignore_errors=True)
-        home.with_name(f"{key}.dvc").unlink(missing_ok=True)
+        if placed:
+            shutil.rmtree(home, ignore_errors=True)
+            home.with_name(f"{key}.dvc").unlink(missing_ok=True)
         if isinstance(error, OSError):
             raise ObjectFolderError(f"cannot add {key} to {home}: {error}; nothing was changed") from error
         raise

@@ -284,6 +284,7 @@ def test_an_object_that_is_there_is_refused_and_the_others_are_added(workspace, 
     ("file", "text"),
     [
         ("materials.csv", "name,material\n025_Mug (blue),ceramic\nbrick,iron\n"),
+        ("materials.csv", "\ufeffname,material\n025_Mug (blue),ceramic\nbrick,iron\n"),  # Excel's UTF-8
         ("materials.yaml", "025_Mug (blue): ceramic\nBrick.STL: iron\n"),
     ],
 )
@@ -336,6 +337,9 @@ def test_deeper_folders_and_the_folder_of_one_mesh(tmp_path):
     trimesh.creation.box([1, 1, 1]).export(deep / "textured.ply")
     assert [(c.key, c.mesh) for c in discover(tmp_path / "set")] == [("bowl", deep / "textured.ply")]
     assert [(c.key, c.mesh) for c in discover(deep)] == [("google_16k", deep / "textured.ply")]
+    for name in ("google_16k", "textured", "textured.ply"):
+        (deep / "materials.csv").write_text(f"{name},ceramic\n")
+        assert [c.material for c in discover(deep)] == ["ceramic"]
     deep.joinpath("textured.ply").unlink()
     with pytest.raises(ObjectFolderError, match="hold no mesh"):
         discover(tmp_path / "set")
@@ -396,9 +400,18 @@ def test_bad_options_change_nothing(workspace, collection, arguments, message):
     assert snapshot(workspace) == before
 
 
-def test_a_catalogue_has_no_dry_run(workspace):
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--dry-run",),
+        ("--material", "steel"),
+        *(("--scale", "3"), ("--unit", "mm"), ("--up", "y"), ("--name", "foo"), ("--wall", "0.1")),
+        ("--bridge", "off"),
+    ],
+)
+def test_options_for_meshes_are_refused_for_a_catalogue(workspace, options):
     before = snapshot(workspace)
-    assert "--dry-run is for meshes" in str(run("catalogs/starter.yaml", "--dry-run").exception)
+    assert f"{options[0]} is for meshes" in str(run("catalogs/starter.yaml", *options).exception)
     assert snapshot(workspace) == before
 
 

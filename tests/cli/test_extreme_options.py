@@ -106,3 +106,14 @@ def test_a_full_disk_is_named(brick_path, tmp_path):
     )
     assert f"error: {tmp_path}/out/1.wav: No space left on device" in done.stderr
     assert done.returncode == 1
+
+
+def test_a_place_that_cannot_be_written_is_named(brick_path, tmp_path):
+    (tmp_path / "file").write_text("")
+    words = ["export", "nerfstudio", tmp_path / "file" / "out", brick_path]
+    done = subprocess.run(
+        [sys.executable, "-c", MAIN, *map(str, words)], capture_output=True, text=True, check=False
+    )
+    assert done.stderr.startswith(f"error: {tmp_path}/file/")
+    assert "Not a directory; check the path and its permissions" in done.stderr
+    assert done.returncode == 1

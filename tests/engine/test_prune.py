@@ -113,6 +113,37 @@ def test_everything_of_a_removed_object_goes_and_nothing_else(workspace):
     assert workspace.ran() == []
 
 
+def test_grasps_and_results_of_robots_go_too_and_those_of_all_objects_stay(workspace):
+    """Stages of benchmarks that are no longer in the pipeline, as after the removal of their last object."""
+    outs = {
+        "grasp_data@bell": ["benchmarks/grasps/bell/record.json"],
+        "grasp_policy@bell": [f"benchmarks/grasp_policy_bell.{end}" for end in ("json", "gif")],
+        "reach@mug": ["benchmarks/reach_mug.json"],
+        "recognize@seen": ["benchmarks/recognize_seen.json"],
+    }
+    lock = YAML(typ="safe").load(workspace.root / "dvc.lock")
+    for address, paths in outs.items():
+        for path in paths:
+            (workspace.root / path).parent.mkdir(parents=True, exist_ok=True)
+            (workspace.root / path).write_text(path)
+        lock["stages"][address] = {"cmd": "x", "outs": [{"path": path} for path in paths]}
+    (workspace.root / "build/.logs/recognize@seen.log").write_text("")
+    (workspace.root / "benchmarks/grasp_policy_bell_machine.json").write_text("{}")
+    YAML().dump(lock, workspace.root / "dvc.lock")
+    remove(workspace, "bell")
+    waste = survey(workspace.root)
+    assert waste.keys == ("bell",)
+    assert {"grasp_data@bell", "grasp_policy@bell"} < set(waste.addresses)
+    prune(waste, workspace.root)
+    assert sorted(path.name for path in (workspace.root / "benchmarks").rglob("*")) == [
+        "grasps",
+        "reach_mug.json",
+        "recognize_seen.json",
+    ]
+    assert {"reach@mug", "recognize@seen"} < workspace.locked()
+    assert survey(workspace.root).keys == ()
+
+
 def test_an_object_that_comes_back_is_built_again(workspace):
     remove(workspace, "mug")
     prune(survey(workspace.root), workspace.root)

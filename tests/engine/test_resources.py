@@ -80,6 +80,14 @@ def test_visible_gpus_are_those_of_the_environment(monkeypatch, visible, expecte
     assert machine_gpus() == expected
 
 
+def test_gpus_are_counted_as_cuda_does_not_named_as_on_the_host(monkeypatch, tmp_path):
+    for name in ("nvidia3", "nvidia7", "nvidiactl", "nvidia-uvm"):
+        (tmp_path / name).touch()
+    monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
+    monkeypatch.setattr("objectfolder.engine.resources._DEVICES", tmp_path)
+    assert machine_gpus() == ["0", "1"]
+
+
 def test_needs_come_from_the_stage_and_its_net_or_renderer():
     params = {"train_vision": {"net": "osf"}, "render_views": {"renderer": "mitsuba-cuda"}, "modal": 3}
     assert needs_of("train_vision@mug", params) == NEEDS["train_vision/osf"]

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from objectfolder.cli.statusview import as_json, print_details, print_outlook, print_table
 from objectfolder.engine.build import build
-from objectfolder.engine.status import Outlook, State, status
+from objectfolder.engine.status import Outlook, StageStatus, State, status
 from objectfolder.engine.summary import StageOutcome
 
 from .conftest import KEYS, everything
@@ -187,3 +187,11 @@ def test_printed(workspace, terminal):
     entries = {entry["address"]: entry for entry in json.loads(json.dumps(as_json(found)))}
     assert entries["solve@mug"]["state"] == "stale"
     assert entries["solve@mug"]["object"] == "mug"
+
+
+def test_splits_of_benchmarks_are_no_objects():
+    addresses = ("pack@mug", "evaluate@mug", "pack@bell", "recognize@seen")
+    found = [StageStatus(address, State.FRESH, Outlook.SKIP, (), (), "") for address in addresses]
+    console = Console(file=io.StringIO(), width=100)
+    print_table(found, console)
+    assert console.file.getvalue() == "4 fresh; 2 objects all fresh\n"

@@ -108,6 +108,15 @@ def test_another_solid_or_solver_takes_a_solve(solve):
     assert rescaled(stored(solve, BASE), "another", wanted) is None
 
 
+def test_a_solve_by_a_version_whose_materials_have_other_fields_takes_a_solve(solve):
+    """`problem_digest` covers their names."""
+    old = stored(solve, BASE)
+    record = json.loads(str(old["solution"]))
+    record["request"]["material"]["roughness"] = 0.5
+    old["solution"] = np.array(json.dumps(record))
+    assert rescaled(old, "another", dataclasses.replace(BASE, scale=0.1)) is None
+
+
 def test_modes_that_were_dropped_take_a_solve(solve):
     large = Request(GLASS, 200.0, 60.0, 100)  # its first modes are below 20 Hz
     assert rescaled(stored(solve, large), "task", dataclasses.replace(large, scale=20.0)) is None

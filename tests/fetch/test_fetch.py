@@ -102,6 +102,14 @@ def test_every_layout_is_fetched_added_and_tracked(published, publisher):
     assert len(publisher.requests) == asked
 
 
+def test_what_a_killed_fetch_left_is_removed(published):
+    left = Path("build/.fetch/ycb_mug.k1ll3d_0/tree")
+    left.mkdir(parents=True)
+    (left / "mesh.obj").write_text("v 0 0 0")
+    assert fetch_object("ycb_mug", published).status is FetchStatus.ADDED
+    assert leftovers() == set()
+
+
 def test_a_download_that_breaks_off_goes_on_in_the_next_run(published, publisher, no_waits):
     before = state()
     publisher.drops[MUG] = [20_000, *[0] * len(WAITS)]

@@ -11,7 +11,7 @@ import pytest
 from objectfolder import Dataset
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import write_json
+from objectfolder.io import file_digest, write_json
 from objectfolder.objectfile.dataset import COLUMNS
 from objectfolder.objectfile.samples import sample_path
 from objectfolder.workspace import params
@@ -28,7 +28,7 @@ def built(workspace):
         build = Build(key)
         build.dir.mkdir(parents=True)
         shutil.copyfile(sample_path(key), build.object_file)
-    write_json(Build("mug").metrics, SCORES)
+    write_json(Build("mug").metrics, SCORES | {"file_sha256": file_digest(sample_path("mug"))})
     return workspace
 
 
@@ -150,6 +150,14 @@ def test_wrong_arguments_write_nothing(built, arguments, message):
     with pytest.raises(ObjectFolderError) as error:
         release(*arguments)
     assert message in str(error.value)
+    assert not (built / "out").exists()
+
+
+def test_scores_of_an_earlier_file_are_not_released(built):
+    """As after a build that ended between `pack` and `evaluate`."""
+    write_json(Build("mug").metrics, SCORES | {"file_sha256": file_digest(sample_path("die"))})
+    with pytest.raises(ObjectFolderError, match=r"mug\.json has the scores of another .* build mug"):
+        release("out", *OPTIONS)
     assert not (built / "out").exists()
 
 

@@ -2,6 +2,7 @@ import subprocess
 
 import pytest
 
+from objectfolder.errors import ObjectFolderError
 from objectfolder.workspace.code_digests import digests, imported_files
 
 FILES = {
@@ -57,3 +58,39 @@ def test_digests_are_those_of_sha256sum(project):
         capture_output=True,
     )
     assert checked.returncode == 0, checked.stdout
+
+
+def test_relative_imports_are_followed(project):
+    (project / "stages/helper.py").write_text("z = 1\n")
+    (project / "stages/other.py").write_text("z = 1\n")
+    (project / "stages/solve.py").write_text("from . import helper\nfrom .other import z\n")
+    (project / "objectfolder/deep/leaf.py").write_text("from .. import middle\nfrom ..other import y\n")
+    assert imported_files("stages/solve.py", project) == [
+        "stages/__init__.py",
+        "stages/helper.py",
+        "stages/other.py",
+        "stages/solve.py",
+    ]
+    assert imported_files("objectfolder/deep/leaf.py", project) == [
+        "objectfolder/__init__.py",
+        "objectfolder/deep/leaf.py",
+        "objectfolder/middle.py",
+        "objectfolder/other.py",
+    ]
+
+
+def test_a_module_that_the_pipeline_would_not_see_is_refused(project):
+    (project / "own.py").write_text("z = 1\n")
+    (project / "stages/solve.py").write_text("import own\n")
+    with pytest.raises(ObjectFolderError, match=r"stages/solve\.py imports own .* import stages\.own"):
+        imported_files("stages/solve.py", project)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [(b"x = (\n", r"\.py, line 1: '\(' was never closed"), (b"x = '\xe9'\n", "can't decode byte 0xe9")],
+)
+def test_a_file_that_is_not_python_is_named(project, content, message):
+    (project / "objectfolder/middle.py").write_bytes(content)
+    with pytest.raises(ObjectFolderError, match=f"objectfolder/middle.*{message}"):
+        imported_files("stages/solve.py", project)

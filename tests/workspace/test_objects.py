@@ -1,5 +1,7 @@
 """What `add` copies is what DVC stores."""
 
+import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -172,3 +174,34 @@ def test_long_keys(workspace, tmp_path, length):
     Path("params.yaml").write_text(Path("params.yaml").read_text().replace("\n  mug: {", f"\n  {key}: {{"))
     with pytest.raises(ObjectFolderError, match=rf"params\.yaml: objects: .*it has {length} characters"):
         params.read()
+
+
+def test_edits_by_others_while_a_mesh_is_added_stay(workspace, tmp_path):
+    def meanwhile(home, root):
+        add_mesh(write_mesh(tmp_path / "second"), "second", "wood", 0.2, None, track=track)
+        path = root / params.PARAMS_FILE
+        path.write_text(re.sub(r"(?m)^seed: \d+", "seed: 7", path.read_text()))
+        track(home, root)
+
+    add_mesh(write_mesh(tmp_path / "first"), "first", "wood", 0.1, None, track=meanwhile)
+    values = params.read()
+    assert {"first", "second"} < set(values["objects"])
+    assert values["seed"] == 7
+
+
+def test_what_another_process_added_under_the_same_name_stays(workspace, tmp_path, monkeypatch):
+    copy, calls = shutil.copyfile, []
+
+    def late(source, target):
+        calls.append(source)
+        if len(calls) == 1:
+            add_mesh(write_mesh(tmp_path / "theirs"), "crate", "wood", 0.2, None, track=track)
+            Path(target).parent.mkdir(parents=True, exist_ok=True)
+        return copy(source, target)
+
+    monkeypatch.setattr(shutil, "copyfile", late)
+    with pytest.raises(ObjectFolderError, match="cannot add crate"):
+        add_mesh(write_mesh(tmp_path / "mine"), "crate", "steel", 0.1, None, track=track)
+    assert params.read()["objects"]["crate"]["material"] == "wood"
+    assert Path("data/objects/crate/mesh.obj").is_file()
+    assert Path("data/objects/crate.dvc").is_file()

@@ -312,6 +312,14 @@ def test_an_unknown_section_is_refused_with_the_nearest_name(values, name, hint)
         check_all({**values, name: {}})
 
 
+def test_an_encoder_whose_changes_a_build_would_not_see_is_refused(values):
+    values["encode"]["encoder"] = "mine.py:small"
+    check_all(values)  # `objectfolder bench` without a preset takes it from here
+    values["benchmarks"] = {stage: [] for stage in Selection.model_fields} | {"recognize": ["seen"]}
+    with pytest.raises(ObjectFolderError, match=r"encode.encoder is 'mine.py:small'.*bench --encoder"):
+        check_all(values)
+
+
 def test_only_the_presets_of_the_paper_damp_as_the_paper():
     files = [
         "params.yaml",

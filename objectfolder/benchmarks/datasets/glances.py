@@ -21,7 +21,7 @@ from objectfolder.benchmarks.datasets.samples import (
 )
 from objectfolder.benchmarks.datasets.splits import label_order
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic, read_json, write_json
+from objectfolder.io import atomic, exclusive, read_json, write_json
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.contact import sensor_frames
 from objectfolder.vision.cameras import Intrinsics
@@ -125,8 +125,15 @@ def sample_glances(file: ObjectFile, count: int, size: tuple[int, int], seed: in
         If the surface hides nearly everywhere, or as `glance_request`.
     """
     request = glance_request(file, count, size, seed)
+    with exclusive(folder):  # of two benchmarks that start together, one samples
+        if not is_glanced(request, folder):
+            _sample(file, request, folder)
+
+
+def _sample(file: ObjectFile, request: dict[str, Any], folder: Path) -> None:
+    count, seed, (height, width) = request["count"], request["seed"], request["size"]
+    size = height, width
     points, distances = open_points(file, count, seed)
-    folder.mkdir(parents=True, exist_ok=True)
     (folder / RECORD).unlink(missing_ok=True)
     parts = np.array_split(points, -(-count // CHUNK))
     images = {

@@ -27,7 +27,7 @@ from objectfolder.envs.gripper import PAD
 from objectfolder.envs.hulls import hulls_digest
 from objectfolder.envs.poses import hand_axes, rotation, turn_poses
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic, read_json, write_json, write_npz
+from objectfolder.io import atomic, exclusive, read_json, write_json, write_npz
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator
 
@@ -95,8 +95,22 @@ def collect_grasps(
     """
     folder = Path(folder)
     request = grasp_request(file, body, wanted, seed, surface is not None)
-    if is_collected(request, folder):
-        return
+    with exclusive(folder):  # of two benchmarks that start together, one simulates
+        if not is_collected(request, folder):
+            _collect(file, body, wanted, request, folder, surface, threads, report)
+
+
+def _collect(
+    file: ObjectFile,
+    body: RigidBody,
+    wanted: GraspDataConfig,
+    request: dict[str, Any],
+    folder: Path,
+    surface: tuple[np.ndarray, np.ndarray] | None,
+    threads: int,
+    report: Report,
+) -> None:
+    seed = request["seed"]
     _require_parts(file)
     scene = GraspScene(body, Physics(timestep=wanted.timestep), threads)
     truth = None if surface is None else _truth(file, surface)

@@ -18,7 +18,7 @@ from objectfolder.benchmarks.datasets.samples import array_path, object_digest
 from objectfolder.benchmarks.datasets.splits import TEN, check_count
 from objectfolder.disk import enough_space
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic, read_json, write_json, write_npz
+from objectfolder.io import atomic, exclusive, read_json, write_json, write_npz
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.header import PARTS
 from objectfolder.objectfile.query_files import sample_presses, sample_strikes, sample_views
@@ -86,8 +86,15 @@ def sample_observations(
         raise ObjectFolderError(f"{file.key}: views of {resolution} pixels, expected a positive number")
     _require_parts(file)
     request = observation_request(file, count, resolution, seed)
-    if is_sampled(request, folder):
-        return
+    with exclusive(folder):  # of two benchmarks that start together, one samples
+        if not is_sampled(request, folder):
+            _sample(file, request, folder, report)
+
+
+def _sample(
+    file: ObjectFile, request: dict[str, Any], folder: Path, report: Callable[[str, int], None]
+) -> None:
+    count, resolution, seed = (request[name] for name in ("count", "resolution", "seed"))
     arrays = {modality: _written(folder, modality, request) for modality in MODALITIES}
     (folder / RECORD).unlink(missing_ok=True)
     queries = draw_queries(file, count, seed)

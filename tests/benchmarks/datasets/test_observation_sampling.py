@@ -1,6 +1,7 @@
 import errno
 import json
 import logging
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -152,6 +153,15 @@ def test_complete_folder_is_left_alone(brick, sampled, monkeypatch):
     assert times == {path: path.stat().st_mtime_ns for path in sampled.iterdir()}
 
 
+def test_of_two_calls_at_once_one_samples_and_the_other_waits(brick, sampled, tmp_path, monkeypatch):
+    asked = calls(monkeypatch)
+    with ThreadPoolExecutor(2) as pool:
+        for call in [pool.submit(sample_observations, brick, COUNT, SIDE, 7, tmp_path) for _ in range(2)]:
+            call.result()
+    assert len(asked) == 3 * COUNT // 10
+    assert content(tmp_path) == content(sampled)
+
+
 @pytest.mark.parametrize(("failing", "left"), [("audio", ["audio", "touch"]), ("touch", ["touch"])])
 def test_interrupted_call_goes_on(brick, sampled, tmp_path, monkeypatch, failing, left):
     with monkeypatch.context() as patch:
@@ -244,7 +254,7 @@ def test_small_disk_is_refused_before_any_work(brick, tmp_path, monkeypatch):
     message = f"brick: observations: no space in {folder}: at least {needed:,} bytes needed, {needed - 1:,} f"
     with pytest.raises(ObjectFolderError, match=message):
         sample_observations(brick, COUNT, SIDE, 7, folder)
-    assert not folder.exists()
+    assert not list(folder.iterdir())
 
 
 def test_disk_that_fills_up_says_so_and_keeps_what_is_complete(brick, sampled, tmp_path, monkeypatch):
