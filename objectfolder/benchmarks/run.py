@@ -1,6 +1,5 @@
 """Run benchmarks on Object Files outside the pipeline, as the command line does."""
 
-import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -24,6 +23,7 @@ from objectfolder.benchmarks.models.encoders import make_encoder, read_weights, 
 from objectfolder.benchmarks.params import RobotParams, TaskParams, robot_params, splits_of, task_params
 from objectfolder.benchmarks.tasks.running import Report, Run, SplitRun, Task, machine, run_benchmark
 from objectfolder.engine.pool import in_processes
+from objectfolder.engine.resources import cores
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_json, write_json
 from objectfolder.workspace import params as workspace
@@ -55,7 +55,7 @@ class BenchmarkOptions:
     @property
     def cores(self) -> int:
         """Threads to use in total."""
-        return self.threads or os.cpu_count() or 1
+        return self.threads or cores()
 
     def values(self) -> tuple[dict[str, Any], Path]:
         """Return ``params.yaml`` with the preset merged into it, and the file to name in errors."""

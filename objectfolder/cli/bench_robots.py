@@ -1,6 +1,5 @@
 """Robot commands of ``objectfolder bench``: stability, grasping, reach."""
 
-import os
 from typing import Annotated
 
 import typer
@@ -111,10 +110,11 @@ def reach(
     from objectfolder.benchmarks.reporting.tables import reach_table
     from objectfolder.benchmarks.run import BenchmarkOptions, run_on_objects
     from objectfolder.benchmarks.tasks.reach import METAWORLD_REACH, REACH
+    from objectfolder.engine.resources import cores
 
     task = METAWORLD_REACH if metaworld else REACH
     options = BenchmarkOptions(files=files, preset=preset, out=out, seeds=seeds, threads=1)
-    scores = run_on_objects(task, options, say, jobs or os.cpu_count() or 1)
+    scores = run_on_objects(task, options, say, jobs or cores())
     print_scores(reach_table(scores))
     for key in scores:
         say(f"{options.folder.result(task.name, key)}  curves: {options.folder.curve(task.name, key)}")

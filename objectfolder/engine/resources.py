@@ -12,6 +12,7 @@ HOUR = 3600.0
 #: Share of the available memory for stages; the rest is for the engine and the system.
 MEMORY_SHARE = 0.9
 _DEVICES = Path("/dev")
+_CGROUP = Path("/sys/fs/cgroup")  # a container's own, which has limits; the machine's has none
 
 
 @dataclass(frozen=True)
@@ -90,8 +91,23 @@ def needs_of(address: str, params: Mapping[str, Any]) -> Needs:
 
 
 def cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0))
+    """Return the number of cores that this process may use, in a container at most its quota."""
+    allowed = len(os.sched_getaffinity(0))
+    quota, _, period = _limit("cpu.max").partition(" ")
+    return max(1, min(allowed, int(quota) // int(period))) if quota.isdigit() else allowed
+
+
+def free_memory() -> int:
+    """Return the bytes that can be taken now, in a container at most what its limit leaves."""
+    free = int(psutil.virtual_memory().available)
+    limit, used = _limit("memory.max"), _limit("memory.current")
+    return min(free, max(0, int(limit) - int(used))) if limit.isdigit() and used.isdigit() else free
+
+
+def _limit(name: str) -> str:
+    """Return the content of a file of the control group; empty if there is none."""
+    path = _CGROUP / name
+    return path.read_text().strip() if path.is_file() else ""
 
 
 def machine_gpus() -> list[str]:
@@ -123,7 +139,7 @@ class Machine:
 
     def __init__(self, cpus: int, memory_mb: float | None = None, gpus: Sequence[str] | None = None):
         if memory_mb is None:
-            memory_mb = psutil.virtual_memory().available / 2**20 * MEMORY_SHARE
+            memory_mb = free_memory() / 2**20 * MEMORY_SHARE
         self.cores = cpus
         self._cpus = cpus
         self._memory_mb = int(memory_mb)

@@ -1,6 +1,5 @@
 """Hash every recorded file and cached object, and validate every artifact."""
 
-import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -19,6 +18,7 @@ from objectfolder.engine.dvc.recorded import (
 from objectfolder.engine.dvc.repository import OpenRepository
 from objectfolder.engine.dvc.savedruns import saved_outputs, saved_runs
 from objectfolder.engine.pool import process_pool
+from objectfolder.engine.resources import cores
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.validate import find_problem, readers
 
@@ -107,7 +107,7 @@ def take_survey(repository: OpenRepository, targets: Sequence[str], jobs: int | 
     survey = Survey(repository.root)
     for found in recorded_outputs(repository, targets):
         (survey.folders if found.oid.endswith(".dir") else survey.files).append(found)
-    with ThreadPoolExecutor(jobs or os.cpu_count()) as pool:
+    with ThreadPoolExecutor(jobs or cores()) as pool:
 
         def hash_all(wanted: dict[Path, str], description: str) -> None:
             survey.hashes |= _hashes(

@@ -1,9 +1,10 @@
+import os
 import threading
 
 import pytest
 
 from objectfolder.engine.build import BuildOptions, build
-from objectfolder.engine.resources import NEEDS, Machine, Needs, cores, machine_gpus, needs_of
+from objectfolder.engine.resources import NEEDS, Machine, Needs, cores, free_memory, machine_gpus, needs_of
 from objectfolder.engine.workers import LocalWorkers
 
 GB = 1000
@@ -78,6 +79,25 @@ def test_without_a_gpu_a_stage_that_can_use_one_waits_for_none():
 def test_visible_gpus_are_those_of_the_environment(monkeypatch, visible, expected):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
     assert machine_gpus() == expected
+
+
+@pytest.mark.parametrize(
+    ("cpu", "limit", "most", "free"),
+    [
+        ("max 100000", "max", None, None),  # no limits
+        ("100000 100000", "3000000000", 1, 1_000_000_000),
+        ("50000 100000", "1000000000", 1, 0),  # half a core; more is used than allowed
+    ],
+)
+def test_a_containers_limits_count(monkeypatch, tmp_path, cpu, limit, most, free):
+    for name, text in (("cpu.max", cpu), ("memory.max", limit), ("memory.current", "2000000000")):
+        (tmp_path / name).write_text(f"{text}\n")
+    monkeypatch.setattr("objectfolder.engine.resources._CGROUP", tmp_path)
+    assert cores() == (most or len(os.sched_getaffinity(0)))
+    if free is not None:
+        assert free_memory() == free
+    else:
+        assert free_memory() > 2**20
 
 
 def test_gpus_are_counted_as_cuda_does_not_named_as_on_the_host(monkeypatch, tmp_path):
