@@ -10,7 +10,6 @@ from scipy.spatial import cKDTree
 from objectfolder.envs.fingers import Presses, tactile_images
 from objectfolder.io import read_npz, write_npz
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.touch.optics import Optics
 
 PROBE = 0.0015  #: press depth of a gentle touch, m
 FEATURES = (8, 6)  #: height and width of an averaged tactile image
@@ -32,7 +31,7 @@ class TouchFeatures:
     def __init__(self, file: ObjectFile):
         self._file = file
         #: image of the untouched sensor; (H, W, 3) uint8
-        self.untouched = Optics(file.sensor_profile).background.numpy()
+        self.untouched = file.sensor_background
 
     def images(self, pressed: Presses) -> np.ndarray:
         """Return tactile images at the depth `PROBE`; (M, H, W, 3) uint8."""

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 
 from objectfolder.envs.poses import hand_axes, rotation
 from objectfolder.mesh.raycast import RayCaster
@@ -125,12 +126,17 @@ class TrueSurface:
         Object frame, metres.
     faces : (F, 3) int array
     profile : SensorProfile
+    background : (H, W, 3) uint8 array
+        Image of the untouched sensor; see `ObjectFile.sensor_background`.
     """
 
-    def __init__(self, vertices: np.ndarray, faces: np.ndarray, profile: SensorProfile):
+    def __init__(
+        self, vertices: np.ndarray, faces: np.ndarray, profile: SensorProfile, background: np.ndarray
+    ):
         self._vertices, self._faces = np.asarray(vertices, np.float64), np.asarray(faces)
         self._caster = RayCaster(self._vertices, self._faces)
         self._profile, self._optics = profile, Optics(profile)
+        self._optics.background = torch.from_numpy(background)
 
     def tactile_images(self, pressed: Presses, depths: np.ndarray) -> np.ndarray:
         """Render tactile images of presses; (2N, H, W, 3) uint8."""

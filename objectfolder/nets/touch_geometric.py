@@ -95,13 +95,19 @@ class GeometricTouch:
             self._rays.background = self._optics.background.cpu().numpy()
 
     def with_sensor(self, profile: SensorProfile) -> "GeometricTouch":
-        """Return the simulator of another sensor on the same surface; it always uses renderer gel."""
+        """Return the simulator of a sensor on the same surface; it always uses renderer gel.
+
+        The stored sensor's own profile keeps the stored background, which the profile does not name.
+        """
         with self._lock:  # concurrent threads get the same instance
             return self._other(profile)
 
     def _new_other(self, profile: SensorProfile) -> "GeometricTouch":
+        background = self.background.cpu().numpy() if profile == self.profile else None
         return GeometricTouch(
-            self.surface, self.scale, profile, self.depth_offset, device=self._optics.device
+            *(self.surface, self.scale, profile, self.depth_offset),
+            background=background,
+            device=self._optics.device,
         )
 
     def normals(self, points: np.ndarray) -> np.ndarray:

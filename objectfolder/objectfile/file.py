@@ -33,10 +33,17 @@ from objectfolder.objectfile.parts import StoredParts
 from objectfolder.objectfile.radiation import Listening
 from objectfolder.objectfile.samples import sample_path
 from objectfolder.objectfile.surface import TOLERANCE
-from objectfolder.objectfile.touch import ContactPoses, FixedContact, concatenate_touches, sideways_motion
+from objectfolder.objectfile.touch import (
+    ContactPoses,
+    FixedContact,
+    GeometricSense,
+    concatenate_touches,
+    sideways_motion,
+)
 from objectfolder.objectfile.vision import BaseColors, render_views, view_images
 from objectfolder.touch.friction import friction_of
 from objectfolder.touch.markers import Markers
+from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile, load_profile
 from objectfolder.touch.sheared import sheared
 from objectfolder.touch.simulate import Touches
@@ -218,6 +225,17 @@ class ObjectFile:
         """Profile of the stored tactile sensor."""
         stored = self._touch_config["sensor"]
         return load_profile(stored) if isinstance(stored, str) else SensorProfile.from_dict(stored)
+
+    @property
+    def sensor_background(self) -> np.ndarray:
+        """Image of the stored tactile sensor while nothing touches it; (H, W, 3) uint8.
+
+        A photographed background is stored with the net, and not named by `sensor_profile`.
+        """
+        sense = self._parts.touch
+        if isinstance(sense, GeometricSense):
+            return sense.net.background.cpu().numpy().copy()
+        return Optics(self.sensor_profile).background.numpy()
 
     @property
     def fixed_contact(self) -> FixedContact | None:

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from brick import felt_by
 
 from objectfolder.envs.fingers import (
     TrueSurface,
@@ -59,8 +60,10 @@ def test_depth_is_clipped_to_the_range_of_the_sensor(brick, on_faces):
     assert press_depths(brick, on_faces, np.array([1e6, 1e6])) == pytest.approx([deepest, deepest])
 
 
-def test_implicit_and_true_touches_agree(brick, on_faces):
+@pytest.mark.parametrize("sensor", ["digit", "digit_real"])
+def test_implicit_and_true_touches_agree(brick, on_faces, sensor):
     """The brick's surface is flat, so that the stored distances hold it exactly."""
+    brick = felt_by(brick, sensor)
     half = np.array([0.05, 0.03, 0.015])
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half
     from scipy.spatial import ConvexHull
@@ -78,10 +81,10 @@ def test_implicit_and_true_touches_agree(brick, on_faces):
         < 0
     )
     faces = np.where(flip[:, None], hull.simplices[:, ::-1], hull.simplices)
-    truth = TrueSurface(corners, faces, brick.sensor_profile)
+    truth = TrueSurface(corners, faces, brick.sensor_profile, brick.sensor_background)
     depths = np.array([0.0012, 0.0008])
     implicit, explicit = tactile_images(brick, on_faces, depths), truth.tactile_images(on_faces, depths)
-    assert implicit.shape == (2, 160, 120, 3)
+    assert implicit.shape == (2, *brick.sensor_background.shape)
     assert np.abs(implicit.astype(int) - explicit).mean() < 1
     untouched = brick.press(on_faces.points, 0.0).images
     assert np.abs(implicit.astype(int) - untouched).mean() > 2

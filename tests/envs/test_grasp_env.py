@@ -1,6 +1,7 @@
 import gymnasium
 import numpy as np
 import pytest
+from brick import felt_by
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
@@ -139,6 +140,11 @@ def test_features_are_zero_without_a_touch_and_distinguish_a_face_from_an_edge(t
     assert not felt[2].any()
     assert np.abs(felt[0] - felt[1]).max() > 0.3
     assert felt[0].any()
+
+
+def test_the_untouched_gel_is_the_photographed_one(brick):
+    photographed = felt_by(brick, "digit_real")
+    assert np.array_equal(TouchFeatures(photographed).untouched, photographed.touch([[0, 0.03, 0]], 0.0)[0])
 
 
 def test_a_bank_gives_the_nearest_touch(task, tmp_path):

@@ -89,6 +89,17 @@ def test_a_background_picture_travels_in_the_tensors(surface, points, tmp_path):
         GeometricTouch.from_tensors(surface, SCALE, {"background": grey[:5]}, config)
 
 
+def test_a_stored_background_stays_with_the_stored_profile(surface, points):
+    profile = load_profile("digit_real")
+    back = GeometricTouch.from_tensors(surface, SCALE, *GeometricTouch(surface, SCALE, profile).to_tensors())
+    again = back.with_sensor(back.profile)
+    made = contacts(points, profile)
+    np.testing.assert_array_equal(answer(again, made), answer(back, made))
+    np.testing.assert_array_equal(again.background, back.background)
+    other = back.with_sensor(load_profile("digit"))
+    assert (other.background != back.background).any()
+
+
 def test_the_renderer_of_the_stored_sensor_is_stored(surface):
     net = GeometricTouch(surface, SCALE, load_profile("tacto_digit"), 1e-5, "tacto", smoothing=2)
     back = GeometricTouch.from_tensors(surface, SCALE, *net.to_tensors())

@@ -14,6 +14,7 @@ from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.nets.audio_config import GainsConfig
 from objectfolder.nets.audio_gains_training import train_gains
+from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.packing import pack_object_file
@@ -87,3 +88,10 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
         stored_radiation(sound_field, surface, scale, 56000),
     )
     return ObjectFile(header, tensors, "brick")
+
+
+def felt_by(file: ObjectFile, sensor: str) -> ObjectFile:
+    """The same object with another stored sensor."""
+    tensors, config = GeometricTouch(file.surface, file.scale, load_profile(sensor)).to_tensors()
+    header = file.header | {"touch": {"kind": "geometric", "net": config}}
+    return ObjectFile(header, {**file.tensors, **{f"touch.{name}": t for name, t in tensors.items()}})

@@ -345,7 +345,7 @@ def _require_parts(file: ObjectFile) -> None:
 
 def _truth(file: ObjectFile, surface: tuple[np.ndarray, np.ndarray]) -> TrueSurface:
     vertices, faces = surface
-    return TrueSurface(vertices * file.scale, faces, file.sensor_profile)
+    return TrueSurface(vertices * file.scale, faces, file.sensor_profile, file.sensor_background)
 
 
 def _placed(points: np.ndarray, pose: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from brick import felt_by
 
 from objectfolder.benchmarks.datasets import grasp_data
 from objectfolder.benchmarks.datasets.grasp_data import (
@@ -15,6 +16,7 @@ from objectfolder.benchmarks.datasets.grasp_data import (
 )
 from objectfolder.benchmarks.datasets.grasps import ARRAYS, Grasps
 from objectfolder.envs.body import rigid_body
+from objectfolder.envs.fingers import Presses
 from objectfolder.envs.grasp_scene import GraspScene, Physics, lowest_hand
 from objectfolder.envs.hulls import convex_hulls
 from objectfolder.envs.poses import rotation
@@ -74,6 +76,13 @@ def test_what_is_collected(brick, collected):
     assert record["attempts"]["drawn"] >= record["attempts"]["free"] >= record["attempts"]["touched"] >= 10
     assert record["success_rate"] == pytest.approx(grasps.success.mean())
     assert {path.stem for path in collected.glob("*.npy")} == set(ARRAYS)
+
+
+def test_explicit_touches_have_the_stored_background(brick, surface):
+    photographed = felt_by(brick, "digit_real")
+    truth = grasp_data._truth(photographed, surface)
+    pressed = Presses(np.array([[0, 0.03, 0]]), np.array([[0.0, 1, 0]]), np.array([[0.0, 0, 1]]))
+    assert np.array_equal(truth.tactile_images(pressed, np.zeros(1)), photographed.touch([[0, 0.03, 0]], 0.0))
 
 
 def test_poses_are_enough_to_run_grasps_again(brick, body, collected):
