@@ -91,7 +91,8 @@ def collect_grasps(
     Raises
     ------
     ObjectFolderError
-        If the object does not fit the gripper or cannot be grasped, or the Object File lacks vision or touch.
+        If the object does not fit the gripper or cannot be grasped, the Object File lacks vision or touch, or
+        the gel of its sensor is rigid.
     """
     folder = Path(folder)
     request = grasp_request(file, body, wanted, seed, surface is not None)
@@ -340,6 +341,11 @@ def _require_parts(file: ObjectFile) -> None:
         raise ObjectFolderError(
             f"{file.key}: the Object File holds no {' and no '.join(lacking)}; grasps need geometry, "
             "vision and touch: leave the object out, or rebuild it"
+        )
+    if file.fixed_contact is None and file.sensor_profile.gel == "rigid":
+        raise ObjectFolderError(
+            f"{file.key}: the gel of sensor {file.sensor!r} is rigid and bears no force, which gives the "
+            "press depth of grasps; rebuild the object with a sensor with gel: soft"
         )
 
 

@@ -139,6 +139,14 @@ def test_a_file_without_touch_is_refused(brick, body, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_rigid_gel_is_refused(brick, body, tmp_path):
+    with pytest.raises(
+        ObjectFolderError, match="brick: the gel of sensor 'tacto_digit' is rigid and bears no"
+    ):
+        collect_grasps(felt_by(brick, "tacto_digit"), body, WANTED, 0, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_what_is_flatter_than_pads_reach_is_said(brick, tmp_path):
     crumb = ObjectFile(brick.header | {"key": "crumb", "scale": 0.003}, brick.tensors)
     tiny = rigid_body(crumb, convex_hulls(crumb.to_mesh()))
