@@ -22,7 +22,8 @@ from objectfolder.io import write_png
 from objectfolder.metrics import psnr, ssim
 from objectfolder.seeding import numpy_generator, seeded
 
-CURVE_COLUMNS = ("seed", "epoch", "train_loss", "val_psnr")  #: of the training curves
+CURVE_COLUMNS = ("seed", "epoch", "train_loss", "val_psnr")  #: of the training curves; pooled PSNR
+ROUNDING = 1 / 12 / 255**2  #: mean squared error of rounding to grey levels; 59 dB
 POOLED = (10, 8)  #: size of the views by which the nearest is sought
 CHUNK = 64  #: views translated at once
 SHOWN = 16  #: test rows in the picture
@@ -33,15 +34,17 @@ Batch = tuple[torch.Tensor, torch.Tensor]  #: views and touches, both in [0, 1] 
 def vision_to_touch(job: Job[VisionToTouchConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train and score a net that draws the tactile image of what a close view shows.
 
-    The net learns the mean squared difference. The best epoch is chosen on validation rows.
+    The net learns the mean squared difference. The best epoch is chosen by the pooled PSNR of the validation
+    rows.
 
     Returns
     -------
     dict
         ``net``, ``nearest`` (the touch of the training view that is most similar, of `POOLED` pixels) and
-        ``mean`` (the mean touch of the training rows): ``psnr`` of the mean squared error of each image,
-        averaged over images, dB; ``psnr_pooled`` of that of all; ``ssim``. Of the net also the ``seeds`` of
-        the first and its ``interval_95``. Then the counts of `Job.without_duplicates`, and ``seconds``.
+        ``mean`` (the mean touch of the training rows): ``psnr`` of the mean squared error of each image, at
+        least `ROUNDING`, averaged over images, dB; ``psnr_pooled`` of that of all; ``ssim``. Of the net also
+        the ``seeds`` of the first and its ``interval_95``. Then the counts of `Job.without_duplicates`, and
+        ``seconds``.
     list
         Rows of the training curves: `CURVE_COLUMNS`.
     """
@@ -70,7 +73,7 @@ def compared(answers: np.ndarray, truth: np.ndarray) -> dict[str, float]:
     a, b = answers.astype(np.float32) / 255, truth.astype(np.float32) / 255
     errors = ((a - b) ** 2).mean((1, 2, 3), dtype=np.float64)
     return {
-        "psnr": float(np.mean(psnr(errors))),
+        "psnr": float(np.mean(psnr(np.maximum(errors, ROUNDING)))),
         "psnr_pooled": float(psnr(errors.mean())),
         "ssim": float(np.mean([ssim(one, other) for one, other in zip(a, b, strict=True)])),
     }
@@ -139,7 +142,7 @@ def _trained(
         net,
         epoch_batches,
         batch_loss,
-        lambda: compared(_answers(job, net, blank, val), truth)["psnr"],
+        lambda: compared(_answers(job, net, blank, val), truth)["psnr_pooled"],
         "PSNR",
         checkpoint,
         cycle=params.epochs * batch_count(len(train), params.batch),

@@ -6,6 +6,7 @@ import pytest
 from objectfolder.benchmarks.datasets.samples import Samples
 from objectfolder.benchmarks.datasets.splits import per_sample
 from objectfolder.benchmarks.models.encoders import InputSizes
+from objectfolder.benchmarks.tasks import vision_to_touch as task
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.vision_to_touch import CURVE_COLUMNS, compared, vision_to_touch
 from objectfolder.benchmarks.tasks.vision_to_touch_config import VisionToTouchConfig
@@ -76,11 +77,25 @@ def test_same_numbers_again_and_after_an_interruption(tmp_path):
     assert resumed == whole
 
 
+def test_the_pooled_error_chooses_the_epoch(tmp_path, monkeypatch):
+    """One touch that is wrong counts as much as it is wrong, however many others are exact."""
+
+    def answers(job, net, blank, rows):
+        found = job.observations.read("touch", rows)
+        found[0] = found[0] - 51  # a fifth of the range: 14 dB
+        return found
+
+    monkeypatch.setattr(task, "_answers", answers)
+    scores, curve = vision_to_touch(job(tmp_path, epochs=1))
+    assert scores["rows"]["val"] == 12
+    assert curve[0][CURVE_COLUMNS.index("val_psnr")] == pytest.approx(13.979 + 10 * np.log10(12), abs=0.01)
+
+
 def test_scores_of_images():
     truth = np.full((2, 16, 12, 3), 100, np.uint8)
     off = truth.copy()
     off[0] += 51  # a fifth of the range: 14 dB
     scores = compared(off, truth)
-    assert scores["psnr"] == pytest.approx((13.979 + 200) / 2, abs=0.01)
+    assert scores["psnr"] == pytest.approx((13.979 + 58.92) / 2, abs=0.01)
     assert scores["psnr_pooled"] == pytest.approx(13.979 + 3.010, abs=0.01)
     assert compared(truth, truth)["ssim"] == pytest.approx(1)
