@@ -96,8 +96,8 @@ def reach(job: RobotJob[ReachConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
     ----------
     job : RobotJob
         Its task is ``reach``, with a floating hand, or ``metaworld_reach``, with Meta-World's Sawyer arm.
-        ``progress`` receives the files to keep: an animation of one success and, if there is any, one failure
-        (``episodes.gif``), and the first training's policy (``model.safetensors``).
+        ``progress`` receives the files to keep: an animation of one success and one failure, as far as there
+        are any (``episodes.gif``), and the first training's policy (``model.safetensors``).
 
     Returns
     -------
@@ -146,7 +146,8 @@ def reach(job: RobotJob[ReachConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
     scores = {name: _summary([run_episodes(env, act, goals["test"])]) for name, act in baselines.items()}
     actors[0].save(progress / "model.safetensors", f"{task} {body.key}")
     if "rgb_array" in env.metadata["render_modes"]:
-        shown = [trained[0].last.argmax(), *np.flatnonzero(~trained[0].last)[:1]]
+        last = trained[0].last
+        shown = [*np.flatnonzero(last)[:1], *np.flatnonzero(~last)[:1]]
         frames = reach_frames(make(render_mode="rgb_array"), actors[0], [goals["test"][i] for i in shown])
         write_gif(progress / "episodes.gif", frames, FRAME)
     env.close()

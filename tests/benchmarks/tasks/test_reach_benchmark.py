@@ -17,6 +17,7 @@ from objectfolder.benchmarks.models.ppo import train_ppo
 from objectfolder.benchmarks.models.ppo_config import ReachConfig
 from objectfolder.benchmarks.params import RobotParams, robot_params
 from objectfolder.benchmarks.reporting.tables import reach_table
+from objectfolder.benchmarks.tasks import reach as task
 from objectfolder.benchmarks.tasks.reach import (
     CURVE_COLUMNS,
     POLICIES,
@@ -289,6 +290,26 @@ def test_scores_have_everything_and_are_the_same_again(brick, body, tmp_path):
     assert curve_again == curve
     assert again | {"seconds": 0} == scores | {"seconds": 0}
     assert (tmp_path / "b/episodes.gif").read_bytes() == (tmp_path / "a/episodes.gif").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("last", "shown"), [([True] * 4, [0]), ([False] * 4, [0]), ([False, False, True, False], [2, 0])]
+)
+def test_the_animation_shows_each_outcome_once(brick, body, tmp_path, monkeypatch, last, shown):
+    found = []
+
+    def frames(env, policy, seeds):
+        found.extend(seeds)
+        return [np.zeros((8, 8, 3), np.uint8)]
+
+    def play(env, policy, seeds):
+        return task.EpisodeScores(np.array(last), np.array(last), np.zeros(4), np.zeros(4))
+
+    monkeypatch.setattr(task, "reach_frames", frames)
+    monkeypatch.setattr(task, "run_episodes", play)
+    reach(RobotJob("reach", brick, body, replace(TINY, goals=4), 0, tmp_path))
+    goals = fresh_seeds(0, brick.key, "test", 4)
+    assert found == [goals[i] for i in shown]
 
 
 def test_a_run_leaves_its_files_and_goes_on_where_it_was(brick, hulls, tmp_path):
