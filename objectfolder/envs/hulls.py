@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -127,7 +127,7 @@ def cached_hulls(
     Raises
     ------
     ObjectFolderError
-        If the file holds no geometry, or the cached file is damaged.
+        If the file holds no geometry, the cached file is damaged, or coacd is not installed.
     """
     path = Path(folder) / f"{file.key}.npz"
     source = _source(file, max_hulls)
@@ -216,7 +216,11 @@ def _source(file: ObjectFile, max_hulls: int) -> str:
     """Return the digest of everything that determines the hulls of an Object File."""
     if "geometry" not in file.header:
         raise ObjectFolderError(f"{file.key}: the file holds no geometry, so it has no hulls")
-    settings = (max_hulls, MAX_VERTICES, _THRESHOLD, _SHAVE, _DETAIL, _SEARCH, version("coacd"))
+    try:
+        release = version("coacd")
+    except PackageNotFoundError as error:
+        raise missing_library("coacd") from error
+    settings = (max_hulls, MAX_VERTICES, _THRESHOLD, _SHAVE, _DETAIL, _SEARCH, release)
     described = json.dumps([file.header["geometry"], file.scale, settings], sort_keys=True)
     digest = hashlib.sha256(described.encode())
     digest.update(np.ascontiguousarray(file.tensors["geometry.distances"]).tobytes())

@@ -1,3 +1,5 @@
+from importlib.metadata import PackageNotFoundError
+
 import numpy as np
 import pytest
 import trimesh
@@ -90,6 +92,16 @@ def test_missing_library_is_named(library, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, library, None)
     with pytest.raises(ObjectFolderError, match=f"{library} is not installed; .*objectfolder\\[rl\\]"):
         convex_hulls(bracket())
+
+
+def test_a_cache_without_coacd_names_the_library(brick, tmp_path, monkeypatch):
+    def absent(name):
+        raise PackageNotFoundError(name)
+
+    monkeypatch.setattr(module, "version", absent)
+    with pytest.raises(ObjectFolderError, match=r"coacd is not installed; .*objectfolder\[rl\]"):
+        cached_hulls(brick, tmp_path)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_hulls_are_read_as_they_were_written(tmp_path):
