@@ -45,18 +45,25 @@ def read_pack(path: str | Path, profile: SensorProfile) -> Pack:
     if not Path(path).is_file():
         raise ObjectFolderError(f"calibration pack {path} does not exist; expected Taxim's dataPack.npz")
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        # Not `read_npz`: Taxim's packs hold more arrays, some of them pickled.
+        with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             untouched, pictures, centres, radii = (archive[name] for name in _ARRAYS)
-    except (KeyError, ValueError, OSError) as error:
+    except Exception as error:  # numpy's are of many types
         raise ObjectFolderError(
             f"{path} is not a calibration pack of Taxim: {error}; expected arrays {', '.join(_ARRAYS)}"
         ) from error
-    count = len(radii)
-    if untouched.ndim != 3 or pictures.shape != (count, *untouched.shape) or centres.shape != (count, 2):
+    count = radii.size
+    if not (
+        radii.shape == (count,)
+        and count
+        and untouched.shape[2:] == (3,)
+        and pictures.shape == (count, *untouched.shape)
+        and centres.shape == (count, 2)
+    ):
         raise ObjectFolderError(
             f"{path}: arrays of shapes f0 {untouched.shape}, imgs {pictures.shape}, touch_center "
             f"{centres.shape}, touch_radius {radii.shape} do not fit; expected (H, W, 3), (K, H, W, 3), "
-            "(K, 2), (K,)"
+            "(K, 2), (K,) with K at least 1"
         )
     factor = profile.height / untouched.shape[0]
     where = f"calibration pack {path} for sensor {profile.name!r}"

@@ -164,6 +164,8 @@ def test_pack_gives_pictures_and_circles(tmp_path, profile, pictures):
     [
         ({"imgs": np.zeros((4, 8, 8, 3), np.uint8)}, "do not fit"),
         ({"touch_center": np.zeros((3, 2))}, "do not fit"),
+        ({"touch_radius": np.array(13)}, "do not fit"),
+        ({"f0": np.zeros((80, 80), np.uint8), "imgs": np.zeros((4, 80, 80), np.uint8)}, "do not fit"),
     ],
 )
 def test_pack_with_arrays_that_do_not_fit_is_refused(tmp_path, profile, pictures, changes, reason):
@@ -177,6 +179,22 @@ def test_other_files_are_no_packs(tmp_path, profile):
     np.savez(tmp_path / "b.npz", f0=np.zeros(3))
     with pytest.raises(ObjectFolderError, match=r"not a calibration pack of Taxim.*imgs"):
         read_pack(tmp_path / "b.npz", profile)
+
+
+def test_damaged_packs_are_named(tmp_path, profile, pictures):
+    whole = pack(tmp_path / "whole.npz", pictures).read_bytes()
+    damaged = {"cut": whole[: len(whole) // 2], "empty": b"", "text": b"no archive"}
+    for name, content in damaged.items():
+        (tmp_path / f"{name}.npz").write_bytes(content)
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    (tmp_path / "array.npy").rename(tmp_path / "array.npz")
+    pickled = np.array([None], dtype=object)
+    pack(tmp_path / "pickled.npz", pictures, imgs=pickled)
+    for name in (*damaged, "array", "pickled"):
+        with pytest.raises(ObjectFolderError, match=rf"{name}\.npz is not a calibration pack of Taxim: .*f0"):
+            read_pack(tmp_path / f"{name}.npz", profile)
+    pack(tmp_path / "more.npz", pictures, names=pickled)  # what is not needed is not read
+    assert len(read_pack(tmp_path / "more.npz", profile).pictures) == len(POSES)
 
 
 def lookup(table, displacement, pitch):
