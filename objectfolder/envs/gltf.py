@@ -15,7 +15,8 @@ from objectfolder.envs.body import RigidBody
 from objectfolder.envs.export_folder import export_folder
 from objectfolder.envs.glb import append, packed, unpacked
 from objectfolder.envs.hulls import MAX_HULLS
-from objectfolder.envs.visual import ROUGHNESS, texture_of, visual_mesh
+from objectfolder.envs.visual import PLAIN, ROUGHNESS, texture_of, visual_mesh
+from objectfolder.mesh.srgb import decode
 from objectfolder.mesh.textured import complete_document, y_up
 from objectfolder.nets.audio_gains import energy_weights
 from objectfolder.objectfile.file import ObjectFile
@@ -69,8 +70,12 @@ def write_glb(
 def _meshes(file: ObjectFile, body: RigidBody) -> bytes:
     """Return a binary glTF with the visual mesh and the hulls."""
     look = visual_mesh(file)
+    texture, grey = texture_of(look), float(decode(np.float64(PLAIN)))  # factors are linear
     surface = trimesh.visual.material.PBRMaterial(
-        baseColorTexture=texture_of(look), roughnessFactor=ROUGHNESS, metallicFactor=0.0
+        baseColorFactor=[grey] * 3 + [1.0] if texture is None else None,
+        baseColorTexture=texture,
+        roughnessFactor=ROUGHNESS,
+        metallicFactor=0.0,
     )
     drawn = trimesh.Trimesh(
         y_up(look.vertices),

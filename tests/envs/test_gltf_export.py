@@ -15,6 +15,7 @@ from objectfolder.envs.body import rigid_body
 from objectfolder.envs.glb import append, packed, unpacked, values_of
 from objectfolder.envs.gltf import AUDIO, PHYSICS, SAMPLES, sampled_surface, write_glb
 from objectfolder.envs.hulls import convex_hulls
+from objectfolder.mesh.srgb import encode
 from objectfolder.mesh.textured import y_up, z_up
 from objectfolder.objectfile.file import ObjectFile
 
@@ -141,6 +142,25 @@ def test_an_object_without_sound_has_none(brick, body, tmp_path):
     document, _ = unpacked(write_glb(file, tmp_path, hulls=body.hulls).read_bytes())
     assert document["extensionsUsed"] == [PHYSICS]
     assert AUDIO not in document["nodes"][0]["extensions"]
+
+
+def test_an_object_without_base_colours_is_grey(brick, body, tmp_path):
+    header = {name: value for name, value in brick.header.items() if name != "vision"}
+    document, _ = unpacked(
+        write_glb(ObjectFile(header, brick.tensors), tmp_path, hulls=body.hulls).read_bytes()
+    )
+    drawn = document["meshes"][document["nodes"][0]["mesh"]]["primitives"][0]
+    found = document["materials"][drawn["material"]]["pbrMetallicRoughness"]
+    assert "baseColorTexture" not in found
+    assert encode(np.array(found["baseColorFactor"][:3])) == pytest.approx(visual.PLAIN, abs=0.5 / 255)
+    assert found["baseColorFactor"][3] == 1
+
+
+def test_a_texture_keeps_its_colours(glb):
+    document, _ = glb
+    drawn = document["meshes"][document["nodes"][0]["mesh"]]["primitives"][0]
+    found = document["materials"][drawn["material"]]["pbrMetallicRoughness"]
+    assert found.get("baseColorFactor", [1, 1, 1, 1]) == [1, 1, 1, 1]
 
 
 def test_the_same_object_gives_the_same_bytes(brick, body, path, tmp_path):
