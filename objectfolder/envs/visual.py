@@ -6,13 +6,15 @@ import trimesh
 from PIL import Image
 
 from objectfolder.envs.solid import merge_meshes, simplify
+from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.vision import BaseColors
 
 PLAIN = 0.7  #: grey of objects without base colours, sRGB
 ROUGHNESS = 0.5  #: of what is drawn, in exports whose format has it
 TEXELS = 1024  #: side of the texture
-_DETAIL = 0.001  # tolerance of the simplification, fraction of the longest side
+_DETAILS = 0.001 * 2.0 ** np.arange(5)  # tolerances of the simplification, fractions of the longest side
+_ROOM = 26  # texels of the texture for each face, on average: 40,000 faces
 _MARGIN = 1  # texels around a face, so that bilinear filtering does not reach a neighbour
 
 
@@ -20,19 +22,26 @@ def visual_mesh(file: ObjectFile) -> trimesh.Trimesh:
     """Return the surface with some thousands of triangles; object frame, metres.
 
     The base colours of a vision net of kind ``surface`` become the texture, without reflections. Other
-    objects are grey.
+    objects are grey. Very detailed surfaces are simplified more than others, so that all triangles have room
+    in the texture.
 
     Raises
     ------
     ObjectFolderError
-        If the file holds no geometry, or manifold3d is not installed.
+        If the file holds no geometry, manifold3d is not installed, or the triangles have no room.
     """
-    whole = file.to_mesh()
-    mesh = merge_meshes(simplify(whole, _DETAIL * file.scale) or [whole])
+    mesh = _simplified(file.to_mesh(), file.scale)
     base_colors = file.base_colors if "vision" in file.header else None
     normals = file.surface.grid.normals(torch.from_numpy((mesh.vertices / file.scale).astype(np.float32)))
     if base_colors is None:
         return trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=normals.numpy(), process=False)
+    most = (TEXELS // (2 + 2 * _MARGIN)) ** 2
+    if len(mesh.faces) > most:
+        raise ObjectFolderError(
+            f"{file.key}: the surface has {len(mesh.faces)} triangles after simplification, expected at most "
+            f"{most}, which fit into a texture of {TEXELS} x {TEXELS} texels; rebuild the object with a "
+            "smaller voxelize.sdf_resolution"
+        )
     corners = np.asarray(mesh.triangles)
     longest = np.linalg.norm(np.roll(corners, -1, 1) - corners, axis=2).argmax(1)
     order = np.take_along_axis(mesh.faces, (longest[:, None] + np.arange(3)) % 3, 1)
@@ -55,6 +64,22 @@ def visual_mesh(file: ObjectFile) -> trimesh.Trimesh:
 def texture_of(mesh: trimesh.Trimesh) -> Image.Image | None:
     """Return the image on a mesh of `visual_mesh`, if it has one."""
     return getattr(getattr(mesh.visual, "material", None), "image", None)
+
+
+def _simplified(whole: trimesh.Trimesh, size: float) -> trimesh.Trimesh:
+    """Return a mesh simplified by the first tolerance that leaves `_ROOM`, or by the last.
+
+    A mesh that is not closed stays as it is.
+    """
+    mesh = whole
+    for detail in _DETAILS:
+        shells = simplify(mesh, detail * size)  # again and again: coarse at once leaves more triangles
+        if not shells:
+            break
+        mesh = merge_meshes(shells)
+        if len(mesh.faces) * _ROOM <= TEXELS**2:
+            break
+    return mesh
 
 
 def _texture(base_colors: BaseColors, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -63,6 +63,22 @@ def turned(quaternion):
     return matrix
 
 
+def test_detailed_surfaces_are_simplified_until_they_fit_their_texture(monkeypatch):
+    bell = ObjectFile.sample("bell")
+    monkeypatch.setattr(visual, "TEXELS", 288)  # the first tolerance leaves 16,650 triangles, 3190 have room
+    drawn = visual.visual_mesh(bell)
+    assert 1500 < len(drawn.faces) <= 288**2 // visual._ROOM
+    assert drawn.area == pytest.approx(bell.to_mesh().area, rel=0.005)
+    assert visual.texture_of(drawn).size == (288, 288)
+
+
+def test_surfaces_that_never_fit_their_texture_are_refused(brick, monkeypatch):
+    monkeypatch.setattr(visual, "simplify", lambda mesh, tolerance: ())  # as if it was not closed
+    count = len(brick.to_mesh().faces)
+    with pytest.raises(ObjectFolderError, match=rf"brick: the surface has {count} triangles .* most 256,"):
+        visual.visual_mesh(brick)
+
+
 @pytest.mark.parametrize("path", ["mjcf", "urdf"])
 def test_mujoco_loads_mass_and_shape(request, brick, body, path):
     model = mujoco.MjModel.from_xml_path(str(request.getfixturevalue(path)))
