@@ -159,9 +159,9 @@ def fit_pose(
         return _Surface(model, untouched, [moved]).error(profile).ravel()
 
     def jacobian(x: np.ndarray) -> np.ndarray:
-        here = residuals(x)
-        moved = [residuals(x + step) - here for step in np.diag(_STEPS)]
-        return np.stack(moved, axis=1) / _STEPS
+        # From both sides: outside the rim of a rigid imprint the image does not change at all.
+        moved = [residuals(x + step) - residuals(x - step) for step in np.diag(_STEPS)]
+        return np.stack(moved, axis=1) / (2 * _STEPS)
 
     first = photograph.pose / scale
     reach = np.array([_REACH, _REACH, 0.95])
