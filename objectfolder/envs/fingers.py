@@ -8,7 +8,7 @@ import torch
 from objectfolder.envs.poses import hand_axes, rotation
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals, sensor_frames
+from objectfolder.touch.contact import sensor_frames
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile
 from objectfolder.touch.simulate import touch_images
@@ -151,5 +151,4 @@ class TrueSurface:
 def _queries(file: ObjectFile, pressed: Presses) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return the nearest points of the surface, and angle, tilt and azimuth of the sensor there."""
     points, _ = file.nearest(pressed.points)
-    normals = contact_normals(file.surface.grid.smooth_distance, points / file.scale, NORMAL_RADIUS)
-    return points, *sensor_angles(normals, pressed.outward, pressed.up)
+    return points, *sensor_angles(file.contact_normals(points), pressed.outward, pressed.up)

@@ -41,6 +41,7 @@ from objectfolder.objectfile.touch import (
     sideways_motion,
 )
 from objectfolder.objectfile.vision import BaseColors, render_views, view_images
+from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals
 from objectfolder.touch.friction import friction_of
 from objectfolder.touch.markers import Markers
 from objectfolder.touch.optics import Optics
@@ -672,6 +673,25 @@ class ObjectFile:
             If the points are no finite rows of three, or further away than a million times the object's size.
         """
         return self._parts.surface.nearest(finite_rows("points", points, 3))
+
+    def contact_normals(self, points: Rows) -> np.ndarray:
+        """Return the directions against which `touch` and `press` move a sensor that is not tilted.
+
+        They are means over a neighbourhood, so that they lean at edges; `touch.contact.contact_normals`
+        defines them.
+
+        Parameters
+        ----------
+        points : (N, 3) array
+            On the surface, object frame, metres.
+
+        Returns
+        -------
+        (N, 3) float64, outward unit vectors
+        """
+        places = finite_rows("points", points, 3) / self.scale
+        normals: np.ndarray = contact_normals(self.surface.grid.smooth_distance, places, NORMAL_RADIUS)
+        return normals
 
     def to_mesh(self) -> "trimesh.Trimesh":
         """Return the stored surface as a triangle mesh with normals, object frame, metres."""

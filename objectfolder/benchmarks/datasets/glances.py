@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from objectfolder.benchmarks.datasets.samples import (
     Samples,
@@ -27,13 +26,13 @@ from objectfolder.touch.contact import sensor_frames
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.lighting import DistantLight
 
-FORMAT = "objectfolder glances 1"  #: of the procedure and the files; others are made again
+FORMAT = "objectfolder glances 2"  #: of the procedure and the files; others are made again
 RECORD = "record.json"
 ARRAYS = ("view", "touch")
 AGAIN = "delete the folder, and run the command again"
 DEPTH = 0.001  #: of all presses, metres
 FARTHEST, NEAREST = 0.1, 0.01  #: of the camera from the point, metres
-CLEAR = 0.9  #: of the way along the normal to the next surface, at most
+CLEAR = 0.9  #: of the way along the contact normal to the next surface, at most
 SLANT = (0.7, 0.5)  #: of the light, up and to the left in the view, relative to the normal
 LIFT = 1e-3  #: unit frame, above the surface, where free ways are measured from
 CHUNK = 50  #: contacts pressed at once
@@ -44,7 +43,8 @@ class Glances(Samples):
     """Close views and touches of several objects; (B, H, W, 3) uint8 each. See `Samples`.
 
     Row r shows and presses one random point of the surface. The view is of what the gel covers: its camera
-    stands on the outward normal, its up is that of the sensor, and both images have the same pixels.
+    stands on the contact normal, along which the gel comes, its up is that of the sensor, and both images
+    have the same pixels.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def open_points(file: ObjectFile, count: int, seed: int) -> tuple[np.ndarray, np
     """Draw points of the surface with room for a camera, and its distances: (N, 3) and (N,), metres."""
     drawn = file.sample_surface(4 * count, seed)
     place = (drawn / file.scale).astype(np.float32)
-    normals = file.surface.grid.normals(torch.from_numpy(place)).numpy()
+    normals = file.contact_normals(drawn).astype(np.float32)
     free, _ = file.surface.caster.first_hit(place + LIFT * normals, normals)
     distances = np.minimum(CLEAR * file.scale * free.astype(np.float64), FARTHEST)
     chosen = np.flatnonzero(distances >= NEAREST)[:count]
@@ -165,7 +165,7 @@ def open_points(file: ObjectFile, count: int, seed: int) -> tuple[np.ndarray, np
 def close_views(
     file: ObjectFile, points: np.ndarray, distances: np.ndarray, size: tuple[int, int]
 ) -> np.ndarray:
-    """Look at points along their inward normals at what the sensor covers; (N, H, W, 3) uint8.
+    """Look at points against their contact normals at what the sensor covers; (N, H, W, 3) uint8.
 
     Parameters
     ----------
@@ -178,8 +178,7 @@ def close_views(
     """
     profile = file.sensor_profile
     place = (points / file.scale).astype(np.float32)
-    normals = file.surface.grid.normals(torch.from_numpy(place)).numpy().astype(np.float64)
-    frames = sensor_frames(normals, np.zeros(len(points)))
+    frames = sensor_frames(file.contact_normals(points), np.zeros(len(points)))
     inward, left, up = np.moveaxis(frames, 2, 0)
     poses = np.tile(np.eye(4), (len(points), 1, 1))
     poses[:, :3, :3] = np.stack([-left, up, -inward], 2)

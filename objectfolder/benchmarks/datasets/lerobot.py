@@ -123,7 +123,8 @@ def _episodes(
 ) -> Iterator[list[dict[str, Any]]]:
     """Yield the frames of each episode, without their numbers."""
     strikes = sample_strikes(file, count, int(rng.integers(2**31)), IMPULSE)
-    points, normals = strikes[:, :3], -strikes[:, 3:] / IMPULSE
+    points = strikes[:, :3]
+    normals = file.contact_normals(points)  # the sensor's direction; strikes have that of the surface
     low, high = file.sensor_profile.press_depth
     deepest = rng.uniform(low, high, count)
     ramp = np.sin(np.pi * np.arange(frames) / (frames - 1)) ** 2

@@ -1,4 +1,6 @@
+import numpy as np
 import pytest
+import torch
 
 from objectfolder.benchmarks.datasets import glances
 from objectfolder.benchmarks.datasets.glances import (
@@ -45,6 +47,31 @@ def test_a_view_shows_where_the_gel_is_pressed(bell):
     assert (empty & pressed)[some].sum() < 0.02 * pressed[some].sum()
     for wrong in (empty[:, ::-1], empty[:, :, ::-1]):  # upside down, mirrored
         assert (wrong & pressed)[some].sum() > 0.04 * pressed[some].sum()
+
+
+def test_cameras_stand_where_the_gel_comes_from(bell, monkeypatch):
+    """It comes along the contact normal, which differs from that of the surface by some degrees."""
+    points, distances = open_points(bell, 60, seed=0)
+    outward = bell.contact_normals(points)
+    surface = bell.surface.grid.normals(torch.from_numpy((points / bell.scale).astype(np.float32))).numpy()
+    assert (outward * surface).sum(1).min() < 0.999
+    place = (points / bell.scale).astype(np.float32)
+    free, _ = bell.surface.caster.first_hit(
+        (place + glances.LIFT * outward).astype(np.float32), outward.astype(np.float32)
+    )
+    expected = np.minimum(glances.CLEAR * bell.scale * free, glances.FARTHEST)
+    np.testing.assert_allclose(distances, expected, atol=1e-4)
+    cameras = []
+
+    def view(file, camera, **options):
+        cameras.append(camera)
+        return np.zeros((1, 16, 12, 3))
+
+    monkeypatch.setattr(ObjectFile, "view", view)
+    close_views(bell, points, distances, SIZE)
+    np.testing.assert_allclose(np.stack(cameras)[:, :3, 2], outward, atol=1e-6)
+    away = np.stack(cameras)[:, :3, 3] * bell.scale - points
+    np.testing.assert_allclose(away, distances[:, None] * outward, atol=1e-6)
 
 
 def test_cameras_stand_in_the_open(bell):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from objectfolder.benchmarks.datasets import lerobot as module
 from objectfolder.benchmarks.datasets.lerobot import ACTION, AUDIO, STATE, STATES, TOUCH, write_lerobot
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
@@ -70,6 +71,19 @@ def test_images_are_those_of_the_presses(brick, frames):
     low, high = brick.sensor_profile.press_depth
     assert low <= max(depths) <= high
     assert depths[0] == 0
+
+
+def test_the_normal_is_that_of_the_press_and_the_strike_that_of_the_surface(brick, monkeypatch):
+    """They differ at an edge."""
+    strike = np.array([[0.0495, 0.03, 0, 0, -module.IMPULSE, 0]])
+    monkeypatch.setattr(module, "sample_strikes", lambda *arguments: strike)
+    (episode,) = module._episodes(brick, 1, FRAMES, FPS, RATE, np.random.default_rng(0))
+    normals = np.array([frame[STATE][3:6] for frame in episode])
+    np.testing.assert_allclose(normals, np.tile(brick.contact_normals(strike[:, :3]), (FRAMES, 1)), atol=1e-6)
+    assert normals[0, 0] > 0.1
+    heard = np.concatenate([frame[AUDIO] for frame in episode])
+    truth = brick.impact(strike[:, :3], strike[:, 3:], RATE, FRAMES / FPS)[0]
+    np.testing.assert_allclose(heard, truth, atol=1e-6 * np.abs(truth).max())
 
 
 def test_the_library_of_the_hub_reads_frames_episodes_and_tasks(folder, tmp_path):
