@@ -16,6 +16,7 @@ from objectfolder.touch.ball import BallModel
 from objectfolder.touch.imprint import (
     Imprint,
     check_background_seen,
+    check_circles,
     find_imprint,
     overflowed,
     untouched_estimate,
@@ -42,6 +43,8 @@ _REFINEMENTS = {"soft": (1.0,), "rigid": (6.0, 3.0, 1.5)}
 _MAX_ROUNDS = 30
 
 _ALTERNATIONS = 4  # of lights and poses
+
+_MIN_PIXELS = 50  # of an imprint whose lights are fitted; as of the smallest that `find_imprint` accepts
 
 
 @dataclass(frozen=True)
@@ -96,7 +99,8 @@ def fit_sensor(
     Raises
     ------
     ObjectFolderError
-        If a picture shows no imprint of a ball, or the pictures do not determine the background.
+        If a picture shows no imprint of a ball, a circle is not in its picture, or the pictures do not
+        determine the background.
     """
     names = names or [f"picture {i}" for i in range(1, len(pictures) + 1)]
     _check_radius(radius)
@@ -106,14 +110,13 @@ def fit_sensor(
             f"{len(pictures)} pictures do not determine the background: give one of the untouched sensor, or "
             f"{needed} pictures with the ball in different places"
         )
-    if circles is not None and len(circles) != len(pictures):
-        raise ObjectFolderError(f"{len(circles)} circles for {len(pictures)} pictures: expected one for each")
     observed = np.asarray(pictures, np.float32)
     if circles is None:
         circles = [
             find_imprint(picture - background, name)
             for picture, background, name in zip(observed, untouched_estimate(observed, untouched), names)
         ]
+    check_circles(circles, observed.shape[1:3], names)
     if untouched is None:
         check_background_seen(circles, observed.shape[1:3], names)
     model = BallModel(profile, radius)
@@ -152,25 +155,28 @@ def fit_sensor_lights(
     Raises
     ------
     ObjectFolderError
-        If a picture shows no imprint of a ball, or the ball's radius is not positive.
+        If a picture shows no imprint of a ball, a circle is not in its picture or too small, or the ball's
+        radius is not positive.
     """
     names = names or [f"picture {i}" for i in range(1, len(pictures) + 1)]
     _check_radius(radius)
-    if circles is not None and len(circles) != len(pictures):
-        raise ObjectFolderError(f"{len(circles)} circles for {len(pictures)} pictures: expected one for each")
     if count < 1:
         raise ObjectFolderError(f"{count} lights to fit, expected at least 1")
     observed, rest = np.asarray(pictures, np.float32), np.asarray(untouched, np.float32)
     if circles is None:
         circles = [find_imprint(picture - rest, name) for picture, name in zip(observed, names)]
+    check_circles(circles, rest.shape, names)
+    discs = [disc_of(circle, rest.shape) & ~overflowed(of) for of, circle in zip(observed, circles)]
+    for disc, name in zip(discs, names):
+        if disc.sum() < _MIN_PIXELS:
+            raise ObjectFolderError(
+                f"{name}: the circle covers {disc.sum()} pixels that did not overflow, expected at least "
+                f"{_MIN_PIXELS}; give a larger --circle, or leave the picture out"
+            )
     model = BallModel(profile, radius)
     photographs = [
-        Photograph(
-            picture,
-            disc_of(circle, rest.shape) & ~overflowed(picture),
-            np.array([*circle[:2], model.depth_of(*circle)]),
-        )
-        for picture, circle in zip(observed, circles)
+        Photograph(picture, disc, np.array([*circle[:2], model.depth_of(*circle)]))
+        for picture, disc, circle in zip(observed, discs, circles)
     ]
     fitted = starting_lights(profile, count)
     for _ in range(_ALTERNATIONS):

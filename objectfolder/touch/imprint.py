@@ -78,6 +78,22 @@ def find_imprint(change: np.ndarray, name: str = "picture") -> tuple[float, floa
     return (top + bottom - 1) / 2, (left + right - 1) / 2, (height + width) / 4
 
 
+def check_circles(
+    circles: Sequence[tuple[float, float, float]], shape: tuple[int, ...], names: Sequence[str]
+) -> None:
+    """Raise ObjectFolderError unless each picture has a circle whose centre lies in it."""
+    if len(circles) != len(names):
+        raise ObjectFolderError(f"{len(circles)} circles for {len(names)} pictures: expected one for each")
+    height, width = shape[:2]
+    for (row, column, radius), name in zip(circles, names):
+        inside = -0.5 <= row <= height - 0.5 and -0.5 <= column <= width - 0.5
+        if not (inside and np.isfinite(radius) and radius > 0):
+            raise ObjectFolderError(
+                f"{name}: the circle is {row:g},{column:g},{radius:g}, expected row and column of a place "
+                f"in the picture of {height} x {width} pixels and a positive radius; correct its --circle"
+            )
+
+
 def overflowed(picture: np.ndarray) -> np.ndarray:
     """Return where a channel of a picture (H, W, 3) overflowed; (H, W) bool.
 

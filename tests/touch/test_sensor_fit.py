@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_json
-from objectfolder.touch.calibration import fit_sensor
+from objectfolder.touch.calibration import fit_sensor, fit_sensor_lights
 from objectfolder.touch.camera import gel_depth, ray_directions
 from objectfolder.touch.imprint import find_imprint
 from objectfolder.touch.optics import Optics
@@ -145,6 +145,32 @@ def test_impossible_radius_is_refused(rigid, pictures, untouched, radius):
 def test_wrong_number_of_circles_is_refused(rigid, pictures):
     with pytest.raises(ObjectFolderError, match="1 circles for 4 pictures"):
         fit_sensor(pictures, RADIUS, rigid, circles=[(50.0, 40.0, 12.0)])
+
+
+@pytest.mark.parametrize(
+    "circle",
+    [
+        (-1, 40, 12),
+        (50, 120, 12),
+        (160, 40, 12),
+        (50, 40, 0),
+        (50, 40, -3),
+        (np.nan, 40, 12),
+        (50, np.inf, 12),
+        (50, 40, np.nan),
+    ],
+)
+def test_circles_beside_their_picture_are_refused(rigid, pictures, untouched, circle):
+    given, names = [(50.0, 40.0, 12.0), circle], ["a.png", "b.png"]
+    for fit in (fit_sensor, fit_sensor_lights):
+        with pytest.raises(ObjectFolderError, match=r"b\.png: the circle is .* picture of 160 x 120 pixels"):
+            fit(pictures[:2], RADIUS, rigid, untouched, given, names)
+
+
+def test_lights_need_pixels_in_each_circle(rigid, pictures, untouched):
+    given, names = [(50.0, 40.0, 12.0), (50.5, 80.5, 0.2)], ["a.png", "b.png"]
+    with pytest.raises(ObjectFolderError, match=r"b\.png: the circle covers 0 pixels .* at least 50"):
+        fit_sensor_lights(pictures[:2], RADIUS, rigid, untouched, given, names)
 
 
 def test_command_writes_a_profile_that_loads(tmp_path, real, pictures, untouched):
