@@ -11,6 +11,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 
 from objectfolder.mesh.normals import area_vectors
+from objectfolder.mesh.polygon import area_vector, in_plane
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.topology import Mesh, boundary_loops, face_areas, signed_volume
@@ -54,7 +55,7 @@ def close_piece(piece: Mesh, scene: RayCaster | None, wall: float) -> tuple[Mesh
         loop
         for loop in loops
         if scene is not None
-        and np.linalg.norm(_loop_area(vertices[loop])) > LARGE * area
+        and np.linalg.norm(area_vector(vertices[loop])) > LARGE * area
         and _seen(vertices[loop], scene) > SEEN
     ]
     chosen = {int(loop[0]) for loop in openings}
@@ -73,11 +74,11 @@ def cap(vertices: np.ndarray, faces: np.ndarray, loops: list[np.ndarray]) -> Mes
     new_vertices, new_faces, count = [vertices], [faces], len(vertices)
     for loop in loops:
         points = vertices[loop]
-        normal = _loop_area(points)
+        normal = area_vector(points)
         centre = points.mean(0)
         fan = np.cross(points - centre, np.roll(points, -1, 0) - centre) @ normal
         if len(loop) > 3 and (fan <= 0).any():  # not star-shaped about its centre
-            local = manifold3d.triangulate([_in_plane(points, normal)])
+            local = manifold3d.triangulate([in_plane(points, normal)])
             new_faces.append(loop[local][:, ::-1])
         else:
             new_faces.append(np.stack([np.roll(loop, -1), loop, np.full(len(loop), count)], 1))
@@ -119,27 +120,13 @@ def _offset_directions(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return normal / np.clip(mean, 0.5, 1)[:, None]
 
 
-def _loop_area(points: np.ndarray) -> np.ndarray:
-    """Compute the area vector of a closed loop; (3,)."""
-    around = points - points.mean(0)
-    return np.cross(around, np.roll(around, -1, 0)).sum(0) / 2
-
-
-def _in_plane(points: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Project a loop onto its plane, counter-clockwise; (N, 2)."""
-    axis = np.eye(3)[np.abs(normal).argmin()]
-    u = np.cross(axis, normal)
-    v = np.cross(normal, u)
-    return np.stack([points @ (u / np.linalg.norm(u)), points @ (v / np.linalg.norm(v))], 1)
-
-
 def _seen(loop: np.ndarray, scene: RayCaster) -> float:
     """Compute the fraction of cosine-weighted outward rays from a cap that hit nothing."""
     rng = np.random.default_rng(0)
     count = len(loop)
     fan = np.stack([np.full(count, count), np.arange(count), (np.arange(count) + 1) % count], 1)
     # The loop follows the surface's boundary, so its cap faces the other way.
-    outward = -_loop_area(loop)
+    outward = -area_vector(loop)
     outward /= np.linalg.norm(outward)
     points = sample_surface(np.concatenate([loop, loop.mean(0, keepdims=True)]), fan, _RAYS, rng)
     direction = rng.normal(size=(_RAYS, 3))
