@@ -11,6 +11,7 @@ from PIL.PngImagePlugin import PngInfo
 from trimesh.resolvers import Resolver
 
 from objectfolder.mesh import srgb
+from objectfolder.mesh.polygon import fan
 from objectfolder.mesh.reading.files import read_image, read_referenced
 from objectfolder.mesh.reading.parts import SurfaceMaterial
 
@@ -87,6 +88,4 @@ def as_points(values: Any) -> np.ndarray:
 def fan_triangles(values: Any) -> np.ndarray:
     """Split polygons (P, n) into triangle fans; (F, 3)."""
     polygons = np.asarray(values, np.int64)
-    corner = np.arange(1, polygons.shape[1] - 1)
-    fans = np.stack([np.zeros_like(corner), corner, corner + 1], 1)
-    return polygons[:, fans].reshape(-1, 3)
+    return polygons[:, fan(polygons.shape[1])].reshape(-1, 3)

@@ -1,7 +1,7 @@
 """Read Wavefront ``.obj`` with its ``.mtl`` material libraries and textures."""
 
 import re
-from collections.abc import Iterator
+from collections import Counter, defaultdict
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -11,18 +11,18 @@ from trimesh.exchange.obj import load_obj
 
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
-from objectfolder.mesh.reading.files import read_referenced
-from objectfolder.mesh.reading.from_trimesh import (
-    ReferencedFiles,
-    as_points,
-    fan_triangles,
-    surface_material,
-)
+from objectfolder.mesh.polygon import needs_ears, split
+from objectfolder.mesh.reading.from_trimesh import as_points, fan_triangles
+from objectfolder.mesh.reading.mtl import MtlMaterial, read_materials
 from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMaterial
 
-MAP = re.compile(r"map_\w+|bump|disp|decal|norm", re.I)
-# Options such as `-s 1 1 1`, which precede a file name. Possessive, so that nothing is tried twice.
-OPTIONS = re.compile(r"^(?:-\w++(?:\s++(?:-?[\d.]++|on|off)(?=\s))*+\s++)*+")
+FACE = re.compile(r"^f[ \t]+\S.*", re.M | re.A)
+POLYGON = re.compile(r"^f(?:[ \t]++[\d/]++){4,}+[ \t]*+$", re.M | re.A)
+#: Faces by what their corners name: vertices, and texture coordinates, and normals, and both.
+FORMS = [
+    re.compile(rf"^f(?:[ \t]++{corner}(?=\s|$))++[ \t]*+$", re.M | re.A)
+    for corner in (r"\d++/*+", r"\d++/\d++/?+", r"\d++//\d++", r"\d++/\d++/\d++")
+]
 MAX_MATERIALS = 4096  # trimesh takes time in proportion to the square of their number
 
 
@@ -37,38 +37,51 @@ def read_obj(path: Path) -> MeshContent:
     ObjectFolderError
         If a file it refers to is missing or unreadable, or a face index is out of range.
     """
-    data = path.read_bytes()
-    text = _joined(data.decode(errors="replace"))
-    _check_indices(path, text)
+    text = _joined(path.read_bytes().decode(errors="replace"))
     _check_materials(path, text)
-    files = _ObjFiles(path, mtl_names(text))
-    geometry = load_obj(BytesIO(data), resolver=files).get("geometry", {}).values()
-    files.check()
-    materials: dict[int, SurfaceMaterial] = {}
-    parts, notes = [], []
+    text = _counted_from_start(path, text)
+    _check_zero(path, text)
+    materials = read_materials(path, mtl_names(text))
+    # trimesh gets names only: it would ignore options of textures, and give materials without Kd a colour.
+    library = "\n".join(f"newmtl {name}" for name in materials).encode()
+    geometry = [
+        content
+        for one_form in _by_form(path, _without_ears(text))
+        for content in load_obj(BytesIO(one_form.encode()), resolver=defaultdict(lambda: library))
+        .get("geometry", {})
+        .values()
+    ]
+    unit = 255 if max((_brightest(content) for content in geometry), default=0) > 1 else 1
+    plain = MtlMaterial()
+    parts: list[MeshPart] = []
+    notes, used = [], {}
     for content in geometry:
         visual, colors = content.get("visual"), content.get("vertex_colors")
-        source = getattr(visual, "material", None)
-        if id(source) not in materials:
-            materials[id(source)] = surface_material(source, files.images)
-        material = materials[id(source)]
-        colors = None if colors is None else srgb.decode(_unit_range(colors)[:, :3])
-        if colors is not None and material.image is not None:
+        name = "" if visual is None else str(visual.material.name)
+        material = used[name] = materials.get(name, plain)
+        surface = material.surface
+        colors = None if colors is None else srgb.decode(np.clip(colors[:, :3] / unit, 0, 1))
+        if colors is not None and surface.image is not None:
             notes.append("vertex colours beside a texture left out")
             colors = None
         if colors is not None:
-            material = SurfaceMaterial()
+            surface = SurfaceMaterial()
         uv = None if visual is None or visual.uv is None else np.asarray(visual.uv, np.float64)[:, :2]
+        uv = None if uv is None else material.image_coordinates(uv)
         vertices, faces = as_points(content["vertices"]), fan_triangles(content["faces"])
         normals = content.get("vertex_normals")
         parts.append(
-            MeshPart(vertices, faces, material, uv, colors, None if normals is None else as_points(normals))
+            MeshPart(vertices, faces, surface, uv, colors, None if normals is None else as_points(normals))
         )
-    used = dict.fromkeys(name.strip() for name in re.findall(r"^usemtl[ \t](.*)", text, re.MULTILINE))
-    missing = [shortened(name) for name in used if name and name not in files.materials]
+    named = dict.fromkeys(name.strip() for name in re.findall(r"^usemtl[ \t](.*)", text, re.MULTILINE))
+    missing = [shortened(name) for name in named if name and name not in materials]
     if missing:
-        notes.append(f"material {', '.join(missing[:5])} is not defined: its faces have no colour")
-    return MeshContent(parts, notes)
+        colored = any(part.colors is not None for part in parts)
+        seen = "faces have no colour but that of their vertices" if colored else "faces have no colour"
+        notes.append(f"material {', '.join(missing[:5])} is not defined: its {seen}")
+    dropped = Counter(what for material in used.values() for what in material.dropped)
+    notes += [f"{what} left out ({count})" for what, count in sorted(dropped.items())]
+    return MeshContent(parts, list(dict.fromkeys(notes)))
 
 
 def mtl_names(obj: str) -> list[str]:
@@ -83,46 +96,9 @@ def _libraries(line: str) -> list[str]:
     return [name for name in names if name.lower().endswith(".mtl")] or [line]
 
 
-def textures(mtl: str) -> list[tuple[str, str]]:
-    """Return the maps in the text of an ``.mtl``: statement, such as ``map_Kd``, and file name."""
-    return [(keyword, OPTIONS.sub("", rest)) for keyword, rest in _statements(mtl) if MAP.fullmatch(keyword)]
-
-
 def _joined(obj: str) -> str:
     """Join continued lines, as trimesh does."""
     return obj.replace("\r\n", "\n").replace("\\\n", "")
-
-
-def _statements(mtl: str) -> Iterator[tuple[str, str]]:
-    """Yield the first word and the rest of every line that has more than one word."""
-    for line in mtl.splitlines():
-        words = line.strip().split(maxsplit=1)
-        if len(words) == 2:
-            yield words[0], words[1]
-
-
-class _ObjFiles(ReferencedFiles):
-    """Images and material libraries of an ``.obj``."""
-
-    def __init__(self, path: Path, libraries: list[str]):
-        super().__init__(path)
-        self.libraries: list[str] | None = libraries
-        self.materials: set[str] = set()
-
-    def read(self, key: str) -> bytes:
-        if self.libraries is None:
-            return super().read(key)
-        # trimesh asks for the first library only, before any image: give it all of them.
-        libraries, self.libraries = self.libraries, None
-        text = "\n".join(read_referenced(self.path, name).decode(errors="replace") for name in libraries)
-        statements = list(_statements(text))
-        named = [rest for keyword, rest in statements if keyword.lower() == "newmtl"]
-        self.materials = {" ".join(name.split()) for name in named}
-        lines = (
-            f"{keyword} {OPTIONS.sub('', rest) if keyword.lower() == 'map_kd' else rest}"
-            for keyword, rest in statements
-        )
-        return "\n".join(lines).encode()
 
 
 def _check_materials(path: Path, text: str) -> None:
@@ -134,21 +110,112 @@ def _check_materials(path: Path, text: str) -> None:
         )
 
 
-def _check_indices(path: Path, text: str) -> None:
-    """Raise for face indices that trimesh misinterprets."""
+def _check_zero(path: Path, text: str) -> None:
+    """Raise for the index 0, which trimesh misinterprets."""
     faces = "\n".join(re.findall(r"^f\s.*", text, re.MULTILINE))
     zero = re.search(r"[\s/]0+(?=[/\s]|$)", faces)
     if zero:
         line = faces[faces.rfind("\nf", 0, zero.end()) + 1 :].partition("\n")[0].strip()
         raise ObjectFolderError(f"{path}: {shortened(line)!r} has the index 0, but .obj counts from 1")
-    relative = re.search(r"^f\s[^\n-]*-\d", text, re.MULTILINE) if "-" in faces else None
-    if relative and re.search(r"^v\s", text[relative.start() :], re.MULTILINE):
+
+
+def _counted_from_start(path: Path, text: str) -> str:
+    """Replace negative indices of faces, which count back from where they stand; trimesh: from the end."""
+    if not re.search(r"^f\s[^\n-]*-\d", text, re.MULTILINE):
+        return text
+    lines, counts = text.split("\n"), Counter[str]()
+    for i, line in enumerate(lines):
+        keyword = line.partition(" ")[0]
+        counts[keyword] += 1
+        if keyword == "f" and "-" in line:
+            lines[i] = "f " + " ".join(_corner(path, line, corner, counts) for corner in line.split()[1:])
+    return "\n".join(lines)
+
+
+def _corner(path: Path, line: str, corner: str, counts: Counter[str]) -> str:
+    """Replace the negative indices of one corner, given how many lines of each kind precede it."""
+    indices = corner.split("/")
+    for i, (kind, index) in enumerate(zip(("v", "vt", "vn"), indices)):
+        if re.fullmatch(r"-\d{1,18}", index):
+            absolute = counts[kind] + 1 + int(index)
+            if absolute < 1:
+                raise ObjectFolderError(
+                    f"{path}: {shortened(line)!r} counts back to {kind} {index}, but {counts[kind]} precede "
+                    "it; export the mesh again"
+                )
+            indices[i] = str(absolute)
+    return "/".join(indices)
+
+
+def _without_ears(text: str) -> str:
+    """Split the polygons of the text that trimesh's fans would leave, such as a U."""
+    lines = list(dict.fromkeys(POLYGON.findall(text)))
+    if not lines:
+        return text
+    vertices = _vertices(text)
+    groups: dict[int, list[list[str]]] = defaultdict(list)
+    for line in lines:
+        corners = line.split()[1:]
+        groups[len(corners)].append(corners)
+    replaced: dict[tuple[str, ...], str] = {}
+    for corners in map(np.array, groups.values()):
+        index = np.strings.partition(corners, "/")[0].astype(np.int64) - 1
+        valid = (index >= 0).all(1) & (index < len(vertices)).all(1)  # others are refused later
+        corners, points = corners[valid], vertices[index[valid]]
+        odd = needs_ears(points)
+        for polygon, triangles in zip(corners[odd], split(points[odd])):
+            replaced[tuple(polygon)] = "\n".join("f " + " ".join(corner) for corner in polygon[triangles])
+    if not replaced:
+        return text
+    return POLYGON.sub(lambda match: replaced.get(tuple(match[0].split()[1:]), match[0]), text)
+
+
+def _vertices(text: str) -> np.ndarray:
+    """Read the positions of the vertices, (V, 3); none if a line has fewer than three numbers."""
+    rows = [line.split()[:3] for line in re.findall(r"^v (.*)", text, re.MULTILINE)]
+    try:
+        return np.array(rows, np.float64).reshape(-1, 3)
+    except ValueError:
+        return np.zeros((0, 3))
+
+
+def _by_form(path: Path, text: str) -> list[str]:
+    """Return the text once for each form of its faces, with these faces only, if a material mixes forms.
+
+    trimesh gives a material's faces what all of them have.
+    """
+    if sum(len(form.findall(text)) for form in FORMS) < len(FACE.findall(text)):
+        text = FACE.sub(lambda match: _uniform(path, match[0]), text)
+    forms: dict[str, set[int]] = defaultdict(set)
+    for chunk in re.split(r"^(?=usemtl )", text, flags=re.MULTILINE):
+        name = chunk.partition("\n")[0] if chunk.startswith("usemtl ") else ""
+        forms[name.strip()] |= {i for i, form in enumerate(FORMS) if form.search(chunk)}
+    if all(len(found) < 2 for found in forms.values()):
+        return [text]
+    found = sorted(set[int]().union(*forms.values()))
+    return [_only(FORMS[i], text) for i in found]
+
+
+def _only(form: re.Pattern[str], text: str) -> str:
+    return FACE.sub(lambda match: match[0] if form.match(match[0]) else "", text)
+
+
+def _uniform(path: Path, face: str) -> str:
+    """Leave to all corners of a face what all of them have."""
+    corners = [corner.split("/") for corner in face.partition("#")[0].split()[1:]]
+    width = max(map(len, corners), default=0)
+    columns = list(zip(*(corner + [""] * (width - len(corner)) for corner in corners)))
+    kept = [column if all(column) else [""] * len(corners) for column in columns]
+    uniform = "f " + " ".join("/".join(corner).rstrip("/") for corner in zip(*kept))
+    if not any(form.match(uniform) for form in FORMS):
         raise ObjectFolderError(
-            f"{path}: negative face indices among the vertices are not supported; export it again"
+            f"{path}: {shortened(face)!r} is no face, expected corners such as 1, 1/2, 1//3 or 1/2/3; "
+            "export the mesh again"
         )
+    return uniform
 
 
-def _unit_range(colors: Any) -> np.ndarray:
-    return np.clip(
-        np.asarray(colors, np.float64) / (255 if np.asarray(colors).max(initial=0) > 1 else 1), 0, 1
-    )
+def _brightest(content: dict[str, Any]) -> float:
+    """Return the largest vertex colour of a geometry."""
+    colors = content.get("vertex_colors")
+    return 0.0 if colors is None else float(np.asarray(colors).max(initial=0))

@@ -6,7 +6,8 @@ from pathlib import Path, PurePosixPath
 
 from objectfolder.mesh.reading.files import read_referenced, referenced_path
 from objectfolder.mesh.reading.gltf import uris
-from objectfolder.mesh.reading.obj import mtl_names, textures
+from objectfolder.mesh.reading.mtl import textures
+from objectfolder.mesh.reading.obj import mtl_names
 
 
 def references(mesh: Path) -> Iterator[PurePosixPath]:

@@ -1,0 +1,140 @@
+"""Read Wavefront material libraries (``.mtl``): diffuse colours and textures with their options."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from objectfolder.mesh import srgb
+from objectfolder.mesh.reading.files import read_image, read_referenced
+from objectfolder.mesh.reading.parts import SurfaceMaterial
+
+MAP = re.compile(r"map_\w+|bump|disp|decal|norm", re.I)
+NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?(?=\s)"
+#: One option before a file name, with as many arguments as the standard gives it.
+OPTION = re.compile(
+    rf"-(?:([ost])((?:\s++{NUMBER}){{1,3}})|(mm)\s++(\S+\s++\S+)"
+    r"|(blend[uv]|boost|bm|cc|clamp|imfchan|texres|type)\s++(\S+))\s++",
+    re.I,
+)
+DROPPED_MAPS = {
+    "map_d": "transparency",
+    "bump": "bump map",
+    "map_bump": "bump map",
+    "norm": "normal map",
+    "disp": "displacement map",
+    "map_ke": "emissive map",
+}
+DROPPED_OPTIONS = ("t", "mm", "cc", "imfchan")  # of a texture: they change its colours or its place
+
+
+@dataclass(frozen=True)
+class MtlMaterial:
+    """Material of a library."""
+
+    surface: SurfaceMaterial = field(default_factory=SurfaceMaterial)
+    scale: np.ndarray = field(default_factory=lambda: np.ones(2))  #: texture coordinates times this, plus
+    offset: np.ndarray = field(default_factory=lambda: np.zeros(2))  #: this are those of the image
+    dropped: frozenset[str] = frozenset()  #: what of its appearance is not supported, in words
+
+    def image_coordinates(self, uv: np.ndarray) -> np.ndarray:
+        """Convert texture coordinates (V, 2) of the mesh to those of the image."""
+        if (self.scale == 1).all() and (self.offset == 0).all():
+            return uv
+        return uv * self.scale + self.offset
+
+
+def read_materials(mesh: Path, libraries: list[str]) -> dict[str, MtlMaterial]:
+    """Read the materials of the libraries that a mesh names, by name.
+
+    Raises
+    ------
+    ObjectFolderError
+        If a library or a texture is missing or unreadable.
+    """
+
+    @cache
+    def image(name: str) -> Image.Image:
+        return read_image(read_referenced(mesh, name), mesh.parent / name, mesh)
+
+    text = "\n".join(read_referenced(mesh, name).decode(errors="replace") for name in libraries)
+    found: dict[str, dict[str, str]] = {}
+    statements: dict[str, str] = {}  # of the current material, the last of each keyword
+    for keyword, rest in _statements(text):
+        if keyword.lower() == "newmtl":
+            statements = found[" ".join(rest.split())] = {}
+        else:
+            statements[keyword.lower()] = rest
+    materials = {}
+    for name, lines in found.items():
+        options, file = _options(lines.get("map_kd", ""))
+        dropped = _dropped(lines) | {f"option -{key} of map_Kd" for key in DROPPED_OPTIONS if key in options}
+        if file:
+            wrap = "clamp" if options.get("clamp", "").lower() == "on" else "repeat"
+            surface = SurfaceMaterial(image(file), wrap=(wrap, wrap))
+        else:
+            surface = SurfaceMaterial(color=_color(_floats(lines.get("kd", ""))))
+        scale, offset = _numbers(options.get("s", ""), 1), _numbers(options.get("o", ""), 0)
+        materials[name] = MtlMaterial(surface, scale, offset, frozenset(dropped))
+    return materials
+
+
+def textures(mtl: str) -> list[tuple[str, str]]:
+    """Return the maps in the text of an ``.mtl``: statement, such as ``map_Kd``, and file name."""
+    maps = [(keyword, _options(rest)[1]) for keyword, rest in _statements(mtl) if MAP.fullmatch(keyword)]
+    return [(keyword, name) for keyword, name in maps if name]
+
+
+def _statements(mtl: str) -> Iterator[tuple[str, str]]:
+    """Yield the first word and the rest of every line that has more than one word."""
+    for line in mtl.splitlines():
+        words = line.strip().split(maxsplit=1)
+        if len(words) == 2:
+            yield words[0], words[1]
+
+
+def _options(rest: str) -> tuple[dict[str, str], str]:
+    """Split what follows the keyword of a map into options, lower case, and the file's name."""
+    options, start = {}, 0
+    while match := OPTION.match(rest, start):
+        (key, value) = (part for part in match.groups() if part is not None)
+        options[key.lower()] = value
+        start = match.end()
+    return options, rest[start:]
+
+
+def _numbers(text: str, default: float) -> np.ndarray:
+    """Return the first two of one to three numbers, (2,)."""
+    return np.array([*map(float, text.split()), default, default])[:2]
+
+
+def _floats(text: str) -> np.ndarray:
+    """Return the numbers of a statement, none if it has other words."""
+    try:
+        values = np.array(text.split(), np.float64)
+    except ValueError:
+        return np.zeros(0)
+    return values if np.isfinite(values).all() else np.zeros(0)
+
+
+def _color(values: np.ndarray) -> np.ndarray | None:
+    """Decode an sRGB colour in steps of 1/255, as textures are; one number is a grey."""
+    if values.size not in (1, 3):
+        return None
+    linear: np.ndarray = srgb.decode(np.rint(255 * np.clip(np.broadcast_to(values, 3), 0, 1)) / 255)
+    return linear
+
+
+def _dropped(lines: dict[str, str]) -> set[str]:
+    """Name what a material's statements say that is not supported."""
+    dropped = {DROPPED_MAPS.get(key, key) for key in lines if MAP.fullmatch(key) and key != "map_kd"}
+    opacity = _floats(lines["d"]) if "d" in lines else 1 - _floats(lines.get("tr", "0"))
+    if not (opacity == 1).all():
+        dropped.add("transparency")
+    if "kd" in lines and _color(_floats(lines["kd"])) is None:
+        dropped.add("Kd other than three numbers")
+    return dropped

@@ -1,0 +1,167 @@
+"""What Wavefront files say beyond triangles with one texture."""
+
+import numpy as np
+import pytest
+from gltf_scene import checker, colors_at
+from PIL import Image
+from polygons import AREA, VOLUME, area, u_plate
+
+from objectfolder.mesh.normalize import normalize
+from objectfolder.mesh.reading.load import load_mesh
+from objectfolder.mesh.reading.mtl import textures
+from objectfolder.mesh.reading.obj import read_obj
+from objectfolder.mesh.textured import PLAIN, appearance_report
+
+QUAD = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
+CORNERS = "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
+COLORS = [[[250, 10, 20], [30, 240, 40]], [[50, 60, 230], [200, 200, 80]]]  # upper left first
+
+
+def notes(mesh):
+    return appearance_report(mesh)["notes"]
+
+
+def written(folder, obj, mtl=None, name="m.obj"):
+    if mtl is not None:
+        (folder / "m.mtl").write_text(mtl)
+        Image.fromarray(checker(COLORS, 16)).save(folder / "my skin.png")
+        obj = "mtllib m.mtl\n" + obj
+    (folder / name).write_text(obj)
+    return load_mesh(folder / name)
+
+
+def numbered(polygons, form="{}"):
+    return "".join(f"f {' '.join(form.format(i + 1) for i in p)}\n" for p in polygons)
+
+
+def vertex_lines(vertices, keyword="v"):
+    return "".join(f"{keyword} {' '.join(map(str, row))}\n" for row in vertices)
+
+
+@pytest.mark.parametrize("form", ["{}", "{0}/{0}", "{0}//{0}", "{0}/{0}/{0}"])
+def test_a_concave_polygon_is_covered_once(tmp_path, form):
+    vertices, polygons = u_plate()
+    uv = vertices[:, :2] + vertices[:, 2:]
+    text = vertex_lines(vertices) + vertex_lines(uv, "vt") + vertex_lines(vertices - 1.25, "vn")
+    mesh = written(tmp_path, text + numbered(polygons, form))
+    assert len(mesh.faces) == 2 * 6 + 8 * 2
+    assert area(mesh.vertices, mesh.faces) == pytest.approx(AREA, abs=1e-12)
+    if "/" in form.removeprefix("{0}//"):
+        (part,) = read_obj(tmp_path / "m.obj").parts
+        np.testing.assert_allclose(part.uv, part.vertices[:, :2] + part.vertices[:, 2:])
+    solid = normalize(mesh).surface
+    assert solid.rung == "keep"
+    assert solid.volume == pytest.approx(VOLUME / 27)
+
+
+def test_a_concave_quad_among_convex_ones_is_covered_once(tmp_path):
+    dart = "v 3 0 0\nv 5 1 0\nv 4 0 0\nv 5 -1 0\n"
+    mesh = written(tmp_path, QUAD + dart + "f 1 2 3 4\nf 8 7 6 5\nf 5 8 7 6\n")
+    assert len(mesh.faces) == 6
+    assert area(mesh.vertices, mesh.faces) == pytest.approx(1 + 1 + 1)
+
+
+def test_indices_count_back_from_where_they_stand(tmp_path):
+    points = "v {x} 0 0\nv {x} 1 0\nv {x} 0 1\nvt {x} 0\nvt {x} 1\nvt 0 {x}\n".format
+    back, absolute = "f -3/-3 -2/-2 -1/-1\n", ["f 1/1 2/2 3/3\n", "f 4/4 5/5 6/6\n", "f 7/7 8/8 9/9\n"]
+    mesh = written(tmp_path, "".join(points(x=x) + back for x in range(3)))
+    same = written(tmp_path, "".join(points(x=x) + absolute[x] for x in range(3)), name="n.obj")
+    np.testing.assert_array_equal(mesh.vertices[mesh.faces][:, :, 0], np.repeat([[0], [1], [2]], 3, 1))
+    np.testing.assert_array_equal(mesh.faces, same.faces)
+    (part,), (other,) = (read_obj(tmp_path / name).parts for name in ("m.obj", "n.obj"))
+    np.testing.assert_array_equal(part.vertices, other.vertices)
+    np.testing.assert_array_equal(part.uv, other.uv)
+
+
+def test_one_face_without_texture_coordinates_loses_the_texture_alone(tmp_path):
+    faces = "usemtl skin\nf 1/1 2/2 3/3\nf 1 3 4\nf 1/1 3/3 4/4\n"
+    mesh = written(tmp_path, QUAD + CORNERS + faces, "newmtl skin\nmap_Kd my skin.png\n")
+    colors = {tuple(np.rint(c)) for c in colors_at(mesh, (0.6, 0.25, 0.15))}
+    assert len(mesh.faces) == 3
+    assert {(50, 60, 230)} < colors  # the lower left quarter
+    assert notes(mesh)[0] == "texture without coordinates replaced by its mean colour (1)"
+
+
+def test_forms_with_as_many_numbers_are_told_apart(tmp_path):
+    faces = "f 1//1 2//1 3//1\nf 1/1 3/3 4/4\nf 1 2 3 4 3 4\nf 1/1 2/2 3\n"
+    mesh = written(tmp_path, QUAD + CORNERS + "vn 0 0 1\n" + faces)
+    assert len(mesh.faces) == 1 + 1 + 4 + 1
+    np.testing.assert_array_equal(
+        np.unique(mesh.vertices, axis=0), [[0, 0, 0], [0, 1, 0], [1, 0, 0], [1, 1, 0]]
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "color"),
+    [
+        ("", (50, 60, 230)),
+        ("-s 4 4 1", (30, 240, 40)),  # 0.2 -> 0.8
+        ("-s 4", (200, 200, 80)),
+        ("-o 0.5 0 0", (200, 200, 80)),
+        ("-o 0.5", (200, 200, 80)),
+        ("-o 1e-05 5e-1 0", (250, 10, 20)),
+        ("-blendu on -bm 1 -s 1 4 1 -imfchan l -texres 512", (250, 10, 20)),
+        ("-s 4 4 1 -o -1 0 0 -clamp on", (250, 10, 20)),
+        ("-clamp on -o 3 0 0", (200, 200, 80)),
+        ("-mm 0 1 -t 0 0 0 -O 0.5 0.5", (30, 240, 40)),
+    ],
+)
+def test_options_of_a_texture_move_and_scale_it(tmp_path, options, color):
+    uv = "vt 0.2 0.2\nvt 0.2 0.2\nvt 0.2 0.2\n"
+    faces = "usemtl skin\nf 1/1 2/2 3/3\n"
+    mesh = written(tmp_path, QUAD + uv + faces, f"newmtl skin\nmap_Kd {options} my skin.png\n")
+    np.testing.assert_allclose(colors_at(mesh), [color], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("line", "name"),
+    [
+        ("map_Kd -s 1 1 1 2 3.png", "2 3.png"),
+        ("map_Kd -s 1e-05 +2.5E3 .5 a  b.png", "a  b.png"),
+        ("map_Kd -clamp on 7", "7"),
+        ("map_Kd -mm 0.2 0.8 t.png", "t.png"),
+        ("map_Bump -bm 0.3 t.png", "t.png"),
+        ("bump -type sphere -cc on t.png", "t.png"),
+        ("map_Kd -new.png", "-new.png"),
+    ],
+)
+def test_options_take_as_many_words_as_the_standard_says(line, name):
+    assert textures(line) == [(line.split()[0], name)]
+
+
+def test_what_a_material_drops_is_listed(tmp_path):
+    mtl = (
+        "newmtl skin\nmap_Kd -mm 0.5 1 my skin.png\nmap_Bump -bm 2 b.png\nd 0.5\n"
+        "newmtl other\nKd 1 0 0\nTr 0.0\nd 1.0\nmap_d a.png\nmap_Ns s.png\n"
+        "newmtl unused\nTr 0.7\ndisp d.png\n"
+    )
+    faces = "usemtl skin\nf 1/1 2/2 3/3\nusemtl other\nf 1/1 3/3 4/4\n"
+    assert notes(written(tmp_path, QUAD + CORNERS + faces, mtl))[:4] == [
+        "bump map left out (1)",
+        "map_ns left out (1)",
+        "option -mm of map_Kd left out (1)",
+        "transparency left out (2)",
+    ]
+
+
+def test_a_material_without_a_colour_is_plain(tmp_path):
+    mesh = written(tmp_path, QUAD + "usemtl a\nf 1 2 3\n", "newmtl a\nNs 10\n")
+    assert mesh.texture is mesh.vertex_colors is None  # PLAIN, as of a mesh without materials
+    grey = written(
+        tmp_path, QUAD + "usemtl a\nf 1 2 3\nusemtl b\nf 1 3 4\n", "newmtl a\nNs 1\nnewmtl b\nKd 1 0 0\n"
+    )
+    low = np.rint(255 * (1.055 * PLAIN ** (1 / 2.4) - 0.055))
+    assert {tuple(c) for c in grey.vertex_colors} == {(low, low, low), (255, 0, 0)}
+
+
+def test_the_range_of_vertex_colours_is_that_of_the_file(tmp_path):
+    """A material whose vertices are nearly black, beside one that is not."""
+    dark = "v 0 0 0 1 1 0\nv 1 0 0 1 0 1\nv 0 1 0 0 1 1\n"
+    bright = "v 0 0 1 200 100 50\nv 1 0 1 255 0 0\nv 0 1 1 0 0 9\n"
+    mesh = written(tmp_path, dark + bright + "usemtl a\nf 1 2 3\nusemtl b\nf 4 5 6\n")
+    found = dict(zip(map(tuple, mesh.vertices), map(tuple, mesh.vertex_colors)))
+    assert found[0, 0, 0] == (1, 1, 0)
+    assert found[0, 0, 1] == (200, 100, 50)
+    assert notes(mesh) == [
+        "material a, b is not defined: its faces have no colour but that of their vertices"
+    ]
