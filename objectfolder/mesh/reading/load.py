@@ -12,6 +12,7 @@ from objectfolder.mesh.normals import usable
 from objectfolder.mesh.reading.bake import join
 from objectfolder.mesh.reading.gltf import read_gltf
 from objectfolder.mesh.reading.obj import read_obj
+from objectfolder.mesh.reading.off import read_off
 from objectfolder.mesh.reading.parts import MeshContent, MeshPart
 from objectfolder.mesh.reading.polygons import read_polygons
 from objectfolder.mesh.textured import TexturedMesh, z_up
@@ -22,7 +23,7 @@ READERS: dict[str, Callable[[Path], MeshContent]] = {
     ".gltf": read_gltf,
     ".ply": read_polygons,
     ".stl": read_polygons,
-    ".off": read_polygons,
+    ".off": read_off,
 }
 FORMATS = tuple(READERS)  #: suffixes of supported mesh files
 MAX_REACH = 1e30  # largest coordinate in any unit; keeps products finite

@@ -12,7 +12,7 @@ from trimesh.exchange.obj import load_obj
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
 from objectfolder.mesh.polygon import needs_ears, split
-from objectfolder.mesh.reading.from_trimesh import as_points, fan_triangles
+from objectfolder.mesh.reading.from_trimesh import as_points, color_unit, fan_triangles
 from objectfolder.mesh.reading.mtl import MtlMaterial, read_materials
 from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMaterial
 
@@ -51,7 +51,7 @@ def read_obj(path: Path) -> MeshContent:
         .get("geometry", {})
         .values()
     ]
-    unit = 255 if max((_brightest(content) for content in geometry), default=0) > 1 else 1
+    unit = color_unit(max((_brightest(content) for content in geometry), default=0))
     plain = MtlMaterial()
     parts: list[MeshPart] = []
     notes, used = [], {}

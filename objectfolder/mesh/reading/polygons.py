@@ -1,4 +1,4 @@
-"""Read ``.ply``, ``.stl`` and ``.off``."""
+"""Read ``.ply`` and ``.stl``."""
 
 from io import BytesIO
 from pathlib import Path
@@ -6,22 +6,27 @@ from typing import Any
 
 import numpy as np
 import trimesh
+from trimesh.exchange.ply import _elements_to_kwargs
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh import srgb
+from objectfolder.mesh.polygon import needs_ears, split
 from objectfolder.mesh.reading.from_trimesh import (
     ReferencedFiles,
     as_points,
+    by_face_color,
     fan_triangles,
     surface_material,
 )
 from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMaterial
 
+COLORS, DIFFUSE = ("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue")
+INDICES = ("vertex_index", "vertex_indices")
 MAX_SOLIDS = 4096  # trimesh takes time in proportion to the square of their number
 
 
 def read_polygons(path: Path) -> MeshContent:
-    """Read a ``.ply``, ``.stl`` or ``.off``; colours are interpreted as sRGB.
+    """Read a ``.ply`` or ``.stl``; colours are interpreted as sRGB.
 
     Raises
     ------
@@ -34,12 +39,19 @@ def read_polygons(path: Path) -> MeshContent:
     _check_solids(path, data)
     scene: Any = trimesh.load_scene(BytesIO(data), file_type=kind, resolver=files, process=False)
     files.check()
-    mesh = scene.to_mesh()
+    sources = list(scene.geometry.values())
+    elements = _amended(sources[0].metadata.get("_ply_raw", {})) if len(sources) == 1 else None
+    if elements is None:
+        mesh = scene.to_mesh()
+    else:
+        image = getattr(getattr(sources[0].visual, "material", None), "image", None)
+        mesh = trimesh.Trimesh(**_elements_to_kwargs(elements, fix_texture=True, image=image), process=False)
+        sources = [mesh]
     visual = mesh.visual
     vertices, faces = as_points(mesh.vertices), fan_triangles(mesh.faces)
     normals = None
-    if len(scene.geometry) == 1:
-        (source,) = scene.geometry.values()
+    if len(sources) == 1:
+        (source,) = sources
         # In the cache only if the file holds them; trimesh computes others on access.
         normals = as_points(source.vertex_normals) if "vertex_normals" in source._cache else None
     if visual.kind == "texture":
@@ -48,7 +60,7 @@ def read_polygons(path: Path) -> MeshContent:
         return MeshContent([MeshPart(vertices, faces, material, uv, normals=normals)])
     colors: np.ndarray | None = None
     if visual.kind == "face":
-        colors, vertex, faces = _split(np.asarray(visual.face_colors), faces)
+        colors, vertex, faces = by_face_color(np.asarray(visual.face_colors), faces)
         vertices, normals = vertices[vertex], None if normals is None else normals[vertex]
     elif visual.kind == "vertex":
         colors = np.asarray(visual.vertex_colors)
@@ -62,9 +74,71 @@ def _check_solids(path: Path, data: bytes) -> None:
         raise ObjectFolderError(f"{path} holds {count} solids, expected at most {MAX_SOLIDS}; join them")
 
 
-def _split(colors: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Duplicate vertices by face colour; return colours (V', 3), original vertices (V',), faces (F, 3)."""
-    palette, color = np.unique(colors, axis=0, return_inverse=True)
-    corner = faces * len(palette) + color.reshape(-1, 1)
-    kept, renumbered = np.unique(corner, return_inverse=True)
-    return palette[kept % len(palette)], kept // len(palette), renumbered.reshape(-1, 3)
+def _amended(elements: dict[str, Any]) -> dict[str, Any] | None:
+    """Return the elements of a ``.ply`` with what trimesh misreads put right; None if it misreads nothing."""
+    columns = {
+        name: _columns(elements[name])
+        for name in ("vertex", "face")
+        if elements.get(name, {}).get("data") is not None
+    }
+    amended = {name: made for name, values in columns.items() if (made := _byte_colors(values))}
+    if {"vertex", "face"} <= columns.keys():
+        faces = _split_faces(columns["vertex"], amended.get("face", columns["face"]))
+        amended |= {"face": faces} if faces else {}
+    if not amended:
+        return None
+    return elements | {
+        name: elements[name] | {"data": values, "properties": dict.fromkeys(values)}
+        for name, values in amended.items()
+    }
+
+
+def _columns(element: dict[str, Any]) -> dict[str, np.ndarray]:
+    """Return the properties of an element; lists are (N, n), or (N,) of arrays if their lengths differ."""
+    data = element["data"]
+    held = data if isinstance(data, dict) else data.dtype.names or ()
+    names = [name for name in element["properties"] if name in held]
+    return {name: data[name]["f1"] if data[name].dtype.names else data[name] for name in names}
+
+
+def _byte_colors(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray] | None:
+    """Rename colours that trimesh does not know, and bring those of 16 bits to bytes; None if none is so."""
+    names = [name for name in (COLORS, DIFFUSE) if set(name) <= columns.keys()]
+    if not names:
+        return None
+    colors = np.stack([columns[name].ravel() for name in names[0]])
+    wide = colors.dtype.kind in "iu" and colors.max(initial=0) > 255
+    if names[0] == COLORS and not wide:
+        return None
+    colors = np.rint(np.clip(colors / 257, 0, 255)).astype(np.uint8) if wide else colors
+    return {name: values for name, values in columns.items() if name != "alpha"} | dict(zip(COLORS, colors))
+
+
+def _split_faces(vertex: dict[str, np.ndarray], face: dict[str, np.ndarray]) -> dict[str, np.ndarray] | None:
+    """Split polygons into triangles if trimesh's fans leave one or lose their colours; None otherwise."""
+    name = next((name for name in INDICES if name in face), None)
+    if name is None or not set("xyz") <= vertex.keys():
+        return None
+    points = np.column_stack([vertex[axis] for axis in "xyz"]).astype(np.float64)
+    sizes = np.array([len(polygon) for polygon in face[name]])
+    groups = [np.flatnonzero(sizes == size) for size in np.unique(sizes[sizes > 2])]
+    polygons = [np.stack(list(face[name][rows])).astype(np.int64) for rows in groups]
+    corners = [points[np.clip(group, 0, len(points) - 1)] for group in polygons]
+    colored = set(COLORS) <= face.keys() and sizes.max(initial=0) > 3
+    if not colored and not any(needs_ears(group).any() for group in corners):
+        return None
+    made: dict[str, list[np.ndarray]] = {key: [] for key in face}
+    for rows, group, places in zip(groups, polygons, corners):
+        triangles = split(places)
+        count, size = group.shape
+        for key, values in face.items():
+            chosen = np.stack(list(values[rows]))
+            if key == name:
+                new = np.take_along_axis(group[:, None], triangles, 2).reshape(-1, 3)
+            elif chosen.shape == (count, 2 * size):  # coordinates of each corner
+                pairs = chosen.reshape(count, 1, size, 2)
+                new = np.take_along_axis(pairs, triangles[..., None], 2).reshape(-1, 6)
+            else:
+                new = np.repeat(chosen, size - 2, 0)
+            made[key].append(new)
+    return {key: np.concatenate(values) for key, values in made.items()}

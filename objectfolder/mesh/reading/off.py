@@ -1,0 +1,94 @@
+"""Read ``.off`` (Geomview): polygons with colours of vertices or faces."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from objectfolder.errors import ObjectFolderError, shortened
+from objectfolder.mesh import srgb
+from objectfolder.mesh.polygon import split
+from objectfolder.mesh.reading.from_trimesh import by_face_color, color_unit
+from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMaterial
+
+# Texture coordinates (ST) come last and name no image.
+HEADER = re.compile(r"(?:ST)?(?P<colors>C)?(?P<normals>N)?OFF(?=[\s\d]|$)(?P<rest>.*)")
+
+
+def read_off(path: Path) -> MeshContent:
+    """Read an ``.off`` in text; colours are interpreted as sRGB, 0 to 1 or 0 to 255.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it is not such a file, or breaks off.
+    """
+    text = path.read_bytes().decode(errors="replace")
+    lines = [line for line in (line.partition("#")[0].strip() for line in text.splitlines()) if line]
+    header = HEADER.fullmatch(lines[0]) if lines else None
+    if header is None or "BINARY" in header["rest"]:
+        raise ObjectFolderError(
+            f"{path} cannot be read as a mesh: its first line is {shortened(lines[0] if lines else '')!r}, "
+            "expected OFF, COFF or NOFF and text; export it again"
+        )
+    rows = [line.split() for line in [header["rest"], *lines[1:]] if line.strip()]
+    counts = rows[0][:2] if rows else []
+    if len(counts) < 2 or not all(re.fullmatch(r"[0-9]{1,9}", count) for count in counts):
+        raise ObjectFolderError(
+            f"{path} cannot be read as a mesh: no numbers of vertices and faces follow its first line; "
+            "export it again"
+        )
+    vertex_count, face_count = map(int, counts)
+    vertex_rows, face_rows = rows[1 : 1 + vertex_count], rows[1 + vertex_count :][:face_count]
+    if len(face_rows) < face_count or not face_count:
+        raise ObjectFolderError(
+            f"{path} cannot be read as a mesh: it has {len(rows) - 1} lines of vertices and faces, expected "
+            f"{vertex_count} and {face_count}: cut off?"
+        )
+    columns = 3 * (1 + bool(header["normals"]) + bool(header["colors"]))
+    values = _numbers(path, [row[:columns] for row in vertex_rows], columns, "vertices")
+    vertices = values[:, :3]
+    normals = values[:, 3:6] if header["normals"] else None
+    colors = values[:, columns - 3 :] if header["colors"] else None
+    faces, face_colors = _faces(path, vertices, face_rows)
+    notes = []
+    if face_colors is not None and colors is not None:
+        notes.append("colours of faces beside those of vertices left out")
+    elif face_colors is not None:
+        colors, vertex, faces = by_face_color(face_colors, faces)
+        vertices, normals = vertices[vertex], None if normals is None else normals[vertex]
+    linear = None
+    if colors is not None:
+        linear = srgb.decode(np.clip(colors / color_unit(colors.max(initial=0)), 0, 1))
+    return MeshContent([MeshPart(vertices, faces, SurfaceMaterial(), None, linear, normals)], notes)
+
+
+def _faces(path: Path, vertices: np.ndarray, rows: list[list[str]]) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return triangles (F, 3), by number of corners, and colours (F, 3) if all faces have one."""
+    groups: dict[str, list[list[str]]] = {}
+    for row in rows:
+        groups.setdefault(row[0], []).append(row)
+    triangles, colors = [np.zeros((0, 3), np.int64)], []
+    for corners, group in sorted(groups.items(), key=lambda item: (len(item[0]), item[0])):
+        count = int(corners)
+        if count < 3:
+            continue  # a point or a line
+        polygons = _numbers(path, [row[1 : 1 + count] for row in group], count, "faces").astype(np.int64)
+        # Indices out of range are refused later, by name.
+        local = split(vertices[np.clip(polygons, 0, len(vertices) - 1)])
+        triangles.append(np.take_along_axis(polygons[:, None], local, 2).reshape(-1, 3))
+        colored = [row[1 + count : 4 + count] for row in group]
+        if all(len(color) == 3 for color in colored):
+            colors.append(np.repeat(_numbers(path, colored, 3, "faces"), count - 2, 0))
+    faces = np.concatenate(triangles)
+    face_colors = np.concatenate(colors) if colors else np.zeros((0, 3))
+    return faces, face_colors if len(face_colors) == len(faces) > 0 else None
+
+
+def _numbers(path: Path, rows: list[list[str]], width: int, what: str) -> np.ndarray:
+    try:
+        return np.array(rows, np.float64).reshape(len(rows), width)
+    except ValueError as error:
+        raise ObjectFolderError(
+            f"{path}: some of its {what} have words that are no numbers, or too few; export it again"
+        ) from error
