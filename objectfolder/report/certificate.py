@@ -101,7 +101,7 @@ def _solid_checks(file: ObjectFile) -> list[PhysicalCheck]:
 
 
 def _sound_checks(file: ObjectFile) -> list[PhysicalCheck]:
-    if "geometry" not in file.header or not len(file.frequencies):
+    if not {"geometry", "audio"} <= file.header.keys() or not len(file.frequencies):
         return []
     checks = []
     if (error := file.header["audio"].get("frequency_uncertainty")) is not None:
@@ -122,11 +122,13 @@ def _sound_checks(file: ObjectFile) -> list[PhysicalCheck]:
 
 
 def _touch_checks(file: ObjectFile) -> list[PhysicalCheck]:
-    if "geometry" not in file.header or file.fixed_contact is not None:
+    if not {"geometry", "touch"} <= file.header.keys() or file.fixed_contact is not None:
+        return []
+    low, high = file.sensor_profile.press_depth  # the net learned no others
+    if low == high:
         return []
     points = np.repeat(file.sample_surface(STRIKES, seed=0), 3, axis=0)
-    most = file.sensor_profile.max_indentation
-    depths = np.tile([0.2 * most, 0.4 * most, 0.6 * most], STRIKES)
+    depths = np.tile(np.linspace(low, high, 3), STRIKES)
     touches = file.press(points, depths)
     # Where another part of the object meets the sensor first, depth says nothing of the contact.
     free = (touches.obstructed.reshape(STRIKES, 3) == 0).all(1)

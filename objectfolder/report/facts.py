@@ -78,22 +78,24 @@ def object_report(path: Path) -> ObjectReport:
     warnings = list((normalize or {}).get("warnings", []))
     if modal and (text := uncertainty_warning(modal, allow=True, name=file.key)):
         warnings.append(text)
+    frequencies = file.frequencies if "audio" in file.header else np.zeros(0)
     if file.header.get("audio", {}).get("truncated"):
-        warnings.append(f"only the lowest {len(file.frequencies)} modes are stored")
+        warnings.append(f"only the lowest {len(frequencies)} modes are stored")
     checks = [check.row() for check in (*file_checks(file), *build_checks(normalize, modal, metrics))]
     scores = _scores(metrics or {"file_bytes": path.stat().st_size})
     row = {
         "key": file.key,
         "material": file.material,
         "size": file.scale,
-        "modes": len(file.frequencies),
-        "lowest": _rounded(file.frequencies.min()) if len(file.frequencies) else None,
+        "modes": len(frequencies),
+        "lowest": _rounded(frequencies.min()) if len(frequencies) else None,
         "bytes": path.stat().st_size,
         "failed": [check["name"] for check in checks if not check["passed"]],
         "warnings": warnings,
         "scores": scores,
-        "thumbnail": picture_uri(file.view(CAMERA, resolution=THUMBNAIL, lights="studio")[0]),
     }
+    if _seen(file):
+        row["thumbnail"] = picture_uri(file.view(CAMERA, resolution=THUMBNAIL, lights="studio")[0])
     detail = {
         "key": file.key,
         "checks": checks,
@@ -106,6 +108,12 @@ def object_report(path: Path) -> ObjectReport:
         "file": base64.b64encode(path.read_bytes()).decode(),
     }
     return ObjectReport(row, detail)
+
+
+def _seen(file: ObjectFile) -> bool:
+    """Whether the file can be looked at: nets of kind ``surface`` shade its geometry."""
+    vision = file.header.get("vision")
+    return vision is not None and ("geometry" in file.header or vision["kind"] != "surface")
 
 
 def _build_of(file: ObjectFile, path: Path) -> Build | None:
@@ -130,7 +138,7 @@ def _scores(metrics: dict[str, Any]) -> dict[str, float]:
 
 def _modes(file: ObjectFile, modal: dict[str, Any] | None) -> list[list[float | None]]:
     """Return frequency, Hz, time to decay by 60 dB, s, quality factor and estimated error of each mode."""
-    if not file.has_modes:
+    if "audio" not in file.header or not file.has_modes:
         return []
     damping = file.tuning().damping.double().numpy()
     errors = (modal or {}).get("discretisation_error") or []
@@ -143,7 +151,7 @@ def _modes(file: ObjectFile, modal: dict[str, Any] | None) -> list[list[float | 
 
 
 def _views(file: ObjectFile, build: Build | None, metrics: dict[str, Any] | None) -> list[dict[str, Any]]:
-    if "vision" not in file.header:
+    if not _seen(file):
         return []
     if build is None or metrics is None or not build.views("test").is_file():
         images = file.view(CAMERAS, resolution=VIEW_SIZE, lights="studio")
@@ -197,8 +205,9 @@ def _touches(file: ObjectFile, build: Build | None) -> list[dict[str, Any]]:
     if build is None or not build.touch("test").is_file():
         if file.fixed_contact is not None:
             return []
-        images = file.touch(file.sample_surface(TOUCHES, seed=0), DEPTH)
-        return [{"title": f"{DEPTH * 1e3:.2g} mm", "source": picture_uri(image)} for image in images]
+        depth = min(DEPTH, file.sensor_profile.press_depth[1])
+        images = file.touch(file.sample_surface(TOUCHES, seed=0), depth)
+        return [{"title": f"{depth * 1e3:.2g} mm", "source": picture_uri(image)} for image in images]
     data = read_npz(build.touch("test"), "images", "points", "depths", "angles", "obstructed")
     rows = np.unique(np.linspace(0, len(data["images"]) - 1, TOUCHES).round().astype(int))
     answers = file.touch(data["points"][rows], data["depths"][rows], data["angles"][rows]) / 255.0

@@ -77,3 +77,20 @@ def test_scores_below_their_baseline_fail(change, name):
     assert failed(build_checks(NORMALIZE, MODAL | {"residual_max": 1.0}, METRICS)) == [
         "Residual of the modes"
     ]
+
+
+def test_presses_are_as_deep_as_the_sensors_profile_says(brick, monkeypatch):
+    """A net has learned no others."""
+    pressed = []
+    real = ObjectFile.press
+    monkeypatch.setattr(
+        ObjectFile,
+        "press",
+        lambda self, points, depth: pressed.append(np.unique(depth)) or real(self, points, depth),
+    )
+    for low, high in ((2e-4, 4e-4), (3e-4, 3e-4)):
+        touch = copy.deepcopy(brick.header["touch"])
+        touch["net"]["sensor"]["press_depth"] = [low, high]
+        names = [check.name for check in file_checks(edited(brick, touch=touch))]
+        assert ("Deeper presses touch more" in names) == (low < high)
+    np.testing.assert_allclose(pressed, [[2e-4, 3e-4, 4e-4]])

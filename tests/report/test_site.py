@@ -20,6 +20,8 @@ from objectfolder.engine.failures import LOGS
 from objectfolder.engine.process import CommandResult
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import write_json, write_npz
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.objectfile.header import PARTS
 from objectfolder.report.facts import object_report
 from objectfolder.report.site import write_site
 from objectfolder.vision.cameras import Intrinsics, look_at
@@ -119,6 +121,19 @@ def test_a_file_alone_is_reported_without_truth(brick, brick_path, report):
     frequency, decay, quality, _ = np.array(report.detail["modes"], float).T
     np.testing.assert_allclose(frequency, brick.frequencies, rtol=1e-3)
     np.testing.assert_allclose(quality, np.pi * frequency * decay / np.log(1000), rtol=2e-3)
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_an_object_without_a_part_is_reported_with_the_others(brick, tmp_path, part):
+    header = {name: value for name, value in brick.header.items() if name not in (part, "radiation")}
+    path = tmp_path / "ObjectFile.safetensors"
+    ObjectFile(header, brick.tensors, "brick").save(path)
+    report = object_report(path)
+    assert report.row["failed"] == []
+    assert ("thumbnail" in report.row) == bool(report.detail["views"]) == (part not in ("vision", "geometry"))
+    assert bool(report.row["modes"]) == bool(report.detail["modes"]) == (part != "audio")
+    assert bool(report.detail["sounds"]) == (part not in ("audio", "geometry"))
+    assert bool(report.detail["touches"]) == (part not in ("touch", "geometry"))
 
 
 @pytest.mark.usefixtures("quick")
