@@ -5,7 +5,7 @@ import numpy as np
 
 from objectfolder.mesh.closing.contour import BLOCK, block_centres, contour
 from objectfolder.mesh.closing.solids import distance
-from objectfolder.mesh.topology import Mesh
+from objectfolder.mesh.topology import Mesh, signed_volume
 
 RESOLUTION = 192  #: samples along each axis
 _BOUND = 0.52
@@ -18,7 +18,7 @@ def remesh_on_grid(vertices: np.ndarray, faces: np.ndarray, wall: float = 0.0) -
     ----------
     vertices : (V, 3) array, unit frame
     faces : (F, 3) int array
-        Any triangle soup.
+        Any triangle soup; turned over if its volume is negative.
     wall : float
         If positive, points closer to the mesh than half of it also count as inside (for sheets).
 
@@ -26,6 +26,8 @@ def remesh_on_grid(vertices: np.ndarray, faces: np.ndarray, wall: float = 0.0) -
     -------
     mesh : vertices and faces, closed; empty if nothing is enclosed
     """
+    if signed_volume(vertices, faces) < 0:
+        faces = np.ascontiguousarray(faces[:, ::-1])
     spacing = 2 * _BOUND / (RESOLUTION - 1)
     blocks = np.full(3, -(-RESOLUTION // BLOCK))
     lower = np.full(3, -_BOUND)

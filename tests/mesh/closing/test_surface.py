@@ -174,6 +174,16 @@ def test_a_soup_that_welding_cannot_close_is_remeshed_with_a_warning(mug, rng, m
     assert surface.components == 1
 
 
+def test_an_inside_out_soup_that_is_remeshed_is_turned_outward(rng, monkeypatch):
+    monkeypatch.setattr("objectfolder.mesh.closing.remesh.RESOLUTION", 32)
+    vertices, faces = soup(sphere(0.5, 2))
+    torn = vertices + rng.normal(size=vertices.shape) * 1e-3
+    surface, same = (close_surface(torn, way) for way in (faces[:, ::-1], faces))
+    assert surface.rung == same.rung == "grid"
+    assert surface.volume == pytest.approx(same.volume)
+    assert surface.volume == pytest.approx(signed_volume(*sphere(0.5, 2)), rel=0.05)
+
+
 def test_coincident_copies_are_one(mug):
     vertices, faces = mug
     twice = close_surface(*join(mug, mug))
