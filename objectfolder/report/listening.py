@@ -124,9 +124,10 @@ def preferences(paths: list[Path]) -> tuple[str, dict[str, Preference], int]:
     Raises
     ------
     ObjectFolderError
-        If a file is none, or the files are of different studies.
+        If a file is none, the files are of different studies, or one listener's answers differ.
     """
-    rows: dict[tuple[str, str], dict[str, str]] = {}
+    rows: dict[tuple[str, str, str], dict[str, str]] = {}
+    places: dict[tuple[str, str, str], Path] = {}
     studies: dict[str, Path] = {}
     for path in paths:
         try:
@@ -143,7 +144,14 @@ def preferences(paths: list[Path]) -> tuple[str, dict[str, Preference], int]:
                     f"{path}: line {number} is no answer of a study, with the columns {', '.join(COLUMNS)}"
                 )
             studies.setdefault(row["study"], path)
-            rows[row["listener"], row["pair"]] = row
+            answer = {name: row[name] for name in COLUMNS}
+            key = row["study"], row["listener"], row["pair"]
+            place = places.setdefault(key, path)
+            if rows.setdefault(key, answer) != answer:
+                raise ObjectFolderError(
+                    f"{place} and {path}: listener {shortened(row['listener'])} answers pair "
+                    f"{shortened(row['pair'])} in two ways; leave one file out, or rename a listener"
+                )
     if len(studies) > 1:
         raise ObjectFolderError(f"{', '.join(map(str, studies.values()))} are of different studies")
     if not rows:
@@ -154,7 +162,7 @@ def preferences(paths: list[Path]) -> tuple[str, dict[str, Preference], int]:
         counts[row["material"]].append(row["chosen"] == method)
     found = {name: Preference(sum(won), len(won)) for name, won in sorted(counts.items())}
     total = Preference(sum(p.chosen for p in found.values()), len(rows))
-    return method, found | {"all": total}, len({listener for listener, _ in rows})
+    return method, found | {"all": total}, len({listener for _, listener, _ in rows})
 
 
 def _sound_files(folder: Path) -> dict[str, Path]:

@@ -150,6 +150,16 @@ def test_answers_of_different_studies_are_refused(tmp_path):
         preferences(paths)
 
 
+def test_one_listener_who_answers_in_two_ways_is_refused(tmp_path):
+    sides = ("ours", "recorded")
+    paths = [saved(tmp_path / f"{chosen}.csv", [("1", "wood_1", sides, chosen)]) for chosen in sides]
+    with pytest.raises(
+        ObjectFolderError, match=r"ours\.csv and .*recorded\.csv: listener 1 answers pair wood_1 in two ways"
+    ):
+        preferences(paths)
+    assert preferences(paths[:1] * 2)[1]["all"] == Preference(1, 1)
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(
     shutil.which("node") is None or not (VIEWER / "node_modules").exists(),
