@@ -4,6 +4,7 @@ import warnings
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from objectfolder.errors import ObjectFolderError, shortened
@@ -36,7 +37,7 @@ def decoded(source: Path | BinaryIO, where: str, mode: str = "RGB", upright: boo
             warnings.simplefilter("ignore")  # about odd metadata, and sizes, which are checked here
             with Image.open(source, formats=PICTURE_FORMATS) as stored:
                 if stored.width * stored.height <= MAX_SIDE**2:  # known from the header alone
-                    return (ImageOps.exif_transpose(stored) if upright else stored).convert(mode)
+                    return _in_bytes(ImageOps.exif_transpose(stored) if upright else stored).convert(mode)
                 size = f"{stored.width} x {stored.height}"
     except Image.DecompressionBombError:
         size = f"more than {2 * (Image.MAX_IMAGE_PIXELS or 0)}"
@@ -46,3 +47,11 @@ def decoded(source: Path | BinaryIO, where: str, mode: str = "RGB", upright: boo
             f"{where} cannot be read as an image ({reason}); expected {', '.join(PICTURE_FORMATS)}"
         ) from error
     raise ObjectFolderError(f"{where} has {size} pixels, expected at most {MAX_SIDE} x {MAX_SIDE}; resize it")
+
+
+def _in_bytes(image: Image.Image) -> Image.Image:
+    """Scale greys of 16 bits, and those from 0 to 1, to 8 bits; Pillow would clip them."""
+    if image.mode != "F" and not image.mode.startswith("I"):
+        return image
+    greys = np.nan_to_num(np.asarray(image, np.float64)) * (255 if image.mode == "F" else 1 / 257)
+    return Image.fromarray(np.rint(greys.clip(0, 255)).astype(np.uint8))

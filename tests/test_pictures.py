@@ -77,3 +77,21 @@ def test_a_picture_is_turned_as_its_camera_was_held(tmp_path):
     path.write_bytes(encoded("JPEG", exif=exif))
     assert decoded(path, "it", upright=True).size == (30, 40)
     assert decoded(path, "it").size == (40, 30)
+
+
+@pytest.mark.parametrize(
+    ("kind", "values"),
+    [
+        ("PNG", np.uint16([[0, 257, 25700, 65535]])),
+        ("TIFF", np.uint16([[0, 257, 25700, 65535]])),
+        ("TIFF", np.int32([[-9, 257, 25700, 70000]])),
+        ("TIFF", np.float32([[-1, 1 / 255, 100 / 255, 1.5]])),
+        ("TIFF", np.float32([[np.nan, 1 / 255, 100 / 255, np.inf]])),
+    ],
+)
+@pytest.mark.parametrize("upright", [False, True])
+def test_greys_of_other_widths_keep_their_brightness(tmp_path, kind, values, upright):
+    path = tmp_path / "t.bin"
+    Image.fromarray(values).save(path, kind)
+    found = np.asarray(decoded(path, "it", upright=upright))
+    np.testing.assert_array_equal(found, np.repeat([[[0], [1], [100], [255]]], 3, 2))
