@@ -58,7 +58,7 @@ def read_referenced(mesh: Path, name: str) -> bytes:
     raise ObjectFolderError(f"{mesh} refers to {source}, which does not exist; put it there")
 
 
-def read_image(data: bytes, name: str | Path, mesh: Path) -> Image.Image:
+def read_image(data: bytes, name: str | Path, mesh: Path, mode: str = "RGB") -> Image.Image:
     """Decode an image that a mesh refers to.
 
     Parameters
@@ -68,15 +68,12 @@ def read_image(data: bytes, name: str | Path, mesh: Path) -> Image.Image:
         Name of the image in error messages.
     mesh : Path
         Mesh that refers to it, for error messages.
-
-    Returns
-    -------
-    Image
-        RGB.
+    mode : str
+        Pillow's name of the result's pixels.
 
     Raises
     ------
     ObjectFolderError
         If `objectfolder.pictures.decoded` does not take it.
     """
-    return decoded(BytesIO(data), f"{mesh}: its texture {shortened(name)}")
+    return decoded(BytesIO(data), f"{mesh}: its texture {shortened(name)}", mode)

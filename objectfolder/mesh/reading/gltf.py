@@ -32,8 +32,8 @@ def read_gltf(path: Path) -> MeshContent:
     """Read the default scene of a ``.gltf`` or ``.glb``.
 
     Base colour textures (with ``KHR_texture_transform``), factors, vertex colours, roughness and metallic
-    are kept; a roughness and metallic map is reduced to its mean. Normal, occlusion and emissive maps,
-    transparency, skins and morph targets are dropped with a note.
+    are kept; a map of roughness and metallic, or of glossiness, is reduced to its mean. Normal, occlusion and
+    emissive maps, transparency, skins and morph targets are dropped with a note.
 
     Returns
     -------
@@ -129,7 +129,7 @@ class _File:
         self.materials: dict[int | None, tuple[SurfaceMaterial, dict[str, Any]]] = {
             None: (SurfaceMaterial(), {})
         }
-        self.images: dict[int, Image.Image] = {}
+        self.images: dict[tuple[int, str], Image.Image] = {}
         self.changes: Counter[str] = Counter()
 
     def read(self) -> MeshContent:
@@ -219,7 +219,12 @@ class _File:
         info, color = surface.get("baseColorTexture"), surface.get("baseColorFactor", [1, 1, 1, 1])
         if gloss is not None:
             info, color = gloss.get("diffuseTexture"), gloss.get("diffuseFactor", [1, 1, 1, 1])
-            roughness, metallic = 1 - gloss.get("glossinessFactor", 1.0), 0.0
+            glossiness = gloss.get("glossinessFactor", 1.0)
+            if "specularGlossinessTexture" in gloss:
+                alpha, _ = self._texture(gloss["specularGlossinessTexture"], "RGBA")
+                glossiness *= ImageStat.Stat(alpha).mean[3] / 255
+                self.changes["specular and glossiness map replaced by its mean"] += 1
+            roughness, metallic = 1 - glossiness, 0.0
         elif "metallicRoughnessTexture" in surface:
             image, _ = self._texture(surface["metallicRoughnessTexture"])
             mean = np.array(ImageStat.Stat(image).mean) / 255
@@ -239,7 +244,7 @@ class _File:
         self.materials[index] = made, info or {}
         return self.materials[index]
 
-    def _texture(self, info: dict[str, Any]) -> tuple[Image.Image, tuple[str, str]]:
+    def _texture(self, info: dict[str, Any], mode: str = "RGB") -> tuple[Image.Image, tuple[str, str]]:
         texture = self.document["textures"][info["index"]]
         source = texture.get("extensions", {}).get("EXT_texture_webp", texture).get("source")
         if source is None:
@@ -250,11 +255,11 @@ class _File:
             )
         sampler = self.document["samplers"][texture["sampler"]] if "sampler" in texture else {}
         wrap = (WRAPS[sampler.get("wrapS", 10497)], WRAPS[sampler.get("wrapT", 10497)])
-        if source not in self.images:
-            self.images[source] = self._image(source)
-        return self.images[source], wrap
+        if (source, mode) not in self.images:
+            self.images[source, mode] = self._image(source, mode)
+        return self.images[source, mode], wrap
 
-    def _image(self, source: int) -> Image.Image:
+    def _image(self, source: int, mode: str) -> Image.Image:
         image = self.document["images"][source]
         name = image.get("name") or f"image {source}"
         if "bufferView" in image:
@@ -264,7 +269,7 @@ class _File:
         else:
             data = self._fetch(image["uri"])
             name = name if image["uri"].startswith("data:") else unquote(image["uri"])
-        return read_image(data, name, self.path)
+        return read_image(data, name, self.path, mode)
 
     def _buffer(self, buffer: dict[str, Any]) -> bytes:
         data = self._fetch(buffer["uri"]) if "uri" in buffer else self.binary

@@ -301,6 +301,19 @@ def test_glossiness_materials(tmp_path):
     assert (mesh.roughness, mesh.metallic) == (0.25, 0)
 
 
+def test_a_map_of_glossiness_counts_as_its_mean(tmp_path):
+    scene = Scene()
+    material = scene.material()
+    pixels = np.full((2, 4, 4), 255, np.uint8)
+    pixels[..., 3] = [[0, 51, 102, 51], [51, 51, 51, 51]]  # a fifth of 255 in the mean
+    gloss = {"glossinessFactor": 0.5, "specularGlossinessTexture": {"index": scene.texture(pixels)}}
+    scene.document["materials"][material]["extensions"] = {"KHR_materials_pbrSpecularGlossiness": gloss}
+    scene.quads(0, material)
+    mesh = load_mesh(scene.write(tmp_path / "m.gltf"))
+    assert mesh.roughness == pytest.approx(0.9, abs=1e-12)
+    assert mesh.source["notes"] == ["specular and glossiness map replaced by its mean (1)"]
+
+
 def tetrahedron(scene):
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]], float)
     return vertices, scene.mesh(vertices, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
