@@ -16,18 +16,19 @@ from objectfolder.mesh.textured import PLAIN, TexturedMesh
 
 MARGIN = 2  # texels around a window, to keep bilinear filtering inside
 SHRINK = 0.97  # factor on all images, repeated until they fit the atlas
-CELL = 8  # largest side of a face's cell, texels
-CELL_SHARE = 0.25  # fraction of the atlas for cells
+CELL = 8  # largest side of the cell of a face without an image, texels
+CELL_SHARE = 0.25  # fraction of the atlas for these cells
 
 
 def join(parts: Sequence[MeshPart], texture_size: int, name: str) -> tuple[TexturedMesh, list[str]]:
     """Join parts into one mesh.
 
     Without textures, the result has one plain colour or vertex colours. A single texture is kept with its
-    coordinates. Otherwise an atlas is baked: for each image the window used by its faces in whole texels,
-    with repeats written out after every face was moved next to the origin by whole repeats; for a plain
-    colour one texel; for vertex colours a cell of texels per face. Images are scaled down together until
-    all fit. Roughness and metallic become area-weighted means. Normals are kept, NaN in parts without.
+    coordinates, times vertex colours that are all equal. Otherwise an atlas is baked: for each image the
+    window used by its faces in whole texels, with repeats written out after every face was moved next to the
+    origin by whole repeats; for a plain colour one texel; for vertex colours a cell of texels per face, as
+    large as what the face covers of an image. Images are scaled down together until all fit. Roughness and
+    metallic become area-weighted means. Normals are kept, NaN in parts without.
 
     Parameters
     ----------
@@ -55,6 +56,7 @@ def join(parts: Sequence[MeshPart], texture_size: int, name: str) -> tuple[Textu
     if no_uv:
         notes.append(f"texture without coordinates replaced by its mean colour ({len(no_uv)})")
     parts = [_mean_colored(p) if p.material.image is not None and p.uv is None else p for p in parts]
+    parts = _tinted(parts)
     materials = list(dict.fromkeys(p.material for p in parts))
     if all(m.image is None for m in materials):
         appearance = _untextured(parts)
@@ -66,7 +68,8 @@ def join(parts: Sequence[MeshPart], texture_size: int, name: str) -> tuple[Textu
     else:
         parts, appearance, scale = _atlas([_near_origin(p) for p in parts], texture_size, name)
         side = " x ".join(map(str, appearance["texture"].shape[1::-1]))
-        notes.append(f"{len(materials)} materials baked into {side} texels, images at {scale:.0%}")
+        several = f"{len(materials)} materials" if len(materials) > 1 else "1 material"
+        notes.append(f"{several} baked into {side} texels, images at {scale:.{0 if scale > 0.1 else 1}%}")
     offsets = np.cumsum([0, *(len(p.vertices) for p in parts)])
     mesh = TexturedMesh(
         vertices=np.concatenate([p.vertices for p in parts]),
@@ -111,6 +114,23 @@ def _mean_colored(part: MeshPart) -> MeshPart:
     mean = counts @ srgb.decode(np.arange(256) / 255) / counts.sum(1)
     color = mean if part.material.color is None else mean * part.material.color
     return replace(part, material=replace(part.material, image=None, color=color))
+
+
+def _tinted(parts: Sequence[MeshPart]) -> list[MeshPart]:
+    """Move vertex colours beside an image into the material where they are all equal."""
+    tinted: dict[tuple[SurfaceMaterial, bytes], SurfaceMaterial] = {}
+    result = []
+    for part in parts:
+        if part.material.image is not None and part.colors is not None:
+            used = part.colors[part.used]
+            if (used == used[0]).all():
+                color = used[0] if part.material.color is None else used[0] * part.material.color
+                material = tinted.setdefault(
+                    (part.material, used[0].tobytes()), replace(part.material, color=color)
+                )
+                part = replace(part, material=material, colors=None)
+        result.append(part)
+    return result
 
 
 def _color(part: MeshPart) -> np.ndarray:
@@ -159,57 +179,108 @@ def _pixels(material: SurfaceMaterial, image: Image.Image) -> np.ndarray:
 
 
 def _near_origin(part: MeshPart) -> MeshPart:
-    """Move the texture coordinates of every face next to the origin by whole repeats."""
+    """Move the texture coordinates of every face next to the origin by whole repeats.
+
+    Along an axis that is clamped, faces beyond the image have the colours of its edge, and move there.
+    """
     if part.material.image is None or part.uv is None:
         return part
     corner = part.uv[part.faces]
     if corner.min() >= 0 and corner.max() <= 1:
         return part
+    clamped = np.array([wrap == "clamp" for wrap in part.material.wrap])
     period = np.array([{"repeat": 1.0, "mirror": 2.0, "clamp": np.inf}[wrap] for wrap in part.material.wrap])
-    shift = np.where(np.isinf(period), 0, np.floor(corner.min(1) / period))
+    shift = np.where(clamped, 0, np.floor(corner.min(1) / period))
+    beyond = clamped & ((corner <= 0).all(1) | (corner >= 1).all(1))
     # Duplicate vertices of faces that move differently.
-    moves, move = np.unique(shift, axis=0, return_inverse=True)
+    moves, move = np.unique(np.concatenate([shift, beyond], 1), axis=0, return_inverse=True)
     kept, faces = np.unique(part.faces * len(moves) + move.reshape(-1, 1), return_inverse=True)
     vertex, move = kept // len(moves), kept % len(moves)
+    uv = part.uv[vertex] - moves[move, :2] * np.where(clamped, 0, period)
     return replace(
         part,
         vertices=part.vertices[vertex],
         faces=faces.reshape(-1, 3),
-        uv=part.uv[vertex] - moves[move] * np.where(np.isinf(period), 0, period),
+        uv=np.where(moves[move, 2:], uv.clip(0, 1), uv),
         colors=None if part.colors is None else part.colors[vertex],
         normals=None if part.normals is None else part.normals[vertex],
     )
 
 
+def _by_size(part: MeshPart) -> list[MeshPart]:
+    """Part faces with vertex colours beside an image by the power of two of the texels they cover."""
+    if part.colors is None or part.material.image is None:
+        return [part]
+    level = np.ceil(np.log2(np.maximum(_texel_sides(part), 1)))
+    return [replace(part, faces=part.faces[level == one]) for one in np.unique(level)]
+
+
+def _texel_sides(part: MeshPart) -> np.ndarray:
+    """Return the longer of the first corner's two edges, in texels of the part's image; (F,)."""
+    assert part.material.image is not None
+    assert part.uv is not None
+    corner = part.uv[part.faces]
+    edges = (corner[:, 1:] - corner[:, :1]) * part.material.image.size
+    return np.asarray(np.linalg.norm(edges, axis=2).max(1))
+
+
 @dataclass(frozen=True)
 class _Group:
-    """Parts that share a window of the atlas, or one part whose faces have cells."""
+    """Parts that share a window of the atlas, or one part whose faces have cells of the same size."""
 
     parts: Sequence[MeshPart]
     low: np.ndarray  #: (2,) lower corner of the used window, in image sides, y down
     high: np.ndarray  #: (2,) upper corner
+    cell: int  #: side of a face's cell, in texels of the unscaled image if there is one
 
     @staticmethod
-    def of(parts: Sequence[MeshPart]) -> "_Group":
+    def of(parts: Sequence[MeshPart], cell: int) -> "_Group":
+        """Group parts; ``cell`` is the side of cells without an image."""
         corners = [p.uv[p.used] * [1, -1] + [0, 1] for p in parts if p.uv is not None]
         corner = np.concatenate(corners) if corners else np.zeros((1, 2))
-        return _Group(parts, corner.min(0), corner.max(0))
+        if parts[0].colors is not None and parts[0].material.image is not None:
+            cell = int(np.ceil(_texel_sides(parts[0]).max())) + 1
+        return _Group(parts, corner.min(0), corner.max(0), cell)
+
+    @property
+    def image(self) -> Image.Image | None:
+        """Image of the parts' material."""
+        return self.parts[0].material.image
+
+    @property
+    def celled(self) -> bool:
+        """Whether faces have cells."""
+        return self.parts[0].colors is not None
+
+    def scale(self, scale: float, limit: int) -> float:
+        """Return the scale of the image, less than ``scale`` if no more fits an atlas of that size."""
+        if self.image is None:
+            return 1.0
+        if self.celled:
+            return scale * min(1, limit / self.cell)
+        extent = self.image.size * np.maximum(self.high - self.low, 1)
+        return float(scale * min(1, limit / extent.max()))
+
+    def side(self, scale: float, limit: int) -> int:
+        """Return the side of a cell in the atlas, texels."""
+        return max(round(self.cell * self.scale(scale, limit)), 1)
 
 
 def _atlas(
     parts: Sequence[MeshPart], texture_size: int, name: str
 ) -> tuple[list[MeshPart], dict[str, Any], float]:
-    """Bake parts into one texture; return them with new coordinates, the appearance and the images' scale."""
+    """Bake parts into one texture; return them with new coordinates, the appearance and the least scale."""
+    parts = [piece for part in parts for piece in _by_size(part)]
     # Parts of one material share a window; faces with vertex colours have cells.
     groups: dict[Any, list[int]] = {}
     for i, part in enumerate(parts):
         groups.setdefault(part.material if part.colors is None else i, []).append(i)
-    members = [_Group.of([parts[i] for i in group]) for group in groups.values()]
-    colored = sum(len(part.faces) for part in parts if part.colors is not None)
+    colored = sum(len(p.faces) for p in parts if p.colors is not None and p.material.image is None)
     cell = int(np.clip(texture_size * np.sqrt(CELL_SHARE / max(colored, 1)), 1, CELL))
+    members = [_Group.of([parts[i] for i in group], cell) for group in groups.values()]
     scale = 1.0
     while True:
-        sizes = np.array([_size(group, scale, texture_size, cell) for group in members])
+        sizes = np.array([_size(group, scale, texture_size) for group in members])
         if sizes.prod(1).sum() <= texture_size**2:  # otherwise skip the slow packer
             # The packer sorts by size, unstably: make all sizes distinct.
             distinct = sizes + 1e-6 * np.arange(len(sizes))[:, None]
@@ -227,45 +298,46 @@ def _atlas(
     texture = np.zeros((height, width, 3), np.uint8)
     result = list(parts)
     for (left, top), (w, h), group, indices in zip(corners, sizes, members, groups.values()):
-        window, painted = _paint(group, scale, texture_size, cell)
+        window, painted = _paint(group, scale, texture_size)
         texture[top : top + h, left : left + w] = window
         for index, (part, texels) in zip(indices, painted):
             uv = (texels + np.array([left, top])) / [width, height] * [1, -1] + [0, 1]
             result[index] = replace(part, uv=uv)
     uv = np.concatenate([p.uv for p in result if p.uv is not None])
-    return result, {"uv": uv, "texture": texture}, scale
+    return result, {"uv": uv, "texture": texture}, min(g.scale(scale, texture_size) for g in members)
 
 
 def _window(group: _Group, scale: float, limit: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the size (2,) of a scaled image and the first and last + 1 used texel (2,)."""
-    image = group.parts[0].material.image
-    assert image is not None
-    size = np.array(image.size)
-    scale *= min(1, limit / (size * np.maximum(group.high - group.low, 1)).max())
-    size = np.maximum(np.rint(size * scale), 1).astype(int)
+    size = _scaled(group, scale, limit)
     first, last = np.floor(group.low * size) - MARGIN, np.ceil(group.high * size) + MARGIN
     return size, first.astype(int), last.astype(int)
 
 
-def _size(group: _Group, scale: float, limit: int, cell: int) -> tuple[int, int]:
+def _scaled(group: _Group, scale: float, limit: int) -> np.ndarray:
+    """Return the size (2,) of a group's scaled image."""
+    assert group.image is not None
+    return np.maximum(np.rint(np.array(group.image.size) * group.scale(scale, limit)), 1).astype(int)
+
+
+def _size(group: _Group, scale: float, limit: int) -> tuple[int, int]:
     """Return the width and height of a group in the atlas, texels."""
-    if group.parts[0].colors is not None:
+    if group.celled:
         columns = int(np.ceil(np.sqrt(len(group.parts[0].faces))))
         rows = int(np.ceil(len(group.parts[0].faces) / columns))
-        return columns * cell, rows * cell
-    if group.parts[0].material.image is None:
+        side = group.side(scale, limit)
+        return columns * side, rows * side
+    if group.image is None:
         return 2 * MARGIN + 1, 2 * MARGIN + 1
     _, first, last = _window(group, scale, limit)
     return int(last[0] - first[0]), int(last[1] - first[1])
 
 
-def _paint(
-    group: _Group, scale: float, limit: int, cell: int
-) -> tuple[np.ndarray, list[tuple[MeshPart, np.ndarray]]]:
+def _paint(group: _Group, scale: float, limit: int) -> tuple[np.ndarray, list[tuple[MeshPart, np.ndarray]]]:
     """Return the texels (h, w, 3) of a group, and its parts with texel coordinates (V, 2), y down."""
     material = group.parts[0].material
-    if group.parts[0].colors is not None:
-        return _paint_faces(group, limit, cell)
+    if group.celled:
+        return _paint_faces(group, scale, limit)
     if material.image is None:
         middle = MARGIN + 0.5
         side = 2 * MARGIN + 1
@@ -280,12 +352,13 @@ def _paint(
 
 
 def _paint_faces(
-    group: _Group, limit: int, cell: int
+    group: _Group, scale: float, limit: int
 ) -> tuple[np.ndarray, list[tuple[MeshPart, np.ndarray]]]:
     """Paint vertex colours, times the image if there is one, into a cell per face."""
     part = group.parts[0]
     assert part.colors is not None
-    width, height = _size(group, 1, limit, cell)
+    width, height = _size(group, scale, limit)
+    cell = group.side(scale, limit)
     columns, count = width // cell, len(part.faces)
     # A face's corners are the centres of three corner texels of its cell; colours extend beyond its edge.
     step = np.arange(cell) / max(cell - 1, 1)
@@ -296,9 +369,8 @@ def _paint_faces(
         linear *= _color(part)
     elif part.uv is not None:
         uv = np.einsum("ijk,fkc->fijc", weights, part.uv[part.faces])
-        image = _limited(part.material.image, limit)
-        size = np.array(image.size)
-        texels = srgb.decode(_pixels(part.material, image) / 255)
+        size = _scaled(group, scale, limit)
+        texels = _pixels(part.material, _resized(part.material.image, size))
         linear *= _sample(texels, _texels(uv.reshape(-1, 2), size), part.material.wrap).reshape(linear.shape)
     cells = np.zeros((height // cell * columns, cell, cell, 3), np.uint8)
     cells[:count] = _bytes(linear)
@@ -337,12 +409,12 @@ def _wrapped(index: np.ndarray, count: int, wrap: str) -> np.ndarray:
 
 
 def _sample(texels: np.ndarray, places: np.ndarray, wrap: tuple[str, str]) -> np.ndarray:
-    """Sample texels (H, W, 3) bilinearly at texel coordinates (N, 2), y down; (N, 3)."""
+    """Sample texels (H, W, 3) uint8 bilinearly at texel coordinates (N, 2), y down; linear (N, 3)."""
     height, width = texels.shape[:2]
     low = np.floor(places - 0.5).astype(int)
     fx, fy = (places - 0.5 - low).T[:, :, None]
     x0, x1 = (_wrapped(low[:, 0] + i, width, wrap[0]) for i in (0, 1))
     y0, y1 = (_wrapped(low[:, 1] + i, height, wrap[1]) for i in (0, 1))
-    upper = texels[y0, x0] * (1 - fx) + texels[y0, x1] * fx
-    lower = texels[y1, x0] * (1 - fx) + texels[y1, x1] * fx
-    return upper * (1 - fy) + lower * fy
+    a, b, c, d = (srgb.decode(texels[y, x] / 255) for y, x in ((y0, x0), (y0, x1), (y1, x0), (y1, x1)))
+    linear: np.ndarray = (a * (1 - fx) + b * fx) * (1 - fy) + (c * (1 - fx) + d * fx) * fy
+    return linear

@@ -243,6 +243,66 @@ def test_vertex_colours_beside_a_texture_are_interpolated(tmp_path):
             np.testing.assert_allclose(colors_at(mesh, weights)[8:], expected, atol=2)
 
 
+def notes(mesh):
+    return appearance_report(mesh)["notes"]
+
+
+def test_equal_vertex_colours_tint_the_texture_as_it_is(tmp_path):
+    scene = Scene()
+    material = scene.material(scene.texture(checker(FOUR, 16)))
+    tint = np.array([0.25, 1.0, 0.5])
+    scene.quads(0, material, four_squares(), COLOR_0=np.tile(tint, (4, 4, 1)))
+    scene.quads(1, material, four_squares(), COLOR_0=np.tile(tint, (4, 4, 1)))
+    tinted = np.rint(255 * srgb.encode(srgb.decode(checker(FOUR, 16) / 255) * tint))
+    for mesh in loaded_twice(scene, tmp_path):
+        np.testing.assert_array_equal(mesh.texture, tinted)
+        assert notes(mesh) == []
+
+
+@pytest.mark.parametrize(("texture_size", "atol"), [(1024, 2), (256, 12)])
+def test_vertex_colours_leave_a_texture_its_detail(tmp_path, texture_size, atol):
+    """A check of 16 x 16 fields on one quad, shaded from corner to corner."""
+    rng = np.random.default_rng(4)
+    fields = rng.integers(40, 256, (16, 16, 3))
+    shade = np.array([0.25, 1.0, 0.5, 0.75])
+    scene = Scene()
+    material = scene.material(scene.texture(checker(fields, 16)))
+    scene.quads(0, material, [square(0.5, 0.5, 1)], COLOR_0=np.tile(shade[:, None], (1, 1, 3))[None])
+    mesh = load_mesh(scene.write(tmp_path / "s.gltf"), "y", texture_size=texture_size)
+    (note,) = notes(mesh)
+    assert note.startswith("1 material baked into ")
+    assert note.endswith("images at 100%") == (texture_size == 1024)
+    corners = square(0.5, 0.5, 1)
+    for row, column in np.ndindex(16, 16):
+        place = (np.array([column, row]) + 0.5) / 16
+        face = 0 if place[0] > place[1] else 1
+        index = [[0, 1, 2], [0, 2, 3]][face]
+        weights = np.linalg.solve(np.vstack([corners[index].T, np.ones(3)]), [*place, 1])
+        expected = 255 * srgb.encode(np.array(linear(fields[row, column])) * (weights @ shade[index]))
+        np.testing.assert_allclose(colors_at(mesh, weights)[face], expected, atol=atol)
+
+
+@pytest.mark.parametrize(("spread", "said"), [(1, "100%"), (8, "47%")])
+def test_the_least_scale_of_the_images_is_noted(tmp_path, spread, said):
+    """An image of 32 texels is repeated eight times along a face: 128 have room for 15 each, and a margin."""
+    scene = Scene()
+    small = scene.texture(checker(FOUR, 16))
+    scene.quads(0, scene.material(small), [square(0.5, 0.5, 0.2)])
+    ends = np.array([[0, 0.4], [spread, 0.4], [spread, 0.6], [0, 0.6]])
+    scene.quads(1, scene.material(scene.texture(checker(FOUR, 16))), [ends])
+    mesh = load_mesh(scene.write(tmp_path / "s.gltf"), "y", texture_size=128)
+    assert notes(mesh)[0].endswith(f"images at {said}")
+
+
+@pytest.mark.parametrize(("u", "column"), [(40.5, 1), (-40.5, 0)])
+def test_faces_far_beyond_a_clamped_image_take_no_texels(tmp_path, u, column):
+    scene = Scene()
+    scene.quads(0, scene.material(scene.texture(checker(FOUR, 16), wrapS=33071)), [square(u, 0.25, 0.2)])
+    mesh = load_mesh(scene.write(tmp_path / "s.gltf"), "y", texture_size=64)
+    assert_colors([mesh], [FOUR[0][column]])
+    assert notes(mesh)[0].endswith("images at 100%")
+
+
 def test_white_vertex_colours_leave_a_texture_as_it_is(tmp_path):
     scene = Scene()
     material = scene.material(scene.texture(checker(FOUR, 16)))
