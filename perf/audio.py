@@ -69,7 +69,7 @@ def measure(workspace: str, key: str) -> dict:
         path = Path(folder) / "audio.safetensors"
         tensors, header = net.to_tensors()
         write_safetensors(path, tensors, {"kind": config.net, "net": header})
-        row["file_kb"] = path.stat().st_size / 1024
+        row["file_kb"] = path.stat().st_size / 1000
         tensors, header = read_safetensors(path)
     stored = GainsNet.from_tensors(tensors, header["net"])
     predicted = stored.shapes(torch.from_numpy(points[test])).double().numpy()

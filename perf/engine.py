@@ -246,8 +246,10 @@ def lines(command: str, row: dict) -> list[tuple[str, str, str, bool]]:
     first, idle, changed = row["first"], row["idle"], row["changed"]
     per_stage = 1000 * first["seconds"] / first["ran"]
     seconds, megabytes = MAX_IDLE.get(row["objects"], (None, None))
-    peer = 1000 * row["peer_s"] / max(1, row["peer_stages"])
-    times = f"dvc repro, first {row['peer_stages']}: {peer:.0f}, {peer / per_stage:.1f} times"
+    times = "dvc repro: none in a minute"
+    if row["peer_stages"]:
+        peer = 1000 * row["peer_s"] / row["peer_stages"]
+        times = f"dvc repro, first {row['peer_stages']}: {peer:.0f}, {peer / per_stage:.1f} times"
     repro = f"over {IDLE_SECONDS:.0f}" if row["peer_idle_s"] is None else f"{row['peer_idle_s']:.0f}"
     return [
         (
@@ -283,7 +285,11 @@ def show(command: str, row: dict, console: Console) -> list[str]:
     for name, measured, target, met in shown:
         table.add_row(name, measured if met else f"[red]{measured}", target)
     console.print(table)
-    return [f"{name}: {measured}, target {target}" for name, measured, target, met in shown if not met]
+    return [
+        f"{name}: {measured}, target {target.partition(';')[0]}"
+        for name, measured, target, met in shown
+        if not met
+    ]
 
 
 def main() -> None:

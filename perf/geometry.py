@@ -63,9 +63,9 @@ def measure(key: str, source: str, up: str) -> dict:
     from objectfolder.fem.voxelize import VoxelizeConfig, voxelize
 
     values = params.read(ROOT / "params.yaml")
-    mesh = load(source, up, values["normalize"]["texture_size"])
     row: dict = {"object": key}
     start = time.process_time()
+    mesh = load(source, up, values["normalize"]["texture_size"])
     try:
         result = normalize(mesh, key)
         report = result.report(1.0, up)

@@ -20,7 +20,7 @@ from typing import Any
 
 import igl
 import numpy as np
-from harness import exit_with_verdict, fresh, parsed, run_job, write_record
+from harness import exit_with_verdict, fresh, parsed, run_job, this_run, write_record
 from modal_accuracy import tube
 from rich.console import Console
 from rich.table import Table
@@ -270,10 +270,10 @@ def compare(name: str, cache: str) -> dict:
     own, truth = np.sqrt(data.eigenvalues) / (2 * np.pi), kept["hz"]
     shapes, theirs = data.shapes.reshape(3 * POINTS, -1), kept["shapes"].reshape(3 * POINTS, -1)
     partner = paired(shapes, theirs, count)
+    lacking = np.setdiff1d(np.arange(count), partner)  # modes of the reference that ours lack
     partner = np.where(partner < 0, np.arange(count), partner)  # of no shape alike: by order
     apart = own[:count] / truth[partner] - 1
     mac = agreement(shapes[:, :count], theirs, truth, partner)
-    lacking = np.setdiff1d(np.arange(count), partner)  # modes of the reference that ours lack
     beyond = truth[partner[partner >= count]]  # of a repeated frequency, whose modes the count separates
     lacking = lacking[(np.abs(beyond[:, None] / truth[lacking] - 1) > CLUSTER).all(0)]
     estimate = np.array(data.report["discretisation_error"])
@@ -358,7 +358,7 @@ def main() -> None:
             row = fresh(__file__, "reference", name, "finer", arguments.objects, arguments.cache)
         if "failed" not in row:
             row = fresh(__file__, "compare", name, arguments.cache)
-        rows.append({"object": name} | row)
+        rows.append({"object": name, "commit": this_run()["commit"]} | row)
     console = Console(width=max(Console().width, 130))
     show(rows, console)
     if arguments.json and arguments.json.exists():

@@ -12,7 +12,7 @@ from pathlib import Path
 from statistics import mean, median
 from typing import Any
 
-from harness import rewrite
+from harness import rewrite, write_record
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Undefined
 from query import FIGURES, significant
 from ruamel.yaml import YAML
@@ -118,7 +118,7 @@ def collect() -> None:
         if path.is_file() and preset != "quick":  # hours in all: a few objects at a time
             metrics = read_json(path)["objects"] | metrics
         record = {"machine": machine("cpu"), "preset": preset, "seed": values["seed"]}
-        rewrite(path, record | {"objects": dict(sorted(metrics.items()))})
+        write_record(path, record | {"objects": dict(sorted(metrics.items()))})
     keys: dict[str, None] = {}
     folders = {preset: Benchmarks(ROOT / "benchmarks" / preset) for preset in PRESETS}
     shared = [table for preset, folder in folders.items() for table in shared_tables(folder, preset, keys)]
@@ -189,6 +189,7 @@ def table_record(shown: tables.Table, command: str, runs: list[dict]) -> dict:
         "threads": runs[0]["threads"],
         "cpu_minutes": round(sum(cpu) / 60),
         "machine": runs[0]["machine"],
+        "date": runs[0].get("date", ""),
         "columns": list(shown.columns),
         "rows": [list(row) for row in shown.rows],
         "note": shown.note,

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -265,7 +266,8 @@ def _run_timed(spec: Run, report: Report, threads: int, device: str | None) -> N
     before = time.process_time()
     seconds = run_benchmark(spec, report)
     cost = {"seconds": seconds, "cpu_seconds": time.process_time() - before}
-    where = {"threads": threads, "machine": machine(device)}
+    today = datetime.now(UTC).date().isoformat()
+    where = {"threads": threads, "machine": machine(device), "date": today}
     write_json(spec.folder.machine(spec.task.name, spec.part), cost | where)
 
 

@@ -94,3 +94,10 @@ def test_presses_are_as_deep_as_the_sensors_profile_says(brick, monkeypatch):
         names = [check.name for check in file_checks(edited(brick, touch=touch))]
         assert ("Deeper presses touch more" in names) == (low < high)
     np.testing.assert_allclose(pressed, [[2e-4, 3e-4, 4e-4]])
+
+
+def test_a_mode_that_never_decays_fails(brick):
+    endless = brick.tensors["audio.damping"].copy()
+    endless[0] = 0
+    file = ObjectFile(brick.header, dict(brick.tensors) | {"audio.damping": endless})
+    assert "Every mode decays: least rate" in failed(file_checks(file))

@@ -292,15 +292,16 @@ def _touches_note(scores: Mapping[str, Any]) -> str:
 
 
 def _retrieval(split: str, scores: Mapping[str, Any]) -> Table:
-    rows = []
+    rows, new = [], split == "unseen"
     for direction in [*PAPER_RETRIEVAL, *(name for name in SAME_SENSE if name in scores["directions"])]:
         score = scores["directions"][direction]
-        paper = PAPER_RETRIEVAL.get(direction) if split == "seen" else None
+        paper = PAPER_RETRIEVAL.get(direction)
         papers = ("-", "-") if paper is None else (f"{paper[0]:.2f}", f"{paper[1]:.2f}")
-        unseen = PAPER_UNSEEN_RETRIEVAL.get(direction) if split == "unseen" else None
         ours = (_map(score), f"{score['cca']:.3f}", f"{score['chance']:.3f}")
-        rows.append((direction, *ours, *papers, "-" if unseen is None else f"{unseen:.3f}"))
-    columns = ("direction", "mAP", "CCA", "chance", "paper", "paper's CCA", "ObjectFolder Benchmark")
+        unseen = PAPER_UNSEEN_RETRIEVAL.get(direction)
+        rows.append((direction, *ours, *(("-" if unseen is None else f"{unseen:.3f}",) if new else papers)))
+    theirs = ("ObjectFolder Benchmark, 200 objects",) if new else ("paper", "paper's CCA")
+    columns = ("direction", "mAP", "CCA", "chance", *theirs)
     title = f"Cross-sensory retrieval, {split} objects: mean average precision"
     return Table(title, columns, rows, _note(scores))
 
