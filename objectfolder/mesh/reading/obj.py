@@ -17,7 +17,7 @@ from objectfolder.mesh.reading.mtl import MtlMaterial, read_materials
 from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMaterial
 
 FACE = re.compile(r"^f[ \t]+\S.*", re.M | re.A)
-POLYGON = re.compile(r"^f(?:[ \t]++[\d/]++){4,}+[ \t]*+$", re.M | re.A)
+POLYGON = re.compile(r"^f(?:[ \t]++\d[\d/]*+){4,}+[ \t]*+$", re.M | re.A)
 #: Faces by what their corners name: vertices, and texture coordinates, and normals, and both.
 FORMS = [
     re.compile(rf"^f(?:[ \t]++{corner}(?=\s|$))++[ \t]*+$", re.M | re.A)
@@ -57,7 +57,7 @@ def read_obj(path: Path) -> MeshContent:
     notes, used = [], {}
     for content in geometry:
         visual, colors = content.get("visual"), content.get("vertex_colors")
-        name = "" if visual is None else str(visual.material.name)
+        name = (None if visual is None else visual.material.name) or ""
         material = used[name] = materials.get(name, plain)
         surface = material.surface
         colors = None if colors is None else srgb.decode(np.clip(colors[:, :3] / unit, 0, 1))

@@ -70,10 +70,10 @@ def _faces(path: Path, vertices: np.ndarray, rows: list[list[str]]) -> tuple[np.
         groups.setdefault(row[0], []).append(row)
     triangles, colors = [np.zeros((0, 3), np.int64)], []
     for corners, group in sorted(groups.items(), key=lambda item: (len(item[0]), item[0])):
-        count = int(corners)
+        count = int(_numbers(path, [[corners]], 1, "faces", np.int64)[0, 0])
         if count < 3:
             continue  # a point or a line
-        polygons = _numbers(path, [row[1 : 1 + count] for row in group], count, "faces").astype(np.int64)
+        polygons = _numbers(path, [row[1 : 1 + count] for row in group], count, "faces", np.int64)
         # Indices out of range are refused later, by name.
         local = split(vertices[np.clip(polygons, 0, len(vertices) - 1)])
         triangles.append(np.take_along_axis(polygons[:, None], local, 2).reshape(-1, 3))
@@ -85,10 +85,12 @@ def _faces(path: Path, vertices: np.ndarray, rows: list[list[str]]) -> tuple[np.
     return faces, face_colors if len(face_colors) == len(faces) > 0 else None
 
 
-def _numbers(path: Path, rows: list[list[str]], width: int, what: str) -> np.ndarray:
+def _numbers(
+    path: Path, rows: list[list[str]], width: int, what: str, dtype: type = np.float64
+) -> np.ndarray:
     try:
-        return np.array(rows, np.float64).reshape(len(rows), width)
-    except ValueError as error:
+        return np.array(rows, dtype).reshape(len(rows), width)
+    except (ValueError, OverflowError) as error:
         raise ObjectFolderError(
             f"{path}: some of its {what} have words that are no numbers, or too few; export it again"
         ) from error

@@ -6,6 +6,7 @@ from gltf_scene import checker, colors_at
 from PIL import Image
 from polygons import AREA, VOLUME, area, u_plate
 
+from objectfolder.mesh import srgb
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.reading.mtl import textures
@@ -91,6 +92,13 @@ def test_forms_with_as_many_numbers_are_told_apart(tmp_path):
     )
 
 
+def test_a_material_called_none_is_not_that_of_faces_without_one(tmp_path):
+    faces = "f 1/1 2/2 3/3\nusemtl None\nf 1/1 3/3 4/4\n"
+    mesh = written(tmp_path, QUAD + CORNERS + faces, "newmtl None\nKd 1 0 0\n")
+    grey = np.rint(255 * srgb.encode(np.float64(PLAIN)))
+    assert {tuple(c) for c in colors_at(mesh).round()} == {(255, 0, 0), (grey, grey, grey)}
+
+
 @pytest.mark.parametrize(
     ("options", "color"),
     [
@@ -150,7 +158,7 @@ def test_a_material_without_a_colour_is_plain(tmp_path):
     grey = written(
         tmp_path, QUAD + "usemtl a\nf 1 2 3\nusemtl b\nf 1 3 4\n", "newmtl a\nNs 1\nnewmtl b\nKd 1 0 0\n"
     )
-    low = np.rint(255 * (1.055 * PLAIN ** (1 / 2.4) - 0.055))
+    low = np.rint(255 * srgb.encode(np.float64(PLAIN)))
     assert {tuple(c) for c in grey.vertex_colors} == {(low, low, low), (255, 0, 0)}
 
 

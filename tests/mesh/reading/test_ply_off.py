@@ -129,6 +129,8 @@ def test_an_off_with_colours_of_faces_and_normals(tmp_path):
         ("OFF\n3 2 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", "has 4 lines of vertices and faces, expected 3 and 2"),
         ("OFF\n3 1 0\n0 0 0\n1 0\n0 1 0\n3 0 1 2\n", "some of its vertices have words that are no numbers"),
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1\n", "no numbers, or too few"),
+        ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\nthree 0 1 2\n", "some of its faces have words"),
+        ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 inf\n", "some of its faces have words"),
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 3\n", "use vertices 0 to 3, but there are 3"),
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 -2\n", "use vertices -2 to 1, but there are 3"),
     ],
