@@ -46,7 +46,7 @@ def read_obj(path: Path) -> MeshContent:
     library = "\n".join(f"newmtl {name}" for name in materials).encode()
     geometry = [
         content
-        for one_form in _by_form(path, _without_ears(text))
+        for one_form in _by_form(path, _concave_split(text))
         for content in load_obj(BytesIO(one_form.encode()), resolver=defaultdict(lambda: library))
         .get("geometry", {})
         .values()
@@ -147,7 +147,7 @@ def _corner(path: Path, line: str, corner: str, counts: Counter[str]) -> str:
     return "/".join(indices)
 
 
-def _without_ears(text: str) -> str:
+def _concave_split(text: str) -> str:
     """Split the polygons of the text that trimesh's fans would leave, such as a U."""
     lines = list(dict.fromkeys(POLYGON.findall(text)))
     if not lines:
