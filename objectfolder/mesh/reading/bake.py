@@ -17,7 +17,8 @@ from objectfolder.mesh.textured import PLAIN, TexturedMesh
 MARGIN = 2  # texels around a window, to keep bilinear filtering inside
 SHRINK = 0.97  # factor on all images, repeated until they fit the atlas
 CELL = 8  # largest side of the cell of a face without an image, texels
-CELL_SHARE = 0.25  # fraction of the atlas for these cells
+CELL_SHARE = 0.25  # fraction of the atlas for these cells, and the least for those with an image
+FILLED = 0.9  # fraction of the atlas that cells with an image may fill up
 
 
 def join(parts: Sequence[MeshPart], texture_size: int, name: str) -> tuple[TexturedMesh, list[str]]:
@@ -66,10 +67,11 @@ def join(parts: Sequence[MeshPart], texture_size: int, name: str) -> tuple[Textu
             "texture": _pixels(materials[0], _limited(materials[0].image, texture_size)),
         }
     else:
-        parts, appearance, scale = _atlas([_near_origin(p) for p in parts], texture_size, name)
+        parts, appearance, scales = _atlas([_near_origin(p) for p in parts], texture_size, name)
         side = " x ".join(map(str, appearance["texture"].shape[1::-1]))
         several = f"{len(materials)} materials" if len(materials) > 1 else "1 material"
-        notes.append(f"{several} baked into {side} texels, images at {scale:.{0 if scale > 0.1 else 1}%}")
+        shares = dict.fromkeys(f"{100 * scale:.3g}%" for scale in (min(scales), max(scales)))
+        notes.append(f"{several} baked into {side} texels, images at {' to '.join(shares)}")
     offsets = np.cumsum([0, *(len(p.vertices) for p in parts)])
     mesh = TexturedMesh(
         vertices=np.concatenate([p.vertices for p in parts]),
@@ -208,10 +210,10 @@ def _near_origin(part: MeshPart) -> MeshPart:
 
 
 def _by_size(part: MeshPart) -> list[MeshPart]:
-    """Part faces with vertex colours beside an image by the power of two of the texels they cover."""
+    """Part faces with vertex colours beside an image by the texels they cover, two sizes per doubling."""
     if part.colors is None or part.material.image is None:
         return [part]
-    level = np.ceil(np.log2(np.maximum(_texel_sides(part), 1)))
+    level = np.ceil(2 * np.log2(np.maximum(_texel_sides(part), 1)))
     return [replace(part, faces=part.faces[level == one]) for one in np.unique(level)]
 
 
@@ -231,16 +233,16 @@ class _Group:
     parts: Sequence[MeshPart]
     low: np.ndarray  #: (2,) lower corner of the used window, in image sides, y down
     high: np.ndarray  #: (2,) upper corner
-    cell: int  #: side of a face's cell, in texels of the unscaled image if there is one
+    texels: int  #: side of what a face with a cell covers of its image, texels
+    cell: int = 0  #: bound of the side of a face's cell, before images are scaled
 
     @staticmethod
-    def of(parts: Sequence[MeshPart], cell: int) -> "_Group":
-        """Group parts; ``cell`` is the side of cells without an image."""
+    def of(parts: Sequence[MeshPart]) -> "_Group":
         corners = [p.uv[p.used] * [1, -1] + [0, 1] for p in parts if p.uv is not None]
         corner = np.concatenate(corners) if corners else np.zeros((1, 2))
-        if parts[0].colors is not None and parts[0].material.image is not None:
-            cell = int(np.ceil(_texel_sides(parts[0]).max())) + 1
-        return _Group(parts, corner.min(0), corner.max(0), cell)
+        celled = parts[0].colors is not None and parts[0].material.image is not None
+        texels = int(np.ceil(_texel_sides(parts[0]).max())) + 1 if celled else 0
+        return _Group(parts, corner.min(0), corner.max(0), texels)
 
     @property
     def image(self) -> Image.Image | None:
@@ -257,27 +259,55 @@ class _Group:
         if self.image is None:
             return 1.0
         if self.celled:
-            return scale * min(1, limit / self.cell)
+            return self.side(scale) / self.texels
         extent = self.image.size * np.maximum(self.high - self.low, 1)
         return float(scale * min(1, limit / extent.max()))
 
-    def side(self, scale: float, limit: int) -> int:
+    def side(self, scale: float) -> int:
         """Return the side of a cell in the atlas, texels."""
-        return max(round(self.cell * self.scale(scale, limit)), 1)
+        return self.cell if self.image is None else max(min(self.texels, round(self.cell * scale)), 1)
+
+
+def _with_cells(groups: Sequence[_Group], limit: int) -> list[_Group]:
+    """Choose the sides of cells: what faces cover of their images, up to a bound that fits the free area."""
+    plain = [group for group in groups if group.celled and group.image is None]
+    count = sum(len(group.parts[0].faces) for group in plain)
+    side = int(np.clip(limit * np.sqrt(CELL_SHARE / max(count, 1)), 1, CELL))
+    groups = [replace(group, cell=side) for group in groups]
+    imaged = [group for group in groups if group.texels]
+    if not imaged:
+        return groups
+    others = sum(np.prod(_size(group, 1, limit)) for group in groups if not group.texels)
+    free = limit**2 * FILLED - others
+    bound = _bound(
+        np.array([group.texels for group in imaged]),
+        np.array([len(group.parts[0].faces) for group in imaged]),
+        max(free, CELL_SHARE * limit**2),
+    )
+    return [replace(group, cell=min(int(bound), limit)) if group.texels else group for group in groups]
+
+
+def _bound(sides: np.ndarray, counts: np.ndarray, area: float) -> float:
+    """Return the largest bound of squares' sides at which they take no more than an area."""
+    order = np.argsort(sides)
+    sides, counts = sides[order], counts[order]
+    taken = np.concatenate([[0], np.cumsum(counts * sides**2)[:-1]])  # by the smaller ones
+    left = counts[::-1].cumsum()[::-1]
+    bounds = np.sqrt(np.maximum(area - taken, 0) / left)
+    binds = np.flatnonzero(bounds <= sides)
+    return float(bounds[binds[0]] if len(binds) else sides[-1])
 
 
 def _atlas(
     parts: Sequence[MeshPart], texture_size: int, name: str
-) -> tuple[list[MeshPart], dict[str, Any], float]:
-    """Bake parts into one texture; return them with new coordinates, the appearance and the least scale."""
+) -> tuple[list[MeshPart], dict[str, Any], list[float]]:
+    """Bake parts into one texture; return them with new coordinates, the appearance and images' scales."""
     parts = [piece for part in parts for piece in _by_size(part)]
     # Parts of one material share a window; faces with vertex colours have cells.
     groups: dict[Any, list[int]] = {}
     for i, part in enumerate(parts):
         groups.setdefault(part.material if part.colors is None else i, []).append(i)
-    colored = sum(len(p.faces) for p in parts if p.colors is not None and p.material.image is None)
-    cell = int(np.clip(texture_size * np.sqrt(CELL_SHARE / max(colored, 1)), 1, CELL))
-    members = [_Group.of([parts[i] for i in group], cell) for group in groups.values()]
+    members = _with_cells([_Group.of([parts[i] for i in group]) for group in groups.values()], texture_size)
     scale = 1.0
     while True:
         sizes = np.array([_size(group, scale, texture_size) for group in members])
@@ -304,7 +334,8 @@ def _atlas(
             uv = (texels + np.array([left, top])) / [width, height] * [1, -1] + [0, 1]
             result[index] = replace(part, uv=uv)
     uv = np.concatenate([p.uv for p in result if p.uv is not None])
-    return result, {"uv": uv, "texture": texture}, min(g.scale(scale, texture_size) for g in members)
+    scales = [group.scale(scale, texture_size) for group in members if group.image is not None]
+    return result, {"uv": uv, "texture": texture}, scales
 
 
 def _window(group: _Group, scale: float, limit: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -325,7 +356,7 @@ def _size(group: _Group, scale: float, limit: int) -> tuple[int, int]:
     if group.celled:
         columns = int(np.ceil(np.sqrt(len(group.parts[0].faces))))
         rows = int(np.ceil(len(group.parts[0].faces) / columns))
-        side = group.side(scale, limit)
+        side = group.side(scale)
         return columns * side, rows * side
     if group.image is None:
         return 2 * MARGIN + 1, 2 * MARGIN + 1
@@ -358,7 +389,7 @@ def _paint_faces(
     part = group.parts[0]
     assert part.colors is not None
     width, height = _size(group, scale, limit)
-    cell = group.side(scale, limit)
+    cell = group.side(scale)
     columns, count = width // cell, len(part.faces)
     # A face's corners are the centres of three corner texels of its cell; colours extend beyond its edge.
     step = np.arange(cell) / max(cell - 1, 1)

@@ -282,8 +282,24 @@ def test_vertex_colours_leave_a_texture_its_detail(tmp_path, texture_size, atol)
         np.testing.assert_allclose(colors_at(mesh, weights)[face], expected, atol=atol)
 
 
-@pytest.mark.parametrize(("spread", "said"), [(1, "100%"), (8, "47%")])
-def test_the_least_scale_of_the_images_is_noted(tmp_path, spread, said):
+def test_a_face_over_many_repeats_takes_no_texels_from_small_ones(tmp_path):
+    scene = Scene()
+    shade = np.array([0.25, 1.0, 0.5, 0.75])
+    colors = np.tile(shade[:, None], (5, 1, 3))
+    uv = [square(0, 0, 40), *four_squares(0.25)]
+    scene.quads(0, scene.material(scene.texture(checker(FOUR, 32))), uv, COLOR_0=colors)
+    mesh = load_mesh(scene.write(tmp_path / "s.gltf"), "y", texture_size=256)
+    assert notes(mesh)[0].endswith("to 100%")
+    # Small faces come first.
+    for face, color in enumerate((RED, RED, GREEN, GREEN, BLUE, BLUE, SAND, SAND)):
+        corners = shade[[[0, 1, 2], [0, 2, 3]][face % 2]]
+        for weights in INNER:
+            expected = 255 * srgb.encode(np.array(linear(color)) * (weights @ corners))
+            np.testing.assert_allclose(colors_at(mesh, weights)[face], expected, atol=2)
+
+
+@pytest.mark.parametrize(("spread", "said"), [(1, "100%"), (8, "47% to 94.1%")])
+def test_the_scales_of_the_images_are_noted(tmp_path, spread, said):
     """An image of 32 texels is repeated eight times along a face: 128 have room for 15 each, and a margin."""
     scene = Scene()
     small = scene.texture(checker(FOUR, 16))
