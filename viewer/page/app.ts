@@ -93,8 +93,7 @@ export class App {
   /** Open an Object File. */
   open(buffer: ArrayBuffer, began = performance.now()): void {
     this.began = this.times.shape === undefined ? 0 : began;
-    this.bounces = false;
-    this.point = null;
+    this.waiting = null; // it was meant for the object that is open now
     tell("message", null);
     tell("busy", "Reading the Object File …");
     this.ask({ kind: "open", buffer }, [buffer]);
@@ -106,6 +105,8 @@ export class App {
       this.waiting = { place, strike: strike || (this.waiting?.strike ?? false) };
       return;
     }
+    // Without an object, a message says why there is none.
+    if (!this.header) return;
     this.poking = true;
     tell("message", null);
     const touch = this.gaps?.touch ? null : this.touchSettings();
@@ -200,6 +201,8 @@ export class App {
   private showShape({ header, gaps, mesh, bytes }: Extract<Reply, { kind: "shape" }>): void {
     this.header = header;
     this.gaps = gaps;
+    this.bounces = false;
+    this.point = null;
     this.lastSound = null;
     this.lastTouch = null;
     tell("busy", null);

@@ -134,6 +134,7 @@ async function use(page) {
   });
   await page.locator("#message").waitFor();
   assert.match(await page.locator("#message").textContent(), /no safetensors file/);
+  await strike(page); // the open object stays
 }
 
 for (const [name, size] of Object.entries(SIZES))

@@ -43,10 +43,11 @@ function sliced(wanted: () => boolean): Slice {
 }
 
 async function open(buffer: ArrayBuffer): Promise<void> {
-  const mine = ++opened;
   const bytes = buffer.byteLength;
-  answers = null;
+  // A file that cannot be read throws here, and the open object stays.
   const found = new Answers(buffer);
+  const mine = ++opened;
+  lit++; // light on the object before is no longer wanted
   answers = found;
   const { position, normal, index } = found.mesh;
   const mesh = { position: position.slice(), normal: normal.slice(), index: index.slice() };
