@@ -84,6 +84,7 @@ export class Gestures {
   }
 
   private key(event: KeyboardEvent): void {
+    if (event.ctrlKey || event.metaKey || event.altKey) return; // shortcuts of the browser
     const turns: Record<string, [number, number]> = {
       ArrowLeft: [-KEY_TURN, 0],
       ArrowRight: [KEY_TURN, 0],

@@ -106,7 +106,16 @@ async function use(page) {
   assert.notDeepEqual(dragged, start, "a drag beside the object turns it");
   await page.locator("#view").focus();
   for (const key of ["ArrowLeft", "ArrowUp", "+", "-"]) await page.keyboard.press(key);
-  assert.notDeepEqual(await eye(), dragged, "arrow keys turn it");
+  const keyed = await eye();
+  assert.notDeepEqual(keyed, dragged, "arrow keys turn it");
+  const taken = await page.evaluate(() =>
+    ["ctrlKey", "metaKey", "altKey"].filter((modifier) => {
+      const event = new KeyboardEvent("keydown", { key: "ArrowLeft", [modifier]: true, cancelable: true });
+      return !document.getElementById("view").dispatchEvent(event);
+    }),
+  );
+  assert.deepEqual(taken, [], "shortcuts are the browser's");
+  assert.deepEqual(await eye(), keyed);
   await page.locator("#reset").click();
   assert.deepEqual(await eye(), start);
   await page.locator("#view").focus();
