@@ -9,7 +9,7 @@ import type { Profile } from "../core/sensor.ts";
 import { ownMaterial } from "../core/tuning.ts";
 import type { Vector } from "../core/vector.ts";
 import type { Place, Reply, Request, StrikeSettings, TouchSettings } from "../worker/protocol.ts";
-import { drawHeights, drawImage, drawTones, drawWave } from "./charts.ts";
+import { clear, drawHeights, drawImage, drawTones, drawWave } from "./charts.ts";
 import { canvas, element, input, options, select, tell, whenever } from "./elements.ts";
 import { Gestures } from "./gestures.ts";
 import { single, studio } from "./lighting.ts";
@@ -79,6 +79,7 @@ export class App {
       poke: (place, strike) => this.poke(place, strike),
       turned: () => this.relight(false),
     });
+    this.forget();
     this.wire();
     new ResizeObserver(() => this.resize()).observe(element("stage"));
     this.resize();
@@ -202,9 +203,7 @@ export class App {
     this.header = header;
     this.gaps = gaps;
     this.bounces = false;
-    this.point = null;
-    this.lastSound = null;
-    this.lastTouch = null;
+    this.forget();
     tell("busy", null);
     element("name").textContent = header.key.replaceAll("_", " ");
     const size =
@@ -221,6 +220,21 @@ export class App {
     this.relight();
     this.view.draw();
     this.note("shape");
+  }
+
+  /** Remove the answers of the object before. */
+  private forget(): void {
+    this.point = null;
+    this.lastSound = null;
+    this.lastTouch = null;
+    for (const id of ["wave", "tones", "touch", "heights"]) clear(canvas(id));
+    element("sound-readout").textContent = "Strike the object to hear it.";
+    element("touch-readout").textContent = "Touch the object to feel it.";
+    element("notes").replaceChildren();
+    element<HTMLButtonElement>("again").disabled = true;
+    delete this.times.strike;
+    delete this.times.touch;
+    this.timing();
   }
 
   private fillMenus(header: Header): void {

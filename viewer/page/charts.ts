@@ -16,6 +16,11 @@ function prepared(canvas: HTMLCanvasElement): [CanvasRenderingContext2D, number,
 
 const color = (name: string): string => getComputedStyle(document.documentElement).getPropertyValue(name);
 
+/** Remove what is drawn. */
+export function clear(canvas: HTMLCanvasElement): void {
+  canvas.getContext("2d")!.clearRect(0, 0, canvas.width, canvas.height);
+}
+
 /** Draw the beginning of a sound. @param gain that takes full scale to the canvas */
 export function drawWave(canvas: HTMLCanvasElement, samples: Float32Array, gain: number): void {
   const [context, width, height] = prepared(canvas);

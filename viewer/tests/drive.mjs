@@ -144,6 +144,38 @@ async function use(page) {
   await page.locator("#message").waitFor();
   assert.match(await page.locator("#message").textContent(), /no safetensors file/);
   await strike(page); // the open object stays
+  await reopen(page);
+}
+
+/** Open the object once more, as a file: nothing that was answered before may stay. */
+async function reopen(page) {
+  const shown = () =>
+    page.evaluate(() => {
+      const drawn = ["wave", "tones", "touch", "heights"].filter((id) => {
+        const { width, height } = document.getElementById(id);
+        const blank = Object.assign(document.createElement("canvas"), { width, height });
+        return document.getElementById(id).toDataURL() !== blank.toDataURL();
+      });
+      const texts = ["sound-readout", "touch-readout", "notes", "timing"].map(
+        (id) => document.getElementById(id).textContent,
+      );
+      return { drawn, texts, again: !document.getElementById("again").disabled };
+    });
+  const before = await shown();
+  assert.equal(before.drawn.length, 4);
+  assert.ok(before.again);
+  const content = await page.locator("script[data-object]").textContent();
+  await page.locator("#file").setInputFiles({
+    name: "again.safetensors",
+    mimeType: "application/octet-stream",
+    buffer: Buffer.from(content, "base64"),
+  });
+  await page.waitForFunction(() => window.objectfolder.lastSound === null, null, WAIT);
+  assert.deepEqual(await shown(), {
+    drawn: [],
+    texts: ["Strike the object to hear it.", "Touch the object to feel it.", "", ""],
+    again: false,
+  });
 }
 
 for (const [name, size] of Object.entries(SIZES))
