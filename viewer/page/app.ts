@@ -37,7 +37,7 @@ export class App {
   readonly times: Record<string, number> = {};
   readonly view: View;
   readonly orbit = new Orbit(START);
-  readonly player = new Player();
+  readonly player = new Player(RATE);
   lastSound: Extract<Reply, { kind: "sound" }> | null = null;
   lastTouch: Extract<Reply, { kind: "touch" }> | null = null;
   point: Vector | null = null;
@@ -322,8 +322,7 @@ export class App {
 
   private play(): void {
     const { lastSound } = this;
-    if (lastSound?.reference)
-      this.player.play(lastSound.samples, lastSound.rate, 1 / (lastSound.reference * STRONGEST));
+    if (lastSound?.reference) this.player.play(lastSound.samples, 1 / (lastSound.reference * STRONGEST));
   }
 
   private showTouch(touch: Extract<Reply, { kind: "touch" }>): void {

@@ -5,19 +5,40 @@ const LOUDEST = 0.9; // of full scale
 export class Player {
   private context: AudioContext | null = null;
   private playing: AudioBufferSourceNode | null = null;
+  private waiting: (() => void) | null = null;
 
-  /** Play a sound at a gain; samples beyond full scale are clipped. */
-  play(samples: Float32Array, rate: number, gain: number): void {
-    this.context ??= new AudioContext({ sampleRate: rate });
-    if (this.context.state === "suspended") void this.context.resume();
-    const buffer = this.context.createBuffer(1, samples.length, rate);
+  /** @param rate of all sounds, Hz */
+  constructor(private readonly rate: number) {
+    // Browsers allow sound only from within a gesture; the sound of a strike comes after it.
+    for (const name of ["pointerdown", "pointerup", "keydown"])
+      window.addEventListener(name, () => this.unlock(), { capture: true });
+  }
+
+  /** Play a sound at a gain, or with the next gesture if none has been yet; samples beyond full scale are clipped. */
+  play(samples: Float32Array, gain: number): void {
+    this.waiting = null;
+    const { context } = this;
+    if (!context) {
+      this.waiting = () => this.play(samples, gain);
+      return;
+    }
+    const buffer = context.createBuffer(1, samples.length, this.rate);
     const data = buffer.getChannelData(0);
     for (let n = 0; n < data.length; n++) data[n] = Math.max(-1, Math.min(1, samples[n] * gain * LOUDEST));
     this.playing?.stop();
-    this.playing = this.context.createBufferSource();
+    this.playing = context.createBufferSource();
     this.playing.buffer = buffer;
-    this.playing.connect(this.context.destination);
+    this.playing.connect(context.destination);
     this.playing.start();
+  }
+
+  private unlock(): void {
+    // A finger that goes down is no gesture yet; that it goes up is.
+    if (navigator.userActivation?.hasBeenActive === false) return;
+    this.context ??= new AudioContext({ sampleRate: this.rate });
+    // Where a browser refuses, the next gesture tries again.
+    if (this.context.state !== "running") this.context.resume().catch(() => {});
+    this.waiting?.();
   }
 
   get state(): string {

@@ -13,7 +13,6 @@ const FLAGS = [
   "--use-angle=swiftshader",
   "--enable-unsafe-swiftshader",
   "--ignore-gpu-blocklist",
-  "--autoplay-policy=no-user-gesture-required",
 ];
 
 /** Open a page; `complaints` collects errors of the console, exceptions and requests to a network. */

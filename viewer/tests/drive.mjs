@@ -28,12 +28,48 @@ async function middle(page) {
   return [box.x + box.width / 2, box.y + box.height / 2];
 }
 
-async function strike(page) {
+const click = (page, x, y) => page.mouse.click(x, y);
+const tap = (page, x, y) => page.touchscreen.tap(x, y);
+
+async function strike(page, how = click) {
   const [x, y] = await middle(page);
-  const { before, after } = await answered(page, () => page.mouse.click(x, y));
+  const { before, after } = await answered(page, () => how(page, x, y));
   await struck(page);
   await felt(page);
   assert.notEqual(await after(), before, "the tactile image changes");
+  await sounds(page);
+}
+
+const sounds = (page) =>
+  page.waitForFunction(() => window.objectfolder.player.state === "running", null, WAIT);
+
+/**
+ * Tap the object, as the first gesture on the page. The answers come while the finger is down, when browsers do not
+ * yet allow sound. Playwright's evaluations count as gestures, so the page is asked without them.
+ */
+async function firstTap(page) {
+  const session = await page.context().newCDPSession(page);
+  const ask = async (expression) =>
+    (await session.send("Runtime.evaluate", { expression, returnByValue: true })).result.value;
+  const until = async (expression) => {
+    for (
+      const start = Date.now();
+      !(await ask(expression));
+      await new Promise((done) => setTimeout(done, 50))
+    )
+      assert.ok(Date.now() - start < WAIT.timeout, `waited for ${expression}`);
+  };
+  await until("!!window.objectfolder?.times.bounced");
+  const [x, y] = await ask(`(() => {
+    const { left, top, width, height } = document.getElementById("view").getBoundingClientRect();
+    return [left + width / 2, top + height / 2];
+  })()`);
+  const touch = (type, touchPoints) => session.send("Input.dispatchTouchEvent", { type, touchPoints });
+  await touch("touchStart", [{ x, y }]);
+  await until("!!(window.objectfolder.lastSound && window.objectfolder.lastTouch)");
+  assert.equal(await ask("window.objectfolder.player.state"), "none");
+  await touch("touchEnd", []);
+  await until('window.objectfolder.player.state === "running"');
 }
 
 async function use(page) {
@@ -54,12 +90,10 @@ async function use(page) {
       peak: samples.reduce((most, value) => Math.max(most, Math.abs(value)), 0),
       own: power(tones[0].frequency),
       usual: everywhere[100],
-      state: window.objectfolder.player.state,
     };
   });
   assert.ok(sound.peak > 0, "the sound is not silent");
   assert.ok(sound.own > 10 * sound.usual, "its loudest tone is at the frequency that is shown");
-  assert.equal(sound.state, "running");
 
   const [x, y] = await middle(page);
   let step = await answered(page, async () => {
@@ -181,9 +215,10 @@ async function reopen(page) {
 for (const [name, size] of Object.entries(SIZES))
   for (const colorScheme of ["light", "dark"]) {
     const { browser, page, complaints } = await open(file, { ...size, colorScheme });
+    if (size.hasTouch) await firstTap(page);
     await page.waitForFunction(() => window.objectfolder?.times.bounced, null, WAIT);
     if (name === "desktop" && colorScheme === "light") await use(page);
-    else await strike(page);
+    else await strike(page, size.hasTouch ? tap : click);
     await page.addScriptTag({ path: axe });
     const { violations } = await page.evaluate(() => window.axe.run());
     const serious = violations.filter(({ impact }) => ["serious", "critical"].includes(impact));
