@@ -26,6 +26,9 @@ const RING = 0.02; // radius of the mark, unit frame
 const STRONGEST = 0.1; // N s
 const PAUSE = 90; // milliseconds without a change after which indirect light is asked for
 
+const LOST =
+  "The browser took the graphics card away, and usually gives it back soon. If the picture stays empty, reload the page.";
+
 export interface Settings {
   /** By law of damping, then by name. */
   materials?: Record<"rayleigh" | "loss_factor", Record<string, Material>>;
@@ -74,7 +77,10 @@ export class App {
     const accent = matchMedia("(prefers-color-scheme: dark)").matches
       ? [0.98, 0.6, 0.33]
       : [0.78, 0.25, 0.02];
-    this.view = new View(canvas("view"), this.orbit, accent as Vector);
+    this.view = new View(canvas("view"), this.orbit, accent as Vector, (away) => {
+      if (away) this.announce("The picture is lost", LOST);
+      else tell("message", null);
+    });
     new Gestures(this.view, {
       poke: (place, strike) => this.poke(place, strike),
       turned: () => this.relight(false),
@@ -191,12 +197,16 @@ export class App {
 
   private problem(message: string, title = "This file cannot be shown"): void {
     tell("busy", null);
+    this.announce(title, message);
+    this.next();
+  }
+
+  private announce(title: string, message: string): void {
     const place = element("message");
     const heading = document.createElement("strong");
     heading.textContent = title;
     place.replaceChildren(heading, message);
     place.hidden = false;
-    this.next();
   }
 
   private showShape({ header, gaps, mesh, bytes }: Extract<Reply, { kind: "shape" }>): void {

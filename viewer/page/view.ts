@@ -19,15 +19,22 @@ const FACING = 2;
 const ATTRIBUTES = ["position", "normal", "color", "shading", "indirect"] as const;
 type Attribute = (typeof ATTRIBUTES)[number];
 
+/** What a context holds, and loses with it. */
+interface Held {
+  paint: WebGLProgram;
+  cast: WebGLProgram;
+  shadows: WebGLTexture;
+  target: WebGLFramebuffer;
+  object: WebGLVertexArrayObject;
+  buffers: Map<Attribute, WebGLBuffer>;
+  triangles: WebGLBuffer;
+}
+
 export class View {
   private readonly gl: WebGL2RenderingContext;
-  private readonly paint: WebGLProgram;
-  private readonly cast: WebGLProgram;
-  private readonly shadows: WebGLTexture;
-  private readonly target: WebGLFramebuffer;
-  private readonly object: WebGLVertexArrayObject;
-  private readonly buffers = new Map<Attribute, WebGLBuffer>();
-  private readonly triangles: WebGLBuffer;
+  private held: Held;
+  private readonly values = new Map<Attribute, Float32Array>();
+  private index: Uint32Array = new Uint32Array();
   private corners = 0;
   private vertices = 0;
   private lights: PointLight[] = [];
@@ -43,37 +50,28 @@ export class View {
     readonly canvas: HTMLCanvasElement,
     readonly orbit: Orbit,
     private readonly accent: Vector,
+    /** The browser took the picture away, or gave it back. */
+    lost: (away: boolean) => void,
   ) {
     const gl = canvas.getContext("webgl2", { antialias: true, preserveDrawingBuffer: true });
     if (!gl) throw new Error("This browser has no WebGL 2, which the picture needs.");
     this.gl = gl;
-    this.paint = program(gl, VERTEX, FRAGMENT);
-    this.cast = program(gl, DEPTH_VERTEX, DEPTH_FRAGMENT);
-    this.object = gl.createVertexArray();
-    this.triangles = gl.createBuffer();
-    gl.bindVertexArray(this.object);
-    ATTRIBUTES.forEach((name, place) => {
-      const buffer = gl.createBuffer();
-      this.buffers.set(name, buffer);
-      gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
-      gl.enableVertexAttribArray(place);
-      gl.vertexAttribPointer(place, 3, gl.FLOAT, false, 0, 0);
+    this.held = held(gl);
+    canvas.addEventListener("webglcontextlost", (event) => {
+      event.preventDefault(); // else it is never restored
+      lost(true);
     });
-    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.triangles);
-    this.shadows = gl.createTexture();
-    gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.shadows);
-    gl.texStorage3D(gl.TEXTURE_2D_ARRAY, 1, gl.DEPTH_COMPONENT24, SHADOW_SIZE, SHADOW_SIZE, LIGHTS);
-    for (const [name, value] of [
-      [gl.TEXTURE_MIN_FILTER, gl.LINEAR],
-      [gl.TEXTURE_MAG_FILTER, gl.LINEAR],
-      [gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE],
-      [gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE],
-      [gl.TEXTURE_COMPARE_MODE, gl.COMPARE_REF_TO_TEXTURE],
-      [gl.TEXTURE_COMPARE_FUNC, gl.LEQUAL],
-    ])
-      gl.texParameteri(gl.TEXTURE_2D_ARRAY, name, value);
-    this.target = gl.createFramebuffer();
-    gl.enable(gl.DEPTH_TEST);
+    canvas.addEventListener("webglcontextrestored", () => {
+      this.restore();
+      lost(false);
+    });
+  }
+
+  private restore(): void {
+    this.held = held(this.gl);
+    for (const [name, values] of this.values) this.fill(name, values);
+    this.join(this.index);
+    this.changed();
   }
 
   get aspect(): number {
@@ -82,16 +80,26 @@ export class View {
 
   private fill(name: Attribute, values: Float32Array): void {
     const { gl } = this;
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.buffers.get(name)!);
+    this.values.set(name, values);
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.held.buffers.get(name)!);
     gl.bufferData(gl.ARRAY_BUFFER, values, gl.STATIC_DRAW);
     this.stale = true;
   }
 
+  /** Join vertices to triangles. */
+  private join(index: Uint32Array): void {
+    const { gl } = this;
+    this.index = index;
+    this.corners = index.length;
+    gl.bindVertexArray(this.held.object);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.held.triangles);
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, index, gl.STATIC_DRAW);
+    this.unshadowed = true;
+  }
+
   /** Show a shape in grey. */
   show(mesh: Mesh, spacing: number): void {
-    const { gl } = this;
     this.vertices = mesh.position.length;
-    this.corners = mesh.index.length;
     this.lift = LIFT * spacing;
     this.radius = farthest(mesh.position);
     this.surface = { roughness: 0.6, metallic: 0 };
@@ -101,10 +109,7 @@ export class View {
     this.fill("color", new Float32Array(this.vertices).fill(GREY));
     this.fill("shading", mesh.normal);
     this.fill("indirect", new Float32Array(this.vertices));
-    gl.bindVertexArray(this.object);
-    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.triangles);
-    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, mesh.index, gl.STATIC_DRAW);
-    this.unshadowed = true;
+    this.join(mesh.index);
   }
 
   /** Give the vertices base colours and shading normals. */
@@ -144,17 +149,17 @@ export class View {
         lookAt(position, [0, 0, 0]),
       );
     });
-    gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.held.target);
     gl.viewport(0, 0, SHADOW_SIZE, SHADOW_SIZE);
-    gl.useProgram(this.cast);
-    gl.bindVertexArray(this.object);
+    gl.useProgram(this.held.cast);
+    gl.bindVertexArray(this.held.object);
     // The object's far side casts the shadows: what is lit cannot shade itself by inexact depths.
     gl.enable(gl.CULL_FACE);
     gl.cullFace(gl.FRONT);
     this.lightMatrices.forEach((matrix, k) => {
-      gl.framebufferTextureLayer(gl.FRAMEBUFFER, gl.DEPTH_ATTACHMENT, this.shadows, 0, k);
+      gl.framebufferTextureLayer(gl.FRAMEBUFFER, gl.DEPTH_ATTACHMENT, this.held.shadows, 0, k);
       gl.clear(gl.DEPTH_BUFFER_BIT);
-      gl.uniformMatrix4fv(gl.getUniformLocation(this.cast, "camera"), false, matrix);
+      gl.uniformMatrix4fv(gl.getUniformLocation(this.held.cast, "camera"), false, matrix);
       gl.drawElements(gl.TRIANGLES, this.corners, gl.UNSIGNED_INT, 0);
     });
     gl.disable(gl.CULL_FACE);
@@ -167,7 +172,7 @@ export class View {
 
   /** Draw, if anything changed. */
   draw(): boolean {
-    if (!this.stale) return false;
+    if (!this.stale || this.gl.isContextLost()) return false;
     this.stale = false;
     this.shade();
     this.paintInto(this.canvas.width, this.canvas.height, SHOWN);
@@ -175,7 +180,8 @@ export class View {
   }
 
   private paintInto(width: number, height: number, mode: number): void {
-    const { gl, paint, orbit } = this;
+    const { gl, orbit } = this;
+    const { paint } = this.held;
     gl.viewport(0, 0, width, height);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
@@ -202,9 +208,9 @@ export class View {
       gl.uniformMatrix4fv(at(`lightMatrices[${k}]`), false, this.lightMatrices[k]);
     });
     gl.activeTexture(gl.TEXTURE0);
-    gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.shadows);
+    gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.held.shadows);
     gl.uniform1i(at("shadows"), 0);
-    gl.bindVertexArray(this.object);
+    gl.bindVertexArray(this.held.object);
     gl.drawElements(gl.TRIANGLES, this.corners, gl.UNSIGNED_INT, 0);
   }
 
@@ -308,6 +314,35 @@ function edges(facing: Float32Array, size: number): Uint8Array {
             crossed[one] = crossed[other] = 1;
       }
   return crossed;
+}
+
+/** Make what draws in a context. */
+function held(gl: WebGL2RenderingContext): Held {
+  const [paint, cast] = [program(gl, VERTEX, FRAGMENT), program(gl, DEPTH_VERTEX, DEPTH_FRAGMENT)];
+  const object = gl.createVertexArray();
+  const triangles = gl.createBuffer();
+  const buffers = new Map(ATTRIBUTES.map((name) => [name, gl.createBuffer()]));
+  gl.bindVertexArray(object);
+  ATTRIBUTES.forEach((name, place) => {
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffers.get(name)!);
+    gl.enableVertexAttribArray(place);
+    gl.vertexAttribPointer(place, 3, gl.FLOAT, false, 0, 0);
+  });
+  gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, triangles);
+  const shadows = gl.createTexture();
+  gl.bindTexture(gl.TEXTURE_2D_ARRAY, shadows);
+  gl.texStorage3D(gl.TEXTURE_2D_ARRAY, 1, gl.DEPTH_COMPONENT24, SHADOW_SIZE, SHADOW_SIZE, LIGHTS);
+  for (const [name, value] of [
+    [gl.TEXTURE_MIN_FILTER, gl.LINEAR],
+    [gl.TEXTURE_MAG_FILTER, gl.LINEAR],
+    [gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE],
+    [gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE],
+    [gl.TEXTURE_COMPARE_MODE, gl.COMPARE_REF_TO_TEXTURE],
+    [gl.TEXTURE_COMPARE_FUNC, gl.LEQUAL],
+  ])
+    gl.texParameteri(gl.TEXTURE_2D_ARRAY, name, value);
+  gl.enable(gl.DEPTH_TEST);
+  return { paint, cast, shadows, target: gl.createFramebuffer(), object, buffers, triangles };
 }
 
 function program(gl: WebGL2RenderingContext, vertex: string, fragment: string): WebGLProgram {

@@ -177,8 +177,27 @@ async function use(page) {
   });
   await page.locator("#message").waitFor();
   assert.match(await page.locator("#message").textContent(), /no safetensors file/);
-  await strike(page); // the open object stays
+  await answered(page, async () => click(page, ...(await middle(page))));
+  await struck(page); // the open object stays
+  await felt(page);
+  await loseContext(page);
   await reopen(page);
+}
+
+/** Take the graphics card away and give it back: the page says so, and draws the same picture again. */
+async function loseContext(page) {
+  const picture = () => page.evaluate(() => document.getElementById("view").toDataURL());
+  const before = await picture();
+  await page.evaluate(() => {
+    window.loss = document.getElementById("view").getContext("webgl2").getExtension("WEBGL_lose_context");
+    window.loss.loseContext();
+  });
+  await page.locator("#message", { hasText: "reload the page" }).waitFor();
+  assert.notEqual(await picture(), before);
+  await page.evaluate(() => window.loss.restoreContext());
+  await page.locator("#message").waitFor({ state: "hidden" });
+  await page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))));
+  assert.equal(await picture(), before, "the picture is drawn again");
 }
 
 /** Open the object once more, as a file: nothing that was answered before may stay. */
