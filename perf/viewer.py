@@ -22,21 +22,24 @@ from rich.table import Table
 
 from objectfolder import ObjectFile
 from objectfolder.materials import material
-from objectfolder.viewer.page import static_text, viewer_page
+from objectfolder.viewer.page import page_sensor, static_text, viewer_page
 from objectfolder.vision.cameras import sphere_points
 
 VIEWER = Path(__file__).parents[1] / "viewer"
 RATE, DURATION = 44100, 2.0
 STRIKES, VIEWS, SIZE = 12, 8, 256
+#: Sensors whose background is a picture, which the page holds in fewer levels, and touches of each.
+PICTURED, PICTURED_TOUCHES = ("gelsight_real", "digit_real"), 8
 #: Largest or least value; by object where the issue gives one, else by default.
 MOST = {"sound": 1e-5, "sound_cut": 1e-4, "strike_ms": 20, "touch_ms": 60, "usable_s": 1.0, "coloured_s": 2.5}
-LEAST = {"touch_db": 55.0}
+LEAST = {"touch_db": 55.0, "pictured_db": 44.0}
 LEAST_VIEW = {"mug": 36.0, "bell": 44.0, "die": 42.0}
 SCRIPT_KB, PAGE_KB = 90, 140
 TITLES = {
     "sound": "sound, relative",
     "sound_cut": "cut at 1e-5",
     "touch_db": "worst touch, dB",
+    "pictured_db": "worst on a picture, dB",
     "view_db": "view, dB",
     "strike_ms": "strike, ms",
     "touch_ms": "touch, ms",
@@ -85,12 +88,17 @@ def questions(file: ObjectFile, contacts: int) -> dict[str, Any]:
         )
         for gel in ("stored", "rigid")
     ]
+    pictured = [
+        {"point": touch["point"], "settings": touch["settings"] | {"profile": page_sensor(name)}}
+        for touch in touches[: 2 * PICTURED_TOUCHES : 2]
+        for name in PICTURED
+    ]
     rng = np.random.default_rng(0)  # the same views for any number of contacts
     cameras, lights = sphere_points(VIEWS, 2.5, rng), sphere_points(VIEWS, 1.0, rng)
     views = [
         {"camera": c.tolist(), "light": light.tolist(), "size": SIZE} for c, light in zip(cameras, lights)
     ]
-    return {"strikes": strikes, "touches": touches, "views": views}
+    return {"strikes": strikes, "touches": touches, "pictured": pictured, "views": views}
 
 
 def ask(page: Path, asked: dict[str, Any], folder: Path) -> dict[str, Any]:
@@ -117,7 +125,7 @@ def measure(path: Path, contacts: int, compared: bool) -> dict[str, Any]:
     file = ObjectFile.load(path)
     asked = questions(file, contacts)
     if not compared:
-        asked["views"] = []
+        asked["views"] = asked["pictured"] = []
     with TemporaryDirectory() as folder:
         page = Path(folder) / "page.html"
         page.write_text(viewer_page({file.key: path.read_bytes()}))
@@ -127,6 +135,7 @@ def measure(path: Path, contacts: int, compared: bool) -> dict[str, Any]:
     if compared:
         row |= sounds(file, asked["strikes"], found["strikes"])
         row |= touches(file, asked["touches"], found["touches"])
+        row["pictured_db"] = pictured(file, asked["pictured"], found["pictured"])
         return row | {"view_db": views(file, asked["views"], found["views"])}
     return row | {
         "strike_ms": median(took["strikes"][3:]),
@@ -172,6 +181,22 @@ def touches(file: ObjectFile, asked: list[dict[str, Any]], answers: np.ndarray) 
         truth = file.touch(point, settings["depth"], settings["angle"], sensor=sensor)
         found.append(psnr((answer[..., :3] - truth[0]) / 255))
     return {"touch_db": min(found), "touches_below": sum(db < LEAST["touch_db"] for db in found)}
+
+
+def pictured(file: ObjectFile, asked: list[dict[str, Any]], answers: np.ndarray) -> float:
+    """Return the PSNR of the worst tactile image of sensors whose background is a picture."""
+    found = []
+    start = 0
+    for question in asked:
+        settings = question["settings"]
+        sensor = settings["profile"]
+        point = np.array([question["point"]]) * file.scale
+        truth = file.touch(point, settings["depth"], settings["angle"], sensor=sensor["name"])[0]
+        end = start + sensor["height"] * sensor["width"] * 4
+        answer = answers[start:end].reshape(*truth.shape[:2], 4)
+        found.append(psnr((answer[..., :3] - truth) / 255))
+        start = end
+    return min(found)
 
 
 def views(file: ObjectFile, asked: list[dict[str, Any]], answers: np.ndarray) -> float:

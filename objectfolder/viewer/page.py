@@ -10,6 +10,7 @@ from typing import Any
 
 from objectfolder.materials import MATERIALS, material
 from objectfolder.touch.profiles import available_profiles, load_profile
+from objectfolder.viewer.background import packed_background
 
 LAWS = ("rayleigh", "loss_factor")
 
@@ -66,7 +67,7 @@ def _settings() -> str:
     """Return materials and sensors as JSON that may stand in HTML."""
     settings = {
         "materials": {law: {name: _material(name, law) for name in MATERIALS} for law in LAWS},
-        "sensors": {name: _sensor(name) for name in available_profiles()},
+        "sensors": {name: page_sensor(name) for name in available_profiles()},
     }
     return json.dumps(settings, separators=(",", ":")).replace("<", "\\u003c")
 
@@ -76,7 +77,9 @@ def _material(name: str, law: str) -> dict[str, Any]:
     return {"name": name, **found.properties()}
 
 
-def _sensor(name: str) -> dict[str, Any]:
-    """Return a profile without what only people and calibrations read."""
+def page_sensor(name: str) -> dict[str, Any]:
+    """Return a profile as the page takes it: without what only people and calibrations read."""
     unread = ("source", "noise_std", "press_depth", "background_image", "background_sha256")
-    return {key: value for key, value in load_profile(name).to_dict().items() if key not in unread}
+    profile = load_profile(name)
+    values = {key: value for key, value in profile.to_dict().items() if key not in unread}
+    return values | ({"background": packed_background(profile)} if profile.background_image else {})

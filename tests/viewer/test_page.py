@@ -1,16 +1,20 @@
 import base64
 import json
+import lzma
 import re
 import shutil
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import LOSS_FACTORS, MATERIALS
-from objectfolder.touch.profiles import available_profiles
+from objectfolder.touch.photographs import read_photograph
+from objectfolder.touch.profiles import available_profiles, load_profile
+from objectfolder.viewer.background import STEP
 from objectfolder.viewer.page import static_text, viewer_page
 
 VIEWER = Path(__file__).parents[2] / "viewer"
@@ -49,6 +53,21 @@ def test_a_page_knows_materials_and_sensors():
     assert found["materials"]["loss_factor"]["wood"]["loss_factor"] == [list(k) for k in LOSS_FACTORS["wood"]]
     assert list(found["sensors"]) == available_profiles()
     assert found["sensors"]["digit"]["lights"][0]["intensity"] > 0
+
+
+@pytest.mark.parametrize("name", ["gelsight_real", "digit_real"])
+def test_a_page_holds_the_backgrounds_of_sensors_within_two_levels(name):
+    profile = load_profile(name)
+    truth = read_photograph(profile.background_image, profile)
+    rows = lzma.decompress(base64.b64decode(settings(viewer_page({}))["sensors"][name]["background"]))
+    steps = np.cumsum(np.frombuffer(rows, np.uint8).reshape(truth.shape), axis=0, dtype=np.uint8)
+    assert np.abs(STEP * steps.astype(int) - truth).max() <= STEP // 2
+
+
+def test_only_sensors_with_a_picture_have_a_background_in_a_page():
+    found = settings(viewer_page({}))["sensors"]
+    pictured = {name for name in found if load_profile(name).background_image}
+    assert pictured == {name for name, sensor in found.items() if "background" in sensor}
 
 
 def test_pages_stay_small():

@@ -27,6 +27,8 @@ export interface Profile {
   background_falloff: number;
   /** Coefficients of a fitted light model by colour; see core/residual.ts. */
   residual?: number[][];
+  /** Picture of the untouched sensor, of sensors in the page's settings; see core/background.ts. */
+  background?: string;
 }
 
 /** Slopes of the pixels' rays, and how deep the undeformed gel lies along them. */

@@ -1,22 +1,17 @@
 /** Objects that the page holds, and files that its reader opens. */
 
+import { fromBase64 } from "../core/base64.ts";
+
 /** Object Files as base64, by name: in script elements of the page, or set by scripts beside it. */
 export interface Embedded {
   name: string;
   read(): ArrayBuffer;
 }
 
-function bytes(text: string): ArrayBuffer {
-  const raw = atob(text.trim());
-  const out = new Uint8Array(raw.length);
-  for (let n = 0; n < raw.length; n++) out[n] = raw.charCodeAt(n);
-  return out.buffer;
-}
-
 export function embedded(): Embedded[] {
   return [...document.querySelectorAll<HTMLScriptElement>("script[data-object]")].map((script) => ({
     name: script.dataset.object!,
-    read: () => bytes(script.textContent ?? ""),
+    read: () => fromBase64(script.textContent ?? "").buffer,
   }));
 }
 

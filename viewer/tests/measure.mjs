@@ -3,7 +3,7 @@ import { mkdirSync, readFileSync, writeFileSync } from "node:fs";
 import { open } from "./browser.mjs";
 
 const [, , file, questions, out] = process.argv;
-const { strikes, touches, views } = JSON.parse(readFileSync(questions, "utf8"));
+const { strikes, touches, pictured, views } = JSON.parse(readFileSync(questions, "utf8"));
 mkdirSync(out, { recursive: true });
 const { browser, page, complaints } = await open(file);
 await page.waitForFunction(() => window.objectfolder?.times.bounced, null, { timeout: 300_000 });
@@ -31,17 +31,19 @@ await page.evaluate(() => {
     return btoa(text);
   };
 });
+const touch = async ({ point, settings }) => {
+  const app = window.objectfolder;
+  await app.query({ point }, null, settings);
+  return [window.encoded(app.lastTouch.image), app.lastTouch.milliseconds];
+};
 const took = {
   strikes: await answers("strikes", strikes, async ({ point, settings }) => {
     const app = window.objectfolder;
     await app.query({ point }, settings, null);
     return [window.encoded(app.lastSound.samples), app.lastSound.milliseconds];
   }),
-  touches: await answers("touches", touches, async ({ point, settings }) => {
-    const app = window.objectfolder;
-    await app.query({ point }, null, settings);
-    return [window.encoded(app.lastTouch.image), app.lastTouch.milliseconds];
-  }),
+  touches: await answers("touches", touches, touch),
+  pictured: await answers("pictured", pictured, touch),
   views: await answers("views", views, async ({ camera, light, size }) => {
     const app = window.objectfolder;
     const start = performance.now();

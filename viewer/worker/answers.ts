@@ -1,5 +1,6 @@
 /** An open Object File and its answers; everything that takes longer than a frame is sliced. */
 
+import { unpackBackground } from "../core/background.ts";
 import { readFeatures } from "../core/features.ts";
 import { Gains } from "../core/gains.ts";
 import { Grid } from "../core/grid.ts";
@@ -159,6 +160,10 @@ export class Answers {
     return peak;
   }
 
+  private storedBackground(): Uint8Array | undefined {
+    return this.file.has("touch.background") ? this.file.tensor("touch.background").bytes : undefined;
+  }
+
   press(point: Vector, settings: TouchSettings): Extract<Reply, { kind: "touch" }> | null {
     if (this.gaps.touch) return null;
     const { net } = this.file.header.touch!;
@@ -167,9 +172,8 @@ export class Answers {
     if (settings.gel === "rigid") profile.gel = "rigid";
     const key = JSON.stringify(profile);
     if (this.touch?.key !== key) {
-      const stored = own && this.file.has("touch.background");
-      const background = stored ? this.file.tensor("touch.background").bytes : undefined;
       const { scale } = this.file.header;
+      const background = own ? this.storedBackground() : packedBackground(profile);
       this.touch = {
         key,
         press: new Touch(this.grid, this.mesh, scale, profile, net.depth_offset, background),
@@ -194,6 +198,10 @@ export class Answers {
       milliseconds: performance.now() - start,
     };
   }
+}
+
+function packedBackground({ background, height, width }: Profile): Uint8Array | undefined {
+  return background ? unpackBackground(background, height, width) : undefined;
 }
 
 /** The loudest modes of a sound, by their energy in it. */
