@@ -206,6 +206,13 @@ export class App {
     const heading = document.createElement("strong");
     heading.textContent = title;
     place.replaceChildren(heading, message);
+    if (this.header) {
+      // The message covers an object that is still there to be struck.
+      const close = document.createElement("button");
+      close.textContent = "Close";
+      close.addEventListener("click", () => tell("message", null));
+      place.append(close);
+    }
     place.hidden = false;
   }
 
