@@ -20,16 +20,16 @@ def encoder(command: str, out: Path, *sides: int) -> str:
     ObjectFolderError
         If it is not installed, the video has another name than .mp4, or a side is odd.
     """
-    program = shutil.which("ffmpeg")
-    if program is None:
-        raise ObjectFolderError(
-            f"{command} needs the program ffmpeg, which is not on the PATH: apt-get install ffmpeg"
-        )
     if out.suffix.lower() != ".mp4":
         raise ObjectFolderError(f"{out}: expected a name that ends in .mp4")
     for side in sides:
         if side < 2 or side % 2:
             raise ObjectFolderError(f"size is {side}, expected an even number: the codec halves the colours")
+    program = shutil.which("ffmpeg")
+    if program is None:
+        raise ObjectFolderError(
+            f"{command} needs the program ffmpeg, which is not on the PATH: apt-get install ffmpeg"
+        )
     return program
 
 

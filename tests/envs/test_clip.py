@@ -63,7 +63,8 @@ def test_the_default_view_sees_the_objects(brick):
     assert (picture != empty).any(2).mean() > 0.02
 
 
-def test_simulate_says_what_it_needs(brick, tmp_path):
+def test_simulate_says_what_it_needs(brick, tmp_path, monkeypatch):
+    monkeypatch.setattr("shutil.which", lambda program: program)  # whether it is installed or not
     path = tmp_path / "scene.xml"
     path.write_text("<mujoco><worldbody><body name='cup'><geom size='.1'/></body></worldbody></mujoco>")
     with pytest.raises(ObjectFolderError, match=r"no body is named bell or die or mug"):
