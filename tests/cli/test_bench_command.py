@@ -126,6 +126,7 @@ def test_a_task_prints_its_table_and_gives_the_same_bytes_again(files, workspace
     assert results(Path("first")) == results(Path("second"))
 
 
+@pytest.mark.slow
 def test_contacts_are_localized_on_each_object(files, workspace):
     output = bench("localization", files, "--out", "first")
     assert "touch + sound" in output
@@ -142,6 +143,7 @@ def test_two_objects_at_a_time_are_localized_as_one_after_another(files, workspa
     assert results(Path("first")) == results(Path("second"))
 
 
+@pytest.mark.slow
 def test_touches_are_drawn_from_close_views(files, workspace):
     output = bench("vision-to-touch", files, "--out", "first", "--split", "seen")
     assert "touch of the most similar view" in output
@@ -230,6 +232,7 @@ def test_a_split_with_nothing_to_tell_apart_is_refused(files, workspace):
         bench("recognition", files, "--label", "material", "--out", "first", "--split", "seen")
 
 
+@pytest.mark.slow
 def test_an_object_file_that_lacks_a_part_is_named(brick, files, workspace):
     silent = {name: array for name, array in brick.tensors.items() if not name.startswith("audio.")}
     header = {key: value for key, value in brick.header.items() if key != "audio"}

@@ -83,7 +83,9 @@ def test_more_rows_than_memory(asked, tmp_path):
     assert "1000000000000000 views: needs" in message
 
 
-@pytest.mark.parametrize("words", [("sensor", "list"), ("info", "FILE")])
+@pytest.mark.parametrize(
+    "words", [("sensor", "list"), pytest.param(("info", "FILE"), marks=pytest.mark.slow)]
+)
 def test_a_full_device_as_output(brick_path, words):
     with open("/dev/full", "w") as full:  # noqa: PTH123
         done = subprocess.run(
@@ -96,6 +98,7 @@ def test_a_full_device_as_output(brick_path, words):
     assert done.returncode == 1
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_named(brick_path, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / ".1.tmp.wav").symlink_to("/dev/full")

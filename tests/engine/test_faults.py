@@ -484,6 +484,7 @@ def test_stage_that_writes_nothing_is_named_with_its_file(make_workspace):
         assert "does not exist" in failure.error
 
 
+@pytest.mark.slow
 def test_hanging_stage_dies_with_its_children_and_the_rest_is_built(workspace):
     workspace.control("solve@mug", "600")
     path = workspace.root / "dvc.yaml"
@@ -525,7 +526,8 @@ def test_exception_in_a_worker_fails_its_stage_only(workspace, monkeypatch):
 # Two at once
 
 
-@pytest.mark.parametrize("other", ["build", pytest.param("dvc repro", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("other", ["build", "dvc repro"])
 def test_second_build_can_wait_for_the_first(workspace, other, caplog):
     workspace.control("prepare@mug", "60")
     engine = "from objectfolder.engine.build import build; build()"

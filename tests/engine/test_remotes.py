@@ -144,6 +144,7 @@ def test_fresh_clone_gets_a_whole_build_without_running_a_stage(shared, kind, re
         assert workspace.ran() == []
 
 
+@pytest.mark.slow
 def test_earlier_states_come_from_the_remote_and_one_object_alone_is_fetched(shared):
     add_directory(shared)
     build(root=shared.root)
@@ -185,6 +186,7 @@ def test_object_that_the_remote_lacks_or_has_damaged_is_built_again(shared, faul
     assert "up to date" in fresh.dvc("status")
 
 
+@pytest.mark.slow
 def test_outage_is_said_and_the_build_goes_on_from_what_is_here(shared, server, caplog):
     add_s3(shared, server)
     build(root=shared.root)

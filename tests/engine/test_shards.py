@@ -4,6 +4,7 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import pytest
 from dvc.repo import Repo
 
 from objectfolder.engine.build import build
@@ -29,6 +30,7 @@ def shard(whole: Workspace, root: Path, keys: list[str]) -> Workspace:
     return Workspace(root, whole.server)
 
 
+@pytest.mark.slow
 def test_shards_build_at_the_same_time_and_the_whole_takes_all_from_their_cache(workspace, tmp_path):
     shards = [shard(workspace, tmp_path / key, [key]) for key in KEYS]
     engines = [start(part, "-c", ENGINE) for part in shards]

@@ -45,7 +45,7 @@ def test_the_error_of_a_thin_plate_falls_with_the_square_of_the_cells_and_is_not
     assert (np.array(estimates) > errors).all()
 
 
-@pytest.mark.parametrize("wall", [0.5, 1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("wall", [*(pytest.param(cells, marks=pytest.mark.slow) for cells in (0.5, 2)), 1])
 def test_free_cylinder_with_a_wall_of_few_cells(wall):
     assert perf.cylinder(wall).value <= 0.01
 

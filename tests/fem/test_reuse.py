@@ -150,6 +150,7 @@ def test_the_band_ends_where_modes_are_overdamped(solve):
     assert low == high
 
 
+@pytest.mark.slow
 def test_the_band_of_an_object_that_is_not_heard(solve):
     small = dataclasses.replace(BASE, scale=0.01)
     assert len(solve(small).damping) == 0  # all above 20 kHz

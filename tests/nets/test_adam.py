@@ -1,6 +1,7 @@
 import subprocess
 import sys
 
+import pytest
 import torch
 from torch import nn
 
@@ -29,6 +30,7 @@ def test_it_is_the_adam_of_pytorch():
     )
 
 
+@pytest.mark.slow
 def test_training_does_not_import_the_compiler_of_pytorch():
     """It takes a second and 75 MB, in every stage that trains."""
     code = """

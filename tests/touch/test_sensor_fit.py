@@ -85,6 +85,7 @@ def test_lights_and_background_are_found(rigid, real, pictures, untouched, with_
     assert fit.psnr_after > fit.psnr_before
 
 
+@pytest.mark.slow
 def test_standard_errors_of_factors_are_those_of_repeated_fits(rigid, real):
     """The image of a rigid gel jumps at the rim, where one-sided differences mislead the fit."""
     radius, depth, optics, errors = 0.0025, 5e-4, Optics(real), []

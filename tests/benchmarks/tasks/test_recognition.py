@@ -294,6 +294,7 @@ def test_interrupted_recognition_goes_on_to_the_same_numbers(tmp_path):
     assert all(len(np.concatenate(reads)) == len(table.labels) for reads in table.reads.values())
 
 
+@pytest.mark.slow
 def test_another_seed_gives_other_nets(tmp_path):
     table = Table(20, noise=200)
     split = per_sample(table.keys, table.count)

@@ -195,7 +195,7 @@ def test_every_variant_beats_the_average_shape_and_an_interrupted_call_goes_on(
     assert run(tmp_path / "b", params=params) == (seen, curves)
 
 
-@pytest.mark.parametrize("variant", ["V", "A", "T"])
+@pytest.mark.parametrize("variant", ["V", *(pytest.param(name, marks=pytest.mark.slow) for name in "AT")])
 def test_encoders_that_name_the_objects_stay_as_they_are(occupancy, tmp_path, variant):
     job = Job(Observed(), SPLIT, PARAMS, "tiny_shapes", SIZES, seed=0, progress=tmp_path)
     model, curve, before = ShapeTraining(job, occupancy, variant, 0, tmp_path / "last.pt").trained([], 0)

@@ -259,7 +259,7 @@ def test_equal_vertex_colours_tint_the_texture_as_it_is(tmp_path):
         assert notes(mesh) == []
 
 
-@pytest.mark.parametrize(("texture_size", "atol"), [(1024, 2), (256, 12)])
+@pytest.mark.parametrize(("texture_size", "atol"), [pytest.param(1024, 2, marks=pytest.mark.slow), (256, 12)])
 def test_vertex_colours_leave_a_texture_its_detail(tmp_path, texture_size, atol):
     """A check of 16 x 16 fields on one quad, shaded from corner to corner."""
     rng = np.random.default_rng(4)
