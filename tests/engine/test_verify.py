@@ -258,7 +258,8 @@ def kill_repair(workspace, steps):
     return done.returncode != 0
 
 
-@pytest.mark.parametrize("steps", [1, pytest.param(6, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("steps", [1, 6])
 def test_a_killed_repair_loses_nothing(workspace, steps):
     assert kill_repair(workspace, steps)
 

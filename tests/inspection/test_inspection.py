@@ -169,7 +169,13 @@ def _rows(root, stage):
     return dict(_inspected(root, stage).rows)
 
 
-@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize(
+    "stage",
+    [
+        pytest.param(stage, marks=pytest.mark.slow) if stage in ("radiation", "voxelize") else stage
+        for stage in STAGES
+    ],
+)
 def test_pictures_show_something_and_nothing_declared_changes(root, stage):
     before = {
         path: path.read_bytes() for path in root.rglob("*") if path.is_file() and "inspect" not in path.parts

@@ -288,6 +288,7 @@ def test_storing_costs_less_than_a_grey_level(tmp_path, trained):
         np.testing.assert_array_equal(again[name], value)
 
 
+@pytest.mark.slow
 def test_two_runs_give_equal_bytes_and_leave_the_global_random_state(tmp_path, views):
     config = dataclasses.replace(CONFIG, steps=20, batch=64)
     for seed, name in enumerate("ab"):
