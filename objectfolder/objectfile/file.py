@@ -677,8 +677,8 @@ class ObjectFile:
     def contact_normals(self, points: Rows) -> np.ndarray:
         """Return the directions against which `touch` and `press` move a sensor that is not tilted.
 
-        They are means over a neighbourhood, so that they lean at edges; `touch.contact.contact_normals`
-        defines them.
+        They are means over a neighbourhood, so that they lean at edges;
+        `objectfolder.touch.contact.contact_normals` defines them.
 
         Parameters
         ----------

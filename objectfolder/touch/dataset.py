@@ -28,7 +28,7 @@ class RenderTouchConfig:
     locations: Literal["surface", "vertices"]  #: random points by area, or vertices (as the paper)
     normals: Literal[
         "contact", "vertex"
-    ]  #: of the pressed surface (`contact_normals`), or the mesh's (the paper)
+    ]  #: of the pressed surface (`objectfolder.touch.contact.contact_normals`), or the mesh's (the paper)
     train: Count | None  #: contacts; with ``vertices`` at most, and null: every vertex of the split
     val: Count | None
     test: Count | None
@@ -114,7 +114,8 @@ def render_contacts(
     progress : callable
         Wraps the iteration over batches.
     normals : (N, 3) array, optional
-        Unit vectors along which the sensor comes; default: `contact_normals`.
+        Unit vectors along which the sensor comes; default:
+        `objectfolder.touch.contact.contact_normals`.
 
     Returns
     -------
