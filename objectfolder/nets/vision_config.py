@@ -39,6 +39,9 @@ class OsfConfig:
     direction_octaves: Octaves
     coarse_samples: Count  #: per ray, stratified
     fine_samples: Count  #: per ray, drawn from the weights of the coarse samples
+    hull_cells: Annotated[int, Interval(ge=0, le=256)]
+    """Along each axis of the cube. Nothing is computed in cells that the views to learn from show to be
+    empty; 0: everything is computed, as in the paper."""
     steps: Count
     batch: Count  #: rays
     learning_rate: Positive

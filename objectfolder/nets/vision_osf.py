@@ -77,8 +77,15 @@ class OsfNet(nn.Module):
     ----------
     coarse_samples, fine_samples : int
         Samples per ray, 64 and 128 in the paper; the fine net is evaluated at both.
+    hull_cells : int
+        Along each axis of ``hull``; 0: no hull, and all samples are computed.
     **shape
         See `ScatteringFunction`.
+
+    Attributes
+    ----------
+    hull : (hull_cells, hull_cells, hull_cells) bool tensor or None
+        The density is zero in the other cells of the cube, where nothing is computed.
 
     Notes
     -----
@@ -87,10 +94,14 @@ class OsfNet(nn.Module):
     sample instead of midway.
     """
 
-    def __init__(self, coarse_samples: int, fine_samples: int, **shape: int):
+    hull: torch.Tensor | None
+
+    def __init__(self, coarse_samples: int, fine_samples: int, hull_cells: int = 0, **shape: int):
         super().__init__()
         self.config = {"coarse_samples": coarse_samples, "fine_samples": fine_samples, **shape}
+        self.config["hull_cells"] = hull_cells
         self.samples = (coarse_samples, fine_samples)
+        self.register_buffer("hull", torch.ones((hull_cells,) * 3, dtype=torch.bool) if hull_cells else None)
         self.coarse = ScatteringFunction(**shape)
         self.fine = ScatteringFunction(**shape)
 
@@ -120,11 +131,11 @@ class OsfNet(nn.Module):
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return distances for the fine net (N, S), ascending, and the coarse radiance if light is given."""
         distance = stratified(rays.near, rays.far, self.samples[0], generator)
-        weights, hidden = _visibility(self.coarse, rays, distance)
+        weights, computed, hidden = self._visibility(self.coarse, rays, distance)
         seen = distance.new_zeros(0, 3)
         if light is not None:
             alpha = weights.sum(1, keepdim=True)
-            seen = _radiance(self.coarse, rays, distance, weights, hidden, light) + 1 - alpha
+            seen = _radiance(self.coarse, rays, distance, weights, computed, hidden, light) + 1 - alpha
         more = resampled(rays.intervals(distance), weights.detach(), self.samples[1], generator)
         return torch.cat([distance, more], 1).sort(1).values, seen
 
@@ -132,9 +143,27 @@ class OsfNet(nn.Module):
         self, rays: Rays, distance: torch.Tensor, light: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Return radiance (N, 3), alpha (N,) and mean distance times alpha (N,) of the fine net."""
-        weights, hidden = _visibility(self.fine, rays, distance)
-        radiance = _radiance(self.fine, rays, distance, weights, hidden, light)
+        weights, computed, hidden = self._visibility(self.fine, rays, distance)
+        radiance = _radiance(self.fine, rays, distance, weights, computed, hidden, light)
         return radiance, weights.sum(1), (weights * distance).sum(1)
+
+    def _visibility(
+        self, field: ScatteringFunction, rays: Rays, distance: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Return weights (N, S) of samples, which ones (K,) the field computed, and their hidden layer."""
+        points = rays.points(distance).flatten(0, 1)
+        computed = self._within(points)
+        density, hidden = field(points[computed])
+        density = density.new_zeros(len(points)).index_copy(0, computed, density)
+        return visibility(density.view_as(distance), rays.intervals(distance).diff()), computed, hidden
+
+    def _within(self, points: torch.Tensor) -> torch.Tensor:
+        """Return which (N, 3) points are in cells of the hull; (K,), ascending."""
+        if self.hull is None:
+            return torch.arange(len(points), device=points.device)
+        cells = len(self.hull)
+        place = ((points + BOUND) * (cells / (2 * BOUND))).long().clamp(0, cells - 1)
+        return self.hull[place[:, 0], place[:, 1], place[:, 2]].nonzero()[:, 0]
 
     @torch.no_grad()
     def picture(self, camera_to_world: np.ndarray, light: np.ndarray, intrinsics: Intrinsics) -> Picture:
@@ -175,22 +204,21 @@ class OsfNet(nn.Module):
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Return tensors (weights as float16) and configuration."""
-        return with_half_weights(self), dict(self.config)
+        tensors = with_half_weights(self)
+        if self.hull is not None:
+            tensors["hull"] = np.packbits(tensors["hull"])
+        return tensors, dict(self.config)
 
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "OsfNet":
         """Invert `to_tensors`."""
         net = cls(**config)
-        net.load_state_dict({name: torch.from_numpy(np.array(value)) for name, value in tensors.items()})
+        state = {name: torch.from_numpy(np.array(value)) for name, value in tensors.items()}
+        if net.hull is not None:
+            cells = np.unpackbits(tensors["hull"], count=net.hull.numel()).astype(bool)
+            state["hull"] = torch.from_numpy(cells).view_as(net.hull)
+        net.load_state_dict(state)
         return net.eval()
-
-
-def _visibility(
-    field: ScatteringFunction, rays: Rays, distance: torch.Tensor
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return weights (N, S) of samples at (N, S) distances, and their hidden layer (N S, width)."""
-    density, hidden = field(rays.points(distance).flatten(0, 1))
-    return visibility(density.view_as(distance), rays.intervals(distance).diff()), hidden
 
 
 def _radiance(
@@ -198,6 +226,7 @@ def _radiance(
     rays: Rays,
     distance: torch.Tensor,
     weights: torch.Tensor,
+    computed: torch.Tensor,
     hidden: torch.Tensor,
     light: torch.Tensor,
 ) -> torch.Tensor:
@@ -206,7 +235,9 @@ def _radiance(
     Parameters
     ----------
     distance, weights : (N, S) tensors
-    hidden : (N S, width) tensor
+    computed : (K,) tensor
+        Samples that have a hidden layer, counted through all rays; others have no weight.
+    hidden : (K, width) tensor
     light : (N, 3) or (3,) tensor
 
     Returns
@@ -214,12 +245,13 @@ def _radiance(
     (N, 3) tensor
     """
     # Samples of zero weight affect neither the colour nor a gradient: skip them.
-    seen = weights.flatten().nonzero()[:, 0]
+    chosen = weights.flatten()[computed].nonzero()[:, 0]
+    seen = computed[chosen]
     row = seen // distance.shape[1]
     points = rays.origins[row] + distance.flatten()[seen, None] * rays.directions[row]
     to_light = light.expand(len(distance), 3)[row] - points
     squared = to_light.square().sum(1, keepdim=True).clamp(min=_NEAREST**2)
-    fraction = field.scattered(hidden[seen], to_light / squared.sqrt(), -rays.directions[row])
+    fraction = field.scattered(hidden[chosen], to_light / squared.sqrt(), -rays.directions[row])
     colors = fraction.new_zeros(weights.numel(), 3).index_copy(0, seen, fraction / squared)
     return torch.einsum("ns,nsc->nc", weights, colors.view(*weights.shape, 3))
 

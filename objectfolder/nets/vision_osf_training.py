@@ -16,6 +16,7 @@ from objectfolder.nets.vision_config import OsfConfig
 from objectfolder.nets.vision_osf import OsfNet, pixel_centres
 from objectfolder.vision.cameras import Intrinsics, camera_rays
 from objectfolder.vision.color import on_white, shown_error
+from objectfolder.vision.visual_hull import visual_hull
 from objectfolder.vision.volume import Rays
 
 VAL_RAYS = 1 << 10  #: rays in the validation loss
@@ -79,6 +80,7 @@ def train_osf(
     -----
     Rays of a batch are drawn with replacement.
     """
+    pixels, held_out = _gather(train, device), _gather(val, device)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(torch.randint(2**31, (1,), generator=generator)))
         net = OsfNet(
@@ -90,8 +92,11 @@ def train_osf(
             branch_depth=config.branch_depth,
             point_octaves=config.point_octaves,
             direction_octaves=config.direction_octaves,
-        ).to(device)
-    pixels, held_out = _gather(train, device), _gather(val, device)
+            hull_cells=config.hull_cells,
+        )
+    if net.hull is not None:
+        net.hull = torch.from_numpy(visual_hull(train, config.hull_cells, BOUND))
+    net.to(device)
     train_in(net, config.precision)
     checked = torch.randperm(len(held_out.target), generator=generator)[:VAL_RAYS]
 

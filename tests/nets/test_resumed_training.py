@@ -51,7 +51,8 @@ def train_views(generator, checkpoint):
         "center": np.full((3, 2), 4.0),
     }
     shape = {"width": 16, "depth": 2, "branch_width": 16, "branch_depth": 2, "point_octaves": 2}
-    config = OsfConfig(**shape, direction_octaves=1, coarse_samples=4, fine_samples=4, batch=100, **TRAINING)
+    shape |= {"direction_octaves": 1, "coarse_samples": 4, "fine_samples": 4, "hull_cells": 8}
+    config = OsfConfig(**shape, batch=100, **TRAINING)
     return train_osf(views, views, config, generator, checkpoint=checkpoint)
 
 

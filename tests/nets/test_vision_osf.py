@@ -26,6 +26,7 @@ CONFIG = OsfConfig(
     direction_octaves=1,
     coarse_samples=16,
     fine_samples=16,
+    hull_cells=0,
     steps=400,
     batch=256,
     learning_rate=0.01,
@@ -175,6 +176,58 @@ def test_gradients_are_those_of_finite_differences():
         assert parameter.grad.flatten()[index].item() == pytest.approx(slope, rel=1e-4)
 
 
+def occupied(net):
+    """Give a net a hull of 8^3 cells, occupied where x < 0 and y > 0."""
+    hull = torch.zeros(8, 8, 8, dtype=torch.bool)
+    hull[:4, 4:] = True
+    found = OsfNet(*net.samples, hull_cells=8, **SHAPE).eval()
+    found.load_state_dict({**net.state_dict(), "hull": hull})
+    return found
+
+
+def test_fog_outside_of_the_hull_is_gone():
+    """Alpha is that of the way through the occupied quarter of the cube."""
+    net, intrinsics = occupied(fog(1.7, coarse=256, fine=256)), Intrinsics.square(16)
+    alpha = net.picture(POSE, np.array([0, 0, 1.0]), intrinsics).rgba[..., 3]
+    _, rays = chords(POSE, intrinsics)
+    s = 1.98 + (np.arange(4000) + 0.5) / 4000 * 1.3
+    points = rays.origins.numpy()[:, None] + s[:, None] * rays.directions.numpy()[:, None]
+    within = (abs(points) < HALF).all(2) & (points[..., 0] < 0) & (points[..., 1] > 0)
+    exact = 1 - np.exp(-1.7 * within.mean(1) * 1.3).reshape(16, 16)
+    assert exact.max() > 0.5
+    np.testing.assert_allclose(alpha, exact, atol=5e-3)
+    assert (alpha[exact == 0] == 0).all()
+
+
+def test_a_hull_of_all_cells_changes_nothing():
+    net, intrinsics, light = random_net(), Intrinsics.square(12), np.array([0.2, 0.5, 0.9])
+    full = OsfNet(*net.samples, hull_cells=4, **SHAPE).eval()
+    full.load_state_dict({**net.state_dict(), "hull": full.hull})
+    pictures = [n.picture(POSE, light, intrinsics).rgba for n in (net, full)]
+    np.testing.assert_array_equal(*pictures)
+
+
+def test_nothing_is_computed_outside_of_the_hull():
+    """Of either net, in training, also where all rays miss it; gradients stay finite."""
+    net, rows = occupied(random_net()).train(), []
+    for field in (net.coarse, net.fine):
+        field.trunk.register_forward_hook(lambda module, inputs, output: rows.append(len(output)))
+    length, rays = chords(POSE, Intrinsics.square(12))
+    rays = rays[torch.from_numpy(length.ravel() > 0)]
+    places = rays.points((rays.near[:, None] + rays.far[:, None]) / 2)[:, 0]
+    light = torch.zeros_like(rays.origins)
+    net(rays, light)
+    assert 0 < rows[0] < 0.5 * 16 * len(light)
+    assert 0 < rows[1] < 48 * len(light)
+    missed = places[:, 1] < -0.1
+    assert missed.any()
+    seen = net(rays[missed], light[missed], torch.Generator().manual_seed(0))
+    assert rows[2:] == [0, 0]
+    assert all((s == 1).all() for s in seen)
+    (seen[0].sum() + seen[1].sum()).backward()
+    assert all(p.grad is None or p.grad.isfinite().all() for p in net.parameters())
+
+
 def test_the_papers_net():
     """Supplementary E: eight layers of 256 channels for density, four of 128 for the fraction."""
     field = ScatteringFunction(256, 8, 128, 4, 10, 4)
@@ -286,6 +339,25 @@ def test_storing_costs_less_than_a_grey_level(tmp_path, trained):
     again = back.to_tensors()[0]
     for name, value in trained[0].to_tensors()[0].items():
         np.testing.assert_array_equal(again[name], value)
+
+
+def test_hulls_are_stored_as_bits(tmp_path):
+    net = occupied(random_net())
+    tensors, config = net.to_tensors()
+    assert tensors["hull"].shape == (64,)
+    write_safetensors(tmp_path / "v.safetensors", tensors, config)
+    back = OsfNet.from_tensors(*read_safetensors(tmp_path / "v.safetensors"))
+    assert torch.equal(back.hull, net.hull)
+    assert back.config == net.config
+    assert "hull" not in random_net().to_tensors()[0]
+
+
+@pytest.mark.slow
+def test_it_learns_as_well_within_the_hull_of_its_views(views, trained):
+    config = dataclasses.replace(CONFIG, hull_cells=32)
+    net, curve = train_osf(*views, config, torch.Generator().manual_seed(1))
+    assert net.hull.float().mean() < 0.5
+    assert min(p.val_loss for p in curve) < 1.2 * min(p.val_loss for p in trained[1])
 
 
 @pytest.mark.slow

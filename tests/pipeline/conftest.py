@@ -54,6 +54,7 @@ TINY = {
             "direction_octaves": 1,
             "coarse_samples": 8,
             "fine_samples": 8,
+            "hull_cells": 16,
             "steps": 150,
             "batch": 128,
             "learning_rate": 0.01,

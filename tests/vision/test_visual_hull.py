@@ -1,0 +1,73 @@
+"""Visual hulls of a ball, whose silhouettes are known exactly."""
+
+import numpy as np
+import pytest
+
+from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere_points
+from objectfolder.vision.visual_hull import visual_hull
+
+HALF, CELLS, RADIUS = 0.52, 32, 0.3
+CENTRE = np.array([0.1, -0.05, 0.0])
+
+
+def silhouettes(count, resolution=64, radius=2.5):
+    """Views of a ball away from the origin; alpha is 1 where the ray through a pixel's centre meets it."""
+    poses = look_at(sphere_points(count, radius, np.random.default_rng(0)))
+    intrinsics = Intrinsics.square(resolution)
+    rows, columns = np.mgrid[:resolution, :resolution]
+    pixels = np.stack([columns.ravel(), rows.ravel()], 1) + 0.5
+    rgba = np.zeros((count, resolution, resolution, 4), np.float16)
+    for image, pose in zip(rgba, poses):
+        origins, directions = (a.astype(float) for a in camera_rays(pose, intrinsics, pixels))
+        along = ((CENTRE - origins) * directions).sum(1, keepdims=True)
+        nearest = np.linalg.norm(origins + along * directions - CENTRE, axis=1)
+        image[..., 3] = (nearest < RADIUS).reshape(resolution, resolution)
+    return {
+        "rgba": rgba,
+        "camera_to_world": poses,
+        "focal": np.float64(intrinsics.focal),
+        "center": np.full((count, 2), resolution / 2),
+    }
+
+
+def distances():
+    """Return how far the centre of each cell is from the ball's."""
+    axis = (np.arange(CELLS) + 0.5) * (2 * HALF / CELLS) - HALF
+    return np.linalg.norm(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1) - CENTRE, axis=-1)
+
+
+@pytest.mark.parametrize("count", [1, 8, 60])
+def test_the_object_is_never_cut(count):
+    """Every cell that the ball reaches into, within half a pixel: that its silhouettes leave open."""
+    reach = np.sqrt(3) * HALF / CELLS
+    touched = distances() < RADIUS + reach - 0.5 * 2.5 / Intrinsics.square(64).focal
+    assert visual_hull(silhouettes(count), CELLS, HALF)[touched].all()
+
+
+def test_hulls_of_many_views_are_tight():
+    """Within a cell's sphere and one pixel (0.028); one view leaves the whole cone."""
+    distance, reach = distances(), np.sqrt(3) * HALF / CELLS
+    one, many = (visual_hull(silhouettes(count), CELLS, HALF) for count in (1, 60))
+    assert distance[many].max() < RADIUS + 2 * reach + 0.03
+    assert distance[one].max() > RADIUS + 0.2
+    assert (one | ~many).all()
+
+
+def test_what_no_image_shows_stays():
+    """A narrow image, in which the object fills everything or nothing."""
+    views = silhouettes(4)
+    crop = slice(28, 36)
+    narrow = {**views, "rgba": views["rgba"][:, crop, crop], "center": np.full((4, 2), 4.0)}
+    hull = visual_hull({**narrow, "rgba": np.zeros_like(narrow["rgba"])}, CELLS, HALF)
+    assert not hull[15:17, 15:17, 15:17].any()
+    assert hull[0, 0, 0]
+    assert hull.mean() > 0.5
+
+
+def test_cameras_inside_the_cube_tell_about_what_is_before_them_only():
+    views = silhouettes(1)
+    pose = look_at(np.array([0.2, 0, 0]))  # looks along -x
+    empty = {**views, "rgba": np.zeros_like(views["rgba"]), "camera_to_world": pose}
+    hull = visual_hull(empty, CELLS, HALF)
+    assert hull[22:].all()
+    assert not hull[:8, 15:17, 15:17].any()
