@@ -24,8 +24,13 @@ from rich.table import Table
 from workspaces import OwnWorkspace
 
 from objectfolder.engine.costs import recall_costs
-from objectfolder.io import read_json, write_json
+from objectfolder.io import read_json, read_npz, write_json
+from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.nets.positional import PointwiseNetwork, train_in
+from objectfolder.nets.vision_osf import OsfNet, pixel_centres
+from objectfolder.vision.cameras import camera_rays, image_intrinsics
+from objectfolder.vision.visual_hull import visual_hull
+from objectfolder.vision.volume import Rays
 from objectfolder.workspace.layout import MODALITIES, Build
 
 PRESET = "faithful-small"
@@ -139,6 +144,36 @@ def speed() -> dict[str, float]:
     return found
 
 
+def step_seconds(workspace: OwnWorkspace, key: str, values: dict[str, Any]) -> dict[str, float]:
+    """Return the CPU seconds of a step of an untrained VisionNet, with the preset's hull and without."""
+    osf = values["train_vision"]["osf"]
+    names = ("width", "depth", "branch_width", "branch_depth", "point_octaves", "direction_octaves")
+    shape = {name: osf[name] for name in ("coarse_samples", "fine_samples", *names)}
+    views = read_npz(
+        Build(key, workspace.folder).views("train"), "rgba", "camera_to_world", "light", "focal", "center"
+    )
+    intrinsics = image_intrinsics(views)[0]
+    found = camera_rays(views["camera_to_world"][0], intrinsics, pixel_centres(intrinsics))
+    rays = Rays.through_cube(*map(torch.from_numpy, found), BOUND)
+    rays = rays[rays.far > rays.near]
+    light = torch.from_numpy(views["light"][:1].astype("float32")).expand(64, 3)
+    torch.set_num_threads(1)
+    times = {}
+    for cells in (0, osf["hull_cells"]):
+        net, generator = OsfNet(hull_cells=cells, **shape), torch.Generator().manual_seed(0)
+        if net.hull is not None:
+            net.hull = torch.from_numpy(visual_hull(views, cells, BOUND))
+        train_in(net, osf["precision"])
+        taken = []
+        for _ in range(8):
+            drawn = torch.randint(len(rays.near), (64,), generator=generator)
+            start = time.process_time()
+            sum(seen.sum() for seen in net(rays[drawn], light, generator)).backward()
+            taken.append(time.process_time() - start)
+        times["with" if cells else "without"] = sum(taken[2:]) / len(taken[2:]) * osf["batch"] / 64
+    return times
+
+
 def draw(objects: dict[str, dict[str, Any]], path: Path) -> None:
     """Draw the validation losses of the paper's nets over their steps, one panel for each sense."""
     from objectfolder.figures import page, save_page
@@ -222,6 +257,7 @@ def main() -> None:
     scored |= {"touches": values["render_touch"]["test"]}
     record: dict[str, Any] = {"preset": PRESET, "scored": scored, "rows": rows}
     record |= {"paper_steps": PAPER_STEPS, "speed": speed()}
+    record["vision_step"] = {key: step_seconds(workspace, key, values) for key in objects["paper"]}
     write_record(arguments.json, record, "mean of the paper's nets: 39.8, 53.6 and 29.4 dB", missed)
     raise SystemExit(bool(missed))
 
