@@ -40,7 +40,8 @@ def main(key: str) -> None:
         checkpoint = Checkpoint(build.checkpoint("vision"), task, generator)
         net, curve = train_osf(train, val, settings.osf, generator, log_point, device, checkpoint)
     tensors, header = net.to_tensors()
-    write_safetensors(build.net("vision"), tensors, {"kind": settings.net, "net": header})
+    kind = net.kind if isinstance(net, OsfNet) else settings.net
+    write_safetensors(build.net("vision"), tensors, {"kind": kind, "net": header})
     write_curve(build.curve("vision"), curve)
     build.checkpoint("vision").unlink(missing_ok=True)
 

@@ -99,11 +99,17 @@ class OsfNet(nn.Module):
     def __init__(self, coarse_samples: int, fine_samples: int, hull_cells: int = 0, **shape: int):
         super().__init__()
         self.config = {"coarse_samples": coarse_samples, "fine_samples": fine_samples, **shape}
-        self.config["hull_cells"] = hull_cells
+        if hull_cells:
+            self.config["hull_cells"] = hull_cells
         self.samples = (coarse_samples, fine_samples)
         self.register_buffer("hull", torch.ones((hull_cells,) * 3, dtype=torch.bool) if hull_cells else None)
         self.coarse = ScatteringFunction(**shape)
         self.fine = ScatteringFunction(**shape)
+
+    @property
+    def kind(self) -> str:
+        """Kind in an Object File."""
+        return "osf" if self.hull is None else "osf_hull"
 
     def forward(
         self, rays: Rays, light: torch.Tensor, generator: torch.Generator | None = None
@@ -151,11 +157,20 @@ class OsfNet(nn.Module):
         self, field: ScatteringFunction, rays: Rays, distance: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Return weights (N, S) of samples, which ones (K,) the field computed, and their hidden layer."""
-        points = rays.points(distance).flatten(0, 1)
+        density, computed, hidden = self._evaluated(field, rays.points(distance).flatten(0, 1))
+        return visibility(density.view_as(distance), rays.intervals(distance).diff()), computed, hidden
+
+    def _evaluated(
+        self, field: ScatteringFunction, points: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Return the density (N,) at points, which ones (K,) are in the hull, and their hidden layer."""
         computed = self._within(points)
         density, hidden = field(points[computed])
-        density = density.new_zeros(len(points)).index_copy(0, computed, density)
-        return visibility(density.view_as(distance), rays.intervals(distance).diff()), computed, hidden
+        return density.new_zeros(len(points)).index_copy(0, computed, density), computed, hidden
+
+    def _density(self, points: torch.Tensor) -> torch.Tensor:
+        """Return the density of the fine net; (N, 3) to (N,)."""
+        return self._evaluated(self.fine, points)[0]
 
     def _within(self, points: torch.Tensor) -> torch.Tensor:
         """Return which (N, 3) points are in cells of the hull; (K,), ascending."""
@@ -198,7 +213,7 @@ class OsfNet(nn.Module):
             part, distance = part[met], (distance / alpha)[met]
             depth[index[met]] = distance * (part.directions @ forward)
             points = part.points(distance[:, None])[:, 0]
-            normals[index[met]] = -ascent(lambda p: self.fine(p)[0], points, _NORMAL_STEP)
+            normals[index[met]] = -ascent(self._density, points, _NORMAL_STEP)
         size = intrinsics.height, intrinsics.width
         return Picture(*(x.view(*size, *x.shape[1:]).cpu().numpy() for x in (rgba, depth, normals)))
 
@@ -215,8 +230,11 @@ class OsfNet(nn.Module):
         net = cls(**config)
         state = {name: torch.from_numpy(np.array(value)) for name, value in tensors.items()}
         if net.hull is not None:
-            cells = np.unpackbits(tensors["hull"], count=net.hull.numel()).astype(bool)
-            state["hull"] = torch.from_numpy(cells).view_as(net.hull)
+            cells = net.hull.numel()
+            if tensors["hull"].shape != (-(-cells // 8),):
+                raise ValueError(f"hull has shape {tensors['hull'].shape}, expected bits of {cells} cells")
+            bits = np.unpackbits(tensors["hull"], count=cells).astype(bool)
+            state["hull"] = torch.from_numpy(bits).view_as(net.hull)
         net.load_state_dict(state)
         return net.eval()
 

@@ -42,7 +42,7 @@ def vision_sense(stored: StoredNet) -> VisionSense:
     """Load a vision net. The code of a kind is imported when a file holds it."""
     if stored.kind == "surface":
         return SurfaceSense(stored)
-    if stored.kind == "osf":
+    if stored.kind in ("osf", "osf_hull"):
         from objectfolder.nets.vision_osf import OsfNet
 
         return VolumeSense(stored.load(OsfNet).picture, stored.key)

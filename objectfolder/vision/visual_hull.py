@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy import ndimage
 
-from objectfolder.vision.cameras import image_intrinsics, project
+from objectfolder.vision.cameras import Intrinsics, image_intrinsics, project
 
 
 def visual_hull(views: Mapping[str, np.ndarray], cells: int, half: float) -> np.ndarray:
@@ -29,22 +29,34 @@ def visual_hull(views: Mapping[str, np.ndarray], cells: int, half: float) -> np.
         Indexed by x, y and z.
     """
     axis = (np.arange(cells) + 0.5) * (2 * half / cells) - half
-    centres = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
     radius = 3**0.5 * half / cells
-    left = np.arange(len(centres))
-    for rgba, pose, intrinsics in zip(views["rgba"], views["camera_to_world"], image_intrinsics(views)):
-        position, depth = project(centres[left], pose, intrinsics)
-        told = depth > 2 * radius
-        told &= ((position >= 0) & (position < (intrinsics.width, intrinsics.height))).all(1)
-        pixel = position[told].astype(int)
-        gap = _gap(rgba[..., 3] > 0)[pixel[:, 1], pixel[:, 0]]
-        gap -= np.linalg.norm(position[told] - pixel - 0.5, axis=1)
-        disk = max(intrinsics.fx, intrinsics.fy) * radius / (depth[told] - radius)
-        told[told] = gap > disk  # now: seen to be empty
-        left = left[~told]
-    hull = np.zeros(len(centres), bool)
-    hull[left] = True
-    return hull.reshape(cells, cells, cells)
+    cameras = list(zip(views["camera_to_world"], image_intrinsics(views)))
+    gaps = [_gap(rgba[..., 3] > 0) for rgba in views["rgba"]]
+    hull = np.zeros((cells, cells, cells), bool)
+    for x, plane in zip(axis, hull):  # a plane of cells at a time: little memory
+        centres = np.stack(np.meshgrid(x, axis, axis, indexing="ij"), -1).reshape(-1, 3)
+        left = np.arange(len(centres))
+        for gap, (pose, intrinsics) in zip(gaps, cameras):
+            left = left[~_empty(centres[left], radius, gap, pose, intrinsics)]
+        plane.ravel()[left] = True
+    return hull
+
+
+def _empty(
+    centres: np.ndarray, radius: float, gap: np.ndarray, pose: np.ndarray, intrinsics: Intrinsics
+) -> np.ndarray:
+    """Return which spheres are wholly in the image and project to pixels without the object; (N,) bool."""
+    position, depth = project(centres, pose, intrinsics)
+    before = depth > 2 * radius
+    position, depth = position[before], depth[before]
+    disk = max(intrinsics.fx, intrinsics.fy) * radius / (depth - radius)
+    inside = ((position >= disk[:, None]) & (position <= gap.shape[::-1] - disk[:, None])).all(1)
+    position, disk = position[inside], disk[inside]
+    column, row = position.astype(int).T
+    off_centre = np.linalg.norm(position - np.floor(position) - 0.5, axis=1)
+    inside[inside] = gap[row, column] - off_centre > disk
+    before[before] = inside
+    return before
 
 
 def _gap(shown: np.ndarray) -> np.ndarray:

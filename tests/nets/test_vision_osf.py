@@ -281,14 +281,19 @@ def trained(views):
     return train_osf(*views, CONFIG, torch.Generator().manual_seed(1))
 
 
+def write_object_file(path, brick, net):
+    """Write the brick's Object File with another look."""
+    tensors, config = net.to_tensors()
+    others = {name: t for name, t in brick.tensors.items() if not name.startswith("vision.")}
+    header = {**brick.header, "vision": {"kind": net.kind, "net": config}}
+    write_safetensors(path, others | {f"vision.{name}": t for name, t in tensors.items()}, header)
+
+
 @pytest.fixture(scope="module")
 def file(brick, trained, tmp_path_factory):
     """The brick's Object File with the ball's look."""
-    tensors, config = trained[0].to_tensors()
-    others = {name: t for name, t in brick.tensors.items() if not name.startswith("vision.")}
     path = tmp_path_factory.mktemp("file") / "o.safetensors"
-    header = {**brick.header, "vision": {"kind": "osf", "net": config}}
-    write_safetensors(path, others | {f"vision.{name}": t for name, t in tensors.items()}, header)
+    write_object_file(path, brick, trained[0])
     return ObjectFile.load(path)
 
 
@@ -341,15 +346,41 @@ def test_storing_costs_less_than_a_grey_level(tmp_path, trained):
         np.testing.assert_array_equal(again[name], value)
 
 
-def test_hulls_are_stored_as_bits(tmp_path):
+@pytest.mark.parametrize("net", [random_net(), occupied(random_net())], ids=["osf", "osf_hull"])
+def test_object_files_answer_as_the_net(brick, tmp_path, net):
+    """With and without a hull; weights are stored in 16 bits."""
+    path = tmp_path / "o.safetensors"
+    write_object_file(path, brick, net)
+    file, camera, light = ObjectFile.load(path), np.array([2.0, 1, 1]), np.array([0.2, 0.5, 0.9])
+    assert file.header["vision"]["kind"] == net.kind
+    half = OsfNet.from_tensors(*net.to_tensors())
+    expected = half.picture(look_at(camera)[0], light, Intrinsics.square(12))
+    np.testing.assert_array_equal(file.render(camera, light, resolution=12).rgba[0], expected.rgba)
+
+
+def test_hulls_are_stored_as_bits_of_their_cells():
     net = occupied(random_net())
     tensors, config = net.to_tensors()
     assert tensors["hull"].shape == (64,)
-    write_safetensors(tmp_path / "v.safetensors", tensors, config)
-    back = OsfNet.from_tensors(*read_safetensors(tmp_path / "v.safetensors"))
-    assert torch.equal(back.hull, net.hull)
-    assert back.config == net.config
+    assert torch.equal(OsfNet.from_tensors(tensors, config).hull, net.hull)
     assert "hull" not in random_net().to_tensors()[0]
+    for damaged in (tensors["hull"][:10], np.tile(tensors["hull"], 2)):
+        with pytest.raises(ValueError, match="expected bits of 512 cells"):
+            OsfNet.from_tensors({**tensors, "hull": damaged}, config)
+
+
+def test_normals_know_that_nothing_is_outside_of_the_hull():
+    """A slab whose density grows upwards; above its top the net alone would go on."""
+    net = occupied(random_net(64, 64))
+    net.hull[:] = False
+    net.hull[:, :, 2:5] = True
+    for field in (net.coarse, net.fine):
+        field.forward = lambda points: (1e3 * (1 + points[:, 2]), points.new_zeros(len(points), 24))
+    pose = look_at(np.array([0.0, 0, 2.5]))[0]
+    picture = net.picture(pose, np.array([0, 0, 1.0]), Intrinsics.square(9))
+    top = 2 * HALF * 5 / 8 - HALF
+    assert picture.depth[4, 4] == pytest.approx(2.5 - top, abs=0.01)
+    np.testing.assert_allclose(picture.normals[4, 4], [0, 0, 1], atol=1e-3)
 
 
 @pytest.mark.slow

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere_points
+from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, project, sphere_points
 from objectfolder.vision.visual_hull import visual_hull
 
 HALF, CELLS, RADIUS = 0.52, 32, 0.3
@@ -62,6 +62,19 @@ def test_what_no_image_shows_stays():
     assert not hull[15:17, 15:17, 15:17].any()
     assert hull[0, 0, 0]
     assert hull.mean() > 0.5
+
+
+def test_cells_that_reach_out_of_the_image_stay():
+    """Of a narrow view that shows nothing, only cells are emptied whose corners are all in it."""
+    pose, intrinsics = look_at(np.array([2.5, 0.3, 0.2])), Intrinsics(16, 16, 355.56)
+    views = {"rgba": np.zeros((1, 16, 16, 4)), "camera_to_world": pose}
+    views |= {"focal": np.float64(intrinsics.focal), "center": np.full((1, 2), 8.0)}
+    empty = np.argwhere(~visual_hull(views, 64, HALF))
+    assert len(empty) > 100
+    corners = (empty[:, None] + np.indices((2, 2, 2)).reshape(3, 8).T) * (2 * HALF / 64) - HALF
+    position, _ = project(corners.reshape(-1, 3), pose[0], intrinsics)
+    assert position.min() >= 0
+    assert position.max() <= 16
 
 
 def test_cameras_inside_the_cube_tell_about_what_is_before_them_only():
