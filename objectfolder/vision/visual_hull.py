@@ -32,14 +32,14 @@ def visual_hull(views: Mapping[str, np.ndarray], cells: int, half: float) -> np.
     radius = 3**0.5 * half / cells
     cameras = list(zip(views["camera_to_world"], image_intrinsics(views)))
     gaps = [_gap(rgba[..., 3] > 0) for rgba in views["rgba"]]
-    hull = np.zeros((cells, cells, cells), bool)
-    for x, plane in zip(axis, hull):  # a plane of cells at a time: little memory
+    hull = np.zeros((cells, cells**2), bool)
+    for i, x in enumerate(axis):  # a plane of cells at a time: little memory
         centres = np.stack(np.meshgrid(x, axis, axis, indexing="ij"), -1).reshape(-1, 3)
         left = np.arange(len(centres))
         for gap, (pose, intrinsics) in zip(gaps, cameras):
             left = left[~_empty(centres[left], radius, gap, pose, intrinsics)]
-        plane.ravel()[left] = True
-    return hull
+        hull[i, left] = True
+    return hull.reshape(cells, cells, cells)
 
 
 def _empty(
