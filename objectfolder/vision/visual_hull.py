@@ -50,7 +50,8 @@ def _empty(
     before = depth > 2 * radius
     position, depth = position[before], depth[before]
     disk = max(intrinsics.fx, intrinsics.fy) * radius / (depth - radius)
-    inside: np.ndarray = ((position >= disk[:, None]) & (position <= gap.shape[::-1] - disk[:, None])).all(1)
+    within = (position >= disk[:, None]) & (position <= gap.shape[::-1] - disk[:, None])
+    inside = np.asarray(within.all(1))
     position, disk = position[inside], disk[inside]
     column, row = position.astype(int).T
     off_centre = np.linalg.norm(position - np.floor(position) - 0.5, axis=1)
