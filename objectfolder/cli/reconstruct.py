@@ -11,7 +11,9 @@ from objectfolder.errors import ObjectFolderError
 
 def reconstruct(
     photo: Annotated[Path, typer.Argument(metavar="PHOTO", help="Image of one object.")],
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="Mesh to write: .obj, .ply or .glb.")],
+    out: Annotated[
+        Path, typer.Argument(metavar="OUT", help="Mesh to write: .obj, .ply (z up) or .glb (y up).")
+    ],
     model: Annotated[Path, typer.Option(help="IMAGE2MESH, a .safetensors file of the benchmark.")],
     mask: Annotated[Path | None, typer.Option(help="Image of the same size, white on the object.")] = None,
     background: Annotated[

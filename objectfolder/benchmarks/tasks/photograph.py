@@ -9,7 +9,9 @@ from objectfolder.benchmarks.models.shape_model import ShapeModel
 from objectfolder.benchmarks.scoring.shapes import intersection_over_union
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import atomic
+from objectfolder.mesh.reading.load import default_up
 from objectfolder.mesh.srgb import decode, encode
+from objectfolder.mesh.textured import y_up
 from objectfolder.pictures import decoded
 
 FORMATS = (".obj", ".ply", ".glb")
@@ -132,12 +134,16 @@ def check_mesh_name(path: str | Path) -> None:
 
 
 def write_mesh(path: str | Path, vertices: np.ndarray, faces: np.ndarray) -> None:
-    """Write a mesh in the unit frame as OBJ, PLY or GLB, by the name's ending."""
+    """Write a mesh in the unit frame as OBJ, PLY or GLB, by the name's ending.
+
+    A GLB is y up, as its standard demands; the others are z up, as the unit frame.
+    """
     import trimesh
 
     check_mesh_name(path)
+    upright = y_up(vertices) if default_up(path) == "y" else vertices
     with atomic(path) as temporary:
-        mesh = trimesh.Trimesh(vertices, faces, process=False)
+        mesh = trimesh.Trimesh(upright, faces, process=False)
         mesh.export(temporary, file_type=Path(path).suffix[1:].lower())
 
 

@@ -11,14 +11,17 @@ from typer.testing import CliRunner
 from objectfolder.benchmarks.models.encoders import InputSizes, register_encoder
 from objectfolder.benchmarks.models.shape_model import Setup, ShapeModel, new_net, save_model
 from objectfolder.benchmarks.tasks.photograph import (
+    FORMATS,
     cluttered,
     cut_out,
     photograph_conditions,
     photograph_scores,
     read_picture,
+    write_mesh,
 )
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.reading.load import default_up, load_mesh
 
 VIEW = 32
 
@@ -142,6 +145,15 @@ def test_pictures_are_read_upright_and_others_refused(tmp_path):
     for name, message in (("text.jpg", "cannot be read as an image"), ("none.png", "does not exist")):
         with pytest.raises(ObjectFolderError, match=message):
             read_picture(tmp_path / name)
+
+
+@pytest.mark.parametrize("ending", FORMATS)
+def test_a_written_mesh_is_read_upright(ending, tmp_path):
+    vertices = np.array([[0.1, 0.2, 0.5], [-0.3, 0.2, -0.5], [0.1, -0.4, -0.5]])
+    path = tmp_path / f"mesh{ending}"
+    write_mesh(path, vertices, np.array([[0, 1, 2]]))
+    read = load_mesh(path, default_up(path))
+    np.testing.assert_allclose(read.vertices[read.faces[0]], vertices, atol=1e-6)
 
 
 def run(*arguments):
