@@ -156,7 +156,7 @@ def train(workspace: str, key: str) -> dict:
 
     def score(net: SurfaceNet, split: str) -> dict:
         drawer = partial(draw_surface, surface, net.shader(surface))
-        return evaluate_vision(partial(view_images, drawer), views[split])
+        return evaluate_vision(partial(view_images, lambda: drawer), views[split])
 
     row |= {"psnr_val": score(net, "val")["psnr"], "psnr_val_stored": score(stored, "val")["psnr"]}
     return row | score(stored, "test")
@@ -193,7 +193,7 @@ def fit(workspace: str, key: str, images: str, seed: str) -> dict:
     row["fit_seconds"] = cpu_seconds() - start
     stored = SurfaceNet.from_tensors(*net.to_tensors())
     drawer = partial(draw_surface, surface, stored.shader(surface))
-    return row | evaluate_vision(partial(view_images, drawer), read_npz(build.views("test")))
+    return row | evaluate_vision(partial(view_images, lambda: drawer), read_npz(build.views("test")))
 
 
 def query(workspace: str, key: str, count: str) -> dict:

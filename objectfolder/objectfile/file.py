@@ -49,8 +49,8 @@ from objectfolder.touch.profiles import SensorProfile, load_profile
 from objectfolder.touch.sheared import sheared
 from objectfolder.touch.simulate import Touches
 from objectfolder.vision.cameras import Intrinsics
-from objectfolder.vision.environment import environment_lamps
-from objectfolder.vision.lighting import Lamp, chosen_lamps
+from objectfolder.vision.environment import all_lamps
+from objectfolder.vision.lighting import Lamp
 from objectfolder.vision.picture import Views
 
 if TYPE_CHECKING:
@@ -312,9 +312,10 @@ class ObjectFile:
             If shapes do not fit, values are not finite or too large, a matrix is no rotation and position,
             there is no light, or the images do not fit into memory.
         """
-        drawer = self._parts.vision.drawer(_flag("supersample", supersample))
-        lamps, seen_by = _lamps(lights, environment), Intrinsics.given(intrinsics, resolution)
-        return like_first(view_images(drawer, camera, light, seen_by, lamps), camera)
+        smooth, seen_by = _flag("supersample", supersample), Intrinsics.given(intrinsics, resolution)
+        lamps = all_lamps(lights, environment)
+        images = view_images(lambda: self._parts.vision.drawer(smooth), camera, light, seen_by, lamps)
+        return like_first(images, camera)
 
     def render(
         self,
@@ -333,9 +334,11 @@ class ObjectFile:
         Views
             Of numpy arrays.
         """
-        drawer = self._parts.vision.drawer(_flag("supersample", supersample))
-        lamps, seen_by = _lamps(lights, environment), Intrinsics.given(intrinsics, resolution)
-        return render_views(drawer, self.scale, camera, light, seen_by, lamps)
+        smooth, seen_by = _flag("supersample", supersample), Intrinsics.given(intrinsics, resolution)
+        lamps = all_lamps(lights, environment)
+        return render_views(
+            lambda: self._parts.vision.drawer(smooth), self.scale, camera, light, seen_by, lamps
+        )
 
     def impact(
         self,
@@ -726,11 +729,6 @@ class ObjectFile:
 
 def _profile(sensor: Sensor) -> SensorProfile | None:
     return None if sensor is None else load_profile(sensor)
-
-
-def _lamps(lights: Lights, environment: Environment) -> list[Lamp]:
-    around = [] if environment is None else environment_lamps(environment)
-    return [*chosen_lamps(lights), *around]
 
 
 def _flag(name: str, value: object) -> bool:

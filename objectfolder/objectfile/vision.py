@@ -138,13 +138,18 @@ def lit_picture(drawer: Drawer, pose: np.ndarray, lamps: Sequence[Lamp], intrins
 
 
 def view_images(
-    drawer: Drawer, camera: Rows, light: Rows | None, intrinsics: Intrinsics, lamps: Sequence[Lamp] = ()
+    load_drawer: Callable[[], Drawer],
+    camera: Rows,
+    light: Rows | None,
+    intrinsics: Intrinsics,
+    lamps: Sequence[Lamp] = (),
 ) -> np.ndarray:
     """Render an object on white.
 
     Parameters
     ----------
-    drawer : Drawer
+    load_drawer : callable
+        Returns what draws; called once the other arguments are found to be good.
     camera : (N, 3) array or (N, 4, 4) array
         Positions of cameras that look at the centre with z up, or camera-to-world matrices (OpenGL axes);
         unit frame. One row may be given without its first axis.
@@ -161,10 +166,11 @@ def view_images(
     Raises
     ------
     ObjectFolderError
-        If shapes do not fit, values are not finite, or there is no light.
+        If shapes do not fit, values are not finite, there is no light, or the images do not fit into memory.
     """
     poses, lights = poses_and_lights(camera, light, lamps)
     _require_room(len(poses), intrinsics, bytes_per_pixel=12)
+    drawer = load_drawer()
     images = np.empty((len(poses), intrinsics.height, intrinsics.width, 3), np.float32)
     for image, pose, lit_by in zip(images, poses, lights):
         image[:] = on_white(torch.from_numpy(lit_picture(drawer, pose, lit_by, intrinsics).rgba)).numpy()
@@ -172,7 +178,7 @@ def view_images(
 
 
 def render_views(
-    drawer: Drawer,
+    load_drawer: Callable[[], Drawer],
     scale: float,
     camera: Rows,
     light: Rows | None,
@@ -191,6 +197,7 @@ def render_views(
     """
     poses, lights = poses_and_lights(camera, light, lamps)
     _require_room(len(poses), intrinsics, bytes_per_pixel=44)
+    drawer = load_drawer()
     size = len(poses), intrinsics.height, intrinsics.width
     views = Views(*(np.empty((*size, *last), np.float32) for last in ((3,), (4,), (), (3,))))
     for i, (pose, lit_by) in enumerate(zip(poses, lights)):

@@ -149,6 +149,7 @@ def look_at(
     Parameters
     ----------
     positions : (N, 3) array
+    target : (3,) array
 
     Returns
     -------
@@ -160,10 +161,15 @@ def look_at(
         If a camera is at the target or not finite.
     """
     positions = np.asarray(positions, np.float64).reshape(-1, 3)
-    backward = positions - np.asarray(target, np.float64)
+    target = np.asarray(target, np.float64)
+    backward = positions - target
     distance = np.linalg.norm(backward, axis=1, keepdims=True)
-    if not np.isfinite(positions).all() or (distance <= 1e-9).any():
-        raise ObjectFolderError("camera positions must be finite and away from the point they look at")
+    wrong = np.flatnonzero(~(np.isfinite(positions).all(1) & (distance[:, 0] > 1e-9)))
+    if len(wrong):
+        raise ObjectFolderError(
+            f"camera: row {wrong[0]} is at {positions[wrong[0]].tolist()}, expected a place that is finite "
+            f"and away from the point it looks at, {target.tolist()}"
+        )
     backward = backward / distance
     right = np.cross(up_directions(backward), backward)
     right /= np.linalg.norm(right, axis=1, keepdims=True)

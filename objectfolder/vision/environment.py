@@ -1,15 +1,16 @@
 """Equirectangular pictures of surroundings, as a few distant lights."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from objectfolder.checks import real_array
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
-from objectfolder.vision.lighting import DistantLight
+from objectfolder.vision.lighting import DistantLight, Lamp, chosen_lamps
 
 LIGHTS = 64  #: that stand for a picture
 HDR_SUFFIXES = (".hdr", ".exr", ".pfm")
@@ -103,6 +104,15 @@ def environment_lamps(picture: str | Path | np.ndarray, count: int = LIGHTS) -> 
         if share.sum() > 0 and np.linalg.norm(middle) > 0:
             lamps.append(DistantLight(middle, color))
     return lamps
+
+
+def all_lamps(lights: str | Sequence[Any] | None, environment: str | Path | np.ndarray | None) -> list[Lamp]:
+    """Return the lights that a query names and those of its surroundings.
+
+    Parameters and errors are those of `objectfolder.vision.lighting.chosen_lamps` and `environment_lamps`.
+    """
+    chosen = chosen_lamps(lights)
+    return chosen if environment is None else [*chosen, *environment_lamps(environment)]
 
 
 def pixel_directions(height: int, width: int) -> np.ndarray:

@@ -19,6 +19,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import material
 from objectfolder.nets.audio_gains import GainsNet
 from objectfolder.objectfile.audio import ModalSense, SoundSettings
+from objectfolder.objectfile.parts import StoredParts
 from objectfolder.objectfile.reading import StoredNet
 from objectfolder.objectfile.surface import ObjectSurface
 from objectfolder.touch.profiles import load_profile
@@ -187,24 +188,43 @@ def test_pictures_without_pixels_are_refused(brick, resolution):
         brick.view([2, 0, 0], [1, 0, 0], resolution)
 
 
-@pytest.mark.parametrize(
-    ("camera", "light", "message"),
-    [
-        (np.zeros((2, 4)), [1, 0, 0], r"camera has shape \(2, 4\), expected \(N, 3\) or \(N, 4, 4\)"),
-        (np.zeros(4), [1, 0, 0], "camera has shape"),
-        (3.0, [1, 0, 0], "camera has shape"),
-        (np.zeros((2, 3, 4)), [1, 0, 0], "camera has shape"),
-        ([[0, 0, 0]], [1, 0, 0], "away from the point"),
-        ([[np.nan, 0, 1]], [1, 0, 0], "finite"),
-        (np.full((1, 4, 4), np.inf), [1, 0, 0], "camera: row 0 is at .*inf.*expected finite coordinates"),
-        ([[2, 0, 0]], [1, 0], r"light has shape \(2,\), expected \(N, 3\)"),
-        ([[2, 0, 0]], [np.nan, 0, 0], r"light: row 0 is \[nan"),
-        ([[2, 0, 0]] * 3, np.ones((2, 3)), "camera has 3 rows, light 2"),
-    ],
-)
+NONSENSE = [
+    (np.zeros((2, 4)), [1, 0, 0], r"camera has shape \(2, 4\), expected \(N, 3\) or \(N, 4, 4\)"),
+    (np.zeros(4), [1, 0, 0], "camera has shape"),
+    (3.0, [1, 0, 0], "camera has shape"),
+    (np.zeros((2, 3, 4)), [1, 0, 0], "camera has shape"),
+    ([[0, 0, 0]], [1, 0, 0], r"camera: row 0 is at \[0.0, 0.0, 0.0\], .* away from the point"),
+    ([[np.nan, 0, 1]], [1, 0, 0], "finite"),
+    (np.full((1, 4, 4), np.inf), [1, 0, 0], "camera: row 0 is at .*inf.*expected finite coordinates"),
+    ([[2, 0, 0]], [1, 0], r"light has shape \(2,\), expected \(N, 3\)"),
+    ([[2, 0, 0]], [np.nan, 0, 0], r"light: row 0 is \[nan"),
+    ([[2, 0, 0]] * 3, np.ones((2, 3)), "camera has 3 rows, light 2"),
+]
+OTHERS = [
+    ({"resolution": 0}, "resolution is 0, expected a whole number"),
+    ({"resolution": 10**6}, "needs .* bytes, this machine has"),
+    ({"intrinsics": 3}, "intrinsics is of type int"),
+    ({"supersample": 1}, "supersample is of type int"),
+    ({"lights": "sun"}, "lights is 'sun', expected 'studio'"),
+    ({"light": None}, "there is no light"),
+    ({"environment": np.zeros((4, 8, 3))}, "environment is black"),
+]
+
+
+@pytest.mark.parametrize(("camera", "light", "message"), NONSENSE)
 def test_a_view_of_nonsense_is_refused(brick, camera, light, message):
     with pytest.raises(ObjectFolderError, match=message):
         brick.view(camera, light, 8)
+
+
+@pytest.mark.parametrize("question", ["view", "render"])
+def test_a_view_of_nonsense_is_refused_before_the_net_is_loaded(brick, monkeypatch, question):
+    monkeypatch.setattr(StoredParts, "vision", property(lambda parts: pytest.fail("the net was loaded")))
+    asked = [({"camera": camera, "light": light}, message) for camera, light, message in NONSENSE]
+    asked += [({"camera": [2, 0, 0], "light": [1, 0, 0], **other}, message) for other, message in OTHERS]
+    for arguments, message in asked:
+        with pytest.raises(ObjectFolderError, match=message):
+            getattr(brick, question)(**{"resolution": 8, **arguments})
 
 
 # Hearing
