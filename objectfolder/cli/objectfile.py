@@ -85,16 +85,17 @@ def vision(
     """Render views. Positions are in the unit frame, in which the object's longest side is 1."""
     from objectfolder.io import write_npz, write_png
     from objectfolder.objectfile.file import ObjectFile
+    from objectfolder.objectfile.vision import poses_and_lights
+    from objectfolder.vision.environment import all_lamps
 
     given = lights is not None or environment is not None
     hint = ", cameras, beside --lights or --environment" if given else ", or give --lights"
     obj, rows = ObjectFile.load(file), read_rows(queries, 3 if given else 6, hint)
-    lamps = _lamps(lights)
-    for i, row in enumerate(rows, 1):
-        light = None if given else row[3:]
-        views = obj.render(
-            row[:3], light, resolution, supersample=supersample, lights=lamps, environment=environment
-        )
+    lamps = all_lamps(_lamps(lights), environment)
+    # Checked together, so that a bad row leaves no files; drawn one by one, which takes less memory.
+    poses, lamps_of = poses_and_lights(rows[:, :3], None if given else rows[:, 3:], lamps)
+    for i, (pose, lit_by) in enumerate(zip(poses, lamps_of), 1):
+        views = obj.render(pose, None, resolution, supersample=supersample, lights=lit_by)
         write_png(out / f"{i}.png", (views.rgb[0] * 255).round().astype(np.uint8))
         if buffers:
             write_npz(out / f"{i}.npz", rgba=views.rgba[0], depth=views.depth[0], normals=views.normals[0])

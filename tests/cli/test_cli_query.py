@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
+from objectfolder.vision import environment
 from objectfolder.vision.lighting import PointLight
 
 
@@ -66,6 +67,38 @@ def test_views_under_several_lights(brick, brick_path, tmp_path):
                 np.testing.assert_allclose(np.asarray(written) / 255, image, atol=0.5 / 255 + 1e-6)
     with pytest.raises(ObjectFolderError, match=r"expected \(N, 6\), or give --lights"):
         app(arguments, standalone_mode=False)
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        (
+            [0.0, 0, 0, 0.5, 0.5, 1],
+            "camera: row 2 is at [0.0, 0.0, 0.0], expected a place that is finite and",
+        ),
+        ([2.0, 1, 2e3, 0.5, 0.5, 1], "camera: row 2 is at [2.0, 1.0, 2000.0], expected finite coordinates"),
+        ([2.0, 1, 1, 0.5, np.nan, 1], "light: row 2 is [0.5, nan, 1.0], expected finite numbers"),
+    ],
+)
+def test_a_bad_view_is_named_and_nothing_is_written(brick_path, tmp_path, row, message):
+    np.save(tmp_path / "queries.npy", [[2.0, 1, 1, 0.5, 0.5, 1]] * 2 + [row])
+    arguments = ["query", "vision", str(brick_path), str(tmp_path / "queries.npy"), str(tmp_path / "out")]
+    with pytest.raises(ObjectFolderError, match=re.escape(message)):
+        app([*arguments, "--resolution", "8"], standalone_mode=False)
+    assert not (tmp_path / "out").exists()
+
+
+def test_surroundings_are_read_once_for_all_views(brick, brick_path, tmp_path, monkeypatch):
+    cameras, sky, read = np.array([[2.0, 1, 1], [0, -2.0, 1], [1, 1, 2.0]]), np.zeros((4, 8, 3)), []
+    sky[1, 2:4] = 1
+    monkeypatch.setattr(environment, "read_environment", lambda path: read.append(str(path)) or sky)
+    np.save(tmp_path / "cameras.npy", cameras)
+    arguments = ["query", "vision", str(brick_path), str(tmp_path / "cameras.npy"), str(tmp_path / "out")]
+    app([*arguments, "--resolution", "8", "--environment", "sky.exr"], standalone_mode=False)
+    assert read == ["sky.exr"]
+    for i, image in enumerate(brick.view(cameras, resolution=8, environment=sky), 1):
+        with Image.open(tmp_path / "out" / f"{i}.png") as written:
+            np.testing.assert_allclose(np.asarray(written) / 255, image, atol=0.5 / 255 + 1e-6)
 
 
 def test_sounds_are_the_objects_at_absolute_amplitude(brick, strike):
