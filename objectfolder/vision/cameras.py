@@ -19,7 +19,7 @@ class Intrinsics:
     """A pinhole camera without skew or distortion.
 
     Lengths are in pixels. Image positions are measured from the upper left corner, so that the
-    centre of the upper left pixel is (0.5, 0.5).
+    centre of the upper left pixel is (0.5, 0.5). Numbers of numpy and torch are kept as Python's.
 
     Raises
     ------
@@ -35,18 +35,21 @@ class Intrinsics:
     focal_y: float | None = None  #: vertical; default: the horizontal one, for square pixels
 
     def __post_init__(self) -> None:
-        whole_number("intrinsics: width", self.width, 1)
-        whole_number("intrinsics: height", self.height, 1)
-        if (
-            min(finite_number("intrinsics: focal", self.fx), finite_number("intrinsics: focal_y", self.fy))
-            <= 0
-        ):
+        def store(name: str, value: object) -> None:
+            object.__setattr__(self, name, value)
+
+        for side in ("width", "height"):
+            store(side, whole_number(f"intrinsics: {side}", getattr(self, side), 1))
+        store("focal", finite_number("intrinsics: focal", self.focal))
+        if self.focal_y is not None:
+            store("focal_y", finite_number("intrinsics: focal_y", self.focal_y))
+        if min(self.fx, self.fy) <= 0:
             raise ObjectFolderError(f"intrinsics {self}: focal lengths must be positive")
         if self.center is not None:
             if np.shape(self.center) != (2,):
                 raise ObjectFolderError(f"intrinsics {self}: the principal point must be a column and a row")
-            for position in self.center:
-                finite_number("intrinsics: principal point", position)
+            center = (finite_number("intrinsics: principal point", place) for place in self.center)
+            store("center", tuple(center))
 
     @property
     def fx(self) -> float:

@@ -203,6 +203,7 @@ NONSENSE = [
 OTHERS = [
     ({"resolution": 0}, "resolution is 0, expected a whole number"),
     ({"resolution": 10**6}, "needs .* bytes, this machine has"),
+    ({"intrinsics": Intrinsics(np.int32(10**6), np.int32(10**6))}, "needs .* bytes, this machine has"),
     ({"intrinsics": 3}, "intrinsics is of type int"),
     ({"supersample": 1}, "supersample is of type int"),
     ({"lights": "sun"}, "lights is 'sun', expected 'studio'"),

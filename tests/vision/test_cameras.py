@@ -2,6 +2,7 @@ import re
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -96,6 +97,17 @@ def test_a_camera_at_its_target_or_nowhere_is_refused(position):
 def test_impossible_intrinsics_are_refused(values):
     with pytest.raises(ObjectFolderError, match=r"must be positive|expected a (whole|finite) number"):
         Intrinsics(*values)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.array, torch.tensor])
+def test_numbers_of_intrinsics_are_pythons(kind):
+    k = kind([[4.5, 8.0], [1.5, 2.25]])
+    side = torch.tensor(6, dtype=torch.int8) if kind is torch.tensor else np.int8(6)
+    made = Intrinsics(side, side, k[0, 0], k[1], k[0, 1])
+    assert made == Intrinsics(6, 6, 4.5, (1.5, 2.25), 8.0)
+    assert {type(value) for value in (made.width, made.height)} == {int}
+    assert {type(value) for value in (made.fx, made.fy, made.cx, made.cy)} == {float}
+    assert hash(made) == hash(Intrinsics(6, 6, 4.5, (1.5, 2.25), 8.0))
 
 
 def test_a_principal_point_nowhere_is_refused():
