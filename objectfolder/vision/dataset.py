@@ -22,6 +22,7 @@ from objectfolder.vision.renderers.registry import Renderer
 
 RendererName = Literal["mitsuba", "mitsuba-llvm", "mitsuba-cuda", "cycles", "raster"]
 BRIGHTEST = np.finfo(np.float16).max  # highlights of a mirror near the light exceed it
+SMALLEST = 11  #: pixels along a side of a whole view: the window of the SSIM that `evaluate` takes
 TILES_PER_LIGHT = 4  # a new light costs training as much as a few tiles
 
 
@@ -38,6 +39,14 @@ class RenderViewsConfig:
     test: Count  #: always whole views
     train_samples: Count  #: per pixel; Mitsuba rounds up to a product of two nearly equal numbers
     test_samples: Annotated[int, Ge(2), MultipleOf(2)]  #: per pixel, validation and test: two halves
+
+    def __post_init__(self) -> None:
+        """Refuse views that could be built but not evaluated."""
+        if self.resolution < SMALLEST:
+            raise ValueError(
+                f"resolution is {self.resolution}, expected at least {SMALLEST}: the SSIM that evaluates the "
+                f"views looks through a window of {SMALLEST} x {SMALLEST} pixels"
+            )
 
 
 @dataclass(frozen=True)

@@ -2,12 +2,15 @@ import json
 from dataclasses import FrozenInstanceError, asdict
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.metrics import ssim
+from objectfolder.vision.dataset import SMALLEST
 from objectfolder.workspace.check import Selection, check_all, check_object
 from objectfolder.workspace.params import (
     FIRST_STAGES,
@@ -65,6 +68,17 @@ def test_test_views_need_samples_for_two_halves(write, values, samples):
     section = values["render_views"] | {"test_samples": samples}
     with pytest.raises(ObjectFolderError, match=rf"test_samples: .*got {samples}"):
         stage_params(section_config("render_views"), "mug", write(render_views=section))
+
+
+def test_views_too_small_to_evaluate_are_refused_before_they_are_built(write, values):
+    view = np.random.default_rng(0).random((SMALLEST, SMALLEST, 3))
+    assert ssim(view, view) == pytest.approx(1)
+    config, section = section_config("render_views"), values["render_views"]
+    assert stage_params(config, "mug", write(render_views=section | {"resolution": SMALLEST}))
+    with pytest.raises(
+        ObjectFolderError, match="render_views: resolution is 10, expected at least 11: the SSIM"
+    ):
+        stage_params(config, "mug", write(render_views=section | {"resolution": SMALLEST - 1}))
 
 
 @pytest.mark.parametrize(
