@@ -15,10 +15,10 @@ def video(
     ],
     out: Annotated[Path, typer.Option(help="Video to write, .mp4.")] = Path("objects.mp4"),
     seconds: Annotated[float, typer.Option(help="Seconds of each object's turn.")] = 8.0,
-    size: Annotated[int, typer.Option(help="Width and height, pixels; even.")] = 384,
-    rate: Annotated[int, typer.Option(help="Pictures per second.")] = 25,
-    contacts: Annotated[int, typer.Option(help="Strikes and touches of each object.")] = 4,
-    seed: Annotated[int, typer.Option(help="Seed of their places.")] = 0,
+    size: Annotated[int, typer.Option(min=16, help="Width and height, pixels; even.")] = 384,
+    rate: Annotated[int, typer.Option(min=1, max=1000, help="Pictures per second.")] = 25,
+    contacts: Annotated[int, typer.Option(min=1, help="Strikes and touches of each object.")] = 4,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of their places.")] = 0,
 ) -> None:
     """Film objects on a turntable, struck and touched, with sound.
 
@@ -34,6 +34,7 @@ def video(
 
     program = encoder("video", out, size)
     settings = film.Turntable(seconds, size, rate, contacts, seed)
+    film.require_room(settings, len(files))
     named = [sample_path(str(f)) if str(f) in available_samples() and not f.exists() else f for f in files]
     objects = [ObjectFile.load(path) for path in named]
     chosen = [film.contacts(file, settings) for file in objects]

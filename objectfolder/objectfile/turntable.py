@@ -1,11 +1,13 @@
 """An object on a turntable: pictures, and the sound of the strikes that happen in them."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from PIL import Image, ImageDraw
 
+from objectfolder.checks import finite_number, require_memory, whole_number
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at
@@ -18,6 +20,11 @@ FLASH = 0.3  #: seconds for which its place is
 FACING = 0.6  #: least cosine between the way to the camera and the normal of a contact
 RINGS = 3.0  #: seconds of a sound, at most
 LOUDEST = 0.7  #: peak of the sound track
+SMALLEST = 16  #: pixels along a side of a picture, in which a tactile image has a quarter of them
+
+_BYTES_PER_SAMPLE = 12  # of a sound, its copy at `LOUDEST`, and the track of all objects
+_BYTES_PER_PIXEL = 100  # that drawing a picture takes
+_BYTES_PER_CONTACT = 2**16  # of its tactile image
 
 
 @dataclass(frozen=True)
@@ -27,7 +34,7 @@ class Turntable:
     Raises
     ------
     ObjectFolderError
-        If a number is not positive.
+        If a number is not positive, not finite or not whole, or the picture is too small.
     """
 
     seconds: float = 8.0  #: of the turn
@@ -38,9 +45,10 @@ class Turntable:
     sample_rate: int = 48000  #: of the sound, Hz
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if name != "seed" and not value > 0:
-                raise ObjectFolderError(f"{name} of a turntable is {value!r}, expected more than 0")
+        if finite_number("seconds of a turntable", self.seconds) <= 0:
+            raise ObjectFolderError(f"seconds of a turntable is {self.seconds!r}, expected more than 0")
+        for name, least in {"size": SMALLEST, "rate": 1, "contacts": 1, "seed": 0, "sample_rate": 1}.items():
+            whole_number(f"{name} of a turntable", getattr(self, name), least)
 
     def __len__(self) -> int:
         return max(round(self.seconds * self.rate), 1)
@@ -53,6 +61,17 @@ class Turntable:
     def light(self, second: float) -> float:
         """Return the azimuth of the main light, degrees."""
         return 35 - 360 * second / self.seconds
+
+
+def require_room(turntable: Turntable, objects: int) -> None:
+    """Raise ObjectFolderError if a film of so many objects does not fit into memory."""
+    samples = math.ceil(turntable.seconds) * turntable.sample_rate * objects
+    require_memory(f"{samples:,} samples of sound", _BYTES_PER_SAMPLE * samples, "ask for fewer seconds")
+    size, count = turntable.size, turntable.contacts * objects
+    require_memory(
+        f"a picture of {size} x {size} pixels", _BYTES_PER_PIXEL * size**2, "ask for a smaller one"
+    )
+    require_memory(f"{count:,} tactile images", _BYTES_PER_CONTACT * count, "ask for fewer contacts")
 
 
 @dataclass(frozen=True)

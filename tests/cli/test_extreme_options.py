@@ -71,6 +71,30 @@ def test_more_sound_than_memory(brick):
         brick.impact([[0, 0, 0.015]], [[0, 0, 1.0]], duration=1e9)
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "expected"),
+    [
+        ("--seconds", "1e9", "48,000,000,000,000 samples of sound: needs 576,000,000,000,000 bytes"),
+        ("--seconds", "1e308", "samples of sound: needs"),
+        ("--seconds", "inf", "seconds of a turntable is inf, expected a finite number"),
+        ("--seconds", "nan", "seconds of a turntable is nan, expected a finite number"),
+        ("--seconds", "-1", "seconds of a turntable is -1.0, expected more than 0"),
+        ("--size", "1000000", "a picture of 1000000 x 1000000 pixels: needs"),
+        ("--size", "2", "--size"),
+        ("--rate", "0", "--rate"),
+        ("--rate", "9223372036854775807", "--rate"),
+        ("--contacts", "0", "--contacts"),
+        ("--contacts", "1000000000000", "1,000,000,000,000 tactile images: needs"),
+        ("--seed", "-1", "--seed"),
+        ("--seed", "9223372036854775808", "seed of a turntable is 9223372036854775808, expected a whole"),
+    ],
+)
+def test_films_beyond_numbers_or_memory(asked, monkeypatch, option, value, expected):
+    monkeypatch.setattr("shutil.which", lambda program: f"/usr/bin/{program}")
+    monkeypatch.setattr("subprocess.Popen", lambda *words, **options: pytest.fail("the film was begun"))
+    assert expected in asked("video", "FILE", "--out", "out.mp4", option, value)
+
+
 @pytest.mark.parametrize("command", [("info",), ("sample", "audio")])
 def test_a_name_that_is_too_long(asked, command):
     assert "cannot be read: File name too long" in asked(

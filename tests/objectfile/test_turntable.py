@@ -1,8 +1,10 @@
 """An object on a turntable."""
 
 import json
+import math
 import shutil
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from scipy.signal import correlate
 
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
-from objectfolder.objectfile.turntable import FACING, LOUDEST, Turntable, contacts, pictures, sound
+from objectfolder.objectfile.turntable import FACING, LOUDEST, SMALLEST, Turntable, contacts, pictures, sound
 
 SHORT = Turntable(seconds=0.4, size=64, rate=10, contacts=2)
 
@@ -51,10 +53,27 @@ def test_strikes_are_heard_when_they_are_seen(brick, found):
     assert len(sound(brick, few, contacts(brick, few))) == few.sample_rate
 
 
-@pytest.mark.parametrize("name", ["seconds", "size", "rate", "contacts"])
-def test_a_turntable_refuses_numbers_that_are_not_positive(name):
-    with pytest.raises(ObjectFolderError, match=f"{name} of a turntable is 0, expected more than 0"):
-        Turntable(**{name: 0})
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [
+        ("seconds", 0, "more than 0"),
+        ("seconds", math.inf, "a finite number"),
+        ("size", SMALLEST - 1, "a whole number of at least 16"),
+        ("rate", 0, "a whole number of at least 1"),
+        ("rate", 2.5, "a whole number of at least 1"),
+        ("contacts", 0, "a whole number of at least 1"),
+        ("seed", -1, "a whole number of at least 0"),
+        ("sample_rate", 0, "a whole number of at least 1"),
+    ],
+)
+def test_a_turntable_refuses_odd_numbers(name, value, expected):
+    with pytest.raises(ObjectFolderError, match=f"{name} of a turntable is {value}, expected {expected}"):
+        Turntable(**{name: value})
+
+
+def test_the_smallest_pictures_show_what_is_felt(brick, found):
+    tiny = replace(SHORT, size=SMALLEST)
+    assert {shot.shape for shot in pictures(brick, tiny, found)} == {(SMALLEST, SMALLEST, 3)}
 
 
 def film(*arguments):
