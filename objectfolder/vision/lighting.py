@@ -15,6 +15,7 @@ from objectfolder.checks import finite_number, real_array
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.vision.cameras import FARTHEST
 
+BRIGHTEST = 1e12  #: of a colour: its light near a surface still fits into single precision
 KEY_DISTANCE = 2.4  #: of the lights of the studio, unit frame
 
 #: Three numbers, such as a position or a linear colour.
@@ -35,7 +36,7 @@ class PointLight:
     Raises
     ------
     ObjectFolderError
-        If a number is not finite, the position too far away, or the colour negative.
+        If a number is not finite, the position too far away, or the colour negative or beyond `BRIGHTEST`.
     """
 
     position: Triple
@@ -70,7 +71,8 @@ class DistantLight:
     Raises
     ------
     ObjectFolderError
-        If a number is not finite, the direction has no length, or the colour is negative.
+        If a number is not finite, the direction has no length, or the colour is negative or beyond
+        `BRIGHTEST`.
     """
 
     direction: Triple
@@ -166,4 +168,6 @@ def _color(values: Triple) -> tuple[float, ...]:
     color = _triple("colour of a light", values)
     if min(color) < 0:
         raise ObjectFolderError(f"colour of a light is {quoted(color)}, expected no negative number")
+    if max(color) > BRIGHTEST:
+        raise ObjectFolderError(f"colour of a light is {quoted(color)}, expected at most {BRIGHTEST:g}")
     return color

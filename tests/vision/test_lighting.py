@@ -15,8 +15,13 @@ from objectfolder.mesh.gridcodec import BOUND, quantise
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.vision import lit_picture
 from objectfolder.vision.cameras import Intrinsics, look_at
-from objectfolder.vision.environment import environment_lamps, pixel_directions, read_environment
-from objectfolder.vision.lighting import DistantLight, PointLight, studio, toward
+from objectfolder.vision.environment import (
+    BRIGHTEST_PIXEL,
+    environment_lamps,
+    pixel_directions,
+    read_environment,
+)
+from objectfolder.vision.lighting import BRIGHTEST, DistantLight, PointLight, studio, toward
 from objectfolder.vision.radiosity import Radiosity
 from objectfolder.vision.trace import trace
 from objectfolder.vision.view import draw
@@ -205,6 +210,10 @@ def test_an_environment_is_read_from_disk(tmp_path):
         ({"lights": [[0, 0, 1]]}, "expected PointLight or DistantLight"),
         ({"environment": np.zeros((4, 8, 3))}, "environment is black"),
         ({"environment": -np.ones((4, 8, 3))}, "negative or not finite"),
+        (
+            {"environment": np.full((4, 8, 3), 1e308)},
+            "environment holds the radiance 1e+308, expected at most 1e+11",
+        ),
         ({"environment": np.ones((4, 8))}, r"environment has shape (4, 8), expected (H, W, 3)"),
         ({"environment": "no.exr"}, "no.exr cannot be read"),
     ],
@@ -220,12 +229,33 @@ def test_lights_are_checked(brick, given, message):
         (lambda: PointLight((0, 0, np.nan)), "expected three finite numbers"),
         (lambda: PointLight((0, 0, 1e4)), "expected coordinates of at most 1000"),
         (lambda: PointLight((0, 0, 1), (1, 1, -1)), "expected no negative number"),
+        (
+            lambda: PointLight((0, 0, 1), (1e39, 1, 1)),
+            r"light is \(1e\+39, 1.0, 1.0\), expected at most 1e\+12",
+        ),
+        (
+            lambda: DistantLight((0, 0, 1), (1, 2e20, 1)),
+            r"light is \(1.0, 2e\+20, 1.0\), expected at most 1e\+12",
+        ),
         (lambda: DistantLight((0, 0, 0)), "expected another length than 0"),
     ],
 )
 def test_a_light_is_checked(make, message):
     with pytest.raises(ObjectFolderError, match=message):
         make()
+
+
+def test_the_brightest_lights_give_a_finite_picture(brick):
+    """Even on the surface, and from surroundings that become a single light."""
+    color, sky = (BRIGHTEST,) * 3, np.full((1, 1, 3), BRIGHTEST_PIXEL)
+    lights = [
+        *(PointLight(point / brick.scale, color) for point in brick.sample_surface(4)),
+        DistantLight(CAMERA, color),
+    ]
+    seen = brick.render(CAMERA, resolution=12, lights=lights, environment=sky)
+    assert np.isfinite(seen.rgba).all()
+    assert np.isfinite(seen.rgb).all()
+    assert seen.rgba.max() > 1e9
 
 
 def test_the_way_to_a_light_is_from_the_point_to_the_light():
