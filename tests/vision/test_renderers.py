@@ -183,6 +183,12 @@ def test_a_camera_inside_sees_the_surface_from_inside(render):
         assert lamp[..., :3].min() > 0.1
 
 
+@pytest.mark.parametrize("distance", [0.003, 0.0099, 0.0101, 990.0])
+def test_a_camera_sees_a_surface_right_before_it_and_far_away(render, distance):
+    pose = look_at(np.array([distance, 0, 0]))[0]
+    assert (render(square(), [1, 0, 0], pose, Intrinsics(9, 9, 9 * max(distance * 2, 1)))[..., 3] == 1).all()
+
+
 @pytest.mark.parametrize("light", [[0, 0, 0], [0, 0.2, 0.1], [1e-7, 0, 0]])
 def test_a_light_on_the_surface_gives_a_finite_picture(render, light):
     image = render(square(), light)

@@ -9,10 +9,12 @@ import numpy as np
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.textured import PLAIN
-from objectfolder.vision.cameras import Intrinsics, covered_rectangle
+from objectfolder.vision.cameras import Intrinsics, covered_rectangle, project
 from objectfolder.vision.scene import BOUNCES, LIGHT_INTENSITY, SPECULAR, Scene
 
 SCALAR = "scalar_rgb"
+# Depth from which a camera sees. Rays start there, so that a nearer start rounds all of them differently.
+NEAR, NEAREST = 1e-2, 1e-3
 OLDEST_LLVM = (19,)  # 14 to 16 cannot compile the kernels and abort
 
 
@@ -91,6 +93,7 @@ class MitsubaRenderer:
         if left == right or top == bottom:
             return image
         self._choose_variant()
+        _, depth = project(self._vertices, camera_to_world, intrinsics)
         # Mitsuba's camera looks along +z with +x to the left.
         to_world = camera_to_world @ np.diag([-1.0, 1.0, -1.0, 1.0])
         sensor = mi.load_dict(
@@ -100,6 +103,7 @@ class MitsubaRenderer:
                 "fov_axis": "x",
                 "principal_point_offset_x": 0.5 - intrinsics.cx / intrinsics.width,
                 "principal_point_offset_y": 0.5 - intrinsics.cy / intrinsics.height,
+                "near_clip": NEAR if depth.min() > NEAR else NEAREST,
                 "to_world": mi.ScalarTransform4f(to_world.tolist()),
                 "film": {
                     "type": "hdrfilm",
