@@ -12,9 +12,9 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.reading.parts import MeshPart
 from objectfolder.mesh.reading.texels import (
     base_color,
-    resized,
     sampled,
-    shown,
+    scaled_image,
+    srgb_bytes,
     texel_places,
     tinted_pixels,
     wrapped,
@@ -245,9 +245,9 @@ def _paint(group: _Group, scale: float, limit: int) -> tuple[np.ndarray, list[tu
         middle = MARGIN + 0.5
         side = 2 * MARGIN + 1
         places = [(p, np.full((len(p.vertices), 2), middle)) for p in group.parts]
-        return np.broadcast_to(shown(base_color(group.parts[0])), (side, side, 3)), places
+        return np.broadcast_to(srgb_bytes(base_color(group.parts[0])), (side, side, 3)), places
     size, first, last = _window(group, scale, limit)
-    texels = tinted_pixels(material, resized(material.image, size))
+    texels = tinted_pixels(material, scaled_image(material.image, size))
     columns = wrapped(np.arange(first[0], last[0]), size[0], material.wrap[0])
     rows = wrapped(np.arange(first[1], last[1]), size[1], material.wrap[1])
     places = [(p, texel_places(p.uv, size) - first) for p in group.parts if p.uv is not None]
@@ -273,12 +273,12 @@ def _paint_faces(
     elif part.uv is not None:
         uv = np.einsum("ijk,fkc->fijc", weights, part.uv[part.faces])
         size = _scaled(group, scale, limit)
-        texels = tinted_pixels(part.material, resized(part.material.image, size))
+        texels = tinted_pixels(part.material, scaled_image(part.material.image, size))
         linear *= sampled(texels, texel_places(uv.reshape(-1, 2), size), part.material.wrap).reshape(
             linear.shape
         )
     cells = np.zeros((height // cell * columns, cell, cell, 3), np.uint8)
-    cells[:count] = shown(linear)
+    cells[:count] = srgb_bytes(linear)
     pixels = cells.reshape(-1, columns, cell, cell, 3).swapaxes(1, 2).reshape(height, width, 3)
     index = np.arange(count)
     origin = np.stack([index % columns, index // columns], 1) * cell + 0.5

@@ -11,7 +11,7 @@ from objectfolder.mesh import srgb
 from objectfolder.mesh.normals import area_vectors
 from objectfolder.mesh.reading.atlas import bake_atlas
 from objectfolder.mesh.reading.parts import MeshPart, SurfaceMaterial
-from objectfolder.mesh.reading.texels import base_color, shown, tinted_pixels
+from objectfolder.mesh.reading.texels import base_color, srgb_bytes, tinted_pixels
 from objectfolder.mesh.textured import TexturedMesh
 
 
@@ -136,11 +136,11 @@ def _untextured(parts: Sequence[MeshPart]) -> dict[str, Any]:
         if len(np.unique([base_color(p) for p in parts], axis=0)) == 1:
             # A texture of one pixel, as renderers expect textures.
             count = sum(len(p.vertices) for p in parts)
-            return {"uv": np.zeros((count, 2)), "texture": shown(base_color(parts[0])).reshape(1, 1, 3)}
+            return {"uv": np.zeros((count, 2)), "texture": srgb_bytes(base_color(parts[0])).reshape(1, 1, 3)}
     colors = [
         base_color(p) * (np.ones((len(p.vertices), 1)) if p.colors is None else p.colors) for p in parts
     ]
-    return {"vertex_colors": shown(np.concatenate(colors))}
+    return {"vertex_colors": srgb_bytes(np.concatenate(colors))}
 
 
 def _plain_wrap(parts: Sequence[MeshPart]) -> bool:

@@ -14,7 +14,7 @@ def base_color(part: MeshPart) -> np.ndarray:
     return np.full(3, 1.0 if part.colors is not None else PLAIN) if color is None else color
 
 
-def shown(linear: np.ndarray) -> np.ndarray:
+def srgb_bytes(linear: np.ndarray) -> np.ndarray:
     """Convert linear colours to sRGB bytes, clipped."""
     return np.rint(255 * srgb.encode(np.clip(linear, 0, 1))).astype(np.uint8)
 
@@ -24,7 +24,7 @@ def tinted_pixels(material: SurfaceMaterial, image: Image.Image) -> np.ndarray:
     pixels = np.asarray(image)
     if material.color is None or (material.color >= 1).all():
         return pixels
-    return shown(srgb.decode(pixels / 255) * material.color)
+    return srgb_bytes(srgb.decode(pixels / 255) * material.color)
 
 
 def texel_places(uv: np.ndarray | None, size: np.ndarray) -> np.ndarray:
@@ -33,7 +33,7 @@ def texel_places(uv: np.ndarray | None, size: np.ndarray) -> np.ndarray:
     return (uv * [1, -1] + [0, 1]) * size
 
 
-def resized(image: Image.Image | None, size: np.ndarray) -> Image.Image:
+def scaled_image(image: Image.Image | None, size: np.ndarray) -> Image.Image:
     """Scale an image to a width and height."""
     assert image is not None
     width, height = map(int, size)
