@@ -1,8 +1,10 @@
 """Modes that ring on from block to block: the sound of one body while a simulation runs.
 
 A mode with the pole s = -c + i w is a phasor z with z' = s z + g f(t), where f is a force and g its gain; it
-is heard as the imaginary part of a complex weight times z. Between samples, phasors are advanced exactly. A
-half sine of force is the sum of two sinusoids that begin half a period apart and cancel after the second,
+is heard as the imaginary part of a complex weight times z. Of modes that are heard by their acceleration, the
+force itself is heard, too (`objectfolder.audio.synthesis.pressing`). Between samples, phasors are advanced
+exactly. A half sine of force is the sum of two sinusoids that begin half a period apart and cancel after the
+second,
 
     f(t) = F sin(W (t - t0)) [t > t0] + F sin(W (t - t1)) [t > t1],    W = pi / T,  F = pi / (2 T),
 
@@ -15,6 +17,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+
+from objectfolder.audio.synthesis import pressing
 
 QUIET = 2e-9  #: sound below which a body is silent, Pa; 80 dB under the threshold of hearing
 
@@ -39,6 +43,8 @@ class ModalStream:
         Hz.
     longest : int
         Samples of the longest block.
+    accelerated : int
+        How many of the first modes are heard by their acceleration; the others by displacement and velocity.
 
     Attributes
     ----------
@@ -48,9 +54,9 @@ class ModalStream:
         Number of the next sample.
     """
 
-    def __init__(self, poles: np.ndarray, sample_rate: float, longest: int):
+    def __init__(self, poles: np.ndarray, sample_rate: float, longest: int, accelerated: int = 0):
         self._step = np.asarray(poles, np.complex128) / sample_rate  # exponent of a sample
-        self._rate = sample_rate
+        self._rate, self._accelerated = sample_rate, accelerated
         self._powers = np.exp(self._step[:, None] * np.arange(longest + 1))
         #: the imaginary part of a phasor times these rows is its sound; (2 M, longest)
         self._table = np.concatenate([self._powers.imag, self._powers.real])[:, :longest].copy()
@@ -98,6 +104,7 @@ class ModalStream:
         for forces, gains in self._shaking:
             answer = self._ring(ears, gains / self._rate, 0, samples)
             heard += np.stack([np.convolve(forces, row)[:samples] for row in answer])
+            heard += np.outer(self._pushed(ears, gains / self._rate), forces)
             phasors += gains / self._rate * (self._powers[:, samples:0:-1] @ forces)
         end, left = self.clock + samples, []
         for pulse in self._pulses:
@@ -118,6 +125,15 @@ class ModalStream:
         heard = ears * phasors
         return np.concatenate([heard.real, heard.imag], 1) @ self._table[:, : samples - first]
 
+    def _pushed(self, ears: np.ndarray, gains: np.ndarray) -> np.ndarray:
+        """Return how a force is heard while it shakes modes; (ears,), per unit of force.
+
+        It cancels what modes sound of a force that does not change: bent and at rest, they move no air.
+        """
+        part = slice(self._accelerated)
+        bent = gains[part] / -np.expm1(self._step[part])  # phasors, after long
+        return -(ears[:, part] * bent).imag.sum(1)
+
     def _pulsed(self, pulse: Pulse, ears: np.ndarray, heard: np.ndarray) -> np.ndarray:
         """Add a pulse to a block of sound (ears, samples); return what it adds to the phasors at its end."""
         samples = heard.shape[1]
@@ -136,6 +152,11 @@ class ModalStream:
             wave = np.exp(1j * turn * (np.arange(low, high) - edges[0]))
             ahead, behind = (ears @ (size / 2j / (1j * turn + sign * s)) for sign in (-1, 1))
             heard[:, low:high] += (np.outer(ahead, wave) + np.outer(behind, wave.conj())).imag
+            part = slice(self._accelerated)
+            by_force, by_change = (
+                (ears[:, part] * factor).imag @ size[part] for factor in pressing(s[part], pulse.duration)
+            )
+            heard[:, low:high] += np.outer(by_force, wave.imag) + turn * np.outer(by_change, wave.real)
         return added
 
 

@@ -1,6 +1,7 @@
 """Modal sound synthesis: a bank of damped sinusoids, mixed by modal gains."""
 
 import math
+from typing import Any
 
 import torch
 
@@ -9,6 +10,9 @@ from objectfolder.errors import ObjectFolderError
 
 RESPONSES = ("displacement", "velocity", "acceleration")
 _STRIDE = 256  # samples between computed exponentials; the others are products
+_SLOW = (
+    1.5 * math.pi
+)  # radians of a mode during a contact beyond which its force counts as slow; see `pressing`
 
 
 def sinusoid_bank(
@@ -168,8 +172,59 @@ def half_sine_response(
     """
     moved = (turn * pulse_phasor(s, time / contact_time, contact_time) * s**order).imag / s.imag
     if order == 2:  # add the force itself; the other terms are elastic and viscous
-        moved = moved + math.pi / (2 * contact_time) * torch.sin(math.pi * time / contact_time)
+        moved = moved + half_sine(time, contact_time)[0]
     return moved
+
+
+def half_sine(time: torch.Tensor, contact_time: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return a half sine of unit impulse, and its derivative, at times since its start; 0 outside it.
+
+    Parameters
+    ----------
+    time : tensor
+        Seconds.
+    contact_time : float
+        Seconds, positive.
+
+    Returns
+    -------
+    two tensors of the shape of ``time``
+        1/s and 1/s^2.
+    """
+    turn, touching = math.pi / contact_time, (time >= 0) & (time <= contact_time)
+    force, change = turn / 2 * torch.sin(turn * time), turn**2 / 2 * torch.cos(turn * time)
+    return force * touching, change * touching
+
+
+def pressing(s: Any, contact_time: float) -> tuple[Any, Any]:
+    """Return how the force itself is heard while it acts on modes that are heard by their acceleration.
+
+    A mode rings as the imaginary part of G z, with z' = s z + f. Its acceleration, times w, is the imaginary
+    part of s^2 z + s f + f'. So G / s^2 is the pressure per acceleration, and while the force acts, the
+    imaginary parts of G times these factors add the force f and its derivative f'.
+
+    Parameters
+    ----------
+    s : (M,) complex array or tensor
+        -c + i w, 1/s; or per sample.
+    contact_time : float
+        Seconds, or samples.
+
+    Returns
+    -------
+    two (M,) complex arrays or tensors
+
+    Notes
+    -----
+    The pressure per acceleration is known at the mode's frequency alone, as W. Its imaginary part is heard of
+    the derivative of the acceleration, Re W - b Re s + b d/dt with b = Im W / w, or of the integral, the
+    velocity. With the velocity, the force adds Im(W s) / w times f; with the derivative, Im W / w times f',
+    too, which is nearer where the force is slow for the mode, but too loud where it is short. The share of f'
+    is fitted to W at all frequencies, for any causal force; see docs/sound.md.
+    """
+    turned = s.imag * contact_time
+    share = turned**2 / (turned**2 + _SLOW**2)
+    return 1 / s, share / s**2
 
 
 def response_at(

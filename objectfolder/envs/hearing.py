@@ -119,7 +119,7 @@ class Hearing:
             number = body_number(model, name)
             voice = one.file.voice(self.sample_rate, one.material, one.scale)
             check_body(model, name, one, voice)
-            stream = ModalStream(voice.poles, self.sample_rate, longest)
+            stream = ModalStream(voice.poles, self.sample_rate, longest, voice.accelerated)
             self._bodies[number] = _Body(name, number, voice, stream)
         self._reader = ContactReader(model, [*self._bodies])
         self.reset()

@@ -145,7 +145,7 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
         point = surface.vertices[vertex] * voice.scale
         gains = voice.gains(point[None], -rng.uniform(*IMPULSES) * surface.normals[vertex][None])[0]
         lasting = contact_time(STRIKERS[STRIKER], voice.material, voice.mass)
-        stream = ModalStream(voice.poles, self.sample_rate, self._samples)
+        stream = ModalStream(voice.poles, self.sample_rate, self._samples, voice.accelerated)
         stream.strike(Pulse(0, lasting * self.sample_rate, gains))
         sound = stream.play(self._samples, voice.weights(_EAR))
         return sound.astype(np.float32).clip(-LOUDEST, LOUDEST)

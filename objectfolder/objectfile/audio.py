@@ -2,6 +2,7 @@
 
 import logging
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from typing import Protocol
@@ -13,7 +14,15 @@ from objectfolder import materials
 from objectfolder.audio.bank import Bank
 from objectfolder.audio.click import SOUND_SPEED, recoil_pressure
 from objectfolder.audio.contact import STRIKERS, Striker, as_striker, contact_time
-from objectfolder.audio.synthesis import RESPONSES, checked_contact_time, count_samples, gains
+from objectfolder.audio.synthesis import (
+    RESPONSES,
+    checked_contact_time,
+    count_samples,
+    gains,
+    half_sine,
+    pressing,
+    response_at,
+)
 from objectfolder.audio.tuning import Tuning, retune, stored_modes
 from objectfolder.checks import finite_number, one_of, require_memory
 from objectfolder.errors import ObjectFolderError
@@ -21,6 +30,7 @@ from objectfolder.materials import Material
 from objectfolder.objectfile.radiation import Listening, Radiation
 from objectfolder.objectfile.reading import StoredNet, damaged_net, report_damage
 
+_PIECE = 4096  # samples of a contact computed at once
 _BATCH = 1024  # strikes whose mode shapes are in memory at once
 _BYTES_PER_SAMPLE = 8  # of an answer, while it is made
 _ALIKE = 0.01  # relative change of a mode's wavenumber times the size at which its stored radiation holds
@@ -265,7 +275,12 @@ class ModalSense:
         ObjectFolderError
             If a setting is not valid, a point is off the surface, or a sound exceeds single precision.
         """
-        return self._mixed(points, impulses, settings, tolerance)
+        tuning, bank = self._bank(settings)
+        _report_inaudible(len(bank.heard), len(tuning.modes), bank.sample_rate / 2)
+        sounds = np.empty((len(points), bank.samples), np.float32)
+        for part, strengths in self._strengths(points, impulses, settings, tolerance):
+            sounds[part] = bank.mix(strengths)
+        return self._finite(sounds, impulses)
 
     def heard(
         self,
@@ -292,11 +307,16 @@ class ModalSense:
         lag = radiation.lag(listening.places, size, SOUND_SPEED) * listening.delay
         late = np.ceil(lag * bank.sample_rate).astype(np.int64)
         rest = torch.from_numpy(late / bank.sample_rate - lag)[:, None]
-        pressure = radiation.pressure(
-            tuning.modes[bank.heard].numpy(), s.imag.numpy() / SOUND_SPEED, listening.places, size
-        )
-        phasors = torch.from_numpy(tuning.shape_factor * pressure.conj()) * s**2 * torch.exp(s * rest)
-        sounds = self._mixed(points, impulses, settings, tolerance, phasors.to(torch.complex64))
+        rows, wavenumbers = tuning.modes[bank.heard].numpy(), s.imag.numpy() / SOUND_SPEED
+        contact_time = self._contact(settings)
+        sounds = np.empty((len(points), bank.samples), np.float32)
+        for part, strengths in self._strengths(points, impulses, settings, tolerance):
+            pressure = radiation.pressure(rows, wavenumbers, listening.places[part], size)
+            phasors = strengths.cpu() * torch.from_numpy(tuning.shape_factor * pressure.conj()) * s**2
+            sounds[part] = bank.mix((phasors * torch.exp(s * rest[part])).to(torch.complex64))
+            if contact_time:
+                for sound, *one in zip(sounds[part], phasors, rest[part]):
+                    _press(sound, bank.sample_rate, s, *one, contact_time)
         for sound, samples in zip(sounds, late):
             if samples:
                 sound[samples:] = sound[:-samples].copy() if samples < len(sound) else 0
@@ -307,7 +327,7 @@ class ModalSense:
             listening.places,
             bank.sample_rate,
             bank.samples,
-            self._contact(settings),
+            contact_time,
             listening.delay,
         )
         return self._finite(sounds, impulses)
@@ -326,31 +346,20 @@ class ModalSense:
                 "listener"
             )
 
-    def _mixed(
-        self,
-        points: np.ndarray,
-        impulses: np.ndarray,
-        settings: SoundSettings,
-        tolerance: float,
-        phasors: torch.Tensor | None = None,
-    ) -> np.ndarray:
-        """Return the sounds of strikes, whose gains phasors (N, H) multiply, if there are any."""
+    def _strengths(
+        self, points: np.ndarray, impulses: np.ndarray, settings: SoundSettings, tolerance: float
+    ) -> Iterator[tuple[slice, torch.Tensor]]:
+        """Yield parts of the strikes, and their gains of the bank's modes; (rows, H) float32."""
         tuning, bank = self._bank(settings)
         for note in tuning.notes:
             log.warning("%s: %s", self._stored.key, note)
         surface = self._surface.resized(settings.scale)
         places = torch.from_numpy(surface.to_unit(surface.snap(points, tolerance)))
-        _report_inaudible(len(bank.heard), len(tuning.modes), bank.sample_rate / 2)
-        sounds = np.empty((len(places), bank.samples), np.float32)
         for start in range(0, len(places), _BATCH):
             part = slice(start, start + _BATCH)
             shapes = self.net.shapes(places[part])[..., tuning.modes[bank.heard]]
             force = torch.from_numpy(impulses[part] * tuning.shape_factor).float().to(shapes.device)
-            strengths = gains(shapes, force)
-            if phasors is not None:
-                strengths = strengths * phasors[part].to(shapes.device)
-            sounds[part] = bank.mix(strengths)
-        return self._finite(sounds, impulses)
+            yield part, gains(shapes, force)
 
     @staticmethod
     def _finite(sounds: np.ndarray, impulses: np.ndarray) -> np.ndarray:
@@ -450,6 +459,40 @@ class SpectrogramSense:
         return ObjectFolderError(
             f"{self._key}: its audio net stores spectrograms, no modes; train_audio.net: gains stores them"
         )
+
+
+def _press(
+    sound: np.ndarray,
+    rate: float,
+    s: torch.Tensor,
+    phasors: torch.Tensor,
+    rest: torch.Tensor,
+    contact_time: float,
+) -> None:
+    """Add to a sound at a listener how the force itself is heard.
+
+    Parameters
+    ----------
+    sound : (samples,) float32 array
+        Changed in place.
+    rate : float
+        Samples per second.
+    s, phasors : (H,) complex tensors
+        Poles of the modes, and what their responses are multiplied by.
+    rest : (1,) tensor
+        Time since the start of contact at the first sample, seconds.
+    contact_time : float
+        Seconds, positive.
+    """
+    time = torch.arange(min(len(sound), math.ceil(contact_time * rate)), dtype=torch.float64) / rate
+    time = time[time < contact_time]
+    for first in range(0, len(time) if rest else 0, _PIECE):  # the bank's are those of whole samples
+        since = time[first : first + _PIECE] + rest
+        moved = response_at(s[:, None], since, contact_time, weight=phasors[:, None])
+        sound[first : first + _PIECE][: len(since)] = moved.sum(0).numpy()
+    force, change = half_sine(time + rest, contact_time)
+    by_force, by_change = ((phasors * turn / s.imag).imag.sum() for turn in pressing(s, contact_time))
+    sound[: len(time)] += (by_force * force + by_change * change).numpy()
 
 
 def _report_inaudible(heard: int, modes: int, nyquist: float) -> None:

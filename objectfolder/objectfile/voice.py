@@ -40,6 +40,8 @@ class Voice:
         -c + i w, 1/s.
     modes : int
         M, the number of modes; the other poles are the recoil's.
+    accelerated : int
+        M if modes are heard by their acceleration, 0 if by their velocity.
     material : Material
     scale : float
         m
@@ -80,6 +82,7 @@ class Voice:
         self.modes = len(modal)
         self._own = sense.damped_frequency.double().numpy()[self._rows] / SOUND_SPEED
         self._radiation = parts.radiation if RADIATION in parts.header else None
+        self.accelerated = 0 if self._radiation is None else self.modes
         if self._radiation is None:
             surface = self._surface.read()
             corners = surface.vertices[surface.faces] * self.scale

@@ -66,6 +66,20 @@ def test_a_constant_force_bends_a_mode_by_its_stiffness():
     assert heard[-1] == pytest.approx(2.0 * 0.5 / abs(poles[0]) ** 2, rel=0.02)
 
 
+def test_a_constant_force_is_not_heard_of_modes_heard_by_their_acceleration():
+    """It bends them; then they are at rest."""
+    poles = np.array([-4000 + 2j * np.pi * 3000, -5000 + 2j * np.pi * 9000])
+    heard = []
+    for accelerated in (0, 2):
+        stream = ModalStream(poles, RATE, 480, accelerated)
+        weights = np.array([0.6 + 0.8j, -1.0 + 0.3j]) * poles**2 / poles.imag
+        for _ in range(4):
+            stream.shake(np.full(480, 2.0), np.array([0.5, 0.2]))
+            last = stream.play(480, weights)[-1]
+        heard.append(abs(last))
+    assert heard[1] < 1e-9 * heard[0]
+
+
 def test_a_strike_leaves_the_energy_of_its_phasors():
     stream = ModalStream(POLES.real * 0 - 1e-6 + 1j * ANGULAR, RATE, 480)
     stream.strike(Pulse(0, 2e-4 * RATE, GAINS))

@@ -6,8 +6,10 @@ from scipy.interpolate import CubicSpline
 
 from objectfolder import ObjectFile
 from objectfolder.audio.click import recoil_pressure
+from objectfolder.audio.stream import ModalStream, Pulse
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material, material
+from objectfolder.objectfile.radiation import Radiation
 
 UP = [[0.0, 0.0, 1.0]]
 
@@ -48,6 +50,93 @@ def test_the_ringing_is_that_of_the_modes(brick, struck):
     np.testing.assert_allclose(sound, exact, atol=1e-3 * np.abs(exact).max())
 
 
+RATE = 44100
+
+
+def _ringing(brick, point, place, striker, **options):
+    """Sound of the modes, without the click; (samples,)."""
+    sound = brick.impact(point, UP, RATE, 0.1, striker=striker, listener=place, **options)[0]
+    body = brick._parts.radiation.recoil(material("plastic").density, brick.scale)
+    return sound - recoil_pressure(body, np.array(UP), place, RATE, 4410, brick.contact_time(striker))[0]
+
+
+def _reference(brick, point, place, contact):
+    """The modes' acceleration and their fields, both at all frequencies, as a spectrum; (samples,)."""
+    over, samples = 8, 1 << 18
+    tuning = brick.tuning()
+    s = -tuning.damping.double().numpy() + 1j * tuning.damped_frequency.double().numpy()
+    kept = s.imag < np.pi * RATE
+    s, gain = s[kept], brick.mode_shapes(point)[0, 2][kept]
+    pressure = brick._parts.radiation.field.pressure(s.imag / 343.2, place)[0].conj()
+    time = np.arange(samples) / (over * RATE)
+    force = np.where(time < contact, np.pi / (2 * contact) * np.sin(np.pi * time / contact), 0)
+    w = 2 * np.pi * over * RATE * np.fft.rfftfreq(samples)
+    moved = sum(-g * p * w**2 / ((1j * w - a) * (1j * w - a.conj())) for g, p, a in zip(gain, pressure, s))
+    return np.fft.irfft(moved * np.fft.rfft(force), samples)[: 4410 * over : over]
+
+
+@pytest.mark.parametrize(("striker", "most"), [("wood", 0.2), ("rubber", 0.2), ("finger", 0.2)])
+def test_during_the_contact_it_is_that_of_the_modes_acceleration(brick, struck, striker, most):
+    """Not of the force: a slow one bends the object, which moves no air."""
+    place = np.array([[0.3, 0.4, 1.2]])
+    contact = brick.contact_time(striker)
+    sound, expected = (
+        _ringing(brick, struck[:1], place, striker),
+        _reference(brick, struck[:1], place, contact),
+    )
+    during = slice(0, int(contact * RATE) + 1)
+    error, size = (np.sqrt(np.square(x[during]).mean()) for x in (sound - expected, expected))
+    assert error < most * size
+
+
+@pytest.mark.parametrize("striker", ["rubber", "finger"])
+def test_a_soft_striker_makes_no_thump(brick, struck, striker):
+    sound = _ringing(brick, struck[:1], np.array([[0.3, 0.4, 1.2]]), striker)
+    end = int(brick.contact_time(striker) * RATE) + 1
+    during, after = (np.sqrt(np.square(x).mean()) for x in (sound[:end], sound[end : 2 * end]))
+    assert during < 2 * after
+    power, hertz = abs(np.fft.rfft(sound)) ** 2, np.fft.rfftfreq(len(sound), 1 / RATE)
+    lowest = float(brick.tuning().frequencies.min())
+    assert power[hertz < lowest / 2].sum() < 0.02 * power.sum()
+
+
+@pytest.mark.parametrize("contact", [0.0, 2e-4, 3e-3])
+def test_a_late_sound_is_that_of_a_finer_rate(brick, struck, contact):
+    """The click, too, starts between two samples."""
+    place, options = [[0.3, 0.4, 1.2]], {"contact_time": contact, "delay": True}
+    coarse, fine = (
+        brick.impact(struck[:1], UP, rate, 0.02, listener=place, **options)[0] for rate in (48000, 480000)
+    )
+    np.testing.assert_allclose(coarse, fine[::10], atol=1e-5 * np.abs(fine).max())
+
+
+@pytest.mark.parametrize("striker", ["steel", "finger"])
+def test_a_stream_sounds_the_same(brick, struck, striker):
+    place, contact = np.array([[0.3, 0.4, 1.2]]), brick.contact_time(striker)
+    expected = brick.impact(struck[:1], UP, RATE, 0.05, striker=striker, listener=place)[0]
+    voice = brick.voice(RATE)
+    stream = ModalStream(voice.poles, RATE, 100, voice.accelerated)
+    stream.strike(Pulse(0, contact * RATE, voice.gains(struck[:1], np.array(UP))[0]))
+    weights = voice.weights(place[0])
+    heard = np.concatenate([stream.play(100, weights) for _ in range(22)])
+    np.testing.assert_allclose(heard, expected[:2200], atol=1e-5 * np.abs(expected).max())
+
+
+def test_strikes_are_heard_in_batches(brick, struck, monkeypatch):
+    points, listener = np.tile(struck, (4, 1)), np.array([[0, 0, 1.0 + 0.1 * n] for n in range(12)])
+    options = {"duration": 0.02, "striker": "rubber", "listener": listener}
+    ways = [options | {"delay": delay} for delay in (False, True)]
+    whole = [brick.impact(points, UP, **way) for way in ways]
+    monkeypatch.setattr("objectfolder.objectfile.audio._BATCH", 4)
+    places, pressure = [], Radiation.pressure
+    monkeypatch.setattr(
+        Radiation, "pressure", lambda self, *given: places.append(len(given[2])) or pressure(self, *given)
+    )
+    for way, sounds in zip(ways, whole):
+        np.testing.assert_array_equal(brick.impact(points, UP, **way), sounds)
+    assert places == [4] * 6
+
+
 def test_a_delay_is_the_time_that_sound_takes(brick, struck):
     distance, rate = 5.0, 96000
     options = {"sample_rate": rate, "duration": 0.1, "listener": [[0, 0, distance]]}
@@ -67,6 +156,13 @@ def test_a_stiff_body_sounds_of_its_recoil_alone(brick, struck):
     click = recoil_pressure(body, np.array(UP), place, 2000, 200, brick.contact_time())
     np.testing.assert_array_equal(sound, click)
     assert np.abs(sound).max() > 0
+
+
+def test_only_what_is_silent_is_called_silent(brick, struck, caplog):
+    brick.impact(struck, UP, 2000, 0.1, listener=[[0, 0, 1.0]])
+    assert "silent" not in caplog.text
+    brick.impact(struck, UP, 2000, 0.1)
+    assert "silent" in caplog.text
 
 
 def test_another_size_sounds_the_same_at_proportional_places(brick, struck):

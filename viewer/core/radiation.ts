@@ -61,7 +61,7 @@ export class Radiation {
 
   /**
    * Return what a listener hears of modes with real gains, as modes whose displacements sum to pascals: the own
-   * ones, turned, and the recoil along three axes.
+   * ones, turned, which are heard by their acceleration, and the recoil along three axes.
    *
    * The listener is in units of the longest side, the impulse (N s) in the object frame, the density in kg/m^3.
    */
@@ -89,6 +89,7 @@ export class Radiation {
       damping,
       real: new Float64Array(count + 3),
       imaginary: new Float64Array(count + 3),
+      accelerated: count,
       certain: 3,
     };
     frequency.set(modes.frequency);

@@ -4,6 +4,8 @@ import type { Modes } from "./tuning.ts";
 
 type Complex = [number, number];
 
+const SLOW = 1.5 * Math.PI; // radians of a mode during a contact beyond which its force counts as slow
+
 const times = (a: Complex, b: Complex): Complex => [a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]];
 const minus = (a: Complex, b: Complex): Complex => [a[0] - b[0], a[1] - b[1]];
 const over = (a: Complex, b: Complex): Complex => {
@@ -62,13 +64,16 @@ export interface Gained {
   damping: Float64Array; // 1/s
   real: ArrayLike<number>;
   imaginary: ArrayLike<number> | null; // null: 0
+  /** How many of the first ones are heard by their acceleration, and so is the force on them. */
+  accelerated: number;
   /** How many of the last ones fade too fast to alias and are never left out. */
   certain: number;
 }
 
 /** Return modes with real gains. */
 export function plain(modes: Modes, gains: ArrayLike<number>): Gained {
-  return { frequency: modes.frequency, damping: modes.damping, real: gains, imaginary: null, certain: 0 };
+  const { frequency, damping } = modes;
+  return { frequency, damping, real: gains, imaginary: null, accelerated: 0, certain: 0 };
 }
 
 /** Return how modes below half the sample rate ring. */
@@ -95,6 +100,14 @@ export function amplitudes(modes: Gained, strike: Strike): Float64Array {
   return found;
 }
 
+/** How a half sine and its derivative are heard while they act on a mode that is heard by its acceleration. */
+function pressing(s: Complex, gain: Complex, contact: number): [number, number] {
+  const turned = (s[1] * contact) ** 2;
+  const share = turned / (turned + SLOW ** 2);
+  const once = over(gain, s);
+  return [once[1] / s[1], (share * over(once, s)[1]) / s[1]];
+}
+
 /** Return the sound of modes. Those at or above half the sample rate are left out. */
 export function synthesise(modes: Gained, strike: Strike): Float32Array {
   const { rate, duration, contact, silence = 0 } = strike;
@@ -103,14 +116,17 @@ export function synthesise(modes: Gained, strike: Strike): Float32Array {
   const pressed = Math.min(Math.ceil(contact * rate - 1e-12), out.length);
   const heard = ringing(modes, strike);
   const loudest = heard.reduce((most, { start }) => Math.max(most, Math.hypot(...start)), 0);
-  for (const { s, start, gain } of heard) {
+  const turn = Math.PI / contact;
+  for (const { mode, s, start, gain } of heard) {
     const [decay, frequency] = [-s[0], s[1]];
+    const direct: [number, number] = order === 2 ? [gain[0], 0] : [0, 0];
+    const [byForce, byChange] = mode < modes.accelerated ? pressing(s, gain, contact) : direct;
     for (let k = 0; k < pressed; k++) {
       const t = k / rate;
       let state = times(gain, stateAt(s, t / contact, contact));
       for (let o = 0; o < order; o++) state = times(state, s);
-      const force = order === 2 ? (Math.PI / (2 * contact)) * Math.sin((Math.PI * t) / contact) : 0;
-      out[k] += state[1] / frequency + gain[0] * force;
+      const force = byForce * Math.sin(turn * t) + byChange * turn * Math.cos(turn * t);
+      out[k] += state[1] / frequency + (turn / 2) * force;
     }
     const late = pressed / rate - contact;
     const [re, im] = times(start, exp([s[0] * late, s[1] * late]));
