@@ -8,7 +8,7 @@ from scipy.optimize import least_squares, linear_sum_assignment
 
 from objectfolder.audio.ringdown import LN_1000, Ringdown, ringdown, strikes
 from objectfolder.errors import ObjectFolderError
-from objectfolder.materials import Material, own_material
+from objectfolder.materials import Material, material, own_material
 
 RATIOS = (0.8, 1.25)  # of heard to computed frequencies that are tried
 STEP = 5e-4  # between them
@@ -162,10 +162,14 @@ def fit_sound(
     heard = ringdown(taps, rate, highest=RATIOS[1] * float(computed.max(initial=0)))
     match = match_modes(computed, heard.frequency)
     matched = Ringdown(*(array[match.heard] for array in vars(heard).values()))
+    base = material(solid.name)
     fitted: dict[str, object] = {
         "base": solid.name,
         "youngs_modulus": float(f"{solid.youngs_modulus * match.stiffness:.5g}"),
     }
+    for own in ("density", "poisson_ratio"):
+        if getattr(solid, own) != getattr(base, own):
+            fitted[own] = getattr(solid, own)
     if law == "loss_factor":
         fitted["loss_factor"] = [list(knot) for knot in fit_loss_factor(matched)]
     else:

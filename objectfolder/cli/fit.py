@@ -38,8 +38,8 @@ def sound(
 
     `objectfolder fit sound mug tap1.wav tap2.wav`
 
-    The modes heard are matched to those of the object's last build. Size and density stay as they are. The
-    next build rescales the modes; it does not solve them again.
+    The modes heard are matched to those of the object's last build. Size, density and Poisson's ratio stay
+    as they are. The next build rescales the modes; it does not solve them again.
     """
     from objectfolder.audio.fitting import fit_sound
     from objectfolder.audio.recordings import at_one_rate, read_recording

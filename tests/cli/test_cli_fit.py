@@ -61,6 +61,18 @@ def test_the_fitted_material_goes_to_params(built, recordings):
     assert own_material(params.read()["objects"]["mug"]["material"]).law == "rayleigh"
 
 
+def test_density_and_poissons_ratio_stay_as_they_are(built, recordings):
+    own = {"base": "ceramic", "density": 2400.0, "poisson_ratio": 0.22}
+    write_json(
+        Build("mug").modal,
+        {"material": "ceramic", "material_properties": own_material(own).properties()},
+    )
+    assert run("mug", *recordings).exit_code == 0
+    entry = params.read()["objects"]["mug"]["material"]
+    assert own.items() <= entry.items()
+    check_all(params.read())
+
+
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
