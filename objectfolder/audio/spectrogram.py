@@ -22,6 +22,9 @@ def spectrogram(sounds: torch.Tensor) -> torch.Tensor:
         raise ObjectFolderError(
             f"sounds of {sounds.shape[-1]} samples are too short, expected more than {FFT // 2}"
         )
+    if not len(sounds):  # which torch refuses
+        frames = 1 + sounds.shape[-1] // HOP
+        return torch.zeros(0, SHAPE[0], frames, dtype=torch.complex64, device=sounds.device)
     window = torch.hann_window(WINDOW, device=sounds.device)
     return torch.stft(sounds, FFT, hop_length=HOP, win_length=WINDOW, window=window, return_complex=True)
 

@@ -124,6 +124,16 @@ def test_an_object_that_the_sample_rate_cannot_carry_is_silent(bar):
     assert not net.spectrograms(torch.zeros(1, 3)).abs().any()
 
 
+def test_an_object_without_modes_is_silent(tmp_path):
+    still = np.zeros((8, 3)), np.zeros((8, 3, 0)), np.zeros(0), np.zeros(0)
+    rows = np.arange(6), np.arange(6, 8)
+    net, curve = train_spectrogram(*still, *rows, CONFIG, torch.Generator().manual_seed(0))
+    assert curve == []
+    write_safetensors(tmp_path / "n.safetensors", *net.to_tensors())
+    back = SpectrogramNet.from_tensors(*read_safetensors(tmp_path / "n.safetensors"))
+    assert back.spectrograms(torch.zeros(2, 3)).abs().max() == 0
+
+
 def test_the_papers_branch():
     """Eight layers of 256 channels; five inputs with ten octaves; the input joins again after the fifth."""
     branch = PointwiseNetwork(256, 8, 10, 10, outputs=2)
