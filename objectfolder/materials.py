@@ -153,7 +153,7 @@ def own_material(described: str | Mapping[str, Any], law: str = "rayleigh") -> M
     Raises
     ------
     ObjectFolderError
-        If the name or a property is unknown, or a value is not physical.
+        If the name or a property is unknown, a value is not physical, or nothing damps the object.
     """
     if not isinstance(described, Mapping):
         return material(described, law)
@@ -166,4 +166,9 @@ def own_material(described: str | Mapping[str, Any], law: str = "rayleigh") -> M
             )
     if {"alpha", "beta"} & properties.keys():
         law = "rayleigh"
-    return replace(material(described.get("base", ""), law), **properties)
+    found = replace(material(described.get("base", ""), law), **properties)
+    if not (found.loss_factor or found.alpha or found.beta):
+        raise ObjectFolderError(
+            f"material {found.name!r}: an undamped object rings for ever; give alpha, beta or loss_factor"
+        )
+    return found

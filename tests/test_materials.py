@@ -113,6 +113,7 @@ def test_an_object_may_have_a_material_of_its_own():
         ({"base": "wood", "young": 1e9}, "unknown property 'young': expected base or one of density"),
         ({"base": "wood", "name": "oak"}, "unknown property 'name'"),
         ({"base": "wood", "density": -1.0}, "density is -1.0, expected a positive number"),
+        ({"base": "wood", "alpha": 0.0, "beta": 0.0}, "an undamped object rings for ever; give alpha, beta"),
     ],
 )
 def test_a_material_of_its_own_that_is_none_is_refused(described, message):
