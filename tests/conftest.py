@@ -4,7 +4,7 @@ import forkserver
 import numpy as np
 import pytest
 import torch
-from brick import build_brick
+from brick import build_brick, with_spectrograms
 from hypothesis import settings
 from sharing import shared_folder
 from threadpoolctl import threadpool_limits
@@ -55,6 +55,11 @@ def brick_path(tmp_path_factory):
 @pytest.fixture(scope="session")
 def brick(brick_path):
     return ObjectFile.load(brick_path)
+
+
+@pytest.fixture(scope="session")
+def spectrograms(brick):
+    return with_spectrograms(brick)
 
 
 @pytest.fixture(scope="session")

@@ -139,9 +139,11 @@ def audio(
         ),
     ] = None,
     striker: Annotated[
-        str,
-        typer.Option(help="What strikes, by which the contact time follows: steel, wood, rubber, finger."),
-    ] = "steel",
+        str | None,
+        typer.Option(
+            help="What strikes, by which the contact time follows: steel (default), wood, rubber, finger."
+        ),
+    ] = None,
     listener: Annotated[
         tuple[float, float, float] | None,
         typer.Option(help="X Y Z in metres: write the sound pressure there, in pascals."),

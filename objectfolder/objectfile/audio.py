@@ -48,7 +48,7 @@ class SoundSettings:
     contact_time: float | None  #: seconds; 0 is an ideal impulse, None the striker's
     material: str | Material | None  #: None for the object's own
     scale: float | None  #: longest side, metres; None for the object's own
-    striker: Striker = STRIKERS["steel"]
+    striker: Striker | None = None  #: None for steel, or an ideal impulse where contact times are not known
     heard: bool = False  #: whether a listener hears the strikes
 
     @classmethod
@@ -60,7 +60,7 @@ class SoundSettings:
         contact_time: float | None,
         material: str | Material | None,
         scale: float | None,
-        striker: str | Striker,
+        striker: str | Striker | None,
         strikes: int,
         heard: bool = False,
     ) -> "SoundSettings":
@@ -92,7 +92,7 @@ class SoundSettings:
             None if contact_time is None else checked_contact_time(contact_time),
             material,
             None if scale is None else finite_number("scale", scale),
-            as_striker(striker),
+            None if striker is None else as_striker(striker),
             heard,
         )
 
@@ -332,6 +332,24 @@ class ModalSense:
         )
         return self._finite(sounds, impulses)
 
+    def striking_time(
+        self, striker: Striker | None, material: str | Material | None, scale: float | None
+    ) -> float:
+        """Return how long a strike lasts, seconds: an ideal impulse, 0, if it is not known.
+
+        Raises
+        ------
+        ObjectFolderError
+            If it is not known and a striker is given.
+        """
+        lasting = self.contact_time(striker or STRIKERS["steel"], material, scale)
+        if lasting is None and striker is not None:
+            raise ObjectFolderError(
+                f"{self._stored.key}: the file does not say what its modes are of, so how long a striker "
+                "touches is not known; leave striker out, which gives an ideal impulse, or give contact_time"
+            )
+        return lasting or 0.0
+
     def _check_wavelengths(self, radiation: Radiation, tuning: Tuning, size: float) -> None:
         key, own = self._stored.key, self.damped_frequency
         if radiation.modes != len(own):
@@ -378,7 +396,7 @@ class ModalSense:
     def _contact(self, settings: SoundSettings) -> float:
         if settings.contact_time is not None:
             return settings.contact_time
-        return self.contact_time(settings.striker, settings.material, settings.scale) or 0.0
+        return self.striking_time(settings.striker, settings.material, settings.scale)
 
 
 class SpectrogramSense:
@@ -425,6 +443,11 @@ class SpectrogramSense:
             raise ObjectFolderError(
                 f"{self._key}: its audio net stores spectrograms; material, scale and contact_time need "
                 "modes, which train_audio.net: gains stores"
+            )
+        if settings.striker is not None and settings.contact_time is None:
+            raise ObjectFolderError(
+                f"{self._key}: its audio net stores spectrograms of ideal impulses; leave striker out, or "
+                "give contact_time 0"
             )
         rate, duration = settings.sample_rate, settings.duration
         samples = round(rate * duration) if 0 < duration <= DURATION else 0

@@ -4,31 +4,16 @@ import numpy as np
 import pytest
 import torch
 
-from objectfolder import ObjectFile
 from objectfolder.audio.spectrogram import spectrogram
 from objectfolder.audio.synthesis import sinusoid_bank
+from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import write_safetensors
-from objectfolder.nets.audio_spectrogram import SpectrogramNet
 from objectfolder.objectfile.evaluation import Strikes, evaluate_sounds
 
 
-@pytest.fixture(scope="module")
-def file(brick, tmp_path_factory):
-    """The brick with a net that answers something."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(0)
-        net = SpectrogramNet(
-            brick._parts.audio.damped_frequency, torch.tensor([[-1e-4, 2e-4]] * 3), 16, 2, 2, 3
-        )
-        for branch in net.branches:
-            torch.nn.init.normal_(branch.output.weight, std=1.0)
-    tensors, config = net.to_tensors()
-    others = {name: t for name, t in brick.tensors.items() if not name.startswith("audio.")}
-    path = tmp_path_factory.mktemp("file") / "o.safetensors"
-    header = {**brick.header, "audio": {"kind": "spectrogram", "net": config, "truncated": False}}
-    write_safetensors(path, others | {f"audio.{name}": t for name, t in tensors.items()}, header)
-    return ObjectFile.load(path)
+@pytest.fixture
+def file(spectrograms):
+    return spectrograms
 
 
 def test_a_strike_sounds_like_the_stored_spectrograms(file):
@@ -89,6 +74,22 @@ def test_its_scores_stand_beside_silence(file, brick):
     truth = torch.view_as_real(spectrogram(gains @ bank)).numpy()
     silence = 10 * np.log10(np.ptp(truth) ** 2 / np.mean(truth.astype(np.float64) ** 2))
     assert scores["baseline_silence"] == pytest.approx(silence, abs=1e-3)
+
+
+def test_a_striker_is_refused_since_its_contact_time_is_not_known(file):
+    with pytest.raises(ObjectFolderError, match="leave striker out, or give contact_time 0"):
+        file.impact(file.sample_surface(1), [0, 0, 1], striker="finger")
+    assert file.impact(file.sample_surface(1), [0, 0, 1], striker="finger", contact_time=0.0).any()
+
+
+def test_the_command_refuses_a_striker_alike(file, tmp_path):
+    file.save(tmp_path / "o.safetensors")
+    np.save(tmp_path / "p.npy", np.concatenate([file.sample_surface(1), np.eye(3)[:1]], 1))
+    command = ["query", "audio", *(str(tmp_path / name) for name in ("o.safetensors", "p.npy", "out"))]
+    app(command, standalone_mode=False)
+    assert (tmp_path / "out" / "1.wav").exists()
+    with pytest.raises(ObjectFolderError, match="leave striker out"):
+        app([*command, "--striker", "finger"], standalone_mode=False)
 
 
 @pytest.mark.parametrize("option", [{"material": "steel"}, {"scale": 0.3}, {"contact_time": 1e-3}])

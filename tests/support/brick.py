@@ -14,6 +14,7 @@ from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.nets.audio_config import GainsConfig
 from objectfolder.nets.audio_gains_training import train_gains
+from objectfolder.nets.audio_spectrogram import SpectrogramNet
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.objectfile.file import ObjectFile
@@ -88,6 +89,21 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
         stored_radiation(sound_field, surface, scale, 56000),
     )
     return ObjectFile(header, tensors, "brick")
+
+
+def with_spectrograms(file: ObjectFile) -> ObjectFile:
+    """The same object with an audio net that stores spectrograms, of noise."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        net = SpectrogramNet(
+            file._parts.audio.damped_frequency, torch.tensor([[-1e-4, 2e-4]] * 3), 16, 2, 2, 3
+        )
+        for branch in net.branches:
+            torch.nn.init.normal_(branch.output.weight, std=1.0)
+    tensors, config = net.to_tensors()
+    others = {name: t for name, t in file.tensors.items() if not name.startswith("audio.")}
+    header = {**file.header, "audio": {"kind": "spectrogram", "net": config, "truncated": False}}
+    return ObjectFile(header, others | {f"audio.{name}": t for name, t in tensors.items()}, file.key)
 
 
 def felt_by(file: ObjectFile, sensor: str) -> ObjectFile:

@@ -107,7 +107,7 @@ class Sound(nn.Module):
         contact_time: Number | None = None,
         material: str | Material | None = None,
         scale: Number | None = None,
-        striker: str | Striker = "steel",
+        striker: str | Striker | None = None,
     ) -> torch.Tensor:
         """Strike the object, or one of its shape; parameters and errors as of `ObjectFile.impact`.
 
@@ -130,7 +130,7 @@ class Sound(nn.Module):
         shapes = self._shapes(points, places, tolerance, scale)
         tuning = self._sense.tuning(stuff, scale)
         if contact_time is None:
-            contact_time = self._sense.contact_time(settings.striker, stuff, scale) or 0.0
+            contact_time = self._sense.striking_time(settings.striker, stuff, scale)
         heard = audible(tuning.damped_frequency, settings.sample_rate)
         s = torch.complex(-tuning.damping, tuning.damped_frequency)[heard].to(torch.complex128)[:, None]
         samples = round(settings.sample_rate * settings.duration)
