@@ -351,7 +351,7 @@ class ObjectFile:
         contact_time: float | None = None,
         material: str | Material | None = None,
         scale: float | None = None,
-        striker: str | Striker = "steel",
+        striker: str | Striker | None = None,
         listener: Rows | None = None,
         delay: bool = False,
     ) -> Answer:
@@ -380,8 +380,9 @@ class ObjectFile:
         scale : float, optional
             Longest side of the struck object, metres; ``points`` are metres of that object. A warning names
             the band where modes are missing.
-        striker : str or Striker
-            What strikes the object; a name is one of `objectfolder.audio.contact.STRIKERS`.
+        striker : str or Striker, optional
+            What strikes the object; a name is one of `objectfolder.audio.contact.STRIKERS`. Default: steel,
+            or an ideal impulse where the contact time is not known.
         listener : (N, 3) array, optional
             Where the strikes are heard, object frame, metres; outside the ball about the origin that holds
             the object. The answer is then the sound pressure there, in pascals, of the modes and of the
@@ -397,7 +398,8 @@ class ObjectFile:
         ------
         ObjectFolderError
             If shapes do not fit, values are not finite or too large, a point is off the surface, the sounds
-            do not fit into memory, or the file does not say how the struck object sounds at a listener.
+            do not fit into memory, the file does not say how the struck object sounds at a listener, or it
+            does not say how long a given striker touches.
         """
         strikes = broadcast_rows(
             "points", finite_rows("points", points, 3), "forces", finite_rows("forces", forces, 3)
@@ -421,9 +423,9 @@ class ObjectFile:
         self,
         points: Rows,
         forces: Rows,
-        sample_rate: float = 44100,
+        sample_rate: float | None = None,
         duration: float = 2.0,
-        response: str = "acceleration",
+        response: str | None = None,
         **strike: Any,
     ) -> list[Any]:
         """Strike the object in a notebook, and return a player of each sound.
@@ -431,7 +433,8 @@ class ObjectFile:
         Parameters
         ----------
         points, forces, sample_rate, duration, response
-            As of `impact`; the defaults are those of the viewer.
+            As of `impact`. By default those of the viewer: acceleration at 44.1 kHz, or the pressure at a
+            listener; of a file that stores spectrograms, what they hold: displacement at 16 kHz.
         **strike
             Others of `impact`.
 
@@ -440,9 +443,13 @@ class ObjectFile:
         list of IPython.display.Audio
             The loudest sound has 0.9 of full scale.
         """
-        sounds = self.impact(real_array("points", points), forces, sample_rate, duration, response, **strike)
+        pressure = strike.get("listener") is not None
+        rate = sample_rate if sample_rate is not None else 44100 if self.has_modes else 16000
+        if response is None:
+            response = "acceleration" if self.has_modes and not pressure else "displacement"
+        sounds = self.impact(real_array("points", points), forces, rate, duration, response, **strike)
         # As for gradients: no stage asks for players.
-        players: list[Any] = import_module("objectfolder.audio.notebook").players(sounds, sample_rate)
+        players: list[Any] = import_module("objectfolder.audio.notebook").players(sounds, rate)
         return players
 
     def contact_time(

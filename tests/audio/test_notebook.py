@@ -38,6 +38,20 @@ def test_an_object_is_heard_in_a_notebook(brick):
     np.testing.assert_allclose([player.data for player in heard], 0.9 / np.abs(expected).max() * expected)
 
 
+@pytest.mark.usefixtures("notebook")
+def test_a_listener_hears_pressure_in_a_notebook(brick):
+    strike = brick.sample_surface(1), [[0, 0, 1.0]]
+    heard = brick.listen(*strike, duration=0.1, listener=[[0, 0, 1.0]])[0]
+    expected = brick.impact(*strike, 44100, 0.1, listener=[[0, 0, 1.0]])[0]
+    np.testing.assert_allclose(heard.data, 0.9 / np.abs(expected).max() * expected)
+
+
+@pytest.mark.usefixtures("notebook")
+def test_spectrograms_are_heard_as_they_are_stored(spectrograms):
+    heard = spectrograms.listen(spectrograms.sample_surface(1), [[0, 0, 1.0]])[0]
+    assert (heard.rate, len(heard.data)) == (16000, 32000)
+
+
 def test_without_ipython_it_says_so(monkeypatch):
     monkeypatch.setitem(sys.modules, "IPython", None)
     with pytest.raises(ObjectFolderError, match="need IPython"):
