@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from PIL import Image, ImageDraw
+from scipy.signal import resample_poly
 
+from objectfolder.audio.spectrogram import DURATION, SAMPLE_RATE
 from objectfolder.checks import finite_number, require_memory, whole_number
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
@@ -135,22 +137,32 @@ def pictures(file: ObjectFile, turntable: Turntable, found: list[Contact]) -> It
 def sound(file: ObjectFile, turntable: Turntable, found: list[Contact]) -> np.ndarray:
     """Return the sound of the strikes, (samples,) float32, its peak at `LOUDEST`; zeros if none is heard.
 
-    At the camera, if the file knows how its modes radiate; otherwise their accelerations.
+    At the camera, if the file knows how its modes radiate; otherwise their accelerations, or displacements,
+    if it stores spectrograms.
     """
     track = np.zeros(round(len(turntable) / turntable.rate * turntable.sample_rate), np.float32)
     for contact in found:
         start = round(contact.second * turntable.sample_rate)
         if start >= len(track):  # of few pictures, which end before the turn does
             continue
-        at_camera = turntable.camera(contact.second)[None] * file.scale
-        heard = file.impact(
-            contact.point[None],
-            -IMPULSE * contact.normal[None],
-            turntable.sample_rate,
-            min(RINGS, (len(track) - start) / turntable.sample_rate),
-            response="displacement" if "radiation" in file.header else "acceleration",
-            listener=at_camera if "radiation" in file.header else None,
-        )[0]
+        heard = _heard(file, turntable, contact, (len(track) - start) / turntable.sample_rate)
         track[start : start + len(heard)] += heard[: len(track) - start]
     peak = np.abs(track).max(initial=0)
     return track * (LOUDEST / peak) if peak > 0 else track
+
+
+def _heard(file: ObjectFile, turntable: Turntable, contact: Contact, seconds: float) -> np.ndarray:
+    """Return the sound of one strike for so many seconds at most, at the turntable's rate."""
+    strike = contact.point[None], -IMPULSE * contact.normal[None]
+    if not file.has_modes:
+        lasting = min(max(seconds, 1 / SAMPLE_RATE), DURATION)
+        stored = file.impact(*strike, SAMPLE_RATE, lasting)[0]
+        return resample_poly(stored, turntable.sample_rate, SAMPLE_RATE)
+    radiates = "radiation" in file.header
+    return file.impact(
+        *strike,
+        turntable.sample_rate,
+        min(RINGS, seconds),
+        response="displacement" if radiates else "acceleration",
+        listener=turntable.camera(contact.second)[None] * file.scale if radiates else None,
+    )[0]

@@ -53,6 +53,18 @@ def test_strikes_are_heard_when_they_are_seen(brick, found):
     assert len(sound(brick, few, contacts(brick, few))) == few.sample_rate
 
 
+def test_spectrograms_are_heard_at_the_rate_of_the_track(spectrograms, found):
+    heard = sound(spectrograms, SHORT, found)
+    assert len(heard) == round(0.4 * SHORT.sample_rate)
+    assert np.abs(heard).max() == pytest.approx(LOUDEST)
+    first, second = (round(contact.second * SHORT.sample_rate) for contact in found)
+    assert not heard[:first].any()
+    strike = found[0].point[None], -found[0].normal[None]
+    stored = spectrograms.impact(*strike, duration=0.2)[0]
+    likeness = np.corrcoef(heard[first : min(first + 9000, second) : 3], stored[:3000])[0, 1]
+    assert likeness > 0.9
+
+
 @pytest.mark.parametrize(
     ("name", "value", "expected"),
     [
