@@ -23,6 +23,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.elasticity import (
     FiniteElements,
     elasticity,
+    mix_nodes,
     scatter,
     strain_displacement,
     symmetric,
@@ -37,6 +38,7 @@ from objectfolder.mesh.topology import components, signed_volume
 FULL = 1 - 1e-5  # fill of a cell that counts as full
 EMPTY_FILL = 1e-3  # parts with a smaller fill are dropped
 FICTITIOUS = 1e-6  # stiffness and mass of the void in a cut cell, relative to the material
+CUT_CELLS = "hex20 cut cells"  #: name of the element
 MAX_VOLUME_ERROR = 0.05  #: accepted relative volume error of the cells, before its correction
 
 
@@ -67,7 +69,7 @@ class CutCells:
     @property
     def name(self) -> str:
         """Name of the element."""
-        return "hex20 cut cells"
+        return CUT_CELLS
 
     @property
     def elements(self) -> int:
@@ -239,12 +241,7 @@ class CutCells:
         position = (np.asarray(points, np.float64) - self.lower) / self.cell_size
         element = _element_at(self, position)
         local = np.clip(2 * (position - self.index[element]) / self.width[element, None] - 1, -1, 1)
-        weights, values = shape_functions(local), self.continuity @ values
-        out = np.empty((len(points), values.shape[1]))
-        for start in range(0, len(points), 2048):
-            part = slice(start, start + 2048)
-            out[part] = np.einsum("pi,pic->pc", weights[part], values[self.connectivity[element[part]]])
-        return out
+        return mix_nodes(shape_functions(local), self.continuity @ values, self.connectivity[element])
 
 
 def cut_cells(

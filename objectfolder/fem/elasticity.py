@@ -9,6 +9,8 @@ import scipy.sparse as sp
 
 from objectfolder.materials import Material
 
+GATHERED = 1 << 24  #: nodal values that are in memory at once while points are interpolated
+
 
 @dataclass(frozen=True)
 class FiniteElements:
@@ -65,6 +67,19 @@ class Solid(Protocol):
 
     def interpolate(self, values: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Evaluate a nodal field at points of the unit frame; (N, C), (P, 3) -> (P, C)."""
+
+
+def mix_nodes(weights: np.ndarray, values: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """Return weighted sums of nodal values; (P, n), (N, C), (P, n) -> (P, C).
+
+    In pieces, since the values at the nodes of all points may not fit into memory.
+    """
+    out = np.empty((len(nodes), values.shape[1]))
+    step = max(GATHERED // max(nodes.shape[1] * values.shape[1], 1), 1)
+    for start in range(0, len(nodes), step):
+        part = slice(start, start + step)
+        out[part] = np.einsum("pi,pic->pc", weights[part], values[nodes[part]])
+    return out
 
 
 def elasticity(material: Material) -> np.ndarray:

@@ -17,6 +17,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.elasticity import (
     FiniteElements,
     elasticity,
+    mix_nodes,
     scatter,
     strain_displacement,
     upper_blocks,
@@ -107,7 +108,7 @@ class Tetrahedra:
         row = np.arange(len(points))
         share = share[row, best].clip(0)
         weights = _shapes(share / share.sum(1, keepdims=True))
-        return np.einsum("pi,pic->pc", weights, values[self.connectivity[near[row, best]]])
+        return mix_nodes(weights, values, self.connectivity[near[row, best]])
 
 
 def tetrahedra(vertices: np.ndarray, faces: np.ndarray, resolution: int, name: str = "mesh") -> Tetrahedra:

@@ -15,6 +15,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.elasticity import (
     FiniteElements,
     elasticity,
+    mix_nodes,
     scatter,
     strain_displacement,
     upper_blocks,
@@ -94,7 +95,7 @@ class Voxels:
         element = cKDTree(self.index + 0.5).query(position, p=np.inf)[1]
         local = np.clip(2 * (position - self.index[element]) - 1, -1, 1)
         weights = (1 + CORNERS * local[:, None, :]).prod(-1) / 8
-        return np.einsum("pi,pic->pc", weights, values[self.connectivity[element]])
+        return mix_nodes(weights, values, self.connectivity[element])
 
 
 def voxels(

@@ -1,5 +1,7 @@
 """What every element must do, whatever its shape."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from solids import TURN, box, join
@@ -66,6 +68,20 @@ def test_a_constant_strain_stores_its_energy(element, rng):
     u = (fem.nodes @ gradient.T).ravel()
     expected = strain @ elasticity(STUFF) @ strain * divided.volume * 0.2**3
     assert u @ fem.stiffness @ u == pytest.approx(expected, rel=1e-5)
+
+
+def test_interpolation_holds_a_few_nodal_values_at_once(element, rng, monkeypatch):
+    divided, fem = element
+    points, values = rng.uniform(-0.2, 0.2, (2000, 3)), rng.random((len(fem.nodes), 300))
+    whole = divided.interpolate(values, points)
+    monkeypatch.setattr("objectfolder.fem.elasticity.GATHERED", 20_000)
+    tracemalloc.start()
+    pieces = divided.interpolate(values, points)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    np.testing.assert_allclose(pieces, whole, rtol=1e-12)
+    assert peak < 4 * whole.nbytes  # a hexahedron has eight nodes
+    assert divided.interpolate(values[:, :0], points).shape == (2000, 0)
 
 
 def test_complete_polynomials_are_interpolated_exactly(element, rng):
