@@ -6,9 +6,10 @@ A section of ``params.yaml`` is a frozen dataclass beside the code that uses it.
 
 from typing import Annotated, Literal
 
-from annotated_types import Ge, Gt, Interval
+from annotated_types import Ge, Gt, Interval, MultipleOf
 
 Count = Annotated[int, Ge(1)]
+Even = Annotated[int, Ge(2), MultipleOf(2)]
 Positive = Annotated[float, Gt(0)]
 NonNegative = Annotated[float, Ge(0)]
 Batch = Annotated[int, Ge(2)]

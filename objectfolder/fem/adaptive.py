@@ -17,7 +17,7 @@ from objectfolder.fem.occupancy import MARGIN
 from objectfolder.materials import Material
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.topology import Mesh, signed_volume
-from objectfolder.settings import Count, Positive
+from objectfolder.settings import Count, Even, Positive
 
 _SAMPLES, _MORE_SAMPLES = 100_000, 400_000  # surface points, to find the cells that the surface touches
 _UNKNOWNS = 12  # lower bound per element: one corner and three edge nodes of its own
@@ -34,7 +34,8 @@ _CHEAP, _SURE = 1 / 5, 1 / 3  # grids of this share of the size limit refine to 
 class FineGrids:
     """Finer grids for solids whose first grid is too coarse."""
 
-    resolutions: Annotated[tuple[Count, ...], MinLen(1)]  #: cells along the longest side, coarsest first
+    #: Cells along the longest side, coarsest first; even, since errors are estimated on half of them
+    resolutions: Annotated[tuple[Even, ...], MinLen(1)]
     subdivisions: Annotated[int, Ge(4)]  #: sub-cells along each side of a cell
     max_degrees_of_freedom: Count  #: grids beyond this size are not used
     max_error: Positive  #: accepted estimated relative error of the lowest frequencies
@@ -116,7 +117,10 @@ def refined(
     while rungs := [rung for rung in rungs if possible(rung, solid, limit)]:
         if wanted is None:
             error = candidate.errors(candidate.lowest_frequencies())
-            worst, accepted = max(error) if error else 0.0, fine.max_error
+            if error is None:  # half of the grid falls apart
+                wanted = float(rungs[0])
+                continue
+            worst, accepted = max(error), fine.max_error
             if worst <= accepted:
                 accepted, limit = _SURE * accepted, _CHEAP * fine.max_degrees_of_freedom
             if worst <= accepted:

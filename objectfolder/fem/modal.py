@@ -1,5 +1,6 @@
 """Modal analysis of a solid: modes at points of its surface."""
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -9,6 +10,7 @@ from annotated_types import Ge, Gt
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.accuracy import ESTIMATED, Discretisation, resolved_frequency
 from objectfolder.fem.adaptive import FineGrids, refined
+from objectfolder.fem.cutcell import CUT_CELLS
 from objectfolder.fem.elasticity import Solid
 from objectfolder.materials import Material
 from objectfolder.mesh.sampling import sample_surface
@@ -188,6 +190,9 @@ def shape_points(vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.ra
 def uncertainty_warning(report: dict[str, Any], allow: bool, name: str = "object") -> str | None:
     """Describe an estimated error of the lowest frequencies above `CERTAIN`; None below.
 
+    Cut cells whose error cannot be estimated, since half of their grid falls apart, count as above `REFUSED`.
+    Other elements have no estimates.
+
     Parameters
     ----------
     report : dict
@@ -200,13 +205,20 @@ def uncertainty_warning(report: dict[str, Any], allow: bool, name: str = "object
     Raises
     ------
     ObjectFolderError
-        If the error exceeds `REFUSED` and is not allowed.
+        If the error exceeds `REFUSED`, or is not known, and is not allowed.
     """
-    error = report["frequency_uncertainty"] or 0.0
+    error, grid = report["frequency_uncertainty"], f"{report['resolution']}^3"
+    if error is None:
+        if report["element"] != CUT_CELLS or not report["modes"]:
+            return None
+        error, text = (
+            math.inf,
+            f"{name}: frequencies may be wrong: the {grid} grid is too coarse to say how much",
+        )
+    else:
+        text = f"{name}: frequencies may be {error:.0%} wrong: the walls are thin for the {grid} grid"
     if error <= CERTAIN:
         return None
-    grid = f"{report['resolution']}^3"
-    text = f"{name}: frequencies may be {error:.0%} wrong: the walls are thin for the {grid} grid"
     if error > REFUSED and not allow:
         raise ObjectFolderError(
             f"{text}; thicken them, raise modal.fine.max_degrees_of_freedom, or set modal.allow_uncertain"

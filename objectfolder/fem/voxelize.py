@@ -26,6 +26,15 @@ class VoxelizeConfig:
     #: Samples of the distance grid along each axis, or more where walls are thin (`fitting_grid`)
     sdf_resolution: Annotated[int, Interval(ge=16, le=FINEST)]
 
+    def __post_init__(self) -> None:
+        """Refuse grids on half of which no error can be estimated."""
+        odd = [resolution for resolution in self.resolutions if resolution % 2]
+        if odd and self.element == "cut_cell_hex20":
+            raise ValueError(
+                f"resolutions: {odd[0]} is odd, expected even numbers: the errors of cut cells are "
+                "estimated on half of them"
+            )
+
 
 @dataclass(frozen=True)
 class Voxelization:

@@ -107,6 +107,18 @@ def test_small_grids_are_refined_until_a_third_of_the_error_is_accepted(monkeypa
     assert refine(THICK).resolution == 8
 
 
+def test_without_an_estimate_the_next_grid_is_tried(monkeypatch):
+    asked = []
+    monkeypatch.setattr(Discretisation, "lowest_frequencies", lambda *_: np.ones(1))
+    monkeypatch.setattr(
+        Discretisation,
+        "errors",
+        lambda candidate, _: asked.append(candidate.solid.resolution) or ([0.01] if len(asked) > 1 else None),
+    )
+    assert refine(THICK).resolution == 12
+    assert asked == [8, 12]
+
+
 def test_steps_are_repeated_until_the_error_is_accepted(monkeypatch):
     estimating(monkeypatch, {8: 0.021, 12: 0.021})
     assert refine(THICK).resolution == 16

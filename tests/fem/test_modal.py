@@ -81,10 +81,19 @@ def test_the_uncertainty_is_the_largest_estimated_error(cells):
     assert silent["frequency_uncertainty"] is None
 
 
-@pytest.mark.parametrize(("error", "said"), [(None, None), (0.1, None), (0.11, "11%"), (0.3, "30%")])
+@pytest.mark.parametrize(("error", "said"), [(0.1, None), (0.11, "11%"), (0.3, "30%")])
 def test_uncertain_frequencies_are_warned_of(error, said):
     warning = uncertainty_warning({"frequency_uncertainty": error, "resolution": 32}, False, "cabinet")
     assert warning is None if said is None else f"cabinet: frequencies may be {said} wrong" in warning
+
+
+def test_cut_cells_without_an_estimate_are_as_uncertain_as_can_be():
+    report = {"frequency_uncertainty": None, "resolution": 32, "element": "hex20 cut cells", "modes": 3}
+    assert "too coarse to say how much" in uncertainty_warning(report, True, "cabinet")
+    with pytest.raises(ObjectFolderError, match=r"cabinet: .*too coarse.*modal\.allow_uncertain"):
+        uncertainty_warning(report, False, "cabinet")
+    for certain in ({"element": "tet10"}, {"modes": 0}):
+        assert uncertainty_warning(report | certain, False, "cabinet") is None
 
 
 def test_very_uncertain_frequencies_are_refused_unless_allowed():

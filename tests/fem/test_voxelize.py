@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -39,6 +40,12 @@ def test_report_states_what_both_grids_hold():
     assert grid["volume_share_kept"] == pytest.approx(1, abs=0.03)
     area = 2 * (0.5 + 0.25 + 0.125)
     assert grid["samples_in_band"] == pytest.approx(area * 2 * voxels.band / (1.04 / 47) ** 3, rel=0.1)
+
+
+def test_cut_cells_have_even_grids_whose_errors_can_be_estimated():
+    with pytest.raises(ValueError, match=r"resolutions: 33 is odd, expected even numbers"):
+        replace(CONFIG, resolutions=(33, 24))
+    assert replace(CONFIG, element="hex8", resolutions=(33,)).resolutions == (33,)
 
 
 def test_sound_may_have_another_solid_than_sight_and_touch():

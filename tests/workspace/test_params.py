@@ -227,6 +227,12 @@ def test_an_unrelated_broken_section_does_not_matter_to_a_stage(write, values):
         ("modal", "max_modez", 3),
         ("voxelize", "resolutions", []),
         ("voxelize", "resolutions", [32, "x"]),
+        ("voxelize", "resolutions", [33]),
+        (
+            "modal",
+            "fine",
+            {"resolutions": [33], "subdivisions": 4, "max_degrees_of_freedom": 9, "max_error": 0.1},
+        ),
         ("voxelize", "sdf_resolution", 4),
         ("train_audio", "sizes", []),
         ("train_audio", "sizes", [{"modes": 1}]),
