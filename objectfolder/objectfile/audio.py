@@ -315,8 +315,8 @@ class ModalSense:
             phasors = strengths.cpu() * torch.from_numpy(tuning.shape_factor * pressure.conj()) * s**2
             sounds[part] = bank.mix((phasors * torch.exp(s * rest[part])).to(torch.complex64))
             if contact_time:
-                for sound, *one in zip(sounds[part], phasors, rest[part]):
-                    _press(sound, bank.sample_rate, s, *one, contact_time)
+                for sound, turned, left in zip(sounds[part], phasors, rest[part]):
+                    _press(sound, bank.sample_rate, s, turned, left, contact_time)
         for sound, samples in zip(sounds, late):
             if samples:
                 sound[samples:] = sound[:-samples].copy() if samples < len(sound) else 0
