@@ -156,7 +156,7 @@ class ModalStream:
             by_force, by_change = (
                 (ears[:, part] * factor).imag @ size[part] for factor in pressing(s[part], pulse.duration)
             )
-            heard[:, low:high] += np.outer(by_force, wave.imag) + turn * np.outer(by_change, wave.real)
+            heard[:, low:high] += np.outer(by_force, wave.imag) + np.outer(by_change, wave.real)
         return added
 
 

@@ -177,23 +177,22 @@ def half_sine_response(
 
 
 def half_sine(time: torch.Tensor, contact_time: float) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return a half sine of unit impulse, and its derivative, at times since its start; 0 outside it.
+    """Return a half sine of unit impulse, and its derivative over pi / T; 0 outside the contact time T.
 
     Parameters
     ----------
     time : tensor
-        Seconds.
+        Since its start, seconds.
     contact_time : float
-        Seconds, positive.
+        T, seconds, positive.
 
     Returns
     -------
     two tensors of the shape of ``time``
-        1/s and 1/s^2.
+        1/s
     """
     turn, touching = math.pi / contact_time, (time >= 0) & (time <= contact_time)
-    force, change = turn / 2 * torch.sin(turn * time), turn**2 / 2 * torch.cos(turn * time)
-    return force * touching, change * touching
+    return turn / 2 * torch.sin(turn * time) * touching, turn / 2 * torch.cos(turn * time) * touching
 
 
 def pressing(s: Any, contact_time: float) -> tuple[Any, Any]:
@@ -201,7 +200,8 @@ def pressing(s: Any, contact_time: float) -> tuple[Any, Any]:
 
     A mode rings as the imaginary part of G z, with z' = s z + f. Its acceleration, times w, is the imaginary
     part of s^2 z + s f + f'. So G / s^2 is the pressure per acceleration, and while the force acts, the
-    imaginary parts of G times these factors add the force f and its derivative f'.
+    imaginary parts of G times these factors add the parts of `half_sine`: the force f, and its derivative f'
+    over pi / T.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ def pressing(s: Any, contact_time: float) -> tuple[Any, Any]:
     """
     turned = s.imag * contact_time
     share = turned**2 / (turned**2 + _SLOW**2)
-    return 1 / s, share / s**2
+    return 1 / s, share * (math.pi / contact_time) / s**2
 
 
 def response_at(

@@ -110,6 +110,12 @@ def test_a_late_sound_is_that_of_a_finer_rate(brick, struck, contact):
     np.testing.assert_allclose(coarse, fine[::10], atol=1e-5 * np.abs(fine).max())
 
 
+def test_a_vanishing_contact_is_an_impulse(brick, struck):
+    options = {"duration": 0.01, "listener": [[0.3, 0.4, 1.2]]}
+    one, other = (brick.impact(struck, UP, **options, contact_time=t)[:, 1:] for t in (1e-300, 0.0))
+    np.testing.assert_allclose(one, other, atol=1e-5 * np.abs(other).max())
+
+
 @pytest.mark.parametrize("striker", ["steel", "finger"])
 def test_a_stream_sounds_the_same(brick, struck, striker):
     place, contact = np.array([[0.3, 0.4, 1.2]]), brick.contact_time(striker)
