@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from objectfolder.audio.contact import Striker
+from objectfolder.audio.contact import Striker, as_striker
 from objectfolder.audio.tuning import Tuning
 from objectfolder.checks import real_array, require_memory, whole_number
 from objectfolder.errors import ObjectFolderError, shortened
@@ -470,8 +470,9 @@ class ObjectFile:
         material, scale
             As in `impact`.
         """
-        settings = SoundSettings.checked(16000, 1.0, "displacement", None, material, scale, striker, 0)
-        return self._parts.audio.contact_time(settings.striker, settings.material, settings.scale) or 0.0
+        tip = as_striker(striker)
+        settings = SoundSettings.checked(16000, 1.0, "displacement", None, material, scale, tip, 0)
+        return self._parts.audio.contact_time(tip, settings.material, settings.scale) or 0.0
 
     def voice(
         self, sample_rate: float = 48000, material: str | Material | None = None, scale: float | None = None
