@@ -21,6 +21,7 @@ from objectfolder.benchmarks.datasets.samples import (
 from objectfolder.benchmarks.datasets.splits import label_order
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_json, read_npz
+from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace.layout import MODALITIES
 
 VERSION = 1  #: of the sampling procedure and the format; other versions are refused
@@ -111,6 +112,16 @@ class Observations(Samples):
             for key, folder in self._folders.items()
         ]
         return gather_rows(whole, rows)
+
+    def untouched(self, rows: np.ndarray) -> np.ndarray:
+        """Return which touches of rows are presses that miss: pictures of the bare gel; (B,) bool."""
+        missed = np.zeros(len(rows), bool)
+        for i, key in enumerate(self.keys):
+            mine = np.asarray(rows) // self.count == i
+            if self.records[key]["arrays"]["touch"]["empty"] and mine.any():  # loading a file takes a second
+                bare = ObjectFile.load(self.object_file(key)).sensor_background
+                missed[mine] = (self.read("touch", rows[mine]) == bare).all((1, 2, 3))
+        return missed
 
     def object_file(self, key: str) -> Path:
         """Return the path of the observed Object File."""

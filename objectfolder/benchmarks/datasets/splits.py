@@ -10,7 +10,7 @@ An object that replaces another in a catalogue takes its split, and a label of i
 import csv
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 
@@ -137,54 +137,52 @@ def named_split(name: str, keys: Sequence[str], count: int) -> Split:
     return NAMED[name](keys, count)
 
 
-def without_duplicates(
-    split: Split, observations: Samples, modalities: Sequence[str]
-) -> tuple[Split, dict[str, dict[str, int]]]:
-    """Drop validation and test rows that duplicate earlier rows byte by byte.
+def repeated_rows(split: Split, observations: Samples, modality: str) -> np.ndarray:
+    """Find validation and test rows whose input repeats an earlier one of the same object, byte by byte.
 
-    Two presses on a flat face may give the same image. A validation row is dropped if any of its modalities
-    equals that of a training row of any object; a test row also if it equals that of a validation row.
+    A net may know the answer to such an input by heart. What occurs under several objects gives none away: it
+    tells nothing, as the picture of a press that misses.
 
     Parameters
     ----------
     split : Split
-    observations : Observations
-    modalities : sequence of str
-        Inputs of the task.
+    observations : Samples
+    modality : str
 
     Returns
     -------
-    Split
-    dict
-        By modality, how many rows of ``val`` and of ``test`` had a duplicate.
+    (rows,) bool
+        Of all observations. Rows for training come before those for validation, and these before the tests.
+    """
+    labels = observations.labels
+    repeated = np.zeros(len(labels), bool)
+    owners: dict[bytes, set[int]] = {}  # objects with an input among the earlier rows
+    for part in (split.train, split.val, split.test):
+        found = list(zip(_digests(observations, modality, part), labels[part].tolist()))
+        repeated[part] = [owners.get(digest) == {label} for digest, label in found]
+        for digest, label in found:
+            owners.setdefault(digest, set()).add(label)
+    repeated[split.train] = False
+    return repeated
+
+
+def without_rows(split: Split, dropped: np.ndarray) -> Split:
+    """Drop validation and test rows, given which of all rows to drop; (rows,) bool.
 
     Raises
     ------
     ObjectFolderError
         If no validation or no test row is left.
     """
-    duplicated = {
-        "val": np.zeros((len(modalities), len(split.val)), bool),
-        "test": np.zeros((len(modalities), len(split.test)), bool),
-    }
-    for i, modality in enumerate(modalities):
-        seen = set(_digests(observations, modality, split.train))
-        held = list(_digests(observations, modality, split.val))
-        duplicated["val"][i] = [digest in seen for digest in held]
-        seen.update(held)
-        duplicated["test"][i] = [digest in seen for digest in _digests(observations, modality, split.test)]
-    counts = {
-        modality: {name: int(found[i].sum()) for name, found in duplicated.items()}
-        for i, modality in enumerate(modalities)
-    }
-    val, test = (getattr(split, name)[~found.any(0)] for name, found in duplicated.items())
+    val, test = (rows[~dropped[rows]] for rows in (split.val, split.test))
     for name, rows in (("validation", val), ("test", test)):
         if not len(rows):
             raise ObjectFolderError(
-                f"split {split.name}: every {name} row has a duplicate among the rows before it ({counts}); "
-                "are the objects silent, or all alike? Leave out such a modality or such objects"
+                f"split {split.name}: every {name} row repeats an input of its object among the rows before "
+                "it; are the objects silent, or all views and touches of an object alike? Leave out such "
+                "objects"
             )
-    return Split(split.name, split.train, val, test), counts
+    return replace(split, val=val, test=test)
 
 
 def _digests(observations: Samples, modality: str, rows: np.ndarray) -> Iterable[bytes]:

@@ -267,10 +267,7 @@ def _modalities(scores: Mapping[str, Any], published: Mapping[str, float]) -> li
     for kind, name in (("touches", "T"), ("touches_not_flat", "T, not flat")):
         for size, score in sorted(scores.get(kind, {}).items(), key=lambda item: int(item[0])):
             together = name if size == "1" else f"{name}, {size} together"
-            if together == "T":
-                of_one = rows.index(next(row for row in rows if row[0] == "T"))
-                rows[of_one] = ("T", *_seeds(scores["T"] | {"bound": score["bound"]}), rows[of_one][-1])
-            else:
+            if together != "T":  # its row is above, over all rows
                 rows.append((together, *_seeds(score), "-"))
     return rows
 
@@ -285,9 +282,9 @@ def _touches_note(scores: Mapping[str, Any]) -> str:
     if "flat" not in scores:
         return ""
     return (
-        f" Of the test touches {100 * scores['flat']:.0f} % are on flat ground, which tells nothing; bound: "
-        "all others are answered correctly. Together: by the mean log probability of random test "
-        "touches of an object."
+        f" Of the test touches {100 * scores['flat']:.0f} % are on flat ground or miss, which tells nothing; "
+        "bound: all others are answered correctly. Together: by the mean log probability of random test "
+        "touches of an object; this and not flat as means over objects."
     )
 
 
@@ -307,7 +304,7 @@ def _retrieval(split: str, scores: Mapping[str, Any]) -> Table:
 
 
 def _reconstruction(split: str, scores: Mapping[str, Any]) -> Table:
-    rows = []
+    rows, counts = [], scores["rows"]
     names = NAMES | {"T": f"{scores.get('touches')} touches"}
     for variant, paper in PAPER_RECONSTRUCTION.items():
         if variant not in scores:  # of results from before touches
@@ -321,7 +318,8 @@ def _reconstruction(split: str, scores: Mapping[str, Any]) -> Table:
         f"3D reconstruction, {split} objects",
         ("from", "IoU", "Chamfer-L1", "normal consistency", "paper: IoU / Chamfer-L1 / normal consistency"),
         rows,
-        _note(scores),
+        f"{counts['train']} rows to train with; of each object the first {scores['views']} for validation and "
+        f"for the test, {counts['val']} and {counts['test']} in all; {_repeats_note(scores)}",
     )
 
 
@@ -363,13 +361,20 @@ def _stability(split: str, scores: Mapping[str, Any]) -> Table:
 
 def _note(scores: Mapping[str, Any]) -> str:
     """Describe the rows of a split."""
-    rows, duplicates = scores["rows"], scores["duplicates"]
-    dropped = ", ".join(
-        f"{counts['test']} of {name}" for name, counts in duplicates.items() if counts["test"]
-    )
+    rows = scores["rows"]
     return (
         f"{rows['train']} rows to train with, {rows['val']} for validation, {rows['test']} for the test; "
-        f"test rows with a duplicate in training or validation, which were dropped: {dropped or 'none'}."
+        + _repeats_note(scores)
+    )
+
+
+def _repeats_note(scores: Mapping[str, Any]) -> str:
+    counts = scores["duplicates"]
+    found = ", ".join(f"{parts['test']} of {name}" for name, parts in counts.items() if parts["test"])
+    lost = ", ".join(f"{key} ({name})" for name, keys in scores.get("untested", {}).items() for key in keys)
+    return (
+        "test rows that repeat an input of their object, and were dropped where nothing else is sensed: "
+        f"{found or 'none'}." + (f" Without a test row: {lost}." if lost else "")
     )
 
 

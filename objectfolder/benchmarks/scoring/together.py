@@ -68,3 +68,9 @@ def bound_together(flat: np.ndarray, labels: np.ndarray, objects: np.ndarray, si
         return None
     guessed = np.bincount(classes, hidden).max()
     return float(1 - (np.sum(hidden) - guessed) / len(hidden))
+
+
+def bound_alone(flat: np.ndarray, labels: np.ndarray) -> float:
+    """Compute the bound of the accuracy over all observations, each alone; see `bound_together`."""
+    guessed = np.bincount(labels[flat]).max() if flat.any() else 0
+    return float(1 - (flat.sum() - guessed) / len(flat))

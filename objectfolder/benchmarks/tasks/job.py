@@ -1,7 +1,7 @@
 """Input of a task, with the steps that all tasks share: reading, training, and caching finished parts."""
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -11,7 +11,7 @@ import torch
 from torch import nn
 
 from objectfolder.benchmarks.datasets.samples import Samples
-from objectfolder.benchmarks.datasets.splits import Split, without_duplicates
+from objectfolder.benchmarks.datasets.splits import Split, repeated_rows, without_rows
 from objectfolder.benchmarks.models.encoders import (
     Ground,
     InputSizes,
@@ -31,6 +31,27 @@ SPECTRA_BYTES = 2**30  #: of all spectrograms, up to which they are kept: they t
 
 _Params = TypeVar("_Params", bound=TrainingConfig)
 _Batch = TypeVar("_Batch")
+
+
+class Kept:
+    """Tensors of rows that are the same in all epochs, each computed once.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Of all rows together.
+    """
+
+    def __init__(self, shape: tuple[int, ...]):
+        self._values, self._known = torch.empty(shape), np.zeros(shape[0], bool)
+
+    def of(self, rows: np.ndarray, make: Callable[[np.ndarray], torch.Tensor]) -> torch.Tensor:
+        """Return the tensors of rows; ``make`` computes those that are missing."""
+        missing = np.unique(rows[~self._known[rows]])
+        if len(missing):
+            self._values[missing] = make(missing)
+            self._known[missing] = True
+        return self._values[rows]
 
 
 @dataclass(frozen=True)
@@ -53,23 +74,71 @@ class Job(Generic[_Params]):
     shift: int = 0  #: pixels by which touches are moved at most in training
     precision: Precision = "float32"  #: of training
     flip: bool = False  #: half of the views in training
+    #: Inputs by modality, shared by jobs on parts of the split.
+    kept: dict[str, Kept] = field(default_factory=dict, compare=False, repr=False)
 
-    def without_duplicates(self, modalities: Sequence[str]) -> tuple["Job[_Params]", dict[str, Any]]:
-        """Drop validation and test rows that duplicate training rows.
+    def repeats(self, modalities: Iterable[str]) -> dict[str, np.ndarray]:
+        """Return which rows repeat an input of their object, by modality; see `repeated_rows`."""
+        return {name: repeated_rows(self.split, self.observations, name) for name in modalities}
+
+    def without_repeats(self, repeats: Mapping[str, np.ndarray], *together: Sequence[str]) -> "Job[_Params]":
+        """Drop the validation and test rows all of whose inputs repeat.
+
+        Parameters
+        ----------
+        repeats : mapping
+            Of `repeats`.
+        together : sequences of str
+            Modalities that a net receives together. Of several sets, one that repeats as a whole suffices.
+        """
+        dropped = np.any([np.all([repeats[name] for name in some], 0) for some in together], 0)
+        return replace(self, split=without_rows(self.split, dropped))
+
+    def counts(self, repeats: Mapping[str, np.ndarray]) -> dict[str, Any]:
+        """Count rows.
+
+        Returns
+        -------
+        dict
+            Numbers of ``objects``, of ``rows`` in each part of the split, and by modality of ``duplicates``,
+            rows of each part that repeat an input of their object.
+        """
+        split = self.split
+        return {
+            "objects": len(self.observations.keys),
+            "rows": {part: len(getattr(split, part)) for part in SPLITS},
+            "duplicates": {
+                name: {part: int(found[getattr(split, part)].sum()) for part in ("val", "test")}
+                for name, found in repeats.items()
+            },
+        }
+
+    def untested(self, used: "Job[_Params]") -> list[str]:
+        """Return the test objects that have no test row in another job."""
+        labels = self.observations.labels
+        lost = np.setdiff1d(labels[self.split.test], labels[used.split.test])
+        return [self.observations.keys[label] for label in lost]
+
+    def without_duplicates(self, *together: Sequence[str]) -> tuple["Job[_Params]", dict[str, Any]]:
+        """Drop validation and test rows that repeat inputs of their object.
+
+        Parameters
+        ----------
+        together : sequences of str
+            See `without_repeats`.
 
         Returns
         -------
         Job
         dict
-            Numbers of ``objects``, of ``rows`` in each part of the split, and of dropped ``duplicates`` by
-            modality.
+            `counts`, with the ``rows`` that are left; and ``untested``, the objects without a test row: under
+            ``all``, if there are any.
         """
-        split, duplicates = without_duplicates(self.split, self.observations, modalities)
-        return replace(self, split=split), {
-            "objects": len(self.observations.keys),
-            "rows": {part: len(getattr(split, part)) for part in SPLITS},
-            "duplicates": duplicates,
-        }
+        repeats = self.repeats(dict.fromkeys(name for some in together for name in some))
+        used = self.without_repeats(repeats, *together)
+        lost = self.untested(used)
+        counts = self.counts(repeats) | {"rows": used.counts({})["rows"]}
+        return used, counts | {"untested": {"all": lost} if lost else {}}
 
     def make_encoder(self, modality: str) -> nn.Module:
         """Make an untrained encoder; call within `objectfolder.seeding.seeded`."""
@@ -80,8 +149,8 @@ class Job(Generic[_Params]):
 
         With a generator they are those of training: views cropped and flipped, touches moved, at random.
         """
-        if modality == "audio" and self._spectra is not None:
-            return self._kept_spectra(self._spectra, rows).to(self.device)
+        if modality == "audio":
+            return self._spectra(rows).to(self.device)
         raw = self.observations.read(modality, rows)
         inputs = encoder_inputs(modality, raw, self.sizes, rng, self.device)
         if modality == "vision" and self.flip and rng is not None:
@@ -92,19 +161,16 @@ class Job(Generic[_Params]):
             inputs = shifted(inputs, self.shift, rng)
         return inputs
 
-    @cached_property
-    def _spectra(self) -> tuple[torch.Tensor, np.ndarray] | None:
-        """Encoder inputs of all sounds, filled in as they are needed, and which are; None if too large."""
-        shape = (len(self.observations.labels), 1, *self.sizes.spectrogram)
-        return (torch.empty(shape), np.zeros(shape[0], bool)) if 4 * np.prod(shape) <= SPECTRA_BYTES else None
+    def _spectra(self, rows: np.ndarray) -> torch.Tensor:
+        """Return the encoder inputs of sounds; each is computed once, unless all are too large to keep."""
 
-    def _kept_spectra(self, spectra: tuple[torch.Tensor, np.ndarray], rows: np.ndarray) -> torch.Tensor:
-        kept, known = spectra
-        missing = np.unique(rows[~known[rows]])
-        if len(missing):
-            kept[missing] = encoder_inputs("audio", self.observations.read("audio", missing), self.sizes)
-            known[missing] = True
-        return kept[rows]
+        def make(some: np.ndarray) -> torch.Tensor:
+            return encoder_inputs("audio", self.observations.read("audio", some), self.sizes)
+
+        shape = (len(self.observations.labels), 1, *self.sizes.spectrogram)
+        if 4 * np.prod(shape) > SPECTRA_BYTES:
+            return make(rows)
+        return self.kept.setdefault("audio", Kept(shape)).of(rows, make)
 
     @cached_property
     def ground(self) -> Ground:

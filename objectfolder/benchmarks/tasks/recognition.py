@@ -20,7 +20,7 @@ from objectfolder.benchmarks.models.classifier import Classifier, Inputs, join_c
 from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig, batch_count, shuffled
 from objectfolder.benchmarks.reporting.confusion import draw_confusion
 from objectfolder.benchmarks.scoring.scores import accuracy, interval_95
-from objectfolder.benchmarks.scoring.together import accuracy_together, bound_together
+from objectfolder.benchmarks.scoring.together import accuracy_together, bound_alone, bound_together
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.running import Task
 from objectfolder.errors import ObjectFolderError
@@ -55,6 +55,24 @@ class Target:
     labels: np.ndarray  #: (rows,) int64, the class of each row
 
 
+@dataclass(frozen=True)
+class _Setting:
+    """What all nets share."""
+
+    #: By combination, without validation and test rows all of whose inputs of these modalities repeat.
+    jobs: dict[str, Job[RecognizeConfig]]
+    target: Target
+    flat: np.ndarray  #: (n,) bool: test touches of "T" that tell nothing
+
+    @classmethod
+    def of(cls, job: Job[RecognizeConfig], repeats: dict[str, np.ndarray], target: Target) -> "_Setting":
+        jobs = {
+            name: job.without_repeats(repeats, [LETTERS[letter] for letter in name]) for name in COMBINATIONS
+        }
+        observations, test = cast(Observations, job.observations), jobs["T"].split.test
+        return cls(jobs, target, (observations.relief(test) < FLAT) | observations.untouched(test))
+
+
 def recognize(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train and score the recognition of instances (main paper, Table 2).
 
@@ -69,10 +87,11 @@ def recognize(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[list[Any]
         By combination (``V`` to ``VAT``) the ``accuracy``, its ``interval_95`` (half width over the training
         seeds, None for one), and the accuracies of the ``seeds``; ``touches`` and ``touches_not_flat``: the
         same by number of touches, of all and of those with a relief of `FLAT` or more, with their ``bound``
-        (`bound_together`); ``flat``, the share of flat test touches; ``confusion`` of VAT (K, K), by object
-        and answer, summed over the seeds; ``chance`` (``uniform``: 1/K, ``majority``: the share of the
-        commonest object in the test rows); the counts of `Job.without_duplicates`, and ``seconds`` of
-        training.
+        (`bound_together`), also of T (`bound_alone`); ``flat``, the share of test touches that are on flat
+        ground or miss the object; ``confusion`` of VAT (K, K), by object and answer, summed over the seeds;
+        ``chance`` (``uniform``: 1/K of the K classes that are learnt, ``majority``: the share of the
+        commonest object in the test rows); `Job.counts` before any row is dropped; ``untested``, by
+        combination the objects without a test row; and ``seconds`` of training.
     list
         Rows of the training curves: `CURVE_COLUMNS`.
 
@@ -134,28 +153,34 @@ def classify_materials(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[
 
 def _classified(job: Job[RecognizeConfig], target: Target) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train and score all combinations; see `recognize`."""
-    params = job.params
-    job, rows = job.without_duplicates(tuple(LETTERS.values()))
-    finished = {
-        (run, name): _finished(job, target, run, name) for run in range(params.seeds) for name in COMBINATIONS
-    }
-    labels, classes = target.labels[job.split.test], len(target.names)
+    seeds = range(job.params.seeds)
+    repeats = job.repeats(LETTERS.values())
+    setting = _Setting.of(job, repeats, target)
+    finished = {(run, name): _finished(setting, run, name) for run in seeds for name in COMBINATIONS}
+    classes = len(target.names)
     scores: dict[str, Any] = {}
     confusion = {name: np.zeros((classes, classes), np.int64) for name in COMBINATIONS}
-    for name in COMBINATIONS:
-        predicted = [np.array(finished[run, name]["predicted"]) for run in range(params.seeds)]
+    for name, used in setting.jobs.items():
+        labels = target.labels[used.split.test]
+        predicted = [np.array(finished[run, name]["predicted"]) for run in seeds]
         scores[name] = _over_seeds([accuracy(p, labels) for p in predicted])
         for answer in predicted:
             np.add.at(confusion[name], (labels, answer), 1)
     title = f"Answers of split {job.split.name}, share of each class"
     draw_confusion(title, {k: confusion[k] for k in PANELS}, target.names, job.progress / "sheet.png")
+    scores["T"]["bound"] = bound_alone(setting.flat, target.labels[setting.jobs["T"].split.test])
     curve = [[run, name, *row] for (run, name), unit in finished.items() for row in unit["curve"]]
+    learnt, tested = (target.labels[rows] for rows in (job.split.train, job.split.test))
     return {
         **scores,
-        **_touches(job, target, [finished[run, "T"]["together"] for run in range(params.seeds)]),
+        **_touches(setting, [finished[run, "T"]["together"] for run in seeds]),
         "confusion": confusion["VAT"].tolist(),
-        "chance": {"uniform": 1 / classes, "majority": float(np.bincount(labels).max() / len(labels))},
-        **rows,
+        "chance": {
+            "uniform": 1 / len(np.unique(learnt)),
+            "majority": float(np.bincount(tested).max() / len(tested)),
+        },
+        **job.counts(repeats),
+        "untested": {name: lost for name, used in setting.jobs.items() if (lost := job.untested(used))},
         "seconds": sum(unit["seconds"] for unit in finished.values()),
     }, curve
 
@@ -165,10 +190,9 @@ def _over_seeds(accuracies: list[float]) -> dict[str, Any]:
     return {"accuracy": mean, "interval_95": interval_95(accuracies), "seeds": accuracies}
 
 
-def _touches(job: Job[RecognizeConfig], target: Target, runs: list[dict[str, Any]]) -> dict[str, Any]:
+def _touches(setting: _Setting, runs: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the scores by number of touches over the seeds, with bounds."""
-    test = job.split.test
-    flat, labels, objects = _flat(job, test), target.labels[test], job.observations.labels[test]
+    flat, labels, objects = setting.flat, *_of_touches(setting)
     scores: dict[str, Any] = {"flat": float(flat.mean())}
     for kind, used in _kinds(flat).items():
         scores[kind] = {
@@ -184,38 +208,39 @@ def _kinds(flat: np.ndarray) -> dict[str, np.ndarray]:
     return {"touches": np.ones_like(flat), "touches_not_flat": ~flat}
 
 
-def _flat(job: Job[RecognizeConfig], rows: np.ndarray) -> np.ndarray:
-    """Return whether the touches of rows are on flat ground; (n,) bool."""
-    return cast(Observations, job.observations).relief(rows) < FLAT
+def _of_touches(setting: _Setting) -> tuple[np.ndarray, np.ndarray]:
+    """Return the classes and the objects of the test touches."""
+    job = setting.jobs["T"]
+    return setting.target.labels[job.split.test], job.observations.labels[job.split.test]
 
 
-def _together(job: Job[RecognizeConfig], target: Target, logits: torch.Tensor) -> dict[str, dict[str, float]]:
+def _together(setting: _Setting, logits: torch.Tensor) -> dict[str, dict[str, float]]:
     """Score test touches by number, as far as an object has so many; by kind and number."""
-    test = job.split.test
     log_probabilities = logits.double().log_softmax(1).numpy()
-    labels, objects = target.labels[test], job.observations.labels[test]
+    labels, objects = _of_touches(setting)
     scores: dict[str, dict[str, float]] = {}
-    for kind, used in _kinds(_flat(job, test)).items():
+    for kind, used in _kinds(setting.flat).items():
         scores[kind] = {}
         for size in TOUCHES:
-            rng = numpy_generator(job.seed, "recognize", kind, str(size))
+            rng = numpy_generator(setting.jobs["T"].seed, "recognize", kind, str(size))
             score = accuracy_together(log_probabilities[used], labels[used], objects[used], size, rng)
             if score is not None:
                 scores[kind][str(size)] = score
     return scores
 
 
-def _finished(job: Job[RecognizeConfig], target: Target, run: int, name: str) -> dict[str, Any]:
+def _finished(setting: _Setting, run: int, name: str) -> dict[str, Any]:
     """Return the results of one combination with one seed, trained unless finished earlier."""
+    job = setting.jobs[name]
 
     def make() -> dict[str, Any]:
-        net, curve = _trained(job, target, run, name)
+        net, curve = _trained(setting, run, name)
         start = time.perf_counter()
         logits = _logits(job, net, name, job.split.test)
         seconds = sum(point.seconds for point in curve) + time.perf_counter() - start
         rows = [astuple(point)[:3] for point in curve]
         result = {"predicted": logits.argmax(1).tolist(), "curve": rows, "seconds": seconds}
-        return result | ({"together": _together(job, target, logits)} if name == "T" else {})
+        return result | ({"together": _together(setting, logits)} if name == "T" else {})
 
     result = job.finished(f"{run}_{name}", make)
     # Fusion needs the nets of single modalities, so they are kept until a seed is finished.
@@ -224,13 +249,12 @@ def _finished(job: Job[RecognizeConfig], target: Target, run: int, name: str) ->
     return result
 
 
-def _trained(
-    job: Job[RecognizeConfig], target: Target, run: int, name: str
-) -> tuple[Classifier, list[EpochPoint]]:
+def _trained(setting: _Setting, run: int, name: str) -> tuple[Classifier, list[EpochPoint]]:
     """Train one combination, or read its finished checkpoint."""
+    job, target = setting.jobs[name], setting.target
     params, split, labels = job.params, job.split, target.labels
     if len(name) > 1:
-        net = join_classifiers([_trained(job, target, run, letter)[0] for letter in name])
+        net = join_classifiers([_trained(setting, run, letter)[0] for letter in name])
         epochs, rate = params.fusion_epochs, FUSION_RATE
     else:
         with seeded(job.seed, "recognize", str(run), name):

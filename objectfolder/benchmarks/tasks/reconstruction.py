@@ -6,7 +6,7 @@ network behind the encoders of the other benchmarks. IMAGE2MESH is "V", AUDIO2ME
 """
 
 import time
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from functools import partial
 from pathlib import Path
 from shutil import copyfile
@@ -36,16 +36,19 @@ from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.file import ObjectFile
 
 SHOWN = 8  #: test rows in the picture
+Jobs = dict[str, Job[ReconstructConfig]]  #: by variant
 CURVE_COLUMNS = ("variant", "seed", "epoch", "train_loss", "val_iou")  #: of the training curves
 
 
 def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train and score all variants (main paper, Table 4).
 
-    Test rows are evaluated once, after all choices were made on validation rows. Every variant trains at most
-    ``epochs`` epochs; VA half as many, as it starts from the encoders of V and A, and from the fusion and the
-    decoder of the one that validates better, of the same seed. The first seed's model of views is written to
-    the progress folder as ``model.safetensors``, and a figure of some of its meshes as ``sheet.png``.
+    Variants drop the validation and test rows all of whose inputs repeat an input of their object; T and the
+    average shape drop none. Test rows are evaluated once, after all choices were made on validation rows.
+    Every variant trains at most ``epochs`` epochs; VA half as many, as it starts from the encoders of V and
+    A, and from the fusion and the decoder of the one that validates better, of the same seed. The first
+    seed's model of views is written to the progress folder as ``model.safetensors``, and a figure of some of
+    its meshes as ``sheet.png``.
 
     Returns
     -------
@@ -53,8 +56,9 @@ def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[
         By variant, and ``average_shape`` (the mean occupancy of the training objects): the scores of
         `Truth.scores` over the first ``views`` test rows of each object; ``threshold``; of variants also
         ``epochs`` and ``val_iou``, all as means over the seeds, the IoU of each of the ``seeds`` and its
-        ``interval_95``. Beside them ``perfect``, the surface scores of the truth against itself,
-        the number of ``touches``, the counts of `Job.without_duplicates`, and ``seconds``.
+        ``interval_95``. Beside them ``perfect``, the surface scores of the truth against itself; the numbers
+        of ``touches`` and ``views``; `Job.counts` of these views, before any is dropped; ``untested``, by
+        variant the objects without a test row; and ``seconds``.
     list
         Rows of the training curves: `CURVE_COLUMNS`.
 
@@ -63,24 +67,26 @@ def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[
     ObjectFolderError
         If files or checkpoints are damaged, or training diverges.
     """
-    job, rows = job.without_duplicates(("vision", "audio"))
+    repeats = job.repeats(("vision", "audio"))
+    jobs = {
+        variant: job if variant == "T" else job.without_repeats(repeats, modalities)
+        for variant, modalities in VARIANTS.items()
+    }
     truth = _truth(job)
     finished = {
-        variant: [_finished(job, truth, variant, run) for run in range(job.params.seeds)]
+        variant: [_finished(jobs, truth, variant, run) for run in range(job.params.seeds)]
         for variant in VARIANTS
     }
-    labels, split = job.observations.labels, job.split
-    trained_labels, val, test = (
-        np.unique(labels[split.train]),
-        labels[validation_rows(job)],
-        labels[_test(job)],
-    )
+    used = replace(job.split, val=validation_rows(job), test=_test(job))
+    train, val, test = (job.observations.labels[rows] for rows in (used.train, used.val, used.test))
     scores = {
         **{variant: over_seeds([done["scores"] for done in runs]) for variant, runs in finished.items()},
-        "average_shape": truth.average_shape(trained_labels, val, test),
+        "average_shape": truth.average_shape(np.unique(train), val, test),
         "perfect": truth.floor(np.unique(test)),
         "touches": job.params.touches,
-        **rows,
+        "views": job.params.views,
+        **replace(job, split=used).counts(repeats),
+        "untested": {name: lost for name, some in jobs.items() if (lost := job.untested(some))},
         "seconds": sum(done["seconds"] for runs in finished.values() for done in runs),
     }
     copyfile(_model_path(job, "V", 0), job.progress / "model.safetensors")
@@ -130,13 +136,14 @@ def _model_path(job: Job[ReconstructConfig], variant: str, run: int) -> Path:
     return job.progress / f"{variant}_{run}.safetensors"
 
 
-def _finished(job: Job[ReconstructConfig], truth: Truth, variant: str, run: int) -> dict[str, Any]:
+def _finished(jobs: Jobs, truth: Truth, variant: str, run: int) -> dict[str, Any]:
     """Return scores and curve of a variant and seed, trained unless finished earlier."""
+    job = jobs[variant]
     checkpoint = job.progress / f"{variant}_{run}.pt"
 
     def make() -> dict[str, Any]:
         training = ShapeTraining(job, truth.occupancy, variant, run, checkpoint)
-        model, curve, before = training.trained(*_parts(job, truth, variant, run))
+        model, curve, before = training.trained(*_parts(jobs, truth, variant, run))
         start = time.perf_counter()
         save_model(_model_path(job, variant, run), model)
         scores = _scores(job, truth, variant, model) | {
@@ -153,14 +160,14 @@ def _finished(job: Job[ReconstructConfig], truth: Truth, variant: str, run: int)
     return result
 
 
-def _parts(job: Job[ReconstructConfig], truth: Truth, variant: str, run: int) -> tuple[list[ShapeModel], int]:
+def _parts(jobs: Jobs, truth: Truth, variant: str, run: int) -> tuple[list[ShapeModel], int]:
     """Return the models that a variant starts from, and which of them validates best."""
     modalities = VARIANTS[variant]
     if len(modalities) == 1:
         return [], 0
     names = [name for name, alone in VARIANTS.items() if len(alone) == 1 and alone[0] in modalities]
-    scores = [_finished(job, truth, name, run)["scores"]["val_iou"] for name in names]
-    return [load_model(_model_path(job, name, run)) for name in names], int(np.argmax(scores))
+    scores = [_finished(jobs, truth, name, run)["scores"]["val_iou"] for name in names]
+    return [load_model(_model_path(jobs[name], name, run)) for name in names], int(np.argmax(scores))
 
 
 def _scores(job: Job[ReconstructConfig], truth: Truth, variant: str, model: ShapeModel) -> dict[str, Any]:

@@ -67,7 +67,8 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
     dict
         ``directions``, such as ``V->A`` (sounds from views) or ``V->V``: ``map`` (mean over the seeds), its
         ``interval_95``, ``seeds`` (one value each), ``cca`` and ``chance``. Then what was chosen for ``cca``,
-        the counts of `Job.without_duplicates`, and ``seconds`` of training.
+        the counts of `Job.without_duplicates`, with a row dropped for all pairs if both inputs of one repeat,
+        and ``seconds`` of training.
     list
         Rows of the training curves, see `CURVE_COLUMNS`; ``second`` is empty in pre-training.
 
@@ -82,7 +83,8 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
             f"split {job.split.name} trains on {job.observations.keys[classes[0]]} alone, expected two "
             "objects or more; add training objects"
         )
-    job, rows = job.without_duplicates(MODALITIES)
+    # The same gallery for all pairs, although only some of them may repeat a row.
+    job, rows = job.without_duplicates(*PAIRS)
     labels = job.observations.labels[job.split.test]
     features = {modality: _features(job, modality) for modality in MODALITIES}
     baselines: list[Maps] = []

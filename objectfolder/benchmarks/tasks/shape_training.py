@@ -280,15 +280,15 @@ def first_rows(rows: np.ndarray, labels: np.ndarray, count: int) -> np.ndarray:
 
 
 def validation_rows(job: Job[ReconstructConfig]) -> np.ndarray:
-    """Return the rows to choose epochs and thresholds on; training rows of objects without validation rows.
+    """Return the rows to choose epochs and thresholds on; of validation objects alone with training rows.
 
     A threshold that is best for the few validation objects of the split ``unseen`` may leave all other
     predictions empty.
     """
     labels, split = job.observations.labels, job.split
-    rest = split.train[~np.isin(labels[split.train], labels[split.val])]
-    parts = [first_rows(rows, labels, job.params.views) for rows in (split.val, rest) if len(rows)]
-    return np.concatenate(parts)
+    apart = not np.isin(labels[split.val], labels[split.train]).any()
+    parts = [split.val, split.train] if apart else [split.val]
+    return np.concatenate([first_rows(rows, labels, job.params.views) for rows in parts])
 
 
 def read_sensed(job: Job[ReconstructConfig], modality: str, rows: np.ndarray) -> np.ndarray:

@@ -13,7 +13,8 @@ from objectfolder.benchmarks.datasets.splits import (
     object_split,
     per_object,
     per_sample,
-    without_duplicates,
+    repeated_rows,
+    without_rows,
 )
 from objectfolder.errors import ObjectFolderError
 
@@ -157,45 +158,47 @@ def test_unknown_split_is_refused():
 
 
 class Table:
-    """Rows of one number in each modality."""
+    """Rows of one number, and their objects."""
 
-    def __init__(self, **columns):
-        self.columns = {name: np.array(values, np.float32) for name, values in columns.items()}
+    def __init__(self, values, labels):
+        self.values, self.labels = np.array(values, np.float32), np.array(labels)
 
     def read(self, modality, rows):
-        return self.columns[modality][rows][:, None]
+        assert modality == "touch"
+        return self.values[rows][:, None]
 
 
 def rows(*values):
     return np.array(values, np.int64)
 
 
-def test_planted_duplicates_are_dropped_and_counted():
+def test_planted_copies_within_an_object_are_found():
     split = Split("seen", rows(0, 1, 2, 3), rows(4, 5, 6), rows(7, 8, 9, 10))
-    table = Table(
-        # 5 repeats 1, 7 repeats 0, 9 repeats 4, which validates; 2 and 3, 8 and 10 repeat within a split.
-        touch=[10, 11, 12, 12, 13, 11, 14, 10, 15, 13, 15],
-        # Row 8 repeats 3; 5 repeats 2.
-        audio=[20, 21, 22, 23, 24, 22, 25, 26, 23, 27, 28],
-    )
-    kept, counts = without_duplicates(split, table, ["touch", "audio"])
-    assert counts == {"touch": {"val": 1, "test": 2}, "audio": {"val": 1, "test": 1}}
-    assert kept.train.tolist() == [0, 1, 2, 3]
-    assert kept.val.tolist() == [4, 6]
-    assert kept.test.tolist() == [10]
-    kept, counts = without_duplicates(split, table, ["audio"])
-    assert counts == {"audio": {"val": 1, "test": 1}}
-    assert (kept.val.tolist(), kept.test.tolist()) == ([4, 6], [7, 9, 10])
+    # 5 repeats 1, 7 repeats 0, 9 repeats 4, which validates; 2 and 3, 8 and 10 repeat within a split.
+    table = Table([10, 11, 12, 12, 13, 11, 14, 10, 15, 13, 15], [0] * 11)
+    repeated = repeated_rows(split, table, "touch")
+    assert np.flatnonzero(repeated).tolist() == [5, 7, 9]
+    kept = without_rows(split, repeated)
+    assert (kept.train.tolist(), kept.val.tolist()) == ([0, 1, 2, 3], [4, 6])
+    assert kept.test.tolist() == [8, 10]
 
 
-def test_duplicates_are_told_by_bytes():
+def test_pictures_that_several_objects_share_are_no_copies():
+    """Such as those of presses that miss: to drop them would raise scores."""
+    split = Split("seen", rows(0, 1, 4, 5), rows(2, 6), rows(3, 7, 8))
+    table = Table([9, 1, 2, 9, 9, 3, 4, 9, 3], [0, 0, 0, 0, 1, 1, 1, 1, 1])
+    assert np.flatnonzero(repeated_rows(split, table, "touch")).tolist() == [8]
+    # A picture of another object alone is none either.
+    table = Table([9, 1, 2, 3, 5, 6, 4, 9, 7], table.labels)
+    assert not repeated_rows(split, table, "touch").any()
+
+
+def test_copies_are_told_by_bytes():
     split = Split("seen", rows(0), rows(1), rows(2))
-    kept, counts = without_duplicates(split, Table(audio=[0.0, -0.0, 1e-30]), ["audio"])
-    assert counts == {"audio": {"val": 0, "test": 0}}
-    assert (kept.val.tolist(), kept.test.tolist()) == ([1], [2])
+    assert not repeated_rows(split, Table([0.0, -0.0, 1e-30], [0, 0, 0]), "touch").any()
 
 
-def test_silent_objects_leave_nothing_to_test():
+def test_something_is_left_to_test():
     split = Split("seen", rows(0, 1), rows(2), rows(3))
-    with pytest.raises(ObjectFolderError, match="split seen: every test row has a duplicate"):
-        without_duplicates(split, Table(audio=[0.0, 1.0, 2.0, 0.0]), ["audio"])
+    with pytest.raises(ObjectFolderError, match="split seen: every test row repeats an input of its object"):
+        without_rows(split, np.array([False, False, False, True]))

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from objectfolder.benchmarks.scoring.together import accuracy_together, bound_together
+from objectfolder.benchmarks.scoring.together import accuracy_together, bound_alone, bound_together
 
 LABELS = np.array([0, 0, 0, 1, 1])
 OBJECTS = np.array([5, 5, 5, 2, 2])
@@ -46,3 +46,12 @@ def test_the_best_answers_reach_the_bound():
     scores = np.where(FLAT[:, None], [0.0, 1.0], 100.0 * np.eye(2)[OF_TWO])
     accuracy = accuracy_together(scores, OF_TWO, OF_TWO, 1, np.random.default_rng(0))
     assert accuracy == bound_together(FLAT, OF_TWO, OF_TWO, 1)
+
+
+def test_alone_the_bound_is_one_of_rows_not_of_objects():
+    objects = np.repeat([0, 1, 2], [9, 1, 1])
+    flat = objects > 0
+    best = np.where(flat, 1, objects)  # all others right, flat ones alike
+    assert bound_alone(flat, objects) == np.mean(best == objects)
+    assert bound_together(flat, objects, objects, 1) < bound_alone(flat, objects)
+    assert bound_alone(flat & False, objects) == 1.0

@@ -1,3 +1,4 @@
+import json
 from types import SimpleNamespace
 
 import numpy as np
@@ -54,7 +55,7 @@ class Table:
             ),
             "touch": self._picture(rng, colours[self.labels] // 2, 8, noise),
         }
-        self.reliefs = np.full(rows, 1e-3)
+        self.reliefs, self.missed = np.full(rows, 1e-3), np.zeros(rows, bool)
         self.records = dict(zip(self.keys, ({"material": m} for m in ("wood", "steel", "wood", "steel"))))
         self.reads = {modality: [] for modality in self.arrays}
 
@@ -65,6 +66,9 @@ class Table:
 
     def relief(self, rows):
         return self.reliefs[rows]
+
+    def untouched(self, rows):
+        return self.missed[rows]
 
     def read(self, modality, rows):
         self.reads[modality].append(np.array(rows))
@@ -189,13 +193,14 @@ def test_every_combination_uses_its_modalities_and_no_other(tmp_path):
 
 
 def test_touches_together_and_on_flat_ground(tmp_path):
-    """Of the first two objects, half of the test touches are flat: all of these look alike."""
+    """Of the first two objects, half of the test touches are flat or miss: all of these look alike."""
     table = Table(100, noise=5)
     split = per_sample(table.keys, table.count)
     flat = np.zeros(len(table.labels), bool)
     flat[np.flatnonzero(table.labels < 2)[::2]] = True
     flat[split.test] = np.arange(len(split.test)) % 2 * (table.labels[split.test] < 2) > 0
-    table.reliefs[flat] = 1e-6
+    table.missed[np.flatnonzero(flat)[::2]] = True
+    table.reliefs[flat & ~table.missed] = 1e-6
     rng = np.random.default_rng(0)
     table.arrays["touch"][flat] = 200 + rng.integers(50, size=(flat.sum(), 8, 8, 3))
     scores, _ = _run(table, tmp_path, split, seeds=1, epochs=6, patience=6)
@@ -232,6 +237,7 @@ def test_materials_are_classes_of_their_own_and_those_never_learnt_are_left_out(
     half = Split("unseen", train, val, np.concatenate([rows[0, 27:], test]))
     scores, _ = classify_materials(Job(table, half, params, "small", SIZES, 1, tmp_path / "gold"))
     assert (scores["left_out"], scores["rows"]["test"]) == (["gold"], 3)
+    assert scores["chance"]["uniform"] == 0.5  # of the two that are learnt
     with pytest.raises(ObjectFolderError, match=r"no test object is of a material of .*\(steel, wood\)"):
         classify_materials(Job(table, split, params, "small", SIZES, 1, tmp_path))
     alike = Split("unseen", rows[[0, 2], :25].ravel(), val, test)
@@ -240,17 +246,29 @@ def test_materials_are_classes_of_their_own_and_those_never_learnt_are_left_out(
 
 
 def test_rows_that_were_learnt_are_not_tested(tmp_path):
+    """But where another sense is new; an object that is silent is only lost to hearing alone."""
     table = Table(50)
     split = per_sample(table.keys, table.count)
     table.arrays["touch"][split.test[:3]] = table.arrays["touch"][split.train[:3]]
-    table.arrays["vision"][split.val[4]] = table.arrays["vision"][split.train[70]]
+    table.arrays["vision"][split.val[4]] = table.arrays["vision"][split.train[35]]
+    table.arrays["audio"][table.labels == 3] = 0
     scores, _ = _run(table, tmp_path, split, seeds=1, epochs=1)
-    assert scores["rows"] == {"train": 160, "val": 19, "test": 17}
-    assert scores["duplicates"]["touch"] == {"val": 0, "test": 3}
-    assert scores["duplicates"]["vision"] == {"val": 1, "test": 0}
-    assert np.sum(scores["confusion"]) == 17
-    # The three were of the first object.
-    assert scores["chance"] == {"uniform": 0.25, "majority": 5 / 17}
+    assert scores["rows"] == {"train": 160, "val": 20, "test": 20}
+    assert scores["duplicates"] == {
+        "vision": {"val": 1, "test": 0},
+        "audio": {"val": 5, "test": 5},
+        "touch": {"val": 0, "test": 3},
+    }
+    assert scores["untested"] == {"A": ["die"]}
+    answers = {
+        name: json.loads((tmp_path / f"0_{name}.json").read_text())["predicted"] for name in COMBINATIONS
+    }
+    assert {name: len(rows) for name, rows in answers.items()} == {
+        **dict.fromkeys(COMBINATIONS, 20),
+        **{"A": 15, "T": 17},
+    }
+    assert np.sum(scores["confusion"]) == 20
+    assert scores["chance"] == {"uniform": 0.25, "majority": 0.25}
 
 
 def test_test_rows_are_read_once_with_the_best_epoch(tmp_path):

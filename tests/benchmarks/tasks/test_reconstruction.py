@@ -153,9 +153,9 @@ def test_every_variant_beats_the_average_shape_and_an_interrupted_call_goes_on(
     seen, curves = run(tmp_path / "a", params=params)
     assert set(seen) == {
         *(*VARIANTS, "average_shape", "perfect"),
-        *("touches", "objects", "rows", "duplicates"),
+        *("touches", "views", "objects", "rows", "duplicates", "untested"),
     }
-    assert seen["rows"] == {"train": 64, "val": 8, "test": 8}
+    assert seen["rows"] == {"train": 64, "val": 8, "test": 8}  # two of each object
     for variant in VARIANTS:
         scores = seen[variant]
         assert scores["iou"] > seen["average_shape"]["iou"] + 0.1
@@ -252,6 +252,41 @@ def test_of_objects_without_validation_rows_training_rows_help_to_choose(tmp_pat
     for split, rows in ((seen, seen.val), (unseen, np.concatenate([block[:2], ball[:2], slab[:2]]))):
         job = Job(Observed(), split, PARAMS, "tiny_shapes", SIZES, 0, tmp_path)
         assert validation_rows(job).tolist() == rows.tolist()
+
+
+def test_an_object_without_validation_rows_is_not_validated_on_what_it_learnt(tmp_path):
+    seen = per_sample(Observed.keys, COUNT)
+    silent = replace(seen, val=seen.val[Observed.labels[seen.val] > 0])
+    job = Job(Observed(), silent, PARAMS, "tiny_shapes", SIZES, 0, tmp_path)
+    assert validation_rows(job).tolist() == silent.val.tolist()
+
+
+def test_counts_are_those_of_the_scored_rows_and_a_silent_object_is_lost_to_hearing_alone(
+    occupancy, tmp_path, monkeypatch
+):
+    class Silent(Observed):
+        def read(self, modality, rows):
+            found = super().read(modality, rows)
+            if modality == "audio":
+                found[self.labels[rows] == 1] = 0
+            return found
+
+    tested = {}
+
+    def finished(jobs, truth, variant, run):
+        rows = reconstruction._test(jobs[variant])
+        tested[variant] = np.bincount(Observed.labels[rows], minlength=4).tolist()
+        return {"scores": {"iou": 0.5}, "curve": [], "seconds": 0.0}
+
+    (tmp_path / "V_0.safetensors").touch()
+    monkeypatch.setattr(reconstruction, "_finished", finished)
+    monkeypatch.setattr(reconstruction, "_sheet", lambda *_: np.zeros((1, 1, 3), np.uint8))
+    params = SimpleNamespace(**vars(PARAMS) | {"views": 1})
+    scores, _ = reconstruct(Job(Silent(), SPLIT, params, "tiny_shapes", SIZES, 0, tmp_path))
+    assert tested == {"V": [1] * 4, "A": [1, 0, 1, 1], "T": [1] * 4, "VA": [1] * 4}
+    assert scores["rows"] == {"train": 64, "val": 4, "test": 4}
+    assert scores["duplicates"]["audio"] == {"val": 1, "test": 1}
+    assert scores["untested"] == {"A": ["block"]}
 
 
 def test_average_shape_is_the_mean_of_the_training_objects(occupancy, tmp_path):

@@ -302,10 +302,21 @@ def test_nothing_is_found_where_the_senses_share_nothing(tmp_path):
     assert np.mean([score["cca"] for score in scores]) == pytest.approx(chance, abs=0.05)
 
 
+def test_a_row_is_dropped_for_all_pairs_if_one_of_them_repeats_it(tmp_path):
+    table = Table(3)
+    split = per_sample(table.keys, table.count)
+    table.arrays["audio"][table.labels == 1] = 0  # its views and touches are new, but for one touch
+    table.arrays["touch"][split.test[3]] = table.arrays["touch"][split.train[20]]
+    results, _ = run(table, tmp_path, split, epochs=1)
+    assert results["rows"] == {"train": 48, "val": 6, "test": 5}
+    assert results["duplicates"]["audio"] == {"val": 2, "test": 2}
+    assert results["untested"] == {}
+
+
 def test_test_rows_are_read_after_the_training_only(tmp_path, monkeypatch):
     table = Table()
     split = per_sample(table.keys, table.count)
-    monkeypatch.setattr(Job, "without_duplicates", lambda job, _: (job, {}))
+    monkeypatch.setattr(Job, "without_duplicates", lambda job, *_: (job, {}))
     monkeypatch.setattr(retrieval, "_features", lambda *_: {})
     monkeypatch.setattr(retrieval, "_correlated", lambda *_: ({"V->A": 0.0}, {}))
     monkeypatch.setattr(retrieval, "PAIRS", (("vision", "audio"),))
