@@ -318,8 +318,8 @@ def _reconstruction(split: str, scores: Mapping[str, Any]) -> Table:
         f"3D reconstruction, {split} objects",
         ("from", "IoU", "Chamfer-L1", "normal consistency", "paper: IoU / Chamfer-L1 / normal consistency"),
         rows,
-        f"{counts['train']} rows to train with; of each object the first {scores['views']} for validation and "
-        f"for the test, {counts['val']} and {counts['test']} in all; {_repeats_note(scores)}",
+        f"{counts['train']} rows to train with; of each object the first {scores['views']} for validation "
+        f"and for the test, {counts['val']} and {counts['test']} in all; {_repeats_note(scores)}",
     )
 
 

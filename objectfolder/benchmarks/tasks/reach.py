@@ -60,7 +60,7 @@ def run_episodes(env: Env, policy: Policy, seeds: Iterable[int]) -> EpisodeScore
 
 
 def fresh_seeds(seed: int, key: str, part: str, count: int) -> list[int]:
-    """Draw the seeds of the episodes of a part, ``val`` or ``test``; training uses other goals."""
+    """Draw the seeds of the episodes of a part, such as ``val`` or ``test``; training uses other goals."""
     return [int(s) for s in numpy_generator(seed, "reach", key, part).integers(2**31, size=count)]
 
 
@@ -92,6 +92,8 @@ def environment_class(task: str) -> Callable[..., Env]:
 def reach(job: RobotJob[ReachConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train PPO with one object on the table, and score it on goals not used in training.
 
+    Those of each training seed are others; baselines are scored on those of the first.
+
     Parameters
     ----------
     job : RobotJob
@@ -116,11 +118,16 @@ def reach(job: RobotJob[ReachConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
     """
     task, body, params, seed, progress = job.task, job.body, job.params, job.seed, job.progress
     make = partial(environment_class(task), body, horizon=params.horizon)
-    goals = {part: fresh_seeds(seed, body.key, part, params.goals) for part in ("val", "test")}
+    val = fresh_seeds(seed, body.key, "val", params.goals)
+    # Other goals for each training: its episodes are independent, as Wilson's interval asks.
+    tests = [
+        fresh_seeds(seed, body.key, f"test {run}" if run else "test", params.goals)
+        for run in range(params.seeds)
+    ]
     env = make()
 
     def validate(actor: Actor) -> tuple[float, ...]:
-        played = run_episodes(env, actor, goals["val"])
+        played = run_episodes(env, actor, val)
         means = (played.last, played.ever, played.returns, played.distance)
         return tuple(float(values.mean()) for values in means)
 
@@ -140,15 +147,15 @@ def reach(job: RobotJob[ReachConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
         curve += [[run, int(row[0]), *row[1:]] for row in rows]
         steps.append(int(rows[-1][0]))
         seconds += took
-    trained = [run_episodes(env, actor, goals["test"]) for actor in actors]
+    trained = [run_episodes(env, actor, goals) for actor, goals in zip(actors, tests)]
     rng = numpy_generator(seed, "reach", body.key, "random")
     baselines = {"controller": controller, "random": random_policy(rng), "nothing": nothing}
-    scores = {name: _summary([run_episodes(env, act, goals["test"])]) for name, act in baselines.items()}
+    scores = {name: _summary([run_episodes(env, act, tests[0])]) for name, act in baselines.items()}
     actors[0].save(progress / "model.safetensors", f"{task} {body.key}")
     if "rgb_array" in env.metadata["render_modes"]:
         last = trained[0].last
         shown = [*np.flatnonzero(last)[:1], *np.flatnonzero(~last)[:1]]
-        frames = reach_frames(make(render_mode="rgb_array"), actors[0], [goals["test"][i] for i in shown])
+        frames = reach_frames(make(render_mode="rgb_array"), actors[0], [tests[0][i] for i in shown])
         write_gif(progress / "episodes.gif", frames, FRAME)
     env.close()
     return {

@@ -292,6 +292,27 @@ def test_scores_have_everything_and_are_the_same_again(brick, body, tmp_path):
     assert (tmp_path / "b/episodes.gif").read_bytes() == (tmp_path / "a/episodes.gif").read_bytes()
 
 
+def test_each_training_is_scored_on_goals_of_its_own(brick, body, tmp_path, monkeypatch):
+    class Trained:
+        save = staticmethod(lambda *given: None)
+
+    asked = []
+
+    def play(env, policy, seeds):
+        asked.append((policy, seeds))
+        return task.EpisodeScores(*[np.ones(2, bool)] * 2, *[np.zeros(2)] * 2)
+
+    monkeypatch.setattr(task, "run_episodes", play)
+    monkeypatch.setattr(task, "reach_frames", lambda env, policy, seeds: [np.zeros((8, 8, 3), np.uint8)])
+    monkeypatch.setattr(task, "train_ppo", lambda *given: (Trained(), [[32, 0, 0, 0, 0]], 0.0))
+    scores, _ = reach(RobotJob("reach", brick, body, replace(TINY, seeds=2), 0, tmp_path))
+    first, second = (seeds for policy, seeds in asked if isinstance(policy, Trained))
+    assert first == fresh_seeds(0, brick.key, "test", TINY.goals)  # as with one seed
+    assert not set(first) & set(second)
+    assert {tuple(seeds) for policy, seeds in asked if not isinstance(policy, Trained)} == {tuple(first)}
+    assert scores["ppo"]["seeds"] == [1.0, 1.0]
+
+
 @pytest.mark.parametrize(
     ("last", "shown"), [([True] * 4, [0]), ([False] * 4, [0]), ([False, False, True, False], [2, 0])]
 )
