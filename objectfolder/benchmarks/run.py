@@ -1,13 +1,15 @@
 """Run benchmarks on Object Files outside the pipeline, as the command line does."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import torch
+from threadpoolctl import threadpool_limits
 
 from objectfolder.benchmarks.collect import (
     Tracker,
@@ -145,11 +147,11 @@ def _run_split(
     device: str | None,
     report: Report,
 ) -> None:
-    torch.set_num_threads(threads)
     assert task.samples is not None
-    initial = None if weights is None else read_weights(weights)
-    spec = SplitRun(task, split, task.samples(folders), params, folder, initial, device)
-    _run_timed(spec, report, threads, device)
+    with _bound(threads):
+        initial = None if weights is None else read_weights(weights)
+        spec = SplitRun(task, split, task.samples(folders), params, folder, initial, device)
+        _run_timed(spec, report, threads, device)
 
 
 def run_on_objects(task: Task, options: BenchmarkOptions, report: Report, jobs: int = 1) -> Scores:
@@ -229,11 +231,11 @@ def _localize(
     from objectfolder.benchmarks.tasks.localization import ContactRun
     from objectfolder.objectfile.file import ObjectFile
 
-    torch.set_num_threads(threads)
-    try:
-        _run_timed(ContactRun(ObjectFile.load(path), params, folder, device), report, threads, device)
-    except ObjectFolderError as error:
-        raise ObjectFolderError(f"{path}: {error}") from error
+    with _bound(threads):
+        try:
+            _run_timed(ContactRun(ObjectFile.load(path), params, folder, device), report, threads, device)
+        except ObjectFolderError as error:
+            raise ObjectFolderError(f"{path}: {error}") from error
 
 
 def _run_object(
@@ -245,20 +247,25 @@ def _run_object(
     threads: int,
     report: Report,
 ) -> None:
-    from threadpoolctl import threadpool_limits
-
     from objectfolder.benchmarks.tasks.robots import ObjectRun
     from objectfolder.envs.hulls import cached_hulls
     from objectfolder.objectfile.file import ObjectFile
 
-    torch.set_num_threads(1)
-    with threadpool_limits(1):
+    with _bound(1):
         file = ObjectFile.load(path)
         try:
             hulls = cached_hulls(file, folder.hulls, max_hulls)
             _run_timed(ObjectRun(task, file, hulls, params, folder, threads), report, threads, "cpu")
         except ObjectFolderError as error:
             raise ObjectFolderError(f"{path}: {error}") from error
+
+
+@contextmanager
+def _bound(threads: int) -> Iterator[None]:
+    """Bind torch and numpy to so many threads."""
+    torch.set_num_threads(threads)
+    with threadpool_limits(threads):
+        yield
 
 
 def _run_timed(spec: Run, report: Report, threads: int, device: str | None) -> None:

@@ -9,6 +9,7 @@ An object that replaces another in a catalogue takes its split, and a label of i
 
 import csv
 import hashlib
+import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -36,6 +37,12 @@ class Split:
     train: np.ndarray
     val: np.ndarray
     test: np.ndarray
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the rows; hexadecimal."""
+        parts = [getattr(self, part).tolist() for part in SPLITS]
+        return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
 def label_order(keys: Iterable[str]) -> tuple[str, ...]:

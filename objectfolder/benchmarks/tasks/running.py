@@ -14,7 +14,7 @@ import torch
 
 import objectfolder
 from objectfolder.benchmarks.datasets.samples import Samples
-from objectfolder.benchmarks.datasets.splits import named_split
+from objectfolder.benchmarks.datasets.splits import Split, named_split
 from objectfolder.benchmarks.models.encoders import InputSizes, Weights, own_file, registered
 from objectfolder.benchmarks.params import TaskParams
 from objectfolder.benchmarks.tasks.job import Job
@@ -86,14 +86,21 @@ class SplitRun:
         """Return everything that the result of each seed depends on."""
         files = [None if self.weights is None else self.weights.path, own_file(self.params.encode.encoder)]
         given = [file_digest(path) for path in files if path is not None]
-        return self.samples.digest, self.params.one_seed(), code_digest(self.task.run), given
+        # The frozen list of objects is data, which is part of no code.
+        rows = self.split.digest
+        return self.samples.digest, rows, self.params.one_seed(), code_digest(self.task.run), given
+
+    @property
+    def split(self) -> Split:
+        """Rows of each part."""
+        return named_split(self.part, self.samples.keys, self.samples.count)
 
     def job(self, progress: Path, report: Report) -> Job[Any]:
         """Return the argument of the task."""
         encode = self.params.encode
         return Job(
             self.samples,
-            named_split(self.part, self.samples.keys, self.samples.count),
+            self.split,
             self.params.settings,
             registered(encode.encoder),
             InputSizes(encode.image, encode.spectrogram, encode.touch),

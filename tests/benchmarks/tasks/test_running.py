@@ -1,0 +1,66 @@
+"""What a run on a split depends on, and how many threads it takes."""
+
+from types import SimpleNamespace
+
+import pytest
+import torch
+from threadpoolctl import threadpool_info
+
+from objectfolder.benchmarks import run
+from objectfolder.benchmarks.datasets import splits
+from objectfolder.benchmarks.models.encoders import EncodeConfig
+from objectfolder.benchmarks.params import TaskParams
+from objectfolder.benchmarks.tasks import running
+from objectfolder.benchmarks.tasks.retrieval import RETRIEVE, RetrieveConfig
+from objectfolder.benchmarks.tasks.running import SplitRun
+from objectfolder.workspace.layout import Benchmarks
+
+SETTINGS = RetrieveConfig(
+    seeds=1,
+    epochs=1,
+    batch=8,
+    learning_rate=0.1,
+    weight_decay=0.0,
+    patience=1,
+    margin=0.5,
+    embedding=4,
+    pretrain_epochs=0,
+    schedule="cosine",
+)
+ENCODE = EncodeConfig(
+    encoder="resnet18",
+    image=8,
+    spectrogram=(8, 8),
+    touch=(8, 8),
+    subtract=False,
+    shift=0,
+    flip=False,
+    precision="float32",
+)
+PARAMS = TaskParams(SETTINGS, ENCODE, 0)
+
+
+def test_an_object_that_changes_its_part_changes_the_run(monkeypatch):
+    samples = SimpleNamespace(digest="x", keys=("espresso_mug", "tea_beaker", "own"), count=10)
+    spec = SplitRun(RETRIEVE, "unseen", samples, PARAMS, Benchmarks("out"))
+    monkeypatch.setattr(running, "code_digest", lambda function: "code")  # takes seconds
+    listed, parts = splits._listed(), []
+    for part in ("train", "test", "train"):
+        monkeypatch.setattr(splits, "_listed", lambda part=part: listed | {"own": part})
+        parts.append(spec.identity())
+    assert parts[0] == parts[2] != parts[1]
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_threads_are_those_of_every_pool(monkeypatch, brick_path, threads):
+    before, found = torch.get_num_threads(), []
+
+    def look(*given):
+        found.append({pool["num_threads"] for pool in threadpool_info()} | {torch.get_num_threads()})
+
+    monkeypatch.setattr(run, "_run_timed", look)
+    task = SimpleNamespace(samples=lambda folders: None)
+    run._run_split(task, "seen", {}, PARAMS, Benchmarks("out"), None, threads, "cpu", print)
+    run._localize(brick_path, PARAMS, Benchmarks("out"), threads, "cpu", print)
+    torch.set_num_threads(before)
+    assert found == [{threads}] * 2
