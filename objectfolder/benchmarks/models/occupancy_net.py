@@ -32,15 +32,23 @@ class ConditionalBatchNorm(nn.Module):
 
     def forward(self, points: torch.Tensor, embedding: torch.Tensor) -> torch.Tensor:
         """Normalize (B, P, width) points of objects with (B, embedding) embeddings."""
-        gamma, beta = self.gamma(embedding)[:, None], self.beta(embedding)[:, None]
         if self.training:
+            gamma, beta = self.gamma(embedding)[:, None], self.beta(embedding)[:, None]
             return torch.addcmul(beta, gamma, self.norm(points.flatten(0, 1)).view_as(points))
-        # Fold the running statistics into scale and shift: one pass over the points instead of two.
+        # One pass over the points instead of two.
+        scale, shift = self.folded(embedding[:, None])
+        return torch.addcmul(shift, scale, points)
+
+    def folded(self, embedding: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return scale and shift in evaluation, (..., embedding) -> (..., width) each.
+
+        They hold the running statistics, too.
+        """
         mean, variance = self.norm.running_mean, self.norm.running_var
         assert mean is not None
         assert variance is not None
-        gamma = gamma * torch.rsqrt(variance + self.norm.eps)
-        return torch.addcmul(beta - gamma * mean, gamma, points)
+        scale = self.gamma(embedding) * torch.rsqrt(variance + self.norm.eps)
+        return scale, self.beta(embedding) - scale * mean
 
 
 class ConditionalBlock(nn.Module):
@@ -85,11 +93,45 @@ class OccupancyDecoder(nn.Module):
 
     def forward(self, points: torch.Tensor, embedding: torch.Tensor) -> torch.Tensor:
         """Logits (B, P) of (B, P, 3) points of objects described by a (B, embedding) tensor."""
-        angles = [points * (math.pi * 2**octave) for octave in range(self.frequencies)]
-        hidden = self.first(torch.cat([points, *map(torch.sin, angles), *map(torch.cos, angles)], -1))
+        hidden = self.start(points)
         for block in self.blocks:
             hidden = block(hidden, embedding)
         return self.last(F.relu(self.norm(hidden, embedding)))[..., 0]
+
+    def start(self, points: torch.Tensor) -> torch.Tensor:
+        """Return what enters the first block, (..., 3) -> (..., width)."""
+        angles = [points * (math.pi * 2**octave) for octave in range(self.frequencies)]
+        return self.first(torch.cat([points, *map(torch.sin, angles), *map(torch.cos, angles)], -1))
+
+
+class OneShape:
+    """A decoder in evaluation for the embedding of one shape.
+
+    Equals the decoder, but reads the points less often: normalizations are scales and shifts, the second one
+    of a block part of the layer before.
+
+    Parameters
+    ----------
+    decoder : OccupancyDecoder
+    embedding : (embedding,) tensor
+    """
+
+    def __init__(self, decoder: OccupancyDecoder, embedding: torch.Tensor):
+        self._decoder, self._norm = decoder, decoder.norm.folded(embedding)
+        self._blocks = []
+        for block in cast(list[ConditionalBlock], decoder.blocks):
+            scale, shift = block.norm2.folded(embedding)
+            weight, bias = block.layer1.weight * scale[:, None], block.layer1.bias * scale + shift
+            self._blocks.append((block.norm1.folded(embedding), weight, bias, block.layer2))
+
+    def __call__(self, points: torch.Tensor) -> torch.Tensor:
+        """Logits (P,) of (P, 3) points."""
+        hidden = self._decoder.start(points)
+        for (scale, shift), weight, bias, layer2 in self._blocks:
+            inner = F.linear(torch.addcmul(shift, scale, hidden).relu_(), weight, bias).relu_()
+            hidden.add_(layer2.bias).addmm_(inner, layer2.weight.T)
+        scale, shift = self._norm
+        return self._decoder.last(torch.addcmul(shift, scale, hidden).relu_())[..., 0]
 
 
 class Reconstructor(nn.Module):
@@ -131,7 +173,5 @@ class Reconstructor(nn.Module):
 def occupancy_logits(
     decoder: OccupancyDecoder, embedding: torch.Tensor, points: torch.Tensor, chunk: int = 2**12
 ) -> torch.Tensor:
-    """Return logits (B, P) at points (P, 3) shared by all objects, in chunks of points."""
-    return torch.stack(
-        [torch.cat([decoder(part[None], one[None])[0] for part in points.split(chunk)]) for one in embedding]
-    )
+    """Return logits (B, P) at points (P, 3) shared by all objects, in evaluation and in chunks of points."""
+    return torch.stack([torch.cat([*map(OneShape(decoder, one), points.split(chunk))]) for one in embedding])

@@ -90,6 +90,28 @@ def test_points_and_objects_are_independent_in_evaluation():
     assert not occupancy_logits(decoder, embedding, shared).requires_grad
 
 
+def test_folded_normalizations_give_the_same_logits():
+    decoder = OccupancyDecoder(width=32, blocks=3, frequencies=2)
+    for block in decoder.blocks:
+        randomised(block.norm1.gamma), randomised(block.norm2.beta)
+        nn.init.normal_(block.layer2.weight, std=0.1)
+    points, embedding = torch.randn(3, 400, 3), torch.randn(3, 256) / 8
+    for _ in range(5):
+        decoder(points, embedding)  # running statistics
+    decoder.eval()
+    with torch.no_grad():
+        plain = decoder(points[:1].expand(3, -1, -1), embedding)
+    assert plain.std() > 0.1
+    folded = occupancy_logits(decoder, embedding, points[0])
+    torch.testing.assert_close(folded, plain, rtol=1e-5, atol=1e-5)
+
+
+def test_the_decoder_of_one_shape_normalizes_no_point_twice(monkeypatch):
+    decoder = randomised(OccupancyDecoder(width=8, blocks=2, embedding=4)).eval()
+    monkeypatch.setattr(ConditionalBatchNorm, "forward", lambda *_: pytest.fail("normalized"))
+    assert occupancy_logits(decoder, torch.randn(1, 4), torch.randn(9, 3), chunk=4).shape == (1, 9)
+
+
 def test_fusion_takes_one_modality_or_both():
     image, sound = Mean(3, 512), Mean(1, 512)
     inputs = {"vision": torch.randn(2, 3, 8, 8), "audio": torch.randn(2, 1, 6, 5)}
