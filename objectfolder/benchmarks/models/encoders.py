@@ -18,6 +18,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.settings import Precision
 
 CHANNELS = {"vision": 3, "audio": 1, "touch": 3}  #: of `encoder_inputs`
+SUMMED = 65535 // 255  #: pixels at most whose sum fits into 16 bits
 FLOOR = 80.0  #: range of spectrograms below their maximum, dB
 #: Of ImageNet, sRGB in [0, 1].
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -245,7 +246,7 @@ def encoder_inputs(
         relative = magnitude / torch.where(peak > 0, peak, 1)
         decibels = 20 * relative.clamp(min=10 ** (-FLOOR / 20)).log10()
         return _pooled(1 + decibels[:, None] / FLOOR, sizes.spectrogram, "spectrogram")
-    return _pooled(_normalised(torch.from_numpy(raw).to(device).movedim(-1, 1)), sizes.touch, "touch")
+    return _touches(raw, sizes.touch, device)
 
 
 def _crops(raw: np.ndarray, side: int, rng: np.random.Generator | None) -> torch.Tensor:
@@ -263,9 +264,24 @@ def _crops(raw: np.ndarray, side: int, rng: np.random.Generator | None) -> torch
     return torch.from_numpy(windows[np.arange(len(raw)), corner[:, 0], corner[:, 1]])
 
 
-def _normalised(pixels: torch.Tensor) -> torch.Tensor:
+def _normalised(pixels: torch.Tensor, most: int = 255) -> torch.Tensor:
     mean, deviation = (torch.tensor(x, device=pixels.device)[:, None, None] for x in (MEAN, DEVIATION))
-    return (pixels.float() / 255 - mean) / deviation
+    return (pixels.float() / most - mean) / deviation
+
+
+def _touches(raw: np.ndarray, size: tuple[int, int], device: str | torch.device) -> torch.Tensor:
+    """Pool and normalize touches, (B, H, W, 3) uint8 -> (B, 3, h, w)."""
+    (down, over_rows), (across, over_columns) = (
+        divmod(pixels, wanted) for pixels, wanted in zip(raw.shape[1:3], size)
+    )
+    if over_rows or over_columns or not 1 <= down * across <= SUMMED:
+        return _pooled(_normalised(torch.from_numpy(raw).to(device).movedim(-1, 1)), size, "touch")
+    # Integers are summed in a third of the time that floats are averaged in.
+    total = np.zeros((len(raw), *size, 3), np.uint16)
+    for row, column in np.ndindex(down, across):
+        total += raw[:, row::down, column::across]
+    pixels = torch.from_numpy(total.astype(np.float32)).to(device)
+    return _normalised(pixels.movedim(-1, 1).contiguous(), 255 * down * across)
 
 
 def _pooled(x: torch.Tensor, size: tuple[int, int], name: str) -> torch.Tensor:

@@ -171,7 +171,7 @@ class Reconstructor(nn.Module):
 
 @torch.no_grad()
 def occupancy_logits(
-    decoder: OccupancyDecoder, embedding: torch.Tensor, points: torch.Tensor, chunk: int = 2**12
+    decoder: OccupancyDecoder, embedding: torch.Tensor, points: torch.Tensor, chunk: int = 2**11
 ) -> torch.Tensor:
     """Return logits (B, P) at points (P, 3) shared by all objects, in evaluation and in chunks of points."""
     return torch.stack([torch.cat([*map(OneShape(decoder, one), points.split(chunk))]) for one in embedding])

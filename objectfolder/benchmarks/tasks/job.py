@@ -27,7 +27,7 @@ from objectfolder.settings import Precision
 from objectfolder.workspace.layout import SPLITS
 
 GROUND = 1000  #: training touches at most to find their `Ground` of
-SPECTRA_BYTES = 2**30  #: of all spectrograms, up to which they are kept: they take longer than the encoder
+KEPT_BYTES = 2**30  #: of what is kept of all rows, such as spectrograms: they take longer than the encoder
 
 _Params = TypeVar("_Params", bound=TrainingConfig)
 _Batch = TypeVar("_Batch")
@@ -40,16 +40,17 @@ class Kept:
     ----------
     shape : tuple of int
         Of all rows together.
+    dtype : torch.dtype
     """
 
-    def __init__(self, shape: tuple[int, ...]):
-        self._values, self._known = torch.empty(shape), np.zeros(shape[0], bool)
+    def __init__(self, shape: tuple[int, ...], dtype: torch.dtype):
+        self._values, self._known = torch.empty(shape, dtype=dtype), np.zeros(shape[0], bool)
 
     def of(self, rows: np.ndarray, make: Callable[[np.ndarray], torch.Tensor]) -> torch.Tensor:
         """Return the tensors of rows; ``make`` computes those that are missing."""
         missing = np.unique(rows[~self._known[rows]])
         if len(missing):
-            self._values[missing] = make(missing)
+            self._values[missing] = make(missing).cpu()
             self._known[missing] = True
         return self._values[rows]
 
@@ -74,7 +75,7 @@ class Job(Generic[_Params]):
     shift: int = 0  #: pixels by which touches are moved at most in training
     precision: Precision = "float32"  #: of training
     flip: bool = False  #: half of the views in training
-    #: Inputs by modality, shared by jobs on parts of the split.
+    #: By name, shared by jobs on parts of the split; see `once`.
     kept: dict[str, Kept] = field(default_factory=dict, compare=False, repr=False)
 
     def repeats(self, modalities: Iterable[str]) -> dict[str, np.ndarray]:
@@ -162,15 +163,43 @@ class Job(Generic[_Params]):
         return inputs
 
     def _spectra(self, rows: np.ndarray) -> torch.Tensor:
-        """Return the encoder inputs of sounds; each is computed once, unless all are too large to keep."""
-
         def make(some: np.ndarray) -> torch.Tensor:
             return encoder_inputs("audio", self.observations.read("audio", some), self.sizes)
 
-        shape = (len(self.observations.labels), 1, *self.sizes.spectrogram)
-        if 4 * np.prod(shape) > SPECTRA_BYTES:
+        return self.once("audio", rows, (1, *self.sizes.spectrogram), make)
+
+    def once(
+        self,
+        name: str,
+        rows: np.ndarray,
+        shape: tuple[int, ...],
+        make: Callable[[np.ndarray], torch.Tensor],
+        dtype: torch.dtype = torch.float32,
+    ) -> torch.Tensor:
+        """Return what is the same in all epochs, each row computed once, unless all are too large to keep.
+
+        Parameters
+        ----------
+        name : str
+            Of what is kept.
+        rows : (n,) int array
+        shape : tuple of int
+            Of one row.
+        make : callable
+            Computes it for some rows, at least one.
+        dtype : torch.dtype
+
+        Returns
+        -------
+        (n, ...) tensor
+            On the CPU if it is kept.
+        """
+        whole = (len(self.observations.labels), *shape)
+        if dtype.itemsize * np.prod(whole) > KEPT_BYTES:
             return make(rows)
-        return self.kept.setdefault("audio", Kept(shape)).of(rows, make)
+        if name not in self.kept:
+            self.kept[name] = Kept(whole, dtype)
+        return self.kept[name].of(rows, make)
 
     @cached_property
     def ground(self) -> Ground:

@@ -19,7 +19,8 @@ from torch import nn
 
 from objectfolder.benchmarks.datasets.companions import Companions
 from objectfolder.benchmarks.datasets.occupancy import OccupancySamples
-from objectfolder.benchmarks.models.encoders import flipped
+from objectfolder.benchmarks.models.encoders import encoder_inputs, flipped
+from objectfolder.benchmarks.models.framing import framed_views
 from objectfolder.benchmarks.models.occupancy_net import EMBEDDING, Reconstructor
 from objectfolder.benchmarks.models.several_touches import SeveralTouches
 from objectfolder.benchmarks.models.shape_model import Setup, ShapeModel, new_net, shape_inputs
@@ -137,7 +138,7 @@ class ShapeTraining:
         def inputs(rows: np.ndarray, rng: np.random.Generator | None) -> torch.Tensor:
             if modality != "vision":
                 return job.inputs(modality, rows, rng)
-            views = shape_inputs(modality, job.observations.read(modality, rows), job.sizes, rng, job.device)
+            views = self._views(rows, rng)
             return flipped(views, rng) if job.flip and rng is not None else views
 
         rate = params.pretrain_rate / params.learning_rate
@@ -159,7 +160,8 @@ class ShapeTraining:
         def encoded(epoch: int) -> dict[str, torch.Tensor]:
             rng = numpy_generator(job.seed, *self._purpose, f"features of epoch {epoch}")
             return {
-                modality: self._encoded(net.encoders[modality], modality, rng) for modality in self.modalities
+                modality: self._features(net.encoders[modality], modality, rng)
+                for modality in self.modalities
             }
 
         def epoch_batches(epoch: int) -> Iterator[FeatureBatch]:
@@ -193,16 +195,30 @@ class ShapeTraining:
             cycle=epochs * POINT_SETS * batch_count(len(rows), params.batch),
         )
 
-    @torch.no_grad()
-    def _encoded(self, encoder: nn.Module, modality: str, rng: np.random.Generator) -> torch.Tensor:
+    def _features(self, encoder: nn.Module, modality: str, rng: np.random.Generator) -> torch.Tensor:
         """Encode the training rows, one touch each; (N, features), in the other rows 0."""
-        job, rows = self.job, self.job.split.train
-        values = torch.zeros(len(self._labels), cast(int, encoder.features), device=job.device)
-        for some in np.array_split(rows, -(-len(rows) // CHUNK)):
-            values[some] = encoder(
-                self._inputs(modality, some[:, None] if modality == "touch" else some, rng)
-            )
+        job, rows, size = self.job, self.job.split.train, cast(int, encoder.features)
+
+        def make(some: np.ndarray) -> torch.Tensor:
+            return self._encoded(encoder, modality, some, rng)
+
+        values = torch.zeros(len(self._labels), size, device=job.device)
+        if modality == "vision":  # cropped differently in each epoch
+            values[rows] = make(rows)
+        else:  # of A, they serve VA, too
+            kept = job.once(f"{modality} features of seed {self._run}", rows, (size,), make)
+            values[rows] = kept.to(job.device)
         return values
+
+    @torch.no_grad()
+    def _encoded(
+        self, encoder: nn.Module, modality: str, rows: np.ndarray, rng: np.random.Generator
+    ) -> torch.Tensor:
+        """Encode rows, one touch each; (n, features)."""
+        parts = np.array_split(rows, -(-len(rows) // CHUNK))
+        if modality == "touch":
+            parts = [some[:, None] for some in parts]
+        return torch.cat([encoder(self._inputs(modality, some, rng)) for some in parts])
 
     def _train_together(self, model: ShapeModel, naming: nn.Linear, epochs: int) -> list[EpochPoint]:
         """Train encoders, fusion and decoder together, and to name the objects from their features."""
@@ -256,7 +272,19 @@ class ShapeTraining:
         job = self.job
         if modality == "audio":
             return job.inputs(modality, rows)
+        if modality == "vision":
+            return self._views(rows, rng)
         return shape_inputs(modality, read_sensed(job, modality, rows), job.sizes, rng, job.device)
+
+    def _views(self, rows: np.ndarray, rng: np.random.Generator | None) -> torch.Tensor:
+        """Return `shape_inputs` of views, each framed once."""
+        job = self.job
+
+        def make(some: np.ndarray) -> torch.Tensor:
+            return torch.from_numpy(framed_views(job.observations.read("vision", some)))
+
+        views = job.once("framed views", rows, job.observations.shape("vision"), make, torch.uint8)
+        return encoder_inputs("vision", views.numpy(), job.sizes, rng, job.device)
 
     def _points(self, rows: np.ndarray, rng: np.random.Generator) -> Points:
         points, inside = self.occupancy.draw(self._labels[rows], self.job.params.points, rng)

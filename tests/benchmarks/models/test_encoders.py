@@ -7,6 +7,8 @@ from torch import nn
 from objectfolder.audio.spectrogram import SAMPLE_RATE
 from objectfolder.benchmarks.models import encoders
 from objectfolder.benchmarks.models.encoders import (
+    DEVIATION,
+    MEAN,
     InputSizes,
     encoder_inputs,
     make_encoder,
@@ -265,3 +267,20 @@ def test_inputs_and_features_on_a_device_are_those_of_the_cpu(modality, rng):
         there = there.cpu()
     torch.testing.assert_close(there, here, rtol=0, atol=0)
     torch.testing.assert_close(features, net.cpu()(here), rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [(80, 60), (160, 120), (10, 10), (64, 48)])
+def test_touches_are_averaged_pixels_however_they_divide(size):
+    raw = np.random.default_rng(0).integers(256, size=(2, 160, 120, 3), dtype=np.uint8)
+    raw[0] = 255  # the largest sum
+    pixels = torch.from_numpy(raw).movedim(-1, 1).double() / 255
+    mean, deviation = (torch.tensor(x, dtype=torch.double)[:, None, None] for x in (MEAN, DEVIATION))
+    expected = (nn.functional.adaptive_avg_pool2d(pixels, size) - mean) / deviation
+    found = encoder_inputs("touch", raw, InputSizes(56, (64, 50), size))
+    assert found.is_contiguous()
+    torch.testing.assert_close(found.double(), expected, rtol=0, atol=1e-5)
+
+
+def test_touches_that_divide_are_summed_as_integers(monkeypatch):
+    monkeypatch.setattr(encoders, "_pooled", lambda *_: pytest.fail("averaged floats"))
+    encoder_inputs("touch", np.zeros((1, 16, 12, 3), np.uint8), InputSizes(8, (8, 8), (8, 6)))

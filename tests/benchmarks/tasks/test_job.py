@@ -27,7 +27,7 @@ def test_each_spectrogram_is_computed_once(tmp_path, monkeypatch):
     rows = [np.array([3, 1, 3, 7]), np.array([7, 0, 1]), np.array([3])]
     expected = [encoder_inputs("audio", Sounds().read("audio", some), SIZES) for some in rows]
     for most, asked in ((2**20, [1, 3, 7, 0]), (100, [3, 1, 3, 7, 7, 0, 1, 3])):
-        monkeypatch.setattr(job, "SPECTRA_BYTES", most)
+        monkeypatch.setattr(job, "KEPT_BYTES", most)
         sounds = Sounds()
         task = Job(sounds, None, None, "tiny", SIZES, seed=0, progress=tmp_path)
         for some, inputs in zip(rows, expected):

@@ -219,12 +219,49 @@ def test_touches_of_a_row_are_of_its_object_and_encoded_as_one_by_one(occupancy,
     assert (colours == colours[:, :1]).all()
     net = new_net(training.trained([], 0)[0].setup)
     encoder, rng = net.eval().encoders["touch"], np.random.default_rng(0)
-    one_by_one = training._encoded(encoder, "touch", rng)
     few = SPLIT.train[:3]
+    one_by_one = training._encoded(encoder, "touch", few, rng)
     with torch.no_grad():
         together = encoder(shape_inputs("touch", read_sensed(job, "touch", few[None]), SIZES))
-    torch.testing.assert_close(one_by_one[few].mean(0, keepdim=True), together)
-    assert not one_by_one[SPLIT.test].any()
+    torch.testing.assert_close(one_by_one.mean(0, keepdim=True), together)
+    whole = training._features(encoder, "touch", rng)
+    assert whole[SPLIT.train].any()
+    assert not whole[SPLIT.test].any()
+
+
+def test_what_no_epoch_changes_is_encoded_once(occupancy, tmp_path):
+    """Features of sounds and touches, those of A also for VA; of views only the frame."""
+    asked = []
+
+    class Counted(Observed):
+        def read(self, modality, rows):
+            asked.append((modality, len(rows)))
+            return super().read(modality, rows)
+
+    class Encoder(nn.Module):
+        features = 1
+
+        def forward(self, x):
+            asked.append(("encoded", len(x)))
+            return x.flatten(1).mean(1, keepdim=True)
+
+    job = Job(Counted(), SPLIT, PARAMS, "tiny_shapes", SIZES, seed=0, progress=tmp_path)
+    rows, encoder, rng = SPLIT.train, Encoder(), np.random.default_rng(0)
+    for modality, times in (("audio", 1), ("touch", 1), ("vision", 3)):
+        found = []
+        for variant in ("VA", "A", "A") if modality == "audio" else [modality[0].upper()] * 3:
+            training = ShapeTraining(replace(job, split=SPLIT), occupancy, variant, 0, tmp_path / "none.pt")
+            found.append(training._features(encoder, modality, rng))
+        assert sum(count for name, count in asked if name == "encoded") == times * len(rows)
+        assert sum(count for name, count in asked if name == modality and count > 1) == len(rows)
+        assert torch.equal(found[0], found[1]) == torch.equal(found[0], found[2]) == (modality != "vision")
+        asked.clear()
+    crops = training._views(rows[:3], np.random.default_rng(1))
+    raw = Observed().read("vision", rows[:3])
+    assert torch.equal(crops, shape_inputs("vision", raw, SIZES, np.random.default_rng(1)))
+    other = ShapeTraining(job, occupancy, "A", 1, tmp_path / "none.pt")
+    other._features(encoder, "audio", rng)  # another seed has other encoders
+    assert ("encoded", len(rows)) in asked
 
 
 def test_scores_over_seeds_are_means_with_an_interval():
