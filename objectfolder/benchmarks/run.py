@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from threadpoolctl import threadpool_limits
 
@@ -24,7 +25,7 @@ from objectfolder.benchmarks.datasets.sampling import ObserveConfig
 from objectfolder.benchmarks.datasets.splits import label_order, named_split
 from objectfolder.benchmarks.models.encoders import make_encoder, read_weights, registered
 from objectfolder.benchmarks.params import RobotParams, TaskParams, robot_params, splits_of, task_params
-from objectfolder.benchmarks.tasks.running import Report, Run, SplitRun, Task, machine, run_benchmark
+from objectfolder.benchmarks.tasks.running import Objects, Report, Run, SplitRun, Task, machine, run_benchmark
 from objectfolder.engine.pool import in_processes
 from objectfolder.engine.resources import cores
 from objectfolder.errors import ObjectFolderError
@@ -112,8 +113,11 @@ def run_on_splits(task: Task, options: BenchmarkOptions, report: Report, track: 
     sources, folder, cores = load_object_files(options.files), options.folder, options.cores
 
     def announce(count: int, samples: str) -> None:
+        keys = label_order(sources)
+        labels = np.repeat(np.arange(len(keys)), count)
+        objects = Objects(keys, labels, [sources[key].file.material for key in keys])
         for split in splits:  # fails before any work
-            named_split(split, label_order(sources), count)
+            task.check(named_split(split, keys, count), objects)
         report(f"{len(sources)} objects, {count} {samples} of each")
 
     if task.samples is Observations:

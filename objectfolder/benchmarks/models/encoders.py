@@ -281,7 +281,7 @@ def _touches(raw: np.ndarray, size: tuple[int, int], device: str | torch.device)
     for row, column in np.ndindex(down, across):
         total += raw[:, row::down, column::across]
     pixels = torch.from_numpy(total.astype(np.float32)).to(device)
-    return _normalised(pixels.movedim(-1, 1).contiguous(), 255 * down * across)
+    return _normalised(pixels.movedim(-1, 1), 255 * down * across)
 
 
 def _pooled(x: torch.Tensor, size: tuple[int, int], name: str) -> torch.Tensor:

@@ -141,6 +141,11 @@ class Job(Generic[_Params]):
         counts = self.counts(repeats) | {"rows": used.counts({})["rows"]}
         return used, counts | {"untested": {"all": lost} if lost else {}}
 
+    def check_sizes(self, modalities: Iterable[str]) -> None:
+        """Raise ObjectFolderError if observations are smaller than what encoders expect of them."""
+        for name in modalities:
+            encoder_inputs(name, self.observations.read(name, self.split.train[:1]), self.sizes)
+
     def make_encoder(self, modality: str) -> nn.Module:
         """Make an untrained encoder; call within `objectfolder.seeding.seeded`."""
         return make_encoder(self.encoder, modality, self.weights)

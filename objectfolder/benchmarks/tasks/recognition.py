@@ -16,13 +16,14 @@ from annotated_types import Interval
 from torch import nn
 
 from objectfolder.benchmarks.datasets.observations import Observations
+from objectfolder.benchmarks.datasets.splits import Split
 from objectfolder.benchmarks.models.classifier import Classifier, Inputs, join_classifiers
 from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig, batch_count, shuffled
 from objectfolder.benchmarks.reporting.confusion import draw_confusion
 from objectfolder.benchmarks.scoring.scores import accuracy, interval_95
 from objectfolder.benchmarks.scoring.together import accuracy_together, bound_alone, bound_together
 from objectfolder.benchmarks.tasks.job import Job
-from objectfolder.benchmarks.tasks.running import Task
+from objectfolder.benchmarks.tasks.running import Objects, Task
 from objectfolder.errors import ObjectFolderError
 from objectfolder.seeding import numpy_generator, seeded
 from objectfolder.settings import Count
@@ -101,14 +102,19 @@ def recognize(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[list[Any]
         If a test object is absent from training, a part of the split is empty, training diverges, or the
         encoder is unknown.
     """
-    target = Target(job.observations.keys, job.observations.labels)
-    unknown = np.setdiff1d(target.labels[job.split.test], target.labels[job.split.train])
+    objects = Objects(job.observations.keys, job.observations.labels)
+    check_learnt(job.split, objects)
+    return _classified(job, Target(job.observations.keys, objects.labels))
+
+
+def check_learnt(split: Split, objects: Objects) -> None:
+    """Raise ObjectFolderError if a test object is absent from training."""
+    unknown = np.setdiff1d(objects.labels[split.test], objects.labels[split.train])
     if unknown.size:
         raise ObjectFolderError(
-            f"split {job.split.name}: test class {target.names[unknown[0]]} is absent from training; use "
+            f"split {split.name}: test class {objects.keys[unknown[0]]} is absent from training; use "
             "--split seen"
         )
-    return _classified(job, target)
 
 
 def classify_materials(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
@@ -129,9 +135,30 @@ def classify_materials(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[
         If all objects for training are of one material, or none for the test is of a material of theirs.
     """
     observations, split = job.observations, job.split
-    of_objects = [str(observations.records[key]["material"]) for key in observations.keys]
-    names, classes = np.unique(of_objects, return_inverse=True)
-    labels = classes.astype(np.int64)[observations.labels]
+    materials = [str(observations.records[key]["material"]) for key in observations.keys]
+    objects = Objects(observations.keys, observations.labels, materials)
+    target, learnt = _materials(objects), learnt_materials(split, objects)
+    left_out = np.setdiff1d(
+        target.labels[np.concatenate([split.val, split.test])], target.labels[split.train]
+    )
+    scores, curve = _classified(replace(job, split=learnt), target)
+    return scores | {
+        "materials": list(target.names),
+        "left_out": [target.names[label] for label in left_out],
+    }, curve
+
+
+def learnt_materials(split: Split, objects: Objects) -> Split:
+    """Drop validation and test rows of materials that no training object has.
+
+    Raises
+    ------
+    ObjectFolderError
+        If all objects for training are of one material, or none for validation or the test is of a material
+        of theirs.
+    """
+    target = _materials(objects)
+    names, labels = np.array(target.names), target.labels
     known = np.unique(labels[split.train])
     if len(known) < 2:
         raise ObjectFolderError(
@@ -145,15 +172,23 @@ def classify_materials(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[
                 f"split {split.name}: no {part} object is of a material of the objects for training "
                 f"({', '.join(names[known])}); add objects"
             )
-    left_out = np.setdiff1d(labels[np.concatenate([split.val, split.test])], known)
-    target = Target(tuple(names.tolist()), labels)
-    scores, curve = _classified(replace(job, split=replace(split, val=val, test=test)), target)
-    return scores | {"materials": names.tolist(), "left_out": names[left_out].tolist()}, curve
+    return replace(split, val=val, test=test)
+
+
+def check_materials(split: Split, objects: Objects) -> None:
+    """Raise ObjectFolderError if `learnt_materials` does."""
+    learnt_materials(split, objects)
+
+
+def _materials(objects: Objects) -> Target:
+    names, classes = np.unique(objects.materials, return_inverse=True)
+    return Target(tuple(names.tolist()), classes.astype(np.int64)[objects.labels])
 
 
 def _classified(job: Job[RecognizeConfig], target: Target) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train and score all combinations; see `recognize`."""
     seeds = range(job.params.seeds)
+    job.check_sizes(LETTERS.values())
     repeats = job.repeats(LETTERS.values())
     setting = _Setting.of(job, repeats, target)
     finished = {(run, name): _finished(setting, run, name) for run in seeds for name in COMBINATIONS}
@@ -304,5 +339,7 @@ def _logits(job: Job[RecognizeConfig], net: Classifier, name: str, rows: np.ndar
     return torch.cat([net(_inputs(job, name, part)) for part in parts]).cpu()
 
 
-RECOGNIZE = Task("recognize", RecognizeConfig, recognize, CURVE_COLUMNS, Observations)
-MATERIALS = Task("materials", RecognizeConfig, classify_materials, CURVE_COLUMNS, Observations)
+RECOGNIZE = Task("recognize", RecognizeConfig, recognize, CURVE_COLUMNS, Observations, check_learnt)
+MATERIALS = Task(
+    "materials", RecognizeConfig, classify_materials, CURVE_COLUMNS, Observations, check_materials
+)

@@ -34,6 +34,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.io import write_png
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.file import ObjectFile
+from objectfolder.workspace.layout import MODALITIES
 
 SHOWN = 8  #: test rows in the picture
 Jobs = dict[str, Job[ReconstructConfig]]  #: by variant
@@ -67,6 +68,7 @@ def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[
     ObjectFolderError
         If files or checkpoints are damaged, or training diverges.
     """
+    job.check_sizes(MODALITIES)
     repeats = job.repeats(("vision", "audio"))
     jobs = {
         variant: job if variant == "T" else job.without_repeats(repeats, modalities)

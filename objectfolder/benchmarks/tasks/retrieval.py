@@ -13,6 +13,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from objectfolder.benchmarks.datasets.observations import Observations
+from objectfolder.benchmarks.datasets.splits import Split
 from objectfolder.benchmarks.models import cca
 from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig
 from objectfolder.benchmarks.models.two_stream import TwoStream, cross_sensory_loss, paired_batches
@@ -25,7 +26,7 @@ from objectfolder.benchmarks.tasks.naming import (
     train_namer,
     validation_gallery,
 )
-from objectfolder.benchmarks.tasks.running import Task
+from objectfolder.benchmarks.tasks.running import Objects, Task
 from objectfolder.errors import ObjectFolderError
 from objectfolder.seeding import numpy_generator, seeded
 from objectfolder.settings import Count, Positive
@@ -46,6 +47,7 @@ class RetrieveConfig(TrainingConfig):
     """Section ``retrieve`` of ``params.yaml``."""
 
     seeds: Count  #: runs whose mean is the result
+    batch: Annotated[int, Ge(3)]  #: pairs; each batch needs negatives
     margin: Positive  #: of the triplet losses, cosine distance
     embedding: Count  #: size of the compared embeddings
     pretrain_epochs: Annotated[int, Ge(0)]  #: in which each encoder learns to name the training objects first
@@ -77,24 +79,17 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
     ObjectFolderError
         If a split cannot be trained on or scored, or a training diverges.
     """
-    classes = np.unique(job.observations.labels[job.split.train])
-    if len(classes) < 2:
-        raise ObjectFolderError(
-            f"split {job.split.name} trains on {job.observations.keys[classes[0]]} alone, expected two "
-            "objects or more; add training objects"
-        )
+    check_objects(job.split, Objects(job.observations.keys, job.observations.labels))
+    job.check_sizes(MODALITIES)
     # The same gallery for all pairs, although only some of them may repeat a row.
     job, rows = job.without_duplicates(*PAIRS)
     labels = job.observations.labels[job.split.test]
-    features = {modality: _features(job, modality) for modality in MODALITIES}
-    baselines: list[Maps] = []
-    chosen: dict[str, Any] = {}
+    correlated = job.finished("cca", lambda: _correlations(job))
+    baselines: list[Maps] = correlated["maps"]
     finished: dict[Pair, list[dict[str, Any]]] = {}
     alone = list(product(MODALITIES, range(job.params.seeds))) if job.params.pretrain_epochs else []
     named = {one: _pretrained(job, *one) for one in alone}
     for pair in PAIRS:
-        baseline, chosen["-".join(pair)] = _correlated(job, pair, features)
-        baselines.append(baseline)
         finished[pair] = [_finished(job, pair, run) for run in range(job.params.seeds)]
     for checkpoint in job.progress.glob("encoder_*.pt"):
         checkpoint.unlink()
@@ -125,7 +120,17 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
     ]
     units = [*named.values(), *(run for runs in finished.values() for run in runs)]
     seconds = sum(unit["seconds"] for unit in units)
-    return {"directions": directions, "cca": chosen, **rows, "seconds": seconds}, curves
+    return {"directions": directions, "cca": correlated["chosen"], **rows, "seconds": seconds}, curves
+
+
+def check_objects(split: Split, objects: Objects) -> None:
+    """Raise ObjectFolderError unless there are two training objects: each needs negatives."""
+    classes = np.unique(objects.labels[split.train])
+    if len(classes) < 2:
+        raise ObjectFolderError(
+            f"split {split.name} trains on {objects.keys[classes[0]]} alone, expected two objects or more; "
+            "add training objects"
+        )
 
 
 def _pretrained(job: Job[RetrieveConfig], modality: str, run: int) -> dict[str, Any]:
@@ -274,6 +279,13 @@ def _features(job: Job[RetrieveConfig], modality: str) -> dict[str, np.ndarray]:
     }
 
 
+def _correlations(job: Job[RetrieveConfig]) -> dict[str, Any]:
+    """Return the scores of CCA for each pair, and what was chosen; no seed changes them."""
+    features = {modality: _features(job, modality) for modality in MODALITIES}
+    maps, chosen = zip(*(_correlated(job, pair, features) for pair in PAIRS))
+    return {"maps": maps, "chosen": dict(zip(map("-".join, PAIRS), chosen))}
+
+
 def _correlated(
     job: Job[RetrieveConfig], pair: Pair, features: dict[str, dict[str, np.ndarray]]
 ) -> tuple[Maps, dict[str, int]]:
@@ -298,4 +310,4 @@ def _correlated(
     return scores, dict(zip(("dimensions", "components"), chosen))
 
 
-RETRIEVE = Task("retrieve", RetrieveConfig, retrieve, CURVE_COLUMNS, Observations)
+RETRIEVE = Task("retrieve", RetrieveConfig, retrieve, CURVE_COLUMNS, Observations, check_objects)

@@ -10,6 +10,7 @@ from pathlib import Path
 from shutil import rmtree
 from typing import Any, Protocol
 
+import numpy as np
 import torch
 
 import objectfolder
@@ -33,6 +34,19 @@ Report = Callable[[str], None]
 
 
 @dataclass(frozen=True)
+class Objects:
+    """Objects of a split, known before they are sampled."""
+
+    keys: Sequence[str]  #: in label order
+    labels: np.ndarray  #: (rows,) int64, the object of each row
+    materials: Sequence[str] = ()  #: of the objects, as far as a task asks for them
+
+
+def any_objects(split: Split, objects: Objects) -> None:
+    """Accept all objects from which the split can be made."""
+
+
+@dataclass(frozen=True)
 class Task:
     """A benchmark task; each task module declares its own."""
 
@@ -43,6 +57,8 @@ class Task:
     run: Callable[[Any], tuple[dict[str, Any], list[list[Any]]]]
     columns: tuple[str, ...]  #: of the training curves
     samples: Callable[[dict[str, Path]], Samples] | None = None  #: opens samples by key; None for robots
+    #: Raises ObjectFolderError if the task cannot be trained on a split of these objects.
+    check: Callable[[Split, Objects], None] = any_objects
 
 
 class Run(Protocol):

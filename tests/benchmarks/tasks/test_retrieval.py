@@ -15,15 +15,22 @@ from objectfolder.benchmarks.models.two_stream import (
     paired_batches,
     triplet_loss,
 )
+from objectfolder.benchmarks.params import task_params
 from objectfolder.benchmarks.tasks import retrieval
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.naming import repeated_objects, retrieved_within
-from objectfolder.benchmarks.tasks.retrieval import CURVE_COLUMNS, retrieve
+from objectfolder.benchmarks.tasks.recognition import recognize
+from objectfolder.benchmarks.tasks.reconstruction import reconstruct
+from objectfolder.benchmarks.tasks.retrieval import CURVE_COLUMNS, RetrieveConfig, retrieve
 from objectfolder.errors import ObjectFolderError
 from objectfolder.seeding import numpy_generator
 
 DIRECTIONS = {"V->A", "A->V", "V->T", "T->V", "A->T", "T->A"}
 SIZES = InputSizes(8, (16, 8), (8, 6))
+ENCODE = {
+    **{"encoder": "test_linear", "image": 8, "spectrogram": [16, 8], "touch": [8, 6]},
+    **{"subtract": False, "shift": 0, "flip": False, "precision": "float32"},
+}
 
 
 @register_encoder("test_linear")
@@ -354,7 +361,7 @@ def test_same_numbers_again_and_after_an_interruption(tmp_path, monkeypatch):
     job = Job(table, split, params(epochs=3), "test_linear", SIZES, seed=3, progress=tmp_path / "cut")
     with pytest.raises(Interrupted):
         retrieve(replace(job, report=stop_in_the_second_training))
-    assert sorted(path.suffix for path in (tmp_path / "cut").iterdir()) == [".json", ".pt"]
+    assert sorted(path.suffix for path in (tmp_path / "cut").iterdir()) == [".json", ".json", ".pt"]
     resumed = retrieve(replace(job, report=lines.append))
     assert len(lines) == len(set(lines)) == 9  # no epoch twice
     for results, _ in (whole, resumed):
@@ -363,12 +370,41 @@ def test_same_numbers_again_and_after_an_interruption(tmp_path, monkeypatch):
     assert {path.suffix for path in (tmp_path / "cut").iterdir()} == {".json"}
 
 
+def test_correlations_are_found_once_for_all_seeds(tmp_path, monkeypatch):
+    table = Table(3)
+    first, _ = run(table, tmp_path, epochs=1)
+    monkeypatch.setattr(retrieval, "_correlated", lambda *_: pytest.fail("found again"))
+    more, _ = run(table, tmp_path, epochs=1, seeds=2)
+    assert more["cca"] == first["cca"]
+    for direction, score in more["directions"].items():
+        assert score["cca"] == first["directions"][direction]["cca"]
+
+
+@pytest.mark.parametrize(("modality", "size"), [("audio", (300, 8)), ("touch", (16, 16))])
+def test_inputs_that_cannot_be_made_are_refused_before_any_training(tmp_path, monkeypatch, modality, size):
+    monkeypatch.setattr(Job, "train", lambda *_, **__: pytest.fail("trained"))
+    table = Table(3)
+    sizes = replace(SIZES, **{{"audio": "spectrogram", "touch": "touch"}[modality]: size})
+    job = Job(table, per_sample(table.keys, table.count), params(), "test_linear", sizes, 3, tmp_path)
+    for task in (retrieve, recognize, reconstruct):
+        with pytest.raises(ObjectFolderError, match="is smaller than the encoder's"):
+            task(job)
+    assert max(len(rows) for _, rows in table.reads) == 1
+
+
+def test_batches_without_negatives_are_no_settings():
+    values = {"seed": 0, "sensor": "digit", "retrieve": vars(params(batch=2)), "encode": ENCODE}
+    with pytest.raises(ObjectFolderError, match="retrieve: batch"):
+        task_params(RetrieveConfig, values)
+    assert task_params(RetrieveConfig, values | {"retrieve": vars(params(batch=3))}).settings.batch == 3
+
+
 def test_finished_scores_are_taken_from_the_folder(tmp_path):
     table = Table(3)
     first = run(table, tmp_path, epochs=1)
     trained = {path: path.read_bytes() for path in tmp_path.iterdir()}
-    assert len(trained) == 3
+    assert len(trained) == 4  # a net of each pair, and CCA
     assert run(table, tmp_path, epochs=1) == first
     run(table, tmp_path, epochs=1, seeds=2)  # one more of each
-    assert len(list(tmp_path.iterdir())) == 6
+    assert len(list(tmp_path.iterdir())) == 7
     assert all(path.read_bytes() == content for path, content in trained.items())
