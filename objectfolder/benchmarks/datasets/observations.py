@@ -1,8 +1,8 @@
 """Observations of several objects as one memory-mapped table.
 
 `objectfolder.benchmarks.datasets.sampling` writes one folder per object: ``vision.npy``, ``audio.npy``,
-``touch.npy``, ``queries.npz``, ``relief.npy``, the Object File, and finally ``observations.json``, which
-marks the folder as complete.
+``touch.npy``, ``queries.npz``, ``relief.npy``, ``untouched.npy``, the Object File, and finally
+``observations.json``, which marks the folder as complete.
 """
 
 from collections.abc import Iterable, Mapping
@@ -21,13 +21,13 @@ from objectfolder.benchmarks.datasets.samples import (
 from objectfolder.benchmarks.datasets.splits import label_order
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_json, read_npz
-from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace.layout import MODALITIES
 
 VERSION = 1  #: of the sampling procedure and the format; other versions are refused
 RECORD = "observations.json"
 QUERIES = "queries.npz"
 RELIEF = "relief.npy"  #: of the surface under each touch
+UNTOUCHED = "untouched.npy"  #: whether each touch misses the object
 SOURCE = "ObjectFile.safetensors"  #: the observed Object File; reconstruction reads its surface
 
 
@@ -107,21 +107,15 @@ class Observations(Samples):
         ObjectFolderError
             If it is missing, as in observations of earlier versions.
         """
-        whole = [
-            map_array(key, folder / RELIEF, "sample the object again")
-            for key, folder in self._folders.items()
-        ]
-        return gather_rows(whole, rows)
+        return self._beside(RELIEF, rows)
 
     def untouched(self, rows: np.ndarray) -> np.ndarray:
         """Return which touches of rows are presses that miss: pictures of the bare gel; (B,) bool."""
-        missed = np.zeros(len(rows), bool)
-        for i, key in enumerate(self.keys):
-            mine = np.asarray(rows) // self.count == i
-            if self.records[key]["arrays"]["touch"]["empty"] and mine.any():  # loading a file takes a second
-                bare = ObjectFile.load(self.object_file(key)).sensor_background
-                missed[mine] = (self.read("touch", rows[mine]) == bare).all((1, 2, 3))
-        return missed
+        return self._beside(UNTOUCHED, rows)
+
+    def _beside(self, name: str, rows: np.ndarray) -> np.ndarray:
+        whole = [map_array(key, at / name, "sample the object again") for key, at in self._folders.items()]
+        return gather_rows(whole, rows)
 
     def object_file(self, key: str) -> Path:
         """Return the path of the observed Object File."""

@@ -12,7 +12,14 @@ import numpy as np
 from annotated_types import Ge, MultipleOf
 
 from objectfolder.audio.spectrogram import DURATION, SAMPLE_RATE
-from objectfolder.benchmarks.datasets.observations import QUERIES, RECORD, RELIEF, SOURCE, VERSION
+from objectfolder.benchmarks.datasets.observations import (
+    QUERIES,
+    RECORD,
+    RELIEF,
+    SOURCE,
+    UNTOUCHED,
+    VERSION,
+)
 from objectfolder.benchmarks.datasets.relief import surface_relief
 from objectfolder.benchmarks.datasets.samples import array_path, object_digest
 from objectfolder.benchmarks.datasets.splits import TEN, check_count
@@ -70,7 +77,7 @@ def sample_observations(
     folder : path
         Of this object alone. Receives ``vision.npy``, ``audio.npy`` and ``touch.npy``, each with a ``.json``
         that identifies it; ``queries.npz``, see `draw_queries`; ``relief.npy``, the `surface_relief` under
-        each touch; the Object File; and finally ``observations.json``.
+        each touch; ``untouched.npy``, which touches miss; the Object File; and finally ``observations.json``.
     report : callable
         Called with a modality and the number of its observations written so far.
 
@@ -117,7 +124,18 @@ def _sample(
             array = _write(file, queries, modality, shapes[modality], folder, report)
             write_json(folder / f"{modality}.json", {"request": request, "array": array})
             arrays[modality] = array
+        with atomic(folder / UNTOUCHED) as temporary, temporary.open("wb") as stream:
+            np.save(stream, _untouched(file, folder))
         write_json(folder / RECORD, request | {"arrays": arrays})
+
+
+def _untouched(file: ObjectFile, folder: Path) -> np.ndarray:
+    """Return which written touches show the bare gel; (N,) bool."""
+    touches = np.load(array_path(folder, "touch"), mmap_mode="r")
+    if file.fixed_contact is not None:  # a net of pictures alone always draws a contact
+        return np.zeros(len(touches), bool)
+    bare: np.ndarray = (touches == file.sensor_background).all((1, 2, 3))
+    return bare
 
 
 def observation_request(file: ObjectFile, count: int, resolution: int, seed: int) -> dict[str, Any]:
@@ -138,7 +156,7 @@ def observation_request(file: ObjectFile, count: int, resolution: int, seed: int
 
 def is_sampled(request: dict[str, Any], folder: Path) -> bool:
     """Return whether a folder holds all observations of an `observation_request`."""
-    if not all((folder / name).is_file() for name in (QUERIES, RELIEF, SOURCE)):
+    if not all((folder / name).is_file() for name in (QUERIES, RELIEF, UNTOUCHED, SOURCE)):
         return False
     arrays = {modality: _written(folder, modality, request) for modality in MODALITIES}
     return all(arrays.values()) and _stored(folder / RECORD) == request | {"arrays": arrays}

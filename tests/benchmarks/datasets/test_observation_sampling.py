@@ -8,6 +8,7 @@ import pytest
 
 from objectfolder import disk as space
 from objectfolder.benchmarks.datasets import sampling
+from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.datasets.samples import object_digest
 from objectfolder.benchmarks.datasets.sampling import ask, draw_queries, sample_observations
 from objectfolder.errors import ObjectFolderError
@@ -316,6 +317,26 @@ def test_net_that_knows_one_press_is_asked_for_that(brick, tmp_path):
     sample_observations(file, COUNT, SIDE, 7, tmp_path)
     assert (np.load(tmp_path / "queries.npz", allow_pickle=False)["touch_depth"] == 0.0012).all()
     assert np.load(tmp_path / "touch.npy", allow_pickle=False).shape == (10, 6, 4, 3)
+
+
+def test_presses_that_miss_are_known_by_the_bare_gel(brick, tmp_path, monkeypatch):
+    answer = sampling.ask
+
+    def miss_once(file, queries, modality, resolution):
+        answers, empty = answer(file, queries, modality, resolution)
+        if modality == "touch":
+            answers[0] = brick.sensor_background
+        return answers, empty
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sampling, "ask", miss_once)
+        sample_observations(brick, COUNT, SIDE, 7, tmp_path)
+    assert Observations({"brick": tmp_path}).untouched(np.array([3, 0, 9, 0])).tolist() == [False, True] * 2
+    (tmp_path / "untouched.npy").unlink()  # as in observations of before
+    asked = calls(monkeypatch)
+    sample_observations(brick, COUNT, SIDE, 7, tmp_path)
+    assert asked == []
+    assert Observations({"brick": tmp_path}).untouched(np.array([0, 1])).tolist() == [True, False]
 
 
 def test_silent_object_is_named(brick, tmp_path, monkeypatch, caplog):

@@ -141,17 +141,3 @@ def test_objects_that_were_sampled_differently_are_refused(brick, folders, tmp_p
     message = rf"bell: {what} has shape \[{count}, {side}, {side}, 3\], that of mug"
     with pytest.raises(ObjectFolderError, match=message):
         Observations({"bell": tmp_path, **folders})
-
-
-def test_presses_that_miss_are_known_by_the_bare_gel(copied, brick):
-    touches = np.load(copied["die"] / "touch.npy", mmap_mode="r+")
-    touches[4] = brick.sensor_background
-    touches.flush()
-    record = json.loads((copied["die"] / "observations.json").read_text())
-    record["arrays"]["touch"]["empty"] = 1
-    (copied["die"] / "observations.json").write_text(json.dumps(record))
-    assert Observations(copied).untouched(np.array([14, 13, 4, 24, 14])).tolist() == [
-        True,
-        *[False] * 3,
-        True,
-    ]
