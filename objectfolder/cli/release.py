@@ -44,7 +44,7 @@ def release(
 
     Example: objectfolder release dataset --name "Kitchen" --creator "A. Smith" --licence CC0-1.0
     """
-    from objectfolder.release.entries import entry_of, released_keys
+    from objectfolder.release.entries import entry_of, notices_of, released_keys
     from objectfolder.release.words import described
     from objectfolder.release.write import write_release
     from objectfolder.workspace import params
@@ -59,7 +59,10 @@ def release(
     with console.status("reading objects") as status:
         entries = [entry_of(key, values, licences, categories) for key in keys]
         words = described(entries, name=name, creator=creator, version=version, date=_day(date), url=url)
-        write_release(out, entries, words, site, on_object=lambda key: status.update(f"{key} is done"))
+        notices = notices_of(keys, values)
+        write_release(
+            out, entries, words, notices, site, on_object=lambda key: status.update(f"{key} is done")
+        )
     size = sum(entry.bytes for entry in entries) / 1e6
     console.print(f"{out}: {len(entries)} objects, {size:.1f} MB of Object Files", highlight=False)
     unnamed = [entry.key for entry in entries if not entry.source]

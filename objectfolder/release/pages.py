@@ -1,29 +1,24 @@
 """README.md, a dataset card of the Hugging Face Hub, and DATASHEET.md of a release."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from objectfolder.objectfile.dataset import INDEX, OBJECTS, IndexEntry
+from objectfolder.release.notices import Notice, attributions, hub_licence
 from objectfolder.release.words import Words, counted, spread
 
-# Identifiers of the Hub for licences as people write them; others are "other".
-_HUB_LICENCES = (
-    "apache-2.0",
-    "cc-by-4.0",
-    "cc-by-nc-4.0",
-    "cc-by-nc-sa-4.0",
-    "cc-by-sa-4.0",
-    "cc0-1.0",
-    "mit",
-)
+LICENCES = "licences"  #: folder of the notices
+_NAMED = "Name these with what you make from the objects; the Object Files were made from their meshes."
 _SITE = "\n\n[site/index.html](site/index.html) shows every object: see, strike and touch it in a browser."
 
 
-def card(entries: Sequence[IndexEntry], words: Words, site: bool) -> str:
+def card(entries: Sequence[IndexEntry], words: Words, notices: Mapping[str, Notice], site: bool) -> str:
     """Return README.md: what the release is and how to load it, with the Hub's metadata."""
-    licences = sorted({entry.licence for entry in entries})
+    named = attributions(notices)
+    attribution = f"## Attribution\n\n{_NAMED}\n\n{named}\n\n" if named else ""
+    copies = f"| `{LICENCES}/` | where each mesh is from: licence, authors, changes |\n" if notices else ""
     return f"""---
 pretty_name: {_yaml(words.name)}
-license: {_hub_licence(licences)}
+license: {hub_licence({entry.licence for entry in entries})}
 tags: [multisensory, robotics, 3d, audio, tactile, safetensors]
 size_categories: [{_size_category(len(entries))}]
 configs:
@@ -62,7 +57,7 @@ touch = item.touch(item.sample_surface(1), depth=0.001)
 |---|---|
 | `{OBJECTS}/` | an Object File per object, {sum(entry.bytes for entry in entries) / 1e6:.1f} MB in all |
 | `{INDEX}` | a row per object: category, material, size, split, scores, digest, licence, source |
-| `croissant.json` | metadata of Croissant 1.1 |
+{copies}| `croissant.json` | metadata of Croissant 1.1 |
 | `DATASHEET.md` | how it was made, what it is for, what it is not for |
 
 | objects | median (least to most) |
@@ -78,14 +73,15 @@ Categories: {counted(entry.category for entry in entries)}.
 Materials: {counted(entry.material for entry in entries)}.
 Split by object, for tests on unseen objects: {counted(entry.split for entry in entries)}.
 
-## Cite
+{attribution}## Cite
 
 {words.citation}
 """
 
 
-def datasheet(entries: Sequence[IndexEntry], words: Words) -> str:
+def datasheet(entries: Sequence[IndexEntry], words: Words, notices: Mapping[str, Notice]) -> str:
     """Return DATASHEET.md, after Gebru et al., Datasheets for Datasets, 2021."""
+    named = attributions(notices)
     sources = counted(entry.source or "not stated" for entry in entries)
     answers = (
         ("Motivation", words.uses),
@@ -108,7 +104,8 @@ def datasheet(entries: Sequence[IndexEntry], words: Words) -> str:
         ("Social impact", words.impact),
         (
             "Distribution",
-            f"Licences: {counted(entry.licence for entry in entries)}. Each object has that of its mesh.",
+            f"Licences: {counted(entry.licence for entry in entries)}. Each object has that of its mesh."
+            + (f" {_NAMED}\n\n{named}" if named else ""),
         ),
         ("Maintenance", f"{words.maintenance} By {words.creator}."),
     )
@@ -118,11 +115,6 @@ def datasheet(entries: Sequence[IndexEntry], words: Words) -> str:
 
 def _yaml(text: str) -> str:
     return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
-
-
-def _hub_licence(licences: Sequence[str]) -> str:
-    known = licences[0].split("(")[0].strip().lower().replace(" ", "-")
-    return known if len(licences) == 1 and known in _HUB_LICENCES else "other"
 
 
 def _size_category(count: int) -> str:

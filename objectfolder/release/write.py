@@ -1,7 +1,7 @@
 """Write a release."""
 
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from objectfolder.disk import new_folder
@@ -9,7 +9,8 @@ from objectfolder.io import file_digest, write_json, write_text
 from objectfolder.objectfile.dataset import INDEX, OBJECTS, IndexEntry
 from objectfolder.release.croissant import croissant
 from objectfolder.release.entries import index_text
-from objectfolder.release.pages import card, datasheet
+from objectfolder.release.notices import Notice
+from objectfolder.release.pages import LICENCES, card, datasheet
 from objectfolder.release.words import Words
 from objectfolder.report.site import write_site
 from objectfolder.workspace.layout import Build
@@ -21,6 +22,7 @@ def write_release(
     out: Path,
     entries: Sequence[IndexEntry],
     words: Words,
+    notices: Mapping[str, Notice],
     site: bool = True,
     root: Path = Path(),
     on_object: Callable[[str], None] = lambda key: None,
@@ -34,6 +36,8 @@ def write_release(
     entries : sequence of IndexEntry
         Of built objects.
     words : Words
+    notices : mapping
+        Those of the meshes that have one, by key; they are passed on.
     site : bool
         Whether to add the report on its objects.
     root : Path
@@ -55,8 +59,12 @@ def write_release(
                 on_object(entry.key)
         write_text(folder / INDEX, index_text(entries))
         write_json(folder / "croissant.json", croissant(entries, words, file_digest(folder / INDEX)))
-        write_text(folder / "README.md", card(entries, words, site))
-        write_text(folder / "DATASHEET.md", datasheet(entries, words))
+        write_text(folder / "README.md", card(entries, words, notices, site))
+        write_text(folder / "DATASHEET.md", datasheet(entries, words, notices))
+        if notices:
+            (folder / LICENCES).mkdir()
+        for key, notice in notices.items():
+            shutil.copyfile(notice.path, folder / LICENCES / f"{key}.txt")
         if site:
             write_site(
                 [Build(entry.key, root).object_file for entry in entries],

@@ -119,7 +119,16 @@ def test_croissant_is_valid(dataset):
     assert [row["entries/key"].decode() for row in rows] == ["mug", "die", "bell"]
 
 
-def test_the_meshs_own_licence_counts(built):
+ATTRIBUTION = "YCB Object and Model Set, Calli et al., 2015"
+NOTICE = (
+    "Mesh and textures: YCB, https://a.b\nLicence: CC BY 4.0 (https://c.d)\n"
+    f"Attribution: {ATTRIBUTION}\nChanges: the mesh is renamed.\n"
+)
+
+
+@pytest.fixture
+def fetched(built):
+    """The workspace with a cup whose mesh has a notice."""
     params_text = (built / "params.yaml").read_text()
     entry = "{mesh: data/objects/cup/mesh.glb, material: steel, scale: 0.09, up: y, wall: null, bridge: all}"
     (built / "params.yaml").write_text(params_text.replace("objects:\n", f"objects:\n  cup: {entry}\n", 1))
@@ -127,12 +136,43 @@ def test_the_meshs_own_licence_counts(built):
     home = built / "data/objects/cup"
     home.mkdir(parents=True)
     shutil.copytree(built / "build/bell", built / "build/cup")
-    notice = "Mesh and textures: YCB, https://a.b\nLicence: CC BY 4.0 (https://c.d)\n"
-    (home / "SOURCE.txt").write_text(notice)
+    (home / "SOURCE.txt").write_text(NOTICE)
+    return built
+
+
+def test_the_meshs_own_licence_counts(fetched):
     release("out", "cup", "--no-site", "--category", "cup=vessels")
     entry = Dataset("out").entry("cup")
-    assert (entry.licence, entry.source) == ("CC BY 4.0 (https://c.d)", "YCB, https://a.b")
+    assert (entry.licence, entry.source) == ("CC-BY-4.0", "YCB, https://a.b")
     assert entry.category == "vessels"
+
+
+def test_attributions_are_passed_on(fetched):
+    release("out", "cup", "mug", "--no-site", *OPTIONS)
+    assert (fetched / "out/licences/cup.txt").read_text() == NOTICE
+    assert "licences/cup.txt" in (fetched / "out/SHA256SUMS").read_text()
+    for page in ("README.md", "DATASHEET.md"):
+        text = (fetched / "out" / page).read_text()
+        assert f"- {ATTRIBUTION}; CC BY 4.0 (https://c.d): cup. Changes: the mesh is renamed." in text
+
+
+def test_a_release_without_notices_names_nobody(dataset):
+    assert not (dataset.folder / "licences").exists()
+    assert "Attribution" not in (dataset.folder / "README.md").read_text()
+
+
+def test_a_licence_that_contradicts_the_notice_is_refused(fetched):
+    with pytest.raises(ObjectFolderError, match=r"cup=CC0-1\.0: .*cup/SOURCE\.txt states CC BY 4\.0"):
+        release("out", "cup", "--no-site", "--licence", "cup=CC0-1.0")
+    assert not (fetched / "out").exists()
+
+
+def test_spellings_of_a_licence_are_one(fetched):
+    licences = ("--licence", "cup=cc-by 4.0", "--licence", "CC-BY-4.0")
+    release("out", "cup", "mug", "--no-site", *licences)
+    text = (fetched / "out/README.md").read_text()
+    assert "license: cc-by-4.0\n" in text
+    assert "Licences: CC-BY-4.0 2;" in text
 
 
 @pytest.mark.parametrize(
