@@ -23,6 +23,8 @@ FORMS = [
     re.compile(rf"^f(?:[ \t]++{corner}(?=\s|$))++[ \t]*+$", re.M | re.A)
     for corner in (r"\d++/*+", r"\d++/\d++/?+", r"\d++//\d++", r"\d++/\d++/\d++")
 ]
+#: Beginnings of lines that trimesh would skip: indented, or a keyword before a tab.
+_SKIPPED = re.compile(r"\n(?:[ \t]++(v[tn]?|f|usemtl|mtllib|[ogs])[ \t]|(v[tn]?|f|usemtl|mtllib|[ogs])\t)")
 MAX_MATERIALS = 4096  # trimesh takes time in proportion to the square of their number
 
 
@@ -37,7 +39,7 @@ def read_obj(path: Path) -> MeshContent:
     ObjectFolderError
         If a file it refers to is missing or unreadable, or a face index is out of range.
     """
-    text = _joined(path.read_bytes().decode(errors="replace"))
+    text = _plain(path.read_bytes().decode(errors="replace"))
     _check_materials(path, text)
     text = _counted_from_start(path, text)
     _check_zero(path, text)
@@ -86,7 +88,7 @@ def read_obj(path: Path) -> MeshContent:
 
 def mtl_names(obj: str) -> list[str]:
     """Return the material libraries named in the text of an ``.obj``, in order; names may contain spaces."""
-    lines = [line.strip() for line in re.findall(r"^mtllib[ \t](.*)", _joined(obj), re.MULTILINE)]
+    lines = [line.strip() for line in re.findall(r"^mtllib[ \t](.*)", _plain(obj), re.MULTILINE)]
     names = [name for line in lines if line for name in _libraries(line)]
     return list(dict.fromkeys(names))
 
@@ -96,9 +98,10 @@ def _libraries(line: str) -> list[str]:
     return [name for name in names if name.lower().endswith(".mtl")] or [line]
 
 
-def _joined(obj: str) -> str:
-    """Join continued lines, as trimesh does."""
-    return obj.replace("\r\n", "\n").replace("\\\n", "")
+def _plain(obj: str) -> str:
+    """Join continued lines, as trimesh does, and begin every line with its keyword and a space."""
+    joined = "\n" + obj.replace("\r\n", "\n").replace("\\\n", "")
+    return _SKIPPED.sub(lambda start: f"\n{start[1] or start[2]} ", joined)[1:]
 
 
 def _check_materials(path: Path, text: str) -> None:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 from gltf_scene import checker, colors_at
 from PIL import Image
 from polygons import AREA, VOLUME, area, u_plate
@@ -72,6 +73,40 @@ def test_indices_count_back_from_where_they_stand(tmp_path):
     (part,), (other,) = (read_obj(tmp_path / name).parts for name in ("m.obj", "n.obj"))
     np.testing.assert_array_equal(part.vertices, other.vertices)
     np.testing.assert_array_equal(part.uv, other.uv)
+
+
+@pytest.mark.parametrize("start", ["f\t", "  f ", "v\t", "\tv ", "vt\t", "usemtl\t", "\tusemtl\t"])
+@pytest.mark.parametrize("every", [1, 2])
+def test_lines_may_be_indented_and_keywords_end_at_a_tab(tmp_path, start, every):
+    cube = trimesh.creation.box((0.1, 0.2, 0.3))
+    lines = ["mtllib m.mtl", *vertex_lines(cube.vertices).splitlines(), "vt 0.5 0.5", "vt 0.25 0.5"]
+    lines += ["usemtl skin", *numbered(cube.faces, "{}/1").splitlines()]
+    (tmp_path / "m.mtl").write_text("newmtl skin\nKd 1 0 0\n")
+    path = tmp_path / "m.obj"
+    path.write_text("\n".join(lines))
+    plain = read_obj(path)
+    keyword = start.strip()
+    chosen = [i for i, line in enumerate(lines) if line.partition(" ")[0] == keyword][::every]
+    for i in chosen:
+        lines[i] = start + lines[i].partition(" ")[2]
+    path.write_text("\n".join(lines))
+    found = read_obj(path)
+    (part,), (same,) = found.parts, plain.parts
+    assert found.notes == plain.notes == []
+    assert len(part.faces) == 12
+    np.testing.assert_array_equal(part.faces, same.faces)
+    np.testing.assert_array_equal(part.vertices, same.vertices)
+    np.testing.assert_array_equal(part.uv, same.uv)
+    np.testing.assert_array_equal(part.material.color, same.material.color)
+
+
+def test_all_lines_may_be_indented(tmp_path):
+    cube = trimesh.creation.box((0.1, 0.2, 0.3))
+    text = vertex_lines(cube.vertices) + numbered(cube.faces)
+    plain = written(tmp_path, text)
+    mesh = written(tmp_path, "".join(f"\t{line}\n" for line in text.splitlines()))
+    assert len(mesh.faces) == 12
+    np.testing.assert_array_equal(mesh.vertices, plain.vertices)
 
 
 def test_one_face_without_texture_coordinates_loses_the_texture_alone(tmp_path):
