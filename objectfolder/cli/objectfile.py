@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Iterator
+from dataclasses import astuple
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -231,6 +232,7 @@ def touch(
     """
     from objectfolder.io import write_png, write_table
     from objectfolder.objectfile.file import ObjectFile
+    from objectfolder.objectfile.touch import ContactPoses
 
     names = [name.strip() for name in outputs.split(",")]
     unknown = [name for name in names if name not in TOUCH_OUTPUTS]
@@ -251,12 +253,13 @@ def touch(
         return
     if moved:
         motion: dict[str, Any] = {"shear": shear, "twist": twist, "friction": friction, "markers": markers}
-        parts = (slice(start, start + _BATCH) for start in range(0, len(points), _BATCH))
+        obj.touches(points, **query)  # checks all contacts before any is written
+        contacts = ContactPoses.checked(points, depths, 0.0, tilt, azimuth)
         batches: Iterator[Any] = (
             obj.press(
-                points[part], **{name: _rows_of(value, part) for name, value in query.items()}, **motion
+                *(values[start : start + _BATCH] for values in astuple(contacts)), sensor=sensor, **motion
             )
-            for part in parts
+            for start in range(0, len(points), _BATCH)
         )
         columns, forces = TOUCH_COLUMNS | SHEAR_COLUMNS, ["shear_right_N", "shear_up_N"]
     else:
@@ -270,11 +273,6 @@ def touch(
             rows.append([number, *(float(getattr(batch, column)[i]) for column in columns), *sideways])
     write_table(out / "contacts.csv", ["contact", *columns.values(), *forces], rows)
     _print_line(f"{len(rows)} contacts in {out}/{_contact_summary(np.array(rows))}")
-
-
-def _rows_of(value: Any, part: slice) -> Any:
-    """Return the rows of a value per contact, or the value of all contacts."""
-    return value[part] if isinstance(value, np.ndarray) else value
 
 
 def _write_touch(out: Path, number: int, batch: Any, row: int, names: list[str]) -> None:

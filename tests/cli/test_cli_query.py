@@ -250,6 +250,44 @@ def test_touches_are_sheared(brick, feel):
                 np.testing.assert_array_equal(arrays[name], getattr(expected, name)[i])
 
 
+@pytest.fixture
+def blocks_of_two(monkeypatch):
+    monkeypatch.setattr("objectfolder.cli.objectfile._BATCH", 2)
+
+
+@pytest.mark.usefixtures("blocks_of_two")
+@pytest.mark.parametrize("rows", [1, 3])
+def test_sheared_touches_in_blocks_take_one_row_or_one_each(brick, feel, tmp_path, rows):
+    gelinfo = np.array([[0.1, 0.3, 0.001], [0.0, 0.0, 0.0012], [0.2, 1.0, 0.0008]])[:rows]
+    np.save(tmp_path / "gelinfo.npy", gelinfo)
+    _, out = feel("--gelinfo", tmp_path / "gelinfo.npy", "--twist", 0.05)
+    tilt, azimuth, depth = gelinfo.T
+    expected = brick.press(brick.sample_surface(3), depth, tilt=tilt, azimuth=azimuth, twist=0.05)
+    table = np.genfromtxt(out / "contacts.csv", delimiter=",", names=True)
+    np.testing.assert_allclose(table["torque_Nm"], expected.torque, rtol=1e-6)
+
+
+@pytest.mark.usefixtures("blocks_of_two")
+@pytest.mark.parametrize(
+    ("point", "gelinfo", "message"),
+    [
+        (None, np.zeros((8, 3)), r"depth has shape \(8,\), expected one number or 3 of them"),
+        (None, np.zeros((2, 3)), r"depth has shape \(2,\), expected one number or 3 of them"),
+        (None, [[0, 0, 0.001], [0, 0, 0.001], [0, 0, 0.01]], "depth: row 2 is 0.01 m"),
+        ([1.0, 1.0, 1.0], np.zeros((3, 3)), "the first is row 2 at"),
+    ],
+)
+def test_sheared_touches_are_checked_before_any_is_written(brick, feel, tmp_path, point, gelinfo, message):
+    points = brick.sample_surface(3)
+    if point is not None:
+        points[2] = point
+    np.save(tmp_path / "points.npy", points)
+    np.save(tmp_path / "gelinfo.npy", np.array(gelinfo))
+    with pytest.raises(ObjectFolderError, match=message):
+        feel("--gelinfo", tmp_path / "gelinfo.npy", "--markers")
+    assert not (tmp_path / "out").exists()
+
+
 def test_flow_needs_a_motion(feel):
     with pytest.raises(ObjectFolderError, match="marker_flow: give --shear, --twist or --markers"):
         feel("--outputs", "marker_flow")
