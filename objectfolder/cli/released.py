@@ -7,6 +7,7 @@ import numpy as np
 import typer
 
 from objectfolder.cli.console import console
+from objectfolder.errors import ObjectFolderError
 
 
 def import_released(
@@ -56,6 +57,8 @@ def import_released(
     from objectfolder.released.convert import ImportOptions, convert
     from objectfolder.workspace.layout import MODALITIES
 
+    if out.suffix != ".safetensors":
+        raise ObjectFolderError(f"{out}: an Object File is written, expected a name such as bowl.safetensors")
     box = None if bounds is None else np.reshape(bounds, (2, 3))
     options = ImportOptions(key, material, scale, box, mesh, sensor, gel, crop)
     obj = convert(file, options)

@@ -324,6 +324,15 @@ def test_the_command_writes_an_object_file(tmp_path):
     assert "released_image" in CliRunner().invoke(app, ["info", str(out)]).output
 
 
+def test_no_other_file_is_overwritten(tmp_path):
+    source, other = tmp_path / "ObjectFile.pth", tmp_path / "other.pth"
+    torch.save(released.released_2(1), source)
+    other.write_bytes(b"another release")
+    ran = CliRunner().invoke(app, ["import", str(source), str(other)])
+    assert "expected a name such as bowl.safetensors" in str(ran.exception)
+    assert other.read_bytes() == b"another release"
+
+
 def test_options_that_make_no_sense_are_errors(file):
     for options, message in (
         ({"bounds": BOUNDS[::-1]}, "expected xmin"),
