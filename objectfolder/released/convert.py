@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from objectfolder import materials
+from objectfolder.checks import finite_number
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import file_digest
 from objectfolder.nets.released.gains import ReleasedGains
@@ -24,7 +25,7 @@ from objectfolder.released.audio import box, gains_net, spectrogram_net
 from objectfolder.released.checkpoint import ReleasedDict, read_released
 from objectfolder.released.touch import depth_net, image_net
 from objectfolder.released.vision import configured_net, nerf_net
-from objectfolder.touch.profiles import load_profile
+from objectfolder.touch.profiles import SensorProfile, load_profile
 from objectfolder.workspace.layout import MODALITIES
 
 SENSOR = "gelsight_r15"  #: default sensor that renders images from the depth maps of 2.0
@@ -72,6 +73,12 @@ def convert(path: str | Path, options: ImportOptions = ImportOptions()) -> Objec
         If no part can be read, or an option is invalid.
     """
     path = Path(path)
+    # Checked here: an error of a part would leave the part out.
+    sensor, gel = load_profile(options.sensor), _gel(options.gel)
+    if options.crop is not None and finite_number("crop", options.crop) <= 0:
+        raise ObjectFolderError(
+            f"crop is {options.crop!r}, expected half the side of a cube in the unit frame, such as 0.6"
+        )
     checkpoint = read_released(path)
     bounds, geometry = _body(options)
     where = bounds if bounds is not None else _stored_bounds(checkpoint)
@@ -85,7 +92,7 @@ def convert(path: str | Path, options: ImportOptions = ImportOptions()) -> Objec
     readers: dict[str, Callable[[ReleasedDict], Any]] = {
         "vision": lambda part: _vision(part, options),
         "audio": lambda part: _audio(part, frame),
-        "touch": lambda part: _touch(part, frame, bounds, options),
+        "touch": lambda part: _touch(part, frame, bounds, sensor, gel),
     }
     header: dict[str, Any] = {
         "format": format_name(),
@@ -128,10 +135,14 @@ def _audio(part: ReleasedDict, frame: Frame) -> ReleasedSpectrogram | ReleasedGa
 
 
 def _touch(
-    part: ReleasedDict, frame: Frame, bounds: np.ndarray | None, options: ImportOptions
+    part: ReleasedDict,
+    frame: Frame,
+    bounds: np.ndarray | None,
+    sensor: SensorProfile,
+    gel: np.ndarray | None,
 ) -> ReleasedImage | ReleasedDepth:
     if "xyz_min" in part or "xyz_max" in part:
-        return depth_net(part, frame, load_profile(options.sensor), _gel(options.gel))
+        return depth_net(part, frame, sensor, gel)
     if bounds is None:
         raise ObjectFolderError(
             f"{part.path}: {part.name} holds no xyz_min; a file of 1.0 does not contain its bounds: "

@@ -286,9 +286,6 @@ def test_the_gel_of_the_released_code_is_taken_as_it_is(file, tmp_path):
     np.save(tmp_path / "depth_bg.npy", heights)
     obj = file(released.released_2(1), gel=tmp_path / "depth_bg.npy")
     np.testing.assert_allclose(obj.tensors["touch.untouched"], 0.04 - 8 * 0.0001245, rtol=1e-6)
-    np.save(tmp_path / "depth_bg.npy", heights.T)
-    obj = file(released.released_2(1), gel=tmp_path / "depth_bg.npy")
-    assert "expected heights of shape (120, 160)" in obj.header["imported"]["notes"][0]
 
 
 def test_contact_is_where_the_depth_map_is_past_the_gel(file):
@@ -341,6 +338,28 @@ def test_options_that_make_no_sense_are_errors(file):
     ):
         with pytest.raises(ObjectFolderError, match=message):
             file(released.released_1(1, 4), **options)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--sensor", "gelsite"], "unknown sensor profile 'gelsite'"),
+        (["--gel", "depth_bg.npy"], r"expected heights of shape \(120, 160\)"),
+        (["--gel", "absent.npy"], "is not a .npy file of numbers"),
+        (["--crop", "0"], "crop is 0.0, expected half the side"),
+        (["--crop", "-0.6"], "crop is -0.6, expected half the side"),
+        (["--crop", "nan"], "crop is nan, expected a finite number"),
+        (["--crop", "inf"], "crop is inf, expected a finite number"),
+    ],
+)
+def test_wrong_options_write_nothing(tmp_path, monkeypatch, options, message):
+    monkeypatch.chdir(tmp_path)
+    np.save("depth_bg.npy", np.full((160, 120), 8.0, np.float32))
+    torch.save(released.released_2(1), "ObjectFile.pth")
+    ran = CliRunner().invoke(app, ["import", "ObjectFile.pth", "out.safetensors", *options])
+    assert isinstance(ran.exception, ObjectFolderError)
+    assert re.search(message, str(ran.exception))
+    assert not (tmp_path / "out.safetensors").exists()
 
 
 MUTANTS = st.sampled_from(
