@@ -44,6 +44,14 @@ def report(
             raise ObjectFolderError(
                 "no object of params.yaml is built; run `objectfolder build`, or name files"
             )
+    if absent := [path for path in paths if not path.is_file()]:
+        raise ObjectFolderError(f"{absent[0]} is no file, expected an ObjectFile.safetensors")
+    failed = []
+
+    def note(key: str, error: ObjectFolderError) -> None:
+        failed.append(key)
+        console.print(f"{key} cannot be reported: {error}", highlight=False, markup=False, soft_wrap=True)
+
     with console.status("reading objects") as status:
         page = write_site(
             paths,
@@ -51,7 +59,9 @@ def report(
             missing,
             single_file,
             lambda key: status.update(f"{key} is done"),
+            note,
         )
-    console.print(f"{page}: {len(paths)} objects", highlight=False, soft_wrap=True)
+    count = f"{len(paths)} objects" + (f", {len(failed)} failed" if failed else "")
+    console.print(f"{page}: {count}", highlight=False, soft_wrap=True)
     if open_page and not webbrowser.open(page.resolve().as_uri()):
         console.print("no browser found: open the page in one", highlight=False)

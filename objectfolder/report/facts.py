@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from objectfolder.engine.costs import recall_costs
+from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.modal import uncertainty_warning
 from objectfolder.io import file_digest, read_json, read_npz
 from objectfolder.metrics import psnr
@@ -60,13 +61,36 @@ def missing_object(key: str, entry: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def object_report(path: Path) -> ObjectReport:
+def failed_object(key: str, error: Exception) -> dict[str, Any]:
+    """Return the row of an object that cannot be reported."""
+    return {
+        "key": key,
+        "material": "unknown",
+        "size": None,
+        "missing": True,
+        "failed": ["Object can be read"],
+        "warnings": [str(error)],
+        "scores": {},
+    }
+
+
+def key_of(path: Path) -> str:
+    """Return the key in an Object File; of one that cannot be read, that by its path."""
+    try:
+        return ObjectFile.load(path).key
+    except ObjectFolderError:
+        return path.resolve().parent.name if path.stem == "ObjectFile" else path.stem
+
+
+def object_report(path: Path, costs: bool = True) -> ObjectReport:
     """Report on an Object File.
 
     Parameters
     ----------
     path : Path
         If it is ``build/KEY/ObjectFile.safetensors`` of a workspace, truth and scores are read from there.
+    costs : bool
+        Whether to report what the build cost.
     """
     file = ObjectFile.load(path)
     build = _build_of(file, path)
@@ -76,6 +100,11 @@ def object_report(path: Path) -> ObjectReport:
         else (None, None, None)
     )
     warnings = list((normalize or {}).get("warnings", []))
+    if metrics and metrics.get("file_sha256") != file_digest(path):
+        metrics = None
+        warnings.append(
+            f"its scores are of another Object File and left out: run `objectfolder build {file.key}`"
+        )
     if modal and (text := uncertainty_warning(modal, allow=True, name=file.key)):
         warnings.append(text)
     frequencies = file.frequencies if "audio" in file.header else np.zeros(0)
@@ -104,7 +133,7 @@ def object_report(path: Path) -> ObjectReport:
         "sounds": _sounds(file, build),
         "touches": _touches(file, build),
         "provenance": _provenance(file, path),
-        "costs": _costs(build),
+        "costs": _costs(build) if costs else [],
         "file": base64.b64encode(path.read_bytes()).decode(),
     }
     return ObjectReport(row, detail)

@@ -3,11 +3,19 @@
 import json
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import write_text
-from objectfolder.report.facts import SCORES, ObjectReport, missing_object, object_report
+from objectfolder.report.facts import (
+    SCORES,
+    ObjectReport,
+    failed_object,
+    key_of,
+    missing_object,
+    object_report,
+)
 from objectfolder.viewer.page import filled_page, page_parts, static_text
 
 
@@ -17,21 +25,29 @@ def write_site(
     missing: Mapping[str, dict[str, Any]] | None = None,
     single_file: bool = False,
     on_object: Callable[[str], None] = lambda key: None,
+    on_failure: Callable[[str, ObjectFolderError], None] | None = None,
+    costs: bool = True,
 ) -> Path:
-    """Write a report.
+    """Write a report: complete, or not at all.
 
     Parameters
     ----------
     files : iterable of Path
         Object Files; truth and scores of those in a workspace are read from there.
     out : Path
-        Folder for ``index.html``, ``viewer.js`` and ``objects/KEY.js``; with ``single_file`` the page.
+        Folder for ``index.html``, ``viewer.js`` and ``objects/KEY.js``; with ``single_file`` the page. Other
+        files in the folder are left alone.
     missing : mapping, optional
         Objects that are not built: entries of params.yaml by key.
     single_file : bool
         Write one page that holds everything, to be mailed.
     on_object : callable
         Called with the key of each object that is done.
+    on_failure : callable, optional
+        Called with key and error of each object that cannot be reported; the overview then says so. Default:
+        raise the error.
+    costs : bool
+        Whether to report what builds cost, which differs from one to the next.
 
     Returns
     -------
@@ -43,22 +59,54 @@ def write_site(
     ObjectFolderError
         If two files hold objects of one key.
     """
-    rows = [missing_object(key, entry) for key, entry in (missing or {}).items()]
-    held = []
-    for path in files:
-        report = object_report(path)
-        key = report.row["key"]
-        if any(key == row["key"] for row in rows):
+    paths = list(files)
+    keys = [key_of(path) for path in paths]
+    for number, key in enumerate(keys):
+        if key in keys[:number] or key in (missing or {}):
             raise ObjectFolderError(
-                f"{path}: another file holds an object of the key {key}; give one of them"
+                f"{paths[number]}: another file holds an object of the key {key}; give one of them"
             )
-        rows.append(report.row)
-        if single_file:
-            held.append(_embedded(report))
-        else:
-            write_text(out / "objects" / f"{key}.js", _script(report))
-        on_object(key)
-    page = out if single_file else out / "index.html"
+    rows = [missing_object(key, entry) for key, entry in (missing or {}).items()]
+    held: list[str] = []
+
+    def report(write: Callable[[ObjectReport], None]) -> str:
+        """Report on all objects; return the page."""
+        for path, key in zip(paths, keys):
+            try:
+                found = object_report(path, costs)
+            except ObjectFolderError as error:
+                if on_failure is None:
+                    raise
+                on_failure(key, error)
+                rows.append(failed_object(key, error))
+            else:
+                rows.append(found.row)
+                write(found)
+                on_object(key)
+        return _page(rows, held, single_file)
+
+    if single_file:
+        write_text(out, report(lambda found: held.append(_embedded(found))))
+        return out
+    out.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(dir=out, prefix=".report.") as folder:
+        scratch = Path(folder)
+        names: list[str] = []
+
+        def keep(name: str, text: str) -> None:
+            write_text(scratch / name, text)
+            names.append(name)
+
+        page = report(lambda found: keep(f"objects/{found.row['key']}.js", _script(found)))
+        keep("viewer.js", static_text("viewer.js"))
+        keep("index.html", page)
+        for name in names:
+            (out / name).parent.mkdir(exist_ok=True)
+            (scratch / name).replace(out / name)
+    return out / "index.html"
+
+
+def _page(rows: list[dict[str, Any]], held: list[str], single_file: bool) -> str:
     # What the live viewer is made of; the page puts an object into it.
     frame = filled_page(
         "page.html", page_parts({}, "{{title}}") | {"objects": "{{objects}}", "script": "{{script}}"}
@@ -70,10 +118,7 @@ def write_site(
         "viewer": _json(static_text("viewer.js")) if single_file else "null",
         "script": static_text("report.js"),
     }
-    if not single_file:
-        write_text(out / "viewer.js", static_text("viewer.js"))
-    write_text(page, filled_page("report.html", content))
-    return page
+    return filled_page("report.html", content)
 
 
 def _script(report: ObjectReport) -> str:

@@ -19,7 +19,7 @@ from objectfolder.engine.costs import record_cost
 from objectfolder.engine.failures import LOGS
 from objectfolder.engine.process import CommandResult
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import write_json, write_npz
+from objectfolder.io import file_digest, read_json, write_json, write_npz
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.header import PARTS
 from objectfolder.report.facts import object_report
@@ -72,7 +72,8 @@ def workspace(brick, tmp_path_factory):
     )
     vision = {"psnr": 40.0, "baseline_white": 9.0, "views": 2}
     vision |= {"best_view": 0, "median_view": 1, "worst_view": 1}
-    write_json(build.metrics, {"vision": vision, "audio": {}, "touch": {}, "file_bytes": 1000})
+    scores = {"vision": vision, "audio": {}, "touch": {}, "file_bytes": 1000}
+    write_json(build.metrics, scores | {"file_sha256": file_digest(build.object_file)})
     logs = build.root / LOGS
     record_cost(logs, "evaluate@brick", CommandResult(0, 3.0, 300.0, cpu_seconds=2.0))
     record_cost(logs, "modal@brick", CommandResult(0, 12.3456, 456.0, cpu_seconds=23.456))
@@ -88,7 +89,7 @@ def report(brick_path):
 @pytest.fixture
 def quick(report, monkeypatch):
     """Sites hold the report of the brick that is made once."""
-    monkeypatch.setattr("objectfolder.report.site.object_report", lambda path: report)
+    monkeypatch.setattr("objectfolder.report.site.object_report", lambda path, costs: report)
 
 
 def test_truth_that_the_file_answers_differs_by_nothing(workspace):
@@ -171,10 +172,11 @@ def test_the_same_object_gives_the_same_report(brick_path, report):
 def hundred(report, monkeypatch, tmp_path):
     """Site of a hundred objects, which are the brick under other names."""
 
-    def renamed(path):
+    def renamed(path, costs):
         return replace(report, row=report.row | {"key": path.name}, detail=report.detail | {"key": path.name})
 
     monkeypatch.setattr("objectfolder.report.site.object_report", renamed)
+    monkeypatch.setattr("objectfolder.report.site.key_of", lambda path: path.name)
     return write_site([Path(f"brick_{n}") for n in range(100)], tmp_path / "site")
 
 
@@ -186,7 +188,82 @@ def test_the_overview_of_a_hundred_objects_holds_none_of_their_files(hundred):
 @pytest.mark.usefixtures("quick")
 def test_two_files_of_one_object_are_refused(brick_path, tmp_path):
     with pytest.raises(ObjectFolderError, match="another file holds an object of the key brick"):
-        write_site([brick_path, brick_path], tmp_path)
+        write_site([brick_path, brick_path], tmp_path / "site")
+    with pytest.raises(ObjectFolderError, match="another file holds an object of the key brick"):
+        write_site([brick_path], tmp_path / "site", {"brick": {"material": "steel", "scale": 0.2}})
+    assert not (tmp_path / "site").exists()
+
+
+@pytest.fixture
+def three(brick, report, tmp_path, monkeypatch):
+    """Files of three objects, the second truncated; the report of the others is that of the brick."""
+
+    def renamed(path, costs):
+        if path.stem == "two":
+            return object_report(path, costs)
+        return replace(report, row=report.row | {"key": path.stem}, detail=report.detail | {"key": path.stem})
+
+    monkeypatch.setattr("objectfolder.report.site.object_report", renamed)
+    paths = [tmp_path / f"{key}.safetensors" for key in ("one", "two", "three")]
+    for path in paths:
+        ObjectFile(brick.header | {"key": path.stem}, brick.tensors).save(path)
+    paths[1].write_bytes(paths[1].read_bytes()[:-1])
+    return paths
+
+
+def test_a_damaged_object_fails_alone(three, tmp_path, capsys):
+    site = tmp_path / "site"
+    app(["report", *map(str, three), "--no-open", "--out", str(site)], standalone_mode=False)
+    one, two, last = script((site / "index.html").read_text(), 'id="data"')["rows"]
+    assert (one["key"], two["key"], last["key"]) == ("one", "two", "three")
+    assert two["failed"] == ["Object can be read"]
+    assert "is not a readable safetensors file" in two["warnings"][0]
+    assert one["failed"] == last["failed"] == []
+    assert sorted(path.name for path in (site / "objects").iterdir()) == ["one.js", "three.js"]
+    assert "3 objects, 1 failed" in capsys.readouterr().out
+
+
+def test_a_site_is_written_whole_or_not_at_all(three, tmp_path):
+    site = tmp_path / "site"
+    write_site(three[:1], site)
+    before = {path: path.read_bytes() for path in site.rglob("*") if path.is_file()}
+    with pytest.raises(ObjectFolderError, match="is not a readable"):
+        write_site(three[::-1], site)
+    assert {path: path.read_bytes() for path in site.rglob("*") if path.is_file()} == before
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(ObjectFolderError, match=r"absent\.safetensors is no file"):
+        app(["report", str(tmp_path / "absent.safetensors"), "--no-open"], standalone_mode=False)
+
+
+@pytest.fixture
+def bare(monkeypatch):
+    """Reports hold no pictures and sounds, which take seconds."""
+    for name in ("_views", "_sounds", "_touches"):
+        monkeypatch.setattr(f"objectfolder.report.facts.{name}", lambda *arguments: [])
+    monkeypatch.setattr("objectfolder.report.facts.file_checks", lambda file: [])
+    monkeypatch.setattr("objectfolder.report.facts._seen", lambda file: False)
+
+
+@pytest.mark.usefixtures("bare")
+def test_costs_are_left_out_if_not_asked_for(workspace):
+    assert len(object_report(workspace.object_file).detail["costs"]) == 2
+    assert object_report(workspace.object_file, costs=False).detail["costs"] == []
+
+
+@pytest.mark.usefixtures("bare")
+def test_scores_of_another_file_are_left_out(workspace, tmp_path):
+    root = tmp_path / "workspace"
+    shutil.copytree(workspace.root, root)
+    build = Build("brick", root)
+    write_json(build.metrics, read_json(build.metrics) | {"file_sha256": "0" * 64})
+    report = object_report(build.object_file)
+    assert report.row["scores"] == {"file_bytes": float(f"{build.object_file.stat().st_size:.4g}")}
+    assert report.row["warnings"] == [
+        "its scores are of another Object File and left out: run `objectfolder build brick`"
+    ]
+    assert "Looks better than an empty picture" not in [check["name"] for check in report.detail["checks"]]
 
 
 def test_report_reports_on_a_workspace(workspace, tmp_path, monkeypatch, capsys):

@@ -7,6 +7,7 @@ export interface Row {
   key: string;
   material: string;
   size: number | null;
+  /** Whether it has no page: it is not built or, if a check failed, cannot be read. */
   missing?: boolean;
   modes?: number;
   lowest?: number | null;

@@ -6,8 +6,10 @@ import { byId, draw, length, make, short } from "./dom.ts";
 /** Failures first, then warnings, then by name. */
 const trouble = (row: Row) => (row.missing ? 0 : row.failed.length ? 1 : row.warnings.length ? 2 : 3);
 
+const notBuilt = (row: Row) => row.missing === true && !row.failed.length;
+
 function card(row: Row): HTMLElement {
-  const state = row.missing ? "missing" : row.failed.length ? "failed" : "";
+  const state = row.failed.length ? "failed" : row.missing ? "missing" : "";
   const facts = [row.material, length(row.size)].filter(Boolean).join(" · ");
   const score = row.scores["vision.psnr"];
   const said = row.failed.length ? `${row.failed.length} failed: ${row.failed[0]}` : "";
@@ -85,12 +87,13 @@ export class Overview {
   constructor() {
     const { rows, scores } = data;
     const built = rows.filter((row) => !row.missing);
-    const failed = built.filter((row) => row.failed.length).length;
+    const failed = rows.filter((row) => row.failed.length).length;
+    const missing = rows.filter(notBuilt).length;
     const bytes = built.reduce((sum, row) => sum + (row.bytes ?? 0), 0);
     byId("summary").textContent = [
       `${built.length} objects, ${short(bytes / 1e6, "MB")} of Object Files`,
       failed ? `${failed} with failed checks` : "all checks passed",
-      rows.length > built.length ? `${rows.length - built.length} not built` : "",
+      missing ? `${missing} not built` : "",
     ]
       .filter(Boolean)
       .join(" · ");
@@ -150,7 +153,7 @@ export class Overview {
       const text = `${row.key.replaceAll("_", " ")} ${row.material}`.toLowerCase();
       if (state === "failed" && !row.failed.length) return false;
       if (state === "warned" && !row.warnings.length) return false;
-      if (state === "missing" && !row.missing) return false;
+      if (state === "missing" && !notBuilt(row)) return false;
       return (!material || row.material === material) && words.every((word) => text.includes(word));
     });
     // Objects without the score come last.
