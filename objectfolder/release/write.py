@@ -70,6 +70,7 @@ def write_release(
                 [Build(entry.key, root).object_file for entry in entries],
                 folder / SITE,
                 on_object=on_object,
+                costs=False,
             )
         files = sorted(path for path in folder.rglob("*") if path.is_file())
         sums = [f"{file_digest(path)}  {path.relative_to(folder)}" for path in files]

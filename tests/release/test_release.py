@@ -10,6 +10,9 @@ import pytest
 
 from objectfolder import Dataset
 from objectfolder.cli import app
+from objectfolder.engine.costs import record_cost
+from objectfolder.engine.failures import LOGS
+from objectfolder.engine.process import CommandResult
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import file_digest, write_json
 from objectfolder.objectfile.dataset import COLUMNS
@@ -228,3 +231,11 @@ def test_the_site_answers_from_the_same_files(built):
     release("out", "bell", *OPTIONS)
     assert "bell" in (built / "out/site/objects/bell.js").read_text()
     assert "site/index.html" in (built / "out/README.md").read_text()
+
+
+@pytest.mark.slow
+def test_what_a_build_cost_changes_no_byte_of_a_release(built):
+    for name, seconds in (("out", 3.0), ("again", 4.0)):
+        record_cost(built / LOGS, "modal@bell", CommandResult(0, seconds, 300.0, cpu_seconds=2.0))
+        release(name, "bell", *OPTIONS)
+    assert (built / "out/SHA256SUMS").read_text() == (built / "again/SHA256SUMS").read_text()
