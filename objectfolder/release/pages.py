@@ -92,7 +92,7 @@ def datasheet(entries: Sequence[IndexEntry], words: Words, notices: Mapping[str,
         ("Collection", f"{words.making} Meshes: {sources}."),
         (
             "Preprocessing",
-            "Meshes were scaled to their size and closed to solids; gaps were filled where an entry says so.",
+            "Meshes were scaled to their size and closed to solids; small gaps between bodies may be filled.",
         ),
         (
             "Splits",

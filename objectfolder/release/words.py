@@ -33,10 +33,10 @@ class Words:
         "that and stored."
     )
     limits: str = (
-        "Everything is simulated; no object was photographed, recorded or touched. Each object is one "
-        "uniform, linear, elastic solid without joints, liquids or coatings. Damping is a law of its "
-        "material, not a measurement of the object. Tactile images are those of the sensor that each file "
-        "names."
+        "Views, sounds and touches are simulated, none is of a real object; textures of scanned meshes are "
+        "photographs. Each object is one uniform, linear, elastic solid without joints, liquids or coatings. "
+        "Damping is a law of its material, not a measurement of the object. Tactile images are those of the "
+        "sensor that each file names."
     )
     biases: str = (
         "Objects were chosen because a mesh was at hand or could be generated: they are no sample of any "

@@ -164,6 +164,14 @@ def test_a_release_without_notices_names_nobody(dataset):
     assert "Attribution" not in (dataset.folder / "README.md").read_text()
 
 
+def test_the_datasheet_says_of_scans_and_gaps_what_is_so(dataset):
+    text = (dataset.folder / "DATASHEET.md").read_text()
+    assert "no object was photographed" not in text
+    assert "textures of scanned meshes are photographs" in text
+    assert "where an entry says so" not in text
+    assert "small gaps between bodies may be filled" in text
+
+
 def test_a_licence_that_contradicts_the_notice_is_refused(fetched):
     with pytest.raises(ObjectFolderError, match=r"cup=CC0-1\.0: .*cup/SOURCE\.txt states CC BY 4\.0"):
         release("out", "cup", "--no-site", "--licence", "cup=CC0-1.0")
