@@ -246,6 +246,18 @@ class ObjectFile:
         """
         return FixedContact.of(self._touch_config)
 
+    def press_range(self, sensor: Sensor = None) -> tuple[float, float]:
+        """Return the least and the greatest press depth of usual contacts, metres.
+
+        They are the ``press_depth`` of the sensor's profile, as far as the touch net answers them: one of an
+        imported 2.0 file answers 0.5 to 2 mm.
+
+        Parameters
+        ----------
+        sensor : as in `touch`
+        """
+        return self._parts.touch.press_range(_profile(sensor) or self.sensor_profile)
+
     @property
     def has_modes(self) -> bool:
         """Whether the audio net knows mode shapes, which `mode_shapes`, `tuning` and other sizes need."""

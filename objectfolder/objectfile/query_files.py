@@ -107,7 +107,7 @@ def sample_presses(
     -------
     (count, 3) float64
         Tilt theta, up to 15 degrees, and its direction phi, both in radians, and depth in metres, each
-        uniform. Depths are in the range ``press_depth`` of the sensor's profile: 0.5 to 2 mm for DIGIT, as
+        uniform. Depths are in the ``press_range`` of the object and the sensor: 0.5 to 2 mm for DIGIT, as
         published.
 
     Raises
@@ -130,10 +130,9 @@ def sample_presses(
                 f"{fixed.depth:g} m deep and without a tilt; leave gelinfo out and query with that depth "
                 f"(--depth {fixed.depth:g})"
             )
-        sensor = obj.sensor_profile
     count = whole_number("count", count)
     require_memory(f"{count} presses", 50 * count, "draw fewer at a time")
-    low, high = sensor.press_depth
+    low, high = obj.press_range(sensor)
     return _generator(seed).uniform((0, 0, low), (MAX_TILT, 2 * math.pi, high), (count, 3))
 
 

@@ -132,6 +132,9 @@ class TouchSense(Protocol):
             At once, if a contact is not possible or a point is off the surface.
         """
 
+    def press_range(self, profile: SensorProfile) -> tuple[float, float]:
+        """Return the least and the greatest of a sensor's usual press depths that it answers, metres."""
+
     def shown(self, displacement: np.ndarray, profile: SensorProfile) -> np.ndarray:
         """Return images (N, H, W, 3) of a gel displaced by (N, H, W) metres; of a profile of `touches`."""
 
@@ -195,6 +198,10 @@ class GeometricSense:
             )
         return self._surface.snap(contacts.points, tolerance, UNMOVED)
 
+    def press_range(self, profile: SensorProfile) -> tuple[float, float]:
+        """Return the sensor's usual press depths, metres."""
+        return profile.press_depth
+
     def shown(self, displacement: np.ndarray, profile: SensorProfile) -> np.ndarray:
         """Return images of a displaced gel."""
         net = self.net if profile == self.net.profile else self.net.with_sensor(profile)
@@ -235,6 +242,10 @@ class ImageSense:
         """Refuse: the net stores images alone."""
         raise self._images_only()
 
+    def press_range(self, profile: SensorProfile) -> tuple[float, float]:
+        """Return the one press depth, metres."""
+        return self._fixed.depth, self._fixed.depth
+
     def shown(self, displacement: np.ndarray, profile: SensorProfile) -> np.ndarray:
         """Refuse: the net stores images alone."""
         raise self._images_only()
@@ -271,6 +282,10 @@ class DepthMapSense:
                 "no rotation"
             )
         return self.net.touches(*self._pressed(contacts, tolerance), profile)
+
+    def press_range(self, profile: SensorProfile) -> tuple[float, float]:
+        """Return the sensor's usual press depths that the net was trained on, metres."""
+        return self.net.press_range(profile)
 
     def shown(self, displacement: np.ndarray, profile: SensorProfile) -> np.ndarray:
         """Return images of a displaced gel."""

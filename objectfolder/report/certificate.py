@@ -126,7 +126,7 @@ def _sound_checks(file: ObjectFile) -> list[PhysicalCheck]:
 def _touch_checks(file: ObjectFile) -> list[PhysicalCheck]:
     if not {"geometry", "touch"} <= file.header.keys() or file.fixed_contact is not None:
         return []
-    low, high = file.sensor_profile.press_depth  # the net learned no others
+    low, high = file.press_range()  # the net learned no others
     if low == high:
         return []
     points = np.repeat(file.sample_surface(STRIKES, seed=0), 3, axis=0)

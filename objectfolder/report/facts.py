@@ -234,7 +234,7 @@ def _touches(file: ObjectFile, build: Build | None) -> list[dict[str, Any]]:
     if build is None or not build.touch("test").is_file():
         if file.fixed_contact is not None:
             return []
-        depth = min(DEPTH, file.sensor_profile.press_depth[1])
+        depth = float(np.clip(DEPTH, *file.press_range()))
         images = file.touch(file.sample_surface(TOUCHES, seed=0), depth)
         return [{"title": f"{depth * 1e3:.2g} mm", "source": picture_uri(image)} for image in images]
     data = read_npz(build.touch("test"), "images", "points", "depths", "angles", "obstructed")

@@ -3,6 +3,7 @@
 import copy
 import logging
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
 from objectfolder.nets.positional import encoded
 from objectfolder.nets.released.network import Frame
+from objectfolder.objectfile.query_files import sample_presses
 from objectfolder.released import convert as converter
 from objectfolder.released import touch
 from objectfolder.released.audio import gains_net, spectrogram_net
@@ -25,7 +27,8 @@ from objectfolder.released.convert import ImportOptions, convert
 from objectfolder.released.encoding import by_number, by_octave
 from objectfolder.released.touch import depth_net, image_net
 from objectfolder.released.vision import configured_net, nerf_net
-from objectfolder.touch.profiles import load_profile
+from objectfolder.report.certificate import file_checks
+from objectfolder.touch.profiles import available_profiles, load_profile
 from objectfolder.vision.cameras import Intrinsics
 
 BOUNDS = np.array([[-0.09, -0.12, -0.07], [0.11, 0.08, 0.13]])
@@ -301,6 +304,33 @@ def test_contact_is_where_the_depth_map_is_past_the_gel(file):
     rows = np.flatnonzero(felt.height[0].max(1) > 0)
     assert 0 < rows[0] <= 159 - rows[-1] + 1  # the depth map is lower than the image of the DIGIT
     assert (felt.height[0, :, 60] > 0).sum() * 0.0254 / 160 == pytest.approx(120 * 0.0001245, rel=0.05)
+
+
+@pytest.mark.parametrize("sensor", available_profiles())
+def test_sampled_presses_are_answered_whatever_the_sensor(file, quick_gel, sensor):
+    obj = file(released.released_2(1, 4), sensor=sensor)
+    given = load_profile(sensor)
+    for presses in (sample_presses(obj, 100), sample_presses(obj, 100, sensor=given)):
+        tilt, _, depth = presses.T
+        obj._parts.touch.net.require(depth, tilt)
+    assert obj.press_range() == (max(given.press_depth[0], 0.0005), min(given.press_depth[1], 0.002))
+
+
+def test_a_sensor_that_is_pressed_less_is_pressed_as_the_net_knows(file, quick_gel):
+    obj = file(released.released_2(1, 4))
+    light = replace(load_profile("digit"), press_depth=(0.0001, 0.0003))
+    assert obj.press_range(light) == (0.0005, 0.002)
+
+
+def test_an_imported_file_with_a_surface_has_a_certificate(file, quick_gel, brick, monkeypatch):
+    monkeypatch.setattr("objectfolder.report.certificate.STRIKES", 1)
+    obj = file(released.released_2(1, 4), sensor="gelsight_mini")
+    for name in ("vision", "audio"):
+        del obj.header[name]
+    header = obj.header | {"geometry": brick.header["geometry"], "scale": brick.scale}
+    distances = {"geometry.distances": brick.tensors["geometry.distances"]}
+    checks = file_checks(ObjectFile(header, dict(obj.tensors) | distances))
+    assert "Deeper presses touch more" in [check.name for check in checks]
 
 
 def test_the_command_writes_an_object_file(tmp_path):

@@ -170,6 +170,12 @@ class ReleasedDepth:
                     f"{low:g} to {high:g}"
                 )
 
+    def press_range(self, profile: SensorProfile) -> tuple[float, float]:
+        """Return the press depths of a sensor that the net was trained on, metres; without any, the net's."""
+        (low, high), (least, most) = profile.press_depth, PRESS_DEPTHS
+        found = max(low, least), min(high, most)
+        return found if found[0] <= found[1] else PRESS_DEPTHS
+
     def touches(
         self,
         points: np.ndarray,
