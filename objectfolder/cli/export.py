@@ -142,7 +142,11 @@ def nerfstudio(
     """
     from objectfolder.benchmarks.datasets.nerfstudio import write_nerfstudio
 
-    for file in _loaded(out, files):
+    objects = _loaded(out, files, "vision")
+    for file in objects:
+        if file.header["vision"]["kind"] == "surface":
+            file.require("geometry")
+    for file in objects:
         with console.status("") as status:
 
             def report(done: int, total: int, key: str = file.key) -> None:
@@ -170,6 +174,8 @@ def lerobot(
     from objectfolder.objectfile.file import ObjectFile
 
     objects = [ObjectFile.load(file) for file in files]
+    for found in objects:
+        found.require("geometry", "audio", "touch")
     with console.status("") as status:
         write_lerobot(
             objects,
@@ -186,13 +192,17 @@ def lerobot(
 def _export_objects(
     out: Path, files: list[Path], hulls: int, write: "Callable[[ObjectFile, Path, int], Path]"
 ) -> None:
-    objects = _loaded(out, files)
+    from objectfolder.envs.body import density
+
+    objects = _loaded(out, files, "geometry")
+    for found in objects:
+        density(found)
     for found in tracked(objects, "exporting objects", len(objects)):
         console.print(str(write(found, out, hulls)), highlight=False, soft_wrap=True)
 
 
-def _loaded(out: Path, files: list[Path]) -> "list[ObjectFile]":
-    """Load objects, each of which gets a new folder; checked before anything that takes long."""
+def _loaded(out: Path, files: list[Path], *needs: str) -> "list[ObjectFile]":
+    """Load objects, each of which gets a new folder and has the parts; checked before anything is written."""
     from objectfolder.objectfile.file import ObjectFile
 
     objects = [ObjectFile.load(file) for file in files]
@@ -201,6 +211,7 @@ def _loaded(out: Path, files: list[Path]) -> "list[ObjectFile]":
             raise ObjectFolderError(f"{out / found.key} exists already: choose another folder, or delete it")
         if found.key in (other.key for other in objects[:i]):
             raise ObjectFolderError(f"{file}: a second object {found.key}; export it to another folder")
+        found.require(*needs)
     return objects
 
 

@@ -172,6 +172,17 @@ class ObjectFile:
         """
         self._parts.check()
 
+    def require(self, *parts: str) -> None:
+        """Check that the file holds some parts, such as "audio", without reading them.
+
+        Raises
+        ------
+        ObjectFolderError
+            If it lacks one, or this version does not know its kind.
+        """
+        for part in parts:
+            self._parts.described(part)
+
     def save(self, path: str | Path) -> None:
         """Write the Object File; the same object gives the same bytes."""
         write_safetensors(path, dict(self.tensors), self.header)

@@ -199,6 +199,19 @@ def test_command_refuses_two_objects_of_a_name(brick_path, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("change", [{"geometry": None}, {"material": "moss", "material_properties": None}])
+def test_command_checks_all_objects_before_it_writes_one(brick, brick_path, tmp_path, change):
+    header = brick.header | {"key": "second"} | change
+    parts = {name: value for name, value in header.items() if value is not None}
+    ObjectFile(parts, brick.tensors).save(tmp_path / "second.safetensors")
+    files = [str(brick_path), str(tmp_path / "second.safetensors")]
+    arguments = ["export", "mjcf", str(tmp_path / "out"), *files]
+    result = CliRunner().invoke(app, arguments)
+    assert isinstance(result.exception, ObjectFolderError)
+    assert "second" in str(result.exception)
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize("library", ["mujoco", "coacd", "manifold3d"])
 def test_library_that_is_not_there_is_named(brick_path, tmp_path, monkeypatch, library):
     monkeypatch.setitem(sys.modules, library, None)

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 from objectfolder.benchmarks.datasets.nerfstudio import straight, write_nerfstudio
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile.file import ObjectFile
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +68,16 @@ def test_the_command_writes_a_folder_per_object_and_keeps_what_is_there(brick_pa
     again = CliRunner().invoke(app, words)
     assert isinstance(again.exception, ObjectFolderError)
     assert "exists already" in str(again.exception)
+
+
+@pytest.mark.parametrize("part", ["vision", "geometry"])
+def test_the_command_checks_all_objects_before_it_writes_one(brick, brick_path, tmp_path, part):
+    header = {name: value for name, value in brick.header.items() if name != part} | {"key": "second"}
+    ObjectFile(header, brick.tensors).save(tmp_path / "second.safetensors")
+    files = [str(brick_path), str(tmp_path / "second.safetensors")]
+    done = CliRunner().invoke(app, ["export", "nerfstudio", str(tmp_path / "out"), *files, "-n", "1"])
+    assert f"second: the file holds no {part}" in str(done.exception)
+    assert not (tmp_path / "out").exists()
 
 
 #: Options of Nerfstudio's parser with which poses stay as they are written.
