@@ -354,6 +354,8 @@ def _existing(path: str | Path, hint: str = "build it with `objectfolder build`"
     path = Path(path)
     try:
         problem = None if path.is_file() else "does not exist"
+        if problem and path.exists():
+            problem, hint = "is a folder" if path.is_dir() else "is a device", "expected a file"
     except OSError as error:  # a name that is too long, a folder without permission
         problem = f"cannot be read: {error.strerror}"
     if problem:

@@ -164,10 +164,11 @@ def test_missing_arrays_are_named(tmp_path):
 
 
 @pytest.mark.parametrize("reader", [read_npz, read_json, read_safetensors, file_digest])
-def test_a_missing_file_or_a_folder_says_how_to_build_it(tmp_path, reader):
-    for path in (tmp_path / "none.npz", tmp_path):
-        with pytest.raises(ObjectFolderError, match="does not exist; build it"):
-            reader(path)
+def test_a_missing_file_says_how_to_build_it_and_a_folder_that_it_is_one(tmp_path, reader):
+    with pytest.raises(ObjectFolderError, match="does not exist; build it"):
+        reader(tmp_path / "none.npz")
+    with pytest.raises(ObjectFolderError, match="is a folder; expected a file"):
+        reader(tmp_path)
 
 
 def test_json(tmp_path):
@@ -232,3 +233,8 @@ def test_what_is_kept_outlives_the_file(tmp_path, monkeypatch, links):
         (tmp_path / "a").unlink()
         assert (tmp_path / "kept").read_text() == text
     assert names(tmp_path) == ["kept"]
+
+
+def test_a_device_is_no_file():
+    with pytest.raises(ObjectFolderError, match="/dev/null is a device; expected a file"):
+        file_digest("/dev/null")

@@ -30,13 +30,12 @@ def video(
 
     from objectfolder.objectfile import turntable as film
     from objectfolder.objectfile.file import ObjectFile
-    from objectfolder.objectfile.samples import available_samples, sample_path
+    from objectfolder.objectfile.samples import file_or_sample
 
     program = encoder("video", out, size)
     settings = film.Turntable(seconds, size, rate, contacts, seed)
     film.require_room(settings, len(files))
-    named = [sample_path(str(f)) if str(f) in available_samples() and not f.exists() else f for f in files]
-    objects = [ObjectFile.load(path) for path in named]
+    objects = [ObjectFile.load(file_or_sample(path)) for path in files]
     chosen = [film.contacts(file, settings) for file in objects]
     sounds = [film.sound(file, settings, found) for file, found in zip(objects, chosen)]
     shots = (shot for file, found in zip(objects, chosen) for shot in film.pictures(file, settings, found))

@@ -31,12 +31,12 @@ def view(
     """
     from objectfolder.io import atomic
     from objectfolder.objectfile.file import ObjectFile
-    from objectfolder.objectfile.samples import available_samples, sample_path
+    from objectfolder.objectfile.samples import file_or_sample
     from objectfolder.viewer.page import viewer_page
 
     objects: dict[str, bytes] = {}
     for given in files:
-        path = sample_path(str(given)) if str(given) in available_samples() and not given.exists() else given
+        path = file_or_sample(given)
         key = ObjectFile.load(path).key
         if key in objects:
             raise ObjectFolderError(

@@ -23,3 +23,9 @@ def sample_path(name: str) -> Path:
     if name not in (names := available_samples()):
         raise ObjectFolderError(f"no sample {quoted(name)}: expected one of {', '.join(names)}")
     return _FOLDER / f"{name}.safetensors"
+
+
+def file_or_sample(given: Path) -> Path:
+    """Return a path, or the sample of that name if there is no such file."""
+    named = str(given)
+    return sample_path(named) if named in available_samples() and not given.is_file() else given

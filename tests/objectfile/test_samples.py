@@ -1,10 +1,13 @@
+from pathlib import Path
+
 import pytest
 
 from objectfolder import ObjectFile
+from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import safetensors_bytes
 from objectfolder.objectfile.header import format_name
-from objectfolder.objectfile.samples import available_samples, sample_path
+from objectfolder.objectfile.samples import available_samples, file_or_sample, sample_path
 
 
 def test_samples_are_small_files_of_this_format():
@@ -20,6 +23,17 @@ def test_samples_are_small_files_of_this_format():
 def test_an_unknown_sample_is_refused():
     with pytest.raises(ObjectFolderError, match="bell, die, mug"):
         ObjectFile.sample("../mug")
+
+
+def test_a_folder_of_the_same_name_does_not_hide_a_sample(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("mug").mkdir()
+    assert file_or_sample(Path("mug")) == sample_path("mug")
+    app(["view", "mug", "--out", "mug.html", "--no-open"], standalone_mode=False)
+    assert Path("mug.html").is_file()
+    Path("die").write_bytes(b"a file of that name")
+    assert file_or_sample(Path("die")) == Path("die")
+    assert file_or_sample(Path("cup")) == Path("cup")
 
 
 def test_bytes_are_those_of_the_file(brick, brick_path):
