@@ -1,9 +1,11 @@
 """A released dataset: a folder of Object Files with an index."""
 
 import csv
+import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
+from types import NoneType
 from typing import Any, get_args
 
 from objectfolder.errors import ObjectFolderError, quoted, shortened
@@ -39,6 +41,8 @@ class IndexEntry:
 COLUMNS: dict[str, type] = {
     field.name: (get_args(field.type) or (field.type,))[0] for field in fields(IndexEntry)
 }
+#: Columns that may be empty, since the figure may be unknown.
+_OPTIONAL = frozenset(field.name for field in fields(IndexEntry) if NoneType in get_args(field.type))
 
 
 class Dataset(Sequence[ObjectFile]):
@@ -195,14 +199,22 @@ def _entry(row: dict[str, Any], place: str) -> IndexEntry:
     # Columns of newer versions are left alone.
     if missing := [name for name in COLUMNS if row.get(name) is None]:
         raise ObjectFolderError(f"{place}: lacks {', '.join(missing)}")
-    values: dict[str, Any] = {}
-    for name, kind in COLUMNS.items():
-        text = row[name]
-        try:
-            values[name] = text if kind is str else kind(text) if text else None
-        except ValueError as error:
-            raise ObjectFolderError(f"{place}: {name} is {quoted(text)}, expected a number") from error
+    values = {name: _value(row[name], name, kind, place) for name, kind in COLUMNS.items()}
     path = Path(values["path"])
     if path.is_absolute() or ".." in path.parts:
         raise ObjectFolderError(f"{place}: path is {quoted(values['path'])}, expected one in the release")
     return IndexEntry(**values)
+
+
+def _value(text: str, name: str, kind: type, place: str) -> Any:
+    if kind is str:
+        return text
+    if not text and name in _OPTIONAL:
+        return None
+    try:
+        number = kind(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise ObjectFolderError(f"{place}: {name} is {quoted(text)}, expected a number")
+    return number

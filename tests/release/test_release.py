@@ -100,6 +100,18 @@ def test_torch_loads_it(dataset):
     assert list(loader) == [["mug", "die"], ["bell"]]
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("start", ["fork", "spawn"])
+def test_processes_of_a_loader_share_it(dataset, start):
+    from torch.utils.data import DataLoader
+
+    loader = DataLoader(dataset, batch_size=1, collate_fn=list, num_workers=2, multiprocessing_context=start)
+    items = [item for batch in loader for item in batch]
+    assert [item.key for item in items] == list(dataset.keys)
+    points = items[0].sample_surface(1)
+    assert items[0].impact(points, [[0, 0, 1.0]], duration=0.01).any()
+
+
 def test_the_hub_and_croissant_read_its_index(dataset, tmp_path):
     datasets = pytest.importorskip("datasets")
     table = datasets.load_dataset("out", cache_dir=str(tmp_path / "cache"))["objects"]
@@ -217,6 +229,10 @@ def test_scores_of_an_earlier_file_are_not_released(built):
     [
         ("objects/mug", "../mug", "object 1: path is '../mug.safetensors', expected one in the release"),
         ("0.112", "wide", "object 1: size is 'wide', expected a number"),
+        ("0.112", "", "object 1: size is '', expected a number"),
+        ("0.112", "nan", "object 1: size is 'nan', expected a number"),
+        ("41.235", "inf", "object 1: vision_psnr is 'inf', expected a number"),
+        ("41.235", "4l.235", "object 1: vision_psnr is '4l.235', expected a number"),
         ("\ndie,", "\nmug,", "is damaged: mug is listed twice"),
         ("licence,source", "licence,origin", "object 1: lacks source"),
     ],
