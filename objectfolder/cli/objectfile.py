@@ -2,7 +2,6 @@
 
 import io
 from collections.abc import Iterator
-from dataclasses import astuple
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -252,13 +251,12 @@ def touch(
         console.print(f"{len(images)} tactile images in {out}/")
         return
     if moved:
-        motion: dict[str, Any] = {"shear": shear, "twist": twist, "friction": friction, "markers": markers}
+        others: dict[str, Any] = {"sensor": sensor, "shear": shear, "twist": twist}
+        others |= {"friction": friction, "markers": markers}
         obj.touches(points, **query)  # checks all contacts before any is written
-        contacts = ContactPoses.checked(points, depths, 0.0, tilt, azimuth)
+        contacts = vars(ContactPoses.checked(points, depths, 0.0, tilt, azimuth))
         batches: Iterator[Any] = (
-            obj.press(
-                *(values[start : start + _BATCH] for values in astuple(contacts)), sensor=sensor, **motion
-            )
+            obj.press(**{name: values[start : start + _BATCH] for name, values in contacts.items()}, **others)
             for start in range(0, len(points), _BATCH)
         )
         columns, forces = TOUCH_COLUMNS | SHEAR_COLUMNS, ["shear_right_N", "shear_up_N"]
