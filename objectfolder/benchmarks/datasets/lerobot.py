@@ -125,7 +125,7 @@ def _episodes(
     strikes = sample_strikes(file, count, int(rng.integers(2**31)), IMPULSE)
     points = strikes[:, :3]
     normals = file.contact_normals(points)  # the sensor's direction; strikes have that of the surface
-    low, high = file.sensor_profile.press_depth
+    low, high = file.press_range()
     deepest = rng.uniform(low, high, count)
     ramp = np.sin(np.pi * np.arange(frames) / (frames - 1)) ** 2
     window = rate // fps

@@ -178,7 +178,7 @@ def draw_queries(file: ObjectFile, count: int, seed: int) -> Queries:
         ``vision_camera`` and ``vision_light`` (N, 3), unit frame: uniform on the spheres of the paper's data
         (supplementary C). ``audio_point`` (N, 3), metres, uniform by area, and ``audio_force`` (N, 3), N s,
         in uniform directions into the object with log-uniform length in `FORCES`. ``touch_point`` (N, 3),
-        metres, uniform by area, and ``touch_depth`` (N,), metres, uniform over the sensor's ``press_depth``,
+        metres, uniform by area, and ``touch_depth`` (N,), metres, uniform over the ``press_range`` of the file,
         or the single depth of a net of kind ``image``.
     """
     tens = [_draw_ten(file, seed, ten) for ten in range(count // TEN)]
