@@ -178,8 +178,8 @@ def draw_queries(file: ObjectFile, count: int, seed: int) -> Queries:
         ``vision_camera`` and ``vision_light`` (N, 3), unit frame: uniform on the spheres of the paper's data
         (supplementary C). ``audio_point`` (N, 3), metres, uniform by area, and ``audio_force`` (N, 3), N s,
         in uniform directions into the object with log-uniform length in `FORCES`. ``touch_point`` (N, 3),
-        metres, uniform by area, and ``touch_depth`` (N,), metres, uniform over the ``press_range`` of the file,
-        or the single depth of a net of kind ``image``.
+        metres, uniform by area, and ``touch_depth`` (N,), metres, uniform over the file's ``press_range``, or
+        the single depth of a net of kind ``image``.
     """
     tens = [_draw_ten(file, seed, ten) for ten in range(count // TEN)]
     return {name: np.concatenate([rows[name] for rows in tens]) for name in tens[0]}
