@@ -157,7 +157,7 @@ def small_views():
 def train_a_view(device):
     config = OsfConfig(
         **{"width": 16, "depth": 2, "branch_width": 16, "branch_depth": 2, "point_octaves": 2},
-        **{"direction_octaves": 1, "coarse_samples": 8, "fine_samples": 8},
+        **{"direction_octaves": 1, "coarse_samples": 8, "fine_samples": 8, "hull_cells": 4},
         **TRAINING,
     )
     return train_osf(small_views(), small_views(), config, torch.Generator().manual_seed(0), device=device)

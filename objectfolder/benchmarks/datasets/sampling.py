@@ -131,7 +131,7 @@ def _sample(
 
 def _untouched(file: ObjectFile, folder: Path) -> np.ndarray:
     """Return which written touches show the bare gel; (N,) bool."""
-    touches = np.load(array_path(folder, "touch"), mmap_mode="r")
+    touches = np.load(array_path(folder, "touch"), mmap_mode="r", allow_pickle=False)
     if file.fixed_contact is not None:  # a net of pictures alone always draws a contact
         return np.zeros(len(touches), bool)
     bare: np.ndarray = (touches == file.sensor_background).all((1, 2, 3))

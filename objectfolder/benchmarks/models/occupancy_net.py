@@ -98,6 +98,10 @@ class OccupancyDecoder(nn.Module):
             hidden = block(hidden, embedding)
         return self.last(F.relu(self.norm(hidden, embedding)))[..., 0]
 
+    def one_shape(self, embedding: torch.Tensor) -> "OneShape":
+        """Return the decoder, in evaluation, for one embedding (embedding,)."""
+        return OneShape(self, embedding)
+
     def start(self, points: torch.Tensor) -> torch.Tensor:
         """Return what enters the first block, (..., 3) -> (..., width)."""
         angles = [points * (math.pi * 2**octave) for octave in range(self.frequencies)]
@@ -174,4 +178,4 @@ def occupancy_logits(
     decoder: OccupancyDecoder, embedding: torch.Tensor, points: torch.Tensor, chunk: int = 2**11
 ) -> torch.Tensor:
     """Return logits (B, P) at points (P, 3) shared by all objects, in evaluation and in chunks of points."""
-    return torch.stack([torch.cat([*map(OneShape(decoder, one), points.split(chunk))]) for one in embedding])
+    return torch.stack([torch.cat([*map(decoder.one_shape(one), points.split(chunk))]) for one in embedding])
