@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-SOURCE = "SOURCE.txt"  #: that `objectfolder fetch` writes beside a mesh
+SOURCE = "SOURCE.txt"  #: that ``objectfolder fetch`` writes beside a mesh
 # Identifiers of SPDX. In lower case they are those of the Hugging Face Hub.
 _LICENCES = (
     "Apache-2.0",

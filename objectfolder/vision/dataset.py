@@ -22,7 +22,7 @@ from objectfolder.vision.renderers.registry import Renderer
 
 RendererName = Literal["mitsuba", "mitsuba-llvm", "mitsuba-cuda", "cycles", "raster"]
 BRIGHTEST = np.finfo(np.float16).max  # highlights of a mirror near the light exceed it
-SMALLEST = 11  #: pixels along a side of a whole view: the window of the SSIM that `evaluate` takes
+SMALLEST = 11  #: pixels along a side of a whole view: the window of the SSIM that ``evaluate`` takes
 TILES_PER_LIGHT = 4  # a new light costs training as much as a few tiles
 
 

@@ -89,7 +89,7 @@ class Job(Generic[_Params]):
         ----------
         repeats : mapping
             Of `repeats`.
-        together : sequences of str
+        *together : sequences of str
             Modalities that a net receives together. Of several sets, one that repeats as a whole suffices.
         """
         dropped = np.any([np.all([repeats[name] for name in some], 0) for some in together], 0)
@@ -125,7 +125,7 @@ class Job(Generic[_Params]):
 
         Parameters
         ----------
-        together : sequences of str
+        *together : sequences of str
             See `without_repeats`.
 
         Returns
