@@ -14,7 +14,8 @@ from harness import encoded, rewrite, write_record
 from objectfolder.io import read_json, write_json
 
 #: Records that are shown on other pages, or as means alone.
-ELSEWHERE = ("faithful", "faithful_longer", "catalogue", "light", "markers", "radiation", "photographs", "real_photographs")
+ELSEWHERE = ("faithful", "faithful_longer", "catalogue", "light", "markers", "radiation", "photographs")
+ELSEWHERE += ("real_photographs",)
 RECOGNITION = {
     "keys": ["blue_vase", "scan"],
     "objects": 2,
