@@ -30,7 +30,7 @@ from objectfolder.materials import Material
 from objectfolder.objectfile.radiation import Listening, Radiation
 from objectfolder.objectfile.reading import StoredNet, damaged_net, report_damage
 
-_PIECE = 4096  # samples of a contact computed at once
+_PIECE = 512  # samples of a contact computed at once
 _BATCH = 1024  # strikes whose mode shapes are in memory at once
 _BYTES_PER_SAMPLE = 8  # of an answer, while it is made
 _ALIKE = 0.01  # relative change of a mode's wavenumber times the size at which its stored radiation holds
@@ -315,8 +315,7 @@ class ModalSense:
             phasors = strengths.cpu() * torch.from_numpy(tuning.shape_factor * pressure.conj()) * s**2
             sounds[part] = bank.mix((phasors * torch.exp(s * rest[part])).to(torch.complex64))
             if contact_time:
-                for sound, turned, left in zip(sounds[part], phasors, rest[part]):
-                    _press(sound, bank.sample_rate, s, turned, left, contact_time)
+                _press(sounds[part], bank.sample_rate, s, phasors, rest[part], contact_time)
         for sound, samples in zip(sounds, late):
             if samples:
                 sound[samples:] = sound[:-samples].copy() if samples < len(sound) else 0
@@ -485,37 +484,43 @@ class SpectrogramSense:
 
 
 def _press(
-    sound: np.ndarray,
+    sounds: np.ndarray,
     rate: float,
     s: torch.Tensor,
     phasors: torch.Tensor,
     rest: torch.Tensor,
     contact_time: float,
 ) -> None:
-    """Add to a sound at a listener how the force itself is heard.
+    """Add to sounds at listeners how the force itself is heard.
 
     Parameters
     ----------
-    sound : (samples,) float32 array
+    sounds : (N, samples) float32 array
         Changed in place.
     rate : float
         Samples per second.
-    s, phasors : (H,) complex tensors
-        Poles of the modes, and what their responses are multiplied by.
-    rest : (1,) tensor
+    s : (H,) complex tensor
+        Poles of the modes.
+    phasors : (N, H) complex tensor
+        What the modes' responses are multiplied by.
+    rest : (N, 1) tensor
         Time since the start of contact at the first sample, seconds.
     contact_time : float
         Seconds, positive.
     """
-    time = torch.arange(min(len(sound), math.ceil(contact_time * rate)), dtype=torch.float64) / rate
-    time = time[time < contact_time]
-    for first in range(0, len(time) if rest else 0, _PIECE):  # the bank's are those of whole samples
-        since = time[first : first + _PIECE] + rest
-        moved = response_at(s[:, None], since, contact_time, weight=phasors[:, None])
-        sound[first : first + _PIECE][: len(since)] = moved.sum(0).numpy()
-    force, change = half_sine(time + rest, contact_time)
-    by_force, by_change = ((phasors * turn / s.imag).imag.sum() for turn in pressing(s, contact_time))
-    sound[: len(time)] += (by_force * force + by_change * change).numpy()
+    time = torch.arange(min(sounds.shape[1], math.ceil(contact_time * rate)), dtype=torch.float64) / rate
+    by_force, by_change = (
+        (phasors * turn / s.imag).imag.sum(1, keepdim=True) for turn in pressing(s, contact_time)
+    )
+    time, first = time[time < contact_time], 0
+    for piece in time.split(_PIECE):
+        since, part = piece + rest, sounds[:, first : first + len(piece)]
+        if rest.any():  # the bank's responses are those of whole samples
+            for sound, row, turned in zip(part, since, phasors):
+                sound[:] = response_at(s[:, None], row, contact_time, weight=turned[:, None]).sum(0).numpy()
+        force, change = half_sine(since, contact_time)
+        part += (by_force * force + by_change * change).numpy()
+        first += len(piece)
 
 
 def _report_inaudible(heard: int, modes: int, nyquist: float) -> None:
