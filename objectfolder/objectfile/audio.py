@@ -3,7 +3,7 @@
 import logging
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import lru_cache
 from typing import Protocol
 
@@ -13,88 +13,25 @@ import torch
 from objectfolder import materials
 from objectfolder.audio.bank import Bank
 from objectfolder.audio.click import SOUND_SPEED, recoil_pressure
-from objectfolder.audio.contact import STRIKERS, Striker, as_striker, contact_time
+from objectfolder.audio.contact import STRIKERS, Striker, contact_time
 from objectfolder.audio.synthesis import (
-    RESPONSES,
-    checked_contact_time,
-    count_samples,
     gains,
     half_sine,
     pressing,
     response_at,
 )
 from objectfolder.audio.tuning import Tuning, retune, stored_modes
-from objectfolder.checks import finite_number, one_of, require_memory
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material
 from objectfolder.objectfile.radiation import Listening, Radiation
 from objectfolder.objectfile.reading import StoredNet, damaged_net, report_damage
+from objectfolder.objectfile.sound_settings import SoundSettings
 
 _PIECE = 512  # samples of a contact computed at once
 _BATCH = 1024  # strikes whose mode shapes are in memory at once
-_BYTES_PER_SAMPLE = 8  # of an answer, while it is made
 _ALIKE = 0.01  # relative change of a mode's wavenumber times the size at which its stored radiation holds
 _BANKS = 4  # sounds whose mode responses are kept
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class SoundSettings:
-    """How strikes are played and sampled, and the material and size of the struck object."""
-
-    sample_rate: float  #: Hz
-    duration: float  #: seconds
-    response: str  #: displacement, velocity or acceleration
-    contact_time: float | None  #: seconds; 0 is an ideal impulse, None the striker's
-    material: str | Material | None  #: None for the object's own
-    scale: float | None  #: longest side, metres; None for the object's own
-    striker: Striker | None = None  #: None for steel, or an ideal impulse where contact times are not known
-    heard: bool = False  #: whether a listener hears the strikes
-
-    @classmethod
-    def checked(
-        cls,
-        sample_rate: float,
-        duration: float,
-        response: str,
-        contact_time: float | None,
-        material: str | Material | None,
-        scale: float | None,
-        striker: str | Striker | None,
-        strikes: int,
-        heard: bool = False,
-    ) -> "SoundSettings":
-        """Check the arguments of a query for the sounds of so many strikes.
-
-        Raises
-        ------
-        ObjectFolderError
-            If one is not of its type, or the sounds do not fit into memory.
-        """
-        if not isinstance(material, Material | None):
-            material = materials.material(material).name
-        response = one_of("response", response, RESPONSES)
-        if heard and response != "displacement":
-            raise ObjectFolderError(
-                f"response is {response!r}, but a listener hears pressure; leave response out"
-            )
-        samples = count_samples(sample_rate, duration)
-        rate, seconds = float(sample_rate), float(duration)
-        require_memory(
-            f"{strikes} sounds of {samples:,} samples ({seconds:g} s at {rate:g} Hz)",
-            _BYTES_PER_SAMPLE * strikes * samples,
-            "ask for a shorter duration, a lower rate or fewer strikes",
-        )
-        return cls(
-            rate,
-            seconds,
-            response,
-            None if contact_time is None else checked_contact_time(contact_time),
-            material,
-            None if scale is None else finite_number("scale", scale),
-            None if striker is None else as_striker(striker),
-            heard,
-        )
 
 
 class AudioSense(Protocol):
@@ -144,21 +81,14 @@ class ModalNet(Protocol):
         """Mode shapes (N, 3, M), kg^-1/2, at (N, 3) points of the unit frame."""
 
 
-class SpectralNet(Protocol):
-    """Net from a point to spectrograms."""
-
-    damped_frequency: torch.Tensor
-
-    def spectrograms(self, points: torch.Tensor) -> torch.Tensor:
-        """Complex spectrograms (N, 3, 257, 201) of unit impulses at (N, 3) points of the unit frame."""
-
-
 def audio_sense(stored: StoredNet) -> AudioSense:
     """Load an audio net. The code of a kind is imported when a file holds it."""
     if stored.kind == "gains":
         from objectfolder.nets.audio_gains import GainsNet
 
         return ModalSense(stored.load(GainsNet), stored)
+    from objectfolder.objectfile.spectrograms import SpectrogramSense
+
     if stored.kind == "spectrogram":
         from objectfolder.nets.audio_spectrogram import SpectrogramNet
 
@@ -396,91 +326,6 @@ class ModalSense:
         if settings.contact_time is not None:
             return settings.contact_time
         return self.striking_time(settings.striker, settings.material, settings.scale)
-
-
-class SpectrogramSense:
-    """Sounds inverted from spectrograms of unit impulses: two seconds of displacement at 16 kHz."""
-
-    has_modes = False
-
-    def __init__(self, net: SpectralNet, stored: StoredNet):
-        self.net = net
-        self._key, self._surface = stored.key, stored.surface
-
-    @property
-    def damped_frequency(self) -> torch.Tensor:
-        """Angular frequencies of the modes, rad/s; (M,), empty if they are not known."""
-        return self.net.damped_frequency.cpu()
-
-    def tuning(self, material: str | Material | None, scale: float | None) -> Tuning:
-        """Refuse: the net knows no modes."""
-        raise self._no_modes()
-
-    def contact_time(
-        self, striker: Striker, material: str | Material | None, scale: float | None
-    ) -> float | None:
-        """Return None: the spectrograms are those of ideal impulses."""
-        return None
-
-    def mode_shapes(self, points: np.ndarray, tolerance: float) -> np.ndarray:
-        """Refuse: the net knows no modes."""
-        raise self._no_modes()
-
-    def impact(
-        self, points: np.ndarray, impulses: np.ndarray, settings: SoundSettings, tolerance: float
-    ) -> np.ndarray:
-        """Return sounds of impulses (N, 3), N s, at points (N, 3); (N, samples) float32.
-
-        Raises
-        ------
-        ObjectFolderError
-            If a point is off the surface, or a setting asks for more than the spectrograms hold.
-        """
-        from objectfolder.audio.spectrogram import DURATION, SAMPLE_RATE, sounds_of
-
-        if settings.material is not None or settings.scale is not None or settings.contact_time:
-            raise ObjectFolderError(
-                f"{self._key}: its audio net stores spectrograms; material, scale and contact_time need "
-                "modes, which train_audio.net: gains stores"
-            )
-        if settings.striker is not None and settings.contact_time is None:
-            raise ObjectFolderError(
-                f"{self._key}: its audio net stores spectrograms of ideal impulses; leave striker out, or "
-                "give contact_time 0"
-            )
-        rate, duration = settings.sample_rate, settings.duration
-        samples = round(rate * duration) if 0 < duration <= DURATION else 0
-        if rate != SAMPLE_RATE or settings.response != "displacement" or samples <= 0:
-            raise ObjectFolderError(
-                f"a spectrogram net answers displacement at {SAMPLE_RATE} Hz, up to {DURATION:g} s; "
-                f"asked for {settings.response} at {rate:g} Hz, {duration:g} s. A net of kind gains answers "
-                "that (train_audio.net: gains)"
-            )
-        places = torch.from_numpy(self._surface.to_unit(self._surface.snap(points, tolerance)))
-        sounds = np.empty((len(places), samples), np.float32)
-        for sound, point, force in zip(sounds, places, torch.from_numpy(impulses).float()):
-            spectrum = (self.net.spectrograms(point[None])[0].cpu() * force[:, None, None]).sum(0)
-            sound[:] = sounds_of(spectrum[None])[0, :samples].numpy()
-        if not np.isfinite(sounds).all():
-            raise damaged_net(self._key, "audio")
-        return sounds
-
-    def heard(
-        self,
-        points: np.ndarray,
-        impulses: np.ndarray,
-        settings: SoundSettings,
-        tolerance: float,
-        radiation: Radiation,
-        listening: Listening,
-    ) -> np.ndarray:
-        """Refuse: the net knows no modes."""
-        raise self._no_modes()
-
-    def _no_modes(self) -> ObjectFolderError:
-        return ObjectFolderError(
-            f"{self._key}: its audio net stores spectrograms, no modes; train_audio.net: gains stores them"
-        )
 
 
 def _press(

@@ -27,11 +27,11 @@ from objectfolder.objectfile.arguments import (
     finite_rows,
     like_first,
 )
-from objectfolder.objectfile.audio import SoundSettings
 from objectfolder.objectfile.header import checked_header
 from objectfolder.objectfile.parts import StoredParts
 from objectfolder.objectfile.radiation import Listening
 from objectfolder.objectfile.samples import sample_path
+from objectfolder.objectfile.sound_settings import SoundSettings
 from objectfolder.objectfile.surface import TOLERANCE
 from objectfolder.objectfile.touch import (
     ContactPoses,

@@ -18,9 +18,10 @@ from objectfolder.audio.contact import STRIKERS, contact_time
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import material
 from objectfolder.nets.audio_gains import GainsNet
-from objectfolder.objectfile.audio import ModalSense, SoundSettings
+from objectfolder.objectfile.audio import ModalSense
 from objectfolder.objectfile.parts import StoredParts
 from objectfolder.objectfile.reading import StoredNet
+from objectfolder.objectfile.sound_settings import SoundSettings
 from objectfolder.objectfile.surface import ObjectSurface
 from objectfolder.touch.profiles import load_profile
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere_points

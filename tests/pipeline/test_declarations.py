@@ -127,16 +127,16 @@ MAX_MODULES = {
     "train_audio": 27,
     "train_touch": 42,
     "pack": 12,
-    "evaluate": 95,
-    "observe": 97,
+    "evaluate": 97,
+    "observe": 99,
     "recognize": 29,
     "retrieve": 28,
-    "reconstruct": 117,
-    "decompose": 92,
-    "grasp_data": 109,
+    "reconstruct": 119,
+    "decompose": 94,
+    "grasp_data": 111,
     "grasp_stability": 26,
-    "grasp_policy": 123,
-    "reach": 115,
+    "grasp_policy": 125,
+    "reach": 117,
 }
 
 

@@ -21,8 +21,9 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material
 from objectfolder.nets.audio_gains import GainsNet
 from objectfolder.objectfile.arguments import broadcast_rows, finite_rows
-from objectfolder.objectfile.audio import ModalSense, SoundSettings
+from objectfolder.objectfile.audio import ModalSense
 from objectfolder.objectfile.gradients.foot import on_surface
+from objectfolder.objectfile.sound_settings import SoundSettings
 from objectfolder.objectfile.surface import TOLERANCE, ObjectSurface
 
 #: A float, or a tensor without dimensions, through which gradients flow.

@@ -1,0 +1,71 @@
+"""Settings of a query for sounds."""
+
+from dataclasses import dataclass
+
+from objectfolder import materials
+from objectfolder.audio.contact import Striker, as_striker
+from objectfolder.audio.synthesis import RESPONSES, checked_contact_time, count_samples
+from objectfolder.checks import finite_number, one_of, require_memory
+from objectfolder.errors import ObjectFolderError
+from objectfolder.materials import Material
+
+_BYTES_PER_SAMPLE = 8  # of an answer, while it is made
+
+
+@dataclass(frozen=True)
+class SoundSettings:
+    """How strikes are played and sampled, and the material and size of the struck object."""
+
+    sample_rate: float  #: Hz
+    duration: float  #: seconds
+    response: str  #: displacement, velocity or acceleration
+    contact_time: float | None  #: seconds; 0 is an ideal impulse, None the striker's
+    material: str | Material | None  #: None for the object's own
+    scale: float | None  #: longest side, metres; None for the object's own
+    striker: Striker | None = None  #: None for steel, or an ideal impulse where contact times are not known
+    heard: bool = False  #: whether a listener hears the strikes
+
+    @classmethod
+    def checked(
+        cls,
+        sample_rate: float,
+        duration: float,
+        response: str,
+        contact_time: float | None,
+        material: str | Material | None,
+        scale: float | None,
+        striker: str | Striker | None,
+        strikes: int,
+        heard: bool = False,
+    ) -> "SoundSettings":
+        """Check the arguments of a query for the sounds of so many strikes.
+
+        Raises
+        ------
+        ObjectFolderError
+            If one is not of its type, or the sounds do not fit into memory.
+        """
+        if not isinstance(material, Material | None):
+            material = materials.material(material).name
+        response = one_of("response", response, RESPONSES)
+        if heard and response != "displacement":
+            raise ObjectFolderError(
+                f"response is {response!r}, but a listener hears pressure; leave response out"
+            )
+        samples = count_samples(sample_rate, duration)
+        rate, seconds = float(sample_rate), float(duration)
+        require_memory(
+            f"{strikes} sounds of {samples:,} samples ({seconds:g} s at {rate:g} Hz)",
+            _BYTES_PER_SAMPLE * strikes * samples,
+            "ask for a shorter duration, a lower rate or fewer strikes",
+        )
+        return cls(
+            rate,
+            seconds,
+            response,
+            None if contact_time is None else checked_contact_time(contact_time),
+            material,
+            None if scale is None else finite_number("scale", scale),
+            None if striker is None else as_striker(striker),
+            heard,
+        )
