@@ -1,4 +1,7 @@
+import os
+import shutil
 import signal
+from pathlib import Path
 
 import forkserver
 import numpy as np
@@ -17,6 +20,11 @@ from objectfolder.objectfile.file import ObjectFile
 settings.register_profile("same", derandomize=True, database=None, deadline=None)
 settings.register_profile("fuzz", max_examples=2000)
 settings.load_profile("same")
+
+MEMORY, ROOM = Path("/dev/shm"), 4 << 30  # of Linux; more than all temporary files of a run
+if MEMORY.is_dir() and shutil.disk_usage(MEMORY).free > ROOM:
+    # Tests write thousands of small files, for which some disks take longer than the tests.
+    os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(MEMORY))
 
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     # So starts what a script runs in the background; processes that tests interrupt would inherit it.

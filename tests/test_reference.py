@@ -4,12 +4,8 @@ import re
 import sys
 from pathlib import Path
 
-import pytest
-
-pytest.importorskip("sphinx")
-ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "docs"))
-from conf import modules
+sys.path.insert(0, str(Path(__file__).parents[1] / "docs"))
+from conf import ROOT, modules
 
 
 def test_every_module_is_on_a_page_of_the_reference():

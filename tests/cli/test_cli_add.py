@@ -166,7 +166,14 @@ def test_preset_changes_sections_only(workspace):
 
 
 @pytest.mark.parametrize(
-    "name", ["ycb_mug/mesh.obj", "gso_school_bell/mesh.obj", "polyhaven_teapot/mesh.gltf"]
+    "name",
+    [
+        "gso_school_bell/mesh.obj",
+        *(
+            pytest.param(n, marks=pytest.mark.slow)
+            for n in ("ycb_mug/mesh.obj", "polyhaven_teapot/mesh.gltf")
+        ),
+    ],
 )
 def test_real_meshes_go_through(workspace, name):
     if not (OBJECTS / name).exists():

@@ -10,7 +10,7 @@ from . import tiny_project
 from .tiny_project import Sources
 
 
-@pytest.mark.parametrize("name", ["generate", "shape"])
+@pytest.mark.parametrize("name", ["generate", pytest.param("shape", marks=pytest.mark.slow)])
 def test_an_edit_of_the_same_size_within_a_second_is_seen(tmp_path, monkeypatch, name):
     monkeypatch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)  # of the stages
     root = tmp_path / "workspace"

@@ -163,7 +163,8 @@ def test_earlier_states_come_from_the_remote_and_one_object_alone_is_fetched(sha
     assert fresh.ran() == ["solve@bell", "solve@bowl"]
 
 
-@pytest.mark.parametrize("fault", ["missing", pytest.param("damaged", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", ["missing", "damaged"])
 def test_object_that_the_remote_lacks_or_has_damaged_is_built_again(shared, fault, caplog):
     store = add_directory(shared)
     build(root=shared.root)

@@ -118,7 +118,16 @@ def test_dvc_does_not_see_what_verify_finds_and_repairs(workspace):
 
 
 @pytest.mark.parametrize("how", [spoil, Path.unlink])
-@pytest.mark.parametrize("path", ["build/mug/prepare.txt", "build/mug/solve/a.txt", "metrics/mug.json"])
+@pytest.mark.parametrize(
+    "path",
+    [
+        "build/mug/prepare.txt",
+        *(
+            pytest.param(path, marks=pytest.mark.slow)
+            for path in ("build/mug/solve/a.txt", "metrics/mug.json")
+        ),
+    ],
+)
 def test_a_bad_or_missing_file_comes_back(workspace, path, how):
     before = outputs(workspace), objects(workspace)
     how(workspace.root / path)

@@ -63,6 +63,7 @@ def turned(quaternion):
     return matrix
 
 
+@pytest.mark.slow
 def test_detailed_surfaces_are_simplified_until_they_fit_their_texture(monkeypatch):
     bell = ObjectFile.sample("bell")
     monkeypatch.setattr(visual, "TEXELS", 288)  # the first tolerance leaves 16,650 triangles, 3190 have room

@@ -117,6 +117,7 @@ def test_a_solve_by_a_version_whose_materials_have_other_fields_takes_a_solve(so
     assert rescaled(old, "another", dataclasses.replace(BASE, scale=0.1)) is None
 
 
+@pytest.mark.slow
 def test_modes_that_were_dropped_take_a_solve(solve):
     large = Request(GLASS, 200.0, 60.0, 100)  # its first modes are below 20 Hz
     assert rescaled(stored(solve, large), "task", dataclasses.replace(large, scale=20.0)) is None

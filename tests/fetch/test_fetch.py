@@ -358,7 +358,13 @@ def test_what_is_not_writable_is_said_before_downloading(published, publisher):
     assert publisher.requests == []
 
 
-@pytest.mark.parametrize("key", ["ycb_mug", "ycb_nine_hole_peg_test", "gso_bunny_racer"])
+@pytest.mark.parametrize(
+    "key",
+    [
+        "ycb_nine_hole_peg_test",
+        *(pytest.param(key, marks=pytest.mark.slow) for key in ("ycb_mug", "gso_bunny_racer")),
+    ],
+)
 def test_real_meshes_come_from_their_folders(workspace, key):
     if not OBJECTS.exists():
         pytest.skip("the development set of real objects is not here")

@@ -608,7 +608,7 @@ def _mixed(file, count, seed):
     return asked
 
 
-@pytest.mark.parametrize("count", [400, pytest.param(10000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [150, pytest.param(10000, marks=pytest.mark.slow)])
 def test_threads_get_the_bytes_that_one_gets(brick_path, count):
     def digests(pool):
         # Opened here: the parts are read while threads ask for them.

@@ -91,6 +91,7 @@ def test_dvc_repro_of_one_stage_finds_it_up_to_date(built):
     assert "'train_audio@cube' didn't change, skipping" in output
 
 
+@pytest.mark.slow
 def test_changed_material_reruns_the_audio_lane_of_that_object_only(built):
     with built.edit() as values:
         values["objects"]["cube"]["material"] = "plastic"

@@ -36,6 +36,7 @@ def test_the_same_folder_again_and_not_for_another_request(bell, tmp_path):
     assert len(table) == 20
 
 
+@pytest.mark.slow
 def test_a_view_shows_where_the_gel_is_pressed(bell):
     """A pixel is background where no surface lies under the gel: the gel is not pressed in there."""
     points, distances = open_points(bell, 60, seed=0)
