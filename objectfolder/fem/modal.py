@@ -211,10 +211,8 @@ def uncertainty_warning(report: dict[str, Any], allow: bool, name: str = "object
     if error is None:
         if report["element"] != CUT_CELLS or not report["modes"]:
             return None
-        error, text = (
-            math.inf,
-            f"{name}: frequencies may be wrong: the {grid} grid is too coarse to say how much",
-        )
+        error = math.inf
+        text = f"{name}: frequencies may be wrong; walls are too thin for the {grid} grid to say how much"
     else:
         text = f"{name}: frequencies may be {error:.0%} wrong: the walls are thin for the {grid} grid"
     if error <= CERTAIN:

@@ -213,8 +213,9 @@ def _value(text: str, name: str, kind: type, place: str) -> Any:
         return None
     try:
         number = kind(text)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
+        finite = math.isfinite(number)
+    except (ValueError, OverflowError):
+        finite = False
+    if not finite:
         raise ObjectFolderError(f"{place}: {name} is {quoted(text)}, expected a number")
     return number

@@ -122,14 +122,12 @@ def sample_presses(
     >>> mug.touch(mug.sample_surface(5), depth, tilt=tilt, azimuth=azimuth).shape
     (5, 160, 120, 3)
     """
-    if sensor is None:
-        fixed = obj.fixed_contact
-        if fixed is not None:
-            raise ObjectFolderError(
-                f"{obj.key}: its touch net stores images of one press of {obj.sensor}, "
-                f"{fixed.depth:g} m deep and without a tilt; leave gelinfo out and query with that depth "
-                f"(--depth {fixed.depth:g})"
-            )
+    fixed = obj.fixed_contact
+    if fixed is not None:
+        raise ObjectFolderError(
+            f"{obj.key}: its touch net stores images of one press of {obj.sensor}, {fixed.depth:g} m deep "
+            f"and without a tilt; leave gelinfo out and query with that depth (--depth {fixed.depth:g})"
+        )
     count = whole_number("count", count)
     require_memory(f"{count} presses", 50 * count, "draw fewer at a time")
     low, high = obj.press_range(sensor)

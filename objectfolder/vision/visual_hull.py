@@ -49,7 +49,9 @@ def _empty(
     position, depth = project(centres, pose, intrinsics)
     before = depth > 2 * radius
     position, depth = position[before], depth[before]
-    disk = max(intrinsics.fx, intrinsics.fy) * radius / (depth - radius)
+    away = np.linalg.norm(centres[before] - pose[:3, 3], axis=1)
+    # Off the camera's axis, a sphere projects to an ellipse; this disk about its centre's pixel holds it.
+    disk = max(intrinsics.fx, intrinsics.fy) * radius * away / (depth * (depth - radius))
     within = (position >= disk[:, None]) & (position <= gap.shape[::-1] - disk[:, None])
     inside = np.asarray(within.all(1))
     position, disk = position[inside], disk[inside]

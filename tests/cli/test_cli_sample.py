@@ -184,5 +184,6 @@ def test_counts_and_seeds_are_natural_numbers(tmp_path, option):
 def test_an_object_that_knows_one_press_says_which(brick, monkeypatch):
     image = {"kind": "image", "net": {"press_depth": 0.0012, "angle": 0.0, "sensor": "digit"}}
     monkeypatch.setitem(brick.header, "touch", image)
-    with pytest.raises(ObjectFolderError, match=r"brick: .* query with that depth \(--depth 0\.0012\)"):
-        sample_presses(brick, 3)
+    for sensor in (None, load_profile("digit")):
+        with pytest.raises(ObjectFolderError, match=r"brick: .* query with that depth \(--depth 0\.0012\)"):
+            sample_presses(brick, 3, sensor=sensor)

@@ -89,8 +89,10 @@ def test_uncertain_frequencies_are_warned_of(error, said):
 
 def test_cut_cells_without_an_estimate_are_as_uncertain_as_can_be():
     report = {"frequency_uncertainty": None, "resolution": 32, "element": "hex20 cut cells", "modes": 3}
-    assert "too coarse to say how much" in uncertainty_warning(report, True, "cabinet")
-    with pytest.raises(ObjectFolderError, match=r"cabinet: .*too coarse.*modal\.allow_uncertain"):
+    assert "too thin for the 32^3 grid to say how much" in uncertainty_warning(report, True, "cabinet")
+    with pytest.raises(
+        ObjectFolderError, match=r"cabinet: .*too thin.*; thicken them, .*modal\.allow_uncertain"
+    ):
         uncertainty_warning(report, False, "cabinet")
     for certain in ({"element": "tet10"}, {"modes": 0}):
         assert uncertainty_warning(report | certain, False, "cabinet") is None

@@ -194,6 +194,7 @@ def test_a_value_outside_its_range_is_refused_at_once(edit, part, path, value):
 
 def test_the_schema_is_a_valid_one_that_describes_every_field_of_a_file(brick):
     jsonschema.Draft202012Validator.check_schema(schema())
+    assert schema()["title"].endswith(f"format {format_name()}")
     assert brick.header.keys() <= schema()["properties"].keys()
     for part in PARTS:
         rules = schema()["properties"][part]["allOf"]

@@ -232,6 +232,7 @@ def test_scores_of_an_earlier_file_are_not_released(built):
         ("0.112", "", "object 1: size is '', expected a number"),
         ("0.112", "nan", "object 1: size is 'nan', expected a number"),
         ("41.235", "inf", "object 1: vision_psnr is 'inf', expected a number"),
+        ("41.235", "9" * 400, "expected a number"),
         ("41.235", "4l.235", "object 1: vision_psnr is '4l.235', expected a number"),
         ("\ndie,", "\nmug,", "is damaged: mug is listed twice"),
         ("licence,source", "licence,origin", "object 1: lacks source"),

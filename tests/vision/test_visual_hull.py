@@ -44,6 +44,24 @@ def test_the_object_is_never_cut(count):
     assert visual_hull(silhouettes(count), CELLS, HALF)[touched].all()
 
 
+def test_cells_seen_in_the_corner_of_a_wide_image_stay():
+    """There, spheres project to ellipses longer than disks on the axis."""
+    pose, intrinsics = look_at(np.array([0.7, 0.5, 0.5])), Intrinsics(512, 512, 200.0)
+    corners = np.stack(np.meshgrid(*[np.linspace(-HALF, HALF, 65)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    position, depth = project(corners, pose[0], intrinsics)
+    seen = np.flatnonzero((position > 0).all(1) & (position < 512).all(1) & (depth > 0.2))
+    outermost = seen[np.argsort(-np.abs(position[seen] - 256).max(1))[:200:10]]
+    for corner in outermost:
+        alpha = np.zeros((1, 512, 512, 4))
+        column, row = position[corner].astype(int)
+        alpha[0, row, column, 3] = 1
+        views = {"rgba": alpha, "camera_to_world": pose, "focal": np.float64(200)}
+        hull = visual_hull({**views, "center": np.full((1, 2), 256.0)}, 64, HALF)
+        around = np.argwhere(np.ones((2, 2, 2))) - 1 + np.array(np.unravel_index(corner, (65,) * 3))
+        around = around[((around >= 0) & (around < 64)).all(1)]
+        assert hull[tuple(around.T)].all()
+
+
 def test_hulls_of_many_views_are_tight():
     """Within a cell's sphere and one pixel (0.028); one view leaves the whole cone."""
     distance, reach = distances(), np.sqrt(3) * HALF / CELLS

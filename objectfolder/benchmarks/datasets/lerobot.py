@@ -70,7 +70,8 @@ def write_lerobot(
     Raises
     ------
     ObjectFolderError
-        If the folder exists, a number is not valid, sensors differ in size, or two objects have one key.
+        If the folder exists, a number is not valid, sensors differ in size, a touch net is not geometric, or
+        two objects have one key.
     """
     import pandas as pd
 
@@ -87,6 +88,12 @@ def write_lerobot(
     sizes = {(file.sensor_profile.height, file.sensor_profile.width) for file in files}
     if len(sizes) != 1:
         raise ObjectFolderError(f"expected objects with sensors of one image size, got {sorted(sizes)}")
+    for file in files:
+        if (kind := file.header["touch"]["kind"]) != "geometric":
+            raise ObjectFolderError(
+                f"{file.key}: its touch net is of kind {kind!r}, expected 'geometric', which answers from "
+                "the first contact on, with forces; build the object with train_touch.net: geometric"
+            )
     keys = [file.key for file in files]
     if len(set(keys)) < len(keys):
         raise ObjectFolderError(f"expected objects with keys of their own, as each is a task; got {keys}")

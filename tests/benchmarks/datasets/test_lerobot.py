@@ -144,6 +144,14 @@ def test_each_object_has_a_task_of_its_own(brick, tmp_path):
         write_lerobot([brick, brick], tmp_path / "out")
 
 
+def test_nets_that_need_a_press_are_refused_before_anything_is_written(brick, tmp_path, monkeypatch):
+    other = ObjectFile(brick.header | {"key": "other"}, brick.tensors, "other")
+    monkeypatch.setitem(other.header, "touch", other.header["touch"] | {"kind": "image"})
+    with pytest.raises(ObjectFolderError, match="other: its touch net is of kind 'image', expected 'geom"):
+        write_lerobot([brick, other], tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.fixture(scope="module")
 def lerobot(tmp_path_factory):
     """The library, which keeps tables in a cache."""
