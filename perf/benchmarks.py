@@ -10,7 +10,7 @@ from typing import Any
 
 from harness import exit_with_verdict, parsed, write_record
 from PIL import Image
-from results import shared_tables
+from results import object_tables, shared_tables
 from rich.console import Console
 from rich.table import Table
 
@@ -92,6 +92,7 @@ def main() -> None:
     folder, keys, console = Benchmarks(arguments.out), {}, Console()
     options = f" {arguments.options}" if arguments.options else ""
     found = list(shared_tables(folder, arguments.preset, keys, options))
+    found += object_tables(folder, arguments.preset, options)
     for record in found:
         table = Table(title=record["title"])
         for name in record["columns"]:

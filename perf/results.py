@@ -7,7 +7,8 @@ in metrics/ and benchmarks/ update the records scores, benchmarks and robots fir
 
 import argparse
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from operator import itemgetter
 from pathlib import Path
 from statistics import mean, median
 from typing import Any
@@ -46,11 +47,13 @@ COMMANDS = {
     **{"recognize": "recognition", "materials": "recognition --label material"},
     **{"retrieve": "retrieval", "reconstruct": "reconstruction", "vision_to_touch": "vision-to-touch"},
 }
-#: Tasks on single objects: command, table, section of the parameters, policy trained with every seed.
-SINGLE_OBJECT = {
-    "grasp_policy": ("grasping", tables.grasping_table, "grasp_policy", "touch"),
-    "reach": ("reach", tables.reach_table, "reach", "ppo"),
-    "metaworld_reach": ("reach --metaworld", tables.reach_table, "reach", "ppo"),
+SECTIONS = {"materials": "recognize"}  #: of the parameters, where they are not the task's own
+#: Tasks on single objects: command, table, section of the parameters, what is trained with every seed.
+SINGLE_OBJECT: dict[str, tuple[str, Callable[..., tables.Table], str, Callable[[dict], dict]]] = {
+    "localize": ("localization", tables.localization_table, "localize", lambda scores: scores["TA"]["net"]),
+    "grasp_policy": ("grasping", tables.grasping_table, "grasp_policy", itemgetter("touch")),
+    "reach": ("reach", tables.reach_table, "reach", itemgetter("ppo")),
+    "metaworld_reach": ("reach --metaworld", tables.reach_table, "reach", itemgetter("ppo")),
 }
 
 
@@ -122,7 +125,8 @@ def collect() -> None:
     keys: dict[str, None] = {}
     folders = {preset: Benchmarks(ROOT / "benchmarks" / preset) for preset in PRESETS}
     shared = [table for preset, folder in folders.items() for table in shared_tables(folder, preset, keys)]
-    found = {"benchmarks": shared, "robots": list(robot_tables())}
+    single = [table for preset, folder in folders.items() for table in object_tables(folder, preset)]
+    found = {"benchmarks": shared, "robots": single}
     for name, new in found.items():
         record = read_json(RECORDS / f"{name}.json")
         by_command = {table["command"]: table for table in record["tables"] + new}
@@ -148,34 +152,34 @@ def shared_tables(
                 option = f" --split {split}" if len(splits_of(task)) > 1 else ""
                 several = (scores.get("directions") or scores).values()
                 trained = next(score for score in several if isinstance(score, dict) and "seeds" in score)
-                option += seeds_option(trained, sections[task])
+                option += seeds_option(trained, sections[SECTIONS.get(task, task)])
                 runs = [read_json(folder.machine(task, split))]
                 shown = tables.score_table(task, split, scores)
                 yield table_record(shown, f"{command} --preset {preset}{option}{options}", runs)
 
 
-def robot_tables() -> Iterator[dict]:
+def object_tables(folder: Benchmarks, preset: str, options: str = "") -> Iterator[dict]:
     """Yield the tables of grasp stability and of tasks on single objects."""
-    for preset in PRESETS:
-        folder, sections = Benchmarks(ROOT / "benchmarks" / preset), read_yaml(f"params/{preset}.yaml")
-        for split in splits_of("grasp_stability"):
-            if folder.result("grasp_stability", split).is_file():
-                scores = read_json(folder.result("grasp_stability", split))
-                found = next(iter(scores["sizes"].values()))
-                command = f"stability --preset {preset} --split {split}"
-                command += seeds_option(found["V"], sections["grasp_stability"])
-                runs = [read_json(folder.machine("grasp_stability", split))]
-                record = table_record(tables.score_table("grasp_stability", split, scores), command, runs)
-                record["note"] += f"\n\nObjects: {', '.join(scores['keys'])}."
-                yield record
-        for task, (command, layout, section, policy) in SINGLE_OBJECT.items():
-            ran = [path.stem.removeprefix(f"{task}_") for path in sorted(folder.dir.glob(f"{task}_*.csv"))]
-            keys = [key for key in ran if folder.machine(task, key).is_file()]
-            if keys:
-                scores = {key: read_json(folder.result(task, key)) for key in keys}
-                command += f" --preset {preset}" + seeds_option(scores[keys[0]][policy], sections[section])
-                runs = [read_json(folder.machine(task, key)) for key in keys]
-                yield table_record(layout(scores), " ".join([command, *(f"build/{k}" for k in keys)]), runs)
+    sections = read_yaml(f"params/{preset}.yaml")
+    for split in splits_of("grasp_stability"):
+        if folder.result("grasp_stability", split).is_file():
+            scores = read_json(folder.result("grasp_stability", split))
+            found = next(iter(scores["sizes"].values()))
+            command = f"stability --preset {preset} --split {split}"
+            command += seeds_option(found["V"], sections["grasp_stability"]) + options
+            runs = [read_json(folder.machine("grasp_stability", split))]
+            record = table_record(tables.score_table("grasp_stability", split, scores), command, runs)
+            record["note"] += f"\n\nObjects: {', '.join(scores['keys'])}."
+            yield record
+    for task, (command, layout, section, trained) in SINGLE_OBJECT.items():
+        ran = [path.stem.removeprefix(f"{task}_") for path in sorted(folder.dir.glob(f"{task}_*.csv"))]
+        keys = [key for key in ran if folder.machine(task, key).is_file()]
+        if keys:
+            scores = {key: read_json(folder.result(task, key)) for key in keys}
+            seeds = trained(scores[keys[0]])
+            command += f" --preset {preset}" + seeds_option(seeds, sections[section]) + options
+            runs = [read_json(folder.machine(task, key)) for key in keys]
+            yield table_record(layout(scores), " ".join([command, *(f"build/{k}" for k in keys)]), runs)
 
 
 def table_record(shown: tables.Table, command: str, runs: list[dict]) -> dict:

@@ -24,6 +24,17 @@ RECOGNITION = {
     "rows": {"train": 80, "val": 10, "test": 10},
     "duplicates": {"train": {"test": 0}},
 }
+MATERIALS = RECOGNITION | {
+    "materials": ["steel", "wood"],
+    "left_out": [],
+    "chance": {"majority": 0.6, "uniform": 0.5},
+}
+BELIEF = {"mean": 0.1, "median": 0.08, "together": 0.02, "interval_95": None, "seeds": [0.1]}
+LOCALIZATION = {key: {"net": BELIEF, "nearest": BELIEF} for key in results.tables.SENSES} | {
+    "constant": 0.4,
+    "random": 0.5,
+    "contacts": {"train": 80, "val": 10, "test": 10},
+}
 RATE = {"rate": 0.5, "interval_95": [0.4, 0.6], "seeds": [0.5]}
 GRASPING = dict.fromkeys(results.tables.GRASP_POLICIES, RATE) | {
     "rollouts": 20,
@@ -150,6 +161,11 @@ def test_scores_and_benchmarks_are_collected(repository):
     (split,) = results.splits_of("recognize")
     write_json(folder.result("recognize", split), RECOGNITION)
     write_json(folder.machine("recognize", split), RUN)
+    write_json(folder.result("materials", "unseen"), MATERIALS)
+    write_json(folder.machine("materials", "unseen"), RUN)
+    write_json(folder.result("localize", "cup"), LOCALIZATION)
+    write_json(folder.machine("localize", "cup"), RUN)
+    folder.curve("localize", "cup").write_text("")
     write_json(folder.result("grasp_policy", "cup"), GRASPING)
     write_json(folder.machine("grasp_policy", "cup"), RUN)
     folder.curve("grasp_policy", "cup").write_text("")
@@ -165,5 +181,9 @@ def test_scores_and_benchmarks_are_collected(repository):
     took = "2 min of training with 2 thread(s), 3 CPU min in all"
     assert f"`objectfolder bench recognition --preset quick --seeds 2`: {took}" in page
     assert "| V | 50.0 ± 10.0 |  | 40.0 60.0 | 94.8 |" in page
+    assert "`objectfolder bench recognition --label material --preset quick --split unseen --seeds 2`" in page
+    assert "Classification of 2 materials, 2 objects, unseen: accuracy in %" in page
+    assert "`objectfolder bench localization --preset quick build/cup`: 2 min" in page
+    assert "| touch + sound | cup | 10.0 | 8.0 | 2.0 |" in page
     assert "`objectfolder bench grasping --preset quick --seeds 1 build/cup`: 2 min" in page
     assert "`objectfolder bench grasping --preset quick --seeds 1 build/tonic_bottle`: 38 min" in page  # kept

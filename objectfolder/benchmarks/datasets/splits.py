@@ -144,10 +144,12 @@ def named_split(name: str, keys: Sequence[str], count: int) -> Split:
     return NAMED[name](keys, count)
 
 
-def repeated_rows(split: Split, observations: Samples, modality: str) -> np.ndarray:
-    """Find validation and test rows whose input repeats an earlier one of the same object, byte by byte.
+def repeated_rows(
+    split: Split, observations: Samples, modality: str, answers: np.ndarray | None = None
+) -> np.ndarray:
+    """Find validation and test rows whose input repeats earlier ones with the same answer, byte by byte.
 
-    A net may know the answer to such an input by heart. What occurs under several objects gives none away: it
+    A net may know the answer to such an input by heart. What occurs with several answers gives none away: it
     tells nothing, as the picture of a press that misses.
 
     Parameters
@@ -155,15 +157,17 @@ def repeated_rows(split: Split, observations: Samples, modality: str) -> np.ndar
     split : Split
     observations : Samples
     modality : str
+    answers : (rows,) int array, optional
+        Of all observations; default: their objects.
 
     Returns
     -------
     (rows,) bool
         Of all observations. Rows for training come before those for validation, and these before the tests.
     """
-    labels = observations.labels
+    labels = observations.labels if answers is None else answers
     repeated = np.zeros(len(labels), bool)
-    owners: dict[bytes, set[int]] = {}  # objects with an input among the earlier rows
+    owners: dict[bytes, set[int]] = {}  # answers to an input in the earlier rows
     for part in (split.train, split.val, split.test):
         found = list(zip(_digests(observations, modality, part), labels[part].tolist()))
         repeated[part] = [owners.get(digest) == {label} for digest, label in found]

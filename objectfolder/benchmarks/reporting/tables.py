@@ -69,6 +69,12 @@ PREDICTED_FROM = {
     "geometry_force": "width, offset, force",
 }
 SENSES = {"T": "touch", "A": "sound", "TA": "touch + sound"}  #: that contacts are localized by
+#: Which test rows a task drops; the others as recognition.
+DROPPED = {
+    "materials": "repeat an input of their material, and were dropped where nothing else is sensed",
+    "retrieve": "repeat an input of their object, and were dropped if both inputs of a pair do",
+    "grasp_stability": "repeat a camera picture of their object, and were dropped",
+}
 NAMES = {"V": "image", "A": "audio", "VA": "image + audio", "average_shape": "average shape"}
 
 
@@ -251,7 +257,7 @@ def _materials(split: str, scores: Mapping[str, Any]) -> Table:
         "accuracy in %",
         ("modalities", "accuracy", "bound", "each seed", "ObjectFolder Benchmark, 1,000 objects"),
         rows,
-        _note(scores)
+        _note(scores, "materials")
         + _touches_note(scores)
         + (f" Left out, since no object for training is of it: {absent}." if absent else ""),
     )
@@ -300,7 +306,7 @@ def _retrieval(split: str, scores: Mapping[str, Any]) -> Table:
     theirs = ("ObjectFolder Benchmark, 200 objects",) if new else ("paper", "paper's CCA")
     columns = ("direction", "mAP", "CCA", "chance", *theirs)
     title = f"Cross-sensory retrieval, {split} objects: mean average precision"
-    return Table(title, columns, rows, _note(scores))
+    return Table(title, columns, rows, _note(scores, "retrieve"))
 
 
 def _reconstruction(split: str, scores: Mapping[str, Any]) -> Table:
@@ -319,7 +325,8 @@ def _reconstruction(split: str, scores: Mapping[str, Any]) -> Table:
         ("from", "IoU", "Chamfer-L1", "normal consistency", "paper: IoU / Chamfer-L1 / normal consistency"),
         rows,
         f"{counts['train']} rows to train with; of each object the first {scores['views']} for validation "
-        f"and for the test, {counts['val']} and {counts['test']} in all; {_repeats_note(scores)}",
+        f"and for the test, {counts['val']} and {counts['test']} in all; "
+        + _repeats_note(scores, "reconstruct"),
     )
 
 
@@ -352,30 +359,28 @@ def _stability(split: str, scores: Mapping[str, Any]) -> Table:
         f"Grasp stability, {split} objects: accuracy in % by number of training grasps",
         ("from", *heads, "balanced accuracy", "AUC", *["each seed"] * repeated),
         rows,
-        f"{_note(scores)} Of the test grasps {100 * scores['success']['test']:.0f} % succeed, of those for "
-        f"training {100 * scores['success']['train']:.0f} %. In brackets Wilson's 95 % interval over the "
-        "test rows; ± of differences: 95 %, paired by row. Balanced accuracy, AUC and each seed with the "
-        "most grasps. The paper shows a figure, no numbers.",
+        f"{_note(scores, 'grasp_stability')} Of the test grasps {100 * scores['success']['test']:.0f} % "
+        f"succeed, of those for training {100 * scores['success']['train']:.0f} %. In brackets Wilson's "
+        "95 % interval over the test rows; ± of differences: 95 %, paired by row. Balanced accuracy, "
+        "AUC and each seed with the most grasps. The paper shows a figure, no numbers.",
     )
 
 
-def _note(scores: Mapping[str, Any]) -> str:
+def _note(scores: Mapping[str, Any], task: str = "recognize") -> str:
     """Describe the rows of a split."""
     rows = scores["rows"]
     return (
         f"{rows['train']} rows to train with, {rows['val']} for validation, {rows['test']} for the test; "
-        + _repeats_note(scores)
+        + _repeats_note(scores, task)
     )
 
 
-def _repeats_note(scores: Mapping[str, Any]) -> str:
+def _repeats_note(scores: Mapping[str, Any], task: str) -> str:
     counts = scores["duplicates"]
     found = ", ".join(f"{parts['test']} of {name}" for name, parts in counts.items() if parts["test"])
     lost = ", ".join(f"{key} ({name})" for name, keys in scores.get("untested", {}).items() for key in keys)
-    return (
-        "test rows that repeat an input of their object, and were dropped where nothing else is sensed: "
-        f"{found or 'none'}." + (f" Without a test row: {lost}." if lost else "")
-    )
+    rule = DROPPED.get(task, "repeat an input of their object, and were dropped where nothing else is sensed")
+    return f"test rows that {rule}: {found or 'none'}." + (f" Without a test row: {lost}." if lost else "")
 
 
 def _percent(score: Mapping[str, Any]) -> str:

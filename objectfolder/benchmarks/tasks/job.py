@@ -78,9 +78,9 @@ class Job(Generic[_Params]):
     #: By name, shared by jobs on parts of the split; see `once`.
     kept: dict[str, Kept] = field(default_factory=dict, compare=False, repr=False)
 
-    def repeats(self, modalities: Iterable[str]) -> dict[str, np.ndarray]:
-        """Return which rows repeat an input of their object, by modality; see `repeated_rows`."""
-        return {name: repeated_rows(self.split, self.observations, name) for name in modalities}
+    def repeats(self, modalities: Iterable[str], answers: np.ndarray | None = None) -> dict[str, np.ndarray]:
+        """Return which rows repeat an input with the same answer, by modality; see `repeated_rows`."""
+        return {name: repeated_rows(self.split, self.observations, name, answers) for name in modalities}
 
     def without_repeats(self, repeats: Mapping[str, np.ndarray], *together: Sequence[str]) -> "Job[_Params]":
         """Drop the validation and test rows all of whose inputs repeat.
@@ -102,7 +102,7 @@ class Job(Generic[_Params]):
         -------
         dict
             Numbers of ``objects``, of ``rows`` in each part of the split, and by modality of ``duplicates``,
-            rows of each part that repeat an input of their object.
+            rows of each part that repeat an input with the same answer.
         """
         split = self.split
         return {

@@ -189,7 +189,7 @@ def _classified(job: Job[RecognizeConfig], target: Target) -> tuple[dict[str, An
     """Train and score all combinations; see `recognize`."""
     seeds = range(job.params.seeds)
     job.check_sizes(LETTERS.values())
-    repeats = job.repeats(LETTERS.values())
+    repeats = job.repeats(LETTERS.values(), target.labels)
     setting = _Setting.of(job, repeats, target)
     finished = {(run, name): _finished(setting, run, name) for run in seeds for name in COMBINATIONS}
     classes = len(target.names)

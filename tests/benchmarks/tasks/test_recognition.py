@@ -271,6 +271,17 @@ def test_rows_that_were_learnt_are_not_tested(tmp_path):
     assert scores["chance"] == {"uniform": 0.25, "majority": 0.25}
 
 
+def test_what_only_objects_of_one_material_share_tells_the_material(tmp_path):
+    table = Table(20)
+    table.arrays["audio"][np.isin(table.labels, (0, 2))] = 0  # both are of wood
+    params = SimpleNamespace(**{**vars(PARAMS), "seeds": 1, "epochs": 1})
+    split = per_sample(table.keys, table.count)
+    scores, _ = classify_materials(Job(table, split, params, "small", SIZES, 1, tmp_path))
+    assert scores["duplicates"]["audio"] == {"val": 4, "test": 4}
+    assert len(json.loads((tmp_path / "0_A.json").read_text())["predicted"]) == 4
+    assert len(json.loads((tmp_path / "0_V.json").read_text())["predicted"]) == 8
+
+
 def test_test_rows_are_read_once_with_the_best_epoch(tmp_path):
     table = Table(20)
     split = per_sample(table.keys, table.count)
