@@ -175,7 +175,7 @@ def test_the_papers_vision_net_is_a_choice(built):
         f"{stage}@bell" for stage in ("render_views", "train_vision", "pack", "evaluate")
     }
     bell = ObjectFile.load(built.root / "build/bell/ObjectFile.safetensors")
-    assert bell.header["vision"]["kind"] == "osf"
+    assert bell.header["vision"]["kind"] == "osf_hull"
     assert bell.view([2.5, 0, 0], [0.5, 0, 0.8], resolution=16).shape == (1, 16, 16, 3)
     scores = json.loads((built.root / "metrics/bell.json").read_text())["vision"]
     assert scores["psnr"] > scores["baseline_white"]
