@@ -388,7 +388,8 @@ def test_it_learns_as_well_within_the_hull_of_its_views(views, trained):
     config = dataclasses.replace(CONFIG, hull_cells=32)
     net, curve = train_osf(*views, config, torch.Generator().manual_seed(1))
     assert net.hull.float().mean() < 0.5
-    assert min(p.val_loss for p in curve) < 1.2 * min(p.val_loss for p in trained[1])
+    within, without = (min(point.val_loss for point in points) for points in (curve, trained[1]))
+    assert within < 10**0.2 * without  # 2 dB; after so few steps, seeds differ by one
 
 
 @pytest.mark.slow
