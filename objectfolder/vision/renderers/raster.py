@@ -10,7 +10,7 @@ from objectfolder.vision.scene import LIGHT_INTENSITY, Scene
 
 GAMMA = 2.2  # of pyrender's shader
 MAX_SIDE = 4  #: samples per side of a pixel
-NEAR, FAR = 1e-3, 1e3
+NEAREST = 1e-3  #: of the plane before which nothing is drawn
 
 
 class RasterRenderer:
@@ -43,7 +43,9 @@ class RasterRenderer:
         side = min(max(round(samples**0.5), 1), MAX_SIDE)
         height, width = side * intrinsics.height, side * intrinsics.width
         fx, fy, cx, cy = (side * x for x in (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy))
-        camera = pyrender.IntrinsicsCamera(fx, fy, cx, cy, NEAR, FAR)
+        # They enclose the unit frame: seen from afar, wider ones would leave depths no resolution.
+        away = float(np.linalg.norm(camera_to_world[:3, 3]))
+        camera = pyrender.IntrinsicsCamera(fx, fy, cx, cy, max(away - 1, NEAREST), away + 1)
         node = self._scene.add(camera, pose=np.asarray(camera_to_world, np.float64))
         pose = np.eye(4)
         pose[:3, 3] = light
