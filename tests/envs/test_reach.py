@@ -10,6 +10,7 @@ import trimesh
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_for_stable_baselines
 
+from objectfolder.benchmarks.tasks.reach import controller, run_episodes
 from objectfolder.envs.body import rigid_body
 from objectfolder.envs.reach import HAND_START, TIP, ReachEnv, reward
 from objectfolder.envs.reach_scene import (
@@ -235,13 +236,12 @@ def test_without_metaworld_the_error_says_what_to_install(monkeypatch):
 
 def test_metaworld_with_an_object_file(body):
     pytest.importorskip("metaworld", reason="metaworld has an environment of its own (docs/benchmarks.md)")
-    from objectfolder.benchmarks.tasks.reach import controller, episodes
     from objectfolder.envs.metaworld import MetaWorldReach
 
     env = MetaWorldReach(body, horizon=80)
     assert env.observation_space.shape == (39,)
     assert _trajectory(env, 0, 10) == _trajectory(env, 0, 10) != _trajectory(env, 1, 10)
-    played = episodes(env, controller, [0, 1])
+    played = run_episodes(env, controller, [0, 1])
     assert played.last.all()
     observation, _ = env.reset(seed=0)
     np.testing.assert_allclose(observation[6], 0.015, atol=1e-3)  # it stands on the table
