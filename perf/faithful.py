@@ -256,7 +256,7 @@ def main() -> None:
     scored = {"views": values["render_views"]["test"], "impacts": values["evaluate"]["impacts"]}
     scored |= {"touches": values["render_touch"]["test"]}
     record: dict[str, Any] = {"preset": PRESET, "scored": scored, "rows": rows}
-    record |= {"paper_steps": PAPER_STEPS, "speed": speed()}
+    record |= {"paper_steps": PAPER_STEPS, "speed": speed(), "workspace_commit": workspace.commit()}
     record["vision_step"] = {key: step_seconds(workspace, key, values) for key in objects["paper"]}
     write_record(arguments.json, record, "mean of the paper's nets: 39.8, 53.6 and 29.4 dB", missed)
     raise SystemExit(bool(missed))
