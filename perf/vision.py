@@ -521,7 +521,7 @@ def beyond(rows: list[dict], limits: dict[str, tuple[float, str]]) -> list[str]:
     """Say which rows failed and which figures exceed their limits."""
     missed = [f"{row['object']}: {row['failed']}" for row in rows if "failed" in row]
     return missed + [
-        f"{row['object']}, {name}: {row[name]:.0f} {unit}, target {limit:g} {unit}"
+        f"{row['object']}, {name}: {row[name]:.4g} {unit}, target {limit:g} {unit}"
         for row in rows
         for name, (limit, unit) in limits.items()
         if row.get(name, 0) > limit
