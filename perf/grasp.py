@@ -122,7 +122,13 @@ def speed(
         labels = labelled / (time.perf_counter() - start)
         with tempfile.TemporaryDirectory() as folder:
             start = time.perf_counter()
-            wanted = GraspDataConfig(grasps=count, perturbations=perturbations, image=image, touch=touch)
+            wanted = GraspDataConfig(
+                grasps=count,
+                perturbations=perturbations,
+                image=image,
+                touch=touch,
+                timestep=scene.physics.timestep,
+            )
             collect_grasps(file, body, wanted, 0, folder, threads=threads)
             whole = count / (time.perf_counter() - start)
         rows.append(
