@@ -65,4 +65,4 @@ def table() -> str:
 
 if __name__ == "__main__":
     text = PAGE.read_text()
-    PAGE.write_text(text[: text.index("| package |")] + table())
+    PAGE.write_text(text[: text.rindex("| package |")] + table())

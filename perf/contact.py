@@ -1,9 +1,9 @@
 """Sound while a striker touches: `python perf/contact.py FILE... [--strikes N]`.
 
 Compares what a listener hears of the modes of Object Files, or of samples such as mug, during the contact
-with their radiation at all frequencies, by Fourier transform: the modes' acceleration times the pressure that
-each has per acceleration at its own frequency. The click of the recoil is left out of both. Exits with 1 if a
-target is missed.
+with a Fourier transform: the modes' acceleration at all frequencies times the pressure that each has per
+acceleration at its own frequency, taken for all. How a field changes away from its mode's frequency is
+therefore in neither; nor is the click of the recoil. Exits with 1 if a target is missed.
 """
 
 import argparse
@@ -81,7 +81,7 @@ def compared(file: ObjectFile, striker: str, strikes: int, seed: int) -> dict[st
 
 
 def reference(file: ObjectFile, points: np.ndarray, impulses: np.ndarray, contact: float) -> np.ndarray:
-    """Return the sound of the modes, by their acceleration at all frequencies; (strikes, samples)."""
+    """Return the sound of the modes, by acceleration at all frequencies; (strikes, samples)."""
     count = 1 << 18
     tuning = file.tuning()
     s = torch.complex(-tuning.damping.double(), tuning.damped_frequency.double()).numpy()

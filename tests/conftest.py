@@ -5,6 +5,7 @@ from pathlib import Path
 
 import forkserver
 import numpy as np
+import psutil
 import pytest
 import torch
 from brick import build_brick, with_spectrograms
@@ -22,7 +23,7 @@ settings.register_profile("fuzz", max_examples=2000)
 settings.load_profile("same")
 
 MEMORY, ROOM = Path("/dev/shm"), 4 << 30  # of Linux; more than all temporary files of a run
-if MEMORY.is_dir() and shutil.disk_usage(MEMORY).free > ROOM:
+if MEMORY.is_dir() and min(shutil.disk_usage(MEMORY).free, psutil.virtual_memory().available - ROOM) > ROOM:
     # Tests write thousands of small files, for which some disks take longer than the tests.
     os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(MEMORY))
 

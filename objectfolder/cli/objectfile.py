@@ -328,5 +328,7 @@ def _summary_of(obj: "ObjectFile", part: str) -> str:
         return f"{kind}, no modes: silent" if obj.has_modes else kind
     error = obj.header[part].get("frequency_uncertainty")
     certain = "" if error is None else f", lowest ten within about {error:.1%}"
+    if obj.header[part].get("frequency_uncertainty_unknown"):
+        certain = ", their error not known: walls are too thin for the grid"
     span = f"{frequencies.min():.0f} to {frequencies.max():.0f} Hz"
     return f"{kind}, {len(frequencies)} modes from {span}{certain}"

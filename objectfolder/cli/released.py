@@ -44,7 +44,7 @@ def import_released(
     ] = None,
     crop: Annotated[
         float | None,
-        typer.Option(help="Render only [-CROP, CROP]^3 of the unit frame: 0.6 halves the time."),
+        typer.Option(help="Render only [-CROP, CROP]^3 of the unit frame: 0.6 takes two fifths of the time."),
     ] = None,
 ) -> None:
     """Convert a released ObjectFolder 1.0 or 2.0 file without executing pickled code.

@@ -65,3 +65,5 @@ def report(
     console.print(f"{page}: {count}", highlight=False, soft_wrap=True)
     if open_page and not webbrowser.open(page.resolve().as_uri()):
         console.print("no browser found: open the page in one", highlight=False)
+    if failed:
+        raise typer.Exit(1)

@@ -8,6 +8,8 @@ from objectfolder.mesh.featurecodec import Features, pack_features
 from objectfolder.mesh.gridcodec import pack_grid
 from objectfolder.objectfile.header import MODALITIES, RADIATION, checked_header, format_name
 
+ESTIMATING = "hex20 cut cells"  #: element whose errors of frequencies are estimated if its grid allows it
+
 
 def pack_object_file(
     key: str,
@@ -74,4 +76,6 @@ def pack_object_file(
         header[RADIATION] = radiation[1]
     if modal.get("frequency_uncertainty") is not None:
         header["audio"] = header["audio"] | {"frequency_uncertainty": modal["frequency_uncertainty"]}
+    elif modal.get("element") == ESTIMATING and modal["modes"]:
+        header["audio"] = header["audio"] | {"frequency_uncertainty_unknown": True}
     return checked_header(header, key), tensors

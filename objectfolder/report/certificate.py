@@ -106,6 +106,9 @@ def _sound_checks(file: ObjectFile) -> list[PhysicalCheck]:
     checks = []
     if (error := file.header["audio"].get("frequency_uncertainty")) is not None:
         checks.append(_most("Estimated error of frequencies", error * 100, CERTAIN * 100, " %"))
+    elif file.header["audio"].get("frequency_uncertainty_unknown"):
+        limit = f"at most {CERTAIN * 100:.3g} %"
+        checks.append(PhysicalCheck("Estimated error of frequencies", "not known", limit, False))
     points = file.sample_surface(STRIKES, seed=0)
     rng = np.random.default_rng(0)
     first, second = rng.normal(size=(2, STRIKES, 3))

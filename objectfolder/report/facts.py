@@ -68,18 +68,18 @@ def failed_object(key: str, error: Exception) -> dict[str, Any]:
         "material": "unknown",
         "size": None,
         "missing": True,
-        "failed": ["Object can be read"],
+        "failed": ["Object can be reported"],
         "warnings": [str(error)],
         "scores": {},
     }
 
 
 def key_of(path: Path) -> str:
-    """Return the key in an Object File; of one that cannot be read, that by its path."""
+    """Return the key in an Object File; of one that cannot be read, its path, which no other object has."""
     try:
         return ObjectFile.load(path).key
     except ObjectFolderError:
-        return path.resolve().parent.name if path.stem == "ObjectFile" else path.stem
+        return str(path)
 
 
 def object_report(path: Path, costs: bool = True) -> ObjectReport:

@@ -58,6 +58,13 @@ def test_uncertain_frequencies_fail(brick):
     assert failed(file_checks(edited(brick, audio=audio))) == ["Estimated error of frequencies"]
 
 
+def test_frequencies_of_unknown_error_fail(brick):
+    audio = brick.header["audio"] | {"frequency_uncertainty_unknown": True}
+    audio.pop("frequency_uncertainty", None)
+    [check] = [check for check in file_checks(edited(brick, audio=audio)) if not check.passed]
+    assert (check.name, check.figure) == ("Estimated error of frequencies", "not known")
+
+
 def test_a_good_build_passes():
     checks = build_checks(NORMALIZE, MODAL, METRICS)
     assert (failed(checks), len(checks)) == ([], 8)

@@ -213,14 +213,23 @@ def three(brick, report, tmp_path, monkeypatch):
 
 def test_a_damaged_object_fails_alone(three, tmp_path, capsys):
     site = tmp_path / "site"
-    app(["report", *map(str, three), "--no-open", "--out", str(site)], standalone_mode=False)
+    assert app(["report", *map(str, three), "--no-open", "--out", str(site)], standalone_mode=False) == 1
     one, two, last = script((site / "index.html").read_text(), 'id="data"')["rows"]
-    assert (one["key"], two["key"], last["key"]) == ("one", "two", "three")
-    assert two["failed"] == ["Object can be read"]
+    assert (one["key"], two["key"], last["key"]) == ("one", str(three[1]), "three")
+    assert two["failed"] == ["Object can be reported"]
     assert "is not a readable safetensors file" in two["warnings"][0]
     assert one["failed"] == last["failed"] == []
     assert sorted(path.name for path in (site / "objects").iterdir()) == ["one.js", "three.js"]
     assert "3 objects, 1 failed" in capsys.readouterr().out
+
+
+def test_a_damaged_file_is_not_taken_for_the_object_of_its_name(three, tmp_path):
+    failed = []
+    missing = {"two": {"material": "steel"}}
+    page = write_site(three[:2], tmp_path / "site", missing, on_failure=lambda key, error: failed.append(key))
+    assert failed == [str(three[1])]
+    rows = script(page.read_text(), 'id="data"')["rows"]
+    assert {row["key"] for row in rows} == {"one", "two", str(three[1])}
 
 
 def test_a_site_is_written_whole_or_not_at_all(three, tmp_path):

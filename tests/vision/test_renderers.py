@@ -189,6 +189,15 @@ def test_a_camera_sees_a_surface_right_before_it_and_far_away(render, distance):
     assert (render(square(), [1, 0, 0], pose, Intrinsics(9, 9, 9 * max(distance * 2, 1)))[..., 3] == 1).all()
 
 
+@pytest.mark.parametrize("distance", [4.0, 10.0])
+def test_a_camera_that_looks_past_the_object_sees_it(render, distance):
+    """Depths along its axis, 45 degrees aside, are shorter than distances."""
+    pose = look_at(np.array([distance, 0, 0]), (0, distance, 0))[0]
+    focal = 66 * distance
+    pixels = Intrinsics(33, 33, focal, (16.5 + focal, 16.5))
+    assert (render(square(), [1, 0, 0], pose, pixels)[..., 3] == 1).all()
+
+
 @pytest.mark.parametrize("light", [[0, 0, 0], [0, 0.2, 0.1], [1e-7, 0, 0]])
 def test_a_light_on_the_surface_gives_a_finite_picture(render, light):
     image = render(square(), light)

@@ -27,7 +27,7 @@ from objectfolder.settings import Precision
 from objectfolder.workspace.layout import SPLITS
 
 GROUND = 1000  #: training touches at most to find their `Ground` of
-KEPT_BYTES = 2**30  #: of what is kept of all rows, such as spectrograms: they take longer than the encoder
+KEPT_BYTES = 2**31  #: of all that is kept of rows, such as spectrograms: they take longer than the encoder
 
 _Params = TypeVar("_Params", bound=TrainingConfig)
 _Batch = TypeVar("_Batch")
@@ -45,6 +45,7 @@ class Kept:
 
     def __init__(self, shape: tuple[int, ...], dtype: torch.dtype):
         self._values, self._known = torch.empty(shape, dtype=dtype), np.zeros(shape[0], bool)
+        self.bytes = self._values.nbytes
 
     def of(self, rows: np.ndarray, make: Callable[[np.ndarray], torch.Tensor]) -> torch.Tensor:
         """Return the tensors of rows; ``make`` computes those that are missing."""
@@ -199,10 +200,10 @@ class Job(Generic[_Params]):
         (n, ...) tensor
             On the CPU if it is kept.
         """
-        whole = (len(self.observations.labels), *shape)
-        if dtype.itemsize * np.prod(whole) > KEPT_BYTES:
-            return make(rows)
         if name not in self.kept:
+            whole = (len(self.observations.labels), *shape)
+            if dtype.itemsize * np.prod(whole) + sum(kept.bytes for kept in self.kept.values()) > KEPT_BYTES:
+                return make(rows)
             self.kept[name] = Kept(whole, dtype)
         return self.kept[name].of(rows, make)
 

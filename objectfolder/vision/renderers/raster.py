@@ -43,9 +43,10 @@ class RasterRenderer:
         side = min(max(round(samples**0.5), 1), MAX_SIDE)
         height, width = side * intrinsics.height, side * intrinsics.width
         fx, fy, cx, cy = (side * x for x in (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy))
-        # They enclose the unit frame: seen from afar, wider ones would leave depths no resolution.
-        away = float(np.linalg.norm(camera_to_world[:3, 3]))
-        camera = pyrender.IntrinsicsCamera(fx, fy, cx, cy, max(away - 1, NEAREST), away + 1)
+        # Of the ball that holds the unit frame: wider planes would leave depths from afar no resolution.
+        depth = float(camera_to_world[:3, 3] @ camera_to_world[:3, 2])
+        near, far = max(depth - 1, NEAREST), max(depth + 1, 2 * NEAREST)
+        camera = pyrender.IntrinsicsCamera(fx, fy, cx, cy, near, far)
         node = self._scene.add(camera, pose=np.asarray(camera_to_world, np.float64))
         pose = np.eye(4)
         pose[:3, 3] = light

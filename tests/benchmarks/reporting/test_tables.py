@@ -1,4 +1,7 @@
+import pytest
+
 from objectfolder.benchmarks.reporting.tables import score_table
+from objectfolder.errors import ObjectFolderError
 
 ROWS = {
     "rows": {"train": 16, "val": 2, "test": 2},
@@ -93,12 +96,15 @@ def test_published_figures_of_retrieval_stand_beside_their_split():
 
 def test_reconstruction_beside_the_average_shape():
     score = {"iou": 0.5, "chamfer_l1": 0.02, "normal_consistency": 0.75}
-    scores = dict.fromkeys(("V", "A", "VA", "average_shape"), score) | ROWS | {"views": 1}
+    counts = {"views": 1, "touches": 4}
+    scores = dict.fromkeys(("V", "A", "T", "VA", "average_shape"), score) | ROWS | counts
     shown = score_table("reconstruct", "seen", scores)
-    assert list(cells(shown)) == ["average shape", "image", "audio", "image + audio"]
+    assert list(cells(shown)) == ["average shape", "image", "audio", "4 touches", "image + audio"]
     assert cells(shown)["audio"] == ("0.5000", "0.0200", "0.7500", "0.8729 / 0.0048 / 0.9504")
     used = "16 rows to train with; of each object the first 1 for validation and for the test, 2 and 2 in all"
     assert shown.note.startswith(used)
+    with pytest.raises(ObjectFolderError, match="scored by an earlier version"):
+        score_table("reconstruct", "seen", {name: x for name, x in scores.items() if name != "views"})
 
 
 def held(rate, low, high, *seeds):
