@@ -303,11 +303,11 @@ def _retrieval(split: str, scores: Mapping[str, Any]) -> Table:
         score = scores["directions"][direction]
         paper = PAPER_RETRIEVAL.get(direction)
         papers = ("-", "-") if paper is None else (f"{paper[0]:.2f}", f"{paper[1]:.2f}")
-        ours = (_map(score), f"{score['cca']:.3f}", f"{score['chance']:.3f}")
+        ours = (_map(score), _map(score["named"]), f"{score['cca']:.3f}", f"{score['chance']:.3f}")
         unseen = PAPER_UNSEEN_RETRIEVAL.get(direction)
         rows.append((direction, *ours, *(("-" if unseen is None else f"{unseen:.3f}",) if new else papers)))
     theirs = ("ObjectFolder Benchmark, 200 objects",) if new else ("paper", "paper's CCA")
-    columns = ("direction", "mAP", "CCA", "chance", *theirs)
+    columns = ("direction", "mAP", "mAP by names", "CCA", "chance", *theirs)
     title = f"Cross-sensory retrieval, {split} objects: mean average precision"
     return Table(title, columns, rows, _note(scores, "retrieve"))
 

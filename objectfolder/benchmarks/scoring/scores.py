@@ -79,6 +79,7 @@ def mean_average_precision(
     gallery: np.ndarray,
     gallery_labels: np.ndarray,
     own: bool = False,
+    cosine: bool = True,
 ) -> float:
     """Compute the mean average precision of ranking a gallery by cosine similarity (main paper, Table 3).
 
@@ -95,6 +96,9 @@ def mean_average_precision(
     gallery_labels : (G,) int array
     own : bool
         The queries are the first rows of the gallery; none finds itself.
+    cosine : bool
+        Otherwise rows are probabilities of the same classes, and the gallery is ranked by their product: the
+        probability that two rows, taken alone, are of the same class.
 
     Returns
     -------
@@ -105,16 +109,17 @@ def mean_average_precision(
     ObjectFolderError
         If there is no query, an embedding is not finite, or a query has no relevant row.
     """
-    unit = [_unit(name, value) for name, value in (("query", queries), ("gallery", gallery))]
+    given = [_finite(name, value) for name, value in (("query", queries), ("gallery", gallery))]
+    rows = [_unit(value) for value in given] if cosine else given
     query_labels, gallery_labels = np.asarray(query_labels), np.asarray(gallery_labels)
     _relevant_counts(gallery_labels, query_labels, own)
     precisions = []
     for start in range(0, len(query_labels), BLOCK):
-        similarity = np.rint(unit[0][start : start + BLOCK] @ unit[1].T * SCALE).astype(np.int64)
+        similarity = np.rint(rows[0][start : start + BLOCK] @ rows[1].T * SCALE).astype(np.int64)
         relevant = query_labels[start : start + BLOCK, None] == gallery_labels
         if own:  # ranked last, and not relevant
-            rows = np.arange(len(similarity))
-            similarity[rows, start + rows], relevant[rows, start + rows] = NEVER, False
+            each = np.arange(len(similarity))
+            similarity[each, start + each], relevant[each, start + each] = NEVER, False
         precisions.append(_average_precisions(similarity, relevant))
     return float(np.mean(np.concatenate(precisions)))
 
@@ -146,13 +151,17 @@ def chance_map(gallery_labels: np.ndarray, query_labels: np.ndarray, own: bool =
     return float(np.mean((harmonic + share * (count - harmonic)) / count))
 
 
-def _unit(name: str, embeddings: np.ndarray) -> np.ndarray:
+def _finite(name: str, embeddings: np.ndarray) -> np.ndarray:
     embeddings = np.asarray(embeddings, np.float64)
     wrong = np.flatnonzero(~np.isfinite(embeddings).all(1))
     if wrong.size:
         raise ObjectFolderError(
             f"{name} embedding {wrong[0]} is not finite: training diverged; use a smaller learning_rate"
         )
+    return embeddings
+
+
+def _unit(embeddings: np.ndarray) -> np.ndarray:
     largest = np.abs(embeddings).max(1, keepdims=True)  # scaled first, because squares may underflow
     embeddings = embeddings / np.where(largest > 0, largest, 1)
     length = np.linalg.norm(embeddings, axis=1, keepdims=True)

@@ -118,9 +118,11 @@ def repeated_objects(labels: np.ndarray, queries: int) -> np.ndarray:
     return np.flatnonzero(counts[inverse[:queries]] > 1)
 
 
-def retrieved_within(embeddings: np.ndarray, labels: np.ndarray, queries: int) -> float:
+def retrieved_within(embeddings: np.ndarray, labels: np.ndarray, queries: int, cosine: bool = True) -> float:
     """Score the `repeated_objects` of the queries among all other rows of the same modality."""
     asked = repeated_objects(labels, queries)
     order = np.concatenate([asked, np.setdiff1d(np.arange(len(labels)), asked)])
     of = labels[order]
-    return mean_average_precision(embeddings[asked], labels[asked], embeddings[order], of, own=True)
+    return mean_average_precision(
+        embeddings[asked], labels[asked], embeddings[order], of, own=True, cosine=cosine
+    )

@@ -58,19 +58,21 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
     """Train and score the retrieval of each pair of modalities (main paper, Table 3).
 
     Queries are the test rows of one modality, the gallery those of the other; observations of
-    the same object are relevant. With queries and gallery of the same modality, no row finds itself; the
-    scores are means over the two pairs that hold it. The epoch is chosen on the validation rows, ranked
-    among some training rows. With ``pretrain_epochs``, encoders first learn to name the training objects.
-    The baseline CCA is fitted on the same training rows, and its dimensions are chosen in the same way. Test
-    rows are evaluated once, after training.
+    the same object are relevant. The gallery is ranked by the cosine of embeddings, and once more, ``named``,
+    by the probability that both rows are of one object, after the classifier's probabilities of each.
+    With queries and gallery of the same modality, no row finds itself; the scores are means over the two pairs
+    that hold it. The epoch is chosen on the validation rows, ranked by cosine among some training rows. With
+    ``pretrain_epochs``, encoders first learn to name the training objects. The baseline CCA is fitted on the
+    same training rows, and its dimensions are chosen in the same way. Test rows are evaluated once, after
+    training.
 
     Returns
     -------
     dict
         ``directions``, such as ``V->A`` (sounds from views) or ``V->V``: ``map`` (mean over the seeds), its
-        ``interval_95``, ``seeds`` (one value each), ``cca`` and ``chance``. Then what was chosen for ``cca``,
-        the counts of `Job.without_duplicates`, with a row dropped for all pairs if both inputs of one repeat,
-        and ``seconds`` of training.
+        ``interval_95``, ``seeds`` (one value each); ``named``, with the same three; ``cca``; ``chance``. Then
+        what was chosen for ``cca``, the counts of `Job.without_duplicates`, with a row dropped for all pairs
+        if both inputs of one repeat, and ``seconds`` of training.
     list
         Rows of the training curves, see `CURVE_COLUMNS`; ``second`` is empty in pre-training.
 
@@ -99,13 +101,13 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
     for direction in sorted({name for baseline in baselines for name in baseline}):
         # A direction within a sense belongs to two pairs.
         nets = [runs for runs in finished.values() if direction in runs[0]["map"]]
-        values = [
-            float(np.mean([runs[run]["map"][direction] for runs in nets])) for run in range(job.params.seeds)
-        ]
+        by_cosine, by_names = (
+            [float(np.mean([runs[run][rank][direction] for runs in nets])) for run in range(job.params.seeds)]
+            for rank in ("map", "named")
+        )
         directions[direction] = {
-            "map": float(np.mean(values)),
-            "interval_95": interval_95(values),
-            "seeds": values,
+            **_over_seeds(by_cosine),
+            "named": _over_seeds(by_names),
             "cca": float(np.mean([baseline[direction] for baseline in baselines if direction in baseline])),
             "chance": chance if direction[0] != direction[-1] else chance_within,
         }
@@ -121,6 +123,10 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
     units = [*named.values(), *(run for runs in finished.values() for run in runs)]
     seconds = sum(unit["seconds"] for unit in units)
     return {"directions": directions, "cca": correlated["chosen"], **rows, "seconds": seconds}, curves
+
+
+def _over_seeds(values: list[float]) -> dict[str, Any]:
+    return {"map": float(np.mean(values)), "interval_95": interval_95(values), "seeds": values}
 
 
 def check_objects(split: Split, objects: Objects) -> None:
@@ -151,8 +157,10 @@ def _finished(job: Job[RetrieveConfig], pair: Pair, run: int) -> dict[str, Any]:
 
     def make() -> dict[str, Any]:
         net, curve = _trained(job, pair, run, checkpoint)
+        embeddings = _embeddings(job, net, pair, job.split.test)
         return {
-            "map": _maps(job, pair, _embeddings(job, net, pair, job.split.test)),
+            "map": _maps(job, pair, embeddings),
+            "named": _maps(job, pair, [_probabilities(net, some) for some in embeddings], cosine=False),
             "curve": [astuple(point)[:3] for point in curve],
             "seconds": sum(point.seconds for point in curve),
         }
@@ -220,15 +228,18 @@ def _namer(job: Job[RetrieveConfig], modality: str, run: int) -> tuple[nn.Module
     return net.encoders[modality], curve
 
 
-def _maps(job: Job[RetrieveConfig], pair: Pair, embeddings: Sequence[np.ndarray]) -> Maps:
+def _maps(
+    job: Job[RetrieveConfig], pair: Pair, embeddings: Sequence[np.ndarray], cosine: bool = True
+) -> Maps:
     """Score embeddings of the test rows in two modalities, between them and within each."""
     labels = job.observations.labels[job.split.test]
     names = [modality[0].upper() for modality in pair]
-    crossed = _crossed(embeddings, labels, len(labels))
+    crossed = _crossed(embeddings, labels, len(labels), cosine)
     maps = {f"{names[i]}->{names[1 - i]}": score for i, score in enumerate(crossed)}
     if len(repeated_objects(labels, len(labels))):
         maps |= {
-            f"{name}->{name}": retrieved_within(x, labels, len(labels)) for name, x in zip(names, embeddings)
+            f"{name}->{name}": retrieved_within(x, labels, len(labels), cosine)
+            for name, x in zip(names, embeddings)
         }
     return maps
 
@@ -239,10 +250,14 @@ def _val_score(job: Job[RetrieveConfig], embeddings: Sequence[np.ndarray]) -> fl
     return float(np.mean(_crossed(embeddings, labels, len(job.split.val))))
 
 
-def _crossed(embeddings: Sequence[np.ndarray], labels: np.ndarray, queries: int) -> list[float]:
+def _crossed(
+    embeddings: Sequence[np.ndarray], labels: np.ndarray, queries: int, cosine: bool = True
+) -> list[float]:
     """Score the first rows of one modality as queries for all rows of the other, and the reverse."""
     return [
-        mean_average_precision(embeddings[query][:queries], labels[:queries], embeddings[1 - query], labels)
+        mean_average_precision(
+            embeddings[query][:queries], labels[:queries], embeddings[1 - query], labels, cosine=cosine
+        )
         for query in (0, 1)
     ]
 
@@ -260,6 +275,13 @@ def _embeddings(job: Job[RetrieveConfig], net: TwoStream, pair: Pair, rows: np.n
         torch.cat([net.embed(stream, x) for x in _chunks(job, modality, rows)]).cpu().numpy()
         for stream, modality in enumerate(pair)
     ]
+
+
+@torch.no_grad()
+def _probabilities(net: TwoStream, embeddings: np.ndarray) -> np.ndarray:
+    """Return the probability of each training object, (n, classes)."""
+    device = net.embedding.weight.device
+    return net.classify(torch.from_numpy(embeddings).to(device)).double().softmax(1).cpu().numpy()
 
 
 def _features(job: Job[RetrieveConfig], modality: str) -> dict[str, np.ndarray]:

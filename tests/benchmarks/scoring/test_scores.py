@@ -124,6 +124,23 @@ def test_ties_score_the_mean_over_all_their_orders():
     assert value == pytest.approx(np.mean(sorted_by_angle), rel=1e-12)
 
 
+def test_probabilities_are_ranked_by_their_product():
+    """Of two rows that may be of the query's class, the surer comes first, whatever else they may be."""
+    query = np.array([[1.0, 0, 0, 0]])
+    gallery, labels = np.array([[0.4, 0.2, 0.2, 0.2], [0.5, 0.5, 0, 0]]), np.array([1, 0])
+    assert mean_average_precision(query, labels[1:], gallery, labels, cosine=False) == 1
+    assert mean_average_precision(query, labels[1:], gallery, labels) == 0.5
+
+
+def test_no_ranking_beats_the_product_of_true_probabilities():
+    rng = np.random.default_rng(0)
+    given = rng.dirichlet(np.full(5, 0.3), 600)
+    labels = np.array([rng.choice(5, p=p) for p in given])
+    arguments = given[:300], labels[:300], given[300:], labels[300:]
+    product, cosine = (mean_average_precision(*arguments, cosine=cosine) for cosine in (False, True))
+    assert product > cosine > chance_map(labels[300:], labels[:300])
+
+
 def test_the_order_of_the_gallery_does_not_matter():
     rng = np.random.default_rng(2)
     gallery = rng.integers(-1, 2, (40, 2)).astype(float)  # many ties, some zero embeddings

@@ -251,6 +251,8 @@ def test_learns_what_the_senses_share(learnt):
         assert len(score["seeds"]) == 2
         assert score["interval_95"] >= 0
         assert score["map"] > 0.8
+        assert len(score["named"]["seeds"]) == 2
+        assert score["named"]["map"] > 0.7
         assert score["cca"] > 0.8
         assert 1 / 6 < score["chance"] < 0.4
 
