@@ -14,7 +14,7 @@ from results import object_tables, shared_tables
 from rich.console import Console
 from rich.table import Table
 
-from objectfolder.benchmarks.reporting.tables import PAPER_RETRIEVAL
+from objectfolder.benchmarks.reporting import published
 from objectfolder.io import atomic, read_json
 from objectfolder.workspace.layout import Benchmarks
 
@@ -50,13 +50,13 @@ def missed(folder: Benchmarks) -> Iterator[str]:
             if measured[name] < least:
                 yield f"{name} recognized {100 * measured[name]:.1f} %, target {100 * least:g} %"
     if found := scores("retrieve", "seen").get("directions"):
-        for direction, (paper, _) in PAPER_RETRIEVAL.items():
+        for direction, (paper, _) in published.RETRIEVAL.items():
             least = RETRIEVED.get(direction, paper)
             score = found[direction]["named"]["map"]
             if score < least:
                 yield f"{direction} retrieved {score:.3f} by names, target {least:g}"
     if found := scores("retrieve", "unseen").get("directions"):
-        for direction in PAPER_RETRIEVAL:
+        for direction in published.RETRIEVAL:
             score = found[direction]
             if score["map"] <= score["cca"]:
                 yield f"{direction} of unseen objects {score['map']:.3f}, CCA {score['cca']:.3f}"

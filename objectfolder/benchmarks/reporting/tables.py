@@ -4,40 +4,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from objectfolder.benchmarks.reporting import published
 from objectfolder.errors import ObjectFolderError
 
-#: Accuracy over 100 objects, %.
-PAPER_RECOGNITION = {"V": 94.8, "A": 98.3, "T": 72.4, "VA": 99.5, "VT": 97.2, "AT": 99.0, "VAT": 99.8}
-#: Accuracy over 1,000 objects, %, of the ObjectFolder Benchmark (Gao et al., CVPR 2023).
-PAPER_MATERIALS = {"V": 92.3, "A": 95.8, "T": 75.9, "VAT": 96.6}
-#: Mean average precision, theirs and that of their CCA; seen objects.
-PAPER_RETRIEVAL = {
-    "V->A": (0.90, 0.57),
-    "V->T": (0.50, 0.24),
-    "A->V": (0.92, 0.59),
-    "A->T": (0.55, 0.31),
-    "T->V": (0.48, 0.29),
-    "T->A": (0.64, 0.33),
-}
 SAME_SENSE = ("V->V", "A->A", "T->T")
-#: Mean average precision of the best method of the ObjectFolder Benchmark (Gao et al., CVPR 2023), 200 unseen
-#: objects of 1,000.
-PAPER_UNSEEN_RETRIEVAL = {
-    "V->A": 0.307,
-    "V->T": 0.124,
-    "A->V": 0.310,
-    "A->T": 0.090,
-    "T->V": 0.138,
-    "T->A": 0.154,
-}
-#: IoU, Chamfer-L1, normal consistency; seen objects. Touches are not in the paper.
-PAPER_RECONSTRUCTION: dict[str, tuple[float, ...] | None] = {
-    "average_shape": (0.0675, 0.1067, 0.6312),
-    "V": (0.8809, 0.0046, 0.9522),
-    "A": (0.8729, 0.0048, 0.9504),
-    "T": None,
-    "VA": (0.8906, 0.0043, 0.9535),
-}
 #: Rows of grasping, in their order, and the paper's success in %.
 GRASP_POLICIES = {
     "touch": ("touch", "-"),
@@ -48,7 +18,6 @@ GRASP_POLICIES = {
     "random": ("random actions", "53.0"),
     "nothing": ("none", "-"),
 }
-PAPER_REACH = "100"  #: success with each of three objects, %; the paper does not say when
 HANDS = {"reach": "floating hand", "metaworld_reach": "Meta-World's Sawyer arm"}
 REACH_POLICIES = {
     "ppo": "PPO",
@@ -140,7 +109,7 @@ def reach_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
                     *(_rate(played[when]) for when in ("last", "any")),
                     f"{1000 * played['distance']:.0f}",
                     f"{played['return'] / score['horizon']:.2f}",
-                    *((_thousands(score["steps"]), PAPER_REACH) if policy == "ppo" else ("-", "-")),
+                    *((_thousands(score["steps"]), published.REACH) if policy == "ppo" else ("-", "-")),
                 )
             )
     first = next(iter(scores.values()))
@@ -241,7 +210,7 @@ def _rate(share: Mapping[str, Any]) -> str:
 
 
 def _recognition(split: str, scores: Mapping[str, Any]) -> Table:
-    rows = _modalities(scores, PAPER_RECOGNITION)
+    rows = _modalities(scores, published.RECOGNITION)
     return Table(
         f"Instance recognition, {scores['objects']} objects: accuracy in %",
         ("modalities", "accuracy", "bound", "each seed", "paper, 100 objects"),
@@ -251,7 +220,7 @@ def _recognition(split: str, scores: Mapping[str, Any]) -> Table:
 
 
 def _materials(split: str, scores: Mapping[str, Any]) -> Table:
-    rows = _modalities(scores, PAPER_MATERIALS)
+    rows = _modalities(scores, published.MATERIALS)
     chance = {"commonest material": "majority", "chance": "uniform"}
     rows += [(name, f"{100 * scores['chance'][kind]:.1f}", "", "", "-") for name, kind in chance.items()]
     absent = ", ".join(scores["left_out"])
@@ -266,12 +235,12 @@ def _materials(split: str, scores: Mapping[str, Any]) -> Table:
     )
 
 
-def _modalities(scores: Mapping[str, Any], published: Mapping[str, float]) -> list[tuple[str, ...]]:
+def _modalities(scores: Mapping[str, Any], theirs: Mapping[str, float]) -> list[tuple[str, ...]]:
     """Rows of combinations of modalities, and of several touches together."""
     rows: list[tuple[str, ...]] = []
-    for modalities in PAPER_RECOGNITION:
+    for modalities in published.RECOGNITION:
         if modalities in scores:
-            figure = f"{published[modalities]:.1f}" if modalities in published else "-"
+            figure = f"{theirs[modalities]:.1f}" if modalities in theirs else "-"
             rows.append((modalities, *_seeds(scores[modalities]), figure))
     for kind, name in (("touches", "T"), ("touches_not_flat", "T, not flat")):
         for size, score in sorted(scores.get(kind, {}).items(), key=lambda item: int(item[0])):
@@ -299,12 +268,12 @@ def _touches_note(scores: Mapping[str, Any]) -> str:
 
 def _retrieval(split: str, scores: Mapping[str, Any]) -> Table:
     rows, new = [], split == "unseen"
-    for direction in [*PAPER_RETRIEVAL, *(name for name in SAME_SENSE if name in scores["directions"])]:
+    for direction in [*published.RETRIEVAL, *(name for name in SAME_SENSE if name in scores["directions"])]:
         score = scores["directions"][direction]
-        paper = PAPER_RETRIEVAL.get(direction)
+        paper = published.RETRIEVAL.get(direction)
         papers = ("-", "-") if paper is None else (f"{paper[0]:.2f}", f"{paper[1]:.2f}")
         ours = (_map(score), _map(score["named"]), f"{score['cca']:.3f}", f"{score['chance']:.3f}")
-        unseen = PAPER_UNSEEN_RETRIEVAL.get(direction)
+        unseen = published.UNSEEN_RETRIEVAL.get(direction)
         rows.append((direction, *ours, *(("-" if unseen is None else f"{unseen:.3f}",) if new else papers)))
     theirs = ("ObjectFolder Benchmark, 200 objects",) if new else ("paper", "paper's CCA")
     columns = ("direction", "mAP", "mAP by names", "CCA", "chance", *theirs)
@@ -320,7 +289,7 @@ def _reconstruction(split: str, scores: Mapping[str, Any]) -> Table:
         )
     rows, counts = [], scores["rows"]
     names = NAMES | {"T": f"{scores['touches']} touches"}
-    for variant, paper in PAPER_RECONSTRUCTION.items():
+    for variant, paper in published.RECONSTRUCTION.items():
         score = scores[variant]
         ours = [_figure(score[name]) for name in ("iou", "chamfer_l1", "normal_consistency")]
         ours[0] += _interval(score, 1, ".4f") if "interval_95" in score else ""

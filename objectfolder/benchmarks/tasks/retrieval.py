@@ -60,7 +60,7 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
     Queries are the test rows of one modality, the gallery those of the other; observations of
     the same object are relevant. The gallery is ranked by the cosine of embeddings, and once more, ``named``,
     by the probability that both rows are of one object, after the classifier's probabilities of each. With
-    queries and gallery of the same modality, no row finds itself; the scores are means over the two pairs that
+    queries and gallery of one modality, no row finds itself; the scores are means over the two pairs that
     hold it. The epoch is chosen on the validation rows, ranked by cosine among some training rows. With
     ``pretrain_epochs``, encoders first learn to name the training objects. The baseline CCA is fitted on the
     same training rows, and its dimensions are chosen in the same way. Test rows are evaluated once, after
