@@ -21,6 +21,7 @@ from ruamel.yaml import YAML
 from objectfolder.benchmarks.params import splits_of
 from objectfolder.benchmarks.reporting import tables
 from objectfolder.benchmarks.tasks.running import machine
+from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_json, write_text
 from objectfolder.workspace.layout import Benchmarks
 
@@ -154,7 +155,11 @@ def shared_tables(
                 trained = next(score for score in several if isinstance(score, dict) and "seeds" in score)
                 option += seeds_option(trained, sections[SECTIONS.get(task, task)])
                 runs = [read_json(folder.machine(task, split))]
-                shown = tables.score_table(task, split, scores)
+                try:
+                    shown = tables.score_table(task, split, scores)
+                except ObjectFolderError as error:
+                    print(f"left out: {folder.result(task, split)}: {error}")
+                    continue
                 yield table_record(shown, f"{command} --preset {preset}{option}{options}", runs)
 
 

@@ -28,6 +28,8 @@ def report(
 
     Writes a static site that works from disk and offline; docs/viewer.md.
 
+    Exits with 1 if an object cannot be reported; the others have their pages.
+
     Examples: objectfolder report, objectfolder report mug.safetensors --single-file --out mug.html
     """
     from objectfolder.report.site import write_site

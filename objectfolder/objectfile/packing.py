@@ -74,8 +74,14 @@ def pack_object_file(
     if radiation is not None and header["audio"]["kind"] == "gains":
         tensors.update({f"{RADIATION}.{name}": value for name, value in radiation[0].items()})
         header[RADIATION] = radiation[1]
-    if modal.get("frequency_uncertainty") is not None:
-        header["audio"] = header["audio"] | {"frequency_uncertainty": modal["frequency_uncertainty"]}
-    elif modal.get("element") == ESTIMATING and modal["modes"]:
-        header["audio"] = header["audio"] | {"frequency_uncertainty_unknown": True}
+    header["audio"] = header["audio"] | certainty(modal)
     return checked_header(header, key), tensors
+
+
+def certainty(modal: dict[str, Any]) -> dict[str, Any]:
+    """Return what the header says of the error of frequencies, from ``modal.json``."""
+    if modal.get("frequency_uncertainty") is not None:
+        return {"frequency_uncertainty": modal["frequency_uncertainty"]}
+    if modal.get("element") == ESTIMATING and modal["modes"]:
+        return {"frequency_uncertainty_unknown": True}
+    return {}

@@ -74,12 +74,12 @@ def failed_object(key: str, error: Exception) -> dict[str, Any]:
     }
 
 
-def key_of(path: Path) -> str:
-    """Return the key in an Object File; of one that cannot be read, its path, which no other object has."""
+def key_of(path: Path) -> str | None:
+    """Return the key in an Object File; None if it cannot be read."""
     try:
         return ObjectFile.load(path).key
     except ObjectFolderError:
-        return str(path)
+        return None
 
 
 def object_report(path: Path, costs: bool = True) -> ObjectReport:

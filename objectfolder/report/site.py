@@ -60,12 +60,20 @@ def write_site(
         If two files hold objects of one key.
     """
     paths = list(files)
-    keys = [key_of(path) for path in paths]
-    for number, key in enumerate(keys):
-        if key in keys[:number] or key in (missing or {}):
+    found = [key_of(path) for path in paths]
+    taken = set(missing or {})
+    for path, known in zip(paths, found):
+        if known in taken:
             raise ObjectFolderError(
-                f"{paths[number]}: another file holds an object of the key {key}; give one of them"
+                f"{path}: another file holds an object of the key {known}; give one of them"
             )
+        if known is not None:
+            taken.add(known)
+    keys = []
+    for path, known in zip(paths, found):
+        guess = path.resolve().parent.name if path.stem == "ObjectFile" else path.stem
+        keys.append(known or (guess if guess not in taken else str(path)))
+        taken.add(keys[-1])
     rows = [missing_object(key, entry) for key, entry in (missing or {}).items()]
     held: list[str] = []
 

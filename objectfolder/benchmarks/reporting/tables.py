@@ -84,6 +84,11 @@ def score_table(task: str, split: str, scores: Mapping[str, Any]) -> Table:
     split : str
     scores : mapping
         Contents of the task's result file.
+
+    Raises
+    ------
+    ObjectFolderError
+        If an earlier version wrote it.
     """
     layouts: dict[str, Callable[[str, Mapping[str, Any]], Table]] = {
         "recognize": _recognition,
@@ -93,7 +98,12 @@ def score_table(task: str, split: str, scores: Mapping[str, Any]) -> Table:
         "grasp_stability": _stability,
         "vision_to_touch": _vision_to_touch,
     }
-    return layouts[task](split, scores)
+    try:
+        return layouts[task](split, scores)
+    except KeyError as error:
+        raise ObjectFolderError(
+            f"{task}, split {split}: its result lacks {error}, so it is of an earlier version; run it again"
+        ) from error
 
 
 def reach_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
@@ -282,11 +292,6 @@ def _retrieval(split: str, scores: Mapping[str, Any]) -> Table:
 
 
 def _reconstruction(split: str, scores: Mapping[str, Any]) -> Table:
-    if "views" not in scores:
-        raise ObjectFolderError(
-            f"reconstruction, split {split}: scored by an earlier version, with another rule of repeated "
-            "inputs; run the benchmark again"
-        )
     rows, counts = [], scores["rows"]
     names = NAMES | {"T": f"{scores['touches']} touches"}
     for variant, paper in published.RECONSTRUCTION.items():

@@ -10,6 +10,7 @@ from objectfolder.errors import ObjectFolderError
 
 BLOCK = 256  #: queries ranked at a time, which bounds memory for large galleries
 SCALE = 10**9  #: cosines are ranked as multiples of 1 / SCALE; far finer than float32 embeddings resolve
+LEAST = 1e-300  #: product of probabilities that is told from 0; products are ranked by their logarithm
 NEVER = -2 * SCALE  #: similarity of what must not be found
 
 
@@ -115,7 +116,10 @@ def mean_average_precision(
     _relevant_counts(gallery_labels, query_labels, own)
     precisions = []
     for start in range(0, len(query_labels), BLOCK):
-        similarity = np.rint(rows[0][start : start + BLOCK] @ rows[1].T * SCALE).astype(np.int64)
+        close = rows[0][start : start + BLOCK] @ rows[1].T
+        if not cosine:
+            close = np.log(np.maximum(close, LEAST)) / -np.log(LEAST)  # in [-1, 0]
+        similarity = np.rint(close * SCALE).astype(np.int64)
         relevant = query_labels[start : start + BLOCK, None] == gallery_labels
         if own:  # ranked last, and not relevant
             each = np.arange(len(similarity))

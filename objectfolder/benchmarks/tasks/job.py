@@ -202,7 +202,8 @@ class Job(Generic[_Params]):
         """
         if name not in self.kept:
             whole = (len(self.observations.labels), *shape)
-            if dtype.itemsize * np.prod(whole) + sum(kept.bytes for kept in self.kept.values()) > KEPT_BYTES:
+            size, held = dtype.itemsize * np.prod(whole), sum(kept.bytes for kept in self.kept.values())
+            if size > KEPT_BYTES // 2 or size + held > KEPT_BYTES:  # none leaves no room for the others
                 return make(rows)
             self.kept[name] = Kept(whole, dtype)
         return self.kept[name].of(rows, make)

@@ -110,7 +110,7 @@ def test_reconstruction_beside_the_average_shape():
     assert cells(shown)["audio"] == ("0.5000", "0.0200", "0.7500", "0.8729 / 0.0048 / 0.9504")
     used = "16 rows to train with; of each object the first 1 for validation and for the test, 2 and 2 in all"
     assert shown.note.startswith(used)
-    with pytest.raises(ObjectFolderError, match="scored by an earlier version"):
+    with pytest.raises(ObjectFolderError, match="lacks 'views', so it is of an earlier version"):
         score_table("reconstruct", "seen", {name: x for name, x in scores.items() if name != "views"})
 
 

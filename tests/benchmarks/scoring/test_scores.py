@@ -132,7 +132,15 @@ def test_probabilities_are_ranked_by_their_product():
     assert mean_average_precision(query, labels[1:], gallery, labels) == 0.5
 
 
-def test_no_ranking_beats_the_product_of_true_probabilities():
+def test_rows_that_are_nearly_ruled_out_still_have_an_order():
+    query, gallery = np.array([[1.0, 0]]), np.array([[1e-30, 1.0], [1e-20, 1.0], [0, 1.0]])
+    assert mean_average_precision(query, [0], gallery, np.array([1, 0, 1]), cosine=False) == 1
+    own = np.array([[1.0, 0], [0.9, 0.1], [0.2, 0.8], [0.1, 0.9]])
+    labels = np.array([0, 0, 1, 1])
+    assert mean_average_precision(own, labels, own, labels, own=True, cosine=False) == 1
+
+
+def test_the_product_ranks_true_probabilities_better_than_their_cosine():
     rng = np.random.default_rng(0)
     given = rng.dirichlet(np.full(5, 0.3), 600)
     labels = np.array([rng.choice(5, p=p) for p in given])

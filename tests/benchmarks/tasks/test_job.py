@@ -8,6 +8,23 @@ from objectfolder.benchmarks.tasks.job import Job
 SIZES = InputSizes(12, (16, 10), (8, 6))
 
 
+def test_what_is_kept_has_one_limit(tmp_path, monkeypatch):
+    """Of three tensors of 80 bytes, the third finds no room; one of 160 would leave none for the others."""
+    monkeypatch.setattr(job, "KEPT_BYTES", 200)
+    task = Job(Sounds(), None, None, "tiny", SIZES, seed=0, progress=tmp_path)
+
+    def computed(name, width):
+        """Ask twice for a row; return how often it was computed."""
+        made = []
+        for _ in range(2):
+            task.once(
+                name, np.array([3]), (width,), lambda rows: made.append(rows) or torch.ones(len(rows), width)
+            )
+        return len(made)
+
+    assert [computed(name, width) for name, width in (("d", 2), ("a", 1), ("b", 1), ("c", 1))] == [2, 1, 1, 2]
+
+
 class Sounds:
     """Noise of an object's twenty observations, which remembers what is read."""
 
