@@ -7,15 +7,12 @@ from objectfolder.objectfile.packing import ESTIMATING, certainty
 
 
 @pytest.mark.parametrize(
-    ("modal", "said"),
+    ("error", "element", "modes", "said"),
     [
-        ({"frequency_uncertainty": 0.02, "element": CUT_CELLS, "modes": 9}, {"frequency_uncertainty": 0.02}),
-        (
-            {"frequency_uncertainty": None, "element": CUT_CELLS, "modes": 9},
-            {"frequency_uncertainty_unknown": True},
-        ),
-        ({"frequency_uncertainty": None, "element": CUT_CELLS, "modes": 0}, {}),
-        ({"frequency_uncertainty": None, "element": "tet10", "modes": 9}, {}),
+        (0.02, CUT_CELLS, 9, {"frequency_uncertainty": 0.02}),
+        (None, CUT_CELLS, 9, {"frequency_uncertainty_unknown": True}),
+        (None, CUT_CELLS, 0, {}),
+        (None, "tet10", 9, {}),
     ],
 )
 def test_an_error_that_cells_could_not_estimate_is_said_to_be_unknown(error, element, modes, said):
