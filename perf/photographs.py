@@ -1,4 +1,4 @@
-"""How IMAGE2MESH does on another renderer's pictures: `python perf/photographs.py MODEL [--build DIR] ...`.
+"""How IMAGE2MESH does on another renderer's pictures: `python perf/photographs.py MODEL --observations DIR`.
 
 The path-traced views of the mesh, on white and on a cluttered background, as they are and cut out by their
 alpha, beside views of the Object Files that the model was tested on. IoU, means over objects and pictures.
