@@ -98,8 +98,9 @@ def score_table(task: str, split: str, scores: Mapping[str, Any]) -> Table:
         "grasp_stability": _stability,
         "vision_to_touch": _vision_to_touch,
     }
+    layout = layouts[task]
     try:
-        return layouts[task](split, scores)
+        return layout(split, scores)
     except KeyError as error:
         raise ObjectFolderError(
             f"{task}, split {split}: its result lacks {error}, so it is of an earlier version; run it again"
