@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from objectfolder.cli.console import console
@@ -149,9 +150,11 @@ def _print_metrics(keys: list[str]) -> None:
     from objectfolder.workspace.layout import Build
 
     rows = [summary_row(key, read_json(Build(key).metrics)) for key in keys]
-    table = Table(title="Held-out PSNR in dB / PSNR of a trivial baseline")
+    title = "Held-out PSNR in dB / PSNR of a trivial baseline"
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
     for name in rows[0]:
-        table.add_column(name, justify="left" if name == "object" else "right", no_wrap=name == "object")
+        # Folded, not cut: in a narrow terminal a score takes more lines.
+        table.add_column(name, justify="left" if name == "object" else "right", overflow="fold")
     for row in rows:
         table.add_row(*row.values())
     console.print(table)

@@ -300,7 +300,7 @@ def summary_row(key: str, metrics: dict[str, Any]) -> dict[str, str]:
     v, a, t = metrics["vision"], metrics["audio"], metrics["touch"]
 
     def beside(values: dict[str, Any], *scores: str, form: str = ".1f", none: str = "silent") -> str:
-        return "/".join(f"{values[name]:{form}}" for name in scores) if scores[0] in values else none
+        return " / ".join(f"{values[name]:{form}}" for name in scores) if scores[0] in values else none
 
     kept, found = a["modes"], a.get("modes_found")
 
@@ -308,7 +308,7 @@ def summary_row(key: str, metrics: dict[str, Any]) -> dict[str, str]:
         "object": key,
         "vision / white": beside(v, "psnr", "baseline_white"),
         "lit": f"{v['psnr_lit_foreground']:.1f}" if "psnr_lit_foreground" in v else "-",
-        "audio / mean / silence": beside(a, "psnr", "psnr_mean", "baseline_silence"),
+        "audio / silence": beside(a, "psnr", "baseline_silence"),
         "gain error / nearest": beside(a, "gain_error", "baseline_nearest", form=".1%", none="-"),
         "modes": f"{kept}" if found in (None, kept) else f"{kept} of {found}",
         "touch / mean": beside(t, "psnr", "baseline_mean_image"),
