@@ -84,6 +84,18 @@ def exclusive(folder: Path) -> Iterator[None]:
         os.close(handle)
 
 
+def in_use(folder: Path) -> bool:
+    """Return whether a process is in a block that is `exclusive` for a folder."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(handle)
+    return False
+
+
 def check_writable(directory: Path) -> None:
     """Raise ObjectFolderError unless files can be created in a directory."""
     with atomic(directory / ".writable"):

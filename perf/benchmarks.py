@@ -1,10 +1,12 @@
 """Tables of the benchmarks of a hundred objects, and what misses its target: `python perf/benchmarks.py OUT`.
 
-OUT is the folder that `objectfolder bench` wrote its results to. Exits with 1 if a target is missed.
+OUT are the folders that `objectfolder bench` wrote its results to. Exits with 1 if a target is missed, and
+with 2 if there is no result.
 """
 
 import argparse
-from collections.abc import Iterator
+import sys
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,8 @@ from rich.console import Console
 from rich.table import Table
 
 from objectfolder.benchmarks.reporting import published
+from objectfolder.benchmarks.reporting.tables import score_table
+from objectfolder.errors import ObjectFolderError
 from objectfolder.io import atomic, read_json
 from objectfolder.workspace.layout import Benchmarks
 
@@ -36,12 +40,27 @@ WORDS = {
 }
 
 
-def missed(folder: Benchmarks) -> Iterator[str]:
-    """Yield what is below its target, and by how much; of tasks that ran."""
+def found_in(
+    folders: Sequence[Benchmarks], task: str, split: str
+) -> tuple[Benchmarks, dict[str, Any]] | None:
+    """Return the first folder with a result of the present version, and that result."""
+    for folder in folders:
+        if (path := folder.result(task, split)).is_file():
+            scores = read_json(path)
+            try:
+                score_table(task, split, scores)
+            except ObjectFolderError as error:
+                print(f"left out: {path}: {error}")
+            else:
+                return folder, scores
+    return None
+
+
+def missed(results: Mapping[str, dict[str, Any]]) -> Iterator[str]:
+    """Yield what is below its target, and by how much; of the tasks that ran, named as in `WORDS`."""
 
     def scores(task: str, split: str) -> dict[str, Any]:
-        path = folder.result(task, split)
-        return read_json(path) if path.is_file() else {}
+        return results.get(f"{task}_{split}", {})
 
     if found := scores("recognize", "seen"):
         measured = {name: found[name]["accuracy"] for name in RECOGNIZED}
@@ -79,7 +98,7 @@ def missed(folder: Benchmarks) -> Iterator[str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("out", type=Path)
+    parser.add_argument("out", type=Path, nargs="+")
     parser.add_argument("--preset", default="laptop", help="of the benchmarks")
     parser.add_argument("--options", default="", help="other options that they were called with")
     parser.add_argument("--json", type=Path)
@@ -90,26 +109,37 @@ def main() -> None:
         help="folder for the figures of recognition and reconstruction",
     )
     arguments = parsed(parser)
-    folder, keys, console = Benchmarks(arguments.out), {}, Console()
+    folders, keys, console = [Benchmarks(out) for out in arguments.out], {}, Console()
     options = f" {arguments.options}" if arguments.options else ""
-    found = list(shared_tables(folder, arguments.preset, keys, options))
-    found += object_tables(folder, arguments.preset, options)
-    for record in found:
+    by_command: dict[str, dict] = {}
+    for folder in folders:
+        shown = [*shared_tables(folder, arguments.preset, keys, options)]
+        shown += object_tables(folder, arguments.preset, options)
+        by_command = {table["command"]: table for table in shown} | by_command
+    if not by_command:
+        console.print(f"no results of `objectfolder bench` in {', '.join(map(str, arguments.out))}")
+        sys.exit(2)
+    for record in by_command.values():
         table = Table(title=record["title"])
         for name in record["columns"]:
             table.add_column(name)
         for row in record["rows"]:
             table.add_row(*row)
         console.print(table)
+    measured = {name: found for name in WORDS if (found := found_in(folders, *name.rsplit("_", 1)))}
     for task, name in FIGURES.items():
-        figure = folder.sheet(task, "seen")
-        if arguments.pictures and figure.is_file():
+        found = measured.get(f"{task}_seen")
+        if arguments.pictures and found and (figure := found[0].sheet(task, "seen")).is_file():
             with Image.open(figure) as page, atomic(arguments.pictures / f"{name}.webp") as temporary:
                 page.thumbnail((SIDE, SIDE))
                 page.convert("RGB").save(temporary, "webp", quality=80, method=6)
-    below = list(missed(folder))
-    words = "; ".join(text for name, text in WORDS.items() if (arguments.out / f"{name}.json").is_file())
-    write_record(arguments.json, {"objects": len(keys), "tables": found}, words, below)
+    below = list(missed({name: scores for name, (_, scores) in measured.items()}))
+    words = "; ".join(text for name, text in WORDS.items() if name in measured)
+    unmeasured = [text for name, text in WORDS.items() if name not in measured]
+    record = {"objects": len(keys), "unmeasured": unmeasured, "tables": list(by_command.values())}
+    write_record(arguments.json, record, words, below)
+    if unmeasured:
+        console.print(f"not measured: {'; '.join(unmeasured)}", markup=False, soft_wrap=True)
     exit_with_verdict(below, console)
 
 

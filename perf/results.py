@@ -7,6 +7,7 @@ in metrics/ and benchmarks/ update the records scores, benchmarks and robots fir
 
 import argparse
 import re
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from operator import itemgetter
 from pathlib import Path
@@ -178,13 +179,17 @@ def object_tables(folder: Benchmarks, preset: str, options: str = "") -> Iterato
             yield record
     for task, (command, layout, section, trained) in SINGLE_OBJECT.items():
         ran = [path.stem.removeprefix(f"{task}_") for path in sorted(folder.dir.glob(f"{task}_*.csv"))]
-        keys = [key for key in ran if folder.machine(task, key).is_file()]
-        if keys:
-            scores = {key: read_json(folder.result(task, key)) for key in keys}
-            seeds = trained(scores[keys[0]])
-            command += f" --preset {preset}" + seeds_option(seeds, sections[section]) + options
+        scores = {
+            key: read_json(folder.result(task, key)) for key in ran if folder.machine(task, key).is_file()
+        }
+        alike = defaultdict(list)  # one table of what was asked alike
+        for key, found in scores.items():
+            seeds = seeds_option(trained(found), sections[section])
+            alike[seeds, str(found.get("contacts"))].append(key)
+        for (seeds, _), keys in alike.items():
             runs = [read_json(folder.machine(task, key)) for key in keys]
-            yield table_record(layout(scores), " ".join([command, *(f"build/{k}" for k in keys)]), runs)
+            words = [f"{command} --preset {preset}{seeds}{options}", *(f"build/{key}" for key in keys)]
+            yield table_record(layout({key: scores[key] for key in keys}), " ".join(words), runs)
 
 
 def table_record(shown: tables.Table, command: str, runs: list[dict]) -> dict:

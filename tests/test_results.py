@@ -138,6 +138,36 @@ def test_a_script_without_arguments_prints_its_usage(script):
     assert done.stderr.startswith(f"usage: {script}.py")
 
 
+def test_benchmarks_that_did_not_run_are_neither_met_nor_missed(tmp_path):
+    def verdict(*folders):
+        words = [sys.executable, harness.ROOT / "perf/benchmarks.py", *folders, "--json", tmp_path / "x.json"]
+        done = subprocess.run(words, capture_output=True, text=True, timeout=120)
+        return done.returncode, re.sub(r"\s+", " ", done.stdout)
+
+    one, other = tmp_path / "one", tmp_path / "other"
+    for folder in (one, other):
+        folder.mkdir()
+    assert verdict(one)[0] == 2
+    write_json(one / "retrieve_seen.json", {"keys": ["mug"], "directions": {"V->A": {"seeds": [0.1]}}})
+    for task in ("retrieve", "materials"):
+        write_json(one / f"{task}_seen_machine.json", RUN)
+    write_json(one / "materials_seen.json", MATERIALS)
+    code, text = verdict(one)
+    assert (code, "targets: met" in text) == (0, True)
+    assert "so it is of an earlier version" in text
+    assert "not measured: V 95, A 99" in text
+    good = RECOGNITION["V"] | {"accuracy": 1.0}
+    senses = dict.fromkeys(("A", "T", "VA", "VT", "AT", "VAT"), good)
+    recognized = RECOGNITION | senses | {"touches": {"4": good}, "V": good | {"accuracy": 0.9}}
+    write_json(other / "recognize_seen.json", recognized)
+    write_json(other / "recognize_seen_machine.json", RUN)
+    code, text = verdict(one, other)
+    assert (code, "V recognized 90.0 %, target 95 %" in text) == (1, True)
+    record = read_json(tmp_path / "x.json")
+    assert [table["title"].split()[0] for table in record["tables"]] == ["Instance", "Classification"]
+    assert len(record["unmeasured"]) == 4
+
+
 def test_unknown_optional_figures_are_dashes(repository):
     path = results.RECORDS / "modal.json"
     record = read_json(path)

@@ -146,6 +146,25 @@ class Truth:
         inside, mesh = mean(occupancy.score_inside) > level, extract_mesh(grid, level)
         return self.scores("average_shape", test, lambda i: inside, lambda i: mesh) | {"threshold": level}
 
+    def known_shapes(self, purpose: str, answers: np.ndarray, test: np.ndarray) -> dict[str, Any]:
+        """Score the shapes of known objects, ``answers`` (N,), as predictions of others, ``test`` (N,).
+
+        Both are labels; see `scores`.
+        """
+
+        def mesh(i: int) -> tuple[np.ndarray, np.ndarray]:
+            surface = self.surface(int(answers[i]))
+            return surface.vertices, surface.faces
+
+        return self.scores(purpose, test, lambda i: self.occupancy.score_inside[answers[i]], mesh)
+
+    def nearest_shapes(self, known: np.ndarray, test: np.ndarray) -> np.ndarray:
+        """Return the known object (K,) with the highest IoU to each of ``test`` (N,); labels, (N,)."""
+        inside = self.occupancy.score_inside
+        objects, rows = np.unique(test, return_inverse=True)
+        nearest = [known[np.argmax(intersection_over_union(inside[known], inside[one]))] for one in objects]
+        return np.array(nearest)[rows]
+
 
 def best_level(values: np.ndarray, inside: np.ndarray, levels: np.ndarray) -> tuple[float, float]:
     """Return the level of values (B, P) with the highest mean IoU to the truth (B, P), and that IoU.

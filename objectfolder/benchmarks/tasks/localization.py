@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 from torch.nn import functional as F
 
 from objectfolder.benchmarks.datasets.contacts import TOGETHER, contact_split, sample_contacts
@@ -71,7 +72,7 @@ def localize(job: Job[LocalizeConfig]) -> tuple[dict[str, Any], list[list[Any]]]
             kind: float(np.mean([run["scores"][kind] for run in runs])) for kind in runs[0]["scores"]
         }
         net |= {"interval_95": interval_95(means), "seeds": means}
-        scores[name] = {"net": net, "nearest": setting.scores(_nearest(job, setting, name))}
+        scores[name] = {"net": net, "nearest": _nearest(job, setting, name)}
     train, test = points[job.split.train], points[job.split.test]
     spread = _between(setting.places, test)
     constant = np.argmin(_between(setting.places, train).mean(1))
@@ -143,11 +144,12 @@ def _between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.linalg.norm(first[:, None] - second, axis=2)
 
 
-def _nearest(job: Job[LocalizeConfig], setting: _Setting, name: str) -> np.ndarray:
-    """Return beliefs (n, P) of the test contacts by how similar their inputs are to those of the training.
+def _nearest(job: Job[LocalizeConfig], setting: _Setting, name: str) -> dict[str, float]:
+    """Score answers by how similar inputs are to those of the training contacts, averaged to a few pixels.
 
-    The belief falls with the squared distance of the inputs, averaged to a few pixels, over twice the
-    median squared distance of a training contact to its nearest.
+    One contact alone is answered by the training contact with the nearest inputs. ``together`` needs beliefs:
+    they fall with the squared distance of the inputs, over twice the median squared distance of a training
+    contact to its nearest.
     """
     parts = []
     for letter in name:
@@ -160,12 +162,12 @@ def _nearest(job: Job[LocalizeConfig], setting: _Setting, name: str) -> np.ndarr
     features = np.concatenate(parts, 1).astype(np.float64)
     train, test = features[job.split.train], features[job.split.test]
     own = cKDTree(train).query(train, 2)[0][:, 1]
-    distance = cKDTree(train).query(test, len(train))
-    squares = np.empty((len(test), len(train)))
-    np.put_along_axis(squares, distance[1], distance[0] ** 2, 1)
+    squares = cdist(test, train, "sqeuclidean")
     points = job.observations.read("point", job.split.train)
     of_place = cKDTree(points).query(setting.places)[1]
-    return -squares[:, of_place] / (2 * max(float(np.median(own**2)), 1e-12))
+    belief = -squares[:, of_place] / (2 * max(float(np.median(own**2)), 1e-12))
+    errors = np.linalg.norm(points[squares.argmin(1)] - setting.tests, axis=1)
+    return setting.scores(belief) | {"mean": float(errors.mean()), "median": float(np.median(errors))}
 
 
 def _finished(job: Job[LocalizeConfig], setting: _Setting, run: int, name: str) -> dict[str, Any]:

@@ -89,10 +89,11 @@ def recognize(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[list[Any]
         seeds, None for one), and the accuracies of the ``seeds``; ``touches`` and ``touches_not_flat``: the
         same by number of touches, of all and of those with a relief of `FLAT` or more, with their ``bound``
         (`bound_together`), also of T (`bound_alone`); ``flat``, the share of test touches that are on flat
-        ground or miss the object; ``confusion`` of VAT (K, K), by object and answer, summed over the seeds;
-        ``chance`` (``uniform``: 1/K of the K classes that are learnt, ``majority``: the share of the
-        commonest object in the test rows); `Job.counts` before any row is dropped; ``untested``, by
-        combination the objects without a test row; and ``seconds`` of training.
+        ground or miss the object, and their ``flat_accuracy``, if there are any; ``confusion`` of VAT
+        (K, K), by object and answer, summed over the seeds; ``chance`` (``uniform``: 1/K of the K classes
+        that are learnt, ``majority``: the share of the commonest object in the test rows); `Job.counts`
+        before any row is dropped; ``untested``, by combination the objects without a test row; and
+        ``seconds`` of training.
     list
         Rows of the training curves: `CURVE_COLUMNS`.
 
@@ -208,7 +209,7 @@ def _classified(job: Job[RecognizeConfig], target: Target) -> tuple[dict[str, An
     learnt, tested = (target.labels[rows] for rows in (job.split.train, job.split.test))
     return {
         **scores,
-        **_touches(setting, [finished[run, "T"]["together"] for run in seeds]),
+        **_touches(setting, [finished[run, "T"] for run in seeds]),
         "confusion": confusion["VAT"].tolist(),
         "chance": {
             "uniform": 1 / len(np.unique(learnt)),
@@ -229,11 +230,14 @@ def _touches(setting: _Setting, runs: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the scores by number of touches over the seeds, with bounds."""
     flat, labels, objects = setting.flat, *_of_touches(setting)
     scores: dict[str, Any] = {"flat": float(flat.mean())}
+    if flat.any():
+        right = [np.array(run["predicted"])[flat] == labels[flat] for run in runs]
+        scores["flat_accuracy"] = float(np.mean(right))
     for kind, used in _kinds(flat).items():
         scores[kind] = {
-            size: _over_seeds([run[kind][size] for run in runs])
+            size: _over_seeds([run["together"][kind][size] for run in runs])
             | {"bound": bound_together(flat[used], labels[used], objects[used], int(size))}
-            for size in runs[0][kind]
+            for size in runs[0]["together"][kind]
         }
     return scores
 

@@ -13,6 +13,8 @@ from shutil import copyfile
 from typing import Any, cast
 
 import numpy as np
+import torch
+from torch.nn import functional as F
 
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.models.shape_model import ShapeModel, load_model, save_model
@@ -20,7 +22,7 @@ from objectfolder.benchmarks.reporting.shape_pictures import sheet
 from objectfolder.benchmarks.scoring.scores import interval_95
 from objectfolder.benchmarks.scoring.truth import Truth
 from objectfolder.benchmarks.tasks.job import Job
-from objectfolder.benchmarks.tasks.naming import namer_checkpoint
+from objectfolder.benchmarks.tasks.naming import CHUNK, namer_checkpoint
 from objectfolder.benchmarks.tasks.reconstruction_config import ReconstructConfig
 from objectfolder.benchmarks.tasks.running import Task
 from objectfolder.benchmarks.tasks.shape_training import (
@@ -36,6 +38,7 @@ from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace.layout import MODALITIES
 
+POOLED = (16, 16)  #: size of the views by which the most similar is sought
 SHOWN = 8  #: test rows in the picture
 Jobs = dict[str, Job[ReconstructConfig]]  #: by variant
 CURVE_COLUMNS = ("variant", "seed", "epoch", "train_loss", "val_iou")  #: of the training curves
@@ -54,8 +57,10 @@ def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[
     Returns
     -------
     dict
-        By variant, and ``average_shape`` (the mean occupancy of the training objects): the scores of
-        `Truth.scores` over the first ``views`` test rows of each object; ``threshold``; of variants also
+        By variant and baseline the scores of `Truth.scores` over the first ``views`` test rows of each
+        object. Baselines: ``average_shape`` (the mean occupancy of the training objects), ``similar_view``
+        (the training object with the most similar view) and, if no test object is known, ``nearest_shape``
+        (the training object with the highest IoU, found by the truth). Of variants also the ``threshold``,
         ``epochs`` and ``val_iou``, all as means over the seeds, the IoU of each of the ``seeds`` and its
         ``interval_95``. Beside them ``perfect``, the surface scores of the truth against itself; the numbers
         of ``touches`` and ``views``; `Job.counts` of these views, before any is dropped; ``untested``, by
@@ -81,9 +86,17 @@ def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[
     }
     used = replace(job.split, val=validation_rows(job), test=_test(job))
     train, val, test = (job.observations.labels[rows] for rows in (used.train, used.val, used.test))
+    known = np.unique(train)
+    baselines = {
+        "average_shape": truth.average_shape(known, val, test),
+        "similar_view": truth.known_shapes("similar_view", _similar(job, used.test), test),
+    }
+    if not np.isin(test, known).any():
+        nearest = truth.nearest_shapes(known, test)
+        baselines["nearest_shape"] = truth.known_shapes("nearest_shape", nearest, test)
     scores = {
         **{variant: over_seeds([done["scores"] for done in runs]) for variant, runs in finished.items()},
-        "average_shape": truth.average_shape(np.unique(train), val, test),
+        **baselines,
         "perfect": truth.floor(np.unique(test)),
         "touches": job.params.touches,
         "views": job.params.views,
@@ -116,6 +129,19 @@ def over_seeds(runs: list[dict[str, Any]]) -> dict[str, Any]:
 def _test(job: Job[ReconstructConfig]) -> np.ndarray:
     """Return the rows to score."""
     return first_rows(job.split.test, job.observations.labels, job.params.views)
+
+
+def _similar(job: Job[ReconstructConfig], rows: np.ndarray) -> np.ndarray:
+    """Return the label of the training object with the view most similar to that of each row."""
+
+    def pooled(some: np.ndarray) -> torch.Tensor:
+        parts = np.array_split(some, -(-len(some) // CHUNK))
+        small = [F.adaptive_avg_pool2d(job.inputs("vision", part), POOLED).flatten(1) for part in parts]
+        return torch.cat(small)
+
+    train = job.split.train
+    nearest = torch.cdist(pooled(rows), pooled(train)).argmin(1).cpu().numpy()
+    return job.observations.labels[train[nearest]]
 
 
 def _truth(job: Job[ReconstructConfig]) -> Truth:

@@ -19,7 +19,7 @@ from objectfolder.benchmarks.datasets.splits import Split, named_split
 from objectfolder.benchmarks.models.encoders import InputSizes, Weights, own_file, registered
 from objectfolder.benchmarks.params import TaskParams
 from objectfolder.benchmarks.tasks.job import Job
-from objectfolder.io import atomic, file_digest, write_json
+from objectfolder.io import atomic, exclusive, file_digest, in_use, write_json
 from objectfolder.workspace.code_digests import digests
 from objectfolder.workspace.layout import Benchmarks
 
@@ -159,10 +159,12 @@ def run_benchmark(spec: Run, report: Report) -> float:
     """
     task, part, folder = spec.task, spec.part, spec.folder
     progress = folder.progress(task.name, part, spec.identity())
-    scores, curve = task.run(spec.job(progress, report))
-    write_results(task, part, folder, progress, scores | spec.description(), curve)
+    with exclusive(progress):  # a second process finds everything finished
+        scores, curve = task.run(spec.job(progress, report))
+        write_results(task, part, folder, progress, scores | spec.description(), curve)
     for other in folder.outdated_progress(task.name, part, progress):
-        rmtree(other, ignore_errors=True)
+        if not in_use(other):
+            rmtree(other, ignore_errors=True)
     seconds: float = scores["seconds"]
     return seconds
 

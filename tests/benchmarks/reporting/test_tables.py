@@ -40,7 +40,7 @@ def test_recognition_in_percent_with_its_interval_beside_chance_and_the_paper():
 def test_several_touches_stand_below_the_modalities_with_their_bound():
     one = {"accuracy": 0.5, "interval_95": None, "seeds": [0.5]}
     scores = {
-        **{"T": one | {"bound": 0.625}, "V": one, "flat": 0.25},
+        **{"T": one | {"bound": 0.625}, "V": one, "flat": 0.25, "flat_accuracy": 0.5},
         "touches": {  # in the order of a sorted JSON file
             "1": one | {"bound": 0.75},
             "16": one | {"accuracy": 0.75, "bound": 1.0},
@@ -59,7 +59,7 @@ def test_several_touches_stand_below_the_modalities_with_their_bound():
         ("T, not flat", "75.0", "100.0", "-"),
         ("chance", "62.5", "", "1.0"),
     ]
-    assert "Of the test touches 25 % are on flat ground or miss" in shown.note
+    assert "Of the test touches 25 % are on flat ground or miss, of which 50 % are answered" in shown.note
 
 
 def test_materials_stand_beside_the_commonest_and_the_published():
@@ -79,7 +79,7 @@ def test_materials_stand_beside_the_commonest_and_the_published():
         "commonest material": ("62.5", "", "", "-"),
         "chance": ("25.0", "", "", "-"),
     }
-    assert shown.note.endswith("Left out, since no object for training is of it: gold.")
+    assert "Left out, since no object for training is of it: gold. Intervals cover training" in shown.note
 
 
 def test_published_figures_of_retrieval_stand_beside_their_split():
@@ -110,6 +110,10 @@ def test_reconstruction_beside_the_average_shape():
     assert cells(shown)["audio"] == ("0.5000", "0.0200", "0.7500", "0.8729 / 0.0048 / 0.9504")
     used = "16 rows to train with; of each object the first 1 for validation and for the test, 2 and 2 in all"
     assert shown.note.startswith(used)
+    known = {"similar_view": score, "perfect": {"chamfer_l1": 0.01, "normal_consistency": 0.99}}
+    shown = score_table("reconstruct", "unseen", scores | known)
+    assert cells(shown)["known object with the most similar view"] == ("0.5000", "0.0200", "0.7500", "-")
+    assert cells(shown)["truth, sampled again"] == ("-", "0.0100", "0.9900", "-")
     with pytest.raises(ObjectFolderError, match="lacks 'views', so it is of an earlier version"):
         score_table("reconstruct", "seen", {name: x for name, x in scores.items() if name != "views"})
 

@@ -205,6 +205,9 @@ def test_touches_together_and_on_flat_ground(tmp_path):
     table.arrays["touch"][flat] = 200 + rng.integers(50, size=(flat.sum(), 8, 8, 3))
     scores, _ = _run(table, tmp_path, split, seeds=1, epochs=6, patience=6)
     assert scores["flat"] == 0.25
+    # All others are answered correctly; of the flat ones, which look alike, half.
+    assert scores["flat_accuracy"] == pytest.approx(1 - (1 - scores["T"]["accuracy"]) / 0.25, abs=0.1)
+    assert 0.2 <= scores["flat_accuracy"] <= 0.8
     found = {kind: scores[kind] for kind in ("touches", "touches_not_flat")}
     # Of the ten test touches of each object five are flat, of two objects. Pairs: 10 of 45; fours: 5 of 210.
     bounds = {size: score["bound"] for size, score in found["touches"].items()}

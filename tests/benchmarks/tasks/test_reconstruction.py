@@ -152,7 +152,7 @@ def test_every_variant_beats_the_average_shape_and_an_interrupted_call_goes_on(
     params = SimpleNamespace(**vars(PARAMS) | {"pretrain_epochs": pretrain_epochs})
     seen, curves = run(tmp_path / "a", params=params)
     assert set(seen) == {
-        *(*VARIANTS, "average_shape", "perfect"),
+        *(*VARIANTS, "average_shape", "similar_view", "perfect"),
         *("touches", "views", "objects", "rows", "duplicates", "untested"),
     }
     assert seen["rows"] == {"train": 64, "val": 8, "test": 8}  # two of each object
@@ -324,6 +324,29 @@ def test_counts_are_those_of_the_scored_rows_and_a_silent_object_is_lost_to_hear
     assert scores["rows"] == {"train": 64, "val": 4, "test": 4}
     assert scores["duplicates"]["audio"] == {"val": 1, "test": 1}
     assert scores["untested"] == {"A": ["block"]}
+    assert scores["similar_view"]["iou"] == 1  # each object has a colour of its own
+    assert scores["similar_view"]["chamfer_l1"] < 2 * scores["perfect"]["chamfer_l1"]
+    assert "nearest_shape" not in scores  # the objects themselves are known
+
+
+def test_unknown_objects_are_compared_with_known_ones(occupancy, tmp_path, monkeypatch):
+    ball, block, slab, cube = (np.arange(COUNT) + i * COUNT for i in range(4))
+    unseen = Split("unseen", np.concatenate([ball, slab]), block, cube)
+
+    def finished(jobs, truth, variant, run):
+        return {"scores": {"iou": 0.5}, "curve": [], "seconds": 0.0}
+
+    (tmp_path / "V_0.safetensors").touch()
+    monkeypatch.setattr(reconstruction, "_finished", finished)
+    monkeypatch.setattr(reconstruction, "_sheet", lambda *_: np.zeros((1, 1, 3), np.uint8))
+    scores, _ = reconstruct(Job(Observed(), unseen, PARAMS, "tiny_shapes", SIZES, 0, tmp_path))
+    inside = occupancy.score_inside
+    to_cube = [(inside[i] & inside[3]).sum() / (inside[i] | inside[3]).sum() for i in (0, 2)]
+    assert to_cube[0] != to_cube[1]
+    assert scores["nearest_shape"]["iou"] == pytest.approx(max(to_cube))
+    # The cube's white is as far from the ball's red as from the slab's blue but for noise: one of the two.
+    assert min(to_cube) <= scores["similar_view"]["iou"] <= max(to_cube)
+    assert scores["similar_view"]["samples"] == PARAMS.views
 
 
 def test_average_shape_is_the_mean_of_the_training_objects(occupancy, tmp_path):

@@ -13,6 +13,7 @@ from objectfolder.benchmarks.params import TaskParams
 from objectfolder.benchmarks.tasks import running
 from objectfolder.benchmarks.tasks.retrieval import RETRIEVE, RetrieveConfig
 from objectfolder.benchmarks.tasks.running import SplitRun
+from objectfolder.io import exclusive, in_use, read_json
 from objectfolder.workspace.layout import Benchmarks
 
 SETTINGS = RetrieveConfig(
@@ -49,6 +50,26 @@ def test_an_object_that_changes_its_part_changes_the_run(monkeypatch):
         monkeypatch.setattr(splits, "_listed", lambda part=part: listed | {"own": part})
         parts.append(spec.identity())
     assert parts[0] == parts[2] != parts[1]
+
+
+def test_a_finished_run_keeps_the_progress_of_one_that_still_runs(tmp_path):
+    folder = Benchmarks(tmp_path)
+    task = SimpleNamespace(name="small", run=lambda job: ({"seconds": 1.0, "score": job}, []), columns=("a",))
+
+    def spec(identity):
+        return SimpleNamespace(
+            **{"task": task, "part": "seen", "folder": folder, "identity": lambda: identity},
+            **{"job": lambda progress, report: 0.5, "description": lambda: {}},
+        )
+
+    running_now, left = (folder.progress("small", "seen", name) for name in ("running", "left"))
+    left.mkdir(parents=True)
+    with exclusive(running_now):
+        assert running.run_benchmark(spec("new"), print) == 1.0
+    assert read_json(folder.result("small", "seen")) == {"score": 0.5}
+    assert running_now.is_dir()
+    assert not left.exists()
+    assert not in_use(running_now)
 
 
 @pytest.mark.parametrize("threads", [1, 2])
