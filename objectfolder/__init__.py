@@ -11,7 +11,13 @@ if TYPE_CHECKING:
     from objectfolder.objectfile.dataset import Dataset
     from objectfolder.objectfile.file import ObjectFile
 
-__all__ = ["Dataset", "ObjectFile"]
+    __version__: str
+
+__all__ = ["Dataset", "ObjectFile", "__version__"]
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
 
 
 def __getattr__(name: str) -> Any:
@@ -21,4 +27,6 @@ def __getattr__(name: str) -> Any:
         return import_module("objectfolder.objectfile.file").ObjectFile
     if name == "Dataset":
         return import_module("objectfolder.objectfile.dataset").Dataset
+    if name == "__version__":
+        return import_module("objectfolder.installation").installed_version()
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

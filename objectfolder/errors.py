@@ -27,6 +27,11 @@ def shortened(value: object, most: int = 60) -> str:
     return text if len(text) <= most else f"{text[: most // 2]} ... {text[-most // 2 :]}"
 
 
+def plural(count: int, noun: str) -> str:
+    """Return a count with its noun, for a message: ``1 view``, ``2 views``."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
 def quoted(value: Any) -> str:
     """Return a value as in Python code, for a message: shortened, and not deeply nested."""
     try:

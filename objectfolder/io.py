@@ -9,6 +9,7 @@ import fcntl
 import hashlib
 import json
 import os
+import re
 import shutil
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -283,13 +284,27 @@ def open_safetensors(path: str | Path) -> tuple[StoredTensors, Any]:
             raise ValueError(f"its header has {len(header):,} characters, expected at most {MAX_HEADER:,}")
         return StoredTensors(path, stored), {} if header is None else _json(header)
     except Exception as error:
-        raise ObjectFolderError(f"{path} is not a readable safetensors file: {error}") from error
+        reason = str(error).removeprefix("Error while deserializing: ")
+        raise ObjectFolderError(
+            f"{path} is neither an Object File nor another readable safetensors file: {reason}"
+        ) from error
 
 
 def read_safetensors(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Read all tensors and the JSON header; otherwise like `open_safetensors`."""
     tensors, header = open_safetensors(path)
     return dict(tensors), header
+
+
+def torch_problem(error: Exception) -> str:
+    """Return in a line why `torch.load` refused a file, without its advice to run what the file holds."""
+    text = str(error).strip()
+    if named := re.search(r"GLOBAL (\S+)", text):
+        return f"it names {named[1]}, which is never run"
+    if "weights_only" in text:
+        detail = re.search(r"WeightsUnpickler error:\s*(.+)", text)
+        text = detail[1] if detail else "torch.save did not write it, or it is damaged"
+    return shortened(text.partition("\n")[0].partition(". ")[0], 200) or type(error).__name__
 
 
 def read_rows(path: str | Path, width: int, hint: str = "") -> np.ndarray:

@@ -16,19 +16,30 @@ LAWS = ("rayleigh", "loss_factor")
 class Material:
     """A homogeneous, isotropic, linear elastic material with Rayleigh damping or a loss factor.
 
+    Give ``loss_factor``, or ``alpha`` and ``beta``. Without any of them the material is undamped: its modes
+    can be solved, but `objectfolder.ObjectFile.impact` and others that make sounds refuse it, since it would
+    ring for ever.
+
     Raises
     ------
     ObjectFolderError
         If a value is not physical: density or modulus not positive, Poisson's ratio outside (-1, 0.5),
         negative damping, frequencies of loss factors that do not ascend.
+
+    Examples
+    --------
+    Brass, whose loss factor is 0.0005 at 1 kHz and below, and 0.001 at 10 kHz and above:
+
+    >>> brass = Material("brass", 8500.0, 1.0e11, 0.34, loss_factor=((1000.0, 5e-4), (10000.0, 1e-3)))
+    >>> sounds = mug.impact(points, impulses, material=brass)
     """
 
     name: str
     density: float  #: kg/m^3
     youngs_modulus: float  #: Pa
     poisson_ratio: float
-    alpha: float  #: mass-proportional Rayleigh damping, 1/s
-    beta: float  #: stiffness-proportional Rayleigh damping, s
+    alpha: float = 0.0  #: mass-proportional Rayleigh damping, 1/s
+    beta: float = 0.0  #: stiffness-proportional Rayleigh damping, s
     #: (Hz, loss factor) by ascending frequency, linear between and constant beyond; replaces alpha and beta
     loss_factor: tuple[tuple[float, float], ...] = ()
 
@@ -59,6 +70,13 @@ class Material:
     def law(self) -> str:
         """Law of damping, one of ``LAWS``."""
         return "loss_factor" if self.loss_factor else "rayleigh"
+
+    def require_damping(self) -> None:
+        """Raise ObjectFolderError if nothing damps the material."""
+        if not (self.loss_factor or self.alpha or self.beta):
+            raise ObjectFolderError(
+                f"material {self.name!r}: an undamped object rings for ever; give alpha, beta or loss_factor"
+            )
 
     def damping(self, eigenvalues: Any) -> Any:
         """Return decay rates, 1/s, of modes with eigenvalues in rad^2/s^2; arrays or tensors.
@@ -167,8 +185,5 @@ def own_material(described: str | Mapping[str, Any], law: str = "rayleigh") -> M
     if {"alpha", "beta"} & properties.keys():
         law = "rayleigh"
     found = replace(material(described.get("base", ""), law), **properties)
-    if not (found.loss_factor or found.alpha or found.beta):
-        raise ObjectFolderError(
-            f"material {found.name!r}: an undamped object rings for ever; give alpha, beta or loss_factor"
-        )
+    found.require_damping()
     return found

@@ -162,6 +162,8 @@ def parse(arguments, whole):
         assert not missing, f"there is no command {missing}; there are {list(command.commands)}"
         command = command.commands[choices[0]]
     if whole:
+        for param in command.params:
+            param.callback = None  # looks for Object Files
         command.make_context(path, arguments, parent=context)
         return
     known = {o for p in command.params for o in (*p.opts, *p.secondary_opts)} | {"--help"}

@@ -20,7 +20,7 @@ def read_recording(path: Path) -> tuple[np.ndarray, float]:
     Raises
     ------
     ObjectFolderError
-        If it is no audio file, or is silent, clipped, too long or of a low rate.
+        If it is not an audio file, or is silent, clipped, too long or of a low rate.
     """
     import soundfile
 
@@ -35,7 +35,7 @@ def read_recording(path: Path) -> tuple[np.ndarray, float]:
             channels = file.read(dtype="float64", always_2d=True)
     except (soundfile.LibsndfileError, OSError) as error:
         raise ObjectFolderError(
-            f"{path} is no readable audio file ({error}); expected WAV, FLAC or OGG"
+            f"{path} is not a readable audio file ({error}); expected WAV, FLAC or OGG"
         ) from error
     peaks = np.abs(channels).max(0, initial=0)
     if not peaks.max(initial=0) > SILENT:

@@ -77,8 +77,16 @@ def count_samples(sample_rate: float, duration: float) -> int:
     return samples
 
 
+def checked_sample_rate(sample_rate: float) -> float:
+    """Return a sample rate, Hz, or raise ObjectFolderError if it is not a positive, finite number."""
+    rate = finite_number("sample_rate", sample_rate)
+    if rate <= 0:
+        raise ObjectFolderError(f"sample_rate is {rate:g} Hz, expected a positive number")
+    return rate
+
+
 def checked_contact_time(seconds: float) -> float:
-    """Return a contact time, or raise ObjectFolderError if it is negative or no finite number."""
+    """Return a contact time, or raise ObjectFolderError if it is negative or not a finite number."""
     value = finite_number("contact time", seconds)
     if value < 0:
         raise ObjectFolderError(f"contact time is {value} s, expected a finite duration or 0")

@@ -28,9 +28,10 @@ from objectfolder.benchmarks.params import RobotParams, TaskParams, robot_params
 from objectfolder.benchmarks.tasks.running import Objects, Report, Run, SplitRun, Task, machine, run_benchmark
 from objectfolder.engine.pool import in_processes
 from objectfolder.engine.resources import cores
-from objectfolder.errors import ObjectFolderError
+from objectfolder.errors import ObjectFolderError, plural
 from objectfolder.io import read_json, write_json
 from objectfolder.workspace import params as workspace
+from objectfolder.workspace.installed import pipeline_folder
 from objectfolder.workspace.layout import Benchmarks
 from objectfolder.workspace.presets import read_preset
 
@@ -42,7 +43,7 @@ class BenchmarkOptions:
     """Options of a benchmark on Object Files; None stands for the default."""
 
     files: Sequence[Path] | None = None  #: Object Files, or folders that contain some; default: ``build``
-    preset: str | None = None  #: default: ``params.yaml``
+    preset: str | None = None  #: default: ``params.yaml`` of the workspace
     out: Path | None = None  #: folder of results; default: ``benchmarks/PRESET``
     splits: Sequence[str] | None = None  #: default: all splits of the task
     seeds: int | None = None
@@ -62,10 +63,21 @@ class BenchmarkOptions:
         return self.threads or cores()
 
     def values(self) -> tuple[dict[str, Any], Path]:
-        """Return ``params.yaml`` with the preset merged into it, and the file to name in errors."""
-        values, path = workspace.read(), Path(workspace.PARAMS_FILE)
+        """Return ``params.yaml`` with the preset merged into it, and the file to name in errors.
+
+        Outside a workspace, with files and a preset, both are those of the package.
+        """
+        root = Path()
+        if not (root / workspace.PARAMS_FILE).is_file():
+            if not self.files or self.preset is None:
+                raise ObjectFolderError(
+                    f"{workspace.PARAMS_FILE} does not exist; run inside an objectfolder workspace, or name "
+                    "Object Files and give --preset, such as --preset quick"
+                )
+            root = pipeline_folder()
+        values, path = workspace.read(root / workspace.PARAMS_FILE), root / workspace.PARAMS_FILE
         if self.preset is not None:
-            sections, path = read_preset(self.preset)
+            sections, path = read_preset(self.preset, root)
             values |= sections
         return values, path
 
@@ -118,7 +130,7 @@ def run_on_splits(task: Task, options: BenchmarkOptions, report: Report, track: 
         objects = Objects(keys, labels, [sources[key].file.material for key in keys])
         for split in splits:  # fails before any work
             task.check(named_split(split, keys, count), objects)
-        report(f"{len(sources)} objects, {count} {samples} of each")
+        report(f"{plural(len(sources), 'object')}, {count} {samples} of each")
 
     if task.samples is Observations:
         observe = workspace.settings(ObserveConfig, values, path)

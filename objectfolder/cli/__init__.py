@@ -2,6 +2,7 @@
 
 import os
 import sys
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -29,10 +30,19 @@ from objectfolder.cli import (
     view,
     workspace,
 )
+from objectfolder.cli.files import SAMPLE
 from objectfolder.disk import is_shortage
 from objectfolder.errors import ObjectFolderError
+from objectfolder.installation import installed_version
 
 __all__ = ["app", "main"]
+
+
+def _show_version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"objectfolder {installed_version()}")
+        raise typer.Exit
+
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -42,8 +52,20 @@ app = typer.Typer(
     help="Build and query **Object Files**, implicit representations of how objects look, sound and feel.\n\n"
     "In a workspace (a folder with dvc.yaml; `objectfolder init` makes one): `objectfolder add MESH ...`, "
     "then `objectfolder build`.\n\n"
-    "Anywhere: `objectfolder info FILE`, `objectfolder query vision|audio|touch FILE QUERIES.npy OUT/`.",
+    "Anywhere: `objectfolder info FILE`, `objectfolder query vision|audio|touch FILE QUERIES.npy OUT/`; "
+    f"FILE may be {SAMPLE}.",
 )
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", help="Show the version.", is_eager=True, callback=_show_version)
+    ] = False,
+) -> None:
+    """Show the version, if asked."""
+
+
 for command in (
     creation.init,
     workspace.build,

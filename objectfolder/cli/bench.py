@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from objectfolder.cli.console import console, print_wide, tracked
+from objectfolder.cli.files import SAMPLE, files_or_folders
 
 if TYPE_CHECKING:
     from objectfolder.benchmarks.reporting.tables import Table
@@ -35,7 +36,8 @@ FilesArgument = Annotated[
     list[Path] | None,
     typer.Argument(
         metavar="[FILE]...",
-        help="Object Files, or folders that contain some (ObjectFile.safetensors); default: build.",
+        help=f"Object Files, folders with some (ObjectFile.safetensors), or {SAMPLE}; default: build.",
+        callback=files_or_folders,
     ),
 ]
 PresetOption = Annotated[
@@ -43,7 +45,7 @@ PresetOption = Annotated[
     typer.Option(
         metavar="NAME",
         help="quick, laptop, standard or faithful: samples and training (params/NAME.yaml). "
-        "Default: the settings in params.yaml.",
+        "Default: the settings in params.yaml. With it and files, no workspace is needed.",
     ),
 ]
 OutOption = Annotated[

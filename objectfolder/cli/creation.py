@@ -9,6 +9,7 @@ from rich.text import Text
 
 from objectfolder.cli.console import console
 from objectfolder.errors import ObjectFolderError
+from objectfolder.installation import install_command, installed_version
 
 SHOWN = 5  # names in a line
 
@@ -23,10 +24,9 @@ def init(
     digests the workspace records. Next: `objectfolder add`, `objectfolder build` there.
     """
     if find_spec("dvc") is None:
-        raise ObjectFolderError("DVC is not installed; a workspace needs: pip install 'objectfolder[build]'")
+        raise ObjectFolderError(f"DVC is not installed; a workspace needs: {install_command('build')}")
     from objectfolder.engine.dvc.start import start_repository
     from objectfolder.workspace.creation import create_workspace
-    from objectfolder.workspace.template import installed_version
 
     create_workspace(folder, start_repository)
     console.print(
@@ -40,14 +40,14 @@ def init(
 def upgrade() -> None:
     """Move a workspace of `objectfolder init` to the installed version, and show what a build would run.
 
-    First install the version: `pip install -U objectfolder`. Scripts, graph and presets that you have not
-    edited are replaced; of those that you have, a new text is written to NAME.new. Own settings are kept, new
-    ones added. `git diff` shows everything, `git checkout .` takes it back.
+    First install the version, such as by `git pull` in a clone of objectfolder and
+    `pip install --upgrade 'CLONE[build]'`. Scripts, graph and presets that you have not edited are replaced;
+    of those that you have, a new text is written to NAME.new. Own settings are kept, new ones added.
+    `git diff` shows everything, `git checkout .` takes it back.
     """
     from objectfolder.cli.statusview import print_outlook
     from objectfolder.engine.status import status
     from objectfolder.workspace.creation import NEW, upgrade_workspace
-    from objectfolder.workspace.template import installed_version
 
     done = upgrade_workspace(Path())
     lines = {

@@ -13,6 +13,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from objectfolder.cli.console import console, print_wide
+from objectfolder.installation import install_command, installed_version
+from objectfolder.workspace.installed import INSTALLED
 
 #: What each extra of pyproject.toml brings, and its size on disk. Extras for developers are left out.
 EXTRAS = {
@@ -73,6 +75,8 @@ def doctor() -> None:
     **LLVM** is for `render_views.renderer: mitsuba-llvm` in params.yaml. Debian's package is libllvm19. If an
     older one is found first, set `DRJIT_LIBLLVM_PATH=/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1`.
     """
+    python = sys.version.partition(" ")[0]
+    console.print(f"objectfolder {installed_version()} in {INSTALLED}, Python {python}", soft_wrap=True)
     table = Table("part", "found", "brings", "if missing", box=None)
     for part in examine():
         color = "green" if part.usable else "yellow"
@@ -89,14 +93,14 @@ def examine() -> list[Part]:
 def embree() -> Part:
     """Look for the ray caster of all queries."""
     found = installed("embreex")
-    return Part("Embree", found, bool(found), "all queries and most stages", "pip install objectfolder")
+    return Part("Embree", found, bool(found), "all queries and most stages", install_command())
 
 
 def pardiso() -> Part:
     """Look for the fastest factorisation."""
     found, mkl = installed("pypardiso"), installed("mkl")
     brings = "modal in half the time and memory; 0.9 GB of the extra build, x86-64 only"
-    get = "pip install 'objectfolder[build]'"
+    get = install_command("build")
     return Part("PARDISO (MKL)", mkl and found, bool(mkl and found), brings, get)
 
 
@@ -179,7 +183,7 @@ def extra(name: str) -> Part:
     missing = [one.name for one in wanted if not one.specifier.contains(installed(one.name) or "0", True)]
     shown = ", ".join(missing[:3]) + (", ..." if len(missing) > 3 else "")
     found = "" if len(missing) == len(wanted) else f"without {shown}" if missing else "installed"
-    get = f"pip install 'objectfolder[{name}]'" if wanted else "not for this Python or machine"
+    get = install_command(name) if wanted else "not for this Python or machine"
     return Part(f"extra {name}", found, bool(found) and not missing, EXTRAS[name], get)
 
 

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from objectfolder.cli.console import console, tracked
-from objectfolder.errors import ObjectFolderError
+from objectfolder.cli.files import SAMPLE, folder_to_write, object_files
+from objectfolder.errors import ObjectFolderError, plural
+from objectfolder.installation import install_command
 
 if TYPE_CHECKING:
     from objectfolder.benchmarks.datasets.export import Report
@@ -23,13 +25,18 @@ export_app = typer.Typer(
     "OpenUSD (`usd`), and for game engines and browsers (`glb`).",
 )
 
-OutArgument = Annotated[Path, typer.Argument(metavar="OUT", help="Folder to create.")]
+OutArgument = Annotated[
+    Path, typer.Argument(metavar="OUT", help="Folder to create.", callback=folder_to_write)
+]
 FoldersArgument = Annotated[
     list[Path],
     typer.Argument(metavar="FOLDER...", help="Folders with observations in them or below."),
 ]
 FilesArgument = Annotated[
-    list[Path], typer.Argument(metavar="FILE...", help="Object Files (ObjectFile.safetensors).")
+    list[Path],
+    typer.Argument(
+        metavar="FILE...", help=f"Object Files (ObjectFile.safetensors), or {SAMPLE}.", callback=object_files
+    ),
 ]
 HullsOption = Annotated[int, typer.Option(min=1, help="Maximum number of convex hulls per object.")]
 SplitOption = Annotated[
@@ -186,7 +193,8 @@ def lerobot(
             seed=seed,
             report=lambda done, total: status.update(f"{done} of {total} episodes"),
         )
-    console.print(f"{len(objects)} objects in {out}/: {episodes} episodes of each", highlight=False)
+    count = f"{plural(len(objects), 'object')} in {out}/: {plural(episodes, 'episode')} of each"
+    console.print(count, highlight=False)
 
 
 def _export_objects(
@@ -220,9 +228,7 @@ def _require(extra: str, *libraries: str) -> None:
 
     for library in libraries:
         if find_spec(library) is None:
-            raise ObjectFolderError(
-                f"{library} is not installed; this needs: pip install 'objectfolder[{extra}]'"
-            )
+            raise ObjectFolderError(f"{library} is not installed; this needs: {install_command(extra)}")
 
 
 def _export(
@@ -241,7 +247,7 @@ def _export(
     with console.status("") as status:
         write(observations, chosen, lambda done, total: status.update(f"{done} of {total} samples"))
     console.print(
-        f"{len(observations.keys)} objects in {out}/: {len(chosen.train)} samples to train, "
+        f"{plural(len(observations.keys), 'object')} in {out}/: {len(chosen.train)} samples to train, "
         f"{len(chosen.val)} to validate, {len(chosen.test)} to test",
         highlight=False,
         soft_wrap=True,

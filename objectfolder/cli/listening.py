@@ -7,6 +7,7 @@ import typer
 from rich.table import Table
 
 from objectfolder.cli.console import console
+from objectfolder.errors import plural
 
 listening_app = typer.Typer(
     no_args_is_help=True,
@@ -32,7 +33,8 @@ def make(
     from objectfolder.report.listening import study_page
 
     write_text(out, study_page(ours, other, pairs, seed))
-    console.print(f"{out}: {pairs} pairs; then `objectfolder listening score` the CSV files", soft_wrap=True)
+    count = plural(pairs, "pair")
+    console.print(f"{out}: {count}; then `objectfolder listening score` the CSV files", soft_wrap=True)
 
 
 @listening_app.command()
@@ -44,7 +46,7 @@ def score(
 
     method, found, listeners = preferences(results)
     table = Table(
-        title=f"{method} preferred by {listeners} listeners (chance: 50 %; the paper's study: 42 %)"
+        title=f"{method} preferred by {plural(listeners, 'listener')} (chance: 50 %; the paper's study: 42 %)"
     )
     for name in ("material", "answers", "preferred", "95 % interval"):
         table.add_column(name, justify="left" if name == "material" else "right")

@@ -11,7 +11,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from objectfolder.cli.console import console
-from objectfolder.errors import ObjectFolderError
+from objectfolder.cli.files import SAMPLE, empty_folder, object_file
+from objectfolder.errors import ObjectFolderError, plural
 from objectfolder.io import read_rows
 from objectfolder.objectfile.header import PARTS, known_kinds
 
@@ -39,9 +40,18 @@ _BATCH = 64  # sheared contacts at once
 _MAX_RATE = 2**30 - 1
 _MAX_SAMPLES = 2**30 - 100
 
-FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="An ObjectFile.safetensors.")]
-ImagesArgument = Annotated[Path, typer.Argument(metavar="OUT", help="Folder for 1.png, 2.png ...")]
-SoundsArgument = Annotated[Path, typer.Argument(metavar="OUT", help="Folder for 1.wav, 2.wav ...")]
+FileArgument = Annotated[
+    Path,
+    typer.Argument(metavar="FILE", help=f"An ObjectFile.safetensors, or {SAMPLE}.", callback=object_file),
+]
+ImagesArgument = Annotated[
+    Path,
+    typer.Argument(metavar="OUT", help="New or empty folder for 1.png, 2.png ...", callback=empty_folder),
+]
+SoundsArgument = Annotated[
+    Path,
+    typer.Argument(metavar="OUT", help="New or empty folder for 1.wav, 2.wav ...", callback=empty_folder),
+]
 
 
 def info(file: FileArgument) -> None:
@@ -99,7 +109,7 @@ def vision(
         write_png(out / f"{i}.png", (views.rgb[0] * 255).round().astype(np.uint8))
         if buffers:
             write_npz(out / f"{i}.npz", rgba=views.rgba[0], depth=views.depth[0], normals=views.normals[0])
-    console.print(f"{len(rows)} views in {out}/")
+    console.print(f"{plural(len(rows), 'view')} in {out}/")
 
 
 def _lamps(lights: str | None) -> "str | list[PointLight] | None":
@@ -192,7 +202,7 @@ def audio(
         soundfile.write(content, sound, sample_rate, format="WAV", subtype="FLOAT")
         with atomic(out / f"{i}.wav") as path:
             path.write_bytes(content.getbuffer())
-    _print_line(f"{len(sounds)} sounds in {out}/, {_sound_summary(peak, frequencies, sample_rate)}")
+    _print_line(f"{plural(len(sounds), 'sound')} in {out}/, {_sound_summary(peak, frequencies, sample_rate)}")
 
 
 @query_app.command()
@@ -248,7 +258,7 @@ def touch(
         images = obj.touch(points, **query)
         for i, image in enumerate(images, 1):
             write_png(out / f"{i}.png", image)
-        console.print(f"{len(images)} tactile images in {out}/")
+        console.print(f"{plural(len(images), 'tactile image')} in {out}/")
         return
     if moved:
         others: dict[str, Any] = {"sensor": sensor, "shear": shear, "twist": twist}
@@ -270,7 +280,7 @@ def touch(
             sideways = batch.shear_force[i].tolist() if moved else []
             rows.append([number, *(float(getattr(batch, column)[i]) for column in columns), *sideways])
     write_table(out / "contacts.csv", ["contact", *columns.values(), *forces], rows)
-    _print_line(f"{len(rows)} contacts in {out}/{_contact_summary(np.array(rows))}")
+    _print_line(f"{plural(len(rows), 'contact')} in {out}/{_contact_summary(np.array(rows))}")
 
 
 def _write_touch(out: Path, number: int, batch: Any, row: int, names: list[str]) -> None:
@@ -294,7 +304,7 @@ def _print_line(text: str) -> None:
 
 def _sound_summary(peak: float, frequencies: np.ndarray, sample_rate: int) -> str:
     above = int((frequencies >= sample_rate / 2).sum())
-    text = f"peak {peak:.3g}" + ("" if peak else ": silent") + f"; {len(frequencies)} modes"
+    text = f"peak {peak:.3g}" + ("" if peak else ": silent") + f"; {plural(len(frequencies), 'mode')}"
     nyquist = f"{sample_rate / 2:g} Hz"
     return text + (f", {above} left out above the Nyquist frequency of {nyquist}" if above else "")
 
@@ -331,4 +341,4 @@ def _summary_of(obj: "ObjectFile", part: str) -> str:
     if obj.header[part].get("frequency_uncertainty_unknown"):
         certain = ", their error not known: walls are too thin for the grid"
     span = f"{frequencies.min():.0f} to {frequencies.max():.0f} Hz"
-    return f"{kind}, {len(frequencies)} modes from {span}{certain}"
+    return f"{kind}, {plural(len(frequencies), 'mode')} from {span}{certain}"

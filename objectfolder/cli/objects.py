@@ -1,7 +1,7 @@
 """Commands that add objects to a workspace: add, fetch."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, get_args
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 from rich.console import Console
@@ -50,6 +50,7 @@ def add(
     """
     from objectfolder.engine.dvc.repository import track
     from objectfolder.workspace import params
+    from objectfolder.workspace.check import check_entries
     from objectfolder.workspace.discover import UNITS, Candidate, examination_table, examine
     from objectfolder.workspace.objects import add_catalogue, add_mesh
 
@@ -65,9 +66,11 @@ def add(
             "--dry-run": dry_run or None,
         }
         if given := [option for option, value in for_meshes.items() if value is not None]:
+            verb = "applies" if len(given) == 1 else "apply"
             raise ObjectFolderError(
-                f"{mesh} is a catalogue, whose entries say that themselves; {', '.join(given)} is for meshes"
+                f"{mesh} is a catalogue, whose entries set these; {' and '.join(given)} {verb} to meshes only"
             )
+        check_entries(params.read())
         added = add_catalogue(mesh)
         console.print(f"added {', '.join(added) or 'nothing new'}; next: objectfolder build")
         return
@@ -79,13 +82,15 @@ def add(
         raise ObjectFolderError(f"bridge {bridge!r} is not one of {', '.join(get_args(params.Bridge))}")
     if wall is not None and not wall > 0:
         raise ObjectFolderError(f"wall is {wall:g}, expected a thickness in metres")
+    values = params.read()
+    check_entries(values)
     if mesh.is_dir():
         if name is not None or scale is not None:
             raise ObjectFolderError(f"{mesh} is a folder; --name and --scale are for one mesh")
-        raise typer.Exit(not _add_folder(mesh, material, up, unit, wall, bridge, dry_run))
+        raise typer.Exit(not _add_folder(mesh, values, material, up, unit, wall, bridge, dry_run))
     if name is None or material is None:
         raise ObjectFolderError("a mesh needs --name and --material; see objectfolder add --help")
-    finding = examine(Candidate(name, mesh, material), params.read(), scale, up, unit, wall, bridge)
+    finding = examine(Candidate(name, mesh, material), values, scale, up, unit, wall, bridge)
     console.print(examination_table([finding], up is not None))
     _print_notes([finding])
     if dry_run:
@@ -107,6 +112,7 @@ def _print_notes(findings: "list[Examination]") -> None:
 
 def _add_folder(
     folder: Path,
+    values: dict[str, Any],
     material: str | None,
     up: str | None,
     unit: str,
@@ -116,15 +122,14 @@ def _add_folder(
 ) -> bool:
     """Examine and add the objects in a folder; return whether all were accepted."""
     from objectfolder.engine.dvc.repository import track
-    from objectfolder.workspace import params
     from objectfolder.workspace.discover import discover, examination_table, examine_all
     from objectfolder.workspace.objects import add_mesh
 
     candidates = discover(folder, material)
-    examined = examine_all(candidates, params.read(), up, unit, wall, bridge)
+    examined = examine_all(candidates, values, up, unit, wall, bridge)
     findings = list(tracked(examined, "examining", len(candidates)))
     console.print(examination_table(findings, up is not None))
-    refused = {f.candidate.key: f.refusal for f in findings if f.refusal is not None}
+    refused = [(f.candidate.key, f.refusal) for f in findings if f.refusal is not None]
     _print_notes(findings)
     accepted = [f for f in findings if f.refusal is None]
     added = []
@@ -144,8 +149,8 @@ def _add_folder(
             )
             added.append(candidate.key)
         except ObjectFolderError as error:
-            refused[candidate.key] = str(error)
-    for key, reason in refused.items():
+            refused.append((candidate.key, str(error)))
+    for key, reason in dict.fromkeys(refused):
         console.print(f"[bold red]refused[/] {key}: {escape(reason)}", soft_wrap=True, highlight=False)
     text = f"{len(accepted)} can be added" if dry_run else f"{len(added)} added"
     text += f", {len(refused)} refused" if refused else ""
@@ -187,8 +192,8 @@ def fetch(
     from objectfolder.fetch.run import FetchStatus, fetch_all
     from objectfolder.workspace import params
 
-    published = read_catalogue(catalogue, url or ())
     present = params.read()["objects"]
+    published = read_catalogue(catalogue, url or ())
     if listing:
         report.print_catalogue(published, present, console)
         return

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from objectfolder.cli.console import console
-from objectfolder.errors import ObjectFolderError, quoted
+from objectfolder.errors import ObjectFolderError, plural, quoted
 
 
 def release(
@@ -64,7 +64,7 @@ def release(
             out, entries, words, notices, site, on_object=lambda key: status.update(f"{key} is done")
         )
     size = sum(entry.bytes for entry in entries) / 1e6
-    console.print(f"{out}: {len(entries)} objects, {size:.1f} MB of Object Files", highlight=False)
+    console.print(f"{out}: {plural(len(entries), 'object')}, {size:.1f} MB of Object Files", highlight=False)
     unnamed = [entry.key for entry in entries if not entry.source]
     if unnamed:
         console.print(

@@ -7,13 +7,18 @@ from typing import Annotated
 import typer
 
 from objectfolder.cli.console import console
-from objectfolder.errors import ObjectFolderError
+from objectfolder.cli.files import SAMPLE, object_files
+from objectfolder.errors import ObjectFolderError, plural
 
 
 def report(
     files: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[FILE]...", help="Object Files; default: all objects of the workspace."),
+        typer.Argument(
+            metavar="[FILE]...",
+            help=f"Object Files, or {SAMPLE}; default: all objects of the workspace.",
+            callback=object_files,
+        ),
     ] = None,
     out: Annotated[
         Path | None,
@@ -46,8 +51,6 @@ def report(
             raise ObjectFolderError(
                 "no object of params.yaml is built; run `objectfolder build`, or name files"
             )
-    if absent := [path for path in paths if not path.is_file()]:
-        raise ObjectFolderError(f"{absent[0]} is no file, expected an ObjectFile.safetensors")
     failed = []
 
     def note(key: str, error: ObjectFolderError) -> None:
@@ -63,7 +66,7 @@ def report(
             lambda key: status.update(f"{key} is done"),
             note,
         )
-    count = f"{len(paths)} objects" + (f", {len(failed)} failed" if failed else "")
+    count = plural(len(paths), "object") + (f", {len(failed)} failed" if failed else "")
     console.print(f"{page}: {count}", highlight=False, soft_wrap=True)
     if open_page and not webbrowser.open(page.resolve().as_uri()):
         console.print("no browser found: open the page in one", highlight=False)

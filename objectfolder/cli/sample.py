@@ -28,6 +28,13 @@ def vision(
     seed: SeedOption = 0,
     radius: Annotated[float, typer.Option(help="Radius of the sphere of cameras.")] = 2.5,
     light_radius: Annotated[float, typer.Option(help="Radius of the sphere of lights.")] = 1.0,
+    cameras_only: Annotated[
+        bool,
+        typer.Option(
+            "--cameras-only",
+            help="Leave out the lights: (N, 3), as `query vision` expects beside --lights or --environment.",
+        ),
+    ] = False,
 ) -> None:
     """Write views, (N, 6): camera xyz, light xyz, each uniform on a sphere around the object.
 
@@ -37,7 +44,8 @@ def vision(
     """
     from objectfolder.objectfile.query_files import sample_views
 
-    _write({out: sample_views(count, seed, radius, light_radius)})
+    views = sample_views(count, seed, radius, light_radius)
+    _write({out: views[:, :3] if cameras_only else views})
 
 
 @sample_app.command()

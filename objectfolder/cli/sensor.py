@@ -8,7 +8,7 @@ import typer
 from rich.table import Table
 
 from objectfolder.cli.console import console
-from objectfolder.errors import ObjectFolderError
+from objectfolder.errors import ObjectFolderError, plural
 
 sensor_app = typer.Typer(
     no_args_is_help=True,
@@ -104,7 +104,9 @@ def fit_sensor_profile(
         if residual:
             raise ObjectFolderError("--residual is what fitted lights leave over: give --lights, such as 6")
         fit = fit_sensor(pictures, radius, profile, rest, circles, names)
-        table = Table(title=f"{out.stem}: lights of {profile.name}, fitted to {len(pictures)} images")
+        table = Table(
+            title=f"{out.stem}: lights of {profile.name}, fitted to {plural(len(pictures), 'image')}"
+        )
         for title in ("color", "intensity, times", "standard error"):
             table.add_column(title, justify="left" if title == "color" else "right")
         for light in fit.lights:
@@ -115,7 +117,7 @@ def fit_sensor_profile(
         if rest is None:
             raise ObjectFolderError("--lights needs a picture of the untouched sensor: give --untouched")
         fit = fit_sensor_lights(pictures, radius, profile, rest, circles, names, lights, residual)
-    source = f"{profile.source.strip()} Lights and background: fitted to {len(pictures)} images."
+    source = f"{profile.source.strip()} Lights and background: fitted to {plural(len(pictures), 'image')}."
     written = save_fit(fit, out, out.stem, source)
     console.print(
         f"images: {fit.psnr_before:.1f} dB with the given lights, {fit.psnr_after:.1f} dB with the "

@@ -6,13 +6,18 @@ from typing import Annotated
 import typer
 
 from objectfolder.cli.encoding import encoder, write_video
+from objectfolder.cli.files import object_files
 
 
 def simulate(
     scene: Annotated[Path, typer.Argument(metavar="SCENE.xml", help="MuJoCo model.")],
     files: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[FILE...]", help="Object Files of its bodies, which bear the objects' keys."),
+        typer.Argument(
+            metavar="[FILE...]",
+            help="Object Files of its bodies, which bear the objects' keys; default: the samples among them.",
+            callback=object_files,
+        ),
     ] = None,
     seconds: Annotated[float, typer.Option(help="Length of the clip.")] = 5.0,
     out: Annotated[Path, typer.Option(help="Video to write, .mp4.")] = Path("clip.mp4"),

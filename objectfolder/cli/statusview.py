@@ -9,6 +9,7 @@ from rich.text import Text
 
 from objectfolder.cli.console import print_wide
 from objectfolder.engine.status import Outlook, StageStatus, State
+from objectfolder.errors import plural
 from objectfolder.workspace.params import TASKS
 
 MARKS = {
@@ -18,6 +19,13 @@ MARKS = {
     State.MISSING: ("M", "magenta"),
     State.FAILED: ("F", "bold red"),
     State.NEVER: ("-", "cyan"),
+}
+#: Actions of a build in its summary.
+WORDS = {
+    Outlook.SKIP: "up to date",
+    Outlook.RESTORE: "to bring back",
+    Outlook.RUN: "to run",
+    Outlook.PERHAPS: "perhaps to run",
 }
 #: Number of most common reasons, shown below the table.
 CAUSES = 5
@@ -53,7 +61,8 @@ def print_table(found: Sequence[StageStatus], console: Console) -> None:
         console.print(Text(f"{count:5d} x {reason}"), soft_wrap=True)
     keys = {one.key for one in found if one.key and one.stage not in TASKS}  # theirs are splits
     fresh = len(keys - set(lines))
-    console.print(f"{_counts(one.state for one in found)}; {fresh} objects all fresh", highlight=False)
+    complete = f"{fresh} of {plural(len(keys), 'object')} complete" if fresh else "no object is complete"
+    console.print(f"{_states(found)}; {complete}", highlight=False)
     if lines:
         hint = (
             "`objectfolder status OBJECT` explains why; `objectfolder build --dry-run` shows what would run"
@@ -71,7 +80,7 @@ def print_details(found: Iterable[StageStatus], console: Console) -> None:
         console.print(line, soft_wrap=True)
         for reason in (*_reasons(one), *([f"log: {one.log}"] if one.log else [])):
             console.print(Text(f"    {reason}"), soft_wrap=True)
-    console.print(_counts(one.state for one in found), highlight=False)
+    console.print(_states(found), highlight=False)
 
 
 def print_outlook(found: Iterable[StageStatus], console: Console) -> None:
@@ -85,7 +94,9 @@ def print_outlook(found: Iterable[StageStatus], console: Console) -> None:
         line.append(f"{one.address.ljust(width)}  ", style="default")
         line.append("; ".join(_reasons(one)) or one.state, style="default")
         console.print(line, soft_wrap=True)
-    console.print(_counts(one.outlook for one in found), highlight=False)
+    counts = Counter(one.outlook for one in found)
+    text = ", ".join(f"{counts[outlook]} {words}" for outlook, words in WORDS.items() if counts[outlook])
+    console.print(text or "no stages", highlight=False)
 
 
 def as_json(found: Iterable[StageStatus]) -> list[dict[str, object]]:
@@ -115,7 +126,19 @@ def _mark(state: State) -> Text:
     return Text(mark, style=style)
 
 
-def _counts(values: Iterable[State] | Iterable[Outlook]) -> str:
-    counts = Counter(values)
-    order = [*State, *Outlook]
-    return ", ".join(f"{counts[value]} {value}" for value in order if counts[value]) or "no stages"
+def _states(found: Iterable[StageStatus]) -> str:
+    """Count stages by state, and sources that are not as their .dvc files say."""
+    stages, sources = Counter[State](), Counter[State]()
+    for one in found:
+        (sources if _is_source(one) else stages)[one.state] += 1
+    states = [state for state in State if stages[state]]
+    texts = [f"{stages[state]} {state}" for state in states]
+    if states:
+        texts[0] = f"{plural(stages[states[0]], 'stage')} {states[0]}"
+    changed = [state for state in State if sources[state] and state is not State.FRESH]
+    return ", ".join([*(texts or ["no stages"]), *(f"{plural(sources[s], 'source')} {s}" for s in changed)])
+
+
+def _is_source(one: StageStatus) -> bool:
+    """Return whether it is a .dvc file, such as that of an added mesh, which no command makes."""
+    return one.address.endswith(".dvc")

@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from objectfolder.cli.console import console, print_wide, tracked
-from objectfolder.errors import ObjectFolderError
+from objectfolder.errors import ObjectFolderError, plural
 
 Targets = Annotated[
     list[str] | None,
@@ -36,7 +36,10 @@ def status(
     from objectfolder.cli import statusview
     from objectfolder.engine.status import State
     from objectfolder.engine.status import status as examine
+    from objectfolder.workspace import params
+    from objectfolder.workspace.check import check_entries
 
+    check_entries(params.read())  # what a build would refuse, as far as that takes no time
     found = examine(targets or ())
     if as_json:
         print(json.dumps(statusview.as_json(found), indent=1))
@@ -81,7 +84,7 @@ def verify(
             table.add_row(*map(Text, (one.key, one.stage, one.path, one.problem, one.remedy)))
         print_wide(table)
     bad = f"{len(report.findings)} bad" if report.findings else "all good"
-    console.print(f"{report.files} files, {report.bytes / 1e6:.1f} MB read: {bad}", highlight=False)
+    console.print(f"{plural(report.files, 'file')}, {report.bytes / 1e6:.1f} MB read: {bad}", highlight=False)
     raise typer.Exit(bool(report.findings))
 
 
@@ -116,7 +119,7 @@ def prune(
     if not waste.keys:
         console.print("nothing to remove: all built objects are in params.yaml")
         return
-    total = f"{waste.bytes / 1e6:.1f} MB of {len(waste.keys)} objects"
+    total = f"{waste.bytes / 1e6:.1f} MB of {plural(len(waste.keys), 'object')}"
     if dry_run:
         console.print(f"{total} would be removed", highlight=False)
         return

@@ -6,12 +6,13 @@ from typing import Annotated
 import typer
 
 from objectfolder.cli.encoding import encoder, write_video
+from objectfolder.cli.files import SAMPLE, object_files
 
 
 def video(
     files: Annotated[
         list[Path],
-        typer.Argument(metavar="FILE...", help="Object Files, or the samples mug, die and bell."),
+        typer.Argument(metavar="FILE...", help=f"Object Files, or {SAMPLE}.", callback=object_files),
     ],
     out: Annotated[Path, typer.Option(help="Video to write, .mp4.")] = Path("objects.mp4"),
     seconds: Annotated[float, typer.Option(help="Seconds of each object's turn.")] = 8.0,
@@ -30,12 +31,11 @@ def video(
 
     from objectfolder.objectfile import turntable as film
     from objectfolder.objectfile.file import ObjectFile
-    from objectfolder.objectfile.samples import file_or_sample
 
     program = encoder("video", out, size)
     settings = film.Turntable(seconds, size, rate, contacts, seed)
     film.require_room(settings, len(files))
-    objects = [ObjectFile.load(file_or_sample(path)) for path in files]
+    objects = [ObjectFile.load(path) for path in files]
     chosen = [film.contacts(file, settings) for file in objects]
     sounds = [film.sound(file, settings, found) for file, found in zip(objects, chosen)]
     shots = (shot for file, found in zip(objects, chosen) for shot in film.pictures(file, settings, found))

@@ -8,13 +8,14 @@ from typing import Annotated
 import typer
 
 from objectfolder.cli.console import console
+from objectfolder.cli.files import SAMPLE, object_files
 from objectfolder.errors import ObjectFolderError
 
 
 def view(
     files: Annotated[
         list[Path],
-        typer.Argument(metavar="FILE...", help="Object Files, or the samples mug, die and bell."),
+        typer.Argument(metavar="FILE...", help=f"Object Files, or {SAMPLE}.", callback=object_files),
     ],
     out: Annotated[
         Path | None,
@@ -31,12 +32,10 @@ def view(
     """
     from objectfolder.io import atomic
     from objectfolder.objectfile.file import ObjectFile
-    from objectfolder.objectfile.samples import file_or_sample
     from objectfolder.viewer.page import viewer_page
 
     objects: dict[str, bytes] = {}
-    for given in files:
-        path = file_or_sample(given)
+    for path in files:
         key = ObjectFile.load(path).key
         if key in objects:
             raise ObjectFolderError(

@@ -9,7 +9,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from objectfolder.cli.console import console
-from objectfolder.errors import ObjectFolderError
+from objectfolder.errors import ObjectFolderError, plural
 
 MAX_SCORES = 40  # objects whose scores a build prints
 
@@ -111,7 +111,7 @@ def build(
     if summary.ok and 0 < len(evaluated) <= MAX_SCORES:
         _print_metrics(evaluated)
     elif summary.ok and evaluated:
-        console.print(f"{len(evaluated)} objects evaluated; `dvc metrics show` prints their scores")
+        console.print(f"{plural(len(evaluated), 'object')} evaluated; `dvc metrics show` prints their scores")
     raise typer.Exit(not summary.ok)
 
 

@@ -22,6 +22,7 @@ from objectfolder.engine.summary import (
     Started,
     Summary,
 )
+from objectfolder.errors import plural
 
 MAX_ROWS = 60  # of the summary table; with more results, one row per stage and outcome
 STYLES = {
@@ -78,7 +79,7 @@ class Progress:
                 self._clock = time.monotonic()
                 self._ahead = dict(seconds)
                 self.total = len(seconds)
-                self._line(f"{self.total} stages")
+                self._line(plural(self.total, "stage"))
             case Started(address):
                 self.running[address] = time.monotonic()
                 if self._live is None:

@@ -22,6 +22,7 @@ from objectfolder.engine.process import Command, CommandResult
 from objectfolder.engine.resources import Needs
 from objectfolder.engine.workers import FinishedQueue, WorkerLost
 from objectfolder.errors import ObjectFolderError
+from objectfolder.installation import install_command
 
 #: Seconds between two queries for the nodes of the cluster.
 PERIOD = 1.0
@@ -297,7 +298,7 @@ def _connect(address: str) -> Any:
         from ray._private.services import canonicalize_bootstrap_address_or_die
     except ModuleNotFoundError as error:
         raise ObjectFolderError(
-            f"{error.name} is not installed; `--engine ray` needs: pip install 'objectfolder[ray]'"
+            f"{error.name} is not installed; `--engine ray` needs: {install_command('ray')}"
         ) from error
     given = os.environ.get("RAY_ADDRESS", address) if address == "auto" else address
     if "://" in given:

@@ -98,8 +98,13 @@ def as_rigid_body(
         return file
     file = file if isinstance(file, ObjectFile) else ObjectFile.load(file)
     if hulls is None:
-        hulls = cached_hulls(file, user_cache_path("objectfolder") / "hulls")
+        hulls = cached_hulls(file, user_folder())
     return rigid_body(file, hulls)
+
+
+def user_folder() -> Path:
+    """Return the folder in which hulls are cached for the user."""
+    return user_cache_path("objectfolder") / "hulls"
 
 
 def scaled_body(body: RigidBody, ratio: float, density: float = 1.0) -> RigidBody:

@@ -52,7 +52,7 @@ def discrete_action(action: Any, count: int) -> int:
     Raises
     ------
     ObjectFolderError
-        If it is no whole number below ``count``.
+        If it is not a whole number below ``count``.
     """
     values = np.asarray(action)
     if values.shape != () or values.dtype.kind not in "iu" or not 0 <= values < count:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from objectfolder.checks import one_of
 from objectfolder.envs.calls import started
 from objectfolder.envs.camera import ExternalCamera
 from objectfolder.envs.features import CONTRAST, FeatureFunction, TouchFeatures
@@ -31,10 +32,7 @@ class Episodes:
     step: int = 0
 
     def __post_init__(self) -> None:
-        if self.observation not in OBSERVATIONS:
-            raise ObjectFolderError(
-                f"observation {self.observation!r} is unknown, expected one of {', '.join(OBSERVATIONS)}"
-            )
+        one_of("observation", self.observation, OBSERVATIONS)
         if self.features is None and self.observation in ("features", "tactile", "images"):
             self.features = TouchFeatures(self.task.file)
 

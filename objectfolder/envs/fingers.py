@@ -8,6 +8,8 @@ import torch
 from objectfolder.envs.poses import hand_axes, rotation
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.objectfile.file import ObjectFile
+from objectfolder.objectfile.surface import TOLERANCE
+from objectfolder.objectfile.touch import ContactPoses
 from objectfolder.touch.contact import sensor_frames
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile
@@ -97,9 +99,14 @@ def press_depths(file: ObjectFile, pressed: Presses, forces: np.ndarray) -> np.n
     profile = file.sensor_profile
     coarse = replace(profile, height=profile.height // COARSE, width=profile.width // COARSE)
     depths = np.geomspace(LEAST_DEPTH, profile.max_indentation, LEVELS)
-    points, angle, tilt, azimuth = _queries(file, pressed)
+    contacts = _contacts(file, pressed, np.zeros(len(pressed.points)))
+    at_depths = [replace(contacts, depth=np.full(len(contacts.points), depth)) for depth in depths]
     felt = np.stack(
-        [file.press(points, depth, angle, tilt, azimuth, sensor=coarse).force for depth in depths], 1
+        [
+            np.concatenate([part.force for part in file.touch_sense.touches(one, TOLERANCE, coarse)])
+            for one in at_depths
+        ],
+        1,
     )
     felt = np.maximum.accumulate(np.maximum(felt, 1e-9), 1)
     levels, wanted = np.log(depths), np.log(np.maximum(forces, 1e-9))
@@ -111,10 +118,9 @@ def tactile_images(file: ObjectFile, pressed: Presses, depths: np.ndarray) -> np
 
     Touch nets trained on images of one depth and one direction are queried with the points alone.
     """
-    points, angle, tilt, azimuth = _queries(file, pressed)
     if file.fixed_contact is not None:
-        return file.touch(points, depths, file.fixed_contact.angle)
-    return file.touch(points, depths, angle, tilt, azimuth)
+        return file.touch(file.nearest(pressed.points)[0], depths, file.fixed_contact.angle)
+    return file.touch_sense.images(_contacts(file, pressed, depths), TOLERANCE, None)
 
 
 class TrueSurface:
@@ -148,7 +154,11 @@ class TrueSurface:
         return touch_images(self._caster, points, pressed.outward, angle, depths, profile, optics)[0]
 
 
-def _queries(file: ObjectFile, pressed: Presses) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the nearest points of the surface, and angle, tilt and azimuth of the sensor there."""
+def _contacts(file: ObjectFile, pressed: Presses, depths: np.ndarray) -> ContactPoses:
+    """Return presses of some depths (2N,), metres, at the nearest points of the surface.
+
+    Pads turn where the hand does: they may face away from the surface, which `ObjectFile.touch` refuses.
+    """
     points, _ = file.nearest(pressed.points)
-    return points, *sensor_angles(file.contact_normals(points), pressed.outward, pressed.up)
+    angles = sensor_angles(file.contact_normals(points), pressed.outward, pressed.up)
+    return ContactPoses(points, depths, *angles)

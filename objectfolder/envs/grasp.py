@@ -12,8 +12,9 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
+from objectfolder.checks import one_of
 from objectfolder.envs.calls import KEPT, finite_actions, no_options, started
-from objectfolder.envs.episodes import Episodes
+from objectfolder.envs.episodes import OBSERVATIONS, Episodes
 from objectfolder.envs.features import FeatureFunction
 from objectfolder.envs.grasp_task import STEPS, GraspTask, make_task
 from objectfolder.errors import ObjectFolderError
@@ -36,8 +37,8 @@ class GraspEnv(gymnasium.Env[Any, np.ndarray]):
     observation : {"features", "tactile", "images", "width", "blind"}
         tactile: features of both images alone; images: a dict with the images themselves, and the state;
         width: the state alone; blind: the same without the opening of the jaws.
-    hulls : path
-        Folder in which convex hulls are cached.
+    hulls : path, optional
+        Folder in which convex hulls are cached; default: one of the user's, as in Reach-v0.
     render_mode : {None, "rgb_array"}
 
     Raises
@@ -57,10 +58,11 @@ class GraspEnv(gymnasium.Env[Any, np.ndarray]):
         self,
         file: ObjectFile | str | Path,
         observation: str = "features",
-        hulls: str | Path = "benchmarks/hulls",
+        hulls: str | Path | None = None,
         render_mode: str | None = None,
     ):
         self._arguments = (file, observation, hulls, render_mode)
+        one_of("observation", observation, OBSERVATIONS)  # before hulls are computed
         self._episodes = Episodes(make_task(_loaded(file), hulls), observation)
         self.observation_space = self._episodes.space()
         self.action_space = spaces.Box(-1, 1, (4,), np.float32)
@@ -111,7 +113,7 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
     num_envs : int
     file : ObjectFile or path
     observation : str
-    hulls : path
+    hulls : path, optional
     task : GraspTask, optional
         Used instead of ``file`` and ``hulls``.
     features : callable, optional
@@ -130,10 +132,11 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
         num_envs: int = 1,
         file: ObjectFile | str | Path | None = None,
         observation: str = "features",
-        hulls: str | Path = "benchmarks/hulls",
+        hulls: str | Path | None = None,
         task: GraspTask | None = None,
         features: FeatureFunction | None = None,
     ):
+        one_of("observation", observation, OBSERVATIONS)
         if task is None:
             if file is None:
                 raise ObjectFolderError("Grasp-v0 needs an Object File: file=...")

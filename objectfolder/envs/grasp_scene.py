@@ -142,6 +142,7 @@ class GraspScene:
     """
 
     def __init__(self, body: RigidBody, physics: Physics | None = None, threads: int = 1):
+        check_width(body.key, body.points)
         self.body, self.physics = body, physics or Physics()
         self.model = self._compile()
         self.layout = StateLayout(self.model)
@@ -152,12 +153,6 @@ class GraspScene:
         self._swept_data = mujoco.MjData(self._swept)
         of_object = self._swept.geom_bodyid == self._swept.body("object").id
         self._of_gripper = ~of_object & (np.arange(self._swept.ngeom) != self._swept.geom("table").id)
-        width = self._minimum_width()
-        if width > STROKE:
-            raise ObjectFolderError(
-                f"{body.key} is too large for the gripper: at its narrowest {1000 * width:.0f} mm across, "
-                f"and the jaws open {1000 * STROKE:.0f} mm; take another object, or build it smaller"
-            )
 
     def rests(self, rng: np.random.Generator, count: int = DROPS) -> np.ndarray:
         """Drop the object in random orientations and return the poses in which it comes to rest.
@@ -346,14 +341,6 @@ class GraspScene:
         offsets = states[:, self.layout.object_pose[:3]] - hands[:, :3]
         return np.einsum("nij,ni->nj", hand_axes(hands), offsets)
 
-    def _minimum_width(self) -> float:
-        """Return the least distance of two parallel planes around the object, over many directions."""
-        k = np.arange(400) + 0.5
-        height, azimuth = k / len(k), k * np.pi * (3 - np.sqrt(5))
-        ring = np.sqrt(1 - height**2)
-        directions = np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), height])
-        return float(np.ptp(self._points @ np.c_[directions, np.eye(3)], axis=0).min())
-
     def _half_width(self, place: np.ndarray, hand: np.ndarray) -> float:
         """Return how far the object extends from the hand along the closing axis, m."""
         points = self._points @ rotation(place[3:]).T + place[:3]
@@ -368,6 +355,27 @@ class GraspScene:
             return states, np.zeros((0, 2, 7))
         ended, sensors = self._pool.rollout(list(models), self._data, states, control=controls)
         return ended[:, -1].copy(), sensors[:, -1].reshape(-1, 2, 7).copy()
+
+
+def check_width(key: str, points: np.ndarray) -> None:
+    """Raise ObjectFolderError if an object is wider than the gripper opens, however it is grasped.
+
+    Parameters
+    ----------
+    key : str
+    points : (P, 3) array
+        Corners of the object, m.
+    """
+    k = np.arange(400) + 0.5
+    height, azimuth = k / len(k), k * np.pi * (3 - np.sqrt(5))
+    ring = np.sqrt(1 - height**2)
+    directions = np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), height], 1)
+    width = min(float(np.ptp(points @ along)) for along in (*directions, *np.eye(3)))
+    if width > STROKE:
+        raise ObjectFolderError(
+            f"{key} is too large for the gripper: at its narrowest {1000 * width:.0f} mm across, and the "
+            f"jaws open {1000 * STROKE:.0f} mm; take another object, or build it smaller"
+        )
 
 
 def lowest_hand() -> float:

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from objectfolder.envs.body import RigidBody, rigid_body
+from objectfolder.envs.body import RigidBody, rigid_body, user_folder
 from objectfolder.envs.features import TouchBank, TouchFeatures
 from objectfolder.envs.first_contact import FirstContact, first_contact
-from objectfolder.envs.grasp_scene import GraspScene, lowest_hand
-from objectfolder.envs.hulls import cached_hulls
+from objectfolder.envs.grasp_scene import GraspScene, check_width, lowest_hand
+from objectfolder.envs.hulls import caching_hulls
 from objectfolder.envs.poses import relative_hands, rotation, turn_poses
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
@@ -47,8 +47,7 @@ class GraspTask:
     """
 
     def __init__(self, file: ObjectFile, body: RigidBody, threads: int = 1):
-        if "touch" not in file.header:
-            raise ObjectFolderError(f"{file.key}: the Object File holds no touch; build it whole")
+        _require_touch(file)
         self.file, self.scene = file, GraspScene(body, threads=threads)
         self.rest = _lowest_rest(self.scene, numpy_generator(0, file.key, "rests"))
         points = body.points @ rotation(self.rest[3:]).T
@@ -107,9 +106,32 @@ class GraspTask:
         return TouchBank(pressed, np.concatenate(features))
 
 
-def make_task(file: ObjectFile, hulls: str | Path, threads: int = 1) -> GraspTask:
-    """Make the task of an Object File whose hulls are cached in the folder ``hulls``."""
-    return GraspTask(file, rigid_body(file, cached_hulls(file, hulls)), threads)
+def make_task(file: ObjectFile, hulls: str | Path | None = None, threads: int = 1) -> GraspTask:
+    """Make the task of an Object File.
+
+    Parameters
+    ----------
+    file : ObjectFile
+    hulls : path, optional
+        Folder in which convex hulls are cached; default: one of the user's. They take up to half a minute, so
+        objects that do not fit are refused before, and nothing is written if the task cannot be made.
+    threads : int
+        Of the simulation.
+
+    Raises
+    ------
+    ObjectFolderError
+        As `GraspTask`, and as `objectfolder.envs.hulls.cached_hulls`.
+    """
+    _require_touch(file)
+    check_width(file.key, file.surface.vertices * file.scale)
+    with caching_hulls(file, user_folder() if hulls is None else hulls) as parts:
+        return GraspTask(file, rigid_body(file, parts), threads)
+
+
+def _require_touch(file: ObjectFile) -> None:
+    if "touch" not in file.header:
+        raise ObjectFolderError(f"{file.key}: the Object File holds no touch; build it whole")
 
 
 def _lowest_rest(scene: GraspScene, rng: np.random.Generator) -> np.ndarray:

@@ -10,7 +10,8 @@ import numpy as np
 from objectfolder.audio.contact import effective_modulus, hertz_time
 from objectfolder.audio.scrape import Scrape, roughness_of, scrape_force
 from objectfolder.audio.stream import ModalStream, Pulse, pulse_gain
-from objectfolder.checks import finite_number, real_array, whole_number
+from objectfolder.audio.synthesis import checked_sample_rate
+from objectfolder.checks import real_array, whole_number
 from objectfolder.envs.impacts import ContactReader, Impact, Load
 from objectfolder.envs.sounding import Objects, body_number, check_body, check_poses, named_objects
 from objectfolder.errors import ObjectFolderError, quoted
@@ -104,9 +105,7 @@ class Hearing:
         surroundings: str | Material = "wood",
         seed: int = 0,
     ):
-        self.sample_rate = finite_number("sample rate", sample_rate)
-        if self.sample_rate <= 0:
-            raise ObjectFolderError(f"sample rate is {sample_rate!r} Hz, expected a positive number")
+        self.sample_rate = checked_sample_rate(sample_rate)
         self._model, self._seed = model, whole_number("seed", seed)
         self._step = float(model.opt.timestep)
         _check_step(model)

@@ -95,7 +95,10 @@ def read_catalogue(path: Path, urls: Sequence[str] = ()) -> Catalogue:
         If it is missing or invalid, an object has an unknown source, or a template is not a URL.
     """
     if not path.is_file():
-        raise ObjectFolderError(f"catalogue {path} does not exist; run inside an objectfolder workspace")
+        raise ObjectFolderError(
+            f"{path} does not exist; expected a catalogue of published objects, such as "
+            "catalogs/objectfolder1.yaml"
+        )
     try:
         catalogue = Catalogue.model_validate(read_yaml(path))
     except ValidationError as error:

@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 
+from objectfolder.errors import plural
 from objectfolder.fetch.catalogue import Catalogue
 from objectfolder.fetch.download import ProgressCallback, ProgressFactory
 from objectfolder.fetch.run import FetchResult, FetchStatus
@@ -30,7 +31,8 @@ def print_overview(catalogue: Catalogue, present: Collection[str], console: Cons
     counts = Counter(entry.source for entry in catalogue.objects.values())
     there = sum(key in present for key in catalogue.objects)
     sources = ", ".join(f"{counts[name]} {name}" for name in catalogue.sources)
-    console.print(f"{len(catalogue.objects)} objects ({sources}), {there} in this workspace", soft_wrap=True)
+    count = plural(len(catalogue.objects), "object")
+    console.print(f"{count} ({sources}), {there} in this workspace", soft_wrap=True)
 
 
 def print_licences(catalogue: Catalogue, keys: Sequence[str], console: Console) -> None:

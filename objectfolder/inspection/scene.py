@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.installation import install_command
 from objectfolder.mesh.textured import TexturedMesh
 
 if TYPE_CHECKING:
@@ -117,7 +118,7 @@ def _pyvista() -> Any:
         import pyvista
     except ModuleNotFoundError as error:
         raise ObjectFolderError(
-            f"{error.name} is not installed; this needs: pip install 'objectfolder[inspect]'"
+            f"{error.name} is not installed; this needs: {install_command('inspect')}"
         ) from error
     return pyvista
 

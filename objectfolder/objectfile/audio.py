@@ -275,7 +275,8 @@ class ModalSense:
         if lasting is None and striker is not None:
             raise ObjectFolderError(
                 f"{self._stored.key}: the file does not say what its modes are of, so how long a striker "
-                "touches is not known; leave striker out, which gives an ideal impulse, or give contact_time"
+                "touches is not known; leave striker out, which gives an ideal impulse, or give contact_time "
+                "instead"
             )
         return lasting or 0.0
 

@@ -67,7 +67,7 @@ class Dataset(Sequence[ObjectFile]):
     Raises
     ------
     ObjectFolderError
-        If the folder is no release, or its index is damaged.
+        If the folder is not a release, or its index is damaged.
 
     Examples
     --------
@@ -182,7 +182,7 @@ def read_index(path: Path) -> tuple[IndexEntry, ...]:
             rows = list(csv.DictReader(stream, strict=True))
     except OSError as error:
         raise ObjectFolderError(
-            f"{path.parent} is no release: cannot read {path}: {error.strerror}; "
+            f"{path.parent} is not a release: cannot read {path}: {error.strerror}; "
             "`objectfolder release DIR` writes one"
         ) from error
     except (UnicodeDecodeError, csv.Error) as error:

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from objectfolder.audio.contact import Striker, as_striker
+from objectfolder.audio.synthesis import checked_sample_rate
 from objectfolder.audio.tuning import Tuning
 from objectfolder.checks import real_array, require_memory, whole_number
 from objectfolder.errors import ObjectFolderError, shortened
@@ -31,12 +32,14 @@ from objectfolder.objectfile.header import checked_header
 from objectfolder.objectfile.parts import StoredParts
 from objectfolder.objectfile.radiation import Listening
 from objectfolder.objectfile.samples import sample_path
-from objectfolder.objectfile.sound_settings import SoundSettings
+from objectfolder.objectfile.sound_settings import SoundSettings, struck_object
 from objectfolder.objectfile.surface import TOLERANCE
 from objectfolder.objectfile.touch import (
+    UNMOVED,
     ContactPoses,
     FixedContact,
     GeometricSense,
+    TouchSense,
     concatenate_touches,
     sideways_motion,
 )
@@ -72,7 +75,7 @@ _BYTES_PER_POINT = 84  # that drawing a random point takes
 
 class ObjectFile:
     """One object. Points of contacts and strikes are in the object frame (metres), cameras and lights in
-    the unit frame (the object's longest side is 1); docs/conventions.md draws both.
+    the unit frame (the object's longest side is 1); docs/conventions.md defines both.
 
     Queries take numpy arrays, lists, or torch tensors of any real type. If the first argument of `view`,
     `impact` or `touch` is a tensor, so is the answer, on the same device; no gradients flow. The answer to a
@@ -187,6 +190,10 @@ class ObjectFile:
         """Write the Object File; the same object gives the same bytes."""
         write_safetensors(path, dict(self.tensors), self.header)
 
+    def __repr__(self) -> str:
+        parts = ", ".join(self._parts.held()) or "nothing"
+        return f"{type(self).__name__}({self.key!r}: {self.material}, {self.scale:.4g} m; {parts})"
+
     def _repr_html_(self) -> str:
         """Return the page of `objectfolder view`, which notebooks show."""
         from objectfolder.viewer.page import viewer_frame
@@ -256,6 +263,11 @@ class ObjectFile:
         None if it answers any press, with all that `press` returns.
         """
         return FixedContact.of(self._touch_config)
+
+    @property
+    def touch_sense(self) -> TouchSense:
+        """What answers `touch` and `press`, for sensors in any direction, also away from the surface."""
+        return self._parts.touch
 
     def press_range(self, sensor: Sensor = None) -> tuple[float, float]:
         """Return the least and the greatest press depth of usual contacts, metres.
@@ -332,8 +344,8 @@ class ObjectFile:
         Raises
         ------
         ObjectFolderError
-            If shapes do not fit, values are not finite or too large, a matrix is no rotation and position,
-            there is no light, or the images do not fit into memory.
+            If shapes do not fit, values are not finite or too large, a matrix is not a rotation and
+            position, there is no light, or the images do not fit into memory.
         """
         smooth, seen_by = _flag("supersample", supersample), Intrinsics.given(intrinsics, resolution)
         lamps = all_lamps(lights, environment)
@@ -396,7 +408,7 @@ class ObjectFile:
             Greatest distance of a point from the surface, fraction of the size.
         contact_time : float, optional
             Duration of the strike, seconds: half a sine of force whose integral is the impulse. 0 is an
-            ideal impulse. Default: that of the striker, see `contact_time`.
+            ideal impulse. Default: that of the striker, see `contact_time`. Give one of both.
         material : str or Material, optional
             Material of the struck object. Another Poisson ratio makes the answer approximate: a warning
             gives the error bounds.
@@ -422,12 +434,17 @@ class ObjectFile:
         ObjectFolderError
             If shapes do not fit, values are not finite or too large, a point is off the surface, the sounds
             do not fit into memory, the file does not say how the struck object sounds at a listener, or it
-            does not say how long a given striker touches.
+            does not say how long a given striker touches. If the material is undamped, both a striker and a
+            contact time are given, or a delay without a listener.
         """
         strikes = broadcast_rows(
             "points", finite_rows("points", points, 3), "forces", finite_rows("forces", forces, 3)
         )
         late, places = _flag("delay", delay), None
+        if late and listener is None:
+            raise ObjectFolderError(
+                "delay is True, but without a listener no sound travels; give listener, or leave delay out"
+            )
         if listener is not None:
             places = finite_rows("listener", listener, 3)
             points_, places = broadcast_rows("points", strikes[0], "listener", places)
@@ -493,9 +510,8 @@ class ObjectFile:
         material, scale
             As in `impact`.
         """
-        tip = as_striker(striker)
-        settings = SoundSettings.checked(16000, 1.0, "displacement", None, material, scale, tip, 0)
-        return self._parts.audio.contact_time(tip, settings.material, settings.scale) or 0.0
+        tip, struck = as_striker(striker), struck_object(material, scale)
+        return self._parts.audio.contact_time(tip, *struck) or 0.0
 
     def voice(
         self, sample_rate: float = 48000, material: str | Material | None = None, scale: float | None = None
@@ -512,11 +528,14 @@ class ObjectFile:
         Raises
         ------
         ObjectFolderError
-            If the file knows no modes or not what they are of, or all are above half the sample rate.
+            If the file knows no modes or not what they are of, all are above half the sample rate, or the
+            material is undamped.
         """
-        settings = SoundSettings.checked(sample_rate, 1.0, "displacement", None, material, scale, "steel", 0)
+        rate, (stuff, size) = checked_sample_rate(sample_rate), struck_object(material, scale)
+        if isinstance(stuff, Material):
+            stuff.require_damping()
         voice = import_module("objectfolder.objectfile.voice")  # as in `torch`
-        return voice.Voice(self._parts, settings.sample_rate, settings.material, settings.scale)
+        return voice.Voice(self._parts, rate, stuff, size)
 
     def mode_shapes(self, points: Rows, tolerance: float = TOLERANCE) -> np.ndarray:
         """Return mass-normalised mode shapes: the modal gains of unit impulses along x, y and z.
@@ -556,8 +575,8 @@ class ObjectFile:
         angle : float or (N,) array
             Rotation of the sensor about the outward contact normal, radians.
         tilt, azimuth : float or (N,) array
-            Lean of the sensor from the contact normal, and its direction in the tangent plane (from image up
-            towards image right), radians.
+            Lean of the sensor from the contact normal, at most a right angle, and its direction in the
+            tangent plane (from image up towards image right), radians.
         tolerance : float
             Greatest distance of a point from the surface, fraction of the size.
         sensor : str, Path or SensorProfile, optional
@@ -571,8 +590,8 @@ class ObjectFile:
         Raises
         ------
         ObjectFolderError
-            If shapes do not fit, values are not finite, a depth is negative or beyond the gel, a point is off
-            the surface, or the touch net does not know such contacts.
+            If shapes do not fit, values are not finite, a depth is negative or beyond the gel, a tilt is
+            beyond a right angle, a point is off the surface, or the touch net does not know such contacts.
         """
         profile = _profile(sensor)
         contacts = ContactPoses.checked(points, depth, angle, tilt, azimuth)
@@ -598,9 +617,11 @@ class ObjectFile:
         ----------
         points, depth, angle, tilt, azimuth, tolerance, sensor : as in `touch`
         shear : (2,) or (N, 2) array, optional
-            Motion of the object against the sensor after the press, along image right and image up, metres.
+            Motion of the object against the sensor after the press, along image right and image up, metres;
+            at most as long as the sensor's ``max_indentation``.
         twist : float or (N,) array
-            Turn of the object about the sensor's axis after the press, anticlockwise in the image, radians.
+            Turn of the object about the sensor's axis after the press, anticlockwise in the image, radians;
+            at most half a turn.
         friction : float or (N,) array, optional
             Coefficient of friction between object and gel. Default: that of the object's material
             (`objectfolder.touch.friction`).
@@ -618,15 +639,14 @@ class ObjectFile:
         Raises
         ------
         ObjectFolderError
-            As `touch`; also if the gel that is to be sheared is rigid, or a friction is negative.
+            As `touch`; also if the gel that is to be sheared is rigid, a shear is too long, a twist is beyond
+            half a turn, or a friction is negative.
         """
         contacts = self.touches(points, depth, angle, tilt, azimuth, tolerance, sensor)
-        count = len(finite_rows("points", points, 3))
-        motion = sideways_motion(
-            shear, twist, friction_of(self.material) if friction is None else friction, count
-        )
+        count, dots = len(finite_rows("points", points, 3)), _dots(markers)
+        rubbing = friction_of(self.material) if friction is None else friction
+        motion = sideways_motion(shear, twist, rubbing, count, _profile(sensor) or self.sensor_profile)
         found = concatenate_touches(contacts, count)
-        dots = markers if isinstance(markers, Markers) else Markers() if _flag("markers", markers) else None
         if shear is None and not motion.twist.any() and dots is None:
             return found
         return sheared(
@@ -682,7 +702,8 @@ class ObjectFile:
         Raises
         ------
         ObjectFolderError
-            If the count or the seed is no whole number of at least 0, or the points do not fit into memory.
+            If the count or the seed is not a whole number of at least 0, or the points do not fit into
+            memory.
         """
         drawn, rng = whole_number("count", count), np.random.default_rng(whole_number("seed", seed))
         require_memory(f"{drawn} points on the surface", _BYTES_PER_POINT * drawn, "draw fewer at a time")
@@ -704,11 +725,12 @@ class ObjectFile:
         Raises
         ------
         ObjectFolderError
-            If the points are no finite rows of three, or further away than a million times the object's size.
+            If the points are not finite rows of three, or are further away than a million times the object's
+            size.
         """
         return self._parts.surface.nearest(finite_rows("points", points, 3))
 
-    def contact_normals(self, points: Rows) -> np.ndarray:
+    def contact_normals(self, points: Rows, tolerance: float = TOLERANCE) -> np.ndarray:
         """Return the directions against which `touch` and `press` move a sensor that is not tilted.
 
         They are means over a neighbourhood, so that they lean at edges;
@@ -717,13 +739,20 @@ class ObjectFile:
         Parameters
         ----------
         points : (N, 3) array
-            On the surface, object frame, metres.
+            Object frame, metres; snapped to the surface as by `touch`.
+        tolerance : float
+            Greatest distance of a point from the surface, fraction of the size.
 
         Returns
         -------
         (N, 3) float64, outward unit vectors
+
+        Raises
+        ------
+        ObjectFolderError
+            If the points are not finite rows of three, or one is off the surface.
         """
-        places = finite_rows("points", points, 3) / self.scale
+        places = self._parts.surface.unit_feet(finite_rows("points", points, 3), tolerance, UNMOVED)
         normals: np.ndarray = contact_normals(self.surface.grid.smooth_distance, places, NORMAL_RADIUS)
         return normals
 
@@ -760,6 +789,18 @@ class ObjectFile:
 
 def _profile(sensor: Sensor) -> SensorProfile | None:
     return None if sensor is None else load_profile(sensor)
+
+
+def _dots(markers: bool | Markers) -> Markers | None:
+    """Return the dots to draw, if any."""
+    if isinstance(markers, Markers):
+        return markers
+    if not isinstance(markers, bool | np.bool_):
+        raise ObjectFolderError(
+            f"markers is of type {type(markers).__name__}, expected True, False or a Markers of "
+            "objectfolder.touch.markers, such as Markers(spacing=0.0015, radius=0.00025)"
+        )
+    return Markers() if markers else None
 
 
 def _flag(name: str, value: object) -> bool:

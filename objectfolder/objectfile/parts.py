@@ -54,12 +54,10 @@ class StoredParts:
         """
         for part in self.held():
             getattr(self, part)
-        if RADIATION in self.header:
-            _ = self.radiation
 
     def held(self) -> list[str]:
         """Return the names of the parts that the file holds."""
-        return [part for part in PARTS if part in self.header]
+        return [part for part in (*PARTS, RADIATION) if part in self.header]
 
     def described(self, part: str) -> dict[str, Any]:
         """Return the header of a part.

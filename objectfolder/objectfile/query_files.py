@@ -35,7 +35,7 @@ def sample_views(
     Raises
     ------
     ObjectFolderError
-        If the count or the seed is no whole number, or a radius is not a positive, finite number.
+        If the count or the seed is not a whole number, or a radius is not a positive, finite number.
 
     Examples
     --------
@@ -70,7 +70,7 @@ def sample_strikes(
     Raises
     ------
     ObjectFolderError
-        If the count or the seed is no whole number, the force is not a positive, finite number, or the
+        If the count or the seed is not a whole number, the force is not a positive, finite number, or the
         directions are unknown.
 
     Examples
@@ -113,7 +113,7 @@ def sample_presses(
     Raises
     ------
     ObjectFolderError
-        If the count or the seed is no whole number, or the object has no touch network, or one with a fixed
+        If the count or the seed is not a whole number, or the object has no touch network, or one of a fixed
         press.
 
     Examples

@@ -6,7 +6,7 @@ from objectfolder import materials
 from objectfolder.audio.contact import Striker, as_striker
 from objectfolder.audio.synthesis import RESPONSES, checked_contact_time, count_samples
 from objectfolder.checks import finite_number, one_of, require_memory
-from objectfolder.errors import ObjectFolderError
+from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.materials import Material
 
 _BYTES_PER_SAMPLE = 8  # of an answer, while it is made
@@ -43,10 +43,17 @@ class SoundSettings:
         Raises
         ------
         ObjectFolderError
-            If one is not of its type, or the sounds do not fit into memory.
+            If one is not of its type, a striker and a contact time are both given, the material is undamped,
+            or the sounds do not fit into memory.
         """
-        if not isinstance(material, Material | None):
-            material = materials.material(material).name
+        stuff, size = struck_object(material, scale)
+        if isinstance(stuff, Material):
+            stuff.require_damping()
+        if striker is not None and contact_time is not None:
+            raise ObjectFolderError(
+                f"striker is {quoted(striker)}, but contact_time says how long it touches; leave one of them "
+                "out"
+            )
         response = one_of("response", response, RESPONSES)
         if heard and response != "displacement":
             raise ObjectFolderError(
@@ -64,8 +71,22 @@ class SoundSettings:
             seconds,
             response,
             None if contact_time is None else checked_contact_time(contact_time),
-            material,
-            None if scale is None else finite_number("scale", scale),
+            stuff,
+            size,
             None if striker is None else as_striker(striker),
             heard,
         )
+
+
+def struck_object(
+    material: str | Material | None, scale: float | None
+) -> tuple[str | Material | None, float | None]:
+    """Return material and longest side (m) of a struck object, checked; None is the object's own.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the material is not known, or the size is not a number.
+    """
+    known = material if isinstance(material, Material | None) else materials.material(material).name
+    return known, None if scale is None else finite_number("scale", scale)

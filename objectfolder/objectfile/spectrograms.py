@@ -67,10 +67,9 @@ class SpectrogramSense:
                 f"{self._key}: its audio net stores spectrograms; material, scale and contact_time need "
                 "modes, which train_audio.net: gains stores"
             )
-        if settings.striker is not None and settings.contact_time is None:
+        if settings.striker is not None:
             raise ObjectFolderError(
-                f"{self._key}: its audio net stores spectrograms of ideal impulses; leave striker out, or "
-                "give contact_time 0"
+                f"{self._key}: its audio net stores spectrograms of ideal impulses; leave striker out"
             )
         rate, duration = settings.sample_rate, settings.duration
         samples = round(rate * duration) if 0 < duration <= DURATION else 0

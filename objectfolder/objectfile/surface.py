@@ -62,23 +62,28 @@ class ObjectSurface:
         ObjectFolderError
             If a point is further away than the tolerance.
         """
+        feet = self.unit_feet(points, tolerance, slack)
+        return feet * self.scale if self.stored else points
+
+    def unit_feet(self, points: np.ndarray, tolerance: float, slack: float = 0.0) -> np.ndarray:
+        """Return what `snap` does, but in the unit frame; (N, 3)."""
         places = self._places(points)
         if (most := finite_number("tolerance", tolerance)) < 0:
             raise ObjectFolderError(f"tolerance is {tolerance!r}, expected a fraction of the size")
         if len(points) == 0 or not self.stored:
-            return points
+            return places
         surface = self.read()
         snapped, distance = surface.nearest(places)
         far = np.flatnonzero(distance > most)
         if len(far):
             raise ObjectFolderError(
                 f"{len(far)} of {len(points)} points are off the surface, the first is row {far[0]} at "
-                f"{places[far[0]].round(4).tolist()} (unit frame), {distance[far[0]]:.3g} of the size away; "
-                f"expected at most {most:g}. Points are in metres, centred on the bounding box: "
-                "ObjectFile.sample_surface gives valid ones"
+                f"{points[far[0]].round(6).tolist()} m, {distance[far[0]] * self.scale:.3g} m away; expected "
+                f"at most {most * self.scale:.3g} m, {most:g} of the size. Points are in metres, centred on "
+                "the bounding box: ObjectFile.sample_surface gives valid ones"
             )
         near = distance < slack * surface.grid.spacing
-        return np.where(near[:, None], places, snapped) * self.scale
+        return np.where(near[:, None], places, snapped)
 
     def _places(self, points: np.ndarray) -> np.ndarray:
         """Return points in the unit frame, if they are near enough to have a nearest one."""

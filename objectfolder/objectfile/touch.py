@@ -1,6 +1,7 @@
 """Touch of an Object File: poses of a tactile sensor in, tactile images and contacts out."""
 
 import itertools
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Protocol
@@ -22,6 +23,11 @@ if TYPE_CHECKING:
 #: Voxels. The stored surface is no more accurate than this: contact points nearer to it stay where they are.
 UNMOVED = 0.25
 
+STEEPEST = math.pi / 2  #: greatest tilt, radians; beyond it the sensor faces away from the surface
+MOST_TWIST = math.pi  #: greatest turn of a pressed object, radians
+
+_ROUNDING = 1e-6  # radians; single precision rounds a right angle up
+
 
 @dataclass(frozen=True)
 class ContactPoses:
@@ -42,11 +48,13 @@ class ContactPoses:
         Raises
         ------
         ObjectFolderError
-            If shapes do not fit or values are not finite.
+            If shapes do not fit, values are not finite, or a sensor faces away from the surface.
         """
         places = finite_rows("points", points, 3)
         named = {"depth": depth, "angle": angle, "tilt": tilt, "azimuth": azimuth}
-        return cls(places, **{name: finite_scalars(name, of, len(places)) for name, of in named.items()})
+        found = {name: finite_scalars(name, of, len(places)) for name, of in named.items()}
+        _require_angles("tilt", found["tilt"], STEEPEST)
+        return cls(places, **found)
 
     def at(self, points: np.ndarray) -> "ContactPoses":
         """Return the same poses at other points (N, 3)."""
@@ -69,24 +77,44 @@ class SidewaysMotion:
     friction: np.ndarray  #: (N,) coefficients
 
 
-def sideways_motion(shear: Rows | None, twist: Scalars, friction: Scalars, count: int) -> SidewaysMotion:
+def sideways_motion(
+    shear: Rows | None, twist: Scalars, friction: Scalars, count: int, profile: SensorProfile
+) -> SidewaysMotion:
     """Check the arguments of a sheared press; one row or number serves all contacts.
 
     Raises
     ------
     ObjectFolderError
-        If shapes do not fit, values are not finite, or a friction is negative.
+        If shapes do not fit, values are not finite, a shear is longer than the sensor's gel can be pressed
+        in, a twist is beyond half a turn, or a friction is negative.
     """
     rows = np.zeros((1, 2)) if shear is None else finite_rows("shear", shear, 2)
     if len(rows) not in (1, count):
         raise ObjectFolderError(f"shear has {len(rows)} rows, expected one or {count} of them")
+    lengths, longest = np.hypot(*rows.T), profile.max_indentation
+    far = np.flatnonzero(lengths > longest)
+    if len(far):
+        raise ObjectFolderError(
+            f"shear: row {far[0]} is {lengths[far[0]]:g} m long, expected at most {longest:g} m, the "
+            f"maximal indentation of sensor {profile.name!r}; shears are in metres"
+        )
+    turns = finite_scalars("twist", twist, count)
+    _require_angles("twist", turns, MOST_TWIST)
     coefficients = finite_scalars("friction", friction, count)
     wrong = np.flatnonzero(coefficients < 0)
     if len(wrong):
         raise ObjectFolderError(f"friction: row {wrong[0]} is {coefficients[wrong[0]]:g}, expected 0 or more")
-    return SidewaysMotion(
-        np.broadcast_to(rows, (count, 2)), finite_scalars("twist", twist, count), coefficients
-    )
+    return SidewaysMotion(np.broadcast_to(rows, (count, 2)), turns, coefficients)
+
+
+def _require_angles(name: str, values: np.ndarray, most: float) -> None:
+    """Raise ObjectFolderError if an angle is beyond a limit in either direction, as one in degrees is."""
+    wrong = np.flatnonzero(np.abs(values) > most + _ROUNDING)
+    if len(wrong):
+        raise ObjectFolderError(
+            f"{name}: row {wrong[0]} is {values[wrong[0]]:g} rad, expected at most {most:.3g} either way; "
+            "angles are in radians"
+        )
 
 
 @dataclass(frozen=True)

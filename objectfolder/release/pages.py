@@ -38,7 +38,7 @@ Licences: {counted(entry.licence for entry in entries)}; {INDEX} gives that of e
 ## Load it
 
 ```python
-from objectfolder import Dataset  # pip install objectfolder
+from objectfolder import Dataset  # pip install CLONE, a clone of the repository of objectfolder
 
 dataset = Dataset(".")  # this folder
 for entry in dataset.filter(material="{entries[0].material}").entries:

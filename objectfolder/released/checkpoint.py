@@ -1,7 +1,6 @@
 """Safe reader of released files: loads and validates pickled dictionaries without executing pickled code."""
 
 import math
-import re
 import warnings
 import zipfile
 from collections.abc import Mapping
@@ -12,6 +11,7 @@ import numpy as np
 import torch
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.io import torch_problem
 from objectfolder.released.arrays import STAND_INS, StoredArray
 
 #: Largest file, bytes; a released file with a grid of small networks has a few hundred million.
@@ -206,10 +206,9 @@ def read_released(path: str | Path) -> ReleasedDict:
     except MemoryError as error:
         raise ObjectFolderError(f"{path} needs more memory than is available: the file is damaged") from error
     except Exception as error:
-        refused = re.search(r"GLOBAL (\S+)", str(error))
-        reason = f"it names {refused[1]}, which is never run" if refused else _one_line(error)
         raise ObjectFolderError(
-            f"{path} is not a file of tensors and numbers ({reason}); expected a released ObjectFile.pth"
+            f"{path} is not a file of tensors and numbers ({torch_problem(error)}); expected a released "
+            "ObjectFile.pth"
         ) from error
     if not isinstance(values, Mapping):
         raise ObjectFolderError(f"{path} holds {_described(values)}; expected a dictionary")
@@ -266,8 +265,3 @@ def _described(value: Any) -> str:
     if value is None or isinstance(value, bool | int | float):
         return repr(value)
     return f"of type {type(value).__name__}"
-
-
-def _one_line(error: Exception) -> str:
-    text = str(error).strip().split("\n")[0] or type(error).__name__
-    return text[:200]

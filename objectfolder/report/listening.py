@@ -141,7 +141,8 @@ def preferences(paths: list[Path]) -> tuple[str, dict[str, Preference], int]:
                 row["second"],
             ):
                 raise ObjectFolderError(
-                    f"{path}: line {number} is no answer of a study, with the columns {', '.join(COLUMNS)}"
+                    f"{path}: line {number} is not an answer of a study, whose columns are "
+                    f"{', '.join(COLUMNS)}"
                 )
             studies.setdefault(row["study"], path)
             answer = {name: row[name] for name in COLUMNS}
@@ -167,7 +168,7 @@ def preferences(paths: list[Path]) -> tuple[str, dict[str, Preference], int]:
 
 def _sound_files(folder: Path) -> dict[str, Path]:
     if not folder.is_dir():
-        raise ObjectFolderError(f"{folder} is no folder, expected one of sounds ({', '.join(SUFFIXES)})")
+        raise ObjectFolderError(f"{folder} is not a folder, expected one of sounds ({', '.join(SUFFIXES)})")
     return {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in SUFFIXES}
 
 

@@ -48,26 +48,26 @@ def dragged_contacts(
     Returns
     -------
     height : (N, H, W) float32
-        Of the object, metres.
+        Of the object, metres, up to the sensor's ``max_indentation``.
     displacement : (N, H, W) float32
         Of the gel, metres towards the camera along the pixel rays.
     pressure : (N, H, W) float32
         Pa. Bits of a row do not depend on others.
     """
-    sag, axes = _rest(profile)
+    (sag, axes), deepest = _rest(profile), np.float32(profile.max_indentation)
     moved, seen, pressed = (np.empty(height.shape, np.float32) for _ in range(3))
     for i, before in enumerate(height):
         shift, step = _pixels(dragged[i], profile), _pixels(shear[i], profile)
-        moved[i] = _met(before, sag, _centred(_turned_back(axes - step, twist[i])))
+        moved[i] = _met(before, sag, _centred(_turned_back(axes - step, twist[i])), deepest)
         there = _centred(_turned_back(axes + shift - step, twist[i]))
-        at_points = deform(_met(before, sag, there)[None], profile, pressure[i : i + 1])
+        at_points = deform(_met(before, sag, there, deepest)[None], profile, pressure[i : i + 1])
         source = _centred(axes - _carried(shift))
-        seen[i] = _at(at_points[0][0] - sag, source) + sag
+        seen[i] = np.minimum(_at(at_points[0][0] - sag, source) + sag, deepest)
         pressed[i] = _nearest(at_points[1][0], source)
     return moved, seen, pressed
 
 
-def _met(height: np.ndarray, sag: np.ndarray, places: np.ndarray) -> np.ndarray:
+def _met(height: np.ndarray, sag: np.ndarray, places: np.ndarray, deepest: np.float32) -> np.ndarray:
     """Return the object's height over the gel's points when they meet what was at other places.
 
     Parameters
@@ -76,8 +76,10 @@ def _met(height: np.ndarray, sag: np.ndarray, places: np.ndarray) -> np.ndarray:
         Of the object at the pixels; of the undeformed gel.
     places : (2, H, W) array
         Pixel coordinates.
+    deepest : float
+        Height to which deeper ones are clipped, metres; nearer to a dome's apex, the object reaches further.
     """
-    met = _at(height - sag, places) + sag
+    met = np.minimum(_at(height - sag, places) + sag, deepest)
     # The lowest height stands for any wider gap; see `gel.indent`.
     lowest = min(height.min(), 0)
     met[(_nearest(height, places) <= lowest) | (met < lowest)] = lowest

@@ -200,16 +200,20 @@ def load_profile(sensor: str | Path | SensorProfile) -> SensorProfile:
             f"sensor is of type {type(sensor).__name__}, expected a name, a path or a profile"
         )
     path = Path(sensor)
-    if path.suffix not in (".yaml", ".yml"):
+    named = path.suffix not in (".yaml", ".yml")
+    if named:
         path = _PROFILES / f"{sensor}.yaml"
     try:
         known = path.is_file()
     except OSError:  # too long for a name
         known = False
     if not known:
-        available = ", ".join(available_profiles())
+        known_names = ", ".join(available_profiles())
         raise ObjectFolderError(
-            f"unknown sensor profile {shortened(sensor)!r}: expected one of {available}, or a .yaml file"
+            f"unknown sensor profile {shortened(sensor)!r}: expected one of {known_names}, or a .yaml file"
+            if named
+            else f"sensor profile {shortened(sensor)!r}: there is no such file; give the path of one that "
+            f"exists, or one of the names {known_names}"
         )
     values = read_yaml(path)
     try:

@@ -22,6 +22,7 @@ from objectfolder.workspace.params import (
     Shared,
     checked,
     object_entry,
+    require_section,
     section_config,
     settings,
     shared,
@@ -49,12 +50,27 @@ def check_all(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
     ObjectFolderError
         If a value is wrong or missing, or a name at the top is unknown.
     """
+    check_entries(values, path)
+    for name in SECTIONS:
+        settings(section_config(name), values, path)
+    _check_encoder(values, path)
+
+
+def check_entries(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
+    """Validate everything but the stages' settings, whose modules take seconds to import.
+
+    Raises
+    ------
+    ObjectFolderError
+        If an object, a procedural object, a shared value or a choice of benchmarks is wrong or missing, a
+        section is missing, or a name at the top is unknown.
+    """
     known = ("objects", "procedural", "benchmarks", *Shared.model_fields, *SECTIONS)
     for name in values:
         if name not in known:
             near = difflib.get_close_matches(str(name)[:60], known, 1)
             hint = f"do you mean {near[0]}?" if near else f"expected one of {', '.join(known)}"
-            raise ObjectFolderError(f"{path}: {quoted(name)} is no section; {hint}")
+            raise ObjectFolderError(f"{path}: {quoted(name)} is not a section; {hint}")
     for key, entry in values["objects"].items():
         check_object(key, values, path)
         lacking = [name for name in ObjectEntry.model_fields if name not in entry]
@@ -67,7 +83,7 @@ def check_all(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
     for key, entry in values["procedural"].items():
         checked(ProceduralEntry, entry, f"{path}: procedural.{key}")
     for name in SECTIONS:
-        settings(section_config(name), values, path)
+        require_section(name, values, path)
     shared(values, path)
     _check_selection(values, path)
 
@@ -98,15 +114,19 @@ def _check_selection(values: dict[str, Any], path: str | Path) -> None:
     selection = checked(Selection, values["benchmarks"], f"{path}: benchmarks")
     for stage in ROBOT_STAGES:
         keys = getattr(selection, stage)
-        _require(f"{path}: benchmarks.{stage}", keys, values["objects"], "is no object")
+        _require(f"{path}: benchmarks.{stage}", keys, values["objects"], "is not an object")
         _require(f"{path}: benchmarks.{stage}", keys, selection.decompose, "lacks in benchmarks.decompose")
     if selection.grasp_stability and len(selection.grasp_data) < 2:
         raise ObjectFolderError(
             f"{path}: benchmarks.grasp_stability needs the grasps of at least two objects; list them in "
             "benchmarks.grasp_data"
         )
-    encoder = values["encode"]["encoder"]
-    if ":" in encoder and any(getattr(selection, task) for task in TASKS):
+
+
+def _check_encoder(values: dict[str, Any], path: str | Path) -> None:
+    """Check that a build sees the code of the encoder that its benchmarks train."""
+    encoder, selected = values["encode"]["encoder"], values["benchmarks"]
+    if ":" in encoder and any(selected[task] for task in TASKS):
         raise ObjectFolderError(
             f"{path}: encode.encoder is {quoted(encoder)}, whose changes a build would not see; "
             "run `objectfolder bench --encoder`, or select no benchmarks"

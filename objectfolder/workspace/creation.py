@@ -132,7 +132,7 @@ def upgrade_workspace(root: Path) -> Upgrade:
     """
     if not is_recorded(root):
         raise ObjectFolderError(
-            f"{root.resolve()} holds no {RECORD}: it is no workspace of `objectfolder init`, or a clone, "
+            f"{root.resolve()} holds no {RECORD}: it is not a workspace of `objectfolder init`, or a clone, "
             "which git updates"
         )
     old, texts, changed = read_record(root), template.tool_files(), changed_files(root)

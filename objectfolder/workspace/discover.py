@@ -3,7 +3,6 @@
 import csv
 import re
 import unicodedata
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,6 +24,7 @@ from objectfolder.yamlfile import read_yaml
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}  #: metres
 LARGE = 2.0  # metres; few objects that are struck and touched are larger
 MOVED = 1e-3  # fraction of the size by which closing may move a surface without a note
+CLOSED = "closed already"  # in place of the repair step that closed a surface
 LISTS = ("materials.csv", "materials.yaml", "materials.yml")
 
 
@@ -93,7 +93,10 @@ def discover(folder: Path, material: str | None = None) -> list[Candidate]:
         )
     if len(found) == 1 and found[0][1][0].parent == folder:
         found = [(folder.resolve().name, found[0][1])]
-    keys = Counter(slug(name) for name, _ in found)
+    sharing: dict[str, list[str]] = {}  # names of files and subfolders that give a key
+    for name, inside in found:
+        own_file = inside[0].parent == folder
+        sharing.setdefault(slug(name), []).append(inside[0].name if own_file else f"{name}/")
     candidates, named = [], set()
     for name, inside in found:
         key, mesh = slug(name), inside[0]
@@ -103,8 +106,12 @@ def discover(folder: Path, material: str | None = None) -> list[Candidate]:
         if len(inside) > 1:
             kept = ", ".join(str(path.relative_to(folder)) for path in inside[:4])
             refusal = f"{folder / name} holds {len(inside)} meshes ({kept}); keep one, or add one by its path"
-        elif keys[key] > 1:
-            refusal = f"{keys[key]} objects in {folder} would be named {key!r}; rename {name}"
+        elif len(sharing[key]) > 1:
+            each = "both" if len(sharing[key]) == 2 else "all"
+            refusal = (
+                f"{_listed(sharing[key])} in {folder} would {each} be named {key!r}; rename all but one, or "
+                "add one by its path"
+            )
         own = next((listed[n] for n in names if n in listed), material)
         candidates.append(Candidate(key, mesh, own, refusal))
     unknown = sorted(set(listed) - named)
@@ -113,6 +120,12 @@ def discover(folder: Path, material: str | None = None) -> list[Candidate]:
             f"the list of materials in {folder} names {', '.join(unknown[:5])}, which it does not contain"
         )
     return candidates
+
+
+def _listed(names: Sequence[str], most: int = 4) -> str:
+    """Join names with commas and "and"; of many, the first."""
+    shown = list(names) if len(names) <= most else [*names[: most - 1], f"{len(names) - most + 1} more"]
+    return f"{', '.join(shown[:-1])} and {shown[-1]}"
 
 
 def _is_mesh(path: Path) -> bool:
@@ -133,9 +146,7 @@ def _materials(folder: Path) -> dict[str, str]:
     expected = "lines `name,material`" if path.suffix == ".csv" else "lines `name: material`"
     try:
         if path.suffix == ".csv":
-            rows = [row for row in csv.reader(path.read_text(encoding="utf-8-sig").splitlines()) if row]
-            values: Any = {name.strip(): value.strip() for name, value in rows}
-            values = {name: value for name, value in values.items() if (name, value) != ("name", "material")}
+            values: Any = _csv_pairs(path)
         else:
             values = read_yaml(path)
     except ObjectFolderError:
@@ -148,6 +159,20 @@ def _materials(folder: Path) -> dict[str, str]:
         if isinstance(value, dict | list):
             raise ObjectFolderError(f"{path}: {quoted(name)} is {quoted(value)}; expected {expected}")
     return {str(name): str(value) for name, value in values.items()}
+
+
+def _csv_pairs(path: Path) -> dict[str, str]:
+    """Read lines ``name,material``; they may follow a line with these words."""
+    lines = csv.reader(path.read_text(encoding="utf-8-sig").splitlines())
+    pairs = {}
+    for row in lines:
+        if row and len(row) != 2:
+            raise ObjectFolderError(
+                f"{path}, line {lines.line_num} is {quoted(','.join(row))}, expected `name,material`"
+            )
+        if row and (pair := (row[0].strip(), row[1].strip())) != ("name", "material"):
+            pairs[pair[0]] = pair[1]
+    return pairs
 
 
 def examine(
@@ -241,11 +266,15 @@ def examine_all(
 
 def examination_table(examinations: Sequence[Examination], up_given: bool) -> Table:
     """Format examinations as a table."""
-    result = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), caption=None if up_given else "? guessed")
-    for name in ("object", "mesh", "material", "size m", "up", "pieces", "closed by", "volume cm³"):
-        right = name in ("size m", "pieces", "volume cm³")
-        whole = name in ("object", "mesh")
-        result.add_column(name, justify="right" if right else "left", overflow="fold", no_wrap=whole)
+    caption = None if up_given else "? guessed"
+    result = Table(box=SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0), caption=caption)
+    numbers = ("size\nm", "pieces", "volume\ncm³")
+    for name in ("object", "mesh", "material", "size\nm", "up", "pieces", "closed by", "volume\ncm³"):
+        # In a narrow terminal names take more lines; numbers stay whole.
+        whole = name in (*numbers, "up")
+        result.add_column(
+            name, justify="right" if name in numbers else "left", overflow="fold", no_wrap=whole
+        )
     for shown in examinations:
         candidate = shown.candidate
         row = [candidate.key, escape(candidate.mesh.name), escape(candidate.material or "?")]
@@ -253,10 +282,15 @@ def examination_table(examinations: Sequence[Examination], up_given: bool) -> Ta
             row.append("[bold red]refused[/]")
         else:
             row += [
-                f"{shown.scale:.4g}",
+                _digits(shown.scale),
                 shown.up + ("" if up_given else "?"),
                 str(shown.pieces),
             ]
-            row += [shown.rung, f"{shown.volume * 1e6:,.1f}"]
+            row += [CLOSED if shown.rung == "keep" else shown.rung, _digits(shown.volume * 1e6)]
         result.add_row(*row)
     return result
+
+
+def _digits(value: float) -> str:
+    """Return a number with four digits, such as ``2,549`` or ``0.0615``."""
+    return f"{float(f'{value:.4g}'):,.10g}"

@@ -63,8 +63,8 @@ def is_recorded(root: str | Path = ".") -> bool:
     return runs_installed(root) and Path(root, RECORD).is_file()
 
 
-def pipeline_files() -> dict[str, Path]:
-    """Map the files that a workspace starts from to where this version keeps them, sorted by name.
+def pipeline_folder() -> Path:
+    """Return the folder of the files that a workspace starts from.
 
     Raises
     ------
@@ -73,12 +73,18 @@ def pipeline_files() -> dict[str, Path]:
     """
     packaged = INSTALLED / PIPELINE
     home = packaged if packaged.is_dir() else INSTALLED  # in a clone: the repository itself
-    found = {path.relative_to(home).as_posix(): path for name in PIPELINE_FILES for path in home.glob(name)}
-    if "dvc.yaml" not in found:
+    if not (home / "dvc.yaml").is_file():
         raise ObjectFolderError(
             f"the objectfolder in {INSTALLED} lacks the pipeline ({packaged}); install it again from a wheel "
             "or a clone"
         )
+    return home
+
+
+def pipeline_files() -> dict[str, Path]:
+    """Map the files that a workspace starts from to where this version keeps them, sorted by name."""
+    home = pipeline_folder()
+    found = {path.relative_to(home).as_posix(): path for name in PIPELINE_FILES for path in home.glob(name)}
     return dict(sorted(found.items()))
 
 
@@ -113,8 +119,9 @@ def check_installed(root: str | Path = ".") -> None:
         If it is another version, or was edited.
     """
     if is_recorded(root) and (changed := changed_files(root)):
+        differing = "1 file differs" if len(changed) == 1 else f"{len(changed)} files differ"
         raise ObjectFolderError(
             f"this workspace is of another version of objectfolder than the one in {INSTALLED}: "
-            f"{len(changed)} files differ ({', '.join(changed[:3])}{', ...' * (len(changed) > 3)}); run "
+            f"{differing} ({', '.join(changed[:3])}{', ...' * (len(changed) > 3)}); run "
             "`objectfolder upgrade`, or install the version that requirements.txt names"
         )

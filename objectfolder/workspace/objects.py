@@ -189,11 +189,14 @@ def add_catalogue(catalogue: Path, root: Path = Path()) -> list[str]:
     Raises
     ------
     ObjectFolderError
-        If an entry is invalid, or another one has its key.
+        If there is no such catalogue, an entry is invalid, or another one has its key.
     """
     params_path = root / params.PARAMS_FILE
     document, values = editable(params_path)
-    if catalogue.is_file() and re.search(r"^sources:", catalogue.read_text(errors="replace"), re.MULTILINE):
+    if not catalogue.is_file():
+        problem = "is a folder" if catalogue.is_dir() else "does not exist"
+        raise ObjectFolderError(f"{catalogue} {problem}; expected a catalogue such as catalogs/starter.yaml")
+    if re.search(r"^sources:", catalogue.read_text(errors="replace"), re.MULTILINE):
         raise ObjectFolderError(
             f"{catalogue} lists published objects whose meshes are not here; download them with "
             f"`objectfolder fetch --catalogue {catalogue}`"

@@ -140,7 +140,7 @@ def read(path: str | Path = PARAMS_FILE) -> dict[str, Any]:
     path = Path(path)
     held = Path(os.environ.get(HELD_PARAMS, path)) if path == Path(PARAMS_FILE) else path
     if not held.is_file():
-        raise ObjectFolderError(f"{path} does not exist; run inside an objectfolder workspace")
+        raise outside_workspace(path)
     values = read_yaml(held)
     if not isinstance(values, dict):
         raise ObjectFolderError(f"{path} holds {type(values).__name__}, expected a mapping")
@@ -151,6 +151,13 @@ def read(path: str | Path = PARAMS_FILE) -> dict[str, Any]:
         for key in entries:
             check_key(key, f"{path}: {group}")
     return values
+
+
+def outside_workspace(path: Path) -> ObjectFolderError:
+    """Return the error of a command that needs a workspace, whose ``params.yaml`` is not at this path."""
+    return ObjectFolderError(
+        f"{path} does not exist; run inside an objectfolder workspace, or make one: `objectfolder init DIR`"
+    )
 
 
 def check_key(key: Any, where: str = "object key") -> str:
@@ -243,8 +250,7 @@ def settings(config: type[Config], values: dict[str, Any], path: str | Path = PA
         If the section is missing, or a field is missing, unknown or wrong.
     """
     name = _sections()[f"{config.__module__}:{config.__qualname__}"]
-    if name not in values:
-        raise ObjectFolderError(f"{path} lacks section {name!r}; run `objectfolder preset quick`")
+    require_section(name, values, path)
     # As JSON, because strict checks of Python values refuse a mapping for a dataclass and a list for a tuple.
     # In a dict, because a dataclass of the library has no pydantic configuration, and takes that around it.
     adapter: TypeAdapter[dict[str, Config]] = TypeAdapter(dict[str, config], config=_STRICT)  # type: ignore[valid-type]
@@ -252,6 +258,12 @@ def settings(config: type[Config], values: dict[str, Any], path: str | Path = PA
         return adapter.validate_json(json.dumps({name: values[name]}, default=str))[name]
     except ValidationError as error:
         raise _wrong(f"{path}: {name}", error, 1) from error
+
+
+def require_section(name: str, values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
+    """Raise ObjectFolderError unless a stage's section is there."""
+    if name not in values:
+        raise ObjectFolderError(f"{path} lacks section {name!r}; run `objectfolder preset quick`")
 
 
 def section_config(name: str) -> type[Any]:

@@ -1,11 +1,10 @@
 """Texts of the files of a workspace that runs the installed package."""
 
-import json
 import re
-from importlib.metadata import PackageNotFoundError, distribution, version
 from pathlib import Path
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.installation import installed_version, requirement
 from objectfolder.workspace.code_digests import DATA
 from objectfolder.workspace.installed import PACKAGE, RECORD, SENSORS, pipeline_files
 from objectfolder.workspace.layout import code_list
@@ -15,11 +14,17 @@ REQUIREMENTS = "requirements.txt"
 #: Files that a clone does not have, by the name that they get.
 OWN_FILES = {".gitignore": "gitignore", ".github/workflows/objects.yml": "objects.yml"}
 CARD = "README.md"
+EXTRA = "build"  #: of the package, which a workspace needs
 _TEMPLATE = Path(__file__).with_suffix("")
 _DEPENDENCY = re.compile(rf"^(\s+- )({PACKAGE}(?:/\S+)?)$", re.MULTILINE)
 
-#: What `_requirement` writes.
-_PIN = re.compile(rf"^{PACKAGE}\[build\](?:==\S+| @ \w+\+\S+)$", re.MULTILINE)
+#: What `objectfolder.installation.requirement` writes, and its form for a wheel on a server.
+_PIN = re.compile(rf"^{PACKAGE}\[{EXTRA}\](?:==\S+| @ \S+)$", re.MULTILINE)
+_URL = " @ http"
+_NOTE = (
+    f"# If this line works on this machine alone, write `{PACKAGE}[{EXTRA}] @ URL`: of a wheel, or "
+    "git+URL@COMMIT of the repository.\n"
+)
 _OBJECTS = re.compile(r"^(procedural|objects):\n(?:  .*\n)*", re.MULTILINE)
 
 
@@ -68,33 +73,17 @@ def first_card(name: str) -> str:
     return (_TEMPLATE / CARD).read_text().replace("NAME", name, 1).replace("VERSION", installed_version())
 
 
-def installed_version() -> str:
-    """Return the version of the installed package."""
-    try:
-        return version(PACKAGE)
-    except PackageNotFoundError:  # on the path, but not installed
-        return "unknown"
-
-
 def first_requirements() -> str:
-    """Return the requirements of a new workspace."""
-    note = "# Not from a package index? Then write where its wheel is: `objectfolder[build] @ URL`.\n"
-    line = _requirement()
-    return line + "\n" if " @ " in line else f"{note}{line}\n"
+    """Return the requirements of a new workspace, with a note unless they name a place that others reach."""
+    line = requirement(EXTRA)
+    local = " @ file:" in line or "==" in line
+    return f"{_NOTE}{line}\n" if local else f"{line}\n"
 
 
 def next_requirements(text: str) -> str:
-    """Return requirements with this version instead of another; a URL of a wheel is the user's to change."""
-    return _PIN.sub(lambda match: _requirement(), text)
+    """Return requirements with this version instead of another.
 
-
-def _requirement() -> str:
-    """Return what installs this version: by the commit if it was installed from a repository."""
-    try:
-        source = json.loads(distribution(PACKAGE).read_text("direct_url.json") or "{}")
-    except PackageNotFoundError:
-        source = {}
-    if "vcs_info" not in source:
-        return f"{PACKAGE}[build]=={installed_version()}"
-    info = source["vcs_info"]
-    return f"{PACKAGE}[build] @ {info['vcs']}+{source['url']}@{info['commit_id']}"
+    The URL of a wheel on a server is the user's to change, unless this version was installed from such a URL.
+    """
+    line = requirement(EXTRA)
+    return _PIN.sub(lambda match: match[0] if _URL in match[0] and _URL not in line else line, text)

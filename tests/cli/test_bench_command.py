@@ -14,12 +14,14 @@ from typer.testing import CliRunner
 from objectfolder.benchmarks import run
 from objectfolder.benchmarks.datasets.sampling import sample_observations
 from objectfolder.benchmarks.datasets.splits import object_split
+from objectfolder.benchmarks.tasks.recognition import RECOGNIZE
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import open_safetensors, write_safetensors
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace.layout import Benchmarks
 from objectfolder.workspace.params import read
+from objectfolder.workspace.presets import read_preset
 
 ROOT = Path(__file__).parents[2]
 TINY = {
@@ -224,6 +226,27 @@ def test_what_is_wrong_is_said_before_any_work(files, workspace, tmp_path):
         "recognition", files, "--split", "unseen"
     )
     assert "nowhere.py does not exist" in refused("recognition", files, "--encoder", "nowhere.py:net")
+
+
+def test_files_and_a_preset_need_no_workspace(files, workspace, tmp_path, monkeypatch):
+    """Elsewhere all settings are the package's; in a workspace whose seed is the same, they are equal."""
+    one, other = sorted(files.iterdir())
+    options = run.BenchmarkOptions(files=[files], preset="quick")
+    inside = options.task_params(RECOGNIZE, *options.values())
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    values, path = options.values()
+    assert values == read(ROOT / "params.yaml") | read_preset("quick", ROOT)[0]
+    assert path == ROOT / "params/quick.yaml"
+    assert options.task_params(RECOGNIZE, values, path) == inside
+    assert options.folder.dir == Path("benchmarks/quick")
+    assert "needs two at least" in refused("recognition", one, "--preset", "quick")
+    assert "expected one of faithful" in refused("recognition", one, other, "--preset", "fast")
+    for words in ((one, other), ("--preset", "quick"), ()):
+        message = refused("recognition", *words)
+        assert message.startswith("params.yaml does not exist; run inside an objectfolder workspace, or name")
+        assert "give --preset" in message
+    assert list(Path().iterdir()) == []
 
 
 def test_a_split_with_nothing_to_tell_apart_is_refused_before_objects_are_sampled(files, workspace):

@@ -1,5 +1,6 @@
 """`objectfolder add` and `preset`: all or nothing."""
 
+import io
 import os
 import re
 import shutil
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from rich.console import Console
 from typer.testing import CliRunner
 
 from objectfolder.cli import app
@@ -19,7 +21,7 @@ from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.workspace import objects as catalog
 from objectfolder.workspace import params
 from objectfolder.workspace.check import check_all
-from objectfolder.workspace.discover import discover, slug
+from objectfolder.workspace.discover import Candidate, Examination, discover, examination_table, slug
 from objectfolder.workspace.presets import apply_preset
 
 ROOT = Path(__file__).parents[2]
@@ -238,10 +240,11 @@ def test_a_folder_shows_what_it_understood_and_adds_what_it_can(workspace, colle
         "0.2",
         "y?",
         "1",
-        "keep",
-        "2,000.0",
+        *("closed", "already"),
+        "2,000",
     ]
-    assert row(result, "brick") == ["brick", "Brick.STL", "wood", "0.2", "z?", "1", "keep", "2,000.0"]
+    brick = ["brick", "Brick.STL", "wood", "0.2", "z?", "1", "closed", "already", "2,000"]
+    assert row(result, "brick") == brick
     assert row(result, "open") == ["open", "mesh.ply", "wood", "refused"]
     assert row(result, "both") == ["both", "a.ply", "wood", "refused"]
     assert "refused open: open: 2 separate pieces" in result.output
@@ -309,7 +312,9 @@ def test_a_list_names_materials(workspace, collection, file, text):
     ("file", "text", "message"),
     [
         ("materials.csv", "name,material\nbrik,iron\n", "names brik, which it does not contain"),
-        ("materials.csv", "brick\n", r"materials\.csv cannot be read.*expected lines `name,material`"),
+        ("materials.csv", "brick\n", r"materials\.csv, line 1 is 'brick', expected `name,material`$"),
+        ("materials.csv", "Brick,iron\n\nopen;steel\n", r"materials\.csv, line 3 is 'open;steel', expected"),
+        ("materials.csv", "Brick,iron,red\n", r"materials\.csv, line 1 is 'Brick,iron,red', expected"),
         ("materials.yaml", "- brick\n", r"materials\.yaml holds list; expected"),
         ("materials.yaml", "{", r"materials\.yaml, line [12] is not valid YAML"),
     ],
@@ -335,7 +340,23 @@ def test_folders_whose_names_give_one_key_are_both_refused(collection):
     shutil.copytree(collection / "025_Mug (blue)", collection / "mug-blue")
     refused = [c for c in discover(collection) if c.key == "mug_blue"]
     assert len(refused) == 2
-    assert all("2 objects" in c.refusal for c in refused)
+    names = "025_Mug (blue)/ and mug-blue/"
+    message = f"{names} in {collection} would both be named 'mug_blue'; rename all but one"
+    assert all(c.refusal.startswith(message) for c in refused)
+
+
+@pytest.mark.usefixtures("coarse")
+def test_files_whose_names_give_one_key_are_named(workspace, tmp_path):
+    folder = tmp_path / "set"
+    folder.mkdir()
+    for suffix in ("off", "ply", "stl", "glb", "obj"):
+        trimesh.creation.box([0.2, 0.1, 0.1]).export(folder / f"box.{suffix}")
+    result = run(folder, "--material", "wood", "--dry-run")
+    assert result.exit_code == 1
+    said = [line for line in result.output.splitlines() if line.startswith("refused")]
+    (message,) = said
+    assert f"box.glb, box.obj, box.off and 2 more in {folder} would all be named 'box'; rename" in message
+    assert "0 can be added, 5 refused" in result.output
 
 
 def test_deeper_folders_and_the_folder_of_one_mesh(tmp_path):
@@ -384,7 +405,7 @@ def test_one_mesh_is_examined_before_it_is_added(workspace, collection):
     brick = [collection / "Brick.STL", "--name", "brick", "--material", "wood"]
     dry = run(*brick, "--scale", "0.5", "--dry-run")
     assert dry.exit_code == 0
-    assert row(dry, "brick")[3:] == ["0.5", "z?", "1", "keep", "31,250.0"]
+    assert row(dry, "brick")[3:] == ["0.5", "z?", "1", "closed", "already", "31,250"]
     assert snapshot(workspace) == before
     done = run(*brick, "--unit", "cm")
     assert done.exit_code == 0
@@ -418,8 +439,69 @@ def test_bad_options_change_nothing(workspace, collection, arguments, message):
 )
 def test_options_for_meshes_are_refused_for_a_catalogue(workspace, options):
     before = snapshot(workspace)
-    assert f"{options[0]} is for meshes" in str(run("catalogs/starter.yaml", *options).exception)
+    message = f"is a catalogue, whose entries set these; {options[0]} applies to meshes only"
+    assert message in str(run("catalogs/starter.yaml", *options).exception)
+    both = run("catalogs/starter.yaml", "--scale", "3", "--dry-run").exception
+    assert str(both).endswith("; --scale and --dry-run apply to meshes only")
     assert snapshot(workspace) == before
+
+
+@pytest.mark.parametrize(
+    ("name", "problem"), [("nosuch.yaml", "does not exist"), ("folder.yaml", "is a folder")]
+)
+def test_a_catalogue_that_is_not_there_is_named(workspace, name, problem):
+    (workspace / "folder.yaml").mkdir()
+    message = str(run(name).exception)
+    assert message == f"{name} {problem}; expected a catalogue such as catalogs/starter.yaml"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("\nseed: 0", "\nsed: 0", "'sed' is not a section; do you mean seed?"),
+        ("material: ceramic", "material: cermic", "objects.mug: material: unknown material 'cermic'"),
+    ],
+)
+def test_nothing_is_added_to_parameters_that_a_build_refuses(workspace, collection, old, new, message):
+    text = (workspace / "params.yaml").read_text()
+    assert old in text
+    (workspace / "params.yaml").write_text(text.replace(old, new))
+    before = snapshot(workspace)
+    brick = (collection / "Brick.STL", "--name", "brick", "--material", "wood")
+    for words in (
+        (*brick, "--dry-run"),
+        brick,
+        (collection, "--material", "wood"),
+        ("catalogs/starter.yaml",),
+    ):
+        error = run(*words).exception
+        assert isinstance(error, ObjectFolderError)
+        assert message in str(error)
+    assert snapshot(workspace) == before
+
+
+@pytest.mark.parametrize("width", [60, 80, 100])
+def test_numbers_of_the_table_stay_whole_in_a_narrow_terminal(width):
+    found = [
+        Examination(
+            Candidate("a_rather_long_object_key", Path("a_rather_long_file_name.obj"), "ceramic"), *values
+        )
+        for values in (
+            (0.0615249, "z", 12, "keep", 254.9e-6),
+            (1.23456, "y", 1, "thicken", 2549.04e-6),
+            (0.2, "z", 1234, "untangle", 1.25),
+        )
+    ]
+    console = Console(file=io.StringIO(), width=width)
+    console.print(examination_table(found, True))
+    text = console.file.getvalue()
+    assert max(map(len, text.splitlines())) <= width
+    words = text.split()
+    for number in ("0.06152", "12", "254.9", "1.235", "2,549", "0.2", "1234", "1,250,000"):
+        assert number in words
+    assert "keep" not in words
+    if width >= 80:
+        assert {"closed", "already", "thicken", "untangle", "ceramic"} < set(words)
 
 
 @pytest.mark.usefixtures("coarse")

@@ -92,7 +92,7 @@ def test_recordings_that_tell_nothing_are_refused(built, tmp_path, spoil, messag
 
 def test_what_is_no_recording_or_no_object_is_named(built, recordings, tmp_path):
     (tmp_path / "text.wav").write_text("no audio")
-    assert "text.wav is no readable audio file" in str(run("mug", tmp_path / "text.wav").exception)
+    assert "text.wav is not a readable audio file" in str(run("mug", tmp_path / "text.wav").exception)
     assert "nowhere.wav" in str(run("mug", tmp_path / "nowhere.wav").exception)
     assert "cup" in str(run("cup", recordings[0]).exception)
     assert "--law 'magic' is not one of rayleigh, loss_factor" in str(

@@ -1,4 +1,5 @@
 import re
+import shutil
 
 import numpy as np
 import pytest
@@ -60,11 +61,13 @@ def test_views_under_several_lights(brick, brick_path, tmp_path):
     arguments = ["query", "vision", str(brick_path), str(tmp_path / "cameras.npy"), str(tmp_path / "out")]
     lamps = [PointLight(row[:3], row[3:]) for row in lights]
     for option, expected in ((str(tmp_path / "lights.npy"), lamps), ("studio", "studio")):
+        shutil.rmtree(tmp_path / "out", ignore_errors=True)
         done = CliRunner().invoke(app, [*arguments, "--resolution", "24", "--lights", option])
         assert done.exit_code == 0
         for i, image in enumerate(brick.view(cameras, resolution=24, lights=expected), 1):
             with Image.open(tmp_path / "out" / f"{i}.png") as written:
                 np.testing.assert_allclose(np.asarray(written) / 255, image, atol=0.5 / 255 + 1e-6)
+    shutil.rmtree(tmp_path / "out")
     with pytest.raises(ObjectFolderError, match=r"expected \(N, 6\), or give --lights"):
         app(arguments, standalone_mode=False)
 
@@ -306,3 +309,49 @@ def test_touches_of_nonsense_are_refused_and_nothing_is_written(feel, tmp_path, 
     with pytest.raises(ObjectFolderError, match=message):
         feel(*options)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.fixture(params=["vision", "audio", "touch"])
+def ask(request, brick, brick_path, tmp_path):
+    """Answer queries of each kind into a folder; ``count`` of them."""
+
+    def run(out, count=1):
+        points = brick.sample_surface(count)
+        rows = {
+            "vision": np.tile([2.0, 1, 1, 0.5, 0.5, 1], (count, 1)),
+            "audio": np.hstack([points, np.ones((count, 3))]),
+            "touch": points,
+        }
+        np.save(tmp_path / "rows.npy", rows[request.param])
+        small = {"vision": ["--resolution", "8"], "audio": ["--duration", "0.1"], "touch": []}
+        words = ["query", request.param, brick_path, tmp_path / "rows.npy", out, *small[request.param]]
+        app([str(word) for word in words], standalone_mode=False)
+
+    return run
+
+
+def test_answers_never_mix_with_those_of_an_earlier_query(ask, tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / ".keep").touch()
+    ask(out, 2)
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    assert len(before) > 2
+    with pytest.raises(
+        ObjectFolderError, match=r"out is not empty: it holds 1\.\w+, 2\..*; choose another name"
+    ):
+        ask(out, 1)
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+
+
+def test_a_file_in_place_of_the_folder_is_named_before_anything_is_computed(ask, tmp_path, monkeypatch):
+    monkeypatch.setattr("objectfolder.objectfile.file.ObjectFile.load", lambda path: pytest.fail("loaded"))
+    (tmp_path / "afile").touch()
+    with pytest.raises(ObjectFolderError, match="afile is a file, expected a folder; choose another name"):
+        ask(tmp_path / "afile")
+
+
+def test_one_answer_is_not_several(ask, tmp_path, capsys):
+    ask(tmp_path / "out", 1)
+    said = capsys.readouterr().out
+    assert re.match(r"1 (view|sound|contact) in ", said)

@@ -57,6 +57,18 @@ def test_default_views_are_those_of_the_published_data(tmp_path):
     np.testing.assert_allclose(np.linalg.norm(rows.reshape(-1, 3), axis=1), [2.5, 1] * 20, rtol=1e-12)
 
 
+def test_cameras_alone_go_with_other_lights(brick_path, tmp_path):
+    run("sample", "vision", tmp_path / "both.npy", "-n", 2)
+    run("sample", "vision", tmp_path / "v.npy", "-n", 2, "--cameras-only")
+    cameras, views = (np.load(tmp_path / name, allow_pickle=False) for name in ("v.npy", "both.npy"))
+    np.testing.assert_array_equal(cameras, views[:, :3])
+    run(
+        *("query", "vision", brick_path, tmp_path / "v.npy", tmp_path / "out"),
+        *("--lights", "studio", "--resolution", 16),
+    )
+    assert len(list((tmp_path / "out").iterdir())) == 2
+
+
 def test_strikes_are_on_the_surface_uniform_by_area_and_push_straight_in(brick, brick_path, tmp_path):
     run("sample", "audio", brick_path, tmp_path / "s.npy", "-n", 3000, "--force", 0.25)
     points, impulses = np.hsplit(np.load(tmp_path / "s.npy", allow_pickle=False), 2)

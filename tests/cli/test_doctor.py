@@ -1,3 +1,4 @@
+import platform
 import subprocess
 import sys
 import tomllib
@@ -7,9 +8,12 @@ from types import SimpleNamespace
 import pytest
 from typer.testing import CliRunner
 
+import objectfolder
 from objectfolder.cli import app, doctor
+from objectfolder.installation import install_command
 
-PYPROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
+ROOT = Path(__file__).parents[2]
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 REQUIREMENTS = [
     "numpy>=2.0",
     "colorama; sys_platform == 'linux'",
@@ -48,14 +52,15 @@ def test_a_bare_machine_gets_what_to_install_for_each_part(machine):
     assert not any(part.usable or part.found for part in parts.values())
     result = CliRunner().invoke(app, ["doctor"])
     assert result.exit_code == 0
-    rows = result.output.splitlines()[1:]
+    first, _, *rows = result.output.splitlines()
+    assert first == f"objectfolder {objectfolder.__version__} in {ROOT}, Python {platform.python_version()}"
     assert [row.split("  ")[0].strip() for row in rows] == list(parts)
     for row, part in zip(rows, parts.values(), strict=True):
         assert "missing" in row
         assert part.brings in row
         assert part.get in row
     assert "libllvm19" in parts["LLVM 19"].get
-    assert "objectfolder[build]" in parts["extra build"].get
+    assert parts["extra build"].get == install_command("build")
     assert "not for this Python" in parts["extra cycles"].get
 
 

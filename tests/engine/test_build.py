@@ -174,8 +174,15 @@ def test_wrong_arguments_and_workspaces(workspace, tmp_path):
         BuildOptions(jobs=0)
     with pytest.raises(ObjectFolderError, match="not a directory"):
         build(root=tmp_path / "nowhere")
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    with pytest.raises(
+        ObjectFolderError, match=r"outside/params\.yaml does not exist; .*`objectfolder init DIR`"
+    ):
+        build(root=outside)
+    (outside / "params.yaml").write_text("")
     with pytest.raises(ObjectFolderError, match="dvc init"):
-        build(root=tmp_path)
+        build(root=outside)
     (workspace.root / "dvc.yaml").write_text("stages: 3\n")
     with pytest.raises(ObjectFolderError, match="cannot read the workspace"):
         build(root=workspace.root)

@@ -179,11 +179,12 @@ def test_printed(workspace, terminal):
     table, details, outlook = texts
     assert "mug" in table
     assert "bowl" not in table
-    assert "7 fresh, 1 stale, 1 upstream stale; 2 objects all fresh" in table
+    assert "7 stages fresh, 1 stale, 1 upstream stale; 2 of 3 objects complete\n" in table
     assert "objects.mug.material: steel -> glass" in table
     assert "    objects.mug.material: steel -> glass" in details
     assert "solve@mug  objects.mug.material: steel -> glass" in outlook
-    assert "7 nothing, 1 run, 1 perhaps run" in outlook
+    assert details.endswith("\n7 stages fresh, 1 stale, 1 upstream stale\n")
+    assert outlook.endswith("\n7 up to date, 1 to run, 1 perhaps to run\n")
     entries = {entry["address"]: entry for entry in json.loads(json.dumps(as_json(found)))}
     assert entries["solve@mug"]["state"] == "stale"
     assert entries["solve@mug"]["object"] == "mug"
@@ -194,4 +195,23 @@ def test_splits_of_benchmarks_are_no_objects():
     found = [StageStatus(address, State.FRESH, Outlook.SKIP, (), (), "") for address in addresses]
     console = Console(file=io.StringIO(), width=100)
     print_table(found, console)
-    assert console.file.getvalue() == "4 fresh; 2 objects all fresh\n"
+    assert console.file.getvalue() == "4 stages fresh; 2 of 2 objects complete\n"
+
+
+@pytest.mark.parametrize(
+    ("states", "counts"),
+    [
+        (("never built",) * 12 + ("fresh",), "12 stages never built; no object is complete"),
+        (("fresh", "failed", "fresh"), "1 stage fresh, 1 failed; no object is complete"),
+        (("fresh", "fresh", "fresh"), "2 stages fresh; 1 of 1 object complete"),
+        (("fresh", "stale"), "1 stage fresh, 1 source stale; 1 of 1 object complete"),
+        (("missing",), "no stages, 1 source missing; no object is complete"),
+    ],
+)
+def test_a_source_is_no_stage(states, counts):
+    """The last one is the .dvc file of an added mesh."""
+    addresses = [*(f"stage_{i}@mug" for i in range(len(states) - 1)), "data/objects/mug.dvc"]
+    found = [StageStatus(address, State(state), Outlook.SKIP) for address, state in zip(addresses, states)]
+    console = Console(file=io.StringIO(), width=100)
+    print_table(found, console)
+    assert counts in console.file.getvalue().splitlines()

@@ -1,8 +1,13 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from brick import felt_by
+from solids import box
 
 from objectfolder.envs.fingers import (
+    LEAST_DEPTH,
+    Presses,
     TrueSurface,
     pad_presses,
     press_depths,
@@ -60,28 +65,31 @@ def test_depth_is_clipped_to_the_range_of_the_sensor(brick, on_faces):
     assert press_depths(brick, on_faces, np.array([1e6, 1e6])) == pytest.approx([deepest, deepest])
 
 
+def on_box(profile, background):
+    """The brick's exact surface."""
+    corners, faces = box((0.1, 0.06, 0.03))
+    return TrueSurface(corners, faces, profile, background)
+
+
+def test_pads_may_face_away_from_the_surface(brick, on_faces):
+    """As those that begin to close inside of an object."""
+    away = Presses(on_faces.points, unit(np.array([[0.3, -1.0, 0.1], [-0.2, 1.0, 0.3]])), on_faces.up)
+    away = replace(away, up=unit(np.cross(np.cross(away.outward, away.up), away.outward)))
+    assert ((away.outward * brick.contact_normals(away.points)).sum(1) < -0.9).all()
+    truth = on_box(brick.sensor_profile, brick.sensor_background)
+    depths = np.array([0.0012, 0.0008])
+    implicit, explicit = tactile_images(brick, away, depths), truth.tactile_images(away, depths)
+    assert np.abs(implicit.astype(int) - explicit).mean() < 1
+    limits = LEAST_DEPTH, brick.sensor_profile.max_indentation
+    found = press_depths(brick, away, np.array([1.0, 10.0]))
+    assert ((found >= limits[0] * (1 - 1e-9)) & (found <= limits[1] * (1 + 1e-9))).all()
+
+
 @pytest.mark.parametrize("sensor", ["digit", "digit_real"])
 def test_implicit_and_true_touches_agree(brick, on_faces, sensor):
     """The brick's surface is flat, so that the stored distances hold it exactly."""
     brick = felt_by(brick, sensor)
-    half = np.array([0.05, 0.03, 0.015])
-    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half
-    from scipy.spatial import ConvexHull
-
-    hull = ConvexHull(corners)
-    flip = (
-        np.einsum(
-            "ni,ni->n",
-            np.cross(
-                corners[hull.simplices[:, 1]] - corners[hull.simplices[:, 0]],
-                corners[hull.simplices[:, 2]] - corners[hull.simplices[:, 0]],
-            ),
-            hull.equations[:, :3],
-        )
-        < 0
-    )
-    faces = np.where(flip[:, None], hull.simplices[:, ::-1], hull.simplices)
-    truth = TrueSurface(corners, faces, brick.sensor_profile, brick.sensor_background)
+    truth = on_box(brick.sensor_profile, brick.sensor_background)
     depths = np.array([0.0012, 0.0008])
     implicit, explicit = tactile_images(brick, on_faces, depths), truth.tactile_images(on_faces, depths)
     assert implicit.shape == (2, *brick.sensor_background.shape)

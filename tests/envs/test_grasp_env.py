@@ -6,15 +6,18 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 import objectfolder.envs  # noqa: F401, registers
+from objectfolder.envs import hulls as module
 from objectfolder.envs.body import rigid_body
 from objectfolder.envs.episodes import Episodes
 from objectfolder.envs.features import TouchBank, TouchFeatures
 from objectfolder.envs.grasp import GraspEnv, GraspVectorEnv
-from objectfolder.envs.grasp_scene import lowest_hand
+from objectfolder.envs.grasp_scene import GraspScene, lowest_hand
 from objectfolder.envs.grasp_task import ACTION_SCALE, STEPS, GraspTask
 from objectfolder.envs.hulls import cached_hulls, convex_hulls
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
+
+NAMES = ("file", "observation")
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +174,7 @@ def test_pictures_show_the_episode(brick, hulls):
 
 
 def test_files_that_cannot_be_grasped(brick, hulls):
-    with pytest.raises(ObjectFolderError, match="observation 'smell' is unknown, expected one of features"):
+    with pytest.raises(ObjectFolderError, match="observation 'smell' is not one of features, tactile, "):
         GraspEnv(brick, "smell", hulls)
     header = {name: value for name, value in brick.header.items() if name != "touch"}
     numb = ObjectFile(header, brick.tensors)
@@ -179,6 +182,50 @@ def test_files_that_cannot_be_grasped(brick, hulls):
         GraspEnv(numb, "features", hulls)
     with pytest.raises(ObjectFolderError, match="needs an Object File"):
         GraspVectorEnv(2)
+
+
+def test_what_cannot_be_grasped_is_refused_before_its_hulls_are_computed(brick, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(module, "convex_hulls", lambda *given: pytest.fail("hulls were computed"))
+    numb = ObjectFile({name: of for name, of in brick.header.items() if name != "touch"}, brick.tensors)
+    wrong = {
+        "die is too large for the gripper: at its narrowest 160 mm .* 110 mm": (ObjectFile.sample("die"),),
+        "holds no touch": (numb,),
+        "observation 'smell' is not one of": (brick, "smell"),
+    }
+    for message, arguments in wrong.items():
+        for hulls in (None, tmp_path / "new" / "hulls"):
+            options = {} if hulls is None else {"hulls": hulls}
+            with pytest.raises(ObjectFolderError, match=message):
+                gymnasium.make("ObjectFolder/Grasp-v0", **dict(zip(NAMES, arguments)), **options)
+            with pytest.raises(ObjectFolderError, match=message):
+                GraspVectorEnv(2, *arguments, **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_hulls_are_cached_if_an_environment_can_be_made(brick, tmp_path, monkeypatch):
+    """In the user's folder by default, none in the current one."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    rests, made = GraspScene.rests, []
+    computed = convex_hulls(brick.to_mesh())
+    monkeypatch.setattr(module, "convex_hulls", lambda *given: made.append(given) or computed)
+
+    def rolls(*given):
+        raise ObjectFolderError("it rolls or rocks")
+
+    monkeypatch.setattr(GraspScene, "rests", rolls)
+    with pytest.raises(ObjectFolderError, match="it rolls or rocks"):
+        GraspEnv(brick, "blind")
+    assert list(tmp_path.iterdir()) == []
+    monkeypatch.setattr(GraspScene, "rests", rests)
+    first, _ = GraspEnv(brick, "blind").reset(seed=0)
+    written = [str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()]
+    assert written == ["cache/objectfolder/hulls/brick.npz"]
+    again, _ = GraspEnv(brick, "blind").reset(seed=0)
+    assert len(made) == 2  # in vain, and once
+    np.testing.assert_array_equal(again, first)
 
 
 def test_damaged_hulls_are_named(brick, tmp_path):

@@ -237,7 +237,7 @@ def test_restitution_is_that_of_a_spring_and_a_damper_that_cannot_pull(reference
         ({"listener": [0, 0, np.nan]}, "three finite numbers"),
         ({"listener": "nose"}, r"no site 'nose', but \['ear', 'brick_ear'\]"),
         ({"sample_rate": 2000}, r"lowest mode is at \d+ Hz, above half the sample rate of 2000 Hz"),
-        ({"sample_rate": -1}, "sample rate"),
+        ({"sample_rate": -1}, "sample_rate is -1 Hz, expected a positive number"),
         ({"surroundings": "cheese"}, "unknown material 'cheese'"),
         ({"seed": -1}, "seed"),
     ],

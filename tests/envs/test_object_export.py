@@ -13,6 +13,7 @@ from objectfolder.envs.body import rigid_body
 from objectfolder.envs.export import write_mjcf, write_urdf
 from objectfolder.envs.hulls import convex_hulls
 from objectfolder.errors import ObjectFolderError
+from objectfolder.installation import install_command
 from objectfolder.objectfile.file import ObjectFile
 
 WRITERS = pytest.mark.parametrize("write", [write_mjcf, write_urdf])
@@ -218,4 +219,4 @@ def test_library_that_is_not_there_is_named(brick_path, tmp_path, monkeypatch, l
     monkeypatch.setitem(sys.modules, library, None)
     result = CliRunner().invoke(app, ["export", "urdf", str(tmp_path / "out"), str(brick_path)])
     assert isinstance(result.exception, ObjectFolderError)
-    assert f"{library} is not installed; this needs: pip install 'objectfolder[rl]'" in str(result.exception)
+    assert f"{library} is not installed; this needs: {install_command('rl')}" in str(result.exception)

@@ -12,6 +12,7 @@ from objectfolder.cli import app
 from objectfolder.envs import visual
 from objectfolder.envs.body import density, rigid_body
 from objectfolder.envs.hulls import convex_hulls
+from objectfolder.installation import install_command
 
 WITH_USD = pytest.mark.skipif(not find_spec("pxr"), reason="usd-core is not installed")
 
@@ -113,5 +114,5 @@ def test_the_same_object_gives_the_same_usd(brick, body, path, tmp_path):
 def test_without_the_library_the_usd_export_says_what_to_install(brick_path, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pxr", None)
     done = CliRunner().invoke(app, ["export", "usd", str(tmp_path / "out"), str(brick_path)])
-    assert "pip install 'objectfolder[usd]'" in str(done.exception)
+    assert install_command("usd") in str(done.exception)
     assert not (tmp_path / "out").exists()

@@ -146,14 +146,14 @@ def twice(path, name):
 @pytest.mark.parametrize("name", ["scale", "audio.damping"])
 def test_an_object_file_that_names_something_twice_is_refused(path, name):
     twice(path, name)
-    message = f"file.safetensors is not a readable safetensors file: it holds '{name}' 2 times"
+    message = f"nor another readable safetensors file: it holds '{name}' 2 times"
     with pytest.raises(ObjectFolderError, match=message):
         ObjectFile.load(path)
 
 
 def test_metadata_twice_is_refused(path):
     twice(path, "__metadata__")
-    with pytest.raises(ObjectFolderError, match="is not a readable safetensors file"):
+    with pytest.raises(ObjectFolderError, match="nor another readable safetensors file"):
         ObjectFile.load(path)
 
 

@@ -49,6 +49,24 @@ def test_the_same_object_gives_the_same_bytes(brick, brick_path, tmp_path):
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes() == brick_path.read_bytes()
 
 
+def test_an_object_says_what_it_is_in_one_line(brick, edit):
+    held = "geometry, vision, audio, touch, radiation"
+    assert repr(brick) == str(brick) == f"ObjectFile('brick': plastic, 0.1 m; {held})"
+    small = ObjectFile({**brick.header, "scale": 0.0123456}, brick.tensors)
+    assert repr(small) == f"ObjectFile('brick': plastic, 0.01235 m; {held})"
+    assert repr(edit(lambda header: header.pop("touch"))).endswith("; geometry, vision, audio, radiation)")
+    bare = {name: of for name, of in brick.header.items() if name not in held.split(", ")}
+    assert repr(ObjectFile(bare, {})) == "ObjectFile('brick': plastic, 0.1 m; nothing)"
+    assert "objectfolder" in brick._repr_html_()
+
+
+def test_what_is_asked_for_is_held_or_all_that_is_held_is_listed(brick):
+    held = "geometry, vision, audio, touch, radiation"
+    brick.require(*held.split(", "))
+    with pytest.raises(ObjectFolderError, match=f"^brick: the file holds no smell; it holds {held}$"):
+        brick.require("smell")
+
+
 def test_properties(brick):
     assert (brick.key, brick.material, brick.scale) == ("brick", "plastic", SCALE)
     assert len(brick.frequencies) == 12
@@ -139,7 +157,7 @@ def test_a_header_without_a_field(edit, field):
         ("scale", 0, "scale: 0 is less than the minimum of 1e-12"),
         ("scale", 1e-300, "scale: 1e-300 is less than the minimum of 1e-12"),
         ("scale", "big", "scale: 'big' is not of type 'number'"),
-        ("scale", math.nan, "is not a readable safetensors file: its header holds NaN"),
+        ("scale", math.nan, "nor another readable safetensors file: its header holds NaN"),
         ("scale", True, "scale: True is not of type 'number'"),
         ("key", "../../etc/passwd", "key: '../../etc/passwd' does not match"),
         ("key", "a" * 1000, "key: .* does not match"),

@@ -2,6 +2,7 @@ import dataclasses
 import hashlib
 import json
 import logging
+import re
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import pairwise
@@ -16,13 +17,14 @@ from hypothesis import strategies as st
 from objectfolder import ObjectFile
 from objectfolder.audio.contact import STRIKERS, contact_time
 from objectfolder.errors import ObjectFolderError
-from objectfolder.materials import material
+from objectfolder.materials import Material, material
 from objectfolder.nets.audio_gains import GainsNet
 from objectfolder.objectfile.audio import ModalSense
 from objectfolder.objectfile.parts import StoredParts
 from objectfolder.objectfile.reading import StoredNet
 from objectfolder.objectfile.sound_settings import SoundSettings
 from objectfolder.objectfile.surface import ObjectSurface
+from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals
 from objectfolder.touch.profiles import load_profile
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere_points
 
@@ -273,7 +275,8 @@ def test_a_point_off_the_surface_is_refused_with_row_and_distance(brick, questio
     points[4] = [0, 0, SCALE]
     arguments = (points, np.ones((6, 3))) if question == "impact" else (points,)
     with pytest.raises(
-        ObjectFolderError, match=r"1 of 6 points .*row 4 at \[0.0, 0.0, 1.0\].* 0.85 .*at most 0.02"
+        ObjectFolderError,
+        match=r"1 of 6 points .*row 4 at \[0.0, 0.0, 0.1\] m, 0.085 m away; .*at most 0.002 m, 0.02 of the",
     ):
         getattr(brick, question)(*arguments)
     getattr(brick, question)(*arguments, tolerance=0.9)
@@ -414,6 +417,46 @@ def test_a_sound_of_nonsense_is_refused(brick, arguments, message):
         brick.impact(TOP, UP, **arguments)
 
 
+UNDAMPED = Material("brass", 8500.0, 1.0e11, 0.34)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"delay": True}, "delay is True, but without a listener .*; give listener, or leave delay out"),
+        ({"contact_time": 1e-3, "striker": "steel"}, "striker is 'steel', but contact_time says .*leave one"),
+        ({"contact_time": 0.0, "striker": STRIKERS["wood"]}, r"striker is Striker\(.*, but contact_time"),
+        ({"material": UNDAMPED}, "material 'brass': an undamped object rings for ever; give alpha, beta or"),
+    ],
+)
+def test_arguments_that_would_be_ignored_are_refused(brick, arguments, message):
+    for question in (brick.impact, brick.listen):
+        with pytest.raises(ObjectFolderError, match=message):
+            question(TOP, UP, **arguments)
+
+
+def test_a_material_has_a_loss_factor_alone(brick):
+    brass = dataclasses.replace(UNDAMPED, loss_factor=((1000.0, 5e-4), (10000.0, 1e-3)))
+    given = dataclasses.replace(brass, alpha=3.0, beta=1e-7)  # which the loss factor replaces
+    sound = brick.impact(TOP, UP, 48000, 0.2, material=brass)
+    np.testing.assert_array_equal(brick.impact(TOP, UP, 48000, 0.2, material=given), sound)
+    heard = brick.tuning(brass)
+    hertz, loss = heard.frequencies.numpy(), heard.damping.numpy() / (np.pi * heard.frequencies.numpy())
+    assert hertz.min() < 10000 < hertz.max()
+    np.testing.assert_allclose(loss, np.interp(hertz, *zip(*brass.loss_factor)), rtol=1e-5)
+    # How long a striker touches it, and its frequencies, do not depend on its damping.
+    assert brick.contact_time(material=UNDAMPED) == brick.contact_time(material=brass)
+    np.testing.assert_allclose(brick.tuning(UNDAMPED).frequencies.numpy(), hertz, rtol=1e-6)
+
+
+def test_a_voice_needs_a_sample_rate_and_damping(brick):
+    for rate, said in ((0, "0 Hz"), (-1.5, "-1.5 Hz"), (np.nan, "nan"), (np.inf, "inf"), ("fast", "'fast'")):
+        with pytest.raises(ObjectFolderError, match=f"^sample_rate is {said}, expected a (positive|finite)"):
+            brick.voice(rate)
+    with pytest.raises(ObjectFolderError, match="material 'brass': an undamped object rings for ever"):
+        brick.voice(material=UNDAMPED)
+
+
 # Feeling
 
 
@@ -438,9 +481,12 @@ def test_a_touch_answers_with_images(brick):
         ({"depth": [0.001] * 3}, r"depth has shape \(3,\), expected one number or 2 of them"),
         ({"angle": [[0.0]]}, r"angle has shape \(1, 1\), expected one number or 2"),
         ({"tilt": np.inf}, "tilt: row 0 is inf"),
+        ({"tilt": 15}, "tilt: row 0 is 15 rad, expected at most 1.57 either way; angles are in radians"),
+        ({"tilt": [0.1, -np.pi]}, "tilt: row 1 is -3.14159 rad, expected at most 1.57"),
+        ({"tilt": np.nextafter(np.pi / 2, 2) + 2e-6}, "tilt: row 0 is 1.5708 rad"),
         ({"azimuth": [0.0, np.nan]}, "azimuth: row 1 is nan"),
         ({"sensor": "gelsite"}, "unknown sensor profile 'gelsite': expected one of digit"),
-        ({"sensor": "none.yaml"}, r"unknown sensor profile 'none.yaml'"),
+        ({"sensor": "none.yaml"}, "sensor profile 'none.yaml': there is no such file; give .*names digit, "),
     ],
 )
 def test_a_touch_of_nonsense_is_refused(brick, arguments, message):
@@ -449,11 +495,43 @@ def test_a_touch_of_nonsense_is_refused(brick, arguments, message):
             question(TOP.repeat(2, 0), **arguments)
 
 
+def test_a_sensor_may_lean_by_a_right_angle(brick):
+    """In either direction, and rounded to single precision."""
+    right = torch.tensor([torch.pi / 2, -torch.pi / 2])
+    assert right[0].item() > np.pi / 2
+    leaning = brick.press(TOP.repeat(2, 0), 5e-4, tilt=right, azimuth=[0, np.pi])
+    assert np.isfinite(leaning.force).all()
+    np.testing.assert_allclose(leaning.height[0], leaning.height[1], atol=1e-6)  # the same pose
+
+
+def test_contact_normals_are_those_of_a_touch(brick):
+    """Points near the surface are snapped to it."""
+    points = brick.sample_surface(20, seed=2)
+    normals = brick.contact_normals(points)
+    feet = brick.surface.grid.smooth_distance, points / brick.scale, NORMAL_RADIUS
+    np.testing.assert_array_equal(normals, contact_normals(*feet))
+    near = brick.nearest(points + 0.4 * brick.surface.grid.spacing * SCALE * normals)[0]
+    above = near + 0.015 * SCALE * brick.contact_normals(near)
+    snapped = brick.nearest(above)[0]
+    np.testing.assert_allclose(brick.contact_normals(above), brick.contact_normals(snapped), atol=1e-6)
+    assert brick.contact_normals(np.zeros((0, 3))).shape == (0, 3)
+
+
+def test_a_contact_normal_off_the_surface_is_refused_in_metres(brick):
+    points = brick.sample_surface(4)
+    points[1] *= 3
+    at, distance = re.escape(str(points[1].round(6).tolist())), brick.nearest(points)[1][1]
+    message = f"1 of 4 points are off the surface, the first is row 1 at {at} m, {distance:.3g} m away"
+    with pytest.raises(ObjectFolderError, match=message):
+        brick.contact_normals(points)
+    assert np.isfinite(brick.contact_normals(points, tolerance=3.0)).all()
+
+
 def test_a_point_off_the_surface_is_named(brick):
     points = TOP.repeat(3, 0)
     points[2, 2] += 0.004
     with pytest.raises(
-        ObjectFolderError, match=r"1 of 3 points .* the first is row 2 at .*0\.0414 of the size away"
+        ObjectFolderError, match=r"1 of 3 points .* row 2 at \[0.01, 0.005, 0.019\] m, 0.00414 m away"
     ):
         brick.press(points)
 

@@ -3,7 +3,6 @@ from pathlib import Path
 import pytest
 
 from objectfolder import ObjectFile
-from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import safetensors_bytes
 from objectfolder.objectfile.header import format_name
@@ -25,12 +24,10 @@ def test_an_unknown_sample_is_refused():
         ObjectFile.sample("../mug")
 
 
-def test_a_folder_of_the_same_name_does_not_hide_a_sample(tmp_path, monkeypatch):
+def test_a_file_of_the_same_name_comes_before_a_sample(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("mug").mkdir()
     assert file_or_sample(Path("mug")) == sample_path("mug")
-    app(["view", "mug", "--out", "mug.html", "--no-open"], standalone_mode=False)
-    assert Path("mug.html").is_file()
     Path("die").write_bytes(b"a file of that name")
     assert file_or_sample(Path("die")) == Path("die")
     assert file_or_sample(Path("cup")) == Path("cup")

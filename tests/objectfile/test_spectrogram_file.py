@@ -77,9 +77,9 @@ def test_its_scores_stand_beside_silence(file, brick):
 
 
 def test_a_striker_is_refused_since_its_contact_time_is_not_known(file):
-    with pytest.raises(ObjectFolderError, match="leave striker out, or give contact_time 0"):
+    with pytest.raises(ObjectFolderError, match="of ideal impulses; leave striker out"):
         file.impact(file.sample_surface(1), [0, 0, 1], striker="finger")
-    assert file.impact(file.sample_surface(1), [0, 0, 1], striker="finger", contact_time=0.0).any()
+    assert file.impact(file.sample_surface(1), [0, 0, 1], contact_time=0.0).any()
 
 
 def test_the_command_refuses_a_striker_alike(file, tmp_path):
@@ -89,7 +89,7 @@ def test_the_command_refuses_a_striker_alike(file, tmp_path):
     app(command, standalone_mode=False)
     assert (tmp_path / "out" / "1.wav").exists()
     with pytest.raises(ObjectFolderError, match="leave striker out"):
-        app([*command, "--striker", "finger"], standalone_mode=False)
+        app([*command[:-1], str(tmp_path / "other"), "--striker", "finger"], standalone_mode=False)
 
 
 @pytest.mark.parametrize("option", [{"material": "steel"}, {"scale": 0.3}, {"contact_time": 1e-3}])

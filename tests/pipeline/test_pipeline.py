@@ -55,7 +55,7 @@ def test_everything_is_built_and_a_second_build_runs_nothing(built):
         assert (f"warning: {key}: frequencies may be {uncertainty:.0%} wrong" in summary) == (
             uncertainty > 0.1
         )
-    assert built.cli("status", "--check").stdout.endswith("2 objects all fresh\n")
+    assert built.cli("status", "--check").stdout.endswith("; 2 of 2 objects complete\n")
     assert set(json.loads(built.run("-m", "dvc", "status", "--json").stdout)) <= OBSERVED
 
 
@@ -270,16 +270,16 @@ def test_published_query_formats(built, tmp_path):
     np.save(tmp_path / "f.npy", np.ones((2, 3)))
     np.save(tmp_path / "g.npy", np.array([[0.1, 0.5, 0.001], [0, 0, 0.002]]))
     out = f"{tmp_path}/out"
-    built.cli("query", "vision", file, f"{tmp_path}/v.npy", out, "--resolution", "32")
-    built.cli("query", "audio", file, f"{tmp_path}/p.npy", out, "--forces", f"{tmp_path}/f.npy")
-    built.cli("query", "touch", file, f"{tmp_path}/p.npy", out, "--gelinfo", f"{tmp_path}/g.npy")
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {
-        *("1.png", "2.png", "1.wav", "2.wav"),
-        "contacts.csv",
+    built.cli("query", "vision", file, f"{tmp_path}/v.npy", f"{out}/views", "--resolution", "32")
+    built.cli("query", "audio", file, f"{tmp_path}/p.npy", f"{out}/sounds", "--forces", f"{tmp_path}/f.npy")
+    built.cli("query", "touch", file, f"{tmp_path}/p.npy", f"{out}/touch", "--gelinfo", f"{tmp_path}/g.npy")
+    assert {p.relative_to(out).as_posix() for p in (tmp_path / "out").rglob("*.*")} == {
+        *("views/1.png", "views/2.png", "sounds/1.wav", "sounds/2.wav", "touch/1.png", "touch/2.png"),
+        "touch/contacts.csv",
     }
     assert "cube" in built.cli("info", file).stdout
     np.save(tmp_path / "bad.npy", np.zeros((2, 5)))
-    refused = built.cli("query", "vision", file, f"{tmp_path}/bad.npy", f"{tmp_path}/out", ok=False)
+    refused = built.cli("query", "vision", file, f"{tmp_path}/bad.npy", f"{out}/bad", ok=False)
     assert refused.returncode == 1
     assert "(2, 5), expected (N, 6)" in refused.stderr
 

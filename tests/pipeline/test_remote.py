@@ -36,4 +36,4 @@ def test_fresh_clone_of_a_built_workspace_runs_nothing(built, tmp_path):
     artifacts = fresh.artifacts()
     assert {f"build/{key}/ObjectFile.safetensors" for key in ("bell", "cube")} <= set(artifacts)
     assert artifacts.items() <= built.artifacts().items()
-    assert fresh.cli("status", "--check").stdout.endswith("2 objects all fresh\n")
+    assert fresh.cli("status", "--check").stdout.endswith("; 2 of 2 objects complete\n")

@@ -79,13 +79,13 @@ def test_an_installed_wheel_makes_builds_and_upgrades_a_workspace(wheel, tmp_pat
     run(tool, "build", "-j", "1", cwd=root)
     metrics = json.loads((root / "metrics/mug.json").read_text())
     assert metrics["touch"]["psnr"] > metrics["touch"]["baseline_mean_image"]
-    assert "all fresh" in run(tool, "status", "--check", cwd=root)
+    assert "1 of 1 object complete" in run(tool, "status", "--check", cwd=root)
     assert "skipping" in run(python, "-m", "dvc", "repro", "modal@mug", cwd=root)
     run(tool, "info", "build/mug/ObjectFile.safetensors", cwd=root)
 
     module = site / "objectfolder" / "fem" / "modal.py"
     module.write_text(module.read_text() + "\n# of a newer version\n")
-    refused = "1 files differ (objectfolder/fem/modal.py); run `objectfolder upgrade`"
+    refused = "1 file differs (objectfolder/fem/modal.py); run `objectfolder upgrade`"
     for command in (("build",), ("status",)):
         assert refused in run(tool, *command, cwd=root, ok=False)
     assert refused in run(python, "-m", "stages.pack", "mug", cwd=root, ok=False)
@@ -97,4 +97,4 @@ def test_an_installed_wheel_makes_builds_and_upgrades_a_workspace(wheel, tmp_pat
     assert not [address for address in runs if address.startswith(("normalize", "render"))]
     ran = run(tool, "build", "-j", "1", cwd=root)
     assert "modal" in ran
-    assert "all fresh" in run(tool, "status", "--check", cwd=root)
+    assert "1 of 1 object complete" in run(tool, "status", "--check", cwd=root)

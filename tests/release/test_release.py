@@ -247,7 +247,7 @@ def test_a_damaged_index_is_refused(dataset, find, replace, message):
 
 
 def test_a_folder_that_is_no_release_is_named(tmp_path):
-    with pytest.raises(ObjectFolderError, match="is no release"):
+    with pytest.raises(ObjectFolderError, match="is not a release"):
         Dataset(tmp_path)
 
 

@@ -12,7 +12,9 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from objectfolder.benchmarks.models.encoders import read_weights
 from objectfolder.errors import ObjectFolderError
+from objectfolder.io import torch_problem
 from objectfolder.released.checkpoint import read_released
 
 FORMATS = pytest.mark.parametrize("zipped", [True, False], ids=["zip", "older"])
@@ -93,6 +95,33 @@ def test_a_bare_pickle_is_not_run(tmp_path):
     with pytest.raises(ObjectFolderError, match="not a file of tensors"):
         read_released(path)
     assert not trace.exists()
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"v 0 0 0\nv 1 0 0\nf 1 2 3\n", "Unsupported operand 118"),
+        (b"\x89PNG\r\n\x1a\n" + bytes(99), "Unsupported operand 80"),
+        (b"", "EOFError"),
+        (b"\x80\x02}q\x00.", "Invalid magic number; corrupt file?"),
+    ],
+)
+def test_the_advice_to_run_what_a_file_holds_is_not_passed_on(tmp_path, content, reason):
+    path = tmp_path / "file.pth"
+    path.write_bytes(content)
+    with pytest.raises(ObjectFolderError) as caught:
+        read_released(path)
+    assert str(caught.value) == (
+        f"{path} is not a file of tensors and numbers ({reason}); expected a released ObjectFile.pth"
+    )
+    with pytest.raises(ObjectFolderError) as caught:
+        read_weights(path)
+    assert f"is not a readable checkpoint ({reason}); expected" in str(caught.value)
+
+
+def test_a_reason_in_other_words_of_torch_gives_none_of_its_advice():
+    error = pickle.UnpicklingError("Weights only load failed.\n\tRe-run with `weights_only=False`. Or not.")
+    assert torch_problem(error) == "torch.save did not write it, or it is damaged"
 
 
 @FORMATS

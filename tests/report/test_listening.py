@@ -131,9 +131,9 @@ def test_answers_are_counted_by_material_and_once(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("a,b\n1,2\n", "line 2 is no answer of a study"),
+        ("a,b\n1,2\n", "line 2 is not an answer of a study"),
         (",".join(COLUMNS) + "\n", "no answers"),
-        (",".join(COLUMNS) + "\ns,1,wood_1,wood,ours,recorded,third\n", "line 2 is no answer"),
+        (",".join(COLUMNS) + "\ns,1,wood_1,wood,ours,recorded,third\n", "line 2 is not an answer"),
     ],
 )
 def test_other_files_are_refused(tmp_path, content, message):

@@ -7,6 +7,7 @@ import pytest
 
 from objectfolder import ObjectFile
 from objectfolder.objectfile.samples import available_samples, sample_path
+from objectfolder.touch.camera import gel_depth
 from objectfolder.touch.contact import sensor_frames
 from objectfolder.touch.dragged import dragged_contacts
 from objectfolder.touch.gel import deform
@@ -78,6 +79,21 @@ def test_object_turns_anticlockwise_in_the_image(sensor):
     touching = turned > 2e-4
     assert np.abs(seen[0][square] - turned)[touching].max() < 2e-6
     assert np.argwhere(turned == turned.max())[0][0] < 39  # up
+
+
+@pytest.mark.parametrize("stuck", [0.0, 1.0])
+def test_object_under_a_dome_reaches_no_further_than_the_gel_gives_way(digit, stuck):
+    """It is as deep as heights get, beside the apex, and moves towards it, where the dome is higher."""
+    rows, columns = np.indices((digit.height, digit.width))
+    square = ((rows - 79.5) ** 2 + (columns - 100) ** 2) * digit.pixel_pitch**2
+    height = (6e-3 - square / 6e-3).clip(-6e-4, digit.max_indentation)[None].astype(np.float32)
+    pressure, shear = deform(height, digit)[1], np.array([[-2e-3, 0.0]])
+    moved = dragged_contacts(height, pressure, drag(digit, *(stuck * shear[0])), shear, np.zeros(1), digit)
+    sag, step = gel_depth(digit) - digit.camera_to_gel, round(2e-3 / digit.pixel_pitch)
+    assert (sag[80, 95 - step] - sag[80, 95]) > 1e-4  # by which it would reach further
+    limit = np.float32(digit.max_indentation)
+    assert [float(of.max()) for of in moved[:2]] == [limit, limit]
+    assert moved[0][0, 80, 95 - step] == moved[1][0, 80, 95 - step] == limit
 
 
 def test_gel_beside_the_contact_is_carried_along(sensor):

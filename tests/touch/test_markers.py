@@ -112,6 +112,34 @@ def test_pressed_object_can_be_sheared_and_twisted(file, points):
     assert np.array_equal(file.press(points, 5e-4, shear=tensor).shear_force, without.shear_force)
 
 
+def test_object_moves_as_far_as_the_gel_is_pressed_in_and_turns_by_half(file, points):
+    """In any direction; the limit is the sensor's own."""
+    for sensor, most in (("digit", 3e-3), ("gelsight_mini", 2.5e-3)):
+        point, along = points[:1], np.array([0.6, -0.8])
+        little, most_of_all = (
+            file.press(point, 5e-4, shear=by * along, sensor=sensor) for by in (most / 10, most * (1 - 1e-9))
+        )
+        assert 0 < little.shear_force[0] @ along < most_of_all.shear_force[0] @ along
+        assert little.slipping[0] < most_of_all.slipping[0]
+        message = f"shear: row 0 is .* m long, expected at most {most:g} m, .* sensor '{sensor}'; .*in metres"
+        with pytest.raises(ObjectFolderError, match=message):
+            file.press(point, 5e-4, shear=1.001 * most * along, sensor=sensor)
+    with pytest.raises(ObjectFolderError, match=r"shear: row 1 is 1.41421 m long, expected at most 0.003 m"):
+        file.press(points, shear=[[1e-4, 0], [1, 1]])
+    with pytest.raises(ObjectFolderError, match=r"twist: row 1 is -5 rad, .* 3.14 either way; .*in radians"):
+        file.press(points, twist=[0.1, -5])
+    assert file.press(points[:1], 5e-4, twist=-np.pi).torque[0] < 0
+
+
+def test_wrong_motions_are_refused_before_anything_is_pressed(file, points, monkeypatch):
+    monkeypatch.setattr(
+        "objectfolder.nets.touch_geometric.press", lambda *given: pytest.fail("a contact was computed")
+    )
+    for wrong in ({"shear": [1, 1]}, {"twist": 5}, {"friction": -1}, {"markers": "yes"}):
+        with pytest.raises(ObjectFolderError, match=next(iter(wrong))):
+            file.press(points, **wrong)
+
+
 def test_impossible_motions_are_refused(file, points):
     with pytest.raises(ObjectFolderError, match="friction: row 1 is -1"):
         file.press(points, shear=[1e-4, 0], friction=[0.5, -1])
@@ -121,8 +149,8 @@ def test_impossible_motions_are_refused(file, points):
         file.press(points, shear=[1e-4, float("nan")])
     with pytest.raises(ObjectFolderError, match="shear"):
         file.press(points, shear=[[1e-4, 0], [1e-4]])
-    with pytest.raises(ObjectFolderError, match="markers is of type int, expected True or False"):
-        file.press(points, markers=1)
+    with pytest.raises(ObjectFolderError, match="markers is of type int, expected True, False or a Markers"):
+        file.press(points, markers=3)
     with pytest.raises(ObjectFolderError, match="rigid and cannot be sheared"):
         file.press(points, 5e-4, twist=0.1, sensor="tacto_digit")
     assert replace(Markers(), spacing=2e-3).spacing == 2e-3

@@ -96,6 +96,16 @@ def test_unknown_profile_lists_the_available_ones():
         load_profile("gelsite")
 
 
+@pytest.mark.parametrize("name", ["nosuch.yaml", "a/nosuch.yml", "x" * 300 + ".yaml", "."])
+def test_path_of_no_file_is_said_to_be_none(tmp_path, name):
+    path = tmp_path / name
+    if name == ".":
+        path = tmp_path / "folder.yaml"
+        path.mkdir()
+    with pytest.raises(ObjectFolderError, match=r"^sensor profile '.*ml': there is no such file; .* digit, "):
+        load_profile(path)
+
+
 @pytest.mark.parametrize("text", ["name: [", "", "- 1", "name: a\nname: b"])
 def test_file_that_is_no_profile_is_named(tmp_path, text):
     path = tmp_path / "broken.yaml"

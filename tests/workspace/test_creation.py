@@ -12,6 +12,8 @@ from ruamel.yaml import YAML
 from objectfolder.engine.dvc.start import start_repository
 from objectfolder.engine.status import Outlook, status
 from objectfolder.errors import ObjectFolderError
+from objectfolder.installation import requirement
+from objectfolder.workspace import template
 from objectfolder.workspace.check import check_all
 from objectfolder.workspace.code_digests import DATA, code_text, digests
 from objectfolder.workspace.creation import create_workspace, upgrade_workspace
@@ -19,6 +21,7 @@ from objectfolder.workspace.installed import RECORD, changed_files, check_instal
 from objectfolder.workspace.layout import code_list
 from objectfolder.workspace.objects import add_catalogue
 from objectfolder.workspace.params import read
+from objectfolder.workspace.template import first_requirements, next_requirements
 
 ROOT = Path(__file__).parents[2]
 
@@ -196,6 +199,8 @@ def test_upgrade_replaces_what_nobody_edited(made):
     [
         ("# mine\nobjectfolder[build]==0.0.1\nscipy\n", "# mine\n{now}\nscipy\n"),
         ("objectfolder[build] @ git+https://example.org/x@abc\n", "{now}\n"),
+        ("objectfolder[build] @ file:///somewhere/else\nscipy\n", "{now}\nscipy\n"),
+        ("objectfolder[build,ray]==0.0.1\n", "objectfolder[build,ray]==0.0.1\n"),
         (
             "objectfolder[build] @ https://example.org/x.whl\n",
             "objectfolder[build] @ https://example.org/x.whl\n",
@@ -209,6 +214,16 @@ def test_upgrade_moves_the_pin_and_keeps_other_requirements(made, before, after)
     done = upgrade_workspace(made)
     assert (made / "requirements.txt").read_text() == after.format(now=now)
     assert done.written == (() if before == after else ("requirements.txt",))
+
+
+def test_requirements_install_this_package_from_where_it_is(made, monkeypatch):
+    assert (made / "requirements.txt").read_text().splitlines()[1:] == [requirement("build")]
+    assert requirement("build").startswith("objectfolder[build] @ file:///")
+    wheel = "objectfolder[build] @ https://example.org/{}.whl"
+    assert next_requirements(wheel.format("old")) == wheel.format("old")
+    monkeypatch.setattr(template, "requirement", lambda extra: wheel.format("new"))
+    assert first_requirements() == wheel.format("new") + "\n"
+    assert next_requirements(wheel.format("old")) == wheel.format("new")
 
 
 def test_upgrade_adds_settings_and_keeps_those_that_are_there(made):
@@ -230,11 +245,11 @@ def test_upgrade_changes_nothing_if_settings_are_not_of_this_version(made):
     path = made / "params.yaml"
     path.write_text(path.read_text() + "smell: {nose: big}\n")
     before = {name: (made / name).read_bytes() for name in files(made)}
-    with pytest.raises(ObjectFolderError, match="'smell' is no section"):
+    with pytest.raises(ObjectFolderError, match="'smell' is not a section"):
         upgrade_workspace(made)
     assert {name: (made / name).read_bytes() for name in files(made)} == before
 
 
 def test_a_clone_is_not_upgraded(workspace):
-    with pytest.raises(ObjectFolderError, match="no workspace of `objectfolder init`"):
+    with pytest.raises(ObjectFolderError, match="not a workspace of `objectfolder init`"):
         upgrade_workspace(workspace)

@@ -1,4 +1,6 @@
 import json
+import subprocess
+import sys
 from dataclasses import FrozenInstanceError, asdict
 from pathlib import Path
 
@@ -11,7 +13,7 @@ from ruamel.yaml import YAML
 from objectfolder.errors import ObjectFolderError
 from objectfolder.metrics import ssim
 from objectfolder.vision.dataset import SMALLEST
-from objectfolder.workspace.check import Selection, check_all, check_object
+from objectfolder.workspace.check import Selection, check_all, check_entries, check_object
 from objectfolder.workspace.params import (
     FIRST_STAGES,
     OBJECT_STAGES,
@@ -285,7 +287,8 @@ def test_a_file_that_is_not_parameters_is_named(tmp_path, text, message):
 
 
 def test_no_file(tmp_path):
-    with pytest.raises(ObjectFolderError, match="run inside an objectfolder workspace"):
+    message = "run inside an objectfolder workspace, or make one: `objectfolder init DIR`"
+    with pytest.raises(ObjectFolderError, match=message):
         read(tmp_path / "params.yaml")
 
 
@@ -328,8 +331,51 @@ def test_an_unknown_section_is_refused_with_the_nearest_name(values, name, hint)
     values |= {"objects": {}, "procedural": {}, "seed": 0, "sensor": "digit"}
     values["benchmarks"] = {stage: [] for stage in Selection.model_fields}
     check_all(values)
-    with pytest.raises(ObjectFolderError, match=rf"params\.yaml: '{name}' is no section; {hint}"):
+    with pytest.raises(ObjectFolderError, match=rf"params\.yaml: '{name}' is not a section; {hint}"):
         check_all({**values, name: {}})
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"sed": 0}, "'sed' is not a section; do you mean seed"),
+        ({"seed": -1}, "seed: Input should be greater than or equal to 0"),
+        (
+            {"objects": {"mug": {**MUG, "material": "cermic"}}},
+            "objects.mug: material: unknown material 'cermic'",
+        ),
+        ({"procedural": {"cup": {"height": 1}}}, "procedural.cup: generator: Field required"),
+        ({"benchmarks": {**NONE, "reach": ["cup"]}}, "benchmarks.reach: cup is not an object"),
+    ],
+)
+def test_entries_alone_are_refused_with_the_message_of_a_whole_check(values, changes, message):
+    check_entries(values)
+    found = []
+    for check in (check_all, check_entries):
+        with pytest.raises(ObjectFolderError) as caught:
+            check({**values, **changes})
+        found.append(str(caught.value))
+    assert found[0] == found[1]
+    assert message in found[0]
+
+
+@pytest.mark.parametrize("section", SECTIONS)
+def test_a_section_that_is_missing_is_named_by_both_checks(values, section):
+    del values[section]
+    for check in (check_all, check_entries):
+        with pytest.raises(ObjectFolderError, match=f"lacks section '{section}'; run `objectfolder preset"):
+            check(values)
+
+
+def test_entries_are_checked_without_the_modules_of_the_stages():
+    code = (
+        "import sys; from objectfolder.workspace import params; from objectfolder.workspace.check import *;"
+        "check_entries(params.read()); print(*sys.modules)"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", code], cwd=REPOSITORY, capture_output=True, text=True, check=True
+    )
+    assert {"torch", "scipy", "mitsuba", "igl"}.isdisjoint(ran.stdout.split())
 
 
 def test_an_encoder_whose_changes_a_build_would_not_see_is_refused(values):

@@ -17,7 +17,7 @@ from scipy.io import wavfile
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.datasets.splits import Split
 from objectfolder.disk import new_folder
-from objectfolder.errors import ObjectFolderError
+from objectfolder.errors import ObjectFolderError, plural
 from objectfolder.io import write_json, write_text
 from objectfolder.seeding import numpy_generator
 from objectfolder.workspace.layout import MODALITIES, SPLITS
@@ -223,7 +223,7 @@ configs:
   data_files:
 {files}---
 
-# Views, impact sounds and touches of {len(observations.keys)} objects
+# Views, impact sounds and touches of {plural(len(observations.keys), "object")}
 
 {observations.count} of each per object, drawn from their Object Files. Split `{split.name}`:
 {len(split.train)} rows to train, {len(split.val)} to validate, {len(split.test)} to test.

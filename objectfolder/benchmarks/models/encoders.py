@@ -15,6 +15,7 @@ from torch import nn
 from objectfolder.audio.spectrogram import spectrogram
 from objectfolder.benchmarks.models.resnet import ResNet18
 from objectfolder.errors import ObjectFolderError
+from objectfolder.io import torch_problem
 from objectfolder.settings import Precision
 
 CHANNELS = {"vision": 3, "audio": 1, "touch": 3}  #: of `encoder_inputs`
@@ -149,7 +150,7 @@ def read_weights(path: str | Path) -> Weights:
     try:
         stored = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # the unpickler raises any exception
-        reason = str(error).partition("\n")[0]
+        reason = torch_problem(error)
         raise ObjectFolderError(f"{path} is not a readable checkpoint ({reason}); {expected}") from error
     if isinstance(stored, Mapping) and isinstance(stored.get("state_dict"), Mapping):
         stored = stored["state_dict"]

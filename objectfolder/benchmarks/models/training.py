@@ -14,7 +14,7 @@ from annotated_types import Ge
 from torch import nn
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic
+from objectfolder.io import atomic, torch_problem
 from objectfolder.settings import Count, NonNegative, Positive, Precision
 
 WARM_UP = 20  #: steps of linear learning rate warm-up
@@ -227,8 +227,7 @@ def read_checkpoint(path: Path, form: str, settings: dict[str, Any]) -> dict[str
     try:
         stored: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # the unpickler raises any exception
-        reason = str(error).partition("\n")[0]
-        raise ObjectFolderError(f"{path} is damaged ({reason}); {REMOVE}") from error
+        raise ObjectFolderError(f"{path} is damaged ({torch_problem(error)}); {REMOVE}") from error
     if not isinstance(stored, dict) or stored.get("format") != form:
         raise ObjectFolderError(f"{path} is not a checkpoint of a benchmark's training; {REMOVE}")
     if stored["settings"] != settings:

@@ -16,6 +16,7 @@ from dvc_objects.fs.generic import copy
 from dvc_objects.fs.local import localfs
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.installation import install_command
 
 _log = logging.getLogger(__name__)
 
@@ -94,7 +95,7 @@ def _default(repo: Repo) -> Remote:
         ) from error
     except (ImportError, RemoteMissingDepsError) as error:
         raise ObjectFolderError(
-            f"{error}: pip install the package named above (for S3: pip install 'objectfolder[s3]')"
+            f"{error}: pip install the package named above (for S3: {install_command('s3')})"
         ) from error
     except DvcException as error:
         raise ObjectFolderError(f"DVC cannot use the default remote of {repo.root_dir}: {error}") from error

@@ -29,6 +29,7 @@ from objectfolder.engine.dvc.replacements import replacements
 from objectfolder.engine.dvc.runcache import RunCache
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import temporary_path
+from objectfolder.workspace.params import outside_workspace
 from objectfolder.yamlfile import checked_yaml, read_yaml
 
 LOGGERS = ("dvc", "dvc_data", "dvc_objects")
@@ -141,6 +142,8 @@ def open_repository(root: str | Path = ".", wait: bool = False) -> Iterator[Open
         try:
             repo = Repo()
         except NotDvcRepoError as error:
+            if not (root / PARAMS).is_file():
+                raise outside_workspace(root / PARAMS) from error
             raise ObjectFolderError(f"{root} is not inside a DVC repository; run `dvc init` there") from error
         except DvcException as error:
             raise ObjectFolderError(f"DVC cannot open {root}: {error}") from error

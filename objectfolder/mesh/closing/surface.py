@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import igl
 import numpy as np
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.errors import ObjectFolderError, plural
 from objectfolder.mesh.closing.holes import close_piece
 from objectfolder.mesh.closing.remesh import RESOLUTION, remesh_on_grid
 from objectfolder.mesh.closing.solids import SPECKS, bodies, bridge, distance, unite, untangle, without_specks
@@ -182,13 +182,14 @@ class _Ladder:
     def clean(self) -> float:
         before = self.mesh
         mesh, tolerance, self.moved = clean(*before)
+        lost = len(before[1]) - len(mesh[1])
         if len(mesh[1]) < 4:
+            welded = f", {len(mesh[1])} of them neither degenerate nor cancelled by a copy" if lost else ""
             raise ObjectFolderError(
-                f"{self.name}: {len(mesh[1])} of {len(before[1])} faces are left after welding (the others "
-                "are degenerate or cancelled by their copies); expected a mesh with at least 4 faces"
+                f"{self.name}: the mesh has {plural(len(before[1]), 'face')}{welded}; expected a mesh of "
+                "at least 4, which enclose a volume"
             )
         self.source = mesh
-        lost = len(before[1]) - len(mesh[1])
         detail = f"welded at {tolerance:g}" + (
             f", {lost} degenerate or doubled faces dropped" if lost else ""
         )

@@ -46,13 +46,17 @@ def read_obj(path: Path) -> MeshContent:
     materials = read_materials(path, mtl_names(text))
     # trimesh gets names only: it would ignore options of textures, and give materials without Kd a colour.
     library = "\n".join(f"newmtl {name}" for name in materials).encode()
-    geometry = [
-        content
-        for one_form in _by_form(path, _concave_split(text))
-        for content in load_obj(BytesIO(one_form.encode()), resolver=defaultdict(lambda: library))
-        .get("geometry", {})
-        .values()
-    ]
+    try:
+        geometry = [
+            content
+            for one_form in _by_form(path, _concave_split(text))
+            for content in load_obj(BytesIO(one_form.encode()), resolver=defaultdict(lambda: library))
+            .get("geometry", {})
+            .values()
+        ]
+    except IndexError:
+        _check_vertices(path, text)
+        raise
     unit = color_unit(max((_brightest(content) for content in geometry), default=0))
     plain = MtlMaterial()
     parts: list[MeshPart] = []
@@ -120,6 +124,18 @@ def _check_zero(path: Path, text: str) -> None:
     if zero:
         line = faces[faces.rfind("\nf", 0, zero.end()) + 1 :].partition("\n")[0].strip()
         raise ObjectFolderError(f"{path}: {shortened(line)!r} has the index 0, but .obj counts from 1")
+
+
+def _check_vertices(path: Path, text: str) -> None:
+    """Raise for a face of a vertex that is not there."""
+    count = len(re.findall(r"^v\s", text, re.MULTILINE))
+    for face in FACE.findall(text):
+        corners = re.findall(r"\s(\d{1,18})", face.partition("#")[0])
+        if any(int(index) > count for index in corners):
+            raise ObjectFolderError(
+                f"{path}: {shortened(face)!r} uses a vertex beyond the {count} of the file; export the mesh "
+                "again"
+            )
 
 
 def _counted_from_start(path: Path, text: str) -> str:
@@ -212,7 +228,7 @@ def _uniform(path: Path, face: str) -> str:
     uniform = "f " + " ".join("/".join(corner).rstrip("/") for corner in zip(*kept))
     if not any(form.match(uniform) for form in FORMS):
         raise ObjectFolderError(
-            f"{path}: {shortened(face)!r} is no face, expected corners such as 1, 1/2, 1//3 or 1/2/3; "
+            f"{path}: {shortened(face)!r} is not a face, expected corners such as 1, 1/2, 1//3 or 1/2/3; "
             "export the mesh again"
         )
     return uniform

@@ -6,6 +6,7 @@ from typing import Protocol
 import numpy as np
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.installation import install_command
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.scene import Scene
 
@@ -72,11 +73,11 @@ RENDERERS: dict[str, Callable[[Scene], Renderer]] = {
 }
 #: What to install for each renderer.
 NEEDS = {
-    "mitsuba": "pip install 'objectfolder[build]'",
-    "mitsuba-llvm": "pip install 'objectfolder[build]' and an LLVM library, version 19 or newer (libllvm19)",
-    "mitsuba-cuda": "pip install 'objectfolder[build]' on a machine with an NVIDIA GPU and its driver",
-    "cycles": "pip install 'objectfolder[cycles]' (Python 3.11), or put Blender 4.2 or newer on the PATH",
-    "raster": "pip install 'objectfolder[raster]' and EGL (libegl1) or OSMesa (PYOPENGL_PLATFORM=osmesa)",
+    "mitsuba": install_command("build"),
+    "mitsuba-llvm": f"{install_command('build')} and an LLVM library, version 19 or newer (libllvm19)",
+    "mitsuba-cuda": f"{install_command('build')} on a machine with an NVIDIA GPU and its driver",
+    "cycles": f"{install_command('cycles')} (Python 3.11), or put Blender 4.2 or newer on the PATH",
+    "raster": f"{install_command('raster')} and EGL (libegl1) or OSMesa (PYOPENGL_PLATFORM=osmesa)",
 }
 
 

@@ -15,6 +15,7 @@ from objectfolder.benchmarks.datasets.sampling import sample_observations
 from objectfolder.benchmarks.datasets.splits import named_split
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
+from objectfolder.installation import install_command
 from objectfolder.objectfile.file import ObjectFile
 
 KEYS = ("espresso_mug", "tea_beaker", "own")  # for training, for tests, for training
@@ -200,7 +201,7 @@ def test_commands_say_what_is_wrong(root, tmp_path, arguments, message):
 def test_library_that_is_not_there_is_named(root, tmp_path, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     result = CliRunner().invoke(app, ["export", "webdataset", str(tmp_path / "out"), str(root)])
-    assert "webdataset is not installed; this needs: pip install 'objectfolder[hub]'" in str(result.exception)
+    assert f"webdataset is not installed; this needs: {install_command('hub')}" in str(result.exception)
 
 
 def test_folders_are_found_at_any_depth_and_once(root, tmp_path):

@@ -131,6 +131,20 @@ def test_a_visible_sheet_gets_the_wall_that_is_asked_for_else_two_percent_and_a_
     assert "set `wall`" in default.warnings[0]
 
 
+@pytest.mark.parametrize(
+    ("faces", "count"),
+    [
+        ([[0, 1, 2]], "1 face; expected a mesh of at least 4"),
+        ([[0, 1, 2], [0, 1, 3]], "2 faces; expected a mesh of at least 4"),
+        ([[0, 1, 2]] * 4 + [[0, 1, 1]], "5 faces, 1 of them neither degenerate nor cancelled by a copy; exp"),
+    ],
+)
+def test_too_few_faces_are_counted_without_and_with_those_that_welding_drops(faces, count):
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
+    with pytest.raises(ObjectFolderError, match=rf"^flat: the mesh has {count}"):
+        close_surface(corners, np.array(faces), "flat")
+
+
 @settings(max_examples=1, deadline=None)
 @given(SEEDS)
 @pytest.mark.parametrize("share", [pytest.param(0.002, marks=pytest.mark.slow), 0.02])

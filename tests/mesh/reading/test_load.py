@@ -190,7 +190,11 @@ def glb_of_nothing():
         ("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "'f 0 1 2' has the index 0"),
         ("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1/1 2/0 3/1\n", "has the index 0"),
         ("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -4\nv 0 0 1\n", "counts back to v -4, but 3 precede"),
-        ("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 x\n", "'f 1 2 x' is no face, expected corners such as"),
+        (
+            "m.obj",
+            b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 x\n",
+            "'f 1 2 x' is not a face, expected corners such as",
+        ),
         ("m.obj", b"v 0 0 0\nv 1e200 0 0\nv 0 1 0\nf 1 2 3\n", "reach 1e\\+200"),
         ("m.obj", b"v 0 0 0\nv inf 0 0\nv 0 1 0\nf 1 2 3\n", "1 of its vertices are NaN or infinite"),
         ("m", b"solid", "format '' is not one of"),
@@ -202,7 +206,13 @@ def glb_of_nothing():
         ("m.obj", b"v 0 0 0\nv 1 0 0\n", "cannot be read|no faces"),
         ("m.obj", b"v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n", "1 of its vertices are NaN"),
         ("m.obj", b"v 1 2 3\nv 1 2 3\nv 1 2 3\nf 1 2 3\n", "vertices coincide"),
-        ("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "cannot be read|no faces"),
+        ("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "'f 1 2 9' uses a vertex beyond the 3 of"),
+        (
+            "m.obj",
+            b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3 4\nf 1/2 2/3 5/4 3/1 # 9\n",
+            "'f 1/2 2/3 5/4 3/1 # 9' uses a vertex beyond the 4",
+        ),
+        ("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 " + b"9" * 99, "uses a vertex beyond the 3"),
     ],
 )
 def test_what_is_not_a_mesh_is_refused_by_name(tmp_path, name, content, message):

@@ -108,6 +108,11 @@ def test_what_is_not_physical_is_refused(sound, strike, mug):
         sound(strike[0] + 1, strike[1])
     with pytest.raises(ObjectFolderError, match=r"contact time is -0\.001 s, expected a finite duration"):
         sound(*strike, contact_time=-0.001)
+    with pytest.raises(ObjectFolderError, match="striker is 'wood', but contact_time says how long"):
+        sound(*strike, contact_time=torch.tensor(1e-3), striker="wood")
+    silent = replace(sound.material, loss_factor=(), alpha=torch.tensor(0.0), beta=0.0)
+    with pytest.raises(ObjectFolderError, match="an undamped object rings for ever"):
+        sound(*strike, material=silent)
     with pytest.raises(ObjectFolderError, match="expected torch"):
         mug.torch(torch.float16)
 

@@ -97,6 +97,13 @@ def test_a_sensor_has_a_name_or_is_a_profile(mug):
         touch(point, sensor="thumb")
 
 
+def test_a_sensor_that_faces_away_is_refused(mug):
+    touch, point = mug.torch().touch, torch.from_numpy(mug.sample_surface(1))
+    for tilt in (15.0, torch.tensor(-torch.pi, requires_grad=True)):
+        with pytest.raises(ObjectFolderError, match=r"tilt: row 0 is .* rad, .*angles are in radians"):
+            touch(point, tilt=tilt)
+
+
 def test_other_nets_are_refused(mug):
     tacto = mug.torch().touch._sense
     net = tacto.net

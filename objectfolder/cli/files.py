@@ -1,0 +1,84 @@
+"""What commands are given: Object Files, the samples among them, and folders to write."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from objectfolder.errors import ObjectFolderError, shortened
+from objectfolder.objectfile.samples import available_samples, file_or_sample
+
+#: Names of the samples, for the help of commands.
+SAMPLE = f"a sample: {', '.join(available_samples())}"
+
+
+def object_file(given: Path) -> Path:
+    """Return the Object File that a command is given: a path, or the sample of that name.
+
+    A file or folder of that name comes before the sample.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there is neither, or it is a folder.
+    """
+    found = file_or_folder(given)
+    if found.is_dir():
+        hidden = f"; it hides the sample {found}, rename it" if str(found) in available_samples() else ""
+        raise ObjectFolderError(
+            f"{found} is a folder, expected an Object File such as {found}/ObjectFile.safetensors{hidden}"
+        )
+    return found
+
+
+def file_or_folder(given: Path) -> Path:
+    """Return a path, or the sample of that name; otherwise like `object_file`."""
+    try:
+        there = given.exists()
+    except OSError as error:  # a name that is too long, a folder without permission
+        raise ObjectFolderError(f"{shortened(given, 300)} cannot be read: {error.strerror}") from error
+    found = given if there else file_or_sample(given)
+    if not found.exists():
+        raise ObjectFolderError(
+            f"{shortened(given, 300)} does not exist; expected an Object File, or {SAMPLE}"
+        )
+    return found
+
+
+def object_files(given: Sequence[Path] | None) -> list[Path] | None:
+    """Return the Object Files that a command is given, if any; see `object_file`."""
+    return None if given is None else [object_file(path) for path in given]
+
+
+def files_or_folders(given: Sequence[Path] | None) -> list[Path] | None:
+    """Return the Object Files, and folders with some, that a command is given, if any."""
+    return None if given is None else [file_or_folder(path) for path in given]
+
+
+def folder_to_write(given: Path) -> Path:
+    """Return a folder that a command writes into.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it is a file.
+    """
+    if given.exists() and not given.is_dir():
+        raise ObjectFolderError(f"{given} is a file, expected a folder; choose another name")
+    return given
+
+
+def empty_folder(given: Path) -> Path:
+    """Return a folder that a command writes into, which does not exist or is empty but for hidden files.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it is a file, or holds files, which would stay among the new ones.
+    """
+    folder = folder_to_write(given)
+    held = sorted(path.name for path in folder.iterdir() if path.name[0] != ".") if folder.is_dir() else []
+    if held:
+        more = ", ..." if len(held) > 4 else ""
+        raise ObjectFolderError(
+            f"{folder} is not empty: it holds {', '.join(held[:4])}{more}; choose another name, or delete it"
+        )
+    return folder

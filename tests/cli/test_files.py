@@ -1,0 +1,98 @@
+"""Wherever a command takes an Object File, it takes a sample's name; a path that is not there is refused."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.main import get_command
+
+from objectfolder.benchmarks.collect import load_object_files
+from objectfolder.cli import app
+from objectfolder.cli.files import file_or_folder, object_file
+from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile.samples import sample_path
+
+#: How commands show arguments that are Object Files.
+SHOWN = ("FILE", "FILE...", "[FILE]...", "[FILE...]")
+
+
+def commands(command, *words):
+    """Commands with an Object File among their arguments: their words, and those that stand for arguments."""
+    for name, inner in getattr(command, "commands", {}).items():
+        yield from commands(inner, *words, name)
+    arguments = [param for param in command.params if param.param_type_name == "argument"]
+    if any(param.metavar in SHOWN for param in arguments):
+        yield words, ["FILE" if param.metavar in SHOWN else f"new{i}" for i, param in enumerate(arguments)]
+
+
+COMMANDS = list(commands(get_command(app)))
+
+
+def test_all_commands_are_found():
+    names = {" ".join(words) for words, _ in COMMANDS}
+    assert names == {
+        *("info", "view", "video", "report", "simulate", "sample audio", "sample touch"),
+        *(f"query {name}" for name in ("vision", "audio", "touch")),
+        *(f"export {name}" for name in ("mjcf", "urdf", "glb", "usd", "nerfstudio", "lerobot")),
+        *(f"bench {name}" for name in ("recognition", "retrieval", "reconstruction", "localization")),
+        *(f"bench {name}" for name in ("vision-to-touch", "stability", "grasping", "reach")),
+    }
+
+
+@pytest.mark.parametrize(("words", "arguments"), COMMANDS, ids=[" ".join(words) for words, _ in COMMANDS])
+def test_every_command_names_the_samples_if_a_file_is_not_there(tmp_path, monkeypatch, words, arguments):
+    monkeypatch.chdir(tmp_path)
+    given = [argument.replace("FILE", "nosuch.safetensors") for argument in arguments]
+    message = r"^nosuch\.safetensors does not exist; expected an Object File, or a sample: bell, die, mug$"
+    with pytest.raises(ObjectFolderError, match=message):
+        app([*words, *given], standalone_mode=False)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_or_folder_of_a_samples_name_comes_first(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert object_file(Path("mug")) == file_or_folder(Path("mug")) == sample_path("mug")
+    Path("mug").mkdir()
+    assert file_or_folder(Path("mug")) == Path("mug")
+    message = (
+        "mug is a folder, expected an Object File such as mug/ObjectFile.safetensors; it hides the sample"
+    )
+    with pytest.raises(ObjectFolderError, match=message):
+        app(["info", "mug"], standalone_mode=False)
+    Path("die").write_bytes(b"a file of that name")
+    assert object_file(Path("die")) == file_or_folder(Path("die")) == Path("die")
+    with pytest.raises(
+        ObjectFolderError, match=r"^die is neither an Object File nor another readable .*: header"
+    ):
+        app(["info", "die"], standalone_mode=False)
+    with pytest.raises(
+        ObjectFolderError, match=r"^\. is a folder, expected an Object File such as"
+    ) as refusal:
+        object_file(Path())
+    assert "sample" not in str(refusal.value)
+
+
+def test_a_sample_is_shown_sampled_queried_and_seen(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    app(["info", "mug"], standalone_mode=False)
+    assert re.search(r"mug \(\d+ KB\)", capsys.readouterr().out)
+    app(["sample", "audio", "mug", "s.npy", "-n", "1"], standalone_mode=False)
+    app(["query", "audio", "mug", "s.npy", "out", "--duration", "0.1"], standalone_mode=False)
+    assert [path.name for path in Path("out").iterdir()] == ["1.wav"]
+    np.save("v.npy", [[2.0, 1, 1, 0.5, 0.5, 1]])
+    app(["query", "vision", "die", "v.npy", "seen", "--resolution", "8"], standalone_mode=False)
+    assert [path.name for path in Path("seen").iterdir()] == ["1.png"]
+    app(["view", "mug", "die", "--out", "both.html", "--no-open"], standalone_mode=False)
+    assert Path("both.html").is_file()
+    assert list(load_object_files([file_or_folder(Path(name)) for name in ("mug", "bell")])) == [
+        "mug",
+        "bell",
+    ]
+
+
+@pytest.mark.parametrize("kind", ["mjcf", "glb", "nerfstudio", "lerobot", "webdataset", "datasets"])
+def test_an_export_into_a_file_is_refused_before_any_work(tmp_path, kind):
+    (tmp_path / "afile").touch()
+    with pytest.raises(ObjectFolderError, match="afile is a file, expected a folder; choose another name"):
+        app(["export", kind, str(tmp_path / "afile"), "mug"], standalone_mode=False)

@@ -1,0 +1,44 @@
+"""`status`, `verify` and `prune` where there is no workspace, or one that a build refuses."""
+
+import pytest
+
+from objectfolder.cli import app
+from objectfolder.errors import ObjectFolderError
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *(("status",), ("verify",), ("prune",), ("build",), ("report",), ("preset", "quick")),
+        *(("fetch", "--list"), ("add", "catalogs/starter.yaml")),
+        ("add", "mesh.obj", "--name", "x", "--material", "wood"),
+    ],
+)
+def test_outside_a_workspace_all_commands_say_the_same(tmp_path, monkeypatch, words):
+    monkeypatch.chdir(tmp_path)
+    message = (
+        r"params\.yaml does not exist; run inside an objectfolder workspace, or make one: `.* init DIR`$"
+    )
+    with pytest.raises(ObjectFolderError, match=message):
+        app([*words], standalone_mode=False)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("\nseed: 0", "\nsed: 0", "'sed' is not a section; do you mean seed?"),
+        ("material: ceramic", "material: cermic", "objects.mug: material: unknown material 'cermic'"),
+    ],
+)
+def test_status_refuses_parameters_with_the_message_of_a_build(workspace, old, new, message):
+    path = workspace / "params.yaml"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    found = []
+    for words in (["status"], ["status", "--json"], ["build"], ["build", "--dry-run"]):
+        with pytest.raises(ObjectFolderError) as caught:
+            app(words, standalone_mode=False)
+        found.append(str(caught.value))
+    assert found == found[:1] * 4
+    assert message in found[0]
