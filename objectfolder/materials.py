@@ -17,7 +17,7 @@ class Material:
     """A homogeneous, isotropic, linear elastic material with Rayleigh damping or a loss factor.
 
     Give ``loss_factor``, or ``alpha`` and ``beta``. Without any of them the material is undamped: its modes
-    can be solved, but `objectfolder.ObjectFile.impact` and others that make sounds refuse it, since it would
+    can be solved, but `ObjectFile.impact` and others that make sounds refuse it, since it would
     ring for ever.
 
     Raises

@@ -5,6 +5,7 @@ with 2 if there is no result.
 """
 
 import argparse
+import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -115,7 +116,8 @@ def main() -> None:
     for folder in folders:
         shown = [*shared_tables(folder, arguments.preset, keys, options)]
         shown += object_tables(folder, arguments.preset, options)
-        by_command = {table["command"]: table for table in shown} | by_command
+        for table in shown:
+            by_command.setdefault(re.sub(r" --seeds \d+", "", table["command"]), table)
     if not by_command:
         console.print(f"no results of `objectfolder bench` in {', '.join(map(str, arguments.out))}")
         sys.exit(2)

@@ -169,7 +169,7 @@ def test_benchmarks_that_did_not_run_are_neither_met_nor_missed(tmp_path, monkey
     code, text = verdict(one, other)
     assert (code, "V recognized 90.0 %, target 95 %" in text) == (1, True)
     record = read_json(tmp_path / "x.json")
-    assert [table["title"].split()[0] for table in record["tables"]] == ["Instance", "Classification"]
+    assert [table["title"].split()[0] for table in record["tables"]] == ["Classification", "Instance"]
     assert len(record["unmeasured"]) == 4
 
 

@@ -13,34 +13,39 @@ SAMPLE = f"a sample: {', '.join(available_samples())}"
 def object_file(given: Path) -> Path:
     """Return the Object File that a command is given: a path, or the sample of that name.
 
-    A file or folder of that name comes before the sample.
+    A file of that name comes before the sample.
 
     Raises
     ------
     ObjectFolderError
         If there is neither, or it is a folder.
     """
-    found = file_or_folder(given)
+    found = _there(file_or_sample(given), given)
     if found.is_dir():
-        hidden = f"; it hides the sample {found}, rename it" if str(found) in available_samples() else ""
         raise ObjectFolderError(
-            f"{found} is a folder, expected an Object File such as {found}/ObjectFile.safetensors{hidden}"
+            f"{found} is a folder, expected an Object File such as {found}/ObjectFile.safetensors"
         )
     return found
 
 
 def file_or_folder(given: Path) -> Path:
-    """Return a path, or the sample of that name; otherwise like `object_file`."""
-    try:
-        there = given.exists()
-    except OSError as error:  # a name that is too long, a folder without permission
-        raise ObjectFolderError(f"{shortened(given, 300)} cannot be read: {error.strerror}") from error
-    found = given if there else file_or_sample(given)
-    if not found.exists():
+    """Return a path, or the sample of that name; a file or folder of that name comes before the sample."""
+    return _there(given if _exists(given) else file_or_sample(given), given)
+
+
+def _there(found: Path, given: Path) -> Path:
+    if not _exists(found):
         raise ObjectFolderError(
             f"{shortened(given, 300)} does not exist; expected an Object File, or {SAMPLE}"
         )
     return found
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError as error:  # a name that is too long, a folder without permission
+        raise ObjectFolderError(f"{shortened(path, 300)} cannot be read: {error.strerror}") from error
 
 
 def object_files(given: Sequence[Path] | None) -> list[Path] | None:

@@ -52,6 +52,7 @@ def add(
     from objectfolder.workspace import params
     from objectfolder.workspace.check import check_entries
     from objectfolder.workspace.discover import UNITS, Candidate, examination_table, examine
+    from objectfolder.workspace.installed import check_installed
     from objectfolder.workspace.objects import add_catalogue, add_mesh
 
     if mesh.suffix in (".yaml", ".yml"):
@@ -70,6 +71,7 @@ def add(
             raise ObjectFolderError(
                 f"{mesh} is a catalogue, whose entries set these; {' and '.join(given)} {verb} to meshes only"
             )
+        check_installed()
         check_entries(params.read())
         added = add_catalogue(mesh)
         console.print(f"added {', '.join(added) or 'nothing new'}; next: objectfolder build")
@@ -82,6 +84,7 @@ def add(
         raise ObjectFolderError(f"bridge {bridge!r} is not one of {', '.join(get_args(params.Bridge))}")
     if wall is not None and not wall > 0:
         raise ObjectFolderError(f"wall is {wall:g}, expected a thickness in metres")
+    check_installed()
     values = params.read()
     check_entries(values)
     if mesh.is_dir():

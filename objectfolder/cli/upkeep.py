@@ -38,7 +38,9 @@ def status(
     from objectfolder.engine.status import status as examine
     from objectfolder.workspace import params
     from objectfolder.workspace.check import check_entries
+    from objectfolder.workspace.installed import check_installed
 
+    check_installed()
     check_entries(params.read())  # what a build would refuse, as far as that takes no time
     found = examine(targets or ())
     if as_json:

@@ -83,11 +83,12 @@ def build(
     from objectfolder.touch.profiles import load_profile, require_renderer
     from objectfolder.workspace import params
     from objectfolder.workspace.check import check_all
-    from objectfolder.workspace.installed import sensor_file
+    from objectfolder.workspace.installed import check_installed, sensor_file
 
     if address is not None and engine is Engine.LOCAL:
         raise ObjectFolderError(f"--address {address} requires --engine ray")
     values = params.read()
+    check_installed()  # a file of another version may lack what this one checks
     check_all(values)
     require_renderer(load_profile(sensor_file(values["sensor"])), values["render_touch"]["renderer"])
     if dry_run:

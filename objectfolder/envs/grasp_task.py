@@ -9,7 +9,7 @@ from objectfolder.envs.body import RigidBody, rigid_body, user_folder
 from objectfolder.envs.features import TouchBank, TouchFeatures
 from objectfolder.envs.first_contact import FirstContact, first_contact
 from objectfolder.envs.grasp_scene import GraspScene, check_width, lowest_hand
-from objectfolder.envs.hulls import caching_hulls
+from objectfolder.envs.hulls import cached_hulls
 from objectfolder.envs.poses import relative_hands, rotation, turn_poses
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
@@ -114,7 +114,7 @@ def make_task(file: ObjectFile, hulls: str | Path | None = None, threads: int = 
     file : ObjectFile
     hulls : path, optional
         Folder in which convex hulls are cached; default: one of the user's. They take up to half a minute, so
-        objects that do not fit are refused before, and nothing is written if the task cannot be made.
+        objects that do not fit are refused before.
     threads : int
         Of the simulation.
 
@@ -125,8 +125,8 @@ def make_task(file: ObjectFile, hulls: str | Path | None = None, threads: int = 
     """
     _require_touch(file)
     check_width(file.key, file.surface.vertices * file.scale)
-    with caching_hulls(file, user_folder() if hulls is None else hulls) as parts:
-        return GraspTask(file, rigid_body(file, parts), threads)
+    parts = cached_hulls(file, user_folder() if hulls is None else hulls)
+    return GraspTask(file, rigid_body(file, parts), threads)
 
 
 def _require_touch(file: ObjectFile) -> None:

@@ -2,8 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -130,25 +129,15 @@ def cached_hulls(
     ObjectFolderError
         If the file holds no geometry, the cached file is damaged, or coacd is not installed.
     """
-    with caching_hulls(file, folder, max_hulls) as hulls:
-        return hulls
-
-
-@contextmanager
-def caching_hulls(
-    file: ObjectFile, folder: str | Path, max_hulls: int = MAX_HULLS
-) -> Iterator[tuple[trimesh.Trimesh, ...]]:
-    """Give the `cached_hulls`; new ones are written at the end, unless the block has failed."""
     path = Path(folder) / f"{file.key}.npz"
     source = _source(file, max_hulls)
     if path.exists():
         arrays = _arrays(path)
         if str(arrays["source"]) == source:
-            yield _unpacked(path, arrays)
-            return
+            return _unpacked(path, arrays)
     hulls = convex_hulls(file.to_mesh(), max_hulls)
-    yield hulls
     write_hulls(path, hulls, source)
+    return hulls
 
 
 def _convex_hull(points: np.ndarray, size: float) -> trimesh.Trimesh | None:

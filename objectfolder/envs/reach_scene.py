@@ -5,7 +5,6 @@ import numpy as np
 
 from objectfolder.envs.body import RigidBody, add_body
 from objectfolder.errors import ObjectFolderError
-from objectfolder.installation import install_command
 
 TIME_STEP = 0.0025  #: s
 OBJECT_LOW, OBJECT_HIGH = np.array([-0.1, 0.6]), np.array([0.1, 0.7])  #: range of the object's origin, m
@@ -28,7 +27,7 @@ def reach_scene(body: RigidBody) -> mujoco.MjModel:
     if int(mujoco.__version__.partition(".")[0]) < 4:
         raise ObjectFolderError(
             f"MuJoCo {mujoco.__version__} is installed, expected 4 or newer (metaworld pins an older one, "
-            f"for an environment of its own): {install_command('rl')}"
+            "for an environment of its own); install the extra rl, as `objectfolder doctor` says"
         )
     spec = mujoco.MjSpec()
     spec.option.timestep = TIME_STEP

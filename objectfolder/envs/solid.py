@@ -7,7 +7,6 @@ import numpy as np
 import trimesh
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.installation import install_command
 
 
 def close_holes(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
@@ -76,4 +75,6 @@ def merge_meshes(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
 
 def missing_library(library: str) -> ObjectFolderError:
     """Return the error for a library of the extra ``rl`` that is not installed."""
-    return ObjectFolderError(f"{library} is not installed; this needs: {install_command('rl')}")
+    return ObjectFolderError(
+        f"{library} is not installed; this needs the extra rl (`objectfolder doctor` says how to install it)"
+    )

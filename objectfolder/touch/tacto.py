@@ -49,7 +49,7 @@ class TactoReference:
             self._canvas = canvas()
         except ImportError as error:
             raise ObjectFolderError(
-                f"the tacto reference renderer cannot run here ({error}): {NEEDS['raster']}; "
+                f"the tacto reference renderer cannot run here ({error}): install {NEEDS['raster']}; "
                 "everything else works without it"
             ) from error
         if profile.gamma != _GAMMA or profile.ambient != 0:

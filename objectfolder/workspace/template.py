@@ -20,7 +20,6 @@ _DEPENDENCY = re.compile(rf"^(\s+- )({PACKAGE}(?:/\S+)?)$", re.MULTILINE)
 
 #: What `objectfolder.installation.requirement` writes, and its form for a wheel on a server.
 _PIN = re.compile(rf"^{PACKAGE}\[{EXTRA}\](?:==\S+| @ \S+)$", re.MULTILINE)
-_URL = " @ http"
 _NOTE = (
     f"# If this line works on this machine alone, write `{PACKAGE}[{EXTRA}] @ URL`: of a wheel, or "
     "git+URL@COMMIT of the repository.\n"
@@ -76,14 +75,20 @@ def first_card(name: str) -> str:
 def first_requirements() -> str:
     """Return the requirements of a new workspace, with a note unless they name a place that others reach."""
     line = requirement(EXTRA)
-    local = " @ file:" in line or "==" in line
-    return f"{_NOTE}{line}\n" if local else f"{line}\n"
+    return f"{line}\n" if _is_reachable(line) else f"{_NOTE}{line}\n"
 
 
 def next_requirements(text: str) -> str:
     """Return requirements with this version instead of another.
 
-    The URL of a wheel on a server is the user's to change, unless this version was installed from such a URL.
+    A place that others reach stays the user's to change if this version was installed from this machine.
     """
     line = requirement(EXTRA)
-    return _PIN.sub(lambda match: match[0] if _URL in match[0] and _URL not in line else line, text)
+    return _PIN.sub(
+        lambda match: match[0] if _is_reachable(match[0]) and not _is_reachable(line) else line, text
+    )
+
+
+def _is_reachable(line: str) -> bool:
+    """Return whether a requirement names a place that is not on this machine."""
+    return " @ " in line and " @ file:" not in line

@@ -133,7 +133,7 @@ def test_a_task_prints_its_table_and_gives_the_same_bytes_again(files, workspace
 def test_contacts_are_localized_on_each_object(files, workspace):
     output = bench("localization", files, "--out", "first")
     assert "touch + sound" in output
-    assert "mean over objects" in output
+    assert "mean of " in output
     assert "64 contacts to train with, 8 for validation, 8 for the test" in output
     written = sorted(path.name for path in Path("first").glob("localize_*.json"))
     assert len([name for name in written if "_machine" not in name]) == 2

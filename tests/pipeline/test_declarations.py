@@ -121,7 +121,7 @@ MAX_MODULES = {
     "voxelize": 43,
     "modal": 40,
     "radiation": 28,
-    "render_views": 42,
+    "render_views": 41,
     "render_touch": 33,
     "train_vision": 60,
     "train_audio": 27,
@@ -132,11 +132,11 @@ MAX_MODULES = {
     "recognize": 29,
     "retrieve": 28,
     "reconstruct": 119,
-    "decompose": 95,
-    "grasp_data": 112,
+    "decompose": 94,
+    "grasp_data": 111,
     "grasp_stability": 26,
-    "grasp_policy": 126,
-    "reach": 118,
+    "grasp_policy": 125,
+    "reach": 117,
 }
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
+from objectfolder.cli import app
 from objectfolder.engine.dvc.start import start_repository
 from objectfolder.engine.status import Outlook, status
 from objectfolder.errors import ObjectFolderError
@@ -142,7 +143,7 @@ def test_without_git_nothing_is_left(tmp_path, monkeypatch):
     assert not files(tmp_path)
 
 
-def test_another_version_is_refused_until_an_upgrade(made):
+def test_another_version_is_refused_until_an_upgrade(made, monkeypatch):
     """The record is that of an older package: another modal.py, no errors.py, a module that is gone."""
     check_installed(made)
     lines = (made / RECORD).read_text().splitlines(keepends=True)
@@ -155,6 +156,14 @@ def test_another_version_is_refused_until_an_upgrade(made):
         check_installed(made)
     with pytest.raises(ObjectFolderError, match="another version"):
         status(root=made)
+    # Commands say so before they miss a section that older settings lack.
+    settings = (made / "params.yaml").read_text()
+    (made / "params.yaml").write_text(settings.replace("radiation:", "smell:"))
+    monkeypatch.chdir(made)
+    for words in (["status"], ["build"], ["add", str(ROOT / "catalogs" / "starter.yaml")]):
+        with pytest.raises(ObjectFolderError, match="another version"):
+            app(words, standalone_mode=False)
+    (made / "params.yaml").write_text(settings)
     done = upgrade_workspace(made)
     assert done.changed == tuple(expected)
     assert (done.written, done.removed, done.conflicts, done.params) == ((), (), (), ())
@@ -198,7 +207,10 @@ def test_upgrade_replaces_what_nobody_edited(made):
     ("before", "after"),
     [
         ("# mine\nobjectfolder[build]==0.0.1\nscipy\n", "# mine\n{now}\nscipy\n"),
-        ("objectfolder[build] @ git+https://example.org/x@abc\n", "{now}\n"),
+        (
+            "objectfolder[build] @ git+https://example.org/x@abc\n",
+            "objectfolder[build] @ git+https://example.org/x@abc\n",
+        ),
         ("objectfolder[build] @ file:///somewhere/else\nscipy\n", "{now}\nscipy\n"),
         ("objectfolder[build,ray]==0.0.1\n", "objectfolder[build,ray]==0.0.1\n"),
         (

@@ -38,7 +38,18 @@ Batch = tuple[torch.Tensor, torch.Tensor, torch.Tensor]  #: inputs of both strea
 PAIRS: tuple[Pair, ...] = tuple(combinations(MODALITIES, 2))
 CURVE_COLUMNS = ("first", "second", "seed", "epoch", "train_loss", "val_map")  #: of the training curves
 FEATURE_SIZES = {"vision": (16, 16), "audio": (64, 8), "touch": (16, 12)}  #: input sizes of CCA, pixels
-DIMENSIONS = (2, 4, 8, 16, 32, 64, 128, 256, 512)  #: candidate numbers of components and of variates of CCA
+DIMENSIONS = (
+    1,
+    2,
+    4,
+    8,
+    16,
+    32,
+    64,
+    128,
+    256,
+    512,
+)  #: candidate numbers of components and of variates of CCA
 FINE_RATE = 0.25  #: learning rate with pre-trained encoders, relative to that of the settings
 
 

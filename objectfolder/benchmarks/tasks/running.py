@@ -7,7 +7,6 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from shutil import rmtree
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,7 +18,7 @@ from objectfolder.benchmarks.datasets.splits import Split, named_split
 from objectfolder.benchmarks.models.encoders import InputSizes, Weights, own_file, registered
 from objectfolder.benchmarks.params import TaskParams
 from objectfolder.benchmarks.tasks.job import Job
-from objectfolder.io import atomic, exclusive, file_digest, in_use, write_json
+from objectfolder.io import atomic, exclusive, file_digest, remove_unused, write_json
 from objectfolder.workspace.code_digests import digests
 from objectfolder.workspace.layout import Benchmarks
 
@@ -159,12 +158,12 @@ def run_benchmark(spec: Run, report: Report) -> float:
     """
     task, part, folder = spec.task, spec.part, spec.folder
     progress = folder.progress(task.name, part, spec.identity())
-    with exclusive(progress):  # a second process finds everything finished
+    waiting = f"waiting for another process that runs {task.name}, {part}, in {folder.dir}"
+    with exclusive(progress, lambda: report(waiting)):  # and then find everything finished
         scores, curve = task.run(spec.job(progress, report))
         write_results(task, part, folder, progress, scores | spec.description(), curve)
     for other in folder.outdated_progress(task.name, part, progress):
-        if not in_use(other):
-            rmtree(other, ignore_errors=True)
+        remove_unused(other)
     seconds: float = scores["seconds"]
     return seconds
 

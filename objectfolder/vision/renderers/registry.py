@@ -6,7 +6,6 @@ from typing import Protocol
 import numpy as np
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.installation import install_command
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.scene import Scene
 
@@ -73,11 +72,11 @@ RENDERERS: dict[str, Callable[[Scene], Renderer]] = {
 }
 #: What to install for each renderer.
 NEEDS = {
-    "mitsuba": install_command("build"),
-    "mitsuba-llvm": f"{install_command('build')} and an LLVM library, version 19 or newer (libllvm19)",
-    "mitsuba-cuda": f"{install_command('build')} on a machine with an NVIDIA GPU and its driver",
-    "cycles": f"{install_command('cycles')} (Python 3.11), or put Blender 4.2 or newer on the PATH",
-    "raster": f"{install_command('raster')} and EGL (libegl1) or OSMesa (PYOPENGL_PLATFORM=osmesa)",
+    "mitsuba": "the extra build",
+    "mitsuba-llvm": "the extra build and an LLVM library, version 19 or newer (libllvm19)",
+    "mitsuba-cuda": "the extra build on a machine with an NVIDIA GPU and its driver",
+    "cycles": "the extra cycles (Python 3.11), or Blender 4.2 or newer on the PATH",
+    "raster": "the extra raster and EGL (libegl1) or OSMesa (PYOPENGL_PLATFORM=osmesa)",
 }
 
 
@@ -95,6 +94,6 @@ def make_renderer(name: str, scene: Scene) -> Renderer:
         return RENDERERS[name](scene)
     except ImportError as error:
         raise ObjectFolderError(
-            f"renderer {name!r} cannot run here ({error}): {NEEDS[name]}, or set render_views.renderer to "
-            "another"
+            f"renderer {name!r} cannot run here ({error}): install {NEEDS[name]}, as `objectfolder doctor` "
+            "says, or set render_views.renderer to another"
         ) from error

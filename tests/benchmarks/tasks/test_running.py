@@ -1,5 +1,9 @@
 """What a run on a split depends on, and how many threads it takes."""
 
+import shutil
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import pytest
@@ -13,7 +17,7 @@ from objectfolder.benchmarks.params import TaskParams
 from objectfolder.benchmarks.tasks import running
 from objectfolder.benchmarks.tasks.retrieval import RETRIEVE, RetrieveConfig
 from objectfolder.benchmarks.tasks.running import SplitRun
-from objectfolder.io import exclusive, in_use, read_json
+from objectfolder.io import exclusive, read_json, remove_unused
 from objectfolder.workspace.layout import Benchmarks
 
 SETTINGS = RetrieveConfig(
@@ -54,7 +58,13 @@ def test_an_object_that_changes_its_part_changes_the_run(monkeypatch):
 
 def test_a_finished_run_keeps_the_progress_of_one_that_still_runs(tmp_path):
     folder = Benchmarks(tmp_path)
-    task = SimpleNamespace(name="small", run=lambda job: ({"seconds": 1.0, "score": job}, []), columns=("a",))
+
+    def run_task(job):
+        remove_unused(folder.progress("small", "seen", "new"))  # as another run that finishes meanwhile
+        assert folder.progress("small", "seen", "new").is_dir()
+        return {"seconds": 1.0, "score": job}, []
+
+    task = SimpleNamespace(name="small", run=run_task, columns=("a",))
 
     def spec(identity):
         return SimpleNamespace(
@@ -69,7 +79,33 @@ def test_a_finished_run_keeps_the_progress_of_one_that_still_runs(tmp_path):
     assert read_json(folder.result("small", "seen")) == {"score": 0.5}
     assert running_now.is_dir()
     assert not left.exists()
-    assert not in_use(running_now)
+    remove_unused(running_now)
+    assert not running_now.exists()
+    remove_unused(running_now)  # gone already
+
+
+def test_a_second_run_waits_and_says_so(tmp_path):
+    """Even if the folder that it waits for is removed by the process that held it."""
+    folder, said, entered = tmp_path / "progress", [], threading.Event()
+
+    def second():
+        with exclusive(folder, lambda: said.append("waiting")):
+            entered.set()
+            assert folder.is_dir()
+            remove_unused(folder)
+            assert folder.is_dir()
+
+    with ThreadPoolExecutor(1) as pool:
+        with exclusive(folder):
+            done = pool.submit(second)
+            while not said:
+                time.sleep(0.01)
+            assert not entered.is_set()
+            shutil.rmtree(folder)
+        done.result(timeout=20)
+    assert said == ["waiting"]
+    with exclusive(folder, lambda: said.append("again")):
+        assert said == ["waiting"]
 
 
 @pytest.mark.parametrize("threads", [1, 2])
