@@ -74,7 +74,7 @@ def temporary_path(path: Path) -> Path:
 
 
 @contextmanager
-def exclusive(folder: Path, on_wait: Callable[[], None] = lambda: None) -> Iterator[None]:
+def exclusive(folder: Path, on_wait: Callable[[], None] | None = None) -> Iterator[None]:
     """Make a folder, and keep other processes out of this block for the same folder: they wait.
 
     ``on_wait`` is called if this process has to.
@@ -99,7 +99,7 @@ def remove_unused(folder: Path) -> None:
             os.close(handle)
 
 
-def _locked(folder: Path, on_wait: Callable[[], None]) -> int:
+def _locked(folder: Path, on_wait: Callable[[], None] | None) -> int:
     """Return the open handle of a folder that this process alone holds; closing it lets the next one in."""
     while True:
         folder.mkdir(parents=True, exist_ok=True)
@@ -108,7 +108,8 @@ def _locked(folder: Path, on_wait: Callable[[], None]) -> int:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                on_wait()
+                if on_wait is not None:
+                    on_wait()
                 fcntl.flock(handle, fcntl.LOCK_EX)
             if folder.exists() and os.path.samestat(os.fstat(handle), folder.stat()):
                 return handle
