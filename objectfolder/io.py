@@ -5,15 +5,14 @@ file in errors.
 """
 
 import ast
-import fcntl
 import hashlib
 import json
 import os
 import re
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -71,49 +70,6 @@ def atomic(path: str | Path) -> Iterator[Path]:
 def temporary_path(path: Path) -> Path:
     """Return the name under which `atomic` writes a file."""
     return path.with_name(f".{path.stem}.tmp{path.suffix}")
-
-
-@contextmanager
-def exclusive(folder: Path, on_wait: Callable[[], None] | None = None) -> Iterator[None]:
-    """Make a folder, and keep other processes out of this block for the same folder: they wait.
-
-    ``on_wait`` is called if this process has to.
-    """
-    handle = _locked(folder, on_wait)
-    try:
-        yield
-    finally:
-        os.close(handle)
-
-
-def remove_unused(folder: Path) -> None:
-    """Remove a folder, unless a process is in a block that is `exclusive` for it, or it is gone."""
-    with suppress(FileNotFoundError):
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            shutil.rmtree(folder, ignore_errors=True)
-        except BlockingIOError:
-            pass
-        finally:
-            os.close(handle)
-
-
-def _locked(folder: Path, on_wait: Callable[[], None] | None) -> int:
-    """Return the open handle of a folder that this process alone holds; closing it lets the next one in."""
-    while True:
-        folder.mkdir(parents=True, exist_ok=True)
-        with suppress(FileNotFoundError):  # another process may remove it meanwhile
-            handle = os.open(folder, os.O_RDONLY)
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                if on_wait is not None:
-                    on_wait()
-                fcntl.flock(handle, fcntl.LOCK_EX)
-            if folder.exists() and os.path.samestat(os.fstat(handle), folder.stat()):
-                return handle
-            os.close(handle)
 
 
 def check_writable(directory: Path) -> None:

@@ -128,15 +128,15 @@ MAX_MODULES = {
     "train_touch": 42,
     "pack": 12,
     "evaluate": 97,
-    "observe": 99,
-    "recognize": 29,
-    "retrieve": 28,
-    "reconstruct": 119,
+    "observe": 100,
+    "recognize": 30,
+    "retrieve": 29,
+    "reconstruct": 120,
     "decompose": 94,
-    "grasp_data": 111,
-    "grasp_stability": 26,
-    "grasp_policy": 125,
-    "reach": 117,
+    "grasp_data": 112,
+    "grasp_stability": 27,
+    "grasp_policy": 126,
+    "reach": 118,
 }
 
 

@@ -20,7 +20,8 @@ from objectfolder.benchmarks.datasets.samples import (
 )
 from objectfolder.benchmarks.datasets.splits import label_order
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic, exclusive, read_json, write_json
+from objectfolder.io import atomic, read_json, write_json
+from objectfolder.locks import exclusive
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.contact import sensor_frames
 from objectfolder.vision.cameras import Intrinsics

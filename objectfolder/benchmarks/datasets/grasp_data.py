@@ -27,7 +27,8 @@ from objectfolder.envs.gripper import PAD
 from objectfolder.envs.hulls import hulls_digest
 from objectfolder.envs.poses import hand_axes, rotation, turn_poses
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic, exclusive, read_json, write_json, write_npz
+from objectfolder.io import atomic, read_json, write_json, write_npz
+from objectfolder.locks import exclusive
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator
 

@@ -25,7 +25,8 @@ from objectfolder.benchmarks.datasets.samples import array_path, object_digest
 from objectfolder.benchmarks.datasets.splits import TEN, check_count
 from objectfolder.disk import enough_space
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic, exclusive, read_json, write_json, write_npz
+from objectfolder.io import atomic, read_json, write_json, write_npz
+from objectfolder.locks import exclusive
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.header import PARTS
 from objectfolder.objectfile.query_files import sample_presses, sample_strikes, sample_views

@@ -18,7 +18,8 @@ from objectfolder.benchmarks.datasets.splits import Split, named_split
 from objectfolder.benchmarks.models.encoders import InputSizes, Weights, own_file, registered
 from objectfolder.benchmarks.params import TaskParams
 from objectfolder.benchmarks.tasks.job import Job
-from objectfolder.io import atomic, exclusive, file_digest, remove_unused, write_json
+from objectfolder.io import atomic, file_digest, write_json
+from objectfolder.locks import exclusive, remove_unused
 from objectfolder.workspace.code_digests import digests
 from objectfolder.workspace.layout import Benchmarks
 

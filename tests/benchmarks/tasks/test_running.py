@@ -17,7 +17,8 @@ from objectfolder.benchmarks.params import TaskParams
 from objectfolder.benchmarks.tasks import running
 from objectfolder.benchmarks.tasks.retrieval import RETRIEVE, RetrieveConfig
 from objectfolder.benchmarks.tasks.running import SplitRun
-from objectfolder.io import exclusive, read_json, remove_unused
+from objectfolder.io import read_json
+from objectfolder.locks import exclusive, remove_unused
 from objectfolder.workspace.layout import Benchmarks
 
 SETTINGS = RetrieveConfig(
