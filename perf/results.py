@@ -194,14 +194,12 @@ def object_tables(folder: Benchmarks, preset: str, options: str = "") -> Iterato
 
 def table_record(shown: tables.Table, command: str, runs: list[dict]) -> dict:
     """Return a table with the command that prints it and the duration of its runs."""
-    # Processor time is that of the last call; of a run that was interrupted, only seconds are all.
-    cpu = [max(run["cpu_seconds"], run["seconds"] if run["threads"] == 1 else 0) for run in runs]
     return {
         "title": shown.title,
         "command": f"objectfolder bench {command}",
         "minutes": [round(run["seconds"] / 60) for run in runs],
         "threads": runs[0]["threads"],
-        "cpu_minutes": round(sum(cpu) / 60),
+        "cpu_minutes": round(sum(run["cpu_seconds"] for run in runs) / 60),
         "machine": runs[0]["machine"],
         "date": runs[0].get("date", ""),
         "columns": list(shown.columns),

@@ -4,6 +4,7 @@ import csv
 import inspect
 import platform
 import re
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,7 @@ from objectfolder.benchmarks.datasets.splits import Split, named_split
 from objectfolder.benchmarks.models.encoders import InputSizes, Weights, own_file, registered
 from objectfolder.benchmarks.params import TaskParams
 from objectfolder.benchmarks.tasks.job import Job
-from objectfolder.io import atomic, file_digest, write_json
+from objectfolder.io import atomic, file_digest, read_json, write_json
 from objectfolder.locks import exclusive, remove_unused
 from objectfolder.workspace.code_digests import digests
 from objectfolder.workspace.layout import Benchmarks
@@ -136,7 +137,29 @@ class SplitRun:
         return {"keys": self.samples.keys}
 
 
-def run_benchmark(spec: Run, report: Report) -> float:
+@dataclass(frozen=True)
+class RunTime:
+    """Time that a run took, including interrupted calls as far as their last report."""
+
+    seconds: float  #: of training and scoring
+    cpu_seconds: float  #: of this process
+
+
+class _ProcessorTime:
+    """Processor time of all calls that worked in a progress folder, kept there at each report."""
+
+    def __init__(self, progress: Path):
+        self._path, self._start = progress / "processor_seconds.json", time.process_time()
+        self._before: float = read_json(self._path) if self._path.is_file() else 0.0
+
+    def keep(self) -> float:
+        """Write and return the seconds so far."""
+        seconds = self._before + time.process_time() - self._start
+        write_json(self._path, seconds)
+        return seconds
+
+
+def run_benchmark(spec: Run, report: Report) -> RunTime:
     """Run a task and write its scores, training curves and the files in `KEPT`.
 
     An interrupted run is resumed, unless its inputs, parameters or code have changed. What was finished is
@@ -150,7 +173,7 @@ def run_benchmark(spec: Run, report: Report) -> float:
 
     Returns
     -------
-    Seconds of training and scoring, including those of interrupted calls.
+    RunTime
 
     Raises
     ------
@@ -161,12 +184,18 @@ def run_benchmark(spec: Run, report: Report) -> float:
     progress = folder.progress(task.name, part, spec.identity())
     waiting = f"waiting for another process that runs {task.name}, {part}, in {folder.dir}"
     with exclusive(progress, lambda: report(waiting)):  # and then find everything finished
-        scores, curve = task.run(spec.job(progress, report))
+        spent = _ProcessorTime(progress)
+
+        def keep_and_report(line: str) -> None:
+            spent.keep()
+            report(line)
+
+        scores, curve = task.run(spec.job(progress, keep_and_report))
         write_results(task, part, folder, progress, scores | spec.description(), curve)
+        cost = RunTime(scores["seconds"], spent.keep())
     for other in folder.outdated_progress(task.name, part, progress):
         remove_unused(other)
-    seconds: float = scores["seconds"]
-    return seconds
+    return cost
 
 
 def write_results(

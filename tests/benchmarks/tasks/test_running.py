@@ -76,13 +76,37 @@ def test_a_finished_run_keeps_the_progress_of_one_that_still_runs(tmp_path):
     running_now, left = (folder.progress("small", "seen", name) for name in ("running", "left"))
     left.mkdir(parents=True)
     with exclusive(running_now):
-        assert running.run_benchmark(spec("new"), print) == 1.0
+        assert running.run_benchmark(spec("new"), print).seconds == 1.0
     assert read_json(folder.result("small", "seen")) == {"score": 0.5}
     assert running_now.is_dir()
     assert not left.exists()
     remove_unused(running_now)
     assert not running_now.exists()
     remove_unused(running_now)  # gone already
+
+
+def test_processor_time_includes_that_of_an_interrupted_call(tmp_path, monkeypatch):
+    clock, lines = SimpleNamespace(now=100.0, stop=True), []
+    monkeypatch.setattr(running.time, "process_time", lambda: clock.now)
+
+    def run_task(report):
+        clock.now += 3
+        report("epoch 1")
+        clock.now += 50  # of an epoch that is lost if the process stops
+        if clock.stop:
+            raise KeyboardInterrupt
+        return {"seconds": 60.0}, []
+
+    task = SimpleNamespace(name="small", run=run_task, columns=("a",))
+    spec = SimpleNamespace(
+        **{"task": task, "part": "seen", "folder": Benchmarks(tmp_path), "identity": lambda: "same"},
+        **{"job": lambda progress, report: report, "description": lambda: {}},
+    )
+    with pytest.raises(KeyboardInterrupt):
+        running.run_benchmark(spec, lines.append)
+    clock.now, clock.stop = 7.0, False  # of another process
+    assert running.run_benchmark(spec, lines.append) == running.RunTime(60.0, 3 + 53)
+    assert lines == ["epoch 1"] * 2
 
 
 def test_a_second_run_waits_and_says_so(tmp_path):
