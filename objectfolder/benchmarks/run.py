@@ -292,13 +292,32 @@ def _run_timed(spec: Run, report: Report, threads: int, device: str | None) -> N
 
 
 def _call_all(call: Callable[..., None], arguments: list[tuple[Any, ...]], jobs: int) -> None:
-    """Call a function with each of the arguments, in processes if there are several jobs."""
-    if min(jobs, len(arguments)) > 1:
-        for _ in in_processes(call, arguments, jobs):
-            pass
+    """Call a function with each of the arguments, in processes if there are several jobs.
+
+    Raises
+    ------
+    ObjectFolderError
+        If calls fail, after all others are finished.
+    """
+    attempts = [(call, *given) for given in arguments]
+    if min(jobs, len(attempts)) > 1:
+        problems = list(in_processes(_problem, attempts, jobs))
     else:
-        for given in arguments:
-            call(*given)
+        problems = [_problem(*given) for given in attempts]
+    failed = sorted(problem for problem in problems if problem is not None)
+    if failed:
+        rest = len(attempts) - len(failed)
+        kept = f"\nThe other {rest} ran; asked for without these, the results are printed." if rest else ""
+        raise ObjectFolderError("\n".join(failed) + kept)
+
+
+def _problem(call: Callable[..., None], *arguments: Any) -> str | None:
+    """Call a function; return the message of its error, if it fails."""
+    try:
+        call(*arguments)
+    except ObjectFolderError as error:
+        return str(error)
+    return None
 
 
 def _max_hulls(values: dict[str, Any], path: Path) -> int:

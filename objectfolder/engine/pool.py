@@ -4,9 +4,11 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
-from typing import Any
+from typing import Any, TypeVar
 
 from objectfolder.engine.supervisor import die_with
+
+_Result = TypeVar("_Result")
 
 
 def process_pool(jobs: int | None) -> ProcessPoolExecutor:
@@ -17,8 +19,10 @@ def process_pool(jobs: int | None) -> ProcessPoolExecutor:
     return ProcessPoolExecutor(jobs, get_context("spawn"), initializer=die_with, initargs=(os.getpid(),))
 
 
-def in_processes(call: Callable[..., None], arguments: list[tuple[Any, ...]], jobs: int) -> Iterator[None]:
-    """Call a function with each tuple of arguments in parallel; yield once per finished call."""
+def in_processes(
+    call: Callable[..., _Result], arguments: list[tuple[Any, ...]], jobs: int
+) -> Iterator[_Result]:
+    """Call a function with each tuple of arguments in parallel; yield results in the order they finish."""
     with process_pool(min(jobs, len(arguments))) as pool:
         waiting = [pool.submit(call, *given) for given in arguments]
         try:

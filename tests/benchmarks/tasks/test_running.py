@@ -17,6 +17,7 @@ from objectfolder.benchmarks.params import TaskParams
 from objectfolder.benchmarks.tasks import running
 from objectfolder.benchmarks.tasks.retrieval import RETRIEVE, RetrieveConfig
 from objectfolder.benchmarks.tasks.running import SplitRun
+from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_json
 from objectfolder.locks import exclusive, remove_unused
 from objectfolder.workspace.layout import Benchmarks
@@ -131,6 +132,21 @@ def test_a_second_run_waits_and_says_so(tmp_path):
     assert said == ["waiting"]
     with exclusive(folder, lambda: said.append("again")):
         assert said == ["waiting"]
+
+
+def fail_if_odd(number, folder):
+    if number % 2:
+        raise ObjectFolderError(f"object {number}: odd")
+    (folder / str(number)).touch()
+
+
+@pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_an_object_that_fails_does_not_stop_the_others(tmp_path, jobs):
+    with pytest.raises(ObjectFolderError, match=r"^object 1: odd\nobject 3: odd\nThe other 2 ran"):
+        run._call_all(fail_if_odd, [(number, tmp_path) for number in (1, 2, 3, 4)], jobs)
+    assert {path.name for path in tmp_path.iterdir()} == {"2", "4"}
+    with pytest.raises(ObjectFolderError, match=r"^object 5: odd$"):
+        run._call_all(fail_if_odd, [(5, tmp_path)], jobs)
 
 
 @pytest.mark.parametrize("threads", [1, 2])
