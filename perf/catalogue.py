@@ -6,6 +6,7 @@ the most relief, and a strike's spectrogram. Exits with 1 if a target is missed.
 """
 
 import argparse
+import sys
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -48,7 +49,7 @@ def measured(key: str, root: Path, entry: dict[str, Any], generator: str) -> dic
     """Return the row of one object."""
     build = Build(key, root)
     if not build.metrics.is_file():
-        return {"object": key, "failed": "not built"}
+        return {"object": key, "failed": "not scored" if build.object_file.is_file() else "not built"}
     scores, modal = read_json(build.metrics), read_json(build.modal)
     costs = recall_costs(root, key)
     vision, audio, touch = scores["vision"], scores["audio"], scores["touch"]
@@ -173,6 +174,8 @@ def main() -> None:
     rows = [
         measured(key, root, entry, generators.get(key, "mesh")) for key, entry in values["objects"].items()
     ]
+    if all("failed" in row for row in rows):
+        sys.exit(f"{root}: no object has scores; run `objectfolder build` there")
     table = Table(title=f"{len(rows)} objects")
     for name in ("object", "vision", "touch", "gain error", "modes", "KB", "CPU s", "slowest"):
         table.add_column(name, justify="left" if name == "object" else "right", no_wrap=True)
