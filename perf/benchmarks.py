@@ -29,7 +29,12 @@ FOUR_TOUCHES = 0.75
 #: Least mean average precision of sight and sound; with touch, the paper's.
 RETRIEVED = {"V->A": 0.95, "A->V": 0.95}
 UNSEEN_CHANCES = 3  #: of V->A: how many times chance
-FIGURES = {"recognize": "catalogue_confusion", "reconstruct": "catalogue_shapes"}  #: pictures by task
+#: Pictures by task and split.
+FIGURES = {
+    "recognize_seen": "catalogue_confusion",
+    "reconstruct_seen": "catalogue_shapes",
+    "reconstruct_unseen": "catalogue_unseen_shapes",
+}
 SIDE = 1400  #: of a picture at most, pixels
 RECONSTRUCTED = {"V": 0.75, "A": 0.85, "VA": 0.88}  #: least IoU
 WORDS = {
@@ -129,9 +134,9 @@ def main() -> None:
             table.add_row(*row)
         console.print(table)
     measured = {name: found for name in WORDS if (found := found_in(folders, *name.rsplit("_", 1)))}
-    for task, name in FIGURES.items():
-        found = measured.get(f"{task}_seen")
-        if arguments.pictures and found and (figure := found[0].sheet(task, "seen")).is_file():
+    for run, name in FIGURES.items():
+        found = measured.get(run)
+        if arguments.pictures and found and (figure := found[0].sheet(*run.rsplit("_", 1))).is_file():
             with Image.open(figure) as page, atomic(arguments.pictures / f"{name}.webp") as temporary:
                 page.thumbnail((SIDE, SIDE))
                 page.convert("RGB").save(temporary, "webp", quality=80, method=6)

@@ -25,6 +25,7 @@ from objectfolder.benchmarks.models.occupancy_net import EMBEDDING, Reconstructo
 from objectfolder.benchmarks.models.several_touches import SeveralTouches
 from objectfolder.benchmarks.models.shape_model import Setup, ShapeModel, new_net, shape_inputs
 from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, batch_count, shuffled
+from objectfolder.benchmarks.scoring.shapes import intersection_over_union
 from objectfolder.benchmarks.scoring.truth import THRESHOLDS, best_level
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.naming import CHUNK, train_namer
@@ -291,10 +292,13 @@ class ShapeTraining:
         return torch.from_numpy(points).to(self.job.device), torch.from_numpy(inside).to(self.job.device)
 
     def _validated(self, model: ShapeModel) -> tuple[float, float]:
-        """Return the level that is best on the validation rows, and its IoU."""
+        """Return the level that is best on `validation_rows`, and its IoU on those not learnt from."""
+        rows = validation_rows(self.job)
         logits = model.logits(model.embed(self._validation), self.occupancy.val_points)
-        inside = self.occupancy.val_inside[self._labels[validation_rows(self.job)]]
-        return best_level(logits, inside, np.log(THRESHOLDS / (1 - THRESHOLDS)))
+        inside = self.occupancy.val_inside[self._labels[rows]]
+        level = best_level(logits, inside, np.log(THRESHOLDS / (1 - THRESHOLDS)))[0]
+        apart = np.isin(rows, self.job.split.val)
+        return level, float(intersection_over_union(logits[apart] > level, inside[apart]).mean())
 
     @cached_property
     def _validation(self) -> dict[str, np.ndarray]:
@@ -308,10 +312,10 @@ def first_rows(rows: np.ndarray, labels: np.ndarray, count: int) -> np.ndarray:
 
 
 def validation_rows(job: Job[ReconstructConfig]) -> np.ndarray:
-    """Return the rows to choose epochs and thresholds on; of validation objects alone with training rows.
+    """Return the rows to choose the threshold on; of validation objects alone with training rows.
 
     A threshold that is best for the few validation objects of the split ``unseen`` may leave all other
-    predictions empty.
+    predictions empty. Epochs are chosen on the validation rows alone.
     """
     labels, split = job.observations.labels, job.split
     apart = not np.isin(labels[split.val], labels[split.train]).any()

@@ -23,6 +23,7 @@ from objectfolder.benchmarks.models.shape_model import (
     shape_inputs,
 )
 from objectfolder.benchmarks.scoring import truth
+from objectfolder.benchmarks.scoring.shapes import intersection_over_union
 from objectfolder.benchmarks.scoring.truth import Truth, best_level
 from objectfolder.benchmarks.tasks import job, reconstruction
 from objectfolder.benchmarks.tasks.job import Job
@@ -289,6 +290,25 @@ def test_of_objects_without_validation_rows_training_rows_help_to_choose(tmp_pat
     for split, rows in ((seen, seen.val), (unseen, np.concatenate([block[:2], ball[:2], slab[:2]]))):
         job = Job(Observed(), split, PARAMS, "tiny_shapes", SIZES, 0, tmp_path)
         assert validation_rows(job).tolist() == rows.tolist()
+
+
+def test_epochs_are_chosen_on_objects_that_are_not_learnt(occupancy, tmp_path):
+    """A net that knows the training objects by heart and nothing else has learnt nothing."""
+    ball, block, slab, cube = (np.arange(COUNT) + i * COUNT for i in range(4))
+    split = Split("unseen", np.concatenate([ball, slab]), block, cube)
+    job = Job(Observed(), split, PARAMS, "tiny_shapes", SIZES, 0, tmp_path)
+    training = ShapeTraining(job, occupancy, "V", 0, tmp_path / "none.pt")
+    labels = Observed.labels[validation_rows(job)]
+
+    def validated(answers):
+        logits = np.where(occupancy.val_inside[answers], 5.0, -5.0)
+        model = SimpleNamespace(embed=lambda seen: seen, logits=lambda embedding, points: logits)
+        return training._validated(model)[1]
+
+    assert validated(labels) == 1
+    by_heart = np.where(labels == 1, 0, labels)  # the block is taken for the ball
+    expected = intersection_over_union(occupancy.val_inside[:1], occupancy.val_inside[1:2])[0]
+    assert validated(by_heart) == pytest.approx(expected)
 
 
 def test_an_object_without_validation_rows_is_not_validated_on_what_it_learnt(tmp_path):
