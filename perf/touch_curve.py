@@ -25,7 +25,6 @@ from objectfolder.benchmarks.datasets.sampling import ObserveConfig, ask, draw_q
 from objectfolder.benchmarks.models.classifier import Classifier
 from objectfolder.benchmarks.models.encoders import InputSizes, encoder_inputs, shifted
 from objectfolder.benchmarks.run import BenchmarkOptions
-from objectfolder.benchmarks.scoring.scores import accuracy
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.recognition import FLAT, RECOGNIZE, RecognizeConfig
 from objectfolder.benchmarks.tasks.running import SplitRun
@@ -147,7 +146,7 @@ def trained(
         "touches": each,
         "steps": 1000 * thousands,
         "accuracy": float(known.mean()),
-        "not_flat": accuracy(known[~flat].astype(int), np.ones((~flat).sum(), int)),
+        "not_flat": float(known[~flat].mean()),
         "validation": max(point.val_score for point in curve),
         "train_loss": curve[-1].train_loss,
         "seconds": sum(point.seconds for point in curve),
@@ -168,7 +167,7 @@ def main() -> None:
     params = options.task_params(RECOGNIZE, values, path)
     sources = load_object_files(options.files)
     observe = workspace.settings(ObserveConfig, values, path)
-    folders = collect_observations(sources, observe, params.seed, options.folder, 2, track_all)
+    folders = collect_observations(sources, observe, params.seed, options.folder, 2, track)
     progress = given.out / "touch_curve"
     progress.mkdir(exist_ok=True)
     whole = SplitRun(RECOGNIZE, "seen", Observations(folders), params, options.folder, device="cpu")
@@ -188,11 +187,6 @@ def main() -> None:
         shares = (f"{100 * row[name]:.1f}" for name in ("accuracy", "not_flat"))
         table.add_row(str(row["touches"]), str(row["steps"]), *shares, f"{row['seconds'] / 60:.0f}")
     console.print(table)
-
-
-def track_all(steps: Iterator, description: str, total: int) -> Iterator:
-    """Show the progress of sampling."""
-    return track(steps, description, total=total)
 
 
 if __name__ == "__main__":
