@@ -23,7 +23,9 @@ class Companions:
         self._sorted = self._group[self._order]
 
     def draw(self, rows: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-        """Return each of the rows with others of its object and part at random, which may repeat.
+        """Return each of the rows with others of its object and part at random.
+
+        All are different as far as there are ``count`` of them; the others are repeated in turn if not.
 
         Parameters
         ----------
@@ -38,7 +40,15 @@ class Companions:
         (n, count) int64 array
             The rows themselves are the first column.
         """
+        rows = np.asarray(rows)
         groups = self._group[rows]
         first, end = (np.searchsorted(self._sorted, groups, side) for side in ("left", "right"))
-        others = rng.integers(first[:, None], end[:, None], (len(rows), count - 1))
-        return np.concatenate([np.asarray(rows)[:, None], self._order[others]], 1)
+        size = (end - first)[:, None]
+        place = np.arange(size.max(initial=1))
+        members = self._order[np.minimum(first[:, None] + place, end[:, None] - 1)]
+        key = rng.random(members.shape)
+        key[members == rows[:, None]] = 2  # itself after all others
+        key[place >= size] = 3
+        shuffled = np.take_along_axis(members, key.argsort(1), 1)
+        others = np.arange(count - 1) % np.maximum(size - 1, 1)
+        return np.concatenate([rows[:, None], np.take_along_axis(shuffled, others, 1)], 1)

@@ -63,8 +63,8 @@ def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[
         (the training object with the highest IoU, found by the truth). Of variants also the ``threshold``,
         ``epochs`` and ``val_iou``, all as means over the seeds, the IoU of each of the ``seeds`` and its
         ``interval_95``. Beside them ``perfect``, the surface scores of the truth against itself; the numbers
-        of ``touches`` and ``views``; `Job.counts` of these views, before any is dropped; ``untested``, by
-        variant the objects without a test row; and ``seconds``.
+        of different ``touches`` and of ``views``; `Job.counts` of these views, before any is dropped;
+        ``untested``, by variant the objects without a test row; and ``seconds``.
     list
         Rows of the training curves: `CURVE_COLUMNS`.
 
@@ -87,6 +87,7 @@ def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[
     used = replace(job.split, val=validation_rows(job), test=_test(job))
     train, val, test = (job.observations.labels[rows] for rows in (used.train, used.val, used.test))
     known = np.unique(train)
+    fewest = int(np.unique(job.observations.labels[job.split.test], return_counts=True)[1].min())
     baselines = {
         "average_shape": truth.average_shape(known, val, test),
         "similar_view": truth.known_shapes("similar_view", _similar(job, used.test), test),
@@ -98,7 +99,7 @@ def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[
         **{variant: over_seeds([done["scores"] for done in runs]) for variant, runs in finished.items()},
         **baselines,
         "perfect": truth.floor(np.unique(test)),
-        "touches": job.params.touches,
+        "touches": min(job.params.touches, fewest),
         "views": job.params.views,
         **replace(job, split=used).counts(repeats),
         "untested": {name: lost for name, some in jobs.items() if (lost := job.untested(some))},

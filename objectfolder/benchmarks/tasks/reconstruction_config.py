@@ -28,4 +28,4 @@ class ReconstructConfig(TrainingConfig):
     resolution: Annotated[int, Ge(8)]  #: of marching cubes
     score_points: Count  #: for IoU, and on either surface for the distances
     views: Count  #: test observations per object that are meshed
-    touches: Count  #: of the object that a shape is reconstructed from
+    touches: Count  #: of the object that a shape is reconstructed from, as far as its part has so many

@@ -15,7 +15,24 @@ def test_companions_are_of_the_same_object_and_part():
     assert np.array_equal(drawn[:, 0], rows)
     for row, group in zip(rows, drawn):
         part = next(part for part in (SPLIT.train, SPLIT.val, TEST) if row in part)
-        assert set(group) == {other for other in part if LABELS[other] == LABELS[row]}
+        others = {other for other in part if LABELS[other] == LABELS[row]} - {row}
+        assert set(group[1:]) == (others or {row})
+
+
+def test_no_companion_is_drawn_twice_while_there_are_others():
+    labels = np.zeros(40, int)
+    companions = Companions(Split("seen", np.arange(20), np.arange(20, 24), np.arange(24, 40)), labels)
+    drawn = companions.draw(np.arange(24, 40), 16, np.random.default_rng(0))
+    assert np.array_equal(np.sort(drawn, 1), np.tile(np.arange(24, 40), (16, 1)))
+    assert len(np.unique(drawn[:, 1])) > 5, "in random order"
+    counts = np.stack(
+        [
+            np.bincount(row, minlength=24)[20:]
+            for row in companions.draw([20, 23], 10, np.random.default_rng(0))
+        ]
+    )
+    assert counts[0].tolist() == [1, 3, 3, 3]
+    assert counts[1].tolist() == [3, 3, 3, 1]
 
 
 def test_one_row_is_itself():
