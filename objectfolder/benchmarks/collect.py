@@ -53,8 +53,8 @@ def load_object_files(places: Sequence[Path] | None) -> dict[str, LoadedFile]:
     paths: list[Path] = []
     for place in searched:
         found = sorted(place.rglob(name)) if place.is_dir() else [place] if places else []
-        # Skip the copies in observation folders.
-        paths += [path for path in found if not (path.parent / observations.RECORD).exists()]
+        # Skip the copies in folders of observations, which queries are written to first.
+        paths += [path for path in found if not (path.parent / observations.QUERIES).exists()]
     if not paths:
         raise ObjectFolderError(
             f"no Object Files in {', '.join(map(str, searched))}; run `objectfolder build`, or name some"

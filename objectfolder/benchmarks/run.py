@@ -24,7 +24,16 @@ from objectfolder.benchmarks.datasets.sampling import ObserveConfig
 from objectfolder.benchmarks.datasets.splits import label_order, named_split
 from objectfolder.benchmarks.models.encoders import make_encoder, read_weights, registered
 from objectfolder.benchmarks.params import RobotParams, TaskParams, robot_params, splits_of, task_params
-from objectfolder.benchmarks.tasks.running import Objects, Report, Run, SplitRun, Task, machine, run_benchmark
+from objectfolder.benchmarks.tasks.running import (
+    Objects,
+    Report,
+    Run,
+    SplitRun,
+    Task,
+    machine,
+    run_benchmark,
+    training_device,
+)
 from objectfolder.engine.pool import in_processes
 from objectfolder.engine.resources import cores
 from objectfolder.errors import ObjectFolderError, plural
@@ -120,7 +129,8 @@ def run_on_splits(task: Task, options: BenchmarkOptions, report: Report, track: 
     values, path = options.values()
     params = options.task_params(task, values, path)
     weights = None if options.weights is None else read_weights(options.weights)
-    make_encoder(registered(params.encode.encoder), "vision", weights)  # fails before any work
+    make_encoder(registered(params.encode.encoder), "vision", weights)  # these two fail before any work
+    device = training_device(options.device)
     sources, folder, cores = load_object_files(options.files), options.folder, options.cores
 
     def announce(count: int, samples: str) -> None:
@@ -144,9 +154,8 @@ def run_on_splits(task: Task, options: BenchmarkOptions, report: Report, track: 
         announce(wanted.grasps, "grasps")
         hulls = _max_hulls(values, path)
         folders = collect_all_grasps(sources, wanted, hulls, params.seed, folder, cores, track, report)
-    on_gpu = torch.cuda.is_available() if options.device is None else options.device != "cpu"
-    jobs = 1 if on_gpu else min(cores, len(splits))
-    shared = (folders, params, folder, options.weights, cores // jobs, options.device, report)
+    jobs = min(cores, len(splits)) if device == "cpu" else 1
+    shared = (folders, params, folder, options.weights, cores // jobs, device, report)
     _call_all(_run_split, [(task, split, *shared) for split in splits], jobs)
     return {split: read_json(folder.result(task.name, split)) for split in splits}
 
@@ -159,7 +168,7 @@ def _run_split(
     folder: Benchmarks,
     weights: Path | None,
     threads: int,
-    device: str | None,
+    device: str,
     report: Report,
 ) -> None:
     assert task.samples is not None
@@ -226,11 +235,12 @@ def run_on_contacts(options: BenchmarkOptions, report: Report, jobs: int = 1) ->
 
     values, path = options.values()
     params = options.task_params(LOCALIZE, values, path)
-    make_encoder(registered(params.encode.encoder), "touch")  # these two fail before any work
+    make_encoder(registered(params.encode.encoder), "touch")  # these three fail before any work
     contact_split(params.settings.contacts)
+    device = training_device(options.device)
     sources, folder = load_object_files(options.files), options.folder
     threads = max(1, options.cores // jobs)
-    shared = (params, folder, threads, options.device, report)
+    shared = (params, folder, threads, device, report)
     _call_all(_localize, [(source.path, *shared) for source in sources.values()], jobs)
     return {key: read_json(folder.result(LOCALIZE.name, key)) for key in sources}
 
@@ -240,7 +250,7 @@ def _localize(
     params: TaskParams[Any],
     folder: Benchmarks,
     threads: int,
-    device: str | None,
+    device: str,
     report: Report,
 ) -> None:
     from objectfolder.benchmarks.tasks.localization import ContactRun
@@ -283,12 +293,14 @@ def _bound(threads: int) -> Iterator[None]:
         yield
 
 
-def _run_timed(spec: Run, report: Report, threads: int, device: str | None) -> None:
-    """Run a task, and write its cost beside the results."""
-    cost = run_benchmark(spec, report)
+def _run_timed(spec: Run, report: Report, threads: int, device: str) -> None:
+    """Run a task, and write its cost beside the results; that of a finished run stays."""
+    cost, path = run_benchmark(spec, report), spec.folder.machine(spec.task.name, spec.part)
+    if path.is_file() and read_json(path).get("seconds") == cost.seconds:
+        return
     today = datetime.now(UTC).date().isoformat()
     where = {"threads": threads, "machine": machine(device), "date": today}
-    write_json(spec.folder.machine(spec.task.name, spec.part), asdict(cost) | where)
+    write_json(path, asdict(cost) | where)
 
 
 def _call_all(call: Callable[..., None], arguments: list[tuple[Any, ...]], jobs: int) -> None:

@@ -20,8 +20,8 @@ bench_app = typer.Typer(
     help="Run the paper's benchmark tasks on Object Files: `recognition`, `retrieval`, `reconstruction`,"
     " `localization`, `vision-to-touch`, and, with a robot, `stability`, `grasping`, `reach`.\n\n"
     "Random views, impacts and touches of each Object File are sampled first and kept in OUT/observations, "
-    "grasps in OUT/grasps; later tasks reuse them. Interrupted commands resume when repeated, "
-    "and more --seeds train only the missing ones.",
+    "grasps in OUT/grasps, close views in OUT/glances; later tasks reuse them. Interrupted "
+    "commands resume when repeated, and more --seeds train only the missing ones.",
 )
 
 
@@ -44,12 +44,16 @@ PresetOption = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
-        help="quick, laptop, standard or faithful: samples and training (params/NAME.yaml). "
+        help="quick, laptop, standard, faithful or faithful-small: samples and training (params/NAME.yaml). "
         "Default: the settings in params.yaml. With it and files, no workspace is needed.",
     ),
 ]
 OutOption = Annotated[
-    Path | None, typer.Option(metavar="FOLDER", help="Folder of results; default: benchmarks/PRESET.")
+    Path | None,
+    typer.Option(
+        metavar="FOLDER",
+        help="Folder of results; default: benchmarks/PRESET, or benchmarks/own without --preset.",
+    ),
 ]
 SplitOption = Annotated[
     list[str] | None,
@@ -82,7 +86,7 @@ ThreadsOption = Annotated[
     typer.Option(
         min=1,
         help="Default: all cores, shared by the splits, which run in parallel. Results are reproducible for "
-        "a given number.",
+        "a given number; what was finished with another is kept.",
     ),
 ]
 DeviceOption = Annotated[
@@ -108,7 +112,8 @@ def recognition(
     """Recognize an object, or its material, from a view, an impact sound, a touch, or any combination.
 
     Accuracy on held-out observations with its 95 % interval over seeds, next to chance and published figures;
-    also of several touches together. The figure OUT/recognize_seen.png shows what is taken for what.
+    also of several touches together. The figure OUT/recognize_seen.png
+    (OUT/materials_SPLIT.png) shows what is taken for what.
 
     `objectfolder bench recognition --preset quick`
 

@@ -84,7 +84,7 @@ def grasping(
         result, curve, film = (
             path(GRASP_POLICY.name, key) for path in (folder.result, folder.curve, folder.film)
         )
-        say(f"{result}  curves: {curve}  film: {film}")
+        say(f"{result}  curves: {curve}" + (f"  film: {film}" if film.is_file() else ""))
 
 
 def reach(

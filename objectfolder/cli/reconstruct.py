@@ -23,12 +23,17 @@ def reconstruct(
         int,
         typer.Option(min=0, max=255, help="Smallest difference from the background, levels."),
     ] = 30,
+    encoder: Annotated[
+        str | None,
+        typer.Option(metavar="FILE.py:NAME", help="Your own encoder, if the model was trained with one."),
+    ] = None,
 ) -> None:
     """Reconstruct an object's shape from one image (unit frame: the longest side is 1).
 
     The background is removed with the image's transparency if it has any, else with `--mask`, else with
     `--background`. The model only knows objects like those it was trained on.
     """
+    from objectfolder.benchmarks.models.encoders import registered
     from objectfolder.benchmarks.models.framing import framed
     from objectfolder.benchmarks.models.shape_model import load_model
     from objectfolder.benchmarks.tasks.photograph import (
@@ -44,6 +49,8 @@ def reconstruct(
     picture = read_picture(photo)
     shape = None if mask is None else read_picture(mask, "L")
     rgba = cut_out(picture, shape, colour, tolerance, str(photo))
+    if encoder is not None:
+        registered(encoder)
     trained = load_model(model)
     vertices, faces = photograph_to_mesh(trained, framed(rgba, trained.setup.view))
     write_mesh(out, vertices, faces)

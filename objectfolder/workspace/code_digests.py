@@ -36,8 +36,8 @@ def imported_files(script: str | Path, root: str | Path = ".") -> list[str]:
     Raises
     ------
     ObjectFolderError
-        If a file is not Python, or imports a module of the workspace beside its packages, where the pipeline
-        would not see changes.
+        If a file is not Python, or a stage imports a module of the workspace beside its packages, where the
+        pipeline would not see changes.
     """
     todo, found = [Path(script).as_posix()], set()
     while todo:
@@ -105,14 +105,18 @@ def _modules(name: str, root: str | Path) -> set[str]:
     except (SyntaxError, UnicodeDecodeError) as error:
         line = f", line {error.lineno}: {error.msg}" if isinstance(error, SyntaxError) else f": {error}"
         raise ObjectFolderError(f"{name}{line}; correct it") from error
-    tops = {module.partition(".")[0] for module in modules} - {*PACKAGES}
-    for top in sorted(tops):
+    if not name.startswith(f"{PACKAGE}/"):  # an installed package has its libraries in the same folder
+        _require_seen(name, modules, root)
+    return {module for module in modules if module.partition(".")[0] in PACKAGES}
+
+
+def _require_seen(name: str, modules: frozenset[str], root: str | Path) -> None:
+    for top in sorted({module.partition(".")[0] for module in modules} - {*PACKAGES}):
         if Path(root, f"{top}.py").is_file() or Path(root, top, "__init__.py").is_file():
             raise ObjectFolderError(
                 f"{name} imports {top} of the workspace, whose changes the pipeline would not see: "
                 f"move it to stages/, and import stages.{top}"
             )
-    return {module for module in modules if module.partition(".")[0] in PACKAGES}
 
 
 @cache  # many stages share most modules

@@ -226,6 +226,9 @@ def test_what_is_wrong_is_said_before_any_work(files, workspace, tmp_path):
         "recognition", files, "--split", "unseen"
     )
     assert "nowhere.py does not exist" in refused("recognition", files, "--encoder", "nowhere.py:net")
+    assert "--device gpu" in refused("recognition", files, "--device", "gpu", "--out", "new")
+    assert "--device gpu" in refused("localization", files, "--device", "gpu", "--out", "new")
+    assert not Path("new").exists()
 
 
 def test_files_and_a_preset_need_no_workspace(files, workspace, tmp_path, monkeypatch):

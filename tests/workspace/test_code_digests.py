@@ -94,3 +94,12 @@ def test_a_file_that_is_not_python_is_named(project, content, message):
     (project / "objectfolder/middle.py").write_bytes(content)
     with pytest.raises(ObjectFolderError, match=f"objectfolder/middle.*{message}"):
         imported_files("stages/solve.py", project)
+
+
+def test_a_package_that_lies_beside_its_libraries_is_digested(project):
+    (project / "numpy").mkdir()
+    (project / "numpy/__init__.py").write_text("")
+    assert "objectfolder/deep/leaf.py" in digests("objectfolder/middle.py", project)
+    (project / "stages/solve.py").write_text("import numpy\n")
+    with pytest.raises(ObjectFolderError, match="imports numpy of the workspace"):
+        imported_files("stages/solve.py", project)

@@ -24,16 +24,19 @@ def sample_contacts(file: ObjectFile, count: int, seed: int) -> Samples:
     Returns
     -------
     Samples
-        Of one object: ``touch`` (count, H, W, 3) uint8, at random press depths with the sensor upright;
+        Of one object: ``touch`` (count, H, W, 3) uint8, at random press depths with the sensor upright,
+        or as a net of kind ``image`` answers;
         ``audio`` (count, samples) float32, of strikes along the inward normal; ``point`` (count, 3), unit
         frame.
     """
     strikes = sample_strikes(file, count, seed)
     points, impulses = strikes[:, :3], strikes[:, 3:]
-    depths = sample_presses(file, count, seed)[:, 2]
+    fixed = file.fixed_contact
+    depths = np.full(count, fixed.depth) if fixed else sample_presses(file, count, seed)[:, 2]
+    angle = fixed.angle if fixed else 0.0
     parts = np.array_split(np.arange(count), -(-count // CHUNK))
     arrays = {
-        "touch": np.concatenate([file.touch(points[rows], depths[rows]) for rows in parts]),
+        "touch": np.concatenate([file.touch(points[rows], depths[rows], angle) for rows in parts]),
         "audio": np.concatenate(
             [
                 file.impact(

@@ -12,6 +12,7 @@ import numpy as np
 
 from objectfolder.benchmarks.datasets.samples import (
     Samples,
+    are_written,
     array_path,
     averaged_images,
     check_equal_shapes,
@@ -20,7 +21,7 @@ from objectfolder.benchmarks.datasets.samples import (
 )
 from objectfolder.benchmarks.datasets.splits import label_order
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic, read_json, write_json
+from objectfolder.io import read_json, write_json, write_npy
 from objectfolder.locks import exclusive
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.contact import sensor_frames
@@ -102,9 +103,11 @@ def glance_request(file: ObjectFile, count: int, size: tuple[int, int], seed: in
 def is_glanced(request: dict[str, Any], folder: Path) -> bool:
     """Return whether a folder holds all images of a `glance_request`."""
     try:
-        return bool(read_json(folder / RECORD) == request)
+        if read_json(folder / RECORD) != request:
+            return False
     except ObjectFolderError:  # missing or damaged: sampled again
         return False
+    return are_written(folder, ARRAYS, request["count"])
 
 
 def sample_glances(file: ObjectFile, count: int, size: tuple[int, int], seed: int, folder: Path) -> None:
@@ -142,8 +145,7 @@ def _sample(file: ObjectFile, request: dict[str, Any], folder: Path) -> None:
         "touch": np.concatenate([averaged_images(file.touch(part, DEPTH), size) for part in parts]),
     }
     for name, array in images.items():
-        with atomic(array_path(folder, name)) as temporary, temporary.open("wb") as stream:
-            np.save(stream, array)
+        write_npy(array_path(folder, name), array)
     write_json(folder / RECORD, request)
 
 

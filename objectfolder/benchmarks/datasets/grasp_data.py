@@ -11,7 +11,7 @@ import numpy as np
 
 from objectfolder.benchmarks.datasets.grasp_config import GraspDataConfig
 from objectfolder.benchmarks.datasets.grasps import ARRAYS, FORMAT, OPTIONAL, RECORD
-from objectfolder.benchmarks.datasets.samples import array_path, averaged_images, object_digest
+from objectfolder.benchmarks.datasets.samples import are_written, array_path, averaged_images, object_digest
 from objectfolder.disk import enough_space
 from objectfolder.envs.body import RigidBody
 from objectfolder.envs.camera import ExternalCamera
@@ -147,7 +147,10 @@ def is_collected(request: dict[str, Any], folder: Path) -> bool:
         record = read_json(folder / RECORD)
     except ObjectFolderError:  # missing or damaged: collected again
         return False
-    return isinstance(record, dict) and record | request == record
+    if not isinstance(record, dict) or record | request != record:
+        return False
+    names = [name for name in ARRAYS if name != OPTIONAL or request["explicit"]]
+    return are_written(folder, names, request["count"])
 
 
 def draw_attempts(

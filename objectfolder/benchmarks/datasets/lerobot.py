@@ -81,7 +81,7 @@ def write_lerobot(
     if rate % fps:
         raise ObjectFolderError(
             f"fps is {fps}, expected a divisor of the sample rate, {rate} Hz, for equal windows, such as "
-            f"{next(n for n in range(fps, rate + 1) if rate % n == 0)}"
+            f"{next((n for n in range(fps, rate) if rate % n == 0), rate)}"
         )
     if frames < 2:
         raise ObjectFolderError(f"seconds is {seconds:g}, expected at least 2 frames, {2 / fps:g}")

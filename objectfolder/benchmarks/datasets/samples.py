@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -52,7 +52,7 @@ class Samples:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all records, which contain digests of the arrays; hexadecimal."""
+        """SHA-256 of all records, which identify the arrays; hexadecimal."""
         records = [self.records[key] for key in self.keys]
         return hashlib.sha256(json.dumps(records, sort_keys=True).encode()).hexdigest()
 
@@ -122,6 +122,14 @@ def map_array(key: str, path: Path, remedy: str) -> np.ndarray:
         return np.load(path, mmap_mode="r", allow_pickle=False)
     except (OSError, ValueError, EOFError) as error:
         raise ObjectFolderError(f"{key}: {path} is damaged ({error}); {remedy}") from error
+
+
+def are_written(folder: Path, names: Iterable[str], count: int) -> bool:
+    """Return whether an object's folder holds these arrays, whole, with so many rows each."""
+    try:
+        return all(len(map_array(folder.name, array_path(folder, name), "")) == count for name in names)
+    except ObjectFolderError:
+        return False
 
 
 def averaged_images(images: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -25,7 +25,7 @@ from objectfolder.benchmarks.datasets.samples import array_path, object_digest
 from objectfolder.benchmarks.datasets.splits import TEN, check_count
 from objectfolder.disk import enough_space
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic, read_json, write_json, write_npz
+from objectfolder.io import atomic, read_json, write_json, write_npy, write_npz
 from objectfolder.locks import exclusive
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.header import PARTS
@@ -117,16 +117,14 @@ def _sample(
     hint = ", or sample fewer or smaller observations; complete modalities are kept"
     with enough_space(f"{file.key}: observations", folder, needed, hint):
         write_npz(folder / QUERIES, **queries)
-        with atomic(folder / RELIEF) as temporary, temporary.open("wb") as stream:
-            np.save(stream, surface_relief(file.surface, queries["touch_point"], file.scale))
+        write_npy(folder / RELIEF, surface_relief(file.surface, queries["touch_point"], file.scale))
         file.save(folder / SOURCE)
         for modality in missing:
             (folder / f"{modality}.json").unlink(missing_ok=True)  # else it vouches for the new array, too
             array = _write(file, queries, modality, shapes[modality], folder, report)
             write_json(folder / f"{modality}.json", {"request": request, "array": array})
             arrays[modality] = array
-        with atomic(folder / UNTOUCHED) as temporary, temporary.open("wb") as stream:
-            np.save(stream, _untouched(file, folder))
+        write_npy(folder / UNTOUCHED, _untouched(file, folder))
         write_json(folder / RECORD, request | {"arrays": arrays})
 
 

@@ -117,7 +117,7 @@ def per_object(keys: Sequence[str], count: int) -> Split:
             listed = [key for key, split in _listed().items() if split == name]
             raise ObjectFolderError(
                 f"split unseen: of {_named(keys)} none is a {name} object; add one of those that the list of "
-                f"objects gives to {name} ({_named(listed)}), or use split seen"
+                f"objects gives to {name} ({_named(listed)}), or take the split seen (--split seen)"
             )
     train, val, test = (of_objects == name for name in SPLITS)
     if val.any():

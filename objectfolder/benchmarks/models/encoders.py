@@ -102,7 +102,7 @@ def _factory(name: str) -> Factory:
     if name not in _FACTORIES:
         raise ObjectFolderError(
             f"encoder {name!r} is not one of {', '.join(sorted(_FACTORIES))}; "
-            "register your own with objectfolder.benchmarks.models.encoders.register_encoder"
+            "give your own as --encoder FILE.py:NAME, which registers it (docs/benchmarks.md)"
         )
     return _FACTORIES[name]
 

@@ -160,6 +160,8 @@ def load_model(path: str | Path, device: str | torch.device = "cpu") -> ShapeMod
         broken = [name for name, value in net.state_dict().items() if not value.isfinite().all()]
         if broken:
             raise ValueError(f"{broken[0]} is not finite")
+    except ObjectFolderError as error:
+        raise ObjectFolderError(f"{path}: {error}") from error
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         raise ObjectFolderError(f"{path} is damaged ({error}); train the model again") from error
     return ShapeModel(setup, net.to(device).eval())

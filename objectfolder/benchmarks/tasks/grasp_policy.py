@@ -39,7 +39,8 @@ def grasp_policy(job: RobotJob[GraspPolicyConfig]) -> tuple[dict[str, Any], list
     Parameters
     ----------
     job : RobotJob
-        ``progress`` receives the files to keep: an animation (``episodes.gif``) and the first seed's policy
+        ``progress`` receives the files to keep: an animation if an episode can be shown
+        (``episodes.gif``) and the first seed's policy
         (``model.safetensors``).
 
     Returns
@@ -116,7 +117,8 @@ def grasp_policy(job: RobotJob[GraspPolicyConfig]) -> tuple[dict[str, Any], list
         scores[name] = share_95(success) | {"seeds": [float(rate) for rate in success.mean(1)]}
     best = actors["touch", 0]
     best.save(progress / "model.safetensors", f"Grasp-v0 {key}")
-    write_gif(progress / "episodes.gif", grasp_frames(task, bank, best, params.rollouts, seed), FRAME)
+    if frames := grasp_frames(task, bank, best, params.rollouts, seed):
+        write_gif(progress / "episodes.gif", frames, FRAME)
     return scores | {
         "rollouts": params.rollouts,
         "episodes": params.episodes,
@@ -135,7 +137,10 @@ def rollout_successes(episodes: Episodes, policy: Policy, count: int, rng: np.ra
 
 
 def grasp_frames(task: GraspTask, bank: TouchBank, actor: Actor, count: int, seed: int) -> list[np.ndarray]:
-    """Draw the first success and the first failure of ``count`` rollouts; marked frames (H, W, 3)."""
+    """Draw the first success and the first failure of ``count`` rollouts; marked frames (H, W, 3).
+
+    There are none if no rollout succeeds and all start in collision.
+    """
     episodes = Episodes(task, "features", bank)
     rng = numpy_generator(seed, "grasp_policy", task.file.key, "film")
     held = rollout_successes(episodes, actor, count, rng)

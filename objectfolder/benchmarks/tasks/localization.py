@@ -24,7 +24,7 @@ from objectfolder.benchmarks.params import TaskParams
 from objectfolder.benchmarks.scoring.scores import interval_95
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.localization_config import LocalizeConfig
-from objectfolder.benchmarks.tasks.running import Report, Task, code_digest
+from objectfolder.benchmarks.tasks.running import Report, Task, code_digest, training_device
 from objectfolder.io import file_digest
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator, seeded
@@ -253,7 +253,8 @@ class ContactRun:
         """Return everything that the result of each seed depends on."""
         own = own_file(self.params.encode.encoder)
         given = None if own is None else file_digest(own)
-        return object_digest(self.file), self.params.one_seed(), code_digest(self.task.run), given
+        device = torch.device(training_device(self.device)).type  # a GPU trains in bfloat16
+        return object_digest(self.file), self.params.one_seed(), code_digest(self.task.run), given, device
 
     def job(self, progress: Path, report: Report) -> Job[LocalizeConfig]:
         """Return the argument of the task.
@@ -273,7 +274,7 @@ class ContactRun:
             seed,
             progress,
             None,
-            self.device or ("cuda" if torch.cuda.is_available() else "cpu"),
+            training_device(self.device),
             report,
             encode.subtract,
             encode.shift,

@@ -15,7 +15,7 @@ from torch.nn import functional as F
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.datasets.splits import Split
 from objectfolder.benchmarks.models import cca
-from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig
+from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig, batch_count
 from objectfolder.benchmarks.models.two_stream import TwoStream, cross_sensory_loss, paired_batches
 from objectfolder.benchmarks.scoring.scores import chance_map, interval_95, mean_average_precision
 from objectfolder.benchmarks.tasks.job import Job
@@ -141,13 +141,14 @@ def _over_seeds(values: list[float]) -> dict[str, Any]:
 
 
 def check_objects(split: Split, objects: Objects) -> None:
-    """Raise ObjectFolderError unless there are two training objects: each needs negatives."""
-    classes = np.unique(objects.labels[split.train])
-    if len(classes) < 2:
-        raise ObjectFolderError(
-            f"split {split.name} trains on {objects.keys[classes[0]]} alone, expected two objects or more; "
-            "add training objects"
-        )
+    """Raise ObjectFolderError unless there are two training objects and two to rank: each needs negatives."""
+    for rows, does, role in ((split.train, "trains", "training"), (split.test, "tests", "test")):
+        classes = np.unique(objects.labels[rows])
+        if len(classes) < 2:
+            raise ObjectFolderError(
+                f"split {split.name} {does} on {objects.keys[classes[0]]} alone, expected two objects or "
+                f"more; add {role} objects"
+            )
 
 
 def _pretrained(job: Job[RetrieveConfig], modality: str, run: int) -> dict[str, Any]:
@@ -210,7 +211,7 @@ def _trained(
     def val_score() -> float:
         return _val_score(job, _embeddings(job, net, pair, validation_gallery(job, "retrieve")))
 
-    steps = params.epochs * -(-len(rows) // params.batch)
+    steps = params.epochs * batch_count(len(rows), params.batch)
     curve = job.train(
         f"retrieve {job.split.name}, {pair[0]} and {pair[1]}, seed {run + 1} of {params.seeds}",
         net,

@@ -19,6 +19,7 @@ from objectfolder.benchmarks.datasets.splits import Split, named_split
 from objectfolder.benchmarks.models.encoders import InputSizes, Weights, own_file, registered
 from objectfolder.benchmarks.params import TaskParams
 from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.errors import ObjectFolderError
 from objectfolder.io import atomic, file_digest, read_json, write_json
 from objectfolder.locks import exclusive, remove_unused
 from objectfolder.workspace.code_digests import digests
@@ -105,7 +106,8 @@ class SplitRun:
         given = [file_digest(path) for path in files if path is not None]
         # The frozen list of objects is data, which is part of no code.
         rows = self.split.digest
-        return self.samples.digest, rows, self.params.one_seed(), code_digest(self.task.run), given
+        device = torch.device(training_device(self.device)).type  # a GPU trains in bfloat16
+        return self.samples.digest, rows, self.params.one_seed(), code_digest(self.task.run), given, device
 
     @property
     def split(self) -> Split:
@@ -124,7 +126,7 @@ class SplitRun:
             self.params.seed,
             progress,
             self.weights,
-            self.device or ("cuda" if torch.cuda.is_available() else "cpu"),
+            training_device(self.device),
             report,
             encode.subtract,
             encode.shift,
@@ -213,9 +215,32 @@ def write_results(
     with atomic(folder.curve(task.name, part)) as temporary, temporary.open("w", newline="") as stream:
         csv.writer(stream, lineterminator="\n").writerows([task.columns, *curve])
     for name, path in KEPT.items():
+        kept = path(folder, task.name, part)
         if (progress / name).exists():
-            (progress / name).replace(path(folder, task.name, part))
+            (progress / name).replace(kept)
+        else:
+            kept.unlink(missing_ok=True)  # of an earlier run
     write_json(folder.result(task.name, part), {k: v for k, v in scores.items() if k != "seconds"})
+
+
+def training_device(device: str | None = None) -> str:
+    """Return the device to train on: the given one, else a GPU if there is one.
+
+    Raises
+    ------
+    ObjectFolderError
+        If torch cannot use it here.
+    """
+    chosen = device or ("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        torch.empty(0, device=chosen)
+    except (RuntimeError, AssertionError) as error:  # an unknown name; a torch without CUDA
+        reason = str(error).partition("\n")[0]
+        raise ObjectFolderError(
+            f"--device {chosen}: {reason}; expected cpu, or cuda with a GPU and a torch built for it "
+            "(`objectfolder doctor`)"
+        ) from error
+    return chosen
 
 
 def machine(device: str | None = None) -> str:

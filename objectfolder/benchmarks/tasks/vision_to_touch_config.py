@@ -1,6 +1,9 @@
 """Section ``vision_to_touch`` of ``params.yaml``."""
 
 from dataclasses import dataclass
+from typing import Annotated
+
+from annotated_types import Ge, MultipleOf
 
 from objectfolder.benchmarks.models.training import TrainingConfig
 from objectfolder.settings import Count
@@ -11,5 +14,5 @@ class VisionToTouchConfig(TrainingConfig):
     """Section ``vision_to_touch`` of ``params.yaml``."""
 
     seeds: Count  #: runs whose mean is the result
-    contacts: Count  #: with each object, a multiple of ten
+    contacts: Annotated[int, Ge(10), MultipleOf(10)]  #: with each object
     width: Count  #: channels of the net at full size

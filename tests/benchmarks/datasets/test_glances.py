@@ -31,6 +31,8 @@ def test_the_same_folder_again_and_not_for_another_request(bell, tmp_path):
     assert is_glanced(glance_request(bell, 20, SIZE, 3), tmp_path / "one")
     assert not is_glanced(glance_request(bell, 20, SIZE, 4), tmp_path / "one")
     assert not is_glanced(glance_request(bell, 20, SIZE, 3), tmp_path / "three")
+    (tmp_path / "two" / "view.npy").unlink()
+    assert not is_glanced(glance_request(bell, 20, SIZE, 3), tmp_path / "two")
     table = Glances({"bell": tmp_path / "one"})
     assert table.shape("view") == table.shape("touch") == (*SIZE, 3)
     assert len(table) == 20

@@ -1,5 +1,7 @@
 import json
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -174,3 +176,12 @@ def test_another_time_step_is_another_collection(brick, body, surface, collected
     with pytest.raises(ObjectFolderError, match="enough"):
         collect_grasps(brick, body, finer, 0, tmp_path, surface)
     assert asked == [Physics(timestep=0.001)]
+
+
+@pytest.mark.parametrize("damage", [Path.unlink, lambda path: path.write_bytes(path.read_bytes()[:-1])])
+def test_a_collection_that_lacks_an_array_is_not_complete(brick, body, collected, tmp_path, damage):
+    shutil.copytree(collected, tmp_path / "brick")
+    request = grasp_request(brick, body, WANTED, 0, True)
+    assert is_collected(request, tmp_path / "brick")
+    damage(tmp_path / "brick" / "touch.npy")
+    assert not is_collected(request, tmp_path / "brick")

@@ -1,12 +1,14 @@
 import errno
 import json
 import logging
+import shutil
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
 from objectfolder import disk as space
+from objectfolder.benchmarks.collect import load_object_files
 from objectfolder.benchmarks.datasets import sampling
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.datasets.samples import object_digest
@@ -362,3 +364,18 @@ def test_observations_do_not_depend_on_how_many_follow(brick, sampled, tmp_path)
             np.load(tmp_path / f"{name}.npy", allow_pickle=False)[:10]
             == np.load(sampled / f"{name}.npy", allow_pickle=False)
         ).all()
+
+
+def test_an_interrupted_sampling_leaves_no_second_file_of_the_object(
+    brick, brick_path, tmp_path, monkeypatch
+):
+    shutil.copy(brick_path, tmp_path / "ObjectFile.safetensors")
+
+    def interrupted(*given):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sampling, "_write", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        sample_observations(brick, COUNT, SIDE, 7, tmp_path / "observations" / "brick")
+    assert len(list(tmp_path.rglob("ObjectFile.safetensors"))) == 2
+    assert load_object_files([tmp_path])["brick"].path == tmp_path / "ObjectFile.safetensors"

@@ -1,4 +1,5 @@
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -7,6 +8,7 @@ from PIL import Image
 from objectfolder.benchmarks.models.actor import Actor
 from objectfolder.benchmarks.models.trpo_config import GraspPolicyConfig
 from objectfolder.benchmarks.reporting.tables import grasping_table
+from objectfolder.benchmarks.tasks import grasp_policy as grasp_policy_module
 from objectfolder.benchmarks.tasks.grasp_policy import CURVE_COLUMNS, grasp_policy, rollout_successes
 from objectfolder.benchmarks.tasks.robots import RobotJob
 from objectfolder.envs.body import rigid_body
@@ -109,3 +111,11 @@ def test_rollouts_count_what_is_held(task):
     held, lost = (rollout_successes(episodes, p, 12, np.random.default_rng(0)) for p in (centre, leave))
     assert held.all()
     assert not lost.any()
+
+
+def test_nothing_is_filmed_where_every_rollout_starts_in_collision(brick, monkeypatch):
+    nothing = SimpleNamespace(objects=None, hands=None)
+    monkeypatch.setattr(grasp_policy_module, "Episodes", lambda *given: nothing)
+    monkeypatch.setattr(grasp_policy_module, "rollout_successes", lambda *given: np.zeros(3, bool))
+    task = SimpleNamespace(file=brick, free=lambda objects, hands: np.zeros(3, bool))
+    assert grasp_policy_module.grasp_frames(task, None, None, 3, 0) == []

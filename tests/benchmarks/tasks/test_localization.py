@@ -13,6 +13,7 @@ from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.localization import CURVE_COLUMNS, localize
 from objectfolder.benchmarks.tasks.localization_config import LocalizeConfig
 from objectfolder.errors import ObjectFolderError
+from objectfolder.nets.touch_image import ImageTouch
 from objectfolder.objectfile.file import ObjectFile
 
 SIZES = InputSizes(8, (16, 8), (8, 6))
@@ -161,3 +162,14 @@ def test_every_contact_is_in_one_part():
     rows = np.concatenate([split.train, split.val, split.test])
     np.testing.assert_array_equal(np.sort(rows), np.arange(200))
     assert [len(split.train), len(split.val), len(split.test)] == [160, 20, 20]
+
+
+def test_a_net_of_one_press_is_asked_for_that(brick):
+    net = ImageTouch("digit", (6, 4), 0.0012, 0.3, width=8, depth=2, point_octaves=2, pixel_octaves=2)
+    images, config = net.to_tensors()
+    tensors = {name: value for name, value in brick.tensors.items() if not name.startswith("touch.")}
+    tensors |= {f"touch.{name}": value for name, value in images.items()}
+    file = ObjectFile(brick.header | {"touch": {"kind": "image", "net": config}}, tensors)
+    contacts, rows = sample_contacts(file, 20, seed=2), np.arange(20)
+    expected = file.touch(contacts.read("point", rows) * file.scale, 0.0012, 0.3)
+    np.testing.assert_array_equal(contacts.read("touch", rows), expected)

@@ -21,6 +21,7 @@ from objectfolder.benchmarks.tasks.photograph import (
 )
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
+from objectfolder.io import read_safetensors, write_safetensors
 from objectfolder.mesh.reading.load import default_up, load_mesh
 
 VIEW = 32
@@ -199,6 +200,22 @@ def test_command_refuses_bad_options(options, message, model_path, tmp_path):
     with pytest.raises(ObjectFolderError, match="cannot write a mesh"):
         run(tmp_path / "photo.png", tmp_path / "mesh.stp", "--model", model_path, *options)
     assert not (tmp_path / "mesh.ply").exists()
+
+
+def test_a_model_with_an_own_encoder_is_read_with_that(model_path, tmp_path):
+    tensors, header = read_safetensors(model_path)
+    write_safetensors(model_path, tensors, header | {"encoder": "own"})
+    own = tmp_path / "mine.py"
+    own.write_text(
+        "from objectfolder.benchmarks.models import encoders\n"
+        "encoders.register_encoder('own')(encoders._FACTORIES['middle'])\n"
+    )
+    Image.fromarray(picture()[..., :3]).save(tmp_path / "photo.png")
+    words = (tmp_path / "photo.png", tmp_path / "mesh.ply", "--model", model_path, "--background", "0,255,0")
+    with pytest.raises(ObjectFolderError, match=r"encoder 'own' is not one of .*--encoder FILE.py:NAME"):
+        run(*words)
+    run(*words, "--encoder", f"{own}:own")
+    assert (tmp_path / "mesh.ply").is_file()
 
 
 def test_clutter_is_busy_and_seeded():

@@ -21,7 +21,8 @@ from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.naming import repeated_objects, retrieved_within
 from objectfolder.benchmarks.tasks.recognition import recognize
 from objectfolder.benchmarks.tasks.reconstruction import reconstruct
-from objectfolder.benchmarks.tasks.retrieval import CURVE_COLUMNS, RetrieveConfig, retrieve
+from objectfolder.benchmarks.tasks.retrieval import CURVE_COLUMNS, RetrieveConfig, check_objects, retrieve
+from objectfolder.benchmarks.tasks.running import Objects
 from objectfolder.errors import ObjectFolderError
 from objectfolder.seeding import numpy_generator
 
@@ -223,6 +224,16 @@ def test_refuses_what_has_no_negatives():
         list(paired_batches(np.arange(4), np.array([0, 0, 1, 1]), 2, rng))
     with pytest.raises(ObjectFolderError, match="as many of each"):
         list(paired_batches(np.arange(4), np.array([0, 0, 0, 1]), 4, rng))
+
+
+def test_one_object_to_rank_is_refused():
+    labels, rows = np.repeat(np.arange(4), 10), np.arange(40)
+    split = Split("unseen", rows[:20], rows[20:30], rows[30:])
+    with pytest.raises(
+        ObjectFolderError, match="split unseen tests on d alone, expected two objects or more"
+    ):
+        check_objects(split, Objects([*"abcd"], labels))
+    check_objects(Split("unseen", rows[:20], rows[20:30], rows[20:]), Objects([*"abcd"], labels))
 
 
 def test_streams_share_the_head_and_nothing_else():

@@ -162,3 +162,40 @@ def test_threads_are_those_of_every_pool(monkeypatch, brick_path, threads):
     run._localize(brick_path, PARAMS, Benchmarks("out"), threads, "cpu", print)
     torch.set_num_threads(before)
     assert found == [{threads}] * 2
+
+
+def test_a_device_that_torch_cannot_use_is_named():
+    assert running.training_device("cpu") == "cpu"
+    assert running.training_device() == ("cuda" if torch.cuda.is_available() else "cpu")
+    with pytest.raises(ObjectFolderError, match=r"--device gpu: .*; expected cpu, or cuda with a GPU"):
+        running.training_device("gpu")
+
+
+def test_a_run_on_another_device_is_another_run(monkeypatch):
+    samples = SimpleNamespace(digest="x", keys=("espresso_mug", "tea_beaker"), count=10)
+    monkeypatch.setattr(running, "code_digest", lambda function: "code")  # takes seconds
+    monkeypatch.setattr(running, "training_device", lambda device: device)
+    devices = ("cpu", "cuda", "cuda:0")
+    runs = [SplitRun(RETRIEVE, "seen", samples, PARAMS, Benchmarks("out"), device=name) for name in devices]
+    cpu, gpu, same = (spec.identity() for spec in runs)
+    assert cpu != gpu == same
+
+
+def test_the_cost_of_a_finished_run_stays_as_it_was(tmp_path, monkeypatch):
+    spec = SimpleNamespace(task=SimpleNamespace(name="small"), part="seen", folder=Benchmarks(tmp_path))
+    costs = iter([running.RunTime(100.0, 90.0), running.RunTime(100.0, 91.0), running.RunTime(200.0, 185.0)])
+    monkeypatch.setattr(run, "run_benchmark", lambda spec, report: next(costs))
+    path, found = spec.folder.machine("small", "seen"), []
+    for threads in (8, 1, 2):
+        run._run_timed(spec, print, threads, "cpu")
+        found.append((read_json(path)["threads"], read_json(path)["cpu_seconds"]))
+    assert found == [(8, 90.0), (8, 90.0), (2, 185.0)]
+
+
+def test_a_result_without_a_film_does_not_keep_an_older_one(tmp_path):
+    task, folder, progress = SimpleNamespace(name="small", columns=()), Benchmarks(tmp_path), tmp_path / "new"
+    progress.mkdir()
+    (progress / "episodes.gif").touch()
+    for film in (True, False):
+        running.write_results(task, "seen", folder, progress, {"score": 1}, [])
+        assert folder.film("small", "seen").is_file() == film
