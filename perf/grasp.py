@@ -2,7 +2,8 @@
 
 `python perf/grasp.py labels FILE FILE FILE [--json FILE]`: the same grasps, half of them successes, with a
 time step of 0.25 ms and with longer ones, for several settings of contacts. Exits with 1 if fewer than 97 %
-agree at 1 ms with the settings that the library uses.
+agree at 1 ms, the time step of the larger presets, with the settings that the library uses. Objects have the
+hulls of the environments, 16 at most.
 
 `python perf/grasp.py speed FILE ... [--json FILE]`: labelled grasps per second, with and without pictures.
 """
@@ -29,7 +30,7 @@ from objectfolder.benchmarks.datasets.grasp_data import (
     label_grasps,
 )
 from objectfolder.benchmarks.tasks.running import machine
-from objectfolder.envs.body import RigidBody, rigid_body
+from objectfolder.envs.body import RigidBody, rigid_body, user_folder
 from objectfolder.envs.grasp_scene import GraspScene, Physics
 from objectfolder.envs.hulls import cached_hulls
 from objectfolder.objectfile.file import ObjectFile
@@ -45,7 +46,6 @@ SETTINGS = {
 }
 TARGET = 0.97
 SPEED_TARGETS = {"labels": 15.0, "pictures and touches": 5.0}  #: grasps per second on two cores
-HULLS = Path("benchmarks/hulls")
 
 
 def balanced(body: RigidBody, count: int, seed: int, threads: int) -> Attempts:
@@ -105,19 +105,24 @@ def study(bodies: list[RigidBody], count: int, seed: int, threads: int) -> list[
 
 
 def speed(
-    files: list[ObjectFile], count: int, perturbations: int, image: int, touch: tuple[int, int]
+    files: list[ObjectFile],
+    count: int,
+    perturbations: int,
+    image: int,
+    touch: tuple[int, int],
+    seed: int,
+    threads: int,
 ) -> list[dict]:
     """Grasps per second of each object, alone on the machine."""
     rows = []
     for file in files:
-        body = rigid_body(file, cached_hulls(file, HULLS))
-        threads = 2
+        body = rigid_body(file, cached_hulls(file, user_folder()))
         scene = GraspScene(body, threads=threads)
-        rests = scene.rests(numpy_generator(0, body.key, "rests"))
+        rests = scene.rests(numpy_generator(seed, body.key, "rests"))
         start = time.perf_counter()
         labelled = 0
         while labelled < count:
-            rng = numpy_generator(0, body.key, "speed", str(labelled))
+            rng = numpy_generator(seed, body.key, "speed", str(labelled))
             labelled += len(label_grasps(scene, rests, perturbations, rng)[0].success)
         labels = labelled / (time.perf_counter() - start)
         with tempfile.TemporaryDirectory() as folder:
@@ -129,7 +134,7 @@ def speed(
                 touch=touch,
                 timestep=scene.physics.timestep,
             )
-            collect_grasps(file, body, wanted, 0, folder, threads=threads)
+            collect_grasps(file, body, wanted, seed, folder, threads=threads)
             whole = count / (time.perf_counter() - start)
         rows.append(
             {"object": file.key, "hulls": len(body.hulls), "labels": labels, "pictures and touches": whole}
@@ -152,7 +157,7 @@ def main() -> int:
     torch.set_num_threads(1)
     files = [ObjectFile.load(path) for path in given.files]
     if given.what == "labels":
-        bodies = [rigid_body(file, cached_hulls(file, HULLS)) for file in files]
+        bodies = [rigid_body(file, cached_hulls(file, user_folder())) for file in files]
         rows = study(bodies, given.count, given.seed, given.threads)
         targets = f"{TARGET:.0%} as used, at 1 ms"
         missed = [
@@ -161,7 +166,9 @@ def main() -> int:
             if row["setting"] == "as used" and row["timestep_ms"] == 1 and row["agreement"] < TARGET
         ]
     else:
-        rows = speed(files, given.count, given.perturbations, given.image, (64, 48))
+        rows = speed(
+            files, given.count, given.perturbations, given.image, (64, 48), given.seed, given.threads
+        )
         targets = ", ".join(f"{name} {target:g}" for name, target in SPEED_TARGETS.items())
         missed = [
             f"{row['object']}, {name}: {row[name]:.1f}"

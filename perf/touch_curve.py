@@ -3,12 +3,13 @@
 Trains the net of row T of `objectfolder bench recognition --preset laptop`, one seed, on fewer and on more
 touches of each object and for fewer and more steps, on the same validation and test touches. DIR is the
 benchmark's: observations are taken from it; touches beyond them are sampled with two processes, and only
-learnt from. Runs that are in the file of figures already are not repeated.
+learnt from. An interrupted call goes on when repeated; other objects, settings or code begin anew.
 """
 
 import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,7 @@ from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.recognition import FLAT, RECOGNIZE, RecognizeConfig
 from objectfolder.benchmarks.tasks.running import SplitRun
 from objectfolder.engine.pool import in_processes
-from objectfolder.io import read_json, write_npz
+from objectfolder.io import write_npz
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator, seeded
 from objectfolder.workspace import params as workspace
@@ -59,7 +60,6 @@ def more_touches(
     sources: dict[str, LoadedFile], job: Job[RecognizeConfig], each: int, folder: Path
 ) -> dict[str, Path]:
     """Sample further touches of each object unless that was done; return the files by key."""
-    folder.mkdir(exist_ok=True)
     first = len(job.observations) // len(sources)
     files = {key: folder / f"{key}_{first}_{each}.npz" for key in sources}
     asked = (first, each, job.sizes.touch, job.seed)
@@ -168,20 +168,20 @@ def main() -> None:
     sources = load_object_files(options.files)
     observe = workspace.settings(ObserveConfig, values, path)
     folders = collect_observations(sources, observe, params.seed, options.folder, 2, track)
-    progress = given.out / "touch_curve"
-    progress.mkdir(exist_ok=True)
     whole = SplitRun(RECOGNIZE, "seen", Observations(folders), params, options.folder, device="cpu")
+    progress = options.folder.progress("touch_curve", "seen", whole.identity())
+    progress.mkdir(parents=True, exist_ok=True)
     job = whole.job(progress, console.print)
     job = job.without_repeats(job.repeats(["touch"]), ["touch"])
     first = len(job.split.train) // len(sources)
     runs = RUNS[: given.runs]
     more = more_touches(sources, job, MOST - first, progress)
     learnt = Learnt(job, more, max(each for each, _ in runs))
-    rows = read_json(given.json)["rows"] if given.json and given.json.is_file() else []
-    for each, thousands in runs:
-        if not any((row["touches"], row["steps"]) == (each, 1000 * thousands) for row in rows):
-            rows.append(trained(job, learnt, each, thousands, console.print))
-            write_record(given.json, rows)
+    rows: list[dict[str, float]] = []
+    for run in runs:
+        name = "_".join(map(str, run))
+        rows.append(job.finished(name, partial(trained, job, learnt, *run, console.print)))
+        write_record(given.json, rows)
     table = Table("touches of an object", "steps", "accuracy, %", "not flat, %", "min", title="Touch")
     for row in sorted(rows, key=lambda row: (row["touches"], row["steps"])):
         shares = (f"{100 * row[name]:.1f}" for name in ("accuracy", "not_flat"))

@@ -142,7 +142,7 @@ def reach_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
         ),
         rows,
         f"{first['episodes']} fresh goals per training, {first['horizon']} control steps each; in brackets "
-        f"the 95 % interval (Wilson).",
+        f"the 95 % interval (Wilson) of these policies; other trainings may differ.",
     )
 
 
@@ -159,8 +159,9 @@ def grasping_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
         ("object", "policy", "success", "each seed", "paper"),
         rows,
         f"{first['rollouts']} fresh rollouts per seed, at most {first['episodes']} episodes of training; in "
-        "brackets the 95 % interval (Wilson) over all rollouts. While policies learn, and in row touch, "
-        f"features are those of the nearest of {first['presses']} presses; exact: the Object File is asked.",
+        "brackets the 95 % interval (Wilson) over all rollouts of these policies; how much trainings differ, "
+        "the seeds show. While policies learn, and in row touch, features are those of the nearest of "
+        f"{first['presses']} presses; exact: the Object File is asked.",
     )
 
 

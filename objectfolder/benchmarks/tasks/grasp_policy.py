@@ -110,7 +110,8 @@ def grasp_policy(job: RobotJob[GraspPolicyConfig]) -> tuple[dict[str, Any], list
     policies["nothing"] = ("blind", None, [nothing])
     scores: dict[str, Any] = {}
     for name, (observation, features, runs) in policies.items():
-        # Other starts for each training seed: their rollouts are independent, as Wilson's interval asks.
+        # Other starts for each training seed: given the policies, rollouts are independent, as Wilson's
+        # interval asks.
         success = np.stack(
             [rollouts(observation, features, policy, "test", str(run)) for run, policy in enumerate(runs)]
         )

@@ -119,7 +119,7 @@ def reach(job: RobotJob[ReachConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
     task, body, params, seed, progress = job.task, job.body, job.params, job.seed, job.progress
     make = partial(environment_class(task), body, horizon=params.horizon)
     val = fresh_seeds(seed, body.key, "val", params.goals)
-    # Other goals for each training: its episodes are independent, as Wilson's interval asks.
+    # Other goals for each training: given its policy, episodes are independent, as Wilson's interval asks.
     tests = [
         fresh_seeds(seed, body.key, f"test {run}" if run else "test", params.goals)
         for run in range(params.seeds)
