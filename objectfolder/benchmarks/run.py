@@ -53,7 +53,7 @@ class BenchmarkOptions:
     files: Sequence[Path] | None = None  #: Object Files, or folders that contain some; default: ``build``
     preset: str | None = None  #: default: ``params.yaml`` of the workspace
     out: Path | None = None  #: folder of results; default: ``benchmarks/PRESET``
-    splits: Sequence[str] | None = None  #: default: all splits of the task
+    splits: Sequence[str] | None = None  #: default: those of the task that the objects allow
     seeds: int | None = None
     encoder: str | None = None
     weights: Path | None = None
@@ -137,8 +137,17 @@ def run_on_splits(task: Task, options: BenchmarkOptions, report: Report, track: 
         keys = label_order(sources)
         labels = np.repeat(np.arange(len(keys)), count)
         objects = Objects(keys, labels, [sources[key].file.material for key in keys])
+        problems = {}
         for split in splits:  # fails before any work
-            task.check(named_split(split, keys, count), objects)
+            try:
+                task.check(named_split(split, keys, count), objects)
+            except ObjectFolderError as error:
+                problems[split] = error
+        if problems and (options.splits or len(problems) == len(splits)):
+            raise next(iter(problems.values()))
+        for split, error in problems.items():
+            splits.remove(split)
+            report(f"left out: {error}")
         report(f"{plural(len(sources), 'object')}, {count} {samples} of each")
 
     if task.samples is Observations:

@@ -60,7 +60,7 @@ SplitOption = Annotated[
     typer.Option(
         "--split",
         help="seen: test on new observations of the training objects; unseen: test on new objects. Repeat "
-        "for both; default: all splits of the task.",
+        "for both; default: all splits of the task that can be made of these objects.",
     ),
 ]
 SeedsOption = Annotated[

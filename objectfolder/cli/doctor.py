@@ -70,7 +70,8 @@ def doctor() -> None:
     a setting, or make something faster.
 
     What is installed changes no result by itself, with two exceptions: PARDISO, CHOLMOD and SuperLU give
-    vibration modes that agree to rounding, and nets are trained on a GPU if there is one.
+    vibration modes that agree to rounding, and the nets of the paper and of benchmarks are trained on a GPU
+    if there is one.
 
     **LLVM** is for `render_views.renderer: mitsuba-llvm` in params.yaml. Debian's package is libllvm19. If an
     older one is found first, set `DRJIT_LIBLLVM_PATH=/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1`.

@@ -15,7 +15,9 @@ from objectfolder.benchmarks import run
 from objectfolder.benchmarks.datasets.sampling import sample_observations
 from objectfolder.benchmarks.datasets.splits import object_split
 from objectfolder.benchmarks.tasks.recognition import RECOGNIZE
+from objectfolder.benchmarks.tasks.retrieval import RETRIEVE
 from objectfolder.cli import app
+from objectfolder.cli.console import tracked
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import open_safetensors, write_safetensors
 from objectfolder.objectfile.file import ObjectFile
@@ -269,9 +271,21 @@ def test_an_object_file_that_lacks_a_part_is_named(brick, files, workspace):
     assert not list(Path("out").glob("*.json"))
 
 
-def test_unseen_needs_objects_to_test_with(brick, workspace):
+def test_unseen_needs_objects_to_test_with(brick, workspace, monkeypatch):
     keys = [key for key in (f"brick_{i}" for i in range(99)) if object_split(key) == "train"][:2]
     for key in keys:
         write_safetensors(f"{key}.safetensors", dict(brick.tensors), {**brick.header, "key": key})
-    message = refused("retrieval", *(f"{key}.safetensors" for key in keys))
+    files = [f"{key}.safetensors" for key in keys]
+    message = refused("retrieval", *files, "--split", "unseen")
     assert all(text in message for text in (*keys, "none is a test object", "split seen"))
+
+    asked = []
+    monkeypatch.setattr(run, "collect_observations", lambda *given: {})
+    monkeypatch.setattr(run, "_call_all", lambda call, given, jobs: asked.extend(row[1] for row in given))
+    monkeypatch.setattr(run, "read_json", lambda path: {})
+    lines = []
+    scores = run.run_on_splits(
+        RETRIEVE, run.BenchmarkOptions(files=[*map(Path, files)]), lines.append, tracked
+    )
+    assert asked == [*scores] == ["seen"]
+    assert lines[0].startswith("left out: split unseen: of brick_")
