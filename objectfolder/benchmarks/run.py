@@ -145,9 +145,9 @@ def run_on_splits(task: Task, options: BenchmarkOptions, report: Report, track: 
                 problems[split] = error
         if problems and (options.splits or len(problems) == len(splits)):
             raise next(iter(problems.values()))
-        for split, error in problems.items():
+        for split, problem in problems.items():
             splits.remove(split)
-            report(f"left out: {error}")
+            report(f"left out: {problem}")
         report(f"{plural(len(sources), 'object')}, {count} {samples} of each")
 
     if task.samples is Observations:

@@ -7,28 +7,26 @@ import torch
 from scipy.spatial import cKDTree
 from torch import nn
 
-from objectfolder.benchmarks.models.classifier import Inputs
-
 SOFTNESS = 0.03  #: deviation of the belief that nets learn, longest sides
 WIDTH = 128  #: of the features that are compared
 OCTAVES = 5  #: of sines and cosines of the places
 
 
 class Localizer(nn.Module):
-    """Encoders of what is felt and heard, and a net of the places; their product is the belief.
+    """Encoder of what is felt or heard, and a net of the places; their product is the belief.
 
     Parameters
     ----------
-    encoders : dict
-        By letter; each with an attribute ``features``.
+    encoder : nn.Module
+        With an attribute ``features``.
     places : (P, 3) array
         Unit frame.
     """
 
-    def __init__(self, encoders: dict[str, nn.Module], places: np.ndarray):
+    def __init__(self, encoder: nn.Module, places: np.ndarray):
         super().__init__()
-        self.encoders = nn.ModuleDict(encoders)
-        self.query = nn.Linear(sum(cast(int, encoder.features) for encoder in encoders.values()), WIDTH)
+        self.encoder = encoder
+        self.query = nn.Linear(cast(int, encoder.features), WIDTH)
         angles = np.pi * places[:, None] * 2.0 ** np.arange(OCTAVES)[:, None]
         waves = [places, np.sin(angles).reshape(len(places), -1), np.cos(angles).reshape(len(places), -1)]
         self.register_buffer("waves", torch.from_numpy(np.concatenate(waves, 1)).float())
@@ -40,10 +38,9 @@ class Localizer(nn.Module):
             nn.Linear(WIDTH, WIDTH),
         )
 
-    def forward(self, inputs: Inputs) -> torch.Tensor:
-        """Inputs (B, C, H, W) of each encoder -> (B, P) logarithms of the belief."""
-        features = [encoder(inputs[letter]) for letter, encoder in self.encoders.items()]
-        found = self.query(torch.cat(features, 1)) @ self.keys(self.waves).T
+    def forward(self, inputs: torch.Tensor) -> torch.Tensor:
+        """Inputs (B, C, H, W) of the encoder -> (B, P) logarithms of the belief."""
+        found = self.query(self.encoder(inputs)) @ self.keys(self.waves).T
         return (found / WIDTH**0.5).float().log_softmax(1)
 
 

@@ -1,7 +1,7 @@
 """Localize a contact on a known object by touch, by sound, or by both (ObjectFolder Benchmark, CVPR 2023).
 
-A net turns what was felt and heard into a belief over places on the object's surface. Beliefs of several
-contacts of a robot that knows how it moved between them add up.
+A net turns what was felt, or what was heard, into a belief over places on the object's surface. Logarithms of
+beliefs add up: of both senses, and of several contacts of a robot that knows how it moved between them.
 """
 
 from collections.abc import Iterator
@@ -25,58 +25,66 @@ from objectfolder.benchmarks.scoring.scores import interval_95
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.localization_config import LocalizeConfig
 from objectfolder.benchmarks.tasks.running import Report, Task, code_digest, training_device
-from objectfolder.io import file_digest
+from objectfolder.io import file_digest, read_npz, write_npz
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator, seeded
 from objectfolder.workspace.layout import Benchmarks
 
 LETTERS = {"T": "touch", "A": "audio"}
 COMBINATIONS = ("T", "A", "TA")
+TOUCH_WEIGHTS = (0.25, 0.5, 1.0)  #: of the belief by touch in that by both senses
 CURVE_COLUMNS = ("seed", "senses", "epoch", "train_loss", "val_score")  #: minus the mean error, sides
 PLACES = 1000  #: on the surface, among which the answer is
 POOLED = {"touch": (16, 12), "audio": (64, 8)}  #: sizes of inputs that the nearest contact is sought by
 CHUNK = 64  #: rows asked or embedded at once
 
-Batch = tuple[dict[str, torch.Tensor], torch.Tensor]  #: inputs by letter, and beliefs
+Batch = tuple[torch.Tensor, torch.Tensor]  #: inputs, and beliefs
 
 
 def localize(job: Job[LocalizeConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train and score the localization of contacts on one object.
 
     Nets learn a belief with a deviation of `SOFTNESS` around the true place. The answer is the place with
-    the least expected distance. The best epoch is chosen on the validation contacts. ``together`` are the
-    answers after `TOGETHER` contacts with known moves between them.
+    the least expected distance. The best epoch is chosen on the validation contacts. At a known place, what
+    is felt and what is heard are independent, so that the belief by both senses is the product of the two
+    nets'; how much touch counts in it is chosen on the validation contacts. ``together`` are the answers
+    after `TOGETHER` contacts with known moves between them.
 
     Returns
     -------
     dict
         Errors as shares of the longest side. By senses (``T``, ``A``, ``TA``): ``net`` and ``nearest``
         (the training contact with the most similar input), each with ``mean``, ``median`` and ``together``,
-        and ``interval_95`` and ``seeds`` of the net's mean. ``random``: a random place; ``constant``: the
-        place with the least mean distance to the training contacts. ``contacts`` by part, and ``seconds``.
+        and ``interval_95`` and ``seeds`` of the net's mean; ``touch_weights`` of ``TA``, by seed.
+        ``random``: a random place; ``constant``: the place with the least mean distance to the training
+        contacts. ``contacts`` by part, and ``seconds``.
     list
         Rows of the training curves: `CURVE_COLUMNS`.
     """
     points = job.observations.read("point", np.arange(len(job.observations)))
     setting = _Setting.of(job, points)
     finished = {
-        (run, name): _finished(job, setting, run, name)
+        (run, letter): _finished(job, setting, run, letter)
         for run in range(job.params.seeds)
-        for name in COMBINATIONS
+        for letter in LETTERS
     }
+    weights = [_touch_weight(job, setting, run) for run in range(job.params.seeds)]
     scores: dict[str, Any] = {}
     for name in COMBINATIONS:
-        runs = [finished[run, name] for run in range(job.params.seeds)]
-        means = [run["scores"]["mean"] for run in runs]
-        net: dict[str, Any] = {
-            kind: float(np.mean([run["scores"][kind] for run in runs])) for kind in runs[0]["scores"]
-        }
+        runs = (
+            [setting.scores(_both(job, run, "test", weight)) for run, weight in enumerate(weights)]
+            if name == "TA"
+            else [finished[run, name]["scores"] for run in range(job.params.seeds)]
+        )
+        means = [run["mean"] for run in runs]
+        net: dict[str, Any] = {kind: float(np.mean([run[kind] for run in runs])) for kind in runs[0]}
         net |= {"interval_95": interval_95(means), "seeds": means}
         scores[name] = {"net": net, "nearest": _nearest(job, setting, name)}
+    scores["TA"]["touch_weights"] = weights
     train, test = points[job.split.train], points[job.split.test]
     spread = _between(setting.places, test)
     constant = np.argmin(_between(setting.places, train).mean(1))
-    curve = [[run, name, *row] for (run, name), unit in finished.items() for row in unit["curve"]]
+    curve = [[run, letter, *row] for (run, letter), unit in finished.items() for row in unit["curve"]]
     return {
         **scores,
         "random": float(spread.mean()),
@@ -170,37 +178,56 @@ def _nearest(job: Job[LocalizeConfig], setting: _Setting, name: str) -> dict[str
     return setting.scores(belief) | {"mean": float(errors.mean()), "median": float(np.median(errors))}
 
 
-def _finished(job: Job[LocalizeConfig], setting: _Setting, run: int, name: str) -> dict[str, Any]:
-    """Return the scores of one net, trained unless finished earlier."""
-    checkpoint = job.progress / f"{run}_{name}.pt"
+def _finished(job: Job[LocalizeConfig], setting: _Setting, run: int, letter: str) -> dict[str, Any]:
+    """Return the scores of one net, trained unless finished earlier; its beliefs are kept."""
+    checkpoint = job.progress / f"{run}_{letter}.pt"
 
     def make() -> dict[str, Any]:
-        net, curve = _trained(job, setting, run, name, checkpoint)
+        net, curve = _trained(job, setting, run, letter, checkpoint)
+        beliefs = {part: _belief(setting, net, letter, getattr(job.split, part)) for part in ("val", "test")}
+        write_npz(_beliefs_path(job, run, letter), **beliefs)
         return {
-            "scores": setting.scores(_belief(job, setting, net, job.split.test)),
+            "scores": setting.scores(beliefs["test"]),
             "curve": [astuple(point)[:3] for point in curve],
             "seconds": sum(point.seconds for point in curve),
         }
 
-    result = job.finished(f"{run}_{name}", make)
+    result = job.finished(f"{run}_{letter}", make)
     checkpoint.unlink(missing_ok=True)
     return result
 
 
+def _beliefs_path(job: Job[LocalizeConfig], run: int, letter: str) -> Path:
+    return job.progress / f"{run}_{letter}.npz"
+
+
+def _both(job: Job[LocalizeConfig], run: int, part: str, touch_weight: float) -> np.ndarray:
+    """Return the beliefs of finished nets of both senses about the contacts of a part, (n, P)."""
+    touch, sound = (read_npz(_beliefs_path(job, run, letter), part)[part] for letter in "TA")
+    return sound + touch_weight * touch
+
+
+def _touch_weight(job: Job[LocalizeConfig], setting: _Setting, run: int) -> float:
+    """Choose how much touch counts beside sound, by the mean error of the validation contacts."""
+    truth = job.observations.read("point", job.split.val)
+    errors = [setting.errors(_both(job, run, "val", weight), truth).mean() for weight in TOUCH_WEIGHTS]
+    return TOUCH_WEIGHTS[int(np.argmin(errors))]
+
+
 def _trained(
-    job: Job[LocalizeConfig], setting: _Setting, run: int, name: str, checkpoint: Path
+    job: Job[LocalizeConfig], setting: _Setting, run: int, letter: str, checkpoint: Path
 ) -> tuple[Localizer, list[EpochPoint]]:
     params, train = job.params, job.split.train
-    purpose = ("localize", job.observations.keys[0], str(run), name)
+    purpose = ("localize", job.observations.keys[0], str(run), letter)
     with seeded(job.seed, *purpose):
-        net = Localizer({letter: job.make_encoder(LETTERS[letter]) for letter in name}, setting.places)
+        net = Localizer(job.make_encoder(LETTERS[letter]), setting.places)
 
     def epoch_batches(epoch: int) -> Iterator[Batch]:
         rng = numpy_generator(job.seed, *purpose, f"epoch {epoch}")
         for rows in shuffled(train, params.batch, rng):
-            inputs = {letter: setting.inputs[letter][rows] for letter in name}
-            if "T" in inputs and job.shift:
-                inputs["T"] = shifted(inputs["T"], job.shift, rng)
+            inputs = setting.inputs[letter][rows]
+            if letter == "T" and job.shift:
+                inputs = shifted(inputs, job.shift, rng)
             yield inputs, setting.targets[rows].to(job.device)
 
     def batch_loss(batch: Batch) -> torch.Tensor:
@@ -211,11 +238,11 @@ def _trained(
     truth = job.observations.read("point", job.split.val)
     steps = params.epochs * batch_count(len(train), params.batch)
     curve = job.train(
-        f"localize {name}, seed {run + 1} of {params.seeds}",
+        f"localize {letter}, seed {run + 1} of {params.seeds}",
         net,
         epoch_batches,
         batch_loss,
-        lambda: -float(setting.errors(_belief(job, setting, net, job.split.val), truth).mean()),
+        lambda: -float(setting.errors(_belief(setting, net, letter, job.split.val), truth).mean()),
         "minus error",
         checkpoint,
         cycle=steps,
@@ -224,10 +251,10 @@ def _trained(
 
 
 @torch.no_grad()
-def _belief(job: Job[LocalizeConfig], setting: _Setting, net: Localizer, rows: np.ndarray) -> np.ndarray:
+def _belief(setting: _Setting, net: Localizer, letter: str, rows: np.ndarray) -> np.ndarray:
     """Return the beliefs of a net about contacts, (n, P)."""
     parts = np.array_split(rows, -(-len(rows) // CHUNK))
-    found = [net({letter: setting.inputs[letter][some] for letter in net.encoders}) for some in parts]
+    found = [net(setting.inputs[letter][some]) for some in parts]
     return torch.cat(found).double().cpu().numpy()
 
 

@@ -1,4 +1,5 @@
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,10 +10,12 @@ from objectfolder.benchmarks.datasets.contacts import contact_split, sample_cont
 from objectfolder.benchmarks.datasets.samples import Samples
 from objectfolder.benchmarks.models.encoders import InputSizes, register_encoder
 from objectfolder.benchmarks.models.localizer import SOFTNESS, belief_together, likeliest
+from objectfolder.benchmarks.tasks import localization
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.localization import CURVE_COLUMNS, localize
 from objectfolder.benchmarks.tasks.localization_config import LocalizeConfig
 from objectfolder.errors import ObjectFolderError
+from objectfolder.io import write_npz
 from objectfolder.nets.touch_image import ImageTouch
 from objectfolder.objectfile.file import ObjectFile
 
@@ -173,3 +176,20 @@ def test_a_net_of_one_press_is_asked_for_that(brick):
     contacts, rows = sample_contacts(file, 20, seed=2), np.arange(20)
     expected = file.touch(contacts.read("point", rows) * file.scale, 0.0012, 0.3)
     np.testing.assert_array_equal(contacts.read("touch", rows), expected)
+
+
+def test_the_weight_of_touch_is_chosen_on_the_validation_contacts(tmp_path, monkeypatch):
+    made = job(tmp_path, epochs=2)
+    right = np.array([[0.0, -9], [0, -9]])  # logarithms: sound, and touch that contradicts it
+    wrong = right[:, ::-1] * 3
+    write_npz(tmp_path / "0_A.npz", val=right, test=wrong)
+    write_npz(tmp_path / "0_T.npz", val=wrong, test=right)
+    truth = np.zeros((len(made.split.val), 3))
+    places = np.array([[0.0, 0, 0], [1, 0, 0]])
+    setting = SimpleNamespace(
+        errors=lambda belief, truth: np.linalg.norm(places[belief.argmax(1)], axis=1) + 0 * truth[:2, 0]
+    )
+    monkeypatch.setattr(made.observations, "read", lambda name, rows: truth)
+    weight = localization._touch_weight(made, setting, 0)
+    assert weight == 0.25  # the others follow the wrong sense
+    np.testing.assert_allclose(localization._both(made, 0, "test", weight), wrong + 0.25 * right)
