@@ -41,12 +41,12 @@ def make(
 def score(
     results: Annotated[list[Path], typer.Argument(metavar="CSV...", help="Answers that the page saved.")],
 ) -> None:
-    """Show how often each method was preferred, by material, with Wilson's 95 % intervals."""
+    """Show how often OURS was preferred, by material, with Wilson's 95 % intervals."""
     from objectfolder.report.listening import preferences
 
     method, found, listeners = preferences(results)
     table = Table(
-        title=f"{method} preferred by {plural(listeners, 'listener')} (chance: 50 %; the paper's study: 42 %)"
+        title=f"{method} preferred by {plural(listeners, 'listener')} (chance: 50 %; the paper's simulation: 42 %)"
     )
     for name in ("material", "answers", "preferred", "95 % interval"):
         table.add_column(name, justify="left" if name == "material" else "right")

@@ -22,7 +22,7 @@ SUFFIXES = (".wav", ".flac", ".ogg")
 WINDOW = 0.4  # seconds, of the loudest part, as of a momentary loudness (ITU-R BS.1771)
 PEAK = 0.9  # of full scale, of the loudest sound of a study
 LONGEST = 10.0  # seconds
-COLUMNS = ("study", "listener", "pair", "material", "first", "second", "chosen")
+COLUMNS = ("study", "listener", "pair", "material", "first", "second", "chosen", "ours")
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def preferences(paths: list[Path]) -> tuple[str, dict[str, Preference], int]:
     Returns
     -------
     method : str
-        The method whose preference is counted: the first of the two by name.
+        The method whose preference is counted: that of the first folder of `study_page`.
     preferences : dict
         By material, then ``all``.
     listeners : int
@@ -136,10 +136,8 @@ def preferences(paths: list[Path]) -> tuple[str, dict[str, Preference], int]:
         except (OSError, UnicodeDecodeError, csv.Error) as error:
             raise ObjectFolderError(f"{path} cannot be read as CSV ({shortened(error, 200)})") from error
         for number, row in enumerate(table, 2):
-            if any(row.get(name) is None for name in COLUMNS) or row["chosen"] not in (
-                row["first"],
-                row["second"],
-            ):
+            sides = row.get("first"), row.get("second")
+            if any(row.get(name) is None for name in COLUMNS) or not {row["chosen"], row["ours"]} <= {*sides}:
                 raise ObjectFolderError(
                     f"{path}: line {number} is not an answer of a study, whose columns are "
                     f"{', '.join(COLUMNS)}"
@@ -157,7 +155,7 @@ def preferences(paths: list[Path]) -> tuple[str, dict[str, Preference], int]:
         raise ObjectFolderError(f"{', '.join(map(str, studies.values()))} are of different studies")
     if not rows:
         raise ObjectFolderError(f"{', '.join(map(str, paths))}: no answers")
-    method = min(name for row in rows.values() for name in (row["first"], row["second"]))
+    method = next(iter(rows.values()))["ours"]
     counts: dict[str, list[bool]] = defaultdict(list)
     for row in rows.values():
         counts[row["material"]].append(row["chosen"] == method)

@@ -105,7 +105,7 @@ def test_the_interval_is_wilsons(chosen, answers):
 
 def saved(path, rows, study="s"):
     lines = [
-        [study, listener, pair, pair.partition("_")[0], *sides, chosen]
+        [study, listener, pair, pair.partition("_")[0], *sides, chosen, "ours"]
         for listener, pair, sides, chosen in rows
     ]
     path.write_text("\n".join(",".join(line) for line in [COLUMNS, *lines]) + "\n")
@@ -133,7 +133,8 @@ def test_answers_are_counted_by_material_and_once(tmp_path, capsys):
     [
         ("a,b\n1,2\n", "line 2 is not an answer of a study"),
         (",".join(COLUMNS) + "\n", "no answers"),
-        (",".join(COLUMNS) + "\ns,1,wood_1,wood,ours,recorded,third\n", "line 2 is not an answer"),
+        (",".join(COLUMNS) + "\ns,1,wood_1,wood,ours,recorded,third,ours\n", "line 2 is not an answer"),
+        (",".join(COLUMNS) + "\ns,1,wood_1,wood,ours,recorded,ours,third\n", "line 2 is not an answer"),
     ],
 )
 def test_other_files_are_refused(tmp_path, content, message):

@@ -6,6 +6,7 @@ import { type Container, FormatError, parse, type Tensor } from "./safetensors.t
 import type { Profile } from "./sensor.ts";
 
 export const MAJOR = 1;
+const FINEST = 512; // points along a side of the grid
 
 export interface GridConfig {
   kind: string;
@@ -49,13 +50,7 @@ export interface Header {
   material_properties?: Omit<Material, "name">;
   geometry?: GridConfig;
   vision?: { kind: string; net: VisionConfig };
-  audio?: {
-    kind: string;
-    net: AudioConfig;
-    band_hz?: [number, number];
-    truncated?: boolean;
-    frequency_uncertainty?: number;
-  };
+  audio?: { kind: string; net: AudioConfig; band_hz?: [number, number] };
   touch?: { kind: string; net: TouchConfig };
   radiation?: RadiationConfig;
   solid?: { volume: number };
@@ -90,16 +85,31 @@ export class ObjectFile {
   }
 }
 
+const damaged = (what: string) => new FormatError(`this Object File is damaged: its header ${what}`);
+
 function checked(text: string | undefined): Header {
   if (text === undefined)
     throw new FormatError("this safetensors file is no Object File: its metadata has no entry objectfolder");
-  const header = JSON.parse(text) as Header;
+  let header: Header | null;
+  try {
+    header = JSON.parse(text);
+  } catch {
+    throw damaged("is no JSON");
+  }
+  if (typeof header !== "object" || !header) throw damaged("is empty");
   const major = Number(String(header.format ?? "").split(".")[0]);
   if (!header.format)
     throw new FormatError("this Object File is older than format 1.0: rebuild it with objectfolder build");
   if (major !== MAJOR)
     throw new FormatError(`this Object File has format ${header.format}; this page reads ${MAJOR}.x`);
   if (!(header.scale > 0)) throw new FormatError(`its size is ${header.scale} m`);
+  for (const name of ["key", "material"] as const)
+    if (typeof header[name] !== "string") throw damaged(`lacks ${name}`);
+  const { geometry } = header;
+  if (geometry?.kind === "distance_grid" && !(geometry.resolution >= 2 && geometry.resolution <= FINEST))
+    throw damaged(`gives the grid ${geometry.resolution} points a side, not 2 to ${FINEST}`);
+  for (const name of ["vision", "audio", "touch"] as const)
+    if (header[name] && typeof header[name].net !== "object") throw damaged(`lacks ${name}.net`);
   return header;
 }
 

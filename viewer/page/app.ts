@@ -13,7 +13,7 @@ import { clear, drawHeights, drawImage, drawTones, drawWave } from "./charts.ts"
 import { canvas, element, input, options, select, tell, whenever } from "./elements.ts";
 import { Gestures } from "./gestures.ts";
 import { single, studio } from "./lighting.ts";
-import { embedded, whenOpened } from "./objects.ts";
+import { embedded, type Source, whenOpened } from "./objects.ts";
 import { Orbit } from "./orbit.ts";
 import { Player } from "./player.ts";
 import { View } from "./view.ts";
@@ -24,10 +24,17 @@ const DURATION = 2.5;
 const SILENCE = 1e-5; // modes end below this share of the loudest
 const RING = 0.02; // radius of the mark, unit frame
 const STRONGEST = 0.1; // N s
+const MISSED = 2000; // milliseconds that a note stays
 const PAUSE = 90; // milliseconds without a change after which indirect light is asked for
 
 const LOST =
   "The browser took the graphics card away, and usually gives it back soon. If the picture stays empty, reload the page.";
+
+/** A few digits, without an exponent. */
+const short = (value: number, digits = 3): string => String(+value.toPrecision(digits));
+
+const greatest = (samples: Float32Array): number =>
+  samples.reduce((most, value) => Math.max(most, Math.abs(value)), 0);
 
 export interface Settings {
   /** By law of damping, then by name. */
@@ -51,9 +58,14 @@ export class App {
   private bounces = false;
   private asked = 0;
   private timer = 0;
+  private missed = 0;
   private poking = false;
   private waiting: { place: Place; strike: boolean } | null = null;
   private lights: PointLight[] = [];
+  /** What can be shown, and which of it is, or is being read. */
+  private sources: Source[] = embedded();
+  private shown = -1;
+  private reading: number | null = null;
   private readonly settled: (() => void)[] = [];
   private readonly answered: (() => void)[] = [];
 
@@ -62,17 +74,8 @@ export class App {
     this.worker.onmessage = (event: MessageEvent<Reply>) => this.receive(event.data);
     this.worker.onerror = (event) => this.problem(event.message);
     // The worker reads the first object while this thread sets the picture up.
-    const objects = embedded();
-    element("chooser").hidden = objects.length < 2;
-    options(
-      "object",
-      objects.map(({ name }) => [name, name]),
-    );
-    const show = (n: number) => {
-      this.open(objects[n].read());
-    };
-    select("object").addEventListener("change", () => show(select("object").selectedIndex));
-    if (objects.length) show(0);
+    select("object").addEventListener("change", () => this.show(select("object").selectedIndex));
+    if (this.sources.length) this.show(0);
     else this.problem("Open an Object File, or drop one on this page.", "No object");
     const accent = matchMedia("(prefers-color-scheme: dark)").matches
       ? [0.98, 0.6, 0.33]
@@ -97,8 +100,44 @@ export class App {
     frame();
   }
 
+  /** Read and show one of the sources. */
+  private async show(n: number): Promise<void> {
+    this.reading = n;
+    this.choose(n);
+    const source = this.sources[n];
+    const began = performance.now();
+    let buffer: ArrayBuffer;
+    try {
+      const read = source.read();
+      buffer = read instanceof ArrayBuffer ? read : await read;
+    } catch {
+      if (this.reading === n) this.problem(`${source.name} cannot be read: is it a file?`);
+      return;
+    }
+    if (this.reading === n) this.open(buffer, began); // else another was chosen meanwhile
+  }
+
+  /** Fill the menu of objects, with one of them chosen. */
+  private choose(n: number): void {
+    element("chooser").hidden = this.sources.length < 2;
+    options(
+      "object",
+      this.sources.map(({ name }, at) => [String(at), name]),
+      String(n),
+    );
+  }
+
+  /** Forget the source that cannot be shown; the one before stays. */
+  private drop(n: number): void {
+    this.reading = null;
+    if (this.shown < 0) return;
+    this.sources = this.sources.filter((_, at) => at !== n);
+    if (n < this.shown) this.shown--;
+    this.choose(this.shown);
+  }
+
   /** Open an Object File. */
-  open(buffer: ArrayBuffer, began = performance.now()): void {
+  private open(buffer: ArrayBuffer, began: number): void {
     this.began = this.times.shape === undefined ? 0 : began;
     this.waiting = null; // it was meant for the object that is open now
     tell("message", null);
@@ -116,6 +155,8 @@ export class App {
     if (!this.header) return;
     this.poking = true;
     tell("message", null);
+    clearTimeout(this.missed);
+    tell("busy", null);
     const touch = this.gaps?.touch ? null : this.touchSettings();
     this.ask({
       kind: "poke",
@@ -178,8 +219,15 @@ export class App {
       case "done":
         return this.next();
       case "missed":
-        return;
+        return this.miss();
     }
+  }
+
+  /** Say that a strike met nothing. */
+  private miss(): void {
+    tell("busy", "Nothing is there: turn the object, or strike beside it.");
+    clearTimeout(this.missed);
+    this.missed = window.setTimeout(() => tell("busy", null), MISSED);
   }
 
   private next(): void {
@@ -195,9 +243,14 @@ export class App {
     this.times[event] = performance.now() - this.began;
   }
 
-  private problem(message: string, title = "This file cannot be shown"): void {
+  private problem(message: string, title?: string): void {
     tell("busy", null);
-    this.announce(title, message);
+    const whole =
+      this.reading === null && this.header
+        ? "Part of this file cannot be shown"
+        : "This file cannot be shown";
+    if (this.reading !== null) this.drop(this.reading);
+    this.announce(title ?? whole, message);
     this.next();
   }
 
@@ -219,12 +272,13 @@ export class App {
   private showShape({ header, gaps, mesh, bytes }: Extract<Reply, { kind: "shape" }>): void {
     this.header = header;
     this.gaps = gaps;
+    if (this.reading !== null) this.shown = this.reading;
+    this.reading = null;
     this.bounces = false;
     this.forget();
     tell("busy", null);
     element("name").textContent = header.key.replaceAll("_", " ");
-    const size =
-      header.scale < 1 ? `${+(header.scale * 1000).toPrecision(3)} mm` : `${+header.scale.toPrecision(3)} m`;
+    const size = header.scale < 1 ? `${short(header.scale * 1000)} mm` : `${short(header.scale)} m`;
     tell("facts", `${header.material} · ${size} · ${(bytes / 1000).toFixed(0)} KB`);
     document.title = `${header.key} – objectfolder`;
     for (const sense of ["sound", "touch"] as const) {
@@ -256,8 +310,7 @@ export class App {
 
   private fillMenus(header: Header): void {
     const tunable = ownMaterial(header) !== null;
-    const law = header.material_properties?.loss_factor ? "loss_factor" : "rayleigh";
-    const names = Object.keys(this.settings.materials?.[law] ?? {});
+    const names = Object.keys(this.materials);
     const others = names.filter((name) => name !== header.material && tunable);
     options("material", [
       ["", `${header.material} (its own)`],
@@ -283,9 +336,14 @@ export class App {
     );
   }
 
-  private strikeSettings(): StrikeSettings {
+  /** By name, with the open object's law of damping. */
+  private get materials(): Record<string, Material> {
     const law = this.header?.material_properties?.loss_factor ? "loss_factor" : "rayleigh";
-    const material = this.settings.materials?.[law][select("material").value] ?? null;
+    return this.settings.materials?.[law] ?? {};
+  }
+
+  private strikeSettings(): StrikeSettings {
+    const material = this.materials[select("material").value] ?? null;
     const size = 2 ** +input("size").value;
     const contact = +input("contact").value * 1e-3;
     return {
@@ -298,6 +356,7 @@ export class App {
       response: "acceleration",
       silence: SILENCE,
       listener: this.orbit.eye,
+      reference: START,
     };
   }
 
@@ -320,21 +379,27 @@ export class App {
     this.lastSound = sound;
     this.times.strike = sound.milliseconds;
     this.play();
-    let peak = 0;
-    for (const value of sound.samples) peak = Math.max(peak, Math.abs(value));
+    this.drawSound();
+    const peak = greatest(sound.samples);
     const gain = sound.reference > 0 ? 1 / (sound.reference * STRONGEST) : 0;
-    drawWave(canvas("wave"), sound.samples.subarray(0, RATE / 2), peak > 0 ? 0.95 / peak : 0);
-    drawTones(canvas("tones"), sound.tones);
     const [loudest] = sound.tones;
     const level = 20 * Math.log10(Math.max(peak * gain, 1e-9));
     element("sound-readout").innerHTML = loudest
-      ? `<b>${loudest.frequency.toFixed(0)} Hz</b> loudest of ${sound.modes} modes, rings ${loudest.decay.toPrecision(2)} s · <b>${level.toFixed(0)} dB</b>`
+      ? `<b>${loudest.frequency.toFixed(0)} Hz</b> loudest of ${sound.modes} mode${sound.modes === 1 ? "" : "s"}, rings ${loudest.decay.toPrecision(2)} s · <b>${level.toFixed(0)} dB</b> of the loudest`
       : "Silent: no mode lies within hearing.";
     element("notes").replaceChildren(
       ...sound.notes.map((text) => Object.assign(document.createElement("li"), { textContent: text })),
     );
     element<HTMLButtonElement>("again").disabled = false;
     this.timing();
+  }
+
+  private drawSound(): void {
+    const { lastSound } = this;
+    if (!lastSound) return;
+    const peak = greatest(lastSound.samples);
+    drawWave(canvas("wave"), lastSound.samples.subarray(0, RATE / 2), peak > 0 ? 0.95 / peak : 0);
+    drawTones(canvas("tones"), lastSound.tones);
   }
 
   private play(): void {
@@ -347,9 +412,9 @@ export class App {
     this.times.touch = touch.milliseconds;
     drawImage(canvas("touch"), touch.image, touch.width, touch.rows);
     drawHeights(canvas("heights"), touch.height, touch.width, touch.rows, touch.deepest);
-    const force = touch.force === null ? "" : `<b>${touch.force.toPrecision(3)} N</b> on `;
+    const force = touch.force === null ? "" : `<b>${short(touch.force)} N</b> on `;
     const blocked = touch.obstructed > 0 ? " · obstructed: a real sensor could not get there" : "";
-    element("touch-readout").innerHTML = `${force}<b>${(touch.area * 1e6).toPrecision(3)} mm²</b>${blocked}`;
+    element("touch-readout").innerHTML = `${force}<b>${short(touch.area * 1e6)} mm²</b>${blocked}`;
     this.timing();
   }
 
@@ -362,15 +427,16 @@ export class App {
   private labels(): void {
     const show = (id: string, text: string) => {
       element(id).parentElement!.querySelector("output")!.textContent = text;
+      element(id).setAttribute("aria-valuetext", text);
     };
     const deepest = (this.sensor?.max_indentation ?? 2e-3) * 1e3;
     input("depth").max = String(deepest);
-    show("impulse", `${(this.impulse * 1e3).toPrecision(2)} mN·s`);
+    show("impulse", `${short(this.impulse * 1e3, 2)} mN·s`);
     show("contact", `${(+input("contact").value).toFixed(2)} ms`);
-    show("size", `× ${(2 ** +input("size").value).toPrecision(2)}`);
+    show("size", `× ${short(2 ** +input("size").value)}`);
     show("depth", `${(+input("depth").value).toFixed(2)} mm`);
     for (const id of ["angle", "azimuth", "elevation"]) show(id, `${input(id).value}°`);
-    show("distance", input("distance").value);
+    show("distance", `× ${short(+input("distance").value)}`);
     element("distance-row").hidden = select("setup").value === "studio";
   }
 
@@ -392,10 +458,12 @@ export class App {
       this.view.changed();
       this.relight(false);
     });
-    whenOpened(input("file"), async (file) => {
-      const began = performance.now();
-      this.open(await file.arrayBuffer(), began);
+    whenOpened(input("file"), (files) => {
+      const first = this.sources.length;
+      this.sources = [...this.sources, ...files];
+      void this.show(first);
     });
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.drawSound());
     this.labels();
   }
 
@@ -424,5 +492,6 @@ export class App {
     picture.width = Math.max(Math.round(box.width * ratio), 1);
     picture.height = Math.max(Math.round(box.height * ratio), 1);
     this.view.changed();
+    this.drawSound();
   }
 }

@@ -6,6 +6,7 @@ import type { View } from "./view.ts";
 const TURN = 0.008; // rad per pixel
 const KEY_TURN = 0.12; // rad
 const KEY_ZOOM = 1.12;
+const FINGERS = 100; // milliseconds in which a second finger may follow the first
 
 export interface Handlers {
   /** A place was pressed (strike), or the pointer was drawn across it. */
@@ -17,6 +18,8 @@ export class Gestures {
   private readonly pointers = new Map<number, { x: number; y: number }>();
   private mode: "poke" | "turn" | null = null;
   private travelled = 0;
+  /** A finger that may turn out to be the first of two. */
+  private pending: { place: Place; timer: number } | null = null;
 
   constructor(
     private readonly view: View,
@@ -27,6 +30,8 @@ export class Gestures {
     canvas.addEventListener("pointermove", (event) => this.move(event));
     for (const name of ["pointerup", "pointercancel"] as const)
       canvas.addEventListener(name, (event) => {
+        if (name === "pointerup") this.press();
+        else this.hold();
         this.pointers.delete(event.pointerId);
         if (!this.pointers.size) this.mode = null;
       });
@@ -57,7 +62,23 @@ export class Gestures {
     this.travelled = 0;
     const turning = event.button !== 0 || event.shiftKey || this.pointers.size > 1;
     this.mode = !turning && this.view.covers(x, y) ? "poke" : "turn";
-    if (this.mode === "poke") this.handlers.poke(this.placeAt(x, y), true);
+    this.hold();
+    if (this.mode !== "poke") return;
+    const place = this.placeAt(x, y);
+    if (event.pointerType !== "touch") return this.handlers.poke(place, true);
+    this.pending = { place, timer: window.setTimeout(() => this.press(), FINGERS) };
+  }
+
+  /** Strike where a finger came down, unless that is done or another has followed. */
+  private press(): void {
+    const { pending } = this;
+    this.hold();
+    if (pending) this.handlers.poke(pending.place, true);
+  }
+
+  private hold(): void {
+    clearTimeout(this.pending?.timer);
+    this.pending = null;
   }
 
   private move(event: PointerEvent): void {
@@ -72,9 +93,12 @@ export class Gestures {
     this.pointers.set(event.pointerId, { x, y });
     this.travelled += Math.hypot(right, down);
     if (this.mode === "poke") {
-      if (this.travelled > 2 && this.view.covers(x, y)) this.handlers.poke(this.placeAt(x, y), false);
-    } else if (this.pointers.size > 1) this.zoom(spread / Math.max(this.spread(), 1));
-    else this.turn(right * TURN, down * TURN);
+      if (this.pending || this.travelled <= 2 || !this.view.covers(x, y)) return;
+      this.handlers.poke(this.placeAt(x, y), false);
+    } else if (this.pointers.size > 1) {
+      this.zoom(spread / Math.max(this.spread(), 1));
+      this.turn((right * TURN) / 2, (down * TURN) / 2); // by the point between two fingers
+    } else this.turn(right * TURN, down * TURN);
   }
 
   /** Distance between two fingers. */

@@ -2,24 +2,33 @@
 
 import { fromBase64 } from "../core/base64.ts";
 
-/** Object Files as base64, by name: in script elements of the page, or set by scripts beside it. */
-export interface Embedded {
+/** An Object File that can be shown. */
+export interface Source {
   name: string;
-  read(): ArrayBuffer;
+  read(): ArrayBuffer | Promise<ArrayBuffer>;
 }
 
-export function embedded(): Embedded[] {
+/** Object Files as base64 in script elements of the page. */
+export function embedded(): Source[] {
   return [...document.querySelectorAll<HTMLScriptElement>("script[data-object]")].map((script) => ({
     name: script.dataset.object!,
     read: () => fromBase64(script.textContent ?? "").buffer,
   }));
 }
 
-/** Call a function with each file that is chosen or dropped on the page. */
-export function whenOpened(chooser: HTMLInputElement, call: (file: File) => void): void {
+/** Call a function with the files that are chosen or dropped on the page. */
+export function whenOpened(chooser: HTMLInputElement, call: (files: Source[]) => void): void {
+  const open = (files: FileList | null | undefined) => {
+    if (files?.length)
+      call(
+        [...files].map((file) => ({
+          name: file.name.replace(/\.safetensors$/, ""),
+          read: () => file.arrayBuffer(),
+        })),
+      );
+  };
   chooser.addEventListener("change", () => {
-    const [file] = chooser.files ?? [];
-    if (file) call(file);
+    open(chooser.files);
     chooser.value = "";
   });
   const mark = (on: boolean) => document.body.classList.toggle("dropping", on);
@@ -31,7 +40,6 @@ export function whenOpened(chooser: HTMLInputElement, call: (file: File) => void
   window.addEventListener("drop", (event) => {
     event.preventDefault();
     mark(false);
-    const [file] = event.dataTransfer?.files ?? [];
-    if (file) call(file);
+    open(event.dataTransfer?.files);
   });
 }

@@ -125,7 +125,7 @@ export class View {
     if (indirect.length === this.vertices) this.fill("indirect", indirect);
   }
 
-  /** Mark a point of the surface by a ring; radius 0 removes it. */
+  /** Mark a point of the surface by a ring. */
   point(place: Vector, radius: number): void {
     this.mark = [...place, radius];
     this.stale = true;
@@ -171,12 +171,11 @@ export class View {
   }
 
   /** Draw, if anything changed. */
-  draw(): boolean {
-    if (!this.stale || this.gl.isContextLost()) return false;
+  draw(): void {
+    if (!this.stale || this.gl.isContextLost()) return;
     this.stale = false;
     this.shade();
     this.paintInto(this.canvas.width, this.canvas.height, SHOWN);
-    return true;
   }
 
   private paintInto(width: number, height: number, mode: number): void {

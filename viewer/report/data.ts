@@ -82,6 +82,11 @@ export function detailOf(key: string): Promise<Detail> {
       done();
       reject(new Error(`objects/${key}.js is missing: copy the whole folder of the report`));
     };
+    script.onload = () => {
+      if (!waiting.has(key)) return;
+      done();
+      reject(new Error(`objects/${key}.js is damaged: write the report again, or copy it again`));
+    };
     document.head.append(script);
   });
 }

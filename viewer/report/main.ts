@@ -8,8 +8,12 @@ import { Overview } from "./overview.ts";
 const overview = new Overview();
 let scrolled = 0;
 
+const asked = (): string => decodeURIComponent(location.hash.slice(1));
+const title = document.title;
+let last = "";
+
 async function route(): Promise<void> {
-  const key = decodeURIComponent(location.hash.slice(1));
+  const key = asked();
   const row = data.rows.find((found) => found.key === key && !found.missing);
   if (!byId("overview").hidden) scrolled = scrollY;
   byId("overview").hidden = row !== undefined;
@@ -17,7 +21,14 @@ async function route(): Promise<void> {
   document.querySelector<HTMLElement>("body > header")!.hidden = row !== undefined;
   const body = byId("body");
   body.replaceChildren();
-  if (!row) return scrollTo(0, scrolled);
+  document.title = row ? `${key} – ${title}` : title;
+  if (!row) {
+    scrollTo(0, scrolled);
+    if (last)
+      document.querySelector<HTMLElement>(`a[href="#${CSS.escape(last)}"]`)?.focus({ preventScroll: true });
+    return;
+  }
+  last = key;
   const here = overview.keys.indexOf(key);
   for (const [id, step] of [
     ["previous", -1],
@@ -30,11 +41,12 @@ async function route(): Promise<void> {
   body.append(make("p", { class: "quiet", role: "status" }, `Reading ${key} …`));
   try {
     const detail = await detailOf(key);
-    if (decodeURIComponent(location.hash.slice(1)) !== key) return;
+    if (asked() !== key) return; // another was asked for meanwhile
     body.replaceChildren(...objectPage(row, detail));
     scrollTo(0, 0);
     body.querySelector("h1")!.focus({ preventScroll: true });
   } catch (error) {
+    if (asked() !== key) return;
     body.replaceChildren(make("p", { class: "bad", role: "alert" }, (error as Error).message));
   }
 }

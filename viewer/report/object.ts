@@ -120,7 +120,11 @@ const strips = (parts: Node[]) => (parts.length ? make("div", { class: "strips" 
 
 export function objectPage(row: Row, detail: Detail): Node[] {
   const stage = make("div", {}, make("button", { type: "button" }, "See, strike and touch it"));
-  stage.querySelector("button")!.addEventListener("click", () => stage.replaceChildren(live(detail)));
+  stage.querySelector("button")!.addEventListener("click", () => {
+    const frame = live(detail);
+    stage.replaceChildren(frame);
+    frame.focus();
+  });
   const passed = detail.checks.filter((check) => check.passed).length;
   const scores = data.scores.map((score) => place(row, score)).filter((chart) => chart !== null);
   const facts = [

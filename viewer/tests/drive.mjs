@@ -169,6 +169,9 @@ async function use(page) {
     await drawn();
     assert.notEqual(await picture(), before, "the light moves");
   }
+  await page.evaluate(() => window.objectfolder.poke({ origin: [0, 0, 3], direction: [1, 0, 0] }));
+  await page.locator("#busy", { hasText: "Nothing is there" }).waitFor();
+  await page.locator("#busy").waitFor({ state: "hidden" });
   await page.locator("#file").setInputFiles({
     name: "cube.stl",
     mimeType: "model/stl",
@@ -177,6 +180,7 @@ async function use(page) {
   await page.locator("#message").waitFor();
   assert.match(await page.locator("#message").textContent(), /no safetensors file/);
   await page.locator("#message button").click();
+  assert.ok(await page.locator("#chooser").isHidden(), "what cannot be shown is not in the menu");
   await answered(page, async () => click(page, ...(await middle(page))));
   await struck(page); // the open object stays
   await felt(page);
@@ -229,6 +233,31 @@ async function reopen(page) {
     texts: ["Strike the object to hear it.", "Touch the object to feel it.", "", ""],
     again: false,
   });
+  const menu = await page.locator("#object option").allTextContents();
+  assert.equal(menu.length, 2);
+  assert.equal(menu[1], "again", "an opened file can be chosen again");
+  assert.equal(await page.locator("#object").inputValue(), "1");
+  assert.match(await page.locator("#impulse").getAttribute("aria-valuetext"), /^\d+(\.\d+)? mN·s$/);
+}
+
+/** Pinch the object: it is not struck, but turned and zoomed. */
+async function pinch(page) {
+  const session = await page.context().newCDPSession(page);
+  const [x, y] = await middle(page);
+  const touch = (type, ...at) =>
+    session.send("Input.dispatchTouchEvent", { type, touchPoints: at.map((dx) => ({ x: x + dx, y })) });
+  const state = () =>
+    page.evaluate(() => [window.objectfolder.orbit.eye, window.objectfolder.lastSound === window.seen.sound]);
+  await answered(page, () => {});
+  const [before] = await state();
+  await touch("touchStart", -20);
+  await touch("touchStart", -20, 20);
+  await touch("touchMove", -30, 40);
+  await touch("touchEnd");
+  await new Promise((done) => setTimeout(done, 500));
+  const [after, silent] = await state();
+  assert.ok(silent, "two fingers do not strike");
+  assert.ok(Math.hypot(...after) < Math.hypot(...before), "they zoom");
 }
 
 for (const [name, size] of Object.entries(SIZES))
@@ -238,6 +267,7 @@ for (const [name, size] of Object.entries(SIZES))
     await page.waitForFunction(() => window.objectfolder?.times.bounced, null, WAIT);
     if (name === "desktop" && colorScheme === "light") await use(page);
     else if (!size.hasTouch) await strike(page);
+    else await pinch(page);
     await page.addScriptTag({ path: axe });
     const { violations } = await page.evaluate(() => window.axe.run());
     const serious = violations.filter(({ impact }) => ["serious", "critical"].includes(impact));

@@ -49,6 +49,16 @@ describe("files", () => {
       [file({ objectfolder: JSON.stringify({ ...HEADER, format: "2.0" }) }), "this page reads 1.x"],
       [file({ objectfolder: JSON.stringify({ key: "cup" }) }), "older than format 1.0"],
       [file({ objectfolder: JSON.stringify(HEADER) }, 8), "beyond the end of the file"],
+      [file({ objectfolder: "{" }), "its header is no JSON"],
+      [file({ objectfolder: "null" }), "its header is empty"],
+      [file({ objectfolder: JSON.stringify({ ...HEADER, key: undefined }) }), "lacks key"],
+      [
+        file({
+          objectfolder: JSON.stringify({ ...HEADER, geometry: { kind: "distance_grid", resolution: 4000 } }),
+        }),
+        "4000 points a side",
+      ],
+      [file({ objectfolder: JSON.stringify({ ...HEADER, audio: { kind: "gains" } }) }), "lacks audio.net"],
     ];
     for (const [buffer, message] of expected) expect(() => new ObjectFile(buffer)).toThrow(message);
   });

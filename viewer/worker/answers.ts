@@ -9,6 +9,7 @@ import { type Appearance, Look } from "../core/look.ts";
 import { Nearest } from "../core/nearest.ts";
 import { type Gaps, gaps, ObjectFile } from "../core/objectfile.ts";
 import { Radiation } from "../core/radiation.ts";
+import { FormatError } from "../core/safetensors.ts";
 import type { Profile } from "../core/sensor.ts";
 import { type Mesh, surface } from "../core/surface.ts";
 import { amplitudes, type Gained, modalGains, plain, synthesise } from "../core/synthesis.ts";
@@ -42,12 +43,12 @@ export class Answers {
   constructor(buffer: ArrayBuffer) {
     this.file = new ObjectFile(buffer);
     const found = gaps(this.file.header);
-    if (found.shape) throw new Error(found.shape);
+    if (found.shape) throw new FormatError(found.shape);
     this.grid = Grid.read(this.file);
     const features = readFeatures(this.file);
     this.mesh = surface(this.grid, features);
     this.nearest = new Nearest(this.grid, this.mesh, features);
-    if (!this.mesh.index.length) throw new Error("The geometry of this file holds no surface.");
+    if (!this.mesh.index.length) throw new FormatError("The geometry of this file holds no surface.");
     this.gains = found.sound === null ? new Gains(this.file) : null;
     this.radiation = this.gains && Radiation.read(this.file, this.gains.frequency);
     if (this.gains?.count === 0)
@@ -65,7 +66,7 @@ export class Answers {
     return { point, contact: moved < UNMOVED * this.grid.spacing ? given : point };
   }
 
-  normalAt(point: Vector): Vector {
+  private normalAt(point: Vector): Vector {
     const normal: Vector = [0, 0, 0];
     this.grid.normal(point[0], point[1], point[2], normal);
     return normal;
@@ -105,12 +106,13 @@ export class Answers {
         : settings.impulse;
     const { sound, strike, note } = this.heard(modes, point, impulse, settings);
     const samples = synthesise(sound, strike);
+    const reference = this.loudest(modes, settings);
     const milliseconds = performance.now() - start;
     return {
       kind: "sound",
       samples,
       rate: settings.rate,
-      reference: this.loudest(modes, settings),
+      reference,
       tones: tones(modes, amplitudes(sound, strike).subarray(0, modes.which.length)),
       modes: modes.which.length,
       notes: note ? [...modes.notes, note] : modes.notes,
@@ -135,9 +137,9 @@ export class Answers {
     return { sound, strike: { ...settings, response: "displacement" }, note: null };
   }
 
-  /** Peak of the loudest of some spots, for an impulse of 1 N s along the normal. */
+  /** Peak of the loudest of some spots, heard from the reference, for an impulse of 1 N s along the normal. */
   private loudest(modes: Modes, settings: StrikeSettings): number {
-    const { material, size, contact, rate, response, listener } = settings;
+    const { material, size, contact, rate, response, reference: listener } = settings;
     const key = JSON.stringify([material, size, contact, rate, response, listener]);
     if (this.reference?.key === key) return this.reference.peak;
     const { position } = this.mesh;
@@ -152,7 +154,7 @@ export class Answers {
     }
     let peak = 0;
     if (best) {
-      const { sound, strike } = this.heard(modes, best, this.normalAt(best), settings);
+      const { sound, strike } = this.heard(modes, best, this.normalAt(best), { ...settings, listener });
       for (const value of synthesise(sound, { ...strike, duration: PEAK, silence: 1e-3 }))
         peak = Math.max(peak, Math.abs(value));
     }

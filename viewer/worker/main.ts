@@ -1,6 +1,7 @@
 /** The worker: answers the page's questions, strikes and touches first. */
 
 import type { Slice } from "../core/indirect.ts";
+import { FormatError } from "../core/safetensors.ts";
 import { Answers } from "./answers.ts";
 import type { Reply, Request } from "./protocol.ts";
 
@@ -81,7 +82,7 @@ async function answer(request: Request): Promise<void> {
   const place = answers.at(request.place);
   if (!place) return post({ kind: "missed" });
   const { point, contact } = place;
-  post({ kind: "point", point, normal: answers.normalAt(point) });
+  post({ kind: "point", point });
   const sound = request.strike && answers.strike(point, request.strike);
   if (sound) post(sound, [sound.samples.buffer]);
   const touch = request.touch && answers.press(contact, request.touch);
@@ -91,6 +92,7 @@ async function answer(request: Request): Promise<void> {
 self.onmessage = (event: MessageEvent<Request>) => {
   answer(event.data).catch((error: unknown) => {
     if (error instanceof Outdated) return;
-    post({ kind: "problem", message: error instanceof Error ? error.message : String(error) });
+    const message = error instanceof Error ? error.message : String(error);
+    post({ kind: "problem", message: error instanceof FormatError ? message : `It is damaged: ${message}` });
   });
 };

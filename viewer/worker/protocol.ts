@@ -23,6 +23,8 @@ export interface StrikeSettings {
   silence: number;
   /** Where the strike is heard, in units of the longest side; null: nowhere, displacements are summed. */
   listener: Vector | null;
+  /** Where the loudest spot is heard, which the volume refers to, as a listener. */
+  reference: Vector | null;
 }
 
 export interface TouchSettings {
@@ -50,14 +52,14 @@ export type Reply =
   | { kind: "look"; color: Float32Array; normal: Float32Array; roughness: number; metallic: number }
   | { kind: "bounces" } // indirect light can be asked for
   | { kind: "indirect"; values: Float32Array; request: number }
-  | { kind: "point"; point: Vector; normal: Vector }
+  | { kind: "point"; point: Vector }
   | { kind: "missed" }
   | { kind: "done" }
   | {
       kind: "sound";
       samples: Float32Array;
       rate: number;
-      /** Peak of the loudest spot at the same settings and an impulse of 1 N s. */
+      /** Peak of the loudest spot at the same settings, heard from the reference, and an impulse of 1 N s. */
       reference: number;
       tones: Tone[];
       modes: number;
