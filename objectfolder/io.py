@@ -5,6 +5,7 @@ file in errors.
 """
 
 import ast
+import fcntl
 import hashlib
 import json
 import os
@@ -32,8 +33,9 @@ DTYPES = {"BOOL": "?", "F64": "<f8", "F32": "<f4", "F16": "<f2"} | {
 def atomic(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path next to ``path``; on success, fsync the file and rename it into place.
 
-    The temporary name has the same suffix, because writers choose the format by it. It is always the same, so
-    that killed writers leave at most one file behind.
+    The temporary name has the same suffix, because writers choose the format by it. It is the same at every
+    call, so that killed writers leave at most one file behind, unless others write the same path meanwhile;
+    then the last one wins.
 
     Raises
     ------
@@ -41,14 +43,15 @@ def atomic(path: str | Path) -> Iterator[Path]:
         If the directory cannot be written, or the path is a folder or a device.
     """
     path = Path(path)
-    temporary = temporary_path(path)
+    if not path.name:
+        raise ObjectFolderError(f"cannot write {str(path)!r}: it is a folder, expected a file's name")
     try:
         if path.exists() and not path.is_file():
             raise ObjectFolderError(
                 f"cannot write {path}: it is a folder or a device, expected a file's name"
             )
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.touch()
+        temporary, lock = _claimed(path)
     except OSError as error:
         raise ObjectFolderError(
             f"cannot write {shortened(path, 300)}: {error.strerror}; make the directory "
@@ -59,17 +62,38 @@ def atomic(path: str | Path) -> Iterator[Path]:
         with temporary.open("rb") as stream:
             os.fsync(stream.fileno())
         temporary.replace(path)
-    except OSError as error:
-        if error.filename is None:  # so it is when a disk fills up
+    except BaseException as error:
+        temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.filename is None:  # so it is when a disk fills up
             error.filename = str(path)
         raise
     finally:
-        temporary.unlink(missing_ok=True)
+        os.close(lock)
 
 
-def temporary_path(path: Path) -> Path:
-    """Return the name under which `atomic` writes a file."""
-    return path.with_name(f".{path.stem}.tmp{path.suffix}")
+def temporary_path(path: Path, number: int = 0) -> Path:
+    """Return the name under which `atomic` writes a file, beside ``number`` others that write it."""
+    return path.with_name(f".{path.stem}.tmp{number or ''}{path.suffix}")
+
+
+def _claimed(path: Path) -> tuple[Path, int]:
+    """Return a temporary path that no other writer holds, and the descriptor that keeps it so."""
+    number = 0
+    while True:
+        temporary = temporary_path(path, number)
+        lock = os.open(temporary, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if os.path.samestat(os.fstat(lock), temporary.stat()):
+                return temporary, lock
+        except BlockingIOError:
+            number += 1
+        except FileNotFoundError:  # renamed or removed since it was opened
+            pass
+        except BaseException:
+            os.close(lock)
+            raise
+        os.close(lock)
 
 
 def check_writable(directory: Path) -> None:

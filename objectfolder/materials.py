@@ -45,7 +45,8 @@ class Material:
 
     def __post_init__(self) -> None:
         for name in ("density", "youngs_modulus", "poisson_ratio", "alpha", "beta"):
-            finite_number(f"material {self.name!r}: {name}", getattr(self, name))
+            number = finite_number(f"material {self.name!r}: {name}", getattr(self, name))
+            object.__setattr__(self, name, number)  # hashable, whatever was given
         object.__setattr__(self, "loss_factor", _knots(self.name, self.loss_factor))
         physical = {
             "density": (0 < self.density < math.inf, "a positive number of kg/m^3"),

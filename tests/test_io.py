@@ -1,5 +1,6 @@
 import time
 import zipfile
+from concurrent.futures import ThreadPoolExecutor
 from unittest.mock import Mock
 
 import numpy as np
@@ -238,3 +239,41 @@ def test_what_is_kept_outlives_the_file(tmp_path, monkeypatch, links):
 def test_a_device_is_no_file():
     with pytest.raises(ObjectFolderError, match="/dev/null is a device; expected a file"):
         file_digest("/dev/null")
+
+
+def test_two_writers_at_once_leave_one_whole_file(tmp_path):
+    path = tmp_path / "a.txt"
+    with atomic(path) as first:
+        first.write_text("first")
+        with atomic(path) as second:
+            assert second != first
+            assert second.suffix == ".txt"
+            second.write_text("second, longer")
+        assert path.read_text() == "second, longer"
+        assert first.read_text() == "first"
+    assert path.read_text() == "first"
+    assert names(tmp_path) == ["a.txt"]
+
+    def write(number):
+        write_json(path, [number] * 1000)
+
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(write, range(200)))
+    assert len(set(read_json(path))) == 1
+    assert len(read_json(path)) == 1000
+    assert names(tmp_path) == ["a.txt"]
+
+
+def test_what_a_killed_writer_left_is_written_over(tmp_path):
+    (tmp_path / ".a.tmp.txt").write_text("half of something")
+    with atomic(tmp_path / "a.txt") as path:
+        assert path == tmp_path / ".a.tmp.txt"
+        path.write_text("whole")
+    assert (tmp_path / "a.txt").read_text() == "whole"
+    assert names(tmp_path) == ["a.txt"]
+
+
+@pytest.mark.parametrize("name", ["", ".", "/"])
+def test_a_path_without_a_name_is_refused(name):
+    with pytest.raises(ObjectFolderError, match="expected a file's name"):
+        write_json(name, 1)

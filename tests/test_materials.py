@@ -135,3 +135,10 @@ def test_rayleigh_damping_is_half_of_alpha_and_beta_times_the_eigenvalue():
     """Steel of Table 1 at 1 kHz: (5 + 3e-8 (2 pi 1000)^2) / 2 = 3.0922 per second."""
     assert material("steel").damping(np.array([(2 * np.pi * 1000) ** 2])) == pytest.approx(3.09218, rel=1e-5)
     assert material("wood").damping(np.zeros(1)) == pytest.approx(30)
+
+
+@pytest.mark.parametrize("number", [np.array(7850.0), np.float32(7850), torch.tensor(7850.0), 7850])
+def test_a_number_of_any_kind_makes_the_same_material(number):
+    steel = dataclasses.replace(material("steel"), density=number)
+    assert steel == material("steel")
+    assert hash(steel) == hash(material("steel"))

@@ -31,6 +31,7 @@ class Striker:
     def __post_init__(self) -> None:
         for field in fields(self):
             value = finite_number(f"striker: {field.name}", getattr(self, field.name))
+            object.__setattr__(self, field.name, value)  # hashable, whatever was given
             low, high = (-1.0, 0.5) if field.name == "poisson_ratio" else (0.0, math.inf)
             if not low < value < high:
                 raise ObjectFolderError(

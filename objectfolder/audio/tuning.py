@@ -116,13 +116,13 @@ def _notes(
             f"{new.name} has {new.poisson_ratio:g}; true frequencies are {bounds[0]:.3f} to {bounds[1]:.3f} "
             f"times these; build the object with material {new.name} to solve it exactly"
         )
-    # The solved band may end at 20 kHz itself; do not report rounding as a gap.
-    if complete[1] < high * (1 - 1e-9):
+    # The solved band may end at 20 kHz itself; do not report rounding, of single precision, as a gap.
+    if complete[1] < high * (1 - 1e-6):
         yield (
             f"incomplete: modes from {complete[1]:.0f} to {high:.0f} Hz were above the band that was solved "
             "and are not stored; build the object with this material and scale to hear them"
         )
-    if complete[0] > low * (1 + 1e-9):
+    if complete[0] > low * (1 + 1e-6):
         yield (
             f"incomplete: modes from {low:.0f} to {complete[0]:.0f} Hz were below the band that was solved "
             "and are not stored; build the object with this material and scale to hear them"

@@ -46,7 +46,8 @@ def score(
 
     method, found, listeners = preferences(results)
     table = Table(
-        title=f"{method} preferred by {plural(listeners, 'listener')} (chance: 50 %; the paper's simulation: 42 %)"
+        title=f"{method} preferred by {plural(listeners, 'listener')} "
+        "(chance: 50 %; the paper's simulation: 42 %)"
     )
     for name in ("material", "answers", "preferred", "95 % interval"):
         table.add_column(name, justify="left" if name == "material" else "right")

@@ -8,13 +8,13 @@ the normals.
 
 import threading
 from collections.abc import Iterator
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
 from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.recent import Recent
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile, require_renderer
@@ -68,7 +68,7 @@ class GeometricTouch:
         self.profile = profile
         self.depth_offset = depth_offset
         self.renderer = renderer
-        self._other, self._lock = lru_cache(_OTHERS)(self._new_other), threading.Lock()
+        self._others, self._lock = Recent[GeometricTouch](_OTHERS), threading.Lock()
         self._optics = Optics(profile, device)
         if background is not None:
             self._optics.background = torch.from_numpy(np.array(background))
@@ -100,7 +100,7 @@ class GeometricTouch:
         The stored sensor's own profile keeps the stored background, which the profile does not name.
         """
         with self._lock:  # concurrent threads get the same instance
-            return self._other(profile)
+            return self._others.of(profile, lambda: self._new_other(profile))
 
     def _new_other(self, profile: SensorProfile) -> "GeometricTouch":
         background = self.background.cpu().numpy() if profile == self.profile else None

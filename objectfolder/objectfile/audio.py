@@ -4,7 +4,6 @@ import logging
 import math
 from collections.abc import Iterator
 from dataclasses import fields
-from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -26,6 +25,7 @@ from objectfolder.materials import Material
 from objectfolder.objectfile.radiation import Listening, Radiation
 from objectfolder.objectfile.reading import StoredNet, damaged_net, report_damage
 from objectfolder.objectfile.sound_settings import SoundSettings
+from objectfolder.recent import Recent
 
 _PIECE = 512  # samples of a contact computed at once
 _BATCH = 1024  # strikes whose mode shapes are in memory at once
@@ -107,7 +107,7 @@ class ModalSense:
     def __init__(self, net: ModalNet, stored: StoredNet):
         self.net = net
         self._stored, self._surface = stored, stored.surface
-        self._bank = lru_cache(_BANKS)(self._new_bank)
+        self._banks: Recent[tuple[Tuning, Bank]] = Recent(_BANKS)
 
     @property
     def damped_frequency(self) -> torch.Tensor:
@@ -317,6 +317,9 @@ class ModalSense:
                 "the sound is linear in them: scale them down"
             )
         return sounds
+
+    def _bank(self, settings: SoundSettings) -> tuple[Tuning, Bank]:
+        return self._banks.of(settings, lambda: self._new_bank(settings))
 
     def _new_bank(self, settings: SoundSettings) -> tuple[Tuning, Bank]:
         tuning = self.tuning(settings.material, settings.scale)

@@ -78,7 +78,7 @@ class Dataset(Sequence[ObjectFile]):
 
     def __init__(self, folder: str | Path, device: Device = "cpu"):
         self.folder, self.device = Path(folder), device
-        self.entries = read_index(self.folder / INDEX)
+        self.entries = self._released = read_index(self.folder / INDEX)
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -92,7 +92,10 @@ class Dataset(Sequence[ObjectFile]):
         """Read an object by number or key; a slice gives a dataset."""
         if isinstance(which, slice):
             return self._with(self.entries[which])
-        return ObjectFile.load(self.path(which), self.device)
+        path = self.path(which)
+        if not path.is_file():
+            raise ObjectFolderError(f"{path} is missing, though the index names it; download it again")
+        return ObjectFile.load(path, self.device)
 
     def __iter__(self) -> Iterator[ObjectFile]:
         return (self[number] for number in range(len(self)))
@@ -129,14 +132,14 @@ class Dataset(Sequence[ObjectFile]):
         Raises
         ------
         ObjectFolderError
-            If no object of this dataset has one of the values: it is probably misspelt.
+            If no object of the release has one of the values: it is probably misspelt.
         """
         kept = self.entries
         for name, values in (("category", category), ("material", material), ("split", split)):
             if values is None:
                 continue
             wanted = {values} if isinstance(values, str) else set(values)
-            known = {getattr(entry, name) for entry in self.entries}
+            known = {getattr(entry, name) for entry in self._released}
             if unknown := sorted(wanted - known):
                 raise ObjectFolderError(
                     f"{self.folder}: no object of {name} {quoted(unknown[0])}, expected one of "
@@ -165,7 +168,12 @@ class Dataset(Sequence[ObjectFile]):
 
     def _with(self, entries: tuple[IndexEntry, ...]) -> "Dataset":
         part = object.__new__(type(self))
-        part.folder, part.device, part.entries = self.folder, self.device, entries
+        part.folder, part.device, part.entries, part._released = (
+            self.folder,
+            self.device,
+            entries,
+            self._released,
+        )
         return part
 
 

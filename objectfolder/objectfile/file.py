@@ -569,7 +569,7 @@ class ObjectFile:
         ----------
         points : (N, 3) array
             Contact points, object frame, metres. Those within a quarter voxel of the stored surface stay
-            where they are; others are snapped to it.
+            where they are; others are snapped to it. A single point serves all depths and angles.
         depth : float or (N,) array
             How far the gel's apex is pressed past the surface, metres.
         angle : float or (N,) array
@@ -642,11 +642,15 @@ class ObjectFile:
             As `touch`; also if the gel that is to be sheared is rigid, a shear is too long, a twist is beyond
             half a turn, or a friction is negative.
         """
-        contacts = self.touches(points, depth, angle, tilt, azimuth, tolerance, sensor)
-        count, dots = len(finite_rows("points", points, 3)), _dots(markers)
+        profile, dots = _profile(sensor), _dots(markers)
         rubbing = friction_of(self.material) if friction is None else friction
-        motion = sideways_motion(shear, twist, rubbing, count, _profile(sensor) or self.sensor_profile)
-        found = concatenate_touches(contacts, count)
+        moved = max(
+            1 if shear is None else len(finite_rows("shear", shear, 2)), np.size(twist), np.size(rubbing)
+        )
+        contacts = ContactPoses.checked(points, depth, angle, tilt, azimuth, moved)
+        count = len(contacts.points)
+        motion = sideways_motion(shear, twist, rubbing, count, profile or self.sensor_profile)
+        found = concatenate_touches(self._parts.touch.touches(contacts, tolerance, profile), count)
         if shear is None and not motion.twist.any() and dots is None:
             return found
         return sheared(
@@ -762,7 +766,10 @@ class ObjectFile:
 
         surface = self.surface
         return trimesh.Trimesh(
-            surface.vertices * self.scale, surface.faces, vertex_normals=surface.normals, process=False
+            surface.vertices * self.scale,
+            surface.faces.copy(),
+            vertex_normals=surface.normals,
+            process=False,
         )
 
     def torch(self, dtype: "torch.dtype | None" = None) -> "Answers":

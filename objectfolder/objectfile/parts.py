@@ -23,37 +23,38 @@ from objectfolder.objectfile.vision import VisionSense, vision_sense
 TAPS = 2000  #: points of the surface whose mode shapes are kept for rough answers
 
 
-class StoredParts:
-    """Surface and senses of an Object File.
+class StoredGeometry:
+    """Header and tensors of an Object File, and the surface that they hold.
+
+    `StoredParts` and `ObjectSurface` share it, so that neither has to hold the other.
 
     Parameters
     ----------
     header : dict
-        Checked; see `objectfolder.objectfile.header.checked_header`.
     tensors : mapping of arrays
-    device : torch.device
-        Where nets are evaluated.
     """
 
-    def __init__(self, header: dict[str, Any], tensors: Mapping[str, np.ndarray], device: torch.device):
-        self.header, self.tensors, self.device = header, tensors, device
-        self.key = str(header["key"])
-        self.surface = ObjectSurface(lambda: self.geometry, float(header["scale"]), "geometry" in header)
+    def __init__(self, header: dict[str, Any], tensors: Mapping[str, np.ndarray]):
+        self.header, self.tensors, self.key = header, tensors, str(header["key"])
         self._lock = threading.RLock()
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.header, self.tensors, self.device)  # parts are read again
+    @once
+    def surface(self) -> Isosurface:
+        """The stored surface, unit frame."""
+        config = self.described("geometry")
+        packed = self.tensor("geometry.distances")
+        with report_damage(self.key, "distance grid"):
+            values = unpack_grid(packed, int(config["resolution"]), config["predictor"])
+            surface = Isosurface(DistanceGrid(values, config["band"], self._features(config)))
+            if not len(surface.faces):
+                raise ValueError("no surface")
+            return surface
 
-    def check(self) -> None:
-        """Read all parts that the file holds.
-
-        Raises
-        ------
-        ObjectFolderError
-            If one is damaged.
-        """
-        for part in self.held():
-            getattr(self, part)
+    def _features(self, config: dict[str, Any]) -> Features | None:
+        counts = {name: config.get(name, 0) for name in COUNTED}
+        if not any(counts.values()):
+            return None
+        return unpack_features(self.tensor("geometry.features"), counts, int(config["resolution"]))
 
     def held(self) -> list[str]:
         """Return the names of the parts that the file holds."""
@@ -79,23 +80,66 @@ class StoredParts:
             )
         return found
 
-    @once
+    def tensor(self, name: str) -> np.ndarray:
+        """Return a tensor, checked."""
+        if name not in self.tensors:
+            raise ObjectFolderError(f"{self.key}: the Object File lacks tensor {name}")
+        value = self.tensors[name]
+        if not isinstance(value, np.ndarray) or isinstance(value, np.ma.MaskedArray):
+            raise ObjectFolderError(
+                f"{self.key}: tensor {name} is a {type(value).__name__}, expected an array"
+            )
+        if value.dtype.kind == "f" and not np.isfinite(value).all():
+            raise ObjectFolderError(f"{self.key}: tensor {name} holds values that are not finite; rebuild it")
+        return value
+
+
+class StoredParts:
+    """Surface and senses of an Object File.
+
+    Parameters
+    ----------
+    header : dict
+        Checked; see `objectfolder.objectfile.header.checked_header`.
+    tensors : mapping of arrays
+    device : torch.device
+        Where nets are evaluated.
+    """
+
+    def __init__(self, header: dict[str, Any], tensors: Mapping[str, np.ndarray], device: torch.device):
+        self.header, self.tensors, self.device = header, tensors, device
+        self.key = str(header["key"])
+        self._stored = stored = StoredGeometry(header, tensors)
+        self.surface = ObjectSurface(lambda: stored.surface, float(header["scale"]), "geometry" in header)
+        self._lock = threading.RLock()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.header, self.tensors, self.device)  # parts are read again
+
+    def check(self) -> None:
+        """Read all parts that the file holds.
+
+        Raises
+        ------
+        ObjectFolderError
+            If one is damaged.
+        """
+        for part in self.held():
+            getattr(self, part)
+
+    def held(self) -> list[str]:
+        """Return the names of the parts that the file holds."""
+        return self._stored.held()
+
+    def described(self, part: str) -> dict[str, Any]:
+        """Return the header of a part; see `StoredGeometry.described`."""
+        return self._stored.described(part)
+
+    @property
     def geometry(self) -> Isosurface:
         """The stored surface, unit frame."""
-        config = self.described("geometry")
-        packed = self._tensor("geometry.distances")
-        with report_damage(self.key, "distance grid"):
-            values = unpack_grid(packed, int(config["resolution"]), config["predictor"])
-            surface = Isosurface(DistanceGrid(values, config["band"], self._features(config)))
-            if not len(surface.faces):
-                raise ValueError("no surface")
-            return surface
-
-    def _features(self, config: dict[str, Any]) -> Features | None:
-        counts = {name: config.get(name, 0) for name in COUNTED}
-        if not any(counts.values()):
-            return None
-        return unpack_features(self._tensor("geometry.features"), counts, int(config["resolution"]))
+        surface: Isosurface = self._stored.surface
+        return surface
 
     @once
     def vision(self) -> VisionSense:
@@ -131,17 +175,7 @@ class StoredParts:
     def _net(self, part: str) -> StoredNet:
         self.described(part)
         start = f"{part}."
-        tensors = {name[len(start) :]: self._tensor(name) for name in self.tensors if name.startswith(start)}
+        tensors = {
+            name[len(start) :]: self._stored.tensor(name) for name in self.tensors if name.startswith(start)
+        }
         return StoredNet(part, self.header, tensors, self.surface, self.device)
-
-    def _tensor(self, name: str) -> np.ndarray:
-        if name not in self.tensors:
-            raise ObjectFolderError(f"{self.key}: the Object File lacks tensor {name}")
-        value = self.tensors[name]
-        if not isinstance(value, np.ndarray) or isinstance(value, np.ma.MaskedArray):
-            raise ObjectFolderError(
-                f"{self.key}: tensor {name} is a {type(value).__name__}, expected an array"
-            )
-        if value.dtype.kind == "f" and not np.isfinite(value).all():
-            raise ObjectFolderError(f"{self.key}: tensor {name} holds values that are not finite; rebuild it")
-        return value

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from objectfolder.checks import require_memory
+from objectfolder.checks import real_array, require_memory
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.arguments import Rows, Scalars, finite_rows, finite_scalars
 from objectfolder.objectfile.reading import StoredNet, report_damage
@@ -41,9 +41,20 @@ class ContactPoses:
 
     @classmethod
     def checked(
-        cls, points: Rows, depth: Scalars, angle: Scalars, tilt: Scalars, azimuth: Scalars
+        cls,
+        points: Rows,
+        depth: Scalars,
+        angle: Scalars,
+        tilt: Scalars,
+        azimuth: Scalars,
+        count: int = 1,
     ) -> "ContactPoses":
-        """Check the arguments of a query; a number serves all contacts.
+        """Check the arguments of a query; a number serves all contacts, and a single point all numbers.
+
+        Parameters
+        ----------
+        count : int
+            Contacts that other arguments of the query are given for.
 
         Raises
         ------
@@ -52,6 +63,9 @@ class ContactPoses:
         """
         places = finite_rows("points", points, 3)
         named = {"depth": depth, "angle": angle, "tilt": tilt, "azimuth": azimuth}
+        if len(places) == 1:
+            sizes = (real_array(name, values).size for name, values in named.items())
+            places = np.repeat(places, max(count, *sizes), 0)
         found = {name: finite_scalars(name, of, len(places)) for name, of in named.items()}
         _require_angles("tilt", found["tilt"], STEEPEST)
         return cls(places, **found)

@@ -88,7 +88,7 @@ def croissant(entries: Sequence[IndexEntry], words: Words, index_digest: str) ->
             *(
                 {
                     "@type": "cr:FileObject",
-                    "@id": entry.key,
+                    "@id": _file_id(entry),
                     "name": entry.key,
                     "contentUrl": entry.path,
                     "encodingFormat": "application/octet-stream",
@@ -103,7 +103,7 @@ def croissant(entries: Sequence[IndexEntry], words: Words, index_digest: str) ->
                 "@id": OBJECTS,
                 "name": OBJECTS,
                 "description": "Object Files, safetensors.",
-                "containedIn": [{"@id": entry.key} for entry in entries],
+                "containedIn": [{"@id": _file_id(entry)} for entry in entries],
                 "encodingFormat": "application/octet-stream",
                 "includes": f"{OBJECTS}/*.safetensors",
             },
@@ -127,6 +127,11 @@ def croissant(entries: Sequence[IndexEntry], words: Words, index_digest: str) ->
         "rai:personalSensitiveInformation": words.personal,
         "rai:dataReleaseMaintenancePlan": words.maintenance,
     }
+
+
+def _file_id(entry: IndexEntry) -> str:
+    """Return an id that is none of the other nodes', whatever the key is."""
+    return f"{OBJECTS}/{entry.key}"
 
 
 def _field(name: str, kind: type) -> dict[str, Any]:

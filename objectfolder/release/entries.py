@@ -129,6 +129,11 @@ def _origin(key: str, values: Mapping[str, Any], licences: Mapping[str, str], ro
             f"--licence {key}={given}: {mesh.parent / SOURCE} states {stated}; leave the option out, or "
             "correct the file"
         )
+    if notice and not stated and not given:
+        raise ObjectFolderError(
+            f"{key}: {mesh.parent / SOURCE} states no licence; add a line `Licence: ...` to it, or give "
+            f"--licence {key}=LICENCE"
+        )
     licence = stated or given or licences.get("")
     if not licence:
         raise ObjectFolderError(

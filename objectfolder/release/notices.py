@@ -37,7 +37,7 @@ def read_notice(mesh: Path) -> Notice | None:
         return None
     text = path.read_text(errors="replace")
     fields = {
-        "licence": "Licence",
+        "licence": "Licen[cs]e",
         "source": "Mesh and textures",
         "attribution": "Attribution",
         "changes": "Changes",
@@ -45,7 +45,7 @@ def read_notice(mesh: Path) -> Notice | None:
     found = {
         name: match[1].strip()
         for name, title in fields.items()
-        if (match := re.search(rf"^{title}: (.+)$", text, re.MULTILINE))
+        if (match := re.search(rf"^\s*{title}\s*:\s*(\S.*)$", text, re.MULTILINE | re.IGNORECASE))
     }
     return Notice(path, **found)
 

@@ -118,4 +118,5 @@ def _yaml(text: str) -> str:
 
 
 def _size_category(count: int) -> str:
-    return "n<1K" if count < 1000 else "1K<n<10K" if count < 10_000 else "n>10K"
+    limits = {"n<1K": 1e3, "1K<n<10K": 1e4, "10K<n<100K": 1e5, "100K<n<1M": 1e6}
+    return next((name for name, limit in limits.items() if count < limit), "1M<n<10M")

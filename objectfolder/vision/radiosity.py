@@ -1,7 +1,6 @@
 """Radiosity: diffuse interreflection of a surface (Goral et al. 1984), with form factors by ray casting."""
 
 from collections.abc import Callable
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,6 +9,7 @@ import torch
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sampling import sample_surface
+from objectfolder.recent import Recent
 from objectfolder.vision.lighting import toward
 from objectfolder.vision.trace import SurfaceSamples, is_lit, nearest_corners, weighted_rows
 from objectfolder.vision.vectors import column_major, dot, take_rows
@@ -72,7 +72,7 @@ class Radiosity:
         self._points, self._normals = (
             column_major(torch.from_numpy(v[self._involved])) for v in (points, normals)
         )
-        self._solution = lru_cache(SOLVED)(self._solve)
+        self._solved: Recent[tuple[torch.Tensor, torch.Tensor]] = Recent(SOLVED)
 
     def gathered(self, samples: SurfaceSamples, light: torch.Tensor) -> torch.Tensor:
         """Return the diffuse light of the surface that a white Lambertian surface reflects at samples.
@@ -130,7 +130,8 @@ class Radiosity:
         """Return light gathered by each patch, as if it were white, and its radiosity; (P, 3) each."""
         if light.requires_grad or light.dtype == torch.float64:
             return self._solve(light)
-        return self._solution(tuple(light.tolist()))
+        lamp = tuple(light.tolist())
+        return self._solved.of(lamp, lambda: self._solve(lamp))
 
     def _solve(self, light: torch.Tensor | tuple[float, ...]) -> tuple[torch.Tensor, torch.Tensor]:
         where = light if isinstance(light, torch.Tensor) else torch.tensor(light)

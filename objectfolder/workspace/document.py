@@ -1,11 +1,14 @@
 """``params.yaml`` as a document whose comments and order survive an edit."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
 
 from objectfolder.io import atomic
+from objectfolder.locks import exclusive
 from objectfolder.workspace.params import read
 from objectfolder.yamlfile import checked_yaml
 
@@ -18,6 +21,15 @@ def editable(path: Path) -> tuple[Any, dict[str, Any]]:
         if not values[group]:
             document[group].fa.set_block_style()  # else all that is added would be on one line
     return document, values
+
+
+@contextmanager
+def edited(path: Path) -> Iterator[tuple[Any, dict[str, Any]]]:
+    """Yield ``params.yaml`` to edit, and its values; then write it. Other processes that edit it wait."""
+    with exclusive(path.parent):
+        document, values = editable(path)
+        yield document, values
+        write_params(path, document)
 
 
 def write_params(path: Path, document: Any) -> None:

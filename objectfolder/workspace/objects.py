@@ -13,7 +13,7 @@ from objectfolder.mesh.reading.load import default_up, load_mesh
 from objectfolder.mesh.reading.references import references
 from objectfolder.workspace import params
 from objectfolder.workspace.check import check_object
-from objectfolder.workspace.document import editable, write_params
+from objectfolder.workspace.document import edited
 
 MIN_SCALE, MAX_SCALE = 0.001, 20  # metres; beyond, the unit is probably wrong
 
@@ -95,9 +95,8 @@ def add_mesh(
         staging.rename(home)
         placed = True
         track(home, root)
-        document, _ = editable(params_path)  # read now: others may have edited it in the meantime
-        document["objects"][key] = _one_line(entry)
-        write_params(params_path, document)
+        with edited(params_path) as (document, _):  # read now: others may have edited it in the meantime
+            document["objects"][key] = _one_line(entry)
     except BaseException as error:
         if placed:
             shutil.rmtree(home, ignore_errors=True)
@@ -113,9 +112,8 @@ def add_mesh(
 def set_material(key: str, described: dict[str, Any], root: Path = Path()) -> None:
     """Give an object of a workspace a material of its own; see `objectfolder.materials.own_material`."""
     path = root / params.PARAMS_FILE
-    document, _ = editable(path)
-    document["objects"][key]["material"] = _one_line(described)
-    write_params(path, document)
+    with edited(path) as (document, _):
+        document["objects"][key]["material"] = _one_line(described)
 
 
 def object_files(mesh: Path, attachments: Sequence[Path] = ()) -> dict[PurePosixPath, Path]:
@@ -192,7 +190,6 @@ def add_catalogue(catalogue: Path, root: Path = Path()) -> list[str]:
         If there is no such catalogue, an entry is invalid, or another one has its key.
     """
     params_path = root / params.PARAMS_FILE
-    document, values = editable(params_path)
     if not catalogue.is_file():
         problem = "is a folder" if catalogue.is_dir() else "does not exist"
         raise ObjectFolderError(f"{catalogue} {problem}; expected a catalogue such as catalogs/starter.yaml")
@@ -206,17 +203,18 @@ def add_catalogue(catalogue: Path, root: Path = Path()) -> list[str]:
     for key in new["objects"]:
         new["objects"][key] = check_object(key, new, catalogue).model_dump()
     added = []
-    for group in ("procedural", "objects"):
-        for key, entry in new[group].items():
-            present = values[group].get(key)
-            if present is None:
-                document[group][key] = _one_line(entry)
-                added += [key] if group == "objects" else []
-            elif present != entry:
-                raise ObjectFolderError(
-                    f"{catalogue}: {group}.{key} differs from the one in {params_path}; rename or remove one"
-                )
-    write_params(params_path, document)
+    with edited(params_path) as (document, values):
+        for group in ("procedural", "objects"):
+            for key, entry in new[group].items():
+                present = values[group].get(key)
+                if present is None:
+                    document[group][key] = _one_line(entry)
+                    added += [key] if group == "objects" else []
+                elif present != entry:
+                    raise ObjectFolderError(
+                        f"{catalogue}: {group}.{key} differs from the one in {params_path}; rename or remove "
+                        "one"
+                    )
     return added
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.workspace.check import check_all
-from objectfolder.workspace.document import editable, write_params
+from objectfolder.workspace.document import edited
 from objectfolder.workspace.params import PARAMS_FILE
 from objectfolder.yamlfile import read_yaml
 
@@ -23,13 +23,12 @@ def apply_preset(name: str, root: Path = Path()) -> list[str]:
         If there is no such preset, or the result is invalid.
     """
     params_path = root / PARAMS_FILE
-    document, values = editable(params_path)
     preset, path = read_preset(name, root)
-    changed = [section for section, content in preset.items() if values.get(section) != content]
-    check_all({**values, **preset}, path)
-    for section in changed:
-        document[section] = preset[section]
-    write_params(params_path, document)
+    with edited(params_path) as (document, values):
+        changed = [section for section, content in preset.items() if values.get(section) != content]
+        check_all({**values, **preset}, path)
+        for section in changed:
+            document[section] = preset[section]
     return changed
 
 

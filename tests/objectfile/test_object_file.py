@@ -1,4 +1,5 @@
 import copy
+import gc
 import json
 import math
 import os
@@ -6,6 +7,7 @@ import pickle
 import struct
 import subprocess
 import sys
+import weakref
 from functools import partial
 
 import jsonschema
@@ -390,3 +392,23 @@ def test_the_base_install_answers(brick_path):
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout == "answered\n"
+
+
+def test_a_file_that_nobody_needs_frees_its_memory_at_once():
+    gc.disable()
+    try:
+        file = ObjectFile.sample("bell")
+        ask(file)
+        file.view(CAMERA, resolution=8, lights="studio")
+        file.press(file.sample_surface(1), sensor="gelsight_mini")
+        gone = [weakref.ref(part) for part in (file.surface, file.touch_sense, file._parts.audio)]
+        del file
+        assert [part() for part in gone] == [None] * 3
+    finally:
+        gc.enable()
+
+
+def test_a_mesh_is_a_copy(brick):
+    mesh, before = brick.to_mesh(), brick.surface.faces.copy()
+    mesh.faces[:, [0, 1]] = mesh.faces[:, [1, 0]]
+    np.testing.assert_array_equal(brick.surface.faces, before)

@@ -758,3 +758,18 @@ def test_a_point_beyond_the_range_of_numbers_has_no_nearest_one(brick):
     nearest, distance = brick.nearest([[1e4, 0, 0]])
     assert abs(nearest[0, 0] - SCALE / 2) < 0.01 * SCALE
     assert abs(distance[0] - 1e4) < SCALE
+
+
+def test_one_point_serves_all_depths_and_shears(brick):
+    point = brick.sample_surface(1)
+    both, depths = np.repeat(point, 2, 0), [0.0005, 0.001]
+    np.testing.assert_array_equal(brick.touch(point, depths), brick.touch(both, depths))
+    np.testing.assert_array_equal(brick.press(point, depths).force, brick.press(both, depths).force)
+    shears = [[0.0, 0.0], [1e-4, 0.0]]
+    np.testing.assert_array_equal(
+        brick.press(point, shear=shears).shear_force, brick.press(both, shear=shears).shear_force
+    )
+    felt = brick.torch().touch(torch.from_numpy(point), torch.tensor(depths))
+    np.testing.assert_allclose(felt.force.numpy(), brick.press(both, depths).force, rtol=1e-3)
+    with pytest.raises(ObjectFolderError, match="depth has shape"):
+        brick.touch(np.repeat(point, 3, 0), depths)

@@ -5,6 +5,7 @@ import json
 import pickle
 import shutil
 import subprocess
+from dataclasses import replace
 
 import pytest
 
@@ -17,6 +18,9 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.io import file_digest, write_json
 from objectfolder.objectfile.dataset import COLUMNS
 from objectfolder.objectfile.samples import sample_path
+from objectfolder.release.croissant import croissant
+from objectfolder.release.notices import read_notice
+from objectfolder.release.words import Words
 from objectfolder.workspace import params
 from objectfolder.workspace.layout import Build
 
@@ -82,6 +86,7 @@ def test_a_dataset_is_a_sequence_that_filters(dataset):
     assert dataset[1:].keys == ("die", "bell")
     assert dataset.filter(material=["steel", "wood"]).keys == ("die", "bell")
     assert dataset.filter(category="kitchen", material="steel").keys == ()
+    assert dataset.filter(category="kitchen").filter(material="steel").keys == ()
     assert "mug" in dataset
     assert "cup" not in dataset
     assert pickle.loads(pickle.dumps(dataset))["mug"].key == "mug"
@@ -120,7 +125,7 @@ def test_the_hub_and_croissant_read_its_index(dataset, tmp_path):
     digest = hashlib.sha256((dataset.folder / "objects.csv").read_bytes()).hexdigest()
     files = {file["@id"]: file for file in described["distribution"]}
     assert files["index"]["sha256"] == digest
-    assert files["mug"]["contentUrl"] == "objects/mug.safetensors"
+    assert files["objects/mug"]["contentUrl"] == "objects/mug.safetensors"
     assert [field["name"] for field in described["recordSet"][0]["field"]] == list(COLUMNS)
 
 
@@ -188,6 +193,33 @@ def test_a_licence_that_contradicts_the_notice_is_refused(fetched):
     with pytest.raises(ObjectFolderError, match=r"cup=CC0-1\.0: .*cup/SOURCE\.txt states CC BY 4\.0"):
         release("out", "cup", "--no-site", "--licence", "cup=CC0-1.0")
     assert not (fetched / "out").exists()
+
+
+@pytest.mark.parametrize("line", ["License: CC BY-NC 4.0", "licence:CC BY-NC 4.0", " LICENCE : CC BY-NC 4.0"])
+def test_spellings_of_the_word_licence_are_one(fetched, line):
+    path = fetched / "data/objects/cup/SOURCE.txt"
+    path.write_text(NOTICE.replace("Licence: CC BY 4.0 (https://c.d)", line))
+    assert read_notice(path).licence == "CC BY-NC 4.0"
+    with pytest.raises(ObjectFolderError, match=r"states CC BY-NC 4\.0"):
+        release("out", "cup", "--no-site", "--licence", "cup=CC0-1.0")
+
+
+def test_a_notice_without_a_licence_is_refused_unless_it_is_given(fetched):
+    path = fetched / "data/objects/cup/SOURCE.txt"
+    path.write_text("Mesh and textures: a friend\n")
+    with pytest.raises(ObjectFolderError, match=r"cup: .*SOURCE\.txt states no licence; add a line `Licence"):
+        release("out", "cup", "--no-site", "--licence", "CC0-1.0")
+    release("out", "cup", "--no-site", "--licence", "cup=CC0-1.0", "--category", "cup=vessels")
+    assert Dataset("out").entry("cup").licence == "CC0-1.0"
+
+
+def test_no_key_is_an_id_of_croissants_other_nodes(dataset):
+    keys = ("index", "objects", "entries")
+    entries = [replace(entry, key=key) for entry, key in zip(dataset.entries, keys)]
+    words = Words(name="a", summary="b", creator="c", version="1.0.0", date="2026-01-01", url="https://a.b")
+    described = croissant(entries, words, "0" * 64)
+    ids = [node["@id"] for node in (*described["distribution"], *described["recordSet"])]
+    assert len(set(ids)) == len(ids)
 
 
 def test_spellings_of_a_licence_are_one(fetched):

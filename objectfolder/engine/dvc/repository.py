@@ -216,7 +216,8 @@ def _alone(repo: Repo, wait: bool) -> Iterator[None]:
             except _Busy as busy:
                 if not wait:
                     raise ObjectFolderError(
-                        f"{busy}; wait until it ends (--wait does), or stop it, and build again"
+                        f"{busy}; wait until it ends (`objectfolder build --wait` does), or stop it, and run "
+                        "this again"
                     ) from busy
                 if str(busy) != said:
                     _log.warning("%s; waiting until it ends", busy)

@@ -1,16 +1,19 @@
 """The modules of an Object File, made when first asked for."""
 
 from functools import cached_property
+from typing import Any, TypeVar
 
 import torch
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile.gradients.module import AnswerModule
 from objectfolder.objectfile.gradients.sound import Sound
 from objectfolder.objectfile.gradients.touch import Touch
 from objectfolder.objectfile.gradients.view import View
 from objectfolder.objectfile.parts import StoredParts
 
 DTYPES = (torch.float32, torch.float64)
+Made = TypeVar("Made", bound=AnswerModule)
 
 
 class Answers:
@@ -36,17 +39,29 @@ class Answers:
             raise ObjectFolderError(f"dtype is {dtype}, expected torch.float32 or torch.float64")
         self._parts, self._dtype = parts, dtype
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self._parts, self._dtype)  # modules are made again
+
     @cached_property
     def sound(self) -> Sound:
         """Strikes in, sounds out."""
-        return Sound(self._parts.audio, self._parts.surface, self._dtype)
+        return self._made(Sound(self._parts.audio, self._parts.surface, self._dtype), "sound")
 
     @cached_property
     def touch(self) -> Touch:
         """Poses of a tactile sensor in, images and contacts out."""
-        return Touch(self._parts.touch, self._dtype)
+        return self._made(Touch(self._parts.touch, self._dtype), "touch")
 
     @cached_property
     def view(self) -> View:
         """Cameras and lights in, images out."""
-        return View(self._parts.vision, self._dtype)
+        return self._made(View(self._parts.vision, self._dtype), "view")
+
+    def _made(self, module: Made, name: str) -> Made:
+        module.source = _again, (self._parts, self._dtype, name)
+        return module
+
+
+def _again(parts: StoredParts, dtype: torch.dtype, name: str) -> AnswerModule:
+    module: AnswerModule = getattr(Answers(parts, dtype), name)
+    return module

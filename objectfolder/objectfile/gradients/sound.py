@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import nn
 
 from objectfolder.audio.contact import Striker
 from objectfolder.audio.synthesis import (
@@ -23,6 +22,7 @@ from objectfolder.nets.audio_gains import GainsNet
 from objectfolder.objectfile.arguments import broadcast_rows, finite_rows
 from objectfolder.objectfile.audio import ModalSense
 from objectfolder.objectfile.gradients.foot import on_surface
+from objectfolder.objectfile.gradients.module import AnswerModule
 from objectfolder.objectfile.sound_settings import SoundSettings
 from objectfolder.objectfile.surface import TOLERANCE, ObjectSurface
 
@@ -50,6 +50,7 @@ class TensorMaterial(Material):
     def __post_init__(self) -> None:
         values = {field.name: getattr(self, field.name) for field in fields(Material) if field.name != "name"}
         knots = tuple((hertz, value_of(loss)) for hertz, loss in values.pop("loss_factor"))
+        object.__setattr__(self, "loss_factor", tuple(map(tuple, self.loss_factor)))
         Material(self.name, **{name: value_of(v) for name, v in values.items()}, loss_factor=knots)
 
     @classmethod
@@ -58,7 +59,7 @@ class TensorMaterial(Material):
         return cls(**vars(material))
 
 
-class Sound(nn.Module):
+class Sound(AnswerModule):
     """Sound of strikes, as `ObjectFile.impact` without a listener, with gradients.
 
     Gradients reach points, impulses, contact time, size, and the numbers of a `TensorMaterial`; through the
@@ -84,7 +85,7 @@ class Sound(nn.Module):
         if not (isinstance(sense, ModalSense) and isinstance(sense.net, GainsNet)):
             raise ObjectFolderError("gradients of sound need an audio net of kind gains")
         self._sense, self._surface, self._dtype = sense, surface, dtype
-        self.net = copy.deepcopy(sense.net).to(dtype).requires_grad_(False)
+        self.net = copy.deepcopy(sense.net).cpu().to(dtype).requires_grad_(False)
 
     @property
     def material(self) -> TensorMaterial:

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import nn
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.objectfile.gradients.foot import on_surface
 from objectfolder.objectfile.gradients.gel import SoftGel
+from objectfolder.objectfile.gradients.module import AnswerModule
 from objectfolder.objectfile.surface import TOLERANCE
 from objectfolder.objectfile.touch import ContactPoses, GeometricSense
 from objectfolder.touch.camera import gel_depth, pixel_area, ray_directions
@@ -41,7 +41,7 @@ class Felt:
     force: torch.Tensor  #: (N,) N, along the optical axis; NaN for a rigid gel
 
 
-class Touch(nn.Module):
+class Touch(AnswerModule):
     """Press of a tactile sensor, as `ObjectFile.press`, with gradients.
 
     Gradients reach points, depth, angle, tilt and azimuth. The contact normal turns as the point moves. A

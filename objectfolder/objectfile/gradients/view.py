@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import nn
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh import srgb
 from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.objectfile.gradients.module import AnswerModule
 from objectfolder.objectfile.vision import SurfaceSense, poses_and_lights
 from objectfolder.vision.cameras import Intrinsics, PixelRays, covered_rectangle, up_directions
 from objectfolder.vision.trace import SurfaceSamples, is_lit, weighted_rows
@@ -27,7 +27,7 @@ class Seen:
     inside: torch.Tensor  #: (N, H, W) bool, whether the ray through the pixel's centre meets the object
 
 
-class View(nn.Module):
+class View(AnswerModule):
     """Rendering, as `ObjectFile.view` of one light with one ray per pixel, with gradients.
 
     Gradients reach cameras and lights, inside the silhouette: through the hit, which moves on the plane of

@@ -1,5 +1,7 @@
 """Sound with gradients: the answers of `ObjectFile.impact`, and slopes beside central differences."""
 
+import copy
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -170,3 +172,20 @@ def test_stiffness_and_loss_are_found_from_a_sound(mug, sound, seed):
     )
     assert float(found[0]) == pytest.approx(stiffer, rel=1e-3)
     assert float(found[1]) == pytest.approx(loss, rel=0.05)
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda module: pickle.loads(pickle.dumps(module))])
+def test_copies_of_modules_answer_alike(mug, strike, copied):
+    modules = mug.torch()
+    sound = copied(modules.sound)
+    assert torch.equal(sound(*strike, **HEARD), modules.sound(*strike, **HEARD))
+    assert torch.equal(copied(modules.touch)(strike[0][:1]).force, modules.touch(strike[0][:1]).force)
+    lit = torch.tensor([[2.0, 1.0, 1.2]]), torch.tensor([[0.5, 0.5, 0.7]]), 8
+    assert torch.equal(copied(modules.view)(*lit).images, modules.view(*lit).images)
+    assert torch.equal(copied(modules).sound(*strike, **HEARD), sound(*strike, **HEARD))
+
+
+def test_loss_factors_of_a_list_are_a_material_of_impact(mug, sound, strike):
+    stuff = replace(sound.material, loss_factor=[(1000.0, 1e-3), (5000.0, 2e-3)])
+    points, forces = (part.numpy() for part in strike)
+    assert mug.impact(points, forces, material=stuff, **HEARD).any()
