@@ -645,7 +645,9 @@ class ObjectFile:
         profile, dots = _profile(sensor), _dots(markers)
         rubbing = friction_of(self.material) if friction is None else friction
         moved = max(
-            1 if shear is None else len(finite_rows("shear", shear, 2)), np.size(twist), np.size(rubbing)
+            1 if shear is None else len(finite_rows("shear", shear, 2)),
+            real_array("twist", twist).size,
+            real_array("friction", rubbing).size,
         )
         contacts = ContactPoses.checked(points, depth, angle, tilt, azimuth, moved)
         count = len(contacts.points)
