@@ -250,6 +250,8 @@ def touch(
     moved = shear is not None or twist != 0 or markers
     if not moved and (of_motion := [name for name in names if name in SHEAR_ARRAYS]):
         raise ObjectFolderError(f"--outputs {of_motion[0]}: give --shear, --twist or --markers, too")
+    if friction is not None and shear is None and twist == 0:
+        raise ObjectFolderError("--friction matters to a motion sideways: give --shear or --twist, too")
     points = read_rows(vertices, 3)
     tilt, azimuth, depths = read_rows(gelinfo, 3).T if gelinfo else (0.0, 0.0, depth)
     obj = ObjectFile.load(file)

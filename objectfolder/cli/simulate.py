@@ -62,6 +62,8 @@ def simulate(
             "its bodies"
         )
     objects = {file.key: file for file in found}
+    if len(objects) < len(found):
+        raise ObjectFolderError(f"{', '.join(file.key for file in found)}: give each object once")
     data = mujoco.MjData(model)
     if model.nkey:
         mujoco.mj_resetDataKeyframe(model, data, 0)

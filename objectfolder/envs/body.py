@@ -11,6 +11,7 @@ from platformdirs import user_cache_path
 from scipy.spatial.transform import Rotation
 
 from objectfolder import materials
+from objectfolder.envs.calls import object_file
 from objectfolder.envs.hulls import cached_hulls
 from objectfolder.envs.solid import close_holes
 from objectfolder.errors import ObjectFolderError
@@ -96,7 +97,7 @@ def as_rigid_body(
     """Return the rigid body of an object; without ``hulls``, they are cached for the user."""
     if isinstance(file, RigidBody):
         return file
-    file = file if isinstance(file, ObjectFile) else ObjectFile.load(file)
+    file = object_file(file)
     if hulls is None:
         hulls = cached_hulls(file, user_folder())
     return rigid_body(file, hulls)

@@ -1,6 +1,7 @@
 """Checks of what an environment gets: its objects, and calls, of which an agent may make any."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,21 +9,30 @@ import numpy as np
 from objectfolder.checks import real_array
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.objectfile.file import ObjectFile
+from objectfolder.objectfile.samples import file_or_sample
 
 KEPT = ("_np_random", "_np_random_seed", "spec")  #: attributes of gymnasium's that a copy keeps
 
 
-def opened(objects: "Sequence[str | ObjectFile]") -> list[ObjectFile]:
-    """Return the Object Files of an environment, given as they are or by the names of samples.
+def opened(objects: "ObjectFile | str | Path | Sequence[ObjectFile | str | Path]") -> list[ObjectFile]:
+    """Return the Object Files of an environment; see `object_file`. A single one may stand for itself.
 
     Raises
     ------
     ObjectFolderError
-        If there are none, or the package has no sample of a name.
+        If there are none, or one cannot be read.
     """
-    if not objects:
+    given = [objects] if isinstance(objects, str | Path | ObjectFile) else [*objects]
+    if not given:
         raise ObjectFolderError("expected at least one object")
-    return [one if isinstance(one, ObjectFile) else ObjectFile.sample(one) for one in objects]
+    return [object_file(one) for one in given]
+
+
+def object_file(given: ObjectFile | str | Path) -> ObjectFile:
+    """Return an Object File that is given as it is, by its path, or by the name of a sample."""
+    if isinstance(given, ObjectFile):
+        return given
+    return ObjectFile.load(file_or_sample(Path(given)))
 
 
 def finite_actions(actions: Any, shape: tuple[int, ...]) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from objectfolder.checks import finite_number, whole_number
-from objectfolder.envs.drawing import AMBIENT, LIGHT, SKY, view_rays
+from objectfolder.envs.drawing import AMBIENT, LIGHT, SKY, frame_rays, geom_colours, view_rays
 from objectfolder.envs.hearing import Hearing
 from objectfolder.envs.sounding import body_number
 from objectfolder.errors import ObjectFolderError
@@ -28,6 +28,7 @@ class SceneView:
     eye: np.ndarray  #: (3,) m
     target: np.ndarray  #: (3,) m
     fov: float  #: vertical, degrees
+    camera: int | None = None  #: of the scene, which then says where it is and how it is turned
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ def default_view(model: mujoco.MjModel, data: mujoco.MjData, objects: dict[str, 
     """
     if model.ncam:
         ahead = -data.cam_xmat[0].reshape(3, 3)[:, 2]
-        return SceneView(data.cam_xpos[0].copy(), data.cam_xpos[0] + ahead, float(model.cam_fovy[0]))
+        return SceneView(data.cam_xpos[0].copy(), data.cam_xpos[0] + ahead, float(model.cam_fovy[0]), 0)
     places = np.array([data.xpos[body_number(model, name)] for name in objects])
     sizes = max(file.scale for file in objects.values())
     low, high = places.min(0) - sizes, places.max(0) + sizes
@@ -114,10 +115,10 @@ class SceneCamera:
     ):
         self._objects = {body_number(model, name): file for name, file in objects.items()}
         self._view, self._shape = view, (height, width)
-        self._rays = view_rays(view.eye, view.target, view.fov, height, width)
         self._rest = copy.copy(model)
+        self._colours = geom_colours(model)
         self._rest.geom_group[np.isin(model.geom_bodyid, [*self._objects])] = _HIDDEN
-        self._shown = np.array([1, 1, 1, 1, 1, 0], np.uint8)
+        self._shown = np.array([1, 1, 1, 0, 0, 0], np.uint8)  # as MuJoCo: others are for collisions
 
     def pictures(self, take: Take) -> Iterator[np.ndarray]:
         """Draw each picture of a take; (height, width, 3) uint8, sRGB."""
@@ -125,33 +126,36 @@ class SceneCamera:
         for state in take.states:
             mujoco.mj_setState(self._rest, data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
             mujoco.mj_kinematics(self._rest, data)
+            mujoco.mj_comPos(self._rest, data)
+            mujoco.mj_camlight(self._rest, data)
             yield self.picture(data)
 
     def picture(self, data: mujoco.MjData) -> np.ndarray:
         """Draw a simulation with current positions; (height, width, 3) uint8, sRGB."""
-        count, eye = len(self._rays), np.asarray(self._view.eye, np.float64)
+        eye, rays = self._seen(data)
+        count = len(rays)
         geom, distance, normal = np.zeros(count, np.int32), np.zeros(count), np.zeros(3 * count)
         mujoco.mj_multiRay(
-            self._rest, data, eye, np.ascontiguousarray(self._rays).ravel(), self._shown, True, -1, geom,
+            self._rest, data, eye, np.ascontiguousarray(rays).ravel(), self._shown, True, -1, geom,
             distance, normal, count, mujoco.mjMAXVAL,
         )  # fmt: skip
         hit = geom >= 0
         distance = np.where(hit, distance, np.inf)
         colours, normals = np.full((count, 3), SKY), normal.reshape(-1, 3)
-        colours[hit] = self._rest.geom_rgba[geom[hit], :3]
+        colours[hit] = self._colours[geom[hit]]
         for body, file in self._objects.items():
             turn, at = data.xmat[body].reshape(3, 3), data.xpos[body]
-            found = self._cast(file, turn, at, np.broadcast_to(eye, self._rays.shape), self._rays)
+            found = self._cast(file, turn, at, np.broadcast_to(eye, rays.shape), rays)
             nearer = np.flatnonzero(found < distance)
             distance[nearer] = found[nearer]
             hit[nearer] = True
-            points = (eye + found[nearer, None] * self._rays[nearer] - at) @ turn / file.scale
+            points = (eye + found[nearer, None] * rays[nearer] - at) @ turn / file.scale
             facing = file.surface.grid.normals(torch.from_numpy(points.astype(np.float32))).numpy()
             normals[nearer] = facing @ turn.T
             painted = file.base_colors
             colours[nearer] = painted(points) / 255 if painted is not None and len(points) else 0.7
         seen = np.flatnonzero(hit)
-        places = eye + distance[seen, None] * self._rays[seen] + _AWAY * normals[seen]
+        places = eye + distance[seen, None] * rays[seen] + _AWAY * normals[seen]
         lit = (normals[seen] @ LIGHT).clip(0, 1)
         for body, file in self._objects.items():
             turn, at = data.xmat[body].reshape(3, 3), data.xpos[body]
@@ -159,6 +163,14 @@ class SceneCamera:
             lit[np.isfinite(self._cast(file, turn, at, places, towards))] *= 1 - _SPOT
         colours[seen] *= (AMBIENT + (1 - AMBIENT) * lit)[:, None]
         return np.rint(255 * colours.clip(0, 1)).astype(np.uint8).reshape(*self._shape, 3)
+
+    def _seen(self, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
+        """Return where the camera is, (3,) m, and the rays through its pixels; world frame."""
+        view, camera = self._view, self._view.camera
+        if camera is None:
+            return np.asarray(view.eye, np.float64), view_rays(view.eye, view.target, view.fov, *self._shape)
+        frame = data.cam_xmat[camera].reshape(3, 3)
+        return data.cam_xpos[camera].copy(), frame_rays(frame, view.fov, *self._shape)
 
     @staticmethod
     def _cast(

@@ -6,6 +6,7 @@ import numpy as np
 SKY = 0.93  #: grey of the background
 LIGHT = np.array([0.35, -0.5, 0.8]) / np.linalg.norm([0.35, -0.5, 0.8])  #: direction to it, world frame
 AMBIENT = 0.35
+UNCOLOURED = np.array([0.5, 0.5, 0.5, 1], np.float32)  #: of a geom without a colour of its own, in MuJoCo
 
 
 def view_rays(eye: np.ndarray, target: np.ndarray, fov: float, height: int, width: int) -> np.ndarray:
@@ -28,10 +29,29 @@ def view_rays(eye: np.ndarray, target: np.ndarray, fov: float, height: int, widt
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, [0, 0, 1])
     right /= np.linalg.norm(right)
-    up = np.cross(right, forward)
+    return frame_rays(np.stack([right, np.cross(right, forward), -forward], 1), fov, height, width)
+
+
+def frame_rays(frame: np.ndarray, fov: float, height: int, width: int) -> np.ndarray:
+    """Return the directions of rays through pixels, row by row, of a camera with a given orientation.
+
+    Parameters
+    ----------
+    frame : (3, 3) array
+        Columns: image right, image up and backwards, world frame, as ``cam_xmat`` of MuJoCo.
+    fov : float
+        Vertical field of view, degrees.
+    height, width : int
+        Pixels.
+
+    Returns
+    -------
+    (height * width, 3) float64, of length 1.
+    """
+    right, up, back = np.asarray(frame, np.float64).T
     step = 2 * np.tan(np.radians(fov) / 2) / height  # of a pixel, at distance 1
     y, x = step * ((height - 1) / 2 - np.arange(height)), step * (np.arange(width) - (width - 1) / 2)
-    rays = forward + y[:, None, None] * up + x[None, :, None] * right
+    rays = -back + y[:, None, None] * up + x[None, :, None] * right
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     return rays.reshape(-1, 3)
 
@@ -65,5 +85,13 @@ def draw_model(
     hit = geom >= 0
     lit = AMBIENT + (1 - AMBIENT) * np.clip(normal.reshape(-1, 3)[hit] @ LIGHT, 0, 1)
     colours = np.full((count, 3), SKY)
-    colours[hit] = model.geom_rgba[geom[hit], :3] * lit[:, None]
+    colours[hit] = geom_colours(model)[geom[hit]] * lit[:, None]
     return np.rint(255 * colours).astype(np.uint8).reshape(height, width, 3)
+
+
+def geom_colours(model: mujoco.MjModel) -> np.ndarray:
+    """Return the colours of geoms, (G, 3): their own, or that of their material where they have none."""
+    colours = model.geom_rgba[:, :3].copy()
+    materials = (model.geom_matid >= 0) & (model.geom_rgba == UNCOLOURED).all(1)
+    colours[materials] = model.mat_rgba[model.geom_matid[materials], :3]
+    return colours

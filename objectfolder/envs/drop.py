@@ -1,6 +1,7 @@
 """Drop: an object falls onto a table unseen; tell by ear which one it was, and of what material."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -110,6 +111,7 @@ class DropEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         body = scaled_body(
             self._bodies[self._fallen["object"]], ratio, material(stuff).density / density(file)
         )
+        body = replace(body, friction=friction_of(stuff))
         spec = mujoco.MjSpec()
         spec.worldbody.add_geom(
             type=mujoco.mjtGeom.mjGEOM_PLANE, size=[5, 5, 0.1], friction=[friction_of(stuff), 0.005, 0.0001]

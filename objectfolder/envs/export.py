@@ -104,16 +104,18 @@ def _mjcf(folder: Path, body: RigidBody, density: float, textured: bool) -> str:
     for k, (mesh, geom) in enumerate(zip(spec.meshes, added.geoms)):
         mesh.uservert, mesh.userface, mesh.file = [], [], _hull_name(k)
         geom.group, geom.density = _COLLISION, density
-    look = spec.add_material(name="look", rgba=[1, 1, 1, 1] if textured else [PLAIN] * 3 + [1])
+    name = f"{body.key}_look"  # unlike those of other objects in a scene
+    look = spec.add_material(name=name, rgba=[1, 1, 1, 1] if textured else [PLAIN] * 3 + [1])
     if textured:
-        spec.add_texture(name="look", type=mujoco.mjtTexture.mjTEXTURE_2D, file="visual.png")
-        look.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "look"
-    spec.add_mesh(name="visual", file="visual.obj", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+        spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file="visual.png")
+        look.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+    visual = f"{body.key}_visual"
+    spec.add_mesh(name=visual, file="visual.obj", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
     added.add_geom(
-        name=f"{body.key}_visual",
+        name=visual,
         type=mujoco.mjtGeom.mjGEOM_MESH,
-        meshname="visual",
-        material="look",
+        meshname=visual,
+        material=name,
         group=_VISUAL,
         contype=0,
         conaffinity=0,

@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium import spaces
 
 from objectfolder.checks import one_of
-from objectfolder.envs.calls import KEPT, finite_actions, no_options, started
+from objectfolder.envs.calls import KEPT, finite_actions, no_options, object_file, started
 from objectfolder.envs.episodes import OBSERVATIONS, Episodes
 from objectfolder.envs.features import FeatureFunction
 from objectfolder.envs.grasp_task import STEPS, GraspTask, make_task
@@ -63,7 +63,7 @@ class GraspEnv(gymnasium.Env[Any, np.ndarray]):
     ):
         self._arguments = (file, observation, hulls, render_mode)
         one_of("observation", observation, OBSERVATIONS)  # before hulls are computed
-        self._episodes = Episodes(make_task(_loaded(file), hulls), observation)
+        self._episodes = Episodes(make_task(object_file(file), hulls), observation)
         self.observation_space = self._episodes.space()
         self.action_space = spaces.Box(-1, 1, (4,), np.float32)
         self.render_mode = render_mode
@@ -140,7 +140,7 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
         if task is None:
             if file is None:
                 raise ObjectFolderError("Grasp-v0 needs an Object File: file=...")
-            task = make_task(_loaded(file), hulls)
+            task = make_task(object_file(file), hulls)
         self.num_envs = num_envs
         self._episodes = Episodes(task, observation, features)
         self.single_observation_space = self._episodes.space()
@@ -166,10 +166,6 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
             info = {"final_obs": observed, "success": rewards > 0}
             observed = self._episodes.begin(self.num_envs, self.np_random)
         return observed, rewards, ended, np.zeros(self.num_envs, bool), info
-
-
-def _loaded(file: ObjectFile | str | Path) -> ObjectFile:
-    return file if isinstance(file, ObjectFile) else ObjectFile.load(file)
 
 
 def _first(observation: Any) -> Any:

@@ -128,12 +128,18 @@ class Hearing:
         self._rng = np.random.default_rng(self._seed)
         self._reader.reset()
         self._time = 0.0 if data is None else float(data.time)
+        self._diverged = 0 if data is None else divergences(data)
         self._steps = self._clock = 0
         self._scrapes: dict[tuple[int, int], Scrape] = {}
         self.strikes: tuple[Strike, ...] = ()
         for body in self._bodies.values():
             body.stream.reset()
             body.weights = None
+
+    @property
+    def time(self) -> float:
+        """Time of the simulation up to which it was heard, s."""
+        return self._time
 
     def simulate(self, data: mujoco.MjData, steps: int = 1) -> np.ndarray:
         """Make steps and return what is heard meanwhile, Pa: one call of many steps as many calls of one."""
@@ -171,6 +177,11 @@ class Hearing:
         return {b.name: float(b.stream.energy[: b.voice.modes].sum()) for b in self._bodies.values()}
 
     def _check(self, data: mujoco.MjData) -> None:
+        if divergences(data) > self._diverged:  # MuJoCo has set it back to its start
+            raise ObjectFolderError(
+                f"the simulation diverged after {self._time:g} s: take smaller time steps or forces, and "
+                "reset(data)"
+            )
         check_poses(self._model, data, self._bodies)
         if not np.isfinite(data.qpos).all() or not np.isfinite(data.qvel).all():
             raise ObjectFolderError(f"the state of the simulation is not finite at {data.time:g} s; reset it")
@@ -296,3 +307,13 @@ def _check_step(model: mujoco.MjModel) -> None:
             f"{times[short[0]]:g} s, expected at least two time steps, {2 * step:g} s: MuJoCo would "
             "soften them silently; use a shorter time step or a longer solref"
         )
+
+
+def divergences(data: mujoco.MjData) -> int:
+    """Return how often a simulation has diverged since it was reset."""
+    kinds = (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+    )
+    return sum(int(data.warning[kind].number) for kind in kinds)

@@ -12,9 +12,10 @@ from gymnasium import spaces
 from objectfolder.checks import finite_number
 from objectfolder.envs.feeling import Feeling
 from objectfolder.envs.hearing import Hearing
-from objectfolder.envs.sounding import Objects
+from objectfolder.envs.sounding import Objects, named_objects
 from objectfolder.errors import ObjectFolderError
 
+UNHEARD = 1e-6  # s, by which simulation and hearing differ by rounding
 LOUDEST = 1000.0  #: greatest sound pressure that is observed, Pa
 
 
@@ -79,7 +80,8 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any]):
             raise ObjectFolderError(
                 "there is neither a listener nor a pad: give the name of a site to either"
             )
-        model = inner.model  # type: ignore[attr-defined]
+        model, objects = inner.model, named_objects(objects)  # type: ignore[attr-defined]
+        pads = [pads] if isinstance(pads, str) else [*pads]
         self._hearing = None if listener is None else Hearing(model, objects, listener, sample_rate)
         self._feeling = Feeling(model, pads, objects, sensor) if len(pads) else None
         samples = round(finite_number("seconds", seconds) * sample_rate)
@@ -110,6 +112,11 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any]):
         """Step the environment, and hear each step of its simulation."""
         with self._listening():
             observation, *rest = self.env.step(action)
+        if self._hearing and abs(unheard := self._data.time - self._hearing.time) > UNHEARD:
+            raise ObjectFolderError(
+                f"{type(self.env.unwrapped).__name__} simulated {unheard:g} s that were not heard: call "
+                "mujoco.mj_step by this name, one step at a time or more, or wrap nothing and use Hearing"
+            )
         return self._sensed(observation), *rest  # type: ignore[return-value]
 
     @property

@@ -37,7 +37,7 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
 
     Each episode draws an object, two materials, the odd one's place, a size (0.8 to 1.25 times the object's
     own), and for each copy a size within 3 % of that, so that pitch alone does not tell. A tap is of a wooden
-    tip at a drawn place, along the surface's normal, with a drawn impulse, and is heard half a metre away.
+    tip at a drawn place, along the surface's normal, with a drawn impulse, and is heard 0.75 m away.
 
     Parameters
     ----------

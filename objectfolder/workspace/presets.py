@@ -23,8 +23,8 @@ def apply_preset(name: str, root: Path = Path()) -> list[str]:
         If there is no such preset, or the result is invalid.
     """
     params_path = root / PARAMS_FILE
-    preset, path = read_preset(name, root)
     with edited(params_path) as (document, values):
+        preset, path = read_preset(name, root)
         changed = [section for section, content in preset.items() if values.get(section) != content]
         check_all({**values, **preset}, path)
         for section in changed:

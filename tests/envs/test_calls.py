@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import objectfolder.envs  # noqa: F401, registers
+from objectfolder.envs.calls import object_file, opened
 from objectfolder.envs.grasp import GraspEnv, GraspVectorEnv
 from objectfolder.envs.hulls import cached_hulls
 from objectfolder.envs.reach import ReachEnv
@@ -132,3 +133,14 @@ def test_environments_run_in_spawned_processes(make, name):
         assert many.step(actions)[0][0].tobytes() == env.step(actions[0])[0].tobytes()
     finally:
         many.close()
+
+
+def test_objects_are_given_as_files_paths_or_names_of_samples(brick, brick_path):
+    assert opened(brick) == [brick]
+    assert [file.key for file in opened(str(brick_path))] == ["brick"]
+    assert [file.key for file in opened(["mug", brick_path, brick])] == ["mug", "brick", "brick"]
+    assert object_file("bell").key == "bell"
+    with pytest.raises(ObjectFolderError, match="expected at least one object"):
+        opened([])
+    with pytest.raises(ObjectFolderError, match=r"nothing\.safetensors does not exist"):
+        opened("nothing.safetensors")

@@ -92,3 +92,31 @@ def test_simulate_films_an_attached_object_with_its_sound(brick, brick_path, tmp
     picture, track = sorted(streams, key=lambda stream: stream["codec_type"], reverse=True)
     assert (picture["width"], picture["height"], picture["nb_frames"]) == (64, 48, "4")
     assert track["codec_name"] == "aac"
+
+
+def test_a_scenes_camera_is_followed_as_it_turns_and_moves(brick):
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.2, 0.05, 0.01], rgba=[1, 0, 0, 1])
+    paint = spec.add_material(name="paint", rgba=[0, 0, 1, 1])
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.02, 0.02, 0.02], pos=[0.3, 0, 0], material=paint.name
+    )
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.3, 0, 0], group=3)  # for collisions
+    body = spec.worldbody.add_body(name="arm", pos=[0, 0, 1])
+    body.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.001, 0, 0], pos=[0, 0, 1], mass=1)
+    body.add_camera(fovy=45)  # straight down, as MuJoCo's cameras are
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    camera = SceneCamera(model, {}, default_view(model, data, {}), 41, 41)
+    level = camera.picture(data).astype(int)
+    data.qpos[0] = np.pi / 2
+    mujoco.mj_forward(model, data)
+    turned = camera.picture(data)
+    assert (level[20, 20] == level[20, 12]).all()
+    assert level[20, 20, 0] > 2 * level[20, 20, 1]
+    assert (level[20] != 237).any(1).sum() > 2 * (level[:, 20] != 237).any(1).sum()
+    blue = level[..., 2] > 2 * level[..., 0]
+    assert 0 < blue.sum() < 20
+    assert (np.abs(np.rot90(level, -1) - turned) > 2).any(2).sum() < 5  # of 1,681, at edges

@@ -5,10 +5,12 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
+from objectfolder.envs import drop
 from objectfolder.envs.drop import DropEnv
 from objectfolder.envs.ears import BANDS, BINS, QUIETEST, Ear, features
 from objectfolder.envs.hearing import Hearing
 from objectfolder.errors import ObjectFolderError
+from objectfolder.touch.friction import friction_of
 
 
 @pytest.fixture(scope="module")
@@ -119,3 +121,16 @@ def test_an_ear_learns_what_is_to_be_heard(rng):
     heard[:, 1] += 4 * answers[:, 1]
     ear = Ear(heard[:150], answers[:150], (2, 3), epochs=20)
     assert (ear(heard[150:]) == answers[150:]).mean() > 0.9
+
+
+def test_the_friction_of_a_fall_is_that_of_the_drawn_material(brick, monkeypatch):
+    found, add = set(), drop.add_body
+
+    def record(spec, body, name):
+        found.add(body.friction)
+        return add(spec, body, name)
+
+    monkeypatch.setattr(drop, "add_body", record)
+    DropEnv([brick], ["steel"], seconds=0.02).reset(seed=0)
+    assert found == {friction_of("steel")}
+    assert friction_of(brick.material) != friction_of("steel")

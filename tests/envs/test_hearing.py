@@ -277,3 +277,16 @@ def test_a_simulation_that_jumps_or_diverges_is_refused(brick):
     data.xpos[1] = np.nan
     with pytest.raises(ObjectFolderError, match=r"body 'brick': its pose is not finite at 0\.0\d+ s"):
         hearing.hear(data)
+
+
+@pytest.mark.parametrize("speed", [1e30, np.nan])
+def test_a_simulation_that_mujoco_has_set_back_is_said_to_diverge(brick, speed):
+    model = scene([brick])
+    data, hearing = mujoco.MjData(model), Hearing(model, [brick], "ear")
+    hearing.simulate(data, 3)
+    data.qvel[0] = speed
+    with pytest.raises(ObjectFolderError, match=r"the simulation diverged after 0\.006 s"):
+        hearing.simulate(data)
+    mujoco.mj_resetData(model, data)
+    hearing.reset(data)
+    hearing.simulate(data, 3)

@@ -135,7 +135,7 @@ def test_object_rests_in_pybullet(bullet, urdf, brick):
 def test_texture_has_the_base_colours(brick, mjcf):
     """As OpenGL reads them: the first row of MuJoCo's texture is at 0."""
     model = mujoco.MjModel.from_xml_path(str(mjcf))
-    mesh = model.mesh("visual").id
+    mesh = model.mesh("brick_visual").id
     geom = model.geom("brick_visual").id
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -163,7 +163,7 @@ def test_object_without_a_look_is_grey(brick, body, tmp_path):
     path = write_mjcf(ObjectFile(header, brick.tensors), tmp_path, hulls=body.hulls)
     model = mujoco.MjModel.from_xml_path(str(path))
     assert model.ntex == 0
-    np.testing.assert_allclose(model.material("look").rgba, [0.7, 0.7, 0.7, 1])
+    np.testing.assert_allclose(model.material("brick_look").rgba, [0.7, 0.7, 0.7, 1])
 
 
 @WRITERS
@@ -220,3 +220,13 @@ def test_library_that_is_not_there_is_named(brick_path, tmp_path, monkeypatch, l
     result = CliRunner().invoke(app, ["export", "urdf", str(tmp_path / "out"), str(brick_path)])
     assert isinstance(result.exception, ObjectFolderError)
     assert f"{library} is not installed; this needs: {install_command('rl')}" in str(result.exception)
+
+
+def test_two_objects_fit_into_one_scene(brick, body, tmp_path):
+    other = ObjectFile({**brick.header, "key": "other"}, brick.tensors)
+    paths = [write_mjcf(file, tmp_path, hulls=body.hulls) for file in (brick, other)]
+    included = "".join(f'<include file="{path.parent.name}/{path.name}"/>' for path in paths)
+    (tmp_path / "scene.xml").write_text(f"<mujoco>{included}</mujoco>")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "scene.xml"))
+    assert model.nbody == 3
+    assert {model.material(k).name for k in range(model.nmat)} == {"brick_look", "other_look"}

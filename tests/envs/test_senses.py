@@ -76,7 +76,7 @@ def test_environments_side_by_side_hear_what_each_does_alone(body, brick):
     assert together["audio"][1].tobytes() == observation["audio"].tobytes()
 
 
-def test_pads_add_touch(brick):
+def still(brick):
     class Still(gymnasium.Env):
         observation_space = gymnasium.spaces.Dict({"x": gymnasium.spaces.Box(-1, 1, (1,), np.float32)})
         action_space = gymnasium.spaces.Discrete(1)
@@ -97,7 +97,11 @@ def test_pads_add_touch(brick):
             mujoco.mj_step(self.model, self.data, nstep=200)
             return {"x": np.zeros(1, np.float32)}, 0.0, False, False, {}
 
-    env = Senses(Still(), [brick], pads=["left_pad", "right_pad"])
+    return Still()
+
+
+def test_pads_add_touch(brick):
+    env = Senses(still(brick), [brick], pads=["left_pad", "right_pad"])
     first, _ = env.reset(seed=0)
     after, *_ = env.step(0)
     assert {*after} == {"x", "touch"}
@@ -113,3 +117,24 @@ def test_what_has_no_senses_is_refused(body, brick):
         Senses(ReachEnv(body), {"object": brick})
     with pytest.raises(ObjectFolderError, match="seconds is 0"):
         Senses(ReachEnv(body), {"object": brick}, EAR, seconds=0)
+
+
+def test_one_pad_has_one_picture(brick):
+    env = Senses(still(brick), (one for one in [brick]), [0, 0.4, 0.4], pads="left_pad", seconds=0.01)
+    observation, _ = env.reset(seed=0)
+    assert env.observation_space.contains(observation)
+    assert observation["touch"].shape[0] == 1
+
+
+def test_steps_that_are_not_heard_are_refused(body, brick):
+    class Deaf(ReachEnv):
+        def step(self, action):
+            for _ in range(3):
+                mujoco.mj_step1(self.model, self.data)
+                mujoco.mj_step2(self.model, self.data)
+            return np.zeros(39, np.float32), 0.0, False, False, {}
+
+    env = Senses(Deaf(body), {"object": brick}, EAR)
+    env.reset(seed=0)
+    with pytest.raises(ObjectFolderError, match=r"Deaf simulated 0\.\d+ s that were not heard: call mujoco"):
+        env.step(np.zeros(4, np.float32))
