@@ -14,7 +14,7 @@ from objectfolder.envs.body import add_body, density, rigid_body, scaled_body
 from objectfolder.envs.calls import KEPT, no_options, opened, started
 from objectfolder.envs.hearing import Hearing
 from objectfolder.envs.poses import rotation
-from objectfolder.envs.sounding import Sounding
+from objectfolder.envs.sounding import Sounding, require_audible
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.materials import material
 from objectfolder.objectfile.file import ObjectFile
@@ -70,6 +70,7 @@ class DropEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         if not self.materials:
             raise ObjectFolderError("expected at least one material")
         self._rate, self._samples = sample_rate, count_samples(sample_rate, seconds)
+        require_audible(self.files, self.materials, SIZES[0], sample_rate)
         self._bodies = [rigid_body(file, [file.to_mesh().convex_hull]) for file in self.files]
         self.observation_space = spaces.Box(-LOUDEST, LOUDEST, (self._samples,), np.float32)
         self.action_space = spaces.MultiDiscrete([len(self.files), len(self.materials)])

@@ -1,11 +1,13 @@
 """Objects of a MuJoCo model that can be heard or felt: which bodies they are, checked against their files."""
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
+from objectfolder.audio.tuning import HEARING_HZ
 from objectfolder.envs.poses import rotation
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.materials import Material
@@ -86,6 +88,32 @@ def body_number(model: mujoco.MjModel, name: str) -> int:
             "`objectfolder export mjcf` does, or give a mapping from names of bodies to Object Files"
         )
     return number
+
+
+def require_audible(
+    files: Sequence[ObjectFile], materials: Sequence[str], ratio: float, sample_rate: float
+) -> None:
+    """Raise ObjectFolderError unless each object has a mode that is heard, in each material.
+
+    Parameters
+    ----------
+    ratio : float
+        Of the smallest object, whose modes are the highest, to the size that its file says.
+    sample_rate : float
+        Hz
+    """
+    limit = min(sample_rate / 2, HEARING_HZ[1])
+    for file in files:
+        for name in materials:
+            scale = ratio * file.scale
+            lowest = float(min(file.tuning(name, scale).frequencies, default=math.inf))
+            if lowest >= limit:
+                found = f"at {lowest:.0f} Hz" if lowest < math.inf else "above hearing"
+                raise ObjectFolderError(
+                    f"{file.key} of {name} and {scale:.3g} m has its lowest mode {found}, not below "
+                    f"{limit:.0f} Hz, and would only click: leave out the material or the object, or raise the "
+                    "sample rate"
+                )
 
 
 def check_body(model: mujoco.MjModel, name: str, one: Sounding, voice: Voice) -> None:

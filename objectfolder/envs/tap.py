@@ -13,6 +13,7 @@ from objectfolder.audio.synthesis import count_samples
 from objectfolder.checks import whole_number
 from objectfolder.envs.calls import KEPT, discrete_action, no_options, opened, started
 from objectfolder.envs.drop import LOUDEST, MATERIALS, SIZES
+from objectfolder.envs.sounding import require_audible
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import material
 from objectfolder.objectfile.file import ObjectFile
@@ -87,6 +88,7 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
                 "odd one, and at least 1 tap"
             )
         self.sample_rate, self._samples = sample_rate, count_samples(sample_rate, seconds)
+        require_audible(self.files, self.materials, SIZES[0] * (1 - ALIKE), sample_rate)
         self._arguments = (self.files, self.materials, self.count, seconds, sample_rate, self.limit)
         self.observation_space = spaces.Dict(
             {

@@ -9,7 +9,9 @@ from objectfolder.envs import drop
 from objectfolder.envs.drop import DropEnv
 from objectfolder.envs.ears import BANDS, BINS, QUIETEST, Ear, features
 from objectfolder.envs.hearing import Hearing
+from objectfolder.envs.tap import TapEnv
 from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.friction import friction_of
 
 
@@ -134,3 +136,15 @@ def test_the_friction_of_a_fall_is_that_of_the_drawn_material(brick, monkeypatch
     DropEnv([brick], ["steel"], seconds=0.02).reset(seed=0)
     assert found == {friction_of("steel")}
     assert friction_of(brick.material) != friction_of("steel")
+
+
+@pytest.mark.parametrize("make", [DropEnv, TapEnv])
+def test_objects_that_would_only_click_are_refused_at_once(make):
+    with pytest.raises(ObjectFolderError, match=r"die of ceramic and 0\.1\d* m has its lowest mode at 12"):
+        make(sample_rate=16000)
+    bell = ObjectFile.sample("bell")
+    silent = {name: array for name, array in bell.tensors.items() if not name.startswith("audio.")}
+    header = {name: value for name, value in bell.header.items() if name != "audio"}
+    with pytest.raises(ObjectFolderError, match="bell: the file holds no audio"):
+        make([ObjectFile(header, silent)])
+    make(["bell"], ["steel", "wood"])
