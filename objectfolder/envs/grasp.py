@@ -12,7 +12,7 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from objectfolder.checks import one_of
+from objectfolder.checks import one_of, whole_number
 from objectfolder.envs.calls import KEPT, finite_actions, no_options, object_file, started
 from objectfolder.envs.episodes import OBSERVATIONS, Episodes
 from objectfolder.envs.features import FeatureFunction
@@ -106,7 +106,8 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
     """Many episodes of one object, simulated together; otherwise as `GraspEnv`.
 
     All episodes end in the same step, which returns the first observations of the next episodes (autoreset
-    mode SAME_STEP).
+    mode SAME_STEP). ``info`` then has ``final_obs`` and ``final_info`` as gymnasium's own vector environments
+    have them, and ``success`` once more beside them.
 
     Parameters
     ----------
@@ -141,7 +142,7 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
             if file is None:
                 raise ObjectFolderError("Grasp-v0 needs an Object File: file=...")
             task = make_task(object_file(file), hulls)
-        self.num_envs = num_envs
+        self.num_envs = whole_number("num_envs", num_envs, 1)
         self._episodes = Episodes(task, observation, features)
         self.single_observation_space = self._episodes.space()
         self.single_action_space = spaces.Box(-1, 1, (4,), np.float32)
@@ -163,7 +164,11 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
         ended = np.full(self.num_envs, self._episodes.step >= STEPS)
         observed, info = self._episodes.observe(), {}
         if ended.all():
-            info = {"final_obs": observed, "success": rewards > 0}
+            last = np.empty(self.num_envs, object)
+            last[:] = [*gymnasium.vector.utils.iterate(self.observation_space, observed)]
+            success = {"success": rewards > 0, "_success": ended}
+            info = {"final_obs": last, "_final_obs": ended, "final_info": success, "_final_info": ended}
+            info |= success
             observed = self._episodes.begin(self.num_envs, self.np_random)
         return observed, rewards, ended, np.zeros(self.num_envs, bool), info
 

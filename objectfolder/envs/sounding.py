@@ -111,8 +111,8 @@ def require_audible(
                 found = f"at {lowest:.0f} Hz" if lowest < math.inf else "above hearing"
                 raise ObjectFolderError(
                     f"{file.key} of {name} and {scale:.3g} m has its lowest mode {found}, not below "
-                    f"{limit:.0f} Hz, and would only click: leave out the material or the object, or raise the "
-                    "sample rate"
+                    f"{limit:.0f} Hz, and would only click: leave out the material or the object, or raise "
+                    "the sample rate"
                 )
 
 

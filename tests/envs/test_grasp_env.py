@@ -221,3 +221,27 @@ def test_damaged_hulls_are_named(brick, tmp_path):
     (tmp_path / "brick.npz").write_bytes(b"no archive")
     with pytest.raises(ObjectFolderError, match=r"brick\.npz"):
         GraspEnv(brick, "blind", tmp_path)
+
+
+@pytest.mark.parametrize("observation", ["width", "images"])
+def test_what_ends_is_told_as_gymnasiums_own_vector_environments_do(task, brick_path, hulls, observation):
+    ours = GraspVectorEnv(2, task=task, observation=observation)
+    theirs = gymnasium.vector.SyncVectorEnv(
+        [lambda: made(brick_path, hulls, observation)] * 2,
+        autoreset_mode=gymnasium.vector.AutoresetMode.SAME_STEP,
+    )
+    found = []
+    for env in (ours, theirs):
+        env.reset(seed=0)
+        env.step(np.zeros((2, 4), np.float32))
+        found.append(env.step(np.zeros((2, 4), np.float32))[4])
+    own, expected = found
+    assert {*own} - {"success", "_success"} == {*expected}
+    assert {*own["final_info"]} == {*expected["final_info"]}
+    for name in ("_final_obs", "_final_info"):
+        np.testing.assert_array_equal(own[name], expected[name])
+    for one, other in zip(own["final_obs"], expected["final_obs"]):
+        assert ours.single_observation_space.contains(one)
+        assert ours.single_observation_space.contains(other)
+    with pytest.raises(ObjectFolderError, match="num_envs is 0"):
+        GraspVectorEnv(0, task=task)
