@@ -1,6 +1,7 @@
 """Decode pictures that a user gives: of known formats, and not too large."""
 
 import warnings
+from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
@@ -47,6 +48,13 @@ def decoded(source: Path | BinaryIO, where: str, mode: str = "RGB", upright: boo
             f"{where} cannot be read as an image ({reason}); expected {', '.join(PICTURE_FORMATS)}"
         ) from error
     raise ObjectFolderError(f"{where} has {size} pixels, expected at most {MAX_SIDE} x {MAX_SIDE}; resize it")
+
+
+def png_bytes(image: np.ndarray) -> bytes:
+    """Return an image (H, W) or (H, W, 3) uint8 as PNG."""
+    stream = BytesIO()
+    Image.fromarray(image).save(stream, "PNG")
+    return stream.getvalue()
 
 
 def _in_bytes(image: Image.Image) -> Image.Image:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 from scipy.io import wavfile
 
 from objectfolder.benchmarks.datasets.observations import Observations
@@ -19,6 +18,7 @@ from objectfolder.benchmarks.datasets.splits import Split
 from objectfolder.disk import new_folder
 from objectfolder.errors import ObjectFolderError, plural
 from objectfolder.io import write_json, write_text
+from objectfolder.pictures import png_bytes
 from objectfolder.seeding import numpy_generator
 from objectfolder.workspace.layout import MODALITIES, SPLITS
 
@@ -150,9 +150,9 @@ def _samples(observations: Observations, rows: np.ndarray) -> Iterator[dict[str,
             key = observations.keys[label]
             record = observations.records[key]
             yield {
-                "vision": _png(arrays["vision"][i]),
+                "vision": png_bytes(arrays["vision"][i]),
                 "audio": _wav(arrays["audio"][i], record["sample_rate"]),
-                "touch": _png(arrays["touch"][i]),
+                "touch": png_bytes(arrays["touch"][i]),
                 "label": label,
                 "key": key,
                 "observation": number,
@@ -181,12 +181,6 @@ def _columns(sample: dict[str, Any]) -> dict[str, Any]:
         for modality in MODALITIES
     }
     return {**sample, **stored, **sample["queries"]}
-
-
-def _png(image: np.ndarray) -> bytes:
-    stream = io.BytesIO()
-    Image.fromarray(image).save(stream, "PNG")
-    return stream.getvalue()
 
 
 def _wav(sound: np.ndarray, rate: int) -> bytes:

@@ -18,6 +18,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.io import write_json
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.query_files import sample_strikes
+from objectfolder.pictures import png_bytes
 from objectfolder.seeding import numpy_generator
 
 VERSION = "v3.0"  #: of the format
@@ -145,7 +146,7 @@ def _episodes(
         ).astype(np.float32)
         yield [
             {
-                TOUCH: {"bytes": _png(felt.images[k]), "path": None},
+                TOUCH: {"bytes": png_bytes(felt.images[k]), "path": None},
                 AUDIO: sound[k * window : (k + 1) * window],
                 STATE: state[k],
                 ACTION: float(depths[min(k + 1, frames - 1)]),
@@ -252,9 +253,3 @@ def _info(features: dict[str, Any], tasks: int, episodes: int, frames: int, fps:
         "video_path": None,
         "features": features,
     }
-
-
-def _png(image: np.ndarray) -> bytes:
-    stream = io.BytesIO()
-    Image.fromarray(image).save(stream, "PNG")
-    return stream.getvalue()

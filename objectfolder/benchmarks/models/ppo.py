@@ -18,7 +18,7 @@ from objectfolder.benchmarks.models.actor import CLIP, Actor
 from objectfolder.benchmarks.models.ppo_config import ReachConfig
 from objectfolder.benchmarks.models.training import read_checkpoint
 from objectfolder.io import atomic
-from objectfolder.seeding import numpy_generator
+from objectfolder.seeding import drawn_seed
 
 ROUNDS = 10  #: rollouts and updates of a part, after which the policy is validated and kept
 SOLVED = 2  #: parts in a row without a failure in validation, after which training stops
@@ -96,7 +96,7 @@ def train_ppo(
         learning_rate=learning_rate,
         gamma=params.discount,
         policy_kwargs={"net_arch": [params.width] * 2, "log_std_init": params.log_deviation},
-        seed=_part_seed(seed, purpose, 0),
+        seed=drawn_seed(seed, *purpose, "0"),
         device="cpu",  # two small layers: a GPU is slower
     )
     model.set_logger(Logger(folder=None, output_formats=[]))  # its own leaves a folder in /tmp per training
@@ -112,7 +112,7 @@ def train_ppo(
     start = time.perf_counter()
     while not _finished(curve, params.steps):
         model.set_env(envs, force_reset=True)
-        model.set_random_seed(_part_seed(seed, purpose, len(curve) + 1))
+        model.set_random_seed(drawn_seed(seed, *purpose, str(len(curve) + 1)))
         model.num_timesteps = int(curve[-1][0]) if curve else 0
         model.learn(ROUNDS * params.rollout * params.environments, reset_num_timesteps=False)
         actor = _actor(model, envs)
@@ -142,10 +142,6 @@ def train_ppo(
 def _finished(curve: list[list[float]], steps: int) -> bool:
     solved = len(curve) >= SOLVED and all(row[1] == 1 for row in curve[-SOLVED:])
     return solved or bool(curve and curve[-1][0] >= steps)
-
-
-def _part_seed(seed: int, purpose: tuple[str, ...], part: int) -> int:
-    return int(numpy_generator(seed, *purpose, str(part)).integers(2**31))
 
 
 def _actor(model: PPO, envs: VecNormalize) -> Actor:

@@ -164,7 +164,7 @@ def test_progress_is_reported(observations, tmp_path):
 
 def test_png_and_wav_are_what_other_readers_expect():
     image = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
-    read = Image.open(io.BytesIO(export._png(image)))
+    read = Image.open(io.BytesIO(export.png_bytes(image)))
     assert (read.mode, read.size) == ("RGB", (3, 2))
     info = soundfile.info(io.BytesIO(export._wav(np.array([0, 1e-9, -3], np.float32), 16000)))
     assert (info.format, info.subtype, info.samplerate, info.frames) == ("WAV", "FLOAT", 16000, 3)
