@@ -1,6 +1,7 @@
 """The voice of an object: its modes, what excites them, and how they are heard, for sounds that go on."""
 
 import logging
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from objectfolder.audio.contact import effective_modulus
 from objectfolder.audio.synthesis import audible, gains
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material
+from objectfolder.objectfile.arguments import Rows, finite_rows
 from objectfolder.objectfile.audio import ModalSense
 from objectfolder.objectfile.header import RADIATION
 from objectfolder.objectfile.parts import TAPS, StoredParts
@@ -118,13 +120,14 @@ class Voice:
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), self._arguments
 
-    def gains(self, points: np.ndarray, impulses: np.ndarray) -> np.ndarray:
+    def gains(self, points: Rows, impulses: Rows) -> np.ndarray:
         """Return gains of impulses (N, 3), N s, at the surface points nearest to points (N, 3); (N, M + 3).
 
         Object frame, metres of this object.
         """
-        nearest = self._surface.nearest(np.asarray(points, np.float64) / self._resized)[0]
-        return self._gains(self._shapes(nearest), impulses)
+        places, pushes = finite_rows("points", points, 3), finite_rows("impulses", impulses, 3)
+        nearest = self._surface.nearest(places / self._resized)[0]
+        return self._gains(self._shapes(nearest), pushes)
 
     def rough_gains(self, point: np.ndarray, impulse: np.ndarray) -> np.ndarray:
         """Return gains (M + 3,) of an impulse (3,), with the shapes of the nearest of `TAPS` points."""
@@ -132,11 +135,12 @@ class Voice:
         found: np.ndarray = impulse @ self._tapped[row]
         return found
 
-    def weights(self, place: np.ndarray) -> np.ndarray:
+    def weights(self, place: Sequence[float] | np.ndarray) -> np.ndarray:
         """Return the complex weights (M + 3,) with which phasors are heard at a place (3,), in pascals.
 
         Object frame, metres. Places in the ball about the origin that holds the object count as on it.
         """
+        place = np.asarray(place, np.float64)
         distance = float(np.linalg.norm(place))
         if distance < self.radius:
             place = np.array([0, 0, self.radius]) if distance == 0 else place * (self.radius / distance)

@@ -215,3 +215,12 @@ def test_damage_is_named(brick, struck):
     tensors = dict(brick.tensors) | {"radiation.orders": brick.tensors["radiation.orders"] + np.uint8(1)}
     with pytest.raises(ObjectFolderError, match="radiation is damaged"):
         ObjectFile(brick.header, tensors).impact(struck, UP, listener=[[0, 0, 1]])
+
+
+def test_a_voice_takes_lists_and_single_rows(brick):
+    voice, points = brick.voice(RATE), brick.sample_surface(2)
+    both = voice.gains(points, np.tile([0.0, 0, 1], (2, 1)))
+    np.testing.assert_array_equal(voice.gains(points[0].tolist(), [0, 0, 1]), both[:1])
+    np.testing.assert_array_equal(voice.weights([1, 1, 1]), voice.weights(np.ones(3)))
+    with pytest.raises(ObjectFolderError, match="impulses"):
+        voice.gains(points, [[0, 0, np.nan]])
