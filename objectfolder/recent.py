@@ -4,10 +4,10 @@ import threading
 from collections.abc import Callable, Hashable
 from typing import Generic, TypeVar
 
-Value = TypeVar("Value")
+_Value = TypeVar("_Value")
 
 
-class Recent(Generic[Value]):
+class Recent(Generic[_Value]):
     """Values by key, of which the ones asked for last are kept.
 
     Unlike a method in `functools.lru_cache`, it holds no reference to the object whose method it is, which
@@ -20,9 +20,9 @@ class Recent(Generic[Value]):
     """
 
     def __init__(self, size: int):
-        self._size, self._kept, self._lock = size, dict[Hashable, Value](), threading.Lock()
+        self._size, self._kept, self._lock = size, dict[Hashable, _Value](), threading.Lock()
 
-    def of(self, key: Hashable, make: Callable[[], Value]) -> Value:
+    def of(self, key: Hashable, make: Callable[[], _Value]) -> _Value:
         """Return the value of a key; make it unless it is kept. Threads may make one at the same time."""
         with self._lock:
             if key in self._kept:

@@ -13,7 +13,7 @@ from objectfolder.objectfile.gradients.view import View
 from objectfolder.objectfile.parts import StoredParts
 
 DTYPES = (torch.float32, torch.float64)
-Made = TypeVar("Made", bound=AnswerModule)
+_Made = TypeVar("_Made", bound=AnswerModule)
 
 
 class Answers:
@@ -57,7 +57,7 @@ class Answers:
         """Cameras and lights in, images out."""
         return self._made(View(self._parts.vision, self._dtype), "view")
 
-    def _made(self, module: Made, name: str) -> Made:
+    def _made(self, module: _Made, name: str) -> _Made:
         module.source = _again, (self._parts, self._dtype, name)
         return module
 
