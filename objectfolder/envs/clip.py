@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from objectfolder.checks import finite_number, whole_number
-from objectfolder.envs.drawing import AMBIENT, LIGHT, SKY, frame_rays, geom_colours, view_rays
+from objectfolder.envs.drawing import AMBIENT, LIGHT, SKY, geom_colours, view_frame, view_rays
 from objectfolder.envs.hearing import Hearing
 from objectfolder.envs.sounding import body_number
 from objectfolder.errors import ObjectFolderError
@@ -166,11 +166,12 @@ class SceneCamera:
 
     def _seen(self, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
         """Return where the camera is, (3,) m, and the rays through its pixels; world frame."""
-        view, camera = self._view, self._view.camera
-        if camera is None:
-            return np.asarray(view.eye, np.float64), view_rays(view.eye, view.target, view.fov, *self._shape)
-        frame = data.cam_xmat[camera].reshape(3, 3)
-        return data.cam_xpos[camera].copy(), frame_rays(frame, view.fov, *self._shape)
+        view = self._view
+        if view.camera is None:
+            eye, frame = np.asarray(view.eye, np.float64), view_frame(view.eye, view.target)
+        else:
+            eye, frame = data.cam_xpos[view.camera].copy(), data.cam_xmat[view.camera].reshape(3, 3)
+        return eye, view_rays(frame, view.fov, *self._shape)
 
     @staticmethod
     def _cast(

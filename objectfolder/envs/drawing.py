@@ -9,36 +9,28 @@ AMBIENT = 0.35
 UNCOLOURED = np.array([0.5, 0.5, 0.5, 1], np.float32)  #: of a geom without a colour of its own, in MuJoCo
 
 
-def view_rays(eye: np.ndarray, target: np.ndarray, fov: float, height: int, width: int) -> np.ndarray:
-    """Return the directions of a camera's rays, one per pixel, z up.
-
-    Parameters
-    ----------
-    eye, target : (3,) array
-        Camera position and image centre, world frame, m.
-    fov : float
-        Vertical field of view, degrees.
-    height, width : int
-        Pixels.
+def view_frame(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Return the orientation of a camera at ``eye`` that looks at ``target``, z up.
 
     Returns
     -------
-    (height * width, 3) float64, of length 1.
+    (3, 3) float64
+        Columns: image right, image up and backwards, world frame, as ``cam_xmat`` of MuJoCo.
     """
     forward = np.subtract(target, eye)
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, [0, 0, 1])
     right /= np.linalg.norm(right)
-    return frame_rays(np.stack([right, np.cross(right, forward), -forward], 1), fov, height, width)
+    return np.stack([right, np.cross(right, forward), -forward], 1)
 
 
-def frame_rays(frame: np.ndarray, fov: float, height: int, width: int) -> np.ndarray:
-    """Return the directions of rays through pixels, row by row, of a camera with a given orientation.
+def view_rays(frame: np.ndarray, fov: float, height: int, width: int) -> np.ndarray:
+    """Return the directions of a camera's rays, one per pixel, row by row.
 
     Parameters
     ----------
     frame : (3, 3) array
-        Columns: image right, image up and backwards, world frame, as ``cam_xmat`` of MuJoCo.
+        See `view_frame`.
     fov : float
         Vertical field of view, degrees.
     height, width : int
@@ -46,7 +38,7 @@ def frame_rays(frame: np.ndarray, fov: float, height: int, width: int) -> np.nda
 
     Returns
     -------
-    (height * width, 3) float64, of length 1.
+    (height * width, 3) float64, world frame, of length 1.
     """
     right, up, back = np.asarray(frame, np.float64).T
     step = 2 * np.tan(np.radians(fov) / 2) / height  # of a pixel, at distance 1

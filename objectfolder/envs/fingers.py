@@ -119,7 +119,7 @@ def tactile_images(file: ObjectFile, pressed: Presses, depths: np.ndarray) -> np
     Touch nets trained on images of one depth and one direction are queried with the points alone.
     """
     if file.fixed_contact is not None:
-        return file.touch(file.nearest(pressed.points)[0], depths, file.fixed_contact.angle)
+        return file.touch(file.nearest(pressed.points)[0], depths)
     return file.touch_sense.images(_contacts(file, pressed, depths), TOLERANCE, None)
 
 

@@ -15,7 +15,7 @@ from gymnasium.spaces import Box
 
 from objectfolder.envs.body import RigidBody, as_rigid_body
 from objectfolder.envs.calls import KEPT, finite_actions, no_options, started
-from objectfolder.envs.drawing import draw_model, view_rays
+from objectfolder.envs.drawing import draw_model, view_frame, view_rays
 from objectfolder.envs.reach_scene import (
     GOAL_HIGH,
     GOAL_LOW,
@@ -165,7 +165,7 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             return None
         started(self._margin > 0)
         mujoco.mj_kinematics(self.model, self.data)  # a step leaves the previous step's positions
-        rays = view_rays(EYE, TARGET, FOV, *self.resolution)
+        rays = view_rays(view_frame(EYE, TARGET), FOV, *self.resolution)
         return draw_model(self.model, self.data, EYE, rays, *self.resolution)
 
     def __reduce__(self) -> tuple[Any, ...]:

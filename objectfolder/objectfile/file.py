@@ -556,8 +556,8 @@ class ObjectFile:
     def touch(
         self,
         points: Answer | Sequence[Any],
-        depth: Scalars = 0.001,
-        angle: Scalars = 0.0,
+        depth: Scalars | None = None,
+        angle: Scalars | None = None,
         tilt: Scalars = 0.0,
         azimuth: Scalars = 0.0,
         tolerance: float = TOLERANCE,
@@ -571,9 +571,10 @@ class ObjectFile:
             Contact points, object frame, metres. Those within a quarter voxel of the stored surface stay
             where they are; others are snapped to it. A single point serves all depths and angles.
         depth : float or (N,) array
-            How far the gel's apex is pressed past the surface, metres.
+            How far the gel's apex is pressed past the surface, metres. Default: 1 mm, or that of a net which
+            knows one press alone (`fixed_contact`).
         angle : float or (N,) array
-            Rotation of the sensor about the outward contact normal, radians.
+            Rotation of the sensor about the outward contact normal, radians. Default: 0, or as the depth.
         tilt, azimuth : float or (N,) array
             Lean of the sensor from the contact normal, at most a right angle, and its direction in the
             tangent plane (from image up towards image right), radians.
@@ -594,6 +595,8 @@ class ObjectFile:
             beyond a right angle, a point is off the surface, or the touch net does not know such contacts.
         """
         profile = _profile(sensor)
+        usual = self.fixed_contact or FixedContact(depth=0.001, angle=0.0)
+        depth, angle = usual.depth if depth is None else depth, usual.angle if angle is None else angle
         contacts = ContactPoses.checked(points, depth, angle, tilt, azimuth)
         return like_first(self._parts.touch.images(contacts, tolerance, profile), points)
 

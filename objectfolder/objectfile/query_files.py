@@ -134,6 +134,12 @@ def sample_presses(
     return _generator(seed).uniform((0, 0, low), (MAX_TILT, 2 * math.pi, high), (count, 3))
 
 
+def sample_depths(obj: ObjectFile, count: int, seed: int) -> np.ndarray:
+    """Draw press depths, (count,) metres: those of `sample_presses`, or the only one that the net knows."""
+    fixed = obj.fixed_contact
+    return sample_presses(obj, count, seed)[:, 2] if fixed is None else np.full(count, fixed.depth)
+
+
 def _generator(seed: int) -> np.random.Generator:
     """Return a generator independent of the surface points, which are drawn from the seed itself."""
     return np.random.default_rng(whole_number("seed", seed)).spawn(1)[0]

@@ -20,7 +20,6 @@ IMPULSE = 0.1  #: of a strike, N s, along the surface normal
 SHOWN = 0.9  #: seconds for which the tactile image of a contact is shown
 FLASH = 0.3  #: seconds for which its place is
 FACING = 0.6  #: least cosine between the way to the camera and the normal of a contact
-PRESSED = 0.001  #: depth of a press, m
 RINGS = 3.0  #: seconds of a sound, at most
 LOUDEST = 0.7  #: peak of the sound track
 SMALLEST = 16  #: pixels along a side of a picture, in which a tactile image has a quarter of them
@@ -112,9 +111,7 @@ def contacts(file: ObjectFile, turntable: Turntable) -> list[Contact]:
 
 def pictures(file: ObjectFile, turntable: Turntable, found: list[Contact]) -> Iterator[np.ndarray]:
     """Yield the pictures, (size, size, 3) uint8: the object, its contacts, and what a sensor feels there."""
-    fixed = file.fixed_contact
-    depth, angle = (fixed.depth, fixed.angle) if fixed else (PRESSED, 0.0)
-    felt = [Image.fromarray(file.touch(contact.point[None], depth, angle)[0]) for contact in found]
+    felt = [Image.fromarray(file.touch(contact.point[None])[0]) for contact in found]
     size = turntable.size
     for number in range(len(turntable)):
         second = number / turntable.rate

@@ -8,12 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from brick import with_images
 from scipy.signal import correlate
 
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
-from objectfolder.nets.touch_image import ImageTouch
-from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.turntable import FACING, LOUDEST, SMALLEST, Turntable, contacts, pictures, sound
 
 SHORT = Turntable(seconds=0.4, size=64, rate=10, contacts=2)
@@ -134,9 +133,5 @@ def test_an_encoder_that_fails_leaves_nothing(brick_path, tmp_path, monkeypatch)
 
 
 def test_a_net_of_one_press_is_asked_for_that(brick, found):
-    net = ImageTouch("digit", (6, 4), 0.0015, 0.3, width=8, depth=2, point_octaves=2, pixel_octaves=2)
-    images, config = net.to_tensors()
-    tensors = {name: value for name, value in brick.tensors.items() if not name.startswith("touch.")}
-    tensors |= {f"touch.{name}": value for name, value in images.items()}
-    file = ObjectFile(brick.header | {"touch": {"kind": "image", "net": config}}, tensors)
+    file = with_images(brick, 0.0015, 0.3)
     assert len(list(pictures(file, SHORT, found))) == 4

@@ -16,6 +16,7 @@ from objectfolder.nets.audio_config import GainsConfig
 from objectfolder.nets.audio_gains_training import train_gains
 from objectfolder.nets.audio_spectrogram import SpectrogramNet
 from objectfolder.nets.touch_geometric import GeometricTouch
+from objectfolder.nets.touch_image import ImageTouch
 from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.packing import pack_object_file
@@ -23,6 +24,15 @@ from objectfolder.touch.profiles import load_profile
 
 SIDES = (1.0, 0.6, 0.3)
 SCALE = 0.1
+
+
+def with_images(brick: ObjectFile, depth: float, angle: float) -> ObjectFile:
+    """The brick with an untrained touch net of images, which knows one press alone."""
+    net = ImageTouch("digit", (6, 4), depth, angle, width=8, depth=2, point_octaves=2, pixel_octaves=2)
+    images, config = net.to_tensors()
+    tensors = {name: value for name, value in brick.tensors.items() if not name.startswith("touch.")}
+    tensors |= {f"touch.{name}": value for name, value in images.items()}
+    return ObjectFile(brick.header | {"touch": {"kind": "image", "net": config}}, tensors)
 
 
 def build_brick(scale=SCALE, steps=40) -> ObjectFile:

@@ -7,7 +7,7 @@ from objectfolder.benchmarks.datasets.samples import Samples, object_digest
 from objectfolder.benchmarks.datasets.splits import TEN, Split
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.objectfile.query_files import sample_presses, sample_strikes
+from objectfolder.objectfile.query_files import sample_depths, sample_strikes
 
 TOGETHER = 8  #: contacts of one sequence
 CHUNK = 64  #: contacts asked at once
@@ -31,12 +31,10 @@ def sample_contacts(file: ObjectFile, count: int, seed: int) -> Samples:
     """
     strikes = sample_strikes(file, count, seed)
     points, impulses = strikes[:, :3], strikes[:, 3:]
-    fixed = file.fixed_contact
-    depths = np.full(count, fixed.depth) if fixed else sample_presses(file, count, seed)[:, 2]
-    angle = fixed.angle if fixed else 0.0
+    depths = sample_depths(file, count, seed)
     parts = np.array_split(np.arange(count), -(-count // CHUNK))
     arrays = {
-        "touch": np.concatenate([file.touch(points[rows], depths[rows], angle) for rows in parts]),
+        "touch": np.concatenate([file.touch(points[rows], depths[rows]) for rows in parts]),
         "audio": np.concatenate(
             [
                 file.impact(

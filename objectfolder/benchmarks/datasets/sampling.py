@@ -29,7 +29,7 @@ from objectfolder.io import atomic, read_json, write_json, write_npy, write_npz
 from objectfolder.locks import exclusive
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.header import PARTS
-from objectfolder.objectfile.query_files import sample_presses, sample_strikes, sample_views
+from objectfolder.objectfile.query_files import sample_depths, sample_strikes, sample_views
 from objectfolder.seeding import numpy_generator
 from objectfolder.workspace.layout import MODALITIES
 
@@ -195,16 +195,13 @@ def _draw_ten(file: ObjectFile, seed: int, ten: int) -> Queries:
     strikes = sample_strikes(file, TEN, drawn("audio"), directions="random")
     weakest, strongest = np.log(FORCES)
     impulse = np.exp(rng("force").uniform(weakest, strongest, TEN))
-    fixed = file.fixed_contact
     return {
         "vision_camera": views[:, :3],
         "vision_light": views[:, 3:],
         "audio_point": strikes[:, :3],
         "audio_force": strikes[:, 3:] * impulse[:, None],
         "touch_point": file.sample_surface(TEN, drawn("touch")),
-        "touch_depth": (
-            sample_presses(file, TEN, drawn("depth"))[:, 2] if fixed is None else np.full(TEN, fixed.depth)
-        ),
+        "touch_depth": sample_depths(file, TEN, drawn("depth")),
     }
 
 
@@ -237,7 +234,7 @@ def ask(file: ObjectFile, queries: Queries, modality: str, resolution: int) -> t
         return sounds, ~np.any(sounds, axis=1)
     points, depth = queries["touch_point"], queries["touch_depth"]
     if file.fixed_contact is not None:
-        return file.touch(points, depth, file.fixed_contact.angle), np.zeros(len(points), bool)
+        return file.touch(points, depth), np.zeros(len(points), bool)
     felt = file.press(points, depth)
     return felt.images, ~np.any(felt.mask, axis=(1, 2))
 

@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from brick import with_images
 
 from objectfolder import disk as space
 from objectfolder.benchmarks.collect import load_object_files
@@ -14,7 +15,6 @@ from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.datasets.samples import object_digest
 from objectfolder.benchmarks.datasets.sampling import ask, draw_queries, sample_observations
 from objectfolder.errors import ObjectFolderError
-from objectfolder.nets.touch_image import ImageTouch
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.profiles import load_profile
 
@@ -311,11 +311,7 @@ def test_observations_that_show_nothing_are_counted(brick):
 
 
 def test_net_that_knows_one_press_is_asked_for_that(brick, tmp_path):
-    net = ImageTouch("digit", (6, 4), 0.0012, 0.3, width=8, depth=2, point_octaves=2, pixel_octaves=2)
-    images, config = net.to_tensors()
-    tensors = {name: value for name, value in brick.tensors.items() if not name.startswith("touch.")}
-    tensors |= {f"touch.{name}": value for name, value in images.items()}
-    file = ObjectFile(brick.header | {"touch": {"kind": "image", "net": config}}, tensors)
+    file = with_images(brick, 0.0012, 0.3)
     sample_observations(file, COUNT, SIDE, 7, tmp_path)
     assert (np.load(tmp_path / "queries.npz", allow_pickle=False)["touch_depth"] == 0.0012).all()
     assert np.load(tmp_path / "touch.npy", allow_pickle=False).shape == (10, 6, 4, 3)

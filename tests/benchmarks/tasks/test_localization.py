@@ -4,6 +4,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from brick import with_images
 from torch import nn
 
 from objectfolder.benchmarks.datasets.contacts import contact_split, sample_contacts
@@ -16,7 +17,6 @@ from objectfolder.benchmarks.tasks.localization import CURVE_COLUMNS, localize
 from objectfolder.benchmarks.tasks.localization_config import LocalizeConfig
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import write_npz
-from objectfolder.nets.touch_image import ImageTouch
 from objectfolder.objectfile.file import ObjectFile
 
 SIZES = InputSizes(8, (16, 8), (8, 6))
@@ -168,11 +168,7 @@ def test_every_contact_is_in_one_part():
 
 
 def test_a_net_of_one_press_is_asked_for_that(brick):
-    net = ImageTouch("digit", (6, 4), 0.0012, 0.3, width=8, depth=2, point_octaves=2, pixel_octaves=2)
-    images, config = net.to_tensors()
-    tensors = {name: value for name, value in brick.tensors.items() if not name.startswith("touch.")}
-    tensors |= {f"touch.{name}": value for name, value in images.items()}
-    file = ObjectFile(brick.header | {"touch": {"kind": "image", "net": config}}, tensors)
+    file = with_images(brick, 0.0012, 0.3)
     contacts, rows = sample_contacts(file, 20, seed=2), np.arange(20)
     expected = file.touch(contacts.read("point", rows) * file.scale, 0.0012, 0.3)
     np.testing.assert_array_equal(contacts.read("touch", rows), expected)
