@@ -280,7 +280,8 @@ def test_a_simulation_that_jumps_or_diverges_is_refused(brick):
 
 
 @pytest.mark.parametrize("speed", [1e30, np.nan])
-def test_a_simulation_that_mujoco_has_set_back_is_said_to_diverge(brick, speed):
+def test_a_simulation_that_mujoco_has_set_back_is_said_to_diverge(brick, speed, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes a log
     model = scene([brick])
     data, hearing = mujoco.MjData(model), Hearing(model, [brick], "ear")
     hearing.simulate(data, 3)
