@@ -224,6 +224,7 @@ def main() -> None:
     parser.add_argument("--views", type=int, help="held-out views that are scored; default: the preset's")
     parser.add_argument("--impacts", type=int, help="held-out sounds that are scored; default: the preset's")
     parser.add_argument("--touches", type=int, help="held-out touches that are scored; default: the preset's")
+    parser.add_argument("--trained-on", help="the device, where another machine trained the checkpoints")
     parser.add_argument("--picture", type=Path, help="draw the learning curves here")
     parser.add_argument("--json", type=Path, help="write the figures here")
     arguments = parsed(parser)
@@ -256,6 +257,8 @@ def main() -> None:
     scored = {"views": values["render_views"]["test"], "impacts": values["evaluate"]["impacts"]}
     scored |= {"touches": values["render_touch"]["test"]}
     record: dict[str, Any] = {"preset": PRESET, "scored": scored, "rows": rows}
+    if arguments.trained_on:
+        record["trained_on"] = arguments.trained_on
     record |= {"paper_steps": PAPER_STEPS, "speed": speed(), "workspace_commit": workspace.commit()}
     record["vision_step"] = {key: step_seconds(workspace, key, values) for key in objects["paper"]}
     write_record(arguments.json, record, "mean of the paper's nets: 39.8, 53.6 and 29.4 dB", missed)

@@ -64,7 +64,7 @@ def fit(
     final_rate : float
         Final learning rate, relative to the peak; 1: constant from the first step on.
     report : callable
-        Called with each point of the training curve.
+        Called with each point of the training curve, those of an interrupted run included.
     optimizer : Optimizer, optional
         Optimizer of the net's parameters; default: Adam. The learning rate set here is multiplied by each
         group's ``relative_rate``.
@@ -97,6 +97,8 @@ def fit(
         best, running, count, done = (numbers[name] for name in ("best", "running", "count", "step"))
         start -= numbers["seconds"]
         curve = [CurvePoint(*point) for point in numbers["curve"]]
+        for point in curve:
+            report(point)
     for step in range(done + 1, steps + 1):
         progress = step / steps
         decay = 0.5 * (1 + math.cos(math.pi * progress)) * (1 - final_rate) + final_rate

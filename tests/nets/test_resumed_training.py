@@ -96,6 +96,29 @@ def test_a_killed_training_continues_to_the_bytes_of_one_that_was_not(tmp_path, 
     ]
 
 
+def test_a_continued_training_reports_its_whole_curve(tmp_path):
+    path, generator, reported = tmp_path / "checkpoint.safetensors", torch.Generator(), []
+
+    def run(checkpoint, report):
+        net = nn.Linear(1, 1)
+        return fit(
+            net,
+            lambda: net.weight.square().sum(),
+            lambda: 1.0,
+            steps=20,
+            learning_rate=0.1,
+            optimizer=papers_adam(net),
+            report=report,
+            checkpoint=checkpoint,
+        )
+
+    with pytest.raises(Killed):
+        run(KilledAfter(path, generator, 12), lambda point: None)
+    curve = run(Checkpoint(path, "task", generator), reported.append)
+    assert [point.step for point in reported] == list(range(1, 21))
+    assert reported == curve
+
+
 def test_checkpoints_of_another_task_or_damaged_ones_are_not_continued(tmp_path):
     path, generator = tmp_path / "c.safetensors", torch.Generator().manual_seed(0)
     before = generator.get_state()
