@@ -92,9 +92,7 @@ def curve(path: Path) -> list[list[float]]:
         return [[float(value) for value in row] for row in list(csv.reader(stream))[1:]]
 
 
-def rows_of(
-    objects: dict[str, dict[str, Any]], steps: dict[str, int], batch: dict[str, int]
-) -> list[dict[str, Any]]:
+def rows_of(objects: dict[str, dict[str, Any]], batch: dict[str, int]) -> list[dict[str, Any]]:
     """Return the table: a row for each sense and object, and for the mean over the objects that both have."""
     keys = [key for key in objects["paper"] if key in objects["default"]]
     rows = []
@@ -103,6 +101,7 @@ def rows_of(
         found = []
         for key in keys:
             paper, default = (objects[family][key] for family in FAMILIES)
+            steps = int(paper["curves"][sense][-1][0])
             found.append(
                 {
                     "sense": sense,
@@ -110,10 +109,10 @@ def rows_of(
                     "paper_net": paper["scores"][sense]["psnr"],
                     "default_net": default["scores"][sense]["psnr"],
                     "trivial": paper["scores"][sense][trivial],
-                    "steps": steps[sense],
-                    "of_papers_steps": steps[sense] / PAPER_STEPS,
-                    "drawn": steps[sense] * batch[sense],
-                    "of_papers_drawn": steps[sense] * batch[sense] / (PAPER_STEPS * PAPER_BATCH[sense]),
+                    "steps": steps,
+                    "of_papers_steps": steps / PAPER_STEPS,
+                    "drawn": steps * batch[sense],
+                    "of_papers_drawn": steps * batch[sense] / (PAPER_STEPS * PAPER_BATCH[sense]),
                     "hours": paper["hours"][sense],
                     "default_hours": default["hours"][sense],
                 }
@@ -221,6 +220,7 @@ def main() -> None:
     parser.add_argument("-j", "--jobs", type=int, default=1, help="stages at a time")
     for sense in MODALITIES:
         parser.add_argument(f"--{sense}-steps", type=int, help="of the paper's net; default: the preset's")
+    parser.add_argument("--rays", type=int, help="in a step of VisionNet; default: the preset's")
     parser.add_argument("--views", type=int, help="held-out views that are scored; default: the preset's")
     parser.add_argument("--impacts", type=int, help="held-out sounds that are scored; default: the preset's")
     parser.add_argument("--touches", type=int, help="held-out touches that are scored; default: the preset's")
@@ -233,18 +233,15 @@ def main() -> None:
     workspace.run("preset", PRESET)
     chosen = {f"train_{s}.{NETS[s][0]}.steps": getattr(arguments, f"{s}_steps") for s in MODALITIES}
     chosen |= {"render_views.test": arguments.views, "evaluate.impacts": arguments.impacts}
-    chosen |= {"render_touch.test": arguments.touches}
+    chosen |= {"render_touch.test": arguments.touches, "train_vision.osf.batch": arguments.rays}
     workspace.edit({place: value for place, value in chosen.items() if value is not None})
     objects = {}
     for family in FAMILIES:
         workspace.edit(family_nets(family))
         objects[family] = trained(workspace, family, arguments.keys, arguments.jobs)
     values = workspace.params()
-    steps, batch = (
-        {sense: values[f"train_{sense}"][NETS[sense][0]][name] for sense in MODALITIES}
-        for name in ("steps", "batch")
-    )
-    rows = rows_of(objects, steps, batch)
+    batch = {sense: values[f"train_{sense}"][NETS[sense][0]]["batch"] for sense in MODALITIES}
+    rows = rows_of(objects, batch)
     show(rows, Console())
     if arguments.picture:
         draw(objects["paper"], arguments.picture)
