@@ -16,7 +16,7 @@ from objectfolder.io import read_json, write_json
 
 #: Records that are shown on other pages, or as means alone.
 ELSEWHERE = ("faithful", "faithful_longer", "catalogue", "light", "markers", "radiation", "photographs")
-ELSEWHERE += ("real_photographs",)
+ELSEWHERE += ("real_photographs", "touch_curve")
 RECOGNITION = {
     "keys": ["blue_vase", "scan"],
     "objects": 2,
