@@ -3,7 +3,7 @@
 import numpy as np
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.touch.gel import Layer, precondition, respond
+from objectfolder.touch.gel import Layer, precondition, respond, within_reach
 
 ACCURACY = 1e-10  #: of a displacement, relative to the greatest
 _MOST = 1000  # iterations; typically a hundred
@@ -78,7 +78,7 @@ def settle(
     ObjectFolderError
         If the set of touching pixels does not settle.
     """
-    reachable = height > min(height.min(), 0)
+    reachable = within_reach(height, layer.thickness)
     active = pressure > 0
     slack = ACCURACY * max(height.max(), 0)
     for _ in range(_ROUNDS):

@@ -7,8 +7,7 @@ import numpy as np
 import torch
 
 from objectfolder.touch.camera import gel_depth, ray_directions
-from objectfolder.touch.contact import GAP
-from objectfolder.touch.gel import deform
+from objectfolder.touch.gel import GAP, deform
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile
 from objectfolder.touch.shading import Vectors

@@ -10,6 +10,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.touch.arrays import Array, array_library
 from objectfolder.touch.camera import gel_depth, ray_directions
+from objectfolder.touch.gel import GAP
 from objectfolder.touch.profiles import SensorProfile
 
 #: Up direction of the image at angle 0. It is perpendicular to no face of a usual object.
@@ -17,10 +18,6 @@ UP = np.array([1.0, 2.0, 4.0]) / np.sqrt(21.0)
 
 #: Radius of `contact_normals` in the unit frame: two voxels of a 192^3 distance grid, inside its narrow band.
 NORMAL_RADIUS = 0.01
-
-#: Largest gap between gel and object that heightmaps resolve, as a fraction of the elastomer's thickness;
-#: a soft gel bulges into gaps beside a contact.
-GAP = 0.15
 
 # A contact is free if material past the base reaches less far than this, as a fraction of the thickness; a
 # retreat along the normal turns perspective rays a little.

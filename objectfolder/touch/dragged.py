@@ -6,7 +6,7 @@ import numpy as np
 import scipy  # scipy.ndimage loads at first use
 
 from objectfolder.touch.camera import gel_depth
-from objectfolder.touch.gel import deform, double, halve
+from objectfolder.touch.gel import GAP, deform, double, halve, within_reach
 from objectfolder.touch.profiles import SensorProfile
 from objectfolder.touch.tangential import FINEST
 
@@ -55,19 +55,23 @@ def dragged_contacts(
         Pa. Bits of a row do not depend on others.
     """
     (sag, axes), deepest = _rest(profile), np.float32(profile.max_indentation)
+    thickness = profile.elastomer_thickness
     moved, seen, pressed = (np.empty(height.shape, np.float32) for _ in range(3))
     for i, before in enumerate(height):
         shift, step = _pixels(dragged[i], profile), _pixels(shear[i], profile)
-        moved[i] = _met(before, sag, _centred(_turned_back(axes - step, twist[i])), deepest)
+        moved[i] = _met(before, sag, _centred(_turned_back(axes - step, twist[i])), deepest, thickness)
         there = _centred(_turned_back(axes + shift - step, twist[i]))
-        at_points = deform(_met(before, sag, there, deepest)[None], profile, pressure[i : i + 1])
+        met = _met(before, sag, there, deepest, thickness)
+        at_points = deform(met[None], profile, pressure[i : i + 1])
         source = _centred(axes - _carried(shift))
         seen[i] = np.minimum(_at(at_points[0][0] - sag, source) + sag, deepest)
         pressed[i] = _nearest(at_points[1][0], source)
     return moved, seen, pressed
 
 
-def _met(height: np.ndarray, sag: np.ndarray, places: np.ndarray, deepest: np.float32) -> np.ndarray:
+def _met(
+    height: np.ndarray, sag: np.ndarray, places: np.ndarray, deepest: np.float32, thickness: float
+) -> np.ndarray:
     """Return the object's height over the gel's points when they meet what was at other places.
 
     Parameters
@@ -78,11 +82,13 @@ def _met(height: np.ndarray, sag: np.ndarray, places: np.ndarray, deepest: np.fl
         Pixel coordinates.
     deepest : float
         Height to which deeper ones are clipped, metres; nearer to a dome's apex, the object reaches further.
+    thickness : float
+        Of the elastomer, metres.
     """
     met = np.minimum(_at(height - sag, places) + sag, deepest)
     # The lowest height stands for any wider gap; see `gel.indent`.
-    lowest = min(height.min(), 0)
-    met[(_nearest(height, places) <= lowest) | (met < lowest)] = lowest
+    lowest = np.float32(-GAP * thickness)
+    met[~within_reach(_nearest(height, places), thickness) | (met < lowest)] = lowest
     return met
 
 

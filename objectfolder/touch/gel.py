@@ -9,6 +9,10 @@ import scipy  # scipy.fft loads at first use: views and sounds start without it
 from objectfolder.errors import ObjectFolderError
 from objectfolder.touch.profiles import SensorProfile
 
+#: Largest gap between gel and object that heightmaps resolve, as a fraction of the elastomer's thickness;
+#: a soft gel bulges into gaps beside a contact.
+GAP = 0.15
+
 #: The Fourier transform makes the contact periodic; the copies are this many thicknesses apart.
 SPACING = 2.5
 
@@ -118,7 +122,7 @@ def indent(
     Parameters
     ----------
     height : (H, W) float32 array, metres
-        Pixels of the lowest value never touch, however far the layer bulges.
+        A gap of `GAP` thicknesses stands for any wider one, and is never closed.
     pitch : float
         Metres between pixels.
     layer : Layer
@@ -130,11 +134,23 @@ def indent(
     displacement : (H, W) float32, metres
     pressure : (H, W) float32, Pa
     """
-    reachable = height > min(height.min(), 0)
+    reachable = within_reach(height, layer.thickness)
     pressure, displacement = _solve(height, reachable, pitch, layer, start)
     # Remove the gaps and overlaps that the tolerance leaves.
     touching = ((pressure > 0) | (displacement < height)) & reachable
     return np.where(touching, height, displacement), pressure
+
+
+def within_reach(height: np.ndarray, thickness: float) -> np.ndarray:
+    """Return where the object is within `GAP` of the gel; (H, W) bool.
+
+    Parameters
+    ----------
+    height : (H, W) array, metres
+    thickness : float
+        Of the layer, metres.
+    """
+    return height > -GAP * thickness * (1 - 1e-6)  # a float32 may be rounded
 
 
 def _solve(

@@ -8,7 +8,8 @@ from touch_solids import caster, slab
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.touch.camera import gel_depth, ray_directions
-from objectfolder.touch.contact import GAP, UP, contact_normals, heightmaps, probe_directions, sensor_frames
+from objectfolder.touch.contact import UP, contact_normals, heightmaps, probe_directions, sensor_frames
+from objectfolder.touch.gel import GAP
 
 MM = 1e-3
 

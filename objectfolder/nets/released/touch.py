@@ -18,7 +18,7 @@ from objectfolder.nets.released.network import (
     stored_tensors,
 )
 from objectfolder.touch.camera import ray_directions
-from objectfolder.touch.contact import GAP
+from objectfolder.touch.gel import GAP
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile
 from objectfolder.touch.simulate import Touches, contacts_of

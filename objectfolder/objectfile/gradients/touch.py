@@ -17,13 +17,13 @@ from objectfolder.objectfile.surface import TOLERANCE
 from objectfolder.objectfile.touch import ContactPoses, GeometricSense
 from objectfolder.touch.camera import gel_depth, pixel_area, ray_directions
 from objectfolder.touch.contact import (
-    GAP,
     NORMAL_RADIUS,
     contact_normals,
     leaned_normals,
     seated_heightmaps,
     sensor_frames,
 )
+from objectfolder.touch.gel import GAP
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile, load_profile
 
