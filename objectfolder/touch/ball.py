@@ -6,11 +6,14 @@ from functools import cached_property
 import numpy as np
 import torch
 
+from objectfolder.recent import Recent
 from objectfolder.touch.camera import gel_depth, ray_directions
 from objectfolder.touch.gel import GAP, deform
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile
 from objectfolder.touch.shading import Vectors
+
+_KEPT = 256  # displacements: a fit asks for those of all pictures, and changes one pose at a time
 
 
 class BallModel:
@@ -29,8 +32,7 @@ class BallModel:
         self.profile, self.radius = profile, radius
         self.colors = sorted({light.color for light in profile.lights}, reverse=True)
         self._rays, self._gel = ray_directions(profile), gel_depth(profile)
-        self._optics: dict[bytes, Optics] = {}
-        self._displacements: dict[bytes, torch.Tensor] = {}
+        self._optics, self._displacements = Recent[Optics](1), Recent[torch.Tensor](_KEPT)
 
     @cached_property
     def optics(self) -> Optics:
@@ -65,12 +67,12 @@ class BallModel:
 
     def displacement(self, pose: np.ndarray) -> torch.Tensor:
         """Return the displacement of the gel under the ball; (1, H, W)."""
-        key = pose.tobytes()
-        if key not in self._displacements:
-            self._displacements[key] = torch.from_numpy(
-                deform(self.height(pose)[None].astype(np.float32), self.profile)[0]
-            )
-        return self._displacements[key]
+        return self._displacements.of(
+            pose.tobytes(),
+            lambda: torch.from_numpy(
+                deform(self.height(pose)[None].astype(np.float32), self.profile)[0],
+            ),
+        )
 
     def height(self, pose: np.ndarray) -> np.ndarray:
         """Return the heights of the ball past the gel along the pixel rays; (H, W), metres."""
@@ -99,7 +101,5 @@ class BallModel:
 
     def change(self, logarithms: np.ndarray, pose: np.ndarray) -> np.ndarray:
         """Return the change in grey levels that the ball causes; (H, W, 3) float32."""
-        key = logarithms.tobytes()
-        if key not in self._optics:
-            self._optics = {key: Optics(self.lit(logarithms))}
-        return self._optics[key].change(self.displacement(pose))[0].permute(1, 2, 0).numpy()
+        optics = self._optics.of(logarithms.tobytes(), lambda: Optics(self.lit(logarithms)))
+        return optics.change(self.displacement(pose))[0].permute(1, 2, 0).numpy()

@@ -44,6 +44,8 @@ _MAX_ROUNDS = 30
 
 _ALTERNATIONS = 4  # of lights and poses
 
+LARGEST_BALL = 0.05  #: m, radius: more is given in millimetres
+
 _MIN_PIXELS = 50  # of an imprint whose lights are fitted; as of the smallest that `find_imprint` accepts
 
 
@@ -195,8 +197,11 @@ def fit_sensor_lights(
 
 
 def _check_radius(radius: float) -> None:
-    if not (np.isfinite(radius) and radius > 0):
-        raise ObjectFolderError(f"the ball's radius is {radius:g} m, expected a positive length in metres")
+    if not (np.isfinite(radius) and 0 < radius <= LARGEST_BALL):
+        hint = f"; did you mean {radius / 1000:g}, in metres?" if LARGEST_BALL < radius < 1000 else ""
+        raise ObjectFolderError(
+            f"the ball's radius is {radius:g} m, expected a positive length up to {LARGEST_BALL:g} m{hint}"
+        )
 
 
 def _solve(

@@ -17,7 +17,7 @@ from objectfolder.touch.profiles import SensorProfile
 BINS = 120  #: of slope and of its direction, as NVIDIA's Isaac Lab reads them
 
 _ARRAYS = ("f0", "imgs", "touch_center", "touch_radius")
-_SAMPLES = 10  # pixels along the shorter side at which the table's polynomials are fitted
+_SAMPLES = 10  # at least; pixels along the shorter side at which the table's polynomials are fitted
 _STEEPEST = np.radians(85)
 
 
@@ -65,6 +65,12 @@ def read_pack(path: str | Path, profile: SensorProfile) -> Pack:
             f"{centres.shape}, touch_radius {radii.shape} do not fit; expected (H, W, 3), (K, H, W, 3), "
             "(K, 2), (K,) with K at least 1"
         )
+    for name, values in (("f0", untouched), ("imgs", pictures)):
+        if values.dtype.kind not in "uif" or not (values.min() >= 0 and 1 < values.max() <= 255):
+            raise ObjectFolderError(
+                f"{path}: {name} has values of type {values.dtype} from {values.min()} to {values.max()}; "
+                "expected grey levels from 0 to 255"
+            )
     factor = profile.height / untouched.shape[0]
     where = f"calibration pack {path} for sensor {profile.name!r}"
     resized = [scaled(Image.fromarray(image.astype(np.uint8)), profile, where) for image in pictures]
@@ -146,7 +152,13 @@ def export_taxim(profile: SensorProfile, folder: str | Path, isaac: bool = False
 
 def _coarse(profile: SensorProfile) -> SensorProfile:
     """Return the profile with the same view in few pixels, without its background."""
-    factor = _SAMPLES / min(profile.height, profile.width)
+    shorter, longer = sorted((profile.height, profile.width))
+    # The number of pixels whose ratio to the rounded longer side is the nearest: an exact one if there is any.
+    pixels = min(
+        range(_SAMPLES, 3 * _SAMPLES),
+        key=lambda n: abs(round(n * longer / shorter) * shorter - n * longer) / n,
+    )
+    factor = pixels / shorter
     height, width = (max(2, round(n * factor)) for n in (profile.height, profile.width))
     return replace(
         profile,

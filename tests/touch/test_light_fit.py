@@ -14,7 +14,7 @@ from objectfolder.touch.calibration import fit_sensor_lights
 from objectfolder.touch.imprint import overflowed
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import RESIDUAL_TERMS, Light, load_profile
-from objectfolder.touch.taxim import BINS, color_table, export_taxim, read_pack
+from objectfolder.touch.taxim import BINS, _coarse, color_table, export_taxim, read_pack
 
 RADIUS = 0.003  # m
 POSES = np.array([[30, 30, 5e-4], [28, 52, 6e-4], [52, 28, 4.5e-4], [50, 52, 5e-4]])
@@ -173,6 +173,15 @@ def test_pack_with_arrays_that_do_not_fit_is_refused(tmp_path, profile, pictures
         read_pack(pack(tmp_path / "a.npz", pictures, **changes), profile)
 
 
+@pytest.mark.parametrize("scale", [1 / 255, 2.0, -1.0])
+def test_pack_whose_values_are_no_grey_levels_is_refused(tmp_path, profile, pictures, scale):
+    path = pack(tmp_path / "a.npz", pictures, imgs=pictures[0] * scale)
+    with pytest.raises(
+        ObjectFolderError, match=r"imgs has values of type float64 from .*; expected grey levels"
+    ):
+        read_pack(path, profile)
+
+
 def test_other_files_are_no_packs(tmp_path, profile):
     with pytest.raises(ObjectFolderError, match="does not exist"):
         read_pack(tmp_path / "a.npz", profile)
@@ -266,6 +275,16 @@ def test_exported_files_are_what_taxim_and_isaac_lab_read(tmp_path):
 
 def test_flat_gel_keeps_its_colour_in_the_table(real):
     assert not color_table(real, 8)[:, 0].any()
+
+
+@pytest.mark.parametrize("size", [(160, 120), (240, 320), (154, 110)])
+def test_the_table_is_of_the_view_of_the_sensor(digit, size):
+    sensor = replace(digit, height=size[0], width=size[1])
+    coarse = _coarse(sensor)
+    assert min(coarse.height, coarse.width) < 30
+    assert coarse.width / coarse.height == pytest.approx(size[1] / size[0], rel=0.003)
+    if 160 in size or 320 in size:
+        assert coarse.half_extent == sensor.half_extent
 
 
 @pytest.mark.parametrize("options", [[], ["--taxim", "a", "--isaac-lab", "b"]])

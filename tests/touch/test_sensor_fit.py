@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_json
+from objectfolder.touch.ball import _KEPT, BallModel
 from objectfolder.touch.calibration import fit_sensor, fit_sensor_lights
 from objectfolder.touch.camera import gel_depth, ray_directions
 from objectfolder.touch.imprint import find_imprint
@@ -141,6 +142,21 @@ def test_one_place_does_not_determine_the_background(rigid, pictures):
 def test_impossible_radius_is_refused(rigid, pictures, untouched, radius):
     with pytest.raises(ObjectFolderError, match="radius is"):
         fit_sensor(pictures, radius, rigid, untouched)
+
+
+def test_a_radius_in_millimetres_is_refused(rigid, pictures, untouched):
+    with pytest.raises(ObjectFolderError, match=r"radius is 4 m, .* did you mean 0\.004, in metres"):
+        fit_sensor(pictures, 4.0, rigid, untouched)
+
+
+def test_a_model_keeps_the_gel_under_the_last_poses_alone(rigid):
+    model, poses = BallModel(rigid, RADIUS), np.linspace([20, 20, 5e-4], [60, 60, 5e-4], _KEPT + 1)
+    first = model.displacement(poses[0])
+    assert model.displacement(poses[0]) is first
+    for pose in poses[1:]:
+        last = model.displacement(pose)
+    assert model.displacement(poses[-1]) is last
+    assert model.displacement(poses[0]) is not first
 
 
 def test_wrong_number_of_circles_is_refused(rigid, pictures):
