@@ -256,7 +256,8 @@ def main() -> None:
     record: dict[str, Any] = {"preset": PRESET, "scored": scored, "rows": rows}
     if arguments.trained_on:
         record["trained_on"] = arguments.trained_on
-    record |= {"paper_steps": PAPER_STEPS, "speed": speed(), "workspace_commit": workspace.commit()}
+    record |= {"rays": batch["vision"], "paper_steps": PAPER_STEPS}
+    record |= {"speed": speed(), "workspace_commit": workspace.commit()}
     record["vision_step"] = {key: step_seconds(workspace, key, values) for key in objects["paper"]}
     write_record(arguments.json, record, "mean of the paper's nets: 39.8, 53.6 and 29.4 dB", missed)
     raise SystemExit(bool(missed))

@@ -153,7 +153,7 @@ def export_taxim(profile: SensorProfile, folder: str | Path, isaac: bool = False
 def _coarse(profile: SensorProfile) -> SensorProfile:
     """Return the profile with the same view in few pixels, without its background."""
     shorter, longer = sorted((profile.height, profile.width))
-    # The number of pixels whose ratio to the rounded longer side is the nearest: an exact one if there is any.
+    # The number whose ratio to the rounded longer side is the nearest: an exact one if there is any.
     pixels = min(
         range(_SAMPLES, 3 * _SAMPLES),
         key=lambda n: abs(round(n * longer / shorter) * shorter - n * longer) / n,
