@@ -43,7 +43,8 @@ class Needs:
 
 #: Keys: stage, or stage and its net or renderer (``train_vision/osf``). Memory is above the largest peaks in
 #: docs/results.md. One core each, because outputs must not depend on the number of threads. Timeouts are an
-#: order of magnitude above the longest run; the paper's nets train for days and have none.
+#: order of magnitude above the longest run. The paper's nets train for days, and a CPU answers with its
+#: VisionNet for as long: these have none.
 NEEDS = {
     "generate": Needs(2, memory_mb=500),
     "normalize": Needs(1, memory_mb=2000),
@@ -61,7 +62,9 @@ NEEDS = {
     "train_touch/image": Needs(100000, gpus=1.0, memory_mb=8000, timeout=None),
     "pack": Needs(memory_mb=500),
     "evaluate": Needs(9, memory_mb=2000, timeout=3 * HOUR),
+    "evaluate/osf": Needs(100000, gpus=1.0, memory_mb=8000, timeout=None),
     "observe": Needs(5, memory_mb=1500, timeout=3 * HOUR),
+    "observe/osf": Needs(100000, gpus=1.0, memory_mb=8000, timeout=None),
     "recognize": Needs(1200, gpus=1.0, memory_mb=4000, timeout=None),
     "retrieve": Needs(1200, gpus=1.0, memory_mb=4000, timeout=None),
     "reconstruct": Needs(1200, gpus=1.0, memory_mb=4000, timeout=None),
@@ -72,9 +75,12 @@ NEEDS = {
     "reach": Needs(300, memory_mb=2000, timeout=None),
 }
 
+#: Stages that query the net of another stage.
+_NET_OF = {"evaluate": "train_vision", "observe": "train_vision"}
+
 
 def needs_of(address: str, params: Mapping[str, Any]) -> Needs:
-    """Return the needs of a stage, by its name and by its net or renderer in the parameters.
+    """Return the needs of a stage, by its name and by the net or renderer in the parameters that it uses.
 
     Parameters
     ----------
@@ -84,7 +90,7 @@ def needs_of(address: str, params: Mapping[str, Any]) -> Needs:
         Contents of ``params.yaml``.
     """
     stage = address.partition("@")[0]
-    section = params.get(stage)
+    section = params.get(_NET_OF.get(stage, stage))
     section = section if isinstance(section, Mapping) else {}
     choice = section.get("net", section.get("renderer"))
     return NEEDS.get(f"{stage}/{choice}", NEEDS.get(stage, Needs()))

@@ -113,6 +113,10 @@ def test_needs_come_from_the_stage_and_its_net_or_renderer():
     assert needs_of("train_vision@mug", params) == NEEDS["train_vision/osf"]
     assert needs_of("render_views@mug", params) == NEEDS["render_views/mitsuba-cuda"]
     assert needs_of("train_vision@mug", {"train_vision": {"net": "surface"}}) == NEEDS["train_vision"]
+    for stage in ("evaluate", "observe"):  # which query the net that another stage trained
+        needs = needs_of(f"{stage}@mug", params | {stage: {}})
+        assert (needs.gpus, needs.timeout) == (1.0, None)
+        assert needs_of(f"{stage}@mug", {"train_vision": {"net": "surface"}}) == NEEDS[stage]
     assert needs_of("modal@mug", params) == NEEDS["modal"]
     assert needs_of("modal", {}) == NEEDS["modal"]
     assert needs_of("unheard_of@mug", params) == Needs()
