@@ -93,6 +93,13 @@ def test_git_takes_everything_but_what_is_built(made):
     assert not [name for name in listed if name.startswith(("build/", "data/objects/mug/", ".dvc/tmp"))]
 
 
+def test_its_workflow_needs_no_remote(made):
+    workflow = YAML(typ="safe").load((made / ".github/workflows/objects.yml").read_text())
+    commands = [step.get("run", "") for step in workflow["jobs"]["build"]["steps"]]
+    assert "objectfolder build" in commands
+    assert not {"objectfolder build --pull", "git diff --exit-code dvc.lock"} & {*commands}
+
+
 def test_each_dependency_on_the_package_is_one_on_its_digest(made):
     ours, theirs = graph(made), graph(ROOT)
     assert ours.pop("hash_code")["deps"] == [RECORD, "sensors", "stages"]
