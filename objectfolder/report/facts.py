@@ -149,7 +149,7 @@ def _seen(file: ObjectFile) -> bool:
 
 def _build_of(file: ObjectFile, path: Path) -> Build | None:
     """Return the build that wrote a file, if it lies in one."""
-    parents = path.resolve().parents
+    parents = path.absolute().parents  # with cache.type symlink, the file itself lies in the cache
     if len(parents) < 3:
         return None
     build = Build(file.key, parents[2])

@@ -303,6 +303,19 @@ def test_truth_of_another_file_is_left_out(workspace, moved_on, scored):
     assert all("score" not in touch for touch in detail["touches"])
 
 
+@pytest.mark.usefixtures("bare")
+def test_a_link_into_the_cache_is_of_its_workspace(workspace, tmp_path):
+    root = tmp_path / "workspace"
+    shutil.copytree(workspace.root, root)
+    build, cached = Build("brick", root), root / ".dvc/cache/files/md5/ab/cdef"
+    cached.parent.mkdir(parents=True)
+    build.object_file.rename(cached)
+    build.object_file.symlink_to(cached)
+    report = object_report(build.object_file)
+    assert report.row["scores"]["vision.psnr"] == 40.0
+    assert len(report.detail["costs"]) == 2
+
+
 def test_report_reports_on_a_workspace(workspace, tmp_path, monkeypatch, capsys):
     root = tmp_path / "workspace"
     shutil.copytree(workspace.root, root)
