@@ -107,7 +107,11 @@ def free_memory() -> int:
     """Return the bytes that can be taken now, in a container at most what its limit leaves."""
     free = int(psutil.virtual_memory().available)
     limit, used = _limit("memory.max"), _limit("memory.current")
-    return min(free, max(0, int(limit) - int(used))) if limit.isdigit() and used.isdigit() else free
+    if not (limit.isdigit() and used.isdigit()):
+        return free
+    # Pages of files that nobody has used lately count as used, but the system takes them back.
+    lines = dict(line.split() for line in _limit("memory.stat").splitlines())
+    return min(free, max(0, int(limit) - int(used) + int(lines.get("inactive_file", 0))))
 
 
 def _limit(name: str) -> str:
@@ -148,7 +152,7 @@ class Machine:
             memory_mb = free_memory() / 2**20 * MEMORY_SHARE
         self.cores = cpus
         self._cpus = cpus
-        self._memory_mb = int(memory_mb)
+        self._memory_mb = max(1, int(memory_mb))  # with none at all, needs would be capped to none
         self._gpus = dict.fromkeys(machine_gpus() if gpus is None else gpus, 1.0)  # free share of each
         self._limits = Needs(cpus=self._cpus, gpus=len(self._gpus), memory_mb=self._memory_mb)
         self._taken: dict[str, tuple[Needs, list[str]]] = {}

@@ -100,6 +100,20 @@ def test_a_containers_limits_count(monkeypatch, tmp_path, cpu, limit, most, free
         assert free_memory() > 2**20
 
 
+def test_pages_that_the_system_takes_back_are_free(monkeypatch, tmp_path):
+    files = {"memory.max": "3000000000", "memory.current": "2500000000"}
+    for name, text in (files | {"memory.stat": "anon 1\ninactive_file 400000000"}).items():
+        (tmp_path / name).write_text(f"{text}\n")
+    monkeypatch.setattr("objectfolder.engine.resources._CGROUP", tmp_path)
+    assert free_memory() == 900_000_000
+
+
+def test_without_free_memory_stages_run_one_by_one():
+    accounts = machine(memory_mb=0)
+    accounts.take("a", Needs())
+    assert accounts.room(Needs()) == "memory"
+
+
 def test_gpus_are_counted_as_cuda_does_not_named_as_on_the_host(monkeypatch, tmp_path):
     for name in ("nvidia3", "nvidia7", "nvidiactl", "nvidia-uvm"):
         (tmp_path / name).touch()
