@@ -137,6 +137,11 @@ def test_needs_come_from_the_stage_and_its_net_or_renderer():
     assert cores() >= 1
 
 
+def test_memory_is_above_the_peaks_of_preset_standard():
+    for stage, peak in (("modal", 7124), ("radiation", 1874), ("pack", 549)):  # MB, measured
+        assert NEEDS[stage].memory_mb > peak
+
+
 def spans(workspace):
     """Start and end of every command, by address."""
     calls = {(call[0], call[1]): float(call[2]) for call in workspace.calls()}
