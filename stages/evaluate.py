@@ -17,7 +17,7 @@ from objectfolder.objectfile.evaluation import (
     strike_sounds,
     view_answers,
 )
-from objectfolder.objectfile.file import ObjectFile
+from objectfolder.objectfile.placed import load_placed
 from objectfolder.seeding import numpy_generator
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.params import stage_params
@@ -31,7 +31,7 @@ def main(key: str) -> None:
     params = stage_params(EvaluateConfig, key)
     build = Build(key)
     rng = numpy_generator(params.seed, key, "evaluate")
-    file = ObjectFile.load(build.object_file)
+    file = load_placed(build.object_file)
     views = read_npz(build.views("test"), "rgba", "camera_to_world", "light", "focal", "center", "noise")
     modes = read_npz(build.modes, "points", "split", "shapes", "damped_frequency", "damping")
     contacts = read_npz(

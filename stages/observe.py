@@ -1,7 +1,7 @@
 """observe: ObjectFile.safetensors -> benchmarks/observations/<object>: random views, impacts and touches."""
 
 from objectfolder.benchmarks.datasets.sampling import ObserveConfig, sample_observations
-from objectfolder.objectfile.file import ObjectFile
+from objectfolder.objectfile.placed import load_placed
 from objectfolder.workspace.layout import Benchmarks, Build
 from objectfolder.workspace.params import stage_params
 from stages import run
@@ -9,7 +9,7 @@ from stages import run
 
 def main(key: str) -> None:
     params = stage_params(ObserveConfig, key)
-    file = ObjectFile.load(Build(key).object_file)
+    file = load_placed(Build(key).object_file)
     folder = Benchmarks().observations(key)
     sample_observations(file, params.settings.observations, params.settings.resolution, params.seed, folder)
 

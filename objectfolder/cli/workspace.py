@@ -64,7 +64,9 @@ def build(
     dry_run: Annotated[
         bool,
         typer.Option(
-            "--dry-run", help="Show which stages would run or be restored, and why; change nothing."
+            "--dry-run",
+            help="Show which stages would run or be restored, and why; change nothing. Of the other options, "
+            "it heeds --wait alone; it refuses --force and --pull.",
         ),
     ] = False,
 ) -> None:
@@ -97,7 +99,7 @@ def build(
 
         if force or pull:
             raise ObjectFolderError("--dry-run cannot be combined with --force or --pull")
-        print_outlook(status(targets or ()), console)
+        print_outlook(status(targets or (), wait=wait), console)
         return
     check_writable(Path("build"))
     with Progress() as progress:

@@ -64,7 +64,7 @@ class StageStatus(Addressed):
     log: str = ""
 
 
-def status(targets: Sequence[str] = (), root: str | Path = ".") -> list[StageStatus]:
+def status(targets: Sequence[str] = (), root: str | Path = ".", wait: bool = False) -> list[StageStatus]:
     """Examine targets and everything upstream of them, in topological order; read-only.
 
     Parameters
@@ -73,6 +73,8 @@ def status(targets: Sequence[str] = (), root: str | Path = ".") -> list[StageSta
         As for `objectfolder.engine.build.build`.
     root : Path
         Workspace, the directory that holds ``dvc.yaml``.
+    wait : bool
+        If another process uses the workspace, wait until it ends; otherwise refuse.
 
     Raises
     ------
@@ -80,7 +82,7 @@ def status(targets: Sequence[str] = (), root: str | Path = ".") -> list[StageSta
         If the workspace is busy or cannot be read, or is of another version of the package, or a target is
         unknown.
     """
-    with open_repository(root) as repository:
+    with open_repository(root, wait) as repository:
         check_installed(repository.root)
         graph = stage_graph(repository, targets)
         tracker = ChangeTracker(graph, repository.root)

@@ -23,6 +23,8 @@ from objectfolder.vision.view import Shader, draw
 _CHUNK = 2**17  # points whose base colours are evaluated at once
 _BYTES_DRAWING = 64  # per pixel of the image that is being drawn
 
+#: Kinds of the paper's VisionNet.
+OSF_KINDS = ("osf", "osf_hull")
 #: (N, 3) points near the surface, unit frame -> base colours (N, 3), sRGB uint8.
 BaseColors = Callable[[np.ndarray], np.ndarray]
 
@@ -42,7 +44,7 @@ def vision_sense(stored: StoredNet) -> VisionSense:
     """Load a vision net. The code of a kind is imported when a file holds it."""
     if stored.kind == "surface":
         return SurfaceSense(stored)
-    if stored.kind in ("osf", "osf_hull"):
+    if stored.kind in OSF_KINDS:
         from objectfolder.nets.vision_osf import OsfNet
 
         return VolumeSense(stored.load(OsfNet).picture, stored.key)

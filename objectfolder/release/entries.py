@@ -50,8 +50,8 @@ def entry_of(
     Raises
     ------
     ObjectFolderError
-        If the object is not built, its scores are of another build, or its licence is not known or not the
-        one that its SOURCE.txt states.
+        If the object is not built, its scores are of another build, its mesh is not there and so no
+        SOURCE.txt, or its licence is not known or not the one that its SOURCE.txt states.
     """
     build = Build(key, root)
     if not build.object_file.is_file():
@@ -122,6 +122,11 @@ def _mesh(key: str, values: Mapping[str, Any], root: Path) -> Path:
 
 def _origin(key: str, values: Mapping[str, Any], licences: Mapping[str, str], root: Path) -> tuple[str, str]:
     mesh = _mesh(key, values, root)
+    if key not in values["procedural"] and not mesh.is_file():
+        raise ObjectFolderError(
+            f"{key}: its mesh {mesh} is not here, so that no {SOURCE} beside it can state a licence; run "
+            f"`dvc pull data/objects/{key}.dvc`"
+        )
     notice = read_notice(mesh)
     given, stated = licences.get(key), notice.licence if notice else ""
     if given and stated and licence_name(given) != licence_name(stated):

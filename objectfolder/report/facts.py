@@ -103,8 +103,10 @@ def object_report(path: Path, costs: bool = True) -> ObjectReport:
     if metrics and metrics.get("file_sha256") != file_digest(path):
         metrics = None
         warnings.append(
-            f"its scores are of another Object File and left out: run `objectfolder build {file.key}`"
+            "its scores and truth are of another Object File and left out: run "
+            f"`objectfolder build {file.key}`"
         )
+    truth = build if metrics else None
     if modal and (text := uncertainty_warning(modal, allow=True, name=file.key)):
         warnings.append(text)
     frequencies = file.frequencies if "audio" in file.header else np.zeros(0)
@@ -129,9 +131,9 @@ def object_report(path: Path, costs: bool = True) -> ObjectReport:
         "key": file.key,
         "checks": checks,
         "modes": _modes(file, modal),
-        "views": _views(file, build, metrics),
-        "sounds": _sounds(file, build),
-        "touches": _touches(file, build),
+        "views": _views(file, truth, metrics),
+        "sounds": _sounds(file, truth),
+        "touches": _touches(file, truth),
         "provenance": _provenance(file, path),
         "costs": _costs(build) if costs else [],
         "file": base64.b64encode(path.read_bytes()).decode(),
@@ -147,7 +149,7 @@ def _seen(file: ObjectFile) -> bool:
 
 def _build_of(file: ObjectFile, path: Path) -> Build | None:
     """Return the build that wrote a file, if it lies in one."""
-    parents = path.resolve().parents
+    parents = path.absolute().parents  # with cache.type symlink, the file itself lies in the cache
     if len(parents) < 3:
         return None
     build = Build(file.key, parents[2])
@@ -205,6 +207,7 @@ def _sounds(file: ObjectFile, build: Build | None) -> list[dict[str, Any]]:
     modes = None
     if build is not None and build.modes.is_file():
         modes = read_npz(build.modes, "points", "split", "shapes", "damped_frequency", "damping")
+        modes = modes if _holds(file, modes["damped_frequency"]) else None
     if modes is not None and (modes["split"] == 2).any():
         strikes = Strikes.random(np.flatnonzero(modes["split"] == 2), STRIKES, rng)
         truths, answers = strike_sounds(file, modes, strikes)
@@ -228,18 +231,25 @@ def _sounds(file: ObjectFile, build: Build | None) -> list[dict[str, Any]]:
     return sounds
 
 
+def _holds(file: ObjectFile, damped: np.ndarray) -> bool:
+    """Whether a file stores these damped frequencies, 1/s, or none: the build may have others by now."""
+    if not file.has_modes:
+        return True
+    stored = file.tuning().damped_frequency.double().numpy()
+    return stored.shape == damped.shape and bool(np.allclose(stored, damped, rtol=1e-3))
+
+
 def _touches(file: ObjectFile, build: Build | None) -> list[dict[str, Any]]:
     if "touch" not in file.header or "geometry" not in file.header:
         return []
     if build is None or not build.touch("test").is_file():
-        if file.fixed_contact is not None:
-            return []
-        depth = float(np.clip(DEPTH, *file.press_range()))
-        images = file.touch(file.sample_surface(TOUCHES, seed=0), depth)
-        return [{"title": f"{depth * 1e3:.2g} mm", "source": picture_uri(image)} for image in images]
+        return _touches_alone(file)
     data = read_npz(build.touch("test"), "images", "points", "depths", "angles", "obstructed")
     rows = np.unique(np.linspace(0, len(data["images"]) - 1, TOUCHES).round().astype(int))
     answers = file.touch(data["points"][rows], data["depths"][rows], data["angles"][rows]) / 255.0
+    truths = data["images"][rows] / 255.0
+    if truths.shape != answers.shape:  # of another sensor, since the file was written
+        return _touches_alone(file)
     return [
         {
             "title": f"{depth * 1e3:.2g} mm{', obstructed' if obstructed else ''}",
@@ -247,9 +257,18 @@ def _touches(file: ObjectFile, build: Build | None) -> list[dict[str, Any]]:
             "source": picture_uri(beside(truth, answer)),
         }
         for answer, truth, depth, obstructed in zip(
-            answers, data["images"][rows] / 255.0, data["depths"][rows], data["obstructed"][rows]
+            answers, truths, data["depths"][rows], data["obstructed"][rows]
         )
     ]
+
+
+def _touches_alone(file: ObjectFile) -> list[dict[str, Any]]:
+    """Return touches without a truth; none of a net that knows one press alone."""
+    if file.fixed_contact is not None:
+        return []
+    depth = float(np.clip(DEPTH, *file.press_range()))
+    images = file.touch(file.sample_surface(TOUCHES, seed=0), depth)
+    return [{"title": f"{depth * 1e3:.2g} mm", "source": picture_uri(image)} for image in images]
 
 
 def _provenance(file: ObjectFile, path: Path) -> dict[str, str]:

@@ -71,7 +71,7 @@ def write_site(
             taken.add(known)
     keys = []
     for path, known in zip(paths, found):
-        guess = path.resolve().parent.name if path.stem == "ObjectFile" else path.stem
+        guess = path.absolute().parent.name if path.stem == "ObjectFile" else path.stem
         keys.append(known or (guess if guess not in taken else str(path)))
         taken.add(keys[-1])
     rows = [missing_object(key, entry) for key, entry in (missing or {}).items()]

@@ -65,6 +65,21 @@ def check_entries(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> Non
         If an object, a procedural object, a shared value or a choice of benchmarks is wrong or missing, a
         section is missing, or a name at the top is unknown.
     """
+    check_own(values, path)
+    for name in SECTIONS:
+        require_section(name, values, path)
+    shared(values, path)
+
+
+def check_own(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
+    """Validate what no preset holds: names at the top, objects, and the choice of benchmarks.
+
+    Raises
+    ------
+    ObjectFolderError
+        If an object, a procedural object or a choice of benchmarks is wrong or missing, or a name at the top
+        is unknown.
+    """
     known = ("objects", "procedural", "benchmarks", *Shared.model_fields, *SECTIONS)
     for name in values:
         if name not in known:
@@ -82,9 +97,6 @@ def check_entries(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> Non
             )
     for key, entry in values["procedural"].items():
         checked(ProceduralEntry, entry, f"{path}: procedural.{key}")
-    for name in SECTIONS:
-        require_section(name, values, path)
-    shared(values, path)
     _check_selection(values, path)
 
 

@@ -19,11 +19,9 @@ from objectfolder.workspace.installed import (
     changed_files,
     is_recorded,
     package_digests,
-    pipeline_files,
     read_record,
 )
 from objectfolder.workspace.params import PARAMS_FILE, ObjectEntry
-from objectfolder.yamlfile import read_yaml
 
 #: What a folder may hold before: what a new repository on a server begins with.
 ALLOWED = {".git", "LICENSE", "README.md"}
@@ -137,7 +135,7 @@ def upgrade_workspace(root: Path) -> Upgrade:
         )
     old, texts, changed = read_record(root), template.tool_files(), changed_files(root)
     document, values = editable(root / PARAMS_FILE)
-    defaults = read_yaml(pipeline_files()[PARAMS_FILE])
+    defaults = template.first_values()
     _add_settings(values, defaults)
     check_all(values, root / PARAMS_FILE)
     written: list[str] = []

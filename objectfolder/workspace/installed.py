@@ -23,7 +23,6 @@ PIPELINE_FILES = (
     ".dvcignore",
     "catalogs/*.yaml",
     "dvc.yaml",
-    "params.yaml",
     "params/*.yaml",
     "stages/*.py",
 )

@@ -187,7 +187,8 @@ def add_catalogue(catalogue: Path, root: Path = Path()) -> list[str]:
     Raises
     ------
     ObjectFolderError
-        If there is no such catalogue, an entry is invalid, or another one has its key.
+        If there is no such catalogue, an entry is invalid, or another one has its key, or a ``.dvc`` file has
+        the key of a new procedural object.
     """
     params_path = root / params.PARAMS_FILE
     if not catalogue.is_file():
@@ -208,6 +209,8 @@ def add_catalogue(catalogue: Path, root: Path = Path()) -> list[str]:
             for key, entry in new[group].items():
                 present = values[group].get(key)
                 if present is None:
+                    if group == "procedural":
+                        _check_untracked(key, catalogue, root)
                     document[group][key] = _one_line(entry)
                     added += [key] if group == "objects" else []
                 elif present != entry:
@@ -216,6 +219,17 @@ def add_catalogue(catalogue: Path, root: Path = Path()) -> list[str]:
                         "one"
                     )
     return added
+
+
+def _check_untracked(key: str, catalogue: Path, root: Path) -> None:
+    """Check that no earlier mesh is tracked where ``generate`` will write; DVC allows one owner of a path."""
+    record = root / "data" / "objects" / f"{key}.dvc"
+    if record.exists():
+        raise ObjectFolderError(
+            f"{catalogue}: procedural.{key} would be written to {record.with_suffix('')}, whose files "
+            f"{record} tracks, expected none; run `dvc remove --outs {record}` if you need them no more, or "
+            "choose another name"
+        )
 
 
 def _one_line(entry: dict[str, Any]) -> CommentedMap:

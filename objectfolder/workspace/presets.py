@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from objectfolder.errors import ObjectFolderError, quoted
-from objectfolder.workspace.check import check_all
+from objectfolder.workspace.check import check_all, check_own
 from objectfolder.workspace.document import edited
 from objectfolder.workspace.params import PARAMS_FILE
 from objectfolder.yamlfile import read_yaml
@@ -20,12 +20,13 @@ def apply_preset(name: str, root: Path = Path()) -> list[str]:
     Raises
     ------
     ObjectFolderError
-        If there is no such preset, or the result is invalid.
+        If there is no such preset, or it or an entry of ``params.yaml`` that no preset holds is invalid.
     """
     params_path = root / PARAMS_FILE
     with edited(params_path) as (document, values):
         preset, path = read_preset(name, root)
         changed = [section for section, content in preset.items() if values.get(section) != content]
+        check_own(values, params_path)
         check_all({**values, **preset}, path)
         for section in changed:
             document[section] = preset[section]

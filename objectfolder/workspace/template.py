@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.installation import installed_version, requirement
@@ -9,6 +10,7 @@ from objectfolder.workspace.code_digests import DATA
 from objectfolder.workspace.installed import PACKAGE, RECORD, SENSORS, pipeline_files
 from objectfolder.workspace.layout import code_list
 from objectfolder.workspace.params import PARAMS_FILE
+from objectfolder.yamlfile import read_yaml
 
 REQUIREMENTS = "requirements.txt"
 #: Files that a clone does not have, by the name that they get.
@@ -24,7 +26,6 @@ _NOTE = (
     f"# If this line works on this machine alone, write `{PACKAGE}[{EXTRA}] @ URL`: of a wheel, or "
     "git+URL@COMMIT of the repository.\n"
 )
-_OBJECTS = re.compile(r"^(procedural|objects):\n(?:  .*\n)*", re.MULTILINE)
 
 
 def tool_files() -> dict[str, str]:
@@ -32,7 +33,7 @@ def tool_files() -> dict[str, str]:
 
     ``params.yaml``, the card and the requirements are not among them: they are the dataset's own.
     """
-    files = {name: path.read_text() for name, path in pipeline_files().items() if name != PARAMS_FILE}
+    files = {name: path.read_text() for name, path in pipeline_files().items()}
     files["dvc.yaml"] = graph_of_installed(files["dvc.yaml"])
     return files | {name: (_TEMPLATE / source).read_text() for name, source in OWN_FILES.items()}
 
@@ -63,8 +64,22 @@ def graph_of_installed(text: str) -> str:
 
 
 def first_params() -> str:
-    """Return ``params.yaml`` with the settings of this version and no objects."""
-    return _OBJECTS.sub(r"\1: {}\n", pipeline_files()[PARAMS_FILE].read_text())
+    """Return ``params.yaml`` with the settings of preset quick and no objects.
+
+    A clone's own ``params.yaml`` does not count: it holds that workspace's objects and settings.
+    """
+    _, _, settings = _quick().read_text().partition("\n")  # the first line is a comment on the preset
+    return f"{(_TEMPLATE / PARAMS_FILE).read_text()}\n{settings}"
+
+
+def first_values() -> dict[str, Any]:
+    """Return the values of `first_params`."""
+    values: dict[str, Any] = read_yaml(_TEMPLATE / PARAMS_FILE) | read_yaml(_quick())
+    return values
+
+
+def _quick() -> Path:
+    return pipeline_files()["params/quick.yaml"]
 
 
 def first_card(name: str) -> str:

@@ -168,6 +168,21 @@ def test_preset_changes_sections_only(workspace):
 
 
 @pytest.mark.parametrize(
+    ("file", "text", "wrong", "message"),
+    [
+        ("params.yaml", "material: steel", "material: mithril", r"^params\.yaml: objects\.bell: material"),
+        ("params.yaml", "reach: []", "reach: [spoon]", r"^params\.yaml: benchmarks\.reach: spoon"),
+        ("params.yaml", "seed: 0", "seed: 0\nsmell: 1", r"^params\.yaml: 'smell' is not a section"),
+        ("params/laptop.yaml", "max_modes: 256", "max_modes: many", r"^params/laptop\.yaml: modal"),
+    ],
+)
+def test_preset_blames_the_file_that_is_wrong(workspace, file, text, wrong, message):
+    Path(file).write_text(Path(file).read_text().replace(text, wrong, 1))
+    with pytest.raises(ObjectFolderError, match=message):
+        apply_preset("laptop")
+
+
+@pytest.mark.parametrize(
     "name",
     [
         "gso_school_bell/mesh.obj",

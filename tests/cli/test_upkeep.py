@@ -3,6 +3,7 @@
 import pytest
 
 from objectfolder.cli import app
+from objectfolder.engine.dvc.repository import open_repository
 from objectfolder.errors import ObjectFolderError
 
 
@@ -42,3 +43,16 @@ def test_status_refuses_parameters_with_the_message_of_a_build(workspace, old, n
         found.append(str(caught.value))
     assert found == found[:1] * 4
     assert message in found[0]
+
+
+def test_a_dry_run_waits_for_another_process_if_told_to(workspace, monkeypatch):
+    told = []
+
+    def opened(root, wait=False):
+        told.append(wait)
+        return open_repository(root)
+
+    monkeypatch.setattr("objectfolder.engine.status.open_repository", opened)
+    for words in (["build", "--dry-run", "--wait"], ["build", "--dry-run"], ["status"]):
+        app(words, standalone_mode=False)
+    assert told == [True, False, False]

@@ -100,6 +100,20 @@ def test_a_containers_limits_count(monkeypatch, tmp_path, cpu, limit, most, free
         assert free_memory() > 2**20
 
 
+def test_pages_that_the_system_takes_back_are_free(monkeypatch, tmp_path):
+    files = {"memory.max": "3000000000", "memory.current": "2500000000"}
+    for name, text in (files | {"memory.stat": "anon 1\ninactive_file 400000000"}).items():
+        (tmp_path / name).write_text(f"{text}\n")
+    monkeypatch.setattr("objectfolder.engine.resources._CGROUP", tmp_path)
+    assert free_memory() == 900_000_000
+
+
+def test_without_free_memory_stages_run_one_by_one():
+    accounts = machine(memory_mb=0)
+    accounts.take("a", Needs())
+    assert accounts.room(Needs()) == "memory"
+
+
 def test_gpus_are_counted_as_cuda_does_not_named_as_on_the_host(monkeypatch, tmp_path):
     for name in ("nvidia3", "nvidia7", "nvidiactl", "nvidia-uvm"):
         (tmp_path / name).touch()
@@ -113,10 +127,19 @@ def test_needs_come_from_the_stage_and_its_net_or_renderer():
     assert needs_of("train_vision@mug", params) == NEEDS["train_vision/osf"]
     assert needs_of("render_views@mug", params) == NEEDS["render_views/mitsuba-cuda"]
     assert needs_of("train_vision@mug", {"train_vision": {"net": "surface"}}) == NEEDS["train_vision"]
+    for stage in ("evaluate", "observe"):  # which query the net that another stage trained
+        needs = needs_of(f"{stage}@mug", params | {stage: {}})
+        assert (needs.gpus, needs.timeout) == (1.0, None)
+        assert needs_of(f"{stage}@mug", {"train_vision": {"net": "surface"}}) == NEEDS[stage]
     assert needs_of("modal@mug", params) == NEEDS["modal"]
     assert needs_of("modal", {}) == NEEDS["modal"]
     assert needs_of("unheard_of@mug", params) == Needs()
     assert cores() >= 1
+
+
+def test_memory_is_above_the_peaks_of_preset_standard():
+    for stage, peak in (("modal", 7124), ("radiation", 1874), ("pack", 549)):  # MB, measured
+        assert NEEDS[stage].memory_mb > peak
 
 
 def spans(workspace):

@@ -156,6 +156,7 @@ def fetched(built):
     home = built / "data/objects/cup"
     home.mkdir(parents=True)
     shutil.copytree(built / "build/bell", built / "build/cup")
+    (home / "mesh.glb").touch()
     (home / "SOURCE.txt").write_text(NOTICE)
     return built
 
@@ -192,6 +193,15 @@ def test_the_datasheet_says_of_scans_and_gaps_what_is_so(dataset):
 def test_a_licence_that_contradicts_the_notice_is_refused(fetched):
     with pytest.raises(ObjectFolderError, match=r"cup=CC0-1\.0: .*cup/SOURCE\.txt states CC BY 4\.0"):
         release("out", "cup", "--no-site", "--licence", "cup=CC0-1.0")
+    assert not (fetched / "out").exists()
+
+
+def test_a_mesh_that_is_not_here_may_have_a_licence(fetched):
+    """As in a clone that has pulled Object Files alone."""
+    shutil.rmtree(fetched / "data/objects/cup")
+    for options in (("--licence", "CC0-1.0"), ("--licence", "cup=CC0-1.0")):
+        with pytest.raises(ObjectFolderError, match=r"glb is not here.*`dvc pull data/objects/cup\.dvc`"):
+            release("out", "cup", "--no-site", *options)
     assert not (fetched / "out").exists()
 
 

@@ -19,7 +19,7 @@ from objectfolder.engine.costs import record_cost
 from objectfolder.engine.failures import LOGS
 from objectfolder.engine.process import CommandResult
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import file_digest, read_json, write_json, write_npz
+from objectfolder.io import file_digest, read_json, read_npz, write_json, write_npz
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.header import PARTS
 from objectfolder.report.facts import object_report
@@ -270,9 +270,50 @@ def test_scores_of_another_file_are_left_out(workspace, tmp_path):
     report = object_report(build.object_file)
     assert report.row["scores"] == {"file_bytes": float(f"{build.object_file.stat().st_size:.4g}")}
     assert report.row["warnings"] == [
-        "its scores are of another Object File and left out: run `objectfolder build brick`"
+        "its scores and truth are of another Object File and left out: run `objectfolder build brick`"
     ]
     assert "Looks better than an empty picture" not in [check["name"] for check in report.detail["checks"]]
+
+
+@pytest.fixture
+def moved_on(workspace, tmp_path, monkeypatch):
+    """The workspace after its modes and touches were made again, for another material and sensor."""
+    root = tmp_path / "workspace"
+    shutil.copytree(workspace.root, root)
+    build = Build("brick", root)
+    modes = read_npz(build.modes)
+    write_npz(build.modes, **modes | {"damped_frequency": modes["damped_frequency"] * 1.1})
+    touches = read_npz(build.touch("test"))
+    write_npz(build.touch("test"), **touches | {"images": touches["images"][:, ::2]})
+    for name in ("file_checks", "build_checks", "_views"):
+        monkeypatch.setattr(f"objectfolder.report.facts.{name}", lambda *arguments: [])
+    return build
+
+
+@pytest.mark.parametrize("scored", [True, False])
+def test_truth_of_another_file_is_left_out(workspace, moved_on, scored):
+    """Whether the truth itself shows it, or only the scores."""
+    if not scored:
+        shutil.copy(workspace.modes, moved_on.modes)
+        shutil.copy(workspace.touch("test"), moved_on.touch("test"))
+        write_json(moved_on.metrics, read_json(moved_on.metrics) | {"file_sha256": "0" * 64})
+    detail = object_report(moved_on.object_file).detail
+    assert [sound["truth"] for sound in detail["sounds"]] == [None, None]
+    assert len(detail["touches"]) == 5
+    assert all("score" not in touch for touch in detail["touches"])
+
+
+@pytest.mark.usefixtures("bare")
+def test_a_link_into_the_cache_is_of_its_workspace(workspace, tmp_path):
+    root = tmp_path / "workspace"
+    shutil.copytree(workspace.root, root)
+    build, cached = Build("brick", root), root / ".dvc/cache/files/md5/ab/cdef"
+    cached.parent.mkdir(parents=True)
+    build.object_file.rename(cached)
+    build.object_file.symlink_to(cached)
+    report = object_report(build.object_file)
+    assert report.row["scores"]["vision.psnr"] == 40.0
+    assert len(report.detail["costs"]) == 2
 
 
 def test_report_reports_on_a_workspace(workspace, tmp_path, monkeypatch, capsys):

@@ -14,7 +14,7 @@ from objectfolder.engine.dvc.start import start_repository
 from objectfolder.engine.status import Outlook, status
 from objectfolder.errors import ObjectFolderError
 from objectfolder.installation import requirement
-from objectfolder.workspace import template
+from objectfolder.workspace import installed, template
 from objectfolder.workspace.check import check_all
 from objectfolder.workspace.code_digests import DATA, code_text, digests
 from objectfolder.workspace.creation import create_workspace, upgrade_workspace
@@ -23,6 +23,7 @@ from objectfolder.workspace.layout import code_list
 from objectfolder.workspace.objects import add_catalogue
 from objectfolder.workspace.params import read
 from objectfolder.workspace.template import first_requirements, next_requirements
+from objectfolder.yamlfile import read_yaml
 
 ROOT = Path(__file__).parents[2]
 
@@ -59,8 +60,25 @@ def test_it_holds_the_pipeline_and_no_package(made):
     values = read(made / "params.yaml")
     check_all(values)
     assert values["objects"] == values["procedural"] == {}
-    wanted = read(ROOT / "params.yaml")
-    assert {**values, "objects": 0, "procedural": 0} == {**wanted, "objects": 0, "procedural": 0}
+    assert not any(values["benchmarks"].values())
+    assert values.keys() == read(ROOT / "params.yaml").keys()
+    quick = read_yaml(ROOT / "params/quick.yaml")
+    assert {name: values[name] for name in quick} == quick
+    assert values["seed"] == 0
+
+
+def test_settings_of_a_clone_are_its_own(monkeypatch, tmp_path):
+    """Another clone's objects and settings neither change the package nor enter a new workspace."""
+    clone = tmp_path / "clone"
+    clone.mkdir()
+    for name in ("objectfolder", "stages", "params", "catalogs", "dvc.yaml", ".dvcignore"):
+        (clone / name).symlink_to(ROOT / name)
+    shutil.copy(ROOT / "params.yaml", clone)
+    monkeypatch.setattr(installed, "INSTALLED", clone)
+    before, text = installed.package_digests(), template.first_params()
+    (clone / "params.yaml").write_text("seed: 7\n")
+    assert installed.package_digests() == before
+    assert template.first_params() == text
 
 
 def test_git_takes_everything_but_what_is_built(made):
@@ -73,6 +91,13 @@ def test_git_takes_everything_but_what_is_built(made):
     listed = subprocess.check_output(["git", "ls-files"], cwd=made, text=True).split()
     assert {RECORD, "dvc.yaml", "data/objects/mug.dvc", "data/objects/.gitkeep", ".dvc/config"} <= {*listed}
     assert not [name for name in listed if name.startswith(("build/", "data/objects/mug/", ".dvc/tmp"))]
+
+
+def test_its_workflow_needs_no_remote(made):
+    workflow = YAML(typ="safe").load((made / ".github/workflows/objects.yml").read_text())
+    commands = [step.get("run", "") for step in workflow["jobs"]["build"]["steps"]]
+    assert "objectfolder build" in commands
+    assert not {"objectfolder build --pull", "git diff --exit-code dvc.lock"} & {*commands}
 
 
 def test_each_dependency_on_the_package_is_one_on_its_digest(made):

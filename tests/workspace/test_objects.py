@@ -11,7 +11,7 @@ from objectfolder.engine.dvc.repository import open_repository, track
 from objectfolder.errors import ObjectFolderError
 from objectfolder.workspace import params
 from objectfolder.workspace.discover import Candidate, examine
-from objectfolder.workspace.objects import add_mesh
+from objectfolder.workspace.objects import add_catalogue, add_mesh
 
 SHAPE = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
@@ -158,6 +158,20 @@ def test_a_record_that_is_there_is_not_overwritten(workspace, tmp_path):
     Path("data/objects").mkdir(parents=True)
     Path("data/objects/crate.dvc").write_text("outs: []\n")
     assert "crate.dvc); choose another name, or remove it" in refused(write_mesh(tmp_path / "source"))
+
+
+def test_a_record_that_is_there_is_not_in_the_way_of_a_generated_mesh(workspace):
+    """DVC would refuse the whole workspace: two owners of one path."""
+    before = Path("params.yaml").read_text()
+    Path("data/objects").mkdir(parents=True)
+    Path("data/objects/crate.dvc").write_text("outs: []\n")
+    entry = "{mesh: data/objects/crate/mesh.glb, material: wood, scale: 0.1, up: y}"
+    Path("new.yaml").write_text(f"procedural:\n  crate: {{generator: die}}\nobjects:\n  crate: {entry}\n")
+    with pytest.raises(ObjectFolderError, match=r"`dvc remove --outs data/objects/crate\.dvc` if you"):
+        add_catalogue(Path("new.yaml"))
+    assert Path("params.yaml").read_text() == before
+    Path("data/objects/crate.dvc").unlink()
+    assert add_catalogue(Path("new.yaml")) == ["crate"]
 
 
 @pytest.mark.parametrize("length", [64, 65, 300])
