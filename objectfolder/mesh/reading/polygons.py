@@ -1,5 +1,6 @@
 """Read ``.ply`` and ``.stl``."""
 
+import re
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,7 @@ import numpy as np
 import trimesh
 from trimesh.exchange.ply import _elements_to_kwargs
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
 from objectfolder.mesh.polygon import needs_ears, split
 from objectfolder.mesh.reading.from_trimesh import (
@@ -33,12 +34,13 @@ def read_polygons(path: Path) -> MeshContent:
     Raises
     ------
     ObjectFolderError
-        If the texture that a ``.ply`` names is missing or unreadable.
+        If the texture that a ``.ply`` names is missing or unreadable, or it names several.
     """
     files = ReferencedFiles(path)
     kind = path.suffix.lower().removeprefix(".")
     data = path.read_bytes()
     _check_solids(path, data)
+    _check_textures(path, data if kind == "ply" else b"")
     scene: Any = trimesh.load_scene(BytesIO(data), file_type=kind, resolver=files, process=False)
     files.check()
     sources = list(scene.geometry.values())
@@ -70,6 +72,22 @@ def read_polygons(path: Path) -> MeshContent:
         colors = np.asarray(visual.vertex_colors)
     linear = None if colors is None else srgb.decode(colors[:, :3] / 255)
     return MeshContent([MeshPart(vertices, faces, SurfaceMaterial(), None, linear, normals)], notes)
+
+
+def ply_textures(data: bytes) -> list[str]:
+    """Return the textures named in the header of a ``.ply``, in order."""
+    header = data.partition(b"end_header")[0].decode(errors="replace")
+    names = re.findall(r"^(?:comment|obj_info)\b.*?texturefile(.*)", header, re.MULTILINE | re.I)
+    return list(dict.fromkeys(name.strip() for name in names))
+
+
+def _check_textures(path: Path, data: bytes) -> None:
+    names = ply_textures(data)
+    if len(names) > 1:  # trimesh would put the last one on all faces
+        raise ObjectFolderError(
+            f"{path} names {len(names)} textures ({shortened(', '.join(names))}), expected at most one; "
+            "export it as .obj or .glb, which tell the faces of each, or bake them into one"
+        )
 
 
 def _check_solids(path: Path, data: bytes) -> None:

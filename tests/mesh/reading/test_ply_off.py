@@ -78,6 +78,20 @@ def test_concave_polygons_keep_the_coordinates_of_their_corners(tmp_path):
     np.testing.assert_array_equal(mesh.texture, np.full((4, 4, 3), [9, 8, 7]))
 
 
+def test_a_ply_of_several_textures_is_refused(tmp_path):
+    for name in ("a.png", "b.png"):
+        Image.fromarray(checker([[[9, 8, 7]]], 4)).save(tmp_path / name)
+    path = tmp_path / "m.ply"
+    comments = "comment TextureFile a.png\ncomment TextureFile b.png\n"
+    face = ["list uchar float texcoord", "int texnumber"]
+    corners = "3 0 1 2 6 0 0 1 0 1 1 0\n3 0 2 3 6 0 0 1 1 0 1 1\n"
+    path.write_text(header(4, 2, face=face, comment=comments) + rows(SQUARE) + corners)
+    with pytest.raises(ObjectFolderError, match=r"m\.ply names 2 textures \(a\.png, b\.png\), expected"):
+        load_mesh(path)
+    path.write_text(path.read_text().replace("b.png", "a.png"))
+    assert load_mesh(path).texture is not None
+
+
 @pytest.mark.parametrize("prefix", ["", "diffuse_"])
 @pytest.mark.parametrize(
     ("kind", "most"), [("uchar", 255), ("ushort", 65535), ("ushort", 255), ("float", 255), ("float", 1)]
