@@ -6,11 +6,14 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.closing.piercing import self_intersections
 from objectfolder.mesh.closing.surface import ClosedSurface, Rung, close_surface
 from objectfolder.mesh.textured import TexturedMesh, appearance_report
 from objectfolder.mesh.topology import Mesh
 from objectfolder.settings import Count
+
+SHORT = 0.01  #: of the size; a closed surface further from a side of the mesh's box lost a piece there
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,13 +87,32 @@ def normalize(
     Raises
     ------
     ObjectFolderError
-        If the surface cannot be closed into one solid.
+        If the surface cannot be closed into one solid, or is smaller than the mesh because a piece at a side
+        of the box was dropped.
     """
     lower, upper = mesh.bounds
     centre, size = (lower + upper) / 2, float((upper - lower).max())
     visual = mesh.with_vertices((mesh.vertices - centre) / size)
     surface = close_surface(visual.vertices, visual.faces, name, wall, bridging)
-    return Normalized(visual, surface, centre, size)
+    done = Normalized(visual, surface, centre, size)
+    _check_box(done, name)
+    return done
+
+
+def _check_box(done: Normalized, name: str) -> None:
+    """Raise if a piece that set the box, and so centre and size, is not in the closed surface."""
+    lower, upper = np.min(done.surface.vertices, axis=0), np.max(done.surface.vertices, axis=0)
+    used = done.visual.vertices[np.unique(done.visual.faces)]
+    beyond = np.maximum(lower - used, used - upper).max(1)
+    furthest = int(beyond.argmax())
+    if beyond[furthest] > SHORT:
+        place = used[furthest] * done.source_size + done.source_centre
+        raise ObjectFolderError(
+            f"{name}: closing dropped what lies at ({', '.join(f'{c:.4g}' for c in place)}) of the mesh (its "
+            f"units, z up), and the closed surface has {(upper - lower).max():.1%} of the mesh's size; "
+            "expected it to reach all sides of the mesh's box, which sets centre and size: delete that "
+            "piece, or join it to the rest as a solid"
+        )
 
 
 def mass_properties(surface: Mesh) -> dict[str, Any]:

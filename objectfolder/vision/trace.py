@@ -28,7 +28,7 @@ class SurfaceSamples:
     normals: torch.Tensor  #: (S, 3) float32, outward
     directions: torch.Tensor  #: (S, 3) float32, from the camera, of unit length
     distance: torch.Tensor  #: (S,) float32, from the camera, in units of the given ray direction's length
-    lit: torch.Tensor  #: (S,) bool, whether the point faces the light and is not in shadow
+    lit: torch.Tensor  #: (S,) bool, whether the outer side faces the light and is not in shadow
     corners: torch.Tensor  #: (S, 3) int32, vertices of the point's triangle in `Isosurface.shading`
     weights: torch.Tensor  #: (S, 3) float32, barycentric
 

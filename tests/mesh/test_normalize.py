@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from solids import box
+from solids import box, join, sphere
 
+from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -42,3 +43,18 @@ def test_vertices_that_no_face_uses_do_not_count():
     vertices, faces = box((1, 1, 1))
     done = normalize(TexturedMesh(np.concatenate([vertices, [[50.0, 50, 50]]]), faces))
     assert done.source_size == 1
+
+
+TRIANGLE = (np.array([[0, 0, 0], [5e-5, 0, 0], [0, 5e-5, 0]]), np.array([[0, 1, 2]]))
+
+
+@pytest.mark.parametrize(
+    ("stray", "share"), [(TRIANGLE, "21.0%"), (box((2e-3,) * 3), "20.9%")], ids=["triangle", "speck"]
+)
+def test_a_dropped_piece_that_set_the_size_is_refused_with_its_place(stray, share):
+    ball = sphere(0.05, 3)
+    volume = normalize(TexturedMesh(*join(ball, (stray[0] + [0, 0.02, 0.05], stray[1])))).surface.volume
+    assert volume == pytest.approx(0.52, rel=0.05)  # it set nothing, so it goes without a word
+    place = r"at \(\S+, \S+, 0\.42\d*\) of the mesh"
+    with pytest.raises(ObjectFolderError, match=rf"^jar: .*{place}.* has {share} of the mesh's size"):
+        normalize(TexturedMesh(*join(ball, (stray[0] + [0, 0.02, 0.427], stray[1]))), "jar")

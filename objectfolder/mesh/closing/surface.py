@@ -183,11 +183,11 @@ class _Ladder:
         before = self.mesh
         mesh, tolerance, self.moved = clean(*before)
         lost = len(before[1]) - len(mesh[1])
-        if len(mesh[1]) < 4:
+        if face_areas(*mesh).sum() == 0:
             welded = f", {len(mesh[1])} of them neither degenerate nor cancelled by a copy" if lost else ""
             raise ObjectFolderError(
-                f"{self.name}: the mesh has {plural(len(before[1]), 'face')}{welded}; expected a mesh of "
-                "at least 4, which enclose a volume"
+                f"{self.name}: the mesh has {plural(len(before[1]), 'face')}{welded}, without any area; "
+                "expected a mesh that encloses a volume, or a sheet"
             )
         self.source = mesh
         detail = f"welded at {tolerance:g}" + (

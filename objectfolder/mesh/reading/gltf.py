@@ -23,6 +23,7 @@ from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMateri
 EXTENSIONS = ("KHR_texture_transform", "KHR_mesh_quantization", "EXT_texture_webp", "KHR_materials_")
 DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+GLOSS, TRANSMISSION = "KHR_materials_pbrSpecularGlossiness", "KHR_materials_transmission"
 WRAPS = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
 TRIANGLES, STRIP, FAN = 4, 5, 6
 MAX_ELEMENTS = 50_000_000  # vertices and corners of faces; nodes may repeat a mesh
@@ -33,7 +34,8 @@ def read_gltf(path: Path) -> MeshContent:
 
     Base colour textures (with ``KHR_texture_transform``), factors, vertex colours, roughness and metallic
     are kept; a map of roughness and metallic, or of glossiness, is reduced to its mean. Normal, occlusion and
-    emissive maps, transparency, skins and morph targets are dropped with a note.
+    emissive maps, emission, transparency, other extensions of materials, skins and morph targets are dropped
+    with a note.
 
     Returns
     -------
@@ -214,7 +216,8 @@ class _File:
             return self.materials[index]
         material = self.document["materials"][index]
         surface = material.get("pbrMetallicRoughness", {})
-        gloss = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
+        extensions = material.get("extensions", {})
+        gloss = extensions.get(GLOSS)
         roughness, metallic = surface.get("roughnessFactor", 1.0), surface.get("metallicFactor", 1.0)
         info, color = surface.get("baseColorTexture"), surface.get("baseColorFactor", [1, 1, 1, 1])
         if gloss is not None:
@@ -230,9 +233,7 @@ class _File:
             mean = np.array(ImageStat.Stat(image).mean) / 255
             roughness, metallic = roughness * mean[1], metallic * mean[2]
             self.changes["roughness and metallic map replaced by its mean"] += 1
-        for what in ("normal", "occlusion", "emissive"):
-            self.changes[f"{what} map left out"] += f"{what}Texture" in material
-        self.changes["transparency left out"] += material.get("alphaMode", "OPAQUE") != "OPAQUE"
+        self._note_dropped(material, extensions)
         texture, wrap = self._texture(info) if info is not None else (None, SurfaceMaterial.wrap)
         linear = np.asarray(color[:3], np.float64)
         if linear.shape != (3,) or not np.isfinite([*linear, roughness, metallic]).all():
@@ -243,6 +244,16 @@ class _File:
         made = SurfaceMaterial(texture, np.clip(linear, 0, 1), float(roughness), float(metallic), wrap)
         self.materials[index] = made, info or {}
         return self.materials[index]
+
+    def _note_dropped(self, material: dict[str, Any], extensions: dict[str, Any]) -> None:
+        for what in ("normal", "occlusion", "emissive"):
+            self.changes[f"{what} map left out"] += f"{what}Texture" in material
+        emits = any(material.get("emissiveFactor", [])) and "emissiveTexture" not in material
+        self.changes["emission left out"] += emits
+        transmits = extensions.get(TRANSMISSION, {}).get("transmissionFactor", 0) != 0
+        self.changes["transparency left out"] += material.get("alphaMode", "OPAQUE") != "OPAQUE" or transmits
+        for name in extensions.keys() - {GLOSS, TRANSMISSION}:
+            self.changes[f"{shortened(name)} left out"] += 1
 
     def _texture(self, info: dict[str, Any], mode: str = "RGB") -> tuple[Image.Image, tuple[str, str]]:
         texture = self.document["textures"][info["index"]]

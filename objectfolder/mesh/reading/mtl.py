@@ -1,4 +1,4 @@
-"""Read Wavefront material libraries (``.mtl``): diffuse colours and textures with their options."""
+"""Read Wavefront material libraries (``.mtl``): diffuse colours and textures, roughness, metallic."""
 
 import re
 from collections.abc import Iterator
@@ -29,6 +29,8 @@ DROPPED_MAPS = {
     "disp": "displacement map",
     "map_ke": "emissive map",
 }
+#: Statements with numbers that are dropped, unless they are 0.
+DROPPED_VALUES = {"ke": "emission", "tf": "transmission filter Tf", "ps": "sheen", "pc": "clearcoat"}
 DROPPED_OPTIONS = ("t", "mm", "cc", "imfchan")  # of a texture: they change its colours or its place
 
 
@@ -73,11 +75,12 @@ def read_materials(mesh: Path, libraries: list[str]) -> dict[str, MtlMaterial]:
     for name, lines in found.items():
         options, file = _options(lines.get("map_kd", ""))
         dropped = _dropped(lines) | {f"option -{key} of map_Kd" for key in DROPPED_OPTIONS if key in options}
+        roughness, metallic = _fraction(lines.get("pr", "")), _fraction(lines.get("pm", ""))
         if file:
             wrap = "clamp" if options.get("clamp", "").lower() == "on" else "repeat"
-            surface = SurfaceMaterial(image(file), wrap=(wrap, wrap))
+            surface = SurfaceMaterial(image(file), None, roughness, metallic, (wrap, wrap))
         else:
-            surface = SurfaceMaterial(color=_color(_floats(lines.get("kd", ""))))
+            surface = SurfaceMaterial(None, _color(_floats(lines.get("kd", ""))), roughness, metallic)
         scale, offset = _numbers(options.get("s", ""), 1), _numbers(options.get("o", ""), 0)
         materials[name] = MtlMaterial(surface, scale, offset, frozenset(dropped))
     return materials
@@ -121,6 +124,12 @@ def _floats(text: str) -> np.ndarray:
     return values if np.isfinite(values).all() else np.zeros(0)
 
 
+def _fraction(text: str) -> float | None:
+    """Return the number of a statement, clipped to [0, 1]; None unless it has one."""
+    values = _floats(text)
+    return float(np.clip(values[0], 0, 1)) if values.size == 1 else None
+
+
 def _color(values: np.ndarray) -> np.ndarray | None:
     """Decode an sRGB colour in steps of 1/255, as textures are; one number is a grey."""
     if values.size not in (1, 3):
@@ -132,6 +141,7 @@ def _color(values: np.ndarray) -> np.ndarray | None:
 def _dropped(lines: dict[str, str]) -> set[str]:
     """Name what a material's statements say that is not supported."""
     dropped = {DROPPED_MAPS.get(key, key) for key in lines if MAP.fullmatch(key) and key != "map_kd"}
+    dropped |= {what for key, what in DROPPED_VALUES.items() if _floats(lines.get(key, "")).any()}
     opacity = _floats(lines["d"]) if "d" in lines else 1 - _floats(lines.get("tr", "0"))
     if not (opacity == 1).all():
         dropped.add("transparency")

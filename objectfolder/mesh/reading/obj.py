@@ -2,6 +2,7 @@
 
 import re
 from collections import Counter, defaultdict
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from objectfolder.mesh import srgb
 from objectfolder.mesh.polygon import needs_ears, split
 from objectfolder.mesh.reading.from_trimesh import as_points, color_unit, fan_triangles
 from objectfolder.mesh.reading.mtl import MtlMaterial, read_materials
-from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMaterial
+from objectfolder.mesh.reading.parts import MeshContent, MeshPart
 
 FACE = re.compile(r"^f[ \t]+\S.*", re.M | re.A)
 POLYGON = re.compile(r"^f(?:[ \t]++\d[\d/]*+){4,}+[ \t]*+$", re.M | re.A)
@@ -32,7 +33,7 @@ def read_obj(path: Path) -> MeshContent:
     """Read a Wavefront ``.obj`` with its material libraries and colour textures.
 
     Colours (``Kd`` and per-vertex colours) are interpreted as sRGB. A texture replaces ``Kd`` and vertex
-    colours, as exporters intend.
+    colours, as exporters intend. ``Pr`` and ``Pm`` are roughness and metallic.
 
     Raises
     ------
@@ -71,7 +72,7 @@ def read_obj(path: Path) -> MeshContent:
             notes.append("vertex colours beside a texture left out")
             colors = None
         if colors is not None:
-            surface = SurfaceMaterial()
+            surface = replace(surface, color=None)
         uv = None if visual is None or visual.uv is None else np.asarray(visual.uv, np.float64)[:, :2]
         uv = None if uv is None else material.image_coordinates(uv)
         vertices, faces = as_points(content["vertices"]), fan_triangles(content["faces"])

@@ -10,6 +10,7 @@ from objectfolder.mesh import srgb
 from objectfolder.mesh.polygon import split
 from objectfolder.mesh.reading.from_trimesh import by_face_color, color_unit
 from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMaterial
+from objectfolder.mesh.textured import PLAIN
 
 # Texture coordinates (ST) come last and name no image.
 HEADER = re.compile(r"(?:ST)?(?P<colors>C)?(?P<normals>N)?OFF(?=[\s\d]|$)(?P<rest>.*)")
@@ -55,6 +56,9 @@ def read_off(path: Path) -> MeshContent:
     if face_colors is not None and colors is not None:
         notes.append("colours of faces beside those of vertices left out")
     elif face_colors is not None:
+        uncolored = np.isnan(face_colors).any(1)
+        brightest = face_colors[~uncolored].max()
+        face_colors[uncolored] = srgb.encode(np.float64(PLAIN)) * color_unit(brightest)
         colors, vertex, faces = by_face_color(face_colors, faces)
         vertices, normals = vertices[vertex], None if normals is None else normals[vertex]
     linear = None
@@ -64,11 +68,14 @@ def read_off(path: Path) -> MeshContent:
 
 
 def _faces(path: Path, vertices: np.ndarray, rows: list[list[str]]) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return triangles (F, 3), by number of corners, and colours (F, 3) if all faces have one."""
+    """Return triangles (F, 3), by number of corners, and colours (F, 3), NaN where a face has none.
+
+    The colours are None if no face has one.
+    """
     groups: dict[str, list[list[str]]] = {}
     for row in rows:
         groups.setdefault(row[0], []).append(row)
-    triangles, colors = [np.zeros((0, 3), np.int64)], []
+    triangles, colors = [np.zeros((0, 3), np.int64)], [np.zeros((0, 3))]
     for corners, group in sorted(groups.items(), key=lambda item: (len(item[0]), item[0])):
         count = int(_numbers(path, [[corners]], 1, "faces", np.int64)[0, 0])
         if count < 3:
@@ -77,12 +84,11 @@ def _faces(path: Path, vertices: np.ndarray, rows: list[list[str]]) -> tuple[np.
         # Indices out of range are refused later, by name.
         local = split(vertices[np.clip(polygons, 0, len(vertices) - 1)])
         triangles.append(np.take_along_axis(polygons[:, None], local, 2).reshape(-1, 3))
-        colored = [row[1 + count : 4 + count] for row in group]
-        if all(len(color) == 3 for color in colored):
-            colors.append(np.repeat(_numbers(path, colored, 3, "faces"), count - 2, 0))
-    faces = np.concatenate(triangles)
-    face_colors = np.concatenate(colors) if colors else np.zeros((0, 3))
-    return faces, face_colors if len(face_colors) == len(faces) > 0 else None
+        given = [row[1 + count : 4 + count] for row in group]
+        filled = [color if len(color) == 3 else ["nan"] * 3 for color in given]
+        colors.append(np.repeat(_numbers(path, filled, 3, "faces"), count - 2, 0))
+    face_colors = np.concatenate(colors)
+    return np.concatenate(triangles), None if np.isnan(face_colors).any(1).all() else face_colors
 
 
 def _numbers(

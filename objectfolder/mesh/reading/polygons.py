@@ -1,5 +1,6 @@
 """Read ``.ply`` and ``.stl``."""
 
+import re
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -8,13 +9,14 @@ import numpy as np
 import trimesh
 from trimesh.exchange.ply import _elements_to_kwargs
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
 from objectfolder.mesh.polygon import needs_ears, split
 from objectfolder.mesh.reading.from_trimesh import (
     ReferencedFiles,
     as_points,
     by_face_color,
+    color_unit,
     fan_triangles,
     surface_material,
 )
@@ -22,6 +24,7 @@ from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMateri
 
 COLORS, DIFFUSE = ("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue")
 INDICES = ("vertex_index", "vertex_indices")
+CARRIERS = ("vertex", "face")  # elements that may have colours
 MAX_SOLIDS = 4096  # trimesh takes time in proportion to the square of their number
 
 
@@ -31,16 +34,18 @@ def read_polygons(path: Path) -> MeshContent:
     Raises
     ------
     ObjectFolderError
-        If the texture that a ``.ply`` names is missing or unreadable.
+        If the texture that a ``.ply`` names is missing or unreadable, or it names several.
     """
     files = ReferencedFiles(path)
     kind = path.suffix.lower().removeprefix(".")
     data = path.read_bytes()
     _check_solids(path, data)
+    _check_textures(path, data if kind == "ply" else b"")
     scene: Any = trimesh.load_scene(BytesIO(data), file_type=kind, resolver=files, process=False)
     files.check()
     sources = list(scene.geometry.values())
-    elements = _amended(sources[0].metadata.get("_ply_raw", {})) if len(sources) == 1 else None
+    raw = sources[0].metadata.get("_ply_raw", {}) if len(sources) == 1 else {}
+    elements = _amended(raw)
     if elements is None:
         mesh = scene.to_mesh()
     else:
@@ -59,13 +64,30 @@ def read_polygons(path: Path) -> MeshContent:
         uv = None if visual.uv is None else np.asarray(visual.uv, np.float64)
         return MeshContent([MeshPart(vertices, faces, material, uv, normals=normals)])
     colors: np.ndarray | None = None
+    notes = ["colours of faces beside those of vertices left out"] if _colored(elements or raw) > 1 else []
     if visual.kind == "face":
         colors, vertex, faces = by_face_color(np.asarray(visual.face_colors), faces)
         vertices, normals = vertices[vertex], None if normals is None else normals[vertex]
     elif visual.kind == "vertex":
         colors = np.asarray(visual.vertex_colors)
     linear = None if colors is None else srgb.decode(colors[:, :3] / 255)
-    return MeshContent([MeshPart(vertices, faces, SurfaceMaterial(), None, linear, normals)])
+    return MeshContent([MeshPart(vertices, faces, SurfaceMaterial(), None, linear, normals)], notes)
+
+
+def ply_textures(data: bytes) -> list[str]:
+    """Return the textures named in the header of a ``.ply``, in order."""
+    header = data.partition(b"end_header")[0].decode(errors="replace")
+    names = re.findall(r"^(?:comment|obj_info)\b.*?texturefile(.*)", header, re.MULTILINE | re.I)
+    return list(dict.fromkeys(name.strip() for name in names))
+
+
+def _check_textures(path: Path, data: bytes) -> None:
+    names = ply_textures(data)
+    if len(names) > 1:  # trimesh would put the last one on all faces
+        raise ObjectFolderError(
+            f"{path} names {len(names)} textures ({shortened(', '.join(names))}), expected at most one; "
+            "export it as .obj or .glb, which tell the faces of each, or bake them into one"
+        )
 
 
 def _check_solids(path: Path, data: bytes) -> None:
@@ -77,9 +99,7 @@ def _check_solids(path: Path, data: bytes) -> None:
 def _amended(elements: dict[str, Any]) -> dict[str, Any] | None:
     """Return the elements of a ``.ply`` with what trimesh misreads put right; None if it misreads nothing."""
     columns = {
-        name: _columns(elements[name])
-        for name in ("vertex", "face")
-        if elements.get(name, {}).get("data") is not None
+        name: _columns(elements[name]) for name in CARRIERS if elements.get(name, {}).get("data") is not None
     }
     amended = {name: made for name, values in columns.items() if (made := _byte_colors(values))}
     if {"vertex", "face"} <= columns.keys():
@@ -102,16 +122,27 @@ def _columns(element: dict[str, Any]) -> dict[str, np.ndarray]:
 
 
 def _byte_colors(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray] | None:
-    """Rename colours that trimesh does not know, and bring those of 16 bits to bytes; None if none is so."""
+    """Rename colours that trimesh does not know, and bring its unknown ranges to bytes; None if none is so.
+
+    It knows integers of 8 bits, and fractions up to 1.
+    """
     names = [name for name in (COLORS, DIFFUSE) if set(name) <= columns.keys()]
     if not names:
         return None
     colors = np.stack([columns[name].ravel() for name in names[0]])
-    wide = colors.dtype.kind in "iu" and colors.max(initial=0) > 255
-    if names[0] == COLORS and not wide:
+    whole, brightest = colors.dtype.kind in "iu", colors.max(initial=0)
+    amended = brightest > 255 if whole else color_unit(brightest) == 255
+    if names[0] == COLORS and not amended:
         return None
-    colors = np.rint(np.clip(colors / 257, 0, 255)).astype(np.uint8) if wide else colors
+    if amended:
+        colors = np.rint(np.clip(colors / (257 if whole else 1), 0, 255)).astype(np.uint8)
     return {name: values for name, values in columns.items() if name != "alpha"} | dict(zip(COLORS, colors))
+
+
+def _colored(elements: dict[str, Any]) -> int:
+    """Count which of vertices and faces have colours, 0 to 2."""
+    held = [elements[name]["properties"].keys() for name in CARRIERS if name in elements]
+    return sum(set(COLORS) <= names for names in held)
 
 
 def _split_faces(vertex: dict[str, np.ndarray], face: dict[str, np.ndarray]) -> dict[str, np.ndarray] | None:

@@ -1,6 +1,5 @@
 """Files that a mesh file refers to: material libraries, textures, buffers."""
 
-import re
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
@@ -8,6 +7,7 @@ from objectfolder.mesh.reading.files import read_referenced, referenced_path
 from objectfolder.mesh.reading.gltf import uris
 from objectfolder.mesh.reading.mtl import textures
 from objectfolder.mesh.reading.obj import mtl_names
+from objectfolder.mesh.reading.polygons import ply_textures
 
 
 def references(mesh: Path) -> Iterator[PurePosixPath]:
@@ -27,9 +27,8 @@ def references(mesh: Path) -> Iterator[PurePosixPath]:
             for _, texture in textures(read_referenced(mesh, library).decode(errors="replace")):
                 yield referenced_path(mesh, texture)
     elif suffix == ".ply":
-        header = mesh.read_bytes().partition(b"end_header")[0].decode(errors="replace")
-        for name in re.findall(r"^(?:comment|obj_info)\b.*?texturefile(.*)", header, re.MULTILINE | re.I):
-            yield referenced_path(mesh, name.strip())
+        for name in ply_textures(mesh.read_bytes()):
+            yield referenced_path(mesh, name)
     elif suffix in (".gltf", ".glb"):
         for uri in uris(mesh):
             yield referenced_path(mesh, uri)

@@ -366,6 +366,26 @@ def test_what_is_left_out_is_noted(tmp_path):
     assert report["metallic"] == pytest.approx(np.mean([20, 60, 230, 120]) / 255)
 
 
+def test_extensions_of_a_material_and_its_emission_are_noted(tmp_path):
+    scene = Scene()
+    material = scene.material()
+    scene.document["materials"][material] |= {
+        "emissiveFactor": [0, 0.5, 0],
+        "extensions": {
+            "KHR_materials_transmission": {"transmissionFactor": 1},
+            "KHR_materials_clearcoat": {},
+            "KHR_materials_specular": {},
+        },
+    }
+    scene.quads(0, material)
+    assert notes(load_mesh(scene.write(tmp_path / "s.gltf"), "y")) == [
+        "KHR_materials_clearcoat left out (1)",
+        "KHR_materials_specular left out (1)",
+        "emission left out (1)",
+        "transparency left out (1)",
+    ]
+
+
 def test_glossiness_materials(tmp_path):
     scene = Scene()
     material = scene.material()

@@ -187,6 +187,16 @@ def test_what_a_material_drops_is_listed(tmp_path):
     ]
 
 
+@pytest.mark.parametrize("color", ["Kd 1 0 0", "map_Kd my skin.png", ""])
+def test_roughness_and_metallic_are_kept_and_what_shines_is_listed(tmp_path, color):
+    mtl = f"newmtl skin\n{color}\nPr 0.25\nPm 1\nKe 0 2 0\nTf 1 1 1\nPs 0\nPc 0.5\n"
+    vertices = QUAD if color else "v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\n"
+    mesh = written(tmp_path, vertices + CORNERS + "usemtl skin\nf 1/1 2/2 3/3\n", mtl)
+    assert (mesh.roughness, mesh.metallic) == (0.25, 1)
+    left_out = ["clearcoat", "emission", "transmission filter Tf"]
+    assert notes(mesh) == [f"{what} left out (1)" for what in left_out]
+
+
 def test_a_material_without_a_colour_is_plain(tmp_path):
     mesh = written(tmp_path, QUAD + "usemtl a\nf 1 2 3\n", "newmtl a\nNs 10\n")
     assert mesh.texture is mesh.vertex_colors is None  # PLAIN, as of a mesh without materials

@@ -7,7 +7,9 @@ from PIL import Image
 from polygons import AREA, area, u_plate
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh import srgb
 from objectfolder.mesh.reading.load import load_mesh
+from objectfolder.mesh.textured import PLAIN
 
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
 
@@ -76,17 +78,43 @@ def test_concave_polygons_keep_the_coordinates_of_their_corners(tmp_path):
     np.testing.assert_array_equal(mesh.texture, np.full((4, 4, 3), [9, 8, 7]))
 
 
+def test_a_ply_of_several_textures_is_refused(tmp_path):
+    for name in ("a.png", "b.png"):
+        Image.fromarray(checker([[[9, 8, 7]]], 4)).save(tmp_path / name)
+    path = tmp_path / "m.ply"
+    comments = "comment TextureFile a.png\ncomment TextureFile b.png\n"
+    face = ["list uchar float texcoord", "int texnumber"]
+    corners = "3 0 1 2 6 0 0 1 0 1 1 0\n3 0 2 3 6 0 0 1 1 0 1 1\n"
+    path.write_text(header(4, 2, face=face, comment=comments) + rows(SQUARE) + corners)
+    with pytest.raises(ObjectFolderError, match=r"m\.ply names 2 textures \(a\.png, b\.png\), expected"):
+        load_mesh(path)
+    path.write_text(path.read_text().replace("b.png", "a.png"))
+    assert load_mesh(path).texture is not None
+
+
 @pytest.mark.parametrize("prefix", ["", "diffuse_"])
-@pytest.mark.parametrize(("kind", "most"), [("uchar", 255), ("ushort", 65535), ("ushort", 255)])
-def test_colours_of_a_ply_in_bytes_and_in_words(tmp_path, prefix, kind, most):
+@pytest.mark.parametrize(
+    ("kind", "most"), [("uchar", 255), ("ushort", 65535), ("ushort", 255), ("float", 255), ("float", 1)]
+)
+def test_colours_of_a_ply_in_bytes_words_and_fractions(tmp_path, prefix, kind, most):
     colors = np.array([[0, 128, 255], [1, 2, 3], [250, 100, 0], [255, 255, 255]])
     names = [f"{kind} {prefix}{name}" for name in ("red", "green", "blue")]
     path = tmp_path / "m.ply"
-    stored = colors * (most // 255)
+    stored = colors * most // 255 if most >= 255 else colors / 255
     path.write_text(
         header(4, 1, vertex=names) + rows([*v, *c] for v, c in zip(SQUARE, stored)) + rows([[4, 0, 1, 2, 3]])
     )
     assert colors_by_vertex(load_mesh(path)) == dict(zip(map(tuple, SQUARE), map(tuple, colors)))
+
+
+def test_colours_of_faces_beside_those_of_vertices_are_noted(tmp_path):
+    names = [f"uchar {name}" for name in ("red", "green", "blue")]
+    path = tmp_path / "m.ply"
+    of_vertices = rows([*v, 1, 2, 3] for v in SQUARE)
+    path.write_text(header(4, 1, vertex=names, face=names) + of_vertices + "3 0 1 2 9 9 9\n")
+    mesh = load_mesh(path)
+    assert (mesh.vertex_colors == [1, 2, 3]).all()
+    assert mesh.source["notes"] == ["colours of faces beside those of vertices left out"]
 
 
 def test_an_off_of_any_polygons(tmp_path):
@@ -118,6 +146,15 @@ def test_an_off_with_colours_of_faces_and_normals(tmp_path):
     mesh = load_mesh(path)
     np.testing.assert_array_equal(mesh.vertex_colors[mesh.faces][:, 0], [[10, 20, 30], [40, 50, 255]])
     np.testing.assert_array_equal(mesh.normals, np.tile([0.0, 0, 1], (len(mesh.vertices), 1)))
+
+
+@pytest.mark.parametrize("unit", [1, 255])
+def test_faces_of_an_off_without_a_colour_are_plain_beside_coloured_ones(tmp_path, unit):
+    path = tmp_path / "m.off"
+    path.write_text(f"OFF\n4 2 0\n{rows(SQUARE)}3 0 1 2 {unit} 0 {unit}\n3 0 2 3\n")
+    mesh = load_mesh(path)
+    plain = round(255 * srgb.encode(np.float64(PLAIN)))
+    np.testing.assert_array_equal(mesh.vertex_colors[mesh.faces][:, 0], [[255, 0, 255], [plain] * 3])
 
 
 @pytest.mark.parametrize(
