@@ -378,7 +378,9 @@ def _press(
 
 
 def _report_inaudible(heard: int, modes: int, nyquist: float) -> None:
-    if heard == 0:
+    if modes == 0:
+        log.warning("silent: the object has no mode that rings between 20 Hz and 20 kHz")
+    elif heard == 0:
         log.warning(
             "silent: none of the object's %d modes lies below the Nyquist frequency of %g Hz", modes, nyquist
         )
