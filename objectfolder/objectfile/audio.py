@@ -292,11 +292,12 @@ class ModalSense:
                 f"{key}: the file holds the radiation of {radiation.modes} modes of {len(own)}; rebuild it"
             )
         ratio = tuning.damped_frequency / own[tuning.modes] * (size / self._surface.scale)
-        if len(ratio) and float((ratio - 1).abs().max()) > _ALIKE:
+        low, high = tuning.frequency_bounds  # of another Poisson ratio
+        if len(ratio) and max(float(ratio.max()) * high - 1, 1 - float(ratio.min()) * low) > _ALIKE:
             raise ObjectFolderError(
-                f"{key}: in this material, its sound would have {float(1 / ratio.median()):.2f} times the "
-                "wavelength, and radiate otherwise than was solved; build the object in it to hear it at a "
-                "listener"
+                f"{key}: in this material, its sound would have {float(1 / ratio.max()) / high:.2f} to "
+                f"{float(1 / ratio.min()) / low:.2f} times the wavelength, and "
+                "radiate otherwise than was solved; build the object in it to hear it at a listener"
             )
 
     def _strengths(
