@@ -8,6 +8,7 @@ from objectfolder.audio.tuning import Tuning
 
 BLOCK = 16  # sounds mixed at once; fixed, so that a row's bits do not depend on its batch
 PIECE = 1 << 15  # samples mixed at once
+NARROWEST = 16  # samples of a piece; of fewer columns, the bits of a product depend on the row
 KEPT = 1 << 27  # bytes; larger responses are recomputed for every block of sounds
 
 
@@ -75,11 +76,11 @@ class Bank:
             out = torch.from_numpy(sounds[first : first + BLOCK])
             for i, start in enumerate(range(0, self.samples, PIECE)):
                 piece = self._pieces[i] if self._pieces else self._piece(start)
-                out[:, start : start + PIECE] = (block @ piece)[: len(rows)]
+                out[:, start : start + PIECE] = (block @ piece)[: len(rows), : self.samples - start]
         return sounds
 
     def _piece(self, start: int) -> torch.Tensor:
-        span = range(start, min(start + PIECE, self.samples))
+        span = range(start, max(min(start + PIECE, self.samples), start + NARROWEST))
         parts = [
             responses(*self._modes, self.sample_rate, span, *self._strike, ahead)
             for ahead in (False, True)[: 1 + self._phases]

@@ -91,12 +91,16 @@ class ModalStream:
     def play(self, samples: int, weights: np.ndarray) -> np.ndarray:
         """Return the next samples of sound, heard with weights (M,) at their end.
 
-        Over the block, weights change linearly from those of the block before.
+        Over the block, weights change linearly from those of the block before. An empty block changes
+        nothing.
         """
         if not self.sounds:
             self.clock += samples
             self._weights = None
             return np.zeros(samples)
+        if not samples:  # weights and pulses wait for the next block
+            self._shaking = []
+            return np.zeros(0)
         before = weights if self._weights is None else self._weights
         ears = weights[None] if before is weights else np.stack([before, weights])
         heard = self._ring(ears, self.phasors, 0, samples)

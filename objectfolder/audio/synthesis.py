@@ -70,6 +70,10 @@ def count_samples(sample_rate: float, duration: float) -> int:
     """
     rate, seconds = finite_number("sample rate", sample_rate), finite_number("duration", duration)
     samples = round(rate * seconds) if rate > 0 and math.isfinite(rate * seconds) else 0
+    if samples <= 0 < min(rate, seconds) and math.isfinite(rate * seconds):
+        raise ObjectFolderError(
+            f"duration is {duration} s, expected at least one sample of {1 / rate:g} s at {sample_rate} Hz"
+        )
     if samples <= 0:
         raise ObjectFolderError(
             f"sample rate {sample_rate} Hz and duration {duration} s give no samples; both must be positive"

@@ -34,9 +34,12 @@ class Tuning:
         return self.damped_frequency / (2 * math.pi)
 
 
-def stored_modes(damped_frequency: torch.Tensor, damping: torch.Tensor) -> Tuning:
-    """Return the stored modes unchanged."""
-    return Tuning(torch.arange(len(damping)), damped_frequency, damping)
+def stored_modes(
+    damped_frequency: torch.Tensor, damping: torch.Tensor, band_hz: tuple[float, float] = (0.0, math.inf)
+) -> Tuning:
+    """Return the stored modes unchanged; see `retune` for the arguments."""
+    notes = tuple(_missing_above(band_hz[1]))
+    return Tuning(torch.arange(len(damping)), damped_frequency, damping, complete_hz=band_hz, notes=notes)
 
 
 def retune(
@@ -109,21 +112,28 @@ def _notes(
     complete: tuple[float, float], old: Material, new: Material, bounds: tuple[float, float]
 ) -> Iterator[str]:
     """Describe the gaps and approximations of retuned modes."""
-    low, high = HEARING_HZ
+    low = HEARING_HZ[0]
     if old.poisson_ratio != new.poisson_ratio:
         yield (
             f"approximate: the modes were solved for {old.name} with Poisson ratio {old.poisson_ratio:g}, "
             f"{new.name} has {new.poisson_ratio:g}; true frequencies are {bounds[0]:.3f} to {bounds[1]:.3f} "
             f"times these; build the object with material {new.name} to solve it exactly"
         )
-    # The solved band may end at 20 kHz itself; do not report rounding, of single precision, as a gap.
-    if complete[1] < high * (1 - 1e-6):
-        yield (
-            f"incomplete: modes from {complete[1]:.0f} to {high:.0f} Hz were above the band that was solved "
-            "and are not stored; build the object with this material and scale to hear them"
-        )
+    yield from _missing_above(complete[1])
     if complete[0] > low * (1 + 1e-6):
         yield (
             f"incomplete: modes from {low:.0f} to {complete[0]:.0f} Hz were below the band that was solved "
             "and are not stored; build the object with this material and scale to hear them"
+        )
+
+
+def _missing_above(top: float) -> Iterator[str]:
+    """Describe the gap between the end of the solved band and that of hearing, Hz."""
+    high = HEARING_HZ[1]
+    # The solved band may end at 20 kHz itself; do not report rounding, of single precision, as a gap.
+    if top < high * (1 - 1e-6):
+        yield (
+            f"incomplete: modes from {top:.0f} to {high:.0f} Hz were above the band that was solved and are "
+            "not stored; build the object with this material and scale, and modal.max_modes and "
+            "modal.max_frequency high enough, to hear them"
         )

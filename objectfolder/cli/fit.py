@@ -38,8 +38,9 @@ def sound(
 
     `objectfolder fit sound mug tap1.wav tap2.wav`
 
-    The modes heard are matched to those of the object's last build. Size, density and Poisson's ratio stay
-    as they are. The next build rescales the modes; it does not solve them again.
+    The modes heard are matched to those of the object's last build; modes below 200 Hz are not used. Size,
+    density and Poisson's ratio stay as they are. The next build rescales the modes; it does not solve them
+    again.
     """
     from objectfolder.audio.fitting import fit_sound
     from objectfolder.audio.recordings import at_one_rate, read_recording
@@ -79,6 +80,7 @@ def sound(
         f"stiffness: {match.stiffness:.4f} times that of {report['material']} as built; frequencies then "
         f"differ by {fit.frequency_error:.2%} (root mean square)",
         f"not matched, Hz: {left or 'none'}",
+        f"modes below 200 Hz are not used: {(computed < 200).sum()} of {len(computed)} computed ones",
         f"material: {fit.material}",
     ]
     if match.rival > GUESS:

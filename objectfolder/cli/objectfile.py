@@ -338,9 +338,11 @@ def _summary_of(obj: "ObjectFile", part: str) -> str:
     frequencies = obj.frequencies
     if not len(frequencies):
         return f"{kind}, no modes: silent" if obj.has_modes else kind
-    error = obj.header[part].get("frequency_uncertainty")
+    described = obj.header[part]
+    error = described.get("frequency_uncertainty")
     certain = "" if error is None else f", lowest ten within about {error:.1%}"
-    if obj.header[part].get("frequency_uncertainty_unknown"):
+    if described.get("frequency_uncertainty_unknown"):
         certain = ", their error not known: walls are too thin for the grid"
     span = f"{frequencies.min():.0f} to {frequencies.max():.0f} Hz"
-    return f"{kind}, {plural(len(frequencies), 'mode')} from {span}{certain}"
+    cut = f", truncated above {described['band_hz'][1]:.0f} Hz" if described.get("truncated") else ""
+    return f"{kind}, {plural(len(frequencies), 'mode')} from {span}{cut}{certain}"

@@ -152,7 +152,8 @@ class Hearing:
     def hear(self, data: mujoco.MjData) -> np.ndarray:
         """Return what is heard of the step that ``mj_step`` has just made, Pa; (samples,) float32.
 
-        The number of samples is that of the step, rounded so that none is lost in the long run.
+        The number of samples is that of the step, rounded so that none is lost in the long run. Steps shorter
+        than a sample have none at times; what strikes in one is heard from the next sample on.
         """
         self._check(data)
         samples = round(self.sample_rate * self._step * (self._steps + 1)) - self._clock
@@ -217,7 +218,7 @@ class Hearing:
             # Hertz's law has no vibrations. Where they would take more energy than the impact lost, as of
             # thin shells, the blow is as much weaker.
             share = math.sqrt(min(impact.lost / taken[k], 1.0)) if taken[k] > 0 else 1.0
-            start = self._clock + round((1 - impact.late / self._step) * (samples - 1))
+            start = self._clock + round((1 - impact.late / self._step) * max(samples - 1, 0))
             body.stream.strike(Pulse(start, duration * self.sample_rate, share * gain))
             energies = share**2 * energy, impact.lost
             out.append(Strike(body.name, start, point, share * impulse, duration, impact.speed, *energies))

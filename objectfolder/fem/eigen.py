@@ -29,7 +29,7 @@ class Modes:
 
     eigenvalues: np.ndarray  #: (M,), rad^2/s^2
     shapes: np.ndarray  #: (3N, M), mass-normalised, kg^-1/2
-    residuals: np.ndarray  #: (M,), ||K u - lambda M u|| / ||lambda M u||
+    residuals: np.ndarray  #: (M,), ||K u - lambda M u|| / ||lambda M u||, before `canonical`
     rigid_frequencies: np.ndarray  #: (6,), Hz; exactly zero in exact arithmetic
     count_below: int  #: elastic modes below the frequency limit, by inertia
     truncated: bool  #: whether fewer modes were kept
@@ -106,16 +106,16 @@ class FreeVibration:
                 "larger voxelize.max_degrees_of_freedom"
             )
         keep = np.flatnonzero(values < limit)[:max_modes]
-        # Before the cut, which may separate the modes of a repeated eigenvalue.
-        elastic = canonical(values, vectors, fem)[:, keep]
-        inertia = elastic * values[keep]
-        residual = np.linalg.norm(fem.stiffness @ elastic - fem.mass @ inertia, axis=0)
+        # Of the solver's own vectors: `canonical` mixes modes whose eigenvalues still differ a little.
+        inertia = fem.mass @ (vectors[:, keep] * values[keep])
+        residual = np.linalg.norm(fem.stiffness @ vectors[:, keep] - inertia, axis=0)
         rigid = np.einsum("ij,ij->j", self._rigid, fem.stiffness @ self._rigid)
         count = len(keep) if below is None else below
         return Modes(
             eigenvalues=values[keep],
-            shapes=elastic,
-            residuals=residual / np.linalg.norm(fem.mass @ inertia, axis=0),
+            # Before the cut, which may separate the modes of a repeated eigenvalue.
+            shapes=canonical(values, vectors, fem)[:, keep],
+            residuals=residual / np.linalg.norm(inertia, axis=0),
             rigid_frequencies=np.sqrt(np.abs(rigid)) / (2 * np.pi),
             count_below=count,
             truncated=count > len(keep),

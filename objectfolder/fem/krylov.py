@@ -11,9 +11,12 @@ import numpy as np
 import scipy.linalg as la
 import scipy.sparse as sp
 
+from objectfolder.errors import ObjectFolderError
+
 CONVERGED = 1e-11
 DENSE, FEW = 600, 4  # limits of unknowns, in all and per wanted mode, for a dense solve
 _BLOCK, _WIDE_BLOCK, _MANY = 8, 16, 150  # block sizes, and the number of modes above which it is wide
+_ENDLESS = 50  # basis size, per wanted mode and column of a block, beyond which nothing converges; 6 suffice
 _FIRST_CHECK, _GROWTH = 2.0, 1.06  # basis size per wanted mode at the first convergence check; growth after
 
 
@@ -49,6 +52,11 @@ def lowest_modes(
     -------
     values : (k,) array, ascending
     vectors : (3N, k) array, M-orthonormal
+
+    Raises
+    ------
+    ObjectFolderError
+        If the modes do not converge.
     """
     size, known = deflated.shape
     target = wanted(np.empty(0))
@@ -92,6 +100,11 @@ def lowest_modes(
         number = wanted(values)
         if number <= positive and (residual[:number] < tolerance * inverse[:number]).all():
             return values[:number], used[:, known:] @ share[:, :number]
+        if known + count + block > size or count > _ENDLESS * (number + block):
+            raise ObjectFolderError(
+                f"{number} modes of {size} unknowns do not converge in {count} vectors, as of solids far too "
+                "small or too stiff: check the object's scale and material"
+            )
 
 
 def _times(nodal_mass: sp.csr_matrix, vectors: np.ndarray) -> np.ndarray:

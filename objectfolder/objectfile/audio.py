@@ -118,7 +118,7 @@ class ModalSense:
         """Return the modes of this shape in another material or size."""
         modes = self.net.damped_frequency.cpu(), self.net.damping.cpu()
         if material is None and scale is None:
-            return stored_modes(*modes)
+            return stored_modes(*modes, self._band())
         own, band = self._solved()
         return retune(*modes, band, (own, self._surface.scale), self._struck(own, material, scale))
 
@@ -182,10 +182,15 @@ class ModalSense:
                 "answers in its own material and size only"
             )
         with report_damage(key, "description of the sound"):
-            low, high = header["audio"]["band_hz"]
             stored = header["material_properties"]
             known = {field.name: stored[field.name] for field in fields(Material) if field.name in stored}
-            return Material(header["material"], **known), (float(low), float(high))
+            return Material(header["material"], **known), self._band()
+
+    def _band(self) -> tuple[float, float]:
+        """Band of natural frequencies (Hz) in which every mode is stored; all of them if it is not known."""
+        with report_damage(self._stored.key, "description of the sound"):
+            low, high = self._stored.header["audio"].get("band_hz", (0.0, math.inf))
+            return float(low), float(high)
 
     def mode_shapes(self, points: np.ndarray, tolerance: float) -> np.ndarray:
         """Return mass-normalised mode shapes, kg^-1/2; (N, 3, M) float32."""
@@ -287,11 +292,12 @@ class ModalSense:
                 f"{key}: the file holds the radiation of {radiation.modes} modes of {len(own)}; rebuild it"
             )
         ratio = tuning.damped_frequency / own[tuning.modes] * (size / self._surface.scale)
-        if len(ratio) and float((ratio - 1).abs().max()) > _ALIKE:
+        low, high = tuning.frequency_bounds  # of another Poisson ratio
+        if len(ratio) and max(float(ratio.max()) * high - 1, 1 - float(ratio.min()) * low) > _ALIKE:
             raise ObjectFolderError(
-                f"{key}: in this material, its sound would have {float(1 / ratio.median()):.2f} times the "
-                "wavelength, and radiate otherwise than was solved; build the object in it to hear it at a "
-                "listener"
+                f"{key}: in this material, its sound would have {float(1 / ratio.max()) / high:.2f} to "
+                f"{float(1 / ratio.min()) / low:.2f} times the wavelength, and "
+                "radiate otherwise than was solved; build the object in it to hear it at a listener"
             )
 
     def _strengths(
@@ -373,7 +379,9 @@ def _press(
 
 
 def _report_inaudible(heard: int, modes: int, nyquist: float) -> None:
-    if heard == 0:
+    if modes == 0:
+        log.warning("silent: the object has no mode that rings between 20 Hz and 20 kHz")
+    elif heard == 0:
         log.warning(
             "silent: none of the object's %d modes lies below the Nyquist frequency of %g Hz", modes, nyquist
         )

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.fem.modal import CERTAIN, MAX_RESIDUAL, MAX_RIGID_HZ
+from objectfolder.fem.modal import CERTAIN, MAX_RESIDUAL, rigid_limit
 from objectfolder.mesh.topology import signed_volume
 from objectfolder.objectfile.file import ObjectFile
 
@@ -51,7 +51,7 @@ def build_checks(
         checks.append(_most("Closed surface near the mesh", far, DEVIATION, " % of the size"))
     if modal:
         checks.append(_most("Residual of the modes", modal["residual_max"], MAX_RESIDUAL))
-        checks.append(_most("Rigid motions ring at 0 Hz", max(modal["rigid_hz"]), MAX_RIGID_HZ, " Hz"))
+        checks.append(_most("Rigid motions ring at 0 Hz", max(modal["rigid_hz"]), rigid_limit(modal), " Hz"))
     scores = metrics or {}
     for sense, name, score, baseline in (
         ("vision", "Looks better than an empty picture", "psnr", "baseline_white"),

@@ -82,7 +82,7 @@ class ObjectEntry(Record):
 
     mesh: str  #: under data/objects/<key>/
     material: Any  #: a name, or {base: name} and properties that differ
-    scale: float = Field(gt=0, le=100)  #: longest side, metres
+    scale: float = Field(ge=1e-4, le=100)  #: longest side, metres
     up: Literal["y", "z"] = "z"  #: up axis of the source mesh
     wall: float | None = Field(default=None, gt=0)  #: thickness given to open sheets, metres; null: 2 %
     bridge: Bridge = "all"  #: fill small gaps: everywhere, for sound alone, nowhere

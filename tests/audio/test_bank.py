@@ -38,6 +38,18 @@ def test_a_long_sound_is_made_in_pieces_of_bounded_memory(tuning, monkeypatch, r
     np.testing.assert_array_equal(kept.mix(gains), made_anew.mix(gains))
 
 
+@pytest.mark.parametrize("samples", [1, 6, 7, 9, 10, 11, 15])
+def test_a_short_sound_is_bit_identical_at_any_place_in_a_batch(tuning, samples, rng, monkeypatch):
+    """So is one whose last piece is short."""
+    monkeypatch.setattr(module, "PIECE", 1000)
+    for length in (samples, 1000 + samples):
+        bank = Bank(tuning, 44100, length / 44100, "velocity", 0.0)
+        gains = torch.from_numpy(rng.standard_normal((1, len(bank.heard)))).float()
+        batch = bank.mix(gains.repeat(16, 1))
+        assert batch.shape == (16, length)
+        assert (batch == bank.mix(gains)).all()
+
+
 @pytest.mark.parametrize("kept", [0, 1 << 27])
 def test_nonsense_is_refused_at_once(tuning, kept, monkeypatch):
     monkeypatch.setattr(module, "KEPT", kept)

@@ -106,6 +106,21 @@ def test_weights_change_linearly_over_a_block():
     assert rung(one, two) == pytest.approx(first + share * (last - first), abs=1e-12)
 
 
+def test_an_empty_block_changes_nothing():
+    def played(sizes):
+        stream = ModalStream(POLES, RATE, 96)
+        stream.strike(Pulse(30, 40.5, GAINS))
+        parts = []
+        for k, size in enumerate(sizes):
+            stream.shake(np.full(size, 0.1), GAINS)
+            parts.append(stream.play(size, np.full(4, 1.0 + 1j * (k == len(sizes) - 1))))
+        return np.concatenate(parts)
+
+    expected = played([96, 96]).tobytes()
+    assert played([96, 0, 96]).tobytes() == expected
+    assert played([0, 96, 0, 0, 96]).tobytes() == expected
+
+
 def test_what_is_not_heard_any_more_stops():
     stream = ModalStream(np.array([-2000 + 2j * np.pi * 1000]), RATE, 4800)
     stream.strike(Pulse(0, 5.0, np.array([1e-3])))

@@ -190,6 +190,7 @@ def test_no_modes_and_no_rows():
         (0, 1.0, "velocity", "must be positive"),
         (-RATE, -1.0, "velocity", "must be positive"),
         (RATE, 0.0, "velocity", "must be positive"),
+        (RATE, 1e-5, "velocity", r"duration is 1e-05 s, expected at least one sample of 6.25e-05 s at 16000"),
         (math.nan, 1.0, "velocity", "expected a finite number"),
         (math.inf, 1.0, "velocity", "expected a finite number"),
         (RATE, math.nan, "velocity", "expected a finite number"),

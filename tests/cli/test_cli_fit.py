@@ -46,6 +46,7 @@ def test_the_fitted_material_goes_to_params(built, recordings):
     shown = run("mug", *recordings, "--dry-run")
     assert shown.exit_code == 0, shown.output
     assert f"{len(MODES)} of {len(MODES)} heard modes matched" in shown.output
+    assert f"modes below 200 Hz are not used: 0 of {len(MODES) + 2} computed ones" in shown.output
     assert (built / "params.yaml").read_text() == before
     assert run("mug", *recordings).exit_code == 0
     check_all(params.read())

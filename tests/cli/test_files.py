@@ -11,6 +11,7 @@ from objectfolder.benchmarks.collect import load_object_files
 from objectfolder.cli import app
 from objectfolder.cli.files import file_or_folder, object_file
 from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.samples import sample_path
 
 #: How commands show arguments that are Object Files.
@@ -64,6 +65,15 @@ def test_a_file_of_a_samples_name_comes_first_and_a_folder_where_folders_are_tak
         app(["info", "die"], standalone_mode=False)
     with pytest.raises(ObjectFolderError, match=r"^\. is a folder, expected an Object File such as"):
         object_file(Path())
+
+
+def test_the_frequency_above_which_modes_are_not_stored_is_shown(brick, tmp_path, capsys):
+    audio = brick.header["audio"] | {"truncated": True, "band_hz": [0.0, 8408.4]}
+    ObjectFile(brick.header | {"audio": audio}, brick.tensors).save(tmp_path / "cut.safetensors")
+    app(["info", str(tmp_path / "cut.safetensors")], standalone_mode=False)
+    assert "Hz, truncated above 8408 Hz" in re.sub(r"[│\s]+", " ", capsys.readouterr().out)
+    app(["info", "mug"], standalone_mode=False)
+    assert "truncated" not in capsys.readouterr().out
 
 
 def test_a_sample_is_shown_sampled_queried_and_seen(tmp_path, monkeypatch, capsys):

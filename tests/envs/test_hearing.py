@@ -115,6 +115,24 @@ def test_one_call_of_many_steps_is_as_many_calls_of_one(brick):
     assert np.frombuffer(sounds[0], np.float32).any()
 
 
+def test_steps_may_be_shorter_than_a_sample(brick):
+    """With rough surfaces, too. Steps without a sample lose no strike, and start none early."""
+    model, rate = scene([brick], height=0.0, step=1e-4), 8000
+    data, hearing = mujoco.MjData(model), Hearing(model, [brick], "ear", rate)
+    parts, strikes, times = [], [], []
+    for _ in range(1500):
+        parts.append(hearing.simulate(data))
+        strikes += hearing.strikes
+        times += [data.time] * len(hearing.strikes)
+    assert {len(part) for part in parts} == {0, 1}
+    sound = np.concatenate(parts)
+    assert len(sound) == 1200
+    assert len(strikes) > 3
+    assert [s.start for s in strikes] == pytest.approx(np.array(times) * rate, abs=1.5)
+    assert not sound[: strikes[0].start].any()
+    assert abs(sound[strikes[0].start :]).max() > 1e-3
+
+
 def test_the_noise_of_a_slide_is_seeded_and_fades_as_it_stops(brick):
     def slid(seed, speed):
         model = scene([brick], 0.0)

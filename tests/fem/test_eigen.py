@@ -180,6 +180,19 @@ def test_repeated_eigenvalues_are_found_and_get_the_same_basis_from_any_other(sq
     np.testing.assert_allclose(canonical(values, shapes, fem), shapes, atol=1e-8 * np.abs(shapes).max())
 
 
+def test_nearly_repeated_eigenvalues_are_solved_as_well_as_others(square_bar):
+    """They span one subspace, in a basis of which no vector alone is a mode."""
+    fem, _ = square_bar
+    heavier = fem.nodal_mass.copy()
+    heavier[7, 7] *= 1 + 2e-5
+    fem = FiniteElements.of(fem.stiffness, heavier, fem.nodes)
+    modes = solve_modes(fem, 1500, 20)
+    split = np.diff(modes.eigenvalues) / modes.eigenvalues[1:]
+    assert ((split > 1e-7) & (split < 2e-6)).sum() >= 3
+    assert modes.residuals.max() < 1e-8
+    assert abs(modes.shapes.T @ fem.mass @ modes.shapes - np.eye(len(split) + 1)).max() < 1e-9
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("kept", [20, 1, 5])
 def test_two_solves_from_different_start_vectors_agree(square_bar, monkeypatch, seed, kept):

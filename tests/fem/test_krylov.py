@@ -4,6 +4,7 @@ import scipy.linalg
 import scipy.sparse as sp
 import scipy.sparse.linalg as sla
 
+from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.krylov import lowest_modes
 
 NODES = 400
@@ -39,6 +40,16 @@ def test_every_copy_of_the_lowest_eigenvalues_is_found_beside_the_known(strings,
     assert (
         residual < 1e-8 * np.linalg.norm(mass @ vectors * found[:number], axis=0) + 1e-11
     ).all()  # rounding of K
+
+
+def test_what_does_not_converge_is_refused(strings):
+    """The answers of a solver that are nothing but rounding."""
+    stiffness, nodal, _, _, vectors = strings
+    rng = np.random.default_rng(0)
+    with pytest.raises(ObjectFolderError, match=r"^4 modes of 1200 unknowns do not converge in \d+ vectors"):
+        lowest_modes(
+            stiffness, nodal, lambda b: rng.normal(size=b.shape), -1e-5, vectors[:, :3], lambda found: 4
+        )
 
 
 def test_the_known_vectors_stay_out(strings):

@@ -72,6 +72,8 @@ def test_a_silent_object_has_no_modes(cells):
     assert data.shapes.shape == (8, 3, 0)
     assert data.report["modes"] == 0
     assert data.report["residual_max"] == 0
+    assert max(data.report["rigid_hz"]) > 0.1  # rounding, of modes at a megahertz
+    assert data.report["rigid_modes_ok"]
 
 
 def test_the_uncertainty_is_the_largest_estimated_error(cells):

@@ -315,7 +315,18 @@ def test_an_object_that_falls_silent_says_so(brick, caplog):
     assert f"none of the object's 12 modes lies below the Nyquist frequency of {rate // 2} Hz" in caplog.text
     caplog.clear()
     brick.impact(TOP, UP, duration=0.1)
-    assert not caplog.text
+    assert "silent" not in caplog.text
+
+
+def test_an_object_whose_highest_modes_are_not_stored_says_so(brick, caplog):
+    top = brick.header["audio"]["band_hz"][1]
+    assert top < 20000
+    own = brick.tuning()
+    assert own.complete_hz == (0.0, top)
+    assert own.notes == brick.tuning(scale=brick.scale).notes
+    assert own.notes[0].startswith(f"incomplete: modes from {top:.0f} to 20000 Hz were above the band")
+    brick.impact(TOP, UP, duration=0.1)
+    assert f"brick: {own.notes[0]}" in caplog.text
 
 
 @pytest.mark.filterwarnings("ignore:Initializing zero-element tensors")
@@ -327,7 +338,8 @@ def test_an_object_without_any_mode_is_silent(tmp_path, caplog):
     sound = tiny.impact(tiny.sample_surface(2), UP, duration=0.1)
     assert sound.shape == (2, 1600)
     assert not sound.any()
-    assert "none of the object's 0 modes" in caplog.text
+    assert "silent: the object has no mode that rings between 20 Hz and 20 kHz" in caplog.text
+    assert "Nyquist" not in caplog.text
 
 
 def test_impulses_too_large_for_the_format_are_refused_and_give_no_nan(brick):

@@ -9,7 +9,7 @@ from objectfolder.objectfile.file import ObjectFile
 from objectfolder.report.certificate import build_checks, file_checks
 
 NORMALIZE = {"deviation_max_percent": 0.4}
-MODAL = {"residual_max": 1e-11, "rigid_hz": [0.0, 0.01]}
+MODAL = {"residual_max": 1e-11, "rigid_hz": [0.0, 0.01], "lowest_hz": [400.0], "max_frequency_hz": 2e4}
 METRICS = {
     "vision": {"psnr": 40.0, "baseline_white": 8.0},
     "audio": {

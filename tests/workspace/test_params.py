@@ -135,8 +135,8 @@ def test_bad_keys_in_a_file_name_the_file(write, key):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"scale": 0}, r"scale: .*greater than 0, got 0"),
-        ({"scale": -0.1}, r"scale: .*greater than 0, got -0.1"),
+        ({"scale": 0}, r"scale: .*greater than or equal to 0.0001, got 0"),
+        ({"scale": 9e-5}, r"scale: .*greater than or equal to 0.0001, got 9e-05"),
         ({"scale": float("nan")}, r"scale: .*got nan"),
         ({"scale": 1000}, r"scale: .*less than or equal to 100, got 1000"),
         ({"scale": "big"}, r"scale: .*valid number, got 'big'"),
