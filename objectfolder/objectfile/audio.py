@@ -108,6 +108,7 @@ class ModalSense:
         self.net = net
         self._stored, self._surface = stored, stored.surface
         self._banks: Recent[tuple[Tuning, Bank]] = Recent(_BANKS)
+        self._said: set[str] = set()
 
     @property
     def damped_frequency(self) -> torch.Tensor:
@@ -306,7 +307,9 @@ class ModalSense:
         """Yield parts of the strikes, and their gains of the bank's modes; (rows, H) float32."""
         tuning, bank = self._bank(settings)
         for note in tuning.notes:
-            log.warning("%s: %s", self._stored.key, note)
+            if note not in self._said:  # once, not at every strike
+                self._said.add(note)
+                log.warning("%s: %s", self._stored.key, note)
         surface = self._surface.resized(settings.scale)
         places = torch.from_numpy(surface.to_unit(surface.snap(points, tolerance)))
         for start in range(0, len(places), _BATCH):

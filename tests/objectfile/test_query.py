@@ -325,8 +325,10 @@ def test_an_object_whose_highest_modes_are_not_stored_says_so(brick, caplog):
     assert own.complete_hz == (0.0, top)
     assert own.notes == brick.tuning(scale=brick.scale).notes
     assert own.notes[0].startswith(f"incomplete: modes from {top:.0f} to 20000 Hz were above the band")
-    brick.impact(TOP, UP, duration=0.1)
-    assert f"brick: {own.notes[0]}" in caplog.text
+    loaded = ObjectFile(brick.header, brick.tensors)
+    for _ in range(2):
+        loaded.impact(TOP, UP, duration=0.1)
+    assert caplog.text.count(f"brick: {own.notes[0]}") == 1  # not at every strike
 
 
 @pytest.mark.filterwarnings("ignore:Initializing zero-element tensors")
