@@ -20,19 +20,24 @@ def scored(decibel):
 
 
 def built(decibel, seconds):
-    return {"scores": scored(decibel), "hours": dict.fromkeys(faithful.MODALITIES, seconds / 3600)}
+    steps = {"vision": 4000 + 100 * decibel, "audio": 50_000, "touch": 500_000}
+    return {
+        "scores": scored(decibel),
+        "hours": dict.fromkeys(faithful.MODALITIES, seconds / 3600),
+        "curves": {sense: [[20, 0.2, 0.2], [count, 0.1, 0.1]] for sense, count in steps.items()},
+    }
 
 
 def test_a_mean_over_objects_ends_each_sense_and_stands_beside_the_papers():
     objects = {
-        "paper": {"mug": built(20.0, 600), "die": built(30.0, 1200), "bell": built(1.0, 1)},
+        "paper": {"mug": built(5.0, 600), "die": built(15.0, 1200), "bell": built(1.0, 1)},
         "default": {"mug": built(40.0, 6), "die": built(42.0, 6)},  # the bell failed: in no mean
     }
-    steps = {"vision": 5000, "audio": 50_000, "touch": 500_000}
-    rows = faithful.rows_of(objects, steps, {"vision": 128, "audio": 2048, "touch": 16_384})
+    rows = faithful.rows_of(objects, {"vision": 128, "audio": 2048, "touch": 16_384})
     assert [row["object"] for row in rows] == ["mug", "die", "mean"] * 3
+    assert [row["steps"] for row in rows[:3]] == [4500, 5500, 5000]  # where each one's curve ends
     vision, audio, touch = (row for row in rows if row["object"] == "mean")
-    assert (vision["paper_net"], vision["default_net"], vision["trivial"]) == (25, 41, 9)
+    assert (vision["paper_net"], vision["default_net"], vision["trivial"]) == (10, 41, 9)
     assert vision["hours"] == pytest.approx(0.25)
     assert [row["of_papers_steps"] for row in (vision, audio, touch)] == [0.01, 0.1, 1]
     assert [row["of_papers_drawn"] for row in (vision, audio, touch)] == [0.01 / 8, 0.1 / 8, 1]
