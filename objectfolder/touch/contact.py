@@ -192,7 +192,8 @@ def heightmaps(
     Returns
     -------
     height : (N, H, W) float32, metres
-        From -`GAP` times `elastomer_thickness`, also for any wider gap, to `max_indentation`.
+        From -`objectfolder.touch.gel.GAP` times `elastomer_thickness`, also for any wider gap, to
+        `max_indentation`.
     obstructed : (N,) float64
         Fraction of the pixels with material nearer to the camera than the base, in the pose asked for; 0 for
         a contact that is not obstructed.
