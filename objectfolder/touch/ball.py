@@ -67,12 +67,11 @@ class BallModel:
 
     def displacement(self, pose: np.ndarray) -> torch.Tensor:
         """Return the displacement of the gel under the ball; (1, H, W)."""
-        return self._displacements.of(
-            pose.tobytes(),
-            lambda: torch.from_numpy(
-                deform(self.height(pose)[None].astype(np.float32), self.profile)[0],
-            ),
-        )
+        return self._displacements.of(pose.tobytes(), lambda: self._pressed(pose))
+
+    def _pressed(self, pose: np.ndarray) -> torch.Tensor:
+        height = self.height(pose)[None].astype(np.float32)
+        return torch.from_numpy(deform(height, self.profile)[0])
 
     def height(self, pose: np.ndarray) -> np.ndarray:
         """Return the heights of the ball past the gel along the pixel rays; (H, W), metres."""
