@@ -9,11 +9,11 @@ from objectfolder.fem.band import solved_band
 from objectfolder.fem.elements import solid_from_arrays
 from objectfolder.fem.modal import ModalConfig, refined_analysis, shape_points, uncertainty_warning
 from objectfolder.fem.reuse import Request, problem_digest, rescaled, solution_record
-from objectfolder.io import file_digest, keep, read_npz, write_json, write_npz
+from objectfolder.io import keep, read_npz, write_json, write_npz
 from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.sampling import split_rows
 from objectfolder.seeding import numpy_generator
-from objectfolder.workspace.layout import Build
+from objectfolder.workspace.layout import Build, code_list
 from objectfolder.workspace.params import stage_params
 from stages import run
 
@@ -26,7 +26,8 @@ def main(key: str) -> None:
     material = materials.own_material(params.entry.material, settings.damping)
     request = Request(material, params.entry.scale, settings.max_frequency, settings.max_modes)
     options = {"fine": asdict(settings.fine), "surface_points": settings.surface_points}
-    task = problem_digest(file_digest(build.solid), points, material.poisson_ratio, options)
+    inputs = (build.solid, build.solid_surface, code_list("modal"))
+    task = problem_digest(inputs, points, material.poisson_ratio, options)
     data = None
     with suppress(ObjectFolderError):  # no earlier solve, or not a readable one
         data = rescaled(read_npz(build.solved_modes, "solution", "band_hz"), task, request)

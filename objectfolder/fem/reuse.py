@@ -3,6 +3,7 @@
 import dataclasses
 import hashlib
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,6 @@ from objectfolder.fem.modal import MIN_FREQUENCY, ModalData, solver_checks
 from objectfolder.fem.similarity import similarity
 from objectfolder.io import file_digest
 from objectfolder.materials import Material
-
-#: Modules of this folder that do not affect the solve; the solid's digest covers how it was cut.
-NOT_SOLVING = ("__init__.py", "voxelize.py")
 
 
 @dataclass(frozen=True)
@@ -33,24 +31,25 @@ class Request:
         return cls(**{**values, "material": Material(**values["material"])})
 
 
-def problem_digest(solid: str, points: np.ndarray, poisson_ratio: float, options: dict[str, Any]) -> str:
-    """Return the digest of everything that modes depend on beyond scaling, solver sources included.
+def problem_digest(
+    files: Iterable[Path], points: np.ndarray, poisson_ratio: float, options: dict[str, Any]
+) -> str:
+    """Return the digest of everything that modes depend on beyond scaling.
 
     Parameters
     ----------
-    solid : str
-        Digest of the solid.
+    files : iterable of Path
+        The solid, its surface, and the list of the sources that analyse them; those that exist.
     points : (P, 3) array
         Points at which the mode shapes are evaluated.
     poisson_ratio : float
     options : dict
         Options of the elements, as JSON values.
     """
-    modules = sorted(Path(__file__).parent.glob("*.py"))
-    sources = [file_digest(path) for path in modules if path.name not in NOT_SOLVING]
+    read = [file_digest(path) for path in files if path.is_file()]
     place = hashlib.sha256(np.ascontiguousarray(points).tobytes()).hexdigest()
     fields = [field.name for field in dataclasses.fields(Material)]
-    text = json.dumps([solid, place, poisson_ratio, options, sources, fields], sort_keys=True)
+    text = json.dumps([read, place, poisson_ratio, options, fields], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -178,17 +178,23 @@ def test_similarity_is_that_of_the_wave_equation():
     assert shape == pytest.approx((8000 / 2600 * 8) ** -0.5)
 
 
-def test_a_problem_is_all_that_scaling_leaves():
+def test_a_problem_is_all_that_scaling_leaves(tmp_path):
     points = np.arange(6.0).reshape(2, 3)
-    first = problem_digest("solid", points, 0.2, {"element": "hex20"})
-    assert first == problem_digest("solid", points.copy(), 0.2, {"element": "hex20"})
+    solid, code = tmp_path / "solid.npz", tmp_path / "modal.sha256"
+    solid.write_text("solid")
+    code.write_text("sources")
+    files, hexahedra = (solid, code), {"element": "hex20"}
+    first = problem_digest(files, points, 0.2, hexahedra)
+    assert first == problem_digest(files, points.copy(), 0.2, hexahedra)
     others = [
-        problem_digest("other", points, 0.2, {"element": "hex20"}),
-        problem_digest("solid", points + 1e-9, 0.2, {"element": "hex20"}),
-        problem_digest("solid", points, 0.21, {"element": "hex20"}),
-        problem_digest("solid", points, 0.2, {"element": "tet10"}),
+        problem_digest((solid,), points, 0.2, hexahedra),
+        problem_digest(files, points + 1e-9, 0.2, hexahedra),
+        problem_digest(files, points, 0.21, hexahedra),
+        problem_digest(files, points, 0.2, {"element": "tet10"}),
     ]
-    assert len({first, *others}) == 5
+    code.write_text("other sources, of meshes, too")
+    others.append(problem_digest(files, points, 0.2, hexahedra))
+    assert len({first, *others}) == 6
 
 
 def test_requests_survive_json():
