@@ -60,18 +60,20 @@ def show_views(figure: "Figure", truth: np.ndarray, answers: np.ndarray, titles:
     ----------
     truth, answers : (N, H, W, 3) arrays in [0, 1]
     titles : sequence of str
-        One per view; the PSNR of the answer is appended.
+        One per view; the PSNR of the answer stands below it.
     """
-    names = ("ground truth", "Object File", f"difference, {ENLARGED} times")
     panels = figure.subplots(3, len(truth), squeeze=False)
     for column, image, answer, title in zip(panels.T, truth, answers, titles):
         difference = np.abs(answer - image)
-        score = float(psnr((difference**2).mean()))
         shown = (image, answer, 1 - np.clip(ENLARGED * difference, 0, 1))
-        for axes, values, name in zip(column, shown, names):
-            head = f"{title}, {score:.1f} dB\n" if axes is column[0] else ""
+        for axes, values in zip(column, shown):
             show_image(axes, values)
-            axes.set_title(head + name, fontsize=9)
+        column[0].set_title(f"{title}\n{float(psnr((difference**2).mean())):.1f} dB", fontsize=9)
+    for axes, name in zip(panels[:, 0], ("ground truth", "Object File", f"difference, {ENLARGED} times")):
+        axes.set_axis_on()  # for its label alone
+        axes.set(xticks=[], yticks=[])
+        axes.spines[:].set_visible(False)
+        axes.set_ylabel(name, fontsize=9)
 
 
 def tile(images: np.ndarray, columns: int, gap: int = 4) -> np.ndarray:

@@ -253,8 +253,9 @@ def test_the_sheet_of_views_shows_truth_answer_and_enlarged_difference(brick, vi
     np.testing.assert_allclose(truth[1], answers[1], atol=1e-6)
     figure, truth = page(4, 6, "x: views"), 0.2 + 0.8 * truth
     show_views(figure, truth, np.clip(truth - 0.1, 0, 1), ["one", "two"])
-    assert [a.get_title() for a in figure.axes[1::2]] == [
-        "two, 20.0 dB\nground truth",
+    assert [a.get_title() for a in figure.axes[:2]] == ["one\n20.0 dB", "two\n20.0 dB"]
+    assert [a.get_ylabel() for a in figure.axes[::2]] == [
+        "ground truth",
         "Object File",
         "difference, 4 times",
     ]
