@@ -6,7 +6,7 @@ from typing import Any
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.workspace.check import check_all, check_own
 from objectfolder.workspace.document import edited
-from objectfolder.workspace.params import PARAMS_FILE
+from objectfolder.workspace.params import PARAMS_FILE, SECTIONS, section_config, settings
 from objectfolder.yamlfile import read_yaml
 
 
@@ -20,13 +20,16 @@ def apply_preset(name: str, root: Path = Path()) -> list[str]:
     Raises
     ------
     ObjectFolderError
-        If there is no such preset, or it or an entry of ``params.yaml`` that no preset holds is invalid.
+        If there is no such preset, or it or an entry of ``params.yaml`` that it does not hold is invalid.
     """
     params_path = root / PARAMS_FILE
     with edited(params_path) as (document, values):
         preset, path = read_preset(name, root)
         changed = [section for section, content in preset.items() if values.get(section) != content]
         check_own(values, params_path)
+        for name in SECTIONS:
+            if name not in preset:  # a user's own preset may have some of them only
+                settings(section_config(name), values, params_path)
         check_all({**values, **preset}, path)
         for section in changed:
             document[section] = preset[section]

@@ -182,6 +182,15 @@ def test_preset_blames_the_file_that_is_wrong(workspace, file, text, wrong, mess
         apply_preset("laptop")
 
 
+def test_a_preset_of_one_section_is_not_blamed_for_another(workspace):
+    Path("params/own.yaml").write_text("evaluate: {impacts: 10}\n")
+    assert apply_preset("own") == ["evaluate"]
+    text = Path("params.yaml").read_text()
+    Path("params.yaml").write_text(text.replace("max_modes: 256", "max_modes: many", 1))
+    with pytest.raises(ObjectFolderError, match=r"^params\.yaml: modal"):
+        apply_preset("own")
+
+
 @pytest.mark.parametrize(
     "name",
     [
