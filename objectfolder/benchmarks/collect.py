@@ -46,19 +46,20 @@ def load_object_files(places: Sequence[Path] | None) -> dict[str, LoadedFile]:
     Raises
     ------
     ObjectFolderError
-        If there are none, one is invalid, or two are of the same object.
+        If a place has none, one is invalid, or two are of the same object.
     """
     name = Build("any").object_file.name
-    searched = places or [Build("any").dir.parent]
     paths: list[Path] = []
-    for place in searched:
+    for place in places or [Build("any").dir.parent]:
         found = sorted(place.rglob(name)) if place.is_dir() else [place] if places else []
         # Skip the copies in folders of observations, which queries are written to first.
-        paths += [path for path in found if not (path.parent / observations.QUERIES).exists()]
-    if not paths:
-        raise ObjectFolderError(
-            f"no Object Files in {', '.join(map(str, searched))}; run `objectfolder build`, or name some"
-        )
+        found = [path for path in found if not (path.parent / observations.QUERIES).exists()]
+        if not found:
+            raise ObjectFolderError(
+                f"no Object Files in {place}: no {name} in it or below; "
+                "run `objectfolder build`, or name others"
+            )
+        paths += found
     sources: dict[str, LoadedFile] = {}
     for path in paths:
         file = ObjectFile.load(path)

@@ -375,3 +375,14 @@ def test_an_interrupted_sampling_leaves_no_second_file_of_the_object(
         sample_observations(brick, COUNT, SIDE, 7, tmp_path / "observations" / "brick")
     assert len(list(tmp_path.rglob("ObjectFile.safetensors"))) == 2
     assert load_object_files([tmp_path])["brick"].path == tmp_path / "ObjectFile.safetensors"
+
+
+def test_a_named_folder_without_an_object_file_is_refused(brick, tmp_path):
+    (tmp_path / "mug").mkdir()
+    (tmp_path / "brick").mkdir()
+    brick.save(tmp_path / "brick" / "ObjectFile.safetensors")
+    with pytest.raises(
+        ObjectFolderError, match=r"no Object Files in .*mug: no ObjectFile\.safetensors in it"
+    ):
+        load_object_files([tmp_path / "brick", tmp_path / "mug"])
+    assert list(load_object_files([tmp_path])) == ["brick"]
