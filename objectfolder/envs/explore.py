@@ -21,7 +21,6 @@ from objectfolder.touch.simulate import press
 
 AZIMUTHS, HEIGHTS = 12, 6  #: directions and heights from which the gel comes
 DEPTH = 0.001  #: of a press, m
-SMALLER = 4  #: reduction of the sensor's resolution, each way
 PRICE = 0.05  #: of a touch
 
 
@@ -37,7 +36,7 @@ class Probed:
 class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
     """Name an object by touch, registered as ``ObjectFolder/Explore-v0``.
 
-    **Observation**, a dict: ``touch``, the tactile image, (40, 30, 3) uint8 for a DIGIT; ``contact``, its
+    **Observation**, a dict: ``touch``, the tactile image, (40, 30, 3) uint8 of a DIGIT; ``contact``, its
     place, (3,) float32, world frame, m; ``touched``, 1 if the gel met the object, else 0, and the place is 0.
     **Action**: k below 72 touches: from azimuth 30 (k mod 12) degrees, at height (k div 12 + 0.5) / 6 of the
     tallest object. 72 + i names object i, which ends the episode. **Reward**: 1 for the right name, 0 for
@@ -58,6 +57,9 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
     limit : int
         Greatest number of touches.
     sensor : str, Path or SensorProfile
+    reduction : int
+        Of the sensor's resolution, each way. With 3, images of a DIGIT have 53 x 40 pixels, enough for the
+        CNN of stable-baselines3, which takes 36 x 36 or more.
 
     Raises
     ------
@@ -73,24 +75,29 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
         noise: float = 0.001,
         limit: int = 30,
         sensor: "str | SensorProfile" = "digit",
+        reduction: int = 4,
     ):
         self.files = opened(objects)
         self.noise, self.limit = finite_number("noise", noise), whole_number("limit", limit, 1)
         if self.noise < 0:
             raise ObjectFolderError(f"noise is {noise!r} m, expected a number of at least 0")
-        self._arguments = (self.files, noise, limit, sensor)
-        full = load_profile(sensor)
-        self._profile = replace(full, height=full.height // SMALLER, width=full.width // SMALLER)
+        self._arguments = (self.files, noise, limit, sensor, reduction)
+        full, divisor = load_profile(sensor), whole_number("reduction", reduction, 1)
+        height, width = full.height // divisor, full.width // divisor
+        if not (height and width):
+            raise ObjectFolderError(
+                f"reduction is {reduction!r}, expected {min(full.height, full.width)} at most for {full.name}"
+            )
+        self._profile = replace(full, height=height, width=width)
         self._optics = Optics(self._profile)
         bounds = np.stack([file.bounds for file in self.files])
         self._tallest = float((bounds[:, 1, 2] - bounds[:, 0, 2]).max())
         self._reach = 1.1 * SIZES[1] * float(np.hypot(*abs(bounds).max(1)[:, :2].T).max())
         self.places = AZIMUTHS * HEIGHTS
-        size = self._profile.height, self._profile.width
         high = np.array([self._reach, self._reach, self._tallest]) + 10 * self.noise
         self.observation_space = spaces.Dict(
             {
-                "touch": spaces.Box(0, 255, (*size, 3), np.uint8),
+                "touch": spaces.Box(0, 255, (height, width, 3), np.uint8),
                 "contact": spaces.Box(-high.astype(np.float32), high.astype(np.float32), dtype=np.float32),
                 "touched": spaces.Discrete(2),
             }

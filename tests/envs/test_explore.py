@@ -4,6 +4,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from stable_baselines3 import PPO
 
 from objectfolder.envs.explore import AZIMUTHS, HEIGHTS, PRICE, ExploreEnv
 from objectfolder.envs.explorer import Explorer, explore
@@ -21,6 +22,14 @@ def env(brick):
 
 def test_the_checker_passes(brick):
     check_env(gymnasium.make("objectfolder.envs:ObjectFolder/Explore-v0", objects=[brick]).unwrapped)
+
+
+def test_a_policy_of_stable_baselines_takes_larger_images(brick):
+    env = ExploreEnv([brick], reduction=3)
+    assert env.observation_space["touch"].shape == (53, 40, 3)
+    policy = PPO("MultiInputPolicy", env, n_steps=8, batch_size=8, seed=0).learn(8).policy
+    action, _ = policy.predict(env.reset(seed=0)[0])
+    assert env.action_space.contains(action.item())
 
 
 def test_touches_meet_the_surface_where_the_ray_does(brick):
@@ -99,6 +108,8 @@ def test_wrong_calls_are_refused(brick):
         ({"objects": []}, "at least one object"),
         ({"noise": -1e-3}, "expected a number of at least 0"),
         ({"limit": 0}, "limit is 0, expected a whole number of at least 1"),
+        ({"reduction": 0}, "reduction is 0, expected a whole number of at least 1"),
+        ({"reduction": 200}, "reduction is 200, expected 120 at most for digit"),
     ):
         with pytest.raises(ObjectFolderError, match=message):
             ExploreEnv(**{"objects": [brick], **given})
