@@ -18,6 +18,7 @@ from objectfolder.benchmarks.datasets.sampling import (
 from objectfolder.benchmarks.tasks.running import Report
 from objectfolder.engine.pool import in_processes
 from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile.dataset import INDEX, Dataset
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace.layout import Benchmarks, Build
 
@@ -41,25 +42,14 @@ def load_object_files(places: Sequence[Path] | None) -> dict[str, LoadedFile]:
     Parameters
     ----------
     places : sequence of Path, optional
-        Object Files, or folders that contain some. Default: ``build``.
+        Object Files, folders that contain some, or releases. Default: ``build``.
 
     Raises
     ------
     ObjectFolderError
         If a place has none, one is invalid, or two are of the same object.
     """
-    name = Build("any").object_file.name
-    paths: list[Path] = []
-    for place in places or [Build("any").dir.parent]:
-        found = sorted(place.rglob(name)) if place.is_dir() else [place] if places else []
-        # Skip the copies in folders of observations, which queries are written to first.
-        found = [path for path in found if not (path.parent / observations.QUERIES).exists()]
-        if not found:
-            raise ObjectFolderError(
-                f"no Object Files in {place}: no {name} in it or below; "
-                "run `objectfolder build`, or name others"
-            )
-        paths += found
+    paths = [path for place in places or [Build("any").dir.parent] for path in _files_in(place)]
     sources: dict[str, LoadedFile] = {}
     for path in paths:
         file = ObjectFile.load(path)
@@ -69,6 +59,22 @@ def load_object_files(places: Sequence[Path] | None) -> dict[str, LoadedFile]:
             )
         sources[file.key] = LoadedFile(path, file)
     return sources
+
+
+def _files_in(place: Path) -> list[Path]:
+    if (place / INDEX).is_file():
+        dataset = Dataset(place)
+        return [dataset.path(key) for key in dataset.keys]
+    if place.is_file():
+        return [place]
+    name = Build("any").object_file.name
+    # Skip the copies in folders of observations, which queries are written to first.
+    found = [path for path in sorted(place.rglob(name)) if not (path.parent / observations.QUERIES).exists()]
+    if not found:
+        raise ObjectFolderError(
+            f"no Object Files in {place}: no {name} in it or below; run `objectfolder build`, or name others"
+        )
+    return found
 
 
 def collect_observations(

@@ -36,7 +36,7 @@ FilesArgument = Annotated[
     list[Path] | None,
     typer.Argument(
         metavar="[FILE]...",
-        help=f"Object Files, folders with some (ObjectFile.safetensors), or {SAMPLE}; default: build.",
+        help=f"Object Files, folders of builds, releases, or {SAMPLE}; default: build.",
         callback=files_or_folders,
     ),
 ]

@@ -10,6 +10,7 @@ from dataclasses import replace
 import pytest
 
 from objectfolder import Dataset
+from objectfolder.benchmarks.collect import load_object_files
 from objectfolder.cli import app
 from objectfolder.engine.costs import record_cost
 from objectfolder.engine.failures import LOGS
@@ -60,6 +61,13 @@ def test_a_release_holds_what_was_built(dataset):
     mug = dataset["mug"]
     assert entry.modes == len(mug.frequencies) > 10
     assert entry.lowest_hz == pytest.approx(mug.frequencies.min(), rel=1e-4)
+
+
+def test_benchmarks_take_a_release(dataset):
+    loaded = load_object_files([dataset.folder])
+    assert {key: source.path for key, source in loaded.items()} == {
+        key: dataset.path(key) for key in ("mug", "die", "bell")
+    }
 
 
 def test_checksums_hold_for_every_file(dataset):
