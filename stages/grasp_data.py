@@ -15,7 +15,7 @@ def main(key: str) -> None:
     build, params = Build(key), stage_params(GraspDataConfig, key)
     file = ObjectFile.load(build.object_file)
     body = rigid_body(file, read_hulls(build.hulls))
-    surface = read_surface(build.surface)
+    surface = None if file.fixed_contact else read_surface(build.surface)
     collect_grasps(file, body, params.settings, params.seed, Benchmarks().grasps(key), surface)
 
 

@@ -146,27 +146,35 @@ def collect_all_grasps(
 ) -> dict[str, Path]:
     """Simulate grasps of each object, unless its folder is complete; return the folders by key.
 
-    Touches are also simulated on the true surfaces if these lie beside all Object Files.
+    Touches are also simulated on the true surfaces if these lie beside all Object Files, and all touch nets
+    answer the presses of pads.
     """
     from objectfolder.benchmarks.datasets.grasp_data import grasp_request, is_collected
     from objectfolder.envs.body import rigid_body
     from objectfolder.envs.hulls import cached_hulls
+    from objectfolder.mesh.ply import read_surface
 
     folders = {key: folder.grasps(key) for key in sources}
     surfaces = {key: source.path.with_name(Build(key).surface.name) for key, source in sources.items()}
     lacking = [key for key, surface in surfaces.items() if not surface.is_file()]
-    if lacking:
-        report(
-            f"no true surface beside the Object File of {', '.join(lacking)}: touches are simulated from "
-            "Object Files only, without explicit ones to compare with"
-        )
+    fixed = [key for key, source in sources.items() if source.file.fixed_contact]
+    for keys, reason in (
+        (lacking, "no true surface beside the Object File of"),
+        (fixed, "a touch net of images, which knows one press alone, in"),
+    ):
+        if keys:
+            report(
+                f"{reason} {', '.join(keys)}: touches are simulated from Object Files only, "
+                "without explicit ones to compare with"
+            )
     new = []
     for key, source in sources.items():
+        surface = None if lacking or fixed else surfaces[key]
         if (folders[key] / grasps.RECORD).is_file():  # and hence its hulls
             body = rigid_body(source.file, cached_hulls(source.file, folder.hulls, max_hulls))
-            if is_collected(grasp_request(source.file, body, wanted, seed, not lacking), folders[key]):
+            truth = None if surface is None else read_surface(surface)
+            if is_collected(grasp_request(source.file, body, wanted, seed, truth), folders[key]):
                 continue
-        surface = None if lacking else surfaces[key]
         new.append((source.path, surface, wanted, max_hulls, seed, folder, report))
     if new:
         for _ in track(in_processes(_grasp, new, jobs), "grasping objects", len(new)):

@@ -14,9 +14,12 @@ from objectfolder import materials
 from objectfolder.envs.calls import object_file
 from objectfolder.envs.hulls import cached_hulls
 from objectfolder.envs.solid import close_holes
-from objectfolder.errors import ObjectFolderError
+from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.friction import friction_of
+
+#: Folder in which convex hulls are cached, or the hulls, object frame, m; None: a folder of the user's.
+Hulls = str | Path | Sequence[trimesh.Trimesh] | None
 
 TORSIONAL, ROLLING = 0.005, 0.0001  #: friction, m: MuJoCo's defaults
 
@@ -91,16 +94,33 @@ def rigid_body(file: ObjectFile, hulls: Sequence[trimesh.Trimesh]) -> RigidBody:
     )
 
 
-def as_rigid_body(
-    file: ObjectFile | RigidBody | str | Path, hulls: Sequence[trimesh.Trimesh] | None = None
-) -> RigidBody:
-    """Return the rigid body of an object; without ``hulls``, they are cached for the user."""
+def as_rigid_body(file: ObjectFile | RigidBody | str | Path, hulls: Hulls = None) -> RigidBody:
+    """Return the rigid body of an object.
+
+    Parameters
+    ----------
+    file : ObjectFile, path or RigidBody
+    hulls : path or sequence of trimesh.Trimesh, optional
+        Folder in which convex hulls are cached, or the hulls themselves, object frame, m. Default: a folder
+        of the user's. To compute them takes up to half a minute.
+
+    Raises
+    ------
+    ObjectFolderError
+        As `rigid_body` and `objectfolder.envs.hulls.cached_hulls`, or if ``hulls`` is something else.
+    """
     if isinstance(file, RigidBody):
         return file
     file = object_file(file)
-    if hulls is None:
-        hulls = cached_hulls(file, user_folder())
-    return rigid_body(file, hulls)
+    if hulls is None or isinstance(hulls, str | Path):
+        return rigid_body(file, cached_hulls(file, user_folder() if hulls is None else hulls))
+    given = hulls if isinstance(hulls, Sequence) else [hulls]
+    meshes = [hull for hull in given if isinstance(hull, trimesh.Trimesh)]
+    if len(meshes) < len(given) or hulls is not given:
+        raise ObjectFolderError(
+            f"{file.key}: hulls is {quoted(hulls)}, expected a folder to cache them in, or a list of meshes"
+        )
+    return rigid_body(file, meshes)
 
 
 def user_folder() -> Path:

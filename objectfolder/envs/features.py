@@ -11,7 +11,7 @@ from objectfolder.envs.fingers import Presses, tactile_images
 from objectfolder.io import read_npz, write_npz
 from objectfolder.objectfile.file import ObjectFile
 
-PROBE = 0.0015  #: press depth of a gentle touch, m
+PROBE = 0.0015  #: press depth of a gentle touch, as far as the sensor allows it, m
 FEATURES = (8, 6)  #: height and width of an averaged tactile image
 CONTRAST = 16.0  #: gain of features, which are small differences of images, and their bound
 
@@ -29,21 +29,26 @@ class TouchFeatures:
     size = 3 * FEATURES[0] * FEATURES[1]
 
     def __init__(self, file: ObjectFile):
-        self._file = file
+        self._file, self._depth = file, min(PROBE, file.sensor_profile.max_indentation)
         #: image of the untouched sensor; (H, W, 3) uint8
         self.untouched = file.sensor_background
 
     def images(self, pressed: Presses) -> np.ndarray:
-        """Return tactile images at the depth `PROBE`; (M, H, W, 3) uint8."""
-        return tactile_images(self._file, pressed, np.full(len(pressed.points), PROBE))
+        """Return tactile images at the depth `PROBE`, or of the one press of the net; (M, H, W, 3) uint8."""
+        return tactile_images(self._file, pressed, np.full(len(pressed.points), self._depth))
 
     def __call__(self, pressed: Presses) -> np.ndarray:
         """Return features of presses; (M, size) float32."""
         if not len(pressed.points):
             return np.zeros((0, self.size), np.float32)
-        change = (torch.from_numpy(self.images(pressed)).float() - torch.from_numpy(self.untouched)) / 255
-        pooled = torch.nn.functional.adaptive_avg_pool2d(change.permute(0, 3, 1, 2), FEATURES)
-        return (CONTRAST * pooled.flatten(1)).clamp(-CONTRAST, CONTRAST).numpy()
+        change = _averaged(self.images(pressed)) - _averaged(self.untouched[None])
+        return (CONTRAST * change).clamp(-CONTRAST, CONTRAST).numpy()
+
+
+def _averaged(images: np.ndarray) -> torch.Tensor:
+    """Average images of any size; (M, H, W, 3) uint8 -> (M, size), 0 to 1."""
+    channels = torch.from_numpy(images).permute(0, 3, 1, 2).float() / 255
+    return torch.nn.functional.adaptive_avg_pool2d(channels, FEATURES).flatten(1)
 
 
 class TouchBank:

@@ -6,10 +6,11 @@ import numpy as np
 import torch
 
 from objectfolder.envs.poses import hand_axes, rotation
+from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.surface import TOLERANCE
-from objectfolder.objectfile.touch import ContactPoses
+from objectfolder.objectfile.touch import ContactPoses, DepthMapSense
 from objectfolder.touch.contact import sensor_frames
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile
@@ -81,6 +82,17 @@ def sensor_angles(
     return angle, tilt, np.arctan2(-right, forward)
 
 
+def require_pads(file: ObjectFile) -> None:
+    """Raise ObjectFolderError unless a file answers the presses of pads, whichever way these turn."""
+    if "touch" not in file.header:
+        raise ObjectFolderError(f"{file.key}: the Object File holds no touch; build it whole")
+    if isinstance(file.touch_sense, DepthMapSense):
+        raise ObjectFolderError(
+            f"{file.key}: the touch net of an imported 2.0 file knows no rotated sensor, as on fingers; "
+            "leave the object out, or build it from its mesh"
+        )
+
+
 def press_depths(file: ObjectFile, pressed: Presses, forces: np.ndarray) -> np.ndarray:
     """Return the press depths at which the gel pushes back with given forces; (2N,) metres.
 
@@ -119,7 +131,7 @@ def tactile_images(file: ObjectFile, pressed: Presses, depths: np.ndarray) -> np
     Touch nets trained on images of one depth and one direction are queried with the points alone.
     """
     if file.fixed_contact is not None:
-        return file.touch(file.nearest(pressed.points)[0], depths)
+        return file.touch(file.nearest(pressed.points)[0])
     return file.touch_sense.images(_contacts(file, pressed, depths), TOLERANCE, None)
 
 

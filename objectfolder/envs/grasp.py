@@ -13,6 +13,7 @@ import numpy as np
 from gymnasium import spaces
 
 from objectfolder.checks import one_of, whole_number
+from objectfolder.envs.body import Hulls
 from objectfolder.envs.calls import KEPT, finite_actions, no_options, object_file, started
 from objectfolder.envs.episodes import OBSERVATIONS, Episodes
 from objectfolder.envs.features import FeatureFunction
@@ -37,8 +38,9 @@ class GraspEnv(gymnasium.Env[Any, np.ndarray]):
     observation : {"features", "tactile", "images", "width", "blind"}
         tactile: features of both images alone; images: a dict with the images themselves, and the state;
         width: the state alone; blind: the same without the opening of the jaws.
-    hulls : path, optional
-        Folder in which convex hulls are cached; default: one of the user's, as in Reach-v0.
+    hulls : path or sequence of trimesh.Trimesh, optional
+        Folder in which convex hulls are cached, or the hulls, object frame, m; default: a folder of the
+        user's.
     render_mode : {None, "rgb_array"}
 
     Raises
@@ -58,7 +60,7 @@ class GraspEnv(gymnasium.Env[Any, np.ndarray]):
         self,
         file: ObjectFile | str | Path,
         observation: str = "features",
-        hulls: str | Path | None = None,
+        hulls: Hulls = None,
         render_mode: str | None = None,
     ):
         self._arguments = (file, observation, hulls, render_mode)
@@ -114,7 +116,7 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
     num_envs : int
     file : ObjectFile or path
     observation : str
-    hulls : path, optional
+    hulls : path or sequence of trimesh.Trimesh, optional
     task : GraspTask, optional
         Used instead of ``file`` and ``hulls``.
     features : callable, optional
@@ -133,7 +135,7 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
         num_envs: int = 1,
         file: ObjectFile | str | Path | None = None,
         observation: str = "features",
-        hulls: str | Path | None = None,
+        hulls: Hulls = None,
         task: GraspTask | None = None,
         features: FeatureFunction | None = None,
     ):

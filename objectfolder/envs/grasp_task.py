@@ -1,17 +1,15 @@
 """Episodes of grasping one object by touch, many at a time (supplementary I.4)."""
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
-from objectfolder.envs.body import RigidBody, rigid_body, user_folder
+from objectfolder.envs.body import Hulls, RigidBody, as_rigid_body
 from objectfolder.envs.features import TouchBank, TouchFeatures
+from objectfolder.envs.fingers import require_pads
 from objectfolder.envs.first_contact import FirstContact, first_contact
 from objectfolder.envs.grasp_scene import GraspScene, check_width, lowest_hand
-from objectfolder.envs.hulls import cached_hulls
 from objectfolder.envs.poses import relative_hands, rotation, turn_poses
-from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator
 
@@ -47,7 +45,7 @@ class GraspTask:
     """
 
     def __init__(self, file: ObjectFile, body: RigidBody, threads: int = 1):
-        _require_touch(file)
+        require_pads(file)
         self.file, self.scene = file, GraspScene(body, threads=threads)
         self.rest = _lowest_rest(self.scene, numpy_generator(0, file.key, "rests"))
         points = body.points @ rotation(self.rest[3:]).T
@@ -106,32 +104,25 @@ class GraspTask:
         return TouchBank(pressed, np.concatenate(features))
 
 
-def make_task(file: ObjectFile, hulls: str | Path | None = None, threads: int = 1) -> GraspTask:
+def make_task(file: ObjectFile, hulls: Hulls = None, threads: int = 1) -> GraspTask:
     """Make the task of an Object File.
 
     Parameters
     ----------
     file : ObjectFile
-    hulls : path, optional
-        Folder in which convex hulls are cached; default: one of the user's. They take up to half a minute, so
-        objects that do not fit are refused before.
+    hulls : path or sequence of trimesh.Trimesh, optional
+        As `objectfolder.envs.body.as_rigid_body`. Objects that do not fit are refused before.
     threads : int
         Of the simulation.
 
     Raises
     ------
     ObjectFolderError
-        As `GraspTask`, and as `objectfolder.envs.hulls.cached_hulls`.
+        As `GraspTask`, and as `objectfolder.envs.body.as_rigid_body`.
     """
-    _require_touch(file)
+    require_pads(file)
     check_width(file.key, file.surface.vertices * file.scale)
-    parts = cached_hulls(file, user_folder() if hulls is None else hulls)
-    return GraspTask(file, rigid_body(file, parts), threads)
-
-
-def _require_touch(file: ObjectFile) -> None:
-    if "touch" not in file.header:
-        raise ObjectFolderError(f"{file.key}: the Object File holds no touch; build it whole")
+    return GraspTask(file, as_rigid_body(file, hulls), threads)
 
 
 def _lowest_rest(scene: GraspScene, rng: np.random.Generator) -> np.ndarray:

@@ -3,16 +3,15 @@
 Needs ``metaworld`` 3.1.1 in a separate Python environment, since it pins another MuJoCo (docs/benchmarks.md).
 """
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium
 import mujoco
 import numpy as np
 from gymnasium.spaces import Box
 
-from objectfolder.envs.body import RigidBody, add_body, as_rigid_body
+from objectfolder.envs.body import Hulls, RigidBody, add_body, as_rigid_body
 from objectfolder.envs.reach_scene import (
     GOAL_HIGH,
     GOAL_LOW,
@@ -23,9 +22,6 @@ from objectfolder.envs.reach_scene import (
 )
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
-
-if TYPE_CHECKING:
-    import trimesh
 
 try:
     from metaworld.envs.sawyer_reach_v3 import SawyerReachEnvV3
@@ -84,8 +80,9 @@ class MetaWorldReach(gymnasium.Env[np.ndarray, np.ndarray]):
     Parameters
     ----------
     file : ObjectFile, path or RigidBody
-    hulls : sequence of trimesh.Trimesh, optional
-        Convex parts of the object, object frame, m; default: computed once, and cached for the user.
+    hulls : path or sequence of trimesh.Trimesh, optional
+        Folder in which convex hulls are cached, or the hulls, object frame, m; default: a folder of the
+        user's.
     horizon : int
         Control steps (12.5 ms) of an episode, at most 500.
 
@@ -100,7 +97,7 @@ class MetaWorldReach(gymnasium.Env[np.ndarray, np.ndarray]):
     def __init__(
         self,
         file: "ObjectFile | RigidBody | str | Path",
-        hulls: "Sequence[trimesh.Trimesh] | None" = None,
+        hulls: Hulls = None,
         horizon: int = 500,
     ):
         if not 1 <= horizon <= SawyerReachEnvV3.max_path_length:

@@ -4,16 +4,15 @@ Observation, action, reward, ranges of goals and objects, control step and the h
 Meta-World 3.1.1 (Yu et al. 2020, CoRL). There is no Sawyer arm: the hand floats.
 """
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium
 import mujoco
 import numpy as np
 from gymnasium.spaces import Box
 
-from objectfolder.envs.body import RigidBody, as_rigid_body
+from objectfolder.envs.body import Hulls, RigidBody, as_rigid_body
 from objectfolder.envs.calls import KEPT, finite_actions, no_options, started
 from objectfolder.envs.drawing import draw_model, view_frame, view_rays
 from objectfolder.envs.reach_scene import (
@@ -26,9 +25,6 @@ from objectfolder.envs.reach_scene import (
 )
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
-
-if TYPE_CHECKING:
-    import trimesh
 
 SUBSTEPS = 5  #: simulation steps per control step
 ACTION_SCALE = 0.01  #: motion of the hand's target in a control step by an action of 1, m
@@ -66,8 +62,9 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     ----------
     file : ObjectFile, path or RigidBody
         Object that stands on the table.
-    hulls : sequence of trimesh.Trimesh, optional
-        Convex parts of the object, object frame, m; default: computed once, and cached for the user.
+    hulls : path or sequence of trimesh.Trimesh, optional
+        Folder in which convex hulls are cached, or the hulls, object frame, m; default: a folder of the
+        user's.
     horizon : int
         Control steps (12.5 ms) of an episode.
     render_mode : {"rgb_array"}, optional
@@ -101,7 +98,7 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def __init__(
         self,
         file: "ObjectFile | RigidBody | str | Path",
-        hulls: "Sequence[trimesh.Trimesh] | None" = None,
+        hulls: Hulls = None,
         horizon: int = 500,
         render_mode: str | None = None,
         resolution: tuple[int, int] = (180, 240),

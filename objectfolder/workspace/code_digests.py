@@ -1,12 +1,16 @@
 """Find the project files that a stage runs, from its source, and digest them."""
 
 import ast
+import hashlib
+import inspect
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import file_digest
-from objectfolder.workspace.installed import PACKAGE, PROFILES, SENSORS, located, runs_installed
+from objectfolder.workspace.installed import INSTALLED, PACKAGE, PROFILES, SENSORS, located, runs_installed
 
 PACKAGES = (PACKAGE, "stages")  #: packages of the project
 #: Files and folders of the package that stages read; a workspace without the package depends on digests.
@@ -53,6 +57,13 @@ def imported_files(script: str | Path, root: str | Path = ".") -> list[str]:
 def digests(script: str | Path, root: str | Path = ".") -> str:
     """Return the SHA-256 of every file that a script runs, one per line, in the format of ``sha256sum``."""
     return _digests(imported_files(script, root), root)
+
+
+@cache
+def code_digest(function: Callable[..., Any]) -> str:
+    """Return the SHA-256 of all files of this package that a function's module runs; hexadecimal."""
+    script = Path(inspect.getfile(function)).resolve().relative_to(INSTALLED)
+    return hashlib.sha256(digests(script, INSTALLED).encode()).hexdigest()
 
 
 def code_text(name: str, root: str | Path = ".") -> str | None:

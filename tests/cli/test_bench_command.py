@@ -157,6 +157,7 @@ def test_touches_are_drawn_from_close_views(files, workspace):
     times = {path: path.stat().st_mtime_ns for path in Path("first/glances").rglob("*")}
     bench("vision-to-touch", files, "--out", "first", "--split", "seen", "--seeds", "2")
     assert times == {path: path.stat().st_mtime_ns for path in times}  # made once
+    assert Path("first/vision_to_touch_seen.png").is_file()
 
 
 @pytest.mark.slow  # each task has it without the command

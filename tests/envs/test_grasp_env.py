@@ -1,15 +1,16 @@
 import gymnasium
 import numpy as np
 import pytest
-from brick import felt_by
+from brick import felt_by, with_images
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 import objectfolder.envs  # noqa: F401, registers
 from objectfolder.envs import hulls as module
-from objectfolder.envs.body import rigid_body
+from objectfolder.envs.body import as_rigid_body, rigid_body
 from objectfolder.envs.episodes import Episodes
 from objectfolder.envs.features import TouchBank, TouchFeatures
+from objectfolder.envs.fingers import Presses
 from objectfolder.envs.grasp import GraspEnv, GraspVectorEnv
 from objectfolder.envs.grasp_scene import lowest_hand
 from objectfolder.envs.grasp_task import ACTION_SCALE, STEPS, GraspTask
@@ -150,6 +151,14 @@ def test_the_untouched_gel_is_the_photographed_one(brick):
     assert np.array_equal(TouchFeatures(photographed).untouched, photographed.touch([[0, 0.03, 0]], 0.0)[0])
 
 
+def test_a_net_of_images_is_felt_at_its_own_depth(brick):
+    images = with_images(brick, 0.001, 0.0)
+    presses = Presses(np.array([[0.0, 0.0, 0.015]]), np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 1.0, 0.0]]))
+    felt = TouchFeatures(images).images(presses)
+    np.testing.assert_array_equal(felt, images.touch(images.nearest(presses.points)[0]))
+    assert np.isfinite(TouchFeatures(images)(presses)).all()
+
+
 def test_a_bank_gives_the_nearest_touch(task, tmp_path):
     bank = task.bank(5, 0)
     assert np.array_equal(bank(bank.pressed), bank.features)
@@ -215,6 +224,16 @@ def test_hulls_are_cached_for_the_user_and_not_in_the_current_folder(brick, tmp_
     again, _ = GraspEnv(brick, "blind").reset(seed=0)
     assert len(made) == 1
     np.testing.assert_array_equal(again, first)
+
+
+def test_hulls_may_be_given_as_meshes_or_as_a_folder(brick, hulls):
+    meshes = cached_hulls(brick, hulls)
+    first, second = (GraspEnv(brick, "blind", given).reset(seed=0)[0] for given in (hulls, meshes))
+    np.testing.assert_array_equal(first, second)
+    assert as_rigid_body(brick, str(hulls)).mass == as_rigid_body(brick, meshes).mass
+    for wrong in (5, meshes[0], [meshes[0], "mug"]):
+        with pytest.raises(ObjectFolderError, match="expected a folder to cache them in, or a list of mesh"):
+            as_rigid_body(brick, wrong)
 
 
 def test_damaged_hulls_are_named(brick, tmp_path):

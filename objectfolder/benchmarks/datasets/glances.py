@@ -27,8 +27,8 @@ from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.contact import sensor_frames
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.lighting import DistantLight
+from objectfolder.workspace.code_digests import code_digest
 
-FORMAT = "objectfolder glances 2"  #: of the procedure and the files; others are made again
 RECORD = "record.json"
 ARRAYS = ("view", "touch")
 AGAIN = "delete the folder, and run the command again"
@@ -91,7 +91,7 @@ def glance_request(file: ObjectFile, count: int, size: tuple[int, int], seed: in
             f"window of SSIM, and at most those of the sensor, {list(largest)}"
         )
     return {
-        "format": FORMAT,
+        "code": code_digest(sample_glances),
         "key": file.key,
         "object_sha256": object_digest(file),
         "count": count,
@@ -187,11 +187,15 @@ def close_views(
     poses[:, :3, :3] = np.stack([-left, up, -inward], 2)
     poses[:, :3, 3] = place - (distances / file.scale)[:, None] * inward
     lights = -inward + SLANT[0] * up + SLANT[1] * left
-    covered = profile.half_extent[0] * profile.camera_to_gel  # half the height, metres
+    # Half the height and half the width that the gel covers, metres.
+    tall, wide = np.multiply(profile.half_extent, profile.camera_to_gel)
+    height, width = size
     views = [
         file.view(
             pose,
-            intrinsics=Intrinsics(size[1], size[0], size[0] / 2 * distance / covered),
+            intrinsics=Intrinsics(
+                width, height, width / 2 * distance / wide, focal_y=height / 2 * distance / tall
+            ),
             supersample=False,
             lights=[DistantLight(light)],
         )[0]

@@ -20,6 +20,7 @@ from objectfolder.envs.fingers import (
     TrueSurface,
     pad_presses,
     press_depths,
+    require_pads,
     tactile_images,
 )
 from objectfolder.envs.grasp_scene import GraspScene, Outcomes, Physics, lowest_hand
@@ -31,6 +32,7 @@ from objectfolder.io import atomic, read_json, write_json, write_npz
 from objectfolder.locks import exclusive
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator
+from objectfolder.workspace.code_digests import code_digest
 
 POSES = "poses.npz"  #: poses and contacts, sufficient to repeat each grasp
 FORCES = (1.0, 40.0)  #: of each jaw, N, log-uniform
@@ -41,7 +43,10 @@ BATCH = 32  #: grasps simulated together; the unit of progress
 ATTEMPTS = 20000  #: consecutive colliding poses before an object is given up
 EMPTY = 10  #: consecutive batches without contact of both pads before it is
 
+STRAY = 0.03  #: of the true surface's bounds from the stored surface's, at most, fraction of the size
+
 Report = Callable[[int, int], None]
+Surface = tuple[np.ndarray, np.ndarray]  #: vertices (V, 3), unit frame, and faces (F, 3)
 
 
 @dataclass(frozen=True)
@@ -63,7 +68,7 @@ def collect_grasps(
     wanted: GraspDataConfig,
     seed: int,
     folder: str | Path,
-    surface: tuple[np.ndarray, np.ndarray] | None = None,
+    surface: Surface | None = None,
     threads: int = 1,
     report: Report = lambda done, total: None,
 ) -> None:
@@ -83,7 +88,8 @@ def collect_grasps(
     folder : path
         Gets ``record.json`` and the arrays of `objectfolder.benchmarks.datasets.grasps.ARRAYS`.
     surface : tuple of arrays, optional
-        The source's closed surface: vertices, unit frame, and faces. Adds the array ``explicit``.
+        The source's closed surface: vertices, unit frame, and faces. Adds the array ``explicit``. None for
+        a touch net that knows one press alone (`ObjectFile.fixed_contact`).
     threads : int
         Of the simulation.
     report : callable
@@ -92,11 +98,12 @@ def collect_grasps(
     Raises
     ------
     ObjectFolderError
-        If the object does not fit the gripper or cannot be grasped, the Object File lacks vision or touch, or
-        the gel of its sensor is rigid.
+        If the object does not fit the gripper or cannot be grasped, the Object File lacks vision or touch or
+        its touch net does not answer pads, the gel of its sensor is rigid, or the surface is of another
+        object.
     """
     folder = Path(folder)
-    request = grasp_request(file, body, wanted, seed, surface is not None)
+    request = grasp_request(file, body, wanted, seed, surface)
     with exclusive(folder):  # of two benchmarks that start together, one simulates
         if not is_collected(request, folder):
             _collect(file, body, wanted, request, folder, surface, threads, report)
@@ -108,7 +115,7 @@ def _collect(
     wanted: GraspDataConfig,
     request: dict[str, Any],
     folder: Path,
-    surface: tuple[np.ndarray, np.ndarray] | None,
+    surface: Surface | None,
     threads: int,
     report: Report,
 ) -> None:
@@ -149,7 +156,7 @@ def is_collected(request: dict[str, Any], folder: Path) -> bool:
         return False
     if not isinstance(record, dict) or record | request != record:
         return False
-    names = [name for name in ARRAYS if name != OPTIONAL or request["explicit"]]
+    names = [name for name in ARRAYS if name != OPTIONAL or request["surface_sha256"]]
     return are_written(folder, names, request["count"])
 
 
@@ -321,11 +328,12 @@ def _parts(paths: list[Path], name: str) -> Iterator[np.ndarray]:
 
 
 def grasp_request(
-    file: ObjectFile, body: RigidBody, wanted: GraspDataConfig, seed: int, explicit: bool
+    file: ObjectFile, body: RigidBody, wanted: GraspDataConfig, seed: int, surface: Surface | None
 ) -> dict[str, Any]:
-    """Identify the grasps that `collect_grasps` writes; hashes the Object File."""
+    """Identify the grasps that `collect_grasps` writes; hashes the Object File and the surface."""
     return {
         "format": FORMAT,
+        "code": code_digest(collect_grasps),
         "key": file.key,
         "material": file.material,
         "scale": file.scale,
@@ -334,7 +342,7 @@ def grasp_request(
         "friction": body.friction,
         "count": wanted.grasps,
         "wanted": {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(wanted).items()},
-        "explicit": explicit,
+        "surface_sha256": None if surface is None else _digest(surface),
         "seed": seed,
     }
 
@@ -346,6 +354,7 @@ def _require_parts(file: ObjectFile) -> None:
             f"{file.key}: the Object File holds no {' and no '.join(lacking)}; grasps need geometry, "
             "vision and touch: leave the object out, or rebuild it"
         )
+    require_pads(file)
     if file.fixed_contact is None and file.sensor_profile.gel == "rigid":
         raise ObjectFolderError(
             f"{file.key}: the gel of sensor {file.sensor!r} is rigid and bears no force, which gives the "
@@ -353,8 +362,20 @@ def _require_parts(file: ObjectFile) -> None:
         )
 
 
-def _truth(file: ObjectFile, surface: tuple[np.ndarray, np.ndarray]) -> TrueSurface:
+def _digest(surface: Surface) -> str:
+    content = b"".join(np.ascontiguousarray(array).tobytes() for array in surface)
+    return hashlib.sha256(content).hexdigest()
+
+
+def _truth(file: ObjectFile, surface: Surface) -> TrueSurface:
     vertices, faces = surface
+    bounds, known = np.stack([vertices.min(0), vertices.max(0)]), file.bounds / file.scale
+    if np.abs(bounds - known).max() > STRAY:
+        raise ObjectFolderError(
+            f"{file.key}: the true surface reaches from {bounds[0].round(3).tolist()} to "
+            f"{bounds[1].round(3).tolist()} of the object's size, the Object File from "
+            f"{known[0].round(3).tolist()} to {known[1].round(3).tolist()}: it is of another object or build"
+        )
     return TrueSurface(vertices * file.scale, faces, file.sensor_profile, file.sensor_background)
 
 

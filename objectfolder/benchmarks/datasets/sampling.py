@@ -31,6 +31,7 @@ from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.header import PARTS
 from objectfolder.objectfile.query_files import sample_depths, sample_strikes, sample_views
 from objectfolder.seeding import numpy_generator
+from objectfolder.workspace.code_digests import code_digest
 from objectfolder.workspace.layout import MODALITIES
 
 FORCES = (0.1, 1.0)  #: range of impulses, N s
@@ -141,6 +142,7 @@ def observation_request(file: ObjectFile, count: int, resolution: int, seed: int
     """Identify the observations that `sample_observations` writes; hashes the Object File."""
     return {
         "version": VERSION,
+        "code": code_digest(sample_observations),
         "key": file.key,
         "material": file.material,
         "scale": file.scale,

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from objectfolder.benchmarks.datasets.samples import object_digest
 from objectfolder.benchmarks.params import RobotParams
-from objectfolder.benchmarks.tasks.running import Report, Task, code_digest
+from objectfolder.benchmarks.tasks.running import Report, Task
 from objectfolder.envs.body import RigidBody, rigid_body
 from objectfolder.envs.hulls import hulls_digest
 from objectfolder.objectfile.file import ObjectFile
+from objectfolder.workspace.code_digests import code_digest
 from objectfolder.workspace.layout import Benchmarks
 
 if TYPE_CHECKING:

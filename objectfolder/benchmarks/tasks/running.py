@@ -1,7 +1,6 @@
 """Run one benchmark task and write its results; shared by the stages and the command line."""
 
 import csv
-import inspect
 import platform
 import re
 import time
@@ -13,7 +12,6 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 
-import objectfolder
 from objectfolder.benchmarks.datasets.samples import Samples
 from objectfolder.benchmarks.datasets.splits import Split, named_split
 from objectfolder.benchmarks.models.encoders import InputSizes, Weights, own_file, registered
@@ -22,7 +20,7 @@ from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import atomic, file_digest, read_json, write_json
 from objectfolder.locks import exclusive, remove_unused
-from objectfolder.workspace.code_digests import digests
+from objectfolder.workspace.code_digests import code_digest
 from objectfolder.workspace.layout import Benchmarks
 
 #: Files in a progress folder that are kept as results: a trained model, a figure, an animation.
@@ -249,9 +247,3 @@ def machine(device: str | None = None) -> str:
         return torch.cuda.get_device_name(device)
     models = re.findall(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text())
     return models[0] if models else platform.processor()
-
-
-def code_digest(function: Callable[..., Any]) -> str:
-    """Return the digests of all modules of this package that a function's module imports."""
-    package = Path(objectfolder.__file__).parent
-    return digests(Path(inspect.getfile(function)).relative_to(package.parent), package.parent)

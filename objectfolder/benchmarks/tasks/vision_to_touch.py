@@ -18,7 +18,7 @@ from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.running import Task
 from objectfolder.benchmarks.tasks.vision_to_touch_config import VisionToTouchConfig
 from objectfolder.figures import tile
-from objectfolder.io import write_png
+from objectfolder.io import keep, write_png
 from objectfolder.metrics import psnr, ssim
 from objectfolder.seeding import numpy_generator, seeded
 
@@ -99,14 +99,14 @@ def _nearest(job: Job[VisionToTouchConfig]) -> np.ndarray:
 
 def _finished(job: Job[VisionToTouchConfig], run: int) -> dict[str, Any]:
     """Return the scores of one net, trained unless finished earlier."""
-    checkpoint = job.progress / f"{run}.pt"
+    checkpoint, sheet = job.progress / f"{run}.pt", job.progress / "0.png"
 
     def make() -> dict[str, Any]:
         net, curve = _trained(job, run, checkpoint)
         answers = _answers(job, net, _blank(job), job.split.test)
         truth = job.observations.read("touch", job.split.test)
         if run == 0:
-            write_png(job.progress / "sheet.png", _sheet(job, answers, truth))
+            write_png(sheet, _sheet(job, answers, truth))
         return {
             "scores": compared(answers, truth),
             "curve": [astuple(point)[:3] for point in curve],
@@ -114,6 +114,8 @@ def _finished(job: Job[VisionToTouchConfig], run: int) -> dict[str, Any]:
         }
 
     result = job.finished(str(run), make)
+    if run == 0:
+        keep(sheet, job.progress / "sheet.png")  # moved to the results at each call
     checkpoint.unlink(missing_ok=True)
     return result
 

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import torch
+from brick import felt_by
 
 from objectfolder.benchmarks.datasets import glances
 from objectfolder.benchmarks.datasets.glances import (
@@ -50,6 +51,20 @@ def test_a_view_shows_where_the_gel_is_pressed(bell):
     assert (empty & pressed)[some].sum() < 0.02 * pressed[some].sum()
     for wrong in (empty[:, ::-1], empty[:, :, ::-1]):  # upside down, mirrored
         assert (wrong & pressed)[some].sum() > 0.04 * pressed[some].sum()
+
+
+def test_a_view_covers_what_a_wide_gel_does(bell):
+    """Whatever the pixels' shape: two sizes of images show the same, averaged to one."""
+    wide = felt_by(bell, "gelsight_mini")
+    points, distances = open_points(wide, 20, seed=0)
+    views = [close_views(wide, points, distances, size) for size in ((48, 64), (48, 32), (24, 96))]
+    means = [view.reshape(20, 12, view.shape[1] // 12, 16, -1, 3).mean((2, 4)) for view in views]
+    assert np.abs(means[0] - means[1]).mean() < 0.01 * 255
+    assert np.abs(means[0] - means[2]).mean() < 0.01 * 255
+    gel = wide.sensor_profile
+    narrow = close_views(felt_by(bell, "digit"), points, distances, (48, 64))
+    assert gel.half_extent[1] > gel.half_extent[0]
+    assert np.abs(views[0].astype(float) - narrow).mean() > 0.02 * 255
 
 
 def test_cameras_stand_where_the_gel_comes_from(bell, monkeypatch):

@@ -107,14 +107,14 @@ def test_interrupted_and_threaded_collections_are_the_same(
     with pytest.raises(Interrupted):
         collect_grasps(brick, body, WANTED, 0, tmp_path / "brick", surface, report=stop)
     assert not (tmp_path / "brick" / "record.json").exists()
-    assert not is_collected(grasp_request(brick, body, WANTED, 0, True), tmp_path / "brick")
+    assert not is_collected(grasp_request(brick, body, WANTED, 0, surface), tmp_path / "brick")
     tried = []
     first = grasp_data.label_grasps
     monkeypatch.setattr(grasp_data, "label_grasps", lambda *args: tried.append(0) or first(*args))
     collect_grasps(brick, body, WANTED, 0, tmp_path / "brick", surface, threads=2)
     assert contents(tmp_path / "brick") == contents(collected)
     assert len(tried) == 1  # of two batches the first was there
-    assert is_collected(grasp_request(brick, body, WANTED, 0, True), tmp_path / "brick")
+    assert is_collected(grasp_request(brick, body, WANTED, 0, surface), tmp_path / "brick")
     collect_grasps(brick, body, WANTED, 0, tmp_path / "brick", surface)
     assert len(tried) == 1
 
@@ -149,6 +149,21 @@ def test_a_rigid_gel_is_refused(brick, body, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_net_that_knows_no_turned_sensor_is_refused(brick, body, tmp_path, monkeypatch):
+    monkeypatch.setattr("objectfolder.envs.fingers.DepthMapSense", type(brick.touch_sense))
+    with pytest.raises(ObjectFolderError, match=r"brick: the touch net of an imported 2\.0 file knows no"):
+        collect_grasps(brick, body, WANTED, 0, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_surface_of_another_object_is_refused(brick, body, surface, tmp_path):
+    vertices, faces = surface
+    with pytest.raises(
+        ObjectFolderError, match=r"brick: the true surface reaches .* another object or build"
+    ):
+        collect_grasps(brick, body, WANTED, 0, tmp_path, (vertices[:, [2, 0, 1]], faces))
+
+
 def test_what_is_flatter_than_pads_reach_is_said(brick, tmp_path):
     crumb = ObjectFile(brick.header | {"key": "crumb", "scale": 0.003}, brick.tensors)
     tiny = rigid_body(crumb, convex_hulls(crumb.to_mesh()))
@@ -157,15 +172,17 @@ def test_what_is_flatter_than_pads_reach_is_said(brick, tmp_path):
 
 
 def test_other_hulls_are_another_collection(brick, body, surface, collected):
-    assert is_collected(grasp_request(brick, body, WANTED, 0, True), collected)
+    assert is_collected(grasp_request(brick, body, WANTED, 0, surface), collected)
     moved = replace(body, hulls=tuple(hull.copy().apply_scale(1.01) for hull in body.hulls))
-    assert not is_collected(grasp_request(brick, moved, WANTED, 0, True), collected)
-    assert not is_collected(grasp_request(brick, body, WANTED, 0, False), collected)
+    assert not is_collected(grasp_request(brick, moved, WANTED, 0, surface), collected)
+    assert not is_collected(grasp_request(brick, body, WANTED, 0, None), collected)
+    vertices, faces = surface
+    assert not is_collected(grasp_request(brick, body, WANTED, 0, (vertices + 1e-5, faces)), collected)
 
 
 def test_another_time_step_is_another_collection(brick, body, surface, collected, tmp_path, monkeypatch):
     finer = replace(WANTED, timestep=0.001)
-    assert not is_collected(grasp_request(brick, body, finer, 0, True), collected)
+    assert not is_collected(grasp_request(brick, body, finer, 0, surface), collected)
     asked = []
 
     def scene(body, physics, threads):
@@ -179,9 +196,9 @@ def test_another_time_step_is_another_collection(brick, body, surface, collected
 
 
 @pytest.mark.parametrize("damage", [Path.unlink, lambda path: path.write_bytes(path.read_bytes()[:-1])])
-def test_a_collection_that_lacks_an_array_is_not_complete(brick, body, collected, tmp_path, damage):
+def test_a_collection_that_lacks_an_array_is_not_complete(brick, body, surface, collected, tmp_path, damage):
     shutil.copytree(collected, tmp_path / "brick")
-    request = grasp_request(brick, body, WANTED, 0, True)
+    request = grasp_request(brick, body, WANTED, 0, surface)
     assert is_collected(request, tmp_path / "brick")
     damage(tmp_path / "brick" / "touch.npy")
     assert not is_collected(request, tmp_path / "brick")

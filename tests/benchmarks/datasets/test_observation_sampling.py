@@ -13,10 +13,17 @@ from objectfolder.benchmarks.collect import load_object_files
 from objectfolder.benchmarks.datasets import sampling
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.datasets.samples import object_digest
-from objectfolder.benchmarks.datasets.sampling import ask, draw_queries, sample_observations
+from objectfolder.benchmarks.datasets.sampling import (
+    ask,
+    draw_queries,
+    is_sampled,
+    observation_request,
+    sample_observations,
+)
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.profiles import load_profile
+from objectfolder.workspace.code_digests import code_digest
 
 COUNT, SIDE = 10, 16
 
@@ -85,6 +92,7 @@ def test_record_says_what_was_drawn(brick, sampled):
     arrays = record.pop("arrays")
     assert record == {
         "version": 1,
+        "code": code_digest(sample_observations),
         "key": "brick",
         "material": "plastic",
         "scale": 0.1,
@@ -101,6 +109,12 @@ def test_record_says_what_was_drawn(brick, sampled):
         "touch": [10, 160, 120, 3],
     }
     assert [array["empty"] for array in arrays.values()] == [0, 0, 0]
+
+
+def test_other_code_samples_again(brick, sampled, monkeypatch):
+    assert is_sampled(observation_request(brick, COUNT, SIDE, 7), sampled)
+    monkeypatch.setattr(sampling, "code_digest", lambda function: "other")
+    assert not is_sampled(observation_request(brick, COUNT, SIDE, 7), sampled)
 
 
 def test_queries_are_drawn_as_the_paper_draws_them(brick):

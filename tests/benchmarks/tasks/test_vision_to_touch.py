@@ -46,7 +46,10 @@ def test_the_net_draws_what_the_view_shows(tmp_path):
     assert scores["nearest"]["psnr_pooled"] > blank + 3
     assert scores["rows"] == {"train": 96, "val": 12, "test": 12}
     assert {len(row) for row in curve} == {len(CURVE_COLUMNS)}
-    assert (tmp_path / "sheet.png").is_file()
+    drawn = (tmp_path / "sheet.png").read_bytes()
+    (tmp_path / "sheet.png").unlink()  # moved to the results
+    assert vision_to_touch(job(tmp_path))[0] == scores
+    assert (tmp_path / "sheet.png").read_bytes() == drawn
     json.dumps(scores, allow_nan=False)
 
 
