@@ -125,7 +125,11 @@ def run_on_splits(task: Task, options: BenchmarkOptions, report: Report, track: 
     splits = list(dict.fromkeys(options.splits or known))
     for split in splits:
         if split not in known:
-            raise ObjectFolderError(f"--split {split!r} is unknown here, expected {' or '.join(known)}")
+            why = "; materials are recognized of unseen objects, too: --label material"
+            raise ObjectFolderError(
+                f"--split {split!r} is unknown here, expected {' or '.join(known)}"
+                f"{why if task.name == 'recognize' else ''}"
+            )
     values, path = options.values()
     params = options.task_params(task, values, path)
     weights = None if options.weights is None else read_weights(options.weights)

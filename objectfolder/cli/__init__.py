@@ -109,7 +109,7 @@ def main() -> None:
             sys.stdout.flush()  # here, where a full device can be reported
     except ObjectFolderError as error:
         # Messages hold lists in brackets, which rich would take for markup.
-        Console(stderr=True).print(
+        Console(stderr=True, emoji=False).print(
             f"[bold red]error:[/] {escape(str(error))}", highlight=False, soft_wrap=True
         )
         sys.exit(1)

@@ -8,12 +8,12 @@ from rich.measure import Measurement
 from rich.progress import track
 from rich.table import Table
 
-console = Console()
+console = Console(emoji=False)
 
 
 def tracked(items: Iterable[Any], description: str, total: int) -> Iterable[Any]:
     """Iterate with a progress bar, shown only on a terminal."""
-    screen = Console(stderr=True)
+    screen = Console(stderr=True, emoji=False)
     return track(items, description, total, console=screen, transient=True, disable=not screen.is_terminal)
 
 
@@ -21,5 +21,5 @@ def print_wide(table: Table, console: Console = console) -> None:
     """Print a table, at its full width unless the output is a terminal."""
     if not console.is_terminal:
         wide = Measurement.get(console, console.options.update(max_width=10_000), table).maximum
-        console = Console(file=console.file, width=max(wide, console.width))
+        console = Console(file=console.file, emoji=False, width=max(wide, console.width))
     console.print(table)

@@ -71,6 +71,35 @@ def folder_to_write(given: Path) -> Path:
     return given
 
 
+def page_to_write(given: Path) -> Path:
+    """Return a page that a command writes; an older page is replaced.
+
+    Raises
+    ------
+    ObjectFolderError
+        If its name is not one of a page, as that of an Object File.
+    """
+    if given.suffix.lower() not in (".html", ".htm"):
+        raise ObjectFolderError(f"--out {given}: expected the name of a page, such as {given.stem}.html")
+    return given
+
+
+def site_to_write(given: Path) -> Path:
+    """Return a folder for a report, which holds none or an older one.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it is a file, or holds a page that no report wrote.
+    """
+    folder = folder_to_write(given)
+    if (folder / "index.html").exists() and not (folder / "viewer.js").exists():
+        raise ObjectFolderError(
+            f"{folder} holds an index.html that is not of a report; choose another folder with --out"
+        )
+    return folder
+
+
 def empty_folder(given: Path) -> Path:
     """Return a folder that a command writes into, which does not exist or is empty but for hidden files.
 

@@ -7,6 +7,7 @@ import typer
 from rich.table import Table
 
 from objectfolder.cli.console import console
+from objectfolder.cli.files import page_to_write
 from objectfolder.errors import plural
 
 listening_app = typer.Typer(
@@ -32,7 +33,7 @@ def make(
     from objectfolder.io import write_text
     from objectfolder.report.listening import study_page
 
-    write_text(out, study_page(ours, other, pairs, seed))
+    write_text(page_to_write(out), study_page(ours, other, pairs, seed))
     count = plural(pairs, "pair")
     console.print(f"{out}: {count}; then `objectfolder listening score` the CSV files", soft_wrap=True)
 

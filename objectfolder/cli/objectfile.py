@@ -118,6 +118,8 @@ def _lamps(lights: str | None) -> "str | list[PointLight] | None":
         return lights
     from objectfolder.vision.lighting import PointLight
 
+    if not Path(lights).exists():
+        raise ObjectFolderError(f"--lights {lights} does not exist; expected studio, or a .npy file (L, 6)")
     rows = read_rows(lights, 6, ", position xyz and linear RGB; or give --lights studio")
     return [PointLight(row[:3], row[3:]) for row in rows]
 

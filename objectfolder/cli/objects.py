@@ -87,12 +87,14 @@ def add(
     check_installed()
     values = params.read()
     check_entries(values)
+    if not mesh.exists():
+        raise ObjectFolderError(f"{mesh} does not exist; expected a mesh, a folder of meshes, or a catalogue")
     if mesh.is_dir():
         if name is not None or scale is not None:
             raise ObjectFolderError(f"{mesh} is a folder; --name and --scale are for one mesh")
         raise typer.Exit(not _add_folder(mesh, values, material, up, unit, wall, bridge, dry_run))
     if name is None or material is None:
-        raise ObjectFolderError("a mesh needs --name and --material; see objectfolder add --help")
+        raise ObjectFolderError(f"{mesh}: a mesh needs --name and --material; see objectfolder add --help")
     finding = examine(Candidate(name, mesh, material), values, scale, up, unit, wall, bridge)
     console.print(examination_table([finding], up is not None))
     _print_notes([finding])
@@ -192,6 +194,7 @@ def fetch(
     """
     from objectfolder.fetch import report
     from objectfolder.fetch.catalogue import read_catalogue, select_objects
+    from objectfolder.fetch.local import check_directory
     from objectfolder.fetch.run import FetchStatus, fetch_all
     from objectfolder.workspace import params
 
@@ -205,7 +208,9 @@ def fetch(
         report.print_overview(published, present, console)
         raise ObjectFolderError("no objects given; name objects (--list shows them) or use --all")
     report.print_licences(published, [key for key in keys if key not in present], console)
-    with report.download_progress(Console(stderr=True)) as progress:
+    if directory is not None:
+        check_directory(directory)
+    with report.download_progress(Console(stderr=True, emoji=False)) as progress:
         results = fetch_all(
             keys,
             published,

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from objectfolder.cli.console import console
-from objectfolder.cli.files import SAMPLE, object_files
+from objectfolder.cli.files import SAMPLE, object_files, page_to_write, site_to_write
 from objectfolder.errors import ObjectFolderError, plural
 
 
@@ -41,6 +41,7 @@ def report(
     from objectfolder.workspace import params
     from objectfolder.workspace.layout import Build
 
+    out = page_to_write(out or Path("report.html")) if single_file else site_to_write(out or Path("site"))
     missing = {}
     paths = list(files or ())
     if not paths:
@@ -60,7 +61,7 @@ def report(
     with console.status("reading objects") as status:
         page = write_site(
             paths,
-            out or Path("report.html" if single_file else "site"),
+            out,
             missing,
             single_file,
             lambda key: status.update(f"{key} is done"),

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from objectfolder.cli.console import console
-from objectfolder.cli.files import SAMPLE, object_files
+from objectfolder.cli.files import SAMPLE, object_files, page_to_write
 from objectfolder.errors import ObjectFolderError
 
 
@@ -34,6 +34,7 @@ def view(
     from objectfolder.objectfile.file import ObjectFile
     from objectfolder.viewer.page import viewer_page
 
+    page = page_to_write(out) if out else Path(mkdtemp(prefix="objectfolder-")) / "view.html"
     objects: dict[str, bytes] = {}
     for path in files:
         key = ObjectFile.load(path).key
@@ -42,7 +43,6 @@ def view(
                 f"{path}: another file holds an object of the key {key}; give one of them"
             )
         objects[key] = path.read_bytes()
-    page = out or Path(mkdtemp(prefix="objectfolder-")) / "view.html"
     with atomic(page) as path:
         path.write_text(viewer_page(objects, ", ".join(objects)), encoding="utf-8")
     console.print(f"{page} ({page.stat().st_size / 1e6:.1f} MB)", highlight=False, soft_wrap=True)

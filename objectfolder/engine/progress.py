@@ -44,7 +44,7 @@ class Progress:
     """
 
     def __init__(self, console: Console | None = None):
-        self.console = console or Console(stderr=True)
+        self.console = console or Console(stderr=True, emoji=False)
         self.total = 0
         self.counts = dict.fromkeys(StageOutcome, 0)
         self.running: dict[str, float] = {}
@@ -148,7 +148,7 @@ class Progress:
 
 def print_summary(summary: Summary, console: Console | None = None) -> None:
     """Print the stages that ran or were restored, the failures with the end of their logs, and the totals."""
-    console = console or Console()
+    console = console or Console(emoji=False)
     shown = [
         result
         for result in summary.stages.values()

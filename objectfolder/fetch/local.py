@@ -9,6 +9,14 @@ from objectfolder.fetch.archive import SUFFIXES
 from objectfolder.fetch.catalogue import Catalogue, comparable_name
 
 
+def check_directory(directory: Path) -> None:
+    """Raise ObjectFolderError unless ``--from`` names a directory."""
+    if not directory.is_dir():
+        raise ObjectFolderError(
+            f"--from {directory} is not a directory; expected one with archives or folders"
+        )
+
+
 def find_local(directory: Path, catalogue: Catalogue, key: str) -> Path:
     """Find the archive or folder of an object in a directory.
 
@@ -25,10 +33,7 @@ def find_local(directory: Path, catalogue: Catalogue, key: str) -> Path:
     ObjectFolderError
         If nothing matches, or more than one; the message lists candidates.
     """
-    if not directory.is_dir():
-        raise ObjectFolderError(
-            f"--from {directory} is not a directory; expected one with archives or folders"
-        )
+    check_directory(directory)
     entry = catalogue.objects[key]
     ids = {comparable_name(entry.name), comparable_name(entry.source_model)}
     archive = unquote(catalogue.archive_name(key))

@@ -31,7 +31,7 @@ from objectfolder.objectfile.arguments import (
 from objectfolder.objectfile.header import checked_header
 from objectfolder.objectfile.parts import StoredParts
 from objectfolder.objectfile.radiation import Listening
-from objectfolder.objectfile.samples import sample_path
+from objectfolder.objectfile.samples import available_samples, sample_path
 from objectfolder.objectfile.sound_settings import SoundSettings, struck_object
 from objectfolder.objectfile.surface import TOLERANCE
 from objectfolder.objectfile.touch import (
@@ -147,6 +147,9 @@ class ObjectFile:
         ObjectFolderError
             If the file is missing, damaged, or not an Object File, or torch cannot use the device.
         """
+        name = str(path)
+        if name in available_samples() and not Path(name).exists():
+            raise ObjectFolderError(f"{name} does not exist; ObjectFile.sample({name!r}) is the sample")
         tensors, header = open_safetensors(path)
         return cls(header, tensors, path, device)
 
@@ -307,7 +310,7 @@ class ObjectFile:
         self,
         camera: Answer | Sequence[Any],
         light: Rows | None = None,
-        resolution: int = 256,
+        resolution: int | None = None,
         intrinsics: Intrinsics | None = None,
         supersample: bool = True,
         lights: Lights = None,
@@ -322,10 +325,10 @@ class ObjectFile:
             axes). One row may be given without its first axis.
         light : (N, 3) array, optional
             Point lights, unit frame. A white Lambertian surface that faces one at distance 1 has radiance 1.
-        resolution : int
-            Side of a square image with the default field of view, pixels.
+        resolution : int, optional
+            Side of a square image with the default field of view, pixels. Default: 256.
         intrinsics : Intrinsics, optional
-            Any other camera.
+            Any other camera, instead.
         supersample : bool
             False takes one ray through the centre of each pixel: faster, with jagged edges. Nets of other
             kinds than ``surface`` always do.
@@ -356,7 +359,7 @@ class ObjectFile:
         self,
         camera: Rows,
         light: Rows | None = None,
-        resolution: int = 256,
+        resolution: int | None = None,
         intrinsics: Intrinsics | None = None,
         supersample: bool = True,
         lights: Lights = None,

@@ -78,16 +78,20 @@ class Intrinsics:
         return cls(side, side, 355.56 * side / 256)
 
     @classmethod
-    def given(cls, intrinsics: "Intrinsics | None", resolution: int) -> "Intrinsics":
-        """Return intrinsics, or `square` for None.
+    def given(cls, intrinsics: "Intrinsics | None", resolution: int | None) -> "Intrinsics":
+        """Return intrinsics, or `square` of a resolution, by default 256.
 
         Raises
         ------
         ObjectFolderError
-            If they are of another type.
+            If they are of another type, or both are given.
         """
         if intrinsics is None:
-            return cls.square(resolution)
+            return cls.square(256 if resolution is None else resolution)
+        if resolution is not None:
+            raise ObjectFolderError(
+                f"resolution is {resolution!r}, but intrinsics has a size of its own; give one of them"
+            )
         if not isinstance(intrinsics, cls):
             kind = type(intrinsics).__name__
             raise ObjectFolderError(

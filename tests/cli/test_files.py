@@ -8,7 +8,7 @@ import pytest
 from typer.main import get_command
 
 from objectfolder.benchmarks.collect import load_object_files
-from objectfolder.cli import app
+from objectfolder.cli import app, main
 from objectfolder.cli.files import file_or_folder, object_file
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
@@ -92,6 +92,39 @@ def test_a_sample_is_shown_sampled_queried_and_seen(tmp_path, monkeypatch, capsy
         "mug",
         "bell",
     ]
+
+
+@pytest.mark.parametrize(
+    "words", [("view", "mug", "--no-open"), ("report", "mug", "--no-open", "--single-file")]
+)
+def test_a_page_does_not_replace_an_object_file(tmp_path, monkeypatch, words):
+    monkeypatch.chdir(tmp_path)
+    Path("bell.safetensors").write_bytes(b"an object")
+    with pytest.raises(ObjectFolderError, match=r"expected the name of a page, such as bell\.html"):
+        app([*words, "--out", "bell.safetensors"], standalone_mode=False)
+    assert Path("bell.safetensors").read_bytes() == b"an object"
+
+
+def test_a_report_does_not_replace_another_site(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("site").mkdir()
+    Path("site/index.html").write_text("precious")
+    with pytest.raises(ObjectFolderError, match=r"site holds an index\.html that is not of a report"):
+        app(["report", "mug", "--no-open"], standalone_mode=False)
+    assert Path("site/index.html").read_text() == "precious"
+
+
+def test_names_between_colons_are_printed_as_they_are(monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["objectfolder", "info", ":bell:.safetensors"])
+    with pytest.raises(SystemExit):
+        main()
+    assert ":bell:.safetensors does not exist" in capsys.readouterr().err
+
+
+def test_the_name_of_a_sample_is_no_path(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ObjectFolderError, match=r"mug does not exist; ObjectFile\.sample\('mug'\) is"):
+        ObjectFile.load("mug")
 
 
 @pytest.mark.parametrize("kind", ["mjcf", "glb", "nerfstudio", "lerobot", "webdataset", "datasets"])

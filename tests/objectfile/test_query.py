@@ -208,6 +208,7 @@ OTHERS = [
     ({"resolution": 10**6}, "needs .* bytes, this machine has"),
     ({"intrinsics": Intrinsics(np.int32(10**6), np.int32(10**6))}, "needs .* bytes, this machine has"),
     ({"intrinsics": 3}, "intrinsics is of type int"),
+    ({"intrinsics": Intrinsics(8, 8, 10.0), "resolution": 8}, "resolution is 8, but intrinsics has a size"),
     ({"supersample": 1}, "supersample is of type int"),
     ({"lights": "sun"}, "lights is 'sun', expected 'studio'"),
     ({"light": None}, "there is no light"),
@@ -228,7 +229,7 @@ def test_a_view_of_nonsense_is_refused_before_the_net_is_loaded(brick, monkeypat
     asked += [({"camera": [2, 0, 0], "light": [1, 0, 0], **other}, message) for other, message in OTHERS]
     for arguments, message in asked:
         with pytest.raises(ObjectFolderError, match=message):
-            getattr(brick, question)(**{"resolution": 8, **arguments})
+            getattr(brick, question)(**arguments)
 
 
 # Hearing

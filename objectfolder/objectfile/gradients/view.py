@@ -62,7 +62,7 @@ class View(AnswerModule):
         self,
         camera: torch.Tensor,
         light: torch.Tensor,
-        resolution: int = 256,
+        resolution: int | None = None,
         intrinsics: Intrinsics | None = None,
     ) -> Seen:
         """Render the object under a point light; parameters and errors as of `ObjectFile.view`.
@@ -71,7 +71,7 @@ class View(AnswerModule):
         ----------
         camera : (N, 3) or (N, 4, 4) tensor
         light : (N, 3) tensor
-        resolution : int
+        resolution : int, optional
         intrinsics : Intrinsics, optional
         """
         poses, lamps = poses_and_lights(camera, light, ())
