@@ -11,7 +11,8 @@ from objectfolder.objectfile.samples import available_samples
 from objectfolder.vision.lighting import studio
 
 FRAMES, SIZE, MILLISECONDS = 48, 224, 80
-DISTANCE, HEIGHT = 2.0, 1.0  # of the camera, unit frame
+DISTANCE, HEIGHT = 2.2, 1.1  # of the camera, unit frame
+SIDE, SWING = 45, 40  # of the main light from the camera, degrees
 
 
 def main() -> None:
@@ -19,9 +20,10 @@ def main() -> None:
     objects = [ObjectFile.sample(name) for name in reversed(available_samples())]
     frames = []
     for turn in turns:
-        # The light goes round in the same time, the other way.
-        camera = [DISTANCE * np.cos(turn - 0.6), DISTANCE * np.sin(turn - 0.6), HEIGHT]
-        lights = studio(azimuth=35 - np.degrees(turn))
+        around = turn - 0.6
+        camera = [DISTANCE * np.cos(around), DISTANCE * np.sin(around), HEIGHT]
+        # The lights follow the camera and swing, so that no side that it sees is ever unlit.
+        lights = studio(azimuth=np.degrees(around) + SIDE + SWING * np.sin(turn))
         images = [file.view(camera, resolution=SIZE, lights=lights)[0] for file in objects]
         frames.append(Image.fromarray((np.concatenate(images, 1) * 255).round().astype(np.uint8)))
     with atomic(Path(__file__).parent / "turntable.webp") as path:
