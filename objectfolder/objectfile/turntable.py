@@ -15,7 +15,8 @@ from objectfolder.objectfile.file import ObjectFile
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at
 from objectfolder.vision.lighting import studio
 
-DISTANCE, HEIGHT = 2.0, 1.0  # of the camera, unit frame
+DISTANCE, HEIGHT = 2.2, 1.1  # of the camera, unit frame: cubes fit, whichever way they stand
+SIDE, SWING = 45, 40  # of the main light from the camera, degrees
 IMPULSE = 0.1  #: of a strike, N s, along the surface normal
 SHOWN = 0.9  #: seconds for which the tactile image of a contact is shown
 FLASH = 0.3  #: seconds for which its place is
@@ -31,7 +32,7 @@ _BYTES_PER_CONTACT = 2**16  # of its tactile image
 
 @dataclass(frozen=True)
 class Turntable:
-    """One turn of an object, with the light going round the other way, strikes and touches.
+    """One turn of an object, with a light that swings, strikes and touches.
 
     Raises
     ------
@@ -57,12 +58,19 @@ class Turntable:
 
     def camera(self, second: float) -> np.ndarray:
         """Return the camera's position, unit frame; (3,)."""
-        turn = 2 * np.pi * second / self.seconds - 0.6
-        return np.array([DISTANCE * np.cos(turn), DISTANCE * np.sin(turn), HEIGHT])
+        around = self._turn(second) - 0.6
+        return np.array([DISTANCE * np.cos(around), DISTANCE * np.sin(around), HEIGHT])
 
     def light(self, second: float) -> float:
-        """Return the azimuth of the main light, degrees."""
-        return 35 - 360 * second / self.seconds
+        """Return the azimuth of the main light, degrees.
+
+        It swings beside the camera, so that no side that is seen is unlit.
+        """
+        turn = self._turn(second)
+        return float(np.degrees(turn - 0.6) + SIDE + SWING * np.sin(turn))
+
+    def _turn(self, second: float) -> float:
+        return 2 * np.pi * second / self.seconds
 
 
 def require_room(turntable: Turntable, objects: int) -> None:

@@ -29,7 +29,8 @@ def test_contacts_lie_on_the_surface_and_face_the_camera(brick, found):
         point = contact.point / brick.scale
         assert brick.nearest(contact.point[None])[1][0] < 1e-6
         toward = SHORT.camera(contact.second) - point
-        assert contact.normal @ toward / np.linalg.norm(toward) > FACING - 0.1
+        # The way to the camera differs by up to 14 degrees from that at the middle of the brick.
+        assert contact.normal @ toward / np.linalg.norm(toward) > math.cos(math.acos(FACING) + 0.25)
     assert contacts(brick, SHORT)[0].point.tolist() == found[0].point.tolist()
 
 
