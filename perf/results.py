@@ -14,7 +14,7 @@ from pathlib import Path
 from statistics import mean, median
 from typing import Any
 
-from harness import rewrite, write_record
+from harness import rewrite, this_run, write_record
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Undefined
 from query import FIGURES, significant
 from ruamel.yaml import YAML
@@ -69,6 +69,7 @@ def render(page: str, records: Path = RECORDS) -> str:
         keep_trailing_newline=True,
     )
     environment.filters |= {
+        "by_commit": by_commit,
         "measured": lambda rows: [row for row in rows if "failed" not in row],
         "number": number,
         "over_objects": over_objects,
@@ -81,6 +82,14 @@ def render(page: str, records: Path = RECORDS) -> str:
     template = environment.get_template(f"{page}.md.j2")
     text = template.render(**values, query_figures=FIGURES, fitted=FITTED)
     return re.sub(r"\n{3,}", "\n\n", text)
+
+
+def by_commit(objects: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, list[str]]]:
+    """Return the objects that each commit built; those of unknown ones as "earlier"."""
+    built: dict[str, list[str]] = defaultdict(list)
+    for key, row in objects.items():
+        built[row.get("commit", "earlier")].append(key)
+    return list(built.items())
 
 
 def over_objects(
@@ -120,7 +129,8 @@ def collect() -> None:
         values = read_yaml("params.yaml")
         preset = preset_of(values)
         path = RECORDS / ("scores.json" if preset == "quick" else f"scores_{preset}.json")
-        if path.is_file() and preset != "quick":  # hours in all: a few objects at a time
+        metrics = {key: row | {"commit": this_run()["commit"]} for key, row in metrics.items()}
+        if path.is_file():  # hours in all: a few objects at a time
             metrics = read_json(path)["objects"] | metrics
         record = {"machine": machine("cpu"), "preset": preset, "seed": values["seed"]}
         write_record(path, record | {"objects": dict(sorted(metrics.items()))})

@@ -210,9 +210,12 @@ def test_scores_and_benchmarks_are_collected(repository):
     page = results.render("results", results.RECORDS)
     vision = scores["mug"]["vision"]
     assert f"| cup | {vision['psnr']:.2f} | {vision['noise_floor']:.2f} |" in page
-    assert (
-        f"| polyhaven_teapot | {scores['polyhaven_teapot']['vision']['psnr']:.2f} |" not in page
-    )  # the record holds the scores of one build
+    # Other objects keep their scores, and the commit that built them.
+    assert f"| polyhaven_teapot | {scores['polyhaven_teapot']['vision']['psnr']:.2f} |" in page
+    collected = read_json(results.RECORDS / "scores.json")["objects"]
+    commits = {key: row["commit"] for key, row in collected.items()}
+    assert commits.pop("cup") == results.this_run()["commit"]
+    assert commits == {key: row["commit"] for key, row in scores.items()}
     assert "Preset `quick`, seed 0." in page
     assert "1 objects of catalogs/procedural.yaml: blue_vase.\n1 scanned objects: scan." in page
     took = "2 min of training with 2 thread(s), 3 CPU min in all"
