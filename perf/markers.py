@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 from harness import parsed, write_record
-from PIL import Image, ImageDraw
 from rich.console import Console
 from rich.table import Table
 from scipy.optimize import least_squares
 
+from objectfolder.figures import page, save_page
 from objectfolder.touch.gel import deform
 from objectfolder.touch.markers import marker_flow
 from objectfolder.touch.profiles import SensorProfile, load_profile
@@ -54,15 +54,26 @@ def flow(x: np.ndarray, places: np.ndarray, profile: SensorProfile) -> np.ndarra
     return marker_flow(places, sheared.displacement, displacement, profile)[0] * COARSER + x[5:]
 
 
-def arrows(places: np.ndarray, motion: np.ndarray, title: str) -> np.ndarray:
-    """Draw markers and their enlarged motion; (260, 320, 3) uint8."""
-    page = Image.new("RGB", (320, 260), "white")
-    draw = ImageDraw.Draw(page)
-    draw.text((6, 4), title, "black")
-    for (x, y), (u, v) in zip(places + np.array([0, 20]), motion * ENLARGED):
-        draw.ellipse((x - 2, y - 2, x + 2, y + 2), fill=(170, 170, 170))
-        draw.line((x, y, x + u, y + v), fill=(200, 30, 30), width=2)
-    return np.asarray(page)
+def draw(found: list[tuple[str, np.ndarray, np.ndarray, np.ndarray]], path: Path) -> None:
+    """Draw markers and their enlarged motion: a row for each press, the real gel beside ours.
+
+    Parameters
+    ----------
+    found : list of tuple
+        Title, places (N, 2), motion of the real gel (N, 2) and ours (N, 2); pixels.
+    """
+    sheet = page(9.6, 7.4, f"Motion of markers; arrows are {ENLARGED} times as long")
+    panels = sheet.subplots(len(found), 2, squeeze=False)
+    for row, (title, places, seen, ours) in zip(panels, found, strict=True):
+        for axes, motion, gel in zip(row, (seen, ours), ("real gel (FOTS, MIT)", "ours"), strict=True):
+            axes.scatter(*places.T, s=14, color="0.7")
+            axes.quiver(
+                *places.T, *(ENLARGED * motion).T, color="firebrick",
+                angles="xy", scale_units="xy", scale=1, width=0.0035,
+            )  # fmt: skip
+            axes.set(xlim=(-12, 332), ylim=(252, -12), aspect="equal", xticks=[], yticks=[])
+            axes.set_title(f"{title}: {gel}", fontsize=10)
+    save_page(sheet, path)
 
 
 def main() -> None:
@@ -99,20 +110,14 @@ def main() -> None:
                 "push_mm": float(np.hypot(*found.x[3:5]) * 1e3),
             }
         )
-        drawn.append(
-            [
-                arrows(marks[:, :2], seen, f"{title}: real gel (FOTS, MIT)"),
-                arrows(marks[:, :2], ours, f"{title}: ours"),
-            ]
-        )
+        drawn.append((title, marks[:, :2], seen, ours))
     table = Table(*rows[0], title="Markers' motion, pixels (root mean square about its mean)")
     for row in rows:
         table.add_row(*(value if isinstance(value, str) else f"{value:.2f}" for value in row.values()))
     Console(width=max(Console().width, 120)).print(table)
     write_record(given.json, {"markers": rows})
     if given.picture:
-        page = np.concatenate([np.concatenate(pair, axis=1) for pair in drawn])
-        Image.fromarray(page).save(given.picture, optimize=True)
+        draw(drawn, given.picture)
 
 
 if __name__ == "__main__":
