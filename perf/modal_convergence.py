@@ -180,13 +180,17 @@ def draw(rows: list[dict], path: Path) -> None:
 
     figure, axes = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
     for row in rows:
-        axes.loglog(row["resolutions"], 100 * np.array(row["errors"]), "o-", label=row["name"])
+        percent = 100 * np.array(row["errors"])
+        (line,) = axes.loglog(row["resolutions"], percent, "o-")
+        end = (row["resolutions"][-1] * 1.04, percent[-1])
+        color = line.get_color()
+        axes.annotate(row["name"], end, color=color, fontsize=9, va="center", annotation_clip=False)
     axes.set_xlabel("cells along the longest side")
     axes.set_ylabel("largest error of six modes, %")
     axes.set_xticks(RESOLUTIONS, [str(r) for r in RESOLUTIONS])
     axes.minorticks_off()
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=8)
+    axes.spines[["top", "right"]].set_visible(False)
     figure.savefig(path, dpi=110)
 
 
