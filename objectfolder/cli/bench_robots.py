@@ -109,10 +109,11 @@ def reach(
     """
     from objectfolder.benchmarks.reporting.tables import reach_table
     from objectfolder.benchmarks.run import BenchmarkOptions, run_on_objects
-    from objectfolder.benchmarks.tasks.reach import METAWORLD_REACH, REACH
+    from objectfolder.benchmarks.tasks.reach import METAWORLD_REACH, REACH, environment_class
     from objectfolder.engine.resources import cores
 
     task = METAWORLD_REACH if metaworld else REACH
+    environment_class(task.name)  # fails before any work if Meta-World is not installed
     options = BenchmarkOptions(files=files, preset=preset, out=out, seeds=seeds, threads=1)
     scores = run_on_objects(task, options, say, jobs or cores())
     print_scores(reach_table(scores))

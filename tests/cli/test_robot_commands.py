@@ -1,4 +1,5 @@
 import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -90,3 +91,11 @@ def test_a_missing_section_says_which_preset_has_it(workspace):
         ObjectFolderError, match="lacks section 'grasp_policy'; run `objectfolder preset quick`"
     ):
         bench("grasping", "build/brick")
+
+
+def test_reach_without_metaworld_is_refused_before_any_work(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "metaworld", None)
+    with pytest.raises(ObjectFolderError, match="is not installed; this needs metaworld"):
+        bench("reach", "--metaworld", "mug", "--preset", "quick", "--out", "new")
+    assert list(tmp_path.iterdir()) == []
