@@ -168,16 +168,22 @@ def _scores(metrics: dict[str, Any]) -> dict[str, float]:
 
 
 def _modes(file: ObjectFile, modal: dict[str, Any] | None) -> list[list[float | None]]:
-    """Return frequency, Hz, time to decay by 60 dB, s, quality factor and estimated error of each mode."""
+    """Return frequency, Hz, time to decay by 60 dB, s, quality factor and estimated error of each mode.
+
+    None stands for what is not known, and for the time and quality of a mode that does not decay.
+    """
     if "audio" not in file.header or not file.has_modes:
         return []
     damping = file.tuning().damping.double().numpy()
     errors = (modal or {}).get("discretisation_error") or []
-    decay = math.log(1000) / damping
-    quality = math.pi * file.frequencies / damping
     return [
-        [_rounded(f), _rounded(t), _rounded(q), _rounded(errors[n]) if n < len(errors) else None]
-        for n, (f, t, q) in enumerate(zip(file.frequencies, decay, quality))
+        [
+            _rounded(frequency),
+            _rounded(math.log(1000) / rate) if rate else None,
+            _rounded(math.pi * frequency / rate) if rate else None,
+            _rounded(errors[n]) if n < len(errors) else None,
+        ]
+        for n, (frequency, rate) in enumerate(zip(file.frequencies, damping))
     ]
 
 

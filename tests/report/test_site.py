@@ -211,6 +211,15 @@ def three(brick, report, tmp_path, monkeypatch):
     return paths
 
 
+def test_a_mode_that_does_not_decay_has_no_time_to_decay(brick, tmp_path):
+    damping = np.zeros_like(np.asarray(brick.tensors["audio.damping"]))
+    tensors = dict(brick.tensors.items()) | {"audio.damping": damping}
+    file = tmp_path / "rings.safetensors"
+    ObjectFile(brick.header, tensors).save(file)
+    modes = object_report(file, True).detail["modes"]
+    assert [row[1:] for row in modes] == [[None, None, None]] * len(brick.frequencies)
+
+
 def test_a_damaged_object_fails_alone(three, tmp_path, capsys):
     site = tmp_path / "site"
     assert app(["report", *map(str, three), "--no-open", "--out", str(site)], standalone_mode=False) == 1

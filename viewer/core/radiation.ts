@@ -53,9 +53,10 @@ export class Radiation {
 
   /** Whether the fields are those of the modes of a body of a size that is a multiple of the object's own. */
   holds(modes: Modes, size: number): boolean {
+    const [least, most] = modes.bounds;
     return modes.frequency.every((w, n) => {
       const ratio = (w * size) / this.frequency[modes.which[n]];
-      return Math.abs(ratio - 1) <= ALIKE;
+      return ratio * most - 1 <= ALIKE && 1 - ratio * least <= ALIKE;
     });
   }
 

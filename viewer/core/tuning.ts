@@ -6,6 +6,9 @@ import type { Header } from "./objectfile.ts";
 
 export const HEARING: [number, number] = [20, 20000];
 
+/** Relative; the solved band may end at 20 kHz itself. */
+const ROUNDING = 1e-6;
+
 export interface Modes {
   /** Damped angular frequencies, rad/s. */
   frequency: Float64Array;
@@ -15,6 +18,8 @@ export interface Modes {
   which: Int32Array;
   /** Multiplies the stored mode shapes. */
   shapeFactor: number;
+  /** True frequencies are these multiples of `frequency`, at least and at most: of another Poisson ratio. */
+  bounds: [number, number];
   /** Gaps and approximations, for people. */
   notes: string[];
 }
@@ -35,7 +40,8 @@ export function tuned(gains: Gains, header: Header, material: Material | null, s
       damping: gains.damping,
       which: Int32Array.from(gains.frequency, (_, n) => n),
       shapeFactor: 1,
-      notes: [],
+      bounds: [1, 1],
+      notes: header.audio?.band_hz ? missingAbove(header.audio.band_hz[1]) : [],
     };
   const density = wanted.density / own.density;
   const factor = wanted.youngs_modulus / own.youngs_modulus / density / size ** 2;
@@ -55,26 +61,37 @@ export function tuned(gains: Gains, header: Header, material: Material | null, s
     damping: Float64Array.from(kept.damping),
     which: Int32Array.from(kept.which),
     shapeFactor: 1 / Math.sqrt(density * size ** 3),
+    bounds: bounds(own, wanted),
     notes: notes(band, own, wanted),
   };
+}
+
+/** Between which multiples of the scaled frequencies those of another Poisson ratio lie. */
+function bounds(own: Material, wanted: Material): [number, number] {
+  const [old, now] = [own.poisson_ratio, wanted.poisson_ratio];
+  const shear = Math.sqrt((1 + old) / (1 + now));
+  const bulk = Math.sqrt((1 - 2 * old) / (1 - 2 * now));
+  return [Math.min(shear, bulk), Math.max(shear, bulk)];
 }
 
 function notes(band: [number, number], own: Material, wanted: Material): string[] {
   const found: string[] = [];
   const [old, now] = [own.poisson_ratio, wanted.poisson_ratio];
   if (old !== now) {
-    const shear = Math.sqrt((1 + old) / (1 + now));
-    const bulk = Math.sqrt((1 - 2 * old) / (1 - 2 * now));
-    const [least, most] = [Math.min(shear, bulk), Math.max(shear, bulk)].map((ratio) => ratio.toFixed(3));
+    const [least, most] = bounds(own, wanted).map((ratio) => ratio.toFixed(3));
     found.push(
       `Approximate: the modes were solved with Poisson ratio ${old}, ${wanted.name} has ${now}. ` +
         `True frequencies are ${least} to ${most} times these.`,
     );
   }
-  const [low, high] = HEARING;
-  if (band[1] < high * (1 - 1e-9))
-    found.push(`Incomplete: modes above ${band[1].toFixed(0)} Hz were not solved and are missing.`);
-  if (band[0] > low * (1 + 1e-9))
+  found.push(...missingAbove(band[1]));
+  if (band[0] > HEARING[0] * (1 + ROUNDING))
     found.push(`Incomplete: modes below ${band[0].toFixed(0)} Hz were not solved and are missing.`);
   return found;
+}
+
+/** The gap between the end of the solved band (Hz) and that of hearing. */
+function missingAbove(top: number): string[] {
+  if (top >= HEARING[1] * (1 - ROUNDING)) return [];
+  return [`Incomplete: modes above ${top.toFixed(0)} Hz were not solved and are missing.`];
 }

@@ -72,7 +72,10 @@ export class App {
   constructor(private readonly settings: Settings) {
     this.worker = new Worker(URL.createObjectURL(new Blob([source], { type: "text/javascript" })));
     this.worker.onmessage = (event: MessageEvent<Reply>) => this.receive(event.data);
-    this.worker.onerror = (event) => this.problem(event.message);
+    this.worker.onerror = (event) => {
+      this.problem(event.message);
+      this.next(); // no reply ends this request
+    };
     // The worker reads the first object while this thread sets the picture up.
     select("object").addEventListener("change", () => this.show(select("object").selectedIndex));
     if (this.sources.length) this.show(0);
@@ -251,7 +254,6 @@ export class App {
         : "This file cannot be shown";
     if (this.reading !== null) this.drop(this.reading);
     this.announce(title ?? whole, message);
-    this.next();
   }
 
   private announce(title: string, message: string): void {
@@ -386,7 +388,9 @@ export class App {
     const level = 20 * Math.log10(Math.max(peak * gain, 1e-9));
     element("sound-readout").innerHTML = loudest
       ? `<b>${loudest.frequency.toFixed(0)} Hz</b> loudest of ${sound.modes} mode${sound.modes === 1 ? "" : "s"}, rings ${loudest.decay.toPrecision(2)} s · <b>${level.toFixed(0)} dB</b> of the loudest`
-      : "Silent: no mode lies within hearing.";
+      : peak > 0
+        ? "No mode lies within hearing: only the click of the strike is heard."
+        : "Silent: no mode lies within hearing.";
     element("notes").replaceChildren(
       ...sound.notes.map((text) => Object.assign(document.createElement("li"), { textContent: text })),
     );

@@ -23,6 +23,7 @@ const modes: Modes = {
   damping: Float64Array.from(truth.damping),
   which: Int32Array.from([0, 1, 2]),
   shapeFactor: truth.factor,
+  bounds: [1, 1],
   notes: [],
 };
 const radiation = Radiation.read(file, Float64Array.from(truth.own))!;
@@ -55,6 +56,9 @@ describe("at a listener", () => {
   it("another size keeps the ratio of wavelength to size, another material does not", () => {
     expect(radiation.holds(modes, truth.size)).toBe(true);
     expect(radiation.holds(modes, 1)).toBe(false);
+    // Of another Poisson ratio the frequencies are not known to a hundredth.
+    expect(radiation.holds({ ...modes, bounds: [0.9, 1] }, truth.size)).toBe(false);
+    expect(radiation.holds({ ...modes, bounds: [1, 1.1] }, truth.size)).toBe(false);
   });
 
   it("a file without radiation has none", () => {

@@ -38,6 +38,7 @@ const modes = (hertz: number[], rate = 10): Modes => ({
   damping: new Float64Array(hertz.length).fill(rate),
   which: Int32Array.from(hertz.keys()),
   shapeFactor: 1,
+  bounds: [1, 1],
   notes: [],
 });
 
@@ -96,6 +97,15 @@ describe("another material or size", () => {
   it("tells that another Poisson ratio is approximate", () => {
     const found = tuned(gains([1000]), header([0, 1e6]), { ...STEEL, name: "cork", poisson_ratio: 0 }, 1);
     expect(found.notes[0]).toContain("Poisson ratio 0.29, cork has 0");
+    expect(found.bounds[0]).toBeCloseTo(Math.sqrt(0.42), 9); // in compression
+    expect(found.bounds[1]).toBeCloseTo(Math.sqrt(1.29), 9); // in shear
+  });
+
+  it("tells what the own material lacks, too", () => {
+    const own = tuned(gains([1000]), header([0, 7000]), null, 1);
+    expect(own.notes).toEqual(["Incomplete: modes above 7000 Hz were not solved and are missing."]);
+    expect(own.bounds).toEqual([1, 1]);
+    expect(tuned(gains([1000]), header([0, 20000 * (1 - 1e-7)]), null, 1).notes).toEqual([]);
   });
 
   it("damps by a loss factor where one is given", () => {

@@ -143,7 +143,7 @@ export class Answers {
     const key = JSON.stringify([material, size, contact, rate, response, listener]);
     if (this.reference?.key === key) return this.reference.peak;
     const { position } = this.mesh;
-    let best: Vector | null = null;
+    let best = [...position.subarray(0, 3)] as Vector; // without modes, only the recoil is heard, as anywhere
     let most = 0;
     for (let n = 0; n < SPOTS; n++) {
       const vertex = Math.floor(((n + 0.5) / SPOTS) * (position.length / 3));
@@ -153,11 +153,9 @@ export class Answers {
       if (energy > most) [best, most] = [point, energy];
     }
     let peak = 0;
-    if (best) {
-      const { sound, strike } = this.heard(modes, best, this.normalAt(best), { ...settings, listener });
-      for (const value of synthesise(sound, { ...strike, duration: PEAK, silence: 1e-3 }))
-        peak = Math.max(peak, Math.abs(value));
-    }
+    const { sound, strike } = this.heard(modes, best, this.normalAt(best), { ...settings, listener });
+    for (const value of synthesise(sound, { ...strike, duration: PEAK, silence: 1e-3 }))
+      peak = Math.max(peak, Math.abs(value));
     this.reference = { key, peak };
     return peak;
   }

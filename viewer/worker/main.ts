@@ -93,6 +93,7 @@ self.onmessage = (event: MessageEvent<Request>) => {
   answer(event.data).catch((error: unknown) => {
     if (error instanceof Outdated) return;
     const message = error instanceof Error ? error.message : String(error);
-    post({ kind: "problem", message: error instanceof FormatError ? message : `It is damaged: ${message}` });
+    const cause = event.data.kind === "open" ? "It is damaged" : "This cannot be computed";
+    post({ kind: "problem", message: error instanceof FormatError ? message : `${cause}: ${message}` });
   });
 };
