@@ -1,8 +1,9 @@
-"""Render docs/results.md, docs/faithful.md and docs/catalogue.md: `python perf/results.py [--collect]`.
+"""Render docs/results.md, docs/faithful.md and docs/catalogue.md: `python perf/results.py [--collect [DIR]]`.
 
 The pages are perf/*.md.j2, filled with the records in docs/results/. Most records are the `--json` output of
 another script in perf/. With `--collect`, the scores that `objectfolder build` and `objectfolder bench` left
-in metrics/ and benchmarks/ update the records scores, benchmarks and robots first.
+in metrics/ and benchmarks/ of a workspace, by default the repository, update the records scores, benchmarks
+and robots first.
 """
 
 import argparse
@@ -122,11 +123,11 @@ def score(value: Any) -> str:
     return number(value, digits)
 
 
-def collect() -> None:
-    """Update the records of scores and benchmarks from what builds and benchmarks left in the repository."""
-    metrics = {path.stem: read_json(path) for path in sorted((ROOT / "metrics").glob("*.json"))}
+def collect(workspace: Path) -> None:
+    """Update the records of scores and benchmarks from what builds and benchmarks left in a workspace."""
+    metrics = {path.stem: read_json(path) for path in sorted((workspace / "metrics").glob("*.json"))}
     if metrics:
-        values = read_yaml("params.yaml")
+        values = read_yaml(workspace / "params.yaml")
         preset = preset_of(values)
         path = RECORDS / ("scores.json" if preset == "quick" else f"scores_{preset}.json")
         metrics = {key: row | {"commit": this_run()["commit"]} for key, row in metrics.items()}
@@ -135,7 +136,7 @@ def collect() -> None:
         record = {"machine": machine("cpu"), "preset": preset, "seed": values["seed"]}
         write_record(path, record | {"objects": dict(sorted(metrics.items()))})
     keys: dict[str, None] = {}
-    folders = {preset: Benchmarks(ROOT / "benchmarks" / preset) for preset in PRESETS}
+    folders = {preset: Benchmarks(workspace / "benchmarks" / preset) for preset in PRESETS}
     shared = [table for preset, folder in folders.items() for table in shared_tables(folder, preset, keys)]
     single = [table for preset, folder in folders.items() for table in object_tables(folder, preset)]
     found = {"benchmarks": shared, "robots": single}
@@ -238,16 +239,23 @@ def scored(key: str, section: Any) -> Any:
     return {k: v for k, v in section.items() if k != EXEMPT[key]} if key in EXEMPT and section else section
 
 
-def read_yaml(path: str) -> dict:
-    """Return a YAML file of the repository."""
+def read_yaml(path: str | Path) -> dict:
+    """Return a YAML file; paths are relative to the repository."""
     return YAML(typ="safe").load(ROOT / path)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--collect", action="store_true", help="read metrics/ and benchmarks/ first")
-    if parser.parse_args().collect:
-        collect()
+    parser.add_argument(
+        "--collect",
+        type=Path,
+        nargs="?",
+        const=ROOT,
+        metavar="DIR",
+        help="read metrics/ and benchmarks/ of a workspace first; default: of the repository",
+    )
+    if workspace := parser.parse_args().collect:
+        collect(workspace.resolve())
     for name, path in PAGES.items():
         write_text(path, render(name))
 

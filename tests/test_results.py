@@ -187,7 +187,7 @@ def test_unknown_optional_figures_are_dashes(repository):
 
 def test_collecting_nothing_changes_nothing(repository):
     before = {path: path.read_bytes() for path in results.RECORDS.glob("*.json")}
-    results.collect()
+    results.collect(repository)
     assert {path: path.read_bytes() for path in results.RECORDS.glob("*.json")} == before
 
 
@@ -206,7 +206,7 @@ def test_scores_and_benchmarks_are_collected(repository):
     write_json(folder.result("grasp_policy", "cup"), GRASPING)
     write_json(folder.machine("grasp_policy", "cup"), RUN)
     folder.curve("grasp_policy", "cup").write_text("")
-    results.collect()
+    results.collect(repository)
     page = results.render("results", results.RECORDS)
     vision = scores["mug"]["vision"]
     assert f"| cup | {vision['psnr']:.2f} | {vision['noise_floor']:.2f} |" in page

@@ -368,6 +368,11 @@ def _digest(surface: Surface) -> str:
 
 
 def _truth(file: ObjectFile, surface: Surface) -> TrueSurface:
+    if file.fixed_contact is not None:
+        raise ObjectFolderError(
+            f"{file.key}: its touch net knows one press alone, with which the true surface cannot be "
+            "compared; collect without the surface"
+        )
     vertices, faces = surface
     bounds, known = np.stack([vertices.min(0), vertices.max(0)]), file.bounds / file.scale
     if np.abs(bounds - known).max() > STRAY:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from brick import felt_by
+from brick import felt_by, with_images
 
 from objectfolder.benchmarks.datasets import grasp_data
 from objectfolder.benchmarks.datasets.grasp_data import (
@@ -162,6 +162,11 @@ def test_the_surface_of_another_object_is_refused(brick, body, surface, tmp_path
         ObjectFolderError, match=r"brick: the true surface reaches .* another object or build"
     ):
         collect_grasps(brick, body, WANTED, 0, tmp_path, (vertices[:, [2, 0, 1]], faces))
+
+
+def test_a_net_of_images_has_no_truth_to_compare_with(brick, body, surface, tmp_path):
+    with pytest.raises(ObjectFolderError, match="brick: its touch net knows one press alone"):
+        collect_grasps(with_images(brick, 0.001, 0.0), body, WANTED, 0, tmp_path, surface)
 
 
 def test_what_is_flatter_than_pads_reach_is_said(brick, tmp_path):
