@@ -339,7 +339,8 @@ def _summary_of(obj: "ObjectFile", part: str) -> str:
         return kind
     frequencies = obj.frequencies
     if not len(frequencies):
-        return f"{kind}, no modes: silent" if obj.has_modes else kind
+        heard = "silent, but for its recoil at a listener" if "radiation" in obj.header else "silent"
+        return f"{kind}, no modes: {heard}" if obj.has_modes else kind
     described = obj.header[part]
     error = described.get("frequency_uncertainty")
     certain = "" if error is None else f", lowest ten within about {error:.1%}"

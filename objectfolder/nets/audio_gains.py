@@ -8,6 +8,7 @@ the second. The large matrices are stored as int8.
 """
 
 import math
+import warnings
 from typing import Any
 
 import numpy as np
@@ -72,7 +73,9 @@ class GainsNet(nn.Module):
             first = self.sines.weights[0]
             first[:, :3].uniform_(-1 / 3, 1 / 3)
             first[:, 3:].normal_(0, 1 / (frequency * math.sqrt(first.shape[1])))
-        self.output = nn.Linear(features, 3 * len(damping))
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Initializing zero-element tensors")  # an object without modes
+            self.output = nn.Linear(features, 3 * len(damping))
 
     def features(self, points: torch.Tensor, looked_up: torch.Tensor) -> torch.Tensor:
         """Evaluate the second layer at (N, 3) points of the unit frame, given the grid's features there."""

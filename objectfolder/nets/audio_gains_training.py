@@ -106,11 +106,11 @@ def train_gains(
             features,
             config.frequency,
         )
+        if len(damping) == 0:
+            return net.eval(), []
         head = nn.Linear(features, components.shape[1])
         bound = sine_bound(features, config.frequency)
         nn.init.uniform_(head.weight, -bound, bound)
-    if len(damping) == 0:
-        return net.eval(), []
     batches = iter(minibatches(len(train), batch, generator))
     nodes, weights = net.grid.nodes(x)
 

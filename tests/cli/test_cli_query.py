@@ -4,12 +4,13 @@ import shutil
 import numpy as np
 import pytest
 import soundfile
-from brick import SCALE
+from brick import SCALE, build_brick
 from PIL import Image
 from typer.testing import CliRunner
 
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile.file import ObjectFile
 from objectfolder.vision import environment
 from objectfolder.vision.lighting import PointLight
 
@@ -141,6 +142,19 @@ def test_a_silent_object_says_so(brick, strike):
     output, sounds = strike("--sample-rate", int(brick.frequencies[0]), "--duration", 0.1, "--normalize")
     assert "peak 0: silent; 12 modes, 12 left out" in output
     assert not any(sound.any() for sound, _ in sounds)
+
+
+def test_info_says_what_is_heard_without_modes(tmp_path):
+    tiny = build_brick(scale=0.002)
+
+    def info(header):
+        ObjectFile(header, tiny.tensors).save(tmp_path / "tiny.safetensors")
+        return CliRunner().invoke(app, ["info", str(tmp_path / "tiny.safetensors")]).output
+
+    assert "no modes: silent, but for its recoil at a listener" in info(tiny.header)
+    del (header := dict(tiny.header))["radiation"]
+    assert "no modes: silent" in (output := info(header))
+    assert "recoil" not in output
 
 
 @pytest.mark.parametrize("rate", ["0", "-16000", "nan"])

@@ -142,7 +142,6 @@ def test_rows_do_not_depend_on_their_batch(trained, count):
         assert torch.equal(trained[0].shapes(points[i : i + 1])[0], whole[i])
 
 
-@pytest.mark.filterwarnings("ignore:Initializing zero-element tensors")
 def test_an_object_without_modes(tmp_path):
     net, curve = train_gains(
         np.zeros((4, 3)),

@@ -332,7 +332,6 @@ def test_an_object_whose_highest_modes_are_not_stored_says_so(brick, caplog):
     assert caplog.text.count(f"brick: {own.notes[0]}") == 1  # not at every strike
 
 
-@pytest.mark.filterwarnings("ignore:Initializing zero-element tensors")
 def test_an_object_without_any_mode_is_silent(tmp_path, caplog):
     tiny = build_brick(scale=0.002)
     tiny.save(tmp_path / "tiny.safetensors")

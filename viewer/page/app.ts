@@ -62,10 +62,13 @@ export class App {
   private poking = false;
   private waiting: { place: Place; strike: boolean } | null = null;
   private lights: PointLight[] = [];
-  /** What can be shown, and which of it is, or is being read. */
   private sources: Source[] = embedded();
-  private shown = -1;
-  private reading: number | null = null;
+  private shown: Source | null = null;
+  /** The source that was chosen last, until it is shown or cannot be. */
+  private wanted: Source | null = null;
+  /** Sources that the worker was asked to open, by the number of the request. */
+  private readonly opening = new Map<number, Source>();
+  private opened = 0;
   private readonly settled: (() => void)[] = [];
   private readonly answered: (() => void)[] = [];
 
@@ -73,12 +76,15 @@ export class App {
     this.worker = new Worker(URL.createObjectURL(new Blob([source], { type: "text/javascript" })));
     this.worker.onmessage = (event: MessageEvent<Reply>) => this.receive(event.data);
     this.worker.onerror = (event) => {
-      this.problem(event.message);
+      if (this.wanted) this.fail(this.wanted, event.message);
+      else this.problem(event.message);
       this.next(); // no reply ends this request
     };
     // The worker reads the first object while this thread sets the picture up.
-    select("object").addEventListener("change", () => this.show(select("object").selectedIndex));
-    if (this.sources.length) this.show(0);
+    select("object").addEventListener("change", () =>
+      this.show(this.sources[select("object").selectedIndex]),
+    );
+    if (this.sources.length) this.show(this.sources[0]);
     else this.problem("Open an Object File, or drop one on this page.", "No object");
     const accent = matchMedia("(prefers-color-scheme: dark)").matches
       ? [0.98, 0.6, 0.33]
@@ -104,48 +110,49 @@ export class App {
   }
 
   /** Read and show one of the sources. */
-  private async show(n: number): Promise<void> {
-    this.reading = n;
-    this.choose(n);
-    const source = this.sources[n];
+  private async show(source: Source): Promise<void> {
+    this.wanted = source;
+    this.choose(source);
     const began = performance.now();
     let buffer: ArrayBuffer;
     try {
       const read = source.read();
       buffer = read instanceof ArrayBuffer ? read : await read;
     } catch {
-      if (this.reading === n) this.problem(`${source.name} cannot be read: is it a file?`);
-      return;
+      return this.fail(source, `${source.name} cannot be read: is it a file?`);
     }
-    if (this.reading === n) this.open(buffer, began); // else another was chosen meanwhile
+    if (this.wanted === source) this.open(source, buffer, began); // else another was chosen meanwhile
   }
 
   /** Fill the menu of objects, with one of them chosen. */
-  private choose(n: number): void {
+  private choose(source: Source): void {
     element("chooser").hidden = this.sources.length < 2;
     options(
       "object",
       this.sources.map(({ name }, at) => [String(at), name]),
-      String(n),
+      String(this.sources.indexOf(source)),
     );
   }
 
-  /** Forget the source that cannot be shown; the one before stays. */
-  private drop(n: number): void {
-    this.reading = null;
-    if (this.shown < 0) return;
-    this.sources = this.sources.filter((_, at) => at !== n);
-    if (n < this.shown) this.shown--;
-    this.choose(this.shown);
+  /** Say that a source cannot be shown, and forget it; the object that is shown stays. */
+  private fail(source: Source, message: string): void {
+    if (this.wanted === source) this.wanted = null;
+    if (this.shown) {
+      this.sources = this.sources.filter((other) => other !== source);
+      this.choose(this.wanted ?? this.shown);
+    }
+    this.problem(message, "This file cannot be shown");
   }
 
   /** Open an Object File. */
-  private open(buffer: ArrayBuffer, began: number): void {
+  private open(source: Source, buffer: ArrayBuffer, began: number): void {
     this.began = this.times.shape === undefined ? 0 : began;
     this.waiting = null; // it was meant for the object that is open now
     tell("message", null);
     tell("busy", "Reading the Object File …");
-    this.ask({ kind: "open", buffer }, [buffer]);
+    const request = ++this.opened;
+    this.opening.set(request, source);
+    this.ask({ kind: "open", buffer, request }, [buffer]);
   }
 
   /** Strike and touch a place, or only touch it. */
@@ -196,7 +203,7 @@ export class App {
   private receive(reply: Reply): void {
     switch (reply.kind) {
       case "problem":
-        return this.problem(reply.message);
+        return this.receiveProblem(reply);
       case "shape":
         return this.showShape(reply);
       case "look":
@@ -246,14 +253,16 @@ export class App {
     this.times[event] = performance.now() - this.began;
   }
 
-  private problem(message: string, title?: string): void {
+  private receiveProblem({ message, request = 0 }: Extract<Reply, { kind: "problem" }>): void {
+    const source = this.opening.get(request);
+    this.opening.delete(request);
+    if (source) this.fail(source, message);
+    else this.problem(message);
+  }
+
+  private problem(message: string, title = "Part of this file cannot be shown"): void {
     tell("busy", null);
-    const whole =
-      this.reading === null && this.header
-        ? "Part of this file cannot be shown"
-        : "This file cannot be shown";
-    if (this.reading !== null) this.drop(this.reading);
-    this.announce(title ?? whole, message);
+    this.announce(title, message);
   }
 
   private announce(title: string, message: string): void {
@@ -271,14 +280,17 @@ export class App {
     place.hidden = false;
   }
 
-  private showShape({ header, gaps, mesh, bytes }: Extract<Reply, { kind: "shape" }>): void {
+  private showShape({ header, gaps, mesh, bytes, request }: Extract<Reply, { kind: "shape" }>): void {
     this.header = header;
     this.gaps = gaps;
-    if (this.reading !== null) this.shown = this.reading;
-    this.reading = null;
+    const source = this.opening.get(request)!;
+    this.opening.delete(request);
+    this.shown = source;
+    if (this.wanted === source) this.wanted = null;
+    this.choose(this.wanted ?? source);
     this.bounces = false;
     this.forget();
-    tell("busy", null);
+    if (!this.wanted) tell("busy", null);
     element("name").textContent = header.key.replaceAll("_", " ");
     const size = header.scale < 1 ? `${short(header.scale * 1000)} mm` : `${short(header.scale)} m`;
     tell("facts", `${header.material} · ${size} · ${(bytes / 1000).toFixed(0)} KB`);
@@ -465,7 +477,7 @@ export class App {
     whenOpened(input("file"), (files) => {
       const first = this.sources.length;
       this.sources = [...this.sources, ...files];
-      void this.show(first);
+      void this.show(this.sources[first]);
     });
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.drawSound());
     this.labels();

@@ -238,6 +238,31 @@ async function reopen(page) {
   assert.equal(menu[1], "again", "an opened file can be chosen again");
   assert.equal(await page.locator("#object").inputValue(), "1");
   assert.match(await page.locator("#impulse").getAttribute("aria-valuetext"), /^\d+(\.\d+)? mN·s$/);
+  await openTwo(page, content);
+}
+
+/** Choose a foreign file while an Object File is being read: the menu names what is shown. */
+async function openTwo(page, content) {
+  await page.evaluate(async (base64) => {
+    const put = (name, bytes) => {
+      const files = new DataTransfer();
+      files.items.add(new File([bytes], name));
+      document.getElementById("file").files = files.files;
+      document.getElementById("file").dispatchEvent(new Event("change"));
+    };
+    put(
+      "first.safetensors",
+      Uint8Array.from(atob(base64), (char) => char.charCodeAt(0)),
+    );
+    while (!document.getElementById("busy").textContent.startsWith("Reading"))
+      await new Promise((done) => setTimeout(done, 0));
+    put("second.safetensors", "of a foreign format");
+  }, content);
+  await page.locator("#message", { hasText: "This file cannot be shown" }).waitFor();
+  await page.locator("#message button").click();
+  const menu = await page.locator("#object option").allTextContents();
+  assert.deepEqual(menu.slice(1), ["again", "first"]);
+  assert.equal(await page.locator("#object").inputValue(), "2", "the file that could be read is shown");
 }
 
 /** Pinch the object: it is not struck, but turned and zoomed. */

@@ -22,7 +22,12 @@ async function asked(request: Request, end: Reply["kind"]): Promise<Reply["kind"
   return posted.slice(before);
 }
 
-const opening = (bytes: Uint8Array): Request => ({ kind: "open", buffer: Uint8Array.from(bytes).buffer });
+let opened = 0;
+const opening = (bytes: Uint8Array): Request => ({
+  kind: "open",
+  buffer: Uint8Array.from(bytes).buffer,
+  request: ++opened,
+});
 
 describe("the worker", () => {
   beforeAll(async () => {

@@ -51,7 +51,7 @@ export class Answers {
     if (!this.mesh.index.length) throw new FormatError("The geometry of this file holds no surface.");
     this.gains = found.sound === null ? new Gains(this.file) : null;
     this.radiation = this.gains && Radiation.read(this.file, this.gains.frequency);
-    if (this.gains?.count === 0)
+    if (this.gains?.count === 0 && !this.radiation)
       found.sound = "The object has no modes between 20 Hz and 20 kHz: it is silent.";
     this.gaps = found;
   }

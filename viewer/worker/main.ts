@@ -43,7 +43,7 @@ function sliced(wanted: () => boolean): Slice {
   };
 }
 
-async function open(buffer: ArrayBuffer): Promise<void> {
+async function open({ buffer, request }: Extract<Request, { kind: "open" }>): Promise<void> {
   const bytes = buffer.byteLength;
   // A file that cannot be read throws here, and the open object stays.
   const found = new Answers(buffer);
@@ -52,7 +52,7 @@ async function open(buffer: ArrayBuffer): Promise<void> {
   answers = found;
   const { position, normal, index } = found.mesh;
   const mesh = { position: position.slice(), normal: normal.slice(), index: index.slice() };
-  post({ kind: "shape", header: found.file.header, gaps: found.gaps, mesh, bytes }, [
+  post({ kind: "shape", header: found.file.header, gaps: found.gaps, mesh, bytes, request }, [
     mesh.position.buffer,
     mesh.normal.buffer,
     mesh.index.buffer,
@@ -66,7 +66,7 @@ async function open(buffer: ArrayBuffer): Promise<void> {
 }
 
 async function answer(request: Request): Promise<void> {
-  if (request.kind === "open") return open(request.buffer);
+  if (request.kind === "open") return open(request);
   if (request.kind === "ping") return post({ kind: "done" });
   if (!answers) return;
   if (request.kind === "light") {
@@ -93,7 +93,9 @@ self.onmessage = (event: MessageEvent<Request>) => {
   answer(event.data).catch((error: unknown) => {
     if (error instanceof Outdated) return;
     const message = error instanceof Error ? error.message : String(error);
-    const cause = event.data.kind === "open" ? "It is damaged" : "This cannot be computed";
-    post({ kind: "problem", message: error instanceof FormatError ? message : `${cause}: ${message}` });
+    const request = event.data.kind === "open" ? event.data.request : undefined;
+    const cause = request === undefined ? "This cannot be computed" : "It is damaged";
+    const whole = error instanceof FormatError ? message : `${cause}: ${message}`;
+    post({ kind: "problem", message: whole, request });
   });
 };

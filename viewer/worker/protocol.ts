@@ -35,7 +35,7 @@ export interface TouchSettings {
 }
 
 export type Request =
-  | { kind: "open"; buffer: ArrayBuffer }
+  | { kind: "open"; buffer: ArrayBuffer; request: number }
   | { kind: "poke"; place: Place; strike: StrikeSettings | null; touch: TouchSettings | null }
   | { kind: "ping" } // answered when all questions before it are
   | { kind: "light"; camera: Vector; lights: PointLight[]; request: number };
@@ -47,8 +47,8 @@ export interface Tone {
 }
 
 export type Reply =
-  | { kind: "problem"; message: string }
-  | { kind: "shape"; header: Header; gaps: Gaps; mesh: Mesh; bytes: number }
+  | { kind: "problem"; message: string; request?: number } // numbered if a file cannot be opened
+  | { kind: "shape"; header: Header; gaps: Gaps; mesh: Mesh; bytes: number; request: number }
   | { kind: "look"; color: Float32Array; normal: Float32Array; roughness: number; metallic: number }
   | { kind: "bounces" } // indirect light can be asked for
   | { kind: "indirect"; values: Float32Array; request: number }
