@@ -9,7 +9,7 @@ from scipy import ndimage, signal
 LN_1000 = np.log(1000.0)  # an amplitude falls by 60 dB in T60 = ln(1000) / decay rate
 RISE = 10.0  # of the power at a strike
 START = 0.004  # s after the strike: its noise and the overdamped modes are gone
-APART = 0.1  # s between strikes, and the shortest tap
+APART = 0.1  # s between strikes
 LONGEST = 1.5  # s of a ring that are analysed
 BAND = 150.0  # Hz, width of the bands that are analysed one by one
 ABOVE_FLOOR = 4.0  # amplitude of a peak over the floor of the spectrum around it
@@ -17,7 +17,9 @@ FLOOR_WIDTH = 400.0  # Hz, over which that floor is the median
 ABOVE_NOISE = 4.0  # amplitude of a ring over the noise after it
 SMALLEST = 0.1  # singular value of a mode, over the largest of its band; below are differences between taps
 SLOWEST = 0.2  # decay rate, 1/s; slower is hum
-MIN_SAMPLES = 40  # of a decimated tap
+MIN_SAMPLES = 40  # of a decimated ring
+#: s of a tap; of shorter ones less than twice `MIN_SAMPLES` are left, decimated to 2 `BAND` by a filter of 8.
+SHORTEST = 0.3
 EXPLAINED = 0.95  # of a band's energy that few modes hold, if it rings to the end of the recording
 FEW = 8  # modes
 
@@ -41,7 +43,7 @@ def strikes(sound: np.ndarray, rate: float) -> list[np.ndarray]:
 
     A strike is where the power of a millisecond, above 200 Hz, exceeds ten times that of each of the 20
     before it, and a thousandth of the largest. Before the recording is what is at its end. A tap shorter than
-    `APART`, such as the click of a recorder that is switched off, is left out.
+    `SHORTEST`, such as the click of a recorder that is switched off, is left out.
 
     Parameters
     ----------
@@ -49,7 +51,7 @@ def strikes(sound: np.ndarray, rate: float) -> list[np.ndarray]:
     rate : float
         Hz.
     """
-    shortest, longest, skipped = (round(seconds * rate) for seconds in (APART, LONGEST, START))
+    shortest, longest, skipped = (round(seconds * rate) for seconds in (SHORTEST, LONGEST, START))
     if len(sound) < shortest:
         return []
     block = max(1, round(rate / 1000))

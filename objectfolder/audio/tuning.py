@@ -51,7 +51,8 @@ def retune(
 ) -> Tuning:
     """Compute the modes of an object of another material or size.
 
-    Modes that leave the range of hearing, 20 Hz to 20 kHz, or become overdamped are dropped, as in a solve.
+    Modes that leave the range of hearing, 20 Hz to 20 kHz or to the end of the solved band if it is higher,
+    or become overdamped are dropped, as in a solve.
     A softer or larger object has audible modes that lay above the solved band and are missing.
 
     Parameters
@@ -83,7 +84,7 @@ def retune(
     w, c = damped_frequency.double(), damping.double()
     eigenvalues = (w * w + c * c) * factor
     c = new.damping(eigenvalues)
-    low, high = ((2 * math.pi * hertz) ** 2 for hertz in HEARING_HZ)
+    low, high = ((2 * math.pi * hertz) ** 2 for hertz in (HEARING_HZ[0], max(HEARING_HZ[1], band_hz[1])))
     kept = torch.nonzero((eigenvalues > c * c) & (eigenvalues > low) & (eigenvalues < high))[:, 0]
     complete = (band_hz[0] * factor**0.5, band_hz[1] * factor**0.5)
     bounds = _poisson_bounds(old.poisson_ratio, new.poisson_ratio)

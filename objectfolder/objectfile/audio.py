@@ -238,6 +238,8 @@ class ModalSense:
         tuning, bank = self._bank(settings)
         stuff, size = self._struck(self._solved()[0], settings.material, settings.scale)
         radiation.check_outside(listening.places, size)
+        outcome = "only the recoil is heard"
+        _report_inaudible(len(bank.heard), len(tuning.modes), bank.sample_rate / 2, outcome)
         self._check_wavelengths(radiation, tuning, size)
         s = torch.complex(-tuning.damping, tuning.damped_frequency)[bank.heard].to(torch.complex128)
         lag = radiation.lag(listening.places, size, SOUND_SPEED) * listening.delay
@@ -381,12 +383,11 @@ def _press(
         first += len(piece)
 
 
-def _report_inaudible(heard: int, modes: int, nyquist: float) -> None:
+def _report_inaudible(heard: int, modes: int, nyquist: float, outcome: str = "silent") -> None:
     if modes == 0:
-        log.warning("silent: the object has no mode that rings between 20 Hz and 20 kHz")
+        log.warning("%s: the object has no mode that rings between 20 Hz and 20 kHz", outcome)
     elif heard == 0:
-        log.warning(
-            "silent: none of the object's %d modes lies below the Nyquist frequency of %g Hz", modes, nyquist
-        )
+        beyond = "none of the object's %d modes lies below the Nyquist frequency of %g Hz"
+        log.warning(f"%s: {beyond}", outcome, modes, nyquist)
     elif heard < modes:
         log.info("%d of %d modes lie above the Nyquist frequency", modes - heard, modes)

@@ -440,25 +440,26 @@ class ObjectFile:
             does not say how long a given striker touches. If the material is undamped, both a striker and a
             contact time are given, or a delay without a listener.
         """
-        strikes = broadcast_rows(
-            "points", finite_rows("points", points, 3), "forces", finite_rows("forces", forces, 3)
-        )
-        late, places = _flag("delay", delay), None
+        places = finite_rows("points", points, 3)
+        longer = "points" if len(places) > 1 else "forces"
+        strikes = broadcast_rows("points", places, "forces", finite_rows("forces", forces, 3))
+        late = _flag("delay", delay)
         if late and listener is None:
             raise ObjectFolderError(
                 "delay is True, but without a listener no sound travels; give listener, or leave delay out"
             )
+        ears = None
         if listener is not None:
-            places = finite_rows("listener", listener, 3)
-            points_, places = broadcast_rows("points", strikes[0], "listener", places)
-            strikes = broadcast_rows("points", points_, "forces", strikes[1])
+            ears = finite_rows("listener", listener, 3)
+            struck, ears = broadcast_rows(longer, strikes[0], "listener", ears)
+            strikes = broadcast_rows("points", struck, "forces", strikes[1])
         settings = SoundSettings.checked(
             *(sample_rate, duration, response, contact_time, material, scale, striker, len(strikes[0])),
-            heard=places is not None,
+            heard=ears is not None,
         )
-        if places is None:
+        if ears is None:
             return like_first(self._parts.audio.impact(*strikes, settings, tolerance), points)
-        listening = Listening(places, late)
+        listening = Listening(ears, late)
         sounds = self._parts.audio.heard(*strikes, settings, tolerance, self._parts.radiation, listening)
         return like_first(sounds, points)
 

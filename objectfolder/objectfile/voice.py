@@ -79,7 +79,7 @@ class Voice:
         if len(tuning.modes) and not len(modal):
             raise ObjectFolderError(
                 f"{self.key}: its lowest mode is at {float(tuning.frequencies.min()):.0f} Hz, above half the "
-                f"sample rate of {sample_rate:g} Hz: it would be silent; raise the sample rate"
+                f"sample rate of {sample_rate:g} Hz: it would only click; raise the sample rate"
             )
         self.modes = len(modal)
         self._own = sense.damped_frequency.double().numpy()[self._rows] / SOUND_SPEED

@@ -118,32 +118,39 @@ def shear_contacts(
         while min(image.shape) >= FINEST:
             shapes.append(image.shape)
             image, step = halve(image), 2 * step
-        grid = _grid(image.shape, step)
-        turned = np.array([np.cos(twist[i]) - 1, np.sin(twist[i])])
-        motion = np.stack(
-            [
-                shear[i, 0] + turned[0] * grid[0] - turned[1] * grid[1],
-                shear[i, 1] + turned[1] * grid[0] + turned[0] * grid[1],
-            ]
-        ).astype(np.float32)
+        right, up = _grid(image.shape, step, (height, width), pitch)
+        # The gel is dragged along the tangents of circles; their chords point inwards.
+        half = twist[i] / 2
+        turned = 2 * np.sin(half) * np.stack(np.broadcast_arrays(-up, right))
+        motion = (shear[i, :, None, None] + turned).astype(np.float32)
         found = slide(image, motion, friction[i], step, layer)
         followed = _respond(found, image.shape, step, layer)
+        # Where it follows, it arrives on the circle.
+        inwards = (np.cos(half) - 1) * turned + np.sin(half) * np.stack([-turned[1], turned[0]])
+        share = (followed * motion).sum(0) / np.maximum((motion**2).sum(0), np.float32(1e-20))
+        followed = followed + share.clip(0, 1) * inwards.astype(np.float32)
         moved = followed + _spread(image, step, layer)
         bound = friction[i] * image
         slips = (image > 0) & (np.hypot(*found) >= 0.999 * bound) & (np.hypot(*motion).max() > 0)
         slipping[i] = slips.sum() / (image > 0).sum()
         for to, of in ((displacement[i], moved), (dragged[i], followed), (traction[i], found)):
             for axis in (0, 1):
-                fine = of[axis]
-                for shape in reversed(shapes):
-                    fine = double(fine, shape)
-                to[..., axis] = fine
-    traction *= (pressure > 0)[..., None]
+                to[..., axis] = _refined(of[axis], shapes)
+        # Interpolated, it stays within the friction of the interpolated pressure: now of the pressure.
+        pressed = _refined(image, shapes)
+        traction[i] *= (pressure[i] / np.where(pressed > 0, pressed, 1))[..., None]
     area = pixel_area(profile)
     force = np.array([[(of[..., axis] * area).sum() for axis in (0, 1)] for of in traction]).reshape(-1, 2)
     lever = traction[..., 1] * place[0] - traction[..., 0] * place[1]
     torque = np.array([(of * area).sum() for of in lever])
     return Shears(displacement, dragged, traction, force, torque, slipping)
+
+
+def _refined(image: np.ndarray, shapes: list[tuple[int, ...]]) -> np.ndarray:
+    """Double an image that was halved from images of these shapes, largest first."""
+    for shape in reversed(shapes):
+        image = double(image, shape)
+    return image
 
 
 def slide(
@@ -252,11 +259,15 @@ def _spreading(rows: int, columns: int, pitch: float, layer: Layer) -> np.ndarra
     return (-1j * spreading(layer, np.hypot(*_wavenumbers(rows, columns, pitch)))).astype(np.complex64)
 
 
-def _grid(shape: tuple[int, ...], pitch: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the distances of pixels from the image's centre, right (1, W) and up (H, 1), metres."""
-    height, width = shape
-    right = (np.arange(width) - (width - 1) / 2) * pitch
-    return right[None], ((height - 1) / 2 - np.arange(height))[:, None] * pitch
+def _grid(
+    shape: tuple[int, ...], step: float, image: tuple[int, ...], pitch: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the distances of a halved image's pixels from the centre of the whole, right (1, W), up (H, 1).
+
+    Sizes that do not halve evenly are padded at the right and below; all lengths are in metres.
+    """
+    middle = [(np.arange(count) + 0.5) * step - side * pitch / 2 for count, side in zip(shape, image)]
+    return middle[1][None], -middle[0][:, None]
 
 
 @lru_cache(maxsize=16)

@@ -60,6 +60,13 @@ def test_a_recording_too_short_to_ring_has_no_taps():
     assert strikes(np.ones(10), RATE) == []
 
 
+def test_every_tap_is_long_enough_to_tell_its_modes():
+    for seconds in np.arange(0.2, 0.4, 0.01):
+        cut = strikes(taps(MODES, 1, seconds=seconds)[0], RATE)
+        assert not cut or len(ringdown(cut, RATE, highest=18000.0).frequency) >= 3
+    assert cut
+
+
 def test_each_tap_of_a_recording_is_cut_out():
     parts = taps(MODES, 3, pause=0.5)
     cut = strikes(np.concatenate(parts), RATE)

@@ -110,6 +110,12 @@ def test_the_objects_own_material_and_size_change_nothing():
     torch.testing.assert_close(stored.frequencies, w / (2 * np.pi))
 
 
+def test_modes_of_a_solve_beyond_hearing_stay():
+    w, c = 2 * np.pi * torch.tensor([300.0, 25000.0, 27000.0]).double(), torch.full((3,), 0.5).double()
+    plain = dataclasses.replace(GLASS, alpha=1.0, beta=0.0, loss_factor=())
+    assert retune(w, c, (0.0, 26000.0), (plain, 0.1), (plain, 0.1)).modes.tolist() == [0, 1]
+
+
 @pytest.mark.parametrize("other", ["iron", "polycarbonate"])
 def test_at_another_poisson_ratio_the_true_frequencies_are_within_the_bounds(solve, other):
     stuff = material(other)

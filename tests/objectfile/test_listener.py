@@ -169,6 +169,7 @@ def test_a_stiff_body_sounds_of_its_recoil_alone(brick, struck):
 def test_only_what_is_silent_is_called_silent(brick, struck, caplog):
     brick.impact(struck, UP, 2000, 0.1, listener=[[0, 0, 1.0]])
     assert "silent" not in caplog.text
+    assert "only the recoil is heard: none of the object's" in caplog.text
     brick.impact(struck, UP, 2000, 0.1)
     assert "silent" in caplog.text
 
@@ -195,6 +196,7 @@ def _without_damping(brick):
         ({"listener": [[0, 0, 1e9]]}, "expected one outside the ball"),
         ({"listener": [[0, 0, np.nan]]}, "listener: row 0"),
         ({"listener": [[0, 0]]}, "listener has shape"),
+        ({"listener": np.ones((2, 3))}, "points has 3 rows, listener 2"),
         ({"response": "velocity"}, "leave response out"),
         ({"material": "steel"}, "build the object in it"),
         (
@@ -207,6 +209,11 @@ def _without_damping(brick):
 def test_what_cannot_be_heard_is_refused(brick, struck, changed, match):
     with pytest.raises(ObjectFolderError, match=match):
         brick.impact(struck, UP, **({"listener": [[0, 0, 1.0]]} | changed))
+
+
+def test_the_argument_that_has_rows_is_named(brick, struck):
+    with pytest.raises(ObjectFolderError, match="forces has 4 rows, listener 2"):
+        brick.impact(struck[0], np.ones((4, 3)), listener=np.ones((2, 3)))
 
 
 def test_older_files_say_what_they_lack(brick, struck):

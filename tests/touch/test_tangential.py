@@ -127,14 +127,22 @@ def sensor(digit):
     return replace(digit, gel_curvature=0.0)
 
 
+def distances(sensor):
+    """Pixels' distances from the image's centre, m."""
+    rows, columns = np.indices((sensor.height, sensor.width))
+    up, right = rows - (sensor.height - 1) / 2, columns - (sensor.width - 1) / 2
+    return np.hypot(up, right) * sensor.pixel_pitch
+
+
+def ball(sensor):
+    """Pressure of a ball of 6 mm radius, 0.5 mm deep, in the middle, and of no contact."""
+    height = 5e-4 - distances(sensor) ** 2 / (2 * 6e-3)
+    return deform(np.stack([height, np.full_like(height, -1e-3)]).clip(-6e-4), sensor)[1]
+
+
 @pytest.fixture(scope="module")
 def pressed(sensor):
-    """A ball of 6 mm radius, 0.5 mm deep, in the middle, and no contact."""
-    rows, columns = np.indices((sensor.height, sensor.width))
-    square = ((rows - 79.5) ** 2 + (columns - 59.5) ** 2) * sensor.pixel_pitch**2
-    height = 5e-4 - square / (2 * 6e-3)
-    height = np.stack([height, np.full_like(height, -1e-3)]).clip(-6e-4)
-    return deform(height, sensor)[1]
+    return ball(sensor)
 
 
 def test_gel_follows_the_object_where_it_sticks(sensor, pressed):
@@ -165,12 +173,41 @@ def test_friction_bounds_the_force_and_rows_do_not_depend_on_the_batch(sensor, p
     args = np.array([[3e-3, 0.0]]), np.zeros(1), np.array([0.4]), sensor
     alone = shear_contacts(pressed[:1], *args)
     load = (pressed[0] * sensor.pixel_pitch**2).sum()
-    assert alone.force[0, 0] == pytest.approx(0.4 * load, rel=0.03)
+    assert alone.force[0, 0] == pytest.approx(0.4 * load, rel=1e-5)
     assert alone.slipping[0] > 0.99
     both = shear_contacts(
         pressed[::-1], np.array([[0, 0], [3e-3, 0]]), np.zeros(2), np.array([0.4, 0.4]), sensor
     )
     assert np.array_equal(both.displacement[1], alone.displacement[0])
+
+
+@pytest.mark.parametrize("twist", [-0.3, 1.0, 2.0, np.pi])
+def test_traction_is_at_most_friction_times_pressure_and_a_large_twist_slides(sensor, pressed, twist):
+    found = shear_contacts(pressed[:1], np.zeros((1, 2)), np.array([twist]), np.array([0.4]), sensor)
+    bound = 0.4 * pressed[0]
+    excess = np.hypot(*found.traction[0].T).T - bound
+    assert excess.max() < 1e-5 * bound.max()
+    sliding = (bound * distances(sensor)).sum() * sensor.pixel_pitch**2
+    assert found.torque[0] == pytest.approx(np.sign(twist) * sliding, rel=0.1 if abs(twist) < 1 else 0.01)
+
+
+@pytest.mark.parametrize("twist", [0.05, 0.2, 0.5])
+def test_a_sticking_gel_turns_with_the_object(sensor, pressed, twist):
+    found = shear_contacts(pressed[:1], np.array([[1e-4, 0.0]]), np.array([twist]), np.array([50.0]), sensor)
+    rows, columns = np.array([80, 80, 76]), np.array([60, 66, 60])
+    right, up = (columns - 59.5) * sensor.pixel_pitch, (79.5 - rows) * sensor.pixel_pitch
+    cos, sin = np.cos(twist) - 1, np.sin(twist)
+    expected = np.stack([1e-4 + cos * right - sin * up, sin * right + cos * up], axis=1)
+    np.testing.assert_allclose(found.dragged[0][rows, columns], expected, atol=4e-6)
+
+
+@pytest.mark.parametrize(("height", "width"), [(161, 121), (161, 120), (322, 242)])
+def test_a_twist_in_the_middle_pushes_nowhere_at_any_size(sensor, height, width):
+    other = replace(sensor, height=height, width=width)
+    pressure = ball(other)[:1]
+    found = shear_contacts(pressure, np.zeros((1, 2)), np.array([0.1]), np.array([0.5]), other)
+    load = pressure.sum() * sensor.pixel_pitch**2
+    assert np.abs(found.force).max() < 1e-3 * load
 
 
 def test_rigid_gel_is_refused(flat):

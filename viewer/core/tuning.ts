@@ -45,7 +45,8 @@ export function tuned(gains: Gains, header: Header, material: Material | null, s
     };
   const density = wanted.density / own.density;
   const factor = wanted.youngs_modulus / own.youngs_modulus / density / size ** 2;
-  const [low, high] = HEARING.map((hertz) => (2 * Math.PI * hertz) ** 2);
+  const top = Math.max(HEARING[1], header.audio!.band_hz![1]);
+  const [low, high] = [HEARING[0], top].map((hertz) => (2 * Math.PI * hertz) ** 2);
   const kept = { frequency: [] as number[], damping: [] as number[], which: [] as number[] };
   for (let n = 0; n < gains.count; n++) {
     const eigenvalue = (gains.frequency[n] ** 2 + gains.damping[n] ** 2) * factor;
