@@ -29,6 +29,14 @@ def init(
     from objectfolder.workspace.creation import create_workspace
 
     create_workspace(folder, start_repository)
+    outer = next((above for above in folder.resolve().parents if (above / ".git").exists()), None)
+    if outer:
+        console.print(
+            f"note: {folder} is a Git repository of its own inside {outer}, which should ignore it: add it "
+            f"to {outer / '.gitignore'}",
+            soft_wrap=True,
+            highlight=False,
+        )
     console.print(
         f"made a workspace of objectfolder {installed_version()} in {folder}; next: cd {folder}, "
         "objectfolder add MESH --name NAME --material MATERIAL --scale METRES, objectfolder build",

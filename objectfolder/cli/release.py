@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from objectfolder.cli.console import console
-from objectfolder.errors import ObjectFolderError, plural, quoted
+from objectfolder.errors import ObjectFolderError, plural, quoted, shortened
 
 
 def release(
@@ -48,14 +48,15 @@ def release(
     from objectfolder.release.words import described
     from objectfolder.release.write import write_release
     from objectfolder.workspace import params
+    from objectfolder.workspace.check import check_own
 
     if not re.fullmatch(r"\d+\.\d+\.\d+", version):
         raise ObjectFolderError(f"--version {quoted(version)}, expected three numbers such as 1.0.0")
     if out.exists():
         raise ObjectFolderError(f"{out} exists already: choose another name, or delete it")
-    values = params.read()
+    check_own(values := params.read())
     keys = released_keys(objects or (), values)
-    licences, categories = (_by_key(texts or (), values["objects"]) for texts in (licence, category))
+    licences, categories = _by_key("--licence", licence, keys), _by_key("--category", category, keys)
     with console.status("reading objects") as status:
         entries = [entry_of(key, values, licences, categories) for key in keys]
         words = described(entries, name=name, creator=creator, version=version, date=_day(date), url=url)
@@ -71,6 +72,11 @@ def release(
             f"note: no source is stated of {', '.join(unnamed)}: it is read from SOURCE.txt beside a mesh",
             highlight=False,
         )
+    unscored = [entry.key for entry in entries if entry.vision_psnr is None]
+    if unscored:
+        console.print(
+            f"note: no scores of {', '.join(unscored)}: `objectfolder build` writes them", highlight=False
+        )
 
 
 def _day(date: str | None) -> str:
@@ -80,14 +86,23 @@ def _day(date: str | None) -> str:
         raise ObjectFolderError(f"--date {quoted(date)}, expected a day such as 2026-11-24") from error
 
 
-def _by_key(texts: list[str] | tuple[str, ...], known: dict[str, object]) -> dict[str, str]:
+def _by_key(option: str, texts: list[str] | None, keys: list[str]) -> dict[str, str]:
     """Split OBJECT=TEXT; a text without an object has the key ""."""
-    found = {}
-    for text in texts:
+    from objectfolder.workspace.params import KEY
+
+    found: dict[str, str] = {}
+    for text in texts or ():
         key, equals, value = text.partition("=")
-        if not equals:
+        if not equals or not KEY.fullmatch(key):  # a URL may have a query
             key, value = "", text
-        elif key not in known:
-            raise ObjectFolderError(f"{quoted(text)}: no object {quoted(key)} in params.yaml")
+        if key and key not in keys:
+            raise ObjectFolderError(
+                f"{option} {quoted(text)}: {quoted(key)} is not among the objects of this release, "
+                f"{shortened(', '.join(keys))}"
+            )
+        if key in found or not value.strip():
+            problem = "is given twice" if key in found else "is empty"
+            of = key or "all objects without one"
+            raise ObjectFolderError(f"{option} {quoted(text)}: that of {of} {problem}, expected one text")
         found[key] = value.strip()
     return found

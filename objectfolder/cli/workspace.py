@@ -138,7 +138,10 @@ def inspect(
 ) -> None:
     """Summarize the artifacts of a stage in a table, and save a picture next to them."""
     from objectfolder.inspection import inspect_stage, print_inspection
+    from objectfolder.workspace.params import PARAMS_FILE, outside_workspace
 
+    if not Path(PARAMS_FILE).is_file():
+        raise outside_workspace(Path(PARAMS_FILE))
     stage, at, key = target.partition("@")
     if not at:
         raise ObjectFolderError(f"{target!r} is not STAGE@OBJECT, such as modal@mug")

@@ -10,10 +10,12 @@ from typing import Any
 from objectfolder.benchmarks.datasets.splits import label_order, object_split
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.io import file_digest, read_json
+from objectfolder.materials import own_material
 from objectfolder.objectfile.dataset import COLUMNS, OBJECTS, IndexEntry
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.release.notices import SOURCE, Notice, licence_name, read_notice
 from objectfolder.workspace.layout import Build
+from objectfolder.workspace.params import object_entry
 
 #: Category of a procedural object by its generator.
 CATEGORIES = {
@@ -50,13 +52,21 @@ def entry_of(
     Raises
     ------
     ObjectFolderError
-        If the object is not built, its scores are of another build, its mesh is not there and so no
-        SOURCE.txt, or its licence is not known or not the one that its SOURCE.txt states.
+        If the object is not built or of another material or size than params.yaml says, its scores are of
+        another build, its mesh is not there and so no SOURCE.txt, or its licence is not known or not the one
+        that its SOURCE.txt states.
     """
     build = Build(key, root)
     if not build.object_file.is_file():
         raise ObjectFolderError(f"{key} is not built: run `objectfolder build {key}`, or leave it out")
     file, digest = ObjectFile.load(build.object_file), file_digest(build.object_file)
+    entry = object_entry(key, dict(values))
+    wanted = own_material(entry.material).name, entry.scale
+    if (file.material, file.scale) != wanted:
+        raise ObjectFolderError(
+            f"{key}: {build.object_file} is of {file.material}, {file.scale:g} m, params.yaml says "
+            f"{wanted[0]}, {wanted[1]:g} m; run `objectfolder build {key}`"
+        )
     scores = read_json(build.metrics) if build.metrics.is_file() else {}
     if scores and scores.get("file_sha256") != digest:
         raise ObjectFolderError(

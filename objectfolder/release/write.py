@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from objectfolder.disk import new_folder
+from objectfolder.errors import ObjectFolderError
 from objectfolder.io import file_digest, write_json, write_text
 from objectfolder.objectfile.dataset import INDEX, OBJECTS, IndexEntry
 from objectfolder.release.croissant import croissant
@@ -48,13 +49,17 @@ def write_release(
     Raises
     ------
     ObjectFolderError
-        If the folder exists, or the disk is full.
+        If the folder exists, the disk is full, or an object was built anew since it was described.
     """
     size = sum(entry.bytes for entry in entries)
     with new_folder("a release", out, (3 if site else 1) * size, ", or release fewer objects") as folder:
         (folder / OBJECTS).mkdir()
         for entry in entries:
             shutil.copyfile(Build(entry.key, root).object_file, folder / entry.path)
+            if file_digest(folder / entry.path) != entry.sha256:
+                raise ObjectFolderError(
+                    f"{entry.key} was built anew while the release was written; run it again after the build"
+                )
             if not site:
                 on_object(entry.key)
         write_text(folder / INDEX, index_text(entries))

@@ -21,7 +21,7 @@ from objectfolder.workspace.installed import (
     package_digests,
     read_record,
 )
-from objectfolder.workspace.params import PARAMS_FILE, ObjectEntry
+from objectfolder.workspace.params import PARAMS_FILE, ObjectEntry, outside_workspace
 
 #: What a folder may hold before: what a new repository on a server begins with.
 ALLOWED = {".git", "LICENSE", "README.md"}
@@ -129,6 +129,8 @@ def upgrade_workspace(root: Path) -> Upgrade:
         nothing is changed then.
     """
     if not is_recorded(root):
+        if not (root / PARAMS_FILE).is_file():
+            raise outside_workspace(root / PARAMS_FILE)
         raise ObjectFolderError(
             f"{root.resolve()} holds no {RECORD}: it is not a workspace of `objectfolder init`, or a clone, "
             "which git updates"

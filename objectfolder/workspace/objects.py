@@ -187,8 +187,8 @@ def add_catalogue(catalogue: Path, root: Path = Path()) -> list[str]:
     Raises
     ------
     ObjectFolderError
-        If there is no such catalogue, an entry is invalid, or another one has its key, or a ``.dvc`` file has
-        the key of a new procedural object.
+        If there is no such catalogue, an entry is invalid, or another one has its key; if the mesh of a new
+        object is neither there nor procedural; or if there are files where a new procedural object's will be.
     """
     params_path = root / params.PARAMS_FILE
     if not catalogue.is_file():
@@ -210,7 +210,9 @@ def add_catalogue(catalogue: Path, root: Path = Path()) -> list[str]:
                 present = values[group].get(key)
                 if present is None:
                     if group == "procedural":
-                        _check_untracked(key, catalogue, root)
+                        _check_place(key, catalogue, root)
+                    elif key not in {**values["procedural"], **new["procedural"]}:
+                        _check_mesh(key, entry["mesh"], catalogue, root)
                     document[group][key] = _one_line(entry)
                     added += [key] if group == "objects" else []
                 elif present != entry:
@@ -221,14 +223,30 @@ def add_catalogue(catalogue: Path, root: Path = Path()) -> list[str]:
     return added
 
 
-def _check_untracked(key: str, catalogue: Path, root: Path) -> None:
-    """Check that no earlier mesh is tracked where ``generate`` will write; DVC allows one owner of a path."""
+def _check_mesh(key: str, mesh: str, catalogue: Path, root: Path) -> None:
+    if not (root / mesh).is_file() and not (root / "data" / "objects" / f"{key}.dvc").is_file():
+        raise ObjectFolderError(
+            f"{catalogue}: objects.{key}: its mesh {root / mesh} does not exist, and the catalogue has no "
+            f"procedural.{key}; copy the mesh there first, or add it with `objectfolder add MESH`"
+        )
+
+
+def _check_place(key: str, catalogue: Path, root: Path) -> None:
+    """Check that nothing is where ``generate`` will write: DVC removes what a stage's output replaces."""
     record = root / "data" / "objects" / f"{key}.dvc"
     if record.exists():
         raise ObjectFolderError(
             f"{catalogue}: procedural.{key} would be written to {record.with_suffix('')}, whose files "
             f"{record} tracks, expected none; run `dvc remove --outs {record}` if you need them no more, or "
             "choose another name"
+        )
+    home, lock = record.with_suffix(""), root / "dvc.lock"
+    if home.is_dir() and any(home.iterdir()):
+        if lock.is_file() and re.search(rf"^  generate@{key}:", lock.read_text(), re.MULTILINE):
+            return  # of an earlier build
+        raise ObjectFolderError(
+            f"{catalogue}: procedural.{key} would replace the files in {home}, which no build wrote; move "
+            "them away, or choose another name"
         )
 
 

@@ -5,6 +5,7 @@ Its annotations are the checks (`objectfolder.settings`).
 """
 
 import json
+import math
 import os
 import re
 from dataclasses import dataclass
@@ -90,7 +91,12 @@ class ObjectEntry(Record):
     @field_validator("scale", "wall", mode="before")
     @classmethod
     def _number(cls, value: Any) -> Any:
-        return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
+        if not isinstance(value, int) or isinstance(value, bool):
+            return value
+        try:
+            return float(value)
+        except OverflowError:  # of hundreds of digits
+            return math.inf
 
     @field_validator("material")
     @classmethod
@@ -155,6 +161,9 @@ def read(path: str | Path = PARAMS_FILE) -> dict[str, Any]:
 
 def outside_workspace(path: Path) -> ObjectFolderError:
     """Return the error of a command that needs a workspace, whose ``params.yaml`` is not at this path."""
+    for above in path.resolve().parent.parents:
+        if (above / PARAMS_FILE).is_file() and (above / "dvc.yaml").is_file():
+            return ObjectFolderError(f"{path} does not exist; run this in the workspace's folder, {above}")
     return ObjectFolderError(
         f"{path} does not exist; run inside an objectfolder workspace, or make one: `objectfolder init DIR`"
     )
@@ -252,10 +261,13 @@ def settings(config: type[Config], values: dict[str, Any], path: str | Path = PA
     name = _sections()[f"{config.__module__}:{config.__qualname__}"]
     require_section(name, values, path)
     # As JSON, because strict checks of Python values refuse a mapping for a dataclass and a list for a tuple.
+    # Dates, which YAML knows and JSON does not, become lists: no setting takes them.
     # In a dict, because a dataclass of the library has no pydantic configuration, and takes that around it.
     adapter: TypeAdapter[dict[str, Config]] = TypeAdapter(dict[str, config], config=_STRICT)  # type: ignore[valid-type]
     try:
-        return adapter.validate_json(json.dumps({name: values[name]}, default=str))[name]
+        return adapter.validate_json(json.dumps({name: values[name]}, default=lambda value: [str(value)]))[
+            name
+        ]
     except ValidationError as error:
         raise _wrong(f"{path}: {name}", error, 1) from error
 

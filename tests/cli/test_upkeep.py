@@ -1,5 +1,7 @@
 """`status`, `verify` and `prune` where there is no workspace, or one that a build refuses."""
 
+import shutil
+
 import pytest
 
 from objectfolder.cli import app
@@ -22,6 +24,40 @@ def test_outside_a_workspace_all_commands_say_the_same(tmp_path, monkeypatch, wo
     )
     with pytest.raises(ObjectFolderError, match=message):
         app([*words], standalone_mode=False)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *(("status",), ("verify",), ("prune",), ("build",), ("report",), ("preset", "quick"), ("upgrade",)),
+        *(("inspect", "normalize@mug"), ("release", "out"), ("add", "catalogs/starter.yaml")),
+    ],
+)
+def test_in_a_subfolder_all_commands_name_the_workspace(workspace, monkeypatch, words):
+    (workspace / "data").mkdir(exist_ok=True)
+    monkeypatch.chdir(workspace / "data")
+    message = f"params.yaml does not exist; run this in the workspace's folder, {workspace.resolve()}"
+    with pytest.raises(ObjectFolderError) as caught:
+        app([*words], standalone_mode=False)
+    assert message in str(caught.value)
+
+
+def test_a_folder_without_git_says_what_to_do(workspace):
+    """As unpacked from a ZIP."""
+    shutil.rmtree(workspace / ".git", ignore_errors=True)
+    (workspace / ".dvc").mkdir(exist_ok=True)
+    (workspace / ".dvc" / "config").write_text("")
+    with pytest.raises(ObjectFolderError, match=r"is not a git repository; run `git init` in it, or clone"):
+        app(["status"], standalone_mode=False)
+
+
+def test_a_link_in_place_of_a_folder_is_named(workspace, tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    (workspace / "build").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(
+        ObjectFolderError, match="build is a link, which DVC does not follow; make it a folder"
+    ):
+        app(["status"], standalone_mode=False)
 
 
 @pytest.mark.parametrize(

@@ -254,7 +254,10 @@ def test_spellings_of_a_licence_are_one(fetched):
         (("out",), "mug: the licence of its mesh is not known; give --licence mug=LICENCE"),
         (("out", "cup", "--licence", "MIT"), "no object 'cup' in params.yaml"),
         (("build", "--licence", "MIT"), "build exists already"),
-        (("out", "--licence", "cup=MIT"), "'cup=MIT': no object 'cup'"),
+        (("out", "--licence", "cup=MIT"), "'cup' is not among the objects of this release, mug, die, bell"),
+        (("out", "mug", "--licence", "die=MIT"), "'die' is not among the objects of this release, mug"),
+        (("out", "--licence", "MIT", "--licence", "CC0-1.0"), "all objects without one is given twice"),
+        (("out", "--licence", "MIT", "--licence", "mug="), "--licence 'mug=': that of mug is empty"),
         (("out", "--licence", "MIT", "--version", "one"), "--version 'one', expected three numbers"),
         (("out", "--licence", "MIT", "--date", "today"), "--date 'today', expected a day"),
     ],
@@ -263,6 +266,48 @@ def test_wrong_arguments_write_nothing(built, arguments, message):
     with pytest.raises(ObjectFolderError) as error:
         release(*arguments)
     assert message in str(error.value)
+    assert not (built / "out").exists()
+
+
+def test_a_licence_may_be_the_address_of_a_page(built):
+    address = "https://example.org/?licence=3"
+    release("out", "mug", "--no-site", "--licence", address)
+    assert Dataset("out").entry("mug").licence == address
+
+
+def test_objects_without_scores_are_named(built, capsys):
+    release("out", "--no-site", *OPTIONS)
+    assert "note: no scores of die, bell: `objectfolder build` writes them" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("change", [("material: ceramic", "material: steel"), ("scale: 0.112", "scale: 0.2")])
+def test_an_object_of_earlier_parameters_is_not_released(built, change):
+    path = built / "params.yaml"
+    path.write_text(path.read_text().replace(*change))
+    with pytest.raises(ObjectFolderError, match=r"is of ceramic, 0\.112 m, params\.yaml says .* build mug"):
+        release("out", *OPTIONS)
+    assert not (built / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [("mesh: data/objects/mug/mesh.glb, ", ""), ("{generator: mug}", "")]
+)
+def test_damaged_parameters_are_named(built, old, new):
+    path = built / "params.yaml"
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(ObjectFolderError, match=r"params\.yaml: (objects|procedural)\.mug"):
+        release("out", *OPTIONS)
+
+
+def test_an_object_that_is_built_anew_meanwhile_is_not_released(built, monkeypatch):
+    def built_anew(keys, values):
+        shutil.copyfile(sample_path("bell"), Build("die").object_file)
+        return {}
+
+    monkeypatch.setattr("objectfolder.release.entries.notices_of", built_anew)
+    with pytest.raises(ObjectFolderError, match="die was built anew while the release was written"):
+        release("out", "--no-site", *OPTIONS)
     assert not (built / "out").exists()
 
 

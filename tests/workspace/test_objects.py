@@ -174,6 +174,28 @@ def test_a_record_that_is_there_is_not_in_the_way_of_a_generated_mesh(workspace)
     assert add_catalogue(Path("new.yaml")) == ["crate"]
 
 
+def test_files_that_a_generated_mesh_would_replace_are_kept(workspace):
+    """DVC removes what is where an output will be."""
+    entry = "{mesh: data/objects/crate/mesh.glb, material: wood, scale: 0.1, up: y}"
+    Path("new.yaml").write_text(f"procedural:\n  crate: {{generator: die}}\nobjects:\n  crate: {entry}\n")
+    Path("data/objects/crate").mkdir(parents=True)
+    Path("data/objects/crate/notes.txt").write_text("mine")
+    with pytest.raises(ObjectFolderError, match="would replace the files in data/objects/crate"):
+        add_catalogue(Path("new.yaml"))
+    Path("dvc.lock").write_text("schema: '2.0'\nstages:\n  generate@crate:\n    cmd: x\n")
+    assert add_catalogue(Path("new.yaml")) == ["crate"]  # of an earlier build
+
+
+def test_a_catalogue_of_meshes_that_are_not_there_is_refused(workspace):
+    entry = "{mesh: data/objects/crate/mesh.glb, material: wood, scale: 0.1, up: y}"
+    Path("new.yaml").write_text(f"procedural: {{}}\nobjects:\n  crate: {entry}\n")
+    with pytest.raises(ObjectFolderError, match=r"objects\.crate: its mesh .* does not exist"):
+        add_catalogue(Path("new.yaml"))
+    Path("data/objects/crate").mkdir(parents=True)
+    Path("data/objects/crate/mesh.glb").touch()
+    assert add_catalogue(Path("new.yaml")) == ["crate"]
+
+
 @pytest.mark.parametrize("length", [64, 65, 300])
 def test_long_keys(workspace, tmp_path, length):
     mesh = write_mesh(tmp_path / "source")

@@ -2,6 +2,7 @@ import json
 import subprocess
 import sys
 from dataclasses import FrozenInstanceError, asdict
+from datetime import date
 from pathlib import Path
 
 import numpy as np
@@ -139,6 +140,7 @@ def test_bad_keys_in_a_file_name_the_file(write, key):
         ({"scale": 9e-5}, r"scale: .*greater than or equal to 0.0001, got 9e-05"),
         ({"scale": float("nan")}, r"scale: .*got nan"),
         ({"scale": 1000}, r"scale: .*less than or equal to 100, got 1000"),
+        ({"scale": 10**400}, r"scale: "),
         ({"scale": "big"}, r"scale: .*valid number, got 'big'"),
         ({"scale": True}, r"scale: .*got True"),
         ({"scale": None}, r"scale: .*got None"),
@@ -240,6 +242,7 @@ def test_an_unrelated_broken_section_does_not_matter_to_a_stage(write, values):
         ("train_audio", "sizes", [{"modes": 1}]),
         ("render_views", "train", -1),
         ("train_vision", "table_bits", 40),
+        ("encode", "encoder", date(2020, 1, 1)),
     ],
 )
 def test_a_wrong_value_of_a_section_names_file_section_and_field(write, values, section, field, value):

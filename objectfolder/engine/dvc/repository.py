@@ -34,6 +34,8 @@ from objectfolder.yamlfile import checked_yaml, read_yaml
 
 LOGGERS = ("dvc", "dvc_data", "dvc_objects")
 PARAMS = "params.yaml"
+#: Folders that hold what stages write, and those around them.
+LINKED = ("build", "metrics", "benchmarks", "data", "data/objects")
 POLL = 0.5
 _PARTIAL = re.compile(r"\.[0-9A-Za-z_-]{20,24}\.tmp")  # DVC's names: 22 characters at random
 _log = logging.getLogger(__name__)
@@ -136,17 +138,24 @@ def open_repository(root: str | Path = ".", wait: bool = False) -> Iterator[Open
     root = Path(root).resolve()
     if not root.is_dir():
         raise ObjectFolderError(f"{root} is not a directory; expected the one that holds dvc.yaml")
+    if not (root / "dvc.yaml").is_file() and not (root / PARAMS).is_file():
+        raise outside_workspace(root / PARAMS)
     if (root / PARAMS).exists():  # before DVC reads it, which has no limits
         checked_yaml(root / PARAMS)
+    for name in LINKED:
+        if (root / name).is_symlink():
+            raise ObjectFolderError(
+                f"{root / name} is a link, which DVC does not follow; make it a folder. To keep its files on "
+                "another disk: `dvc cache dir PATH` and `dvc config cache.type symlink`"
+            )
     with quiet(), chdir(root):
         try:
             repo = Repo()
         except NotDvcRepoError as error:
-            if not (root / PARAMS).is_file():
-                raise outside_workspace(root / PARAMS) from error
             raise ObjectFolderError(f"{root} is not inside a DVC repository; run `dvc init` there") from error
         except DvcException as error:
-            raise ObjectFolderError(f"DVC cannot open {root}: {error}") from error
+            git = "; run `git init` in it, or clone the repository" if "not a git" in str(error) else ""
+            raise ObjectFolderError(f"DVC cannot open {root}: {error}{git}") from error
         with repo, _alone(repo, wait):
             lockfiles = LockFiles(Path(repo.root_dir))
             with repo.scm_context(quiet=True), replacements(lockfiles):
