@@ -30,7 +30,7 @@ from objectfolder.io import read_npz, write_npz, write_png
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.mesh.reading.load import load_mesh
+from objectfolder.mesh.reading.load import AS_STORED, load_mesh
 from objectfolder.metrics import psnr
 from objectfolder.nets.vision_config import VisionConfig
 from objectfolder.nets.vision_osf import OsfNet
@@ -101,7 +101,7 @@ def draw(workspace: str, key: str, name: str, views: str, out: str) -> dict:
     its own renderer, and what it takes to start one is rendered apart and subtracted.
     """
     count = int(views)
-    scene = Scene(load_mesh(Build(key, workspace).visual, up="y"))
+    scene = Scene(load_mesh(Build(key, workspace).visual, "y", AS_STORED))
     rng = np.random.default_rng(0)
     poses, lights = look_at(sphere_points(count, 2.5, rng)), sphere_points(count, 1.0, rng)
     intrinsics, row, images = Intrinsics(), {"object": key, "renderer": name}, []
@@ -138,7 +138,10 @@ def train(workspace: str, key: str) -> dict:
     # The loss is a mean over pixels that are covered fully; the background of whole views has no error.
     covered = float((views["test"]["rgba"][..., 3] >= COVERED).mean())
     distances = read_npz(build.sdf, "values", "band")
-    surface, scene = Isosurface(DistanceGrid.from_arrays(distances)), Scene(load_mesh(build.visual, up="y"))
+    surface, scene = (
+        Isosurface(DistanceGrid.from_arrays(distances)),
+        Scene(load_mesh(build.visual, "y", AS_STORED)),
+    )
     row: dict = {"object": key, "train_views": len(views["train"]["rgba"])}
 
     def report(point) -> None:
@@ -173,7 +176,7 @@ def fit(workspace: str, key: str, images: str, seed: str) -> dict:
     torch.set_num_threads(1)
     build, values = Build(key, workspace), params.read(Path(workspace) / "params.yaml")
     rendering, config = params.settings(RenderViewsConfig, values), params.settings(VisionConfig, values)
-    scene, whole = Scene(load_mesh(build.visual, up="y")), Intrinsics.square(rendering.resolution)
+    scene, whole = Scene(load_mesh(build.visual, "y", AS_STORED)), Intrinsics.square(rendering.resolution)
     renderer = make_renderer(rendering.renderer, scene)
     row: dict = {"object": key, "images": images, "seed": int(seed)}
     if images == "tiles":

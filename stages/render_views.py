@@ -5,7 +5,7 @@ import torch
 
 from objectfolder.figures import tile
 from objectfolder.io import write_npz, write_png
-from objectfolder.mesh.reading.load import load_mesh
+from objectfolder.mesh.reading.load import AS_STORED, load_mesh
 from objectfolder.seeding import numpy_generator
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.color import on_white
@@ -20,7 +20,7 @@ from stages import progress, run
 def main(key: str) -> None:
     params = stage_params(RenderViewsConfig, key)
     build, settings = Build(key), params.settings
-    scene = Scene(load_mesh(build.visual, up="y"), settings.ambient)
+    scene = Scene(load_mesh(build.visual, "y", AS_STORED), settings.ambient)
     renderer = make_renderer(settings.renderer, scene)
     whole = Intrinsics.square(settings.resolution)
     for split in SPLITS:

@@ -5,7 +5,7 @@ import torch
 from objectfolder.io import read_npz, write_curve, write_safetensors
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.mesh.reading.load import load_mesh
+from objectfolder.mesh.reading.load import AS_STORED, load_mesh
 from objectfolder.nets.checkpoint import Checkpoint, identity
 from objectfolder.nets.vision_config import VisionConfig
 from objectfolder.nets.vision_osf import OsfNet
@@ -30,7 +30,7 @@ def main(key: str) -> None:
     net: SurfaceNet | OsfNet
     if settings.net == "surface":
         surface = Isosurface(DistanceGrid.from_arrays(read_npz(build.sdf, "values", "band")))
-        scene = Scene(load_mesh(build.visual, up="y"))
+        scene = Scene(load_mesh(build.visual, "y", AS_STORED))
         net, curve = train_surface(surface, scene, train, val, settings, generator, log_point)
     else:
         # The paper's net takes core-months; where there is a GPU, it trains there.

@@ -17,7 +17,7 @@ from objectfolder.io import atomic, read_json, read_npz
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.ply import read_surface
-from objectfolder.mesh.reading.load import load_mesh
+from objectfolder.mesh.reading.load import AS_STORED, load_mesh
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.mesh.topology import signed_volume
 from objectfolder.workspace.layout import Build
@@ -35,7 +35,7 @@ def inspect_normalize(build: Build) -> Inspection:
     require(build, "normalize", build.visual, build.surface, build.normalize)
     report = read_json(build.normalize)
     scale = report["scale_m"]
-    visual = load_mesh(build.visual, up="y")  # as render_views reads it
+    visual = load_mesh(build.visual, "y", AS_STORED)  # as render_views reads it
     vertices, faces = read_surface(build.surface)
     sides = np.ptp(vertices, axis=0) * scale * 1000
     a, b, c = (vertices[faces[:, i]] * scale for i in range(3))

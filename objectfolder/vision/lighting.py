@@ -16,6 +16,7 @@ from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.vision.cameras import FARTHEST
 
 BRIGHTEST = 1e12  #: of a colour: its light near a surface still fits into single precision
+FAR = 30.0  #: distance from which a point light counts as parallel: nets learnt from near and parallel ones
 KEY_DISTANCE = 2.4  #: of the lights of the studio, unit frame
 
 #: Three numbers, such as a position or a linear colour.
@@ -134,7 +135,7 @@ def studio(azimuth: float = 35.0, elevation: float = 50.0) -> list[PointLight]:
 
 
 def chosen_lamps(lights: str | Sequence[Any] | None) -> list[Lamp]:
-    """Return the lights that a query names: "studio", or lights.
+    """Return the lights that a query names: "studio", or lights; point lights beyond `FAR` as distant ones.
 
     Raises
     ------
@@ -154,7 +155,12 @@ def chosen_lamps(lights: str | Sequence[Any] | None) -> list[Lamp]:
                 f"lights holds {quoted(lamp)}, expected PointLight or DistantLight of "
                 "objectfolder.vision.lighting; or give positions as `light`"
             )
-    return found
+    return [_parallel(lamp) if isinstance(lamp, PointLight) else lamp for lamp in found]
+
+
+def _parallel(lamp: PointLight) -> Lamp:
+    squared = float(np.square(lamp.place).sum())
+    return lamp if squared <= FAR**2 else DistantLight(lamp.position, np.array(lamp.color) / squared)
 
 
 def _triple(name: str, values: Triple) -> tuple[float, ...]:

@@ -15,7 +15,7 @@ from rich.table import Table
 from objectfolder import materials
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.fem.voxelize import VoxelizeConfig, voxelize
-from objectfolder.mesh.normalize import normalize
+from objectfolder.mesh.normalize import NormalizeConfig, normalize
 from objectfolder.mesh.reading.load import FORMATS, default_up, load_mesh
 from objectfolder.workspace.objects import MAX_SCALE, MIN_SCALE, check_new, object_files
 from objectfolder.workspace.params import settings
@@ -215,7 +215,7 @@ def examine(
         raise ObjectFolderError(f"{key} has no material; give --material, or list it in {LISTS[0]}")
     materials.material(candidate.material)
     object_files(mesh)
-    loaded = load_mesh(mesh, up or default_up(mesh))
+    loaded = load_mesh(mesh, up or default_up(mesh), settings(NormalizeConfig, values).texture_size)
     lower, upper = loaded.bounds
     own = float((upper - lower).max())
     size = float(f"{own * UNITS[unit]:.6g}") if scale is None else scale

@@ -9,6 +9,7 @@ from typing import Any
 from ruamel.yaml.comments import CommentedMap
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.normalize import NormalizeConfig
 from objectfolder.mesh.reading.load import default_up, load_mesh
 from objectfolder.mesh.reading.references import references
 from objectfolder.workspace import params
@@ -65,9 +66,11 @@ def add_mesh(
         another; nothing is changed then.
     """
     params_path = root / params.PARAMS_FILE
-    home = check_new(key, params.read(params_path), root)
+    values = params.read(params_path)
+    home = check_new(key, values, root)
     up = up or default_up(mesh)
-    lower, upper = load_mesh(mesh, up).bounds
+    most = params.settings(NormalizeConfig, values, params_path).texture_size
+    lower, upper = load_mesh(mesh, up, most).bounds
     size = float(f"{(upper - lower).max():.6g}") if scale is None else scale
     if not MIN_SCALE <= size <= MAX_SCALE:
         raise ObjectFolderError(

@@ -21,7 +21,15 @@ from objectfolder.vision.environment import (
     pixel_directions,
     read_environment,
 )
-from objectfolder.vision.lighting import BRIGHTEST, DistantLight, PointLight, studio, toward
+from objectfolder.vision.lighting import (
+    BRIGHTEST,
+    FAR,
+    DistantLight,
+    PointLight,
+    chosen_lamps,
+    studio,
+    toward,
+)
 from objectfolder.vision.radiosity import Radiosity
 from objectfolder.vision.trace import trace
 from objectfolder.vision.view import draw
@@ -80,6 +88,12 @@ def test_all_lights_that_are_given_shine(brick):
     ]
     whole = brick.render(CAMERA, [0.5, 0.5, 0.9], 24, lights="studio", environment=sky).rgba[..., :3]
     np.testing.assert_allclose(whole, sum(parts), rtol=1e-5, atol=1e-6)
+
+
+def test_far_point_lights_count_as_distant_ones():
+    near, far = chosen_lamps([PointLight([0, 0, FAR], [9.0, 0, 0]), PointLight([0, 0, 100.0], [1e4, 0, 2e4])])
+    assert near == PointLight([0, 0, FAR], [9.0, 0, 0])
+    assert far == DistantLight([0, 0, 1.0], [1.0, 0, 2.0])
 
 
 @pytest.mark.parametrize("shape", [sphere(0.45, 4), box((0.9, 0.5, 0.3))])

@@ -12,7 +12,7 @@ from objectfolder.mesh.normals import area_vectors
 from objectfolder.mesh.reading.atlas import bake_atlas
 from objectfolder.mesh.reading.parts import MeshPart, SurfaceMaterial
 from objectfolder.mesh.reading.texels import base_color, srgb_bytes, tinted_pixels
-from objectfolder.mesh.textured import TexturedMesh
+from objectfolder.mesh.textured import DEFAULT_ROUGHNESS, TexturedMesh
 
 
 def join(parts: Sequence[MeshPart], texture_size: int, name: str) -> tuple[TexturedMesh, list[str]]:
@@ -87,18 +87,18 @@ def _normals(parts: Sequence[MeshPart]) -> np.ndarray | None:
 
 
 def _roughness_metallic(parts: Sequence[MeshPart]) -> tuple[dict[str, Any], list[str]]:
-    """Average both over the parts that specify them, weighted by area."""
+    """Average both over the parts, weighted by area; those that specify none have the default."""
     result: dict[str, Any] = {}
     notes = []
-    for quantity in ("roughness", "metallic"):
-        said = [p for p in parts if getattr(p.material, quantity) is not None]
-        if not said:
+    for quantity, default in (("roughness", DEFAULT_ROUGHNESS), ("metallic", 0.0)):
+        said = [getattr(p.material, quantity) for p in parts]
+        if all(value is None for value in said):
             continue
-        known = np.array([getattr(p.material, quantity) for p in said], np.float64)
+        known = np.array([default if value is None else value for value in said], np.float64)
         result[quantity] = float(known[0])
         if np.ptp(known) != 0:
-            areas = np.array([np.linalg.norm(area_vectors(p.vertices, p.faces), axis=1).sum() for p in said])
-            weights = areas if areas.sum() > 0 else np.ones(len(said))
+            areas = np.array([np.linalg.norm(area_vectors(p.vertices, p.faces), axis=1).sum() for p in parts])
+            weights = areas if areas.sum() > 0 else np.ones(len(parts))
             result[quantity] = mean = float(np.average(known, weights=weights))
             notes.append(f"{quantity} {known.min():.3g} to {known.max():.3g} replaced by its mean {mean:.3g}")
     return result, notes

@@ -26,6 +26,7 @@ READERS: dict[str, Callable[[Path], MeshContent]] = {
     ".off": read_off,
 }
 FORMATS = tuple(READERS)  #: suffixes of supported mesh files
+AS_STORED = 1 << 16  #: texture size of a mesh that `normalize` wrote: no texture is larger
 MAX_REACH = 1e30  # largest coordinate in any unit; keeps products finite
 # First bytes of files that carry a wrong suffix.
 BEGINNINGS = {
@@ -95,7 +96,9 @@ def load_mesh(path: str | Path, up: str = "z", texture_size: int = 1024) -> Text
         corners, bad = usable(mesh.vertices, mesh.faces, mesh.normals)
         mesh = replace(mesh, normals=None) if corners is None else mesh.with_normals(corners)
         if corners is None:
-            notes.append(f"vertex normals left out: {bad:.0%} of them are zero or point into the object")
+            notes.append(
+                f"vertex normals left out: {bad:.0%} of them are zero or point against their faces' winding"
+            )
     appearance |= {"normals_bad_fraction": bad, "notes": [*source.notes, *notes]}
     mesh = replace(mesh, source=appearance)
     return mesh.turned(z_up) if up == "y" else mesh
@@ -106,8 +109,11 @@ def _read(path: Path, reader: Callable[[Path], MeshContent]) -> MeshContent:
         raise ObjectFolderError(f"{path} cannot be read as a mesh: it is empty")
     try:
         return reader(path)
-    except ObjectFolderError:
-        raise
+    except ObjectFolderError as error:
+        hint = _looks_like(path)
+        if not hint or hint in str(error):
+            raise
+        raise ObjectFolderError(f"{error}{hint}") from error
     except Exception as error:  # the format's parser raises anything
         reason = str(error) or type(error).__name__
         raise ObjectFolderError(f"{path} cannot be read as a mesh: {reason}{_looks_like(path)}") from error

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -61,9 +62,11 @@ def read_materials(mesh: Path, libraries: list[str]) -> dict[str, MtlMaterial]:
 
     @cache
     def image(name: str) -> Image.Image:
+        name = existing_name(mesh, name)
         return read_image(read_referenced(mesh, name), mesh.parent / name, mesh)
 
-    text = "\n".join(read_referenced(mesh, name).decode(errors="replace") for name in libraries)
+    contents = (read_referenced(mesh, name) for name in libraries)
+    text = "\n".join(content.decode("utf-8-sig", errors="replace") for content in contents)
     found: dict[str, dict[str, str]] = {}
     statements: dict[str, str] = {}  # of the current material, the last of each keyword
     for keyword, rest in _statements(text):
@@ -108,6 +111,20 @@ def _options(rest: str) -> tuple[dict[str, str], str]:
         options[key.lower()] = value
         start = match.end()
     return options, rest[start:]
+
+
+def bare(name: str) -> str:
+    """Return a name without a comment after it and without quotes. Some names have what looks like one."""
+    return re.split(r"\s#", name, maxsplit=1)[0].strip().strip('"')
+
+
+def existing_name(mesh: Path, name: str) -> str:
+    """Return the name of a texture as it is written, or `bare` if only that file exists."""
+    other = bare(name)
+    with suppress(OSError):  # too long
+        if other != name and not (mesh.parent / name).is_file() and (mesh.parent / other).is_file():
+            return other
+    return name
 
 
 def _numbers(text: str, default: float) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 import re
 from collections import Counter, defaultdict
+from collections.abc import Collection
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
@@ -14,7 +15,7 @@ from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
 from objectfolder.mesh.polygon import needs_ears, split
 from objectfolder.mesh.reading.from_trimesh import as_points, color_unit, fan_triangles
-from objectfolder.mesh.reading.mtl import MtlMaterial, read_materials
+from objectfolder.mesh.reading.mtl import MtlMaterial, bare, read_materials
 from objectfolder.mesh.reading.parts import MeshContent, MeshPart
 
 FACE = re.compile(r"^f[ \t]+\S.*", re.M | re.A)
@@ -26,6 +27,7 @@ FORMS = [
 ]
 #: Beginnings of lines that trimesh would skip: indented, or a keyword before a tab.
 _SKIPPED = re.compile(r"\n(?:[ \t]++(v[tn]?|f|usemtl|mtllib|[ogs])[ \t]|(v[tn]?|f|usemtl|mtllib|[ogs])\t)")
+_USED = re.compile(r"^usemtl (.*)", re.M)
 MAX_MATERIALS = 4096  # trimesh takes time in proportion to the square of their number
 
 
@@ -40,11 +42,12 @@ def read_obj(path: Path) -> MeshContent:
     ObjectFolderError
         If a file it refers to is missing or unreadable, or a face index is out of range.
     """
-    text = _plain(path.read_bytes().decode(errors="replace"))
+    text = _plain(path.read_bytes().decode("utf-8-sig", errors="replace"))
     _check_materials(path, text)
     text = _counted_from_start(path, text)
     _check_zero(path, text)
     materials = read_materials(path, mtl_names(text))
+    text = _named(text, materials)
     # trimesh gets names only: it would ignore options of textures, and give materials without Kd a colour.
     library = "\n".join(f"newmtl {name}" for name in materials).encode()
     try:
@@ -71,6 +74,9 @@ def read_obj(path: Path) -> MeshContent:
         if colors is not None and surface.image is not None:
             notes.append("vertex colours beside a texture left out")
             colors = None
+        if colors is not None and surface.color is not None and (colors == 1).all():
+            notes.append("white vertex colours beside Kd left out")
+            colors = None
         if colors is not None:
             surface = replace(surface, color=None)
         uv = None if visual is None or visual.uv is None else np.asarray(visual.uv, np.float64)[:, :2]
@@ -86,6 +92,8 @@ def read_obj(path: Path) -> MeshContent:
         colored = any(part.colors is not None for part in parts)
         seen = "faces have no colour but that of their vertices" if colored else "faces have no colour"
         notes.append(f"material {', '.join(missing[:5])} is not defined: its {seen}")
+    if materials and not named:
+        notes.append("materials left out: no face says which it has (usemtl)")
     dropped = Counter(what for material in used.values() for what in material.dropped)
     notes += [f"{what} left out ({count})" for what, count in sorted(dropped.items())]
     return MeshContent(parts, list(dict.fromkeys(notes)))
@@ -107,6 +115,17 @@ def _plain(obj: str) -> str:
     """Join continued lines, as trimesh does, and begin every line with its keyword and a space."""
     joined = "\n" + obj.replace("\r\n", "\n").replace("\\\n", "")
     return _SKIPPED.sub(lambda start: f"\n{start[1] or start[2]} ", joined)[1:]
+
+
+def _named(text: str, materials: Collection[str]) -> str:
+    """Write the names of materials that faces have as the libraries do: spaces and comments may differ."""
+    known = {bare(name): name for name in materials} | {name: name for name in materials}
+
+    def line(match: re.Match[str]) -> str:
+        name = " ".join(match[1].split())
+        return f"usemtl {known.get(name, known.get(bare(name), name))}"
+
+    return _USED.sub(line, text)
 
 
 def _check_materials(path: Path, text: str) -> None:

@@ -24,7 +24,7 @@ def read_off(path: Path) -> MeshContent:
     ObjectFolderError
         If it is not such a file, or breaks off.
     """
-    text = path.read_bytes().decode(errors="replace")
+    text = path.read_bytes().decode("utf-8-sig", errors="replace")
     lines = [line for line in (line.partition("#")[0].strip() for line in text.splitlines()) if line]
     header = HEADER.fullmatch(lines[0]) if lines else None
     if header is None or "BINARY" in header["rest"]:

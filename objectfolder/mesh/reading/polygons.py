@@ -24,6 +24,7 @@ from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMateri
 
 COLORS, DIFFUSE = ("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue")
 INDICES = ("vertex_index", "vertex_indices")
+COORDINATES = {"s", "t", "u", "v", "texture_u", "texture_v", "texcoord"}
 CARRIERS = ("vertex", "face")  # elements that may have colours
 MAX_SOLIDS = 4096  # trimesh takes time in proportion to the square of their number
 
@@ -40,12 +41,14 @@ def read_polygons(path: Path) -> MeshContent:
     kind = path.suffix.lower().removeprefix(".")
     data = path.read_bytes()
     _check_solids(path, data)
+    if kind == "stl":
+        _check_length(path, data)
     _check_textures(path, data if kind == "ply" else b"")
     scene: Any = trimesh.load_scene(BytesIO(data), file_type=kind, resolver=files, process=False)
     files.check()
     sources = list(scene.geometry.values())
     raw = sources[0].metadata.get("_ply_raw", {}) if len(sources) == 1 else {}
-    elements = _amended(raw)
+    elements = _amended(raw, textured=kind == "ply" and bool(ply_textures(data)))
     if elements is None:
         mesh = scene.to_mesh()
     else:
@@ -96,8 +99,21 @@ def _check_solids(path: Path, data: bytes) -> None:
         raise ObjectFolderError(f"{path} holds {count} solids, expected at most {MAX_SOLIDS}; join them")
 
 
-def _amended(elements: dict[str, Any]) -> dict[str, Any] | None:
-    """Return the elements of a ``.ply`` with what trimesh misreads put right; None if it misreads nothing."""
+def _check_length(path: Path, data: bytes) -> None:
+    """Raise for a binary ``.stl`` that breaks off; trimesh would take it for text."""
+    count = int.from_bytes(data[80:84], "little")
+    if data[:5].lower() != b"solid" and len(data) < 84 + 50 * count:
+        raise ObjectFolderError(
+            f"{path} cannot be read as a mesh: it has {len(data)} bytes, expected {84 + 50 * count} of "
+            f"{count} triangles: cut off?"
+        )
+
+
+def _amended(elements: dict[str, Any], textured: bool) -> dict[str, Any] | None:
+    """Return the elements of a ``.ply`` with what trimesh misreads put right; None if it misreads nothing.
+
+    Without a texture, it would put a default one at texture coordinates, in place of vertex colours.
+    """
     columns = {
         name: _columns(elements[name]) for name in CARRIERS if elements.get(name, {}).get("data") is not None
     }
@@ -105,6 +121,11 @@ def _amended(elements: dict[str, Any]) -> dict[str, Any] | None:
     if {"vertex", "face"} <= columns.keys():
         faces = _split_faces(columns["vertex"], amended.get("face", columns["face"]))
         amended |= {"face": faces} if faces else {}
+    if not textured:
+        for name, values in columns.items():
+            held = amended.get(name, values)
+            if held.keys() & COORDINATES:
+                amended[name] = {key: column for key, column in held.items() if key not in COORDINATES}
     if not amended:
         return None
     return elements | {

@@ -5,7 +5,7 @@ from pathlib import Path, PurePosixPath
 
 from objectfolder.mesh.reading.files import read_referenced, referenced_path
 from objectfolder.mesh.reading.gltf import uris
-from objectfolder.mesh.reading.mtl import textures
+from objectfolder.mesh.reading.mtl import existing_name, textures
 from objectfolder.mesh.reading.obj import mtl_names
 from objectfolder.mesh.reading.polygons import ply_textures
 
@@ -22,10 +22,10 @@ def references(mesh: Path) -> Iterator[PurePosixPath]:
     """
     suffix = mesh.suffix.lower()
     if suffix == ".obj":
-        for library in mtl_names(mesh.read_text(errors="replace")):
+        for library in mtl_names(mesh.read_text("utf-8-sig", errors="replace")):
             yield referenced_path(mesh, library)
-            for _, texture in textures(read_referenced(mesh, library).decode(errors="replace")):
-                yield referenced_path(mesh, texture)
+            for _, texture in textures(read_referenced(mesh, library).decode("utf-8-sig", errors="replace")):
+                yield referenced_path(mesh, existing_name(mesh, texture))
     elif suffix == ".ply":
         for name in ply_textures(mesh.read_bytes()):
             yield referenced_path(mesh, name)

@@ -14,7 +14,8 @@ from solids import box
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.normalize import normalize
-from objectfolder.mesh.reading.load import FORMATS, default_up, load_mesh
+from objectfolder.mesh.reading.load import AS_STORED, FORMATS, default_up, load_mesh
+from objectfolder.mesh.reading.references import references
 from objectfolder.mesh.textured import TexturedMesh, appearance_report
 
 PLY = """ply
@@ -160,6 +161,13 @@ def test_a_large_texture_is_scaled_down_and_a_small_one_is_not(tmp_path):
     assert load_mesh(path, texture_size=1024).texture.shape == (64, 32, 3)
 
 
+def test_a_texture_above_the_default_size_is_read_as_it_was_stored(tmp_path):
+    large = np.full((2048, 2, 3), [200, 100, 50], np.uint8)
+    mesh = load_mesh(write_obj(tmp_path, large), texture_size=2048)
+    mesh.write_glb(tmp_path / "visual.glb")
+    assert load_mesh(tmp_path / "visual.glb", "y", AS_STORED).texture.shape == (2048, 2, 3)
+
+
 def test_vertices_that_no_face_uses_may_be_anything(tmp_path):
     path = write_ply(tmp_path / "t.ply", [*TETRAHEDRON, "nan nan nan", "inf 0 0"], FACES)
     done = normalize(load_mesh(path))
@@ -184,7 +192,13 @@ def glb_of_nothing():
         ("m.obj", b"", "cannot be read as a mesh: it is empty"),
         ("m.obj", b"Dear Sir or Madam,\nhere is my mesh.\n", "holds no faces"),
         ("m.obj", b"ply\nformat ascii 1.0\n", "looks like a .ply"),
-        ("m.glb", b"version https://git-lfs.github.com/spec/v1\n", "has no binary glTF header"),
+        ("m.glb", b"version https://git-lfs.github.com/spec/v1\n", "no binary glTF header .*Git LFS pointer"),
+        ("m.gltf", b"<!DOCTYPE html>", "not JSON .*looks like XML or HTML"),
+        (
+            "m.stl",
+            bytes(80) + b"\x02\0\0\0" + bytes(99),
+            "has 183 bytes, expected 184 of 2 triangles: cut off",
+        ),
         ("m.ply", b"version https://git-lfs.github.com/spec/v1\n", "Git LFS pointer"),
         ("m.stl", b"PK\x03\x04" + bytes(99), "looks like a .zip archive"),
         ("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "'f 0 1 2' has the index 0"),
@@ -302,6 +316,17 @@ def test_a_comment_names_no_material_library(tmp_path):
     mesh = load_mesh(path)
     assert mesh.texture is None
     assert appearance_report(mesh)["notes"] == []
+
+
+@pytest.mark.parametrize("marked", ["m.obj", "m.mtl", "m.off"])
+def test_a_mark_of_byte_order_is_no_part_of_the_first_line(tmp_path, marked):
+    (tmp_path / "m.mtl").write_text("newmtl a\nKd 1 0 0\n")
+    (tmp_path / "m.obj").write_text("mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl a\nf 1 2 3\n")
+    (tmp_path / "m.off").write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n")
+    (tmp_path / marked).write_bytes(b"\xef\xbb\xbf" + (tmp_path / marked).read_bytes())
+    assert len(load_mesh(tmp_path / "m.off").faces) == 1
+    assert load_mesh(tmp_path / "m.obj").texture.tolist() == [[[255, 0, 0]]]
+    assert [str(path) for path in references(tmp_path / "m.obj")] == ["m.mtl"]
 
 
 def test_a_material_that_is_not_defined_is_noted(tmp_path):

@@ -197,6 +197,57 @@ def test_roughness_and_metallic_are_kept_and_what_shines_is_listed(tmp_path, col
     assert notes(mesh) == [f"{what} left out (1)" for what in left_out]
 
 
+def test_a_small_metal_part_makes_no_metal_of_the_rest(tmp_path):
+    screw = "v 0 0 1\nv 0.1 0 1\nv 0.1 0.1 1\nv 0 0.1 1\n"
+    faces = "usemtl wood\nf 1 2 3 4\nusemtl screw\nf 5 6 7 8\n"
+    mtl = "newmtl wood\nKd 0.5 0.3 0.1\nnewmtl screw\nKd 1 1 1\nPm 1\nPr 0.1\n"
+    mesh = written(tmp_path, QUAD + screw + faces, mtl)
+    assert mesh.metallic == pytest.approx(0.01 / 1.01)
+    assert mesh.roughness == pytest.approx((0.5 + 0.01 * 0.1) / 1.01)
+    assert notes(mesh) == [
+        "roughness 0.1 to 0.5 replaced by its mean 0.496",
+        "metallic 0 to 1 replaced by its mean 0.0099",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("defined", "used", "image"),
+    [
+        ("my  skin", "my skin", "my skin.png"),
+        ("my skin", "my  skin", '"my skin.png"'),
+        ("my skin # of wood", "my skin", "my skin.png # diffuse"),
+        ("my skin", "my skin   # of wood", "my skin.png"),
+    ],
+)
+def test_names_end_at_comments_and_have_single_spaces(tmp_path, defined, used, image):
+    text = QUAD + CORNERS + f"usemtl {used}\nf 1/1 2/2 3/3\n"
+    mesh = written(tmp_path, text, f"newmtl {defined}\nmap_Kd {image}\n")
+    assert mesh.texture.shape == (32, 32, 3)
+    assert notes(mesh) == []
+
+
+def test_names_may_hold_what_looks_like_a_comment(tmp_path):
+    """As those of 3ds Max do."""
+    mtl = "newmtl Material #25\nKd 1 0 0\nnewmtl Material #26\nmap_Kd my skin #1.png\n"
+    Image.fromarray(checker(COLORS, 16)).save(tmp_path / "my skin #1.png")
+    text = QUAD + CORNERS + "usemtl Material #25\nf 1/1 2/2 3/3\nusemtl Material #26\nf 1/1 3/3 4/4\n"
+    mesh = written(tmp_path, text, mtl)
+    assert len(mesh.source["notes"]) == 1
+    assert mesh.source["notes"][0].startswith("2 materials baked")
+
+
+def test_white_vertices_do_not_bleach_a_material(tmp_path):
+    white = "v 0 0 0 1 1 1\nv 1 0 0 1 1 1\nv 1 1 0 1 1 1\n"
+    mesh = written(tmp_path, white + "usemtl red\nf 1 2 3\n", "newmtl red\nKd 1 0 0\n")
+    assert mesh.texture.tolist() == [[[255, 0, 0]]]
+    assert notes(mesh) == ["white vertex colours beside Kd left out"]
+
+
+def test_materials_that_no_face_has_are_noted(tmp_path):
+    mesh = written(tmp_path, QUAD + "f 1 2 3\n", "newmtl red\nKd 1 0 0\n")
+    assert notes(mesh) == ["materials left out: no face says which it has (usemtl)"]
+
+
 def test_a_material_without_a_colour_is_plain(tmp_path):
     mesh = written(tmp_path, QUAD + "usemtl a\nf 1 2 3\n", "newmtl a\nNs 10\n")
     assert mesh.texture is mesh.vertex_colors is None  # PLAIN, as of a mesh without materials

@@ -107,6 +107,23 @@ def test_colours_of_a_ply_in_bytes_words_and_fractions(tmp_path, prefix, kind, m
     assert colors_by_vertex(load_mesh(path)) == dict(zip(map(tuple, SQUARE), map(tuple, colors)))
 
 
+@pytest.mark.parametrize("names", [("s", "t"), ("u", "v"), ("texture_u", "texture_v"), None])
+def test_coordinates_of_no_texture_do_not_matter(tmp_path, names):
+    colors = [f"uchar {name}" for name in ("red", "green", "blue")]
+    path = tmp_path / "m.ply"
+    if names:
+        coordinates = [f"float {name}" for name in names]
+        vertices = rows([*v, 1, 2, 3, 0.5, 0.5] for v in SQUARE)
+        path.write_text(header(4, 1, vertex=colors + coordinates) + vertices + "4 0 1 2 3\n")
+    else:
+        vertices = rows([*v, 1, 2, 3] for v in SQUARE)
+        corners = "3 0 1 2 6 0 0 1 0 1 1\n3 0 2 3 6 0 0 1 1 0 1\n"
+        path.write_text(header(4, 2, vertex=colors, face=["list uchar float texcoord"]) + vertices + corners)
+    mesh = load_mesh(path)
+    assert mesh.texture is None
+    assert (mesh.vertex_colors == [1, 2, 3]).all()
+
+
 def test_colours_of_faces_beside_those_of_vertices_are_noted(tmp_path):
     names = [f"uchar {name}" for name in ("red", "green", "blue")]
     path = tmp_path / "m.ply"
