@@ -368,6 +368,8 @@ class _Build:
 
     def _explain(self, error: BaseException, address: str | None = None) -> str:
         """Return the message of an error; name the disk if it is full, and free what DVC left there."""
+        if isinstance(error, FileNotFoundError) and error.filename:
+            return f"{error.filename} does not exist; put it there, or fetch it: `dvc pull`"
         if not disk.is_shortage(error):
             return str(error)
         text = f"{error}: {disk.describe_full(disk.fullest(self._disks(address))[0])}"
