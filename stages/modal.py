@@ -7,7 +7,13 @@ from objectfolder import materials
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.band import solved_band
 from objectfolder.fem.elements import solid_from_arrays
-from objectfolder.fem.modal import ModalConfig, refined_analysis, shape_points, uncertainty_warning
+from objectfolder.fem.modal import (
+    ModalConfig,
+    refined_analysis,
+    shape_points,
+    solver_warning,
+    uncertainty_warning,
+)
 from objectfolder.fem.reuse import Request, problem_digest, rescaled, solution_record
 from objectfolder.io import keep, read_npz, write_json, write_npz
 from objectfolder.mesh.ply import read_surface
@@ -41,8 +47,8 @@ def main(key: str) -> None:
             **vars(request),
             name=key,
         )
-    warning = uncertainty_warning(data.report, settings.allow_uncertain, key)
-    if warning:
+    uncertain = uncertainty_warning(data.report, settings.allow_uncertain, key)
+    for warning in filter(None, (uncertain, solver_warning(data.report, key))):
         print(f"warning: {warning}")
     write_npz(
         build.modes,

@@ -19,7 +19,7 @@ from objectfolder.acoustics.meshing import (
 )
 from objectfolder.acoustics.triangles import Triangles
 from objectfolder.audio.click import AIR_DENSITY, SOUND_SPEED, Recoil
-from objectfolder.mesh.topology import face_areas
+from objectfolder.mesh.topology import face_areas, outer_shells
 
 EDGES_PER_WAVE = 2.0  #: of sound; with fewer, a surface radiates as plane waves do
 RESOLVED = 5.0  #: edges per wave that a mode's surface has, if it may have so many triangles
@@ -54,7 +54,8 @@ def radiate(
     Parameters
     ----------
     surface : (V, 3) and (F, 3) arrays
-        Closed, metres, object frame.
+        Closed, metres, object frame. Cavities send nothing out, and are left out: the air in one is a
+        problem of its own, with resonances that the boundary elements would see.
     points : (P, 3) array
         Near the surface, metres.
     shapes : (P, 3, M) array
@@ -71,6 +72,7 @@ def radiate(
     FarField
         Per unit of modal acceleration: pressure times distance, Pa m / (m kg^1/2 / s^2).
     """
+    surface = outer_shells(*surface)
     radius = float(np.linalg.norm(surface[0], axis=1).max(initial=0))
     area = float(face_areas(*surface).sum())
     edge = 2 * np.pi * SOUND_SPEED / (RESOLVED * np.asarray(frequencies))

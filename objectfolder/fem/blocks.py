@@ -92,7 +92,7 @@ def halved_from(cells: CutCells) -> tuple[CutCells, np.ndarray] | None:
     place = np.stack(np.unravel_index(cell, (resolution,) * 3), 1)
     none = np.empty((0, 3)), np.empty(0, np.int64)
     kept, connectivity, pieces = glue(Occupancy(place, moments, links, *none))
-    if pieces.max() > 0:
+    if not len(pieces) or pieces.max() > 0:
         return None
     element = np.full(len(parts), -1)
     element[kept] = np.arange(len(kept))

@@ -233,6 +233,17 @@ def solver_checks(report: dict[str, Any]) -> dict[str, bool]:
     }
 
 
+def solver_warning(report: dict[str, Any], name: str) -> str | None:
+    """Return what is to be said of a solve whose checks fail."""
+    if report["residuals_ok"] and report["rigid_modes_ok"]:
+        return None
+    return (
+        f"{name}: the solver is less exact than usual (residual {report['residual_max']:.1e}, expected under "
+        f"{MAX_RESIDUAL:g}; rigid modes up to {max(report['rigid_hz']):.2g} Hz, expected under "
+        f"{rigid_limit(report):.2g}); very thin parts make it so"
+    )
+
+
 def rigid_limit(report: dict[str, Any]) -> float:
     """Return the frequency below which rigid modes count as zero, Hz: rounding grows with the elastic ones.
 

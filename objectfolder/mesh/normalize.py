@@ -13,6 +13,8 @@ from objectfolder.mesh.textured import TexturedMesh, appearance_report
 from objectfolder.mesh.topology import Mesh
 from objectfolder.settings import Count
 
+OUTSIDE = 4e-5  #: of the size; a closed surface that reaches beyond the mesh's box by more is centred anew
+MOST_CLOSINGS = 5
 SHORT = 0.01  #: of the size; a closed surface further from a side of the mesh's box lost a piece there
 
 
@@ -73,6 +75,8 @@ def normalize(
 ) -> Normalized:
     """Centre and scale a z-up mesh to the unit frame and close its surface.
 
+    The box is that of the mesh, and of the walls of sheets that reach beyond it.
+
     Parameters
     ----------
     mesh : TexturedMesh
@@ -91,9 +95,15 @@ def normalize(
         of the box was dropped.
     """
     lower, upper = mesh.bounds
-    centre, size = (lower + upper) / 2, float((upper - lower).max())
-    visual = mesh.with_vertices((mesh.vertices - centre) / size)
-    surface = close_surface(visual.vertices, visual.faces, name, wall, bridging)
+    for _ in range(MOST_CLOSINGS):  # a wall grows with the box, by less each time
+        centre, size = (lower + upper) / 2, float((upper - lower).max())
+        visual = mesh.with_vertices((mesh.vertices - centre) / size)
+        surface = close_surface(visual.vertices, visual.faces, name, wall, bridging)
+        reached = size * np.array([surface.vertices.min(0), surface.vertices.max(0)]) + centre
+        beyond = max((lower - reached[0]).max(), (reached[1] - upper).max())
+        if beyond <= OUTSIDE * size:
+            break
+        lower, upper = np.minimum(lower, reached[0]), np.maximum(upper, reached[1])
     done = Normalized(visual, surface, centre, size)
     _check_box(done, name)
     return done

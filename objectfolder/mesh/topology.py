@@ -69,6 +69,13 @@ def face_components(faces: np.ndarray, count: int) -> np.ndarray:
     return np.unique(components(edges[:, 0], edges[:, 1], count)[1][faces[:, 0]], return_inverse=True)[1]
 
 
+def outer_shells(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
+    """Return a closed, outward-oriented surface without the shells of its cavities."""
+    shell = face_components(faces, len(vertices))
+    outer = np.bincount(shell, face_volumes(vertices, faces)) > 0
+    return (vertices, faces) if outer.all() else compact(vertices, faces[outer[shell]])
+
+
 def compact(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
     """Drop unused vertices."""
     used, inverse = np.unique(faces, return_inverse=True)

@@ -68,6 +68,19 @@ def test_a_swaying_sphere_at_any_distance():
     assert abs(np.angle(found / exact)).max() < 0.02  # waves leave the ball at once in both
 
 
+def test_a_cavity_is_not_heard():
+    ball = trimesh.creation.icosphere(3, RADIUS)
+    hollow = trimesh.creation.icosphere(3, 0.9 * RADIUS)
+    vertices = np.concatenate([ball.vertices, hollow.vertices])
+    faces = np.concatenate([ball.faces, hollow.faces[:, ::-1] + len(ball.vertices)])
+    ka = np.array([0.1, 0.2, 0.4])
+    breathing = np.repeat((vertices / np.linalg.norm(vertices, axis=1)[:, None])[:, :, None], len(ka), 2)
+    field = radiate((vertices, faces), vertices, breathing, ka / RADIUS * SOUND_SPEED, 700)
+    found = field.pressure(ka / RADIUS, np.array([[0, 0, 1.0]]))[0]
+    expected = AIR_DENSITY * RADIUS**2 / (1 - 1j * ka)
+    np.testing.assert_allclose(abs(found), abs(expected), rtol=0.03)
+
+
 def test_modes_share_a_matrix_only_if_alike_and_fields_beyond_a_mesh_keep_their_power():
     ball = trimesh.creation.icosphere(2, RADIUS)
     boundary = Boundary(ball.vertices, ball.faces)

@@ -80,5 +80,12 @@ def test_halving_gives_the_moments_of_the_coarse_grid(ball, merged, merge):
     assert coarse.degrees_of_freedom == direct.degrees_of_freedom
 
 
+def test_a_rod_thinner_than_the_coarse_cells_cannot_be_halved():
+    rod = cut_cells(*box((1, 1 / 200, 1 / 200)), 32, 8)
+    while rod is not None:
+        size, rod = rod.resolution, halved(rod)
+    assert size == 16
+
+
 def test_an_odd_grid_cannot_be_halved():
     assert halved(cut_cells(*box((1, 1, 0.5)), 5, 4)) is None

@@ -5,7 +5,7 @@ from solids import box
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem import modal
 from objectfolder.fem.cutcell import cut_cells
-from objectfolder.fem.modal import modal_analysis, shape_points, uncertainty_warning
+from objectfolder.fem.modal import modal_analysis, shape_points, solver_warning, uncertainty_warning
 from objectfolder.materials import Material, material
 
 SOLID = box((1, 0.5, 0.2))
@@ -87,6 +87,13 @@ def test_the_uncertainty_is_the_largest_estimated_error(cells):
 def test_uncertain_frequencies_are_warned_of(error, said):
     warning = uncertainty_warning({"frequency_uncertainty": error, "resolution": 32}, False, "cabinet")
     assert warning is None if said is None else f"cabinet: frequencies may be {said} wrong" in warning
+
+
+def test_a_solve_whose_checks_fail_is_warned_of(cells):
+    report = analyse(cells, material("steel")).report
+    report |= {"residuals_ok": True, "rigid_modes_ok": True}
+    assert solver_warning(report, "plate") is None
+    assert "plate: the solver is less exact" in solver_warning(report | {"residuals_ok": False}, "plate")
 
 
 def test_cut_cells_without_an_estimate_are_as_uncertain_as_can_be():

@@ -26,6 +26,25 @@ def test_the_object_fills_the_unit_frame_and_the_transform_leads_back(size, cent
     assert done.surface.volume == pytest.approx(0.08, rel=1e-6)
 
 
+def bracket(flange, width=0.4):
+    """A sheet bent like a Z, whose ends point up at one side and down at the other; y and x upwards."""
+    x, z = np.array([(-0.5, flange), (-0.5, 0), (0.5, 0), (0.5, -flange)]).T
+    vertices = np.concatenate([np.stack([x, np.full(4, y), z], 1) for y in (-width / 2, width / 2)])
+    strips = [[[i, i + 4, i + 1], [i + 1, i + 4, i + 5]] for i in range(3)]
+    return vertices, np.concatenate(strips)
+
+
+@pytest.mark.parametrize("flange", [0.04, 0.3])
+def test_walls_beyond_the_box_of_the_mesh_are_in_that_of_the_object(flange):
+    done = normalize(TexturedMesh(*bracket(flange)), wall=0.01)
+    lower, upper = done.surface.vertices.min(0), done.surface.vertices.max(0)
+    np.testing.assert_allclose(lower, -upper, atol=1e-4)
+    assert (upper - lower).max() == pytest.approx(1, abs=1e-4)
+    assert done.source_size == pytest.approx(1.01, abs=1e-3)
+    area = 0.4 * (1 + 2 * flange) / done.source_size**2
+    assert done.surface.volume == pytest.approx(0.01 * area, rel=0.05)
+
+
 def test_report_is_in_metres():
     done = normalize(TexturedMesh(*box((2, 4, 1))))
     report = done.report(0.1, "y")

@@ -18,6 +18,7 @@ from objectfolder.mesh.topology import Mesh, boundary_loops, face_areas, signed_
 
 SEEN = 0.3  #: unoccluded fraction of the hemisphere above which a cap is visible from outside
 LARGE = 0.05  #: area of a loop, as a fraction of the piece's, above which it is large
+FLAT = 1e-6  #: volume of a capped piece over its area and extent, below which it has no inner side
 NO_ROOM = 0.5  #: area fraction of faces inverted by a wall above which it has no room
 _RAYS = 1024
 _OFFSET = 1e-4  # start of the rays above the cap, unit frame
@@ -33,8 +34,8 @@ def close_piece(piece: Mesh, scene: RayCaster | None, wall: float) -> tuple[Mesh
     scene : RayCaster or None
         All pieces, for visibility. None caps every loop.
     wall : float
-        Thickness given to a sheet, unit frame. The sheet becomes the outer side. Where there is no room for
-        the wall, the openings are capped instead.
+        Thickness given to a sheet, unit frame. The sheet becomes the outer side; of a flat one, the side to
+        which its winding points. Where there is no room for the wall, the openings are capped instead.
 
     Returns
     -------
@@ -46,17 +47,18 @@ def close_piece(piece: Mesh, scene: RayCaster | None, wall: float) -> tuple[Mesh
     """
     vertices, faces = piece
     loops = boundary_loops(faces)
-    capped = cap(vertices, faces, loops)
-    if signed_volume(*capped) < 0:
+    area = face_areas(vertices, faces).sum()
+    volume = signed_volume(*cap(vertices, faces, loops))
+    flat = abs(volume) < FLAT * area * np.ptp(vertices[faces.ravel()], axis=0).max()
+    if volume < 0 and not flat:
         faces = np.ascontiguousarray(faces[:, ::-1])
         loops = boundary_loops(faces)
-    area = face_areas(vertices, faces).sum()
     openings = [
         loop
         for loop in loops
         if scene is not None
         and np.linalg.norm(area_vector(vertices[loop])) > LARGE * area
-        and _seen(vertices[loop], scene) > SEEN
+        and max(_seen(vertices[side], scene) for side in ([loop, loop[::-1]] if flat else [loop])) > SEEN
     ]
     chosen = {int(loop[0]) for loop in openings}
     holes = [loop for loop in loops if int(loop[0]) not in chosen]

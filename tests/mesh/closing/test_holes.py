@@ -108,3 +108,27 @@ def test_thickening_is_inward():
     vertices, _ = thicken(*piece, 0.05)
     np.testing.assert_array_equal(vertices[: len(piece[0])], piece[0])
     assert np.linalg.norm(vertices[len(piece[0]) :], axis=1).max() < 0.5
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_flat_sheet_gets_its_wall_behind_the_side_that_its_winding_shows(seed):
+    plate = trimesh.creation.box((1, 0.6, 0.2)).subdivide()
+    turn = trimesh.transformations.random_rotation_matrix(np.random.default_rng(seed).random(3))[:3, :3]
+    vertices, faces = without(
+        (np.array(plate.vertices), np.array(plate.faces, np.int64)), lambda centre: centre[:, 2] < 0.099
+    )
+    vertices, faces = compact(vertices, faces)
+    (closed, sides), _, openings = close((vertices @ turn.T, faces))
+    assert openings == 1
+    heights = closed @ turn[:, 2]
+    assert (heights.min(), heights.max()) == pytest.approx((0.1 - WALL, 0.1))
+    assert signed_volume(closed, sides) == pytest.approx(0.6 * WALL)
+
+
+def test_a_panel_close_before_a_body_keeps_its_wall():
+    """The body hides one side of the panel, not the other."""
+    panel = np.array([[0.5, -0.2, -0.2], [0.5, 0.2, -0.2], [0.5, 0.2, 0.2], [0.5, -0.2, 0.2]])
+    for faces in ([[0, 1, 2], [0, 2, 3]], [[0, 2, 1], [0, 3, 2]]):
+        (closed, sides), _, openings = close((panel, np.array(faces)), box((0.996, 0.6, 0.6)))
+        assert openings == 1
+        assert signed_volume(closed, sides) == pytest.approx(0.16 * WALL)
