@@ -69,13 +69,15 @@ def release(
     unnamed = [entry.key for entry in entries if not entry.source]
     if unnamed:
         console.print(
-            f"note: no source is stated of {', '.join(unnamed)}: it is read from SOURCE.txt beside a mesh",
+            f"note: no source is stated of {shortened(', '.join(unnamed))}: it is read from SOURCE.txt "
+            "beside a mesh",
             highlight=False,
         )
     unscored = [entry.key for entry in entries if entry.vision_psnr is None]
     if unscored:
         console.print(
-            f"note: no scores of {', '.join(unscored)}: `objectfolder build` writes them", highlight=False
+            f"note: no scores of {shortened(', '.join(unscored))}: `objectfolder build` writes them",
+            highlight=False,
         )
 
 
