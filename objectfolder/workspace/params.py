@@ -264,10 +264,9 @@ def settings(config: type[Config], values: dict[str, Any], path: str | Path = PA
     # Dates, which YAML knows and JSON does not, become lists: no setting takes them.
     # In a dict, because a dataclass of the library has no pydantic configuration, and takes that around it.
     adapter: TypeAdapter[dict[str, Config]] = TypeAdapter(dict[str, config], config=_STRICT)  # type: ignore[valid-type]
+    text = json.dumps({name: values[name]}, default=lambda value: [str(value)])
     try:
-        return adapter.validate_json(json.dumps({name: values[name]}, default=lambda value: [str(value)]))[
-            name
-        ]
+        return adapter.validate_json(text)[name]
     except ValidationError as error:
         raise _wrong(f"{path}: {name}", error, 1) from error
 

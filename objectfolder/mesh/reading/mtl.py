@@ -114,8 +114,8 @@ def _options(rest: str) -> tuple[dict[str, str], str]:
 
 
 def bare(name: str) -> str:
-    """Return a name without a comment after it and without quotes. Some names have what looks like one."""
-    return re.split(r"\s#", name, maxsplit=1)[0].strip().strip('"')
+    """Return a name without quotes and a comment after it, ``# such as this``; ``Material #25`` has none."""
+    return re.split(r"\s#(?!\S)", name, maxsplit=1)[0].strip().strip('"')
 
 
 def existing_name(mesh: Path, name: str) -> str:

@@ -1,6 +1,7 @@
 """Read ``.ply`` and ``.stl``."""
 
 import re
+from codecs import BOM_UTF8
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -102,7 +103,8 @@ def _check_solids(path: Path, data: bytes) -> None:
 def _check_length(path: Path, data: bytes) -> None:
     """Raise for a binary ``.stl`` that breaks off; trimesh would take it for text."""
     count = int.from_bytes(data[80:84], "little")
-    if data[:5].lower() != b"solid" and len(data) < 84 + 50 * count:
+    text = data[:80].removeprefix(BOM_UTF8).lstrip().lower().startswith(b"solid")
+    if not text and len(data) < 84 + 50 * count:
         raise ObjectFolderError(
             f"{path} cannot be read as a mesh: it has {len(data)} bytes, expected {84 + 50 * count} of "
             f"{count} triangles: cut off?"

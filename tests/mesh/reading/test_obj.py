@@ -229,6 +229,8 @@ def test_names_end_at_comments_and_have_single_spaces(tmp_path, defined, used, i
 def test_names_may_hold_what_looks_like_a_comment(tmp_path):
     """As those of 3ds Max do."""
     mtl = "newmtl Material #25\nKd 1 0 0\nnewmtl Material #26\nmap_Kd my skin #1.png\n"
+    lost = written(tmp_path, QUAD + "usemtl Material #27\nf 1 2 3\n", "newmtl Material #25\nKd 1 0 0\n")
+    assert notes(lost) == ["material Material #27 is not defined: its faces have no colour"]
     Image.fromarray(checker(COLORS, 16)).save(tmp_path / "my skin #1.png")
     text = QUAD + CORNERS + "usemtl Material #25\nf 1/1 2/2 3/3\nusemtl Material #26\nf 1/1 3/3 4/4\n"
     mesh = written(tmp_path, text, mtl)
