@@ -1,7 +1,7 @@
 """Tables of the benchmarks of a hundred objects, and what misses its target: `python perf/benchmarks.py OUT`.
 
-OUT are the folders that `objectfolder bench` wrote its results to. Exits with 1 if a target is missed, and
-with 2 if there is no result.
+OUT are the folders that `objectfolder bench` wrote its results to. With `--keep`, the record of `--json`
+keeps what it says of other benchmarks. Exits with 1 if a target is missed, and with 2 if there is no result.
 """
 
 import argparse
@@ -62,6 +62,23 @@ def found_in(
     return None
 
 
+def command_of(table: Mapping[str, Any]) -> str:
+    """Return the command of a table, for any number of seeds."""
+    return re.sub(r" --seeds \d+", "", table["command"])
+
+
+def merged(earlier: Sequence[dict], new: Mapping[str, dict]) -> list[dict]:
+    """Replace tables of the same commands, and put others before the first of the same kind, or last."""
+    tables = [new.get(command_of(table), table) for table in earlier]
+    known = {command_of(table) for table in earlier}
+    for command, table in new.items():
+        if command not in known:
+            kind = table["title"].partition(" ")[0]
+            alike = (n for n, other in enumerate(tables) if other["title"].startswith(kind))
+            tables.insert(next(alike, len(tables)), table)
+    return tables
+
+
 def missed(results: Mapping[str, dict[str, Any]]) -> Iterator[str]:
     """Yield what is below its target, and by how much; of the tasks that ran, named as in `WORDS`."""
 
@@ -108,6 +125,7 @@ def main() -> None:
     parser.add_argument("--preset", default="laptop", help="of the benchmarks")
     parser.add_argument("--options", default="", help="other options that they were called with")
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--keep", action="store_true", help="keep what the record says of other benchmarks")
     parser.add_argument(
         "--pictures",
         type=Path,
@@ -122,7 +140,7 @@ def main() -> None:
         shown = [*shared_tables(folder, arguments.preset, keys, options)]
         shown += object_tables(folder, arguments.preset, options)
         for table in shown:
-            by_command.setdefault(re.sub(r" --seeds \d+", "", table["command"]), table)
+            by_command.setdefault(command_of(table), table)
     if not by_command:
         console.print(f"no results of `objectfolder bench` in {', '.join(map(str, arguments.out))}")
         sys.exit(2)
@@ -140,10 +158,19 @@ def main() -> None:
             with Image.open(figure) as page, atomic(arguments.pictures / f"{name}.webp") as temporary:
                 page.thumbnail((SIDE, SIDE))
                 page.convert("RGB").save(temporary, "webp", quality=80, method=6)
-    below = list(missed({name: scores for name, (_, scores) in measured.items()}))
-    words = "; ".join(text for name, text in WORDS.items() if name in measured)
-    unmeasured = [text for name, text in WORDS.items() if name not in measured]
-    record = {"objects": len(keys), "unmeasured": unmeasured, "tables": list(by_command.values())}
+    keep = arguments.keep and arguments.json is not None and arguments.json.is_file()
+    earlier = read_json(arguments.json) if keep else {"tables": [], "verdicts": {}, "objects": 0}
+    verdicts = {name: list(missed({name: scores})) for name, (_, scores) in measured.items()}
+    verdicts = earlier["verdicts"] | verdicts
+    below = [text for name in WORDS for text in verdicts.get(name, [])]
+    words = "; ".join(text for name, text in WORDS.items() if name in verdicts)
+    unmeasured = [text for name, text in WORDS.items() if name not in verdicts]
+    record = {
+        "objects": max(len(keys), earlier["objects"]),
+        "unmeasured": unmeasured,
+        "verdicts": verdicts,
+        "tables": merged(earlier["tables"], by_command),
+    }
     write_record(arguments.json, record, words, below)
     if unmeasured:
         console.print(f"not measured: {'; '.join(unmeasured)}", markup=False, soft_wrap=True)

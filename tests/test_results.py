@@ -171,6 +171,14 @@ def test_benchmarks_that_did_not_run_are_neither_met_nor_missed(tmp_path, monkey
     record = read_json(tmp_path / "x.json")
     assert [table["title"].split()[0] for table in record["tables"]] == ["Classification", "Instance"]
     assert len(record["unmeasured"]) == 4
+    assert verdict(one, "--keep")[0] == 1
+    assert read_json(tmp_path / "x.json")["tables"] == record["tables"]
+    write_json(other / "recognize_seen.json", recognized | {"V": good})
+    assert verdict(other, "--keep")[0] == 0
+    kept = read_json(tmp_path / "x.json")
+    assert kept["tables"][0] == record["tables"][0]
+    assert kept["tables"][1] != record["tables"][1]
+    assert kept["verdicts"] == {"recognize_seen": []}
 
 
 def test_unknown_optional_figures_are_dashes(repository):
