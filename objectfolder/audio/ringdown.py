@@ -18,7 +18,7 @@ ABOVE_NOISE = 4.0  # amplitude of a ring over the noise after it
 SMALLEST = 0.1  # singular value of a mode, over the largest of its band; below are differences between taps
 SLOWEST = 0.2  # decay rate, 1/s; slower is hum
 MIN_SAMPLES = 40  # of a decimated ring
-#: s of a tap; of shorter ones less than twice `MIN_SAMPLES` are left, decimated to 2 `BAND` by a filter of 8.
+# s of a tap; of shorter ones less than twice MIN_SAMPLES are left, decimated to twice BAND by a filter of 8.
 SHORTEST = 0.3
 EXPLAINED = 0.95  # of a band's energy that few modes hold, if it rings to the end of the recording
 FEW = 8  # modes
