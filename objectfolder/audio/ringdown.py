@@ -18,8 +18,7 @@ ABOVE_NOISE = 4.0  # amplitude of a ring over the noise after it
 SMALLEST = 0.1  # singular value of a mode, over the largest of its band; below are differences between taps
 SLOWEST = 0.2  # decay rate, 1/s; slower is hum
 MIN_SAMPLES = 40  # of a decimated ring
-# s of a tap; of shorter ones less than twice MIN_SAMPLES are left, decimated to twice BAND by a filter of 8.
-SHORTEST = 0.3
+SHORTEST = 0.3  #: s of a tap; of shorter ones too few samples are left, decimated to the width of a band
 EXPLAINED = 0.95  # of a band's energy that few modes hold, if it rings to the end of the recording
 FEW = 8  # modes
 
@@ -43,7 +42,7 @@ def strikes(sound: np.ndarray, rate: float) -> list[np.ndarray]:
 
     A strike is where the power of a millisecond, above 200 Hz, exceeds ten times that of each of the 20
     before it, and a thousandth of the largest. Before the recording is what is at its end. A tap shorter than
-    `SHORTEST`, such as the click of a recorder that is switched off, is left out.
+    0.3 s, such as the click of a recorder that is switched off, is left out.
 
     Parameters
     ----------
