@@ -9,7 +9,7 @@ and robots first.
 import argparse
 import re
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
 from statistics import mean, median
@@ -71,6 +71,7 @@ def render(page: str, records: Path = RECORDS) -> str:
     )
     environment.filters |= {
         "by_commit": by_commit,
+        "cell": cell,
         "measured": lambda rows: [row for row in rows if "failed" not in row],
         "number": number,
         "over_objects": over_objects,
@@ -91,6 +92,16 @@ def by_commit(objects: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, list[
     for key, row in objects.items():
         built[row.get("commit", "earlier")].append(key)
     return list(built.items())
+
+
+def cell(tables: Sequence[Mapping[str, Any]], title: str, column: str, *row: str) -> str:
+    """Return what a page's text quotes: a cell of the one table whose title starts with `title`.
+
+    `row` is the start of the cell's row.
+    """
+    (table,) = (table for table in tables if table["title"].startswith(title))
+    (cells,) = (cells for cells in table["rows"] if tuple(cells[: len(row)]) == row)
+    return cells[table["columns"].index(column)]
 
 
 def over_objects(

@@ -140,5 +140,8 @@ class GainsNet(nn.Module):
 
 
 def energy_weights(damped_frequency: np.ndarray, damping: np.ndarray) -> np.ndarray:
-    """Compute each mode's displacement energy per squared shape value, 1 / (4 c w^2); (M,)."""
-    return 1 / (4 * damping * damped_frequency**2)
+    """Compute each mode's displacement energy per squared shape value, 1 / (4 c (w^2 + c^2)); (M,).
+
+    The integral of (exp(-c t) sin(w t) / w)^2 over all times t > 0.
+    """
+    return 1 / (4 * damping * (damped_frequency**2 + damping**2))
