@@ -297,15 +297,19 @@ def _check_step(model: mujoco.MjModel) -> None:
             f"the time step of the scene is {step:g} s, expected at most {LONGEST_STEP:g} s: bounces "
             "within it would not be heard"
         )
-    collides = (model.geom_contype > 0) | (model.geom_conaffinity > 0)
-    constants = model.geom_solref[collides, 0]
+    collides = np.flatnonzero((model.geom_contype > 0) | (model.geom_conaffinity > 0))
+    constants = np.concatenate([model.geom_solref[collides, 0], model.pair_solref[:, 0]])
     times = np.where(constants > 0, constants, 1 / np.sqrt(np.maximum(-constants, 1e-12)))
     short = np.flatnonzero(times < 2 * step)
     if len(short):
-        geom = np.flatnonzero(collides)[short[0]]
+        first = short[0]
+        if first < len(collides):
+            kind, number, one = "geom", collides[first], model.geom
+        else:
+            kind, number, one = "pair", first - len(collides), model.pair
         raise ObjectFolderError(
-            f"geom {model.geom(geom).name or geom!r}: its contacts have a time constant of "
-            f"{times[short[0]]:g} s, expected at least two time steps, {2 * step:g} s: MuJoCo would "
+            f"{kind} {one(number).name or int(number)!r}: its contacts have a time constant of "
+            f"{times[first]:g} s, expected at least two time steps, {2 * step:g} s: MuJoCo would "
             "soften them silently; use a shorter time step or a longer solref"
         )
 

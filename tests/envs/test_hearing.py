@@ -273,6 +273,14 @@ def test_scenes_that_cannot_be_heard_are_refused(brick, bell):
         Hearing(scene([brick], step=0.02), [brick], "ear")
     with pytest.raises(ObjectFolderError, match=r"geom 'table'.*time constant of 0.002 s, expected at least"):
         Hearing(scene([brick], solref=[0.002, 1]), [brick], "ear")
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_geom(name="table", type=PLANE, size=[2, 2, 0.1])
+    body = spec.worldbody.add_body()
+    body.add_freejoint()
+    body.add_geom(name="ball", size=[0.1, 0, 0])
+    spec.add_pair(name="thud", geomname1="table", geomname2="ball", solref=[0.002, 1])
+    with pytest.raises(ObjectFolderError, match=r"pair 'thud'.*time constant of 0.002 s, expected at least"):
+        Hearing(spec.compile(), [], [0, 0, 1])
     model = scene([brick])
     model.mesh_vert[:] *= 2
     with pytest.raises(ObjectFolderError, match=r"geoms of body 'brick' reach from"):
