@@ -188,7 +188,7 @@ def draw(objects: dict[str, dict[str, Any]], path: Path) -> None:
             yscale="log",
             ylabel="validation loss" if place == 1 else "",
         )
-        axes.legend()
+    sheet.legend(*axes.get_legend_handles_labels(), loc="outside right center")
     save_page(sheet, path)
 
 
