@@ -39,12 +39,18 @@ export class Gestures {
     canvas.addEventListener(
       "wheel",
       (event) => {
+        if (!this.mayZoom()) return;
         event.preventDefault();
         this.zoom(Math.exp(event.deltaY * 0.001));
       },
       { passive: false },
     );
     canvas.addEventListener("keydown", (event) => this.key(event));
+  }
+
+  /** Whether the wheel is ours: in a frame, such as a notebook's, it scrolls what holds it until we are used. */
+  private mayZoom(): boolean {
+    return window.parent === window || (document.hasFocus() && document.activeElement === this.view.canvas);
   }
 
   private placeAt(x: number, y: number): Place {

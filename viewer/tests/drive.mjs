@@ -1,6 +1,9 @@
 // Use a page of one object as people do, in headless Chromium: node drive.mjs PAGE [FOLDER for pictures]
 import assert from "node:assert/strict";
+import { mkdtempSync, writeFileSync } from "node:fs";
 import { createRequire } from "node:module";
+import { tmpdir } from "node:os";
+import { join, resolve } from "node:path";
 import { open } from "./browser.mjs";
 
 const [, , file, pictures] = process.argv;
@@ -285,6 +288,35 @@ async function pinch(page) {
   assert.ok(Math.hypot(...after) < Math.hypot(...before), "they zoom");
 }
 
+/** In a frame, the wheel scrolls the page around until the picture is clicked. */
+async function framed() {
+  const outer = join(mkdtempSync(join(tmpdir(), "framed-")), "outer.html");
+  writeFileSync(
+    outer,
+    `<body style="margin:0"><iframe src="file://${resolve(file)}" style="width:100%;height:640px"></iframe>
+    <div style="height:4000px"></div></body>`,
+  );
+  const { browser, page } = await open(outer);
+  const [, frame] = page.frames();
+  await frame.waitForFunction(() => window.objectfolder?.times.bounced, null, WAIT);
+  const state = async () => ({
+    eye: await frame.evaluate(() => window.objectfolder.orbit.eye),
+    scrolled: await page.evaluate(() => window.scrollY),
+  });
+  const start = await state();
+  await page.mouse.move(400, 300);
+  await page.mouse.wheel(0, 60);
+  await page.waitForFunction(() => window.scrollY > 0, null, WAIT);
+  const passed = await state();
+  assert.deepEqual(passed.eye, start.eye, "the wheel scrolls the page");
+  await page.mouse.click(400, 240);
+  await page.mouse.wheel(0, 60);
+  await frame.waitForFunction((eye) => window.objectfolder.orbit.eye[0] !== eye[0], passed.eye, WAIT);
+  assert.equal((await state()).scrolled, passed.scrolled, "a picture in use is zoomed");
+  await browser.close();
+}
+
+await framed();
 for (const [name, size] of Object.entries(SIZES))
   for (const colorScheme of ["light", "dark"]) {
     const { browser, page, complaints } = await open(file, { ...size, colorScheme });
