@@ -10,14 +10,16 @@ import torch
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.gridcodec import BOUND
-from objectfolder.mesh.normals import unit_vectors
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.sharpen import sharp_normals, stored_triangles
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-_SEEN = 2.5  # voxels, length of rays that look for the nearest triangle
+_NEAR = 0.5  # voxels, within which the gradient of the grid points to the nearest side of a wall
+_ASTRAY = 0.1  # voxels by which Newton steps may lead farther than the grid's distance
+_VERTICES = 8  # nearest vertices, one of which the nearest triangle has
+_PART = 4096  # points that are compared with triangles at a time
 
 
 @dataclass(frozen=True)
@@ -107,9 +109,9 @@ class Isosurface:
     def nearest(self, points: np.ndarray, steps: int = 3) -> tuple[np.ndarray, np.ndarray]:
         """Project points to the surface.
 
-        Takes Newton steps along the gradient of the distance, from the point itself inside the band and from
-        the nearest vertex outside. Near edges and thin walls, which the grid does not hold, rays find the
-        nearest triangle.
+        Within half a voxel of the surface, takes Newton steps along the gradient of the distance. For points
+        farther away, where a gradient can lead to the wrong side of a wall, where the steps go astray, and
+        beside edges and thin walls, which the grid does not hold, finds the nearest triangle.
 
         Parameters
         ----------
@@ -121,25 +123,52 @@ class Isosurface:
         distance : (N,) float64, from the given points
         """
         points = np.asarray(points, np.float64)
+        voxel = self.grid.spacing
         position = torch.from_numpy(points)
         distance, normals = self.grid.distance_and_normals(position)
-        far = distance.abs().numpy() >= 0.9 * self.grid.band
+        away = distance.abs().numpy()
+        far = away >= _NEAR * voxel
         far |= (np.abs(points) > BOUND).any(1)  # the grid is clamped beyond its border
-        if far.any():
-            start = points.copy()
-            start[far] = self.vertices[self._tree.query(points[far])[1]]
-            position = torch.from_numpy(start)
-            distance, normals = self.grid.distance_and_normals(position)
+        if self.grid.features is not None:
+            far |= self._beside_features(points)
         for step in range(steps):
             if step:
                 distance, normals = self.grid.distance_and_normals(position)
             position = position - (distance[:, None] * normals).to(torch.float64)
         projected = position.numpy()
-        if self.grid.features is not None:
-            stored = np.flatnonzero(self._beside_features(points))
-            if len(stored):
-                projected[stored] = self._nearest_seen(points[stored], projected[stored])
+        far |= np.linalg.norm(projected - points, axis=1) > away + _ASTRAY * voxel
+        projected[far] = self._nearest_on_triangles(points[far])
         return projected, np.linalg.norm(projected - points, axis=1)
+
+    def _nearest_on_triangles(self, points: np.ndarray) -> np.ndarray:
+        """Return the nearest points of the triangles around the nearest vertices; (N, 3)."""
+        parts = [points[first : first + _PART] for first in range(0, len(points), _PART)]
+        return np.concatenate([self._nearest_feet(part) for part in parts]) if parts else points
+
+    def _nearest_feet(self, points: np.ndarray) -> np.ndarray:
+        """Do `_nearest_on_triangles` for at most `_PART` points."""
+        from trimesh.triangles import closest_point
+
+        nearest = self._tree.query(points, min(_VERTICES, len(self.vertices)))[1]
+        around = np.sort(self._around[nearest].reshape(len(points), -1))
+        once = around >= 0
+        once[:, 1:] &= around[:, 1:] != around[:, :-1]
+        row, face = np.nonzero(once)[0], around[once]
+        voxel = self.grid.spacing  # the thresholds of trimesh are absolute
+        feet = voxel * closest_point(self.vertices[self.faces[face]] / voxel, points[row] / voxel)
+        distance = np.linalg.norm(feet - points[row], axis=1)
+        order = np.lexsort((distance, row))
+        return feet[order[np.searchsorted(row, np.arange(len(points)))]]
+
+    @cached_property
+    def _around(self) -> np.ndarray:
+        """The triangles around each vertex; (V, most) int32, with -1 for none."""
+        order = np.argsort(self.faces, axis=None, kind="stable")
+        vertex = self.faces.ravel()[order]
+        place = np.arange(len(vertex)) - np.searchsorted(vertex, vertex)
+        around = np.full((len(self.vertices), place.max() + 1), -1, np.int32)
+        around[vertex, place] = order // 3
+        return around
 
     @cached_property
     def _refined(self) -> np.ndarray:
@@ -158,30 +187,3 @@ class Isosurface:
         number, refined = place @ [count**2, count, 1], self._refined
         found = np.searchsorted(refined, number).clip(max=len(refined) - 1)
         return np.asarray(refined[found] == number)
-
-    def _nearest_seen(self, points: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
-        """Return the point (N, 3) of the nearest triangle that rays around each point meet, if any does."""
-        ways = np.indices((3, 3, 3)).reshape(3, -1).T - 1.0
-        ways = unit_vectors(np.delete(ways, len(ways) // 2, 0))
-        start, along = np.repeat(points, len(ways), 0), np.tile(ways, (len(points), 1))
-        length = np.full(len(start), _SEEN * self.grid.spacing)
-        reached, face = (out.reshape(len(points), -1) for out in self.caster.first_hit(start, along, length))
-        best = reached.argmin(1)
-        each = np.arange(len(points))
-        distance, corners = (
-            reached[each, best].astype(np.float64),
-            self.vertices[self.faces[face[each, best]]],
-        )
-        found = np.isfinite(distance)
-        seen = np.where(
-            found[:, None], points + np.where(found, distance, 0)[:, None] * ways[best], otherwise
-        )
-        # The foot of the perpendicular on that triangle, if it lies within.
-        a, b, c = corners.swapaxes(0, 1)
-        area = np.cross(b - a, c - a)
-        square = np.maximum((area**2).sum(1), 1e-300)
-        foot = points - (((points - a) * area).sum(1) / square)[:, None] * area
-        within = found.copy()
-        for one, other in ((a, b), (b, c), (c, a)):
-            within &= (np.cross(other - one, foot - one) * area).sum(1) >= 0
-        return np.where(within[:, None], foot, seen)
