@@ -66,7 +66,7 @@ def test_nearest_is_the_nearest_point_of_a_wall(rng, wall):
     thickness = wall * 2 * BOUND / 63
     surface = sharp_isosurface(box((0.8, 0.8, thickness), turn=TURN))
     points = rng.uniform(-0.35, 0.35, (60, 3)) * [1, 1, 2 * thickness / 0.7]
-    projected, distance = surface.nearest(points @ TURN.T)
+    _, distance = surface.nearest(points @ TURN.T)
     true = np.abs(np.abs(points[:, 2]) - thickness / 2)
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
     _, on_triangles, _ = trimesh.proximity.closest_point_naive(mesh, points @ TURN.T)
