@@ -137,7 +137,7 @@ def write_safetensors(path: str | Path, tensors: dict[str, Any], header: dict[st
     with atomic(path) as temporary:
         contiguous = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
         mode = temporary.stat().st_mode  # safetensors creates files that only the owner can read
-        save_file(contiguous, temporary, metadata={"objectfolder": json.dumps(header, sort_keys=True)})
+        save_file(contiguous, temporary, metadata=_metadata(header))
         temporary.chmod(mode)
 
 
@@ -146,7 +146,11 @@ def safetensors_bytes(tensors: Mapping[str, Any], header: dict[str, Any]) -> byt
     from safetensors.numpy import save
 
     contiguous = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
-    return save(contiguous, metadata={"objectfolder": json.dumps(header, sort_keys=True)})
+    return save(contiguous, metadata=_metadata(header))
+
+
+def _metadata(header: dict[str, Any]) -> dict[str, str]:
+    return {"objectfolder": json.dumps(header, sort_keys=True, allow_nan=False)}  # what `read_safetensors` reads
 
 
 def write_png(path: str | Path, image: np.ndarray) -> None:

@@ -47,6 +47,8 @@ class Adam:
                     zeros = torch.zeros_like(parameter)
                     count = torch.zeros((), dtype=torch.float32, device=parameter.device)
                     self.state[parameter] = zeros, zeros.clone(), count
+            if not moving:
+                continue
             means, squares, counts = (list(kept) for kept in zip(*(self.state[p] for p in moving)))
             adam(
                 moving,

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import torch
 from torch import nn
 
+from objectfolder.errors import ObjectFolderError
 from objectfolder.nets.adam import Adam
 from objectfolder.nets.checkpoint import Checkpoint
 
@@ -76,6 +77,11 @@ def fit(
     -------
     list of CurvePoint
         Training curve.
+
+    Raises
+    ------
+    ObjectFolderError
+        If a loss is not finite.
     """
     # A larger epsilon would freeze hash-table entries with tiny gradients.
     if optimizer is None:
@@ -94,7 +100,8 @@ def fit(
         net.load_state_dict(_under("net.", tensors))
         kept.restore(_under("optimizer.", tensors))
         best_state = _under("best.", tensors) or None
-        best, running, count, done = (numbers[name] for name in ("best", "running", "count", "step"))
+        running, count, done = (numbers[name] for name in ("running", "count", "step"))
+        best = math.inf if numbers["best"] is None else numbers["best"]
         start -= numbers["seconds"]
         curve = [CurvePoint(*point) for point in numbers["curve"]]
         for point in curve:
@@ -108,7 +115,12 @@ def fit(
         loss = batch_loss()
         loss.backward()
         optimizer.step()
-        running, count = running + loss.item(), count + 1
+        if not math.isfinite(value := loss.item()):
+            raise ObjectFolderError(
+                f"training diverged: the loss of step {step} of {steps} is {value}; lower learning_rate, "
+                f"which is {learning_rate:g}"
+            )
+        running, count = running + value, count + 1
         if step in marks:
             with torch.no_grad():
                 point = CurvePoint(step, running / count, float(val_loss()), time.process_time() - start)
@@ -124,7 +136,7 @@ def fit(
                 {f"{part}.{name}": value for part, state in states.items() for name, value in state.items()},
                 {
                     "step": step,
-                    "best": best,
+                    "best": best if best_state else None,  # JSON has no infinity
                     "running": running,
                     "count": count,
                     "seconds": time.process_time() - start,

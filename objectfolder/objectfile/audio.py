@@ -117,7 +117,7 @@ class ModalSense:
 
     def tuning(self, material: str | Material | None, scale: float | None) -> Tuning:
         """Return the modes of this shape in another material or size."""
-        modes = self.net.damped_frequency.cpu(), self.net.damping.cpu()
+        modes = self.net.damped_frequency.cpu().clone(), self.net.damping.cpu().clone()
         if material is None and scale is None:
             return stored_modes(*modes, self._band())
         own, band = self._solved()

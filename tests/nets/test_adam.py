@@ -31,6 +31,15 @@ def test_it_is_the_adam_of_pytorch():
 
 
 @pytest.mark.slow
+def test_groups_without_a_gradient_stay():
+    moving, still = nn.Parameter(torch.ones(2)), nn.Parameter(torch.ones(2))
+    moving.grad = torch.ones(2)
+    optimizer = Adam([{"params": [still], "lr": 0.1}, {"params": [moving], "lr": 0.1}], (0.9, 0.99), 1e-8)
+    optimizer.step()
+    assert torch.equal(still, torch.ones(2))
+    torch.testing.assert_close(moving.detach(), torch.full((2,), 0.9))
+
+
 def test_training_does_not_import_the_compiler_of_pytorch():
     """It takes a second and 75 MB, in every stage that trains."""
     code = """

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import nn
 
+from objectfolder.errors import ObjectFolderError
 from objectfolder.nets.fit import fit, minibatches
 
 
@@ -41,6 +42,12 @@ def test_it_minimises():
     fit(net, loss, lambda: loss().item(), steps=500, learning_rate=0.05, report=reported.append)
     assert loss().item() < 1e-5
     assert len(reported) == 20
+
+
+def test_a_training_that_diverges_says_so():
+    net = nn.Linear(1, 1)
+    with pytest.raises(ObjectFolderError, match=r"diverged: the loss of step \d+ of 100 is (inf|nan); lower"):
+        fit(net, lambda: net.weight.square().sum(), lambda: 1.0, steps=100, learning_rate=1e30)
 
 
 @pytest.mark.parametrize("steps", [1, 3, 19])

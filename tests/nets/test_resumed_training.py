@@ -119,6 +119,24 @@ def test_a_continued_training_reports_its_whole_curve(tmp_path):
     assert reported == curve
 
 
+def test_a_training_that_was_killed_before_its_first_evaluation_continues(tmp_path):
+    path, generator, net = tmp_path / "checkpoint.safetensors", torch.Generator(), nn.Linear(1, 1)
+    steps = []
+
+    def run(checkpoint):
+        def loss():
+            steps.append(None)
+            return net.weight.square().sum()
+
+        fit(net, loss, lambda: 1.0, 100, 0.1, evaluations=1, optimizer=papers_adam(net), checkpoint=checkpoint)
+
+    with pytest.raises(Killed):
+        run(KilledAfter(path, generator, 12))
+    del steps[:]
+    run(Checkpoint(path, "task", generator))
+    assert len(steps) == 90
+
+
 def test_checkpoints_of_another_task_or_damaged_ones_are_not_continued(tmp_path):
     path, generator = tmp_path / "c.safetensors", torch.Generator().manual_seed(0)
     before = generator.get_state()
