@@ -112,9 +112,9 @@ class GeometricTouch:
 
     def normals(self, points: np.ndarray) -> np.ndarray:
         """Compute contact normals at (N, 3) points of the object frame; (N, 3)."""
-        distance, places = self.surface.grid.smooth_distance, np.asarray(points, np.float64) / self.scale
-        parts = [places[i : i + _BATCH] for i in range(0, max(len(places), 1), _BATCH)]
-        return np.concatenate([contact_normals(distance, part, NORMAL_RADIUS) for part in parts])
+        places = np.asarray(points, np.float64) / self.scale
+        normals: np.ndarray = contact_normals(self.surface.grid.smooth_distance, places, NORMAL_RADIUS)
+        return normals
 
     def touches(
         self, points: np.ndarray, normals: np.ndarray, angles: np.ndarray, depths: np.ndarray
@@ -168,7 +168,7 @@ class GeometricTouch:
         device: str | torch.device = "cpu",
     ) -> "GeometricTouch":
         """Invert `to_tensors`."""
-        profile, background = SensorProfile.from_dict(config["sensor"]), tensors.get("background")
+        profile, background = SensorProfile.from_dict(config["sensor"], stored=True), tensors.get("background")
         if background is not None and background.shape != (profile.height, profile.width, 3):
             raise ValueError(
                 f"background of shape {background.shape}, expected {(profile.height, profile.width, 3)}"

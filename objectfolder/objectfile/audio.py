@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import fields
 from typing import Protocol
 
@@ -24,7 +24,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material
 from objectfolder.objectfile.radiation import Listening, Radiation
 from objectfolder.objectfile.reading import StoredNet, damaged_net, report_damage
-from objectfolder.objectfile.sound_settings import SoundSettings
+from objectfolder.objectfile.sound_settings import SoundSettings, finite_sounds
 from objectfolder.recent import Recent
 
 _PIECE = 512  # samples of a contact computed at once
@@ -65,7 +65,7 @@ class AudioSense(Protocol):
         impulses: np.ndarray,
         settings: SoundSettings,
         tolerance: float,
-        radiation: Radiation,
+        read_radiation: Callable[[], Radiation],
         listening: Listening,
     ) -> np.ndarray:
         """Return sound pressures of impulses at listeners, Pa; (N, samples) float32."""
@@ -216,7 +216,7 @@ class ModalSense:
         sounds = np.empty((len(points), bank.samples), np.float32)
         for part, strengths in self._strengths(points, impulses, settings, tolerance):
             sounds[part] = bank.mix(strengths)
-        return self._finite(sounds, impulses)
+        return finite_sounds(sounds, impulses)
 
     def heard(
         self,
@@ -224,7 +224,7 @@ class ModalSense:
         impulses: np.ndarray,
         settings: SoundSettings,
         tolerance: float,
-        radiation: Radiation,
+        read_radiation: Callable[[], Radiation],
         listening: Listening,
     ) -> np.ndarray:
         """Return sound pressures of impulses at listeners, Pa; (N, samples) float32.
@@ -237,6 +237,7 @@ class ModalSense:
         """
         tuning, bank = self._bank(settings)
         stuff, size = self._struck(self._solved()[0], settings.material, settings.scale)
+        radiation = read_radiation()
         radiation.check_outside(listening.places, size)
         outcome = "only the recoil is heard"
         _report_inaudible(len(bank.heard), len(tuning.modes), bank.sample_rate / 2, outcome)
@@ -267,7 +268,7 @@ class ModalSense:
             contact_time,
             listening.delay,
         )
-        return self._finite(sounds, impulses)
+        return finite_sounds(sounds, impulses)
 
     def striking_time(
         self, striker: Striker | None, material: str | Material | None, scale: float | None
@@ -319,15 +320,6 @@ class ModalSense:
             shapes = self.net.shapes(places[part])[..., tuning.modes[bank.heard]]
             force = torch.from_numpy(impulses[part] * tuning.shape_factor).float().to(shapes.device)
             yield part, gains(shapes, force)
-
-    @staticmethod
-    def _finite(sounds: np.ndarray, impulses: np.ndarray) -> np.ndarray:
-        if not np.isfinite(sounds).all():
-            raise ObjectFolderError(
-                f"impulses of up to {np.abs(impulses).max():g} N s give sounds beyond single precision; "
-                "the sound is linear in them: scale them down"
-            )
-        return sounds
 
     def _bank(self, settings: SoundSettings) -> tuple[Tuning, Bank]:
         return self._banks.of(settings, lambda: self._new_bank(settings))

@@ -246,7 +246,7 @@ class ObjectFile:
     def sensor_profile(self) -> SensorProfile:
         """Profile of the stored tactile sensor."""
         stored = self._touch_config["sensor"]
-        return load_profile(stored) if isinstance(stored, str) else SensorProfile.from_dict(stored)
+        return load_profile(stored) if isinstance(stored, str) else SensorProfile.from_dict(stored, stored=True)
 
     @property
     def sensor_background(self) -> np.ndarray:
@@ -460,7 +460,8 @@ class ObjectFile:
         if ears is None:
             return like_first(self._parts.audio.impact(*strikes, settings, tolerance), points)
         listening = Listening(ears, late)
-        sounds = self._parts.audio.heard(*strikes, settings, tolerance, self._parts.radiation, listening)
+        parts = self._parts
+        sounds = parts.audio.heard(*strikes, settings, tolerance, lambda: parts.radiation, listening)
         return like_first(sounds, points)
 
     def listen(

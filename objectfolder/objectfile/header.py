@@ -91,6 +91,8 @@ def checked_header(header: Any, path: object) -> dict[str, Any]:
             f"{path}: {place}: {shortened(problem.message, 300)}; see objectfile.schema.json for what is "
             "expected"
         )
+    if header["key"].endswith("\n"):  # which Python's $ overlooks
+        raise ObjectFolderError(f"{path}: key: {header['key']!r} ends with a line break, expected a name")
     for part in (*PARTS, RADIATION):
         kinds = known_kinds(part)
         if version <= FORMAT and part in header and header[part]["kind"] not in kinds:

@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from objectfolder.mesh.featurecodec import COUNTED, Features, unpack_features
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.gridcodec import unpack_grid
 from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.nets.released.registry import trained_box
 from objectfolder.objectfile.audio import AudioSense, audio_sense
 from objectfolder.objectfile.header import PARTS, RADIATION, known_kinds
 from objectfolder.objectfile.radiation import Radiation
@@ -178,4 +180,5 @@ class StoredParts:
         tensors = {
             name[len(start) :]: self._stored.tensor(name) for name in self.tensors if name.startswith(start)
         }
-        return StoredNet(part, self.header, tensors, self.surface, self.device)
+        surface = replace(self.surface, box=trained_box(self.header[part]))
+        return StoredNet(part, self.header, tensors, surface, self.device)

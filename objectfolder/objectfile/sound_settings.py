@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from objectfolder import materials
 from objectfolder.audio.contact import Striker, as_striker
 from objectfolder.audio.synthesis import RESPONSES, checked_contact_time, count_samples
@@ -90,3 +92,13 @@ def struck_object(
     """
     known = material if isinstance(material, Material | None) else materials.material(material).name
     return known, None if scale is None else finite_number("scale", scale)
+
+
+def finite_sounds(sounds: np.ndarray, impulses: np.ndarray) -> np.ndarray:
+    """Return sounds, or raise ObjectFolderError if impulses are too large for single precision."""
+    if not np.isfinite(sounds).all():
+        raise ObjectFolderError(
+            f"impulses of up to {np.abs(impulses).max():g} N s give sounds beyond single precision; "
+            "the sound is linear in them: scale them down"
+        )
+    return sounds

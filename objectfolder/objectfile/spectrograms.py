@@ -1,5 +1,6 @@
 """Sounds of an Object File that stores spectrograms."""
 
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -12,7 +13,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material
 from objectfolder.objectfile.radiation import Listening, Radiation
 from objectfolder.objectfile.reading import StoredNet, damaged_net
-from objectfolder.objectfile.sound_settings import SoundSettings
+from objectfolder.objectfile.sound_settings import SoundSettings, finite_sounds
 
 
 class SpectralNet(Protocol):
@@ -82,11 +83,12 @@ class SpectrogramSense:
         places = torch.from_numpy(self._surface.to_unit(self._surface.snap(points, tolerance)))
         sounds = np.empty((len(places), samples), np.float32)
         for sound, point, force in zip(sounds, places, torch.from_numpy(impulses).float()):
-            spectrum = (self.net.spectrograms(point[None])[0].cpu() * force[:, None, None]).sum(0)
+            spectra = self.net.spectrograms(point[None])[0].cpu()
+            if not spectra.isfinite().all():
+                raise damaged_net(self._key, "audio")
+            spectrum = (spectra * force[:, None, None]).sum(0)
             sound[:] = sounds_of(spectrum[None])[0, :samples].numpy()
-        if not np.isfinite(sounds).all():
-            raise damaged_net(self._key, "audio")
-        return sounds
+        return finite_sounds(sounds, impulses)
 
     def heard(
         self,
@@ -94,7 +96,7 @@ class SpectrogramSense:
         impulses: np.ndarray,
         settings: SoundSettings,
         tolerance: float,
-        radiation: Radiation,
+        read_radiation: Callable[[], Radiation],
         listening: Listening,
     ) -> np.ndarray:
         """Refuse: the net knows no modes."""

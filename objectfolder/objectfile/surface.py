@@ -21,6 +21,8 @@ class ObjectSurface:
     read: Callable[[], Isosurface]  #: returns the stored surface, unit frame
     scale: float  #: longest side, metres
     stored: bool = True  #: whether the file holds a surface
+    #: (2, 3) lowest and highest coordinates that the net was trained on; of points without a stored surface.
+    box: np.ndarray | None = None
 
     def resized(self, scale: float | None) -> "ObjectSurface":
         """Return the surface of the same shape with another longest side, if one is given."""
@@ -47,13 +49,13 @@ class ObjectSurface:
         return nearest * self.scale, distance * self.scale
 
     def snap(self, points: np.ndarray, tolerance: float, slack: float = 0.0) -> np.ndarray:
-        """Move points (N, 3) to the surface; they stay where they are if no surface is stored.
+        """Move points (N, 3) to the surface; without a stored one they stay, and have to be in the box.
 
         Parameters
         ----------
         points : (N, 3) array
         tolerance : float
-            Greatest distance from the surface, fraction of the size.
+            Greatest distance from the surface or the box, fraction of the size.
         slack : float
             Points nearer to the surface than this stay where they are; voxels of the stored grid.
 
@@ -71,6 +73,7 @@ class ObjectSurface:
         if (most := finite_number("tolerance", tolerance)) < 0:
             raise ObjectFolderError(f"tolerance is {tolerance!r}, expected a fraction of the size")
         if len(points) == 0 or not self.stored:
+            self._require_in_box(points, most)
             return places
         surface = self.read()
         snapped, distance = surface.nearest(places)
@@ -84,6 +87,20 @@ class ObjectSurface:
             )
         near = distance < slack * surface.grid.spacing
         return np.where(near[:, None], places, snapped)
+
+    def _require_in_box(self, points: np.ndarray, tolerance: float) -> None:
+        """Raise ObjectFolderError if a point is outside the box by more than a fraction of its size."""
+        if self.box is None:
+            return
+        low, high = self.box
+        slack = tolerance * (high - low).max()
+        far = np.flatnonzero(((points < low - slack) | (points > high + slack)).any(1))
+        if len(far):
+            raise ObjectFolderError(
+                f"points: row {far[0]} at {points[far[0]].round(6).tolist()} m is outside the net's bounds, "
+                f"{low.tolist()} to {high.tolist()} m, by more than {slack:.3g} m; points are in the "
+                "released file's coordinates, metres"
+            )
 
     def _places(self, points: np.ndarray) -> np.ndarray:
         """Return points in the unit frame, if they are near enough to have a nearest one."""

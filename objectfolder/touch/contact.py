@@ -27,6 +27,9 @@ _FREED = 0.05
 _PROBES = np.array([[0.7561, 0.3217, -0.5700], [-0.4129, 0.8836, 0.2205], [-0.2917, -0.6353, 0.7150]])
 
 
+_PROBED = 256  # points whose surroundings are looked at together, to bound memory
+
+
 @cache
 def probe_directions(count: int = 64) -> np.ndarray:
     """Return quasi-uniform unit directions; (count, 3), symmetric under u -> -u, with Σ u uᵀ = count/3 · I.
@@ -84,11 +87,15 @@ def contact_normals(distance: Callable[[Array], Array], points: Array, radius: f
     else:
         points = np.asarray(points, np.float64)
     points = points.reshape(-1, 3)
-    samples = points[:, None] + radius * u
-    d = distance(samples.reshape(-1, 3)).reshape(len(points), len(u))
-    # Sum in a fixed order; that of a matrix product depends on the number of points.
-    gradient = (d[..., None] * u).sum(axis=1)
-    length = array_library(gradient).sqrt((gradient * gradient).sum(axis=1))
+    gradients = []
+    for start in range(0, max(len(points), 1), _PROBED):
+        samples = points[start : start + _PROBED, None] + radius * u
+        d = distance(samples.reshape(-1, 3)).reshape(len(samples), len(u))
+        # Sum in a fixed order; that of a matrix product depends on the number of points.
+        gradients.append((d[..., None] * u).sum(axis=1))
+    library = array_library(gradients[0])
+    gradient = library.concatenate(gradients)
+    length = library.sqrt((gradient * gradient).sum(axis=1))
     lost = np.flatnonzero(~np.asarray(length > 1e-9 * radius))
     if lost.size:
         raise ObjectFolderError(

@@ -164,15 +164,21 @@ class SensorProfile:
         return values
 
     @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> "SensorProfile":
+    def from_dict(cls, values: Mapping[str, Any], stored: bool = False) -> "SensorProfile":
         """Inverse of `to_dict`; also accepts lists and whole numbers, as JSON and YAML store them.
+
+        Parameters
+        ----------
+        values : mapping
+        stored : bool
+            Whether they are of an Object File, whose unknown fields are of newer versions and ignored.
 
         Raises
         ------
         ObjectFolderError
-            If a field is missing, unknown, of the wrong type or outside its range.
+            If a field is missing, of the wrong type, outside its range or, unless stored, unknown.
         """
-        return _from_mapping(cls, values, "sensor profile")
+        return _from_mapping(cls, _known(cls, values) if stored else values, "sensor profile")
 
 
 def available_profiles() -> list[str]:
@@ -242,6 +248,14 @@ def require_renderer(profile: SensorProfile, renderer: str) -> None:
             f"renderer tacto draws a rigid gel, and that of sensor {profile.name!r} is {profile.gel}; "
             "set sensor: tacto_digit, or render_touch.renderer: gel"
         )
+
+
+def _known(cls: type, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values without unknown fields, of lights neither."""
+    known = {field.name: values[field.name] for field in fields(cls) if field.name in values}
+    if isinstance(lights := known.get("lights"), list | tuple):
+        known["lights"] = [_known(Light, of) if isinstance(of, Mapping) else of for of in lights]
+    return known
 
 
 def _from_mapping(cls: type[_T], values: Any, what: str) -> _T:

@@ -163,6 +163,7 @@ def test_a_header_without_a_field(edit, field):
         ("scale", True, "scale: True is not of type 'number'"),
         ("key", "../../etc/passwd", "key: '../../etc/passwd' does not match"),
         ("key", "a" * 1000, "key: .* does not match"),
+        ("key", "mug\n", "key: 'mug.n' ends with a line break"),
         ("geometry", {}, "geometry: 'kind' is a required property"),
     ],
 )

@@ -55,6 +55,16 @@ def test_gains_are_not_in_the_file(file):
         file.mode_shapes(file.sample_surface(1))
 
 
+def test_a_listener_is_told_that_modes_are_missing(file):
+    with pytest.raises(ObjectFolderError, match=r"its audio net stores spectrograms, no modes"):
+        file.impact(file.sample_surface(1), [0, 0, 1], listener=[1, 0, 0])
+
+
+def test_impulses_too_large_for_the_format_are_no_damage(file):
+    with pytest.raises(ObjectFolderError, match=r"impulses of up to 1e\+40 N s .*scale them down"):
+        file.impact(file.sample_surface(1), [0, 0, 1e40])
+
+
 def test_its_scores_stand_beside_silence(file, brick):
     """The net answers noise: worse than silence."""
     points = brick.sample_surface(20) / brick.scale

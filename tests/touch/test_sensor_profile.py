@@ -129,6 +129,8 @@ def test_unknown_fields_are_named():
     lights = [DIGIT.to_dict()["lights"][0] | {"power": 1}]
     with pytest.raises(ObjectFolderError, match=r"lights.*unknown fields power"):
         SensorProfile.from_dict(DIGIT.to_dict() | {"lights": lights})
+    newer = DIGIT.to_dict() | {"lights": [light | {"power": 1} for light in DIGIT.to_dict()["lights"]]}
+    assert SensorProfile.from_dict(newer | {"lense": 1}, stored=True) == DIGIT
 
 
 @settings(deadline=None)

@@ -7,6 +7,8 @@ depend on their code, and stage dependencies follow import statements.
 from importlib import import_module
 from typing import Any
 
+import numpy as np
+
 KINDS = {
     "released_nerf": ("vision", "ReleasedNerf"),
     "released_kilo": ("kilo", "ReleasedKilo"),
@@ -21,6 +23,21 @@ def released_net(kind: str) -> Any:
     """Return the net class of a kind."""
     module, name = KINDS[kind]
     return getattr(import_module(f"objectfolder.nets.released.{module}"), name)
+
+
+def trained_box(described: dict[str, Any]) -> np.ndarray | None:
+    """Return the lowest and highest coordinates that a part's net was trained on, as far as it says; (2, 3).
+
+    Parameters
+    ----------
+    described : dict
+        The part's header.
+    """
+    if described["kind"] in ("released_gains", "released_depth"):
+        return np.array(described["net"]["bounds"], np.float64)
+    if described["kind"] == "released_image":  # one pair for all axes
+        return np.repeat(np.array(described["net"]["coordinates"], np.float64)[:, None], 3, 1)
+    return None
 
 
 def released_kind(net: object) -> str:

@@ -112,7 +112,7 @@ class ReleasedDepth:
         if len(network.output.weight) != 1 or tuple(untouched.shape) != DEPTH_SIZE:
             raise ValueError(f"{len(network.output.weight)} depths, gel of {tuple(untouched.shape)}")
         self._pixels = torch.from_numpy(_places(DEPTH_SIZE)).float()
-        self.profile = SensorProfile.from_dict(config["sensor"])
+        self.profile = SensorProfile.from_dict(config["sensor"], stored=True)
         self._optics: dict[SensorProfile, Optics] = {}
 
     def to(self, device: str | torch.device) -> "ReleasedDepth":

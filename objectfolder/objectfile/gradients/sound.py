@@ -16,6 +16,7 @@ from objectfolder.audio.synthesis import (
     pulse_phasor,
     response_at,
 )
+from objectfolder.checks import require_memory
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material
 from objectfolder.nets.audio_gains import GainsNet
@@ -26,6 +27,7 @@ from objectfolder.objectfile.gradients.module import AnswerModule
 from objectfolder.objectfile.sound_settings import SoundSettings
 from objectfolder.objectfile.surface import TOLERANCE, ObjectSurface
 
+_BYTES_PER_PAIR = 100  # of a mode and a sample, with what gradients need
 #: A float, or a tensor without dimensions, through which gradients flow.
 Number = Any
 
@@ -136,6 +138,11 @@ class Sound(AnswerModule):
         heard = audible(tuning.damped_frequency, settings.sample_rate)
         s = torch.complex(-tuning.damping, tuning.damped_frequency)[heard].to(torch.complex128)[:, None]
         samples = round(settings.sample_rate * settings.duration)
+        require_memory(
+            f"gradients of {len(s)} modes in {samples:,} samples",
+            _BYTES_PER_PAIR * len(s) * samples,
+            "ask for fewer seconds or a lower sample_rate",
+        )
         time = torch.arange(samples, dtype=torch.float64) / settings.sample_rate
         bank = played(s, time, contact_time, RESPONSES.index(response))
         impulses = torch.as_tensor(forces).to(shapes).expand(pushes.shape)

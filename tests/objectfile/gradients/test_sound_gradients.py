@@ -113,6 +113,8 @@ def test_what_is_not_physical_is_refused(sound, strike, mug):
     with pytest.raises(ObjectFolderError, match="striker is 'wood', but contact_time says how long"):
         sound(*strike, contact_time=torch.tensor(1e-3), striker="wood")
     silent = replace(sound.material, loss_factor=(), alpha=torch.tensor(0.0), beta=0.0)
+    with pytest.raises(ObjectFolderError, match=r"gradients of \d+ modes in 144,000,000 samples: needs"):
+        sound(*strike, sample_rate=40000, duration=3600)
     with pytest.raises(ObjectFolderError, match="an undamped object rings for ever"):
         sound(*strike, material=silent)
     with pytest.raises(ObjectFolderError, match="expected torch"):

@@ -57,6 +57,8 @@ def test_matrices_and_intrinsics_are_cameras_too(mug, view):
     expected = mug.view(pose, LIGHT.numpy(), intrinsics=seen_by, supersample=False)
     found = view(torch.from_numpy(pose), LIGHT, intrinsics=seen_by)
     assert psnr(np.square(found.images.numpy() - expected)[found.inside.numpy()].mean()) > 90
+    with pytest.raises(ObjectFolderError, match=r"200000 x 200000 pixels: needs .* bytes"):
+        view(torch.from_numpy(pose), LIGHT, resolution=200_000)
     with pytest.raises(ObjectFolderError, match="intrinsics is of type int, expected Intrinsics"):
         view(CAMERA, LIGHT, intrinsics=5)
     away = view(-CAMERA + 1, LIGHT, intrinsics=Intrinsics(4, 4, 1e4, (5000.0, 0.0)))
