@@ -150,7 +150,8 @@ def safetensors_bytes(tensors: Mapping[str, Any], header: dict[str, Any]) -> byt
 
 
 def _metadata(header: dict[str, Any]) -> dict[str, str]:
-    return {"objectfolder": json.dumps(header, sort_keys=True, allow_nan=False)}  # what `read_safetensors` reads
+    """Return the metadata that hold a header; `read_safetensors` refuses NaN and infinity."""
+    return {"objectfolder": json.dumps(header, sort_keys=True, allow_nan=False)}
 
 
 def write_png(path: str | Path, image: np.ndarray) -> None:

@@ -168,7 +168,8 @@ class GeometricTouch:
         device: str | torch.device = "cpu",
     ) -> "GeometricTouch":
         """Invert `to_tensors`."""
-        profile, background = SensorProfile.from_dict(config["sensor"], stored=True), tensors.get("background")
+        profile = SensorProfile.from_dict(config["sensor"], stored=True)
+        background = tensors.get("background")
         if background is not None and background.shape != (profile.height, profile.width, 3):
             raise ValueError(
                 f"background of shape {background.shape}, expected {(profile.height, profile.width, 3)}"

@@ -246,7 +246,9 @@ class ObjectFile:
     def sensor_profile(self) -> SensorProfile:
         """Profile of the stored tactile sensor."""
         stored = self._touch_config["sensor"]
-        return load_profile(stored) if isinstance(stored, str) else SensorProfile.from_dict(stored, stored=True)
+        if isinstance(stored, str):
+            return load_profile(stored)
+        return SensorProfile.from_dict(stored, stored=True)
 
     @property
     def sensor_background(self) -> np.ndarray:

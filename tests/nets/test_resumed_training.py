@@ -128,7 +128,7 @@ def test_a_training_that_was_killed_before_its_first_evaluation_continues(tmp_pa
             steps.append(None)
             return net.weight.square().sum()
 
-        fit(net, loss, lambda: 1.0, 100, 0.1, evaluations=1, optimizer=papers_adam(net), checkpoint=checkpoint)
+        fit(net, loss, lambda: 1.0, 100, 0.1, 1, optimizer=papers_adam(net), checkpoint=checkpoint)
 
     with pytest.raises(Killed):
         run(KilledAfter(path, generator, 12))

@@ -5,6 +5,9 @@ import lzma
 
 import numpy as np
 import pytest
+import torch
+
+from objectfolder.nets.vision_osf import OsfNet
 
 
 @pytest.fixture(scope="module")
@@ -112,3 +115,66 @@ def test_the_base_colours(stored, brick):
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     baked = brick._parts.vision.net.bake(surface).look[::37].numpy()
     np.testing.assert_allclose(linear, baked[:, :3], atol=1e-4)
+
+
+def hidden_layers(tensors, x):
+    """The paper's ReLU layers, of tensors named hidden.*."""
+    hidden = x
+    for i in range(sum(name.startswith("hidden.") for name in tensors) // 2):
+        hidden = np.concatenate([x, hidden], 1) if i == 5 else hidden
+        hidden = np.maximum(layer(tensors, f"hidden.{i}", hidden), 0)
+    return hidden
+
+
+def layer(tensors, name, x):
+    return x @ tensors[f"{name}.weight"].T.astype(np.float32) + tensors[f"{name}.bias"]
+
+
+def angles(x, octaves, lowest):
+    return (x[:, :, None] * lowest * 2.0 ** np.arange(octaves)).reshape(len(x), -1)
+
+
+def with_waves(x, angle):
+    return np.concatenate([x, np.sin(angle), np.cos(angle)], 1)
+
+
+def under(tensors, prefix):
+    return {name.removeprefix(prefix): t for name, t in tensors.items() if name.startswith(prefix)}
+
+
+def test_the_papers_network_of_spectrograms(spectrograms, rng):
+    point, config = rng.uniform(-0.5, 0.5, (1, 3)), spectrograms.header["audio"]["net"]
+    axes = np.meshgrid(np.linspace(-1, 1, 257), np.linspace(-1, 1, 201), indexing="ij")
+    bins = np.stack(axes, -1).reshape(-1, 2)
+    x = np.concatenate([np.tile(2 * point, (len(bins), 1)), bins], 1)
+    both = [angles(x[:, :3], config["point_octaves"], np.pi), angles(x[:, 3:], config["bin_octaves"], np.pi)]
+    found = []
+    for axis, (low, high) in enumerate(spectrograms.tensors["audio.range"]):
+        net = under(spectrograms.tensors, f"audio.branches.{axis}.")
+        output = layer(net, "output", hidden_layers(net, with_waves(x, np.concatenate(both, 1))))
+        parts = output * (high - low) + low
+        found.append((parts[:, 0] + 1j * parts[:, 1]).reshape(257, 201))
+    ours = spectrograms._parts.audio.net.spectrograms(torch.from_numpy(point))[0].numpy()
+    np.testing.assert_allclose(found, ours, atol=1e-4 * np.abs(ours).max())
+
+
+def test_the_papers_network_of_views(rng):
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        net = OsfNet(
+            4, 8, width=16, depth=7, branch_width=8, branch_depth=2, point_octaves=3, direction_octaves=2
+        )
+    tensors, config = net.to_tensors()
+    net = OsfNet.from_tensors(tensors, config)
+    point = rng.uniform(-0.5, 0.5, (50, 3))
+    camera, light = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in rng.standard_normal((2, 50, 3)))
+    fine = under(tensors, "fine.")
+    hidden = hidden_layers(under(fine, "trunk."), with_waves(point, angles(point, 3, 1)))
+    directions = [with_waves(d, angles(d, 2, 1)) for d in (camera, light)]
+    x = np.concatenate([layer(fine, "bottleneck", hidden), *directions], 1)
+    fraction = layer(fine, "fraction", hidden_layers(under(fine, "branch."), x))
+    with torch.no_grad():
+        density, features = net.fine(torch.from_numpy(point).float())
+        scattered = net.fine.scattered(features, *(torch.from_numpy(d).float() for d in (light, camera)))
+    np.testing.assert_allclose(np.maximum(layer(fine, "density", hidden)[:, 0], 0), density, atol=1e-5)
+    np.testing.assert_allclose(1.2 / (1 + np.exp(-fraction)) - 0.1, scattered, atol=1e-5)
