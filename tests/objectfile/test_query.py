@@ -545,7 +545,7 @@ def test_a_point_off_the_surface_is_named(brick):
     points = TOP.repeat(3, 0)
     points[2, 2] += 0.004
     with pytest.raises(
-        ObjectFolderError, match=r"1 of 3 points .* row 2 at \[0.01, 0.005, 0.019\] m, 0.00414 m away"
+        ObjectFolderError, match=r"1 of 3 points .* row 2 at \[0.01, 0.005, 0.019\] m, 0.004 m away"
     ):
         brick.press(points)
 
